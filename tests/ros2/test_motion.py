@@ -91,34 +91,20 @@ def rests(written: Heard[FrameRecord], *servos: int, count: int) -> bool:
     return all(len(angles) == count and len(set(angles)) == 1 for angles in newest)
 
 
-def test_cmd_vel_walks_and_silence_has_it_stand(driven: Bridge, peer: Peer, watcher: Client) -> None:
-    written = frames(watcher)
-    peer.advertise("/hexapod/cmd_gait_type", Int32)
-    velocities = driven.publisher("cmd_vel", TwistStamped)  # ROS 2's own teleop sends either
-    peer.publish("/hexapod/cmd_gait_type", Int32(1))
-    seen: set[float] = set()
-
-    def strides() -> bool:
-        seen.update(commanded(written.all[-60:], 11))
-        return len(seen) > 60
-
-    keeps(lambda: velocities.publish(TwistStamped(twist=Twist(Vector3(0.05)))), strides, hz=20)
-
-    keeps(lambda: None, lambda: rests(written, 11, count=50))
-    assert len(running(watcher)) == 6
-    assert peer.call("/hexapod/release") == (True, "released")
-    assert watcher.state().mode == Mode.IDLE
-
-
-def test_the_body_is_raised_and_leans_and_what_legs_cannot_do_is_not_taken(
+def test_it_is_raised_leans_walks_and_stands_in_silence_and_what_legs_cannot_do_is_not_taken(
     driven: Bridge, peer: Peer, watcher: Client
 ) -> None:
+    """How long each silence lasts: tests/unit/people/test_ride.py."""
     for topic in ("roll_setpoint", "pitch_setpoint", "cmd_base_height"):
         peer.advertise(f"/hexapod/{topic}", Float64)
+    peer.advertise("/hexapod/cmd_gait_type", Int32)
+    velocities = driven.publisher("cmd_vel", TwistStamped)  # ROS 2's own teleop sends either
     with rejected(driven, "roll_setpoint: the robot does not stand"):
         peer.publish("/hexapod/roll_setpoint", Float64(0.1))
     with rejected(driven, "cmd_base_height: it cannot stand 5 m high"):
         peer.publish("/hexapod/cmd_base_height", Float64(5.0))
+    with rejected(driven, "cmd_base_height: a height and a leaning are finite numbers"):
+        peer.publish("/hexapod/cmd_base_height", Float64(math.nan))
     assert not running(watcher)
     written = frames(watcher)
     peer.publish("/hexapod/cmd_base_height", Float64(0.12))
@@ -127,11 +113,20 @@ def test_the_body_is_raised_and_leans_and_what_legs_cannot_do_is_not_taken(
     assert level[1] + level[2] == pytest.approx(180.0, abs=0.1), "left and right servos mirror each other"
     peer.publish("/hexapod/roll_setpoint", Float64(0.1))
     keeps(lambda: None, lambda: not rests(written, 12, count=2))
-    keeps(lambda: None, lambda: rests(written, 12, 22, count=40))
+    peer.publish("/hexapod/cmd_gait_type", Int32(1))
+    seen: set[float] = set()
+
+    def strides() -> bool:
+        seen.update(commanded(written.all[-60:], 11))
+        return len(seen) > 60
+
+    keeps(lambda: velocities.publish(TwistStamped(twist=Twist(Vector3(0.05)))), strides, hz=20)
+    keeps(lambda: None, lambda: rests(written, 11, 12, 22, count=50))
     leans = {leg: commanded(written.all, leg * 10 + 2)[-1] for leg in (1, 2)}
     assert leans[1] + leans[2] != pytest.approx(180.0, abs=1.0)
-    with rejected(driven, "cmd_base_height: a height and a leaning are finite numbers"):
-        peer.publish("/hexapod/cmd_base_height", Float64(math.nan))
+    assert len(running(watcher)) == 6
+    assert peer.call("/hexapod/release") == (True, "released")
+    assert watcher.state().mode == Mode.IDLE
 
 
 # ---- trajectories
@@ -145,25 +140,6 @@ def plan(*points: tuple[float, float]) -> JointTrajectory:
         whole, part = divmod(at_s, 1)
         found.append(JointTrajectoryPoint(state.position, time_from_start=Duration(int(whole), int(part * 1e9))))
     return JointTrajectory(joint_names=resting().name, points=tuple(found))
-
-
-@pytest.mark.usefixtures("driven")
-def test_a_trajectory_is_followed_and_the_newest_replaces_it(peer: Peer, watcher: Client) -> None:
-    written = frames(watcher)
-    peer.advertise("/hexapod/joint_trajectory", JointTrajectory)
-    peer.publish("/hexapod/joint_trajectory", plan((0.5, 0.0), (20.0, 0.5)))
-    zero_deg = GEOMETRY.servos[11].servo_deg(resting().position[0])
-    keeps(lambda: None, lambda: commanded(written.all, 11)[-1:] > [zero_deg + 1.0])
-    turned_deg = commanded(written.all, 11)[-1]
-    peer.publish("/hexapod/joint_trajectory", plan((1.0, -0.1)))
-    end_deg = GEOMETRY.servos[11].servo_deg(resting().position[0] - 0.1)
-    keeps(lambda: None, lambda: commanded(written.all, 11)[-1] == pytest.approx(end_deg, abs=0.006))
-    angles = commanded(written.all, 11)
-    steps = [abs(after - before) for before, after in itertools.pairwise(angles)]
-    assert max(angles) >= turned_deg
-    assert max(steps) < 3.0, "it went on from where the robot was"
-    assert peer.call("/hexapod/release") == (True, "released")
-    assert watcher.state().mode == Mode.IDLE
 
 
 @pytest.mark.parametrize("dies", [True, False], ids=["the SDK's process dies", "its token goes"])

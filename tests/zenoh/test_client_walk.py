@@ -2,7 +2,6 @@
 
 import time
 from collections.abc import Callable, Iterator, Mapping
-from itertools import count
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, Final
@@ -11,10 +10,12 @@ import pytest
 
 from gateway.client import Client, Walk
 from gateway.errors import LeaseError, LeaseLostError, RejectedError, StoppedError, WalkError
+from gateway.geometry import load
 from gateway.people.client.walk import LONGEST_S
-from gateway.people.walking import HOLD_S, REST_S, STILL, Posture
+from gateway.people.walking import Engine, Posture, Robot
 from gateway.robot.protocol.frames import Op, decode
 from schemas.calibration import ServoChange
+from schemas.robot import JOINTS, LEGS
 from schemas.telemetry import Ack, FrameRecord, GatewayState, Mode, Reason
 from tests.support.fixtures import client_fixture, gateway_fixture, patient
 from tests.support.gateway_process import Gateway
@@ -41,8 +42,6 @@ def _quick(monkeypatch: pytest.MonkeyPatch) -> None:
     """
     quick = SimpleNamespace(monotonic=lambda: QUICKER * time.monotonic())
     monkeypatch.setattr("gateway.people.client.walk.time", quick)
-    monkeypatch.setattr("gateway.people.client.walk.HOLD_S", QUICKER * HOLD_S)
-    monkeypatch.setattr("gateway.people.client.walk.REST_S", QUICKER * REST_S)
 
 
 def once(watcher: Client, holds: Callable[[GatewayState], bool]) -> None:
@@ -92,40 +91,9 @@ def test_a_dozen_lines_stand_walk_turn_and_sit(robot: Client, watcher: Client) -
     assert after.lease.holder is None
     assert after.commands.rejected == before.rejected
     servos = list(dict.fromkeys(servo for servo, _ in angles(written.all)))
-    assert servos == [10 * leg + joint for leg in range(1, 7) for joint in (1, 2, 3)], "leg after leg"
+    assert servos == [10 * leg + joint for leg in LEGS for joint in JOINTS], "leg after leg"
     with pytest.raises(RuntimeError, match="over after it"):
         walk.go(0.1)
-
-
-def test_a_program_that_hangs_does_not_walk_on_and_then_sits_down(robot: Client, watcher: Client) -> None:
-    with robot.walk() as walk:
-        walk.hold_s, walk.rest_s = 0.3 * QUICKER, 1.5 * QUICKER
-        walk.stand()
-        walks(walk, 8)
-        once(watcher, lambda _: is_now(walk, Posture.STANDING))
-        assert walk.state.commanded == STILL
-        assert watcher.state().mode == Mode.ACTIVE
-        x_m = walk.state.odometry.x_m
-        assert x_m < 0.1 * (QUICKER * (8 / 50 + 0.3) + 0.5)
-        once(watcher, lambda state: state.mode == Mode.IDLE)
-        assert is_now(walk, Posture.SITTING)
-        walks(walk, 3)  # its own rest is no Stop of anybody's: the next word goes on
-        walk.stand()
-        assert running(watcher) == [1, 2, 3, 4, 5, 6]
-        assert walk.state.odometry.x_m >= x_m
-
-
-def test_an_error_of_the_program_stops_the_robot_at_once(robot: Client, watcher: Client) -> None:
-    def program() -> None:
-        with robot.walk() as walk:
-            walk.stand()
-            walks(walk)
-            raise ZeroDivisionError
-
-    with pytest.raises(ZeroDivisionError):
-        program()
-    assert watcher.state().mode == Mode.IDLE
-    assert watcher.state().lease.holder is None
 
 
 def test_a_start_that_is_rejected_as_late_ends_the_walk(
@@ -147,60 +115,26 @@ def test_a_start_that_is_rejected_as_late_ends_the_walk(
     assert watcher.state().mode == Mode.IDLE
 
 
-def test_a_leg_that_somebody_stops_leaves_the_others_standing_until_a_person_says_so(
+def test_after_stops_of_others_it_goes_on_as_the_robot_then_is_and_an_error_of_the_program_stops_it(
     robot: Client, watcher: Client
 ) -> None:
-    with robot.walk() as walk:
+    """What follows from which Stop: tests/unit/people/test_ride_again.py. Here the thread asks, starts and ends."""
+
+    def program(walk: Walk) -> None:
         walk.stand()
         walks(walk, 10)
         assert watcher.stop(3).accepted
         with pytest.raises(StoppedError, match=r"leg 3 is stopped, and the others stand still: somebody else") as error:
             walks(walk, 500)
         assert error.value.legs == (3,)
-        written = frames(watcher)
-        records = count(1)
-        states(watcher).wait(
-            lambda _: next(records) > 6
-        )  # more than two seconds of the walk: longer than putting the feet down
         assert running(watcher) == [1, 2, 4, 5, 6]
-        assert is_now(walk, Posture.HALTED)
-        assert walk.state.lost == (3,)
-        still = dict(list(angles(written.all))[-15:])
-        states(watcher).wait(lambda _: next(records) > 12)
-        assert dict(list(angles(written.all))[-15:]) == still
-        for call in (walk.go, walk.stand, walk.sit):
-            with pytest.raises(StoppedError, match="leg 3 is stopped"):
-                call()
+        assert (is_now(walk, Posture.HALTED), walk.state.lost) == (True, (3,))
         walk.start_again()
-        walks(walk)
+        walk.stand()
         assert running(watcher) == [1, 2, 3, 4, 5, 6]
-        assert is_now(walk, Posture.WALKING)
-
-
-def test_after_an_emergency_stop_nothing_walks_until_somebody_says_so(robot: Client, watcher: Client) -> None:
-    with robot.walk() as walk:
-        walk.stand()
-        number = watcher.estop().estop
-        with pytest.raises(StoppedError, match="emergency stop"):
-            walks(walk, 500)
-        assert robot.reset(number).accepted
-        with pytest.raises(StoppedError, match="emergency stop"):
-            walk.stand()
-        assert not running(watcher)
-        walk.start_again()
-        assert not running(watcher)
-        walks(walk, 5)
-        assert running(watcher)
-    assert not running(watcher)
-
-
-def test_a_lost_lease_ends_a_walk_until_it_is_had_again(robot: Client, watcher: Client) -> None:
-    with robot.walk() as walk:
-        walk.stand()
         with watcher.lease(take=True):
             with pytest.raises(LeaseLostError, match="watcher"):
                 walks(walk, 500)
-            assert not running(watcher)
             with pytest.raises(LeaseError, match="held by watcher"):
                 walk.start_again()
             with pytest.raises(LeaseLostError, match="watcher"):
@@ -208,20 +142,54 @@ def test_a_lost_lease_ends_a_walk_until_it_is_had_again(robot: Client, watcher: 
             assert not running(watcher)
         walk.start_again()
         assert not running(watcher)
+        assert is_now(walk, Posture.LYING)
         walk.stand()
-        assert running(watcher) == [1, 2, 3, 4, 5, 6]
         assert watcher.state().lease.holder == "walker"
+        raise ZeroDivisionError
+
+    def leaves() -> None:
+        with robot.walk() as walk:
+            program(walk)
+
+    with pytest.raises(ZeroDivisionError):
+        leaves()
+    assert watcher.state().mode == Mode.IDLE
     assert watcher.state().lease.holder is None
 
 
-def test_two_walkers_are_one_too_many(robot: Client, watcher: Client) -> None:
+def test_after_a_lost_leg_and_an_emergency_stop_all_six_start_one_after_the_other_from_lying(
+    robot: Client, watcher: Client
+) -> None:
     with robot.walk() as walk:
         walk.stand()
+        walks(walk, 10)
+        assert watcher.stop(3).accepted
+        with pytest.raises(StoppedError, match="leg 3 is stopped"):
+            walks(walk, 500)
+        number = watcher.estop().estop
+        states(watcher).wait(lambda _: walk.state.lost == (1, 2, 3, 4, 5, 6))
+        assert robot.reset(number).accepted
+        with pytest.raises(StoppedError, match="emergency stop"):
+            walk.stand()
+        walk.start_again()
+        assert (is_now(walk, Posture.LYING), running(watcher)) == (True, [])
+        written = frames(watcher)
+        walk.stand()
+        servos = list(dict.fromkeys(servo for servo, _ in angles(written.all)))
+        assert servos == [10 * leg + joint for leg in LEGS for joint in JOINTS], "leg after leg"
+        first = dict(reversed(list(angles(written.all))))
+        lying = Engine(Robot(load())).pose
+        assert [first[servo] / 100 for servo in servos] == pytest.approx(
+            [angle for leg in LEGS for angle in lying[leg]], abs=0.02
+        )
+
+
+def test_two_walkers_are_one_too_many(robot: Client, watcher: Client) -> None:
+    with robot.walk():
         with pytest.raises(LeaseError, match="held by walker"), watcher.walk():
             pass
         with pytest.raises(RuntimeError, match="walks already"):
             robot.walk().open()
-        walks(walk, 5)
     with robot.lease(), robot.walk():
         pass
     with robot.walk():
@@ -261,7 +229,8 @@ def test_settings_and_calibration_are_kept(tmp_path: Path) -> None:
             walk.stand()
             walks(walk, 20, forward_m_s=0.3)
             assert "the legs' strides reach" in walk.state.limit
-            once(robot, lambda state: state.mode == Mode.IDLE)
+            once(robot, lambda state: state.mode == Mode.IDLE)  # by its own rest
+            assert is_now(walk, Posture.SITTING)
             assert robot.calibrate({21: ServoChange(max_deg=100)}).accepted
             with pytest.raises(WalkError, match="the calibration has changed"):
                 walk.stand()

@@ -9,7 +9,6 @@ from typing import Any, Final
 import pytest
 
 from gateway.client import Client
-from schemas.telemetry import Mode
 from tests.support.console_process import TRIES, Console, Page, SignedIn
 from tests.support.fixtures import console_fixture, gateway_fixture, patient, session_fixture
 from tests.support.gateway_process import Gateway
@@ -20,7 +19,7 @@ QUICK_S: Final = 0.25
 
 
 class Pad(threading.Thread):
-    """What a page does while its pad is held: it sends what `wish` is, 20 times a second, until it is frozen."""
+    """What a page does while its pad is held: it sends what `wish` is, 20 times a second, until it is closed."""
 
     def __init__(self, page: Page) -> None:
         super().__init__(daemon=True)
@@ -28,8 +27,9 @@ class Pad(threading.Thread):
         self._ids = itertools.count(1)
         self._presses = itertools.count(1)
         self._ended = threading.Event()
-        self._runs = threading.Event()
         self.press = 0
+        self.delay_ms = 0.0
+        """What a wish takes to come."""
         self.wish: dict[str, Any] = {}
         self.start()
 
@@ -37,25 +37,12 @@ class Pad(threading.Thread):
         """A new press, and what it wants from now on."""
         self.press = next(self._presses)
         self.wish = wish
-        self._runs.set()
-
-    def thaw(self) -> None:
-        """Go on with what it sent."""
-        self._runs.set()
-
-    def freeze(self) -> None:
-        """Send nothing more."""
-        self._runs.clear()
-
-    def once(self, delay_ms: float = 0.0, **wish: Any) -> None:
-        """One wish, which took so long."""
-        sent_ms = self._page.now_ms() - delay_ms
-        self._page.send(type="walk", id=next(self._ids), press=self.press, sent_ms=sent_ms, **wish)
 
     def run(self) -> None:
         while not self._ended.wait(STEP_S):
-            if self._runs.is_set():
-                self.once(**self.wish)
+            if self.press:
+                sent_ms = self._page.now_ms() - self.delay_ms
+                self._page.send(type="walk", id=next(self._ids), press=self.press, sent_ms=sent_ms, **self.wish)
 
     def close(self) -> None:
         self._ended.set()
@@ -132,89 +119,49 @@ def is_idle(page: Page) -> None:
     page.state(lambda state: state["mode"] == "idle")
 
 
-def test_it_stands_walks_while_held_stands_when_let_go_and_sits(page: Page, pad: Pad, robot: Client) -> None:
-    gets(page, pad, stands)
-    assert robot.state().mode is Mode.ACTIVE
-    assert robot.state().legs[0].source == f"{page.hello['source']} walks"
-    way = {**FORWARD, "turn_rad_s": 0.2}
-    walking = gets(page, pad, lambda now: now["posture"] == "walking" and now["scaled"] == [0.06, 0.0, 0.2], **way)
-    assert walking["gait"] == "tripod"
-    pad.wish = {}
-    posture(page, "standing")
-    low = {"gait": "wave", "height_m": 0.13}
-    gets(page, pad, lambda now: stands(now) and {name: now[name] for name in low} == low, **low)
-    pad.hold(sits=True)
-    assert posture(page, None)["detail"] == ""
-    is_idle(page)
-
-
-def test_a_page_that_falls_silent_stands_then_sits_and_its_last_wish_is_not_repeated(
-    page: Page, pad: Pad, robot: Client
+def test_a_page_that_falls_silent_stands_and_goes_on_with_a_new_press_only_and_one_that_is_closed_sits(
+    console: Console, session: SignedIn, robot: Client
 ) -> None:
-    walks(page, pad)
-    pad.freeze()
-    frozen_s = time.monotonic()
-    still = walk(page, lambda message: message["commanded"] == [0, 0, 0])
-    assert time.monotonic() - frozen_s < 3.0  # 0.25 and what a busy machine adds
-    assert still["waits"]
-    assert posture(page, "standing")["id"] == still["id"]
-    assert time.monotonic() - frozen_s < 5.0
-    assert robot.state().mode is Mode.ACTIVE
-    posture(page, None)
-    assert time.monotonic() - frozen_s > 5.25
-    is_idle(page)
-    pad.thaw()  # it wakes, with the thumb still on it
-    for _ in range(10):
-        assert page.state()["mode"] == "idle"
-    walks(page, pad)
-
-
-def test_a_page_that_wakes_with_its_pad_still_held_goes_on_with_a_new_press_only(page: Page, pad: Pad) -> None:
-    walks(page, pad)
-    pad.freeze()
-    walk(page, lambda message: message["waits"])
-    pad.thaw()
-    last = posture(page, "standing")["id"] + 20  # a second: it is heard, and so does not sit down, and does not walk
-    other = walk(page, lambda now: not (stands(now) and now["waits"]) or now["id"] > last)
-    assert stands(other)
-    assert other["waits"]
-    walks(page, pad)
-
-
-def test_wishes_that_were_delayed_count_as_silence(page: Page, pad: Pad) -> None:
-    walks(page, pad)
-    pad.freeze()
-    ended = threading.Event()
-
-    def late() -> None:
-        while not ended.wait(STEP_S):
-            pad.once(delay_ms=300, **FORWARD)
-
-    sender = threading.Thread(target=late)
-    sender.start()
-    try:
-        walk(page, lambda message: message["commanded"] == [0, 0, 0])
-        posture(page, "standing")
-    finally:
-        ended.set()
-        sender.join()
-
-
-def test_a_page_that_is_closed_leaves_a_robot_that_sits_down_and_gives_the_lease_back(
-    console: Console, session: SignedIn
-) -> None:
-    with console.page(session) as gone, console.page(session) as other:
-        is_free(gone)
-        acquire(gone)
-        pad = Pad(gone)
-        walks(gone, pad)
+    """When: tests/unit/people/test_ride.py. A wish that was delayed counts as none. At last the lease is given back."""
+    with console.page(session) as page, console.page(session) as other:
+        is_free(page)
+        acquire(page)
+        pad = Pad(page)
+        walks(page, pad)
+        assert robot.state().legs[0].source == f"{page.hello['source']} walks"
+        pad.delay_ms = 300
+        still = walk(page, lambda message: message["commanded"] == [0, 0, 0])
+        assert still["waits"]
+        standing = posture(page, "standing")
+        assert standing["id"] == still["id"]
+        pad.delay_ms = 0
+        last = standing["id"] + 20  # a second: it is received, and so does not sit down, and does not walk
+        later = walk(page, lambda now: not (stands(now) and now["waits"]) or (now["id"] or 0) > last)
+        assert (stands(later), later["waits"]) == (True, True)
+        walks(page, pad)
         pad.close()
-        gone.socket.close()
+        page.socket.close()
         is_free(other)
 
 
-def test_who_gives_the_lease_up_sits_down_first(page: Page, pad: Pad) -> None:
-    walks(page, pad)
+def test_who_gives_the_lease_up_sits_down_first_and_meanwhile_joints_wait(
+    console: Console, session: SignedIn, page: Page, pad: Pad
+) -> None:
+    with console.page(session) as other:
+        other.state()
+        second = Pad(other)
+        second.hold(**FORWARD)
+        assert "does not have the lease" in walk(other, lambda _: True)["detail"]
+        second.close()
+    pad.hold(height_m=0.9)
+    assert "it cannot stand" in walk(page, lambda message: message["detail"] != "")["detail"]
+    found = gets(
+        page, pad, lambda now: now["posture"] == "walking" and now["limit"] != "", forward_m_s=0.9, gait="wave"
+    )
+    assert (found["commanded"], found["gait"]) == ([0.9, 0, 0], "wave")
+    assert found["scaled"][0] < 0.5
+    answer = page.ask("hexapod/leg/3/cmd", {"servos": [{"op": "set", "angle_deg": 90}] * 3})
+    assert "this page walks" in answer["error"]
     page.send(type="lease", id=2, do="release")
     page.state(lambda state: state["mode"] == "idle")
     assert not page.wait("lease", lambda message: message["id"] == 2)["mine"]
@@ -228,6 +175,8 @@ def test_after_a_stop_of_somebody_else_only_a_new_press_walks(page: Page, pad: P
     assert "leg 3 is stopped" in walk(page, lambda message: message["detail"] != "")["detail"]
     assert not robot.state().legs[2].servos[0].running
     walks(page, pad)
+    assert robot.stop(3).accepted
+    posture(page, "halted")
     robot.estop()
     assert "emergency stop" in posture(page, None)["detail"]
     assert page.reset(robot.state().estop)["ack"]["accepted"]
@@ -235,28 +184,6 @@ def test_after_a_stop_of_somebody_else_only_a_new_press_walks(page: Page, pad: P
     for _ in range(10):
         assert page.state()["mode"] == "idle"
     walks(page, pad)
-
-
-def test_without_the_lease_nothing_walks_and_joints_wait_for_the_walk(
-    console: Console, session: SignedIn, page: Page, pad: Pad
-) -> None:
-    with console.page(session) as other:
-        other.state()
-        second = Pad(other)
-        second.hold(**FORWARD)
-        assert "does not have the lease" in walk(other, lambda _: True)["detail"]
-        second.close()
-    walks(page, pad)
-    answer = page.ask("hexapod/leg/3/cmd", {"servos": [{"op": "set", "angle_deg": 90}] * 3})
-    assert "this page walks" in answer["error"]
-
-
-def test_what_the_legs_cannot_do_is_reported(page: Page, pad: Pad) -> None:
-    pad.hold(height_m=0.9)
-    assert walk(page, lambda message: message["detail"] != "")["waits"]
-    found = gets(page, pad, lambda now: now["posture"] == "walking" and now["limit"] != "", forward_m_s=0.9)
-    assert found["commanded"] == [0.9, 0, 0]
-    assert found["scaled"][0] < 0.5
 
 
 def test_a_stop_all_while_it_walks_is_as_quick(console: Console, session: SignedIn, page: Page, pad: Pad) -> None:

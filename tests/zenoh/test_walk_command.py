@@ -28,18 +28,6 @@ def once(watcher: Client, holds: Callable[[GatewayState], bool]) -> None:
     states(watcher).wait(holds, timeout_s=60)
 
 
-def test_a_script_walks_sits_and_stops(gateway: Gateway, watcher: Client) -> None:
-    end = gateway.run(
-        "walk", "--forward", "0.1", "--seconds", "1", "--gait", "tripod", "--height", "0.14", timeout_s=90
-    )
-    assert end.returncode == 0, end.stderr
-    ahead_m = float(end.stdout.removeprefix("walked ").partition(" m ahead")[0])
-    assert 0.02 < ahead_m < 0.15
-    assert end.stdout.endswith("m to the left, turned by 0°; it sits, and its servos are stopped\n")
-    assert watcher.state().mode == Mode.IDLE
-    assert watcher.state().lease.holder is None
-
-
 def stopped_at(records: list[FrameRecord]) -> dict[int, float]:
     """Where the servos were sent last before their Stops, in degrees."""
     found: dict[int, float] = {}

@@ -3,8 +3,8 @@
 Each stops by itself when its own source falls silent, and sends nothing that its source did not ask for:
 
 - joint commands: nothing is sent without a message, so the gateway's watchdog stops the legs (or lands);
-- a trajectory: its last point, or wherever it is when its sender disappears, is held for a time; then it sits down;
-- a walk: finishes its step and stands, and sits down later (gateway/people/client/walk.py).
+- a trajectory: its last point is held for `REST_S`, or its sender disappears; then it sits down;
+- a walk: finishes its step and stands, and sits down later (gateway/people/walking/ride.py).
 """
 
 import math
@@ -20,19 +20,14 @@ from gateway.people.client.stream import Stream
 from gateway.people.client.walk import Walk, robot_of
 from gateway.people.ros2.joints import Degrees, legs_deg
 from gateway.people.ros2.trajectory import Trajectory
-from gateway.people.walking import Posture, Velocity, Walker
+from gateway.people.walking import DOWN, REST_S, Do, Pose, Ride, Velocity
 from schemas.robot import LEGS
 
 HZ: Final = 50.0
-HOLD_S: Final = 0.5
-"""Of a velocity: as diff_drive_controller and twist_mux have it."""
-REST_S: Final = 10.0
-"""How long the robot stands, or holds a trajectory's last point, without a message: servos that hold it up get hot."""
 MARGIN_S: Final = 0.25
 """After the gateway's watchdog must have stopped what is silent."""
 LONGEST_SIT_S: Final = 30.0
 DOES_NOT_STAND: Final = "the robot does not stand; a velocity, or cmd_base_height, has it stand up"
-_DOWN: Final = (Posture.LYING, Posture.SITTING)
 
 
 class Motion(Protocol):
@@ -85,26 +80,97 @@ class JointCommands:
         self._stream.close()
 
 
+class Course:
+    """Where a trajectory's joints are to be, and what its end, or its sender's, leads to. Pure: time is an argument."""
+
+    def __init__(self, geometry: Geometry, ride: Callable[[Pose], Ride]) -> None:
+        """`ride` makes one of legs that run already; it may raise WalkError."""
+        self._geometry = geometry
+        self._make_ride = ride
+        self._plan: Trajectory | None = None
+        self._at_rad: dict[int, float] = {}
+        self._started: frozenset[int] = frozenset()
+        self._rests_s = math.inf
+        """When it sits down."""
+        self._ride: Ride | None = None
+        """Once it sits down."""
+
+    @property
+    def begun(self) -> bool:
+        """Whether there is anything to send."""
+        return self._plan is not None or bool(self._at_rad)
+
+    def follow(self, plan: Trajectory, now_s: float) -> None:
+        """From now on, from where the joints that run are."""
+        self._look(now_s)
+        running = self._started
+        plan.begin({servo_id: at for servo_id, at in self._at_rad.items() if servo_id // 10 in running}, now_s)
+        self._plan, self._ride, self._rests_s = plan, None, plan.ends_s + REST_S
+
+    def lose_sender(self, now_s: float) -> None:
+        """Nobody can take back what is still to come, so nothing of it does: sit down now."""
+        if self._plan is not None and now_s < self._plan.ends_s:
+            self.leave(now_s)
+
+    def leave(self, now_s: float) -> None:
+        """Sit down now."""
+        self._look(now_s)
+        self._plan, self._rests_s = None, min(self._rests_s, now_s)
+
+    def next(self, now_s: float) -> Pose | None:
+        """What to send; None: it is over, and what runs is to be stopped."""
+        self._look(now_s)
+        if self._ride is None and now_s >= self._rests_s:
+            self._ride = self._sitting(now_s)
+            if self._ride is None:
+                return None
+        if self._ride is None:
+            return next_start(legs_deg(self._geometry, self._at_rad), self._started)
+        step = self._ride.next(now_s)
+        if step.do is not Do.SEND:
+            return None
+        self._ride.sent(step.pose)
+        self._at_rad = {
+            10 * leg + joint: self._geometry.joint_rad(10 * leg + joint, angle_deg)
+            for leg, angles in step.pose.items()
+            for joint, angle_deg in enumerate(angles, start=1)
+        }
+        return step.pose
+
+    def sent(self, pose: Pose) -> None:
+        """This was sent, and its starts were accepted."""
+        self._started |= pose.keys()
+
+    def _look(self, now_s: float) -> None:
+        if self._plan is not None and self._ride is None:
+            self._at_rad = {**self._at_rad, **self._plan.at(now_s)}
+
+    def _sitting(self, now_s: float) -> Ride | None:
+        """What lies down from where the legs are; None where it cannot: then they are stopped as they are."""
+        if self._started != frozenset(LEGS):
+            return None
+        pose = legs_deg(self._geometry, self._at_rad)
+        try:
+            ride = self._make_ride(pose)
+            ride.found(ride.robot, pose, now_s)
+        except WalkError:
+            return None
+        ride.leave(now_s)
+        return ride
+
+
 class Following:
     """Follows trajectories on a thread of its own: the newest replaces the older one."""
 
     title = "joint_trajectory"
 
     def __init__(self, client: Client, geometry: Geometry) -> None:
-        self._client = client
-        self._geometry = geometry
+        self._course = Course(geometry, lambda pose: Ride(robot_of(client, geometry, client.state()), running=pose))
         self._changed = threading.Condition()
-        self._plan: Trajectory | None = None
         self._is_there: Callable[[], bool] = lambda: True
-        self._at_rad: dict[int, float] = {}
-        self._started: frozenset[int] = frozenset()
-        self._rests_s = math.inf
-        """When it sits down."""
-        self._walker: Walker | None = None
-        """Once it sits down."""
         self._over = False
-        self._ending: bool | None = None
-        """Whether it is to sit before it ends."""
+        self._stops = False
+        """At once."""
         self._error: GatewayError | None = None
         self._stream: Stream = client.stream(HZ)
         self._stream.open()
@@ -116,10 +182,8 @@ class Following:
         with self._changed:
             if self._error is not None:
                 raise self._error.with_traceback(None)
-            now_s = time.monotonic()
-            plan.begin(self._present_rad(), now_s)
-            self._plan, self._is_there, self._walker = plan, is_there, None
-            self._rests_s = plan.ends_s + REST_S
+            self._course.follow(plan, time.monotonic())
+            self._is_there = is_there
             self._changed.notify_all()
 
     def check(self, now_s: float) -> bool:
@@ -127,15 +191,15 @@ class Following:
         with self._changed:
             if self._error is not None:
                 raise self._error.with_traceback(None)
-            if self._plan is not None and now_s < self._plan.ends_s and not self._is_there():
-                self._at_rad = {**self._at_rad, **self._plan.at(now_s)}
-                self._plan, self._rests_s = None, 0.0
+            if not self._is_there():
+                self._course.lose_sender(now_s)
             return not self._over
 
     def end(self, *, sits: bool) -> None:
         """See Motion."""
         with self._changed:
-            self._ending = sits
+            self._stops = not sits or not self._course.begun
+            self._course.leave(time.monotonic())
             self._changed.notify_all()
         self._thread.join(LONGEST_SIT_S if sits else None)
         self._stream.close()
@@ -154,51 +218,15 @@ class Following:
     def _tick(self) -> bool:
         """Send the next setpoint; whether there is another."""
         with self._changed:
-            self._changed.wait_for(lambda: self._plan is not None or bool(self._at_rad) or self._ending is not None)
-            now_s = time.monotonic()
-            if self._ending is not False and (self._ending or now_s >= self._rests_s) and self._walker is None:
-                self._walker = self._sitting(now_s)
-                self._over = self._walker is None
-            if self._over or self._ending is False:
-                return False
-            sent = next_start(self._setpoint(now_s), self._started)
-        self._stream.set(sent)
+            self._changed.wait_for(lambda: self._course.begun or self._stops)
+            pose = None if self._stops else self._course.next(time.monotonic())
+            self._over = pose is None
+        if pose is None:
+            return False
+        self._stream.set(pose)
         with self._changed:
-            self._started |= sent.keys()
-            self._over = self._walker is not None and self._walker.engine.posture in _DOWN
-            return not self._over
-
-    def _setpoint(self, now_s: float) -> dict[int, Degrees]:
-        if self._walker is not None:
-            return dict(self._walker.tick(now_s))
-        if self._plan is not None:
-            self._at_rad = {**self._at_rad, **self._plan.at(now_s)}
-        return legs_deg(self._geometry, self._at_rad)
-
-    def _sitting(self, now_s: float) -> Walker | None:
-        """What lies down from where the legs are; None where it cannot: then they are stopped as they are."""
-        if self._started != frozenset(LEGS):
-            return None
-        try:
-            robot = robot_of(self._client, self._geometry, self._client.state())
-            walker = Walker(robot, angles_deg=legs_deg(self._geometry, self._at_rad))
-        except WalkError:
-            return None
-        walker.sit(now_s)
-        return walker
-
-    def _present_rad(self) -> dict[int, float]:
-        """Where the joints that run by it are now."""
-        if self._walker is not None:
-            self._at_rad = {
-                10 * leg + joint: self._geometry.joint_rad(10 * leg + joint, angle_deg)
-                for leg, pose in self._walker.engine.pose.items()
-                for joint, angle_deg in enumerate(pose, start=1)
-            }
-        elif self._plan is not None:
-            self._at_rad = {**self._at_rad, **self._plan.at(time.monotonic())}
-        running = self._started
-        return {servo_id: at for servo_id, at in self._at_rad.items() if servo_id // 10 in running}
+            self._course.sent(pose)
+        return True
 
 
 class Walking:
@@ -209,16 +237,13 @@ class Walking:
     def __init__(self, client: Client, geometry: Geometry, gait: str) -> None:
         self._walk: Walk = client.walk(gait, geometry)
         self._walk.open()
-        self._walk.hold_s, self._walk.rest_s = HOLD_S, REST_S
         self._body: tuple[float | None, float, float] = (None, 0.0, 0.0)
-        self._received_s = time.monotonic()
 
     def go(self, velocity: Velocity) -> None:
-        """For `HOLD_S` from now on. Raises WalkError, and what has ended the walk."""
-        if not velocity.moves and self._walk.state.posture in _DOWN:  # it would start the servos
+        """For half a second from now on. Raises WalkError, and what has ended the walk."""
+        if not velocity.moves and self._walk.state.posture in DOWN:  # it would start the servos
             return
         self._walk.go(*velocity, wait=False)
-        self._received_s = time.monotonic()
 
     def stand(
         self, *, height_m: float | None = None, roll_rad: float | None = None, pitch_rad: float | None = None
@@ -230,13 +255,12 @@ class Walking:
             roll_before_rad if roll_rad is None else roll_rad,
             pitch_before_rad if pitch_rad is None else pitch_rad,
         )
-        if height_m is None and self._walk.state.posture in _DOWN:
+        if height_m is None and self._walk.state.posture in DOWN:
             raise WalkError(DOES_NOT_STAND)
         if body != self._body:
             at_m = self._walk.state.height_m if body[0] is None else body[0]
             self._walk.stand(at_m, body[1], body[2], wait=False)
             self._body = body
-        self._received_s = time.monotonic()
 
     def walk_as(self, gait: str) -> None:
         """Another gait; a walk pauses for it."""
@@ -247,8 +271,8 @@ class Walking:
         """See Motion."""
         if self._walk.error is not None:
             raise self._walk.error.with_traceback(None)
-        silent_s = now_s - self._received_s
-        return silent_s <= REST_S + MARGIN_S or self._walk.state.posture not in _DOWN
+        del now_s
+        return not self._walk.is_over
 
     def end(self, *, sits: bool) -> None:
         """See Motion."""

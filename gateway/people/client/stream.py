@@ -394,12 +394,13 @@ class Stream:
         return [event for event in events if self._since is not None and event.time > self._since]
 
     def _reported_stop(self, events: Iterable[Event]) -> StoppedError | None:
-        """What has stopped this stream's legs, if an event states it."""
-        for event in events:
-            if event.kind != Kind.COMMAND_REJECTED:
-                legs = sorted(self._started.intersection(event.legs)) or self._started
-                return StoppedError(f"{event.detail}; {_AGAIN}", legs)
-        return None
+        """What has stopped this stream's legs, if events state it: all of them together."""
+        stops = [event for event in events if event.kind != Kind.COMMAND_REJECTED]
+        if not stops:
+            return None
+        details = "; ".join(dict.fromkeys(event.detail for event in stops))
+        legs = [self._started.intersection(event.legs) or self._started for event in stops]
+        return StoppedError(f"{details}; {_AGAIN}", frozenset().union(*legs))
 
     def _ask(self) -> GatewayState:
         """Raise unless the gateway reports that all that is started runs."""

@@ -1,4 +1,4 @@
-"""Walking: velocities in place of angles. A walker (gateway/people/walking) beside a stream, on a thread of its own."""
+"""Walking: velocities in place of angles. A `Ride` (gateway/people/walking) with a thread, a connection and a clock."""
 
 import threading
 import time
@@ -6,12 +6,24 @@ from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Final, Self
+from typing import TYPE_CHECKING, Final, Self, TypeVar
 
 from gateway.errors import GatewayError, RejectedError, StoppedError, UnansweredError, WalkError
 from gateway.geometry import Geometry, load
-from gateway.people.client.stream import Stream, checked_hz
-from gateway.people.walking import HOLD_S, REST_S, Body, Posture, Robot, Velocity, Walker, WalkState
+from gateway.people.client.stream import ANSWER_S, Stream, checked_hz
+from gateway.people.walking import (
+    USUAL,
+    Body,
+    Do,
+    Phase,
+    Posture,
+    Ride,
+    Robot,
+    Silences,
+    Step,
+    Velocity,
+    WalkState,
+)
 from gateway.people.walking.gaits import gait as gait_named
 from gateway.people.walking.robot import check_mirrored_once, ranges
 from schemas.robot import LEGS
@@ -20,6 +32,9 @@ from schemas.telemetry import GatewayState, Reason
 if TYPE_CHECKING:
     from gateway.people.client.blocking import Client
     from gateway.people.client.lease import Lease
+
+Degrees = tuple[float, float, float]
+T = TypeVar("T")
 
 LONGEST_S: Final = 30.0
 """No way to a posture takes so long, with servos ten times slower than usual ones."""
@@ -52,9 +67,21 @@ class Walk:
     True
     """
 
-    def __init__(self, client: "Client", gait: str, geometry: Geometry | Path | str | None, hz: float) -> None:
-        """See `Client.walk`. Raises WalkError for a gait that there is not, ConfigError for a faulty geometry file, and
-        ValueError for a rate that no stream has."""
+    def __init__(
+        self,
+        client: "Client",
+        gait: str,
+        geometry: Geometry | Path | str | None,
+        hz: float,
+        *,
+        silences: Silences = USUAL,
+        once: bool = False,
+    ) -> None:
+        """See `Client.walk`, and `Ride` for `silences` and `once`.
+
+        Raises WalkError for a gait that there is not, ConfigError for a faulty geometry file, and ValueError for a rate
+        that no stream has.
+        """
         gait_named(gait)
         self._client = client
         self._gait = gait
@@ -62,24 +89,22 @@ class Walk:
             geometry = load(None if geometry is None else Path(geometry))
         self._geometry = geometry
         self._hz = self._rate_hz = checked_hz(hz)
+        self._silences, self._once = silences, once
         self._revision = 0
-        self._legs_found: frozenset[int] = frozenset()
-        self._hold_s, self._rest_s = HOLD_S, REST_S
         self._lease: Lease | None = None
         self._stream: Stream | None = None
-        self._walker: Walker | None = None
+        self._ride: Ride | None = None
         self._thread: threading.Thread | None = None
         self._changed = threading.Condition()
-        """Held while the walker is used."""
-        self._error: GatewayError | None = None
-        self._wanted = False
-        """Somebody has asked for something since the legs were last stopped."""
+        """Held while the ride is used."""
+        self._not_again: Exception | None = None
+        """Why it could not start again."""
         self._closing = False
         self._ticks = 0
         self._awaited: Posture | None = None
         """Cleared when it is reached."""
         self.slowest_tick_s = 0.0
-        """What the longest tick took to compute and to hand over to Zenoh, without the wait for its time."""
+        """What the longest tick took to compute, without the wait for its time."""
 
     # ---- what a program calls
 
@@ -91,10 +116,7 @@ class Walk:
         A robot that does not stand yet stands up first. `state.scaled` states what of a velocity the legs can do.
         """
         velocity = Velocity.checked(forward_m_s, left_m_s, turn_rad_s)
-        self._check()
-        with self._changed:
-            self._using().go(velocity, time.monotonic())
-            self._begin()
+        self.use(lambda ride, now_s: ride.go(velocity, now_s))
         ticks = self._ticks
         if wait:
             self._wait_for(lambda: self._ticks > ticks)
@@ -103,60 +125,56 @@ class Walk:
         self, height_m: float | None = None, roll_rad: float = 0.0, pitch_rad: float = 0.0, *, wait: bool = True
     ) -> None:
         """Stand with the body that high above the ground (None: as before), leaning right and forward; waits for it."""
-        self._check()
-        walker = self._using()
-        body = walker.engine.stance.body
-        if height_m is not None or roll_rad or pitch_rad:
-            body = Body(body.height_m if height_m is None else height_m, roll_rad, pitch_rad)
-        stance = walker.engine.robot.stance(body)
-        with self._changed:
-            walker.stand(stance, time.monotonic())
-            self._begin(Posture.STANDING)
+
+        def stand(ride: Ride, now_s: float) -> None:
+            height = ride.body.height_m if height_m is None else height_m
+            as_before = height_m is None and not roll_rad and not pitch_rad
+            ride.stand(None if as_before else Body(height, roll_rad, pitch_rad), now_s)
+            self._awaited = Posture.STANDING
+
+        self.use(stand)
         if wait:
             self._wait_for(lambda: self._awaited is None)
 
     def sit(self, *, wait: bool = True) -> None:
         """Lie down on the belly; waits for it. The servos hold on until the `with` ends, or `rest_s` is over."""
-        self._check()
-        with self._changed:
-            self._using().sit(time.monotonic())
-            self._begin(Posture.SITTING)
+
+        def sit(ride: Ride, now_s: float) -> None:
+            ride.sit(now_s)
+            self._awaited = Posture.SITTING
+
+        self.use(sit)
         if wait:
             self._wait_for(lambda: self._awaited is None)
 
     def walk_as(self, gait: str) -> None:
         """Another gait; the walk pauses for the change. Raises WalkError for one that there is not."""
-        gait_named(gait)
-        with self._changed:
-            self._gait = gait
-            self._using().walk_as(gait, time.monotonic())
+        self.use(lambda ride, now_s: ride.walk_as(gait, now_s))
 
     def start_again(self) -> None:
-        """Go on after an error, which a person decides. Lost legs start where they were; else it begins anew, lying.
+        """Go on after an error, which a person decides. Lost legs start where they were, while the others carry the
+        robot; else all are stopped, and it begins anew, lying, with the next call.
 
         A lease of its own that was lost is acquired again. Raises LeaseError where somebody else drives.
         """
         with self._changed:
-            if self._error is None:
-                return
-            walker = self._using()
-            has_lost_lease = self._lease is not None and self._lease.lost is not None
-            if has_lost_lease:
-                lease = self._client.lease()
-                lease.acquire()
-                self._lease = lease
-            self._error = None
-            if walker.engine.lost and self._stream is not None and not has_lost_lease:
-                walker.engine.resume()
-                return
-            self._end_stream()
-            self._wanted = False
-            self._walker = self._found()
+            self._not_again = None
+            self.use(lambda ride, _: ride.start_again())
+            ended = self._changed.wait_for(lambda: not self._using().wants_again, LONGEST_S)
+            if not ended or self._not_again is not None:
+                raise self._not_again or WalkError(f"after {LONGEST_S:g} s the gateway has not answered")
+
+    def use(self, do: Callable[[Ride, float], T]) -> T:
+        """Call this with the ride and the time, and wake the thread that walks."""
+        with self._changed:
+            done = do(self._using(), time.monotonic())
+            self._changed.notify_all()
+            return done
 
     @property
     def error(self) -> GatewayError | None:
         """What has ended it, and what each call raises, until `start_again`."""
-        return self._error
+        return None if self._ride is None else self._ride.error
 
     @property
     def state(self) -> WalkState:
@@ -165,26 +183,32 @@ class Walk:
             return self._using().state
 
     @property
+    def is_over(self) -> bool:
+        """Whether its driver has been silent, and nothing runs by it any more."""
+
+        def look(ride: Ride, now_s: float) -> bool:
+            ride.look(now_s)
+            return ride.over
+
+        return self.use(look)
+
+    @property
     def hold_s(self) -> float:
         """How long a velocity holds; 0.5 unless it is set."""
-        return self._hold_s
+        return self._silences.hold_s
 
     @hold_s.setter
     def hold_s(self, seconds: float) -> None:
-        self._hold_s = _seconds(seconds)
-        if self._walker is not None:
-            self._walker.hold_s = self._hold_s
+        self._set_silences(self._silences._replace(hold_s=_seconds(seconds)))
 
     @property
     def rest_s(self) -> float:
         """After how long without a call it sits down and is stopped; 10 unless it is set."""
-        return self._rest_s
+        return self._silences.rest_s
 
     @rest_s.setter
     def rest_s(self, seconds: float) -> None:
-        self._rest_s = _seconds(seconds)
-        if self._walker is not None:
-            self._walker.rest_s = self._rest_s
+        self._set_silences(self._silences._replace(rest_s=_seconds(seconds)))
 
     # ---- begin and end
 
@@ -214,19 +238,26 @@ class Walk:
                 lease.acquire()
                 self._lease = lease
         try:
-            self._walker = self._found()
+            state = self._client.state()
+            self._ride = Ride(
+                self._robot(state),
+                self._gait,
+                running_deg(state),
+                self._silences,
+                once=self._once,
+                now_s=time.monotonic(),
+            )
         except BaseException:
             self._release()
             raise
         self._client.walks = True
-        self._wanted = len(self._legs_found) == len(LEGS)  # that run, so the watchdog waits for them
         self._thread = threading.Thread(target=self._run, name="walk", daemon=True)
         self._thread.start()
 
     def close(self, *, sits: bool = True) -> None:
         """Sit down, if it can, and stop the legs. Raises what went wrong meanwhile."""
         try:
-            if sits and self._error is None and self._stream is not None and self._walker is not None:
+            if sits and self.error is None and self._stream is not None:
                 self.sit()
         finally:
             with self._changed:
@@ -242,6 +273,12 @@ class Walk:
 
     # ---- inside
 
+    def _set_silences(self, silences: Silences) -> None:
+        with self._changed:
+            self._silences = silences
+            if self._ride is not None:
+                self._ride.silences = silences
+
     def _release(self) -> None:
         lease, self._lease = self._lease, None
         if lease is not None:
@@ -252,128 +289,123 @@ class Walk:
         if stream is not None:
             stream.close()
 
-    def _found(self) -> Walker:
-        """The robot as it is now: its limits, its calibration, and where the legs are that run."""
-        state = self._client.state()
+    def _robot(self, state: GatewayState) -> Robot:
+        """As it is now, with its limits and its calibration; the rate is one that they allow."""
         robot = robot_of(self._client, self._geometry, state)
         self._revision = state.calibration.revision
         rate_hz = state.limits.leg_rate_hz
         self._rate_hz = self._hz if self._hz <= rate_hz else _SLOWER * rate_hz
-        pose: dict[int, tuple[float, float, float]] = {}
-        for leg in state.legs:
-            angles = [servo.angle_deg for servo in leg.servos if servo.running and servo.angle_deg is not None]
-            if len(angles) == len(leg.servos):
-                pose[leg.leg] = angles[0], angles[1], angles[2]
-        self._legs_found = frozenset(pose)
-        return Walker(robot, self._gait, pose, hold_s=self._hold_s, rest_s=self._rest_s)
+        return robot
 
-    def _using(self) -> Walker:
-        if self._walker is None or self._closing:
+    def _using(self) -> Ride:
+        if self._ride is None or self._closing:
             raise RuntimeError("a walk is used in a `with`, and is over after it")
-        return self._walker
-
-    def _check(self) -> None:
-        if self._error is not None:
-            raise self._error.with_traceback(None)
-
-    def _begin(self, awaited: Posture | None = None) -> None:
-        self._wanted, self._awaited = True, awaited
-        self._changed.notify_all()
+        return self._ride
 
     def _wait_for(self, condition: Callable[[], bool]) -> None:
         with self._changed:
-            there = self._changed.wait_for(lambda: self._error is not None or condition(), LONGEST_S)
-            self._check()
+            there = self._changed.wait_for(lambda: self.error is not None or condition(), LONGEST_S)
+            if self.error is not None:
+                raise self.error.with_traceback(None)
             if not there:
-                raise WalkError(f"after {LONGEST_S:g} s it is still {self._using().engine.posture}")
+                raise WalkError(f"after {LONGEST_S:g} s it is still {self._using().posture}")
 
-    # ---- its thread
+    # ---- its thread: the only one that asks, starts and sets
 
     def _run(self) -> None:
+        ride = self._using()
         while True:
             with self._changed:
-                self._changed.wait_for(lambda: self._closing or self._runs)
                 if self._closing:
                     return
+                begun_s = time.monotonic()
+                step = ride.next(begun_s)
+                took_s = time.monotonic() - begun_s
+                if step.do is Do.WAIT:
+                    self._changed.wait(min(step.look_s - begun_s, threading.TIMEOUT_MAX))
+                    continue
             try:
-                self._tick()
-            except StoppedError as error:
-                self._stopped(error)
-            except RejectedError as error:
-                # A setpoint that was late is left out. After a start that was late, the stream sends nothing more.
-                if error.reason != Reason.STALE or self._stream is None or self._stream.is_over:
-                    self._fail(error)
+                self._carry_out(ride, step)
+                self.slowest_tick_s = max(self.slowest_tick_s, took_s)
             except (GatewayError, ValueError, RuntimeError) as error:
-                self._fail(error if isinstance(error, GatewayError) else WalkError(str(error)))
+                self._failed(ride, step, error)
+            with self._changed:
+                self._changed.notify_all()
 
-    @property
-    def _runs(self) -> bool:
-        lost = self._walker is not None and bool(self._walker.engine.lost)
-        return self._wanted and (self._error is None or lost)
+    def _carry_out(self, ride: Ride, step: Step) -> None:
+        match step.do:
+            case Do.FIND:
+                self._find(ride)
+            case Do.STOP:
+                try:
+                    self._end_stream()
+                finally:
+                    with self._changed:
+                        ride.ended()
+            case Do.SEND:
+                if self._stream is None:
+                    stream = self._client.stream(self._rate_hz)
+                    stream.open()
+                    self._stream = stream
+                self._stream.set(step.pose)
+                with self._changed:
+                    ride.sent(step.pose)
+                    self._ticks += ride.phase is Phase.RUNS
+                    if ride.posture is self._awaited:
+                        self._awaited = None
 
-    def _tick(self) -> None:
+    def _find(self, ride: Ride) -> None:
+        """Who runs now: before legs are started, and before anybody says that it goes on where it was."""
+        again, robot = ride.wants_again, ride.robot
+        if again and self._lease is not None and self._lease.lost is not None:
+            lease = self._client.lease()
+            lease.acquire()
+            self._lease = lease
+        state = self._client.state()
+        running = running_deg(state)
+        changed = state.calibration.revision != self._revision
+        if again and ride.phase is Phase.HALTED:
+            running = {} if changed else running  # where it was is another angle now
+        elif again:
+            robot = self._robot(state)
+        elif changed:
+            raise WalkError("the calibration has changed since the walk began; start_again() goes on with the new one")
+        with self._changed:
+            ride.found(robot, running, time.monotonic())
+
+    def _failed(self, ride: Ride, step: Step, error: Exception) -> None:
+        """What a step raised."""
         stream = self._stream
-        if stream is None:
-            if self._client.state().calibration.revision != self._revision:
-                raise WalkError(
-                    "the calibration has changed since the walk began; start_again() goes on with the new one"
-                )
-            stream = self._client.stream(self._rate_hz)
-            stream.open()
-            self._stream = stream
-            self._start(stream)
-        begun_s = time.monotonic()
-        with self._changed:
-            walker = self._using()
-            pose = walker.tick(begun_s)
-            over = walker.is_over
-            if walker.engine.posture is self._awaited:
-                self._awaited = None
-        computed_s = time.monotonic() - begun_s
-        stream.set(pose)
-        with self._changed:
-            self._ticks += 1
-            self.slowest_tick_s = max(self.slowest_tick_s, computed_s)
-            if over:
-                self._wanted = False
-            self._changed.notify_all()
-        if over:
-            self._end_stream()
+        if ride.wants_again and step.do is not Do.SEND:
+            with self._changed:
+                self._not_again = error
+                ride.not_again(error)
+        elif isinstance(error, StoppedError) and stream is not None and not self._closing:
+            try:
+                running = running_deg(self._client.state(ANSWER_S))
+            except GatewayError:
+                running = {}  # nobody knows who stands
+            with self._changed:
+                left = ride.stopped(error, running)
+            if left:
+                stream.go_on_without(frozenset(LEGS) - left)
+        elif (
+            isinstance(error, RejectedError) and error.reason == Reason.STALE and not (stream is None or stream.is_over)
+        ):
+            pass  # a setpoint that was late is left out; after a start that was late, the stream sends nothing more
+        elif not self._closing:
+            with self._changed:
+                ride.failed(error if isinstance(error, GatewayError) else WalkError(str(error)))
 
-    def _start(self, stream: Stream) -> None:
-        """One leg more at each call: their servos go where they belong as fast as they can, and draw most then."""
-        pose = self._using().engine.pose
-        started: dict[int, tuple[float, float, float]] = {leg: pose[leg] for leg in self._legs_found}
-        if started:
-            stream.set(started)
-        for leg in LEGS:
-            if leg not in started and not self._closing:
-                started[leg] = pose[leg]
-                stream.set(started)
 
-    def _stopped(self, error: StoppedError) -> None:
-        """By somebody else: the legs that are left stand still. With none left, or by a fault, it is over."""
-        if self._closing or self._walker is None:  # nobody waits for it any more, and the legs are being stopped
-            return
-        walker, stream = self._walker, self._stream
-        left = frozenset(LEGS) - walker.engine.lost - frozenset(error.legs)
-        if not left or stream is None:
-            self._fail(error)
-            return
-        with self._changed:
-            walker.engine.halt(error.legs)
-            legs = ", ".join(map(str, sorted(walker.engine.lost)))
-            self._error = StoppedError(
-                f"leg {legs} is stopped, and the others stand still: {error}", walker.engine.lost
-            )
-            self._changed.notify_all()
-        stream.go_on_without(error.legs)
-
-    def _fail(self, error: GatewayError) -> None:
-        with self._changed:
-            self._error = error
-            self._wanted = False
-            self._changed.notify_all()
+def running_deg(state: GatewayState) -> dict[int, Degrees]:
+    """The legs all of whose servos run, and where they were commanded to, in degrees."""
+    found: dict[int, Degrees] = {}
+    for leg in state.legs:
+        angles = [servo.angle_deg for servo in leg.servos if servo.running and servo.angle_deg is not None]
+        if len(angles) == len(leg.servos):
+            found[leg.leg] = angles[0], angles[1], angles[2]
+    return found
 
 
 def robot_of(client: "Client", geometry: Geometry, state: GatewayState) -> Robot:

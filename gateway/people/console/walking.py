@@ -29,16 +29,17 @@ from gateway.people.client.blocking import Client
 from gateway.people.client.lease import LentLease
 from gateway.people.client.walk import Walk
 from gateway.people.console.messages import WalkMessage, WalkWish
-from gateway.people.walking import STILL, Posture, Velocity
+from gateway.people.walking import Ride, Silences, Velocity, Wish
 
 SILENT_S: Final = 0.25
 """Five wishes in a row are missing."""
 SIT_S: Final = 5.0
 IDLE_S: Final = 60.0
+SILENCES: Final = Silences(hold_s=SILENT_S, rest_s=SIT_S, idle_s=IDLE_S, halted_s=SILENT_S + SIT_S)
+HZ: Final = 50.0
 TICK_S: Final = 0.05
 """How long a wish is waited for, before silence is looked at."""
 REPORT_S: Final = 0.1
-_DOWN: Final = (Posture.LYING, Posture.SITTING)
 
 _log: Final = logging.getLogger(__name__)
 
@@ -55,7 +56,7 @@ class Walking:
         self._name = name
         self._geometry = geometry
         self._send = send
-        self._ride: _Ride | None = None
+        self._ride: _PageWalk | None = None
         self._spent = -1
         """The newest press that has been used."""
 
@@ -77,7 +78,7 @@ class Walking:
         if token is None:
             self._send(WalkMessage(press=wish.press, detail="this page does not have the lease; press Drive first"))
             return
-        self._ride = _Ride(self._connect, self._name, self._geometry, token, wish, partial(self._later, self._send))
+        self._ride = _PageWalk(self._connect, self._name, self._geometry, token, wish, partial(self._later, self._send))
         try:
             self._ride.start()
         except RuntimeError as error:  # no thread
@@ -95,8 +96,8 @@ class Walking:
             self._loop.call_soon_threadsafe(call, *arguments)
 
 
-class _Ride(threading.Thread):
-    """One walk, from the press that begins it until its servos are stopped."""
+class _PageWalk(threading.Thread):
+    """One walk, from the press that begins it until its servos are stopped. What it does is decided by `Ride`."""
 
     def __init__(
         self,
@@ -120,16 +121,9 @@ class _Ride(threading.Thread):
         self._then: list[Callable[[], None]] = []
         self._ending = False
         self._over = False
-        self.spent = wish.press - 1
-        """Wishes of this press, and older ones, move nothing any more."""
-        self._obeyed = wish
-        """The newest wish; what it asked for has been done."""
-        self._height_m: float | None = None
-        self._gait = wish.gait
-        self._sits = True
-        self._detail = ""
-        self._received_s = self._pressed_s = time.monotonic()
-        self._reported_s = 0.0
+        self.spent = wish.press
+        """Wishes of this press, and older ones, move nothing any more once it is over."""
+        self._newest = wish
 
     # ---- the loop's side
 
@@ -152,115 +146,69 @@ class _Ride(threading.Thread):
 
     def run(self) -> None:
         """Walk until the robot sits, or an error ends it."""
+        detail = ""
         try:
-            self._walk()
-        except (GatewayError, ValueError, RuntimeError, zenoh.ZError) as error:
-            self._fault(error)
+            detail = self._walk()
         except Exception as error:
-            _log.exception("the walk for %s ended by a fault", self._source)
-            self._fault(error)
+            if not isinstance(error, GatewayError | ValueError | RuntimeError | zenoh.ZError):
+                _log.exception("the walk for %s ended by a fault", self._source)
+            detail = str(error) or repr(error)
         finally:
             with self._changed:
                 self._over = True
                 then = list(self._then)
-            self.spent = max(self.spent, self._obeyed.press)
-            self._send(WalkMessage(press=self.spent, detail=self._detail))
+            self.spent = max(self.spent, self._newest.press)
+            self._send(WalkMessage(press=self.spent, detail=detail))
             for each in then:
                 each()
 
-    def _walk(self) -> None:
+    def _walk(self) -> str:
+        """Returns why it has ended, for people."""
         with closing(self._connect(self._source)) as client:
             client.carry(LentLease(client, self._token))
-            walk = client.walk(self._obeyed.gait, self._geometry)
+            walk = Walk(client, self._newest.gait, self._geometry, HZ, silences=SILENCES, once=True)
             walk.open()
-            walk.hold_s, walk.rest_s = SILENT_S, SIT_S
             try:
-                while self._goes_on(walk):
-                    pass
+                reported_s = 0.0
+                while not walk.is_over:
+                    self._obey(walk)
+                    if time.monotonic() - reported_s >= REPORT_S:
+                        reported_s = time.monotonic()
+                        self._send(walk.use(self._report))
+                return walk.use(lambda ride, _: ride.detail)
             finally:
                 walk.close(sits=False)
 
-    def _goes_on(self, walk: Walk) -> bool:
-        """One turn: the newest wish, or silence; whether there is another."""
-        wish = self._next_wish()
-        now_s = time.monotonic()
-        silent_s = now_s - self._received_s
-        try:
-            if silent_s > SILENT_S:
-                self.spent = max(self.spent, self._obeyed.press)
-            elif wish is not None:
-                self._obey(walk, wish, now_s)
-            if self._ending or silent_s > SILENT_S + SIT_S:
-                self._sit(walk)
-            elif now_s - self._pressed_s > IDLE_S:
-                self._detail = f"nothing was pressed for {IDLE_S:g} s, so it sits down"
-                self._sit(walk)
-        except (GatewayError, ValueError) as error:
-            self._fault(error)
-        if walk.error is not None:
-            self._fault(walk.error)
-            if not walk.state.lost or self._ending or silent_s > SILENT_S + SIT_S:
-                return False
-        if now_s - self._reported_s >= REPORT_S:
-            self._reported_s = now_s
-            self._report(walk)
-        return not (self._sits and walk.state.posture in _DOWN)
-
-    def _next_wish(self) -> WalkWish | None:
+    def _obey(self, walk: Walk) -> None:
+        """The newest wish, or the page's end."""
         with self._changed:
             if self._wish is None:
                 self._changed.wait(TICK_S)
-            if self._wish is None:
-                return None
-            (wish, self._received_s), self._wish = self._wish, None
-            return wish
+            taken, self._wish = self._wish, None
+        if taken is not None:
+            self._newest, came_s = taken
+            wish = _wish(self._newest)
+            walk.use(lambda ride, _: ride.wish(wish, came_s))
+        if self._ending:
+            walk.use(Ride.leave)
 
-    def _obey(self, walk: Walk, wish: WalkWish, now_s: float) -> None:
-        """Do what has changed. A wish of a press that is used up only shows that its page is there."""
-        fresh = wish.press > self.spent
-        velocity = Velocity(wish.forward_m_s, wish.left_m_s, wish.turn_rad_s) if fresh and not wish.sits else STILL
-        before, self._obeyed = self._obeyed, wish
-        if wish.press > before.press:
-            self._detail = ""
-            walk.start_again()
-        if velocity.moves or wish.press > before.press:
-            self._pressed_s = now_s
-        if fresh and wish.sits:
-            self._sit(walk)
-        elif fresh and not self._ending:
-            if wish.gait != self._gait:
-                self._gait = wish.gait
-                walk.walk_as(wish.gait)
-            if self._sits or wish.height_m != self._height_m:
-                self._sits, self._height_m = False, wish.height_m
-                walk.stand(wish.height_m, wait=False)
-        if not self._sits:
-            walk.go(*velocity, wait=False)
-
-    def _sit(self, walk: Walk) -> None:
-        if not self._sits:
-            self._sits = True
-            self.spent = max(self.spent, self._obeyed.press)
-            walk.sit(wait=False)
-
-    def _fault(self, error: Exception) -> None:
-        self._detail = str(error) or repr(error)
-        self.spent = max(self.spent, self._obeyed.press)
-
-    def _report(self, walk: Walk) -> None:
-        state = walk.state
-        self._send(
-            WalkMessage(
-                press=self._obeyed.press,
-                id=self._obeyed.id,
-                posture=state.posture,
-                gait=state.gait,
-                height_m=round(state.height_m, 4),
-                commanded=[round(each, 4) for each in state.commanded],
-                scaled=[round(each, 4) for each in state.scaled],
-                limit=state.limit,
-                lost=list(state.lost),
-                detail=self._detail,
-                waits=self._obeyed.press <= self.spent,
-            )
+    def _report(self, ride: Ride, _now_s: float) -> WalkMessage:
+        state = ride.state
+        return WalkMessage(
+            press=self._newest.press,
+            id=self._newest.id,
+            posture=state.posture,
+            gait=state.gait,
+            height_m=round(state.height_m, 4),
+            commanded=[round(each, 4) for each in state.commanded],
+            scaled=[round(each, 4) for each in state.scaled],
+            limit=state.limit,
+            lost=list(state.lost),
+            detail=ride.detail,
+            waits=self._newest.press <= ride.spent,
         )
+
+
+def _wish(wish: WalkWish) -> Wish:
+    velocity = Velocity(wish.forward_m_s, wish.left_m_s, wish.turn_rad_s)
+    return Wish(wish.press, velocity, wish.gait, wish.height_m, wish.sits)

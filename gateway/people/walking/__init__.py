@@ -1,30 +1,39 @@
 """Walking: body velocities in, servo angles out. Pure: time is an argument, and nothing here reads or sends.
 
-`Walker` is what a program, a console or a bridge drives; it stops by itself when its driver falls silent. `Engine` is
-the gait below it, `Robot` where the feet can be.
+`Ride` is what a program, a console or a bridge drives: it decides which legs start, and stops by itself when its driver
+falls silent. `Walker` below it decides where the legs go; `Engine` is the gait, `Robot` where the feet can be.
 """
 
 from gateway.people.walking.engine import Engine, Odometry, Posture
 from gateway.people.walking.gaits import GAITS, Gait
 from gateway.people.walking.motion import STILL, Body, Velocity
+from gateway.people.walking.ride import USUAL, Do, Phase, Ride, Silences, Step, Wish
 from gateway.people.walking.robot import Pose, Range, Robot, Stance
-from gateway.people.walking.walker import HOLD_S, REST_S, Walker, WalkState
+from gateway.people.walking.walker import DOWN, HOLD_S, REST_S, Walker, WalkState
 
 __all__ = [
+    "DOWN",
     "GAITS",
     "HOLD_S",
     "REST_S",
     "STILL",
+    "USUAL",
     "Body",
+    "Do",
     "Engine",
     "Gait",
     "Odometry",
+    "Phase",
     "Pose",
     "Posture",
     "Range",
+    "Ride",
     "Robot",
+    "Silences",
     "Stance",
+    "Step",
     "Velocity",
     "WalkState",
     "Walker",
+    "Wish",
 ]

@@ -127,8 +127,8 @@ class Engine:
         self._pace = 1.0
         self._cap: tuple[object, float] = (None, 1.0)
         self._wanted: deque[Stance | None] = deque(maxlen=1)
-        found = self._planner.found(angles_deg or {})
-        self._state = _State(found.body, found.feet, found.pose, found.moves, found.sits)
+        self._state = _State(Body(0.0), {}, {})
+        self.find(angles_deg or {})
 
     # ---- what it is asked for
 
@@ -168,11 +168,23 @@ class Engine:
         gaits.gait(gait)
         self._next_gait = gait
 
-    def halt(self, legs: Iterable[int]) -> None:
-        """Those legs were stopped by somebody else: put the others down, and stand still until `resume`."""
-        self.lost |= frozenset(legs)
+    def find(self, angles_deg: Pose) -> None:
+        """Begin from where the legs are that run, as in `__init__`; what it was asked for, and its odometry, stay."""
+        found = self._planner.found(angles_deg)
+        self._state = _State(found.body, found.feet, found.pose, found.moves, found.sits, odometry=self._state.odometry)
+
+    def halt(self, legs: Iterable[int], sent: Pose | None = None) -> None:
+        """These legs were stopped by somebody else: put the others down, and stand still until `resume`.
+
+        `sent`: where they were sent last, unless that was by the latest step.
+        """
+        lost = frozenset(legs)
+        if not self.lost <= lost:
+            self.resume()  # where those are that run again
         self._wanted.clear()
         state = self._state
+        state.pose |= {leg: angles for leg, angles in (sent or {}).items() if leg in lost - self.lost}
+        self.lost = lost
         state.brake_s = 0.0
         for leg in self.lost:
             state.swings.pop(leg, None)
@@ -189,6 +201,15 @@ class Engine:
         for leg in legs:
             self._state.feet[leg] = body.grounded(self.robot.foot_m(leg, self._state.pose[leg]), turn)
         self._lower(leg for leg in LEGS if leg not in self._state.swings)  # others may be on their way down as well
+
+    @property
+    def carries(self) -> bool:
+        """Whether the legs that are not lost keep the body where it is: else it has sunk, and angles of before lift it.
+
+        A lowered foot counts; a body that lies needs none.
+        """
+        left = [leg for leg in LEGS if leg not in self.lost]
+        return self.is_down or balanced(self.robot, self._state, left)
 
     def copy(self) -> "Engine":
         """Another one that goes on by itself from here."""
@@ -222,6 +243,16 @@ class Engine:
     def pose(self) -> Pose:
         """The angles of all legs that are not lost, as the latest step has left them."""
         return {leg: angles for leg, angles in self._state.pose.items() if leg not in self.lost}
+
+    @property
+    def whole_pose(self) -> Pose:
+        """The same of all six; of a lost leg as it was commanded last."""
+        return dict(self._state.pose)
+
+    @property
+    def is_down(self) -> bool:
+        """Whether the body lies on the ground."""
+        return self._state.body.height_m < self.robot.lying_m + ON_GROUND_M
 
     @property
     def odometry(self) -> Odometry:

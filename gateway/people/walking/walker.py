@@ -1,6 +1,6 @@
 """What drives the engine by the clock, and stops by itself when its own driver falls silent. Pure: time is an argument.
 
-A program's walk, the console's pad and a bridge to other programs are each one of these beside a stream of setpoints.
+It takes for granted that all six legs run; `Ride` decides about those.
 
 - A velocity holds for `hold_s`. Then the robot finishes its step and stands.
 - Without any command for `rest_s` the robot sits down; after that `is_over`, and the servos may be stopped.
@@ -35,6 +35,9 @@ class WalkState(NamedTuple):
     """Legs that somebody else has stopped."""
 
 
+DOWN: Final = (Posture.LYING, Posture.SITTING)
+
+
 class Walker:
     """One walk. Not for several threads at once; times are seconds of one monotonic clock."""
 
@@ -56,6 +59,8 @@ class Walker:
         self._ticked_s: float | None = None
         self._busy_s: float | None = None
         """When it last was on a way that it was sent on."""
+        self.sits = True
+        """Whether it is to lie; false from the first command to stand or walk."""
 
     def go(self, velocity: Velocity, now_s: float) -> None:
         """Walk at this velocity for `hold_s`; a robot that lies or sits stands up first. Raises WalkError."""
@@ -63,20 +68,28 @@ class Walker:
             self.engine.stance.check_walks()
         self._said_s = now_s
         self._velocity = velocity
-        if velocity.moves and self.engine.posture in (Posture.LYING, Posture.SITTING):
+        if velocity.moves and self.engine.posture in DOWN:
+            self.sits = False
             self.engine.stand()
 
     def stand(self, stance: Stance | None, now_s: float) -> None:
         """End the walk, and stand so (None: as before)."""
         self._said_s = now_s
         self._velocity = STILL
+        self.sits = False
         self.engine.stand(stance)
 
     def sit(self, now_s: float) -> None:
         """End the walk, and lie down on the belly."""
         self._said_s = now_s
         self._velocity = STILL
+        self.sits = True
         self.engine.sit()
+
+    def halt(self, legs: frozenset[int], sent: Pose) -> None:
+        """Somebody else has stopped these: what was commanded is over, and the others stand still."""
+        self._velocity = STILL
+        self.engine.halt(legs, sent)
 
     def walk_as(self, gait: str, now_s: float) -> None:
         """Another gait. Raises WalkError."""
@@ -93,6 +106,7 @@ class Walker:
         if posture is Posture.MOVING:
             self._busy_s = now_s
         elif posture is Posture.STANDING and self._is_silent(now_s):
+            self.sits = True
             self.engine.sit()
         elapsed_s = 0.0 if self._ticked_s is None else now_s - self._ticked_s
         self._ticked_s = now_s
@@ -102,7 +116,7 @@ class Walker:
     def is_over(self) -> bool:
         """Whether its driver is silent and the robot down: nothing falls when the servos are stopped."""
         silent = self._ticked_s is not None and self._is_silent(self._ticked_s)
-        return silent and self.engine.posture in (Posture.LYING, Posture.SITTING)
+        return silent and self.engine.posture in DOWN
 
     def _is_silent(self, now_s: float) -> bool:
         since_s = max(self._said_s or 0.0, self._busy_s or 0.0)

@@ -6,11 +6,11 @@ Whoever ends it early has it finish its step and sit down; who asks again has it
 import math
 import re
 import time
+from collections.abc import Callable
 from pathlib import Path
-from typing import Final
+from typing import Final, Protocol
 
 from gateway.errors import DisconnectedError, GatewayError, LeaseError, RejectedError, StoppedError
-from gateway.people.client.walk import Walk
 from gateway.people.terminal import Progress, clear_line, hint, on_end_signals, say, show_line
 from gateway.people.tools import driving, kept_lease
 from gateway.people.tools.reach import Connection
@@ -20,7 +20,7 @@ _ENDED_EARLY: Final = 130
 """As a shell reports a program that Ctrl-C has ended."""
 
 
-class _End:
+class End:
     """How it is ended early: by Ctrl-C, SIGTERM or the end of its terminal."""
 
     def __init__(self) -> None:
@@ -49,11 +49,11 @@ def walk(
 ) -> int:
     """Stand up, walk, sit down and stop. Returns the exit code. Raises WalkError, ConfigError, ZenohError."""
     wanted = Velocity.checked(*velocity)
-    end = _End()
+    end = End()
     with connect() as client:
         try:
             with client.lease(source=kept_lease.me()), on_end_signals(end.ask), client.walk(gait, geometry) as robot:
-                whole = _go(robot, wanted, seconds, height_m, end)
+                whole = go(robot, wanted, seconds, height_m, end)
         except LeaseError as error:
             return driving.not_acquired(client, error)
         except (StoppedError, RejectedError) as error:
@@ -68,7 +68,31 @@ def walk(
     return 0 if whole else _ENDED_EARLY
 
 
-def _go(robot: Walk, velocity: Velocity, seconds: float, height_m: float | None, end: _End) -> bool:
+class Walks(Protocol):
+    """What it needs of a `Walk`."""
+
+    @property
+    def state(self) -> WalkState:
+        """See `Walk.state`."""
+
+    def go(self, forward_m_s: float = 0.0, left_m_s: float = 0.0, turn_rad_s: float = 0.0) -> None:
+        """See `Walk.go`."""
+
+    def stand(self, height_m: float | None = None, *, wait: bool = True) -> None:
+        """See `Walk.stand`."""
+
+    def sit(self) -> None:
+        """See `Walk.sit`."""
+
+
+def go(
+    robot: Walks,
+    velocity: Velocity,
+    seconds: float,
+    height_m: float | None,
+    end: End,
+    clock: Callable[[], float] = time.monotonic,
+) -> bool:
     """Whether it walked for so long, and nobody ended it before."""
     remarks: set[str] = set()
 
@@ -83,8 +107,8 @@ def _go(robot: Walk, velocity: Velocity, seconds: float, height_m: float | None,
         robot.stand(height_m, wait=False)
         while not end.asked and robot.state.posture is Posture.MOVING:
             robot.go()  # waits for a tick
-        begun_s = time.monotonic()
-        while not end.asked and (elapsed_s := time.monotonic() - begun_s) < seconds:
+        begun_s = clock()
+        while not end.asked and (elapsed_s := clock() - begun_s) < seconds:
             robot.go(*velocity)
             state = robot.state
             if state.limit:

@@ -1,0 +1,410 @@
+"""One ride, from a driver's first word until nothing runs by it. Pure: time is an argument.
+
+A shell (a program's walk, the console's, the bridge's) has the thread, the connection and the clock. It calls `next`,
+does what that returns, and reports what became of it: `sent`, `found`, `stopped`, `failed` or `ended`.
+
+| phase | what runs | leaves it by |
+|---|---|---|
+| RESTS | nothing | a word: STARTS |
+| STARTS | legs that ran already, and one more each `START_S`; no leg that runs moves | the sixth: RUNS |
+| RUNS | all six, by the walker | silence, and it lies: ENDS |
+| HALTED | some; somebody has stopped the others. Feet in the air are put down, and nothing moves | `start_again` |
+| FAILED | nothing is sent; the gateway's watchdog stops what runs | `start_again` |
+| ENDS | nothing is sent; the shell stops what runs | `ended`: RESTS |
+
+- A leg starts where it was stopped only while exactly the others run by the gateway's newest state and carry the body.
+  Else it has sunk: all is stopped, and begins anew from lying.
+- No word is used twice. `hold_s` after the newest one the robot finishes its step and stands, `rest_s` after it sits
+  down, and is stopped. What ended a walk (silence, an error, a seat) uses up the newest press: only a newer one moves
+  the robot. A program has no presses; its are `start_again` and its next call.
+"""
+
+import math
+from collections.abc import Iterable
+from enum import Enum, auto
+from typing import Final, NamedTuple
+
+from gateway.errors import GatewayError, StoppedError, WalkError
+from gateway.people.walking.engine import Posture
+from gateway.people.walking.inverse import Angles
+from gateway.people.walking.motion import STILL, Body, Velocity
+from gateway.people.walking.robot import Pose, Robot
+from gateway.people.walking.walker import DOWN, HOLD_S, REST_S, Walker, WalkState
+from schemas.robot import LEGS
+
+START_S: Final = 0.015
+"""Least pause between the starts of two legs: a servo draws most then. A tick of 50 Hz, less what it may come early."""
+_ALL: Final = frozenset(LEGS)
+
+
+class Silences(NamedTuple):
+    """How many seconds each kind of silence may last before it has an effect."""
+
+    hold_s: float = HOLD_S
+    """After a word: then the robot stands, and the word's press is used up."""
+    rest_s: float = REST_S
+    """After a word, and while it stands: then it sits down, and is stopped."""
+    idle_s: float = math.inf
+    """After a press, or a wish that moves, while a driver goes on wishing: then it sits down, too."""
+    halted_s: float = math.inf
+    """After a word, where it cannot sit, since a leg is lost: then it is stopped as it stands."""
+
+
+class Wish(NamedTuple):
+    """What a driver wants who says so again and again; each is complete. `press` grows with each push of a button."""
+
+    press: int
+    velocity: Velocity = STILL
+    gait: str = "tripod"
+    height_m: float | None = None
+    """None: the usual one."""
+    sits: bool = False
+
+
+USUAL: Final = Silences()
+
+
+class Phase(Enum):
+    """See the module."""
+
+    RESTS = auto()
+    STARTS = auto()
+    RUNS = auto()
+    HALTED = auto()
+    FAILED = auto()
+    ENDS = auto()
+
+
+class Do(Enum):
+    """What the shell does next."""
+
+    WAIT = auto()
+    """Until `look_s`, or until it has something to report."""
+    FIND = auto()
+    """Ask the gateway for its state, and call `found`."""
+    SEND = auto()
+    """The pose. A leg in it that has not run is started, and acknowledged; then call `sent`."""
+    STOP = auto()
+    """Stop the legs that run by it, and call `ended`."""
+
+
+_NO_LEGS: Final[Pose] = {}
+
+
+class Step(NamedTuple):
+    """What to do, and when to look again."""
+
+    do: Do
+    pose: Pose = _NO_LEGS
+    look_s: float = math.inf
+
+
+class Ride:
+    """Not for several threads at once; times are seconds of one monotonic clock."""
+
+    def __init__(
+        self,
+        robot: Robot,
+        gait: str = "tripod",
+        running: Pose | None = None,
+        silences: Silences = USUAL,
+        *,
+        once: bool = False,
+        now_s: float = 0.0,
+    ) -> None:
+        """`running`: legs that run already, in degrees; all six are held at once, since their watchdog waits.
+
+        `once`: over for good when it has sat down, or failed. Raises WalkError.
+        """
+        self._once = once
+        self._silences = silences
+        self.phase = Phase.RESTS
+        self.error: GatewayError | None = None
+        """What has ended it, until `start_again` has succeeded."""
+        self.over = False
+        """Its driver is silent, or wants no more, and nothing runs by it. A word goes on, unless it was for once."""
+        self.detail = ""
+        """Why the newest press moves nothing; for people."""
+        self.spent = -1
+        """The newest press that is used up."""
+        self._press = -1
+        self._obeyed: Wish | None = None
+        """The newest that moved something; None: whatever comes next is new."""
+        self._leaving = False
+        self._wants_again = False
+        self._takes_over = running is not None and running.keys() == _ALL
+        """Nobody has said a word: it begins only if all six still run."""
+        self._found = False
+        """Whether the gateway was asked who runs, since the legs were last at rest."""
+        self._ours = False
+        """Whether legs may run by it."""
+        self._running: frozenset[int] = frozenset()
+        self._sent: dict[int, Angles] = {}
+        """Where each leg was sent last."""
+        self._started_s = -math.inf
+        self._said_s = self._pressed_s = now_s
+        self._walker = self._new_walker(robot, gait, running or {})
+        if self._takes_over:
+            self.phase = Phase.STARTS
+
+    # ---- words of its driver; each raises `error`, or WalkError for what these legs cannot do
+
+    def go(self, velocity: Velocity, now_s: float) -> None:
+        """Walk at this velocity for `hold_s`; a robot that lies stands up first."""
+        self._check()
+        self._walker.go(velocity, now_s)
+        self._wanted(now_s)
+
+    def stand(self, body: Body | None, now_s: float) -> None:
+        """End the walk, and stand so (None: as before)."""
+        self._check()
+        engine = self._walker.engine
+        self._walker.stand(None if body is None else engine.robot.stance(body), now_s)
+        self._wanted(now_s)
+
+    def sit(self, now_s: float) -> None:
+        """End the walk, and lie down on the belly."""
+        self._check()
+        self._walker.sit(now_s)
+        self._wanted(now_s)
+
+    def walk_as(self, gait: str, now_s: float) -> None:
+        """Another gait; a walk pauses for the change."""
+        self._walker.walk_as(gait, now_s)
+
+    def wish(self, wish: Wish, now_s: float) -> None:
+        """Do what has changed. A wish whose press is used up only shows that its driver is there. Raises nothing."""
+        self.look(now_s)
+        self._said_s = now_s
+        if wish.press > self._press:
+            self._press, self._pressed_s, self.detail = wish.press, now_s, ""
+            self.start_again()
+        if self.over or self.error is not None:
+            return
+        if wish.press <= self.spent or self._leaving:
+            if not self._walker.sits:
+                self._walker.go(STILL, now_s)
+            return
+        try:
+            self._obey(wish, now_s)
+        except WalkError as error:
+            self._obeyed = None
+            self._spend(str(error))
+
+    def leave(self, now_s: float) -> None:
+        """Its driver wants no more: sit down now, and move nothing after that."""
+        if not self._leaving:
+            self._leaving = True
+            self._sit_down(now_s)
+
+    def start_again(self) -> None:
+        """A person says that it may go on after an error. Nothing starts by it but legs that were lost."""
+        self._wants_again = self.error is not None and not (self._once and self.over)
+
+    # ---- what the shell does
+
+    def next(self, now_s: float) -> Step:
+        """What to do now. A step that moves is taken by the walker."""
+        self.look(now_s)
+        if self._wants_again:
+            return Step(Do.STOP if self.phase is Phase.FAILED and self._ours else Do.FIND)
+        pose = _NO_LEGS
+        if self.phase in (Phase.RUNS, Phase.HALTED):
+            pose = self._walker.tick(now_s)
+            self.look(now_s)  # it may have sat down by this
+        elif self.phase is Phase.STARTS and not self._found:
+            return Step(Do.FIND)
+        elif self.phase is Phase.STARTS:
+            pose = self._next_start(now_s)
+        match self.phase:
+            case Phase.ENDS:
+                return Step(Do.STOP)
+            case Phase.RESTS | Phase.FAILED:
+                waits = self.phase is Phase.RESTS and not self.over
+                return Step(Do.WAIT, look_s=self._said_s + self._silences.rest_s if waits else math.inf)
+        self._ours = True
+        return Step(Do.SEND, pose)
+
+    def look(self, now_s: float) -> None:
+        """Notice a silence. Once it is over its legs are to be stopped, if any run."""
+        silent_s = now_s - self._said_s
+        if silent_s > self._silences.hold_s:
+            self.spent = max(self.spent, self._press)
+        ends = self._walker.sits and (self._press >= 0 or self._leaving)
+        match self.phase:
+            case Phase.RUNS if self._walker.is_over or (ends and self._walker.engine.posture in DOWN):
+                self._end()
+            case Phase.RUNS if now_s - self._pressed_s > self._silences.idle_s and not self._walker.sits:
+                self._sit_down(now_s)
+                self.detail = f"nothing was pressed for {self._silences.idle_s:g} s, so it sits down"
+            case Phase.HALTED if silent_s > self._silences.halted_s:
+                self._end()
+            case Phase.RESTS if silent_s > self._silences.rest_s:
+                self.over = True
+
+    def found(self, robot: Robot, running: Pose, now_s: float) -> None:
+        """The gateway's newest state: these legs run, at these angles. Asked for by `next`. Raises WalkError."""
+        engine = self._walker.engine
+        if not self._wants_again:
+            if running or engine.posture not in DOWN:
+                engine.find(running)
+            self._found, self._running = True, frozenset(running)
+            if self._takes_over and self._running != _ALL:
+                self.phase = Phase.RESTS
+        elif self.phase is Phase.HALTED and running.keys() == _ALL - engine.lost and engine.carries:
+            self.phase, self._running = Phase.STARTS, frozenset(running)
+            self._goes_on(now_s)
+        elif self._ours:
+            self.phase = Phase.FAILED
+        else:
+            self._walker = self._new_walker(robot, engine.gait_name, running)
+            self.phase, self._found = Phase.RESTS, False
+            self._goes_on(now_s)
+
+    def sent(self, pose: Pose) -> None:
+        """This pose was sent, and its starts were accepted."""
+        self._running |= pose.keys()
+        self._sent |= pose
+        if self.phase is Phase.STARTS and self._running == _ALL:
+            self.phase = Phase.RUNS
+            if self._walker.engine.lost:
+                self._walker.engine.resume()
+
+    def stopped(self, error: StoppedError, running: Iterable[int]) -> frozenset[int]:
+        """`error` states that legs were stopped; `running`: which run by the gateway's state, asked after it.
+
+        Returns the legs that stand still from now on; none: it has failed.
+        """
+        engine = self._walker.engine
+        left = (self._running & frozenset(running)) - frozenset(error.legs)
+        stands = self.phase in (Phase.RUNS, Phase.HALTED) or bool(engine.lost)
+        if not left or not stands:
+            self.failed(StoppedError(str(error), _ALL - left if stands else error.legs))
+            return frozenset()
+        self._walker.halt(_ALL - left, self._sent)
+        self._running = left
+        legs = ", ".join(map(str, sorted(engine.lost)))
+        self._ends_by(StoppedError(f"leg {legs} is stopped, and the others stand still: {error}", engine.lost))
+        self.phase = Phase.HALTED
+        return left
+
+    def failed(self, error: GatewayError) -> None:
+        """Nothing is sent any more: what runs is stopped by the gateway, or was."""
+        self._ends_by(error)
+        self.phase = Phase.FAILED
+        self.over = self._once
+
+    def not_again(self, error: Exception) -> None:
+        """It could not start again, and remains as it was."""
+        self._wants_again = False
+        self._spend(str(error))
+
+    def ended(self) -> None:
+        """The legs that ran by it are stopped. A word that came meanwhile goes on."""
+        self._ours, self._found, self._running = False, False, frozenset()
+        if self.phase is Phase.ENDS:
+            self.phase = Phase.RESTS if self.over else Phase.STARTS
+
+    # ---- what it does
+
+    @property
+    def wants_again(self) -> bool:
+        """Whether `start_again` was called, and what came of it is not known yet."""
+        return self._wants_again
+
+    @property
+    def silences(self) -> Silences:
+        """As they are; may be changed at any time."""
+        return self._silences
+
+    @silences.setter
+    def silences(self, silences: Silences) -> None:
+        self._silences = silences
+        self._walker.hold_s, self._walker.rest_s = silences.hold_s, silences.rest_s
+
+    @property
+    def posture(self) -> Posture:
+        """What the robot is doing; never that it stands or moves while nothing runs, or is about to start."""
+        posture = self._walker.engine.posture
+        if self.phase is Phase.FAILED:
+            return Posture.HALTED
+        return posture if posture in DOWN or self.phase is not Phase.RESTS else Posture.LYING
+
+    @property
+    def robot(self) -> Robot:
+        """Within the limits that were in force when it began."""
+        return self._walker.engine.robot
+
+    @property
+    def body(self) -> Body:
+        """In which it stands and walks."""
+        return self._walker.engine.stance.body
+
+    @property
+    def state(self) -> WalkState:
+        """What it is doing."""
+        state = self._walker.state._replace(posture=self.posture)
+        if isinstance(self.error, StoppedError):
+            return state._replace(lost=self.error.legs)
+        return state
+
+    # ---- inside
+
+    def _new_walker(self, robot: Robot, gait: str, running: Pose) -> Walker:
+        return Walker(robot, gait, running, hold_s=self._silences.hold_s, rest_s=self._silences.rest_s)
+
+    def _check(self) -> None:
+        if self.error is not None:
+            raise self.error.with_traceback(None)
+
+    def _wanted(self, now_s: float) -> None:
+        self._said_s, self.over, self._takes_over = now_s, False, False
+        if self.phase is Phase.RESTS:
+            self.phase = Phase.STARTS
+
+    def _obey(self, wish: Wish, now_s: float) -> None:
+        if wish.sits:
+            self._sit_down(now_s)
+            return
+        if wish.velocity.moves:
+            self._pressed_s = now_s
+        before, self._obeyed = self._obeyed, wish
+        if wish.gait != (self._walker.engine.gait_name if before is None else before.gait):
+            self._walker.walk_as(wish.gait, now_s)
+        if before is None or self._walker.sits or wish.height_m != before.height_m:
+            self.stand(Body(self.robot.usual_m if wish.height_m is None else wish.height_m), now_s)
+        self.go(wish.velocity, now_s)
+
+    def _next_start(self, now_s: float) -> Pose:
+        legs = self._running
+        missing = sorted(_ALL - legs)
+        if missing and now_s - self._started_s >= START_S:
+            self._started_s = now_s
+            legs |= {missing[0]}
+        pose = self._walker.engine.whole_pose
+        return {leg: pose[leg] for leg in sorted(legs)}
+
+    def _sit_down(self, now_s: float) -> None:
+        """The newest press is used up. What has not stood up yet, or cannot sit, is stopped."""
+        self._spend("")
+        stood = self.phase is Phase.STARTS and (self._running == _ALL or bool(self._walker.engine.lost))
+        if self.phase is Phase.RUNS or stood:
+            self._walker.sit(now_s)
+        elif self.phase is not Phase.ENDS:
+            self._end()
+
+    def _end(self) -> None:
+        self.over = True
+        self.phase = Phase.ENDS if self._ours else Phase.RESTS
+
+    def _spend(self, detail: str) -> None:
+        self.spent, self.detail = max(self.spent, self._press), detail
+
+    def _ends_by(self, error: GatewayError) -> None:
+        self.error, self._obeyed = error, None
+        self._spend(str(error))
+
+    def _goes_on(self, now_s: float) -> None:
+        self.error, self._wants_again = None, False
+        self._said_s = self._pressed_s = now_s
+        self._walker.go(STILL, now_s)

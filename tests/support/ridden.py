@@ -1,0 +1,202 @@
+"""A ride, its shell and a gateway in virtual time: no thread, no connection, no sleep.
+
+The gateway judges each start: whether it came too soon behind another leg's, and whether the body allows that
+angle: one that stands allows a leg where it was stopped, one that lies allows what pushes no foot below the ground.
+"""
+
+import copy
+import copyreg
+import math
+from collections.abc import Callable, Collection, Iterable
+from types import MappingProxyType
+from typing import Final
+
+import pytest
+
+from gateway.errors import DisconnectedError, GatewayError, RejectedError, StoppedError
+from gateway.geometry import load
+from gateway.people.walking import USUAL, Do, Phase, Pose, Posture, Ride, Robot, Silences, Step
+from gateway.people.walking.ride import START_S
+from gateway.people.walking.stability import margin_m
+from schemas.robot import LEGS
+
+ROBOT: Final = Robot(load())
+TICK_S: Final = 0.02
+WATCHDOG_S: Final = 0.25
+_NEAR_M: Final = 0.045
+"""Above the lowest foot: a foot in mid-swing counts as one that can be put down."""
+_LOW_M: Final = 0.005
+copyreg.pickle(MappingProxyType, lambda proxy: (MappingProxyType, (dict(proxy),)))
+
+
+class Ridden:
+    """`tick` is one turn of the shell."""
+
+    def __init__(self, silences: Silences = USUAL, *, once: bool = False, running: Pose | None = None) -> None:
+        self.now_s = 100.0
+        self.running: dict[int, tuple[float, float, float]] = dict(running or {})
+        self.at: dict[int, tuple[float, float, float]] = dict(self.running)
+        """Where each servo was commanded to last, running or not."""
+        self.ride = Ride(ROBOT, "tripod", running, silences, once=once, now_s=self.now_s)
+        self.estopped = self.cut = False
+        self.hides: Collection[int] = ()
+        """Stops of these legs that the first report leaves out."""
+        self.started: list[tuple[float, int]] = []
+        self.sent: list[Pose] = []
+        self.lies = not self.running
+        self._streams: frozenset[int] = frozenset()
+        """What a stream would call started."""
+        self._over: GatewayError | None = None
+        self._commanded_s = self.now_s
+
+    # ---- what others do
+
+    def stop(self, legs: Iterable[int] = LEGS, hides: Collection[int] = ()) -> None:
+        """Somebody stops these; the next report leaves out `hides`."""
+        for leg in legs:
+            self.running.pop(leg, None)
+        self.hides = hides
+        self._sink()
+
+    def estop(self) -> None:
+        self.estopped = True
+        self.stop()
+
+    def wait(self, seconds: float) -> None:
+        """The shell stands still for so long."""
+        self.now_s += seconds
+        self._watch()
+
+    # ---- the shell
+
+    def tick(self) -> Step:
+        """One turn; what it did last."""
+        self.now_s += TICK_S
+        self._watch()
+        for _ in range(5):  # questions and Stops, before a setpoint
+            step = self.ride.next(self.now_s)
+            try:
+                self._carry_out(step)
+            except StoppedError as error:
+                left = self.ride.stopped(error, () if self.cut else tuple(self.running))
+                if left:
+                    self._over, self._streams = None, self._streams & left
+            except GatewayError as error:
+                if self.ride.wants_again and step.do is not Do.SEND:
+                    self.ride.not_again(error)
+                else:
+                    self.ride.failed(error)
+            self._judge_state()
+            if step.do in (Do.SEND, Do.WAIT):
+                return step
+            self.now_s += 0.001
+        raise AssertionError("it asks and stops without an end")
+
+    def until(self, holds: Callable[[], bool], at_most_s: float = 12.0) -> float:
+        """Ticks until it holds; how long that took."""
+        begun_s = self.now_s
+        while not holds():
+            assert self.now_s - begun_s < at_most_s, (self.ride.phase, self.ride.posture)
+            self.tick()
+        return self.now_s - begun_s
+
+    def run(self, seconds: float) -> None:
+        """Ticks for so long."""
+        for _ in range(round(seconds / TICK_S)):
+            self.tick()
+
+    def copy(self) -> "Ridden":
+        """Another one that goes on by itself from here."""
+        return copy.deepcopy(self, {id(ROBOT): ROBOT})
+
+    @property
+    def posture(self) -> Posture:
+        return self.ride.state.posture
+
+    def _carry_out(self, step: Step) -> None:
+        match step.do:
+            case Do.FIND:
+                self._check_link()
+                self.ride.found(ROBOT, dict(self.running), self.now_s)
+            case Do.STOP:
+                self.stop(self._streams & self.running.keys())
+                self._streams, self._over = frozenset(), None
+                self.ride.ended()
+                self._check_link()
+            case Do.SEND:
+                self._set(step.pose)
+                self.ride.sent(step.pose)
+
+    def _set(self, pose: Pose) -> None:
+        """As a stream's `set`: it reports before it sends."""
+        if self._over is None and self.cut:
+            self._over = DisconnectedError("the link to the gateway is lost")
+        if self._over is not None:
+            raise self._over
+        stopped = self._streams - self.running.keys()
+        if stopped:
+            self._over = StoppedError("somebody stopped it", (stopped - frozenset(self.hides)) or stopped)
+            self.hides = ()
+            raise self._over
+        new = pose.keys() - self._streams
+        if new and self.estopped:
+            self._over = RejectedError("estopped", "the emergency stop is engaged")
+            raise self._over
+        self._judge({leg: pose[leg] for leg in new if leg not in self.running})
+        self._streams |= new
+        self.running |= pose
+        self.at |= pose
+        self.sent.append(pose)
+        self._commanded_s = self.now_s
+        self._sink()
+
+    def _check_link(self) -> None:
+        if self.cut:
+            raise DisconnectedError("the gateway does not answer")
+
+    # ---- the gateway and the floor
+
+    def _watch(self) -> None:
+        if self.running and self.now_s - self._commanded_s > WATCHDOG_S:
+            self.stop()
+
+    def _sink(self) -> None:
+        """Whether the legs that run hold the body up; once it lies, only all six lift it."""
+        if len(self.running) < 3 or (self.lies and len(self.running) < len(LEGS)):
+            self.lies = True
+            return
+        points = [ROBOT.foot_m(leg, angles) for leg, angles in self.running.items()]
+        lowest = min(point[2] for point in points)
+        feet = [point[:2] for point in points if point[2] < lowest + _NEAR_M]
+        self.lies = margin_m((0.0, 0.0), feet) < 0 or -lowest < ROBOT.lying_m + _LOW_M
+
+    def _judge(self, starts: Pose) -> None:
+        assert len(starts) <= 1, f"legs {sorted(starts)} start at once"
+        for leg, angles in starts.items():
+            if self.started:
+                assert self.now_s - self.started[-1][0] >= START_S - 1e-9, f"leg {leg} starts too soon"
+            self.started.append((self.now_s, leg))
+            if self.lies:
+                below_m = -ROBOT.foot_m(leg, angles)[2] - ROBOT.lying_m
+                assert below_m < _LOW_M, f"leg {leg} starts {1000 * below_m:.0f} mm below a body that lies"
+            else:
+                assert angles == pytest.approx(self.at[leg]), f"leg {leg} leaps"
+
+    def _judge_state(self) -> None:
+        """It is never said to stand or to move while nothing runs, and nothing is about to."""
+        if self.posture not in (Posture.LYING, Posture.SITTING, Posture.HALTED):
+            assert self.ride.phase in (Phase.STARTS, Phase.RUNS), self.posture
+        assert math.isfinite(self.now_s)
+
+
+def standing(silences: Silences = USUAL) -> Ridden:
+    """A program's, that has stood up."""
+    if silences not in _STOOD:
+        ridden = Ridden(silences)
+        ridden.ride.stand(None, ridden.now_s)
+        ridden.until(lambda: ridden.posture is Posture.STANDING)
+        _STOOD[silences] = ridden
+    return _STOOD[silences].copy()
+
+
+_STOOD: Final[dict[Silences, Ridden]] = {}

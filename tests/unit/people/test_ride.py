@@ -1,0 +1,355 @@
+"""A ride's silences and presses, in virtual time: each rule by the clock alone, and none that goes on by itself."""
+
+from typing import Final
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from gateway.people.console.walking import SILENCES as PAGE
+from gateway.people.tools.walk import screen
+from gateway.people.walking import STILL, USUAL, Do, Phase, Posture, Ride, Silences, Velocity, Wish
+from gateway.people.walking.motion import Body
+from schemas.robot import LEGS
+from tests.support.ridden import ROBOT, TICK_S, Ridden, standing
+
+AHEAD: Final = Velocity(0.06)
+LONGEST_STRIDE_S: Final = 1.0
+SITS_WITHIN_S: Final = 3.0
+QUICK: Final = PAGE._replace(idle_s=6.0)
+
+
+def moved(ridden: Ridden, before: int) -> bool:
+    """Whether anything but the same pose has been sent since."""
+    return any(pose != ridden.sent[before - 1] for pose in ridden.sent[before:])
+
+
+# ---- a program
+
+
+@pytest.mark.parametrize("silences", [USUAL, Silences(hold_s=1.0, rest_s=3.0)], ids=["usual", "set"])
+def test_a_program_that_falls_silent_stands_then_sits_then_is_stopped(silences: Silences) -> None:
+    """Each within a tick of its time: what is longer heats the servos, what is shorter stops a program that pauses."""
+    ridden = standing(silences)
+    ridden.ride.go(AHEAD, ridden.now_s)
+    said_s = ridden.now_s
+    ridden.until(lambda: ridden.ride.state.commanded == STILL)
+    assert ridden.now_s - said_s == pytest.approx(silences.hold_s, abs=1.5 * TICK_S)
+    ridden.until(lambda: ridden.posture is Posture.STANDING, LONGEST_STRIDE_S)
+    ridden.until(lambda: ridden.posture is Posture.MOVING, silences.rest_s + 1)
+    assert ridden.now_s - said_s == pytest.approx(silences.rest_s, abs=1.5 * TICK_S)
+    ridden.until(lambda: ridden.posture is Posture.SITTING, SITS_WITHIN_S)
+    sat = len(ridden.sent)
+    ridden.until(lambda: ridden.ride.over, silences.rest_s + TICK_S)
+    assert not moved(ridden, sat)
+    ridden.tick()
+    assert not ridden.running
+    assert (ridden.ride.phase, ridden.posture) == (Phase.RESTS, Posture.SITTING)
+
+
+def test_a_word_in_time_is_no_silence_and_the_way_to_a_posture_neither() -> None:
+    ridden = Ridden(Silences(hold_s=0.5, rest_s=1.0))
+    ridden.ride.stand(Body(0.18), ridden.now_s)
+    ridden.until(lambda: ridden.posture is Posture.STANDING)
+    for _ in range(10):
+        ridden.run(0.9)
+        assert ridden.posture is Posture.STANDING
+        ridden.ride.go(STILL, ridden.now_s)
+
+
+def test_its_own_rest_is_no_stop_of_anybodys_and_the_next_word_goes_on() -> None:
+    ridden = standing(Silences(rest_s=1.0))
+    ridden.ride.go(AHEAD, ridden.now_s)
+    ridden.until(lambda: ridden.ride.over)
+    ridden.run(0.1)
+    went_m = ridden.ride.state.odometry.x_m
+    assert went_m > 0
+    ridden.started.clear()
+    ridden.ride.go(AHEAD, ridden.now_s)
+    assert not ridden.ride.over
+    ridden.until(lambda: ridden.posture is Posture.STANDING)
+    assert [leg for _, leg in ridden.started] == list(LEGS)
+    assert ridden.ride.state.odometry.x_m >= went_m
+
+
+def test_a_word_while_the_rests_stops_are_sent_goes_on_behind_them() -> None:
+    ridden = standing(Silences(rest_s=1.0))
+    ridden.until(lambda: ridden.ride.over)
+    assert ridden.ride.next(ridden.now_s).do is Do.WAIT
+    other = standing(Silences(rest_s=1.0))
+    step = other.ride.next(other.now_s)
+    while step.do is Do.SEND:
+        other.now_s += TICK_S
+        step = other.ride.next(other.now_s)
+    assert step.do is Do.STOP
+    other.ride.stand(None, other.now_s)
+    other.ride.ended()
+    assert other.ride.next(other.now_s).do is Do.FIND
+
+
+def test_at_rest_it_says_when_to_look_again() -> None:
+    ridden = Ridden(Silences(rest_s=3.0))
+    step = ridden.tick()
+    assert step.do is Do.WAIT
+    assert step.look_s == pytest.approx(103.0)
+    ridden.wait(3.0)
+    assert ridden.tick().look_s == float("inf")
+    assert ridden.ride.over
+
+
+def test_legs_that_another_left_standing_are_held_at_once_and_sit_in_silence() -> None:
+    """Their watchdog does not wait for a word. Those that were stopped meanwhile are not started."""
+    pose = dict(standing().running)
+    taken = Ridden(Silences(rest_s=1.0), running=pose)
+    taken.tick()
+    assert taken.sent == [pose]
+    taken.until(lambda: taken.ride.over, 2 * (1.0 + SITS_WITHIN_S))
+    gone = Ridden(running=pose)
+    gone.stop()
+    gone.run(0.5)
+    assert (gone.sent, gone.posture) == ([], Posture.LYING)
+
+
+# ---- a page
+
+
+class Pad:
+    """A page: wishes 25 times a second, until it is frozen."""
+
+    def __init__(self, silences: Silences = PAGE) -> None:
+        self.ridden = Ridden(silences, once=True)
+        self.press = 0
+        self.hold()
+
+    def hold(
+        self, velocity: Velocity = STILL, *, gait: str = "tripod", height_m: float | None = None, sits: bool = False
+    ) -> None:
+        """A new press."""
+        self.press += 1
+        self.wanted = Wish(self.press, velocity, gait, height_m, sits)
+
+    def let_go(self) -> None:
+        self.wanted = self.wanted._replace(velocity=STILL)
+
+    def wish(self) -> None:
+        self.ridden.ride.wish(self.wanted, self.ridden.now_s)
+
+    def run(self, seconds: float, *, wishes: bool = True) -> None:
+        for tick in range(round(seconds / TICK_S)):
+            if wishes and tick % 2 == 0:
+                self.wish()
+            self.ridden.tick()
+
+    def until(self, posture: Posture, at_most_s: float = 6.0) -> None:
+        begun_s = self.ridden.now_s
+        while self.ridden.posture is not posture:
+            assert self.ridden.now_s - begun_s < at_most_s, self.ridden.posture
+            self.run(2 * TICK_S)
+
+    @property
+    def waits(self) -> bool:
+        return self.press <= self.ridden.ride.spent
+
+
+def held(velocity: Velocity = AHEAD, silences: Silences = PAGE) -> Pad:
+    """It walks, if that is a velocity."""
+    pad = Pad(silences)
+    pad.until(Posture.STANDING)
+    pad.hold(velocity)
+    if velocity.moves:
+        pad.until(Posture.WALKING)
+    return pad
+
+
+def test_each_driver_has_the_silences_that_its_docs_state() -> None:
+    assert (PAGE.hold_s, PAGE.rest_s, PAGE.idle_s, PAGE.halted_s) == (0.25, 5.0, 60.0, 5.25)
+    assert (USUAL.hold_s, USUAL.rest_s) == (0.5, 10.0)
+    assert (screen.HOLD_S, screen.REST_S) == (0.25, 60.0)
+
+
+def test_it_stands_walks_while_held_stands_when_let_go_and_sits() -> None:
+    pad = held()
+    pad.let_go()
+    pad.until(Posture.STANDING)
+    pad.hold(gait="wave", height_m=0.13)
+    pad.until(Posture.STANDING)
+    pad.run(3.0)
+    state = pad.ridden.ride.state
+    assert (state.posture, state.gait) == (Posture.STANDING, "wave")
+    assert state.height_m == pytest.approx(0.13)
+    pad.hold()
+    pad.run(3.0)
+    assert pad.ridden.ride.state.height_m == pytest.approx(ROBOT.usual_m)
+    pad.hold(sits=True)
+    pad.run(5.0)
+    assert pad.ridden.ride.over
+    assert not pad.ridden.running
+    assert pad.ridden.ride.detail == ""
+
+
+def test_a_page_that_falls_silent_stands_then_sits_and_its_last_wish_is_not_repeated() -> None:
+    pad = held()
+    ridden, silent_s = pad.ridden, pad.ridden.now_s
+    pad.run(0.18, wishes=False)  # the newest came up to 0.04 s before
+    assert not pad.waits
+    assert ridden.ride.state.commanded == AHEAD
+    pad.run(0.12, wishes=False)
+    assert pad.waits
+    assert ridden.ride.state.commanded == STILL
+    ridden.until(lambda: ridden.posture is Posture.STANDING, LONGEST_STRIDE_S)
+    ridden.until(lambda: ridden.posture is Posture.MOVING)
+    assert ridden.now_s - silent_s == pytest.approx(5.0, abs=0.1)
+    ridden.until(lambda: ridden.ride.over, SITS_WITHIN_S)
+    ridden.tick()
+    assert not ridden.running
+    pad.run(1.0)
+    assert not ridden.running, "it wakes, with the thumb still on it"
+
+
+@given(after_s=st.floats(0.26, 6.5))
+@settings(max_examples=12, deadline=None)
+def test_a_page_that_wakes_goes_on_with_a_new_press_only(after_s: float) -> None:
+    """However long it was silent: nothing walks by the press of before, and it stands on while it is heard."""
+    pad = held()
+    pad.run(after_s, wishes=False)
+    before = pad.ridden.posture
+    for _ in range(50):
+        pad.run(2 * TICK_S)
+        assert pad.waits
+        assert pad.ridden.ride.state.commanded == STILL
+        assert pad.ridden.ride.over or before is Posture.MOVING or pad.ridden.posture is not Posture.MOVING
+    if not pad.ridden.ride.over:
+        pad.hold(AHEAD)
+        pad.until(Posture.WALKING)
+
+
+def test_a_wish_that_came_long_after_the_one_before_uses_up_its_press_though_nobody_has_looked() -> None:
+    """A console that stood still finds the next wish of the same press: the thumb may have been lifted meanwhile."""
+    pad = held()
+    pad.ridden.wait(0.2)
+    pad.wish()
+    assert not pad.waits
+    pad.ridden.wait(0.26)
+    pad.wish()
+    assert pad.waits
+
+
+def test_who_is_there_and_presses_nothing_sits_down_and_why_is_said() -> None:
+    pad = held(STILL, QUICK)
+    pad.run(QUICK.idle_s - 0.1)
+    stood = pad.ridden.posture
+    pad.run(0.3)
+    assert (stood, pad.ridden.posture) == (Posture.STANDING, Posture.MOVING)
+    assert pad.ridden.ride.detail == "nothing was pressed for 6 s, so it sits down"
+    assert pad.waits
+    pad.run(4.0)
+    assert pad.ridden.ride.over
+
+
+def test_a_thumb_that_is_held_is_no_idleness() -> None:
+    pad = held(AHEAD, QUICK)
+    pad.run(QUICK.idle_s + 1.0)
+    assert pad.ridden.posture is Posture.WALKING
+
+
+def test_a_new_press_while_it_sits_down_stands_up_again() -> None:
+    pad = held()
+    pad.ridden.until(lambda: pad.ridden.posture is Posture.MOVING)
+    pad.hold()
+    pad.until(Posture.STANDING)
+    assert not pad.ridden.ride.over
+
+
+def test_who_leaves_sits_down_and_no_press_changes_that() -> None:
+    pad = held()
+    pad.ridden.ride.leave(pad.ridden.now_s)
+    for _ in range(5):
+        pad.hold(AHEAD)
+        pad.ridden.ride.leave(pad.ridden.now_s)
+        pad.run(0.8)
+        assert pad.ridden.ride.state.commanded == STILL
+    assert pad.ridden.ride.over
+    assert pad.ridden.posture is Posture.SITTING
+
+
+@pytest.mark.parametrize("after_s", [0.0, 0.1])
+def test_who_leaves_before_it_stands_leaves_it_lying(after_s: float) -> None:
+    pad = Pad()
+    pad.run(after_s)
+    started = list(pad.ridden.started)
+    pad.ridden.ride.leave(pad.ridden.now_s)
+    pad.run(1.0)
+    assert pad.ridden.ride.over
+    assert not pad.ridden.running
+    assert pad.ridden.started == started
+
+
+def test_what_the_legs_cannot_do_uses_up_the_press_and_is_said() -> None:
+    pad = Pad()
+    pad.hold(height_m=0.9)
+    pad.run(0.5)
+    assert pad.waits
+    assert "it cannot stand 0.9 m high" in pad.ridden.ride.detail
+    assert not pad.ridden.running
+    pad.hold()
+    pad.until(Posture.STANDING)
+    assert pad.ridden.ride.detail == ""
+
+
+def test_after_a_lost_leg_only_a_new_press_goes_on_and_after_an_emergency_stop_it_is_over() -> None:
+    pad = held()
+    pad.ridden.stop([3])
+    pad.run(1.0)
+    assert pad.ridden.posture is Posture.HALTED
+    assert pad.waits
+    assert pad.ridden.ride.state.lost == (3,)
+    assert "leg 3 is stopped" in pad.ridden.ride.detail
+    pad.hold(AHEAD)
+    pad.until(Posture.WALKING)
+    pad.ridden.estop()
+    pad.run(0.1)
+    assert pad.ridden.ride.over
+    pad.ridden.estopped = False
+    for _ in range(2):
+        pad.hold(AHEAD)  # the console begins another ride by it
+        pad.run(0.3)
+    assert not pad.ridden.running
+
+
+def test_a_lost_leg_and_a_page_that_is_gone_are_stopped_as_they_stand() -> None:
+    pad = held()
+    pad.ridden.stop([3])
+    pad.ridden.tick()
+    silent_s = pad.ridden.now_s
+    pad.ridden.until(lambda: pad.ridden.ride.over)
+    assert pad.ridden.now_s - silent_s == pytest.approx(5.25, abs=0.1)
+    pad.ridden.tick()
+    assert not pad.ridden.running
+
+
+def test_two_pushes_after_all_legs_were_stopped_leap_by_none() -> None:
+    """The gateway of `Ridden` judges each start."""
+    pad = held()
+    pad.ridden.stop([3])
+    pad.run(0.2)
+    pad.ridden.stop()
+    for _ in range(2):
+        pad.hold(AHEAD)
+        pad.run(0.5)
+    assert pad.ridden.ride.over or pad.ridden.posture is not Posture.HALTED
+
+
+def test_a_program_with_a_lost_leg_holds_the_others_until_it_says_something() -> None:
+    ridden = standing()
+    ridden.stop([3])
+    ridden.run(30.0)
+    assert ridden.ride.phase is Phase.HALTED
+    assert len(ridden.running) == 5
+    ridden.ride.start_again()
+    ridden.run(0.5)
+    assert ridden.posture is Posture.STANDING, "the time that it was halted was no silence"
+
+
+def test_a_ride_that_cannot_stand_is_not_made() -> None:
+    with pytest.raises(ValueError, match="there is no gait"):
+        Ride(ROBOT, "gallop")

@@ -1,0 +1,151 @@
+"""A trajectory's end and its sender's, in virtual time: what was still to come is not followed; the robot sits down."""
+
+import math
+from dataclasses import dataclass, field
+from typing import Final
+
+import pytest
+
+from gateway.errors import WalkError
+from gateway.geometry import load
+from gateway.people.bridge.motions import Course
+from gateway.people.ros2.trajectory import Point, Trajectory
+from gateway.people.walking import Pose, Ride
+from schemas.robot import LEGS
+from tests.support.ridden import ROBOT, TICK_S, standing
+
+GEOMETRY: Final = load()
+STOOD: Final[Pose] = dict(standing().running)
+SITS_WITHIN_S: Final = 4.0
+
+
+def rad(pose: Pose) -> dict[int, float]:
+    return {
+        10 * leg + joint: GEOMETRY.joint_rad(10 * leg + joint, angle)
+        for leg, angles in pose.items()
+        for joint, angle in enumerate(angles, start=1)
+    }
+
+
+def plan(begins_s: float, *points: tuple[float, float], legs: tuple[int, ...] = tuple(LEGS)) -> Trajectory:
+    """At these seconds the first joint of leg 1 is so many radians from where it stands."""
+    still = rad({leg: STOOD[leg] for leg in legs})
+    found = [Point(at_s, {**still, 11: still[11] + moved_rad}) for at_s, moved_rad in points]
+    return Trajectory(tuple(found), begins_s)
+
+
+@dataclass
+class Followed:
+    """A course, and the shell's turns."""
+
+    course: Course = field(default_factory=lambda: Course(GEOMETRY, lambda pose: Ride(ROBOT, running=pose)))
+    now_s: float = 0.0
+    sent: list[Pose] = field(default_factory=list)
+    over_s: float = math.inf
+
+    def run(self, seconds: float) -> "Followed":
+        end_s = self.now_s + seconds
+        while self.now_s < end_s and self.over_s == math.inf:
+            self.now_s += TICK_S
+            pose = self.course.next(self.now_s)
+            if pose is None:
+                self.over_s = self.now_s
+            else:
+                self.course.sent(pose)
+                self.sent.append(pose)
+        return self
+
+    @property
+    def first_deg(self) -> float:
+        """Of leg 1, as sent last."""
+        return self.sent[-1][1][0]
+
+    @property
+    def sinks(self) -> bool:
+        """Whether it is on its way down, or is."""
+        return self.sent[-1][3] != pytest.approx(STOOD[3], abs=0.01)
+
+
+def followed(*points: tuple[float, float]) -> Followed:
+    begun = Followed()
+    begun.course.follow(plan(0.0, *points), 0.0)
+    return begun
+
+
+def test_legs_start_one_after_the_other_and_the_points_are_followed() -> None:
+    one = followed((1.0, 0.0), (2.0, 0.2)).run(0.2)
+    assert [len(pose) for pose in one.sent[:7]] == [1, 2, 3, 4, 5, 6, 6]
+    one.run(1.3)
+    half = GEOMETRY.servos[11].servo_deg(rad(STOOD)[11] + 0.1)
+    assert one.first_deg == pytest.approx(half, abs=0.3)
+
+
+def test_its_last_point_is_held_for_ten_seconds_and_then_it_sits_down_and_is_stopped() -> None:
+    one = followed((0.5, 0.0), (1.0, 0.1)).run(1.1)
+    held = one.sent[-1]
+    one.run(9.86)
+    assert one.sent[-1] == held
+    one.run(0.2)
+    assert one.sent[-1] != held
+    one.run(SITS_WITHIN_S)
+    assert one.over_s < 11.0 + SITS_WITHIN_S
+    assert all(
+        ROBOT.foot_m(leg, angles)[2] == pytest.approx(-ROBOT.lying_m, abs=0.005) for leg, angles in one.sent[-1].items()
+    )
+
+
+def test_a_sender_that_is_lost_has_it_sit_down_at_once_and_the_rest_of_its_plan_is_not_followed() -> None:
+    one = followed((0.5, 0.0), (50.0, 1.0)).run(1.0)
+    here = one.first_deg
+    one.course.lose_sender(one.now_s)
+    one.run(SITS_WITHIN_S)
+    assert one.sinks
+    assert one.over_s < 1.0 + SITS_WITHIN_S
+    assert max(abs(pose[1][0] - here) for pose in one.sent[50:60]) < 5, "it goes on from where it was"
+
+
+def test_a_sender_that_is_lost_behind_its_plans_end_changes_nothing() -> None:
+    one = followed((0.5, 0.0)).run(1.0)
+    one.course.lose_sender(one.now_s)
+    one.run(9.4)
+    assert not one.sinks
+
+
+def test_what_is_released_sits_down_at_once() -> None:
+    one = followed((0.5, 0.0), (50.0, 1.0)).run(1.0)
+    one.course.leave(one.now_s)
+    one.course.leave(one.now_s)
+    assert one.run(SITS_WITHIN_S).over_s < 1.0 + SITS_WITHIN_S
+
+
+def test_a_newer_plan_goes_on_from_where_the_robot_is_also_while_it_sits_down() -> None:
+    one = followed((0.5, 0.0), (50.0, 1.0)).run(1.0)
+    one.course.lose_sender(one.now_s)
+    one.run(1.0)
+    low = one.sent[-1]
+    one.course.follow(plan(one.now_s, (2.0, 0.0)), one.now_s)
+    one.run(TICK_S)
+    assert one.sent[-1][3] == pytest.approx(low[3], abs=2.0)
+    one.run(2.5)
+    assert not one.sinks
+    assert one.over_s == math.inf
+
+
+def test_with_a_leg_that_does_not_run_nothing_can_sit_and_all_is_stopped() -> None:
+    one = Followed()
+    one.course.follow(plan(0.0, (30.0, 0.1), legs=(1, 2)), 0.0)
+    one.run(1.0)
+    one.course.lose_sender(one.now_s)
+    one.run(0.1)
+    assert one.over_s == pytest.approx(1.0 + TICK_S)
+
+
+def test_a_robot_that_can_not_sit_is_stopped() -> None:
+    def cannot(_: Pose) -> Ride:
+        raise WalkError("it cannot sit")
+
+    one = Followed(Course(GEOMETRY, cannot))
+    one.course.follow(plan(0.0, (30.0, 0.1)), 0.0)
+    one.run(1.0)
+    one.course.leave(one.now_s)
+    assert one.run(0.1).over_s == pytest.approx(1.0 + TICK_S)
