@@ -6,14 +6,15 @@ from collections.abc import AsyncIterator
 import pytest
 
 from gateway.errors import DisconnectedError
-from gateway.people.client.stops import AGAIN_S, AT_ONCE
+from gateway.people.client.confirmed_stop import AGAIN_NS, AT_ONCE, MAX_PRESSES
 from gateway.people.console.messages import Stopping
 from gateway.people.console.outgoing import Outgoing
-from gateway.people.console.stops import MAX_PRESSES, Stops
+from gateway.people.console.stops import Stops
 from schemas.telemetry import Ack, Report
 
 pytestmark = pytest.mark.virtual_time
 
+AGAIN_S = AGAIN_NS / 1e9
 ACK = Ack(accepted=True, stop_frames=6, estop=1, latency_us=900.0)
 
 
