@@ -26,8 +26,8 @@ class Press(Generic[P, W]):
 
     page: P | None
     """None: the page that pressed is gone."""
-    id: int
-    """By the page's own count."""
+    id: int | None
+    """By the page's own count; None: it wants no answer."""
     what: W
     """What a request for this press has to carry."""
     pressed_ns: int
@@ -65,7 +65,7 @@ class ConfirmedStop(Generic[P, W]):
         """When the oldest unconfirmed press came; None: all are confirmed."""
         return self._unconfirmed[0].pressed_ns if self._unconfirmed else None
 
-    def press(self, page: P, press_id: int, what: W, now_ns: int) -> Press[P, W]:
+    def press(self, page: P, press_id: int | None, what: W, now_ns: int) -> Press[P, W]:
         """A page asks for it, now."""
         self._presses += 1
         press: Press[P, W] = Press(page, press_id, what, now_ns, self._presses)

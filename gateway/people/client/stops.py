@@ -35,7 +35,7 @@ class UntilConfirmed:
     def press(self) -> None:
         """Request it now. Never waits."""
         with self._changed:
-            self._stop.press(self, 0, None, time.monotonic_ns())
+            self._stop.press(self, None, None, time.monotonic_ns())
             self._changed.notify()
 
     def take_back(self) -> None:
