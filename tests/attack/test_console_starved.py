@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from gateway.people.client.stops import AT_ONCE
+from gateway.people.client.confirmed_stop import AT_ONCE
 from gateway.people.console.link import QUESTIONS_AT_ONCE, STOPS_AT_ONCE
 from gateway.people.console.register import Register
 from tests.attack.console_door import strangers

@@ -47,7 +47,7 @@ def run(gateway: Gateway) -> str:
 
         for key in ("3", "2", "enter", "enter"):
             press(key)
-        until(screen, lambda: screen.held.confirmed)
+        until(screen, lambda: screen.held.holding.confirmed)
         for key in KEYS:
             until(screen, lambda key=key: press(key))  # type: ignore[misc]
         with session.lock:

@@ -1,58 +1,79 @@
-"""A Stop that is requested at once, without waiting for anything, and again until the gateway confirms it."""
+"""A terminal's Stop: threads around `ConfirmedStop`."""
 
 import threading
 import time
 from collections.abc import Callable
-from typing import Final
+from contextlib import suppress
 
+from gateway.people.client.confirmed_stop import AT_ONCE, ConfirmedStop, Request
 from schemas.telemetry import Ack
-
-AT_ONCE: Final = 4
-"""Requests under way at most; a key that is held down repeats some 30 times a second."""
-AGAIN_S: Final = 0.1
-"""After a request that nobody answered, which itself has lasted as long as a client waits for an answer."""
 
 
 class UntilConfirmed:
-    """Each press begins a request on a thread of its own; the last of them goes on until the Stop is confirmed.
+    """Requests a Stop on threads of its own, as `ConfirmedStop` says.
 
-    The threads exist from the beginning: a press finds one also where the system allows no more. Only the gateway's
-    answer ends it: whatever else comes of a request, also a fault in this program, counts as none.
+    The threads exist from the beginning: a press finds one also where the system allows no more. Whatever comes of a
+    request besides an answer, also a fault in this program, counts as none.
     """
 
-    def __init__(self, request: Callable[[], Ack], note: Callable[[Ack | None, int], bool]) -> None:
-        """`note` is given the answer, None for none, and when its request began; returns whether it is still wanted."""
+    def __init__(
+        self, request: Callable[[], Ack], note: Callable[[Ack | Exception], bool], lasts_s: float | None = None
+    ) -> None:
+        """`note` is given what became of a request that presses wait for, in order; whether they still want it.
+
+        It must not wait. `lasts_s`: for so long it is requested again; None: until it is confirmed.
+        """
         self._request = request
         self._note = note
-        self._lock = threading.Lock()
-        self._under_way = 0
-        self._pressed = threading.Semaphore(0)
+        self._stop = ConfirmedStop[object, None](None if lasts_s is None else round(lasts_s * 1e9))
+        self._changed = threading.Condition(threading.Lock())
+        """Its lock is held for moments only, so that a press never waits."""
+        self._noting = threading.Lock()
         for _ in range(AT_ONCE):
             threading.Thread(target=self._serve, name="stop", daemon=True).start()
 
     def press(self) -> None:
         """Request it now. Never waits."""
-        with self._lock:
-            if self._under_way >= AT_ONCE:
-                return
-            self._under_way += 1
-        self._pressed.release()
+        with self._changed:
+            self._stop.press(self, None, None, time.monotonic_ns())
+            self._changed.notify()
+
+    def take_back(self) -> None:
+        """Nobody wants it any more: it has been reset, by the person who pressed."""
+        with self._changed:
+            self._stop.take_back()
+
+    @property
+    def since_ns(self) -> int | None:
+        """When the oldest unconfirmed press came; None: all are confirmed."""
+        with self._changed:
+            return self._stop.since_ns
 
     def _serve(self) -> None:
         while True:
-            self._pressed.acquire()
-            self._run()
-
-    def _run(self) -> None:
-        while True:
-            began_ns = time.monotonic_ns()
+            request = self._next()
+            outcome: Ack | Exception
             try:
-                ack = self._request()
-            except Exception:
-                ack = None
-            wanted = self._note(ack, began_ns)
-            with self._lock:
-                if not wanted or self._under_way > 1:
-                    self._under_way -= 1
-                    return
-            time.sleep(AGAIN_S)
+                outcome = self._request()
+            except Exception as error:
+                outcome = error
+            with self._noting:  # otherwise a failure before the answer could be noted behind it
+                self._end(request, outcome)
+
+    def _next(self) -> Request[None]:
+        with self._changed:
+            while (request := self._stop.begin(time.monotonic_ns())) is None:
+                due_ns = self._stop.due_ns
+                self._changed.wait(None if due_ns is None else max(0.0, (due_ns - time.monotonic_ns()) / 1e9))
+            return request
+
+    def _end(self, request: Request[None], outcome: Ack | Exception) -> None:
+        with self._changed:
+            waited = self._stop.ended(request, time.monotonic_ns(), answered=isinstance(outcome, Ack))
+            self._changed.notify()  # the next may be due
+        wanted = True
+        with suppress(Exception):  # without its thread, the next press would find one less
+            wanted = not waited or self._note(outcome)
+        if not wanted:
+            with self._changed:
+                self._stop.take_back(request)

@@ -34,7 +34,14 @@ class Console:
     """What all pages share."""
 
     def __init__(
-        self, register: Register, link: GatewayLink, stops: Stops, pages: Pages, *, person: str, geometry: Geometry
+        self,
+        register: Register,
+        link: GatewayLink,
+        stops: Stops[str | None],
+        pages: Pages,
+        *,
+        person: str,
+        geometry: Geometry,
     ) -> None:
         """Made on the pages' loop."""
         self._register = register

@@ -15,8 +15,8 @@ from typing import Any, Final, Literal, TypeVar
 
 from gateway.errors import UnreachedError, ZenohError
 from gateway.people.client.blocking import Client
+from gateway.people.client.confirmed_stop import AT_ONCE
 from gateway.people.client.live import SILENT_MS, Live, OnLoop, Receiver, set_upright
-from gateway.people.client.stops import AT_ONCE
 from gateway.people.console.messages import LinkMessage
 from gateway.people.tools import why
 from gateway.robot.host.descriptors import Spare

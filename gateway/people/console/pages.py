@@ -21,6 +21,7 @@ from pydantic import ValidationError
 
 from gateway.errors import GatewayError
 from gateway.geometry import Geometry
+from gateway.people.client.confirmed_stop import Press
 from gateway.people.console.calibrating import Calibrating
 from gateway.people.console.driving import Driving
 from gateway.people.console.link import GatewayLink, Listener
@@ -45,7 +46,7 @@ from gateway.people.console.messages import (
 )
 from gateway.people.console.outgoing import Outgoing
 from gateway.people.console.pressing import Pressing
-from gateway.people.console.stops import Stops
+from gateway.people.console.stops import Stops, now_ns
 from gateway.people.console.walking import Walking
 from gateway.robot.core.staleness import Staleness
 from schemas import keys
@@ -58,7 +59,9 @@ WISH_AGE_MS: Final = 250.0
 MAX_QUESTIONS: Final = 16
 """Of one page, under way at once."""
 MAX_STOPS: Final = 32
-"""The same for Stops of legs and servos, of which the newest of a kind replaces the older ones."""
+"""Kinds of Stops of legs and servos, of one page, under way at once."""
+STOP_LASTS_S: Final = 2.0
+"""For so long one of these is asked for again: later, somebody else may drive that leg."""
 KEPT_EVENTS: Final = 50
 """What a page that opens gets of the past."""
 
@@ -150,7 +153,7 @@ class Page:
         person: str,
         role: Role,
         link: GatewayLink,
-        stops: Stops,
+        stops: Stops[str | None],
         geometry: Geometry,
         new_link: Callable[[], str],
     ) -> None:
@@ -167,8 +170,8 @@ class Page:
         self._staleness = Staleness(MAX_AGE_MS)
         self._wishes = Staleness(WISH_AGE_MS)
         self._questions: set[asyncio.Task[None]] = set()
-        self._leg_stops: dict[tuple[str, str], asyncio.Task[None]] = {}
-        """By their key and what they stop; a newer one makes an older give way."""
+        self._leg_stops: dict[tuple[str, str], Stops[dict[str, Any]]] = {}
+        """By their key and what they stop."""
 
     def take(self, text: str) -> None:
         """One message of the page's. Raises EndError for what no page of ours sends."""
@@ -287,21 +290,26 @@ class Page:
             self.outgoing.put(LinkForMessage(id=message_id, url=url, rows=rows))
 
     def _stop(self, message: Command, payload: dict[str, Any]) -> None:
-        """Ask until it is answered or its time is over. A newer one that stops the same makes an older give way."""
+        """Ask until it is answered or its time is over; the answer to a newer one is also that of an older one."""
         kind = (message.key, message.payload.model_dump_json())
-        older = self._leg_stops.get(kind)
-        if older is None and len(self._leg_stops) >= MAX_STOPS:
-            raise EndError(f"{MAX_STOPS} Stops of this page wait for their acknowledgement")
-        question = asyncio.create_task(
-            self._answer(message.id, partial(self._link.ask, message.key, payload, again=True))
-        )
-        self._leg_stops[kind] = question
-        question.add_done_callback(partial(self._stop_ended, kind))
-        if older is not None:
-            older.cancel()
+        if kind not in self._leg_stops:
+            if len(self._leg_stops) >= MAX_STOPS:
+                raise EndError(f"{MAX_STOPS} Stops of this page wait for their acknowledgement")
+            ask = partial(self._link.ask, message.key, again=True)
+            self._leg_stops[kind] = Stops(ask, partial(self._stop_noted, kind), STOP_LASTS_S)
+        self._leg_stops[kind].press(self.outgoing, message.id, payload)
 
-    def _stop_ended(self, kind: tuple[str, str], question: asyncio.Task[None]) -> None:
-        if self._leg_stops.get(kind) is question:
+    def _stop_noted(
+        self, kind: tuple[str, str], press: Press[Outgoing, dict[str, Any]], ack: Ack | None, error: str | None
+    ) -> None:
+        if not press.over:
+            return
+        if ack is not None:
+            self._driving.judge(ack)
+        if press.id is not None:
+            took_ms = (now_ns() - press.pressed_ns) / 1e6
+            self.outgoing.put(AckMessage(id=press.id, took_ms=took_ms, ack=ack, error=error))
+        if kind in self._leg_stops and not self._leg_stops[kind].unconfirmed:
             del self._leg_stops[kind]
 
     async def _answer(self, message_id: int | None, ask: Callable[[], Awaitable[Ack]]) -> None:
@@ -310,8 +318,6 @@ class Page:
         try:
             ack = await ask()
             self._driving.judge(ack)
-        except asyncio.CancelledError:
-            error = "a newer one of this page has taken its place"
         except Exception as failed:  # also without memory or descriptors: the page has to know
             error = str(failed) or repr(failed)
         if message_id is not None:

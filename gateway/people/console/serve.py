@@ -30,7 +30,7 @@ from gateway.people.console.messages import ROLES, Role, least
 from gateway.people.console.pages import Pages
 from gateway.people.console.register import LINK_S, Register
 from gateway.people.console.site import DEFAULT_PORT, Site
-from gateway.people.console.stops import Stops
+from gateway.people.console.stops import Stops, send_stopping
 from gateway.people.console.tls import server_context
 from gateway.people.terminal import hint, say, this_command
 from gateway.robot.host import descriptors, logs, realtime
@@ -101,7 +101,7 @@ async def _run(
         loop.add_signal_handler(number, ended.set)
     site, pages = options.site, Pages(common_name, found.revoke)
     gateway = GatewayLink(options.connect, options.zenoh_config, person, options.timeout_s, pages)
-    stops = Stops(gateway.estop)
+    stops = Stops(gateway.estop, send_stopping)
     console = Console(found, gateway, stops, pages, person=person, geometry=geometry)
     door = Door(site, found, person=person, role=role)
     context = server_context(site.certificate, site.key) if site.certificate and site.key else None

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 import pytest
 
 from gateway.errors import LeaseLostError, UnansweredError
-from gateway.people.tools.calibrate import held_servo as module
+from gateway.people.tools.calibrate import holding as module
 from gateway.people.tools.calibrate.held_servo import HeldServo
 from schemas.telemetry import Reason
 from tests.support.calibrated_robot import LATE_S, Servos
@@ -22,7 +22,7 @@ def holding(servos: Servos) -> Iterator[HeldServo]:
     held = HeldServo(servos, timeout_ms=20)
     held.start(32, 90.0)
     servos.wait(lambda asked: SETS in asked)
-    assert held.confirmed
+    assert held.holding.confirmed
     try:
         yield held
     finally:
@@ -52,59 +52,21 @@ def test_it_starts_once_and_then_sets() -> None:
         servos.wait(lambda asked: STOP in asked)
         wait_until(held, lambda: not held.stopping)
         assert servos.asked[-1] == STOP
-        assert held.unconfirmed is None
+        assert held.holding.unconfirmed is None
 
 
-def test_one_step_is_under_way_at_most() -> None:
+def test_a_stop_waits_for_no_answer() -> None:
     servos = Servos()
     with holding(servos) as held:
         servos.answers["set"].clear()
-        assert held.go(91.0)
-        assert not any(held.go(angle_deg) for angle_deg in (92.0, 93.0, 94.0))
-        servos.answers["set"].set()
-        servos.wait(lambda asked: (32, "set", 91.0) in asked)
-        wait_until(held, lambda: held.go(92.0))
-        servos.wait(lambda asked: (32, "set", 92.0) in asked)
-        assert max(asked[2] for asked in servos.asked if isinstance(asked[2], float)) == 92.0
-
-
-def test_a_step_beyond_the_gateways_limit_is_taken_back_and_the_servo_goes_on() -> None:
-    servos = Servos()
-    servos.highest_deg = 90.0
-    with holding(servos) as held:
-        assert held.go(91.0)
-        servos.wait(lambda asked: asked[-1] == SETS and (32, "set", 91.0) in asked)
-        assert held.rejected_step() == ("91 is outside", 90.0)
-        assert held.rejected_step() is None
-        assert held.running
-
-
-@pytest.mark.parametrize("op", ["start", "set"])
-def test_a_stop_waits_for_no_answer(op: str) -> None:
-    servos = Servos()
-    with holding(servos) as held:
-        if op == "start":
-            held.stop()
-            wait_until(held, lambda: not held.stopping)
-            servos.asked.clear()
-            servos.answers["start"].clear()
-            held.start(32, 45.0)
-            servos.wait(lambda asked: (32, "start", 45.0) in asked)
-        else:
-            servos.answers["set"].clear()
-            servos.asked.clear()
-            servos.wait(lambda asked: SETS in asked)
+        servos.asked.clear()
+        servos.wait(lambda asked: SETS in asked)
         held.stop()
         servos.wait(lambda asked: STOP in asked)
 
 
-@pytest.mark.parametrize(("highest_deg", "stops"), [(180.0, 2), (45.0, 1)], ids=["accepted", "rejected"])
-def test_a_start_that_a_stop_has_overtaken_is_stopped_again_where_it_was_accepted(
-    highest_deg: float, stops: int
-) -> None:
-    """Where it was rejected, somebody else may run that leg by then."""
+def test_a_start_that_a_stop_has_overtaken_is_stopped_again() -> None:
     servos = Servos()
-    servos.highest_deg = highest_deg
     held = HeldServo(servos, timeout_ms=20)
     servos.answers["start"].clear()
     held.start(32, 90.0)
@@ -114,7 +76,7 @@ def test_a_start_that_a_stop_has_overtaken_is_stopped_again_where_it_was_accepte
     assert not held.close(0.05)  # the start may still come
     servos.answers["start"].set()
     assert held.close(LATE_S)
-    assert (servos.asked[-1], servos.asked.count(STOP)) == (STOP, stops)
+    assert servos.asked[-1] == STOP
     assert servos.running == set()
 
 
@@ -123,58 +85,36 @@ def test_space_stops_all_legs_whatever_runs() -> None:
     held = HeldServo(servos)
     held.stop(all_legs=True)
     servos.wait(lambda asked: (None, "stop", None) in asked)
+    wait_until(held, lambda: not held.stopping)
     held.stop()
     assert held.close(0)
     assert servos.asked == [(None, "stop", None)]
 
 
-def test_a_key_that_is_held_down_asks_for_four_stops_at_most() -> None:
-    servos = Servos()
-    held = HeldServo(servos)
-    servos.answers["stop"].clear()
-    for _ in range(30):
-        held.stop(all_legs=True)
-    servos.answers["stop"].set()
-    wait_until(held, lambda: not held.stopping)
-    assert len(servos.asked) <= 4
-
-
-def test_what_somebody_else_stopped_is_not_started_again() -> None:
-    servos = Servos()
-    with holding(servos) as held:
-        servos.running.clear()
-        wait_until(held, lambda: not held.running)
-        assert held.fault == "servo_stopped: servo 32 does not run"
-        assert [asked[1] for asked in servos.asked].count("start") == 1
-        assert STOP not in servos.asked
-
-
-def test_a_lost_link_is_a_stop_that_is_asked_for_and_said() -> None:
+def test_a_stop_that_nobody_answers_is_asked_again_by_itself_and_said() -> None:
     servos = Servos()
     with holding(servos) as held:
         servos.fails = {op: UnansweredError("no gateway answered") for op in ("set", "stop")}
-        wait_until(held, lambda: held.unconfirmed is not None)
-        assert (held.fault, held.unconfirmed) == ("no gateway answered", "no gateway answered")
-        assert not held.close(0.05)  # it owes somebody a Stop
+        wait_until(held, lambda: held.holding.unconfirmed is not None)
+        assert (held.holding.fault, held.holding.unconfirmed) == ("no gateway answered", "no gateway answered")
+        servos.wait(lambda asked: asked.count(STOP) > 1)
         servos.fails = {}
-        assert held.close(LATE_S)
+        wait_until(held, lambda: not held.stopping)
+        assert held.holding.unconfirmed is None
+        assert servos.running == set()
 
 
-@pytest.mark.parametrize(("holder", "stops"), [("anna", False), (None, True)])
-def test_who_took_the_lease_has_stopped_the_leg_and_may_drive_it(holder: str | None, stops: bool) -> None:
+def test_who_took_the_lease_may_drive_the_leg() -> None:
     servos = Servos()
     with holding(servos) as held:
-        servos.fails["set"] = LeaseLostError(Reason.NOT_HOLDER, "it is lost", holder)
-        wait_until(held, lambda: not held.running and not held.stopping)
-        assert (STOP in servos.asked) is stops
+        servos.fails["set"] = LeaseLostError(Reason.NOT_HOLDER, "it is lost", "anna")
+        wait_until(held, lambda: not held.holding.running and not held.stopping)
+        assert STOP not in servos.asked
 
 
-def test_a_stuck_screen_and_an_empty_chair_stop_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_stuck_screen_stops_it(monkeypatch: pytest.MonkeyPatch) -> None:
     servos = Servos()
-    for limit, fault in (("UNSEEN_S", "this terminal was stuck"), ("UNTOUCHED_S", "no key was pressed for 0 minutes")):
-        with holding(servos) as held, monkeypatch.context() as patch:
-            patch.setattr(module, limit, 0.0)
-            servos.wait(lambda asked: STOP in asked)
-            assert held.fault is not None
-            assert held.fault.startswith(fault)
-            servos.asked.clear()
+    with holding(servos) as held:
+        monkeypatch.setattr(module, "UNSEEN_S", 0.0)
+        servos.wait(lambda asked: STOP in asked)
+        assert held.holding.fault == "this terminal was stuck, so the servo was stopped"

@@ -204,7 +204,7 @@ def test_a_lost_lease_ends_the_test_and_keeps_the_draft(person: Person, holder: 
     person.press("i")
     person.session.lost(LeaseLostError(Reason.NOT_HOLDER, "the lease is lost, eve\x1b[2J holds it now", holder))
     person.sees("THE LEASE IS LOST, and the servo is stopped: the lease is lost, eve\\x1b[2J holds it now", "Servo: _")
-    assert not person.held.running
+    assert not person.held.holding.running
     assert any(asked[1] == "stop" for asked in person.servos.asked) is stops
     assert person.guide.changed == [32]
 

@@ -6,14 +6,15 @@ from collections.abc import AsyncIterator
 import pytest
 
 from gateway.errors import DisconnectedError
-from gateway.people.client.stops import AGAIN_S, AT_ONCE
+from gateway.people.client.confirmed_stop import AGAIN_NS, AT_ONCE, MAX_PRESSES
 from gateway.people.console.messages import Stopping
 from gateway.people.console.outgoing import Outgoing
-from gateway.people.console.stops import MAX_PRESSES, Stops
+from gateway.people.console.stops import Stops, send_stopping
 from schemas.telemetry import Ack, Report
 
 pytestmark = pytest.mark.virtual_time
 
+AGAIN_S = AGAIN_NS / 1e9
 ACK = Ack(accepted=True, stop_frames=6, estop=1, latency_us=900.0)
 
 
@@ -70,8 +71,8 @@ async def robot() -> AsyncIterator[Robot]:
 
 
 async def test_a_press_is_asked_at_once_and_confirmed(robot: Robot) -> None:
-    stops, page = Stops(robot.estop), Page()
-    stops.press(page, 7)
+    stops, page = Stops(robot.estop, send_stopping), Page()
+    stops.press(page, 7, None)
     assert [(message.answered, message.attempts) for message in page.heard] == [(False, 0)]
     await turns()
     await robot.answer(0)
@@ -81,8 +82,8 @@ async def test_a_press_is_asked_at_once_and_confirmed(robot: Robot) -> None:
 
 
 async def test_it_is_asked_again_until_it_is_answered(robot: Robot) -> None:
-    stops, page = Stops(robot.estop), Page()
-    stops.press(page, 7)
+    stops, page = Stops(robot.estop, send_stopping), Page()
+    stops.press(page, 7, None)
     for number in range(5):
         await turns()
         assert len(robot.requests) == number + 1
@@ -99,8 +100,8 @@ async def test_it_is_asked_again_until_it_is_answered(robot: Robot) -> None:
 @pytest.mark.parametrize("fault", [RuntimeError("can't start new thread"), MemoryError(), OSError(24, "no descriptor")])
 async def test_whatever_goes_wrong_it_is_asked_again(robot: Robot, fault: Exception) -> None:
     """Also what is no answer of a gateway: a machine that has no thread, no memory, no descriptor left."""
-    stops, page = Stops(robot.estop), Page()
-    stops.press(page, 7)
+    stops, page = Stops(robot.estop, send_stopping), Page()
+    stops.press(page, 7, None)
     await turns()
     robot.requests[0].set_exception(fault)
     await turns()
@@ -112,9 +113,9 @@ async def test_whatever_goes_wrong_it_is_asked_again(robot: Robot, fault: Except
 
 
 async def test_two_requests_that_fail_at_once_do_not_each_leave_it_to_the_other(robot: Robot) -> None:
-    stops, page = Stops(robot.estop), Page()
-    stops.press(page, 1)
-    stops.press(page, 2)
+    stops, page = Stops(robot.estop, send_stopping), Page()
+    stops.press(page, 1, None)
+    stops.press(page, 2, None)
     await turns()
     await robot.fail(0)
     await robot.fail(1)
@@ -125,8 +126,8 @@ async def test_two_requests_that_fail_at_once_do_not_each_leave_it_to_the_other(
 
 
 async def test_it_is_asked_for_by_the_name_of_whoever_pressed_and_again_by_the_latest(robot: Robot) -> None:
-    stops, page = Stops(robot.estop), Page()
-    stops.press(page, 1)
+    stops, page = Stops(robot.estop, send_stopping), Page()
+    stops.press(page, 1, None)
     await turns()
     await asyncio.sleep(0.001)
     stops.press(page, 2, "anna/page 3")
@@ -139,10 +140,10 @@ async def test_it_is_asked_for_by_the_name_of_whoever_pressed_and_again_by_the_l
 
 
 async def test_a_press_outlives_its_page_and_those_of_many_pages_are_one(robot: Robot) -> None:
-    stops = Stops(robot.estop)
+    stops = Stops(robot.estop, send_stopping)
     for _ in range(100):
         page = Page()
-        stops.press(page, 1)
+        stops.press(page, 1, None)
         stops.leave(page)
     assert stops.unconfirmed
     await turns()
@@ -156,11 +157,11 @@ async def test_a_press_outlives_its_page_and_those_of_many_pages_are_one(robot: 
 
 async def test_an_answer_to_an_earlier_request_does_not_count(robot: Robot) -> None:
     """Between the first request and the second press, somebody may have reset it."""
-    stops, page = Stops(robot.estop), Page()
-    stops.press(page, 1)
+    stops, page = Stops(robot.estop, send_stopping), Page()
+    stops.press(page, 1, None)
     await turns()
     await asyncio.sleep(0.001)
-    stops.press(page, 2)
+    stops.press(page, 2, None)
     await turns()
     assert len(robot.requests) == 2, "the second is asked for without waiting for the first"
     await robot.answer(0)
@@ -170,9 +171,9 @@ async def test_an_answer_to_an_earlier_request_does_not_count(robot: Robot) -> N
 
 
 async def test_presses_beyond_those_under_way_are_asked_for_afterwards(robot: Robot) -> None:
-    stops, page = Stops(robot.estop), Page()
+    stops, page = Stops(robot.estop, send_stopping), Page()
     for number in range(AT_ONCE + 3):
-        stops.press(page, number)
+        stops.press(page, number, None)
         await turns()
         await asyncio.sleep(0.001)
     assert len(robot.requests) == AT_ONCE
@@ -183,10 +184,10 @@ async def test_presses_beyond_those_under_way_are_asked_for_afterwards(robot: Ro
 
 
 async def test_a_page_that_leans_on_it_takes_bounded_memory(robot: Robot) -> None:
-    stops, page, other = Stops(robot.estop), Page(), Page()
+    stops, page, other = Stops(robot.estop, send_stopping), Page(), Page()
     for number in range(10 * MAX_PRESSES):
-        stops.press(page, number)
-    stops.press(other, 1)
+        stops.press(page, number, None)
+    stops.press(other, 1, None)
     await turns()
     for number in range(AT_ONCE):
         await robot.answer(number)

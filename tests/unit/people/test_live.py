@@ -11,15 +11,12 @@ import zenoh
 from pydantic import BaseModel
 
 from gateway.client import Client
-from gateway.errors import DisconnectedError
 from gateway.people.client.live import KEPT_EVENTS, Live, OnLoop, Order, Receiver, ReportQueue, Starts
-from gateway.people.client.stops import AT_ONCE, UntilConfirmed
 from schemas.keys import EVENT, STATE
-from schemas.telemetry import Ack, BodyReport, Event, GatewayState, Kind
+from schemas.telemetry import BodyReport, Event, GatewayState, Kind
 from tests.support.watch_reports import WALL, event, state
 
 MODELS: dict[str, type[BaseModel]] = {STATE: GatewayState, EVENT: Event}
-STOPPED = Ack(accepted=True, stop_frames=6, latency_us=800.0)
 
 
 # ---- a restart
@@ -181,66 +178,3 @@ def test_a_session_without_subscriptions_is_closed_before_the_next_is_opened() -
     for _ in range(2):
         assert opened.get(timeout=10) is closed.get(timeout=10)
     live.close()
-
-
-# ---- a Stop
-
-
-class Gateway:
-    """Answers the request that it is told to; whoever asks waits for that."""
-
-    def __init__(self, *answers: Ack | Exception) -> None:
-        self._answers = list(answers)
-        self._lock = threading.Lock()
-        self.asked = threading.Semaphore(0)
-        self.may_answer = threading.Semaphore(0)
-        self.confirmed = threading.Event()
-        self.noted: list[Ack | None] = []
-        self.stops = UntilConfirmed(self._estop, self._note)
-
-    def _estop(self) -> Ack:
-        self.asked.release()
-        self.may_answer.acquire()
-        with self._lock:
-            answer = self._answers.pop(0)
-        if isinstance(answer, Exception):
-            raise answer
-        return answer
-
-    def _note(self, ack: Ack | None, _began_ns: int) -> bool:
-        self.noted.append(ack)
-        if ack is not None:
-            self.confirmed.set()
-        return not self.confirmed.is_set()
-
-
-def test_a_stop_is_requested_again_until_it_is_confirmed() -> None:
-    gateway = Gateway(MemoryError(), RuntimeError("no thread"), STOPPED)
-    gateway.stops.press()
-    for _ in range(3):
-        assert gateway.asked.acquire(timeout=10)
-        gateway.may_answer.release()
-    assert gateway.confirmed.wait(10)
-    assert gateway.noted == [None, None, STOPPED]
-
-
-def test_a_press_waits_for_no_earlier_request_and_a_held_key_begins_a_few_only() -> None:
-    gateway = Gateway(*[STOPPED] * AT_ONCE)
-    for _ in range(3 * AT_ONCE):
-        gateway.stops.press()
-    for _ in range(AT_ONCE):
-        assert gateway.asked.acquire(timeout=10)
-    assert not gateway.asked.acquire(blocking=False)
-    gateway.may_answer.release(AT_ONCE)
-    assert gateway.confirmed.wait(10)
-
-
-def test_a_press_finds_a_thread_where_the_system_allows_no_more(monkeypatch: pytest.MonkeyPatch) -> None:
-    def start(_: threading.Thread) -> None:
-        raise RuntimeError("can't start new thread")
-
-    gateway = Gateway(DisconnectedError("no answer"), STOPPED)
-    monkeypatch.setattr(threading.Thread, "start", start)
-    gateway.stops.press()
-    gateway.may_answer.release(2)
-    assert gateway.confirmed.wait(10)

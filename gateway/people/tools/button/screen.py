@@ -31,7 +31,7 @@ class Screen(screen.Screen):
         super().__init__()
         self._client = client
         self._button = button
-        self._stop = UntilConfirmed(button.press, self._confirmed)
+        self._stop = UntilConfirmed(button.press, self._answered)
         self._check_ins = CheckIns(button, self._is_drawn, lambda: client.state().uptime_s)
         self._drawn_s = float("-inf")
         self._state: GatewayState | None = None
@@ -58,12 +58,12 @@ class Screen(screen.Screen):
         self._stop.press()
         return True
 
-    def _confirmed(self, ack: Ack | None, _began_ns: int) -> bool:
-        if ack is None:
+    def _answered(self, outcome: Ack | Exception) -> bool:
+        if isinstance(outcome, Ack):
+            self._pressed = f"STOPPED: {outcome.stop_frames} Stop frames written"
+        else:
             self._pressed = "NOT STOPPED: no gateway answered; it is tried again"
-            return True
-        self._pressed = f"STOPPED: {ack.stop_frames} Stop frames written"
-        return False
+        return True
 
     # ---- what is known
 

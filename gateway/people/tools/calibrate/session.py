@@ -122,7 +122,7 @@ class Session:
 
     def _to_servo(self, stopped: str = "") -> None:
         """Another servo may be chosen. `stopped` is said once that is confirmed."""
-        if self.held.running:  # also one that was started a moment ago
+        if self.held.holding.running:  # also one that was started a moment ago
             self.held.stop()
         self._begun += 1
         self.busy = ""
@@ -307,16 +307,16 @@ class Session:
         self.held.seen()
         rejected = self.held.rejected_step()
         if self._when_stopped and not self.held.stopping:
-            self.message = self.message or self._when_stopped * (self.held.unconfirmed is None)
+            self.message = self.message or self._when_stopped * (self.held.holding.unconfirmed is None)
             self._when_stopped = ""
         if self.guide.servo_id is None:
             return
-        if not self.held.running:
+        if not self.held.holding.running:
             servo_id, shown_deg = self.guide.servo_id, self.guide.shown_deg
             self._to_servo()
-            self.message = f"servo {servo_id} does not run any more: {self.held.fault or 'it was stopped'}"
-            if not self.held.has_run:
-                self.message = f"servo {servo_id} is not started: {self.held.fault}"
+            self.message = f"servo {servo_id} does not run any more: {self.held.holding.fault or 'it was stopped'}"
+            if not self.held.holding.has_run:
+                self.message = f"servo {servo_id} is not started: {self.held.holding.fault}"
                 self.asks, self.typed = Asks.ANGLE, f"{shown_deg:g}"
         elif rejected is not None:
             self.message, angle_deg = rejected

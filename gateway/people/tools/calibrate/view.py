@@ -80,7 +80,7 @@ def _ask(text: Text, question: str, session: Session) -> None:
 def _running(text: Text, session: Session, bar: int) -> None:
     guide, held = session.guide, session.held
     servo_id = guide.servo_id or 0
-    runs = held.confirmed
+    runs = held.holding.confirmed
     text.append(f" servo {servo_id} {'RUNS at' if runs else 'is started at'} {guide.shown_deg:g}° ", "black on green")
     if guide.in_force.of(servo_id) != guide.draft[servo_id]:
         text.append(f"  {guide.command_deg:g}° by revision {guide.in_force.revision}, which is in force", "dim")
@@ -109,9 +109,10 @@ def _bar(text: Text, servo: ServoCalibration, shown_cdeg: int, columns: int) -> 
 
 def _message(text: Text, session: Session) -> None:
     held = session.held
-    if held.unconfirmed is not None:
+    if held.holding.unconfirmed is not None:
         text.append(
-            f" NOBODY HAS CONFIRMED THE STOP ({held.unconfirmed}): switch the servos' power off \n", "white on red"
+            f" NOBODY HAS CONFIRMED THE STOP ({held.holding.unconfirmed}): switch the servos' power off \n",
+            "white on red",
         )
     if held.stopping:
         text.append("Stop …", "bold")

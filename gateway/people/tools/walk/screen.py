@@ -52,8 +52,6 @@ class Screen(screen.Screen):
         self._walk: Walk = client.walk(gait, geometry)
         self._height_m = height_m
         self._stop = UntilConfirmed(client.estop, self._stop_answered)
-        self._stop_wanted = False
-        """Somebody has pressed it, and nobody has confirmed it."""
         self._pad = Keypad()
         self._todo: queue.SimpleQueue[Callable[[], object]] = queue.SimpleQueue()
         self._driven = threading.Event()
@@ -81,7 +79,7 @@ class Screen(screen.Screen):
             raise
 
     def last_words(self) -> list[str]:
-        if self._stop_wanted:
+        if self._stop.since_ns is not None:
             return [screen.NOT_STOPPED]
         return [] if self._legs_stopped else [_UNCONFIRMED]
 
@@ -90,7 +88,6 @@ class Screen(screen.Screen):
     def press(self, keys: list[str]) -> bool:
         """An emergency stop among them is all that counts."""
         if " " in keys or "x" in keys:
-            self._stop_wanted = True
             self._stop.press()
             self._pad.release()
             return True
@@ -124,20 +121,19 @@ class Screen(screen.Screen):
         self._height_m = height_m
 
     def _go_on(self) -> None:
-        self._stop_wanted = False
+        self._stop.take_back()
         if self._client.state().mode == Mode.ESTOPPED:
             self._client.reset()
         self._walk.start_again()
         self._message = "It goes on with the next key."
 
-    def _stop_answered(self, ack: Ack | None, _began_ns: int) -> bool:
-        """What came of a request; whether the stop is still wanted."""
-        if ack is None:
+    def _stop_answered(self, outcome: Ack | Exception) -> bool:
+        if isinstance(outcome, Ack):
+            within = f"within {outcome.latency_us:.0f} µs"
+            self._message = f"EMERGENCY STOP: {outcome.stop_frames} Stop frames written {within}"
+        else:
             self._message = "NOT STOPPED: no gateway answered; it is tried again"
-            return self._stop_wanted
-        self._stop_wanted = False
-        self._message = f"EMERGENCY STOP: {ack.stop_frames} Stop frames written within {ack.latency_us:.0f} µs"
-        return False
+        return True
 
     # ---- the robot
 

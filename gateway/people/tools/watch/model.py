@@ -128,7 +128,6 @@ class Model:
     _question: Question | None = None
     _asked_ns: int = 0
     _pressed_ns: int = 0
-    _reset_ns: int = 0
 
     # ---- what is received
 
@@ -289,17 +288,14 @@ class Model:
             self.stop_wanted_ns = self._pressed_ns = now_ns
             self.stop_tries = 0
 
-    def stop_answered(self, ack: Ack, asked_ns: int, now_ns: int) -> None:
-        """The gateway confirms the request of `asked_ns`, with how many Stop frames it wrote."""
+    def stop_answered(self, ack: Ack, newer_ns: int | None, now_ns: int) -> None:
+        """The gateway confirms a press, with how many Stop frames it wrote; one of `newer_ns` is not confirmed yet."""
         self.estop = max(self.estop or 0, ack.estop or 0)
-        if asked_ns < self._reset_ns:
-            return  # a reset has followed that stop; a later stop waits for its own answer
-        known = self.remark is not None and self.remark.of_stop and self.remark.tone is Tone.GOOD
-        if self.stop_wanted_ns is None and known:
-            return  # the second answer to one stop
-        self.stop_wanted_ns = None
         frames = ack.stop_frames or 0
         took = f", confirmed {(now_ns - self._pressed_ns) / NS_PER_MS:.0f} ms after the key"
+        self.stop_wanted_ns = newer_ns
+        if newer_ns is not None:
+            self._pressed_ns, self.stop_tries = newer_ns, 0
         if frames >= len(LEGS) and ack.latency_us is not None:
             text = f"STOPPED: {frames} Stop frames written within {ack.latency_us:.0f} µs of the request{took}"
             self.remark = Remark(Tone.GOOD, text, now_ns, of_stop=True)
@@ -329,7 +325,6 @@ class Model:
         """The question was answered with yes."""
         self._question = None
         self.stop_wanted_ns = None
-        self._reset_ns = now_ns
         self.remark = Remark(Tone.NOTE, "reset: sent, waiting for the answer", now_ns)
 
     # ---- who is driving

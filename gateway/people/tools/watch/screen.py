@@ -93,6 +93,7 @@ class Screen(screen.Screen, Receiver):
             estop = model.estop  # the one that the user has seen, not one that somebody requests from now on
             match asking, key:
                 case Question.RESET, "y":
+                    self._stops.take_back()
                     model.reset_confirmed(now_ns)
                     self._begin(partial(self._reset, estop=estop), "NO RESET", "reset")
                 case Question.TAKE, "y":
@@ -139,19 +140,22 @@ class Screen(screen.Screen, Receiver):
             self.model.stop_pressed(time.monotonic_ns())
         self._noted.set()
 
-    def _stop_answered(self, ack: Ack | None, began_ns: int) -> bool:
+    def _stop_answered(self, outcome: Ack | Exception) -> bool:
         """What came of a request; whether the stop is still wanted."""
         self._noted.wait()
         with self._changes():
-            if ack is None:
+            if not isinstance(outcome, Ack):
                 self.model.stop_unanswered()
-            else:
-                self.model.stop_answered(ack, began_ns, time.monotonic_ns())
-            wanted = self.model.stop_wanted_ns is not None
-        if ack is not None and (client := self._link.client) is not None:
+                return self.model.stop_wanted_ns is not None
+            self.model.stop_answered(outcome, self._stops.since_ns, time.monotonic_ns())
+        with suppress(RuntimeError):  # no thread is to be had
+            threading.Thread(target=self._who_answered, name="others", daemon=True).start()
+        return True
+
+    def _who_answered(self) -> None:
+        if (client := self._link.client) is not None:
             with suppress(*ERRORS):
                 self._note_others(client, wire.ESTOP)
-        return wanted
 
     def _client(self) -> Client:
         if self._link.client is None:

@@ -1,0 +1,128 @@
+"""A Stop that is requested at once, and again until it is confirmed: the rules, without a clock, a thread or a link.
+
+A press is requested at once and waits for no earlier request, while fewer than AT_ONCE are under way. Only an answer to
+a request that began after the press confirms it: an earlier one may have been reset in between. Whatever else comes of
+a request counts as no answer, and the next one begins AGAIN_NS later. So each press that is unconfirmed has a request
+under way that can confirm it, or one that is due. A press outlives its page.
+"""
+
+from dataclasses import dataclass
+from typing import Final, Generic, TypeVar
+
+P = TypeVar("P")
+W = TypeVar("W")
+
+AT_ONCE: Final = 4
+"""Requests under way at most; a key that is held down repeats some 30 times a second."""
+AGAIN_NS: Final = 100_000_000
+"""After a request that nobody answered, which itself has lasted as long as a client waits for an answer."""
+MAX_PRESSES: Final = 16
+"""Of one page, unconfirmed; the newest makes the oldest give way, for it asks for the same, later."""
+
+
+@dataclass(eq=False, slots=True)
+class Press(Generic[P, W]):
+    """One press of a page's, until it is confirmed or given up."""
+
+    page: P | None
+    """None: the page that pressed is gone."""
+    id: int | None
+    """By the page's own count; None: it wants no answer."""
+    what: W
+    """What a request for this press has to carry."""
+    pressed_ns: int
+    number: int
+    """Of all pages' presses, in the order in which they came."""
+    attempts: int = 0
+    """Requests that could have confirmed it and have ended."""
+    over: bool = False
+    """It is confirmed, or its time is over."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Request(Generic[W]):
+    """One request under way; its answer confirms every press up to number `covers`."""
+
+    covers: int
+    what: W
+
+
+class ConfirmedStop(Generic[P, W]):
+    """All pages' presses of one Stop. Its shell calls `begin` after each change, and again at `due_ns`."""
+
+    def __init__(self, lasts_ns: int | None = None) -> None:
+        """`lasts_ns`: so long after a press a request may begin for it; None: until it is confirmed."""
+        self._lasts_ns = lasts_ns
+        self._presses = 0
+        self._asked = 0
+        """The newest press that a request has covered."""
+        self._again_ns = 0
+        self._unconfirmed: list[Press[P, W]] = []
+        self._under_way: list[Request[W]] = []
+
+    @property
+    def since_ns(self) -> int | None:
+        """When the oldest unconfirmed press came; None: all are confirmed."""
+        return self._unconfirmed[0].pressed_ns if self._unconfirmed else None
+
+    def press(self, page: P, press_id: int | None, what: W, now_ns: int) -> Press[P, W]:
+        """A page asks for it, now."""
+        self._presses += 1
+        press: Press[P, W] = Press(page, press_id, what, now_ns, self._presses)
+        mine = [other for other in self._unconfirmed if other.page is page]
+        if len(mine) >= MAX_PRESSES:
+            self._unconfirmed.remove(mine[0])
+        self._unconfirmed.append(press)
+        return press
+
+    def leave(self, page: P) -> None:
+        """The page is gone: of its presses, and those of all that went before, the newest stands for all of them."""
+        for press in self._unconfirmed:
+            if press.page is page:
+                press.page = None
+        for press in [press for press in self._unconfirmed if press.page is None][:-1]:
+            self._unconfirmed.remove(press)
+
+    def take_back(self, request: Request[W] | None = None) -> None:
+        """Nobody wants any longer what this request covers; without one, nothing that has been pressed so far."""
+        covers = self._presses if request is None else request.covers
+        self._unconfirmed = [press for press in self._unconfirmed if press.number > covers]
+
+    @property
+    def due_ns(self) -> int | None:
+        """When the next request is to begin, perhaps in the past; None: not before something else happens.
+
+        What is due depends on the newest press alone, for a request that can confirm it can confirm all of them.
+        """
+        if not self._unconfirmed or len(self._under_way) >= AT_ONCE:
+            return None
+        newest = self._unconfirmed[-1]
+        if any(request.covers >= newest.number for request in self._under_way):
+            return None
+        return newest.pressed_ns if newest.number > self._asked else self._again_ns
+
+    def begin(self, now_ns: int) -> Request[W] | None:
+        """The request that begins now; None: none is due."""
+        due_ns = self.due_ns
+        if due_ns is None or now_ns < due_ns:
+            return None
+        request = Request(self._presses, self._unconfirmed[-1].what)
+        self._asked = request.covers
+        self._under_way.append(request)
+        return request
+
+    def ended(self, request: Request[W], now_ns: int, *, answered: bool) -> list[Press[P, W]]:
+        """It has its answer, or will get none. Those that it covers, confirmed or not; none: it is no news."""
+        self._under_way.remove(request)
+        covered = [press for press in self._unconfirmed if press.number <= request.covers]
+        if not answered:
+            self._again_ns = now_ns + AGAIN_NS
+        for press in covered:
+            press.attempts += 1
+            press.over = answered or self._is_too_late(press)
+            if press.over:
+                self._unconfirmed.remove(press)
+        return covered
+
+    def _is_too_late(self, press: Press[P, W]) -> bool:
+        return self._lasts_ns is not None and self._again_ns - press.pressed_ns > self._lasts_ns

@@ -1,0 +1,240 @@
+"""A Stop that is pressed until it is confirmed, in virtual time: presses, answers and failures in any order."""
+
+from hypothesis import settings
+from hypothesis import strategies as st
+from hypothesis.stateful import Bundle, RuleBasedStateMachine, consumes, invariant, precondition, rule
+
+from gateway.people.client.confirmed_stop import AGAIN_NS, AT_ONCE, MAX_PRESSES, ConfirmedStop, Press, Request
+
+AnyPress = Press[str, str]
+AnyRequest = Request[str]
+
+
+class Stop(ConfirmedStop[str, str]):
+    """By one page, unless another is named."""
+
+    def presses(self, press_id: int, now_ns: int = 0, page: str = "page") -> AnyPress:
+        return self.press(page, press_id, f"by {page}", now_ns)
+
+    def begins(self, now_ns: int = 0) -> AnyRequest:
+        request = self.begin(now_ns)
+        assert request is not None
+        return request
+
+    def asked(self, press_id: int, now_ns: int = 0) -> AnyRequest:
+        self.presses(press_id, now_ns)
+        return self.begins(now_ns)
+
+
+def ids(presses: list[AnyPress]) -> list[int | None]:
+    return [press.id for press in presses]
+
+
+def test_a_press_is_asked_for_at_once_and_confirmed_by_its_answer() -> None:
+    stop = Stop()
+    assert (stop.due_ns, stop.since_ns, stop.begin(5)) == (None, None, None)
+    press = stop.presses(7, 5)
+    assert (stop.due_ns, stop.since_ns) == (5, 5)
+    request = stop.begins(5)
+    assert request.what == "by page"
+    assert (stop.begin(5), stop.due_ns, press.over) == (None, None, False)
+    assert stop.ended(request, 6, answered=True) == [press]
+    assert (press.over, press.attempts, stop.since_ns, stop.due_ns) == (True, 1, None, None)
+
+
+def test_without_an_answer_it_is_asked_again_for_ever() -> None:
+    stop, now_ns = Stop(), 0
+    press = stop.presses(7)
+    for number in range(1, 1000):
+        assert stop.ended(stop.begins(now_ns), now_ns, answered=False) == [press]
+        assert (press.attempts, press.over, stop.due_ns) == (number, False, now_ns + AGAIN_NS)
+        assert stop.begin(now_ns + AGAIN_NS - 1) is None
+        now_ns += AGAIN_NS
+    stop.ended(stop.begins(now_ns), now_ns, answered=True)
+    assert press.over
+
+
+def test_a_press_waits_for_no_pause_and_for_no_earlier_request() -> None:
+    stop = Stop()
+    stop.ended(stop.asked(1), 10, answered=False)
+    stop.asked(2, 11)
+    stop.asked(3, 12)
+
+
+def test_an_answer_to_an_earlier_request_does_not_count() -> None:
+    """Between the first request and the second press, somebody may have reset it. Also in the same nanosecond."""
+    stop = Stop()
+    first, second = stop.asked(1), stop.asked(2)
+    assert ids(stop.ended(first, 1, answered=True)) == [1]
+    assert stop.since_ns == 0
+    assert ids(stop.ended(second, 1, answered=True)) == [2]
+
+
+def test_one_answer_confirms_all_that_was_pressed_before_its_request_and_the_next_is_no_news() -> None:
+    stop = Stop()
+    first, second = stop.asked(1), stop.asked(2)
+    assert ids(stop.ended(second, 1, answered=True)) == [1, 2]
+    assert stop.ended(first, 2, answered=False) == []
+    assert stop.due_ns is None
+
+
+def test_beyond_those_at_once_the_newest_is_asked_for_as_soon_as_one_has_ended() -> None:
+    stop = Stop()
+    requests = [stop.asked(number) for number in range(AT_ONCE)]
+    stop.presses(AT_ONCE, 5)
+    stop.presses(AT_ONCE + 1, 6)
+    assert (stop.due_ns, stop.begin(7)) == (None, None)
+    stop.ended(requests[0], 8, answered=False)
+    request = stop.begins(8)
+    assert ids(stop.ended(request, 9, answered=True)) == list(range(AT_ONCE + 2))
+
+
+def test_two_that_fail_at_the_same_moment_do_not_leave_it_to_each_other() -> None:
+    stop = Stop()
+    first, second = stop.asked(1), stop.asked(2)
+    stop.ended(first, 10, answered=False)
+    assert stop.due_ns is None, "the second may still confirm both"
+    stop.ended(second, 10, answered=False)
+    assert stop.due_ns == 10 + AGAIN_NS
+
+
+def test_a_failure_is_not_left_to_an_older_request_that_hangs() -> None:
+    stop = Stop()
+    stop.asked(1)
+    second = stop.asked(2)
+    stop.ended(second, 10, answered=False)
+    assert stop.due_ns == 10 + AGAIN_NS, "no answer to the first would confirm the second press"
+
+
+def test_it_is_asked_by_whoever_pressed_last() -> None:
+    stop = Stop()
+    stop.presses(1, page="anna")
+    stop.presses(1, page="bert")
+    assert stop.begins().what == "by bert"
+
+
+def test_a_press_outlives_its_page_and_those_of_many_pages_are_one() -> None:
+    stop = Stop()
+    for number, page in enumerate([f"page {number}" for number in range(100)]):
+        stop.presses(number, page=page)
+        stop.leave(page)
+    press, stays = stop.ended(stop.begins(), 1, answered=False), stop.presses(7, page="stays")
+    assert [(each.id, each.page) for each in press] == [(99, None)]
+    assert ids(stop.ended(stop.begins(1), 2, answered=True)) == [99, 7]
+    assert stays.over
+
+
+def test_a_page_that_leans_on_it_keeps_its_newest_and_takes_nothing_from_others() -> None:
+    stop = Stop()
+    stop.presses(1, page="other")
+    for number in range(10 * MAX_PRESSES):
+        stop.presses(number)
+    confirmed = stop.ended(stop.begins(), 1, answered=True)
+    assert ids(confirmed) == [1, *range(9 * MAX_PRESSES, 10 * MAX_PRESSES)]
+
+
+def test_what_is_taken_back_is_not_asked_again_and_what_is_pressed_afterwards_is() -> None:
+    stop = Stop()
+    first = stop.asked(1)
+    stop.take_back()
+    assert stop.since_ns is None
+    second = stop.asked(2, 5)
+    assert stop.ended(first, 6, answered=True) == [], "it may be the answer from before the reset"
+    stop.presses(3, 7)
+    stop.ended(second, 8, answered=False)
+    stop.take_back(second)
+    assert ids(stop.ended(stop.begins(8), 9, answered=True)) == [3]
+
+
+def test_where_it_lasts_for_a_time_it_is_given_up_behind_it() -> None:
+    stop = Stop(lasts_ns=2 * AGAIN_NS)
+    press = stop.presses(1)
+    for now_ns in (0, AGAIN_NS):
+        stop.ended(stop.begins(now_ns), now_ns, answered=False)
+        assert not press.over
+    stop.ended(stop.begins(2 * AGAIN_NS), 2 * AGAIN_NS, answered=False)
+    assert (press.over, press.attempts) == (True, 3)
+    assert (stop.since_ns, stop.due_ns) == (None, None)
+
+
+class AnyOrder(RuleBasedStateMachine):
+    """What the caller knows: its presses in order, and its requests, each with how many presses came before it."""
+
+    under_way = Bundle("under_way")
+    pages = st.sampled_from(["anna", "bert", "clara"])
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.stop = ConfirmedStop[str, int]()
+        self.now_ns = 0
+        self.pressed: list[Press[str, int]] = []
+        self.before: dict[Request[int], int] = {}
+        """How many presses there were when it began."""
+
+    @rule(page=pages)
+    def press(self, page: str) -> None:
+        self.pressed.append(self.stop.press(page, len(self.pressed), len(self.pressed), self.now_ns))
+
+    @rule(page=pages, count=st.sampled_from([2, MAX_PRESSES + 1]))
+    def lean(self, page: str, count: int) -> None:
+        for _ in range(count):
+            self.press(page)
+
+    @rule(target=under_way)
+    @precondition(lambda self: self.stop.due_ns is not None and self.stop.due_ns <= self.now_ns)
+    def begin(self) -> Request[int]:
+        request = self.stop.begin(self.now_ns)
+        assert request is not None, "it was due"
+        assert request.what == self.pressed[-1].id
+        self.before[request] = len(self.pressed)
+        return request
+
+    @rule(request=consumes(under_way), answered=st.booleans())
+    def end(self, request: Request[int], answered: bool) -> None:
+        before = self.before.pop(request)
+        waited = self.stop.ended(request, self.now_ns, answered=answered)
+        assert all(press.number <= before for press in waited), "an answer counts only for a press before its request"
+        assert all(press.over is answered for press in waited)
+        assert len(waited) <= 3 * MAX_PRESSES + 1, "three pages, and one press for all that have gone"
+
+    @rule(page=pages)
+    def leave(self, page: str) -> None:
+        self.stop.leave(page)
+
+    @rule()
+    def take_back(self) -> None:
+        self.stop.take_back()
+        for press in self.pressed:
+            press.over = True
+        assert self.stop.since_ns is None
+
+    @rule(by_ns=st.sampled_from([1, AGAIN_NS // 2, AGAIN_NS]))
+    def wait(self, by_ns: int) -> None:
+        self.now_ns += by_ns
+
+    @invariant()
+    def each_press_waits_for_a_request_that_can_confirm_it(self) -> None:
+        if not self.pressed or self.pressed[-1].over:
+            return
+        assert self.stop.since_ns is not None, "the newest press is never given up"
+        confirms = any(before == len(self.pressed) for before in self.before.values())
+        due_ns = self.stop.due_ns
+        assert confirms or len(self.before) == AT_ONCE or (due_ns is not None and due_ns <= self.now_ns + AGAIN_NS)
+
+    @invariant()
+    def bounded(self) -> None:
+        assert len(self.before) <= AT_ONCE
+
+    def teardown(self) -> None:
+        """Whatever came before: once the gateway answers, every press is confirmed."""
+        for request in list(self.before):
+            self.end(request, answered=False)
+        if self.stop.since_ns is not None:
+            self.now_ns += AGAIN_NS
+            self.end(self.begin(), answered=True)
+        assert self.stop.since_ns is None
+        assert not self.pressed or self.pressed[-1].over
+
+
+TestAnyOrder = AnyOrder.TestCase
+TestAnyOrder.settings = settings(max_examples=100, stateful_step_count=40)
