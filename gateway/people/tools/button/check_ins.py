@@ -5,14 +5,18 @@ import time
 from collections.abc import Callable
 from typing import Final
 
-from gateway.errors import ConfigError, GatewayError, RejectedError
+from gateway.errors import GatewayError, RejectedError
 from gateway.people.client.button import Button
 from schemas.telemetry import Reason
 
 SHARE: Final = 4
 """Check-ins within the time that one of them counts: three may be lost on the way."""
 AGAIN_S: Final = 0.2
-"""After one that nobody answered, or that was rejected."""
+"""After one that nobody answered."""
+DENIED_S: Final = 1.0
+"""After a registration that was rejected: each costs the gateway a proof to check."""
+LATE: Final = 0.25
+"""Of the time that one counts: an answer that takes longer comes late, as the person should know."""
 
 
 class CheckIns:
@@ -23,14 +27,17 @@ class CheckIns:
         self._button = button
         self._lives = lives
         self._uptime_s = uptime_s
-        self._registered_s = time.monotonic()
         self._ended = threading.Event()
         self.count = (0, 0)
         """How many are alive, and how many are required, by the latest answer."""
+        self.detail = ""
+        """What the latest answer says besides."""
+        self._answer_s = 0.0
+        """How long it took."""
         self.trouble = ""
         """Why the latest was not accepted."""
         self.refused = ""
-        """Why it is over."""
+        """Why no more check-ins are sent. Pressing goes on."""
         self.confirmed_s = time.monotonic()
         """When the latest that was accepted was sent, monotonic."""
         self._thread = threading.Thread(target=self._run, name="check in", daemon=True)
@@ -61,6 +68,11 @@ class CheckIns:
         """Whether the gateway counts this button, as far as it has answered."""
         return not self.refused and not self.trouble and self.silent_ms < self.timeout_ms
 
+    @property
+    def late_ms(self) -> float | None:
+        """How long the latest answer took, if it came late."""
+        return self._answer_s * 1000 if self._answer_s * 1000 > LATE * self.timeout_ms else None
+
     def _run(self) -> None:
         while not self._ended.is_set() and not self.refused:
             began_s = time.monotonic()
@@ -69,7 +81,8 @@ class CheckIns:
                 try:
                     self._check_in()
                 except (GatewayError, RuntimeError) as error:
-                    self.trouble, pause_s = str(error), AGAIN_S
+                    self.trouble = str(error)
+                    pause_s = DENIED_S if isinstance(error, RejectedError) else AGAIN_S
             self._ended.wait(max(0.0, began_s + pause_s - time.monotonic()))
 
     def _check_in(self) -> None:
@@ -79,19 +92,16 @@ class CheckIns:
         except RejectedError as error:
             self._register_anew(error)
             return
-        self.count = ack.alive or 0, ack.required or 0
+        self.count, self.detail = (ack.alive or 0, ack.required or 0), ack.detail or ""
+        self._answer_s = time.monotonic() - began_s
         self.confirmed_s, self.trouble = began_s, ""
 
     def _register_anew(self, error: RejectedError) -> None:
         """After a restart of the gateway, or where this machine's clock stood still. Not against another of the name:
-        the two would take it from each other for ever, and the robot would stop each time."""
+        it has the same certificate, and the two would take the place from each other for ever."""
         self.trouble = str(error)
-        since_s = time.monotonic() - self._registered_s
+        since_s = time.monotonic() - self._button.registered_s
         if error.reason == Reason.UNKNOWN_BUTTON and self._uptime_s() > since_s:
             self.refused = f"another button has registered as {self._button.name}, or taken its place"
             return
-        try:
-            self._button.register()
-            self._registered_s = time.monotonic()
-        except (RejectedError, ConfigError) as denied:
-            self.refused = str(denied)
+        self._button.register()
