@@ -104,6 +104,10 @@ class Buttons:
         """Those that are alive, in the order of their registrations."""
         return tuple(button.name for button in self._by_token.values() if button.until_ns is not None)
 
+    def knows(self, token: str) -> bool:
+        """Whether this is the token of a registration. From any thread."""
+        return token in self._by_token
+
     def rejection(self) -> tuple[Reason, str]:
         """Why nothing starts while they are too few."""
         return Reason.NO_BUTTON, f"{self._count()}; nothing moves until enough check in (hexapod-gateway button)"
