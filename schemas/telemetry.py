@@ -236,8 +236,8 @@ class ButtonsReport(Report):
     """The buttons that watch; nothing moves while fewer are alive than are required."""
 
     required: Count = 0
-    alive: Count = 0
-    names: Annotated[tuple[str, ...], Field(description="of those that are alive")] = ()
+    alive: Annotated[Count, Field(description="certificates; names where nothing is proved")] = 0
+    names: Annotated[tuple[str, ...], Field(description="of all that are alive")] = ()
 
 
 class CalibrationReport(Report):

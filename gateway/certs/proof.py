@@ -105,6 +105,23 @@ class ProofChecker:
         return None
 
 
+class Holder(NamedTuple):
+    """Whose certificate it is: two of the layout before the pool share a common name, and two of a person do not."""
+
+    common_name: str
+    person: str
+
+    @property
+    def role(self) -> str:
+        """Without the number, and without the robot of a fleet."""
+        return pool.holder(self.common_name).role
+
+
+def holder(proof: Proof) -> Holder:
+    """Of a proof in which `ProofChecker.fault` has found none."""
+    return Holder(*common_name_and_name(x509.load_pem_x509_certificates(proof.certificate.encode())[0]))
+
+
 def _is_valid(ca: x509.Certificate, now: dt.datetime) -> bool:
     return ca.not_valid_before_utc <= now <= ca.not_valid_after_utc
 

@@ -337,6 +337,7 @@ def _inbox(
             **{each.key: each.note for each in (lease, button, calibrations, revocations)},
             CALIBRATION: lambda _query, _ns, reply: partial(calibrations.answer, reply),
         },
+        tokens={lease.key: conductor.supervisor.lease.holds, button.key: conductor.supervisor.buttons.knows},
         depth=put_depth(settings.limits.leg_rate_hz, settings.watchdog.timeout_ms),
     )
     conductor.connect(inbox)

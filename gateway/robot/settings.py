@@ -27,6 +27,7 @@ from gateway.errors import ConfigError
 from gateway.robot.protocol.frames import centidegrees
 from gateway.robot.protocol.framing import Framing
 from gateway.text import visible_json
+from schemas.keys import MAX_SOURCE
 from schemas.robot import SERVO_IDS
 
 DEFAULT_PATH: Final = Path("/etc/hexapod-gateway/gateway.toml")
@@ -163,6 +164,8 @@ class ButtonSettings(Section):
     required: Annotated[int, Field(ge=0, le=8)] = 0
     # A browser wakes a page in the background once a second, which is a stop by this default (docs/buttons.md).
     timeout_ms: Annotated[float, Finite, Field(ge=200, le=10_000)] = 1000.0
+    # A robot has no more people around it; each name is as long as a command's `source` may be.
+    names: Annotated[tuple[Annotated[str, Field(min_length=1, max_length=MAX_SOURCE)], ...], Field(max_length=64)] = ()
 
 
 def _absolute(path: str) -> str:
@@ -357,6 +360,7 @@ _LISTS: Final[Mapping[Place, str]] = {
     ("zenoh", "listen"): '["tcp/127.0.0.1:7447"]',
     ("zenoh", "connect"): '["tcp/127.0.0.1:7447"]',
     ("spi", "avoid_deg"): "[1.0, 4.0]",
+    ("buttons", "names"): '["kitchen"]',
 }
 _NAMES: Final = f"a variable is named like {ENV_PREFIX}SPI__DEVICE; the sections are {', '.join(Settings.model_fields)}"
 

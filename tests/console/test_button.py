@@ -41,6 +41,15 @@ const later = window.setTimeout;
 window.setTimeout = (what, ms) => later(() => { window.ticks += 1; what(); }, window.throttled ? 1000 : ms);
 """
 """What browsers do to a page in the background: its timers come once a second."""
+HELD_BACK = """
+window.heldBackMs = {};
+WebSocket.prototype.send = ((send) => function (text) {
+  const heldBackMs = Object.entries(window.heldBackMs).find(([verb]) => text.includes(`"do":"${verb}"`))?.[1];
+  if (heldBackMs) setTimeout(() => send.call(this, text), heldBackMs);
+  else send.call(this, text);
+})(WebSocket.prototype.send);
+"""
+"""Somebody on the way delays what the page sends."""
 FOUR_TICKS = """
 new Promise((done) => {
   const look = setInterval(() => window.ticks >= 4 && (clearInterval(look), done()), 50);
@@ -172,6 +181,25 @@ def test_a_page_whose_timer_comes_once_a_second_is_silent_and_does_not_flutter(
     page.page.evaluate(FOUR_TICKS)
     assert watcher.state().buttons.alive == 0
     assert not [event for event in heard.all if event.kind == Kind.BUTTON_RETURNED]
+
+
+def test_answers_that_come_late_are_seen_and_a_registration_that_was_held_back_does_not_count(
+    visitor: Visitor, watcher: Client
+) -> None:
+    page = watching(visitor, watcher, HELD_BACK)
+    page.page.evaluate("window.heldBackMs = { alive: 400 }")
+    expect(page["known"]).to_contain_text("its answers come late: after 0.4 s")
+    expect(page["word"]).to_have_text("STOP")
+    page["leave"].click()
+    page = visitor.open(script=HELD_BACK)
+    page.page.goto(f"{page.page.url.rstrip('/')}/button")
+    page.page.evaluate("window.heldBackMs = { register: 600 }")
+    page["button"].click()
+    expect(page["known"]).to_contain_text("to register took 0.6 s, which is too long")
+    expect(page["word"]).to_have_text("NOT HEARD")
+    page["button"].click()
+    expect(page["known"]).to_have_text("6 Stops written")
+    assert watcher.state().mode == Mode.ESTOPPED
 
 
 def test_a_page_that_is_frozen_is_silent_and_the_console_says_nothing_for_it(visitor: Visitor, watcher: Client) -> None:

@@ -10,7 +10,8 @@ from gateway.robot.core.pacing import NS_PER_MS
 from schemas.telemetry import Kind, Reason
 from tests.support.history import cloned, demand
 
-MOST_BUTTONS = 16
+MOST_OF_ONE = 4
+MOST_UNPROVED = 16
 DRIFT = 5000
 """A nanosecond in so many: 200 ppm."""
 _KINDS = frozenset({Kind.BUTTON_REGISTERED, Kind.BUTTON_SILENT, Kind.BUTTON_LEFT, Kind.BUTTON_RETURNED})
@@ -18,13 +19,17 @@ _KINDS = frozenset({Kind.BUTTON_REGISTERED, Kind.BUTTON_SILENT, Kind.BUTTON_LEFT
 
 @dataclass(frozen=True, slots=True)
 class ButtonHistory:
-    """One registration; `least_ns` is the smallest difference of the two clocks that a message has shown."""
+    """One registration; `least_ns` is the smallest difference of the two clocks that a message has shown, and what its
+    clock may have lost since; `floor_ns` is without that."""
 
     name: str
+    holder: str | None = None
+    counts: bool = True
     count: int = -1
     until_ns: int | None = None
     silent: bool = False
     least_ns: int | None = None
+    floor_ns: int = 0
     heard_ns: int = 0
     """When a message last showed one; since then their clocks may have drifted apart by `DRIFT`."""
 
@@ -48,9 +53,12 @@ class ButtonsHistory:
         each = tuple(
             (
                 button.name,
+                button.holder,
+                button.counts,
                 button.until_ns and button.until_ns - now_ns,
                 button.silent,
                 button.least_ns,
+                button.floor_ns,
                 button.count < 0,
             )
             for button in self.known.values()
@@ -58,13 +66,16 @@ class ButtonsHistory:
         return each, self.old_token is not None
 
     @property
-    def alive(self) -> tuple[str, ...]:
-        return tuple(button.name for button in self.known.values() if button.until_ns is not None)
+    def alive(self) -> int:
+        """How many certificates have a button that counts; where nothing is proved, how many names."""
+        who = [each for each in self.known.values() if each.until_ns is not None and each.counts]
+        proved = {each.holder for each in who if each.holder is not None}
+        return len(proved) + len([each for each in who if each.holder is None])
 
     @property
     def closed(self) -> bool:
         """Whether fewer are alive than are required."""
-        return len(self.alive) < self.rules.buttons_required
+        return self.alive < self.rules.buttons_required
 
     @property
     def due_ns(self) -> int | None:
@@ -124,8 +135,10 @@ class ButtonsHistory:
         if request.sent_ms is not None:
             away_ns = came_ns - round(request.sent_ms * NS_PER_MS)
             drift_ns = (came_ns - button.heard_ns) // DRIFT
-            least_ns = away_ns if button.least_ns is None else min(away_ns, button.least_ns + drift_ns)
-            button = replace(button, least_ns=least_ns, heard_ns=request.received_ns)
+            floor_ns = away_ns if button.least_ns is None else min(away_ns, button.floor_ns)
+            most_ns = floor_ns + self.rules.buttons_timeout_ns // 4
+            least_ns = away_ns if button.least_ns is None else min(away_ns, button.least_ns + drift_ns, most_ns)
+            button = replace(button, least_ns=least_ns, floor_ns=floor_ns, heard_ns=request.received_ns)
             came_ns -= away_ns - least_ns
         until_ns = came_ns + self.rules.buttons_timeout_ns
         if until_ns <= now_ns:
@@ -138,15 +151,19 @@ class ButtonsHistory:
 
     def _registered(self, request: ButtonRequest, now_ns: int) -> tuple[Reason | None, tuple[Kind, str] | None]:
         name = request.source or ""
-        older = [token for token, button in self.known.items() if button.name == name]
-        if not older and len(self.known) == MOST_BUTTONS:
-            older = [token for token, button in self.known.items() if button.until_ns is None][:1]
+        mine = [(token, button) for token, button in self.known.items() if button.holder == request.holder]
+        older = [each for each in mine if each[1].name == name]
+        until_ns = older[0][1].until_ns if older else None
+        if not older and len(mine) == (MOST_UNPROVED if request.holder is None else MOST_OF_ONE):
+            older = [each for each in mine if each[1].until_ns is None][:1]
             if not older:
                 return Reason.BUTTON_DENIED, None
-        for token in older:
-            self._change(token, None, now_ns)
         least_ns = None if request.sent_ms is None else request.received_ns - round(request.sent_ms * NS_PER_MS)
-        self.known[request.fresh_token] = ButtonHistory(name, least_ns=least_ns, heard_ns=request.received_ns)
+        fresh = ButtonHistory(name, request.holder, request.counts, until_ns=until_ns, heard_ns=request.received_ns)
+        for token, _ in older:
+            self.old_token = token
+            del self.known[token]
+        self._change(request.fresh_token, replace(fresh, least_ns=least_ns, floor_ns=least_ns or 0), now_ns)
         return None, (Kind.BUTTON_REGISTERED, name)
 
 

@@ -63,7 +63,7 @@ def copied_buttons(buttons: Buttons) -> Buttons:
 def buttons_key(buttons: Buttons, now_ns: int) -> tuple[object, ...]:
     """What of them can still matter; one token, and one count, is as good as another."""
     each = tuple(
-        (button.name, button.until_ns and button.until_ns - now_ns, button.silent, button.offset_ns)
+        (button.name, button.until_ns and button.until_ns - now_ns, button.silent, button.offset_ns, button.least_ns)
         for button in buttons._by_token.values()
     )
     return each, buttons.closed, buttons.due_ns and buttons.due_ns - now_ns

@@ -114,7 +114,7 @@ class Oracle(RobotHistory):
         demand(after.estops == self.estops, f"{self.estops} emergency stops were requested, not {after.estops}")
         holder, alive = after.lease.holder, after.buttons.alive
         demand(holder == self.lease.holder, f"{self.lease.holder} holds the lease, not {holder}")
-        demand(alive == len(self.buttons.alive), f"{len(self.buttons.alive)} are alive, not {alive}")
+        demand(alive == self.buttons.alive, f"{self.buttons.alive} are alive, not {alive}")
         self._after(now_ns, after.due_ns)
 
     def _all_stopped(self, effects: Sequence[Effect], cause: Cause, reason: Reason, now_ns: int) -> None:

@@ -161,12 +161,20 @@ class Steps:
         return self.take(at_ms, LeaseRequest(Do(verb), source, token=token, to=to, fresh_token=fresh))
 
     def button(
-        self, at_ms: float, verb: str, who: str = "", count: int = 0, *, sent_ms: float | None = None
+        self,
+        at_ms: float,
+        verb: str,
+        who: str = "",
+        count: int = 0,
+        *,
+        sent_ms: float | None = None,
+        holder: str | None = None,
+        counts: bool = True,
     ) -> list[str]:
-        """`register` by a name, whose token that then is as well; `alive` and `leave` by that token."""
-        do = ButtonDo(verb)
-        request = ButtonRequest(do, _ns(at_ms), who, token=who, count=count, sent_ms=sent_ms, fresh_token=who)
-        return self.take(at_ms, request)
+        """`register` by a name, whose token that then is as well (with a certificate, its holder's before it); `alive`
+        and `leave` by that token."""
+        do, token = ButtonDo(verb), who if holder is None else f"{holder}: {who}"
+        return self.take(at_ms, ButtonRequest(do, _ns(at_ms), who, holder, counts, token, count, sent_ms, token))
 
     def reset(self, at_ms: float, *, newer: int = 0, lease: str | None = None) -> list[str]:
         """A reset that names the latest emergency stop, or one that is newer (or older, if negative) by so many."""

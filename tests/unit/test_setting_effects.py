@@ -47,6 +47,7 @@ SHOWN_ELSEWHERE = {
     "lease.takeover": "test_lease_conductor.py",
     "buttons.required": "test_buttons_conductor.py",
     "buttons.timeout_ms": "test_buttons_conductor.py",
+    "buttons.names": "test_buttons_conductor.py",
     "calibration.path": "zenoh/test_calibration.py",
     "recorder.path": "test_recorder.py",
     "recorder.seconds": "test_recorder.py",

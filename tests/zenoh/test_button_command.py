@@ -83,14 +83,20 @@ def test_a_gateway_that_is_gone_is_said_loudly_and_one_that_is_back_is_registere
             alive(watcher, "kitchen")
 
 
-def test_two_of_one_name_do_not_take_it_from_each_other_for_ever(
+def test_two_of_one_name_do_not_take_it_from_each_other_for_ever_and_a_key_of_either_stops(
     tmp_path: Path, gateway: Gateway, watcher: Client
 ) -> None:
     with button(tmp_path / "first", gateway, columns=40) as first:
         first.wait(READY)
+        alive(watcher, "kitchen")
+        assert watcher.start_leg(3, 90, 90, 90).accepted
         with button(tmp_path / "second", gateway) as second:
             second.wait(READY)
-            first.wait("THIS IS NO BUTTON", "another button has registered as kitchen, or taken its place")
+            first.wait("ITS SILENCE STOPS NOTHING", "another button has registered as kitchen, or taken its place")
+            assert watcher.state().mode == Mode.ACTIVE
             first.press("j")
+            first.wait("STOPPED: 6 Stop frames written")
+            assert watcher.state().mode == Mode.ESTOPPED
+            first.press("C-c")
             assert first.wait_for_end() == 1
             alive(watcher, "kitchen")

@@ -50,10 +50,9 @@ INCIDENTS: Final = {
     Kind.STOPPED_OUTSIDE: "stopped-outside",
     Kind.BUTTON_SILENT: "button",
     Kind.BUTTON_LEFT: "button",
-    Kind.BUTTON_REGISTERED: "button",
 }
 """Events that are kept as incidents, and how their ids end."""
-_IF_LEGS_STOP: Final = frozenset({Kind.BUTTON_SILENT, Kind.BUTTON_LEFT, Kind.BUTTON_REGISTERED})
+_IF_LEGS_STOP: Final = frozenset({Kind.BUTTON_SILENT, Kind.BUTTON_LEFT})
 """These are incidents only where legs are stopped for them."""
 MISTAKE: Final = "mistake"
 ACCEPTED: Final = "accepted"

@@ -11,6 +11,11 @@ A check-in names the token and a count that grows, so none counts twice. One tha
 was sent, however late it comes: the button's own clock has shown how long its fastest message took, registration
 included, and whatever a later one takes longer is its delay. Without `sent_ms` it counts from its arrival.
 
+A place belongs to the certificate that has proved the name. A new registration of a name takes the place of the older
+one by the same certificate, and is alive for as long as that one was; no registration takes another certificate's
+place. What is counted are certificates, so one device with two names is no second person. Where nothing is proved,
+names are counted, and all of them share their places.
+
 While fewer are alive than `buttons_required`, the supervisor starts and sets nothing, and stops what runs.
 """
 
@@ -25,10 +30,16 @@ from schemas import keys
 from schemas.robot import LEGS
 from schemas.telemetry import Kind, Reason
 
-MOST_BUTTONS: Final = 16
-"""Twice as many as can be required. For one more, the oldest that is not alive is forgotten."""
+MOST_OF_ONE: Final = 4
+"""Registrations of one certificate: a person's phone, tablet and laptop. For one more, the oldest of that certificate
+that is not alive is forgotten."""
+MOST_UNPROVED: Final = 16
+"""Registrations without a certificate: twice as many as can be required."""
 DRIFT_PPM: Final = 200
 """How much slower a button's clock may run than the gateway's: twice the error of a bad crystal (as in `staleness`)."""
+RISE: Final = 4
+"""A registration's clock may fall behind by the timeout divided by this, and no more: somebody on the way who delays
+check-ins a little longer each second cannot be told from a slow clock. That one registers anew before."""
 _ALL: Final = tuple(LEGS)
 
 
@@ -37,6 +48,10 @@ class Button:
     """One registration."""
 
     name: str
+    holder: str | None = None
+    """The certificate that has proved the name."""
+    counts: bool = True
+    """Whether it is one of those that may be required."""
     count: int = -1
     """Of its latest check-in."""
     until_ns: int | None = None
@@ -45,17 +60,23 @@ class Button:
     offset_ns: int | None = None
     """The gateway's clock less the button's, plus the time that its fastest message took, as of `heard_ns`."""
     heard_ns: int = 0
+    least_ns: int | None = None
+    """The smallest `offset_ns` of this registration."""
 
-    def sent_ns(self, sent_ms: float | None, received_ns: int) -> int:
-        """When a message of it was sent, by the gateway's clock: never later than it came."""
+    def sent_ns(self, sent_ms: float | None, received_ns: int, rise_ns: int) -> int:
+        """When a message of it was sent, by the gateway's clock: never later than it came.
+
+        `rise_ns`: how far its clock may fall behind in all.
+        """
         if sent_ms is None:
             return received_ns
         offset_ns = received_ns - round(sent_ms * NS_PER_MS)
-        if self.offset_ns is not None:
-            drift_ns = max(0, received_ns - self.heard_ns) * DRIFT_PPM // 1_000_000
-            self.offset_ns = min(offset_ns, self.offset_ns + drift_ns)
+        if self.offset_ns is None or self.least_ns is None:
+            self.offset_ns = self.least_ns = offset_ns
         else:
-            self.offset_ns = offset_ns
+            drift_ns = max(0, received_ns - self.heard_ns) * DRIFT_PPM // 1_000_000
+            self.offset_ns = min(offset_ns, self.offset_ns + drift_ns, self.least_ns + rise_ns)
+            self.least_ns = min(self.least_ns, self.offset_ns)
         self.heard_ns = received_ns
         return received_ns - (offset_ns - self.offset_ns)
 
@@ -67,13 +88,14 @@ class Buttons:
         self.required = rules.buttons_required
         """How many must be alive."""
         self._timeout_ns = rules.buttons_timeout_ns
+        self._rise_ns = rules.buttons_timeout_ns // RISE
         self._by_token: dict[str, Button] = {}
         self.closed = self.required > 0
         """Whether fewer are alive than are required."""
         self.fell_ns: int | None = None
         """Since when, if enough were alive before."""
         self.alive = 0
-        """How many check in."""
+        """How many of those that may be required check in: certificates, or names where nothing is proved."""
         self.due_ns: int | None = None
         """When the next of them falls silent."""
 
@@ -81,6 +103,10 @@ class Buttons:
     def names(self) -> tuple[str, ...]:
         """Those that are alive, in the order of their registrations."""
         return tuple(button.name for button in self._by_token.values() if button.until_ns is not None)
+
+    def knows(self, token: str) -> bool:
+        """Whether this is the token of a registration. From any thread."""
+        return token in self._by_token
 
     def rejection(self) -> tuple[Reason, str]:
         """Why nothing starts while they are too few."""
@@ -108,27 +134,31 @@ class Buttons:
         """Answer one request; what is told of it, and the answer."""
         match request.do:
             case ButtonDo.REGISTER:
-                return self._register(request, now_ns, then)
+                return self._register(request, now_ns)
             case ButtonDo.ALIVE:
                 return self._check_in(request, now_ns)
             case ButtonDo.LEAVE:
                 return self._leave(request, now_ns, then)
 
-    def _register(self, request: ButtonRequest, now_ns: int, then: str) -> Decision:
+    def _register(self, request: ButtonRequest, now_ns: int) -> Decision:
         name = request.source or ""
-        found = next((token for token, button in self._by_token.items() if button.name == name), None)
-        gives_way = found
-        if found is None and len(self._by_token) == MOST_BUTTONS:
-            gives_way = next((token for token, button in self._by_token.items() if button.until_ns is None), None)
+        mine = {token: button for token, button in self._by_token.items() if button.holder == request.holder}
+        same = next((token for token, button in mine.items() if button.name == name), None)
+        gives_way = same
+        if same is None and len(mine) == (MOST_UNPROVED if request.holder is None else MOST_OF_ONE):
+            gives_way = next((token for token, button in mine.items() if button.until_ns is None), None)
             if gives_way is None:
-                return [], Answer(Reason.BUTTON_DENIED, f"{MOST_BUTTONS} buttons are alive, and no more are taken")
-        if gives_way is not None:
-            del self._by_token[gives_way]
-        self._by_token[request.fresh_token] = button = Button(name)
-        button.sent_ns(request.sent_ms, request.received_ns)
-        what = f"{name} is registered as a button" + ("" if found is None else ", in place of the one of that name")
-        effects = self._changed(Kind.BUTTON_REGISTERED, what, name, now_ns, then)
-        return effects, Answer(token=request.fresh_token)
+                whose = "" if request.holder is None else " of this certificate"
+                return [], Answer(Reason.BUTTON_DENIED, f"{len(mine)} buttons{whose} are alive, and no more are taken")
+        before = None if gives_way is None else self._by_token.pop(gives_way)
+        button = Button(name, request.holder, request.counts)
+        if same is not None and before is not None:
+            button.until_ns = before.until_ns
+        self._by_token[request.fresh_token] = button
+        button.sent_ns(request.sent_ms, request.received_ns, self._rise_ns)
+        what = f"{name} is registered as a button" + ("" if same is None else ", in place of the one of that name")
+        effects = self._changed(Kind.BUTTON_REGISTERED, what, name, now_ns)
+        return effects, Answer(token=request.fresh_token, detail="" if request.counts else _UNCOUNTED)
 
     def _check_in(self, request: ButtonRequest, now_ns: int) -> Decision:
         button = self._by_token.get(request.token)
@@ -138,18 +168,19 @@ class Buttons:
             detail = f"count is {request.count}, and {button.count} has come: a check-in counts once"
             return [], Answer(Reason.STALE, detail)
         button.count = request.count
-        until_ns = button.sent_ns(request.sent_ms, request.received_ns) + self._timeout_ns
+        until_ns = button.sent_ns(request.sent_ms, request.received_ns, self._rise_ns) + self._timeout_ns
         if now_ns >= until_ns:
             delay_ms = (now_ns - until_ns + self._timeout_ns) / NS_PER_MS
             detail = f"the check-in is {delay_ms:.0f} ms old; it counts for {self._timeout_ns / NS_PER_MS:g} ms"
             return [], Answer(Reason.STALE, detail)
+        answer = Answer(detail="" if button.counts else _UNCOUNTED)
         silent, button.silent = button.silent, False
         button.until_ns = until_ns if button.until_ns is None else max(until_ns, button.until_ns)
         if not silent:
             self._look(now_ns)
-            return [], Answer()
+            return [], answer
         what = f"the button {button.name} is back"
-        return self._changed(Kind.BUTTON_RETURNED, what, button.name, now_ns), Answer()
+        return self._changed(Kind.BUTTON_RETURNED, what, button.name, now_ns), answer
 
     def _leave(self, request: ButtonRequest, now_ns: int, then: str) -> Decision:
         button = self._by_token.pop(request.token, None)
@@ -170,9 +201,9 @@ class Buttons:
 
     def _look(self, at_ns: int) -> bool:
         """Count those that are alive. Whether they have become too few by this."""
-        times_ns = [button.until_ns for button in self._by_token.values() if button.until_ns is not None]
-        self.due_ns = min(times_ns, default=None)
-        self.alive = len(times_ns)
+        alive = [button for button in self._by_token.values() if button.until_ns is not None]
+        self.due_ns = min((button.until_ns for button in alive if button.until_ns is not None), default=None)
+        self.alive = len({(each.holder, each.name if each.holder is None else "") for each in alive if each.counts})
         closed, self.closed = self.closed, self.alive < self.required
         if not self.closed:
             self.fell_ns = None
@@ -192,3 +223,4 @@ _UNKNOWN: Final = (
     "this gateway knows no such button: it has left, another has registered by its name, or the gateway was started "
     "anew; register again"
 )
+_UNCOUNTED: Final = "this button stops the robot, and is not one of those that are required (buttons.names)"

@@ -106,12 +106,15 @@ class ButtonDo(StrEnum):
 class ButtonRequest:
     """A button registers (where names have to be proved, `source` is), checks in, or leaves.
 
-    `received_ns` is when that came; `fresh_token` is 128 random bits, for a registration.
+    `received_ns` is when that came; `fresh_token` is 128 random bits, for a registration. `holder` is the certificate
+    that has proved `source` (None: nothing is proved), and `counts` whether that one may be required.
     """
 
     do: ButtonDo
     received_ns: int
     source: str | None = None
+    holder: str | None = None
+    counts: bool = True
     token: str = field(default="", repr=False)
     count: int = 0
     sent_ms: float | None = None
@@ -224,7 +227,8 @@ class Announce:
 class Answer:
     """To a LeaseRequest or a ButtonRequest: granted, if there is no `reason`.
 
-    `token` is that of the lease, or of the registration, which it gives.
+    `token` is that of the lease, or of the registration, which it gives; `detail` also what a button that is granted
+    should know.
     """
 
     reason: Reason | None = None

@@ -73,7 +73,7 @@ class Lease:
 
     def heard(self, token: str, now_ns: int) -> None:
         """An accepted command carried this token; the holder's own renews the lease."""
-        if self._holds(token):
+        if self.holds(token):
             self.due_ns = now_ns + self._rules.lease_ttl_ns
 
     # ---- time
@@ -147,14 +147,14 @@ class Lease:
         return _told(Kind.LEASE_ASKED, f"{name} asks {self.holder} for the lease", name)
 
     def _renew(self, request: LeaseRequest, now_ns: int) -> Decision:
-        if not self._holds(request.token):
+        if not self.holds(request.token):
             return [], Answer(Reason.NOT_HOLDER, _ENDED)
         self.due_ns = now_ns + self._rules.lease_ttl_ns
         return [], Answer()
 
     def _release(self, request: LeaseRequest, now_ns: int) -> Decision:
         name, to = self.holder, request.to
-        if not self._holds(request.token):
+        if not self.holds(request.token):
             return [], Answer(Reason.NOT_HOLDER, _ENDED)
         if to is None:
             self.end()
@@ -166,7 +166,8 @@ class Lease:
 
     # ----
 
-    def _holds(self, token: str | None) -> bool:
+    def holds(self, token: str | None) -> bool:
+        """Whether this is the holder's token. From any thread."""
         return self._token is not None and token is not None and hmac.compare_digest(token, self._token)
 
     def _give(self, holder: str | None, token: str | None, now_ns: int | None, *, verified: bool) -> None:

@@ -23,6 +23,8 @@ import zenoh
 from zenoh.handlers import Handler, RingChannel
 
 from gateway.robot.core.message import Received, Reply, Verb
+from gateway.robot.edge.questions import DEPTH as QUESTIONS_DEPTH
+from gateway.robot.edge.questions import Knows, QuestionRing
 from gateway.robot.edge.receiver import Deal, Reader, ReceiverThread
 from gateway.robot.edge.replies import ReplySender
 from gateway.robot.edge.rings import LEAST_PUT_DEPTH, RING_DEPTH, Receive, Rings
@@ -70,12 +72,13 @@ class Inbox:
         on_estop: Callable[[Received], None],
         on_state_query: Callable[[Reply], None],
         readers: Mapping[str, Reader] = MappingProxyType({}),
+        tokens: Mapping[str, Knows] = MappingProxyType({}),
         depth: int = LEAST_PUT_DEPTH,
     ) -> None:
         """`on_wakeup`: there is something to `take`. `on_estop`: an emergency stop that no `take` has given.
 
-        `readers` read what is asked on further keys, each on a thread of its own that owns nothing yet. `depth`: how
-        many puts of a key are kept (`put_depth`).
+        `readers` read what is asked on further keys, each on a thread of its own that owns nothing yet; on those in
+        `tokens`, questions with a good token are read first. `depth`: how many puts of a key are kept (`put_depth`).
         """
         self._loop = loop
         self._passed_over = depth - RING_DEPTH  # of a full ring
@@ -119,7 +122,7 @@ class Inbox:
             ("estop-put", self._subscriber(session, ESTOP, 1)),
             ("estop-get", self._queryable(session, ESTOP, RING_DEPTH)),
         )
-        waits: list[tuple[str, Handler[Any], Callable[[Any, int], Deal]]] = [
+        waits: list[tuple[str, Handler[Any] | QuestionRing, Callable[[Any, int], Deal]]] = [
             ("wakeup-put", self._wakeups[0], partial(partial, self._on_wakeup)),
             ("wakeup-get", self._wakeups[1], partial(partial, self._on_wakeup)),
             (
@@ -129,8 +132,10 @@ class Inbox:
             ),
         ]
         self._read_elsewhere = readers.keys()
+        self._question_rings: list[QuestionRing] = []
         for key, read in readers.items():
-            waits.append((f"{key}-get", self._queryable(session, key, READER_DEPTH), self._note_for(key, read)))
+            ring = self._queryable(session, key, QUESTIONS_DEPTH if key in tokens else READER_DEPTH)
+            waits.append((f"{key}-get", self._sorted(ring, tokens.get(key)), self._note_for(key, read)))
         self._receivers = [
             *(ReceiverThread(name, ring, loop, owner, self._estop, priority=LOOP_PRIORITY) for name, ring in estops),
             *(ReceiverThread(name, ring, loop, owner, note) for name, ring, note in waits),
@@ -178,6 +183,8 @@ class Inbox:
             receiver.thread.join()
         for answers in (self._replies, self._estop_replies):
             answers.close()
+        for ring in self._question_rings:
+            ring.close()
 
     def _subscriber(self, session: zenoh.Session, key: str, depth: int) -> Handler[zenoh.Sample]:
         subscriber = session.declare_subscriber(key, RingChannel(depth))
@@ -188,6 +195,12 @@ class Inbox:
         queryable = session.declare_queryable(key, RingChannel(depth))
         self._declared.append(queryable)
         return queryable.handler
+
+    def _sorted(self, ring: Handler[zenoh.Query], knows: Knows | None) -> Handler[zenoh.Query] | QuestionRing:
+        if knows is None:
+            return ring
+        self._question_rings.append(QuestionRing(ring, knows, time.monotonic_ns))
+        return self._question_rings[-1]
 
     # ---- on the receiver threads
 

@@ -11,6 +11,7 @@ import zenoh
 from zenoh.handlers import Handler
 
 from gateway.robot.core.message import Reply
+from gateway.robot.edge.questions import QuestionRing
 from gateway.robot.host.ownership import Ownership
 from gateway.robot.host.realtime import RECEIVER_PRIORITY, prefer_thread
 from gateway.robot.host.worker import report_mistake
@@ -29,7 +30,7 @@ class ReceiverThread:
     def __init__(
         self,
         name: str,
-        ring: Handler[Any],
+        ring: Handler[Any] | QuestionRing,
         loop: asyncio.AbstractEventLoop,
         owner: Ownership,
         note: Callable[[Any, int], Deal],

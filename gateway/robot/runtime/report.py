@@ -149,8 +149,7 @@ def _lease(lease: Lease, now_ns: int) -> LeaseReport:
 
 
 def _buttons(buttons: Buttons) -> ButtonsReport:
-    names = buttons.names
-    return ButtonsReport(required=buttons.required, alive=len(names), names=names)
+    return ButtonsReport(required=buttons.required, alive=buttons.alive, names=buttons.names)
 
 
 def _leg(leg: Leg, now_ns: int) -> LegReport:

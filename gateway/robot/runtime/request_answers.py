@@ -29,7 +29,7 @@ from schemas.lease import LEASE_REQUEST, Challenge, Claim, LeaseAck, Release, Re
 from schemas.telemetry import Reason
 
 if TYPE_CHECKING:
-    from gateway.certs.proof import ProofChecker
+    from gateway.certs.proof import Holder, ProofChecker
 
 PAUSE_S: Final = 0.05
 """Between two that change a file: twenty a second, each of which may take a millisecond. A person writes one."""
@@ -195,10 +195,13 @@ class ButtonAnswers(RequestAnswers):
                 denied = self._proofs.why_denied(request.proof, request.do, request.source, now_ns)
                 if denied is not None:
                     return partial(self.reject, request.source, Reason.BUTTON_DENIED, denied, reply)
+                holder = self._proofs.holder(request.proof)
                 asked = ButtonRequest(
                     ButtonDo.REGISTER,
                     now_ns,
                     request.source,
+                    None if holder is None else " ".join(holder),
+                    self._counts(request.source, holder),
                     sent_ms=request.sent_ms,
                     fresh_token=self._proofs.fresh(),
                 )
@@ -220,4 +223,11 @@ class ButtonAnswers(RequestAnswers):
             return
         timeout_ms, required = self._settings.timeout_ms, self._settings.required
         alive = self._conductor.supervisor.buttons.alive
-        reply(self.accepted(button=answer.token, timeout_ms=timeout_ms, alive=alive, required=required))
+        detail = answer.detail or None
+        reply(self.accepted(detail=detail, button=answer.token, timeout_ms=timeout_ms, alive=alive, required=required))
+
+    def _counts(self, source: str, holder: "Holder | None") -> bool:
+        """Whether the settings want this one: its person (`anna` of `anna/phone`), or its certificate's role."""
+        person = source.partition("/")[0] if holder is None else holder.person
+        names = self._settings.names
+        return not names or person in names or (holder is not None and holder.role in names)

@@ -303,11 +303,17 @@ class Desk(LeaseAnswers):
         self.answer_to({"do": do, "source": source, **({} if made is None else {"proof": made.model_dump()})})
 
 
-def test_whoever_registers_a_button_proves_it_with_a_fresh_nonce(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    ("names", "counts"),
+    [((), True), (("bert", "anna"), True), (("operator",), True), (("button",), False), (("anna/phone",), False)],
+)
+def test_whoever_registers_a_button_proves_it_with_a_fresh_nonce(
+    monkeypatch: pytest.MonkeyPatch, names: tuple[str, ...], counts: bool
+) -> None:
     monkeypatch.setattr("gateway.robot.runtime.request_answers.wall_clock", lambda: NOW)
     asked: list[ButtonRequest] = []
     rejected: list[tuple[object, ...]] = []
-    buttons = ButtonAnswers(cast(Conductor, None), ButtonSettings(), CHECKER)
+    buttons = ButtonAnswers(cast(Conductor, None), ButtonSettings(names=names), CHECKER)
     monkeypatch.setattr(buttons, "ask", lambda request, _reply: asked.append(request))
     monkeypatch.setattr(buttons, "reject", lambda *why: rejected.append(why[:2]))
     answers: list[bytes] = []
@@ -318,7 +324,7 @@ def test_whoever_registers_a_button_proves_it_with_a_fresh_nonce(monkeypatch: py
     made = proof(nonce=nonce, signature=base64.b64encode(signature).decode()).model_dump()
     for each in (request, {**request, "proof": made}, {**request, "proof": made}):
         buttons.read(json.dumps(each).encode(), 0, answers.append)()
-    assert [each.source for each in asked] == ["anna/phone"]
+    assert [(each.source, each.holder, each.counts) for each in asked] == [("anna/phone", "operator anna", counts)]
     assert rejected == [("anna/phone", Reason.BUTTON_DENIED)] * 2
 
 

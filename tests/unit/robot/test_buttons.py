@@ -2,7 +2,7 @@
 
 import pytest
 
-from gateway.robot.core.buttons import DRIFT_PPM, MOST_BUTTONS, Buttons
+from gateway.robot.core.buttons import DRIFT_PPM, MOST_OF_ONE, MOST_UNPROVED, RISE, Buttons
 from gateway.robot.core.events import Answer, ButtonDo, ButtonRequest
 from gateway.robot.core.leg import Rules
 from gateway.robot.core.pacing import NS_PER_MS
@@ -242,29 +242,89 @@ def test_one_that_can_be_spared_leaves_and_stops_nothing() -> None:
     assert robot.running
 
 
-def test_a_name_registers_once_and_the_older_registration_ends() -> None:
+def test_a_name_registers_once_and_the_newer_registration_is_alive_for_as_long_as_the_older_was() -> None:
     robot = watched()
     robot.supervisor.buttons._by_token["the first"] = robot.supervisor.buttons._by_token.pop("kitchen")
     robot.oracle.buttons.known["the first"] = robot.oracle.buttons.known.pop("kitchen")
-    took = robot.button(10, "register", "kitchen")
-    assert took == [*all_stopped("watchdog"), "announce button_registered", "granted"]
+    assert robot.button(10, "register", "kitchen") == REGISTERED
     assert robot.announced[0].detail.startswith("kitchen is registered as a button, in place of the one of that name")
+    assert robot.running
+    assert robot.due_ms == TIMEOUT_MS, "registering is no check-in"
     assert robot.button(11, "alive", "the first", 2) == ["unknown_button"]
     assert robot.button(12, "alive", "kitchen", 0) == ALIVE
+    assert robot.due_ms == 12 + TIMEOUT_MS
+
+
+def test_a_name_that_was_silent_registers_anew_and_is_not_alive_by_that() -> None:
+    robot = watched()
+    robot.time(TIMEOUT_MS)
+    assert robot.button(2000, "register", "kitchen") == REGISTERED
+    assert robot.command(2001, START) == ["rejected 2 no_button"]
+
+
+# ---- whose places they are
+
+
+def test_a_name_that_another_certificate_registers_takes_no_place() -> None:
+    robot = Steps(rules(required=2))
+    for holder in ("anna's", "the rogue's"):
+        assert robot.button(0, "register", "kitchen", holder=holder) == REGISTERED
+        assert not robot.announced[0].detail.count("in place of")
+        assert robot.button(0, "alive", "kitchen", 1, holder=holder) == ALIVE
+    assert robot.command(1, START) == ["command 1 start 90", "completed 1"]
+
+
+def test_a_certificate_has_four_places_and_gives_its_own_silent_ones_away() -> None:
+    robot = Steps(rules())
+    robot.button(0, "register", "kitchen", holder="the kitchen's")
+    for number in range(10):
+        assert robot.button(0, "register", f"rogue {number}", holder="the rogue's") == REGISTERED
+    known = [button.name for button in robot.supervisor.buttons._by_token.values()]
+    assert known == ["kitchen", *(f"rogue {number}" for number in range(10 - MOST_OF_ONE, 10))]
+    for number in range(6, 10):
+        robot.button(1, "alive", f"rogue {number}", 1, holder="the rogue's")
+    assert robot.button(2, "register", "rogue 10", holder="the rogue's") == ["button_denied"]
+    assert robot.only(Answer).detail == "4 buttons of this certificate are alive, and no more are taken"
+    assert robot.button(3, "alive", "kitchen", 1, holder="the kitchen's") == ALIVE
+    assert robot.button(4, "register", "hall", holder="the hall's") == REGISTERED
+
+
+def test_two_buttons_of_one_certificate_are_one_of_those_that_are_required() -> None:
+    robot = Steps(rules(required=2))
+    for name in ("anna/phone", "anna/tablet"):
+        robot.button(0, "register", name, holder="anna's")
+        robot.button(0, "alive", name, 1, holder="anna's")
+    assert robot.supervisor.buttons.names == ("anna/phone", "anna/tablet")
+    assert robot.command(1, START) == [REFUSED]
+    robot.button(2, "register", "bert", holder="bert's")
+    robot.button(2, "alive", "bert", 1, holder="bert's")
+    assert robot.command(3, START) == ["command 1 start 90", "completed 2"]
+    assert robot.button(4, "leave", "anna/phone", holder="anna's") == ["announce button_left", "granted"]
+    assert robot.button(5, "leave", "anna/tablet", holder="anna's")[:6] == all_stopped("watchdog")
+
+
+def test_one_that_is_not_wanted_checks_in_and_does_not_count() -> None:
+    robot = watched()
+    robot.button(1, "register", "stranger", counts=False)
+    assert robot.only(Answer).detail.endswith("is not one of those that are required (buttons.names)")
+    assert robot.button(2, "alive", "stranger", 1) == ALIVE
+    assert robot.only(Answer).detail.endswith("is not one of those that are required (buttons.names)")
+    assert robot.supervisor.buttons.alive == 1
+    assert robot.time(TIMEOUT_MS)[:6] == all_stopped("watchdog")
 
 
 def test_a_flood_of_registrations_takes_bounded_memory_and_pushes_out_nobody_who_is_alive() -> None:
     robot = watched()
     for number in range(1000):
         robot.button(10, "register", f"flood {number}")
-    assert len(robot.supervisor.buttons._by_token) == MOST_BUTTONS
+    assert len(robot.supervisor.buttons._by_token) == MOST_UNPROVED
     assert robot.button(20, "alive", "kitchen", 2) == ALIVE
     assert robot.running
 
 
 def test_where_all_places_are_alive_no_more_are_taken() -> None:
     robot = Steps(rules())
-    for number in range(MOST_BUTTONS):
+    for number in range(MOST_UNPROVED):
         robot.button(0, "register", f"button {number}")
         robot.button(0, "alive", f"button {number}", 1)
     assert robot.button(1, "register", "one more") == ["button_denied"]
@@ -343,10 +403,13 @@ def test_a_clock_that_jumps_makes_a_button_silent_and_never_longer_alive() -> No
 
 
 def test_a_button_whose_clock_runs_slow_stays_alive() -> None:
-    """A bad crystal loses a minute in ten days; after an hour of check-ins the delay that it seems to show is none."""
+    """A bad crystal loses a minute in ten days; after ten minutes of check-ins the delay that it seems to show is none.
+
+    By then a button registers anew.
+    """
     robot = Steps(rules())
     robot.button(0, "register", "kitchen", sent_ms=0)
-    for second in range(1, 3600, 60):
+    for second in range(1, 600, 10):
         at_ms = second * 1000
         robot.button(at_ms, "alive", "kitchen", second, sent_ms=at_ms * (1 - DRIFT_PPM * 1e-6))
         due_ns = robot.supervisor.buttons.due_ns
@@ -354,7 +417,21 @@ def test_a_button_whose_clock_runs_slow_stays_alive() -> None:
         assert due_ns == pytest.approx(at_ns(at_ms + TIMEOUT_MS), abs=2 * NS_PER_MS)
 
 
-# ---- the end
+def test_a_clock_that_falls_behind_for_good_is_believed_up_to_a_quarter_of_the_timeout() -> None:
+    """Somebody on the way who holds back a little more each second looks like a slow clock."""
+    robot = Steps(rules())
+    robot.button(0, "register", "kitchen", sent_ms=0)
+    for second in range(10, 3600, 10):
+        lost_ms = second * 1000 * DRIFT_PPM * 1e-6
+        robot.button(second * 1000, "alive", "kitchen", second, sent_ms=second * 1000 - lost_ms)
+        late_ms = max(0, lost_ms - TIMEOUT_MS / RISE)
+        assert robot.due_ms == pytest.approx(second * 1000 - late_ms + TIMEOUT_MS, abs=2)
+    robot.button(3_600_000, "register", "kitchen", sent_ms=3_599_300)
+    robot.button(3_600_001, "alive", "kitchen", 1, sent_ms=3_599_301)
+    assert robot.due_ms == 3_600_001 + TIMEOUT_MS, "registering anew helps"
+
+
+# ---- the end, and a new start
 
 
 def test_at_the_end_requests_are_rejected() -> None:

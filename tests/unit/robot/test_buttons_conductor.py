@@ -68,6 +68,20 @@ async def test_so_many_are_required(required: int) -> None:
     assert robot.ask(LEG_3, START).accepted is (required < 2)
 
 
+@pytest.mark.parametrize(
+    ("names", "counts"),
+    [((), True), (("kitchen",), True), (("door", "kitchen"), True), (("door",), False), (("button",), False)],
+)
+async def test_where_names_are_wanted_others_do_not_count(names: tuple[str, ...], counts: bool) -> None:
+    """Without certificates nobody has a role, and a person is what stands before the slash."""
+    robot = await started_and_quiet(buttons={"required": 1, "names": names})
+    ack = robot.button("register", "kitchen/phone")
+    alive = robot.button("alive", button=ack.button, count=1)
+    assert (alive.accepted, alive.alive, alive.detail is None) == (True, int(counts), counts)
+    assert robot.conductor.state().buttons.names == ("kitchen/phone",)
+    assert robot.ask(LEG_3, START).accepted is counts
+
+
 async def test_a_check_in_counts_from_when_it_was_sent() -> None:
     robot = await started_and_quiet(buttons={"required": 1})
     ack = robot.button("register", "kitchen", sent_ms=0)

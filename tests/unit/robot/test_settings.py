@@ -88,6 +88,7 @@ takeover = "never"
 [buttons]
 required = 8
 timeout_ms = 200
+names = ["kitchen", "operator"]
 [calibration]
 path = "/mnt/calibration.toml"
 [recorder]

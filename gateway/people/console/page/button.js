@@ -11,6 +11,12 @@ import { Link } from "./link.js";
 
 /** Check-ins within the time that one of them counts. */
 const SHARE = 4;
+/** Of the time that a check-in counts: an answer that takes longer comes late, as the person should know. */
+const LATE = 0.25;
+/** Of that time: how late check-ins are is judged by the registration's delay, so one that took longer does not count. */
+const REGISTERED_WITHIN = 0.5;
+/** Times that time: then it registers anew, since the gateway lets a registration's clock fall behind by little. */
+const LIFE = 600;
 const REFRESH_MS = 100;
 const BUZZ_MS = [200, 100, 200];
 const BUZZ_EVERY_MS = 1500;
@@ -37,6 +43,12 @@ export class StopButton {
     this.registered = false;
     this.timeoutMs = 1000;
     this.confirmedMs = -Infinity;
+    /** When the registration has lived long enough. */
+    this.endsMs = 0;
+    /** How long the latest answer took. */
+    this.answerMs = 0;
+    /** What the latest answer says besides. */
+    this.detail = "";
     this.lastTickMs = performance.now();
     this.trouble = "";
     this.name = "";
@@ -121,8 +133,7 @@ export class StopButton {
     });
     this.lastTickMs = now;
     if (this.watches && inTime) {
-      if (this.registered) this.#ask("alive");
-      else this.#register();
+      this.#ask(this.registered && now < this.endsMs ? "alive" : "register");
     }
     clearTimeout(this.timer);
     this.timer = setTimeout(() => this.#tick(), this.timeoutMs / SHARE);
@@ -163,18 +174,23 @@ export class StopButton {
     const asked = this.asked;
     if (!asked || answer.id !== asked.id) return;
     this.asked = null;
+    this.answerMs = performance.now() - asked.sentMs;
+    this.detail = (answer.accepted && answer.detail) || "";
     if (answer.accepted) {
       this.trouble = "";
       this.name = answer.name ?? this.name;
       this.timeoutMs = answer.timeout_ms ?? this.timeoutMs;
       this.count = answer.required ? `${answer.alive} of ${answer.required} alive` : `${answer.alive} alive, none required`;
-      if (answer.do === "register") {
+      if (answer.do !== "register") this.confirmedMs = asked.sentMs;
+      else if (this.answerMs < REGISTERED_WITHIN * this.timeoutMs) {
         this.registered = true;
+        this.endsMs = asked.sentMs + LIFE * this.timeoutMs;
         this.#ask("alive");
-      } else this.confirmedMs = asked.sentMs;
+      } else this.trouble = `to register took ${(this.answerMs / 1000).toFixed(1)} s, which is too long`;
       return;
     }
     this.trouble = answer.detail ?? answer.reason ?? "no answer";
+    this.endsMs = Math.max(this.endsMs, performance.now() + (LIFE / 10) * this.timeoutMs); // the older one goes on
     // The gateway was started anew, or this device has slept: its clock stood still meanwhile.
     if (answer.accepted === false && (answer.reason === "unknown_button" || answer.reason === "stale")) this.registered = false;
   }
@@ -196,6 +212,13 @@ export class StopButton {
       .catch(() => {});
   }
 
+  /** What a person should know while this button counts. */
+  #hint() {
+    if (this.answerMs > LATE * this.timeoutMs) return `its answers come late: after ${(this.answerMs / 1000).toFixed(1)} s`;
+    if (this.detail || this.wake) return this.detail;
+    return "this screen may go dark by itself, which is a stop: let it stay on in the phone's settings";
+  }
+
   #refresh() {
     const { heard } = this;
     const tone = !this.watches ? "off" : !heard ? "unheard" : this.mode === "estopped" ? "stopped" : "watches";
@@ -206,7 +229,7 @@ export class StopButton {
       off: this.looks ? "this page may only look" : "then a tap anywhere stops the robot",
       unheard: `the gateway does not hear this button: use the switch. ${this.trouble}`,
       stopped: "",
-      watches: this.wake ? "" : "this screen may go dark by itself, which is a stop: let it stay on in the phone's settings",
+      watches: this.#hint(),
     };
     text(byId("known"), this.stopLine || lines[tone]);
     text(byId("count"), this.watches ? `${this.name} · ${this.count}` : "");

@@ -1,12 +1,12 @@
-"""A button's check-ins, one after the other, and what is known of them."""
+"""A button's check-ins, one after the other, by the clock."""
 
 import threading
 import time
 from collections.abc import Callable
 
-from gateway.errors import ConfigError, GatewayError, RejectedError
+from gateway.errors import GatewayError, RejectedError
 from gateway.people.client.button import Button
-from gateway.people.tools.button.known import Known
+from gateway.people.tools.button.known import Known, is_taken
 from schemas.telemetry import Reason
 
 
@@ -55,7 +55,7 @@ class CheckIns(Known):
                 try:
                     self._check_in(began_s)
                 except (GatewayError, RuntimeError) as error:
-                    self.trouble = str(error)
+                    self.failed(str(error), denied=isinstance(error, RejectedError))
             self._ended.wait(max(0.0, self.next_s(began_s, self.timeout_ms / 1000) - time.monotonic()))
 
     def _check_in(self, began_s: float) -> None:
@@ -64,16 +64,16 @@ class CheckIns(Known):
         except RejectedError as error:
             self._register_anew(error)
         else:
-            self.accepted((ack.alive or 0, ack.required or 0), began_s)
+            self.accepted((ack.alive or 0, ack.required or 0), ack.detail or "", began_s, time.monotonic())
 
     def _register_anew(self, error: RejectedError) -> None:
         """After a restart of the gateway, or where this machine's clock stood still."""
-        self.trouble, now_s = str(error), time.monotonic()
-        if error.reason == Reason.UNKNOWN_BUTTON and self.is_taken(self._uptime_s(), now_s):
+        self.failed(str(error), denied=True)
+        taken = error.reason == Reason.UNKNOWN_BUTTON and is_taken(
+            self._uptime_s(), self._button.registered_s, time.monotonic()
+        )
+        if taken:
             self.refused = f"another button has registered as {self._button.name}, or taken its place"
-            return
-        try:
+        else:
             self._button.register()
-            self.registered(time.monotonic())
-        except (RejectedError, ConfigError) as denied:
-            self.refused = str(denied)
+            self.registered()

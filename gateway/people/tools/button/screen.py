@@ -24,7 +24,7 @@ _STOPPED: Final = frozenset({Mode.ESTOPPED})
 
 
 class Screen(screen.Screen):
-    """Shown until Ctrl-C; each key stops."""
+    """Shown until Ctrl-C; each other key stops, whatever is shown: what is shown may be wrong."""
 
     def __init__(self, client: Client, button: Button) -> None:
         """`button` is registered."""
@@ -52,7 +52,7 @@ class Screen(screen.Screen):
         self._check_ins.end()
 
     def press(self, keys: list[str]) -> bool:
-        if keys == ["ctrl-c"] or self._check_ins.refused:
+        if keys == ["ctrl-c"]:
             return False
         self._pressed = "STOPPING …"
         self._stop.press()
@@ -89,7 +89,9 @@ class Screen(screen.Screen):
         alive, required = check_ins.count
         counted = f"{name} · {alive} alive, {required} required"
         if check_ins.refused:
-            return ["THIS IS NO BUTTON", "", visible(check_ins.refused), "", "any key leaves"], "bold white on red"
+            why = visible(check_ins.refused)
+            lines = ["ITS SILENCE STOPS NOTHING", "", why, "", self._pressed or "any key still stops the robot"]
+            return [*lines, "Ctrl-C leaves"], "bold white on red"
         if not check_ins.heard:
             self._ring()
             silent = f"for {check_ins.silent_ms / 1000:.1f} s"
@@ -99,7 +101,16 @@ class Screen(screen.Screen):
         if self._state is not None and self._state.mode in _STOPPED:
             lines = ["STOPPED", "", self._pressed, "", counted, "Ctrl-C leaves · the driver resets"]
             return lines, "bold black on yellow"
-        lines = ["ANY KEY STOPS THE ROBOT", "", self._pressed, "", counted, "Ctrl-C leaves"]
+        late_s = check_ins.late_s(check_ins.timeout_ms / 1000)
+        late = "" if late_s is None else f"ITS ANSWERS COME LATE: after {late_s:.1f} s"
+        lines = [
+            "ANY KEY STOPS THE ROBOT",
+            "",
+            self._pressed,
+            late or visible(check_ins.detail),
+            counted,
+            "Ctrl-C leaves",
+        ]
         return lines, "bold white on dark_green"
 
     def _ring(self) -> None:

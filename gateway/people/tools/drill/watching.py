@@ -60,7 +60,11 @@ def watching(bench: Bench, state: GatewayState) -> Iterator[None]:
     hint("The drill is one of the stop buttons that are required, until it ends.")
     watches.check_ins.start()
     try:
-        bench.wait(lambda: bench.client.state().buttons.alive >= required, ANSWER_S)
+        if not bench.wait(lambda: bench.client.state().buttons.alive >= required, ANSWER_S):
+            raise ConfigError(
+                f"the drill is the button {watches.name}, and does not count: a button of the same certificate is "
+                "alive already, or the robot's settings list others (buttons.names)"
+            )
         yield
     finally:
         watches.check_ins.end()

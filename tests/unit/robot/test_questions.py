@@ -1,0 +1,85 @@
+"""Which question is read next, and which is let go."""
+
+import json
+from dataclasses import dataclass
+from typing import Any
+
+import pytest
+
+from gateway.robot.core.pacing import NS_PER_S
+from gateway.robot.edge.questions import AT_ONCE, MOST_OF_TOKEN, MOST_SOURCES, MOST_WAITING, PER_S, Questions
+
+DRIVER, KITCHEN, STRANGER = "d" * 32, "b" * 32, "0" * 32
+CHALLENGE = {"do": "challenge"}
+
+
+@dataclass
+class Asked:
+    """Those who ask, in virtual time."""
+
+    now_ns: int = 0
+
+    def __post_init__(self) -> None:
+        self.questions: Questions[str] = Questions({DRIVER, KITCHEN}.__contains__)
+
+    def ask(self, name: str, payload: dict[str, Any], source: str | None = None) -> bool:
+        return self.questions.add(name, json.dumps(payload).encode(), source, self.now_ns)
+
+    def read(self) -> list[str]:
+        found = []
+        while (item := self.questions.next()) is not None:
+            found.append(item)
+        return found
+
+
+@pytest.fixture
+def asked() -> Asked:
+    return Asked()
+
+
+def test_a_good_token_goes_before_everybody_else(asked: Asked) -> None:
+    for number in range(3):
+        asked.ask(f"challenge {number}", CHALLENGE)
+    asked.ask("no lease", {"do": "renew", "lease": STRANGER})
+    asked.ask("renewal", {"do": "renew", "lease": DRIVER})
+    asked.ask("check-in", {"do": "alive", "button": KITCHEN, "count": 1})
+    assert asked.read() == ["renewal", "check-in", "challenge 0", "challenge 1", "challenge 2", "no lease"]
+
+
+def test_a_flood_of_others_keeps_no_good_token_out(asked: Asked) -> None:
+    assert sum(asked.ask("flood", CHALLENGE) for _ in range(10_000)) == MOST_WAITING
+    assert asked.ask("renewal", {"do": "renew", "lease": DRIVER})
+    assert asked.read()[0] == "renewal"
+
+
+def test_a_flood_by_one_token_keeps_no_other_out(asked: Asked) -> None:
+    kitchen = {"do": "alive", "button": KITCHEN, "count": 1}
+    assert sum(asked.ask("kitchen", kitchen) for _ in range(100)) == MOST_OF_TOKEN
+    assert asked.ask("renewal", {"do": "renew", "lease": DRIVER})
+    assert asked.read() == ["kitchen"] * MOST_OF_TOKEN + ["renewal"]
+    assert sum(asked.ask("kitchen", kitchen) for _ in range(100)) == MOST_OF_TOKEN, "those were read"
+
+
+def test_each_source_has_so_many_a_second(asked: Asked) -> None:
+    def admitted(source: str | None, tries: int = 100) -> int:
+        count = 0
+        for _ in range(tries):
+            count += asked.ask("", CHALLENGE, source)
+            asked.read()
+        return count
+
+    assert (admitted("anna"), admitted("bert"), admitted(None)) == (AT_ONCE, AT_ONCE, AT_ONCE)
+    asked.now_ns += NS_PER_S
+    assert (admitted("anna"), admitted("carla")) == (PER_S, AT_ONCE)
+    asked.now_ns += 100 * NS_PER_S
+    assert admitted("anna") == AT_ONCE, "what is not used is not saved"
+
+
+def test_ever_new_sources_share_one_place_and_take_bounded_memory(asked: Asked) -> None:
+    count = 0
+    for number in range(1000):
+        count += asked.ask("", CHALLENGE, f"source {number}")
+        asked.read()
+    assert count == MOST_SOURCES + AT_ONCE
+    asked.now_ns += NS_PER_S
+    assert asked.ask("", CHALLENGE, "a new one"), "those that asked before are forgotten"
