@@ -36,7 +36,7 @@ def prepared(tmp_path_factory: pytest.TempPathFactory, wheels: Path) -> Iterator
     """A machine with the gateway installed from wheels, of which each box has a view of its own."""
     made = Prepared.by(tmp_path_factory.mktemp("prepared"), wheels)
     yield made
-    made.layer.unlink()  # which is large
+    made.layer.unlink(missing_ok=True)  # which is large
 
 
 @contextmanager

@@ -1,6 +1,7 @@
 """A scene that starts whatever tests start, and waits: tests/zenoh/test_interrupted.py interrupts it."""
 
 import os
+import shutil
 import subprocess
 import time
 from contextlib import ExitStack
@@ -21,7 +22,8 @@ def test_never_ends(tmp_path: Path) -> None:
     with ExitStack() as stack:
         gateway = stack.enter_context(Gateway(tmp_path))
         stack.enter_context(Console(tmp_path, "--connect", gateway.endpoint))
-        stack.enter_context(Terminal(tmp_path, ["sleep", "1000"]))
+        if shutil.which("tmux"):
+            stack.enter_context(Terminal(tmp_path, ["sleep", "1000"]))
         if not box.lacks():
             stack.enter_context(box.Box(tmp_path))
         host = () if namespaces.lacks() else stack.enter_context(namespaces.Network(laptops=1)).robot
