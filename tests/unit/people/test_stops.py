@@ -83,6 +83,11 @@ def test_what_nobody_wants_any_more_is_not_requested_again_and_the_next_press_is
     gateway.wanted = False
     gateway.pressed().put(DisconnectedError("no answer"))
     assert isinstance(gateway.noted.get(timeout=LATE_S), DisconnectedError)
+    earlier, later = gateway.pressed(), gateway.pressed()
+    earlier.put(DisconnectedError("no answer"))
+    assert isinstance(gateway.noted.get(timeout=LATE_S), DisconnectedError)
+    later.put(STOPPED)
+    assert gateway.noted.get(timeout=LATE_S) is STOPPED, "it was pressed after what nobody wants"
     first = gateway.pressed()
     gateway.stops.take_back()
     assert gateway.stops.since_ns is None

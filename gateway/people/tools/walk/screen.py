@@ -109,6 +109,7 @@ class Screen(screen.Screen):
         elif key == "c":
             self._todo.put(walk.sit)
         elif key == "g":
+            self._stop.take_back()  # here, in the order of the keys: not a stop that is pressed behind it
             self._todo.put(self._go_on)
         elif key in _GAITS:
             self._todo.put(lambda: walk.walk_as(_GAITS[key]))
@@ -121,7 +122,6 @@ class Screen(screen.Screen):
         self._height_m = height_m
 
     def _go_on(self) -> None:
-        self._stop.take_back()
         if self._client.state().mode == Mode.ESTOPPED:
             self._client.reset()
         self._walk.start_again()
