@@ -100,6 +100,18 @@ def test_two_lost_legs_start_one_after_the_other() -> None:
     assert ridden.posture is Posture.STANDING
 
 
+@pytest.mark.parametrize("others", [(1, 2, 3), tuple(LEGS)])
+def test_legs_that_ran_when_it_was_made_and_were_stopped_before_its_first_word_start_lying(
+    others: tuple[int, ...],
+) -> None:
+    stood = standing().running
+    ridden = Ridden(running={leg: stood[leg] for leg in others})
+    ridden.stop()
+    ridden.ride.stand(None, ridden.now_s)
+    ridden.until(lambda: ridden.posture is Posture.STANDING)
+    assert [leg for _, leg in ridden.started] == list(LEGS)
+
+
 def test_a_quicker_stream_starts_no_leg_sooner() -> None:
     ridden = Ridden()
     ridden.ride.stand(None, ridden.now_s)
