@@ -107,6 +107,8 @@ def test_legs_that_ran_when_it_was_made_and_were_stopped_before_its_first_word_s
     stood = standing().running
     ridden = Ridden(running={leg: stood[leg] for leg in others})
     ridden.stop()
+    ridden.tick()
+    assert (ridden.posture, ridden.sent) == (Posture.LYING, [])
     ridden.ride.stand(None, ridden.now_s)
     ridden.until(lambda: ridden.posture is Posture.STANDING)
     assert [leg for _, leg in ridden.started] == list(LEGS)
