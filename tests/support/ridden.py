@@ -69,9 +69,9 @@ class Ridden:
 
     # ---- the shell
 
-    def tick(self) -> Step:
-        """One turn; what it did last."""
-        self.now_s += TICK_S
+    def tick(self, seconds: float = TICK_S) -> Step:
+        """One turn, so long after the one before; what it did last."""
+        self.now_s += seconds
         self._watch()
         for _ in range(5):  # questions and Stops, before a setpoint
             step = self.ride.next(self.now_s)

@@ -21,7 +21,6 @@ from gateway.people.client.walk import Walk, robot_of
 from gateway.people.ros2.joints import Degrees, legs_deg
 from gateway.people.ros2.trajectory import Trajectory
 from gateway.people.walking import DOWN, REST_S, Do, Pose, Ride, Velocity
-from schemas.robot import LEGS
 
 HZ: Final = 50.0
 MARGIN_S: Final = 0.25
@@ -146,10 +145,11 @@ class Course:
             self._at_rad = {**self._at_rad, **self._plan.at(now_s)}
 
     def _sitting(self, now_s: float) -> Ride | None:
-        """What lies down from where the legs are; None where it cannot: then they are stopped as they are."""
-        if self._started != frozenset(LEGS):
-            return None
-        pose = legs_deg(self._geometry, self._at_rad)
+        """What lies down from where the legs are; None where it cannot: then they are stopped as they are.
+
+        With a leg that does not run, a ride that is sent away before its first word sends nothing.
+        """
+        pose = {leg: at for leg, at in legs_deg(self._geometry, self._at_rad).items() if leg in self._started}
         try:
             ride = self._make_ride(pose)
             ride.found(ride.robot, pose, now_s)

@@ -100,6 +100,36 @@ def test_two_lost_legs_start_one_after_the_other() -> None:
     assert ridden.posture is Posture.STANDING
 
 
+@pytest.mark.parametrize("others", [(1, 2, 3), tuple(LEGS)])
+def test_legs_that_ran_when_it_was_made_and_were_stopped_before_its_first_word_start_lying(
+    others: tuple[int, ...],
+) -> None:
+    stood = standing().running
+    ridden = Ridden(running={leg: stood[leg] for leg in others})
+    ridden.stop()
+    ridden.tick()
+    assert (ridden.posture, ridden.sent) == (Posture.LYING, [])
+    ridden.ride.stand(None, ridden.now_s)
+    ridden.until(lambda: ridden.posture is Posture.STANDING)
+    assert [leg for _, leg in ridden.started] == list(LEGS)
+
+
+def test_a_quicker_stream_starts_no_leg_sooner() -> None:
+    ridden = Ridden()
+    ridden.ride.stand(None, ridden.now_s)
+    for _ in range(40):
+        ridden.tick(0.004)  # the gateway of `Ridden` judges the pauses
+    assert [leg for _, leg in ridden.started] == list(LEGS)
+
+
+def test_a_stopped_leg_that_somebody_has_started_again_is_lost_all_the_same() -> None:
+    """That it runs again is not this driver's decision, and where it is nobody here knows."""
+    ridden = walking()
+    assert ridden.ride.stopped(StoppedError("somebody stopped it", (3,)), LEGS) == {1, 2, 4, 5, 6}
+    assert ridden.ride.state.lost == (3,)
+    expect_begins_anew(ridden)
+
+
 def test_legs_that_do_not_carry_it_are_stopped_and_it_begins_anew() -> None:
     """On the three legs of one side it has fallen: angles of before would throw it up."""
     ridden = walking()

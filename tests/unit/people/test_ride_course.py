@@ -131,13 +131,14 @@ def test_a_newer_plan_goes_on_from_where_the_robot_is_also_while_it_sits_down() 
     assert one.over_s == math.inf
 
 
-def test_with_a_leg_that_does_not_run_nothing_can_sit_and_all_is_stopped() -> None:
+@pytest.mark.parametrize(("legs", "seconds"), [((1, 2), 1.0), (tuple(LEGS), 0.06)], ids=["two", "six, three started"])
+def test_with_a_leg_that_does_not_run_nothing_can_sit_and_all_is_stopped(legs: tuple[int, ...], seconds: float) -> None:
     one = Followed()
-    one.course.follow(plan(0.0, (30.0, 0.1), legs=(1, 2)), 0.0)
-    one.run(1.0)
+    one.course.follow(plan(0.0, (30.0, 0.1), legs=legs), 0.0)
+    one.run(seconds)
     one.course.lose_sender(one.now_s)
     one.run(0.1)
-    assert one.over_s == pytest.approx(1.0 + TICK_S)
+    assert one.over_s == pytest.approx(seconds + TICK_S)
 
 
 def test_a_robot_that_can_not_sit_is_stopped() -> None:
