@@ -9,7 +9,7 @@ import pytest
 GATEWAY = Path(__file__).parents[2] / "gateway"
 
 ROOMS: Final = (
-    ("durable", "errors", "limits"),
+    ("durable", "errors", "limits", "nesting"),
     ("robot.protocol", "geometry"),
     ("robot.core", "people.walking", "people.ros2"),
     ("robot.settings",),
