@@ -192,6 +192,7 @@ class TelemetrySettings(Section):
     state_hz: Annotated[float, Finite, Field(ge=0, le=1000)] = 10.0
     frames: bool = False
     metrics: str = ""
+    metrics_hosts: tuple[str, ...] = ()
 
     @field_validator("metrics")
     @classmethod
@@ -357,6 +358,7 @@ _LISTS: Final[Mapping[Place, str]] = {
     ("zenoh", "listen"): '["tcp/127.0.0.1:7447"]',
     ("zenoh", "connect"): '["tcp/127.0.0.1:7447"]',
     ("spi", "avoid_deg"): "[1.0, 4.0]",
+    ("telemetry", "metrics_hosts"): '["robot.local"]',
 }
 _NAMES: Final = f"a variable is named like {ENV_PREFIX}SPI__DEVICE; the sections are {', '.join(Settings.model_fields)}"
 

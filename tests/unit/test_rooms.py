@@ -9,7 +9,7 @@ import pytest
 GATEWAY = Path(__file__).parents[2] / "gateway"
 
 ROOMS: Final = (
-    ("durable", "errors", "limits", "nesting"),
+    ("durable", "errors", "limits", "nesting", "web_hosts"),
     ("robot.protocol", "geometry"),
     ("robot.core", "people.walking", "people.ros2"),
     ("robot.settings",),

@@ -97,6 +97,7 @@ seconds = 10
 state_hz = 0
 frames = true
 metrics = "127.0.0.1:9464"
+metrics_hosts = ["robot.local"]
 [log]
 level = "debug"
 format = "json"
