@@ -4,12 +4,14 @@ import json
 import os
 import re
 import signal
+import socket
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
 import jsonschema
+import pytest
 from websockets import Subprotocol
 from websockets.sync.client import ClientConnection, connect
 
@@ -128,3 +130,34 @@ def wait_for_line(viewer: ClientConnection, sentence: str) -> None:
         message = viewer.recv(PATIENCE_S)
         if isinstance(message, bytes) and sentence.encode() in message:
             return
+
+
+@pytest.mark.parametrize(
+    ("headers", "may"),
+    [
+        ({}, True),
+        ({"Origin": "https://app.foxglove.dev"}, True),
+        ({"Origin": "https://viewer.example"}, True),
+        ({"Origin": "https://evil.example"}, False),
+        ({"Origin": "null"}, False),
+        ({"Host": "evil.example"}, False),
+        ({"Host": "evil.example", "Origin": "http://evil.example"}, False),
+    ],
+)
+def test_no_web_page_but_a_viewers_reads_the_state(shown: Child, headers: dict[str, str], may: bool) -> None:
+    host, port = address_of(shown).removeprefix("ws://").split(":")
+    with socket.create_connection((host, int(port)), timeout=PATIENCE_S) as asked:
+        lines = {"Host": f"{host}:{port}", **headers, "Upgrade": "websocket", "Connection": "Upgrade"} | {
+            "Sec-WebSocket-Version": "13",
+            "Sec-WebSocket-Key": "AAAAAAAAAAAAAAAAAAAAAA==",
+            "Sec-WebSocket-Protocol": "foxglove.sdk.v1",
+        }
+        asked.sendall(b"GET / HTTP/1.1\r\n" + "".join(f"{k}: {v}\r\n" for k, v in lines.items()).encode() + b"\r\n")
+        assert asked.recv(12) == (b"HTTP/1.1 101" if may else b"HTTP/1.1 403")
+
+
+@pytest.fixture(scope="module")
+def shown(gateway: Gateway) -> Iterator[Child]:
+    arguments = ("foxglove", "--port", "0", "--origin", "https://viewer.example", "--connect", gateway.endpoint)
+    with closing(Child([*COMMAND, *arguments], os.environ)) as child:
+        yield child

@@ -135,7 +135,7 @@ def test_each_kind_of_link_with_certificates(settings: dict[str, Any], endpoint:
 
 @pytest.mark.parametrize("dialled", [False, True])
 def test_no_option_brings_quic_together_with_certificates(dialled: bool) -> None:
-    where = {"listen/endpoints": [], "connect/endpoints": []}
+    where: dict[str, list[str]] = {"listen/endpoints": [], "connect/endpoints": []}
     where["connect/endpoints" if dialled else "listen/endpoints"] = ["quic/192.0.2.1:7447"]
     with pytest.raises(ConfigError, match="write tls/ in place of quic/"):
         exposure.check(config(**where, **MTLS), allow_insecure=True)
