@@ -12,7 +12,7 @@ from typing import Any, Final, NamedTuple
 
 import zenoh
 
-from gateway import certs
+from gateway import certs, nesting
 from gateway.errors import ConfigError, ZenohError
 
 _TLS = "transport/link/tls"
@@ -39,10 +39,10 @@ def load_config(path: Path) -> zenoh.Config:
     Raises ConfigError, one line, for a typo, and a file it names that is missing or unreadable.
     """
     path = path.absolute()
-    certs.files.read_file(path, "Zenoh configuration")
     try:
+        nesting.check(certs.files.read_file(path, "Zenoh configuration"))
         config = zenoh.Config.from_file(str(path))
-    except zenoh.ZError as error:
+    except (ValueError, zenoh.ZError) as error:
         raise ConfigError(f"{path}: {one_line(error)}") from error
     for setting, file in _named_files(config, path.parent).items():
         try:

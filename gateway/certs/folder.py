@@ -18,6 +18,7 @@ import zenoh
 from cryptography import x509
 from cryptography.hazmat.primitives import serialization
 
+from gateway import nesting
 from gateway.certs import (
     CONSOLE_DAYS,
     LAPTOP_ROLES,
@@ -399,8 +400,9 @@ def _port_and_namespace(config: Path) -> tuple[int, str]:
 
 def _read_config(config: Path) -> zenoh.Config:
     try:
+        nesting.check(read_file(config, "Zenoh configuration"))
         return zenoh.Config.from_file(str(config))
-    except zenoh.ZError as error:
+    except (ValueError, zenoh.ZError) as error:
         reason = str(error).splitlines()[0]
         raise ConfigError(f"cannot read {config}: {reason}; restore it, or fix what it names") from error
 

@@ -310,7 +310,7 @@ def _calibrations(settings: Settings, conductor: Conductor, loop: asyncio.Abstra
 def _open(settings: Settings, config: zenoh.Config, conductor: Conductor) -> zenoh.Session:
     """All that is opened on the network. Waits for name servers, and for routers where the Zenoh file says so."""
     if settings.telemetry.metrics:
-        exposition.serve(settings.telemetry.metrics, conductor)
+        exposition.serve(settings.telemetry.metrics, settings.telemetry.metrics_hosts, conductor)
     return open_session(config)
 
 

@@ -6,7 +6,6 @@ A TOML file gives them and environment variables override it (`HEXAPOD_SPI__DEVI
 import json
 import os
 import re
-import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, Self, TypeVar
@@ -23,6 +22,7 @@ from pydantic import (
 )
 from pydantic_core import ErrorDetails
 
+from gateway import nesting
 from gateway.errors import ConfigError
 from gateway.robot.protocol.frames import centidegrees
 from gateway.robot.protocol.framing import Framing
@@ -196,6 +196,7 @@ class TelemetrySettings(Section):
     state_hz: Annotated[float, Finite, Field(ge=0, le=1000)] = 10.0
     frames: bool = False
     metrics: str = ""
+    metrics_hosts: tuple[str, ...] = ()
 
     @field_validator("metrics")
     @classmethod
@@ -300,15 +301,16 @@ _WHICH_FRAMING: Final = (
 def _read(path: Path | None) -> dict[str, Any]:
     found = path or DEFAULT_PATH
     try:
-        return tomllib.loads(found.read_text(encoding="utf-8"))
+        with found.open("rb") as file:
+            return nesting.read_toml(file.read(nesting.MOST_BYTES + 1))
     except FileNotFoundError:
         if path is None:
             return {}
         raise ConfigError(f"{found}: there is no such file; name another with --config") from None
     except OSError as error:
         raise ConfigError(f"{found}: cannot be read ({error.strerror}); name another file with --config") from error
-    except (ValueError, RecursionError) as error:  # TOML's own errors, bytes that are no UTF-8, a thousand brackets
-        raise ConfigError(f"{found}: is not TOML: {error}") from error
+    except ValueError as error:
+        raise ConfigError(f"{found}: {error}") from error
 
 
 def _faults_of_file(values: dict[str, Any], context: Context) -> list[Fault]:
@@ -361,6 +363,7 @@ _LISTS: Final[Mapping[Place, str]] = {
     ("zenoh", "connect"): '["tcp/127.0.0.1:7447"]',
     ("spi", "avoid_deg"): "[1.0, 4.0]",
     ("buttons", "names"): '["kitchen"]',
+    ("telemetry", "metrics_hosts"): '["robot.local"]',
 }
 _NAMES: Final = f"a variable is named like {ENV_PREFIX}SPI__DEVICE; the sections are {', '.join(Settings.model_fields)}"
 

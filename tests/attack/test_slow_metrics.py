@@ -100,6 +100,6 @@ def answered(address: str, until_s: float) -> int:
     count = 0
     while time.monotonic() < until_s:
         with suppress(OSError), connect(address, 1) as connection:
-            connection.sendall(b"GET /metrics HTTP/1.1\r\nHost: robot\r\n\r\n")
+            connection.sendall(b"GET /metrics HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n")
             count += bool(connection.recv(1))
     return count

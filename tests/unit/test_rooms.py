@@ -9,7 +9,7 @@ import pytest
 GATEWAY = Path(__file__).parents[2] / "gateway"
 
 ROOMS: Final = (
-    ("allowance", "durable", "errors", "limits", "text"),
+    ("allowance", "durable", "errors", "limits", "nesting", "text", "web_hosts"),
     ("robot.protocol", "geometry"),
     ("robot.core", "people.walking", "people.ros2"),
     ("robot.settings",),

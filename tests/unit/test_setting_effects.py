@@ -53,6 +53,7 @@ SHOWN_ELSEWHERE = {
     "recorder.seconds": "test_recorder.py",
     "telemetry.state_hz": "test_service.py",
     "telemetry.metrics": "test_metrics.py",
+    "telemetry.metrics_hosts": "test_metrics.py",
     "log.level": "test_logs.py",
     "log.format": "test_logs.py",
 }

@@ -4,13 +4,16 @@ import json
 import os
 import re
 import signal
+import socket
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
 import jsonschema
+import pytest
 from websockets import Subprotocol
+from websockets.exceptions import InvalidMessage
 from websockets.sync.client import ClientConnection, connect
 
 from gateway.people.recordings import REPORTS
@@ -128,3 +131,45 @@ def wait_for_line(viewer: ClientConnection, sentence: str) -> None:
         message = viewer.recv(PATIENCE_S)
         if isinstance(message, bytes) and sentence.encode() in message:
             return
+
+
+@pytest.mark.parametrize(
+    ("headers", "may"),
+    [
+        ({}, True),
+        ({"Origin": "https://app.foxglove.dev"}, True),
+        ({"Origin": "https://viewer.example"}, True),
+        ({"Origin": "https://evil.example"}, False),
+        ({"Origin": "null"}, False),
+        ({"Host": "evil.example"}, False),
+        ({"Host": "evil.example", "Origin": "http://evil.example"}, False),
+    ],
+)
+def test_no_web_page_but_a_viewers_reads_the_state(shown: Child, headers: dict[str, str], may: bool) -> None:
+    host, port = address_of(shown).removeprefix("ws://").split(":")
+    with socket.create_connection((host, int(port)), timeout=PATIENCE_S) as asked:
+        lines = {"Host": f"{host}:{port}", **headers, "Upgrade": "websocket", "Connection": "Upgrade"} | {
+            "Sec-WebSocket-Version": "13",
+            "Sec-WebSocket-Key": "AAAAAAAAAAAAAAAAAAAAAA==",
+            "Sec-WebSocket-Protocol": "foxglove.sdk.v1",
+        }
+        asked.sendall(b"GET / HTTP/1.1\r\n" + "".join(f"{k}: {v}\r\n" for k, v in lines.items()).encode() + b"\r\n")
+        assert asked.recv(12) == (b"HTTP/1.1 101" if may else b"HTTP/1.1 403")
+
+
+def test_the_server_behind_speaks_no_plain_websocket(shown: Child) -> None:
+    """So that no page gets round the door; browsers do not know the certificate."""
+    door = int(address_of(shown).rpartition(":")[2])
+    own = {os.readlink(each) for each in Path(f"/proc/{shown.pid}/fd").iterdir()}
+    table = [line.split() for line in Path("/proc/net/tcp").read_text().splitlines()[1:]]
+    ports = {int(row[1].partition(":")[2], 16) for row in table if row[3] == "0A" and f"socket:[{row[9]}]" in own}
+    (behind,) = ports - {door}
+    with pytest.raises(InvalidMessage):
+        connect(f"ws://127.0.0.1:{behind}", subprotocols=[Subprotocol("foxglove.sdk.v1")], open_timeout=PATIENCE_S)
+
+
+@pytest.fixture(scope="module")
+def shown(gateway: Gateway) -> Iterator[Child]:
+    arguments = ("foxglove", "--port", "0", "--origin", "https://viewer.example", "--connect", gateway.endpoint)
+    with closing(Child([*COMMAND, *arguments], os.environ)) as child:
+        yield child

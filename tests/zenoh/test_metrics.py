@@ -1,5 +1,6 @@
 """Percentiles, histograms, and what Prometheus reads over HTTP."""
 
+import http.client
 import re
 import time
 import urllib.error
@@ -144,3 +145,23 @@ def test_a_port_that_is_taken_is_a_fault_of_the_configuration(tmp_path: Path) ->
         assert second.child.stderr == (
             f"hexapod-gateway: telemetry.metrics: {address} cannot be opened: Address already in use\n"
         )
+
+
+def test_no_web_page_reads_them_by_a_name_of_its_own(tmp_path: Path) -> None:
+    """A page whose name points at this machine (DNS rebinding), or one of another origin."""
+    port = free_port()
+    telemetry = {"metrics": f"0.0.0.0:{port}", "metrics_hosts": ["Robot.local"]}
+    with Gateway(tmp_path, {"telemetry": telemetry}):
+        for headers, status in (
+            ({"Host": f"127.0.0.1:{port}"}, 200),
+            ({"Host": f"127.0.0.2:{port}"}, 200),
+            ({"Host": "localhost:9999"}, 200),
+            ({"Host": f"robot.local:{port}"}, 200),
+            ({"Host": f"evil.example:{port}"}, 403),
+            ({"Host": f"127.0.0.1:{port}", "Origin": "http://evil.example"}, 403),
+        ):
+            reached = "127.0.0.2" if "127.0.0.2" in headers["Host"] else "127.0.0.1"
+            asked = http.client.HTTPConnection(reached, port, timeout=10)
+            asked.request("GET", "/metrics", headers=headers)
+            assert asked.getresponse().status == status, headers
+            asked.close()

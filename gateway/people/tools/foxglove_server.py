@@ -1,6 +1,7 @@
 """`foxglove`: what the gateway publishes, live for Foxglove and Lichtblick. Read only: a viewer is no console."""
 
 import json
+from collections.abc import Collection
 from contextlib import closing
 from datetime import datetime
 from pathlib import Path
@@ -18,6 +19,7 @@ from gateway.people.recordings.writing import REPORTS, ROS_ENCODING, ROS_SCHEMA_
 from gateway.people.ros2.cdr import Message, definition, encode
 from gateway.people.terminal import hint, on_end_signals, say
 from gateway.people.tools.reach import Connection
+from gateway.people.tools.viewers_door import Door, Pair
 from schemas.keys import STATE
 
 try:
@@ -28,20 +30,28 @@ except ImportError as error:
     raise ConfigError("the viewers' server is missing: pip install 'hexapod-gateway[foxglove]'") from error
 
 HOST: Final = "127.0.0.1"
-"""This machine only: its WebSocket asks nobody who they are. From elsewhere, `ssh -L` leads here."""
+"""This machine only. From elsewhere, `ssh -L` leads here."""
+_NAME: Final = "viewers.invalid"
+"""Of the server behind the door."""
 SILENT_S: Final = 1.0
 """A gateway publishes its state ten times a second."""
 MOST_WAITING: Final = 10_000
 
 
-def serve(connect: Connection, *, port: int, geometry: Path | None) -> int:
+def serve(connect: Connection, *, port: int, geometry: Path | None, origins: Collection[str] = ()) -> int:
     """Serve until a signal. Returns the exit code. Raises AddressTakenError, ConfigError, ZenohError."""
     shape = load(geometry)
     with connect() as client:
         reports = ReportQueue(REPORTS, MOST_WAITING, client.state().physics)
-        server = _Server(Drawing(shape), reports, port)
-        with closing(server), reports.receives(client.session), on_end_signals(reports.end):
-            say(f"In Foxglove or Lichtblick, open the Foxglove WebSocket ws://{HOST}:{server.port}; Ctrl-C ends")
+        try:
+            door = Door(HOST, port, origins)
+        except OSError as error:
+            raise AddressTakenError(f"port {port} is taken; name another with --port") from error
+        pair = Pair(_NAME)
+        server = _Server(Drawing(shape), reports, pair)
+        door.open(server.port, _NAME, pair.certificate)
+        with closing(server), closing(door), reports.receives(client.session), on_end_signals(reports.end):
+            say(f"In Foxglove or Lichtblick, open the Foxglove WebSocket ws://{HOST}:{door.port}; Ctrl-C ends")
             server.run()
     return 0
 
@@ -49,7 +59,7 @@ def serve(connect: Connection, *, port: int, geometry: Path | None) -> int:
 class _Server(ServerListener):
     """The calling thread draws what is received, and hands it to the viewers' server."""
 
-    def __init__(self, drawing: Drawing, reports: ReportQueue, port: int) -> None:
+    def __init__(self, drawing: Drawing, reports: ReportQueue, pair: Pair) -> None:
         self._drawing = drawing
         self._reports = reports
         self._starts = Starts()
@@ -62,18 +72,17 @@ class _Server(ServerListener):
         for topic, kind in DRAWN.items():
             schema = foxglove.Schema(name=kind.TYPE, encoding=ROS_SCHEMA_ENCODING, data=definition(kind).encode())
             self._channels[topic] = self._channel(topic, schema, ROS_ENCODING)
-        try:
-            # No capabilities: what a viewer publishes, calls or sets is answered with an error and goes nowhere.
-            self._server = foxglove.start_server(
-                name="hexapod-gateway",
-                host=HOST,
-                port=port,
-                capabilities=[],
-                server_listener=self,
-                context=self._context,
-            )
-        except RuntimeError as error:
-            raise AddressTakenError(f"port {port} is taken; name another with --port") from error
+        # No capabilities: what a viewer publishes, calls or sets is answered with an error and goes nowhere.
+        self._server = foxglove.start_server(
+            name="hexapod-gateway",
+            host=HOST,
+            port=0,
+            capabilities=[],
+            server_listener=self,
+            context=self._context,
+            tls_cert=pair.certificate,
+            tls_key=pair.key,
+        )
 
     def _channel(self, topic: str, schema: "dict[str, Any] | foxglove.Schema", encoding: str) -> "foxglove.Channel":
         return foxglove.Channel(topic, schema=schema, message_encoding=encoding, context=self._context)

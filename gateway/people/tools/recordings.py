@@ -127,6 +127,12 @@ def foxglove(
     port: Annotated[
         int, typer.Option("--port", metavar="N", min=0, max=65535, help="On 127.0.0.1; 0: any free one.")
     ] = 8765,
+    origin: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--origin", metavar="ORIGIN", help="Also let pages of this origin look (https://HOST); repeatable."
+        ),
+    ] = None,
     geometry: OtherShapeOption = None,
     connect: ConnectOption = None,
     zenoh_config: ZenohConfigOption = None,
@@ -141,4 +147,4 @@ def foxglove(
     from gateway.people.tools.foxglove_server import serve
 
     connection = reach.connection(connect, zenoh_config, timeout, source="hexapod-gateway foxglove")
-    sys.exit(serve(connection, port=port, geometry=geometry))
+    sys.exit(serve(connection, port=port, geometry=geometry, origins=origin or ()))

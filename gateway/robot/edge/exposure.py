@@ -28,6 +28,7 @@ def check(config: zenoh.Config, *, allow_insecure: bool) -> None:
     if not listen and not connect_endpoints(config):
         raise ConfigError("zenoh.listen and zenoh.connect are both empty, so nobody could reach the gateway")
     _check_namespace(config)
+    _check_links(listen + connect_endpoints(config), config)
     open_to_anyone = [endpoint for endpoint in listen if is_open_to_anyone(endpoint, config)]
     if open_to_anyone and not allow_insecure:
         raise ConfigError(
@@ -50,6 +51,19 @@ def check(config: zenoh.Config, *, allow_insecure: bool) -> None:
         )
     if get(config, "access_control/rules") and get(config, "access_control/enabled") is not True:
         logger.warning("access_control has rules, but is not enabled; Zenoh ignores them")
+
+
+def _check_links(endpoints: list[str], config: zenoh.Config) -> None:
+    """With certificates, a session that must not be there is ended by shutting down its socket, which QUIC's one UDP
+    socket for all sessions does not allow: the revoked would stay, and take the operators' places. Raises ConfigError.
+    """
+    quic = [endpoint for endpoint in endpoints if endpoint.startswith("quic")]
+    by_certificate = get(config, "transport/link/tls/root_ca_certificate") or get(config, "access_control/enabled")
+    if quic and by_certificate:
+        raise ConfigError(
+            f"{', '.join(quic)}: over QUIC nobody who is revoked can be shut out, and no place be kept for operators; "
+            "with certificates, write tls/ in place of quic/"
+        )
 
 
 def _check_namespace(config: zenoh.Config) -> None:

@@ -8,7 +8,6 @@ import glob
 import json
 import os
 import stat
-import tomllib
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
@@ -17,7 +16,7 @@ from typing import Annotated, Final
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from gateway import durable
+from gateway import durable, nesting
 from gateway.errors import ConfigError
 from gateway.robot.core.calibration import Calibration, CalibrationError, ServoCalibration, report_of
 from gateway.robot.host.directories import SERVICE_STATE, state_directory
@@ -102,8 +101,8 @@ def read(path: Path) -> Calibration | None:
     if len(data) > MAX_BYTES:
         raise ConfigError(f"{path}: is larger than {MAX_BYTES} bytes; that is no calibration")
     try:
-        return from_toml(data.decode())
-    except (ValueError, RecursionError) as error:
+        return from_toml(data)
+    except ValueError as error:
         raise ConfigError(f"{path}: {error}") from error
 
 
@@ -184,12 +183,9 @@ class _File(BaseModel):
 _WHOLE: Final = "a whole calibration names every servo and all of its numbers"
 
 
-def from_toml(text: str) -> Calibration:
-    """The calibration in a file's text. Raises ValueError with one sentence."""
-    try:
-        values = tomllib.loads(text)
-    except ValueError as error:
-        raise ValueError(f"is not TOML: {error}") from error
+def from_toml(data: bytes) -> Calibration:
+    """The calibration in a file. Raises ValueError with one sentence."""
+    values = nesting.read_toml(data)
     version = values.get("version")
     if version != VERSION:
         raise ValueError(f"version is {version!r}; this gateway reads {VERSION}")

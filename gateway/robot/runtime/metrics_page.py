@@ -101,10 +101,14 @@ class MetricsPage(WSGIServer):
                     request += more
                     if not more or len(request) > MAX_REQUEST_BYTES:
                         return
-                await loop.sock_sendall(connection, self._response_to(request))
+                await loop.sock_sendall(connection, self._response_to(request, connection.getsockname()[0]))
 
-    def _response_to(self, request: Any) -> bytes:
-        """`request` is bytes; a handler of wsgiref's would take a socket, and `_Request` does not."""
+    def _response_to(self, request: Any, reached: str) -> bytes:
+        """`request` is bytes; a handler of wsgiref's would take a socket, and `_Request` does not.
+
+        `reached`: the address of ours to which it came; the one that listens may be all of them.
+        """
+        self.base_environ["SERVER_NAME"] = reached.removeprefix("::ffff:")
         return _Request(request, ("", 0), self).response
 
 

@@ -1,7 +1,7 @@
 """The service's numbers for Prometheus, over HTTP (`telemetry.metrics`)."""
 
 import logging
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from typing import TYPE_CHECKING, Final
 
 from prometheus_client import CollectorRegistry, ProcessCollector, make_wsgi_app
@@ -21,6 +21,7 @@ from gateway.robot.host import logs
 from gateway.robot.protocol import VERSION
 from gateway.robot.runtime.conductor import Conductor
 from gateway.robot.runtime.metrics_page import MetricsPage
+from gateway.web_hosts import LOOPBACK, may_ask
 from schemas.telemetry import Cause, Kind, Mode, Reason
 
 METRICS_PATH: Final = "/metrics"
@@ -143,14 +144,30 @@ def _only_at_its_path(page: "WSGIApplication") -> "WSGIApplication":
     return answer
 
 
-def serve(address: str, conductor: Conductor) -> None:
-    """Serve the numbers on `host:port` from a thread of its own. Raises ConfigError where the port cannot be had.
+def _only_for(ours: Collection[str], page: "WSGIApplication") -> "WSGIApplication":
+    """The page for requests under these hosts, or the address that they reached, and 403 for all others."""
+
+    def answer(environ: "WSGIEnvironment", start_response: "StartResponse") -> Iterable[bytes]:
+        known = {*ours, environ["SERVER_NAME"]}
+        if may_ask(environ.get("HTTP_HOST"), environ.get("HTTP_ORIGIN"), known):
+            return page(environ, start_response)
+        start_response("403 Forbidden", [("Content-Type", "text/plain")])
+        return [b"not under this name: telemetry.metrics_hosts lists more\n"]
+
+    return answer
+
+
+def serve(address: str, hosts: Collection[str], conductor: Conductor) -> None:
+    """Serve the numbers on `host:port` from a thread of its own, also under the names in `hosts`.
+
+    Raises ConfigError where the port cannot be had.
 
     May wait for a name server, so not for the loop's thread.
     """
     registry = CollectorRegistry()
     registry.register(_Numbers(conductor))
     ProcessCollector(registry=registry)
-    MetricsPage(address, _only_at_its_path(make_wsgi_app(registry))).start()
+    ours = {*LOOPBACK, address.rpartition(":")[0].strip("[]").lower(), *map(str.lower, hosts)}
+    MetricsPage(address, _only_for(ours, _only_at_its_path(make_wsgi_app(registry)))).start()
     if not is_local(f"tcp/{address}"):
         logger.warning("telemetry.metrics: anyone who reaches %s can read how the robot is used", address)

@@ -6,11 +6,11 @@ framing allows beyond these limits is no reason to write no Stop, see `within_li
 """
 
 import os
-import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, Union
 
+from gateway import nesting
 from gateway.robot.protocol.framing import Framing
 
 if TYPE_CHECKING:
@@ -65,8 +65,8 @@ def read(path: Path) -> tuple[PlainSpi, PlainRepeats] | None:
         return None
     try:
         with path.open("rb") as file:
-            tables = tomllib.load(file)
-    except (OSError, ValueError, RecursionError):
+            tables = nesting.read_toml(file.read(nesting.MOST_BYTES + 1))
+    except (OSError, ValueError):
         return None
     spi, watchdog = tables.get("spi"), tables.get("watchdog", {})
     if not isinstance(spi, dict) or not isinstance(watchdog, dict) or not spi.keys() <= _KNOWN:

@@ -29,14 +29,14 @@ OWN = Calibration(3, {32: ServoCalibration(7_50, inverted=True, max_cdeg=140_00)
 
 @given(calibrations)
 def test_what_is_written_is_read(calibration: Calibration) -> None:
-    assert from_toml(to_toml(calibration)) == calibration
+    assert from_toml(to_toml(calibration).encode()) == calibration
 
 
 def test_every_file_that_was_cut_off_is_noticed() -> None:
     text = to_toml(OWN)
     for end in range(len(text) - 1):  # the last character is the end of the line
         with pytest.raises(ValueError, match=r"."):
-            from_toml(text[:end])
+            from_toml(text[:end].encode())
 
 
 def test_there_is_none_yet(tmp_path: Path) -> None:

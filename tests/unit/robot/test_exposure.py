@@ -87,7 +87,7 @@ def test_whatever_else_is_open_to_strangers(endpoint: str) -> None:
     ("listen", "settings", "expected"),
     [
         (["tls/0.0.0.0:7447"], MTLS, False),
-        (["quic/0.0.0.0:7447"], MTLS, False),
+        (["quic/0.0.0.0:7447"], MTLS, True),
         (["tcp/0.0.0.0:7447"], MTLS, True),
         (["tls/0.0.0.0:7447", "tcp/0.0.0.0:7448"], MTLS, True),
         (["tls/0.0.0.0:7447", "tcp/127.0.0.1:7448"], MTLS, False),
@@ -99,6 +99,47 @@ def test_whatever_else_is_open_to_strangers(endpoint: str) -> None:
 )
 def test_tls_with_client_certificates(listen: list[str], settings: dict[str, Any], expected: bool) -> None:
     assert rejected(*listen, **settings) is expected
+
+
+CONTROLLED = {**MTLS, "access_control/enabled": True, "access_control/default_permission": "deny"}
+
+
+@pytest.mark.parametrize("settings", [MTLS, {"access_control/enabled": True}, CONTROLLED])
+@pytest.mark.parametrize(
+    ("endpoint", "why"),
+    [
+        ("tls/127.0.0.1:7447", None),
+        ("tcp/127.0.0.1:7447", None),  # without a certificate access control lets nothing through
+        ("ws/127.0.0.1:7447", None),
+        ("udp/127.0.0.1:7447", None),
+        ("unixsock-stream//run/gateway.sock", None),
+        ("unixpipe//run/gateway.pipe", None),
+        ("quic/127.0.0.1:7447", "over QUIC nobody who is revoked can be shut out"),
+        ("quic/0.0.0.0:7447", "over QUIC nobody who is revoked can be shut out"),
+        ("quic_datagram/127.0.0.1:7447", "over QUIC nobody who is revoked can be shut out"),
+        ("tcp/0.0.0.0:7447", "would let anyone on the network"),
+        ("ws/0.0.0.0:7447", "would let anyone on the network"),
+        ("udp/0.0.0.0:7447", "would let anyone on the network"),
+        ("vsock/-1:17000", "would let anyone on the network"),
+        ("serial//dev/ttyUSB0", "would let anyone on the network"),
+    ],
+)
+def test_each_kind_of_link_with_certificates(settings: dict[str, Any], endpoint: str, why: str | None) -> None:
+    checked = config(**{"listen/endpoints": [endpoint], **settings})
+    if why is None:
+        exposure.check(checked, allow_insecure=False)
+    else:
+        with pytest.raises(ConfigError, match=why):
+            exposure.check(checked, allow_insecure=False)
+
+
+@pytest.mark.parametrize("dialled", [False, True])
+def test_no_option_brings_quic_together_with_certificates(dialled: bool) -> None:
+    where: dict[str, list[str]] = {"listen/endpoints": [], "connect/endpoints": []}
+    where["connect/endpoints" if dialled else "listen/endpoints"] = ["quic/192.0.2.1:7447"]
+    with pytest.raises(ConfigError, match="write tls/ in place of quic/"):
+        exposure.check(config(**where, **MTLS), allow_insecure=True)
+    exposure.check(config(**where), allow_insecure=True)
 
 
 @pytest.mark.parametrize(
@@ -191,7 +232,7 @@ NAME_UNCHECKED = {"transport/link/tls/verify_name_on_connect": False}
         ("tcp/router.local:7447", MTLS, True),
         ("tcp/127.0.0.1:7447", {}, False),
         ("tls/192.0.2.1:7447", MTLS, False),
-        ("quic/192.0.2.1:7447", MTLS, False),
+        ("quic/192.0.2.1:7447", {}, False),
         ("tls/192.0.2.1:7447", {**MTLS, **NAME_UNCHECKED}, True),
         ("tls/192.0.2.1:7447#verify_name_on_connect=false", MTLS, True),
     ],

@@ -98,6 +98,7 @@ seconds = 10
 state_hz = 0
 frames = true
 metrics = "127.0.0.1:9464"
+metrics_hosts = ["robot.local"]
 [log]
 level = "debug"
 format = "json"
@@ -277,7 +278,6 @@ NOT_TOML = {
     "a byte order mark": b"\xef\xbb\xbf[spi]",
     "JSON": b'{"spi": {}}',
     "nothing but zeros": bytes(64),
-    "a thousand brackets": b"a = " + b"[" * 5000,
     "too many digits": b"a = " + b"9" * 5000,
 }
 
@@ -299,10 +299,10 @@ def test_a_file_that_may_not_be_read(file: Path, monkeypatch: pytest.MonkeyPatch
     file.write_text("")
     if os.geteuid() == 0:  # whom permissions do not stop
 
-        def reject(path: Path, **_: object) -> str:
+        def reject(path: Path, *_: object) -> str:
             raise PermissionError(13, "Permission denied", str(path))
 
-        monkeypatch.setattr(Path, "read_text", reject)
+        monkeypatch.setattr(Path, "open", reject)
     else:
         file.chmod(0)
     line = "cannot be read (Permission denied); name another file with --config"

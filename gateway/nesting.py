@@ -1,0 +1,71 @@
+"""Files are looked at before they are parsed: how large they are, and how deep they nest.
+
+Zenoh's reader of JSON5 ends the process by SIGSEGV for 100 000 brackets, and Python's of TOML takes 29 s for a key of
+20 000 parts, whose value then overflows whoever walks through it.
+"""
+
+import re
+import tomllib
+from typing import Any, Final
+
+MOST_LEVELS: Final = 100
+"""gateway.json5 has 6."""
+MOST_BYTES: Final = 1_000_000
+"""The router.json5 of a hundred robots has some 200 000."""
+MOST_DOTS: Final = 1000
+"""In a line of TOML: a key of so many parts takes 50 ms."""
+
+_APART: Final = re.compile(
+    rb'"(?:[^"\\]|\\.?)*+(?:"|\Z)'  # text and comments, of which the last may have no end: brackets there open nothing
+    rb"|'(?:[^'\\]|\\.?)*+(?:'|\Z)"
+    rb"|//[^\n]*+"
+    rb"|/\*.*?(?:\*/|\Z)"
+    rb"|[\[{]"
+    rb"|[\]}]",
+    re.DOTALL,
+)
+
+
+def check(data: bytes) -> None:
+    """Raises ValueError with one sentence, for JSON5 (or JSON) that nests deeper than any file of ours."""
+    _check_size(data)
+    level = 0
+    for found in _APART.finditer(data):
+        if found[0] in b"[{":
+            level += 1
+        elif found[0] in b"]}":
+            level -= 1
+        if level > MOST_LEVELS:
+            raise _too_deep()
+
+
+def read_toml(data: bytes) -> dict[str, Any]:
+    """Raises ValueError with one sentence."""
+    _check_size(data)
+    if any(line.count(b".") > MOST_DOTS for line in data.splitlines()):
+        raise ValueError(f"has a line with more than {MOST_DOTS} dots")
+    try:
+        values = tomllib.loads(data.decode())
+    except RecursionError:
+        raise _too_deep() from None
+    except ValueError as error:  # TOML's own errors, and bytes that are no UTF-8
+        raise ValueError(f"is not TOML: {error}") from error
+    level: list[Any] = [values]
+    for _ in range(MOST_LEVELS):
+        level = [below for each in level if isinstance(each, dict | list) for below in _of(each)]
+    if level:
+        raise _too_deep()
+    return values
+
+
+def _of(table: dict[str, Any] | list[Any]) -> list[Any]:
+    return list(table.values()) if isinstance(table, dict) else table
+
+
+def _check_size(data: bytes) -> None:
+    if len(data) > MOST_BYTES:
+        raise ValueError(f"has more than {MOST_BYTES} bytes")
+
+
+def _too_deep() -> ValueError:
+    return ValueError(f"nests deeper than {MOST_LEVELS} levels")

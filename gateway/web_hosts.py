@@ -1,0 +1,28 @@
+"""Which requests of browsers are meant for one of our ports on this machine.
+
+A page of another site reaches every port of the machine on which its browser runs: as itself, which `Origin` tells, or
+under a name of its own that points here (DNS rebinding), which `Host` tells. Nothing is taken from either.
+"""
+
+from collections.abc import Collection
+from typing import Final
+
+LOOPBACK: Final = frozenset({"localhost", "127.0.0.1", "::1"})
+
+
+def is_one_of(host: str | None, ours: Collection[str]) -> bool:
+    """Whether a Host header (`robot.local:9464`, `[::1]:9464`) names one of these hosts, which are in lower case.
+
+    Its port is not compared: that of a tunnel is another, and no page can choose under which host it is asked for.
+    """
+    name = (host or "").lower()
+    if name.startswith("["):
+        name = name[1:].partition("]")[0]
+    elif name.count(":") == 1:
+        name = name.partition(":")[0]
+    return name in ours
+
+
+def may_ask(host: str | None, origin: str | None, ours: Collection[str], others: Collection[str] = ()) -> bool:
+    """Whether a request comes from no page (`origin` is None), from our own, or from one of the origins in `others`."""
+    return is_one_of(host, ours) and (origin is None or origin == f"http://{host}" or origin in others)

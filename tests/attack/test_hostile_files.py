@@ -1,0 +1,55 @@
+"""A file that nests without end is a sentence with its name, and never a signal or a traceback."""
+
+from pathlib import Path
+from typing import Final
+
+import pytest
+
+from gateway import certs
+from gateway.errors import ConfigError
+from gateway.robot.host import calibration_file
+from tests.support.child import Child
+from tests.support.gateway_process import COMMAND
+
+JSON5: Final = "[" * 100_000
+KEY: Final = "a" + ".a" * 20_000 + "=1"
+
+READ: Final = {
+    "a client's Zenoh file": ("client.json5", JSON5, ("send", "stop", "--zenoh-config", "{file}"), 2),
+    "the service's": ("gateway.json5", JSON5, ("run", "--sim", "--config", "{settings}"), 2),
+    "the service's, by check": ("gateway.json5", JSON5, ("check", "--config", "{settings}"), 1),
+    "the ROS router's": ("router.json5", JSON5, ("ros2", "--router-config", "{file}"), 2),
+    "settings, a long key": ("settings.toml", KEY, ("run", "--sim", "--config", "{file}"), 2),
+    "settings, brackets": ("settings.toml", f"a = {JSON5}", ("run", "--sim", "--config", "{file}"), 2),
+    "settings, by stop-servos": ("settings.toml", KEY, ("stop-servos", "--config", "{file}"), 2),
+    "a geometry": ("geometry.json", JSON5, ("ros2", "--geometry", "{file}"), 2),
+}
+"""The file's name, what is in it, the command that reads it, and its exit code."""
+
+
+@pytest.mark.parametrize("case", READ)
+def test_it_is_a_sentence_with_the_files_name(case: str, tmp_path: Path) -> None:
+    name, text, command, code = READ[case]
+    file, settings = tmp_path / name, tmp_path / "gateway.toml"
+    file.write_text(text)
+    settings.write_text(f'[zenoh]\nconfig = "{file}"\n[spi]\nframing = "plain"\n')
+    child = Child([*COMMAND, *(each.format(file=file, settings=settings) for each in command)], {})
+    ended = child.wait(30)
+    child.close()
+    assert ended == code, str(child)
+    assert "Traceback" not in child.stderr
+    assert name in child.stdout + child.stderr
+
+
+def test_a_folder_of_certificates(tmp_path: Path) -> None:
+    certs.folder.init(tmp_path / "D", ["127.0.0.1"])
+    (tmp_path / "D" / "gateway.json5").write_text(JSON5)
+    with pytest.raises(ConfigError, match=r"gateway\.json5: nests deeper"):
+        certs.folder.issue(tmp_path / "D", "anna", "operator")
+
+
+def test_a_calibration(tmp_path: Path) -> None:
+    file = tmp_path / "calibration.toml"
+    file.write_text(KEY)
+    with pytest.raises(ConfigError, match=r"calibration\.toml: has a line with more than 1000 dots"):
+        calibration_file.read(file)
