@@ -44,7 +44,7 @@ robot = client_fixture("test", rests=True)
 
 @pytest.mark.parametrize(
     ("module", "examples"),
-    [(client_module, 2), (blocking, 1), (stream, 9), (lease, 1), (aio, 10)],
+    [(client_module, 2), (blocking, 1), (stream, 2), (lease, 1), (aio, 10)],
 )
 def test_the_examples_run(gateway: Gateway, module: ModuleType, examples: int) -> None:
     failed, tried = doctest.testmod(module, extraglobs={"endpoint": gateway.endpoint, "Client": Client})

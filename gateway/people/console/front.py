@@ -17,6 +17,7 @@ import socket
 import ssl
 import sys
 import threading
+import time
 from collections import Counter
 from collections.abc import Callable
 from contextlib import suppress
@@ -125,7 +126,7 @@ class Front:
         self._admit = admit
         self._unknown = _Places(MAX_UNKNOWN)
         self._signed_in = _Places(MAX_SIGNED_IN)
-        self._allowance = Allowance(CONNECTIONS_A_SECOND, CONNECTIONS_AT_ONCE)
+        self._allowance = Allowance(CONNECTIONS_A_SECOND, CONNECTIONS_AT_ONCE, time.monotonic())
 
     def start(self) -> None:
         """Begin to take connections."""
@@ -145,7 +146,7 @@ class Front:
         loop.set_exception_handler(report)
         self._listening.setblocking(False)
         while True:
-            await asyncio.sleep(self._allowance.wait_s)
+            await asyncio.sleep(self._allowance.wait_s(time.monotonic()))
             try:
                 connection, address = await loop.sock_accept(self._listening)
             except OSError as error:
@@ -153,7 +154,7 @@ class Front:
                 self._unknown.end_all()
                 await asyncio.sleep(AGAIN_S)
                 continue
-            self._allowance.take()
+            self._allowance.take(time.monotonic())
             self._begin(connection, str(address[0]))
 
     def _begin(self, connection: socket.socket, address: str) -> None:

@@ -7,7 +7,6 @@ slowly: what waits in buffers is the past, and the newest state waits behind it.
 import asyncio
 import socket
 import ssl
-import time
 from collections import deque
 from contextlib import suppress
 from typing import Final, cast
@@ -46,27 +45,59 @@ class ClosedError(Exception):
 
 
 class Allowance:
-    """So many a second on average, and at most `at_once` without a pause."""
+    """So many a second on average, and at most `at_once` without a pause. Pure: `now_s` never goes back."""
 
-    def __init__(self, a_second: float, at_once: float) -> None:
+    def __init__(self, a_second: float, at_once: float, now_s: float) -> None:
         self._a_second = a_second
         self._at_once = at_once
         self._left = at_once
-        self._counted_s = time.monotonic()
+        self._counted_s = now_s
 
-    def take(self, count: float = 1) -> bool:
+    def take(self, now_s: float, count: float = 1) -> bool:
         """Use so many; False if that is more than was left."""
-        now_s = time.monotonic()
-        refilled = self._left + (now_s - self._counted_s) * self._a_second
-        self._left = min(self._at_once, refilled) - count
+        self._left = min(self._at_once, self._refilled(now_s)) - count
         self._counted_s = now_s
         return self._left >= 0
 
-    @property
-    def wait_s(self) -> float:
+    def wait_s(self, now_s: float) -> float:
         """How long until one more is allowed."""
-        refilled = self._left + (time.monotonic() - self._counted_s) * self._a_second
-        return max(0.0, (1 - refilled) / self._a_second)
+        return max(0.0, (1 - self._refilled(now_s)) / self._a_second)
+
+    def _refilled(self, now_s: float) -> float:
+        return self._left + (now_s - self._counted_s) * self._a_second
+
+
+class Quiet:
+    """A page of which nothing comes is asked after PING_S, and gone after as long again. Pure: `now_s` never goes back.
+
+    >>> quiet = Quiet(0.0)
+    >>> quiet.received(5.0)
+    >>> [(quiet.must_ask(now_s), quiet.is_gone(now_s), quiet.due_s) for now_s in (24.0, 25.0, 45.0)]
+    [(False, False, 25.0), (True, False, 45.0), (False, True, 45.0)]
+    """
+
+    def __init__(self, now_s: float) -> None:
+        self.received(now_s)
+
+    def received(self, now_s: float) -> None:
+        """The page has sent something, an answer too."""
+        self._received_s = now_s
+        self._asked = False
+
+    @property
+    def due_s(self) -> float:
+        """When to look again."""
+        return self._received_s + PING_S * (2 if self._asked else 1)
+
+    def must_ask(self, now_s: float) -> bool:
+        """Whether the page is asked now; true once for each silence."""
+        asks = not self._asked and now_s >= self.due_s
+        self._asked = self._asked or asks
+        return asks
+
+    def is_gone(self, now_s: float) -> bool:
+        """Whether it was asked, and has answered nothing."""
+        return self._asked and now_s >= self.due_s
 
 
 class WebSocket(asyncio.BufferedProtocol):
@@ -76,15 +107,16 @@ class WebSocket(asyncio.BufferedProtocol):
         self._layer = layer
         self._protocol = protocol
         self._buffer = bytearray(READ_BYTES)
-        self._frames = Allowance(FRAMES_A_SECOND, FRAMES_AT_ONCE)
-        self._bytes = Allowance(BYTES_A_SECOND, BYTES_A_SECOND)
+        self._loop = asyncio.get_running_loop()
+        now_s = self._loop.time()
+        self._frames = Allowance(FRAMES_A_SECOND, FRAMES_AT_ONCE, now_s)
+        self._bytes = Allowance(BYTES_A_SECOND, BYTES_A_SECOND, now_s)
+        self._quiet = Quiet(now_s)
         self._parts: list[bytes] = []
         self._texts: deque[str] = deque()
         self._there = asyncio.Event()
         self._writable = asyncio.Event()
         self._writable.set()
-        self._asked = False
-        self._loop = asyncio.get_running_loop()
         self._timer: asyncio.TimerHandle | None = None
         self.closed = asyncio.Event()
         """Set once the connection has ended, whoever ended it."""
@@ -129,7 +161,7 @@ class WebSocket(asyncio.BufferedProtocol):
         self._transport.set_write_buffer_limits(high=SEND_BYTES)
         connection: socket.socket = transport.get_extra_info("socket")
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NOTSENT_LOWAT, SEND_BYTES)
-        self._timer = self._loop.call_later(PING_S, self._ask)
+        self._timer = self._loop.call_at(self._quiet.due_s, self._look)
         self._flush()
         self._take_events()
 
@@ -138,8 +170,9 @@ class WebSocket(asyncio.BufferedProtocol):
         return self._buffer
 
     def buffer_updated(self, nbytes: int) -> None:
-        self._asked = False
-        if not self._bytes.take(nbytes):
+        now_s = self._loop.time()
+        self._quiet.received(now_s)
+        if not self._bytes.take(now_s, nbytes):
             self._flooded()
             return
         try:
@@ -174,7 +207,7 @@ class WebSocket(asyncio.BufferedProtocol):
     def _take_events(self) -> bool:
         """Take the frames that were parsed; False if no more may be parsed."""
         frames = self._protocol.events_received()
-        if frames and not self._frames.take(len(frames)):
+        if frames and not self._frames.take(self._loop.time(), len(frames)):
             self._flooded()
             return False
         for frame in frames:
@@ -227,14 +260,15 @@ class WebSocket(asyncio.BufferedProtocol):
         if self._transport.is_closing() or self._protocol.close_sent is not None:
             raise ClosedError
 
-    def _ask(self) -> None:
-        if self._asked:
+    def _look(self) -> None:
+        now_s = self._loop.time()
+        if self._quiet.is_gone(now_s):
             self._transport.abort()
             return
-        self._asked = True
-        self._protocol.send_ping(b"")
-        self._flush()
-        self._timer = self._loop.call_later(PING_S, self._ask)
+        if self._quiet.must_ask(now_s):
+            self._protocol.send_ping(b"")
+            self._flush()
+        self._timer = self._loop.call_at(self._quiet.due_s, self._look)
 
     def _give_up_in(self, delay_s: float) -> None:
         if self._timer is not None:
