@@ -7,12 +7,14 @@ import ssl
 import time
 from collections import defaultdict, deque
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import httpx
+from websockets.exceptions import InvalidMessage
 from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Subprotocol
 
@@ -94,6 +96,23 @@ class SignedIn(NamedTuple):
 NOBODY: Final = SignedIn("", "")
 
 
+def _opened(url: str, session: SignedIn, origin: str, verify: ssl.SSLContext | None) -> ClientConnection:
+    """A page's WebSocket; dialled again, as a page does, where a busy machine took longer than the console's 5 s."""
+    dial = partial(
+        connect,
+        url.replace("http", "ws", 1) + "/ws",
+        additional_headers={"Cookie": session.cookie, "Origin": origin or url},
+        subprotocols=session.subprotocols,
+        ssl=verify,
+        compression=None,
+        max_size=2**20,
+    )
+    for _ in range(TRIES - 1):
+        with suppress(EOFError, InvalidMessage):
+            return dial()
+    return dial()
+
+
 def sign_in(link: str, verify: ssl.SSLContext | bool = True) -> SignedIn:
     """Exchange a link for a session."""
     answer = httpx.get(link, verify=verify)
@@ -112,16 +131,7 @@ class Page(Closing):
         """Every message so far, as it came."""
         self._kept: defaultdict[str, deque[dict[str, Any]]] = defaultdict(deque)
         with ExitStack() as stack:
-            self.socket: ClientConnection = stack.enter_context(
-                connect(
-                    url.replace("http", "ws", 1) + "/ws",
-                    additional_headers={"Cookie": session.cookie, "Origin": origin or url},
-                    subprotocols=session.subprotocols,
-                    ssl=verify,
-                    compression=None,
-                    max_size=2**20,
-                )
-            )
+            self.socket: ClientConnection = stack.enter_context(_opened(url, session, origin, verify))
             self.hello = self.wait("hello")
             self.send(type="alive", now_ms=self.now_ms())
             self._stack = stack.pop_all()

@@ -33,7 +33,7 @@ MOST_LOOKS = 500
 FORGETFUL = """
 from gateway.client import Client
 robot = Client({endpoint!r})
-heard = [robot.on_state(lambda state: None), robot.on_event(print)]
+heard = [robot.on_state(lambda state: None), robot.on_event(repr)]
 print(robot.start_leg(3, 90, 45, 120).accepted)
 """
 
@@ -44,7 +44,7 @@ robot = client_fixture("test", rests=True)
 
 @pytest.mark.parametrize(
     ("module", "examples"),
-    [(client_module, 2), (blocking, 1), (stream, 9), (lease, 1), (aio, 10)],
+    [(client_module, 2), (blocking, 1), (stream, 2), (lease, 1), (aio, 10)],
 )
 def test_the_examples_run(gateway: Gateway, module: ModuleType, examples: int) -> None:
     failed, tried = doctest.testmod(module, extraglobs={"endpoint": gateway.endpoint, "Client": Client})
@@ -255,7 +255,7 @@ def test_a_program_that_forgets_to_close_ends(gateway: Gateway, end: str, status
     child = Child([sys.executable, "-c", FORGETFUL.format(endpoint=gateway.endpoint) + end], os.environ)
     assert child.wait(20) == status, child.stderr
     child.close()
-    assert child.stdout.startswith("True\n")
+    assert child.stdout == "True\n", "of its events, which may come first, it prints none"
 
 
 def test_what_a_thread_still_does_comes_before_that_end(gateway: Gateway) -> None:

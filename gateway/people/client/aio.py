@@ -328,6 +328,11 @@ class AsyncLease(_HeldTwin[Lease]):
         """See `Lease.lost`."""
         return self._own.lost
 
+    @property
+    def ttl_ms(self) -> float:
+        """See `Lease.ttl_ms`."""
+        return self._own.ttl_ms
+
 
 class AsyncButton(_HeldTwin[Button]):
     """`Button` for asyncio: the same rules, errors and names.

@@ -3,17 +3,18 @@
 The token that proves it stays in here and in the commands: it is in no error, no log and no `repr`.
 """
 
+import math
 import re
 import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from enum import Enum, auto
 from typing import TYPE_CHECKING, Any, Final, Self
 
 import zenoh
 
 from gateway.errors import GatewayError, LeaseError, LeaseLostError, ZenohError
+from gateway.people.client.renewal import Holds, Renewal, Waiting
 from schemas.telemetry import Ack, Event, Kind, Reason
 
 if TYPE_CHECKING:
@@ -22,27 +23,13 @@ if TYPE_CHECKING:
 
 TTL_MS: Final = 1000.0
 """The gateway's default (`lease.ttl_ms`), where an answer does not say it."""
-RENEWALS: Final = 3
-"""In each time to live: two may be lost."""
-LEAST_ANSWER_S: Final = 0.1
-"""For an answer to a renewal; with the shortest time to live (200 ms) a third of it would be less."""
 ANSWER_S: Final = 1.0
 """Where a program waits for it."""
 RELEASE_S: Final = 0.5
 """What the end of a program may cost."""
-TRY_AGAIN_S: Final = 0.3
-"""While it waits to be handed over: how often it is tried besides what events tell."""
 _CHANGES: Final = (Kind.LEASE_RELEASED, Kind.LEASE_EXPIRED, Kind.LEASE_TAKEN)
 _TOKEN: Final = re.compile("[0-9a-f]{32}")
 NOT_OURS: Final = (Reason.NOT_HOLDER, Reason.NO_LEASE)
-
-
-class _Holds(Enum):
-    NOT_YET = auto()
-    YES = auto()
-    LOST = auto()
-    HANDED_OVER = auto()
-    RELEASED = auto()
 
 
 class Lease:
@@ -82,14 +69,12 @@ class Lease:
         self._on_lost = on_lost
         self._on_asked = on_asked
         self._lock = threading.Lock()
-        self._holds = _Holds.NOT_YET
+        self._renewal = Renewal()
+        """Changed with the lock."""
         self._token: str | None = None
-        self._lost: LeaseLostError | None = None
-        self._gives = False
-        """Away: a renewal that is rejected meanwhile is no loss."""
         self._giving = threading.RLock()
-        """Held until the gateway has answered that: only then it is known whose the legs are."""
-        self._confirmed_s = 0.0
+        """Held until the gateway has answered a hand-over: only then it is known whose the legs are."""
+        self._asked_s = 0.0
         self._news = threading.Event()
         self._asked_by: str | None = None
         self._subscriber: Any = None
@@ -98,8 +83,6 @@ class Lease:
         """By which name the gateway knows us: the certificate's person, else the client's own name."""
         self.verified = False
         """Whether that name was proved by a certificate."""
-        self.ttl_ms = 0.0
-        """It ends that long after the gateway last received a renewal or a command of ours."""
 
     def __enter__(self) -> Self:
         self.acquire()
@@ -111,12 +94,17 @@ class Lease:
     @property
     def held(self) -> bool:
         """Whether we hold it, as far as we know."""
-        return self._holds is _Holds.YES
+        return self._renewal.holds is Holds.YES
 
     @property
     def lost(self) -> LeaseLostError | None:
         """How it was lost."""
-        return self._lost
+        return self._renewal.lost
+
+    @property
+    def ttl_ms(self) -> float:
+        """It ends that long after the gateway last received a renewal or a command of ours."""
+        return self._renewal.ttl_ms
 
     def hand_over(self, to: str) -> None:
         """Give it to `to`, who has the gateway's `ttl_ms` to acquire it; legs that run go on running meanwhile.
@@ -128,14 +116,14 @@ class Lease:
         if token is None:
             raise LeaseError(Reason.NOT_HOLDER, "this lease is not held")
         with self._giving:
-            self._gives = True
+            self._renewal.gives = True
             try:
                 ack = self._client.lease_requests.release(token, to)
                 if ack.accepted:
-                    self._end(_Holds.HANDED_OVER)
+                    self._end(Holds.HANDED_OVER)
                     return
             finally:
-                self._gives = False
+                self._renewal.gives = False
         self.confirm()
         self.check()
         raise _error(ack)
@@ -144,7 +132,7 @@ class Lease:
 
     def acquire(self) -> None:
         """Raises LeaseError where it is not to be had, DisconnectedError where no gateway answers."""
-        if self._holds is not _Holds.NOT_YET:
+        if self._renewal.holds is not Holds.NOT_YET:
             raise RuntimeError("a lease is held once; make a new one with `lease()`")
         if (other := self._client.carried_lease) is not None and other.held:
             raise RuntimeError("this client holds a lease already")
@@ -158,16 +146,16 @@ class Lease:
             self._unsubscribe()
             raise LeaseError(Reason.LEASE_DENIED, "what answers gives no token; is it a gateway?", ack.holder)
         self.holder, self.verified = ack.holder or self._client.name, bool(ack.verified)
-        self.ttl_ms = ack.ttl_ms or TTL_MS
         with self._lock:
-            self._token, self._holds = ack.lease, _Holds.YES
+            self._token = ack.lease
+            self._renewal.granted(ack.ttl_ms or TTL_MS, self._asked_s)
         self._client.carry(self)
         self._thread.start()
 
     def release(self) -> None:
         """Give it back, if it is held. What is not answered expires by itself."""
-        token = self._token if self._holds is _Holds.YES else None
-        self._end(_Holds.RELEASED)
+        token = self._token if self.held else None
+        self._end(Holds.RELEASED)
         if token is not None:
             with suppress(ZenohError):
                 self._client.lease_requests.release(token, timeout_s=RELEASE_S)
@@ -184,21 +172,19 @@ class Lease:
     @property
     def elsewhere(self) -> bool:
         """Whether it was handed over, or somebody else is known to hold it: the legs are theirs."""
-        if self._holds is _Holds.LOST:
-            return self._lost is not None and self._lost.holder is not None
-        return self._holds is _Holds.HANDED_OVER
+        return self._renewal.elsewhere
 
     def check(self) -> None:
         """Raise what was lost."""
-        if self._holds is _Holds.LOST and self._lost is not None:
-            raise self._lost.with_traceback(None)
+        if self.lost is not None:
+            raise self.lost.with_traceback(None)
 
     def confirm(self) -> LeaseLostError | None:
         """Ask the gateway whether we still hold it; the error if not."""
         with self._giving:
-            if self._holds is _Holds.YES:
+            if self.held:
                 self._renew(ANSWER_S)
-        return self._lost if self._holds is _Holds.LOST else None
+        return self.lost
 
     def judge(self, ack: Ack) -> None:
         """Take notice of what became of a command that carried the token. Raises LeaseLostError."""
@@ -209,49 +195,41 @@ class Lease:
     # ---- the thread that renews
 
     def _keep(self) -> None:
-        period_s = self.ttl_ms / 1000 / RENEWALS
-        while self._holds is _Holds.YES:
-            self._news.wait(period_s)
+        while self.held:
+            self._news.wait(max(0.0, self._renewal.due_s - time.monotonic()))
             self._news.clear()
-            if self._holds is _Holds.YES:
-                self._renew(max(period_s, LEAST_ANSWER_S))
+            if self.held:
+                self._renew(self._renewal.answer_s)
             self._tell_who_asks()
-        if self._lost is not None:
+        if self.lost is not None:
             self._unsubscribe()
             if self._on_lost is not None:
-                self._on_lost(self._lost)
+                self._on_lost(self.lost)
 
     def _renew(self, timeout_s: float) -> None:
         token, asked_s = self._token, time.monotonic()
         if token is None:
             return
+        self._renewal.asked(asked_s)
         try:
             ack = self._client.lease_requests.renew(token, timeout_s)
         except (GatewayError, zenoh.ZError):
-            if time.monotonic() - self._confirmed_s > self.ttl_ms / 1000:
-                detail = f"the gateway has not answered for {self.ttl_ms:g} ms, and the lease lives no longer than that"
-                self._lose(Reason.NO_LEASE, detail, None)
-            return
-        if ack.accepted:
-            self._confirmed_s = asked_s
+            with self._lock:
+                self._renewal.unanswered(time.monotonic())
         else:
-            self._lose(ack.reason or "", f"the lease is lost, {ack.holder or 'nobody'} holds it now", ack.holder)
-
-    def _lose(self, reason: str, detail: str, holder: str | None) -> None:
-        with self._lock:
-            if self._holds is _Holds.YES and not self._gives:
-                self._lost = LeaseLostError(reason, detail, holder)
-                self._holds = _Holds.LOST
-        self._news.set()
+            with self._lock:
+                self._renewal.answered(ack, asked_s)
+        if not self.held:
+            self._news.set()
 
     def _tell_who_asks(self) -> None:
         who, self._asked_by = self._asked_by, None
-        if who is not None and self._on_asked is not None and self._holds is _Holds.YES:
+        if who is not None and self._on_asked is not None and self.held:
             self._on_asked(who)
 
     def _hear(self, event: Event) -> None:
         """On a thread of Zenoh's: note it only."""
-        if event.kind == Kind.LEASE_ASKED and self._holds is _Holds.YES:  # before, it may be ourselves who ask
+        if event.kind == Kind.LEASE_ASKED and self.held:  # before, it may be ourselves who ask
             self._asked_by = event.source
         if event.kind == Kind.LEASE_ASKED or event.kind in _CHANGES:
             self._news.set()
@@ -267,25 +245,22 @@ class Lease:
         return ack
 
     def _waited(self, ack: "LeaseAck") -> "LeaseAck":
-        end_s = time.monotonic() + self._wait_s
-        asked: str | None = None
-        while ack.reason == Reason.LEASE_HELD and time.monotonic() < end_s:
-            if ack.holder != asked:  # also whoever has become the holder meanwhile
+        waiting = Waiting(time.monotonic() + self._wait_s)
+        while ack.reason == Reason.LEASE_HELD and waiting.pause_s(time.monotonic()) > 0:
+            if waiting.asks(ack.holder):
                 self._ask_for_it("ask")
-                asked = ack.holder
-            self._news.wait(max(0.0, min(TRY_AGAIN_S, end_s - time.monotonic())))
+            self._news.wait(waiting.pause_s(time.monotonic()))
             self._news.clear()
             ack = self._ask_for_it("acquire")
         return ack
 
     def _ask_for_it(self, do: str) -> "LeaseAck":
-        self._confirmed_s = time.monotonic()
+        self._asked_s = time.monotonic()
         return self._client.lease_requests.as_person(do, self._source)
 
-    def _end(self, how: _Holds) -> None:
+    def _end(self, how: Holds) -> None:
         with self._lock:
-            if self._holds is _Holds.YES:
-                self._holds = how
+            self._renewal.end(how)
             self._token = None
         self._news.set()
         self._unsubscribe()
@@ -305,11 +280,12 @@ class LentLease(Lease):
 
     def __init__(self, client: "Client", token: str) -> None:
         super().__init__(client, take=False, wait_s=0.0, source=None, on_lost=None, on_asked=None)
-        self._token, self._holds, self.ttl_ms = token, _Holds.YES, TTL_MS
+        self._token = token
+        self._renewal.granted(TTL_MS, -math.inf)
 
     def release(self) -> None:
         """Commands carry it no more; it is not ours to give back."""
-        self._end(_Holds.RELEASED)
+        self._end(Holds.RELEASED)
 
 
 def _error(ack: "LeaseAck") -> LeaseError:

@@ -19,6 +19,7 @@ import zenoh
 from pydantic import BaseModel, ValidationError
 
 from gateway.errors import GatewayError, UnansweredError
+from gateway.people.client.silence import LOOK_S, Silence
 from schemas import keys
 from schemas.telemetry import Ack, BodyReport, Event, GatewayState
 
@@ -30,15 +31,7 @@ if TYPE_CHECKING:
 R = TypeVar("R", bound=BaseModel)
 
 OPEN_AGAIN_S: Final = 0.3
-LOOK_S: Final = 0.1
-"""How often the age of the newest state is looked at."""
-QUIET_MS: Final = 250.0
-"""After so long without a state the gateway is asked for it: it may publish none (`telemetry.state_hz = 0`)."""
 ANSWER_S: Final = 0.6
-SILENT_MS: Final = 1000.0
-"""Without a state for so long, it is looked why."""
-WHY_EVERY_S: Final = 3.0
-"""How often: each look is a connection, which costs the robot something."""
 CLOSE_S: Final = 0.5
 """How long to wait for the session to close; with a frozen gateway Zenoh would take ten seconds."""
 SAME_START_S: Final = 0.1
@@ -262,9 +255,7 @@ class Live:
         self._receiver = receiver
         self._why = why
         self._ended = threading.Event()
-        self._silent_since_ns: int | None = None
-        """When the newest state came, or the session was opened; None: it is being opened for the first time."""
-        self._has_state = False
+        self._silence = Silence()
         self._physics: str | None = None
         self._subscribers: list[Any] = []
 
@@ -288,13 +279,13 @@ class Live:
             except ERRORS as error:
                 self._close()  # the link may have broken between the session's opening and a subscription
                 self.client = None
-                self._silent_since_ns = self._silent_since_ns or -1
+                self._silence.not_opened()
                 self._receiver.not_opened(error)
             self._ended.wait(OPEN_AGAIN_S)
 
     def _open(self) -> None:
         client = self._connect()
-        self._silent_since_ns = time.monotonic_ns()
+        self._silence.opened(time.monotonic_ns())
         self.client = client
         self._receiver.opened()
         session, ring = client.session, zenoh.handlers.RingChannel
@@ -325,16 +316,13 @@ class Live:
     def _take_state(self, state: GatewayState) -> None:
         received_ns = time.monotonic_ns()
         self._physics = state.physics
-        self._silent_since_ns, self._has_state = received_ns, True
+        self._silence.received(received_ns)
         self._receiver.received_state(state, received_ns)
-
-    def _silent_ms(self) -> float:
-        return 0.0 if self._silent_since_ns is None else (time.monotonic_ns() - self._silent_since_ns) / 1e6
 
     def _ask_when_quiet(self) -> None:
         while not self._ended.wait(LOOK_S):
             client = self.client
-            if client is not None and (not self._has_state or self._silent_ms() > QUIET_MS):
+            if client is not None and self._silence.is_quiet(time.monotonic_ns()):
                 with suppress(*ERRORS):
                     state = client.state(ANSWER_S)
                     self._receiver.received_token(True)
@@ -343,11 +331,11 @@ class Live:
 
     def _look_when_silent(self) -> None:
         while not self._ended.wait(LOOK_S):
-            if self._silent_ms() > SILENT_MS:
+            if self._silence.must_look(time.monotonic_ns()):
                 with suppress(*ERRORS):
                     if reasons := self._why(self.client):
                         self._receiver.looked(reasons)
-                self._ended.wait(WHY_EVERY_S)
+                self._silence.looked(time.monotonic_ns())
 
     def _close(self) -> None:
         with suppress(*ERRORS):

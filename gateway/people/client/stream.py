@@ -4,7 +4,6 @@ The gateway is believed, and nobody else: what is received (a rejection, a publi
 silence) only raises a doubt, and what it answers then decides. Events that are newer than the start need no question.
 """
 
-import math
 import threading
 import time
 import warnings
@@ -19,6 +18,7 @@ import zenoh
 
 from gateway.errors import DisconnectedError, GatewayError, LeaseLostError, RejectedError, StoppedError, ZenohError
 from gateway.people.client.lease import NOT_OURS
+from gateway.people.client.pace import LIKE_RADIANS, Doubt, Pace, Radians
 from gateway.people.client.payloads import Angle, legs_payload
 from schemas import keys
 from schemas.telemetry import Ack, Event, GatewayState, Kind, Mode, Reason, WatchdogState
@@ -29,8 +29,6 @@ if TYPE_CHECKING:
 
 MAX_HZ: Final = 1000
 """As `limits.leg_rate_hz`."""
-SILENCE_S: Final = 0.5
-"""A gateway that has published nothing for so long is asked: by default it publishes its state every 0.1 s."""
 ANSWER_S: Final = 1.0
 """What a doubt may cost: by then the watchdog (0.25 s) has long stopped what is not received."""
 _KEPT: Final = 64
@@ -44,84 +42,7 @@ _EVENT_S: Final = 0.1
 _AGAIN: Final = "start_again() goes on"
 _UNHEARD: Final = "if it runs, its watchdog stops the legs; if it has died, stop-servos does, where systemd runs it"
 
-LATE: Final = 0.5
-"""Of a period. What comes later than that after its tick waits for the next: no two setpoints are closer."""
-MOST_DEG: Final = 3.2
-"""Half a turn in radians, and a little more for arithmetic."""
-LOOK_S: Final = 1.0
-"""A whole stride of most gaits; a leg in degrees is not between 0 and 3.2 for so long but on purpose."""
-LIKE_RADIANS: Final = (
-    f"all angles of this stream were between 0 and {MOST_DEG:g} for {LOOK_S:g} s; angles are degrees, and these look "
-    "like radians (math.degrees() converts them)"
-)
-
 Angles = dict[int, tuple[float, float, float]]
-
-
-class Pace:
-    """When setpoints are due: a grid of ticks that does not drift. A missed tick is skipped, never made up. Pure.
-
-    >>> pace = Pace(50)
-    >>> pace.begin(10.0)
-    >>> round(pace.next_s(10.001), 3)       # early: at the next tick
-    10.02
-    >>> round(pace.next_s(10.075), 3)       # ticks at .04 and .06 are over; the one at .08 is next
-    10.08
-    >>> pace.missed
-    2
-    """
-
-    def __init__(self, hz: float) -> None:
-        self.period_s = 1 / hz
-        self.missed = 0
-        """Ticks for which no setpoint came in time."""
-        self._begun_s: float | None = None
-        self._tick = 0
-
-    def begin(self, now_s: float) -> None:
-        """A setpoint was sent now; the grid begins with it."""
-        self._begun_s = now_s
-        self._tick = 0
-
-    def pause(self) -> None:
-        """Until the next `begin` nothing is due, and nothing missed."""
-        self._begun_s = None
-
-    def next_s(self, now_s: float) -> float:
-        """When a setpoint that is there now is due, once for each."""
-        if self._begun_s is None:
-            return now_s
-        late = (now_s - self._begun_s) / self.period_s - (self._tick + 1)
-        skipped = max(0, math.ceil(late - LATE))
-        self.missed += skipped
-        self._tick += 1 + skipped
-        return self._begun_s + self._tick * self.period_s
-
-
-class Radians:
-    """Notices a gait that counts in radians: every angle is legal, and the robot hardly moves. Pure.
-
-    >>> radians = Radians()
-    >>> [radians.suspected([(1.57, 0.8, 2.1)], now_s) for now_s in (0.0, 0.9, 1.0, 1.1)]
-    [False, False, True, False]
-    """
-
-    def __init__(self) -> None:
-        self._warn_at_s: float | None = None
-
-    def suspected(self, angles_deg: Iterable[tuple[float, ...]], now_s: float) -> bool:
-        """Whether all that was given for LOOK_S looks like radians; true once at most."""
-        if self._warn_at_s == math.inf:
-            return False
-        if any(angle > MOST_DEG for angles in angles_deg for angle in angles):
-            self._warn_at_s = math.inf
-            return False
-        if self._warn_at_s is None:
-            self._warn_at_s = now_s + LOOK_S
-        suspected = now_s >= self._warn_at_s
-        if suspected:
-            self._warn_at_s = math.inf
-        return suspected
 
 
 class Stream:
@@ -153,10 +74,7 @@ class Stream:
         self._lease: Lease | None = None  # under which it started them
         self._since: datetime | None = None  # by the gateway's clock: since when all that is started runs
         self._over: GatewayError | None = None
-        self._timeout_s = 0.0
-        self._sent_s = 0.0
-        self._received_s = 0.0
-        self._doubt = False
+        self._doubt = Doubt()
         self._events: deque[Event] = deque(maxlen=_KEPT)
         self._received_stop = threading.Event()
         self._subscribers: list[Any] = []
@@ -222,9 +140,10 @@ class Stream:
     def open(self) -> None:
         """Begin to listen. Raises DisconnectedError, and ValueError for a rate below the watchdog's."""
         client = self._client
-        self._timeout_s = client.state().watchdog.timeout_ms / 1000
-        if self._pace.period_s >= self._timeout_s:
-            raise ValueError(f"at {self._hz:g} Hz the watchdog stops each leg after {self._timeout_s:g} s of silence")
+        watchdog_s = client.state().watchdog.timeout_ms / 1000
+        if self._pace.period_s >= watchdog_s:
+            raise ValueError(f"at {self._hz:g} Hz the watchdog stops each leg after {watchdog_s:g} s of silence")
+        self._doubt = Doubt(watchdog_s)
         self._subscribers = [client.on_state(self._hear_state), client.on_event(self._hear_event)]
         self._open = True
 
@@ -311,7 +230,7 @@ class Stream:
 
     def _publish(self, angles: Angles) -> None:
         self._client.publish(keys.LEGS_COMMAND, {"source": self._client.name, **legs_payload("set", angles)})
-        self._sent_s = time.monotonic()
+        self._doubt.sent(time.monotonic())
 
     def _start(self, angles: Angles) -> None:
         new = {leg: each for leg, each in angles.items() if leg not in self._started}
@@ -331,11 +250,12 @@ class Stream:
             self._over = _rejected(ack)
             raise self._over
         first = not self._started
-        self._sent_s = time.monotonic()
+        sent_s = time.monotonic()
+        self._doubt.sent(sent_s)
         self._started |= new.keys()
         self._since = self._ask().time
         if first:
-            self._pace.begin(self._sent_s)
+            self._pace.begin(sent_s)
 
     def _stop(self) -> None:
         if not self._to_stop or (self._lease is not None and self._lease.elsewhere):
@@ -348,12 +268,12 @@ class Stream:
     # ---- what is received, on a thread of Zenoh's
 
     def _hear_state(self, state: GatewayState) -> None:
-        self._received_s = time.monotonic()
+        self._doubt.received(time.monotonic())
         if not self._runs(state):
-            self._doubt = True
+            self._doubt.raise_it()
 
     def _hear_event(self, event: Event) -> None:
-        self._received_s = time.monotonic()
+        self._doubt.received(time.monotonic())
         if event.kind == Kind.COMMAND_REJECTED:
             # A command that names none but our legs: those of another stream are that one's business.
             named_ours = self._started.issuperset(event.legs)
@@ -364,16 +284,14 @@ class Stream:
                 self._events.append(event)
                 self._received_stop.set()
             elif not event.legs:  # an older gateway does not say which
-                self._doubt = True
+                self._doubt.raise_it()
         elif event.kind in _ENDINGS:
             self._events.append(event)
 
     # ---- what follows from it
 
     def _in_doubt(self) -> bool:
-        now_s = time.monotonic()
-        stalled = now_s - self._sent_s >= self._timeout_s
-        return self._doubt or stalled or now_s - self._received_s >= SILENCE_S or not self._client.connected
+        return self._doubt.is_there(time.monotonic()) or not self._client.connected
 
     def _check(self) -> None:
         """Raise what has happened since the latest call."""
@@ -407,12 +325,12 @@ class Stream:
         self._client.check_open()
         if not self._client.connected:
             raise DisconnectedError(f"the link to the gateway is lost: {_UNHEARD}; {_AGAIN}")
-        self._doubt = False
+        self._doubt.asked()
         try:
             state = self._client.state(ANSWER_S)
         except ZenohError as error:
             raise DisconnectedError(f"the gateway does not answer: {_UNHEARD}; {_AGAIN}") from error
-        self._received_s = time.monotonic()
+        self._doubt.received(time.monotonic())
         self._to_stop -= self._not_ours(state)
         if not self._runs(state):
             raise self._stopped(state)

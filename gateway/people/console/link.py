@@ -11,21 +11,21 @@ from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
-from typing import Any, Final, Literal, TypeVar
+from typing import Any, Final, TypeVar
 
 from gateway.errors import UnreachedError, ZenohError
 from gateway.people.client.blocking import Client
 from gateway.people.client.confirmed_stop import AT_ONCE
-from gateway.people.client.live import SILENT_MS, Live, OnLoop, Receiver, set_upright
+from gateway.people.client.live import Live, OnLoop, Receiver, set_upright
+from gateway.people.client.silence import LOOK_S
 from gateway.people.console.messages import LinkMessage
+from gateway.people.console.presence import Presence
 from gateway.people.tools import why
 from gateway.robot.host.descriptors import Spare
 from schemas.telemetry import Ack, BodyReport, Event, GatewayState
 
 T = TypeVar("T")
 
-LOOK_S: Final = 0.1
-"""How often the age of the newest state is looked at."""
 STOPS_AT_ONCE: Final = 4
 """Stops of single legs; more of them wait for one that is answered, or given up after the timeout."""
 QUESTIONS_AT_ONCE: Final = 12
@@ -80,10 +80,8 @@ class GatewayLink(Receiver):
         )
         self._opened = asyncio.Event()
         self._failed: asyncio.Future[None] = loop.create_future()
-        self._link = LinkMessage(status="gone")
-        self._state_ns: int | None = None
-        self._ended = False
-        """Whether the gateway has ended since its newest state."""
+        self._presence = Presence()
+        self._announced = self._presence.link
 
     # ---- what pages send
 
@@ -138,28 +136,27 @@ class GatewayLink(Receiver):
 
     def opened(self) -> None:
         self._opened.set()
-        self._state_ns = time.monotonic_ns()
+        self._presence.opened(time.monotonic_ns())
 
     def not_opened(self, error: Exception) -> None:
         if isinstance(error, UnreachedError):
-            self._note("gone", self._link.detail or str(error))
+            self._presence.not_opened(str(error))
+            self._announce()
         elif not self._failed.done():
             self._failed.set_exception(error)
 
     def looked(self, reasons: list[str]) -> None:
-        if self._link.status != "connected":
-            self._note(self._link.status, "\n".join(reasons))
+        self._presence.looked(reasons)
+        self._announce()
 
     def received_token(self, alive: bool) -> None:
-        self._ended = not alive
-        if not alive:
-            self._note("gone", "the gateway has ended, or the link to it has")
+        self._presence.received_token(alive)
+        self._announce()
 
     def received_state(self, state: GatewayState, received_ns: int) -> None:
-        self._state_ns = received_ns
+        self._presence.received_state(received_ns)
         self._listener.received_state(state, received_ns)
-        if not self._ended:
-            self._note("connected")
+        self._announce()
 
     def received_body(self, body: BodyReport) -> None:
         self._listener.received_body(body)
@@ -168,19 +165,14 @@ class GatewayLink(Receiver):
         self._listener.received_event(event, left_out)
 
     def _watch(self) -> None:
-        if (time.monotonic_ns() - (self._state_ns or 0)) / 1e6 <= SILENT_MS:
-            return
-        linked = self.client().connected
-        if linked and not self._ended:
-            self._note("silent", self._link.detail or "the gateway is silent; it may hang")
-        elif not linked:
-            self._note("gone", self._link.detail or "the link to the gateway is lost")
+        if self._presence.is_silent(time.monotonic_ns()):
+            self._presence.fell_silent(linked=self.client().connected)
+            self._announce()
 
-    def _note(self, status: Literal["connected", "silent", "gone"], detail: str = "") -> None:
-        link = LinkMessage(status=status, detail=detail)
-        if link != self._link:
-            self._link = link
-            self._listener.link_changed(link)
+    def _announce(self) -> None:
+        if self._presence.link != self._announced:
+            self._announced = self._presence.link
+            self._listener.link_changed(self._announced)
 
 
 def _why(connect: str | None, zenoh_config: Path | None, client: Client | None) -> list[str]:

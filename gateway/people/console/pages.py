@@ -79,7 +79,8 @@ class Pages(Listener):
     """All open pages; what the gateway publishes goes to each of them.
 
     All sessions end when the gateway says that this console's own certificate is revoked. It says so before it lets go
-    of the connection. A console that is not connected then gets in no more, so its pages show no robot.
+    of the connection. A console that is not connected then gets in no more, so its pages show no robot, and its
+    sessions end when it is started with another certificate (`Register.begin`).
     """
 
     def __init__(self, common_name: str, end_sessions: Callable[[], int]) -> None:

@@ -63,6 +63,8 @@ class _Entries(BaseModel):
     url: str = ""
     """Of the console that runs, or ran last, at this port."""
     role: Role = "observer"
+    common_name: str = ""
+    """Of its certificate; empty: it had none."""
     links: tuple[Entry, ...] = ()
     sessions: tuple[Entry, ...] = ()
 
@@ -77,9 +79,19 @@ class Register:
         self._known: tuple[tuple[int, int, int] | None, _Entries] = None, _Entries()
         """What the file held, and which file that was: changed as one, since several threads read."""
 
-    def begin(self, url: str, role: Role) -> None:
-        """A console begins at `url`; its links open pages of `role`, earlier links are void. Raises ConfigError."""
-        self._change(lambda now: now.model_copy(update={"url": url, "role": role, "links": ()}))
+    def begin(self, url: str, role: Role, common_name: str = "") -> None:
+        """A console begins at `url`; its links open pages of `role`, earlier links are void. Raises ConfigError.
+
+        Sessions of another certificate (`common_name`) end: it may have been revoked while this console was not
+        connected, and what it let in must not reach the robot by the certificate that takes its place.
+        """
+
+        def begun(now: _Entries) -> _Entries:
+            sessions = now.sessions if now.common_name == common_name else ()
+            kept = {"url": url, "role": role, "common_name": common_name, "links": (), "sessions": sessions}
+            return now.model_copy(update=kept)
+
+        self._change(begun)
 
     @property
     def url(self) -> str:

@@ -74,7 +74,7 @@ def serve(options: Options) -> NoReturn:
         logs.set_up(LogSettings())  # from now on nobody waits for whoever reads what is written here
         found = Register(register.folder(), options.site.port)
         role = least(role, options.role)
-        found.begin(options.site.url, role)
+        found.begin(options.site.url, role, common_name)
         asyncio.run(_run(options, listening, found, person, role, common_name, geometry))
 
 

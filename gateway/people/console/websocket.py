@@ -46,6 +46,39 @@ class ClosedError(Exception):
     """The WebSocket is closed."""
 
 
+class Quiet:
+    """A page of which nothing comes is asked after PING_S, and gone after as long again. Pure: `now_s` never goes back.
+
+    >>> quiet = Quiet(0.0)
+    >>> quiet.received(5.0)
+    >>> [(quiet.must_ask(now_s), quiet.is_gone(now_s), quiet.due_s) for now_s in (24.0, 25.0, 45.0)]
+    [(False, False, 25.0), (True, False, 45.0), (False, True, 45.0)]
+    """
+
+    def __init__(self, now_s: float) -> None:
+        self.received(now_s)
+
+    def received(self, now_s: float) -> None:
+        """The page has sent something, an answer too."""
+        self._received_s = now_s
+        self._asked = False
+
+    @property
+    def due_s(self) -> float:
+        """When to look again."""
+        return self._received_s + PING_S * (2 if self._asked else 1)
+
+    def must_ask(self, now_s: float) -> bool:
+        """Whether the page is asked now; true once for each silence."""
+        asks = not self._asked and now_s >= self.due_s
+        self._asked = self._asked or asks
+        return asks
+
+    def is_gone(self, now_s: float) -> bool:
+        """Whether it was asked, and has answered nothing."""
+        return self._asked and now_s >= self.due_s
+
+
 class WebSocket(asyncio.BufferedProtocol):
     """One connection, whose request has been answered with 101 in `protocol`."""
 
@@ -53,15 +86,15 @@ class WebSocket(asyncio.BufferedProtocol):
         self._layer = layer
         self._protocol = protocol
         self._buffer = bytearray(READ_BYTES)
+        self._loop = asyncio.get_running_loop()
         self._frames = Allowance(FRAMES_A_SECOND, FRAMES_AT_ONCE)
         self._bytes = Allowance(BYTES_A_SECOND, BYTES_A_SECOND)
+        self._quiet = Quiet(self._loop.time())
         self._parts: list[bytes] = []
         self._texts: deque[str] = deque()
         self._there = asyncio.Event()
         self._writable = asyncio.Event()
         self._writable.set()
-        self._asked = False
-        self._loop = asyncio.get_running_loop()
         self._timer: asyncio.TimerHandle | None = None
         self.closed = asyncio.Event()
         """Set once the connection has ended, whoever ended it."""
@@ -106,7 +139,7 @@ class WebSocket(asyncio.BufferedProtocol):
         self._transport.set_write_buffer_limits(high=SEND_BYTES)
         connection: socket.socket = transport.get_extra_info("socket")
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NOTSENT_LOWAT, SEND_BYTES)
-        self._timer = self._loop.call_later(PING_S, self._ask)
+        self._timer = self._loop.call_at(self._quiet.due_s, self._look)
         self._flush()
         self._take_events()
 
@@ -115,7 +148,7 @@ class WebSocket(asyncio.BufferedProtocol):
         return self._buffer
 
     def buffer_updated(self, nbytes: int) -> None:
-        self._asked = False
+        self._quiet.received(self._loop.time())
         if not self._bytes.take(time.monotonic_ns(), nbytes):
             self._flooded()
             return
@@ -204,14 +237,15 @@ class WebSocket(asyncio.BufferedProtocol):
         if self._transport.is_closing() or self._protocol.close_sent is not None:
             raise ClosedError
 
-    def _ask(self) -> None:
-        if self._asked:
+    def _look(self) -> None:
+        now_s = self._loop.time()
+        if self._quiet.is_gone(now_s):
             self._transport.abort()
             return
-        self._asked = True
-        self._protocol.send_ping(b"")
-        self._flush()
-        self._timer = self._loop.call_later(PING_S, self._ask)
+        if self._quiet.must_ask(now_s):
+            self._protocol.send_ping(b"")
+            self._flush()
+        self._timer = self._loop.call_at(self._quiet.due_s, self._look)
 
     def _give_up_in(self, delay_s: float) -> None:
         if self._timer is not None:

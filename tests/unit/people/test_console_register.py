@@ -87,6 +87,18 @@ def test_a_link_is_void_once_the_console_is_started_again(register: Register) ->
     assert register.cookie(session.cookie) is not None, "a restart signs nobody out"
 
 
+def test_sessions_are_of_one_certificate(register: Register) -> None:
+    """A console may not be connected when its certificate is revoked, and later have another."""
+    register.begin(URL, "operator", "operator-00")
+    session = new_session(register)
+    register.begin(URL, "operator", "operator-00")
+    assert register.still_valid(session.entry), "a restart signs nobody out"
+    register.begin(URL, "operator", "operator-01")
+    assert not register.still_valid(session.entry)
+    register.begin(URL, "operator", "operator-00")
+    assert not register.still_valid(session.entry), "it is over for good"
+
+
 @pytest.mark.parametrize("token", [None, "", "x", "\ud800", "0" * 43])
 def test_what_is_no_session(register: Register, token: str | None) -> None:
     sign_in(register)

@@ -143,25 +143,6 @@ def test_a_gateway_that_is_silent_for_as_long_as_it_lives_has_lost_it() -> None:
         assert not lease.elsewhere, "the legs may still be ours, and are stopped at a stream's end"
 
 
-def test_it_is_lost_that_long_after_what_the_gateway_last_confirmed(monkeypatch: pytest.MonkeyPatch) -> None:
-    clock = Clock()
-    monkeypatch.setattr("gateway.people.client.lease.time", clock)
-    robot = Robot(GRANTED.model_copy(update={"ttl_ms": 60_000}))
-    with lease_of(robot) as lease:
-        for robot.renewed, now_s, held in ((DONE, 50, True), (SILENCE, 109, True), (SILENCE, 111, False)):
-            clock.now_s = now_s
-            assert (lease.confirm() is None) is held
-
-
-class Clock:
-    """Time, as the test says."""
-
-    now_s = 0.0
-
-    def monotonic(self) -> float:
-        return self.now_s
-
-
 @pytest.mark.parametrize("kind", [Kind.LEASE_TAKEN, Kind.LEASE_EXPIRED, Kind.LEASE_RELEASED])
 def test_an_event_only_raises_a_doubt_and_the_gateways_answer_decides(kind: Kind) -> None:
     robot = Robot(GRANTED.model_copy(update={"ttl_ms": 60_000}))

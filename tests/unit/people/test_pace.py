@@ -1,10 +1,12 @@
-"""The grid of a stream's setpoints: no drift, no bursts, and what was missed is counted."""
+"""The grid of a stream's setpoints: no drift, no bursts, what was missed is counted; and when the gateway is asked."""
 
+import doctest
 import random
 
 import pytest
 
-from gateway.people.client.stream import LATE, Pace
+from gateway.people.client import pace as pace_module
+from gateway.people.client.pace import LATE, SILENCE_S, Doubt, Pace
 
 BEGUN_S = 1000.0
 PERIOD_S = 0.02
@@ -63,3 +65,56 @@ def test_a_pause_misses_nothing() -> None:
     pace.pause()
     assert pace.next_s(BEGUN_S + 60) == BEGUN_S + 60
     assert pace.missed == 0
+
+
+WATCHDOG_S = 0.25
+
+
+def streaming() -> Doubt:
+    """A stream that has just sent, and just received."""
+    doubt = Doubt(WATCHDOG_S)
+    doubt.sent(BEGUN_S)
+    doubt.received(BEGUN_S)
+    return doubt
+
+
+def test_a_stream_that_has_sent_or_received_nothing_yet_asks() -> None:
+    assert Doubt(WATCHDOG_S).is_there(BEGUN_S)
+    unanswered = Doubt(WATCHDOG_S)
+    unanswered.sent(BEGUN_S)
+    assert unanswered.is_there(BEGUN_S)
+
+
+def test_a_program_that_stalls_for_as_long_as_the_watchdog_waits_asks() -> None:
+    doubt = streaming()
+    for late_s, is_there in ((0.0, False), (WATCHDOG_S - 0.001, False), (WATCHDOG_S, True), (60.0, True)):
+        doubt.received(BEGUN_S + late_s)  # the gateway is well
+        assert doubt.is_there(BEGUN_S + late_s) is is_there
+    doubt.sent(BEGUN_S + 60)
+    assert not doubt.is_there(BEGUN_S + 60)
+
+
+def test_a_gateway_that_publishes_nothing_for_half_a_second_is_asked() -> None:
+    doubt = streaming()
+    for late_s, is_there in ((SILENCE_S - 0.001, False), (SILENCE_S, True), (60.0, True)):
+        doubt.sent(BEGUN_S + late_s)  # the program goes on
+        assert doubt.is_there(BEGUN_S + late_s) is is_there
+    doubt.received(BEGUN_S + 60)
+    assert not doubt.is_there(BEGUN_S + 60)
+    assert SILENCE_S == 0.5
+
+
+def test_a_doubt_is_there_until_it_is_asked_and_the_answer_may_raise_another() -> None:
+    doubt = streaming()
+    doubt.raise_it()
+    doubt.received(BEGUN_S)
+    doubt.sent(BEGUN_S)
+    assert doubt.is_there(BEGUN_S), "neither a setpoint nor a report is an answer"
+    doubt.asked()
+    assert not doubt.is_there(BEGUN_S)
+    doubt.raise_it()  # by a state that came while the question was under way
+    assert doubt.is_there(BEGUN_S)
+
+
+def test_the_examples_are_right() -> None:
+    assert doctest.testmod(pace_module) == (0, 11)

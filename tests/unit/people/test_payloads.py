@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 
 from gateway.people.client import payloads
+from gateway.people.client.pace import Radians
 from gateway.people.client.payloads import leg_number, leg_payload, legs_payload, number, row, servo_number
-from gateway.people.client.stream import Radians
 
 
 def test_the_examples_are_right() -> None:

@@ -1,0 +1,122 @@
+"""When a stream sends, when it asks the gateway, and when it warns. Pure: `now_s` never goes back."""
+
+import math
+from collections.abc import Iterable
+from typing import Final
+
+SILENCE_S: Final = 0.5
+"""A gateway that has published nothing for so long is asked: by default it publishes its state every 0.1 s."""
+LATE: Final = 0.5
+"""Of a period. What comes later than that after its tick waits for the next: no two setpoints are closer."""
+MOST_DEG: Final = 3.2
+"""Half a turn in radians, and a little more for arithmetic."""
+LOOK_S: Final = 1.0
+"""A whole stride of most gaits; a leg in degrees is not between 0 and 3.2 for so long but on purpose."""
+LIKE_RADIANS: Final = (
+    f"all angles of this stream were between 0 and {MOST_DEG:g} for {LOOK_S:g} s; angles are degrees, and these look "
+    "like radians (math.degrees() converts them)"
+)
+
+
+class Pace:
+    """When setpoints are due: a grid of ticks that does not drift. A missed tick is skipped, never made up. Pure.
+
+    >>> pace = Pace(50)
+    >>> pace.begin(10.0)
+    >>> round(pace.next_s(10.001), 3)       # early: at the next tick
+    10.02
+    >>> round(pace.next_s(10.075), 3)       # ticks at .04 and .06 are over; the one at .08 is next
+    10.08
+    >>> pace.missed
+    2
+    """
+
+    def __init__(self, hz: float) -> None:
+        self.period_s = 1 / hz
+        self.missed = 0
+        """Ticks for which no setpoint came in time."""
+        self._begun_s: float | None = None
+        self._tick = 0
+
+    def begin(self, now_s: float) -> None:
+        """A setpoint was sent now; the grid begins with it."""
+        self._begun_s = now_s
+        self._tick = 0
+
+    def pause(self) -> None:
+        """Until the next `begin` nothing is due, and nothing missed."""
+        self._begun_s = None
+
+    def next_s(self, now_s: float) -> float:
+        """When a setpoint that is there now is due, once for each."""
+        if self._begun_s is None:
+            return now_s
+        late = (now_s - self._begun_s) / self.period_s - (self._tick + 1)
+        skipped = max(0, math.ceil(late - LATE))
+        self.missed += skipped
+        self._tick += 1 + skipped
+        return self._begun_s + self._tick * self.period_s
+
+
+class Doubt:
+    """When a stream asks the gateway whether its legs run, before it sends more. Pure.
+
+    >>> doubt = Doubt(watchdog_s=0.25)
+    >>> doubt.sent(10.0)
+    >>> doubt.received(10.0)
+    >>> [doubt.is_there(now_s) for now_s in (10.2, 10.25)]    # by then the watchdog may have stopped the legs
+    [False, True]
+    """
+
+    def __init__(self, watchdog_s: float = 0.0) -> None:
+        """`watchdog_s`: after so long without a setpoint the gateway stops a leg."""
+        self._watchdog_s = watchdog_s
+        self._sent_s = self._received_s = -math.inf
+        self._raised = False
+
+    def sent(self, now_s: float) -> None:
+        """A setpoint left."""
+        self._sent_s = now_s
+
+    def received(self, now_s: float) -> None:
+        """The gateway has published something, or answered."""
+        self._received_s = now_s
+
+    def raise_it(self) -> None:
+        """By something that only the gateway's answer can decide."""
+        self._raised = True
+
+    def asked(self) -> None:
+        """A question leaves now: what is received from now on is a doubt of its own."""
+        self._raised = False
+
+    def is_there(self, now_s: float) -> bool:
+        """Whether the gateway is to be asked: a doubt was raised, this program stalled, or the gateway is silent."""
+        stalled = now_s - self._sent_s >= self._watchdog_s
+        return self._raised or stalled or now_s - self._received_s >= SILENCE_S
+
+
+class Radians:
+    """Notices a gait that counts in radians: every angle is legal, and the robot hardly moves. Pure.
+
+    >>> radians = Radians()
+    >>> [radians.suspected([(1.57, 0.8, 2.1)], now_s) for now_s in (0.0, 0.9, 1.0, 1.1)]
+    [False, False, True, False]
+    """
+
+    def __init__(self) -> None:
+        self._warn_at_s: float | None = None
+
+    def suspected(self, angles_deg: Iterable[tuple[float, ...]], now_s: float) -> bool:
+        """Whether all that was given for LOOK_S looks like radians; true once at most."""
+        if self._warn_at_s == math.inf:
+            return False
+        if any(angle > MOST_DEG for angles in angles_deg for angle in angles):
+            self._warn_at_s = math.inf
+            return False
+        if self._warn_at_s is None:
+            self._warn_at_s = now_s + LOOK_S
+        suspected = now_s >= self._warn_at_s
+        if suspected:
+            self._warn_at_s = math.inf
+        return suspected

@@ -1,0 +1,67 @@
+"""How long a gateway has published nothing, and what follows from it. Pure: `now_ns` never goes back.
+
+What decides is the newest state. A liveliness token that is gone says so within milliseconds where a process ends, and
+nothing of one that hangs, or of a cable that was pulled.
+"""
+
+import math
+from typing import Final
+
+LOOK_S: Final = 0.1
+"""How often the age of the newest state is looked at."""
+QUIET_MS: Final = 250.0
+"""After so long without a state the gateway is asked for it: it may publish none (`telemetry.state_hz = 0`)."""
+SILENT_MS: Final = 1000.0
+"""Without a state for so long, it is looked why."""
+WHY_EVERY_S: Final = 3.0
+"""How often: each look is a connection, which costs the robot something."""
+
+
+class Silence:
+    """Since when no state has come.
+
+    >>> silence = Silence()
+    >>> silence.opened(0)
+    >>> silence.received(100_000_000)
+    >>> [silence.is_quiet(ms * 1_000_000) for ms in (350, 351)]
+    [False, True]
+    >>> [silence.is_long(ms * 1_000_000) for ms in (1100, 1101)]
+    [False, True]
+    """
+
+    def __init__(self) -> None:
+        self._since_ns: float | None = None
+        self._has_state = False
+        self._look_ns = -math.inf
+
+    def opened(self, now_ns: int) -> None:
+        """There is a session; the gateway has from now on until it counts as silent."""
+        self._since_ns = now_ns
+
+    def not_opened(self) -> None:
+        """There is none: nobody has to wait until it is looked why."""
+        if self._since_ns is None:
+            self._since_ns = -math.inf
+
+    def received(self, now_ns: int) -> None:
+        """A state, published or as an answer."""
+        self._since_ns, self._has_state = now_ns, True
+
+    def is_quiet(self, now_ns: int) -> bool:
+        """Whether the gateway is to be asked for its state."""
+        return not self._has_state or self._is_older(now_ns, QUIET_MS)
+
+    def is_long(self, now_ns: int) -> bool:
+        """Whether the gateway counts as silent."""
+        return self._is_older(now_ns, SILENT_MS)
+
+    def must_look(self, now_ns: int) -> bool:
+        """Whether it is to be looked why nobody is there."""
+        return self.is_long(now_ns) and now_ns >= self._look_ns
+
+    def looked(self, now_ns: int) -> None:
+        """A look has ended."""
+        self._look_ns = now_ns + WHY_EVERY_S * 1e9
+
+    def _is_older(self, now_ns: int, most_ms: float) -> bool:
+        return self._since_ns is not None and (now_ns - self._since_ns) / 1e6 > most_ms

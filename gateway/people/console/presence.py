@@ -1,0 +1,65 @@
+"""Whether the gateway is there, as pages show it. Pure: `now_ns` is by a clock that never goes back."""
+
+from collections.abc import Sequence
+
+from gateway.people.client.silence import Silence
+from gateway.people.console.messages import LinkMessage
+
+
+class Presence:
+    """`link` is the newest message to the pages; the methods take what happened.
+
+    >>> presence = Presence()
+    >>> presence.opened(0)
+    >>> presence.received_state(0)
+    >>> presence.is_silent(1_000_000_000)
+    False
+    >>> presence.is_silent(1_000_000_001)
+    True
+    >>> presence.fell_silent(linked=True)
+    >>> presence.link.status
+    'silent'
+    """
+
+    def __init__(self) -> None:
+        self.link = LinkMessage(status="gone")
+        self._silence = Silence()
+        self._ended = False
+        """Whether the gateway has ended since its newest state."""
+
+    def opened(self, now_ns: int) -> None:
+        """There is a session."""
+        self._silence.opened(now_ns)
+
+    def not_opened(self, why: str) -> None:
+        """There is none yet."""
+        self.link = LinkMessage(status="gone", detail=self.link.detail or why)
+
+    def looked(self, reasons: Sequence[str]) -> None:
+        """Why nobody is there, a line for each host."""
+        if self.link.status != "connected":
+            self.link = LinkMessage(status=self.link.status, detail="\n".join(reasons))
+
+    def received_token(self, alive: bool) -> None:
+        """The gateway is there, or has ended, or the link to it has."""
+        self._ended = not alive
+        if not alive:
+            self.link = LinkMessage(status="gone", detail="the gateway has ended, or the link to it has")
+
+    def received_state(self, now_ns: int) -> None:
+        """A state that was under way when the gateway ended brings nobody back."""
+        self._silence.received(now_ns)
+        if not self._ended:
+            self.link = LinkMessage(status="connected")
+
+    def is_silent(self, now_ns: int) -> bool:
+        """Whether `fell_silent` is to be called."""
+        return self._silence.is_long(now_ns)
+
+    def fell_silent(self, *, linked: bool) -> None:
+        """`linked`: whether there is a connection, to the gateway or to a router before it."""
+        if not linked:
+            self.link = LinkMessage(status="gone", detail=self.link.detail or "the link to the gateway is lost")
+        elif not self._ended:
+            detail = self.link.detail or "the gateway is silent; it may hang"
+            self.link = LinkMessage(status="silent", detail=detail)

@@ -1,0 +1,41 @@
+"""When a page of which nothing comes is asked, and when it is given up, in virtual time."""
+
+import doctest
+
+from gateway.people.console import websocket
+from gateway.people.console.websocket import PING_S, Quiet
+
+
+def looks(quiet: Quiet, end_s: float) -> tuple[list[float], float | None]:
+    """As the WebSocket does until `end_s`: when the page was asked, and when it was given up."""
+    asked_s: list[float] = []
+    while (now_s := quiet.due_s) <= end_s:
+        if quiet.is_gone(now_s):
+            return asked_s, now_s
+        if quiet.must_ask(now_s):
+            asked_s.append(now_s)
+    return asked_s, None
+
+
+def test_a_page_of_which_nothing_comes_is_asked_after_twenty_seconds_and_gone_after_forty() -> None:
+    assert looks(Quiet(0.0), 100.0) == ([20.0], 40.0)
+    assert PING_S == 20
+
+
+def test_a_page_that_answers_is_there() -> None:
+    quiet = Quiet(0.0)
+    for answered_s in (20.5, 41.0, 80.9):  # the last one just in time
+        assert looks(quiet, answered_s)[1] is None
+        quiet.received(answered_s)
+    assert looks(quiet, 200.0) == ([100.9], 120.9)
+
+
+def test_a_page_that_talks_is_not_asked() -> None:
+    quiet = Quiet(0.0)
+    for second in range(1, 100):
+        quiet.received(float(second))
+        assert looks(quiet, second + 1.0) == ([], None)
+
+
+def test_the_examples_are_right() -> None:
+    assert doctest.testmod(websocket) == (0, 3)

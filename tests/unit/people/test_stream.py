@@ -1,0 +1,187 @@
+"""What a stream makes of a gateway's silence, its end and its watchdog, in virtual time: no thread, no gateway."""
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from typing import Any, Self
+
+import pytest
+
+from gateway.errors import DisconnectedError, StoppedError, UnansweredError
+from gateway.people.client.pace import SILENCE_S
+from gateway.people.client.stream import Stream
+from schemas.telemetry import Ack, GatewayState, WatchdogState
+from tests.support.watch_reports import state
+
+HZ = 50
+PERIOD_S = 1 / HZ
+POSE = (90, 45, 120)
+
+
+class Robot:
+    """A client and its gateway. Time passes where the stream sleeps, and where a test says so."""
+
+    name = "anna's laptop"
+    carried_lease = None
+
+    def __init__(self) -> None:
+        self.now_s = 100.0
+        self.connected = True
+        self.answers = True
+        self.published: list[tuple[float, list[str]]] = []
+        self.asked: list[str] = []
+        self.questions = 0
+        self.running: set[int] = set()
+        self.expired: set[int] = set()
+        self._hears_state: Callable[[GatewayState], None] = lambda _: None
+
+    # ---- the clock that the stream reads
+
+    def monotonic(self) -> float:
+        return self.now_s
+
+    def sleep(self, seconds: float) -> None:
+        self.now_s += seconds
+
+    # ---- a client's side of it
+
+    def on_state(self, callback: Callable[[GatewayState], None]) -> Self:
+        self._hears_state = callback
+        return self
+
+    def on_event(self, _callback: object) -> Self:
+        return self
+
+    def undeclare(self) -> None:
+        pass
+
+    def check_open(self) -> None:
+        pass
+
+    def publish(self, _key: str, payload: Mapping[str, Any]) -> None:
+        self.published.append((self.now_s, list(payload["legs"])))
+
+    def ask(self, _key: str, payload: Mapping[str, Any], *, again: bool = False) -> Ack:
+        self.asked.append("stop" if again else "start")
+        legs = {int(leg) for leg in payload["legs"]}
+        self.running = self.running - legs if again else self.running | legs
+        return Ack(accepted=True)
+
+    def state(self, _timeout_s: float = 0.0) -> GatewayState:
+        self.questions += 1
+        if not self.answers:
+            raise UnansweredError("no gateway answered")
+        return self.report()
+
+    # ---- the gateway's
+
+    def report(self) -> GatewayState:
+        found = state(self.now_s)
+        legs = [
+            leg.model_copy(
+                update={
+                    "servos": tuple(
+                        each.model_copy(update={"running": leg.leg in self.running}) for each in leg.servos
+                    ),
+                    "watchdog": WatchdogState.EXPIRED if leg.leg in self.expired else WatchdogState.IDLE,
+                    "source": self.name,
+                }
+            )
+            for leg in found.legs
+        ]
+        return found.model_copy(update={"legs": tuple(legs)})
+
+    def publish_state(self) -> None:
+        self._hears_state(self.report())
+
+
+@pytest.fixture
+def robot(monkeypatch: pytest.MonkeyPatch) -> Robot:
+    found = Robot()
+    monkeypatch.setattr("gateway.people.client.stream.time", found)
+    return found
+
+
+@pytest.fixture
+def stream(robot: Any) -> Iterator[Stream]:
+    """Legs 1 and 2 run, and a state has just been published."""
+    with Stream(robot, HZ) as found:
+        found.set({1: POSE, 2: POSE})
+        robot.publish_state()
+        robot.questions = 0
+        yield found
+
+
+def go_on(robot: Robot, stream: Stream, for_s: float, legs: Iterable[int] = (1, 2), *, publishes: bool = True) -> None:
+    end_s = robot.now_s + for_s
+    while robot.now_s < end_s:
+        stream.set(dict.fromkeys(legs, POSE))
+        if publishes:
+            robot.publish_state()
+
+
+def test_it_sends_what_it_is_given_once_a_tick_and_asks_nothing(robot: Robot, stream: Stream) -> None:
+    begun_s = robot.now_s
+    go_on(robot, stream, 1.0 - PERIOD_S / 2)
+    assert [sent_s - begun_s for sent_s, _ in robot.published] == pytest.approx([tick / HZ for tick in range(1, 51)])
+    assert (robot.questions, stream.missed) == (0, 0)
+
+
+def test_a_gateway_that_publishes_nothing_but_answers_is_asked_twice_a_second(robot: Robot, stream: Stream) -> None:
+    go_on(robot, stream, 2.9 * SILENCE_S, publishes=False)
+    assert robot.questions == 2
+    assert not stream.is_over
+
+
+def test_a_link_that_is_cut_without_a_word_ends_it_after_half_a_second(robot: Robot, stream: Stream) -> None:
+    begun_s, robot.answers = robot.now_s, False
+    with pytest.raises(DisconnectedError, match="does not answer"):
+        go_on(robot, stream, 60.0, publishes=False)
+    assert robot.now_s - begun_s == pytest.approx(SILENCE_S, abs=PERIOD_S)
+    sent = len(robot.published)
+    robot.answers = True
+    with pytest.raises(DisconnectedError):
+        stream.set({1: POSE})
+    assert len(robot.published) == sent, "it does not go on by itself"
+
+
+def test_a_link_that_is_known_to_be_lost_ends_it_at_once(robot: Robot, stream: Stream) -> None:
+    robot.connected = False
+    with pytest.raises(DisconnectedError, match="the link to the gateway is lost"):
+        stream.set({1: POSE})
+    assert (robot.published, robot.questions) == ([], 0)
+
+
+def test_a_program_that_stalls_asks_before_it_sends_and_learns_what_the_watchdog_stopped(
+    robot: Robot, stream: Stream
+) -> None:
+    robot.sleep(0.25)
+    robot.running, robot.expired = set(), {1, 2}
+    for _ in range(2):
+        with pytest.raises(StoppedError, match=r"not heard for .* ms.*start_again\(\) goes on") as error:
+            stream.set({1: POSE, 2: POSE})
+        assert error.value.legs == (1, 2)
+    assert (robot.published, robot.asked) == ([], ["start"]), "nothing moves that was stopped"
+    stream.start_again()
+    stream.set({2: POSE})
+    assert (robot.asked, robot.running) == (["start", "start"], {2})
+    assert stream.missed > 10
+
+
+def test_a_leg_that_is_left_out_is_stopped_and_not_repeated(robot: Robot, stream: Stream) -> None:
+    go_on(robot, stream, 0.2, legs=[2])
+    robot.running, robot.expired = {2}, {1}
+    robot.publish_state()
+    with pytest.raises(StoppedError, match="leg 1: not heard") as error:
+        stream.set({2: POSE})
+    assert error.value.legs == (1,)
+    assert {leg for _, legs in robot.published for leg in legs} == {"2"}
+
+
+def test_a_gateway_that_was_restarted_is_noticed_by_its_first_state(robot: Robot, stream: Stream) -> None:
+    robot.running = set()
+    robot.publish_state()
+    with pytest.raises(StoppedError):
+        stream.set({1: POSE})
+    assert robot.published == []
+    stream.start_again()
+    stream.set({1: POSE})
+    assert robot.running == {1}
