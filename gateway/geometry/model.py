@@ -16,6 +16,9 @@ ELKAPOD: Final = Path(__file__).with_name("elkapod.json")
 MAX_FILE_BYTES: Final = 1_000_000
 """The robot's own file has 4000. A recording that was named by mistake is not read whole."""
 
+MAX_SPEED_DEG_S: Final = 300.0
+"""Of a servo whose settings name no speed: an MG996R without load does 353."""
+
 MAX_M: Final = 100.0
 """Longer than any robot: such a number is in other units."""
 

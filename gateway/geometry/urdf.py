@@ -6,7 +6,7 @@ from xml.etree import ElementTree as Xml
 
 from gateway.geometry.kinematics import BASE, LINKS, Vector, from_rpy, joint_name, link_name, plus, rotated
 from gateway.geometry.masses import MASSES
-from gateway.geometry.model import Geometry
+from gateway.geometry.model import MAX_SPEED_DEG_S, Geometry
 from schemas.robot import JOINTS, LEGS
 
 _LIMB_M: Final = 0.025
@@ -15,8 +15,7 @@ _TIP_M: Final = 0.005
 """What touches the ground is less than what is drawn; a foot as round as that would roll 4 mm further each step."""
 BODY_HEIGHT_M: Final = 0.05
 _EFFORT_NM: Final = 1.0
-_SPEED_RAD_S: Final = 7.0
-"""A URDF demands both; nothing here reads them."""
+"""A URDF demands one; nothing here reads it."""
 _COLOURS: Final = {
     "body": "0.25 0.27 0.30 1",
     "coxa": "0.55 0.57 0.60 1",
@@ -56,8 +55,8 @@ def _leg(robot: Xml.Element, geometry: Geometry, leg: int) -> None:
             rpy_rad = rpy_rad[0], rpy_rad[1], rpy_rad[2] + mount.yaw_rad  # yaw comes last, about the parent's z
         _place(element, xyz_m, rpy_rad, parent, name)
         Xml.SubElement(element, "axis", xyz=_numbers(*joint.axis))
-        low, high = map(str, joint.limits_rad)
-        Xml.SubElement(element, "limit", lower=low, upper=high, effort=str(_EFFORT_NM), velocity=str(_SPEED_RAD_S))
+        low, high, speed = map(str, (*joint.limits_rad, math.radians(MAX_SPEED_DEG_S)))
+        Xml.SubElement(element, "limit", lower=low, upper=high, effort=str(_EFFORT_NM), velocity=speed)
         parent = name
     foot = link_name(leg, "foot")
     end = _link(robot, foot)

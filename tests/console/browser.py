@@ -1,6 +1,7 @@
 """The console's page in a real browser, as a person uses it."""
 
 import re
+from collections.abc import Callable
 from contextlib import AbstractContextManager, ExitStack
 from pathlib import Path
 from re import Pattern
@@ -42,6 +43,22 @@ window.looks = 0;
 navigator.getGamepads = () => ((window.looks += 1), [window.pad]);
 """
 """And counts how often it was looked at."""
+
+WISHES: Final = """
+window.wishes = [];
+const send = WebSocket.prototype.send;
+WebSocket.prototype.send = function (text) {
+  const message = JSON.parse(text);
+  if (message.type === "walk" && window.muted) return;
+  if (message.type === "walk") window.wishes.push(message);
+  send.call(this, text);
+};
+"""
+"""Keeps the page's wishes for the walk, or keeps them back."""
+PUSHES: Final = 100
+"""In so many it is seconds that pass, where each is rejected at once: until the newest state is fresh again."""
+WALKS_OR_ENDED: Final = """() => document.getElementById("walk-known").textContent.includes("It walks")
+  || !document.querySelector('.stick[data-held="yes"]')"""
 
 LINES: Final = """
 addEventListener("DOMContentLoaded", () => {
@@ -270,3 +287,13 @@ class Opened:
         other = self.context.new_page()
         self.context.new_cdp_session(other).send("Emulation.setFocusEmulationEnabled", {"enabled": False})
         other.bring_to_front()
+
+
+def walks(page: Opened, push: Callable[[Opened], None]) -> None:
+    """Push until it walks; where the machine stood still, which ends that, anew."""
+    for _ in range(PUSHES):
+        push(page)
+        page.page.wait_for_function(WALKS_OR_ENDED)
+        if "It walks" in (page["walk-known"].text_content() or ""):
+            return
+    raise AssertionError(page.said.text_content())

@@ -4,7 +4,6 @@ import os
 import re
 import signal
 from collections import deque
-from collections.abc import Callable
 from functools import partial
 from typing import Final
 
@@ -12,28 +11,13 @@ import pytest
 from playwright.sync_api import expect
 
 from gateway.client import Client
-from tests.console.browser import GAMEPAD, HIDE, Opened, Visitor
+from tests.console.browser import GAMEPAD, HIDE, WISHES, Opened, Visitor, walks
 from tests.support.fixtures import client_fixture, console_fixture, gateway_fixture, patient, session_fixture
 from tests.support.heard import states
 
 pytestmark = pytest.mark.browser
 
 PHONES: Final = ((320, 568), (568, 320), (844, 390))
-PUSHES: Final = 100
-"""In so many it is seconds that pass, where each is rejected at once: until the newest state is fresh again."""
-WALKS_OR_ENDED: Final = """() => document.getElementById("walk-known").textContent.includes("It walks")
-  || !document.querySelector('.stick[data-held="yes"]')"""
-WISHES: Final = """
-window.wishes = [];
-const send = WebSocket.prototype.send;
-WebSocket.prototype.send = function (text) {
-  const message = JSON.parse(text);
-  if (message.type === "walk" && window.muted) return;
-  if (message.type === "walk") window.wishes.push(message);
-  send.call(this, text);
-};
-"""
-"""Keeps the page's wishes for the walk, or keeps them back."""
 
 
 gateway = gateway_fixture(patient())
@@ -58,16 +42,6 @@ def push(page: Opened) -> None:
     page.page.mouse.move(x + 0.05 * box["width"], y - 0.4 * box["height"])
 
 
-def walks(page: Opened, push: Callable[[Opened], None] = push) -> None:
-    """Push until it walks; where the machine stood still, which ends that, anew."""
-    for _ in range(PUSHES):
-        push(page)
-        page.page.wait_for_function(WALKS_OR_ENDED)
-        if "It walks" in (page["walk-known"].text_content() or ""):
-            return
-    raise AssertionError(page.said.text_content())
-
-
 def sit(page: Opened) -> None:
     page["sit"].click()
     expect(page.said).to_have_text("It sits, and its servos are stopped.")
@@ -78,7 +52,7 @@ def test_on_a_small_phone_nothing_scrolls_to_walk_or_to_stop(visitor: Visitor, r
     drive(page)
     for width, height in PHONES:
         page.page.set_viewport_size({"width": width, "height": height})
-        walks(page)
+        walks(page, push)
         expect_within_reach(page, width, height)
         page.page.mouse.up()
         expect(page["walk-known"]).to_contain_text("It stands")
@@ -151,7 +125,7 @@ def test_a_gamepads_sticks_walk_and_its_b_button_is_stop_all(visitor: Visitor, r
 def test_a_hidden_page_stands_and_goes_on_with_a_new_press_only(visitor: Visitor, robot: Client) -> None:
     page = visitor.open()
     drive(page)
-    walks(page)
+    walks(page, push)
     page.page.evaluate(HIDE)
     expect(page.said).to_contain_text("It stands still: this page is hidden")
     assert robot.state().mode == "active"
@@ -159,7 +133,7 @@ def test_a_hidden_page_stands_and_goes_on_with_a_new_press_only(visitor: Visitor
     expect(page["walk-known"]).to_contain_text("It stands")
     expect(page["pad"]).to_have_attribute("data-held", "no")
     page.page.mouse.up()
-    walks(page)
+    walks(page, push)
     page.page.mouse.up()
 
 
@@ -168,7 +142,7 @@ def test_a_frozen_page_leaves_a_robot_that_stands_and_goes_on_with_a_new_press_o
 ) -> None:
     page = visitor.open()
     drive(page)
-    walks(page)
+    walks(page, push)
     renderers = visitor.renderers()
     for renderer in renderers:
         os.kill(renderer, signal.SIGSTOP)
@@ -182,7 +156,7 @@ def test_a_frozen_page_leaves_a_robot_that_stands_and_goes_on_with_a_new_press_o
     page.expect_live()
     expect(page["walk-known"]).to_contain_text("It stands")
     page.page.mouse.up()
-    walks(page)
+    walks(page, push)
 
 
 def wait_until_it_stands_still(robot: Client) -> None:

@@ -40,12 +40,17 @@ def servos_of(names: Sequence[str]) -> tuple[int, ...]:
 
 def positions(servos: Sequence[int], positions_rad: Sequence[float]) -> dict[int, float]:
     """Servo → radians. Raises JointsError."""
-    if len(positions_rad) != len(servos):
-        raise JointsError(f"it has {len(positions_rad)} positions for {len(servos)} joints")
-    for servo_id, position in zip(servos, positions_rad, strict=True):
-        if not math.isfinite(position):
-            raise JointsError(f"the position of {joint_name(servo_id)} is {position}")
-    return dict(zip(servos, positions_rad, strict=True))
+    return of_joints("position", servos, positions_rad)
+
+
+def of_joints(what: str, servos: Sequence[int], values: Sequence[float]) -> dict[int, float]:
+    """Servo → its value; `what` names one, for a person. Raises JointsError."""
+    if len(values) != len(servos):
+        raise JointsError(f"there must be one {what} for each of {len(servos)} joints, not {len(values)}")
+    for servo_id, value in zip(servos, values, strict=True):
+        if not math.isfinite(value):
+            raise JointsError(f"the {what} of {joint_name(servo_id)} is {value}")
+    return dict(zip(servos, values, strict=True))
 
 
 def check_reach(geometry: Geometry, at_rad: Mapping[int, float]) -> None:
@@ -54,7 +59,7 @@ def check_reach(geometry: Geometry, at_rad: Mapping[int, float]) -> None:
         angle_deg = geometry.servos[servo_id].servo_deg(position)
         if not 0.0 <= angle_deg <= MAX_DEG:
             raise JointsError(
-                f"{joint_name(servo_id)} at {position:.3f} rad is {angle_deg:.1f}° of its servo, which has 0 to 180°"
+                f"{joint_name(servo_id)} at {position:.4g} rad is {angle_deg:.4g}° of its servo, which has 0 to 180°"
             )
 
 

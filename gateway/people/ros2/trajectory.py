@@ -2,20 +2,32 @@
 
 It is followed as ros2_control's joint_trajectory_controller does: from where the robot is to the first point that is
 still to come, then from point to point, in straight lines, or in curves where both points have velocities.
+What it takes stays within each servo's range and speed between its points, too: nothing is clamped on the way.
 """
 
+import math
 from bisect import bisect_right
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Final, NamedTuple, Self
 
-from gateway.geometry import Geometry
-from gateway.people.ros2.joints import JointsError, check_reach, positions, servos_of
+from gateway.geometry import MAX_SPEED_DEG_S, Geometry, joint_name
+from gateway.people.ros2.joints import JointsError, check_reach, of_joints, positions, servos_of
 from gateway.people.ros2.messages import Duration, JointTrajectory
 
 MAX_POINTS: Final = 2000
 """Forty seconds at 50 Hz; a longer plan is better sent in pieces."""
 MAX_S: Final = 60.0
 """Nobody plans further ahead beside a robot that people stand at; and a plan in milliseconds is noticed."""
+
+MAX_RAD_S: Final = math.radians(MAX_SPEED_DEG_S)
+SETPOINT_S: Final = 0.02
+"""At 50 Hz. What changes within one setpoint has no speed of its own."""
+MAX_RAD_S2: Final = MAX_RAD_S / SETPOINT_S
+"""From rest to full speed within one setpoint. Accelerations are checked, but do not bend the way."""
+_SPARE: Final = 1.001
+"""Of the speed: what rounding to nanoseconds and floats may add."""
+_END: Final = 1e-6
+"""Of a way: nearer to its ends than this it is at a point, which is checked itself."""
 
 
 class Point(NamedTuple):
@@ -54,10 +66,13 @@ class Trajectory:
                     raise JointsError(f"its time {at_s:g} s is not between 0 and {MAX_S:g} s")
                 at_rad = positions(servos, point.positions)
                 check_reach(geometry, at_rad)
-                velocities = positions(servos, point.velocities) if point.velocities else None
+                velocities = _bounded("velocity", servos, point.velocities, MAX_RAD_S, "rad/s")
+                _bounded("acceleration", servos, point.accelerations, MAX_RAD_S2, "rad/s²")
+                points.append(Point(at_s, at_rad, velocities or None))
+                if number > 1:
+                    _check_between(geometry, *points[-2:])
             except JointsError as error:
                 raise JointsError(f"point {number}: {error}") from error
-            points.append(Point(at_s, at_rad, velocities))
         return cls(tuple(points), now_s - _elapsed_s(message, points[-1].at_s, since_1970_ns))
 
     @property
@@ -66,10 +81,17 @@ class Trajectory:
         return self._begins_s + self._points[-1].at_s
 
     def begin(self, present_rad: Mapping[int, float], now_s: float) -> None:
-        """Go on from where the joints are now. One that is not in `present_rad` begins at the next point."""
-        next_rad = self._points[self._next(now_s)].positions_rad
-        at_rad = {servo_id: present_rad.get(servo_id, next_rad[servo_id]) for servo_id in next_rad}
-        self._from = Point(now_s - self._begins_s, at_rad)
+        """Go on from where the joints are now. One that is not in `present_rad` begins at the next point.
+
+        Raises JointsError where the next point is too near in time.
+        """
+        after = self._points[self._next(now_s)]
+        at_rad = {servo_id: present_rad.get(servo_id, at) for servo_id, at in after.positions_rad.items()}
+        before = Point(now_s - self._begins_s, at_rad)
+        length_s = max(after.at_s - before.at_s, SETPOINT_S)
+        for servo_id, at in at_rad.items():
+            _check_speed(servo_id, (after.positions_rad[servo_id] - at) / length_s, "from where it is")
+        self._from = before
 
     def at(self, now_s: float) -> dict[int, float]:
         """Servo → radians, after `begin`."""
@@ -80,25 +102,80 @@ class Trajectory:
         length_s = after.at_s - before.at_s
         part = (now_s - self._begins_s - before.at_s) / length_s if length_s > 0 else 1.0
         part = min(max(part, 0.0), 1.0)
-        return {servo_id: _between(before, after, servo_id, part, length_s) for servo_id in after.positions_rad}
+        return {servo_id: _Way.of(before, after, servo_id).at(part) for servo_id in after.positions_rad}
 
     def _next(self, now_s: float) -> int:
         """The first point that is still to come, or the last."""
         return min(bisect_right(self._times_s, now_s - self._begins_s), len(self._points) - 1)
 
 
-def _between(before: Point, after: Point, servo_id: int, part: float, length_s: float) -> float:
-    begin, end = before.positions_rad[servo_id], after.positions_rad[servo_id]
-    if before.velocities_rad_s is None or after.velocities_rad_s is None:
-        return begin + (end - begin) * part
-    leaves, arrives = before.velocities_rad_s[servo_id] * length_s, after.velocities_rad_s[servo_id] * length_s
-    square, cube = part * part, part * part * part  # a cubic Hermite spline
-    return (
-        (2 * cube - 3 * square + 1) * begin
-        + (cube - 2 * square + part) * leaves
-        + (3 * square - 2 * cube) * end
-        + (cube - square) * arrives
-    )
+class _Way(NamedTuple):
+    """One joint's way between two points: a cubic of `part`, which goes from 0 to 1."""
+
+    begin: float
+    first: float
+    square: float
+    cube: float
+
+    @classmethod
+    def of(cls, before: Point, after: Point, servo_id: int) -> Self:
+        """A cubic Hermite spline, or a line."""
+        begin = before.positions_rad[servo_id]
+        moved = after.positions_rad[servo_id] - begin
+        if before.velocities_rad_s is None or after.velocities_rad_s is None:
+            return cls(begin, moved, 0.0, 0.0)
+        length_s = after.at_s - before.at_s
+        leaves, arrives = before.velocities_rad_s[servo_id] * length_s, after.velocities_rad_s[servo_id] * length_s
+        return cls(begin, leaves, 3 * moved - 2 * leaves - arrives, leaves + arrives - 2 * moved)
+
+    def at(self, part: float) -> float:
+        return self.begin + part * (self.first + part * (self.square + part * self.cube))
+
+    def speed(self, part: float) -> float:
+        """In radians for the whole way."""
+        return self.first + part * (2 * self.square + part * 3 * self.cube)
+
+    def turns(self) -> Iterator[float]:
+        """The parts at which it turns round, but the ends: where the speed, a p² + 2 b p + c, is zero."""
+        a, b, c = 3 * self.cube, self.square, self.first
+        if (under := b * b - a * c) >= 0:
+            q = -(b + math.copysign(math.sqrt(under), b))  # no difference of numbers that are nearly equal
+            yield from (over / below for over, below in ((q, a), (c, q)) if below and _END < over / below < 1 - _END)
+
+    def fastest(self) -> float:
+        """The largest speed of the whole way, with its sign; there or at an end the acceleration changes its sign."""
+        parts = [0.0, 1.0]
+        if self.cube and 0 < (middle := -self.square / (3 * self.cube)) < 1:
+            parts.append(middle)
+        return max((self.speed(part) for part in parts), key=abs)
+
+
+def _check_between(geometry: Geometry, before: Point, after: Point) -> None:
+    """Raises JointsError where a servo would go too far or too fast on the way to `after`."""
+    for servo_id in after.positions_rad:
+        way = _Way.of(before, after, servo_id)
+        _check_speed(servo_id, way.fastest() / (after.at_s - before.at_s), "on the way there")
+        for part in way.turns():
+            check_reach(geometry, {servo_id: way.at(part)})
+
+
+def _check_speed(servo_id: int, speed_rad_s: float, where: str) -> None:
+    if abs(speed_rad_s) > MAX_RAD_S * _SPARE:
+        turns = f"{joint_name(servo_id)} would turn at {math.degrees(speed_rad_s):.4g}°/s {where}"
+        raise JointsError(f"{turns}; at most {MAX_SPEED_DEG_S:g}°/s")
+
+
+def _bounded(
+    what: str, servos: tuple[int, ...], values: tuple[float, ...], most: float, unit: str
+) -> Mapping[int, float]:
+    """Servo → value, or none at all. Raises JointsError."""
+    found = of_joints(what, servos, values) if values else {}
+    for servo_id, value in found.items():
+        if abs(value) > most * _SPARE:
+            raise JointsError(
+                f"the {what} of {joint_name(servo_id)} is {value:.4g} {unit}, more than {most:.4g} (are these degrees?)"
+            )
+    return found
 
 
 def _elapsed_s(message: JointTrajectory, length_s: float, since_1970_ns: int) -> float:

@@ -7,7 +7,7 @@ from types import MappingProxyType
 from typing import Final, NamedTuple
 
 from gateway.errors import WalkError
-from gateway.geometry import Geometry
+from gateway.geometry import MAX_SPEED_DEG_S, Geometry
 from gateway.geometry.kinematics import Vector
 from gateway.geometry.urdf import BODY_HEIGHT_M
 from gateway.people.walking.inverse import Angles, Limb
@@ -15,9 +15,6 @@ from gateway.people.walking.motion import Body
 from schemas.calibration import Calibration
 from schemas.robot import JOINTS, LEGS, SERVO_IDS
 from schemas.telemetry import LimitsReport, ServoLimitsReport
-
-MAX_SPEED_DEG_S: Final = 300.0
-"""Of a servo whose settings name no speed: an MG996R without load does 353."""
 
 
 class Range(NamedTuple):

@@ -1,16 +1,18 @@
 """What controllers ask for, read: joint names in any order, and trajectories in time."""
 
+import itertools
 import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import event, given
 from hypothesis import strategies as st
 
 from gateway.geometry import joint_name, load
 from gateway.people.ros2.joints import JointsError, check_reach, legs_deg, positions, servos_of
 from gateway.people.ros2.messages import Duration, Header, JointTrajectory, JointTrajectoryPoint, Time
-from gateway.people.ros2.trajectory import MAX_POINTS, Trajectory
+from gateway.people.ros2.trajectory import MAX_POINTS, MAX_RAD_S, Trajectory
 from schemas.robot import SERVO_IDS
 
 GEOMETRY = load()
@@ -18,6 +20,11 @@ NOW_NS = 1_000_000 * 10**9
 NOW_S = 50.0
 LEG = ("joint_11", "joint_12", "joint_13")
 REST = (0.0, 0.5, -1.5)
+FAST = (5.0, 0.0, 0.0)
+STILL = (0.0, 0.0, 0.0)
+HALF_TURN_RAD = math.pi / 2
+NEARLY = 1e-3
+"""What extremes between the places looked at may add, and rounding."""
 
 
 def point(at_s: float, first_rad: float, **more: tuple[float, ...]) -> JointTrajectoryPoint:
@@ -68,7 +75,7 @@ def test_names_that_are_not_taken(names: tuple[str, ...], why: str) -> None:
 @pytest.mark.parametrize(
     ("values", "why"),
     [
-        ((0.0, 0.0), "2 positions for 3 joints"),
+        ((0.0, 0.0), "one position for each of 3 joints, not 2"),
         ((0.0, math.nan, 0.0), "joint_12 is nan"),
         ((0.0, 0.0, -math.inf), "joint_13 is -inf"),
     ],
@@ -80,7 +87,7 @@ def test_positions_that_are_not_taken(values: tuple[float, ...], why: str) -> No
 
 def test_a_servo_turns_half_a_turn() -> None:
     check_reach(GEOMETRY, {11: math.pi / 2})
-    with pytest.raises(JointsError, match=r"joint_11 at 1\.600 rad is 181\.7° of its servo"):
+    with pytest.raises(JointsError, match=r"joint_11 at 1\.6 rad is 181\.7° of its servo"):
         check_reach(GEOMETRY, {11: 1.6})
 
 
@@ -125,6 +132,56 @@ def test_one_that_is_still_to_begin_is_approached_until_then() -> None:
     assert [plan.at(NOW_S + at_s)[11] for at_s in (0, 1, 2)] == pytest.approx([0.0, 0.2, 0.4])
 
 
+@given(st.lists(st.tuples(st.floats(0.01, 2), st.floats(-1.5, 1.5), st.floats(-5.2, 5.2)), min_size=2, max_size=4))
+def test_a_trajectory_is_taken_exactly_where_it_stays_within_range_and_speed(
+    way: list[tuple[float, float, float]],
+) -> None:
+    """What bends too far or too fast between its points is rejected, and is never clamped."""
+    times_s = list(itertools.accumulate(round(each[0], 3) for each in way))
+    points = [point(at_s, at, velocities=(speed, 0.0, 0.0)) for at_s, (_, at, speed) in zip(times_s, way, strict=True)]
+    furthest_rad, fastest_rad_s = extremes(points)
+    event(f"range kept: {furthest_rad <= HALF_TURN_RAD}, speed kept: {fastest_rad_s <= MAX_RAD_S}")
+    try:
+        plan = read(trajectory(*points))
+    except JointsError:
+        assert furthest_rad > HALF_TURN_RAD - NEARLY or fastest_rad_s > MAX_RAD_S - NEARLY
+        return
+    assert furthest_rad < HALF_TURN_RAD + NEARLY
+    assert fastest_rad_s < MAX_RAD_S * 1.001 + NEARLY
+    plan.begin({}, NOW_S)
+    for at_s, (_, at, _) in zip(times_s, way, strict=True):
+        assert plan.at(NOW_S + at_s)[11] == pytest.approx(at, abs=1e-6)
+
+
+def extremes(points: list[JointTrajectoryPoint]) -> tuple[float, float]:
+    """The furthest radians and the fastest radians a second of a spline by its Bernstein form, at many places."""
+    furthest, fastest = 0.0, 0.0
+    part = np.linspace(0, 1, 501)
+    rest = 1 - part
+    for before, after in itertools.pairwise(points):
+        length_s = seconds(after) - seconds(before)
+        begin, end = before.positions[0], after.positions[0]
+        leaves, arrives = begin + before.velocities[0] * length_s / 3, end - after.velocities[0] * length_s / 3
+        way = begin * rest**3 + 3 * leaves * part * rest**2 + 3 * arrives * part**2 * rest + end * part**3
+        speed = (leaves - begin) * rest**2 + 2 * (arrives - leaves) * part * rest + (end - arrives) * part**2
+        furthest = max(furthest, float(abs(way).max()))
+        fastest = max(fastest, 3 * float(abs(speed).max()) / length_s)
+    return furthest, fastest
+
+
+def seconds(point: JointTrajectoryPoint) -> float:
+    return point.time_from_start.sec + point.time_from_start.nanosec / 1e9
+
+
+def test_from_where_the_robot_is_it_goes_no_faster_either() -> None:
+    plan = read(trajectory(point(0.1, 0.4), point(3, 0.0)))
+    plan.begin({11: 0.0}, NOW_S)
+    with pytest.raises(JointsError, match=r"joint_11 would turn at 802\.1°/s from where it is; at most 300°/s"):
+        plan.begin({11: -1.0}, NOW_S)
+    assert plan.at(NOW_S)[11] == pytest.approx(0.0), "what it has begun with stays"
+    read(trajectory(point(0, 0.4), point(3, 0.0))).begin({11: 0.401}, NOW_S)  # its first point is where it is, nearly
+
+
 @pytest.mark.parametrize(
     ("message", "why"),
     [
@@ -135,9 +192,32 @@ def test_one_that_is_still_to_begin_is_approached_until_then() -> None:
         (trajectory(point(-1, 0)), "point 1: its time -1 s is not between 0 and 60 s"),
         (trajectory(point(61, 0)), "point 1: its time 61 s is not between"),
         (trajectory(point(1, math.nan)), "point 1: the position of joint_11 is nan"),
-        (trajectory(point(1, 0), point(2, 9)), r"point 2: joint_11 at 9\.000 rad"),
-        (trajectory(point(1, 0, velocities=(0.0,))), "point 1: it has 1 positions for 3"),
-        (trajectory(replace(point(1, 0), positions=())), "point 1: it has 0 positions for 3"),
+        (trajectory(point(1, 1e308)), r"point 1: joint_11 at 1e\+308 rad is -?inf° of its servo"),
+        (trajectory(point(1, 0, velocities=(1e308, 0, 0))), r"velocity of joint_11 is 1e\+308 rad/s, more than 5\.236"),
+        (
+            trajectory(point(1, 0, velocities=(20.0, -90, 0))),
+            r"velocity of joint_11 is 20 rad/s, .* \(are these degrees",
+        ),
+        (trajectory(point(1, 0, velocities=(0, 0, math.nan))), "point 1: the velocity of joint_13 is nan"),
+        (
+            trajectory(point(1, 0, accelerations=(1e308, 0, 0))),
+            r"acceleration of joint_11 is 1e\+308 rad/s², more than 261",
+        ),
+        (trajectory(point(1, 0, accelerations=(0.0,))), "one acceleration for each of 3 joints, not 1"),
+        (
+            trajectory(point(1, 0), point(1.1, 1)),
+            r"point 2: joint_11 would turn at -?573°/s on the way there; at most 300°/s",
+        ),
+        (
+            trajectory(point(1, 0, velocities=FAST), point(4, 0, velocities=STILL)),
+            r"point 2: joint_11 at 2\.222 rad is 217\.3°",
+        ),
+        (trajectory(point(1, 0), point(2, 9)), r"point 2: joint_11 at 9 rad is"),
+        (trajectory(point(1, 0, velocities=(0.0,))), "point 1: there must be one velocity for each of 3 joints, not 1"),
+        (
+            trajectory(replace(point(1, 0), positions=())),
+            "point 1: there must be one position for each of 3 joints, not 0",
+        ),
         (trajectory(point(1, 0), begins_s=-1.5), r"over 0\.5 s ago by its stamp"),
         (trajectory(point(1, 0), begins_s=61), r"begins in 61\.0 s by its stamp"),
     ],

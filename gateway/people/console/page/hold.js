@@ -43,8 +43,9 @@ export function obstacle({ link, model, told, lastTickMs }, nowMs) {
 }
 
 /**
- * Call `lose`, with why, as soon as this page is one that must not drive: hidden, without the focus, left or frozen.
- * @param {Parameters<typeof obstacle>[0] & {active: boolean}} driver @param {(why: string) => void} lose
+ * Call `lose`, with why, as soon as this page is one that must not drive: hidden, without the focus, left or frozen;
+ * also while nothing moves: a thumb that lies on a pad counts no more.
+ * @param {Parameters<typeof obstacle>[0]} driver @param {(why: string) => void} lose
  */
 export function whenLost(driver, lose) {
   for (const [target, name] of /** @type {[EventTarget, string][]} */ ([
@@ -52,7 +53,7 @@ export function whenLost(driver, lose) {
     [document, "visibilitychange"],
   ])) {
     target.addEventListener(name, () => {
-      const why = driver.active ? obstacle(driver, performance.now()) : "";
+      const why = obstacle(driver, performance.now());
       if (why) lose(why);
     });
   }

@@ -7,6 +7,8 @@ import { attribute, byId, confirmed, enable, show, text } from "./dom.js";
 
 const RENEWALS_PER_TTL = 3;
 const USUAL_TTL_MS = 1000;
+/** On a button, in letters: it may not grow. What was said has the whole name. */
+const LONGEST_NAME = 14;
 
 export class Lease {
   /**
@@ -78,15 +80,15 @@ export class Lease {
     const unverified = holder && this.model.state?.lease?.verified === false ? ", not verified" : "";
     text(byId("driver"), mine ? "you" : holder ? `${holder}${unverified}` : "nobody");
     attribute(byId("lease"), "data-mine", mine ? "yes" : "no");
-    show(byId("lease-ask"), !mine && holder !== null && !looks);
-    show(byId("lease-take"), !mine && holder !== null && !looks);
+    const handed = !mine && this.#handedToMe;
+    for (const id of ["lease-ask", "lease-take"]) show(byId(id), !mine && holder !== null && !looks && !handed);
     show(byId("lease-release"), mine);
     show(byId("lease-hand-over"), mine && asker !== null);
-    text(byId("lease-hand-over"), `Hand over to ${asker ?? ""}`);
+    const short = asker && asker.length > LONGEST_NAME ? `${asker.slice(0, LONGEST_NAME - 1)}…` : asker;
+    text(byId("lease-hand-over"), `Hand over to ${short ?? ""}`);
     for (const id of ["lease-acquire", "lease-ask", "lease-take"]) {
       enable(/** @type {HTMLButtonElement} */ (byId(id)), connected);
     }
-    const handed = !mine && this.#handedToMe;
     show(byId("lease-acquire"), (!mine && holder === null && !looks) || handed);
     const said = mine && asker ? `${asker} asks for the lease.` : handed ? "The lease is handed over to you: take it." : "";
     if (said && said !== this.announced) this.told.say(said);

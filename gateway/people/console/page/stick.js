@@ -1,38 +1,59 @@
 // @ts-check
-/** A pad for a thumb or a mouse: how far it is from the middle, -1 to 1, while it is held; 0 once it is let go. */
+/**
+ * A pad for a thumb or a mouse: how far it is pushed from where it landed, -1 to 1, while it is held; 0 once it is let go.
+ * So a pad that moves under a thumb changes no direction; it is let go all the same, since nobody meant that.
+ */
 
 import { byId } from "./dom.js";
 
 const DEAD_ZONE = 0.12;
 
 export class Stick {
-  /** @param {string} id @param {boolean} plane whether it goes in both directions, or turns @param {() => void} changed */
-  constructor(id, plane, changed) {
+  /**
+   * @param {string} id @param {boolean} plane whether it goes in both directions, or turns
+   * @param {() => void} changed @param {(why: string) => void} lost what is held shall count no more
+   */
+  constructor(id, plane, changed, lost) {
     this.place = byId(id);
     this.knob = /** @type {HTMLElement} */ (this.place.querySelector(".knob"));
     this.plane = plane;
     this.x = this.y = this.turn = 0;
     /** @type {number | null} */
     this.pointer = null;
+    this.lost = lost;
+    /** Where the thumb landed, in pixels of the window, and how far full speed is from there. */
+    this.landed = { x: 0, y: 0, reach: 1 };
+    /** The pad's box and the window's then. */
+    this.box = "";
     this.place.addEventListener("pointerdown", (event) => {
       if (event.button !== 0 || this.pointer !== null) return;
       event.preventDefault(); // a mouse selects no text, and a finger scrolls nothing
       this.place.focus({ preventScroll: true });
       this.pointer = event.pointerId;
       this.place.setPointerCapture(event.pointerId);
+      const { width, height } = this.place.getBoundingClientRect();
+      const reach = plane ? Math.min(width, height) * 0.33 : width * 0.4;
+      this.landed = { x: event.clientX, y: event.clientY, reach };
+      this.box = this.#box();
       this.#move(event);
-      changed();
     });
     this.place.addEventListener("pointermove", (event) => {
       if (event.pointerId !== this.pointer) return;
+      this.check();
+      if (this.pointer === null) return;
       this.#move(event);
       changed();
     });
-    for (const name of ["pointerup", "pointercancel", "lostpointercapture"]) {
+    this.place.addEventListener("pointerup", (event) => {
+      if (event.pointerId === this.pointer) this.release();
+    });
+    for (const name of ["pointercancel", "lostpointercapture"]) {
       this.place.addEventListener(name, (event) => {
-        if (/** @type {PointerEvent} */ (event).pointerId === this.pointer) this.release();
+        if (/** @type {PointerEvent} */ (event).pointerId === this.pointer) lost("the system took the touch");
       });
     }
+    for (const target of [window, window.visualViewport]) target?.addEventListener("resize", () => this.check());
+    document.addEventListener("scroll", () => this.check(), { capture: true });
     this.place.addEventListener("contextmenu", (event) => event.preventDefault()); // a long touch
   }
 
@@ -40,15 +61,24 @@ export class Stick {
   release() {
     this.pointer = null;
     this.x = this.y = this.turn = 0;
-    this.#draw(0, 0);
+    this.knob.style.transform = "";
+  }
+
+  /** Where the pad is not where it was when the thumb landed, what is held is lost. */
+  check() {
+    if (this.pointer !== null && this.box !== this.#box()) this.lost("the page moved under the thumb");
+  }
+
+  #box() {
+    const { left, top, width, height } = this.place.getBoundingClientRect();
+    return [left, top, width, height, innerWidth, innerHeight, window.visualViewport?.scale, screen.orientation?.angle].join();
   }
 
   /** @param {PointerEvent} event */
   #move(event) {
-    const { left, top, width, height } = this.place.getBoundingClientRect();
-    const reach = (this.plane ? Math.min(width, height) : width) * (this.plane ? 0.33 : 0.4);
-    let across = (event.clientX - left - width / 2) / reach;
-    let up = this.plane ? (top + height / 2 - event.clientY) / reach : 0;
+    const { x, y, reach } = this.landed;
+    let across = (event.clientX - x) / reach;
+    let up = this.plane ? (y - event.clientY) / reach : 0;
     const length = Math.hypot(across, up);
     if (length > 1) [across, up] = [across / length, up / length];
     this.#draw(across * reach, -up * reach);
@@ -57,9 +87,12 @@ export class Stick {
     else this.turn = across * counts;
   }
 
-  /** @param {number} x @param {number} y in pixels from the middle */
+  /** @param {number} x @param {number} y in pixels from where the thumb landed */
   #draw(x, y) {
-    this.knob.style.transform = `translate(${x.toFixed(1)}px, ${y.toFixed(1)}px)`;
+    const { left, top, width, height } = this.place.getBoundingClientRect();
+    const across = this.landed.x - left - width / 2 + x;
+    const down = this.plane ? this.landed.y - top - height / 2 + y : 0;
+    this.knob.style.transform = `translate(${across.toFixed(1)}px, ${down.toFixed(1)}px)`;
   }
 }
 

@@ -51,8 +51,9 @@ export class Walk {
     this.sentMs = new Map();
     this.answerMs = NaN;
     this.pad = new Sticks();
-    this.thumb = new Stick("pad", true, () => this.#held());
-    this.turn = new Stick("turn", false, () => this.#held());
+    const [held, lost] = [() => this.#held(), (/** @type {string} */ why) => this.drop(why)];
+    this.thumb = new Stick("pad", true, held, lost);
+    this.turn = new Stick("turn", false, held, lost);
     this.keys = new Keys(() => this.#held());
     byId("stand").addEventListener("click", () => this.go(false));
     byId("sit").addEventListener("click", () => this.go(true));
@@ -213,6 +214,8 @@ export class Walk {
       this.drop(why); // and nothing is sent, which the console takes for what it is
       return;
     }
+    this.thumb.check();
+    this.turn.check();
     this.moved = moves(this.deflection);
     this.#send(nowMs);
   }

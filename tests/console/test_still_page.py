@@ -1,0 +1,127 @@
+"""The driving page stands still: whatever appears or is said, nothing moves under a thumb, and no line is cut off."""
+
+from typing import Any, Final
+
+import pytest
+
+from tests.console.browser import Opened, Visitor
+
+pytestmark = pytest.mark.browser
+
+SIZES: Final = ((320, 568), (568, 320), (360, 640), (640, 360), (844, 390), (820, 1180), (1024, 768))
+HEAR: Final = """
+const listen = WebSocket.prototype.addEventListener;
+WebSocket.prototype.addEventListener = function (name, heard, ...more) {
+  if (name !== "message") return listen.call(this, name, heard, ...more);
+  window.hear = (message) => heard({ data: JSON.stringify(message) });
+  listen.call(this, name, (event) => {
+    if (window.situation) return;
+    const message = JSON.parse(event.data);
+    if (message.type === "state") window.newest = message;
+    heard(event);
+  }, ...more);
+};
+const every = window.setInterval;
+window.setInterval = (run, ms) => {
+  if (ms === 100) window.refresh = run;
+  return every(run, ms);
+};
+"""
+"""Lets a test say what the console says, and look at the page at once."""
+SHOW: Final = """([messages, state]) => {
+  window.situation = true;
+  const LINES = ".facts div, dd, #robot, #said, #stop-known"; // as long as what they say; nothing stands behind them
+  const { newest } = window;
+  for (const message of messages) hear(message);
+  hear({ ...newest, state: { ...newest.state, ...state } });
+  refresh();
+  const boxes = {};
+  for (const each of document.querySelectorAll("header *, #stop, #stop *, #said, .see, #picture, .walk, .walk *")) {
+    const shown = each.checkVisibility({ visibilityProperty: true });
+    if (!shown || each.closest(".aloud, .knob, svg, #labels") || each.matches(LINES)) continue;
+    const { left, top, width, height } = each.getBoundingClientRect();
+    const name = each.id || `${each.closest("[id]")?.id} ${each.tagName} ${each.textContent.slice(0, 12)}`;
+    boxes[name] = [left, top, width, height].map(Math.round).join(" ");
+  }
+  const middle = (id) => {
+    const { left, top, width, height } = document.getElementById(id).getBoundingClientRect();
+    return document.elementFromPoint(left + width / 2, top + height / 2)?.closest("[id]")?.id;
+  };
+  const cut = ["said", "stop-known", "walk-known", "mode", "age", "lease-hand-over"].filter((id) => {
+    const each = document.getElementById(id);
+    const { left, top, right, bottom } = each.getBoundingClientRect();
+    const inside = left >= 0 && top >= 0 && right <= innerWidth && bottom <= innerHeight;
+    const fits = each.scrollWidth <= each.clientWidth && each.scrollHeight <= each.clientHeight;
+    return each.checkVisibility() && !(inside && fits);
+  });
+  const covered = ["pad", "turn", "stop-all", "stand", "sit"].filter((id) => middle(id) !== id);
+  const { scrollWidth, scrollHeight } = document.documentElement;
+  return { boxes, cut, covered, scrolls: scrollWidth > innerWidth || scrollHeight > innerHeight };
+}"""
+LONG: Final = "anna-katharina.oberhuber@robots.example (page 12)"
+
+
+def lease(holder: str | None, *, held_s: float | None = 1.0, asked_by: str | None = None) -> dict[str, Any]:
+    return {"lease": {"holder": holder, "held_s": held_s, "asked_by": asked_by, "verified": False}}
+
+
+def mine(yes: bool) -> dict[str, Any]:
+    return {"type": "lease", "mine": yes, "ttl_ms": 1_000_000}
+
+
+def walk(posture: str | None, detail: str = "", limit: str = "") -> dict[str, Any]:
+    """What the console reports of a walk."""
+    return {
+        "type": "walk", "press": 10**6, "id": None, "posture": posture, "gait": "ripple", "height_m": 0.15,
+        "commanded": [0.1, -0.1, 0.4], "scaled": [0.1, -0.1, 0.4], "limit": limit, "lost": [], "waits": False,
+        "detail": detail,
+    }  # fmt: skip
+
+
+def situations(source: str) -> dict[str, tuple[list[dict[str, Any]], dict[str, Any]]]:
+    """By name: what the console says, and how the newest state differs. `source`: who this page is."""
+    why = "the servo 12 would stand at 190.5 degrees, and may go from 0 to 180"
+    gone = "the console has lost the gateway: no answer at tls/hexapod.local:7447 for 12 s, and the name is known"
+    return {
+        "free": ([], lease(None)),
+        "another's": ([mine(False)], lease("bert (page 2)")),
+        "another's with a long name": ([], lease(LONG)),
+        "handed over to this page": ([], lease(source, held_s=None)),
+        "mine": ([mine(True)], lease(source)),
+        "asked for": ([], lease(source, asked_by="bert (page 2)")),
+        "asked for by a long name": ([], lease(source, asked_by=LONG)),
+        **{
+            posture: ([walk(posture)], lease(source))
+            for posture in ("moving", "standing", "walking", "halted", "sitting")
+        },
+        "limited": ([walk("walking", limit=why)], lease(source)),
+        "asked for while it walks": ([walk("walking")], lease(source, asked_by="bert (page 2)")),
+        "ended": ([walk(None, detail=f"leg 1 is stopped, and the others stand still: {why}; {why}")], lease(source)),
+        "stop buttons": ([], {**lease(source), "buttons": {"required": 2, "alive": 1, "names": [LONG]}}),
+        "stopped by somebody": ([], {**lease(source), "mode": "estopped", "estop_source": LONG}),
+        "a bus fault": ([], {**lease(LONG, asked_by=LONG), "mode": "bus_fault"}),
+        "no gateway": ([{"type": "link", "status": "gone", "detail": gone}, mine(False)], lease(LONG)),
+        "a gateway again": ([{"type": "link", "status": "connected", "detail": ""}], lease(None)),
+    }
+
+
+@pytest.mark.parametrize("size", SIZES, ids=lambda size: f"{size[0]}x{size[1]}")
+def test_nothing_on_the_driving_page_shifts_is_covered_or_cut_off(size: tuple[int, int], visitor: Visitor) -> None:
+    width, height = size
+    page = visitor.open(script=HEAR, viewport={"width": width, "height": height}, has_touch=True, is_mobile=True)
+    assert not faults(page)
+
+
+def faults(page: Opened) -> list[str]:
+    """In sentences."""
+    source = "root"
+    found, places = [], dict[str, tuple[str, str]]()
+    for name, told in situations(source).items():
+        seen = page.page.evaluate(SHOW, told)
+        for element, box in seen["boxes"].items():
+            since, before = places.setdefault(element, (name, box))
+            if box != before:
+                found.append(f"{name}: {element} is at {box}, and {since}: at {before}")
+        found += [f"{name}: {element} is {how}" for how in ("cut", "covered") for element in seen[how]]
+        found += [f"{name}: the page scrolls"] if seen["scrolls"] else []
+    return found
