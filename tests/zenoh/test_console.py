@@ -341,3 +341,15 @@ def test_a_page_gets_a_link_for_another_device_with_its_qr_code(console: Console
     assert found["rows"] == ["".join(map(str, row)) for row in segno.make(found["url"], error="l").matrix]
     with console.page(console.sign_in(found["url"])) as second:
         assert second.hello["role"] == "operator"
+
+
+def test_at_localhost_it_takes_all_addresses_or_none(gateway: Gateway, tmp_path: Path) -> None:
+    """A browser may open either, and somebody else may listen at the other."""
+    with Console(tmp_path / "first", "--connect", gateway.endpoint, address="localhost") as console:
+        assert console.url == f"http://127.0.0.1:{console.port}", "an address, and no name"
+        for host in (f"127.0.0.1:{console.port}", f"[::1]:{console.port}", f"localhost:{console.port}"):
+            assert "not signed in" in httpx.get(f"http://{host}/").text
+    with socket.create_server(("::1", console.port), family=socket.AF_INET6):
+        refused = console.run("--connect", gateway.endpoint)
+        assert refused.returncode == 5
+        assert f"[::1]:{console.port} is taken by another program" in refused.stderr

@@ -35,7 +35,7 @@ class Stand:
         self.admitted: asyncio.Queue[Admitted] = asyncio.Queue()
         self.address = listening.getsockname()
         door = Door(Site("127.0.0.1", 8080, ("127.0.0.1",)), register, person="anna", role="operator")
-        self.front = Front(listening, None, door, self.admitted.put_nowait)
+        self.front = Front([listening], None, door, self.admitted.put_nowait)
 
     async def proved(self, key: str) -> str:
         """What a page with that key offers for its WebSocket."""
