@@ -43,7 +43,7 @@ async def flood(kind: str, url: str, session: SignedIn) -> None:
                 url.replace("http", "ws", 1) + "/ws",
                 additional_headers={"Cookie": session.cookie},
                 origin=Origin(url),
-                subprotocols=session.subprotocols,
+                subprotocols=session.subprotocols(url, context),
                 ssl=context,
                 compression=None,
                 close_timeout=0.1,

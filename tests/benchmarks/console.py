@@ -133,7 +133,7 @@ async def open_page(url: str, session: SignedIn) -> AsyncIterator[ClientConnecti
     async with connect(
         url.replace("http", "ws", 1) + "/ws",
         additional_headers={"Cookie": session.cookie, "Origin": url},
-        subprotocols=session.subprotocols,
+        subprotocols=session.subprotocols(url),
         compression=None,
         max_queue=1,
         close_timeout=0.1,

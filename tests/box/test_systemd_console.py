@@ -26,7 +26,7 @@ print(answer.status, answer.headers["Set-Cookie"].partition(";")[0], key)
 SESSION = """
 import http.client, sys
 there = http.client.HTTPConnection("127.0.0.1:8080")
-there.request("GET", "/session", headers={"Cookie": sys.argv[1], "X-Console-Key": sys.argv[2]})
+there.request("GET", "/session", headers={"Cookie": sys.argv[1]})
 answer = there.getresponse()
 print(answer.status, answer.read().decode())
 """

@@ -1,9 +1,11 @@
 """How a browser gets in, stays in, and what a page of somebody else's gets of it."""
 
 import http.server
+import re
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
 import pytest
 from playwright.sync_api import Browser, Page, expect
@@ -12,6 +14,7 @@ from websockets.exceptions import InvalidStatus
 from tests.console.browser import LATE_MS, WITHOUT_WEBGL
 from tests.support.console_process import Console, SignedIn
 from tests.support.console_process import Page as Thief
+from tests.support.gateway_process import Gateway
 
 pytestmark = pytest.mark.browser
 
@@ -19,6 +22,12 @@ pytestmark = pytest.mark.browser
 @pytest.fixture
 def victim(browser: Browser, console: Console) -> Iterator[Page]:
     """A page in a browser of its own, which has just opened a link."""
+    with signed_in(browser, console) as page:
+        yield page
+
+
+@contextmanager
+def signed_in(browser: Browser, console: Console) -> Iterator[Page]:
     context = browser.new_context()
     context.set_default_timeout(LATE_MS)
     context.add_init_script(WITHOUT_WEBGL)
@@ -44,14 +53,14 @@ def test_a_link_a_reload_and_a_second_tab(victim: Page, console: Console) -> Non
 
 def test_a_page_at_another_port_gets_the_cookie_and_nothing_by_it(victim: Page, console: Console) -> None:
     """Of another user of this machine, opened by somebody who is signed in; see docs/security.md."""
-    with listening() as (port, cookies):
+    with listening() as (port, requests):
         there = victim.context.new_page()
         there.goto(f"http://127.0.0.1:{port}/")
         assert there.evaluate("localStorage.length") == 0
-        assert f"hexapod-console-{console.port}=" in cookies[0], "a browser sends it to all ports"
+        found = re.search(f"hexapod-console-{console.port}=[^;\r\n]+", requests[0])
+        assert found is not None, "a browser sends it to all ports"
     for key in ("", "0" * 43):
-        thief = SignedIn(cookies[0], key)
-        assert console.get(**thief.headers).status_code == 403
+        thief = SignedIn(found[0], key)
         with pytest.raises(InvalidStatus, match="403"):
             Thief(console.url, thief)
 
@@ -62,20 +71,37 @@ def test_without_its_key_a_page_says_how_to_go_on(victim: Page) -> None:
     expect(victim.locator("#stop-known")).to_contain_text("You are not signed in")
 
 
+def test_whoever_takes_the_port_of_a_console_that_is_gone_gets_no_key(
+    browser: Browser, gateway: Gateway, tmp_path: Path
+) -> None:
+    """Another user of this machine waits for a restart: the page reconnects, sends nothing of worth, and comes back."""
+    console = Console(tmp_path, "--connect", gateway.endpoint)
+    with signed_in(browser, console) as page:
+        key = page.evaluate("localStorage.getItem('hexapod-console-key')")
+        console.close()
+        with listening(console.port) as (_, requests):
+            expect(page.locator("#stop-known")).to_contain_text("another program may listen here")
+            assert len(requests) > 0
+            assert not [each for each in requests if key in each]
+            assert not [each for each in requests if "websocket" in each], "nothing is said to who has proved nothing"
+        with Console(tmp_path, "--connect", gateway.endpoint, port=console.port):
+            expect_live(page)
+
+
 @contextmanager
-def listening() -> Iterator[tuple[int, list[str]]]:
-    """A web server of somebody else's at another port; the cookies that it got."""
-    cookies: list[str] = []
+def listening(at: int = 0) -> Iterator[tuple[int, list[str]]]:
+    """A web server of somebody else's, at another port or at that one; the requests that it got."""
+    requests: list[str] = []
 
     class Handler(http.server.BaseHTTPRequestHandler):
         def do_GET(self) -> None:
-            cookies.append(self.headers.get("Cookie", ""))
+            requests.append(f"{self.path}\n{self.headers}")
             self.send_response(200)
             self.send_header("Content-Type", "text/html")
             self.end_headers()
             self.wfile.write(b"<!doctype html><title>Free kittens</title>")
 
-    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), Handler) as server:
+    with http.server.ThreadingHTTPServer(("127.0.0.1", at), Handler) as server:
         threading.Thread(target=server.serve_forever, daemon=True).start()
-        yield server.server_port, cookies
+        yield server.server_port, requests
         server.shutdown()

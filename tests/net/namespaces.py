@@ -24,6 +24,7 @@ from tests.support.closing import Closing
 
 MARK = "hexapod-net"
 BUFFER_BYTES = 16_384
+NO_CARD = ("lladdr", "02:00:00:00:00:09", "nud", "permanent")
 _numbers = itertools.count()
 
 
@@ -86,12 +87,20 @@ class Network(Closing):
 
     def lose(self, laptop: int, address: str) -> None:
         """What that laptop sends to this address goes to a network card that nobody has, without a word."""
-        ours = ("-n", self._laptops[laptop], "neighbour", "replace", address)
-        _ip(*ours, "lladdr", "02:00:00:00:00:09", "nud", "permanent", "dev", "robot")
+        _ip("-n", self._laptops[laptop], "neighbour", "replace", address, *NO_CARD, "dev", "robot")
 
     def find(self, laptop: int, address: str) -> None:
         """And now it arrives again."""
         _ip("-n", self._laptops[laptop], "neighbour", "delete", address, "dev", "robot")
+
+    def lose_answers(self, laptop: int) -> None:
+        """The same the other way: what the robot sends to that laptop is lost."""
+        ours = ("-n", self._robot, "neighbour", "replace", self._laptop_address(laptop))
+        _ip(*ours, *NO_CARD, "dev", _link(laptop))
+
+    def find_answers(self, laptop: int) -> None:
+        """And now it arrives again."""
+        _ip("-n", self._robot, "neighbour", "delete", self._laptop_address(laptop), "dev", _link(laptop))
 
     def _laptop_address(self, laptop: int) -> str:
         return f"10.77.{laptop}.2"

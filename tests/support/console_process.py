@@ -1,5 +1,6 @@
 """The console as a user starts it, and a page of it: what a browser sends and hears, without the browser."""
 
+import hashlib
 import itertools
 import json
 import os
@@ -9,7 +10,6 @@ from collections import defaultdict, deque
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from datetime import datetime
-from functools import partial
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -18,7 +18,7 @@ from websockets.exceptions import InvalidMessage
 from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Subprotocol
 
-from gateway.people.console.door import KEY_HEADER, KEY_PREFIX, SUBPROTOCOL
+from gateway.people.console.door import PROOF_PREFIX, SUBPROTOCOL, proof
 from gateway.people.console.register import Register
 from tests.support.child import Child
 from tests.support.closing import Closing
@@ -82,15 +82,17 @@ class SignedIn(NamedTuple):
     cookie: str
     key: str
 
-    @property
-    def subprotocols(self) -> list[Subprotocol]:
-        """What its WebSocket offers."""
-        return [Subprotocol(SUBPROTOCOL), Subprotocol(f"{KEY_PREFIX}{self.key}")]
+    def subprotocols(self, url: str, verify: ssl.SSLContext | None = None) -> list[Subprotocol]:
+        """What its WebSocket offers, once the console has answered; without a session something else."""
+        answer = httpx.get(f"{url}/session?nonce=mine", headers=self.headers, verify=verify or True)
+        found = answer.json() if answer.status_code == 200 else {"nonce": ""}
+        nonce, key_sha256 = found["nonce"], hashlib.sha256(self.key.encode()).hexdigest()
+        return [Subprotocol(SUBPROTOCOL), Subprotocol(f"{PROOF_PREFIX}{nonce}.{proof(key_sha256, f'page {nonce}')}")]
 
     @property
     def headers(self) -> dict[str, str]:
-        """What its other requests carry."""
-        return {"Cookie": self.cookie, KEY_HEADER: self.key}
+        """What its requests carry."""
+        return {"Cookie": self.cookie}
 
 
 NOBODY: Final = SignedIn("", "")
@@ -98,15 +100,17 @@ NOBODY: Final = SignedIn("", "")
 
 def _opened(url: str, session: SignedIn, origin: str, verify: ssl.SSLContext | None) -> ClientConnection:
     """A page's WebSocket; dialled again, as a page does, where a busy machine took longer than the console's 5 s."""
-    dial = partial(
-        connect,
-        url.replace("http", "ws", 1) + "/ws",
-        additional_headers={"Cookie": session.cookie, "Origin": origin or url},
-        subprotocols=session.subprotocols,
-        ssl=verify,
-        compression=None,
-        max_size=2**20,
-    )
+
+    def dial() -> ClientConnection:
+        return connect(
+            url.replace("http", "ws", 1) + "/ws",
+            additional_headers={"Cookie": session.cookie, "Origin": origin or url},
+            subprotocols=session.subprotocols(url, verify),
+            ssl=verify,
+            compression=None,
+            max_size=2**20,
+        )
+
     for _ in range(TRIES - 1):
         with suppress(EOFError, InvalidMessage):
             return dial()

@@ -1,13 +1,20 @@
 """Who is let in: answers requests, without I/O. Whoever is not signed in gets 403, a few words, and nothing else.
 
 A session has two secrets. The cookie goes with every request, also to other ports of the same host, where another user
-of the machine may listen. So it opens nothing that matters by itself: the WebSocket also wants the session's key, which
-the page keeps for its own origin (scheme, host and port), and which no browser sends by itself.
+of the machine may listen. So it opens nothing that matters by itself: who wants the WebSocket also has to know the
+session's key, which the page keeps for its own origin (scheme, host and port).
+
+The key is never sent, since another program may listen at this origin while the console is started again. The page asks
+`/session` with a nonce of its own; the answer has the console's nonce, and shows by an HMAC over both that it knows the
+key. Only then does the page open its WebSocket, with an HMAC over the console's nonce.
 """
 
 import hashlib
+import hmac
 import json
 import mimetypes
+import secrets
+import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from email.utils import formatdate
@@ -28,10 +35,13 @@ from gateway.people.terminal import this_command
 PAGE: Final = Path(__file__).with_name("page")
 WEBSOCKET: Final = "/ws"
 SUBPROTOCOL: Final = "hexapod-console"
-KEY_PREFIX: Final = "key."
-"""A page offers this with the session's key as a second subprotocol: a WebSocket's request has no other place for it
-that a script can fill."""
-KEY_HEADER: Final = "X-Console-Key"
+PROOF_PREFIX: Final = "proof."
+"""A page offers this with the console's nonce and its HMAC as a second subprotocol: a WebSocket's request has no other
+place for it that a script can fill."""
+NONCE_S: Final = 10.0
+"""How long a nonce serves, once: a page opens its WebSocket with the answer that brought it."""
+MOST_NONCES: Final = 256
+"""Five seconds' worth of connections; whoever has a cookie can ask for more, and the oldest are forgotten."""
 PUBLIC: Final = ("/enter.html", "/enter.js", "/key.js", "/refused.css")
 """The first three take the key of a new session out of the address, and into the page's keeping."""
 
@@ -87,6 +97,8 @@ class Door:
         self._person = person
         self._role = role
         self._files = _files()
+        self._nonces: dict[str, float] = {}
+        """Given out and not used, and until when each serves, monotonic."""
 
     def answer(self, request: Request) -> Answer | SignedIn:
         """What to say to it, or that its WebSocket may come in."""
@@ -99,11 +111,11 @@ class Door:
         path, _, query = request.path.partition("?")
         if (why := self._why_not(request, path)) is not None:
             return why
-        if path == "/" and (token := _token(query)) is not None:
+        if path == "/" and (token := _given(query, "token")) is not None:
             return self._enter(token)
         if path in PUBLIC:
             return self._file(path, request)
-        return self._for_session(request, path)
+        return self._for_session(request, path, query)
 
     def _why_not(self, request: Request, path: str) -> Answer | None:
         """What to say to what no page of ours sends."""
@@ -116,14 +128,9 @@ class Door:
             return _no("only the console's own page may come here")
         return None
 
-    def _for_session(self, request: Request, path: str) -> Answer | SignedIn:
-        cookie = _cookie(request, self._site.cookie)
-        if path in (WEBSOCKET, "/session"):
-            key = _offered_key(request) if path == WEBSOCKET else _one(request, KEY_HEADER)
-            entry = self._register.session(cookie, key)
-        else:
-            entry = self._register.cookie(cookie)
-        if entry is None:
+    def _for_session(self, request: Request, path: str, query: str) -> Answer | SignedIn:
+        entry = self._register.cookie(_cookie(request, self._site.cookie))
+        if entry is None or (path == WEBSOCKET and not self._is_proved(entry, *_offered_proof(request))):
             if path in _PAGES:
                 return self._refused("You are not signed in.")
             return _no(f"You are not signed in. {ANOTHER} {this_command()} console --link")
@@ -131,8 +138,23 @@ class Door:
         if path == WEBSOCKET:
             return SignedIn(entry, role)
         if path == "/session":
-            return Answer(_response(HTTPStatus.OK, json.dumps({"role": role, "person": self._person}).encode(), "json"))
+            nonce = self._new_nonce()
+            answer = {"nonce": nonce, "proof": proof(entry.key_sha256, f"console {_given(query, 'nonce')} {nonce}")}
+            return Answer(_response(HTTPStatus.OK, json.dumps(answer).encode(), "json"))
         return self._file(_PAGES.get(path, path), request)
+
+    def _new_nonce(self) -> str:
+        now_s = time.monotonic()
+        while self._nonces and (len(self._nonces) >= MOST_NONCES or now_s >= self._nonces[next(iter(self._nonces))]):
+            del self._nonces[next(iter(self._nonces))]
+        nonce = secrets.token_hex(16)
+        self._nonces[nonce] = now_s + NONCE_S
+        return nonce
+
+    def _is_proved(self, entry: Entry, nonce: str, made: str) -> bool:
+        """Whether this is the page of the session; the nonce has served."""
+        serves = time.monotonic() < self._nonces.pop(nonce, 0.0)
+        return serves and bool(entry.key_sha256) and hmac.compare_digest(proof(entry.key_sha256, f"page {nonce}"), made)
 
     def _enter(self, token: str) -> Answer:
         found = self._register.exchange(token)
@@ -209,10 +231,10 @@ def _one(request: Request, name: str) -> str | None:
         return None
 
 
-def _token(query: str) -> str | None:
-    """Of a link."""
+def _given(query: str, name: str) -> str | None:
+    """What an address says behind its ?, such as a link's token."""
     try:
-        return parse_qs(query, keep_blank_values=True, max_num_fields=4).get("token", [None])[0]
+        return parse_qs(query, keep_blank_values=True, max_num_fields=4).get(name, [None])[0]
     except ValueError:
         return None
 
@@ -226,9 +248,16 @@ def _cookie(request: Request, name: str) -> str | None:
     return None
 
 
-def _offered_key(request: Request) -> str | None:
+def proof(key_sha256: str, text: str) -> str:
+    """That somebody knows the key of which this is the SHA-256, in hex; the page's `key.js` makes the same."""
+    return hmac.new(key_sha256.encode(), text.encode("utf-8", "surrogatepass"), hashlib.sha256).hexdigest()
+
+
+def _offered_proof(request: Request) -> tuple[str, str]:
+    """The console's nonce, and the page's proof of it; empty where none is offered."""
     for header in request.headers.get_all("Sec-WebSocket-Protocol"):
         for offered in header.split(","):
-            if offered.strip().startswith(KEY_PREFIX):
-                return offered.strip().removeprefix(KEY_PREFIX)
-    return None
+            if offered.strip().startswith(PROOF_PREFIX) and offered.isascii():
+                nonce, _, made = offered.strip().removeprefix(PROOF_PREFIX).partition(".")
+                return nonce, made
+    return "", ""

@@ -19,7 +19,7 @@ import sys
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
@@ -117,7 +117,11 @@ class Front:
     """Listens, on a thread of its own, from `start` on."""
 
     def __init__(
-        self, listening: socket.socket, context: ssl.SSLContext | None, door: Door, admit: Callable[[Admitted], None]
+        self,
+        listening: Sequence[socket.socket],
+        context: ssl.SSLContext | None,
+        door: Door,
+        admit: Callable[[Admitted], None],
     ) -> None:
         """`admit` is called on this thread."""
         self._listening = listening
@@ -144,11 +148,14 @@ class Front:
         """Take connections, for ever."""
         loop = asyncio.get_running_loop()
         loop.set_exception_handler(report)
-        self._listening.setblocking(False)
+        await asyncio.gather(*(self._serve(loop, each) for each in self._listening))
+
+    async def _serve(self, loop: asyncio.AbstractEventLoop, listening: socket.socket) -> None:
+        listening.setblocking(False)
         while True:
             await asyncio.sleep(self._allowance.wait_ns(time.monotonic_ns()) / NS_PER_S)
             try:
-                connection, address = await loop.sock_accept(self._listening)
+                connection, address = await loop.sock_accept(listening)
             except OSError as error:
                 _log.warning("a connection could not be taken: %s; all of unknown origin are ended", error)
                 self._unknown.end_all()

@@ -1,7 +1,8 @@
 """Who may open pages: links that work once, and the sessions that they were exchanged for.
 
 Kept in a file, so that a console that is started again knows its pages, and `console --link` and `--revoke` reach the
-one that runs. The file holds no secret: of each random token only its SHA-256. It counts wall-clock time, since it
+one that runs. Of each random token the file holds only its SHA-256: that of a session's key is what a page proves to
+know, which opens nothing without the cookie. It counts wall-clock time, since it
 outlives the process; what seems to come from the future is void.
 """
 
@@ -130,11 +131,6 @@ class Register:
     def cookie(self, cookie: str | None) -> Entry | None:
         """The session of that cookie, if it is valid. It opens nothing that matters without the key."""
         return None if cookie is None else _find(self._read().sessions, cookie, self._now_s())
-
-    def session(self, cookie: str | None, key: str | None) -> Entry | None:
-        """The session with that cookie and that key, if it is valid."""
-        found = self.cookie(cookie)
-        return found if found is not None and key is not None and found.key_sha256 == _sha256(key) else None
 
     def still_valid(self, session: Entry) -> bool:
         """Whether it has neither ended nor been revoked."""

@@ -9,7 +9,7 @@ import socket
 import threading
 import webbrowser
 from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext, suppress
+from contextlib import ExitStack, contextmanager, nullcontext, suppress
 from dataclasses import dataclass
 from functools import partial
 from html import escape
@@ -29,7 +29,7 @@ from gateway.people.console.link import STACK_BYTES, GatewayLink
 from gateway.people.console.messages import ROLES, Role, least
 from gateway.people.console.pages import Pages
 from gateway.people.console.register import LINK_S, Register
-from gateway.people.console.site import DEFAULT_PORT, Site
+from gateway.people.console.site import DEFAULT_PORT, LOCALHOST, Site
 from gateway.people.console.stops import Stops, send_stopping
 from gateway.people.console.tls import server_context
 from gateway.people.terminal import hint, say, this_command
@@ -88,7 +88,7 @@ def show(link: str) -> None:
 
 async def _run(
     options: Options,
-    listening: socket.socket,
+    listening: list[socket.socket],
     found: Register,
     person: str,
     role: Role,
@@ -153,29 +153,42 @@ def _opened(found: Register) -> Iterator[None]:
 
 
 @contextmanager
-def _listening(site: Site) -> Iterator[socket.socket]:
+def _listening(site: Site) -> Iterator[list[socket.socket]]:
+    """At the site's address; at `localhost` at all of its addresses, so that nobody else listens at one of them."""
+    with ExitStack() as stack:
+        found = [_bound(stack, site, each) for each in (LOCALHOST if site.address == "localhost" else (site.address,))]
+        taken = [each for each in found if each is not None]
+        if not taken:
+            raise ConfigError(f"--listen {site.address}:{site.port}: this machine has no such address")
+        yield taken
+
+
+def _bound(stack: ExitStack, site: Site, address: str) -> socket.socket | None:
+    """None where this machine has no such address of localhost's, such as without IPv6."""
     try:
-        family, kind, _, _, address = socket.getaddrinfo(
-            site.address, site.port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
+        family, kind, _, _, place = socket.getaddrinfo(
+            address, site.port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
         )[0]
     except OSError as error:
-        raise ConfigError(f"--listen: {site.address} is no address of this machine: {error.strerror}") from error
-    with socket.socket(family, kind) as listening:
+        raise ConfigError(f"--listen: {address} is no address of this machine: {error.strerror}") from error
+    try:
+        listening = stack.enter_context(socket.socket(family, kind))
         listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         listening.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, DEAD_MS)
         listening.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         listening.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BYTES)
-        try:
-            listening.bind(address)
-            listening.listen(BACKLOG)
-        except OSError as error:
-            where = f"{site.address}:{site.port}"
-            if error.errno == errno.EADDRINUSE:
-                raise AddressTakenError(
-                    f"{where} is taken by another program (perhaps another console); stop it, or set another --listen"
-                ) from error
-            raise ConfigError(f"--listen {where}: {error.strerror}; name an address of this machine") from error
-        yield listening
+        listening.bind(place)
+        listening.listen(BACKLOG)
+    except OSError as error:
+        where = f"{address}:{site.port}" if ":" not in address else f"[{address}]:{site.port}"
+        if error.errno == errno.EADDRINUSE:
+            raise AddressTakenError(
+                f"{where} is taken by another program (perhaps another console); stop it, or set another --listen"
+            ) from error
+        if site.address == "localhost" and error.errno in (errno.EADDRNOTAVAIL, errno.EAFNOSUPPORT):
+            return None
+        raise ConfigError(f"--listen {where}: {error.strerror}; name an address of this machine") from error
+    return listening
 
 
 def _identity(connect: str | None, zenoh_config: Path | None) -> tuple[str, Role, str]:

@@ -20,6 +20,8 @@ from gateway.errors import ConfigError
 
 DEFAULT_PORT: Final = 8080
 DEFAULT_ADDRESS: Final = "127.0.0.1"
+LOCALHOST: Final = ("127.0.0.1", "::1")
+"""What browsers take `localhost` for, whatever the machine's own file says. Links name the first."""
 _NEXT_PORTS: Final = range(DEFAULT_PORT + 1, DEFAULT_PORT + 20)
 """Where nobody has named an address, and another program has the default port."""
 _DEFAULT_PORTS: Final = {"http": 80, "https": 443}
@@ -84,7 +86,8 @@ def site(listen: str, certificate: Path | None, key: Path | None) -> Site:
                 "where ca.key is, hexapod-gateway certs console --host NAME --dir DIR makes both\n"
                 "or keep it on this machine (--listen 127.0.0.1:8080), and reach it through ssh -L 8080:127.0.0.1:8080"
             )
-        return Site(address, port, tuple(dict.fromkeys((address, "localhost"))))
+        hosts = (*LOCALHOST, "localhost") if address == "localhost" else tuple(dict.fromkeys((address, "localhost")))
+        return Site(address, port, hosts)
     names = hosts_of(read_certificate(certificate))
     if not names:
         raise ConfigError(

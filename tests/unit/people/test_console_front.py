@@ -1,6 +1,8 @@
 """What one connection of somebody who is not signed in may cost, and who makes room for whom."""
 
 import asyncio
+import hashlib
+import json
 import socket
 from collections.abc import AsyncIterator, Iterator
 from contextlib import contextmanager
@@ -9,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from gateway.people.console import front
-from gateway.people.console.door import Door, SignedIn
+from gateway.people.console.door import Door, SignedIn, proof
 from gateway.people.console.front import MAX_UNKNOWN, READS, Admitted, Front
 from gateway.people.console.register import Register, SignIn
 from gateway.people.console.site import Site
@@ -33,7 +35,15 @@ class Stand:
         self.admitted: asyncio.Queue[Admitted] = asyncio.Queue()
         self.address = listening.getsockname()
         door = Door(Site("127.0.0.1", 8080, ("127.0.0.1",)), register, person="anna", role="operator")
-        self.front = Front(listening, None, door, self.admitted.put_nowait)
+        self.front = Front([listening], None, door, self.admitted.put_nowait)
+
+    async def proved(self, key: str) -> str:
+        """What a page with that key offers for its WebSocket."""
+        cookie = f"Cookie: hexapod-console-8080={self.session.cookie}\r\n"
+        answer = await self.ask(f"GET /session?nonce=mine HTTP/1.1\r\nHost: 127.0.0.1:8080\r\n{cookie}\r\n")
+        nonce = json.loads(answer.partition(b"\r\n\r\n")[2])["nonce"]
+        made = proof(hashlib.sha256(key.encode()).hexdigest(), f"page {nonce}")
+        return f"Sec-WebSocket-Protocol: hexapod-console, proof.{nonce}.{made}\r\n"
 
     async def ask(self, request: str) -> bytes:
         """The whole answer, until the connection ends."""
@@ -121,16 +131,15 @@ async def test_who_comes_ends_the_oldest(stand: Stand) -> None:
 @pytest.mark.parametrize("half", ["cookie", "key"])
 async def test_half_of_a_session_is_none(stand: Stand, half: str) -> None:
     cookie = f"Cookie: hexapod-console-8080={stand.session.cookie}\r\n" if half == "cookie" else ""
-    key = stand.session.key if half == "key" else "nonsense"
-    offered = f"Sec-WebSocket-Protocol: hexapod-console, key.{key}\r\n"
+    offered = await stand.proved(stand.session.key if half == "key" else "nonsense")
     assert (await stand.ask(f"GET /ws HTTP/1.1\r\n{UPGRADE}{cookie}{offered}\r\n")).startswith(b"HTTP/1.1 403 ")
     assert stand.admitted.empty()
 
 
 async def test_a_session_is_admitted_with_its_connection(stand: Stand) -> None:
+    offered = await stand.proved(stand.session.key)
     reader, writer = await asyncio.open_connection(*stand.address[:2])
     cookie = f"Cookie: hexapod-console-8080={stand.session.cookie}\r\n"
-    offered = f"Sec-WebSocket-Protocol: hexapod-console, key.{stand.session.key}\r\n"
     writer.write(f"GET /ws HTTP/1.1\r\n{UPGRADE}{cookie}{offered}\r\n".encode())
     async with asyncio.timeout(10):
         admitted = await stand.admitted.get()

@@ -57,27 +57,17 @@ def test_a_link_works_once(register: Register) -> None:
     found = register.exchange(token)
     assert found is not None
     assert found.entry.role == "observer"
-    assert register.session(found.cookie, found.key) == found.entry
+    assert register.cookie(found.cookie) == found.entry
     assert register.exchange(token) is None
     assert register.cookie(token) is None, "a link is no session"
     assert register.exchange(found.cookie) is None, "a session is no link"
 
 
-def test_a_session_is_its_cookie_and_its_key(register: Register) -> None:
-    """The cookie alone also goes to other ports of the host."""
-    mine, other = new_session(register), new_session(register)
+def test_a_session_is_found_by_its_cookie_and_not_by_its_key(register: Register) -> None:
+    mine = new_session(register)
     assert register.cookie(mine.cookie) == mine.entry
-    for key in (None, "", other.key, mine.cookie):
-        assert register.session(mine.cookie, key) is None
-    assert register.session(mine.key, mine.key) is None
-
-
-def test_a_session_of_an_earlier_version_has_no_key(register: Register, tmp_path: Path) -> None:
-    session = new_session(register)
-    file = tmp_path / "console-8080.json"
-    file.write_text(file.read_text().replace(session.entry.key_sha256, ""))
-    assert register.cookie(session.cookie) is not None
-    assert register.session(session.cookie, "") is None
+    for other in (None, "", mine.key, mine.entry.sha256):
+        assert register.cookie(other) is None
 
 
 def test_a_link_is_void_once_the_console_is_started_again(register: Register) -> None:

@@ -2,26 +2,61 @@
 /**
  * The session's key, which the browser keeps for this origin: this scheme, host and port. The cookie alone opens
  * nothing: it also goes to other ports of this host, where somebody else may listen.
+ *
+ * The key is sent to nobody, since somebody else may listen at this port, too, while the console is started again. Page
+ * and console show each other that they know it, the console first (`door.py`).
  */
 
 const NAME = "hexapod-console-key";
-const PREFIX = "key.";
+const PREFIX = "proof.";
 const SUBPROTOCOL = "hexapod-console";
+const bytes = new TextEncoder();
 
 /** Keep the key of a new session. @param {string} key */
 export function keep(key) {
   localStorage.setItem(NAME, key);
 }
 
-/** What a WebSocket offers: a request of its kind has no other place for the key. */
-export function subprotocols() {
-  const key = kept();
-  return key ? [SUBPROTOCOL, PREFIX + key] : [SUBPROTOCOL];
+/**
+ * What a WebSocket offers, once the console has shown that it knows the key. Throws an Error that says why it may not.
+ * @param {number} timeoutMs
+ */
+export async function subprotocols(timeoutMs) {
+  const mine = hex(crypto.getRandomValues(new Uint8Array(16)));
+  const answer = await asked(`session?nonce=${mine}`, timeoutMs);
+  if (answer.proof !== (await proof(`console ${mine} ${answer.nonce}`))) {
+    throw new Error("You are not signed in: what answers does not know this page's key, so another program may listen here");
+  }
+  return [SUBPROTOCOL, `${PREFIX}${answer.nonce}.${await proof(`page ${answer.nonce}`)}`];
 }
 
-/** What other requests carry. */
-export function headers() {
-  return { "X-Console-Key": kept() };
+/** @param {string} address @param {number} timeoutMs @returns {Promise<{nonce?: string, proof?: string}>} */
+async function asked(address, timeoutMs) {
+  let answer;
+  try {
+    answer = await fetch(address, { cache: "no-store", signal: AbortSignal.timeout(timeoutMs) });
+  } catch {
+    throw new Error("the console does not answer");
+  }
+  const text = await answer.text();
+  if (!answer.ok) throw new Error(text.trim());
+  try {
+    return JSON.parse(text);
+  } catch {
+    return {}; // of another program
+  }
+}
+
+/** @param {string} text */
+async function proof(text) {
+  const secret = bytes.encode(hex(await crypto.subtle.digest("SHA-256", bytes.encode(kept()))));
+  const key = await crypto.subtle.importKey("raw", secret, { name: "HMAC", hash: "SHA-256" }, false, ["sign"]);
+  return hex(await crypto.subtle.sign("HMAC", key, bytes.encode(text)));
+}
+
+/** @param {ArrayBuffer | Uint8Array} found */
+function hex(found) {
+  return Array.from(new Uint8Array(found), (byte) => byte.toString(16).padStart(2, "0")).join("");
 }
 
 function kept() {

@@ -1,7 +1,7 @@
 // @ts-check
 /** The WebSocket to the console: messages in, messages out, and a new one wherever it ends. */
 
-import { headers, subprotocols } from "./key.js";
+import { subprotocols } from "./key.js";
 
 const FIRST_PAUSE_MS = 250;
 const LONGEST_PAUSE_MS = 2000;
@@ -33,7 +33,7 @@ export class Link {
       this.sendNow({ type: "alive", now_ms: performance.now() });
       this.renewIfDeaf(DEAF_MS);
     }, ALIVE_EVERY_MS);
-    this.#connect();
+    void this.#connect();
   }
 
   /** A number of this page's own, which the answer repeats. */
@@ -67,14 +67,23 @@ export class Link {
     this.socket = null;
     socket.close(); // whatever it still says is not heard
     this.told.closed("nothing is heard from the console");
-    this.#connect();
+    void this.#connect();
   }
 
-  #connect() {
+  async #connect() {
+    this.heardMs = performance.now();
+    let offered;
+    try {
+      offered = await subprotocols(DEAF_MS);
+    } catch (error) {
+      this.told.closed(error instanceof Error ? error.message : "");
+      this.#again();
+      return;
+    }
     this.heardMs = performance.now();
     const address = new URL("ws", location.href);
     address.protocol = location.protocol === "https:" ? "wss:" : "ws:";
-    const socket = new WebSocket(address, subprotocols());
+    const socket = new WebSocket(address, offered);
     this.socket = socket;
     socket.addEventListener("open", () => {
       if (this.socket !== socket) return;
@@ -89,30 +98,20 @@ export class Link {
       this.told.heard(JSON.parse(event.data));
     });
     socket.addEventListener("close", (event) => {
-      if (this.socket === socket) void this.#ended(event);
+      if (this.socket === socket) this.#ended(event);
     });
   }
 
   /** @param {CloseEvent} event */
-  async #ended(event) {
-    const wasOpen = this.open;
+  #ended(event) {
     this.open = false;
     this.socket = null;
-    let why = event.code === REJECTED || event.reason ? event.reason || "the console ended the connection" : "";
-    this.told.closed(why);
-    if (!wasOpen && !why) why = await sessionTrouble();
-    if (why) this.told.closed(why);
-    setTimeout(() => this.#connect(), this.pauseMs);
-    this.pauseMs = Math.min(this.pauseMs * 2, LONGEST_PAUSE_MS);
+    this.told.closed(event.code === REJECTED || event.reason ? event.reason || "the console ended the connection" : "");
+    this.#again();
   }
-}
 
-/** Whether the console runs and only does not let this page in; the browser hides the answer to a WebSocket. */
-async function sessionTrouble() {
-  try {
-    const answer = await fetch("session", { cache: "no-store", headers: headers() });
-    return answer.ok ? "" : (await answer.text()).trim();
-  } catch {
-    return "the console does not answer";
+  #again() {
+    setTimeout(() => void this.#connect(), this.pauseMs);
+    this.pauseMs = Math.min(this.pauseMs * 2, LONGEST_PAUSE_MS);
   }
 }

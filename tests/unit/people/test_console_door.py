@@ -1,0 +1,103 @@
+"""How a page and its console show each other that they know the session's key, which neither sends."""
+
+import json
+from hashlib import sha256
+from pathlib import Path
+
+import pytest
+from websockets.datastructures import Headers
+from websockets.http11 import Request
+
+from gateway.people.console.door import MOST_NONCES, NONCE_S, Answer, Door, SignedIn, proof
+from gateway.people.console.register import Register, SignIn
+from gateway.people.console.site import site
+
+URL = "http://127.0.0.1:8080"
+
+
+class Visitor:
+    """A browser's requests at the door of a console, in virtual time."""
+
+    def __init__(self, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.now_s = 100.0
+        monkeypatch.setattr("gateway.people.console.door.time.monotonic", lambda: self.now_s)
+        self._register = Register(folder, 8080)
+        self._register.begin(URL, "operator")
+        self._site = site("127.0.0.1:8080", None, None)
+        self._door = Door(self._site, self._register, person="anna", role="operator")
+
+    def sign_in(self) -> SignIn:
+        found = self._register.exchange(self._register.new_link().partition("=")[2])
+        assert found is not None
+        return found
+
+    def get(self, path: str, session: SignIn, **headers: str) -> Answer | SignedIn:
+        cookie = f"{self._site.cookie}={session.cookie}"
+        names = {name.replace("_", "-"): value for name, value in headers.items()}
+        return self._door.answer(Request(path, Headers({"Host": "127.0.0.1:8080", "Cookie": cookie, **names})))
+
+    def nonce(self, session: SignIn, mine: str = "mine") -> tuple[str, str]:
+        """The console's, and its proof."""
+        answer = self.get(f"/session?nonce={mine}", session)
+        assert isinstance(answer, Answer)
+        found = json.loads(answer.response.body)
+        assert session.key not in answer.response.body.decode()
+        return found["nonce"], found["proof"]
+
+    def comes_in(self, session: SignIn, offered: str) -> bool:
+        subprotocols = {"Sec_WebSocket_Protocol": f"hexapod-console, {offered}"}
+        return isinstance(self.get("/ws", session, Origin=URL, **subprotocols), SignedIn)
+
+
+@pytest.fixture
+def visitor(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Visitor:
+    return Visitor(tmp_path, monkeypatch)
+
+
+def hashed(key: str) -> str:
+    return sha256(key.encode()).hexdigest()
+
+
+def test_each_shows_the_other_that_it_knows_the_key(visitor: Visitor) -> None:
+    session = visitor.sign_in()
+    nonce, shown = visitor.nonce(session)
+    assert shown == proof(hashed(session.key), f"console mine {nonce}")
+    offered = f"proof.{nonce}.{proof(hashed(session.key), f'page {nonce}')}"
+    assert visitor.comes_in(session, offered)
+    assert not visitor.comes_in(session, offered), "a nonce serves once"
+
+
+def test_what_is_no_proof_lets_nobody_in(visitor: Visitor) -> None:
+    session, other = visitor.sign_in(), visitor.sign_in()
+    made = proof(hashed(session.key), "page ")
+    for offered in ("", "proof.", "proof..", f"proof..{made}", f"key.{session.key}", f"proof.\u00e4.{made}"):
+        assert not visitor.comes_in(session, offered)
+    for key, text in (
+        (other.key, "page {}"),
+        (session.key, "console mine {}"),
+        (session.cookie, "page {}"),
+        ("", "page {}"),
+    ):
+        nonce, _ = visitor.nonce(session)
+        assert not visitor.comes_in(session, f"proof.{nonce}.{proof(hashed(key), text.format(nonce))}")
+    nonce, shown = visitor.nonce(session, "page")
+    assert not visitor.comes_in(session, f"proof.{nonce}.{shown}"), "the console's own proof is none of the page's"
+
+
+def test_a_nonce_serves_for_a_short_time_and_few_are_kept(visitor: Visitor) -> None:
+    session = visitor.sign_in()
+
+    def offer() -> str:
+        nonce, _ = visitor.nonce(session)
+        return f"proof.{nonce}.{proof(hashed(session.key), f'page {nonce}')}"
+
+    late, early = offer(), offer()
+    visitor.now_s += NONCE_S - 0.1
+    assert visitor.comes_in(session, early)
+    visitor.now_s += 0.1
+    assert not visitor.comes_in(session, late)
+    pushed_out = offer()
+    for _ in range(MOST_NONCES):
+        kept = offer()
+    assert visitor.comes_in(session, kept)
+    assert not visitor.comes_in(session, pushed_out)
