@@ -84,7 +84,7 @@ def _test(workers: int, *, everything: bool) -> bool:
 def _stage(name: str, *arguments: str) -> bool:
     """Whether all its tests have passed; ends this program where they could not be run to their end."""
     begun_s = time.monotonic()
-    code = subprocess.run(_command(name, *arguments), check=False).returncode
+    code = subprocess.run(_command(name, *arguments), check=False, process_group=0).returncode
     print(f"stage {name}: {time.monotonic() - begun_s:.0f} s", flush=True)
     if code not in (pytest.ExitCode.OK, pytest.ExitCode.TESTS_FAILED):
         sys.exit(code)
@@ -98,7 +98,7 @@ def _behind(command: list[str], *, idle: bool = False) -> Iterator[subprocess.Po
     What it prints comes behind the others' output.
     """
     with tempfile.TemporaryFile() as output:
-        process = subprocess.Popen(command, stdout=output, stderr=subprocess.STDOUT)
+        process = subprocess.Popen(command, stdout=output, stderr=subprocess.STDOUT, process_group=0)
         try:
             if idle:
                 schedule.give_way(process.pid)
