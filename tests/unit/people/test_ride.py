@@ -316,6 +316,17 @@ def test_after_a_lost_leg_only_a_new_press_goes_on_and_after_an_emergency_stop_i
     assert not pad.ridden.running
 
 
+def test_a_leg_that_is_lost_on_the_way_up_leaves_a_way_that_a_new_press_goes_on_with() -> None:
+    pad = Pad()
+    pad.run(1.5)
+    pad.ridden.stop([3])
+    pad.run(0.4)
+    pad.hold()
+    pad.run(4.0)
+    assert pad.ridden.posture is Posture.STANDING
+    assert -ROBOT.foot_m(1, pad.ridden.sent[-1][1])[2] == pytest.approx(ROBOT.usual_m, abs=0.002)
+
+
 def test_a_lost_leg_and_a_page_that_is_gone_are_stopped_as_they_stand() -> None:
     pad = held()
     pad.ridden.stop([3])

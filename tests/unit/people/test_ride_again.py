@@ -11,7 +11,7 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, rule
 from gateway.errors import DisconnectedError, GatewayError, StoppedError
 from gateway.people.walking import STILL, Phase, Posture, Velocity
 from schemas.robot import LEGS
-from tests.support.ridden import TICK_S, WATCHDOG_S, Ridden, standing
+from tests.support.ridden import ROBOT, TICK_S, WATCHDOG_S, Ridden, standing
 
 AHEAD: Final = Velocity(0.1)
 ALL: Final = tuple(LEGS)
@@ -159,8 +159,10 @@ def test_a_stop_while_the_legs_are_started_starts_no_more_of_them() -> None:
     expect_begins_anew(ridden)
 
 
-def test_a_stop_while_lost_legs_are_started_leaves_the_others_standing() -> None:
-    ridden = walking()
+@pytest.mark.parametrize("seconds", [1.0, 1.7])
+def test_a_stop_while_lost_legs_are_started_leaves_the_others_standing(seconds: float) -> None:
+    """Also the one that runs again by then: wherever it was in its stride, its foot is put down."""
+    ridden = walking(seconds)
     ridden.stop([2, 5])
     ridden.run(1.0)
     ridden.ride.start_again()
@@ -169,6 +171,8 @@ def test_a_stop_while_lost_legs_are_started_leaves_the_others_standing() -> None
     ridden.run(0.5)
     assert ridden.ride.state.lost == (4, 5)
     assert ridden.running.keys() == {1, 2, 3, 6}
+    feet_m = [ROBOT.foot_m(leg, angles)[2] for leg, angles in ridden.sent[-1].items()]
+    assert feet_m == pytest.approx([feet_m[0]] * 4, abs=1e-4)
 
 
 def test_a_link_that_is_lost_is_asked_for_again_by_start_again_and_stops_what_ran_first() -> None:
