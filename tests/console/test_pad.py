@@ -37,6 +37,12 @@ class Thumb:
         """To the right, and down."""
         self._touch("touchMove", x, y)
 
+    def push(self, down: float) -> None:
+        """Anew, from the same place."""
+        self.cancel()
+        self.land()
+        self.move(0, down)
+
     def cancel(self) -> None:
         """The system takes the touch, for a gesture of its own."""
         self._devtools.send("Input.dispatchTouchEvent", {"type": "touchCancel", "touchPoints": []})
@@ -57,13 +63,7 @@ def driving(visitor: Visitor) -> Opened:
 def pushing(page: Opened, down: int) -> Thumb:
     """A thumb that has pushed the pad back, or ahead, until it walks."""
     thumb = Thumb(page)
-
-    def push(_: Opened) -> None:
-        thumb.cancel()
-        thumb.land()
-        thumb.move(0, down)
-
-    walks(page, push)
+    walks(page, lambda _: thumb.push(down))
     return thumb
 
 
@@ -76,6 +76,7 @@ def test_a_thumb_that_is_held_back_does_so_while_a_second_phone_asks_for_the_lea
         thumb.move(0, down)
     page.page.evaluate("window.wishes = []")
     page.page.wait_for_function("() => window.wishes.length > 3")
+    walks(page, lambda _: thumb.push(20))
     wishes = page.page.evaluate("window.wishes.map((each) => [each.forward_m_s, each.left_m_s])")
     assert all(ahead <= 0 and aside == 0 for ahead, aside in wishes), (wishes, page.said.text_content())
 
