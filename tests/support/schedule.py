@@ -35,6 +35,7 @@ ALONE: Final = (
     "hil/test_landing.py",
     "attack/test_console_strangers.py",
     "attack/test_console_starved.py",
+    "attack/test_lease_flood.py",
     "zenoh/test_replay.py",  # where the machine stalls, a setpoint and the Stop behind it are one instant
 )
 """What measures time or fills the machine: `make test` runs these last, one at a time."""
@@ -88,6 +89,7 @@ EXTENDED: Final = (
     "attack/test_console_strangers.py::test_stop_all_beside_strangers[link-20]",
     "attack/test_console_strangers.py::test_stop_all_beside_strangers[silent-700]",
     "attack/test_console_strangers.py::test_stop_all_beside_strangers[upgrade-50]",
+    "attack/test_lease_flood.py",
     "attack/test_slow_metrics.py::test_who_asks_again_and_again_is_answered_so_often_a_second_and_no_more",
     "hil/test_death.py::test_killed_at_random_moments_under_load",
     "hil/test_load.py",
