@@ -9,7 +9,9 @@ from gateway.people.console.websocket import PING_S, Quiet
 def looks(quiet: Quiet, end_s: float) -> tuple[list[float], float | None]:
     """As the WebSocket does until `end_s`: when the page was asked, and when it was given up."""
     asked_s: list[float] = []
-    while (now_s := quiet.due_s) <= end_s:
+    for _ in range(10):
+        if (now_s := quiet.due_s) > end_s:
+            break
         if quiet.is_gone(now_s):
             return asked_s, now_s
         if quiet.must_ask(now_s):

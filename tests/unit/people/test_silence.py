@@ -103,6 +103,7 @@ def test_a_gateway_that_hangs_is_silent_and_a_link_that_is_cut_is_gone(linked: b
     assert presence.link.detail == "its journal says why", "what was found goes on being shown"
     presence.received_state(5000 * MS)
     assert presence.link == CONNECTED
+    assert not presence.is_silent(6000 * MS), "a second begins anew with each state"
 
 
 def test_a_gateway_that_has_ended_is_gone_at_once_and_no_older_state_brings_it_back() -> None:
