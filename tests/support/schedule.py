@@ -133,6 +133,7 @@ EXTENDED: Final = (
     "console/test_page.py::test_nothing_flickers_while_nothing_changes",
     "console/test_page.py::test_poses_are_kept_in_the_browser_and_a_space_that_is_typed_into_a_name_stops_nothing",
     "console/test_page.py::test_without_webgl_it_is_drawn_from_above_and_without_physics_there_is_nobody_to_set_upright",
+    "console/test_still_page.py",
     "console/test_sign_in.py::test_without_its_key_a_page_says_how_to_go_on",
     "zenoh/test_physics_secured.py",
     "zenoh/test_replay.py",
