@@ -66,7 +66,7 @@ STEPS = {
     Client: {"carry", "carried_lease", "check_open"},
     Stream: {"open", "close", "read", "check_open", "due_s", "must_ask", "send"},
     Lease: {"acquire", "release", "token", "elsewhere", "check", "confirm", "judge"},
-    Walk: {"open", "close", "error"},
+    Walk: {"open", "close", "error", "is_over", "use"},
     Button: {"leave"},
 }
 """What they take of one another."""
