@@ -17,13 +17,14 @@ from tests.support.gateway_process import COMMAND, Gateway
 
 pytestmark = pytest.mark.browser
 
-COUNT_SOCKETS: Final = """
+COUNT_ATTEMPTS: Final = """
 () => {
-  window.sockets = 0;
-  const Real = WebSocket;
-  window.WebSocket = class extends Real { constructor(...given) { super(...given); window.sockets += 1; } };
+  window.attempts = 0;
+  const real = window.fetch;
+  window.fetch = (...given) => { window.attempts += 1; return real(...given); };
 }
 """
+"""To connect: a page asks for the console's proof first."""
 COUNT_MESSAGES: Final = """
 window.messages = 0;
 const Real = WebSocket;
@@ -214,12 +215,12 @@ def test_a_stop_that_was_asked_of_a_frozen_console_is_asked_again(
     visitor: Visitor, console: Console, gateway: Gateway
 ) -> None:
     page = visitor.open()
-    page.page.evaluate(COUNT_SOCKETS)
+    page.page.evaluate(COUNT_ATTEMPTS)
     with frozen(console.child.pid):
         page.page.keyboard.press("Escape")
         expect(page["stop-known"]).to_contain_text("NOT CONNECTED: use the switch")
         expect(page["stop-known"]).to_contain_text("asked again once connected")
-        page.page.wait_for_function("() => window.sockets >= 1")  # the old connection is given up
+        page.page.wait_for_function("() => window.attempts >= 1")  # the old connection is given up
     expect(page["stop-known"]).to_contain_text("6 Stops written within")
     assert any("no answer yet: use the switch" in line for line in visitor.lines)
     with gateway.client() as robot:
