@@ -43,7 +43,7 @@ def lost(network: Network, *, toward_robot: bool, toward_laptop: bool) -> Iterat
 
 
 @pytest.mark.parametrize("direction", DIRECTIONS)
-def test_silence_stops_the_legs_the_driver_learns_it_and_nothing_moves_once_it_is_over(
+def test_silence_stops_the_legs_and_the_driver_learns_it(
     network: Network, robot: RobotHost, laptops: tuple[LaptopHost, LaptopHost], direction: str
 ) -> None:
     laptop, other = laptops

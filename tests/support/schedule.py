@@ -77,8 +77,10 @@ EXTENDED: Final = (
     "hil/test_failing_bus.py::test_an_emergency_stop_on_a_bus_that_takes_200_ms_to_fail[length-prefixed-0.1]",
     "hil/test_incidents.py",
     "hil/test_lists.py::test_check_move_shows_that_a_driver_ignores_cs_change_and_what_to_set",
+    "net/test_hosts.py::test_a_stop_finds_the_other_host_in_mid_stream",
+    "net/test_silent_loss.py::test_silence_stops_the_legs_and_the_driver_learns_it[toward the laptop]",
+    "net/test_silent_loss.py::test_silence_stops_the_legs_and_the_driver_learns_it[toward the robot]",
     "zenoh/test_check.py::test_a_port_is_free_or_taken",
-    "zenoh/test_diagnosis.py::test_one_line_names_the_step_and_what_to_do",
     # floods of strangers, kills in dozens, real priorities under load
     "attack/test_console_strangers.py::test_stop_all_beside_pages_that_flood",
     "attack/test_console_strangers.py::test_stop_all_beside_strangers[body-40]",
@@ -124,6 +126,7 @@ EXTENDED: Final = (
     "zenoh/test_first_steps.py::test_an_unfit_virtual_environment_is_made_anew",
     "zenoh/test_readme.py",
     # comfort: nothing here moves or stops a servo
+    "console/test_button.py::test_a_page_whose_timer_comes_once_a_second_is_silent_and_does_not_flutter",
     "console/test_calibration.py::test_a_servo_is_started_alone_jogged_trimmed_turned_round_and_written",
     "console/test_calibration.py::test_it_is_within_reach_of_everybody",
     "console/test_fall.py",
@@ -134,10 +137,19 @@ EXTENDED: Final = (
     "console/test_page.py::test_poses_are_kept_in_the_browser_and_a_space_that_is_typed_into_a_name_stops_nothing",
     "console/test_page.py::test_without_webgl_it_is_drawn_from_above_and_without_physics_there_is_nobody_to_set_upright",
     "console/test_still_page.py",
+    "console/test_walk.py::test_a_gamepads_sticks_walk_and_its_b_button_is_stop_all",
+    "console/test_walk.py::test_on_a_small_phone_nothing_scrolls_to_walk_or_to_stop",
     "console/test_sign_in.py::test_without_its_key_a_page_says_how_to_go_on",
+    "zenoh/test_calibrate_terminal.py::test_a_terminal_that_takes_no_more",
+    "zenoh/test_diagnosis.py",
+    "zenoh/test_foxglove.py::test_a_gateway_that_ends_and_starts_again_is_reported_in_the_viewers_log",
+    "zenoh/test_interrupted.py",
+    "zenoh/test_physics.py",
     "zenoh/test_physics_secured.py",
     "zenoh/test_replay.py",
     "zenoh/test_upkeep.py",
+    "zenoh/test_watch_terminal.py::test_a_gateway_that_hangs_and_one_that_dies_are_called_silent_and_come_back",
+    "zenoh/test_watch_terminal.py::test_it_waits_for_a_gateway_that_is_not_there_yet_and_asks_one_that_publishes_no_state",
 )
 """What only `make test-all` runs: folders, files, tests, or tests with some of their parameters."""
 APART: Final = ("hil", "fuzz", "zenoh/test_service.py")
@@ -147,14 +159,14 @@ TOGETHER: Final = ("box", "net", "ros2")
 SEARCHES: Final = ("fuzz/test_model_check.py",)
 """The model check: minutes of a processor, while the attended, and then those that run alone, leave one idle."""
 SECONDS: Final = {
-    "unit": 75,
-    "hil": 110,
-    "attack": 75,
-    "zenoh": 220,
-    "ros2": 45,
-    "box": 80,
-    "console": 110,
-    "net": 50,
+    "unit": 150,
+    "hil": 140,
+    "attack": 150,
+    "zenoh": 330,
+    "ros2": 70,
+    "box": 130,
+    "console": 170,
+    "net": 80,
     "fuzz": 40,
 }
 """Of each folder: the seconds that its tests may take in `make test`, added up over the workers."""
