@@ -65,6 +65,7 @@ _BUS: Final = (
     f"{_UNIT}test_slow_failures.py",
 )
 _PEOPLE: Final = "tests/unit/people/"
+_TIMES: Final = f"{_PEOPLE}test_times.py"
 
 JUDGES: Final = {
     "gateway/robot/protocol/frames.py": (f"{_UNIT}test_frames.py", "tests/unit/test_decode.py"),
@@ -127,18 +128,19 @@ JUDGES: Final = {
     "gateway/robot/runtime/conductor.py": _CONDUCTOR,
     # rules of the people's wing, with the time as an argument
     "gateway/allowance.py": ("tests/unit/test_allowance.py",),
-    "gateway/people/bridge/own_stop.py": (f"{_PEOPLE}test_bridge_own_stop.py",),
+    "gateway/people/bridge/own_stop.py": (f"{_PEOPLE}test_bridge_own_stop.py", _TIMES),
     "gateway/people/client/confirmed_stop.py": (
         f"{_PEOPLE}test_confirmed_stop.py",
         f"{_PEOPLE}test_stops.py",
         f"{_PEOPLE}test_console_stops.py",
+        _TIMES,
     ),
-    "gateway/people/client/pace.py": (f"{_PEOPLE}test_pace.py", f"{_PEOPLE}test_stream.py"),
-    "gateway/people/client/patience.py": (f"{_PEOPLE}test_patience.py",),
-    "gateway/people/client/renewal.py": (f"{_PEOPLE}test_lease_renewal.py",),
-    "gateway/people/client/silence.py": (f"{_PEOPLE}test_silence.py",),
-    "gateway/people/console/presence.py": (f"{_PEOPLE}test_silence.py",),
-    "gateway/people/tools/button/known.py": (f"{_PEOPLE}test_button_known.py",),
+    "gateway/people/client/pace.py": (f"{_PEOPLE}test_pace.py", f"{_PEOPLE}test_stream.py", _TIMES),
+    "gateway/people/client/patience.py": (f"{_PEOPLE}test_patience.py", _TIMES),
+    "gateway/people/client/renewal.py": (f"{_PEOPLE}test_lease_renewal.py", _TIMES),
+    "gateway/people/client/silence.py": (f"{_PEOPLE}test_silence.py", _TIMES),
+    "gateway/people/console/presence.py": (f"{_PEOPLE}test_silence.py", _TIMES),
+    "gateway/people/tools/button/known.py": (f"{_PEOPLE}test_button_known.py", _TIMES),
     "gateway/people/tools/calibrate/holding.py": (
         f"{_PEOPLE}test_holding.py",
         f"{_PEOPLE}test_calibrate_held_servo.py",
@@ -148,6 +150,7 @@ JUDGES: Final = {
         f"{_PEOPLE}test_ride_again.py",
         f"{_PEOPLE}test_ride_course.py",
         f"{_PEOPLE}test_ride_script.py",
+        _TIMES,
     ),
 }
 """What keeps the robot safe, in the order of the way back: what stays longest comes first."""

@@ -8,7 +8,7 @@ from typing import Final
 
 from schemas.telemetry import GatewayState
 
-_SAME_RUN_S: Final = 1.0
+SAME_RUN_S: Final = 1.0
 """A gateway that was started again counts from 1, so its start must be the same, give or take a slow answer."""
 
 
@@ -37,5 +37,5 @@ class OwnStop:
 
     def may_leave(self, state: GatewayState, now_s: float) -> int | None:
         """The number of the emergency stop that a reset may name; None: it must not be left from here."""
-        same_run = abs(now_s - state.uptime_s - self._began_s) <= _SAME_RUN_S
+        same_run = abs(now_s - state.uptime_s - self._began_s) <= SAME_RUN_S
         return self._number if same_run and state.estop == self._number else None

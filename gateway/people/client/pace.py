@@ -36,7 +36,7 @@ class Pace:
         self.missed = 0
         """Ticks for which no setpoint came in time."""
         self._begun_s: float | None = None
-        self._tick = 0
+        self._tick: int
 
     def begin(self, now_s: float) -> None:
         """A setpoint was sent now; the grid begins with it."""
@@ -112,7 +112,7 @@ class Radians:
         if self._warn_at_s == math.inf:
             return False
         if any(angle > MOST_DEG for angles in angles_deg for angle in angles):
-            self._warn_at_s = math.inf
+            self._warn_at_s = math.inf  # for good: what was in degrees once stays so
             return False
         if self._warn_at_s is None:
             self._warn_at_s = now_s + LOOK_S

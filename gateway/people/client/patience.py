@@ -82,9 +82,7 @@ class Patience(Generic[A]):
         self._finish(query.foreign)
         if self.under_way:
             return
-        if not self._again:
-            self._finish(self._foreign)
-            self._over = True
+        self._over = self._over or not self._again
         self._again_s = min(self._again_s, self._sent_s + AGAIN_S)
         self._other_way_s = min(self._other_way_s, now_s)
 

@@ -49,6 +49,14 @@ def test_a_gateway_that_was_started_again_counts_anew() -> None:
     assert own.may_leave(state(1, uptime_s=200.0), now_s=2000.0) is None
 
 
+@pytest.mark.parametrize(("late_s", "may"), [(-1.0, True), (1.0, True), (1.25, False), (-1.25, False)])
+def test_an_answer_may_be_a_second_late(late_s: float, may: bool) -> None:
+    own = OwnStop()
+    own.drives(state(0), now_s=1000.0)
+    own.engaged(1, drove=True)
+    assert own.may_leave(state(1, uptime_s=130.0), now_s=1030.0 + late_s) == (1 if may else None)
+
+
 def test_a_new_drive_begins_anew() -> None:
     own = OwnStop()
     own.drives(state(4), now_s=1000.0)

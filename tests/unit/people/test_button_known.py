@@ -16,6 +16,11 @@ def test_a_check_in_counts_from_when_it_was_sent() -> None:
     assert not known.counts(6.0 + TIMEOUT_S, TIMEOUT_S)
 
 
+def test_before_the_first_answer_nobody_is_alive_and_nothing_is_late() -> None:
+    known = Known(0.0)
+    assert (known.count, known.detail, known.late_s(0.0)) == ((0, 0), "", None)
+
+
 def test_it_is_not_counted_after_one_that_was_not_accepted_or_where_it_is_over() -> None:
     known = Known(0.0)
     known.failed("no gateway answered", denied=False)

@@ -54,6 +54,23 @@ def test_without_an_answer_it_is_asked_again_for_ever() -> None:
     assert press.over
 
 
+def test_one_that_lasts_is_asked_for_until_then_whatever_the_clock_shows() -> None:
+    stop = Stop(lasts_ns=2 * AGAIN_NS)
+    begun_ns = 10**12
+    press = stop.presses(7, begun_ns)
+    for attempt in (0, 1, 2):
+        assert not press.over
+        stop.ended(stop.begins(begun_ns + attempt * AGAIN_NS), begun_ns + attempt * AGAIN_NS, answered=False)
+    assert (press.over, press.attempts) == (True, 3)
+
+
+def test_the_oldest_that_is_unconfirmed_is_how_long_it_has_been_so() -> None:
+    stop = Stop()
+    stop.presses(1, 5)
+    stop.presses(2, 8)
+    assert stop.since_ns == 5
+
+
 def test_a_press_waits_for_no_pause_and_for_no_earlier_request() -> None:
     stop = Stop()
     stop.ended(stop.asked(1), 10, answered=False)

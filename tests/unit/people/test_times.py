@@ -1,0 +1,40 @@
+"""The times of the people's wing's rules, as documents and the gateway's own times want them.
+
+The tests of each rule take its times by name. Who changes one here looks at what leans on it: the reasons stand beside
+each in the code.
+"""
+
+from types import ModuleType
+
+import pytest
+
+from gateway.people.bridge import own_stop
+from gateway.people.client import confirmed_stop, pace, patience, renewal, silence
+from gateway.people.tools.button import known
+from gateway.people.walking import ride
+
+TIMES: dict[tuple[ModuleType, str], float] = {
+    (confirmed_stop, "AGAIN_NS"): 100_000_000,
+    (confirmed_stop, "AT_ONCE"): 4,
+    (confirmed_stop, "MAX_PRESSES"): 16,
+    (known, "AGAIN_S"): 0.2,
+    (known, "DENIED_S"): 1.0,
+    (known, "LATE"): 0.25,
+    (known, "SHARE"): 4,
+    (own_stop, "SAME_RUN_S"): 1.0,
+    (pace, "LATE"): 0.5,
+    (pace, "LOOK_S"): 1.0,
+    (pace, "MOST_DEG"): 3.2,
+    (pace, "SILENCE_S"): 0.5,
+    (patience, "AGAIN_S"): 0.05,
+    (patience, "ATTEMPT_S"): 1.0,
+    (patience, "OTHER_WAY_S"): 0.2,
+    (renewal, "RENEWALS"): 3,
+    (ride, "START_S"): 0.015,
+    (silence, "LOOK_S"): 0.1,
+}
+
+
+@pytest.mark.parametrize(("module", "name"), TIMES, ids=lambda part: getattr(part, "__name__", part))
+def test_it_is_as_decided(module: ModuleType, name: str) -> None:
+    assert getattr(module, name) == TIMES[module, name]
