@@ -144,6 +144,7 @@ JUDGES: Final = {
     "gateway/people/tools/calibrate/holding.py": (
         f"{_PEOPLE}test_holding.py",
         f"{_PEOPLE}test_calibrate_held_servo.py",
+        _TIMES,
     ),
     "gateway/people/walking/ride.py": (
         f"{_PEOPLE}test_ride.py",

@@ -31,7 +31,7 @@ class Held(Holding):
 
 def test_it_starts_once_and_then_sets() -> None:
     holding = Holding(0.0)
-    assert holding.look(0.0) is None
+    assert (holding.look(0.0), holding.has_run) == (None, False)
     holding.start(32, 90.0, 0.0)
     start = holding.look(0.0)
     assert start == Wanted(1, 32, "start", 90.0)
@@ -78,6 +78,39 @@ def test_a_stuck_screen_and_an_empty_chair_stop_it(limit_s: float, does: object,
     assert (holding.fault, holding.takes_stop(), holding.owed) == (fault, True, 3)
     assert not holding.takes_stop(), "each is taken once"
     assert holding.look(limit_s + 0.002) is None
+
+
+def test_each_key_counts_anew() -> None:
+    holding = Held()
+    for now_s in (UNTOUCHED_S, 2 * UNTOUCHED_S):
+        holding.touched(now_s)
+        holding.seen(now_s)
+        assert holding.look(now_s) is not None
+    holding.start(32, 90.0, 5 * UNTOUCHED_S)
+    assert holding.look(5 * UNTOUCHED_S) is not None, "who starts one is there"
+
+
+def test_the_stop_is_for_its_own_leg() -> None:
+    for overtaken in (False, True):
+        holding = Holding(0.0)
+        holding.start(63, 90.0, 0.0)
+        assert (holding.running, holding.has_run) == (True, False)
+        start = holding.look(0.0)
+        assert start is not None
+        if overtaken:
+            holding.stop()
+            holding.stop_ended(None, more=False)
+            assert not holding.answered(start, TAKEN, 0.1)
+        else:
+            assert not holding.answered(start, TAKEN, 0.1)
+            holding.stop()
+        assert (holding.owed, holding.running) == (6, False)
+
+
+def test_what_ends_it_is_asked_no_more() -> None:
+    holding = Held()
+    assert not holding.answered(holding.due(), rejected(Reason.NO_LEASE), 0.1)
+    assert not holding.running
 
 
 def test_for_how_long_nobody_has_answered() -> None:
