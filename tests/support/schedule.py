@@ -36,6 +36,7 @@ ALONE: Final = (
     "attack/test_console_strangers.py",
     "attack/test_console_starved.py",
     "attack/test_lease_flood.py",
+    "zenoh/test_console_bounds.py",  # fifty pages, and how old what they show may be
     "zenoh/test_replay.py",  # where the machine stalls, a setpoint and the Stop behind it are one instant
 )
 """What measures time or fills the machine: `make test` runs these last, one at a time."""
