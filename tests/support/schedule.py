@@ -149,6 +149,8 @@ EXTENDED: Final = (
     "zenoh/test_physics_secured.py",
     "zenoh/test_replay.py",
     "zenoh/test_upkeep.py",
+    "zenoh/test_walk_interrupted.py::test_the_first_sits_and_the_second_stops[once-15]",
+    "zenoh/test_walk_interrupted.py::test_the_first_sits_and_the_second_stops[twice-15]",
     "zenoh/test_watch_terminal.py::test_a_gateway_that_hangs_and_one_that_dies_are_called_silent_and_come_back",
     "zenoh/test_watch_terminal.py::test_it_waits_for_a_gateway_that_is_not_there_yet_and_asks_one_that_publishes_no_state",
 )

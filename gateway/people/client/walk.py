@@ -1,11 +1,12 @@
 """Walking: velocities in place of angles. A `Ride` (gateway/people/walking) with a thread, a connection and a clock."""
 
+import signal
 import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from types import TracebackType
+from types import FrameType, TracebackType
 from typing import TYPE_CHECKING, Final, Self, TypeVar
 
 from gateway.errors import GatewayError, RejectedError, StoppedError, UnansweredError, WalkError
@@ -42,6 +43,14 @@ _SLOWER: Final = 0.98
 """Of `limits.leg_rate_hz`, where that is below the rate asked for: at exactly the limit setpoints wait for slots."""
 
 
+class _Terminated(SystemExit):
+    """SIGTERM came within the `with` of a walk."""
+
+
+def _terminate(number: int, _frame: FrameType | None) -> None:
+    raise _Terminated(128 + number)
+
+
 class Walk:
     """Walks, stands and sits; made by `Client.walk`, used in a `with`.
 
@@ -50,7 +59,9 @@ class Walk:
 
     A velocity holds for `hold_s`; then the robot finishes its step and stands, so a program that hangs does not walk
     on. Whoever calls nothing for `rest_s` has it sit down, and its servos stopped. At the end of the `with` it sits
-    down and is stopped, after an error it is stopped at once. If the process dies, the gateway's watchdog stops it.
+    down and is stopped, after an error it is stopped at once. Ctrl-C in it, or SIGTERM where the main thread has no
+    handler of its own, is no error: it sits down, and a second one stops it at once. If the process dies, the gateway's
+    watchdog stops it.
 
     A leg that somebody else stops ends the walk: the others are put down and stand still, and every call raises
     StoppedError with that leg in `legs`, until `start_again`. For one thread at a time.
@@ -214,17 +225,23 @@ class Walk:
 
     def __enter__(self) -> Self:
         self.open()
+        if threading.current_thread() is threading.main_thread() and signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:
+            signal.signal(signal.SIGTERM, _terminate)
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         try:
-            self.close(sits=error is None)
+            # Who ends a program wants no fall. Who cannot wait presses again: that interrupts the sitting down.
+            self.close(sits=error is None or isinstance(error, KeyboardInterrupt | _Terminated))
         except GatewayError as failed:
             if error is None:
                 raise
             error.add_note(f"and the end of the walk: {failed}")
+        finally:
+            if signal.getsignal(signal.SIGTERM) is _terminate:
+                signal.signal(signal.SIGTERM, signal.SIG_DFL)
 
     def open(self) -> None:
         """Acquire the lease, read limits and calibration. Nothing moves. Raises as the class states, and LeaseError."""
