@@ -5,7 +5,7 @@ from typing import Final
 
 import pytest
 
-from gateway.people.tools.walk.script import End, go
+from gateway.people.tools.walk.script import AtOnce, End, go
 from gateway.people.walking import Posture, Velocity, WalkState
 from gateway.people.walking.motion import Body
 from tests.support.ridden import Ridden
@@ -75,7 +75,7 @@ def test_ended_early_it_finishes_its_step_and_sits(when: Posture, capsys: pytest
 def test_asked_twice_it_is_cut_but_not_while_its_stops_are_sent() -> None:
     end = End()
     end.ask()
-    with pytest.raises(KeyboardInterrupt):
+    with pytest.raises(AtOnce):
         end.ask()
     end.ask()
     other = End()

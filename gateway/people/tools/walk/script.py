@@ -20,6 +20,10 @@ _ENDED_EARLY: Final = 130
 """As a shell reports a program that Ctrl-C has ended."""
 
 
+class AtOnce(BaseException):  # no error, but what KeyboardInterrupt is elsewhere: a walk sits at that
+    """The second request to end."""
+
+
 class End:
     """How it is ended early: by Ctrl-C, SIGTERM or the end of its terminal."""
 
@@ -28,10 +32,10 @@ class End:
         self._may_cut = True
 
     def ask(self) -> None:
-        """In the handler of a signal: the second one raises KeyboardInterrupt."""
+        """In the handler of a signal: the second one raises AtOnce."""
         if self.asked and self._may_cut:
             self.stops()
-            raise KeyboardInterrupt
+            raise AtOnce
         self.asked = True
 
     def stops(self) -> None:
@@ -61,7 +65,7 @@ def walk(
             return 1
         except DisconnectedError as error:
             raise type(error)(for_a_person(error)) from error
-        except KeyboardInterrupt as cut:
+        except AtOnce as cut:
             failed = getattr(cut, "__notes__", [])  # its Stops were not confirmed
             say("; ".join(failed) or "stopped at once: its servos are slack, wherever its legs were")
             return _ENDED_EARLY
