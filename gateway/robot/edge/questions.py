@@ -15,7 +15,7 @@ from typing import Final, Generic, TypeVar
 import zenoh
 from zenoh.handlers import Handler
 
-from gateway.robot.core.pacing import NS_PER_S
+from gateway.allowance import Allowance
 from gateway.robot.host.worker import Worker
 from schemas.command import MAX_PAYLOAD_BYTES
 
@@ -49,8 +49,8 @@ class Questions(Generic[Item]):
         self._first: deque[tuple[str, Item]] = deque()
         self._of_token: Counter[str] = Counter()
         self._others: deque[Item] = deque()
-        self._until_ns: dict[str | None, int] = {}
-        """Until when what a source has asked is within its rate."""
+        self._allowances: dict[str | None, Allowance] = {}
+        """Of each source; None: of all further ones."""
 
     def add(self, item: Item, payload: bytes, source: str | None, now_ns: int) -> bool:
         """Whether this question will be read; else it is to be let go."""
@@ -62,7 +62,7 @@ class Questions(Generic[Item]):
             self._of_token[token] += 1
             self._first.append((token, item))
             return True
-        if len(self._others) == MOST_WAITING or not self._is_admitted(self._place(source, now_ns), now_ns):
+        if len(self._others) == MOST_WAITING or not self._is_admitted(source, now_ns):
             return False
         self._others.append(item)
         return True
@@ -77,19 +77,12 @@ class Questions(Generic[Item]):
             del self._of_token[token]
         return item
 
-    def _place(self, source: str | None, now_ns: int) -> str | None:
-        if source not in self._until_ns and len(self._until_ns) >= MOST_SOURCES:
-            self._until_ns = {each: until_ns for each, until_ns in self._until_ns.items() if until_ns > now_ns}
-            if len(self._until_ns) >= MOST_SOURCES:
-                return None
-        return source
-
-    def _is_admitted(self, whose: str | None, now_ns: int) -> bool:
-        until_ns = max(now_ns, self._until_ns.get(whose, 0)) + NS_PER_S // PER_S
-        if until_ns > now_ns + AT_ONCE * NS_PER_S // PER_S:
-            return False
-        self._until_ns[whose] = until_ns
-        return True
+    def _is_admitted(self, source: str | None, now_ns: int) -> bool:
+        if source not in self._allowances and len(self._allowances) >= MOST_SOURCES:
+            self._allowances = {each: used for each, used in self._allowances.items() if not used.is_full(now_ns)}
+            if len(self._allowances) >= MOST_SOURCES:
+                source = None
+        return self._allowances.setdefault(source, Allowance(PER_S, AT_ONCE)).take(now_ns)
 
 
 class QuestionRing:
