@@ -15,6 +15,7 @@ from typer.core import TyperCommand, TyperGroup
 from gateway import __version__
 from gateway.errors import ConfigError, GatewayError
 from gateway.people.bridge import command as bridge
+from gateway.people.console import calibrate_command
 from gateway.people.terminal import hint
 from gateway.people.tools import attended, certs, incidents, lease, recordings
 from gateway.people.tools.options import ConfigOption, ConnectOption, OtherShapeOption, TimeoutOption, ZenohConfigOption
@@ -423,6 +424,7 @@ def decode(
     sys.exit(decode.decode(hex_bytes))
 
 
+app.add_typer(calibrate_command.app, name="calibrate")
 app.add_typer(certs.app, name="certs")
 app.add_typer(lease.app, name="lease")
 app.add_typer(recordings.app)

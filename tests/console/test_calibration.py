@@ -114,6 +114,26 @@ def test_leaving_in_any_way_stops_the_servo(
         states(robot).wait(lambda state: not any(servo.running for servo in state.legs[2].servos))
 
 
+LATER: Final = """(ms) => {
+  const now = performance.now.bind(performance);
+  performance.now = () => now() + ms;
+}"""
+"""As if so much time had passed since everything that the page has noted."""
+
+
+def test_it_begins_where_the_last_test_ended_and_ends_two_minutes_after_the_last_click(visitor: Visitor) -> None:
+    page = visitor.open()
+    start_32(page)
+    page["cal-up"].click()
+    expect(page["cal-now"]).to_have_text("Servo 32 runs at 91°")
+    page.page.evaluate(LATER, 121_000)
+    expect(page.said).to_contain_text("nobody has touched this page for two minutes")
+    expect_rest(page)
+    expect(page["cal-begin"]).to_have_value("91")
+    page["cal-servo"].select_option("31")
+    expect(page["cal-begin"]).to_have_value("90")
+
+
 def test_a_lease_that_is_taken_and_somebody_elses_stop_end_it(visitor: Visitor, gateway: Gateway) -> None:
     page = visitor.open()
     start_32(page)

@@ -27,12 +27,12 @@ def victim(browser: Browser, console: Console) -> Iterator[Page]:
 
 
 @contextmanager
-def signed_in(browser: Browser, console: Console) -> Iterator[Page]:
+def signed_in(browser: Browser, console: Console, card: str = "") -> Iterator[Page]:
     context = browser.new_context()
     context.set_default_timeout(LATE_MS)
     context.add_init_script(WITHOUT_WEBGL)
     page = context.new_page()
-    page.goto(console.new_link())
+    page.goto(console.new_link(card))
     expect_live(page)
     yield page
     context.close()
@@ -49,6 +49,15 @@ def test_a_link_a_reload_and_a_second_tab(victim: Page, console: Console) -> Non
     second = victim.context.new_page()
     second.goto(console.url)
     expect_live(second)
+
+
+def test_a_link_to_a_card_opens_the_card(browser: Browser, console: Console) -> None:
+    """`calibrate` leads to the guide."""
+    with signed_in(browser, console, "cal") as page:
+        expect(page.locator("#cal")).to_have_attribute("open", "")
+        expect(page.locator("#cal-revision")).to_have_text(re.compile("revision"))
+        expect(page.locator("#cal-servo")).to_be_in_viewport()
+        assert page.url == f"{console.url}/"
 
 
 def test_a_page_at_another_port_gets_the_cookie_and_nothing_by_it(victim: Page, console: Console) -> None:

@@ -141,11 +141,6 @@ JUDGES: Final = {
     "gateway/people/client/silence.py": (f"{_PEOPLE}test_silence.py", _TIMES),
     "gateway/people/console/presence.py": (f"{_PEOPLE}test_silence.py", _TIMES),
     "gateway/people/tools/button/known.py": (f"{_PEOPLE}test_button_known.py", _TIMES),
-    "gateway/people/tools/calibrate/holding.py": (
-        f"{_PEOPLE}test_holding.py",
-        f"{_PEOPLE}test_calibrate_held_servo.py",
-        _TIMES,
-    ),
     "gateway/people/walking/ride.py": (
         f"{_PEOPLE}test_ride.py",
         f"{_PEOPLE}test_ride_again.py",

@@ -49,9 +49,9 @@ class Console(Closing):
         self.child = Child([*prefix, *COMMAND, "console", *self.listen, *arguments], self.env)
         self.url = self.child.wait_for_output(LINK).removeprefix(LINK).strip()
 
-    def new_link(self) -> str:
+    def new_link(self, card: str = "") -> str:
         """As `--link` prints it."""
-        return Register(self._folder, self.port).new_link()
+        return Register(self._folder, self.port).new_link(card)
 
     def sign_in(self, link: str = "") -> "SignedIn":
         """Exchange a link (by default a new one) for a session, as a browser does."""

@@ -42,8 +42,6 @@ ALONE: Final = (
 """What measures time or fills the machine: `make test` runs these last, one at a time."""
 ATTENDED: Final = (
     "console",
-    "zenoh/test_calibrate.py",
-    "zenoh/test_calibrate_terminal.py",
     "zenoh/test_walk_command.py",
     "zenoh/test_button_command.py",
     "zenoh/test_watch_terminal.py",
@@ -141,7 +139,6 @@ EXTENDED: Final = (
     "console/test_walk.py::test_a_gamepads_sticks_walk_and_its_b_button_is_stop_all",
     "console/test_walk.py::test_on_a_small_phone_nothing_scrolls_to_walk_or_to_stop",
     "console/test_sign_in.py::test_without_its_key_a_page_says_how_to_go_on",
-    "zenoh/test_calibrate_terminal.py::test_a_terminal_that_takes_no_more",
     "zenoh/test_diagnosis.py",
     "zenoh/test_foxglove.py::test_a_gateway_that_ends_and_starts_again_is_reported_in_the_viewers_log",
     "zenoh/test_interrupted.py",

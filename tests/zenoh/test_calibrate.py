@@ -1,21 +1,17 @@
-"""`calibrate` on a running gateway: the guide from the first key to the wire, and what it does without a screen."""
+"""The commands of `calibrate` on a running gateway."""
 
 import re
+import subprocess
 from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 
 from gateway.client import Client
-from gateway.errors import ConfigError
-from gateway.people.tools.attended import calibrate
-from gateway.robot.core.calibration import ServoCalibration, calibration_of
+from schemas import calibration as wire
 from schemas.calibration import ServoChange
 from tests.support.fixtures import patient
-from tests.support.gateway_process import Gateway
-from tests.support.heard import frames, states
-from tests.support.tmux import Terminal, at_terminal
+from tests.support.gateway_process import COMMAND, Gateway
 
 
 @pytest.fixture(scope="module")
@@ -40,101 +36,9 @@ def anna(gateway: Gateway) -> Iterator[Client]:
         yield client
 
 
-@contextmanager
-def guided(folder: Path, gateway: Gateway) -> Iterator[Terminal]:
-    with at_terminal(folder, "calibrate", gateway.endpoint) as terminal:
-        terminal.wait("Servo: _", "you drive")
-        yield terminal
-
-
-def start(terminal: Terminal, servo_id: int) -> None:
-    terminal.press(*str(servo_id), "Enter")
-    terminal.wait(f"Servo {servo_id} goes there AT ONCE")
-    terminal.press("Enter")
-    terminal.wait(f"servo {servo_id} RUNS at")
-
-
-# ---- the guide
-
-
-def test_what_a_person_sees_on_the_robot_reaches_its_disk_and_its_wire(
-    gateway: Gateway, anna: Client, tmp_path: Path
-) -> None:
-    heard = frames(anna)
-    with guided(tmp_path, gateway) as terminal:
-        start(terminal, 32)
-        heard.wait(lambda record: record.bytes == "060220015a00")  # start, 90 degrees
-        for angle_deg in (91, 92):
-            terminal.press("Right")
-            terminal.wait(f"servo 32 RUNS at {angle_deg}°")
-        terminal.press("=", "9", "0")
-        terminal.wait("it now stands at: 90_")
-        terminal.press("Enter")
-        terminal.wait("trim +2°", "RUNS at 90°")
-        terminal.press("i")
-        terminal.wait("turned round", "*+2° inv")
-        terminal.press("Escape")
-        terminal.wait("servo 32 is stopped")
-        assert anna.calibration().revision == 0, "nothing is written before it is confirmed"
-        terminal.press("w")
-        terminal.wait("Write the calibration of servo 32?")
-        terminal.press("y")
-        terminal.wait("written: revision 1")
-        assert calibration_of(anna.calibration()).servos == {32: ServoCalibration(2_00, inverted=True)}
-        start(terminal, 32)
-        assert anna.calibrate({31: ServoChange(trim_deg=1)}).reason == "not_holder"
-        terminal.press("q")
-        terminal.wait("servo 32 is stopped")
-        terminal.press("q")
-        assert terminal.wait_for_end() == 0
-        terminal.wait("revision 1 is in force")
-    assert states(anna).wait(lambda state: state.lease.holder is None).calibration.kept
-    assert anna.servo(32, "start", 80).accepted
-    heard.wait(lambda record: record.bytes == "060220016600")  # its own 102 degrees
-
-
-def test_what_somebody_else_wrote_while_the_lease_was_lost(gateway: Gateway, anna: Client, tmp_path: Path) -> None:
-    with guided(tmp_path, gateway) as terminal:
-        start(terminal, 41)
-        terminal.press("i")
-        terminal.wait("turned round")
-        with anna.lease(take=True):
-            terminal.wait("THE LEASE IS LOST, and the servo is stopped", "anna holds it now", "you do not drive")
-            assert anna.calibrate({42: ServoChange(trim_deg=3)}).accepted
-            terminal.press("w")
-            terminal.wait("Write the calibration of servo 41?")
-            terminal.press("y")
-            terminal.wait("lease_held", "anna")
-        terminal.press("w")
-        terminal.wait("Write the calibration of servo 41?")
-        terminal.press("y")
-        terminal.wait("NOT DONE: somebody else has changed", "Your changes of servo 41 stand on it now", " +3° ")
-        terminal.press("w")
-        terminal.wait("Write the calibration of servo 41?")
-        terminal.press("y")
-        terminal.wait("written: revision")
-        found = calibration_of(anna.calibration())
-        assert (found.of(41).inverted, found.of(42).trim_cdeg) == (True, 3_00)
-
-
-def test_it_begins_at_rest_and_with_the_lease(gateway: Gateway, anna: Client, tmp_path: Path) -> None:
-    for name, words in (("moves", "a servo runs; stop it first"), ("driven", "rejected: lease_held")):
-        folder = tmp_path / name
-        folder.mkdir()
-        with anna.lease():
-            assert anna.stop().accepted
-            assert name == "driven" or anna.start_leg(1, 90, 90, 90).accepted
-            with at_terminal(folder, "calibrate", gateway.endpoint) as terminal:
-                assert terminal.wait_for_end() == 1
-                assert words in terminal.words
-
-
-# ---- without a screen
-
-
 def test_the_table_goes_through_a_pipe(gateway: Gateway, anna: Client) -> None:
     assert anna.calibrate({13: ServoChange(trim_deg=-3.5, inverted=True, min_deg=20)}, {13: 45.5}).accepted
-    end = gateway.run("calibrate", "--show")
+    end = gateway.run("calibrate", "show")
     assert end.returncode == 0
     lines = end.stdout.splitlines()
     assert len(lines) == 19
@@ -144,17 +48,17 @@ def test_the_table_goes_through_a_pipe(gateway: Gateway, anna: Client) -> None:
 
 
 def test_the_landing_pose_is_where_the_running_servos_stand(gateway: Gateway, anna: Client) -> None:
-    nobody = gateway.run("calibrate", "--landing")
+    nobody = gateway.run("calibrate", "landing")
     assert nobody.returncode == 1
     assert "no servo of the robot runs" in nobody.stdout
     assert anna.start_leg(1, 50, 60, 70).accepted
     assert anna.start_leg(2, 80, 85, 90.25).accepted
-    unasked = gateway.run("calibrate", "--landing")
+    unasked = gateway.run("calibrate", "landing")
     assert (unasked.returncode, unasked.stdout.splitlines()[-1]) == (
         1,
         "nothing is written: nobody can be asked here, since there is no terminal; --yes agrees",
     )
-    end = gateway.run("calibrate", "--landing", "--leg", "2", "--yes")
+    end = gateway.run("calibrate", "landing", "--leg", "2", "--yes")
     assert end.returncode == 0, str(end)
     assert re.search(r"^ +23 +90\.25$", end.stdout, re.MULTILINE)
     landing = anna.calibration().landing
@@ -173,7 +77,7 @@ def test_the_landing_pose_waits_for_who_drives(gateway: Gateway, anna: Client) -
 
     with anna.lease(on_asked=lets_go) as lease:
         assert anna.start_leg(5, 50, 60, 70).accepted
-        end = gateway.run("calibrate", "--landing", "--leg", "5", "--yes")
+        end = gateway.run("calibrate", "landing", "--leg", "5", "--yes")
     assert end.returncode == 0, str(end)
     assert "anna drives, and is asked for the lease" in end.stderr
     assert anna.calibration().landing["53"] == 70
@@ -183,7 +87,7 @@ def test_the_landing_pose_under_this_users_own_lease(gateway: Gateway, anna: Cli
     with gateway.begin("lease", "acquire") as holder:
         holder.wait_for_line(0)
         assert gateway.run("send", "leg", "6", "start", "50", "60", "70").returncode == 0
-        end = gateway.run("calibrate", "--landing", "--leg", "6", "--yes")
+        end = gateway.run("calibrate", "landing", "--leg", "6", "--yes")
         assert end.returncode == 0, str(end)
     assert anna.calibration().landing["63"] == 70
 
@@ -192,24 +96,75 @@ def test_a_broken_file_is_shown_and_replaced_by_the_default_once_somebody_says_s
     kept = tmp_path / "calibration.toml"
     kept.write_text("half a fi")
     with Gateway(tmp_path, {"calibration": {"path": str(kept)}}) as gateway:
-        asked = gateway.run("calibrate", "--accept-default")
+        asked = gateway.run("calibrate", "accept-default")
         assert asked.returncode == 1
         assert "calibration.toml: is not TOML" in asked.stdout
-        with at_terminal(tmp_path, "calibrate", gateway.endpoint) as terminal:
-            assert terminal.wait_for_end() == 1
-            assert "calibrate --accept-default" in terminal.words
-        end = gateway.run("calibrate", "--accept-default", "--yes")
+        landing = gateway.run("calibrate", "landing", "--yes")
+        assert landing.returncode == 1
+        assert "calibrate accept-default" in landing.stdout
+        end = gateway.run("calibrate", "accept-default", "--yes")
         assert end.returncode == 0, str(end)
         with gateway.client() as client:
             assert client.start_leg(1, 1, 2, 3).accepted
-        again = gateway.run("calibrate", "--accept-default", "--yes")
+        again = gateway.run("calibrate", "accept-default", "--yes")
         assert again.returncode == 0
         assert again.stdout.startswith("there is nothing to accept: revision ")
     assert (tmp_path / "calibration.broken.toml").read_text() == "half a fi"
 
 
-def test_options_that_do_not_go_together() -> None:
-    with pytest.raises(ConfigError, match="one at a time"):
-        calibrate(show=True, landing=True)
-    with pytest.raises(ConfigError, match="--leg goes with --landing"):
-        calibrate(leg=[3])
+def test_one_servo_is_changed_and_the_rest_of_it_stays(gateway: Gateway, anna: Client) -> None:
+    end = gateway.run("calibrate", "set", "41", "--trim", "-3.5", "--inverted")
+    assert end.returncode == 0, str(end)
+    assert gateway.run("calibrate", "set", "41", "--max", "150", "--as-drawn").returncode == 0
+    assert anna.calibration().servos["41"] == wire.ServoCalibration(trim_deg=-3.5, max_deg=150)
+    assert anna.start_leg(4, 50, 60, 70).accepted
+    runs = gateway.run("calibrate", "set", "41", "--trim", "1")
+    assert runs.returncode == 1
+    assert runs.stdout.startswith("rejected: ")
+
+
+@pytest.mark.parametrize(
+    ("words", "fault"),
+    [
+        (("set", "41"), "nothing is named that changes"),
+        (("set", "47", "--trim", "1"), "servo 47 does not exist"),
+        (("set", "41", "--trim", "91"), "trim_deg: Input should be less than or equal to 90"),
+        (("set", "41", "--min", "nan"), "min_deg: "),
+        (("import", "nowhere.json"), "nowhere.json cannot be read"),
+        (("import", "pyproject.toml"), "is no calibration, as `calibrate export` prints one"),
+    ],
+    ids=lambda each: " ".join(each) if isinstance(each, tuple) else "",
+)
+def test_what_is_wrong_is_a_sentence(gateway: Gateway, words: tuple[str, ...], fault: str) -> None:
+    end = gateway.run("calibrate", *words)
+    assert end.returncode == 2
+    assert fault in end.stderr
+
+
+def test_what_was_exported_comes_back_whole(gateway: Gateway, anna: Client, tmp_path: Path) -> None:
+    assert anna.calibrate({51: ServoChange(trim_deg=2, inverted=True)}, {51: 30}).accepted
+    file = tmp_path / "robot.json"
+    file.write_text(gateway.run("calibrate", "export").stdout)
+    before = anna.calibration()
+    assert anna.calibrate(
+        {51: ServoChange(trim_deg=0, inverted=False), 52: ServoChange(trim_deg=9)}, {51: None}
+    ).accepted
+    assert anna.calibrate({}, {52: 20}).accepted
+    unasked = gateway.run("calibrate", "import", str(file))
+    assert unasked.returncode == 1
+    assert "nobody can be asked here" in unasked.stdout
+    end = gateway.run("calibrate", "import", str(file), "--yes")
+    assert end.returncode == 0, str(end)
+    after = anna.calibration()
+    assert (after.servos, after.landing) == (before.servos, before.landing)
+    again = gateway.run("calibrate", "import", str(file), "--yes")
+    assert (again.returncode, again.stdout.split(":")[0]) == (0, "there is nothing to change")
+
+
+def test_by_itself_it_leads_to_the_guide(gateway: Gateway) -> None:
+    """It starts a console where none of this user's runs, else it prints a link into that one."""
+    with gateway.begin("calibrate") as console:
+        console.wait_for_output("A console starts for the guide")
+        url = console.wait_for_output("The console is at").split()[-1]
+        link = subprocess.run([*COMMAND, "calibrate"], capture_output=True, text=True, timeout=30, check=True).stdout
+        assert re.search(rf"{re.escape(url)}/\?token=[\w-]+&card=cal$", link, re.MULTILINE)

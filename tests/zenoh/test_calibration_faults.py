@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from gateway.client import Client
-from gateway.people.tools.calibrate.robot import NotKeptYetError, once_kept
+from gateway.people.tools.calibration import NotKeptYetError, once_kept
 from gateway.robot.core.calibration import Calibration, ServoCalibration
 from gateway.robot.host import calibration_file
 from schemas.calibration import ServoChange
@@ -129,13 +129,13 @@ def test_a_broken_file_starts_nothing_until_a_person_takes_the_default(tmp_path:
     path.write_text(text)
     with Gateway(tmp_path, settings(path)) as gateway, gateway.client() as client:
         logged = gateway.child.wait_for_output("nothing is started until")
-        assert "hexapod-gateway calibrate --accept-default" in logged
+        assert "hexapod-gateway calibrate accept-default" in logged
         state = client.state()
         assert (state.mode, state.calibration.revision) == (Mode.IDLE, 4)
         assert str(state.calibration.fault).startswith(f"{path}: end: is missing;")
         rejected = client.start_leg(1, 90, 90, 90)
         assert rejected.reason == Reason.SERVO_STOPPED
-        assert "calibrate --accept-default" in str(rejected.detail)
+        assert "calibrate accept-default" in str(rejected.detail)
         assert client.calibrate(TRIM).reason == Reason.SERVO_STOPPED
         assert path.read_text() == text, "a person may want to look at it"
         assert client.calibrate(accept_default=True).accepted

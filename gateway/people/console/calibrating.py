@@ -1,4 +1,4 @@
-"""One page's walk through the calibration: the guide of `hexapod-gateway calibrate`, asked by messages.
+"""One page's walk through the calibration: the guide, asked by messages.
 
 Nothing here moves a servo. The page commands the servo under test by itself, as whoever has the lease, and stops
 commanding it when nobody looks; so what the guide knows may be old without any harm.
@@ -10,14 +10,14 @@ from typing import Any, Final
 
 from gateway.errors import GatewayError
 from gateway.people.client.payloads import calibration_payload
+from gateway.people.console.guide import Guide
 from gateway.people.console.link import GatewayLink
 from gateway.people.console.messages import Calibrate, CalibrationMessage, Draft
-from gateway.people.tools.calibrate.guide import Guide
-from gateway.people.tools.calibrate.once import standing
-from gateway.people.tools.calibrate.robot import change_of
+from gateway.people.tools.calibration import standing
 from gateway.robot.core.calibration import CalibrationError, calibration_of
 from gateway.robot.protocol.framing import avoided_by
 from schemas import keys
+from schemas.calibration import ServoChange
 from schemas.telemetry import GatewayState
 
 MAX_WAITING: Final = 32
@@ -97,7 +97,7 @@ class Calibrating:
             payload = calibration_payload(landing=stand, revision=revision)
             done = f"the landing pose of {len(stand)} servos is written"
         elif guide.changed:
-            changes = {servo_id: change_of(guide.draft[servo_id]) for servo_id in guide.changed}
+            changes = {name: ServoChange(**guide.draft[name].report.model_dump()) for name in guide.changed}
             payload = calibration_payload(changes, dict.fromkeys(guide.landing_left_out), revision=revision)
             done = "written"
         else:

@@ -12,10 +12,12 @@ from gateway.people.console import register
 from gateway.people.console.messages import ROLES
 from gateway.people.console.register import Register
 from gateway.people.console.site import DEFAULT_ADDRESS, DEFAULT_PORT, address_of, free_address, site
-from gateway.people.terminal import say
+from gateway.people.terminal import hint, say
 
 NEEDS: Final = ("websockets", "segno")
 LOOK_S: Final = 1.0
+CALIBRATION: Final = "cal"
+"""The card of the page that is the guide through the calibration."""
 
 
 def console(
@@ -29,6 +31,7 @@ def console(
     role: str,
     geometry: Path | None,
     open_browser: bool,
+    card: str = "",
 ) -> NoReturn:
     """Serve the page until the process is asked to end, without `listen` on a free port. Raises GatewayError."""
     _need_extra()
@@ -48,11 +51,31 @@ def console(
             role=role,
             geometry=geometry,
             open_browser=open_browser,
+            card=card,
         )
     )
 
 
-def link(listen: str | None) -> int:
+def calibration(connect: str | None, zenoh_config: Path | None, timeout_s: float) -> int:
+    """Lead to the guide: in this user's console, or in one that is started for this gateway. Raises GatewayError."""
+    if connect is None and zenoh_config is None and _answering() is not None:
+        return link(None, CALIBRATION)
+    hint("A console starts for the guide; Ctrl-C ends it.")
+    console(
+        listen=None,
+        connect=connect,
+        zenoh_config=zenoh_config,
+        timeout_s=timeout_s,
+        cert=None,
+        key=None,
+        role="operator",
+        geometry=None,
+        open_browser=True,
+        card=CALIBRATION,
+    )
+
+
+def link(listen: str | None, card: str = "") -> int:
     """Print a link into the console that runs at that address, for another browser. Raises GatewayError.
 
     Without an address: into the console of this user, or for root the service's, that answers, wherever it listens.
@@ -61,7 +84,7 @@ def link(listen: str | None) -> int:
     from gateway.people.console.serve import show  # noqa: PLC0415 (the same)
 
     address, port = (_answering() or (DEFAULT_ADDRESS, DEFAULT_PORT)) if listen is None else address_of(listen)
-    made = Register(register.folder(), port).new_link()
+    made = Register(register.folder(), port).new_link(card)
     try:
         socket.create_connection((address, port), LOOK_S).close()
     except OSError as error:

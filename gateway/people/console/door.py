@@ -112,7 +112,7 @@ class Door:
         if (why := self._why_not(request, path)) is not None:
             return why
         if path == "/" and (token := _given(query, "token")) is not None:
-            return self._enter(token)
+            return self._enter(token, _given(query, "card") or "")
         if path in PUBLIC:
             return self._file(path, request)
         return self._for_session(request, path, query)
@@ -156,14 +156,15 @@ class Door:
         serves = time.monotonic() < self._nonces.pop(nonce, 0.0)
         return serves and bool(entry.key_sha256) and hmac.compare_digest(proof(entry.key_sha256, f"page {nonce}"), made)
 
-    def _enter(self, token: str) -> Answer:
+    def _enter(self, token: str, card: str) -> Answer:
         found = self._register.exchange(token)
         if found is None:
             return self._refused("This link was used already, or is too old.")
+        card = f"?{card}" if card.isascii() and card.isalpha() else ""
         secure = "; Secure" if self._site.certificate is not None else ""
         cookie = f"{self._site.cookie}={found.cookie}; HttpOnly; Max-Age={SESSION_S}; Path=/; SameSite=strict{secure}"
         response = _response(HTTPStatus.SEE_OTHER, b"", "plain")
-        response.headers["Location"] = f"{PUBLIC[0]}#{found.key}"
+        response.headers["Location"] = f"{PUBLIC[0]}{card}#{found.key}"
         response.headers["Set-Cookie"] = cookie
         return Answer(response)
 

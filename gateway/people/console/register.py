@@ -99,8 +99,11 @@ class Register:
         """Of the console that runs, or ran last, at this port; empty: none did."""
         return self._read().url
 
-    def new_link(self) -> str:
-        """A link that works once. Raises ConfigError where no console has begun or the folder cannot be written."""
+    def new_link(self, card: str = "") -> str:
+        """A link that works once, to a card of the page where one is named.
+
+        Raises ConfigError where no console has begun or the folder cannot be written.
+        """
         if not self._read().url:
             raise ConfigError(f"no console has run there: {self.path} is missing; start one, or name its --listen")
         token = secrets.token_urlsafe(32)
@@ -109,7 +112,7 @@ class Register:
             entry = self._entry(token, now.role, LINK_S)
             return now.model_copy(update={"links": (*now.links, entry)[-MAX_ENTRIES:]})
 
-        return f"{self._change(add).url}/?token={token}"
+        return f"{self._change(add).url}/?token={token}{card and f'&card={card}'}"
 
     def exchange(self, token: str) -> SignIn | None:
         """A new session for a link's token, which is void from now on; None for what is no valid link."""

@@ -61,6 +61,8 @@ class Options:
     role: Role
     geometry: Path | None
     open_browser: bool
+    card: str = ""
+    """Of the page, which the first links lead to; empty: its beginning."""
 
 
 def serve(options: Options) -> NoReturn:
@@ -111,8 +113,8 @@ async def _run(
     realtime.freeze_gc()
     if not options.listen_given and site.port != DEFAULT_PORT:
         hint(f"Port {DEFAULT_PORT} is taken by another program, so the console listens on {site.port}.")
-    _say_where(site, found)
-    with _opened(found) if options.open_browser else nullcontext():
+    _say_where(site, found, options.card)
+    with _opened(found, options.card) if options.open_browser else nullcontext():
         await ended.wait()
         await console.close()
     failed = watching.exception() if watching.done() else None
@@ -127,21 +129,21 @@ async def _run(
     os._exit(0)
 
 
-def _say_where(site: Site, found: Register) -> None:
+def _say_where(site: Site, found: Register, card: str) -> None:
     """A link goes to a terminal only: whatever else reads this, such as a journal, is read by others, and kept."""
     where = "" if site.port == DEFAULT_PORT else f" --listen {site.address}:{site.port}"
     say(f"For a{'nother' if os.isatty(1) else ''} browser: {this_command()} console --link{where}")
     if os.isatty(1):
-        show(found.new_link())
+        show(found.new_link(card))
     else:
         say(f"The console is at {site.url}")
 
 
 @contextmanager
-def _opened(found: Register) -> Iterator[None]:
+def _opened(found: Register, card: str) -> Iterator[None]:
     """Open this machine's browser by a private file that goes on to a link: everybody sees a program's arguments."""
     file = found.path.with_suffix(".html")
-    link = escape(found.new_link())
+    link = escape(found.new_link(card))
     content = f'<!doctype html><title>Console</title><meta http-equiv="refresh" content="0; url={link}">'
     register.write_private(file, content)
     asyncio.get_running_loop().call_later(LINK_S, partial(file.unlink, missing_ok=True))

@@ -21,7 +21,7 @@ from gateway.robot.core.leg import Servo
 from gateway.robot.protocol.frames import ServoOp
 from schemas.telemetry import Kind, Reason
 
-ACCEPT_DEFAULT: Final = "hexapod-gateway calibrate --accept-default"
+ACCEPT_DEFAULT: Final = "hexapod-gateway calibrate accept-default"
 """What a person does where the calibration cannot be trusted."""
 
 

@@ -40,9 +40,9 @@ MOST_DIGITS: Final = 18
 """Of a revision: more is none of ours, and takes long to read."""
 
 _HEAD: Final = """\
-# How this robot's servos differ from the drawing. Written by `hexapod-gateway calibrate`; whoever changes it by hand
-# restarts the service. On the wire a servo gets (180 - angle if inverted else angle) + trim_deg; min_deg, max_deg and
-# the landing pose are angles as commands name them.
+# How this robot's servos differ from the drawing (docs/calibration.md). The gateway writes this file; restart it after
+# a change by hand. On the wire a servo gets (180 - angle if inverted else angle) + trim_deg; min_deg, max_deg and the
+# landing pose are angles as commands name them.
 """
 
 

@@ -33,7 +33,7 @@ def test_one_that_cannot_be_used_is_a_failure_with_its_fix(tmp_path: Path) -> No
     verdict, sentence, fix = checked(path)
     assert verdict is Verdict.FAILURE
     assert sentence == f"{path}: version is None; this gateway reads 1; nothing can be started"
-    assert "hexapod-gateway calibrate --accept-default" in fix
+    assert "hexapod-gateway calibrate accept-default" in fix
 
 
 def test_a_change_that_is_not_on_the_disk_after_seconds_is_reported(tmp_path: Path) -> None:

@@ -1,6 +1,7 @@
 """How a page and its console show each other that they know the session's key, which neither sends."""
 
 import json
+import re
 from hashlib import sha256
 from pathlib import Path
 
@@ -31,6 +32,13 @@ class Visitor:
         assert found is not None
         return found
 
+    def follow_link(self, card: str) -> str:
+        """Where a browser goes that opens a link to this card."""
+        link = self._register.new_link().removeprefix(URL)
+        answer = self._door.answer(Request(f"{link}&card={card}", Headers({"Host": "127.0.0.1:8080"})))
+        assert isinstance(answer, Answer)
+        return answer.response.headers["Location"]
+
     def get(self, path: str, session: SignIn, **headers: str) -> Answer | SignedIn:
         cookie = f"{self._site.cookie}={session.cookie}"
         names = {name.replace("_", "-"): value for name, value in headers.items()}
@@ -56,6 +64,14 @@ def visitor(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Visitor:
 
 def hashed(key: str) -> str:
     return sha256(key.encode()).hexdigest()
+
+
+@pytest.mark.parametrize(
+    ("card", "behind"),
+    [("cal", "?cal"), ("", ""), ("x%0d%0aSet-Cookie:%20a", ""), ("%C3%A4", ""), ("/evil.example", "")],
+)
+def test_a_link_leads_to_a_card_and_nowhere_else(visitor: Visitor, card: str, behind: str) -> None:
+    assert re.fullmatch(rf"/enter.html{re.escape(behind)}#[\w-]+", visitor.follow_link(card))
 
 
 def test_each_shows_the_other_that_it_knows_the_key(visitor: Visitor) -> None:

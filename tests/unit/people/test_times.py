@@ -11,7 +11,6 @@ import pytest
 from gateway.people.bridge import own_stop
 from gateway.people.client import confirmed_stop, pace, patience, renewal, silence
 from gateway.people.tools.button import known
-from gateway.people.tools.calibrate import holding
 from gateway.people.walking import ride
 
 TIMES: dict[tuple[ModuleType, str], float] = {
@@ -22,9 +21,6 @@ TIMES: dict[tuple[ModuleType, str], float] = {
     (known, "DENIED_S"): 1.0,
     (known, "LATE"): 0.25,
     (known, "SHARE"): 4,
-    (holding, "ALL_LEGS"): 0,
-    (holding, "UNSEEN_S"): 1.0,
-    (holding, "UNTOUCHED_S"): 120.0,
     (own_stop, "SAME_RUN_S"): 1.0,
     (pace, "LATE"): 0.5,
     (pace, "LOOK_S"): 1.0,

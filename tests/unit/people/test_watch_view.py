@@ -72,7 +72,7 @@ def test_a_calibration_that_cannot_be_used_is_shown() -> None:
         state().model_copy(update={"calibration": CalibrationReport(revision=3, fault=fault)}), 0, WALL
     )
     shown = " ".join(line.strip() for line in screen(model).splitlines()[1:3])
-    assert shown.startswith("Nothing can be started (calibrate --accept-default): /var/lib/hexapod-gateway/calibration")
+    assert shown.startswith("Nothing can be started (calibrate accept-default): /var/lib/hexapod-gateway/calibration")
     assert "is not TOML:\\x1b[2J Invalid statemen" in shown
 
 

@@ -230,7 +230,7 @@ def test_nothing_starts_by_a_calibration_that_cannot_be_read() -> None:
     assert steps.command(0.5, servo_to(11, "start 90")) == ["rejected 1 servo_stopped"]
     why = (
         "/var/lib/x/calibration.toml: is not TOML; nothing is started until `hexapod-gateway calibrate "
-        "--accept-default` takes the default calibration as this robot's"
+        "accept-default` takes the default calibration as this robot's"
     )
     assert steps.detail == why
     assert steps.calibrate(1, TURN_32) == ["rejected 2 servo_stopped"]

@@ -12,6 +12,8 @@ import { JOINTS, LEGS } from "./kinematics.js";
 
 /** @typedef {import("./types.js").CalibrationMessage} CalibrationMessage */
 
+/** So long after the last click or key the servo is stopped: nobody may be there any more. */
+const UNTOUCHED_MS = 120_000;
 const STEPS = ["wrong_way", "lowest_here", "highest_here", "full_range", "as_drawn"];
 
 export class Calibrate {
@@ -36,6 +38,9 @@ export class Calibrate {
     /** The set whose acknowledgement is awaited. @type {number | null} */
     this.setting = null;
     this.lastTickMs = 0;
+    this.touchedMs = 0;
+    /** Where each servo stood when its test ended, so that the next one begins there. @type {Map<number, number>} */
+    this.stood = new Map();
     /** @type {ReturnType<typeof setInterval> | undefined} */
     this.timer = undefined;
     this.cells = this.#table();
@@ -47,6 +52,8 @@ export class Calibrate {
     }
     const details = /** @type {HTMLDetailsElement} */ (byId("cal"));
     details.addEventListener("toggle", () => (details.open ? this.#ask("open") : this.stop("the calibration was closed")));
+    for (const event of ["keydown", "pointerdown"]) window.addEventListener(event, () => (this.touchedMs = performance.now()), true);
+    byId("cal-servo").addEventListener("change", () => this.#suggest());
     byId("cal-start").addEventListener("click", () => this.#start());
     byId("cal-stop").addEventListener("click", () => this.stop("stopped"));
     for (const [id, deg] of /** @type {[string, number][]} */ ([
@@ -85,6 +92,8 @@ export class Calibrate {
     this.timer = undefined;
     if (this.starting !== null) this.abandoned.set(this.starting, servo);
     this.servo = this.starting = this.setting = null;
+    if (this.view?.shown_deg != null) this.stood.set(servo, this.view.shown_deg);
+    this.#suggest();
     const sent = this.#sendStop(servo);
     this.told.say(`Servo ${servo}: ${why}.${sent ? "" : " Not connected: the watchdog stops it."}`);
     this.#ask("leave");
@@ -128,6 +137,12 @@ export class Calibrate {
 
   refresh() {
     const { view } = this;
+    if (location.hash === "#cal" && this.link.open) {
+      history.replaceState(null, "", "/");
+      const details = /** @type {HTMLDetailsElement} */ (byId("cal"));
+      details.open = true;
+      details.scrollIntoView();
+    }
     const mine = this.told.mine();
     const tested = this.active;
     const fault = this.model.state?.calibration?.fault ?? null;
@@ -150,6 +165,14 @@ export class Calibrate {
       text(cell, draft ? words(draft) : "");
       attribute(cell, "data-changed", draft?.changed ? "yes" : null);
     }
+  }
+
+  /** Suggest where the chosen servo begins: where its last test ended, else its middle, or what is nearest to that. */
+  #suggest() {
+    const servo = Number(/** @type {HTMLSelectElement} */ (byId("cal-servo")).value);
+    const draft = this.view?.servos[servo];
+    const middle = draft ? Math.min(Math.max(90, draft.min_deg), draft.max_deg) : 90;
+    /** @type {HTMLInputElement} */ (byId("cal-begin")).value = String(this.stood.get(servo) ?? middle);
   }
 
   async #start() {
@@ -191,7 +214,8 @@ export class Calibrate {
 
   #tick() {
     const nowMs = performance.now();
-    const why = this.told.holds() ? "legs are driven" : obstacle(this, nowMs);
+    const untouched = nowMs - this.touchedMs > UNTOUCHED_MS && "nobody has touched this page for two minutes";
+    const why = this.told.holds() ? "legs are driven" : untouched || obstacle(this, nowMs);
     this.lastTickMs = nowMs;
     if (why) {
       this.stop(why);

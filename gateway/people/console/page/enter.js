@@ -6,7 +6,7 @@ import { keep } from "./key.js";
 try {
   const key = location.hash.slice(1);
   if (key) keep(key);
-  location.replace("/");
+  location.replace(`/${location.search.replace("?", "#")}`); // to a card of the page, where the link names one
 } catch {
   const line = document.getElementById("enter");
   if (line) line.textContent = "This browser keeps nothing for this page, so nobody can be signed in. Allow it, and open another link.";

@@ -144,7 +144,7 @@ export class Model {
       degrees: state.legs.flatMap((leg) => leg.servos.map((servo) => servo.angle_deg)),
       ages: state.legs.map((leg) => leg.age_ms),
     });
-    while (this.history[0].atMs < nowMs - HISTORY_MS) this.history.shift();
+    while (this.history.length > 1 && this.history[0].atMs < nowMs - HISTORY_MS) this.history.shift();
     this.frames.push({ atMs: this.stateAtMs, frames: state.spi.frames });
     while (this.frames.length > 2 && this.frames[1].atMs < nowMs - RATE_MS) this.frames.shift();
   }

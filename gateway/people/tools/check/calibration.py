@@ -52,7 +52,7 @@ def landing_pose(settings: Settings) -> Iterator[Result]:
     for servo_id, angle_cdeg in sorted({**pose, **found.landing_cdeg}.items()):
         why_not = reach.why_avoided(found, servo_id, angle_cdeg)
         if why_not is not None:
-            fix = "choose another angle: watchdog.landing in the configuration, or hexapod-gateway calibrate --landing"
+            fix = "choose another angle: watchdog.landing in the configuration, or hexapod-gateway calibrate landing"
             yield warning("landing pose", f"{why_not}; in a landing it holds its angle", fix)
 
 

@@ -114,7 +114,7 @@ def _banner(model: Model, now_ns: int, width: int) -> list[Text]:
     if model.remark is not None:
         messages.append((model.remark.text, _TONES[model.remark.tone]))
     if model.state is not None and (fault := model.state.calibration.fault) is not None:
-        messages.append((f"Nothing can be started (calibrate --accept-default): {visible(fault)}", "bold yellow"))
+        messages.append((f"Nothing can be started (calibrate accept-default): {visible(fault)}", "bold yellow"))
     if (expiring := _expiring(model)) is not None:
         messages.append((f"{visible(expiring)}: see `certs renew`", "yellow"))
     if model.presence(now_ns) is Presence.WAITING:

@@ -1,23 +1,29 @@
-"""What `calibrate` does without a screen: show the calibration, record the landing pose, accept the default."""
+"""What the commands of `calibrate` do: one change of the calibration each, or a look at it."""
 
-from collections.abc import Mapping, Sequence
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import Any, Final
 
-from gateway.errors import ConfigError, LeaseError
+from pydantic import ValidationError
+
+from gateway.errors import ConfigError, GatewayError, LeaseError, UnansweredError
 from gateway.people.client.blocking import Client
 from gateway.people.client.payloads import calibration_payload
 from gateway.people.terminal import agrees, hint, say, this_command
 from gateway.people.tools import driving, kept_lease
-from gateway.people.tools.calibrate.robot import once_kept
 from gateway.people.tools.reach import Connection
-from gateway.robot.core.calibration import AS_DRAWN, Calibration, ServoCalibration, calibration_of
+from gateway.robot.core.calibration import AS_DRAWN, Calibration, ServoCalibration, calibration_of, changed_servos
 from gateway.robot.protocol.frames import centidegrees
+from schemas import calibration as wire
 from schemas import keys
 from schemas.robot import SERVO_IDS
 from schemas.telemetry import Ack, CalibrationReport, GatewayState, Reason
 
 WAIT_S: Final = 60.0
 """How long whoever drives is given to hand over, or to end."""
+MOST_BYTES: Final = 64 * 1024
+"""Of a file that is imported; a whole calibration takes 2 kB."""
 _HEAD: Final = "servo      trim  direction     lowest   highest    landing"
 
 
@@ -29,11 +35,70 @@ def show(connect: Connection) -> int:
     say(_HEAD)
     for servo_id in SERVO_IDS:
         landing_cdeg = calibration.landing_cdeg.get(servo_id)
-        say(f"{servo_id:5}  {row(calibration.of(servo_id))}  {_angle(landing_cdeg)}".rstrip())
+        say(f"{servo_id:5}  {_row(calibration.of(servo_id))}  {_angle(landing_cdeg)}".rstrip())
     return 0
 
 
-def row(servo: ServoCalibration) -> str:
+def set_servo(connect: Connection, servo_id: int, wanted: Mapping[str, float | bool | None]) -> int:
+    """Change what is not None of one servo. Returns the exit code; raises ConfigError."""
+    if servo_id not in SERVO_IDS:
+        raise ConfigError(f"servo {servo_id} does not exist; an id is the leg and the joint, such as 32")
+    named = {name: value for name, value in wanted.items() if value is not None}
+    if not named:
+        raise ConfigError("nothing is named that changes: --trim, --inverted, --as-drawn, --min or --max")
+    try:
+        change = wire.ServoChange.model_validate(named)
+    except ValidationError as error:
+        raise ConfigError("; ".join(f"{each['loc'][0]}: {each['msg']}" for each in error.errors())) from error
+    with connect() as client:
+        return _change(client, f"servo {servo_id} is changed", client.state(), calibration_payload({servo_id: change}))
+
+
+def export(connect: Connection) -> int:
+    """Print all of it as JSON. Returns the exit code."""
+    with connect() as client:
+        sys.stdout.write(f"{client.calibration().model_dump_json(indent=2)}\n")
+    return 0
+
+
+def import_file(connect: Connection, file: Path, *, agreed: bool) -> int:
+    """Make a file's calibration the robot's, whole. Returns the exit code; raises ConfigError."""
+    text = _read(file)
+    try:
+        found = wire.Calibration.model_validate_json(text)
+        wanted = calibration_of(found)
+    except ValueError as error:  # pydantic's, and CalibrationError
+        raise ConfigError(f"{file} is no calibration, as `calibrate export` prints one: {error}") from error
+    with connect() as client:
+        state, now = client.state(), calibration_of(client.calibration())
+        changed = sorted(changed_servos(now, wanted))
+        if not changed and now.landing_cdeg == wanted.landing_cdeg:
+            say(f"there is nothing to change: {_about(state.calibration, now)}")
+            return 0
+        for servo_id in changed:
+            say(f"{servo_id:5}  {_row(now.of(servo_id))}  becomes  {_row(wanted.of(servo_id))}".rstrip())
+        if not agreed and not _agree("Is this the calibration of this robot?"):
+            return 1
+        servos = {name: wire.ServoChange(**wanted.of(name).report.model_dump()) for name in changed}
+        lands = {name: wanted.landing_cdeg.get(name) for name in now.landing_cdeg.keys() | wanted.landing_cdeg.keys()}
+        landing_deg = {name: None if cdeg is None else cdeg / 100 for name, cdeg in lands.items()}
+        payload = calibration_payload(servos, landing_deg, revision=now.revision)
+        return _change(client, f"the calibration is that of {file}", state, payload)
+
+
+def _read(file: Path) -> str:
+    """A file, or stdin, of no more than the robot's own may have. Raises ConfigError."""
+    try:
+        with sys.stdin.buffer if str(file) == "-" else file.open("rb") as stream:
+            text = stream.read(MOST_BYTES + 1)
+        if len(text) > MOST_BYTES:
+            raise ConfigError(f"{file} is larger than {MOST_BYTES} bytes, and so no calibration")
+        return text.decode()
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{file} cannot be read: {error}") from error
+
+
+def _row(servo: ServoCalibration) -> str:
     """One servo's trim, direction and limits, in columns."""
     trim = f"{servo.trim_cdeg / 100:+.2f}" if servo != AS_DRAWN else "0.00"
     way = "inverted" if servo.inverted else "as drawn"
@@ -45,7 +110,11 @@ def landing(connect: Connection, legs: Sequence[int], *, agreed: bool) -> int:
     with connect() as client:
         state, calibration = client.state(), calibration_of(client.calibration())
         if state.calibration.fault is not None:
-            say(untrusted(state.calibration.fault))
+            say(
+                f"the robot's calibration is not to be trusted, and nothing is started: {state.calibration.fault}. "
+                "Put a good file in its place and restart the service, or go on without any trim: "
+                f"{this_command()} calibrate accept-default"
+            )
             return 1
         stand = standing(state, legs)
         if not stand:
@@ -86,17 +155,30 @@ def accept_default(connect: Connection, *, agreed: bool) -> int:
         return _change(client, "the default calibration is in force", state, payload)
 
 
-def untrusted(fault: str) -> str:
-    """What to do where the gateway does not trust its calibration."""
-    return (
-        f"the robot's calibration is not to be trusted, and nothing is started: {fault}. Put a good file in its place "
-        f"and restart the service, or go on without any trim: {this_command()} calibrate --accept-default"
-    )
+class NotKeptYetError(GatewayError):
+    """The gateway is there, and has not answered a change: its disk takes long, or hangs."""
 
 
-def unkept(report: CalibrationReport) -> str:
-    """What to add where a restart loses what is written."""
-    return "" if report.kept else "The calibration is in memory only, and lost at a restart (calibration.path)."
+def once_kept(client: Client, change: Callable[[], Ack]) -> Ack:
+    """The answer to a change. Raises NotKeptYetError where only that is missing, and what `change` raises."""
+    try:
+        return change()
+    except UnansweredError as error:
+        client.state()  # raises where nobody answers at all
+        raise NotKeptYetError(
+            "the gateway runs, and its disk has not taken the change yet: look in some seconds whether it is in force "
+            "(calibrate show); if the disk hangs, trying again says so"
+        ) from error
+
+
+def standing(state: GatewayState, legs: Sequence[int] = ()) -> dict[int, float]:
+    """Where the running servos of these legs, or of all, are commanded to be, in degrees."""
+    return {
+        servo.id: centidegrees(servo.angle_deg) / 100
+        for leg in state.legs
+        for servo in leg.servos
+        if (not legs or leg.leg in legs) and servo.running and servo.angle_deg is not None
+    }
 
 
 # ---- inside
@@ -120,7 +202,7 @@ def _change(client: Client, done: str, state: GatewayState, payload: Mapping[str
         return 1
     say(f"{done}: revision {client.calibration().revision}")
     if not state.calibration.kept:
-        hint(unkept(state.calibration))
+        hint("The calibration is in memory only, and lost at a restart (calibration.path).")
     return 0
 
 
@@ -132,16 +214,6 @@ def _when_free(client: Client, payload: Mapping[str, Any]) -> Ack:
         hint(f"servos need not run any more then. Waiting for up to {WAIT_S:g} s.")
     with client.lease(wait_s=WAIT_S, source=kept_lease.me()):
         return once_kept(client, lambda: client.ask(keys.CALIBRATION_CMD, payload))
-
-
-def standing(state: GatewayState, legs: Sequence[int] = ()) -> dict[int, float]:
-    """Where the running servos of these legs, or of all, are commanded to be, in degrees."""
-    return {
-        servo.id: centidegrees(servo.angle_deg) / 100
-        for leg in state.legs
-        for servo in leg.servos
-        if (not legs or leg.leg in legs) and servo.running and servo.angle_deg is not None
-    }
 
 
 def _about(report: CalibrationReport, calibration: Calibration) -> str:

@@ -6,15 +6,10 @@ person says is about the servo itself, and so about its angle on the wire; only 
 
 import math
 from dataclasses import dataclass, field
-from typing import Final
 
 from gateway.robot.core.calibration import AS_DRAWN, Calibration, CalibrationError, ServoCalibration, changed_servos
 from gateway.robot.protocol.frames import MAX_ANGLE_CDEG, centidegrees
 from schemas.robot import SERVO_IDS
-
-COARSE_CDEG: Final = 100
-FINE_CDEG: Final = 10
-MIDDLE_CDEG: Final = 90_00
 
 
 @dataclass
@@ -28,8 +23,6 @@ class Guide:
     servo_id: int | None = None
     wire_cdeg: int = 0
     """Where the servo under test was commanded to stand: its own angle."""
-    _stood: dict[int, int] = field(default_factory=dict)
-    """Where each servo that was under test stood last: its own angle."""
     _before: list[tuple[int, ServoCalibration]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
@@ -37,34 +30,16 @@ class Guide:
 
     # ---- the servo under test
 
-    def begins_at(self, servo_id: int) -> float:
-        """Where a test of it begins, in degrees as the draft counts: where the last one ended, so that nothing jumps.
-
-        At first its middle, or as near to it as the calibration in force lets it go. Raises CalibrationError for a
-        servo that does not exist, or that may not go anywhere.
-        """
-        if servo_id not in SERVO_IDS:
-            raise CalibrationError(f"servo {servo_id} does not exist; an id is the leg and the joint, such as 32")
-        servo = self.in_force.of(servo_id)
-        wire_cdeg = self._stood.get(servo_id)
-        if wire_cdeg is None or self._why_not(servo_id, servo.user_cdeg(wire_cdeg)) is not None:
-            ends = sorted((servo.user_cdeg(0), servo.user_cdeg(MAX_ANGLE_CDEG)))
-            low_cdeg, high_cdeg = max(ends[0], servo.min_cdeg), min(ends[1], servo.max_cdeg)
-            user_cdeg = min(max(MIDDLE_CDEG, low_cdeg), high_cdeg)
-            self._check(servo_id, user_cdeg)
-            wire_cdeg = servo.wire_cdeg(user_cdeg)
-        return self.draft[servo_id].user_cdeg(wire_cdeg) / 100
-
-    def choose(self, servo_id: int, shown_deg: float | None = None) -> None:
-        """Test this servo, from this angle as the draft counts, or from where `begins_at` returns.
+    def choose(self, servo_id: int, shown_deg: float) -> None:
+        """Test this servo, from this angle as the draft counts.
 
         Raises CalibrationError for a servo that does not exist, or an angle that the calibration in force rejects.
         """
-        begin_deg = self.begins_at(servo_id) if shown_deg is None else shown_deg
-        wire_cdeg = self.draft[servo_id].wire_cdeg(_cdeg(begin_deg))
+        if servo_id not in SERVO_IDS:
+            raise CalibrationError(f"servo {servo_id} does not exist; an id is the leg and the joint, such as 32")
+        wire_cdeg = self.draft[servo_id].wire_cdeg(_cdeg(shown_deg))
         self._check(servo_id, self.in_force.of(servo_id).user_cdeg(wire_cdeg))
         self.servo_id, self.wire_cdeg = servo_id, wire_cdeg
-        self._stood[servo_id] = wire_cdeg
 
     def leave(self) -> None:
         """No servo is under test any more."""
@@ -84,12 +59,7 @@ class Guide:
                 f"servo {servo_id} has no more way to go: its own angle would be {wire_cdeg / 100:g}"
             )
         self._check(servo_id, self.in_force.of(servo_id).user_cdeg(wire_cdeg))
-        self.wire_cdeg = self._stood[servo_id] = wire_cdeg
-
-    def back_to(self, command_deg: float) -> None:
-        """The gateway let it go no further than this angle of the calibration in force."""
-        servo_id, _ = self._under_test()
-        self.wire_cdeg = self._stood[servo_id] = self.in_force.of(servo_id).wire_cdeg(_cdeg(command_deg))
+        self.wire_cdeg = wire_cdeg
 
     @property
     def command_deg(self) -> float:
@@ -182,16 +152,13 @@ class Guide:
             raise CalibrationError("choose a servo first")
         return self.servo_id, self.draft[self.servo_id]
 
-    def _why_not(self, servo_id: int, user_cdeg: int) -> str | None:
-        """Why the gateway would not take this angle of the calibration in force."""
+    def _check(self, servo_id: int, user_cdeg: int) -> None:
+        """Raise CalibrationError where the gateway would reject this angle by the calibration in force."""
         if not 0 <= user_cdeg <= MAX_ANGLE_CDEG:
-            return (
+            raise CalibrationError(
                 f"the calibration in force has no command for it ({user_cdeg / 100:g} degrees); write the draft first"
             )
-        return self.in_force.why_not(servo_id, user_cdeg)
-
-    def _check(self, servo_id: int, user_cdeg: int) -> None:
-        why_not = self._why_not(servo_id, user_cdeg)
+        why_not = self.in_force.why_not(servo_id, user_cdeg)
         if why_not is not None:
             raise CalibrationError(why_not)
 

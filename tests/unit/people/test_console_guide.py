@@ -1,20 +1,19 @@
-"""The guide of `calibrate`: what a person sees on the robot becomes trim, direction and limits."""
+"""The guide: what a person sees on the robot becomes trim, direction and limits."""
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.people.tools.calibrate.guide import COARSE_CDEG, FINE_CDEG, Guide
+from gateway.people.console.guide import Guide
 from gateway.robot.core.calibration import Calibration, CalibrationError, ServoCalibration
-from schemas.robot import SERVO_IDS
-from tests.unit.robot.test_calibration import calibrations
+
+COARSE_CDEG = 100
+FINE_CDEG = 10
 
 
 def guide(servo: ServoCalibration | None = None, start_deg: float = 90.0) -> Guide:
     made = Guide(Calibration(servos={} if servo is None else {32: servo}))
-    made.choose(32)
-    if start_deg != 90:
-        made.jog(round(start_deg * 100) - 90_00)
+    made.choose(32, start_deg)
     return made
 
 
@@ -22,7 +21,7 @@ def guide(servo: ServoCalibration | None = None, start_deg: float = 90.0) -> Gui
 def test_keys_move_over_angles_that_are_never_sent(trim_cdeg: int, inverted: bool) -> None:
     """It is the servo's own angle that is never sent; both ways, and by each key."""
     made = Guide(Calibration(servos={32: ServoCalibration(trim_cdeg, inverted)}), (1_00, 4_00))
-    made.choose(32)
+    made.choose(32, 90)
     down = -1 if not inverted else 1
     made.wire_cdeg = 5_50
     for by_cdeg, wire_cdeg in (
@@ -90,7 +89,7 @@ def test_it_never_leaves_what_the_gateway_accepts() -> None:
 
 def test_a_servo_that_is_none() -> None:
     with pytest.raises(CalibrationError, match="servo 34 does not exist"):
-        guide().choose(34)
+        guide().choose(34, 90)
     made = guide()
     made.leave()
     with pytest.raises(CalibrationError, match="choose a servo first"):
@@ -114,18 +113,3 @@ def test_what_the_person_saw_is_what_the_draft_says(start: int, wrong: bool, jog
         return
     assert made.shown_deg == pytest.approx(round(seen_deg, 2), abs=0.011)
     assert made.draft[32].wire_cdeg(round(made.shown_deg * 100)) == made.wire_cdeg
-
-
-@given(calibrations, st.sampled_from(SERVO_IDS))
-def test_it_begins_as_near_to_the_middle_as_the_calibration_in_force_lets_it(
-    calibration: Calibration, servo_id: int
-) -> None:
-    made = Guide(calibration)
-    allowed = [angle for angle in range(0, 180_01, 25) if calibration.why_not(servo_id, angle) is None]
-    try:
-        made.choose(servo_id)
-    except CalibrationError:
-        assert not allowed
-        return
-    assert calibration.why_not(servo_id, round(made.command_deg * 100)) is None
-    assert all(abs(made.command_deg - 90) <= abs(angle / 100 - 90) for angle in allowed)

@@ -1,0 +1,124 @@
+"""`hexapod-gateway calibrate`: arguments in, one call of tools/calibration.py each; by itself, the console's guide."""
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from gateway.people.tools.options import ConnectOption, TimeoutOption, ZenohConfigOption
+
+if TYPE_CHECKING:
+    from gateway.people.tools.reach import Connection
+
+app = typer.Typer(
+    invoke_without_command=True,
+    help="Trim, direction and limits of each servo, and the landing pose.\n\n"
+    "Without a command it leads to the guide, a card of the console's page: choose a servo, see it start alone, move "
+    "it, say what you see on the robot, and write that. Where a console of yours runs it prints a link into it; "
+    "else (or with --connect or --zenoh-config) it starts one and opens the browser. The commands below "
+    "are for scripts.\n\n"
+    "Exit codes: 0 done, 1 rejected (the reason is printed), 2 an argument or a file is wrong, 4 no gateway answers.",
+)
+LegOption = Annotated[
+    list[int] | None, typer.Option("--leg", metavar="N", min=1, max=6, help="Only this leg; may be repeated.")
+]
+YesOption = Annotated[bool, typer.Option("--yes", help="Without asking first.")]
+
+
+def _reach(connect: str | None, zenoh_config: Path | None, timeout_s: float) -> "Connection":
+    from gateway.people.tools.reach import connection
+
+    return connection(connect, zenoh_config, timeout_s, source="hexapod-gateway calibrate")
+
+
+@app.callback()
+def guide(
+    context: typer.Context,
+    connect: ConnectOption = None,
+    zenoh_config: ZenohConfigOption = None,
+    timeout: TimeoutOption = 2.0,
+) -> None:
+    if context.invoked_subcommand is None:
+        from gateway.people.console import command
+
+        sys.exit(command.calibration(connect, zenoh_config, timeout))
+
+
+@app.command()
+def show(connect: ConnectOption = None, zenoh_config: ZenohConfigOption = None, timeout: TimeoutOption = 2.0) -> None:
+    """Print the calibration in force, all 18 servos."""
+    from gateway.people.tools import calibration
+
+    sys.exit(calibration.show(_reach(connect, zenoh_config, timeout)))
+
+
+@app.command("set")
+def set_servo(
+    servo: Annotated[int, typer.Argument(metavar="SERVO", help="The leg and the joint, such as 32.")],
+    trim: Annotated[
+        float | None, typer.Option("--trim", metavar="DEG", help="Added to each angle on the wire, -90 to 90.")
+    ] = None,
+    inverted: Annotated[
+        bool | None, typer.Option("--inverted/--as-drawn", help="Which way it turns.", show_default=False)
+    ] = None,
+    lowest: Annotated[float | None, typer.Option("--min", metavar="DEG", help="Its lowest angle in commands.")] = None,
+    highest: Annotated[float | None, typer.Option("--max", metavar="DEG", help="Its highest.")] = None,
+    connect: ConnectOption = None,
+    zenoh_config: ZenohConfigOption = None,
+    timeout: TimeoutOption = 2.0,
+) -> None:
+    """Change one servo; what is not named stays. The servo must not run."""
+    from gateway.people.tools import calibration
+
+    wanted = {"trim_deg": trim, "inverted": inverted, "min_deg": lowest, "max_deg": highest}
+    sys.exit(calibration.set_servo(_reach(connect, zenoh_config, timeout), servo, wanted))
+
+
+@app.command()
+def export(connect: ConnectOption = None, zenoh_config: ZenohConfigOption = None, timeout: TimeoutOption = 2.0) -> None:
+    """Print the whole calibration as JSON, for `import` and for programs."""
+    from gateway.people.tools import calibration
+
+    sys.exit(calibration.export(_reach(connect, zenoh_config, timeout)))
+
+
+@app.command("import")
+def import_file(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="What `export` has printed; -: from stdin.")],
+    yes: YesOption = False,
+    connect: ConnectOption = None,
+    zenoh_config: ZenohConfigOption = None,
+    timeout: TimeoutOption = 2.0,
+) -> None:
+    """Make the calibration that of a file, whole: a servo that it does not name is as drawn."""
+    from gateway.people.tools import calibration
+
+    sys.exit(calibration.import_file(_reach(connect, zenoh_config, timeout), file, agreed=yes))
+
+
+@app.command()
+def landing(
+    leg: LegOption = None,
+    yes: YesOption = False,
+    connect: ConnectOption = None,
+    zenoh_config: ZenohConfigOption = None,
+    timeout: TimeoutOption = 2.0,
+) -> None:
+    """Record the landing pose: the angles of the servos that run now."""
+    from gateway.people.tools import calibration
+
+    sys.exit(calibration.landing(_reach(connect, zenoh_config, timeout), leg or [], agreed=yes))
+
+
+@app.command("accept-default")
+def accept_default(
+    yes: YesOption = False,
+    connect: ConnectOption = None,
+    zenoh_config: ZenohConfigOption = None,
+    timeout: TimeoutOption = 2.0,
+) -> None:
+    """Where the robot's calibration file is broken or foreign: go on with the default, all servos as drawn."""
+    from gateway.people.tools import calibration
+
+    sys.exit(calibration.accept_default(_reach(connect, zenoh_config, timeout), agreed=yes))
