@@ -53,7 +53,6 @@ THOROUGH: Final = (
     "unit/people/test_recordings_damaged.py",
     "unit/people/test_walking_gait.py",
     "unit/people/test_walking_postures.py",
-    "unit/people/test_replaying.py",
     "unit/robot/test_ownership.py",
     "unit/robot/test_slow_failures.py",
     "unit/robot/test_supervisor_machine.py",

@@ -48,27 +48,6 @@ thread.join()
 
 
 @root_only
-def test_all_threads_of_now_have_priority_for_a_time_and_keep_what_they_had_of_their_own() -> None:
-    program = """
-def priorities():
-    return [os.sched_getparam(int(thread)).sched_priority for thread in sorted(os.listdir("/proc/self/task"), key=int)]
-def wait(priority, ready, end):
-    priority and prefer_thread(priority)
-    ready.set()
-    end.wait()
-end = threading.Event()
-for priority in (0, 5):
-    threading.Thread(target=wait, args=(priority, ready := threading.Event(), end)).start()
-    ready.wait()
-with prefer_all_threads(1):
-    print(*priorities())
-print(*priorities())
-end.set()
-"""
-    assert run(program).splitlines() == ["1 1 5", "0 0 5"]
-
-
-@root_only
 def test_threads_started_later_have_the_process_s_niceness() -> None:
     program = """
 prefer_process()

@@ -1,4 +1,4 @@
-"""From recorded frames to commands that make a gateway write them again. Pure; `comparing` has whether it did.
+"""From recorded frames to commands that make a gateway write them again. Pure.
 
 What a command caused is sent as a command of the same frame. What the gateway decided by itself it decides again: it
 repeats Stops, and stops silent legs. An emergency stop, and the Stops of a gateway that started or ended, are sent as
@@ -8,16 +8,15 @@ Frames of several legs that one message caused are sent as one message again: no
 messages that arrive in one instant.
 """
 
-from array import array
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final, NamedTuple
 
-from gateway.people.recordings.comparing import NO_STEP, NS_PER_MS, Frames, Written
 from gateway.robot.protocol.frames import Frame, FrameError, OneLeg, OneServo, Op, ServoOp, decode, servo_ids_of
 from schemas import keys
 from schemas.telemetry import Cause
 
+NS_PER_MS: Final = 1_000_000
 TOGETHER_NS: Final = 2 * NS_PER_MS
 """Six frames of one message are on the wire within a millisecond; two messages of a gait are 20 ms apart."""
 APART_NS: Final = NS_PER_MS
@@ -38,8 +37,6 @@ class Step(NamedTuple):
 
     at_ns: int
     frames: tuple[Frame, ...]
-    recorded_ns: int
-    """When the first of the frames was written; `at_ns` is later where messages must be kept apart."""
 
     @property
     def key(self) -> str:
@@ -74,14 +71,6 @@ class Plan:
     """Frames that are incomplete, or none of this protocol, or come after the gateway's machine was started again."""
 
 
-@dataclass(slots=True)
-class Expected:
-    """What the gateway then writes, and of each step when the first of its frames was written in the recording."""
-
-    frames: Frames = field(default_factory=Frames)
-    recorded_ns: "array[int]" = field(default_factory=lambda: array("q"))
-
-
 def survey(records: Iterable[Mapping[str, Any]], show: Callable[[Plan], object]) -> Plan:
     """What FrameRecords come to in their order; `show` is called now and then. Five times as quick as `steps_of`."""
     plan = Plan()
@@ -101,39 +90,26 @@ def survey(records: Iterable[Mapping[str, Any]], show: Callable[[Plan], object])
     return plan
 
 
-def steps_of(
-    records: Iterable[Mapping[str, Any]], *, watchdog_too: bool = False, expected: Expected | None = None
-) -> Iterator[Step]:
-    """The steps for FrameRecords in their order. `watchdog_too`: the watchdog's Stops are sent, too.
-
-    What the gateway then writes is added to `expected`.
-    """
+def steps_of(records: Iterable[Mapping[str, Any]], *, watchdog_too: bool = False) -> Iterator[Step]:
+    """The steps for FrameRecords in their order. `watchdog_too`: the watchdog's Stops are sent, too."""
     own = {Cause.REPEAT} if watchdog_too else {Cause.REPEAT, Cause.WATCHDOG}
     legs = _Legs(Plan())
     together: list[Frame] = []
-    together_ns = count = 0
+    together_ns = 0
     before: Step | None = None
-    last_steps: dict[int, int] = {}  # of each leg
     for at_ns, cause, data in _in_order(records, Plan()):
         frame = _decoded(data)
         if frame is None:
             continue
         frame = legs.follow(frame, at_ns)
-        leg = frame.leg
-        commanded = cause not in own
-        if commanded:
-            if together and not (at_ns - together_ns <= TOGETHER_NS and _one_message(together[-1], frame)):
-                yield (before := _step(before, together_ns, together))
-                together = []
-                count += 1
-            if not together:
-                together_ns = at_ns
-                if expected is not None:
-                    expected.recorded_ns.append(at_ns)
-            together.append(frame)
-            last_steps[leg] = count
-        if expected is not None:
-            expected.frames.append(Written(at_ns, frame.to_bytes(), commanded, last_steps.get(leg, NO_STEP)))
+        if cause in own:
+            continue
+        if together and not (at_ns - together_ns <= TOGETHER_NS and _one_message(together[-1], frame)):
+            yield (before := _step(before, together_ns, together))
+            together = []
+        if not together:
+            together_ns = at_ns
+        together.append(frame)
     if together:
         yield _step(before, together_ns, together)
 
@@ -185,7 +161,7 @@ def _one_message(before: Frame, frame: Frame) -> bool:
 
 
 def _step(before: Step | None, at_ns: int, frames: Sequence[Frame]) -> Step:
-    step = Step(at_ns, tuple(frames), at_ns)
+    step = Step(at_ns, tuple(frames))
     if before is not None and before.key != step.key:
         return step._replace(at_ns=max(at_ns, before.at_ns + APART_NS))
     return step

@@ -1,33 +1,21 @@
-"""What `replay` sends, in its time, and what the gateway writes meanwhile.
-
-One thread sends, and between two commands it takes the frames that have come. No other thread of Python runs then, so
-none keeps the interpreter's lock from it; and Zenoh's threads never wait for that lock. Against a simulated controller
-it has real-time priority. Measured with both cores busy with other work, half a minute of a gait: from a command's time
-to Zenoh up to 7.6 ms without all this, and from there to the link up to 12.8 ms; with it 1.8 and 1.3 ms.
-"""
+"""What `replay` sends, in its time."""
 
 import gc
 import threading
 import time
-from array import array
 from collections import deque
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, nullcontext, suppress
-from typing import Any, Final
+from contextlib import contextmanager
+from typing import Final
 
-from pydantic import ValidationError
-from zenoh.handlers import RingChannel
-
-from gateway.errors import ConfigError, GatewayError, RejectedError, StoppedError
+from gateway.errors import GatewayError, RejectedError, StoppedError
 from gateway.people.client.blocking import Client
 from gateway.people.client.lease import NOT_OURS
 from gateway.people.client.live import reports, subscribed
-from gateway.people.recordings.comparing import NS_PER_MS, Frames, Sent, Written
-from gateway.people.recordings.replaying import Expected, Plan, Step
+from gateway.people.recordings.replaying import NS_PER_MS, Plan, Step
 from gateway.people.terminal import clear_line, on_end_signals, show_line
-from gateway.robot.host.realtime import prefer_all_threads, prefer_thread
-from schemas.keys import EVENT, FRAME
-from schemas.telemetry import Cause, Event, FrameRecord, Kind
+from schemas.keys import EVENT
+from schemas.telemetry import Event, Kind
 
 BEGIN_S: Final = 0.1
 """From the last preparation to the first command."""
@@ -35,22 +23,14 @@ SLIP_NS: Final = 2 * NS_PER_MS
 """What is later than this (a busy laptop) delays all that follows: setpoints in a burst would replace one another."""
 LATE_NS: Final = 200 * NS_PER_MS
 """A replay that falls so far behind at once (a laptop that slept) ends: the watchdog's default is 250 ms."""
-AFTERWARDS_S: Final = 0.5
-"""For the repeats of the last Stops, and for what is still on its way here."""
 LAST_NS: Final = 100 * NS_PER_MS
 """From the last command to the Stops at the end. A command that is read together with a Stop is rejected, as if the
 replay had failed; it takes milliseconds to be read, and at the default rate 20 ms to its rate slot."""
-NO_FRAMES_NS: Final = 2000 * NS_PER_MS
-"""A gateway that publishes frames has published one by then."""
 MOST_AHEAD: Final = 100
 """Steps that are read before their time: two seconds of a gait. A chunk of the file takes 2 ms."""
 FREE_NS: Final = 2 * NS_PER_MS
-"""Before the next command there must be so much time for a frame to be looked at, which takes 20 µs, or for a step."""
-MOST_UNREAD: Final = 65536
-"""Frames that nobody has looked at yet: minutes of them."""
+"""Before the next command there must be so much time for a step to be read."""
 PROGRESS_S: Final = 0.5
-PRIORITY: Final = 1
-"""Below the gateway's own threads."""
 
 _ENDS: Final = (Kind.ESTOP_ENGAGED, Kind.BUS_FAULT, Kind.STOPPED_OUTSIDE, Kind.STOPPING)
 
@@ -64,42 +44,29 @@ class Player:
         recorded: Plan,
         steps: Iterator[Step],
         speed: float,
-        *,
-        expected: Expected | None,
-        on_time: bool = False,
     ) -> None:
-        """`recorded` sums up what `steps` come to. They are read while others are sent, and `expected` grows with them.
-
-        `on_time`: real-time priority, where it is granted; not where a real robot's Stop could wait for it.
-        """
+        """`recorded` sums up what `steps` come to. They are read while others are sent."""
         self._client = client
         self._plan = recorded
         self._steps = steps
         self._ahead: deque[Step] = deque()
         self._speed = speed
-        self._expected = expected
-        self._needs_frames = expected is not None
-        self._on_time = on_time
         self._ended: Exception | None = None
         self._wake = threading.Event()
         self._over = threading.Event()
-        self._frames: Any = None
         self._begun_ns = 0
-        self.written = Frames()
-        self.sent = Sent()
-        self.late_ns = array("q")
-        """Of each step, how long after its time it was handed to Zenoh."""
-        self.slipped_ns = 0
+        self.sent = 0
+        """Commands."""
+        self._slipped_ns = 0
         """By how much all that is still to come is later than in the recording."""
 
     def run(self, lease: Mapping[str, str]) -> None:
         """Commands carry the `lease` that this user has acquired beforehand.
 
-        Raises RejectedError, StoppedError or ConfigError where something ends it before its time.
+        Raises RejectedError or StoppedError where something ends it before its time.
         """
         interrupted = StoppedError("the replay was ended; all legs are stopped", ())
-        on_time = prefer_all_threads(PRIORITY) if self._on_time else nullcontext()
-        with self._receives(), on_end_signals(lambda: self._end(interrupted)), on_time:
+        with self._receives(), on_end_signals(lambda: self._end(interrupted)):
             self._begun_ns = time.monotonic_ns() + round(BEGIN_S * 1e9)
             sender = threading.Thread(target=self._send, args=(lease,), name="sender")
             try:
@@ -116,17 +83,8 @@ class Player:
 
     def _send(self, lease: Mapping[str, str]) -> None:
         try:
-            if self._on_time:
-                prefer_thread(PRIORITY)
-            if not self._play(lease):
-                return
-            if self._expected is None:
+            if self._play(lease):
                 self._wait_until(time.monotonic_ns() + LAST_NS)
-                return
-            last_ns = self._expected.frames.at_ns[-1] + self.slipped_ns
-            self._wait_until(self._begun_ns + last_ns + round(AFTERWARDS_S * 1e9))
-            while self._look_at_a_frame():
-                pass
         except GatewayError as error:
             self._end(error)
         finally:
@@ -136,7 +94,7 @@ class Player:
         """False: something has ended it."""
         while self._ahead or self._read_a_step():
             step = self._ahead.popleft()
-            due_ns = self._begun_ns + self.slipped_ns + round(step.at_ns / self._speed)
+            due_ns = self._begun_ns + self._slipped_ns + round(step.at_ns / self._speed)
             if not self._wait_until(due_ns):
                 return False
             late_ns = time.monotonic_ns() - due_ns
@@ -144,15 +102,9 @@ class Player:
                 self._end(StoppedError(f"this machine fell {late_ns / 1e6:.0f} ms behind; all legs are stopped", ()))
                 return False
             if late_ns > SLIP_NS:
-                self.slipped_ns += late_ns
-            self._publish(step, lease)
-            if self._needs_frames and not self.written and due_ns - self._begun_ns > NO_FRAMES_NS:
-                self._end(
-                    ConfigError(
-                        "the gateway publishes no frames, so nothing can be compared; start it with "
-                        "HEXAPOD_TELEMETRY__FRAMES=true"
-                    )
-                )
+                self._slipped_ns += late_ns
+            self._client.publish(step.key, {**step.payload(), **lease})
+            self.sent += 1
         return True
 
     def _read_a_step(self) -> bool:
@@ -162,33 +114,14 @@ class Player:
             self._ahead.append(step)
         return step is not None
 
-    def _publish(self, step: Step, lease: Mapping[str, str]) -> None:
-        payload = {**step.payload(), **lease}
-        begun_ns = time.monotonic_ns() - self._begun_ns
-        self._client.publish(step.key, payload)
-        done_ns = time.monotonic_ns() - self._begun_ns
-        self.sent.append(begun_ns, done_ns)
-        self.late_ns.append(done_ns - step.at_ns)
-
     def _wait_until(self, due_ns: int) -> bool:
-        """Look at the frames that were received meanwhile. False: something has ended it."""
-        while due_ns - time.monotonic_ns() > FREE_NS and (self._look_at_a_frame() or self._read_a_step()):
+        """Read further steps meanwhile. False: something has ended it."""
+        while due_ns - time.monotonic_ns() > FREE_NS and self._read_a_step():
             pass
         while (left_ns := due_ns - time.monotonic_ns()) > 0:
             if self._wake.wait(left_ns / 1e9):
                 break
         return not self._wake.is_set()
-
-    def _look_at_a_frame(self) -> bool:
-        sample = self._frames.try_recv() if self._needs_frames else None
-        if sample is None:
-            return False
-        with suppress(ValidationError, ValueError):
-            record = FrameRecord.model_validate_json(sample.payload.to_bytes())
-            if self.written or record.cause == Cause.COMMAND:  # not the repeats of Stops before
-                commanded = record.cause not in (Cause.REPEAT, Cause.WATCHDOG)
-                self.written.append(Written(record.monotonic_ns, bytes.fromhex(record.bytes), commanded))
-        return True
 
     def _is_somebody_elses(self) -> bool:
         """Whether somebody else has the lease by now: a takeover has stopped all legs, and what runs now is theirs."""
@@ -204,12 +137,8 @@ class Player:
 
     @contextmanager
     def _receives(self) -> Iterator[None]:
-        handlers: dict[str, Any] = {EVENT: reports(Event, self._take_event)}
-        if self._needs_frames:
-            handlers[FRAME] = RingChannel(MOST_UNREAD)
-        with subscribed(self._client.session, handlers) as subscribers:
-            self._frames = subscribers[-1]
-            self._client.state()  # it has answered, so it knows of the subscriptions, which were declared before
+        with subscribed(self._client.session, {EVENT: reports(Event, self._take_event)}):
+            self._client.state()  # it has answered, so it knows of the subscription, which was declared before
             try:
                 yield
             finally:

@@ -97,12 +97,6 @@ def cut(
 def replay(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="A recording with frames")],
     speed: Annotated[float, typer.Option("--speed", metavar="X", min=0.1, max=10, help="2 is twice as fast.")] = 1.0,
-    check: Annotated[
-        bool, typer.Option("--check", help="Compare what the gateway then writes: same bytes, same order, same times.")
-    ] = False,
-    tolerance: Annotated[
-        float, typer.Option("--tolerance", metavar="MS", min=0, help="With --check: how far times may be off.")
-    ] = 5.0,
     yes: Annotated[bool, typer.Option("--yes", help="Move a real robot without asking.")] = False,
     connect: ConnectOption = None,
     zenoh_config: ZenohConfigOption = None,
@@ -112,14 +106,14 @@ def replay(
 
     It drives (see `lease`) meanwhile, and stops all legs at the end, also on Ctrl-C.
 
-    Exit codes: 0 all was sent (--check: and the gateway wrote the same), 1 it was rejected or stopped, or differs,
+    Exit codes: 0 all was sent, 1 it was rejected or stopped,
     2 there is nothing to replay, the robot is not at rest, or nobody agreed, 4 no gateway answers.
     """
     from gateway.people.tools import reach
     from gateway.people.tools.replay import SOURCE, replay
 
     connection = reach.connection(connect, zenoh_config, timeout, source=SOURCE)
-    sys.exit(replay(connection, file, speed=speed, check=check, agreed=yes, tolerance_ms=tolerance))
+    sys.exit(replay(connection, file, speed=speed, agreed=yes))
 
 
 @app.command()

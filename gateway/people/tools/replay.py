@@ -1,4 +1,4 @@
-"""`replay`: the frames of a recording as commands again, in their time; and whether the gateway writes the same."""
+"""`replay`: the frames of a recording as commands again, in their time."""
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -6,9 +6,8 @@ from typing import Any, Final
 
 from gateway.errors import ConfigError, LeaseError
 from gateway.people.recordings import Losses, read
-from gateway.people.recordings.comparing import NS_PER_MS, Frames, compare
-from gateway.people.recordings.replaying import Expected, Plan, Step, steps_of, survey
-from gateway.people.recordings.user_angles import UserAngles, user_bytes
+from gateway.people.recordings.replaying import NS_PER_MS, Plan, Step, steps_of, survey
+from gateway.people.recordings.user_angles import UserAngles
 from gateway.people.terminal import Progress, agrees, hint, say
 from gateway.people.tools.driving import drives, rejected
 from gateway.people.tools.player import Player, without_pauses
@@ -20,10 +19,8 @@ from schemas.telemetry import GatewayState
 SOURCE: Final = "hexapod-gateway replay"
 
 
-def replay(connect: Connection, path: Path, *, speed: float, check: bool, agreed: bool, tolerance_ms: float) -> int:
+def replay(connect: Connection, path: Path, *, speed: float, agreed: bool) -> int:
     """Replay `path` and return the exit code. Raises ConfigError, RejectedError, StoppedError, ZenohError."""
-    if check and speed != 1:
-        raise ConfigError("--check compares times, so it goes with --speed 1")
     recording = _Recording(path, watchdog_too=speed != 1)
     recorded, angles, losses = recording.survey()
     _look_at(path, recorded, losses)
@@ -32,25 +29,18 @@ def replay(connect: Connection, path: Path, *, speed: float, check: bool, agreed
         _fit(state, recorded, speed)
         target = calibration_of(client.calibration()) if state.calibration.revision else Calibration()
         _same_angles(path, angles, target)
-        if check and not state.simulated:
-            hint("This is a real controller; what it writes is compared all the same.")
         if losses and not state.simulated:
             raise ConfigError(f"{path}: {losses}. A real robot would leap over them, so nothing is sent")
         if not state.simulated:
             _ask(recorded, speed, agreed=agreed)
-        expected = Expected() if check else None
-        steps = recording.steps(expected)
-        player = Player(client, recorded, steps, speed, expected=expected, on_time=check and state.simulated)
+        player = Player(client, recorded, recording.steps(), speed)
         try:
             with without_pauses(), drives(client, recorded.duration_ns / speed / 1e9 + 1, moves=True) as lease:
                 player.run(lease)
         except LeaseError as error:
             return rejected(error)
-    sent = f"{len(player.sent)} commands in {recorded.duration_ns / speed / 1e9:.1f} s"
-    if expected is None:
-        say(f"replayed: {sent}")
-        return 0
-    return _report(expected, player, target, sent, tolerance_ms)
+    say(f"replayed: {player.sent} commands in {recorded.duration_ns / speed / 1e9:.1f} s")
+    return 0
 
 
 class _Recording:
@@ -70,10 +60,9 @@ class _Recording:
             )
         return plan, angles, losses
 
-    def steps(self, expected: Expected | None) -> Iterator[Step]:
-        """The steps to send; what the gateway then writes is added to `expected`."""
-        frames = self._frames(UserAngles(), Losses())
-        return steps_of(frames, watchdog_too=self._watchdog_too, expected=expected)
+    def steps(self) -> Iterator[Step]:
+        """The steps to send."""
+        return steps_of(self._frames(UserAngles(), Losses()), watchdog_too=self._watchdog_too)
 
     def _frames(self, angles: UserAngles, losses: Losses) -> Iterator[Mapping[str, Any]]:
         return angles.frames(read(self._path, losses, (STATE, CALIBRATION, FRAME)))
@@ -137,38 +126,3 @@ def _ask(recorded: Plan, speed: float, *, agreed: bool) -> None:
     hint(what)
     if not agreed and not agrees("Is it free to move, with somebody at the switch of its supply?"):
         raise ConfigError("nothing was sent")
-
-
-def _report(expected: Expected, player: Player, target: Calibration, sent: str, tolerance_ms: float) -> int:
-    written = _in_its_time(expected.frames, player, target)
-    found = compare(expected.frames, expected.recorded_ns, player.sent, written, tolerance_ms)
-    for difference in found.differences:
-        say(difference)
-    say(
-        f"{'the same' if found.passes else 'NOT the same'}: {sent}; {found.frames} frames expected, "
-        f"{len(written)} written, {found.same} of them the same, {found.swapped} overtaken by another leg's, "
-        f"at most {found.worst_ms:.2f} ms from their time (p99 {found.p99_ms:.2f} ms)"
-    )
-    if found.beyond:
-        say(f"{found.beyond} frames are more than {tolerance_ms:g} ms from it, the worst at {found.worst_at_s:.3f} s")
-    late_ms = sorted(late_ns / NS_PER_MS for late_ns in player.late_ns)
-    hint(
-        f"Times are counted from when each command was sent: this machine was at most {late_ms[-1]:.2f} ms late "
-        f"(p99 {late_ms[len(late_ms) * 99 // 100]:.2f} ms)."
-    )
-    return 0 if found.passes else 1
-
-
-def _in_its_time(expected: Frames, player: Player, target: Calibration) -> Frames:
-    """What was written, in users' angles, without the repeats of Stops that the recording ended before."""
-    count = len(player.written)
-    if count:
-        begun_ns = player.written.at_ns[0] - expected.at_ns[0]
-        end_ns = begun_ns + expected.at_ns[-1] + player.slipped_ns
-        while count > len(expected) and player.written.at_ns[count - 1] > end_ns:
-            count -= 1
-    found = Frames()
-    for place in range(count):
-        frame = player.written.frame(place)
-        found.append(frame._replace(data=user_bytes(target, frame.data)))
-    return found

@@ -21,8 +21,7 @@ import ctypes
 import gc
 import os
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from typing import Final
 
 LOOP_PRIORITY: Final = 20
@@ -76,25 +75,6 @@ def prefer_thread(priority: int) -> bool:
     except (AttributeError, OSError):  # not Linux; not allowed
         return False
     return True
-
-
-@contextmanager
-def prefer_all_threads(priority: int) -> Iterator[None]:
-    """Give all threads that this process has by now real-time priority for a time, where it is granted."""
-    prefer_process()
-    raised = []
-    with suppress(OSError, AttributeError):  # not Linux; not allowed
-        for thread in map(int, os.listdir("/proc/self/task")):
-            with suppress(ProcessLookupError):  # it has just ended
-                if os.sched_getscheduler(thread) == os.SCHED_OTHER:
-                    os.sched_setscheduler(thread, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(priority))
-                    raised.append(thread)
-    try:
-        yield
-    finally:
-        for thread in raised:
-            with suppress(OSError):
-                os.sched_setscheduler(thread, os.SCHED_OTHER, os.sched_param(0))
 
 
 def freeze_gc() -> None:

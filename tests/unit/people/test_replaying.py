@@ -1,17 +1,13 @@
-"""What is sent for recorded frames, and whether two lists of frames are the same."""
+"""What is sent for recorded frames."""
 
 import io
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from typing import Any, Final, NamedTuple
 
 import pytest
-from hypothesis import Phase, given, settings
-from hypothesis import strategies as st
 
 from gateway.errors import ConfigError
-from gateway.people.recordings.comparing import NS_PER_MS, Comparison, Frames, Sent, Written
-from gateway.people.recordings.comparing import compare as compare_frames
-from gateway.people.recordings.replaying import APART_NS, Expected, Plan, Step, steps_of, survey
+from gateway.people.recordings.replaying import APART_NS, NS_PER_MS, Plan, Step, steps_of, survey
 from gateway.people.recordings.user_angles import UserAngles
 from gateway.people.tools.replay import _ask, _fit
 from gateway.robot.protocol.frames import OneLeg, OneServo, Op, ServoOp, stop_leg
@@ -37,34 +33,15 @@ def record(at_ms: float, frame: OneLeg | OneServo, cause: Cause = Cause.COMMAND)
 
 
 class Planned(NamedTuple):
-    """What is sent and expected, as objects, and what it comes to."""
+    """What is sent, as objects, and what it comes to."""
 
     steps: list[Step]
-    expected: list[Written]
-    recorded_ns: Sequence[int]
     plan: Plan
 
 
 def plan(records: Iterable[Mapping[str, Any]], *, watchdog_too: bool = False) -> Planned:
     records = list(records)
-    found = Expected()
-    steps = list(steps_of(records, watchdog_too=watchdog_too, expected=found))
-    frames = [found.frames.frame(place) for place in range(len(found.frames))]
-    return Planned(steps, frames, found.recorded_ns, survey(records, lambda _: None))
-
-
-def sending(*times_ns: tuple[int, int]) -> Sent:
-    found = Sent()
-    for begun_ns, done_ns in times_ns:
-        found.append(begun_ns, done_ns)
-    return found
-
-
-def compare(
-    planned: Planned, sent: Sequence[tuple[int, int]], written: Sequence[Written], tolerance_ms: float
-) -> Comparison:
-    recorded_ns = planned.recorded_ns
-    return compare_frames(Frames(planned.expected), recorded_ns, sending(*sent), Frames(written), tolerance_ms)
+    return Planned(list(steps_of(records, watchdog_too=watchdog_too)), survey(records, lambda _: None))
 
 
 def sent(*records: dict[str, Any], watchdog_too: bool = False) -> list[tuple[float, str, dict[str, Any]]]:
@@ -107,7 +84,7 @@ def test_what_one_message_cannot_cause_in_this_order_is_sent_apart(other: OneLeg
     assert apart_ns == (APART_NS if found.steps[0].key != found.steps[1].key else 200_000)
 
 
-def test_what_the_gateway_does_by_itself_is_not_sent_but_expected() -> None:
+def test_what_the_gateway_does_by_itself_is_not_sent() -> None:
     records = [
         record(-50, stop_leg(1), Cause.STARTUP),
         record(-30, stop_leg(1), Cause.REPEAT),
@@ -119,14 +96,12 @@ def test_what_the_gateway_does_by_itself_is_not_sent_but_expected() -> None:
     ]
     assert [at for at, _, _ in sent(*records)] == [0, 500, *(pytest.approx(600 + number) for number in (1, 4))]
     assert [at for at, _, _ in sent(*records, watchdog_too=True)][:3] == [0, 250, 500]
-    assert [frame.at_ns // NS_PER_MS for frame in plan(records).expected[:4]] == [0, 250, 270, 500]
 
 
 def test_a_recording_of_legs_that_ran_already_starts_them() -> None:
     found = plan([record(0, leg(1)), record(20, leg(1)), record(30, leg(2))])
     assert [step.payload()["servos"][0]["op"] for step in found.steps] == ["start", "set", "start"]
     assert found.plan.begun_running == 6
-    assert found.expected[0].data == leg(1, Op.START).to_bytes()
 
 
 def test_a_gap_counts_only_while_the_leg_runs() -> None:
@@ -160,174 +135,6 @@ def test_frames_that_lack_something_are_left_out(field: str, value: object, cali
     records = [broken, record(20, leg(1, Op.START)), broken, record(40, leg(1))]
     found = plan(angles.record(each) for each in records)
     assert (len(found.steps), found.plan.left_out) == (2, 2)
-
-
-# ---- comparing
-
-GAIT: Final = plan(
-    [record(20 * step + 0.1 * number, leg(number, deg=90 + step)) for step in range(50) for number in LEGS]
-)
-PUNCTUAL: Final = [(step.at_ns, step.at_ns) for step in GAIT.steps]
-
-
-def shifted(frames: Sequence[Written], ns: int) -> list[Written]:
-    return [frame._replace(at_ns=frame.at_ns + ns) for frame in frames]
-
-
-def test_the_same_frames_are_the_same_whenever_they_began() -> None:
-    found = compare(GAIT, PUNCTUAL, shifted(GAIT.expected, 10**12), 0)
-    assert found.passes
-    assert found.frames == 300
-
-
-def test_a_frame_that_comes_late_is_reported() -> None:
-    late = shifted(GAIT.expected, 5)
-    late[100:101] = shifted(late[100:101], 900_000)
-    found = compare(GAIT, PUNCTUAL, late, 0.8)
-    assert found.worst_ms == pytest.approx(0.9)
-    assert (found.passes, found.beyond) == (False, 1)
-    assert found.worst_at_s == pytest.approx(0.320, abs=1e-3)
-    assert compare(GAIT, PUNCTUAL, late, 1).passes
-
-
-def test_other_bytes_are_reported() -> None:
-    other = list(GAIT.expected)
-    other[12] = other[12]._replace(data=leg(1, deg=10).to_bytes())
-    found = compare(GAIT, PUNCTUAL, other, 5)
-    assert not found.passes
-    assert found.differences[0].startswith(
-        "leg 1: 49 frames are the same, 1 different; the first: at 0.040 s 0e010b030a"
-    )
-    assert found.same == 299
-
-
-def test_a_missing_frame_is_reported() -> None:
-    found = compare(GAIT, PUNCTUAL, GAIT.expected[:-1], 5)
-    assert found.differences[0].startswith("leg 6: 49 frames are the same, 1 missing; the first: at 0.981 s 0e01")
-    longer = [*GAIT.expected, Written(10**9, leg(6).to_bytes())]
-    assert compare(GAIT, PUNCTUAL, longer, 5).differences[0].endswith(" was added")
-    assert not compare(GAIT, PUNCTUAL, [], 5).passes
-
-
-def test_legs_in_another_order_are_reported() -> None:
-    frames = GAIT.expected
-    found = compare(GAIT, PUNCTUAL, [*frames[:6], frames[7], frames[6], *frames[8:]], 5)
-    assert not found.differences
-    assert found.swapped == 1
-    assert not found.passes
-
-
-def test_the_gateways_own_frames_may_come_before_or_after_those_of_other_legs() -> None:
-    first = [record(0.1 * number, leg(number)) for number in LEGS]
-    expected = plan([*first[:5], record(0.55, stop_leg(3), Cause.REPEAT), first[5]])
-    *frames, repeat, last = expected.expected
-    assert (repeat.commanded, last.commanded) == (False, True)
-    assert compare(expected, PUNCTUAL[:1], [*frames, last, repeat], 5).swapped == 0
-
-
-def test_a_command_that_was_sent_late_is_expected_late() -> None:
-    sent = list(PUNCTUAL)
-    sent[10] = (sent[10][0] + 3_000_000, sent[10][1] + 3_000_000)
-    late = [*GAIT.expected[:60], *shifted(GAIT.expected[60:66], 3_000_000), *GAIT.expected[66:]]
-    assert compare(GAIT, sent, shifted(late, 7), 0).passes
-    assert compare(GAIT, PUNCTUAL, late, 5).worst_ms == pytest.approx(3)
-    assert compare(GAIT, sent, GAIT.expected, 5).worst_ms == pytest.approx(3), "it cannot be written before it was sent"
-
-
-def test_within_the_time_that_sending_took_nobody_knows_when_it_left() -> None:
-    sent = list(PUNCTUAL)
-    sent[10] = (sent[10][0], sent[10][1] + 4_000_000)
-    for after_ns in (0, 2_000_000, 4_000_000):
-        frames = [*GAIT.expected[:60], *shifted(GAIT.expected[60:66], after_ns), *GAIT.expected[66:]]
-        assert compare(GAIT, sent, frames, 0).passes
-    frames = [*GAIT.expected[:60], *shifted(GAIT.expected[60:66], 4_500_000), *GAIT.expected[66:]]
-    assert compare(GAIT, sent, frames, 5).worst_ms == pytest.approx(0.5)
-
-
-def test_what_the_gateway_does_by_itself_is_expected_so_long_after_the_legs_last_command() -> None:
-    others = [record(20.0 * step, leg(2)) for step in range(1, 12)]
-    own = [record(250, stop_leg(1), Cause.WATCHDOG), record(270, stop_leg(1), Cause.REPEAT)]
-    expected = plan([record(0, leg(1)), *others, *own])
-    late_ns = 2_000_000
-    sent = [(step.at_ns, step.at_ns) for step in expected.steps]
-    sent[0] = (late_ns, late_ns)
-    written = [frame._replace(at_ns=frame.at_ns + late_ns * (frame.data[2] == 11)) for frame in expected.expected]
-    assert [frame.commanded for frame in written].count(False) == 2
-    assert compare(expected, sent, written, 0).passes
-
-
-def test_what_is_sent_apart_from_what_it_was_written_with_is_expected_apart() -> None:
-    expected = plan([record(0, leg(4)), record(0.2, OneServo(61, ServoOp(Op.START, 0)))])
-    sent = [(step.at_ns, step.at_ns) for step in expected.steps]
-    written = [expected.expected[0], expected.expected[1]._replace(at_ns=APART_NS)]
-    assert compare(expected, sent, written, 0).passes
-
-
-# ---- past a difference
-
-LONG: Final = plan(
-    [
-        record(20 * step + 0.1 * number, leg(number, deg=20 + step % 1500 / 10))
-        for step in range(3000)
-        for number in LEGS
-    ]
-)
-LONG_SENT: Final = [(step.at_ns, step.at_ns) for step in LONG.steps]
-STANDING: Final = plan([record(20 * step + 0.1 * number, leg(number)) for step in range(3000) for number in LEGS])
-
-
-@pytest.mark.parametrize("planned", [LONG, STANDING], ids=["walking", "standing"])
-@pytest.mark.parametrize(("begin", "steps"), [(50, 1), (50, 7), (50, 600), (0, 1), (2999, 1)])
-def test_after_steps_that_are_missing_the_rest_is_compared_and_timed(planned: Planned, begin: int, steps: int) -> None:
-    """A gateway that stood still, or was sent two setpoints at once, writes only the newer of them."""
-    rest = [*planned.expected[: 6 * begin], *planned.expected[6 * (begin + steps) :]]
-    found = compare(planned, LONG_SENT, shifted(rest, 10**12), 1)
-    assert found.same == len(rest)
-    assert len(found.differences) == 6
-    assert f"leg 3: {3000 - steps} frames are the same, {steps} missing; the first: at " in found.differences[2]
-    assert (found.beyond, found.swapped, found.passes) == (0, 0, False)
-    late = [*rest[:-60], *shifted(rest[-60:], 3 * NS_PER_MS)]
-    assert compare(planned, LONG_SENT, late, 1).beyond == 60, "what is late behind it is late"
-
-
-def test_a_frame_of_the_same_bytes_that_is_late_is_not_taken_for_its_neighbour() -> None:
-    late = list(STANDING.expected)
-    late[600:606] = shifted(late[600:606], 15 * NS_PER_MS)
-    found = compare(STANDING, LONG_SENT, late, 1)
-    assert (found.differences, found.beyond) == ([], 6)
-    assert found.worst_ms == pytest.approx(15)
-
-
-def test_what_is_different_throughout_is_reported_in_a_time_that_grows_with_its_length() -> None:
-    other = [frame._replace(data=leg(frame.data[2] // 10, deg=1).to_bytes()) for frame in LONG.expected]
-    found = compare(LONG, LONG_SENT, other, 1)
-    assert (found.same, len(found.differences)) == (0, 6)
-    assert all(
-        each.startswith(f"leg {number}: 0 frames are the same, 3000 different")
-        for number, each in zip(LEGS, found.differences, strict=True)
-    )
-
-
-@given(
-    st.lists(
-        st.tuples(st.integers(0, 299).map(lambda tenth: 10 * tenth), st.sampled_from(["miss", "add", "change"])),
-        max_size=20,
-    )
-)
-@settings(max_examples=5, deadline=None, phases=[Phase.explicit, Phase.generate])
-def test_whatever_differs_in_a_walk_all_else_is_the_same(faults: list[tuple[int, str]]) -> None:
-    written: list[list[Written]] = [[frame] for frame in LONG.expected]
-    strange = leg(1, deg=179).to_bytes()
-    for step, fault in faults:
-        frame = LONG.expected[6 * step]
-        written[6 * step] = {
-            "miss": [], "add": [frame._replace(data=strange), frame], "change": [frame._replace(data=strange)]
-        }[fault]  # fmt: skip
-    kinds = dict(faults)
-    found = compare(LONG, LONG_SENT, [frame for frames in written for frame in frames], 1)
-    assert found.same == 18_000 - sum(kind != "add" for kind in kinds.values())
-    assert (found.beyond, found.swapped) == (0, 0)
-    assert found.passes == (not faults)
 
 
 def test_a_gap_that_the_watchdog_does_not_wait_for_is_reported_beforehand(capsys: pytest.CaptureFixture[str]) -> None:
