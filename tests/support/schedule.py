@@ -94,7 +94,7 @@ EXTENDED: Final = (
     "hil/test_death.py::test_killed_at_random_moments_under_load",
     "hil/test_load.py",
     "zenoh/test_console_bounds.py",
-    "zenoh/test_record.py::test_a_killed_recorder_leaves_all_but_the_newest_and_the_next_one_repairs_it",
+    "zenoh/test_record.py::test_a_killed_recorder_leaves_all_but_the_newest",
     "box/test_power_cut.py",
     # the drill and its planted gateways; releases, and what else may happen to an installation
     "box/test_bundle.py",

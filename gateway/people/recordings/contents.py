@@ -49,7 +49,9 @@ class Contents(NamedTuple):
         if self.losses:
             found.append(str(self.losses))
         if self.losses.cut_off:
-            found.append("It ends in the middle: `record --repair` makes it whole, unless it is being written just now")
+            found.append(
+                "It ends in the middle, or is being written. `recordings cut` or `mcap recover` makes a whole file of it"
+            )
         return found
 
 

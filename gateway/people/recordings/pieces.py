@@ -52,7 +52,7 @@ class Losses:
     """The first of them, in bytes from the file's beginning."""
     first_why: str = ""
     missing: int = 0
-    """Messages that were there once, as the numbers of the others tell; also in a file that was repaired."""
+    """Messages that were there once, as the numbers of the others tell; also in a piece that was cut."""
     cut_off: bool = False
     """Whether the file ends within a record."""
 

@@ -48,15 +48,6 @@ def records(path: Path, losses: Losses | None = None) -> Iterator[McapRecord]:
         raise ConfigError(f"{path}: cannot be read ({error.strerror})") from error
 
 
-def is_ours(path: Path) -> bool:
-    """Whether this program began the file."""
-    try:
-        first = next(records(path), None)
-    except ConfigError:
-        return False
-    return isinstance(first, Header) and first.library.startswith(LIBRARY_NAME)
-
-
 def read(path: Path, losses: Losses | None = None, topics: Container[str] | None = None) -> Iterator[Message]:
     """The JSON messages of a recording, in the file's order, also of one that was cut off or is damaged.
 

@@ -186,7 +186,7 @@ class Recording:
             self._file.close()
 
     def abandon(self) -> None:
-        """Close the file as it is: the disk does not take the rest. `repair` makes it whole."""
+        """Close the file as it is: the disk does not take the rest."""
         self._file.close()
 
     def _declare_again(self, time_ns: int) -> None:
@@ -223,7 +223,7 @@ class _Unbuffered(BufferedWriter):
         super().__init__(file)
         self.size = 0
         try:
-            _lock(self.fileno())  # so that nobody repairs what is being written
+            _lock(self.fileno())  # so that two programs never write one file
             self.truncate(0)
         except BaseException:
             self.close()
@@ -253,19 +253,6 @@ def _lock(fd: int) -> None:
         raise ConfigError("another program is writing this file") from error
     except OSError:  # a file system without locks
         return
-
-
-def in_use(fd: int) -> bool:
-    """Whether another program writes this file."""
-    if sys.platform == "win32":
-        return False
-    with suppress(OSError):
-        try:
-            fcntl.flock(fd, fcntl.LOCK_SH | fcntl.LOCK_NB)
-        except BlockingIOError:
-            return True
-        fcntl.flock(fd, fcntl.LOCK_UN)
-    return False
 
 
 @contextmanager

@@ -10,8 +10,7 @@ from typing import Any, Final
 from gateway.errors import ConfigError, GatewayError
 from gateway.geometry import load
 from gateway.people.client.live import ReportQueue
-from gateway.people.recordings import REPORTS, Recording, is_cut_off, is_damaged, is_ours
-from gateway.people.recordings import repair as repair_recording
+from gateway.people.recordings import REPORTS, Recording
 from gateway.people.recordings.writing import about
 from gateway.people.terminal import clear_line, hint, on_end_signals, say, show_line, this_command
 from gateway.people.tools.reach import Connection
@@ -26,21 +25,9 @@ MOST_WAITING: Final = 100_000
 _NAMES: Final = {STATE: "states", EVENT: "events", FRAME: "frames"}
 
 
-def repair_file(path: Path) -> int:
-    """`record --repair`."""
-    if not path.exists():
-        raise ConfigError(f"{path}: there is no such file")
-    if is_cut_off(path) or is_damaged(path):
-        _repair(path)
-    else:
-        say(f"{path}: is whole (or is being written just now); nothing to repair")
-    return 0
-
-
 def record(connect: Connection, path: Path, *, geometry: Path | None, overwrite: bool, seconds: float | None) -> int:
     """Record until a signal, or for `seconds`. Returns the exit code."""
     shape = load(geometry)
-    _repair_all(path)
     if path.exists() and not overwrite:
         raise ConfigError(f"{path}: exists; name another file, or overwrite it with --force")
     with connect() as client:
@@ -83,8 +70,8 @@ class _Recorder:
             clear_line()
             path = self._recording.path
             raise _DiskError(
-                f"{path}: cannot be written any more ({error.strerror}). What came before is in it: make room, and "
-                f"`{this_command()} record --repair {path}` makes it whole"
+                f"{path}: cannot be written any more ({error.strerror}). What came before is in it, and can be "
+                f"read; once there is room, `{this_command()} recordings cut {path} FILE` makes a whole file of it"
             ) from error
         clear_line()
         self._report()
@@ -133,25 +120,3 @@ class _Recorder:
 
 class _DiskError(GatewayError):
     """The recording ends since the disk does not take it."""
-
-
-def _repair_all(path: Path) -> None:
-    """Make whole what an earlier recording in this folder left behind when it was killed."""
-    with suppress(OSError):
-        for each in sorted(path.absolute().parent.glob("*.mcap")):
-            if is_cut_off(each) and is_ours(each):
-                try:
-                    _repair(each)
-                except (GatewayError, OSError) as error:  # what cannot be repaired keeps nobody from recording
-                    hint(str(error))
-
-
-def _repair(path: Path) -> None:
-    was = "was cut off" if is_cut_off(path) else "was damaged"
-    try:
-        repaired = repair_recording(path)
-    except OSError as error:
-        raise _DiskError(f"{path}: cannot be repaired ({error.strerror}); it is as it was") from error
-    say(f"{path}: {was}; repaired, with {repaired.messages} messages of {repaired.seconds:.1f} s")
-    if repaired.original is not None:
-        say(f"{path}: {repaired.losses}. As it was, the file is {repaired.original}")

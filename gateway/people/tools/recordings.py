@@ -27,9 +27,6 @@ def record(
         float | None, typer.Option("--for", metavar="S", min=0, help="End by itself after this many seconds.")
     ] = None,
     force: Annotated[bool, typer.Option("--force", help="Overwrite a file that exists.")] = False,
-    repair: Annotated[
-        bool, typer.Option("--repair", help="Record nothing: make a file whole that was cut off.")
-    ] = False,
     geometry: OtherShapeOption = None,
     connect: ConnectOption = None,
     zenoh_config: ZenohConfigOption = None,
@@ -38,15 +35,13 @@ def record(
     """Record state, events and frames into an MCAP file, until Ctrl-C.
 
     Foxglove and Lichtblick open it, and so do twenty lines of Python (docs/recordings.md). Frames are in it where the
-    gateway publishes them (telemetry.frames). Recordings in the same folder that were cut off are made whole first.
+    gateway publishes them (telemetry.frames).
 
     Exit codes: 0 ended on request, 1 the disk does not take it, 2 the file exists or is none, 4 no gateway answers.
     """
     from gateway.people.tools import reach
-    from gateway.people.tools.record import record, repair_file
+    from gateway.people.tools.record import record
 
-    if repair:
-        sys.exit(repair_file(file))
     if file.suffix != ".mcap":
         raise ConfigError(f"{file}: name the file with .mcap, by which viewers know it: {file.with_suffix('.mcap')}")
     connection = reach.connection(connect, zenoh_config, timeout, source="hexapod-gateway record")
@@ -84,6 +79,8 @@ def cut(
     to_s: Annotated[float, typer.Option("--to", metavar="S", min=0, help="The same.")] = 1e9,
 ) -> None:
     """Make a file of a piece of it; the robot's description and the calibration come along.
+
+    Without --from and --to: a whole file of all that can be read of one that was cut off, or is damaged.
 
     Exit codes: 0 made, 2 nothing is there, or a file cannot be read or written, or exists.
     """

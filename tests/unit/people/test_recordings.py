@@ -16,7 +16,7 @@ from pydantic import BaseModel, TypeAdapter
 
 from gateway.errors import ConfigError
 from gateway.geometry import joint_name, load, urdf
-from gateway.people.recordings import REPORTS, Drawing, Recording, is_cut_off, read, repair
+from gateway.people.recordings import REPORTS, Drawing, Recording, read
 from gateway.people.recordings.contents import contents, cut
 from gateway.people.recordings.drawing import (
     DESCRIPTION,
@@ -33,7 +33,6 @@ from gateway.people.recordings.plain_schema import plain_schema, without_nulls
 from gateway.people.recordings.writing import about
 from gateway.people.ros2.cdr import Message, decode, definition
 from gateway.people.ros2.messages import JointState, Marker, MarkerArray, String, TFMessage, TransformStamped
-from gateway.people.tools.record import repair_file
 from gateway.people.tools.recordings import info
 from gateway.robot.protocol.frames import OneServo, Op, ServoOp, stop_leg
 from schemas import keys
@@ -292,7 +291,7 @@ def test_its_contents_are_said_for_people_and_programs(path: Path) -> None:
     assert found.as_json()["messages"] == found.messages
     assert any("hexapod/frame" in line for line in found.lines())
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
-    assert contents(path).lines()[-1].startswith("It ends in the middle: `record --repair` makes it whole")
+    assert contents(path).lines()[-1].startswith("It ends in the middle, or is being written. `recordings cut`")
 
 
 def test_a_strangers_names_do_not_control_the_terminal_and_what_is_empty_is_not_damaged(
@@ -359,39 +358,33 @@ def test_a_quiet_robots_messages_do_not_wait_for_a_full_chunk(path: Path) -> Non
     recording.close()
 
 
-def test_a_file_cut_off_anywhere_is_repaired_with_all_that_it_still_has(path: Path) -> None:
+def test_of_a_file_cut_off_anywhere_a_whole_one_is_made_with_all_that_it_still_has(path: Path) -> None:
     with Recording(path, time_ns=START_NS):
         begun = path.stat().st_size
     path.unlink()
     recorded(path).close()
     data = path.read_bytes()
-    assert not is_cut_off(path)
     chance = random.Random(1)  # noqa: S311
-    for end in (*(chance.randrange(begun, len(data)) for _ in range(20)), len(data) - 1, len(data) - 8):
+    into = path.with_name("whole.mcap")
+    for end in (*(chance.randrange(begun + 30_000, len(data)) for _ in range(20)), len(data) - 1, len(data) - 8):
         path.write_bytes(data[:end])
-        assert is_cut_off(path)
         expected = list(read(path))
-        repaired = repair(path)
-        assert repaired.messages > len(expected)
-        assert not is_cut_off(path)
-        with path.open("rb") as file:
+        assert cut(path, into, from_s=0, to_s=1e9) > len(expected)
+        with into.open("rb") as file:
             own = [
                 (channel.topic, json.loads(message.data))
                 for _, channel, message in make_reader(file, validate_crcs=True).iter_messages(log_time_order=False)
                 if channel.topic not in DRAWN
             ]
         assert own == [(message.topic, message.content) for message in expected]
-        assert list(path.parent.iterdir()) == [path]
+        into.unlink()
 
 
 @pytest.mark.parametrize("content", [b"", b"x" * 100, b"\x89MCAP0\r\n", b"\x89MCAP0\r\n" + b"\0" * 50])
-def test_what_is_no_recording_is_reported_and_left_as_it_is(path: Path, content: bytes) -> None:
+def test_what_is_no_recording_is_reported(path: Path, content: bytes) -> None:
     path.write_bytes(content)
-    for mend in (repair, repair_file):
-        with pytest.raises(ConfigError, match=r"ride\.mcap: (is no MCAP|was cut off before its first|no message)"):
-            mend(path)
-    assert path.read_bytes() == content
-    assert list(path.parent.iterdir()) == [path]
+    with pytest.raises(ConfigError, match=r"ride\.mcap: (is no MCAP|no message|has no message)"):
+        contents(path)
 
 
 def test_a_disk_that_is_full_from_the_beginning_is_left_without_an_empty_file(
@@ -407,9 +400,8 @@ def test_a_disk_that_is_full_from_the_beginning_is_left_without_an_empty_file(
     assert not path.exists()
 
 
-def test_a_file_that_is_being_written_is_not_cut_off_and_no_second_program_writes_it(path: Path) -> None:
+def test_no_second_program_writes_a_file_that_is_being_written(path: Path) -> None:
     with recorded(path) as recording:
-        assert not is_cut_off(path)
         with pytest.raises(FileExistsError):
             Recording(path, time_ns=START_NS)
         with pytest.raises(ConfigError, match="another program"):

@@ -19,11 +19,11 @@ from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.writer import CompressionType, Writer
 
 from gateway.errors import ConfigError
-from gateway.people.recordings import Losses, Recording, is_damaged, read, repair
+from gateway.people.recordings import Losses, Recording, read
+from gateway.people.recordings.contents import cut
 from gateway.people.recordings.pieces import MAGIC
 from gateway.people.recordings.reading import records
 from gateway.people.recordings.unpacking import MAX_UNPACKED_BYTES
-from gateway.people.tools.record import _repair_all, repair_file
 from schemas import keys
 from tests.unit.people.test_recordings import START_NS, recorded, reports
 
@@ -119,72 +119,22 @@ def test_of_each_damaged_chunk_only_its_own_messages_are_missing(path: Path, rid
             assert losses.cut_off == cut or place is all_places[-1]
 
 
-def test_what_is_repaired_is_a_whole_file_and_the_damaged_one_stays(path: Path, ride: bytes) -> None:
+def test_a_piece_of_a_damaged_one_is_a_whole_file_and_the_damaged_one_stays(path: Path, ride: bytes) -> None:
     whole = contents(path)
     _, place, *_ = places(ride)
     damaged = flipped(ride, place.end - 1, random.Random(4))  # noqa: S311
-    for data, number in ((damaged, ""), (damaged[:-2000], "-2")):
+    for data in (damaged, damaged[:-2000]):
         path.write_bytes(data)
-        repaired = repair(path)
-        assert repaired.original == path.with_name(f"ride.mcap.damaged{number}")
-        assert repaired.original.read_bytes() == data
-        assert contents(path) == [*whole[: place.first], *whole[place.behind :]][: repaired.messages]
-        assert repaired.losses.missing == place.behind - place.first
-        with path.open("rb") as file:
+        into = path.with_name(f"whole-{len(data)}.mcap")
+        assert cut(path, into, from_s=0, to_s=1e9)
+        assert path.read_bytes() == data
+        readable = contents(path)
+        assert readable == [*whole[: place.first], *whole[place.behind :]][: len(readable)]
+        assert len(readable) > 0.6 * len(whole)
+        assert contents(into) == readable
+        with into.open("rb") as file:
             messages = make_reader(file, validate_crcs=True).iter_messages(log_time_order=False)
-            assert [(channel.topic, message.data) for _, channel, message in messages] == contents(path)
-        again = Losses()
-        assert contents(path, again)
-        assert (again.places, again.missing) == (0, repaired.losses.missing), "the repaired one says so, too"
-    assert repaired.messages > 0.6 * len(whole)
-
-
-def test_where_a_file_system_has_no_second_names_the_damaged_one_stays_as_well(
-    path: Path, ride: bytes, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def fat(_self: Path, _target: Path) -> None:
-        raise PermissionError(1, "Operation not permitted")
-
-    monkeypatch.setattr(Path, "hardlink_to", fat)
-    damaged = flipped(ride, places(ride)[1].end - 1, random.Random(5))  # noqa: S311
-    path.with_name("ride.mcap.damaged").write_text("mine")
-    path.write_bytes(damaged)
-    assert repair(path).original == path.with_name("ride.mcap.damaged-2")
-    assert path.with_name("ride.mcap.damaged-2").read_bytes() == damaged
-    assert path.with_name("ride.mcap.damaged").read_text() == "mine"
-
-
-def test_the_next_record_destroys_no_damaged_recording(
-    path: Path, ride: bytes, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """One wrong byte in a file that was cut off: nearly all of it is there, and so is the original."""
-    damaged = flipped(ride, places(ride)[7].end - 1, random.Random(6))[:-2000]  # noqa: S311
-    path.write_bytes(damaged)
-    readable = contents(path)
-    _repair_all(path.with_name("next.mcap"))
-    said = capsys.readouterr().out
-    assert f"was cut off; repaired, with {len(readable)} messages" in said
-    assert "1 damaged place was skipped (at byte " in said
-    assert "messages are missing. As it was, the file is " in said
-    assert contents(path) == readable
-    assert path.with_name("ride.mcap.damaged").read_bytes() == damaged
-    _repair_all(path.with_name("next.mcap"))
-    assert capsys.readouterr().out == ""
-
-
-def test_a_whole_file_is_repaired_where_it_is_damaged_and_only_there(
-    path: Path, ride: bytes, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert not is_damaged(path)
-    assert repair_file(path) == 0
-    assert "nothing to repair" in capsys.readouterr().out
-    assert path.read_bytes() == ride
-    path.write_bytes(flipped(ride, places(ride)[5].end - 1, random.Random(7)))  # noqa: S311
-    assert is_damaged(path)
-    assert repair_file(path) == 0
-    assert "was damaged; repaired" in capsys.readouterr().out
-    assert repair_file(path) == 0
-    assert "nothing to repair" in capsys.readouterr().out
+            assert [(channel.topic, message.data) for _, channel, message in messages] == readable
 
 
 def test_whatever_is_damaged_reading_ends_and_finds_no_more_than_there_was(path: Path, ride: bytes) -> None:
@@ -304,11 +254,10 @@ def test_a_file_of_nothing_but_beginnings_takes_no_longer_than_its_size(path: Pa
     assert losses.places
 
 
-def test_one_that_has_no_message_left_is_left_as_it_is(path: Path, ride: bytes) -> None:
+def test_of_one_that_has_no_message_left_no_piece_is_made(path: Path, ride: bytes) -> None:
     path.write_bytes(ride[: len(MAGIC) + 30] + b"\xff" * 1000)
     with pytest.raises(ConfigError, match="no message in it can be read"):
-        repair(path)
-    assert path.read_bytes() == ride[: len(MAGIC) + 30] + b"\xff" * 1000
+        cut(path, path.with_name("whole.mcap"), from_s=0, to_s=1e9)
     assert list(path.parent.iterdir()) == [path]
 
 
