@@ -50,7 +50,7 @@ class Contents(NamedTuple):
             found.append(str(self.losses))
         if self.losses.cut_off:
             found.append(
-                "It ends in the middle, or is being written. `recordings cut` or `mcap recover` makes a whole file of it"
+                "It ends in the middle, or is being written; `recordings cut` or `mcap recover` makes it a whole file"
             )
         return found
 

@@ -291,7 +291,7 @@ def test_its_contents_are_said_for_people_and_programs(path: Path) -> None:
     assert found.as_json()["messages"] == found.messages
     assert any("hexapod/frame" in line for line in found.lines())
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
-    assert contents(path).lines()[-1].startswith("It ends in the middle, or is being written. `recordings cut`")
+    assert contents(path).lines()[-1].startswith("It ends in the middle, or is being written; `recordings cut`")
 
 
 def test_a_strangers_names_do_not_control_the_terminal_and_what_is_empty_is_not_damaged(
