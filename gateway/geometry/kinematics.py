@@ -35,7 +35,7 @@ def joint_name(servo_id: int) -> str:
 
 
 def link_name(leg: int, link: str) -> str:
-    """`leg_3_femur`."""
+    """The link's name in the robot's description, such as `leg_3_femur`."""
     return f"leg_{leg}_{link}"
 
 
@@ -89,7 +89,7 @@ def times(first: Quaternion, second: Quaternion) -> Quaternion:
 
 
 def rotated(rotation: Quaternion, vector: Vector) -> Vector:
-    """`vector` after the rotation."""
+    """Apply a rotation matrix to `vector`."""
     x, y, z, w = rotation
     turned = times(times(rotation, (*vector, 0.0)), (-x, -y, -z, w))
     return turned[:3]

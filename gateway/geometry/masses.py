@@ -27,7 +27,7 @@ class Masses(NamedTuple):
 
     @property
     def total_kg(self) -> float:
-        """The whole robot."""
+        """The mass of the body and all 18 links."""
         return self.body_kg + 6 * sum(self.links_kg)
 
 

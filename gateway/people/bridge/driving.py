@@ -55,7 +55,7 @@ class Driving:
 
     @property
     def drives(self) -> bool:
-        """Whether messages are taken."""
+        """Whether the bridge holds the lease, and so passes messages on."""
         return self._lease is not None
 
     @property

@@ -112,7 +112,7 @@ class Course:
             self.leave(now_s)
 
     def leave(self, now_s: float) -> None:
-        """Sit down now."""
+        """Plan to sit down from now on; `next` says how."""
         self._look(now_s)
         self._plan, self._rests_s = None, min(self._rests_s, now_s)
 

@@ -182,7 +182,7 @@ class Senders:
         return lambda: bool(present) and present <= self._tokens.keys()
 
     def close(self) -> None:
-        """Look no more."""
+        """End the subscriptions and the thread."""
         with suppress(zenoh.ZError):
             self._subscriber.undeclare()
 

@@ -41,7 +41,7 @@ R = TypeVar("R", bound=BaseModel)
 
 
 class Reports:
-    """For one thread."""
+    """Publishes the gateway's reports as ROS 2 messages; for one thread."""
 
     def __init__(
         self,

@@ -48,7 +48,7 @@ def _schema(model: type[BaseModel]) -> Schema:
 
 
 class KeptIncident(NamedTuple):
-    """An incident's file."""
+    """An incident that was kept as a file."""
 
     name: str
     path: Path

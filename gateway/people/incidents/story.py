@@ -149,7 +149,7 @@ def _stood_still(notes: Sequence[Message], moved_ns: Sequence[int], zero_ns: int
 
 
 def _at(at_ns: int) -> str:
-    """+0.3 ms, -0.251 s."""
+    """A time relative to the stop, such as +0.3 ms or -0.251 s."""
     sign = "−" if at_ns < 0 else "+" if at_ns else ""
     at_ms = abs(at_ns) / 1e6
     if 0 < at_ms < FINE_MS:

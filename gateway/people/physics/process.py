@@ -77,7 +77,7 @@ class Simulated:
         self.world.drive(servo_id, self._geometry.joint_rad(servo_id, user_deg))
 
     def report(self, real_time_factor: float) -> BodyReport:
-        """Where it is now."""
+        """The body's pose, as it is published."""
         body = self.world.body()
         servos = {
             str(servo_id): SimulatedServo(
@@ -166,7 +166,7 @@ class Link:
 
 
 def simulate(simulated: Simulated, page: ServoPage, link: Link) -> None:
-    """Until the gateway ends."""
+    """Step the world in real time until the gateway ends."""
     pace = Pace(TIMESTEP_S, time.monotonic())
     publish_s = said_s = 0.0
     while not link.ended.wait(TURN_S):

@@ -101,7 +101,7 @@ class World:
         self._wanted_rad[place] = joint_rad
 
     def step(self) -> None:
-        """Simulate TIMESTEP_S more."""
+        """Simulate the next TIMESTEP_S."""
         self.data.ctrl += np.clip(self._wanted_rad - self.data.ctrl, -_STEP_RAD, _STEP_RAD)
         mujoco.mj_step(self.model, self.data)
 
@@ -120,7 +120,7 @@ class World:
         self._stand_at(float(self.data.qpos[0]), float(self.data.qpos[1]))
 
     def body(self) -> Body:
-        """Where it is now."""
+        """The body's pose and velocity now."""
         data = self.data
         w, *turned = map(float, data.qpos[3:_FREE])
         rotation = turned[0], turned[1], turned[2], w

@@ -27,7 +27,7 @@ class Contents(NamedTuple):
     losses: Losses
 
     def as_json(self) -> dict[str, Any]:
-        """For programs."""
+        """The same as `lines`, for programs."""
         return {
             "recorded_with": self.recorded_with,
             "begin": _time(self.begin_s).isoformat(),
@@ -40,7 +40,7 @@ class Contents(NamedTuple):
         }
 
     def lines(self) -> list[str]:
-        """For people."""
+        """A summary in lines for people."""
         found = [
             f"{_time(self.begin_s):%Y-%m-%d %H:%M:%S} UTC, {self.end_s - self.begin_s:.1f} s, {self.recorded_with}",
             *(f"{count:>9}  {topic}" for topic, count in sorted(self.messages.items())),

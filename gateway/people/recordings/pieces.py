@@ -72,7 +72,7 @@ class Losses:
         return "; ".join(parts)
 
     def skip(self, at: int, why: str) -> None:
-        """Count a damaged place."""
+        """Count a damaged place that was skipped."""
         if not self.places:
             self.first_at, self.first_why = at, why
         self.places += 1

@@ -40,14 +40,14 @@ class Step(NamedTuple):
 
     @property
     def key(self) -> str:
-        """Where to send it."""
+        """The key on which the message is sent."""
         first = self.frames[0]
         if len(self.frames) > 1:
             return keys.LEGS_COMMAND
         return keys.servo_command(first.servo_id) if isinstance(first, OneServo) else keys.leg_command(first.leg)
 
     def payload(self) -> dict[str, Any]:
-        """What to send."""
+        """The command that causes these frames."""
         first = self.frames[0]
         if isinstance(first, OneServo):
             return _servo(first.command)

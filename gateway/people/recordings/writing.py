@@ -315,5 +315,5 @@ class Copy:
         self._writer.add_message(channel, time_ns, message.data, message.publish_time, number)
 
     def finish(self) -> None:
-        """Write the index."""
+        """Write the index, without which most readers find nothing."""
         self._writer.finish()

@@ -157,7 +157,7 @@ def status(part: str, level: int, message: str, **values: object) -> DiagnosticS
 
 
 def diagnostic_array(statuses: tuple[DiagnosticStatus, ...], time_ns: int) -> DiagnosticArray:
-    """As it is published."""
+    """The robot's diagnostics as one message of `/diagnostics`."""
     return DiagnosticArray(Header(stamp(time_ns)), statuses)
 
 

@@ -42,12 +42,12 @@ class Attachment(NamedTuple):
     """16 bytes: the publisher; in a response, the client that asked."""
 
     def to_bytes(self) -> bytes:
-        """The 33 bytes."""
+        """Write the attachment's 33 bytes."""
         return _ATTACHMENT.pack(self.number, self.time_ns, _GID_BYTES, self.gid)
 
     @classmethod
     def from_bytes(cls, data: bytes | None) -> Self:
-        """Raises WireError."""
+        """Read an attachment. Raises WireError."""
         if data is None:
             raise WireError("it has no attachment, so it is not from rmw_zenoh")
         if len(data) != _ATTACHMENT.size:

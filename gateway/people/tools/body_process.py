@@ -72,7 +72,7 @@ class BodyProcess:
             os.write(self._lifeline, line)
 
     def close(self) -> None:
-        """End it."""
+        """End the process that simulates the body."""
         self._ended = True
         os.close(self._lifeline)
         try:

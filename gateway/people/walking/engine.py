@@ -64,7 +64,7 @@ class Odometry(NamedTuple):
     heading_rad: float = 0.0
 
     def after(self, velocity: Velocity, seconds: float) -> "Odometry":
-        """Further by that."""
+        """The odometry after a further motion with `velocity`, which is in the body's frame."""
         ahead_m, aside_m, turned = travelled(velocity, seconds)
         cosine, sine = math.cos(self.heading_rad), math.sin(self.heading_rad)
         return Odometry(
@@ -221,7 +221,7 @@ class Engine:
 
     @property
     def posture(self) -> Posture:
-        """What it is doing."""
+        """Which posture the robot is in, or is changing to."""
         state = self._state
         if self.lost:
             return Posture.HALTED

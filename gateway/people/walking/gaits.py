@@ -23,7 +23,7 @@ class Gait(NamedTuple):
 
     @property
     def stance_s(self) -> float:
-        """How long it stands."""
+        """For how long of a stride a foot stands, in seconds."""
         return self.duty * self.period_s
 
 

@@ -166,7 +166,7 @@ def _improved(angles: Angles, reach: Reach, off_m: Vector) -> Angles:
 
 
 def _solved(matrix: list[list[float]], wanted: list[float]) -> Vector:
-    """Cramer's rule."""
+    """Solve three linear equations by Cramer's rule."""
     a, b, c = matrix[0], matrix[1], matrix[2]
     columns = ((a[0], b[0], c[0]), (a[1], b[1], c[1]), (a[2], b[2], c[2]))
     x, y, z = columns

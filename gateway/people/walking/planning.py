@@ -22,7 +22,7 @@ _SAME_DEG: Final = 2.0
 
 
 class Planner:
-    """Plans for one robot."""
+    """Plans motions for one robot's geometry and limits."""
 
     def __init__(self, robot: Robot) -> None:
         """Raises WalkError where it cannot sit."""

@@ -25,7 +25,7 @@ class Range(NamedTuple):
     max_speed_deg_s: float = math.inf
 
     def within(self, other: "Range") -> "Range":
-        """What both allow."""
+        """The limits that both allow."""
         return Range(
             max(self.min_deg, other.min_deg),
             min(self.max_deg, other.max_deg),
@@ -99,7 +99,7 @@ class Robot:
         return first, second, third
 
     def joints_rad(self, leg: int, angles_deg: Angles) -> Angles:
-        """The joints' angles."""
+        """The three joint angles of a leg, in radians."""
         first, second, third = (
             self.geometry.joint_rad(10 * leg + joint, angle) for joint, angle in zip(JOINTS, angles_deg, strict=True)
         )

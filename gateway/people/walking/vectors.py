@@ -17,17 +17,17 @@ def scaled(vector: Vector, factor: float) -> Vector:
 
 
 def minus(first: Vector, second: Vector) -> Vector:
-    """The difference."""
+    """The difference of two vectors."""
     return first[0] - second[0], first[1] - second[1], first[2] - second[2]
 
 
 def dot(first: Vector, second: Vector) -> float:
-    """The scalar product."""
+    """The scalar product of two vectors."""
     return first[0] * second[0] + first[1] * second[1] + first[2] * second[2]
 
 
 def cross(first: Vector, second: Vector) -> Vector:
-    """The vector product."""
+    """The vector product of two vectors."""
     return (
         first[1] * second[2] - first[2] * second[1],
         first[2] * second[0] - first[0] * second[2],
@@ -36,7 +36,7 @@ def cross(first: Vector, second: Vector) -> Vector:
 
 
 def apply(matrix: Matrix, vector: Vector) -> Vector:
-    """`vector` after the rotation."""
+    """Apply a rotation matrix to `vector`."""
     return dot(matrix[0], vector), dot(matrix[1], vector), dot(matrix[2], vector)
 
 

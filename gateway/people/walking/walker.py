@@ -92,7 +92,7 @@ class Walker:
         self.engine.halt(legs, sent)
 
     def walk_as(self, gait: str, now_s: float) -> None:
-        """Another gait. Raises WalkError."""
+        """Change the gait at the next step. Raises WalkError."""
         self.engine.walk_as(gait)
         self._said_s = now_s
 
@@ -124,7 +124,7 @@ class Walker:
 
     @property
     def state(self) -> WalkState:
-        """What it is doing."""
+        """What the walker is doing now."""
         engine = self.engine
         return WalkState(
             posture=engine.posture,

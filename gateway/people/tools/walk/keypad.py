@@ -34,7 +34,7 @@ class Keypad:
 
     @property
     def speed_m_s(self) -> float:
-        """Of a held key."""
+        """The speed that a held key commands."""
         return SPEEDS[self._speed]
 
     def press(self, key: str, now_s: float) -> bool:
@@ -56,7 +56,7 @@ class Keypad:
         self._key = ""
 
     def velocity(self, now_s: float) -> Velocity:
-        """What is commanded now."""
+        """The velocity that the held keys command now."""
         if not self._key or now_s >= self._until_s:
             return STILL
         return _DIRECTIONS[self._key].times(self.speed_m_s)

@@ -37,7 +37,7 @@ NAMELESS: Final = "no name"
 
 
 class Presence(Enum):
-    """Whether anybody is there."""
+    """Whether a gateway publishes."""
 
     WAITING = auto()  # nothing has been received yet
     LIVE = auto()
@@ -157,7 +157,7 @@ class Model:
             self._samples.popleft()
 
     def received_event(self, event: Event, now_ns: int, wall: datetime) -> None:
-        """An event came."""
+        """Add an event to those that are shown."""
         self._receive(now_ns, wall)
         source = visible(event.source or NAMELESS)
         text = visible(event.detail)
@@ -259,7 +259,7 @@ class Model:
         return self._question if now_ns - self._asked_ns < QUESTION_NS else None
 
     def question(self, now_ns: int) -> str | None:
-        """Its words."""
+        """The question that waits for the person's answer, in words."""
         match self.asking(now_ns), self.holder:
             case None, _:
                 return None
