@@ -386,6 +386,11 @@ class AsyncWalk(_HeldTwin[Walk]):
         return self._own.state
 
     @property
+    def now(self) -> str:
+        """See `Walk.now`."""
+        return self._own.now
+
+    @property
     def hold_s(self) -> float:
         """See `Walk.hold_s`."""
         return self._own.hold_s
