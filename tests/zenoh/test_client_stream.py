@@ -2,6 +2,7 @@
 
 import threading
 import time
+import warnings
 from collections.abc import Callable, Iterable, Mapping
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -277,6 +278,21 @@ def test_ready_is_waited_for(robot: Client, watcher: Client) -> None:
         robot.wait_ready(0.3)
     watcher.reset()
     assert robot.wait_ready().mode == Mode.IDLE
+
+
+def test_two_programs_on_one_leg_without_a_lease_are_both_warned(anna: Client, bert: Client) -> None:
+    with anna.stream(HZ) as first, bert.stream(HZ) as second, warnings.catch_warnings(record=True) as warned:
+        warnings.simplefilter("always")
+        for _ in range(10 * HZ):
+            first.set({1: POSE})
+            second.set({1: POSE})
+            sentences = [str(each.message) for each in warned]
+            if len(sentences) == 2:
+                break
+    assert sorted(sentence.partition(";")[0] for sentence in sentences) == [
+        "leg 1 is commanded by anna, and was by bert",
+        "leg 1 is commanded by bert, and was by anna",
+    ]
 
 
 # ---- whose legs the end of a stream stops: its own, also where nobody knows whether they run, and nobody else's
