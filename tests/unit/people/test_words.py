@@ -11,6 +11,7 @@ from schemas.telemetry import GatewayState, Mode
 from tests.support.watch_reports import servo, state
 
 ALL = frozenset(LEGS)
+SILENT = "this page sent nothing for 4 s (hidden, locked or without network)"
 
 
 def of(running: Collection[int], mode: Mode = Mode.ACTIVE, **changed: object) -> GatewayState:
@@ -106,10 +107,10 @@ def test_one_servo_of_each_leg_is_no_leg_that_stands() -> None:
 @pytest.mark.parametrize(
     ("silent_s", "holder", "sentence"),
     [
-        (0.3, "bert", "bert has taken it"),
-        (1.0, None, "it has ended"),
-        (4.2, None, "this page sent nothing for 4 s (hidden, locked or without network), which ended it"),
-        (4.2, "b", "this page sent nothing for 4 s (hidden, locked or without network), which ended it; b drives now"),
+        (0.3, "bert", "bert has taken the lease"),
+        (1.0, None, "the lease has ended"),
+        (4.2, None, f"{SILENT}, so its lease has ended"),
+        (4.2, "bert", f"{SILENT}, so its lease has ended; bert drives now"),
     ],
 )
 def test_why_a_page_has_lost_its_lease(silent_s: float, holder: str | None, sentence: str) -> None:
