@@ -26,11 +26,10 @@ from gateway.people.walking import (
     Step,
     Velocity,
     WalkState,
-    robot_now,
 )
 from gateway.people.walking.gaits import gait as gait_named
 from gateway.people.walking.robot import check_mirrored_once, ranges
-from gateway.people.walking.words import NEWS_S
+from gateway.people.walking.words import Newest
 from schemas.robot import LEGS
 from schemas.telemetry import GatewayState, Reason
 
@@ -115,8 +114,7 @@ class Walk:
         self._not_again: Exception | None = None
         """Why it could not start again."""
         self._closing = False
-        self._newest: tuple[GatewayState | None, float] = (None, 0.0)
-        """And when it came."""
+        self._newest = Newest()
         self._reports: zenoh.Subscriber[None] | None = None
         self._ticks = 0
         self._awaited: Posture | None = None
@@ -204,8 +202,7 @@ class Walk:
     def now(self) -> str:
         """What the robot does, in one sentence (`It walks`), by the gateway's newest state; says so if that is old."""
         with self._changed:
-            state, came_s = self._newest
-            return robot_now(state, time.monotonic() - came_s, self._using().state)
+            return self._newest.sentence(time.monotonic(), self._using().state)
 
     @property
     def is_over(self) -> bool:
@@ -330,11 +327,7 @@ class Walk:
         return state
 
     def _take(self, state: GatewayState) -> None:
-        """Published, or answered: each on its own way, so an older one may come later."""
-        newest, _ = self._newest
-        late_s = 0.0 if newest is None else newest.uptime_s - state.uptime_s
-        if not 0 < late_s < NEWS_S:  # more than that: the gateway was started anew
-            self._newest = state, time.monotonic()
+        self._newest.take(state, time.monotonic())
 
     def _robot(self, state: GatewayState) -> Robot:
         """As it is now, with its limits and its calibration; the rate is one that they allow."""

@@ -42,6 +42,26 @@ def robot_now(state: GatewayState | None, age_s: float = 0.0, walk: WalkState | 
     return _of_mode(state) or _of_legs(state, walk)
 
 
+class Newest:
+    """The gateway's newest state, of those that it publishes and those that it answers."""
+
+    def __init__(self) -> None:
+        self._newest: tuple[GatewayState | None, float] = (None, 0.0)
+        """And when it came; one object, since reports come on a thread of their own."""
+
+    def take(self, state: GatewayState, now_s: float) -> None:
+        """Reports and answers come on ways of their own: an older state may come later, by less than `NEWS_S`."""
+        newest, _ = self._newest
+        late_s = 0.0 if newest is None else newest.uptime_s - state.uptime_s
+        if not 0 < late_s < NEWS_S:  # by more than that: the gateway was started anew
+            self._newest = state, now_s
+
+    def sentence(self, now_s: float, walk: WalkState) -> str:
+        """See `robot_now`."""
+        state, came_s = self._newest
+        return robot_now(state, now_s - came_s, walk)
+
+
 def lease_lost(silent_s: float, ttl_s: float, holder: str | None) -> str:
     """Why a page has lost its lease. `silent_s`: how long it sent nothing that keeps it; `holder`: who has it now."""
     if silent_s > ttl_s:

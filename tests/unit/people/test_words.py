@@ -5,12 +5,13 @@ from collections.abc import Collection
 import pytest
 
 from gateway.people.walking import STILL, Odometry, Posture, WalkState, lease_lost, robot_now
-from gateway.people.walking.words import NEWS_S
+from gateway.people.walking.words import NEWS_S, Newest
 from schemas.robot import LEGS
 from schemas.telemetry import GatewayState, Mode
 from tests.support.watch_reports import servo, state
 
 ALL = frozenset(LEGS)
+LIMP = "All six legs are stopped, and hold no weight"
 SILENT = "this page sent nothing for 4 s (hidden, locked or without network)"
 
 
@@ -49,10 +50,10 @@ def walk(posture: Posture, *lost: int) -> WalkState:
         (ALL - {3}, walk(Posture.WALKING), "Leg 3 is stopped, and the others run"),
         (ALL, walk(Posture.HALTED), "All six legs run"),
         # limp, whatever was lost first, and whatever was wanted
-        ((), walk(Posture.HALTED, 3), "All six legs are stopped, and hold no weight"),
-        ((), walk(Posture.HALTED, *LEGS), "All six legs are stopped, and hold no weight"),
-        ((), walk(Posture.STANDING), "All six legs are stopped, and hold no weight"),
-        ((), walk(Posture.WALKING), "All six legs are stopped, and hold no weight"),
+        ((), walk(Posture.HALTED, 3), LIMP),
+        ((), walk(Posture.HALTED, *LEGS), LIMP),
+        ((), walk(Posture.STANDING), LIMP),
+        ((), walk(Posture.WALKING), LIMP),
     ],
 )
 def test_what_runs_decides_and_the_posture_only_names_it(
@@ -90,6 +91,17 @@ def test_of_what_is_long_past_nothing_is_said() -> None:
         "What it does is not known: the gateway's newest state is 3 s old"
     )
     assert "no state yet" in robot_now(None, walk=driver)
+
+
+def test_an_older_state_that_comes_later_changes_nothing_and_a_gateway_that_began_anew_does() -> None:
+    newest, driver = Newest(), walk(Posture.STANDING)
+    assert "no state yet" in newest.sentence(0.0, driver)
+    newest.take(of(ALL, uptime_s=10.0), 100.0)
+    newest.take(of((), uptime_s=9.9), 100.1)
+    assert newest.sentence(100.9, driver) == "It stands"
+    assert "is 2 s old" in newest.sentence(102.0, driver)
+    newest.take(of((), uptime_s=0.2), 102.0)
+    assert newest.sentence(102.0, driver) == LIMP
 
 
 def test_one_servo_of_each_leg_is_no_leg_that_stands() -> None:
