@@ -188,6 +188,19 @@ def test_after_a_lost_leg_and_an_emergency_stop_all_six_start_one_after_the_othe
         )
 
 
+def test_no_leg_is_said_to_be_stopped_that_has_just_been_started(robot: Client, watcher: Client) -> None:
+    """The newest report may be older than a start; its answer is not."""
+    written, said = frames(watcher), []
+    with robot.walk() as walk:
+        walk.stand(wait=False)
+        for _ in written.each():
+            said.append(walk.now)
+            if said[-1] == "It stands":
+                break
+    assert "It moves to another posture" in said
+    assert not [sentence for sentence in said if "stopped" in sentence]
+
+
 def test_two_walkers_are_one_too_many(robot: Client, watcher: Client) -> None:
     with robot.walk():
         with pytest.raises(LeaseError, match="held by walker"), watcher.walk():

@@ -202,7 +202,9 @@ class Walk:
     def now(self) -> str:
         """What the robot does, in one sentence (`It walks`), by the gateway's newest state; says so if that is old."""
         with self._changed:
-            return self._newest.sentence(time.monotonic(), self._using().state)
+            ride = self._using()
+            # While it starts legs, one after the other, those that do not run yet were not stopped.
+            return self._newest.sentence(time.monotonic(), None if ride.phase is Phase.STARTS else ride.state)
 
     @property
     def is_over(self) -> bool:

@@ -56,7 +56,7 @@ class Newest:
         if not 0 < late_s < NEWS_S:  # by more than that: the gateway was started anew
             self._newest = state, now_s
 
-    def sentence(self, now_s: float, walk: WalkState) -> str:
+    def sentence(self, now_s: float, walk: WalkState | None) -> str:
         """See `robot_now`."""
         state, came_s = self._newest
         return robot_now(state, now_s - came_s, walk)
