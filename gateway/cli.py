@@ -262,7 +262,7 @@ def check(
             "--move", help="Through the gateway that runs: start one servo, move it by 5°, stop it; with consent."
         ),
     ] = False,
-    yes: Annotated[bool, typer.Option("--yes", help="With --move: servo 61 at 90°, without asking.")] = False,
+    yes: Annotated[bool, typer.Option("--yes", help="With --move: servo 61 at 90°, without any question.")] = False,
 ) -> None:
     """Say whether this machine can run the service, line by line, and how to fix what it lacks.
 
@@ -272,8 +272,9 @@ def check(
     Without --move it changes nothing: no byte reaches the servos, and a running gateway is not disturbed. As root it
     looks with the rights of the service's user.
 
-    Exit codes: 0 it can (--move: it moved, and its Stop arrived), 1 it cannot, 2 spi.framing is not set, the
-    configuration may not be read, or the robot is not at rest, 4 with --move: no gateway answers.
+    Exit codes: 0 it can (--move: it moved, and its Stop arrived; with --yes: every frame was written), 1 it cannot,
+    2 spi.framing is not set, the configuration may not be read, or the robot is not at rest, 4 with --move: no gateway
+    answers.
     """
     if move:
         from gateway.people.tools import reach

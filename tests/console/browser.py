@@ -36,6 +36,8 @@ Object.defineProperty(document, "visibilityState", { value: "hidden", configurab
 document.dispatchEvent(new Event("visibilitychange"));
 """
 
+SHOW: Final = "Object.defineProperty(document, 'visibilityState', { value: 'visible', configurable: true })"
+
 GAMEPAD: Final = """
 window.pad = { connected: true, mapping: "standard", axes: [0, 0, 0, 0],
                buttons: Array.from({ length: 17 }, () => ({ pressed: false, value: 0 })) };

@@ -5,10 +5,15 @@ import re
 import pytest
 from playwright.sync_api import expect
 
-from tests.console.browser import HIDE, Visitor
+from tests.console.browser import HIDE, SHOW, Visitor
 from tests.support.gateway_process import Gateway
 
 pytestmark = pytest.mark.browser
+
+
+def running(gateway: Gateway) -> bool:
+    with gateway.client() as robot:
+        return any(servo.running for leg in robot.state().legs for servo in leg.servos)
 
 
 def test_two_pages_ask_hand_over_and_take(visitor: Visitor, gateway: Gateway) -> None:
@@ -22,9 +27,9 @@ def test_two_pages_ask_hand_over_and_take(visitor: Visitor, gateway: Gateway) ->
     bert["lease-ask"].click()
     expect(anna.said).to_contain_text("asks for the lease")
     anna["lease-hand-over"].click()
-    expect(bert.said).to_contain_text("handed over to you")
-    bert["lease-acquire"].click()
     expect(bert["driver"]).to_have_text("you")
+    expect(bert.said).to_have_text("You drive: the lease was handed over to you. Press to move.")
+    assert not running(gateway)
     expect(anna["driver"]).not_to_have_text("you")
 
     anna["lease-take"].click()
@@ -37,13 +42,27 @@ def test_two_pages_ask_hand_over_and_take(visitor: Visitor, gateway: Gateway) ->
     anna["lease-take"].click()
     anna["question-yes"].click()
     expect(anna["driver"]).to_have_text("you")
-    expect(bert.said).to_contain_text(re.compile("somebody has taken the lease|not_holder"))
+    expect(bert.said).to_contain_text(re.compile(r"\(page \d+\) has taken the lease|not_holder"))
     bert.expect_status(1, "rests")
     with gateway.client(source="a program") as robot:
         assert robot.start_leg(1, 90, 90, 90).reason == "not_holder"
         bert["stop-all"].click()  # whoever drives
         expect(bert["stop-known"]).to_contain_text("6 Stops written within")
         assert robot.state().mode == "estopped"
+
+
+def test_a_handover_to_a_hidden_page_ends_and_whoever_looks_again_reads_that_it_is_free(visitor: Visitor) -> None:
+    anna, bert = visitor.open(), visitor.open()
+    anna["lease-acquire"].click()
+    bert["lease-ask"].click()
+    expect(bert.said).to_contain_text("Asked ")
+    bert.page.evaluate(HIDE)
+    anna["lease-hand-over"].click()
+    expect(anna["driver"]).to_contain_text("(page ")
+    expect(anna["driver"]).to_have_text("nobody")
+    expect(bert.said).to_have_text("The lease is free: press Drive.")
+    bert.page.evaluate(SHOW)
+    expect(bert["driver"]).to_have_text("nobody")
 
 
 def test_a_page_that_is_hidden_drives_no_more(visitor: Visitor, gateway: Gateway) -> None:
@@ -55,3 +74,7 @@ def test_a_page_that_is_hidden_drives_no_more(visitor: Visitor, gateway: Gateway
     with gateway.client() as robot:
         assert robot.start_leg(1, 90, 90, 90).accepted
         robot.stop()
+    page.page.evaluate(SHOW)
+    expect(page.said).to_have_text(
+        re.compile(r"You do not drive any more: this page sent nothing for \d+ s \(hidden, .*")
+    )

@@ -90,7 +90,7 @@ def test_stop_all_stops_and_says_what_is_known_and_who_else_stopped(visitor: Vis
             assert robot.reset().accepted
             expect(page["stop-known"]).to_have_text("Escape or space, at any time")
         robot.estop()
-        expect(page["stop-known"]).to_contain_text("stopped by bert")
+        expect(page["stop-known"]).to_have_text("STOP ALL by bert: nothing runs until a reset")
 
 
 def test_a_reset_asks_first_and_stop_all_answers_no(visitor: Visitor, gateway: Gateway) -> None:

@@ -33,7 +33,7 @@ SHOW: Final = """([messages, state]) => {
   const LINES = ".facts div, dd, #robot, #said, #stop-known"; // as long as what they say; nothing stands behind them
   const { newest } = window;
   for (const message of messages) hear(message);
-  hear({ ...newest, state: { ...newest.state, ...state } });
+  hear({ ...newest, now: state.now ?? newest.now, state: { ...newest.state, ...state } });
   refresh();
   const boxes = {};
   for (const each of document.querySelectorAll("header *, #stop, #stop *, #said, .see, #picture, .walk, .walk *")) {
@@ -69,10 +69,19 @@ def mine(yes: bool) -> dict[str, Any]:
     return {"type": "lease", "mine": yes, "ttl_ms": 1_000_000}
 
 
+NOW: Final = {
+    "moving": "It moves to another posture",
+    "halted": "Legs 1, 2, 3, 4 and 5 are stopped, and the others stand still",
+    "sitting": "What it does is not known: the gateway's newest state is 12 s old",
+}
+"""The longest sentences of gateway/people/walking/words.py."""
+
+
 def walk(posture: str | None, detail: str = "", limit: str = "") -> dict[str, Any]:
     """What the console reports of a walk."""
     return {
         "type": "walk", "press": 10**6, "id": None, "posture": posture, "gait": "ripple", "height_m": 0.15,
+        "now": NOW.get(posture or "", "It walks"),
         "commanded": [0.1, -0.1, 0.4], "scaled": [0.1, -0.1, 0.4], "limit": limit, "lost": [], "waits": False,
         "detail": detail,
     }  # fmt: skip
@@ -96,9 +105,12 @@ def situations(source: str) -> dict[str, tuple[list[dict[str, Any]], dict[str, A
         },
         "limited": ([walk("walking", limit=why)], lease(source)),
         "asked for while it walks": ([walk("walking")], lease(source, asked_by="bert (page 2)")),
-        "ended": ([walk(None, detail=f"leg 1 is stopped, and the others stand still: {why}; {why}")], lease(source)),
+        "ended": ([walk(None, detail=f"leg 1 was stopped by somebody: {why}; {why}")], lease(source)),
         "stop buttons": ([], {**lease(source), "buttons": {"required": 2, "alive": 1, "names": [LONG]}}),
-        "stopped by somebody": ([], {**lease(source), "mode": "estopped", "estop_source": LONG}),
+        "stopped by somebody": (
+            [],
+            {**lease(source), "mode": "estopped", "now": f"Emergency stop by {LONG}: nothing runs until a reset"},
+        ),
         "a bus fault": ([], {**lease(LONG, asked_by=LONG), "mode": "bus_fault"}),
         "no gateway": ([{"type": "link", "status": "gone", "detail": gone}, mine(False)], lease(LONG)),
         "a gateway again": ([{"type": "link", "status": "connected", "detail": ""}], lease(None)),

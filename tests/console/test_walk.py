@@ -11,7 +11,7 @@ import pytest
 from playwright.sync_api import expect
 
 from gateway.client import Client
-from tests.console.browser import GAMEPAD, HIDE, WISHES, Opened, Visitor, walks
+from tests.console.browser import GAMEPAD, HIDE, SHOW, WISHES, Opened, Visitor, walks
 from tests.support.fixtures import client_fixture, console_fixture, gateway_fixture, patient, session_fixture
 from tests.support.heard import states
 
@@ -87,13 +87,18 @@ def test_keys_walk_and_turn_and_letting_go_stands(visitor: Visitor, robot: Clien
     page.page.keyboard.up("w")
     drive(page)
     page["stand"].click()
-    expect(page["walk-known"]).to_contain_text("It stands")
+    expect(page.said).to_have_text("It stands.")
     for key in ("w", "q"):
         walks(page, partial(press, key))
         page.page.keyboard.up(key)
         expect(page["walk-known"]).to_contain_text("It stands")
     page["gait-wave"].check(force=True)
     page["lower"].click()
+    expect(page["walk-known"]).to_contain_text("It stands, wave")
+    robot.stop(3)
+    expect(page["walk-known"]).to_contain_text("Leg 3 is stopped, and the others stand still, wave")
+    expect(page.said).to_have_text("Somebody else stopped leg 3.")
+    page["stand"].click()
     expect(page["walk-known"]).to_contain_text("It stands, wave")
     assert robot.state().mode == "active"
     sit(page)
@@ -129,7 +134,7 @@ def test_a_hidden_page_stands_and_goes_on_with_a_new_press_only(visitor: Visitor
     page.page.evaluate(HIDE)
     expect(page.said).to_contain_text("It stands still: this page is hidden")
     assert robot.state().mode == "active"
-    page.page.evaluate("Object.defineProperty(document, 'visibilityState', { value: 'visible', configurable: true })")
+    page.page.evaluate(SHOW)
     expect(page["walk-known"]).to_contain_text("It stands")
     expect(page["pad"]).to_have_attribute("data-held", "no")
     page.page.mouse.up()

@@ -96,12 +96,21 @@ def test_one_servo_is_started_moved_and_stopped(
 
 def test_a_no_leads_through_the_causes(move: Callable[..., Ended], client: Client) -> None:
     heard = frames(client)
-    end = move("no", options=("--yes",))
+    end = move("", "", "yes", "no")
     assert end.returncode == 1, str(end)
     assert until_stopped(heard, 61) == start_set_stop(61, 90, 95), "and nothing by itself after that"
     causes = [line.split()[1] for line in end.stdout.splitlines() if line[:1].isdigit()]
     assert causes == ["Supply:", "Framing:", "Reset:", "Wiring:", "Chip", "The"]
     assert "the gateway speaks plain" in end.stdout
+
+
+def test_with_yes_it_moves_stops_and_asks_nothing(move: Callable[..., Ended], client: Client) -> None:
+    heard = frames(client)
+    end = move(options=("--yes",))  # nobody is there to answer
+    assert end.returncode == 0, str(end)
+    assert until_stopped(heard, 61) == start_set_stop(61, 90, 95)
+    assert "?" not in end.stdout
+    assert "look whether it moved" in end.stdout
 
 
 @pytest.mark.parametrize(

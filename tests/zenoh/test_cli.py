@@ -173,7 +173,7 @@ def test_help_teaches_every_exit_code_and_option() -> None:
 def test_status_is_a_look_in_sentences_or_as_published(gateway: Gateway) -> None:
     shown = gateway.run("status")
     assert (shown.returncode, shown.stderr) == (0, "")
-    assert "Idle: no servo runs. Gateway " in shown.stdout
+    assert "No servo runs. Gateway " in shown.stdout
     assert GatewayState.model_validate_json(gateway.run("status", "--json").stdout).mode == "idle"
 
 

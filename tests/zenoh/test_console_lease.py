@@ -88,6 +88,7 @@ def test_who_was_taken_over_is_told_and_moves_nothing(anna: Page, bert: Page) ->
     assert anna.ask(LEG_3, START)["ack"]["reason"] == "not_holder"
     lost = anna.wait("lease", lambda message: message["id"] is None)
     assert (lost["mine"], lost["reason"]) == (False, "not_holder")
+    assert lost["detail"].endswith(f"{bert.hello['source']} holds the lease")
     lease(bert, "release")
     assert not anna.ask(LEG_3, START)["ack"]["accepted"], "the old token is no better than none at all, nor forgotten"
     assert not lease(anna, "release")["mine"]
@@ -105,6 +106,7 @@ def test_only_the_page_itself_renews_it(anna: Page, bert: Page) -> None:
     bert.event("lease_expired", since=began)
     lost = lease(anna, "renew")
     assert (lost["mine"], lost["accepted"]) == (False, False)
+    assert lost["detail"].startswith("this page sent nothing for ")
 
 
 def test_a_page_that_is_closed_gives_it_back(console: Console, session: SignedIn, bert: Page) -> None:

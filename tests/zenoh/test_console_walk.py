@@ -172,15 +172,19 @@ def test_after_a_stop_of_somebody_else_only_a_new_press_walks(page: Page, pad: P
     assert robot.stop(3).accepted
     halted = posture(page, "halted")
     assert halted["lost"] == [3]
-    assert "leg 3 is stopped" in walk(page, lambda message: message["detail"] != "")["detail"]
+    assert halted["now"] == "Leg 3 is stopped, and the others stand still"
+    assert walk(page, lambda message: message["detail"] != "")["detail"] == "somebody else stopped leg 3"
     assert not robot.state().legs[2].servos[0].running
     walks(page, pad)
     assert robot.stop(3).accepted
     posture(page, "halted")
     robot.estop()
-    assert "emergency stop" in posture(page, None)["detail"]
+    assert posture(page, None)["detail"] == "watcher engaged the emergency stop"
+    stopped = page.wait("state", lambda message: message["state"]["mode"] == "estopped")
+    assert stopped["now"] == "Emergency stop by watcher: nothing runs until a reset"
     assert page.reset(robot.state().estop)["ack"]["accepted"]
     is_idle(page)
+    assert page.wait("state", lambda _: True)["now"] == "No servo runs"
     for _ in range(10):
         assert page.state()["mode"] == "idle"
     walks(page, pad)

@@ -386,6 +386,11 @@ class AsyncWalk(_HeldTwin[Walk]):
         return self._own.state
 
     @property
+    def now(self) -> str:
+        """See `Walk.now`."""
+        return self._own.now
+
+    @property
     def hold_s(self) -> float:
         """See `Walk.hold_s`."""
         return self._own.hold_s
@@ -442,11 +447,7 @@ class _Threads:
         self._stops: set[threading.Thread] = set()
 
     async def run(
-        self,
-        function: Callable[[], T],
-        *,
-        stops: bool = False,
-        too_late: Callable[[T], object] | None = None,
+        self, function: Callable[[], T], *, stops: bool = False, too_late: Callable[[T], object] | None = None
     ) -> T:
         """What `function` returns or raises. Cancelled, it goes on, and `too_late` takes what it then returns."""
         done: Future[T] = Future()

@@ -39,7 +39,10 @@ _STOPPED_LEGS: Final = (Kind.WATCHDOG_EXPIRED, Kind.OVERFLOW)
 """Events of legs that the gateway has stopped by a rule of its own."""
 _EVENT_S: Final = 0.1
 """An event is published beside the answer to a question, and may come after it."""
-_AGAIN: Final = "start_again() goes on"
+AGAIN: Final = "start_again() goes on; after an emergency stop, once reset() has left it"
+"""A program's next call: a note of the error, which its traceback shows; the sentence itself is for anybody."""
+_AND_THEN: Final = (Kind.WATCHDOG_EXPIRED, Kind.STOPPED_OUTSIDE, Kind.STOPPING)
+"""Events whose detail goes on, behind a semicolon, with what held from then on."""
 _UNHEARD: Final = "if it runs, its watchdog stops the legs; if it has died, stop-servos does, where systemd runs it"
 
 Angles = dict[int, tuple[float, float, float]]
@@ -77,6 +80,10 @@ class Stream:
         self._doubt = Doubt()
         self._events: deque[Event] = deque(maxlen=_KEPT)
         self._received_stop = threading.Event()
+        self.answer: GatewayState | None = None
+        """The gateway's newest answer, for whoever takes it."""
+        self._rival: str | None = None  # the gateway's sentence about another source on a leg of ours
+        self._warned = False  # once is enough
         self._subscribers: list[Any] = []
         self._sending = threading.Lock()
         self._open = False
@@ -176,6 +183,9 @@ class Stream:
             read[int(leg)] = (first, second, third)
         if self._radians.suspected(read.values(), time.monotonic()):
             warnings.warn(LIKE_RADIANS, stacklevel=3)
+        if self._rival is not None and not self._warned:
+            self._warned = True
+            warnings.warn(f"{self._rival}; both may move it, as there is no lease: see Client.lease", stacklevel=3)
         return read
 
     def check_open(self) -> None:
@@ -219,6 +229,7 @@ class Stream:
                     raise lost from (None if lost is error else error)
                 if not isinstance(error, RejectedError):
                     self._over = error
+                    error.add_note(AGAIN)
                 raise
 
     def _lost_lease(self, error: GatewayError) -> LeaseLostError | None:
@@ -287,6 +298,13 @@ class Stream:
                 self._doubt.raise_it()
         elif event.kind in _ENDINGS:
             self._events.append(event)
+        elif event.kind == Kind.SOURCE_CHANGED and self._takes(event):
+            self._rival = event.detail
+
+    def _takes(self, event: Event) -> bool:
+        """Whether we have taken a leg from another source that moved it. What that one takes, it may also stop."""
+        ours = event.source == self._client.name and self._lease is None
+        return ours and bool(self._to_stop.intersection(event.legs))
 
     # ---- what follows from it
 
@@ -316,21 +334,22 @@ class Stream:
         stops = [event for event in events if event.kind != Kind.COMMAND_REJECTED]
         if not stops:
             return None
-        details = "; ".join(dict.fromkeys(event.detail for event in stops))
+        details = "; ".join(dict.fromkeys(map(happened, stops)))
         legs = [self._started.intersection(event.legs) or self._started for event in stops]
-        return StoppedError(f"{details}; {_AGAIN}", frozenset().union(*legs))
+        return StoppedError(details, frozenset().union(*legs))
 
     def _ask(self) -> GatewayState:
         """Raise unless the gateway reports that all that is started runs."""
         self._client.check_open()
         if not self._client.connected:
-            raise DisconnectedError(f"the link to the gateway is lost: {_UNHEARD}; {_AGAIN}")
+            raise DisconnectedError(f"the link to the gateway was lost: {_UNHEARD}")
         self._doubt.asked()
         try:
             state = self._client.state(ANSWER_S)
         except ZenohError as error:
-            raise DisconnectedError(f"the gateway does not answer: {_UNHEARD}; {_AGAIN}") from error
+            raise DisconnectedError(f"the gateway did not answer: {_UNHEARD}") from error
         self._doubt.received(time.monotonic())
+        self.answer = state
         self._to_stop -= self._not_ours(state)
         if not self._runs(state):
             raise self._stopped(state)
@@ -362,21 +381,28 @@ class Stream:
         names = ", ".join(f"leg {leg}" for leg in expired or sorted(legs))
         match state.mode:
             case Mode.ESTOPPED:
-                why = "the emergency stop is engaged; a reset leaves it, and then"
+                why = f"{state.estop_source or 'somebody'} engaged the emergency stop"
             case Mode.BUS_FAULT:
-                why = "the SPI bus is at fault; when it answers again,"
+                why = "the SPI bus did not answer"
             case Mode.STOPPING | Mode.STARTING:
-                why = "the gateway ends, or starts; when it takes commands,"
+                why = "the gateway ended, or was started anew"
             case _ if expired:
-                why = f"the watchdog stopped {names}: not heard for {state.watchdog.timeout_ms:g} ms;"
+                why = f"the watchdog stopped {names}: not heard for {state.watchdog.timeout_ms:g} ms"
             case _ if any(each.source is not None for each in state.legs if each.leg in legs):
-                why = f"somebody else stopped {names};"
+                why = f"somebody else stopped {names}"
             case _:
                 self._received_stop.wait(_EVENT_S)
                 if (error := self._reported_stop(self._fresh_events())) is not None:
                     return error
-                why = f"the gateway stopped {names} by itself (its events say why), or a Stop without a name did;"
-        return StoppedError(f"{why} {_AGAIN}", legs)
+                why = f"the gateway stopped {names} by itself (its events say why), or a Stop without a name did"
+        return StoppedError(why, legs)
+
+
+def happened(event: Event) -> str:
+    """What an event that stops legs reports; past tense, so that it stays true however long an error is shown."""
+    if event.kind == Kind.ESTOP_ENGAGED:
+        return f"{event.source or 'somebody'} engaged the emergency stop"
+    return event.detail.partition("; ")[0] if event.kind in _AND_THEN else event.detail
 
 
 def checked_hz(hz: float) -> float:

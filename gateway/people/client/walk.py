@@ -9,6 +9,8 @@ from pathlib import Path
 from types import FrameType, TracebackType
 from typing import TYPE_CHECKING, Final, Self, TypeVar
 
+import zenoh
+
 from gateway.errors import GatewayError, RejectedError, StoppedError, UnansweredError, WalkError
 from gateway.geometry import Geometry, load
 from gateway.people.client.stream import ANSWER_S, Stream, checked_hz
@@ -27,6 +29,7 @@ from gateway.people.walking import (
 )
 from gateway.people.walking.gaits import gait as gait_named
 from gateway.people.walking.robot import check_mirrored_once, ranges
+from gateway.people.walking.words import Newest
 from schemas.robot import LEGS
 from schemas.telemetry import GatewayState, Reason
 
@@ -111,6 +114,8 @@ class Walk:
         self._not_again: Exception | None = None
         """Why it could not start again."""
         self._closing = False
+        self._newest = Newest()
+        self._reports: zenoh.Subscriber[None] | None = None
         self._ticks = 0
         self._awaited: Posture | None = None
         """Cleared when it is reached."""
@@ -194,6 +199,14 @@ class Walk:
             return self._using().state
 
     @property
+    def now(self) -> str:
+        """What the robot does, in one sentence (`It walks`), by the gateway's newest state; says so if that is old."""
+        with self._changed:
+            ride = self._using()
+            # While it starts legs, one after the other, those that do not run yet were not stopped.
+            return self._newest.sentence(time.monotonic(), None if ride.phase is Phase.STARTS else ride.state)
+
+    @property
     def is_over(self) -> bool:
         """Whether its driver has been silent, and nothing runs by it any more."""
 
@@ -255,7 +268,8 @@ class Walk:
                 lease.acquire()
                 self._lease = lease
         try:
-            state = self._client.state()
+            self._reports = self._client.on_state(self._take)
+            state = self._ask(None)
             self._ride = Ride(
                 self._robot(state),
                 self._gait,
@@ -297,7 +311,10 @@ class Walk:
                 self._ride.silences = silences
 
     def _release(self) -> None:
-        lease, self._lease = self._lease, None
+        lease, self._lease, reports, self._reports = self._lease, None, self._reports, None
+        if reports is not None:
+            with suppress(zenoh.ZError):  # the client is closed
+                reports.undeclare()
         if lease is not None:
             lease.release()
 
@@ -305,6 +322,14 @@ class Walk:
         stream, self._stream = self._stream, None
         if stream is not None:
             stream.close()
+
+    def _ask(self, timeout_s: float | None) -> GatewayState:
+        state = self._client.state(timeout_s)
+        self._take(state)
+        return state
+
+    def _take(self, state: GatewayState) -> None:
+        self._newest.take(state, time.monotonic())
 
     def _robot(self, state: GatewayState) -> Robot:
         """As it is now, with its limits and its calibration; the rate is one that they allow."""
@@ -365,6 +390,9 @@ class Walk:
                     stream.open()
                     self._stream = stream
                 self._stream.set(step.pose)
+                if self._stream.answer is not None:  # to a start, which no report knows yet
+                    self._take(self._stream.answer)
+                    self._stream.answer = None
                 with self._changed:
                     ride.sent(step.pose)
                     self._ticks += ride.phase is Phase.RUNS
@@ -378,7 +406,7 @@ class Walk:
             lease = self._client.lease()
             lease.acquire()
             self._lease = lease
-        state = self._client.state()
+        state = self._ask(None)
         running = running_deg(state)
         changed = state.calibration.revision != self._revision
         if again and ride.phase is Phase.HALTED:
@@ -386,7 +414,7 @@ class Walk:
         elif again:
             robot = self._robot(state)
         elif changed:
-            raise WalkError("the calibration has changed since the walk began; start_again() goes on with the new one")
+            raise WalkError("the calibration has changed since the walk began")
         with self._changed:
             ride.found(robot, running, time.monotonic())
 
@@ -399,7 +427,7 @@ class Walk:
                 ride.not_again(error)
         elif isinstance(error, StoppedError) and stream is not None and not self._closing:
             try:
-                running = running_deg(self._client.state(ANSWER_S))
+                running = running_deg(self._ask(ANSWER_S))
             except GatewayError:
                 running = {}  # nobody knows who stands
             with self._changed:

@@ -6,6 +6,8 @@ sends by mistake is taken while nobody drives.
 """
 
 import asyncio
+import math
+import time
 from collections.abc import Callable
 from contextlib import suppress
 from typing import Final
@@ -14,6 +16,7 @@ from gateway.errors import GatewayError
 from gateway.people.client.blocking import Client
 from gateway.people.client.lease import NOT_OURS
 from gateway.people.console.messages import Lease, LeaseMessage
+from gateway.people.walking import lease_lost
 from schemas.lease import LeaseAck
 from schemas.telemetry import Ack, Reason
 
@@ -38,6 +41,9 @@ class Driving:
         """Whether the page drives."""
         self.token: str | None = None
         """What the page's commands carry."""
+        self._kept_s = -math.inf
+        """When the page asked last for what has kept the lease."""
+        self._ttl_s = math.inf
 
     @property
     def is_full(self) -> bool:
@@ -51,7 +57,10 @@ class Driving:
     def judge(self, ack: Ack) -> None:
         """What became of a command that carried the token."""
         if self.mine and not ack.accepted and ack.reason in NOT_OURS:
-            self._lost(str(ack.reason), ack.detail)
+            self.mine = False
+            silent = time.monotonic() - self._kept_s > self._ttl_s
+            detail = self._why_lost(time.monotonic(), None) if silent else ack.detail
+            self._send(LeaseMessage(mine=False, reason=str(ack.reason), detail=detail))
 
     def close(self) -> None:
         """The page is gone: give it back, if it has it."""
@@ -69,11 +78,16 @@ class Driving:
             if request is None:
                 await self._give_back()
                 return
+            asked_s = time.monotonic()
             try:
                 ack = await self._asked(request)
             except GatewayError as error:
                 self._send(LeaseMessage(mine=self.mine, id=request.id, detail=str(error)))
                 return
+            if ack.accepted:
+                self._kept_s, self._ttl_s = asked_s, (ack.ttl_ms or math.inf) / 1000
+            elif self.mine and request.do == "renew":
+                ack = ack.model_copy(update={"detail": self._why_lost(asked_s, ack.holder)})
             self._answered(request, ack)
 
     async def _asked(self, request: Lease) -> LeaseAck:
@@ -96,9 +110,8 @@ class Driving:
         # Of the answer it has the fields that a page may know: not the token.
         self._send(LeaseMessage.model_validate({**ack.model_dump(), "mine": self.mine, "id": request.id}))
 
-    def _lost(self, reason: str, detail: str | None) -> None:
-        self.mine = False
-        self._send(LeaseMessage(mine=False, reason=reason, detail=detail))
+    def _why_lost(self, now_s: float, holder: str | None) -> str:
+        return lease_lost(now_s - self._kept_s, self._ttl_s, holder)
 
     async def _give_back(self) -> None:
         token, mine = self.token, self.mine

@@ -246,10 +246,14 @@ class Hello(Report):
 
 
 class StateMessage(Report):
-    """The gateway's newest state, and how long ago the console received it; older ones may have been left out."""
+    """The gateway's newest state, and how long ago the console received it; older ones may have been left out.
+
+    `now`: what the robot does by it, in one sentence without its full stop.
+    """
 
     type: Literal["state"] = "state"
     age_ms: float
+    now: str = ""
     state: GatewayState
 
 
@@ -326,6 +330,7 @@ class LeaseMessage(Report):
 class WalkMessage(Report):
     """How the page's walk goes: ten times a second while it lasts, and once when it is over (`posture` null).
 
+    `now`: what the robot does, in one sentence without its full stop, by the gateway's newest state and this walk.
     `id` is the newest wish that was used. `waits`: what the page has pressed is used up, and moves nothing any more.
     `commanded` and `scaled` (what of it the legs can do, and in `limit` why) are forward and left in m/s, and the turn
     in rad/s. `lost` are legs that somebody else has stopped. `detail`: why it ended, or waits.
@@ -335,6 +340,7 @@ class WalkMessage(Report):
     press: int
     id: int | None = None
     posture: Posture | None = None
+    now: str = ""
     gait: str | None = None
     height_m: float | None = None
     commanded: list[float] = Field(default_factory=list)

@@ -6,6 +6,7 @@ or in this process, is rejected here or by the gateway.
 """
 
 import asyncio
+import json
 import logging
 import re
 import time
@@ -48,6 +49,7 @@ from gateway.people.console.outgoing import Outgoing
 from gateway.people.console.pressing import Pressing
 from gateway.people.console.stops import Stops, now_ns
 from gateway.people.console.walking import Walking
+from gateway.people.walking import robot_now
 from gateway.robot.core.staleness import Staleness
 from schemas import keys
 from schemas.telemetry import Ack, BodyReport, Event, GatewayState, Kind, Reason
@@ -116,7 +118,7 @@ class Pages(Listener):
         return self._opened
 
     def received_state(self, state: GatewayState, received_ns: int) -> None:
-        self._state = partial(_state_text, state.model_dump_json(), received_ns)
+        self._state = partial(_state_text, state.model_dump_json(), json.dumps(robot_now(state)), received_ns)
         for page in self._pages:
             page.outgoing.put_state(self._state)
 
@@ -140,9 +142,10 @@ class Pages(Listener):
             page.outgoing.put(message)
 
 
-def _state_text(state: str, received_ns: int) -> str:
-    """A StateMessage: the state's JSON is made once for all pages, its age when it is sent."""
-    return f'{{"type":"state","age_ms":{(time.monotonic_ns() - received_ns) / 1e6:.1f},"state":{state}}}'
+def _state_text(state: str, now: str, received_ns: int) -> str:
+    """A StateMessage: the JSON of the state and of its sentence is made once for all pages, its age when it is sent."""
+    age_ms = (time.monotonic_ns() - received_ns) / 1e6
+    return f'{{"type":"state","age_ms":{age_ms:.1f},"now":{now},"state":{state}}}'
 
 
 class Page:

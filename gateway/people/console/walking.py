@@ -174,7 +174,7 @@ class _PageWalk(threading.Thread):
                     self._obey(walk)
                     if time.monotonic() - reported_s >= REPORT_S:
                         reported_s = time.monotonic()
-                        self._send(walk.use(self._report))
+                        self._send(walk.use(partial(self._report, walk)))
                 return walk.use(lambda ride, _: ride.detail)
             finally:
                 walk.close(sits=False)
@@ -192,12 +192,13 @@ class _PageWalk(threading.Thread):
         if self._ending:
             walk.use(Ride.leave)
 
-    def _report(self, ride: Ride, _now_s: float) -> WalkMessage:
+    def _report(self, walk: Walk, ride: Ride, _now_s: float) -> WalkMessage:
         state = ride.state
         return WalkMessage(
             press=self._newest.press,
             id=self._newest.id,
             posture=state.posture,
+            now=walk.now,
             gait=state.gait,
             height_m=round(state.height_m, 4),
             commanded=[round(each, 4) for each in state.commanded],

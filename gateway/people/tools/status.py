@@ -5,16 +5,8 @@ from pathlib import Path
 
 from gateway.people.terminal import say
 from gateway.people.tools.reach import connection
-from schemas.telemetry import GatewayState, LegReport, Mode
-
-_MODES = {
-    Mode.STARTING: "It starts",
-    Mode.IDLE: "Idle: no servo runs",
-    Mode.ACTIVE: "Active",
-    Mode.ESTOPPED: "Emergency stop: all six legs are stopped, and commands are rejected until a reset",
-    Mode.BUS_FAULT: "Bus fault: what was written may not have arrived",
-    Mode.STOPPING: "It ends, and stops all six legs",
-}
+from gateway.people.walking import robot_now
+from schemas.telemetry import GatewayState, LegReport
 
 
 def status(connect: str | None, zenoh_config: Path | None, timeout_s: float, *, as_json: bool) -> None:
@@ -30,7 +22,8 @@ def status(connect: str | None, zenoh_config: Path | None, timeout_s: float, *, 
 
 def sentences(state: GatewayState) -> list[str]:
     """What a person asks first, a line each: may it move, what runs, who drives, what has gone wrong."""
-    found = [_mode(state), *(_leg(leg) for leg in state.legs if any(servo.running for servo in leg.servos))]
+    found = [f"{robot_now(state)}. Gateway {state.version}, up {state.uptime_s:.0f} s."]
+    found += (_leg(leg) for leg in state.legs if any(servo.running for servo in leg.servos))
     lease, buttons, spi, watchdog = state.lease, state.buttons, state.spi, state.watchdog
     if lease.holder is not None:
         found.append(f"{lease.holder} {'drives' if lease.held_s is not None else 'is handed the lease'}.")
@@ -47,12 +40,6 @@ def sentences(state: GatewayState) -> list[str]:
     if state.incident is not None:
         found.append(f"Latest incident: {state.incident} (hexapod-gateway incidents show {state.incident}).")
     return found
-
-
-def _mode(state: GatewayState) -> str:
-    mode = _MODES.get(Mode(state.mode), "") if state.mode in set(Mode) else f"Mode {state.mode}"
-    by = f", engaged by {state.estop_source}" if state.mode == Mode.ESTOPPED and state.estop_source else ""
-    return f"{mode}{by}. Gateway {state.version}, up {state.uptime_s:.0f} s."
 
 
 def _leg(leg: LegReport) -> str:

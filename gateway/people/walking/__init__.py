@@ -10,6 +10,7 @@ from gateway.people.walking.motion import STILL, Body, Velocity
 from gateway.people.walking.ride import USUAL, Do, Phase, Ride, Silences, Step, Wish
 from gateway.people.walking.robot import Pose, Range, Robot, Stance
 from gateway.people.walking.walker import DOWN, HOLD_S, REST_S, Walker, WalkState
+from gateway.people.walking.words import lease_lost, robot_now
 
 __all__ = [
     "DOWN",
@@ -36,4 +37,6 @@ __all__ = [
     "WalkState",
     "Walker",
     "Wish",
+    "lease_lost",
+    "robot_now",
 ]

@@ -279,12 +279,13 @@ class Ride:
         left = (self._running & frozenset(running)) - frozenset(error.legs)
         stands = self.phase in (Phase.RUNS, Phase.HALTED) or bool(engine.lost)
         if not left or not stands:
-            self.failed(StoppedError(str(error), _ALL - left if stands else error.legs))
+            error.legs = tuple(sorted(_ALL - left)) if stands else error.legs
+            self.failed(error)
             return frozenset()
         self._walker.halt(_ALL - left, self._sent)
         self._running = left
-        legs = ", ".join(map(str, sorted(engine.lost)))
-        self._ends_by(StoppedError(f"leg {legs} is stopped, and the others stand still: {error}", engine.lost))
+        error.legs = tuple(sorted(engine.lost))
+        self._ends_by(error)
         self.phase = Phase.HALTED
         return left
 

@@ -303,7 +303,7 @@ def test_after_a_lost_leg_only_a_new_press_goes_on_and_after_an_emergency_stop_i
     assert pad.ridden.posture is Posture.HALTED
     assert pad.waits
     assert pad.ridden.ride.state.lost == (3,)
-    assert "leg 3 is stopped" in pad.ridden.ride.detail
+    assert pad.ridden.ride.detail == "somebody stopped it"
     pad.hold(AHEAD)
     pad.until(Posture.WALKING)
     pad.ridden.estop()

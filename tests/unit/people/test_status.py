@@ -9,7 +9,7 @@ from tests.support.watch_reports import state
 
 def test_at_rest_nothing_runs() -> None:
     found = sentences(state())
-    assert found[0] == "Idle: no servo runs. Gateway 0.1.0, up 10 s."
+    assert found[0] == "No servo runs. Gateway 0.1.0, up 10 s."
     assert not [line for line in found if line.startswith("Leg ")]
 
 
@@ -28,4 +28,4 @@ def test_what_runs_who_drives_and_what_watches() -> None:
 
 def test_who_engaged_the_emergency_stop() -> None:
     changed = {"mode": Mode.ESTOPPED, "estop_source": "bert"}
-    assert "a reset, engaged by bert. " in sentences(state().model_copy(update=changed))[0]
+    assert sentences(state().model_copy(update=changed))[0].startswith("Emergency stop by bert: nothing runs")

@@ -1,15 +1,16 @@
 """What a stream makes of a gateway's silence, its end and its watchdog, in virtual time: no thread, no gateway."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from datetime import timedelta
 from typing import Any, Self
 
 import pytest
 
 from gateway.errors import DisconnectedError, StoppedError, UnansweredError
 from gateway.people.client.pace import SILENCE_S
-from gateway.people.client.stream import Stream
-from schemas.telemetry import Ack, GatewayState, WatchdogState
-from tests.support.watch_reports import state
+from gateway.people.client.stream import AGAIN, Stream, happened
+from schemas.telemetry import Ack, Event, GatewayState, Kind, WatchdogState
+from tests.support.watch_reports import WALL, event, state
 
 HZ = 50
 PERIOD_S = 1 / HZ
@@ -32,6 +33,7 @@ class Robot:
         self.running: set[int] = set()
         self.expired: set[int] = set()
         self._hears_state: Callable[[GatewayState], None] = lambda _: None
+        self.publish_event: Callable[[Event], None] = lambda _: None
 
     # ---- the clock that the stream reads
 
@@ -47,7 +49,8 @@ class Robot:
         self._hears_state = callback
         return self
 
-    def on_event(self, _callback: object) -> Self:
+    def on_event(self, callback: Callable[[Event], None]) -> Self:
+        self.publish_event = callback
         return self
 
     def undeclare(self) -> None:
@@ -135,7 +138,7 @@ def test_a_gateway_that_publishes_nothing_but_answers_is_asked_twice_a_second(ro
 
 def test_a_link_that_is_cut_without_a_word_ends_it_after_half_a_second(robot: Robot, stream: Stream) -> None:
     begun_s, robot.answers = robot.now_s, False
-    with pytest.raises(DisconnectedError, match="does not answer"):
+    with pytest.raises(DisconnectedError, match="did not answer"):
         go_on(robot, stream, 60.0, publishes=False)
     assert robot.now_s - begun_s == pytest.approx(SILENCE_S, abs=PERIOD_S)
     sent = len(robot.published)
@@ -147,7 +150,7 @@ def test_a_link_that_is_cut_without_a_word_ends_it_after_half_a_second(robot: Ro
 
 def test_a_link_that_is_known_to_be_lost_ends_it_at_once(robot: Robot, stream: Stream) -> None:
     robot.connected = False
-    with pytest.raises(DisconnectedError, match="the link to the gateway is lost"):
+    with pytest.raises(DisconnectedError, match="the link to the gateway was lost"):
         stream.set({1: POSE})
     assert (robot.published, robot.questions) == ([], 0)
 
@@ -158,9 +161,10 @@ def test_a_program_that_stalls_asks_before_it_sends_and_learns_what_the_watchdog
     robot.sleep(0.25)
     robot.running, robot.expired = set(), {1, 2}
     for _ in range(2):
-        with pytest.raises(StoppedError, match=r"not heard for .* ms.*start_again\(\) goes on") as error:
+        with pytest.raises(StoppedError, match=r"not heard for .* ms") as error:
             stream.set({1: POSE, 2: POSE})
         assert error.value.legs == (1, 2)
+        assert error.value.__notes__ == [AGAIN]
     assert (robot.published, robot.asked) == ([], ["start"]), "nothing moves that was stopped"
     stream.start_again()
     stream.set({2: POSE})
@@ -190,3 +194,43 @@ def test_a_gateway_that_was_restarted_is_noticed_by_its_first_state(robot: Robot
     asked = robot.questions
     stream.set({1: POSE})
     assert robot.questions == asked, "one answer was enough"
+
+
+def test_a_program_whose_setpoints_take_a_leg_from_another_one_is_warned_once(robot: Robot, stream: Stream) -> None:
+    """Both take it from each other in turns, so both are warned. Another one's Stop takes it only once."""
+    for source, leg in ((robot.name, 4), ("bert", 2)):
+        robot.publish_event(event(Kind.SOURCE_CHANGED, "another", source).model_copy(update={"legs": (leg,)}))
+        stream.set({1: POSE, 2: POSE})
+    changed = event(Kind.SOURCE_CHANGED, "leg 2 is commanded by anna's laptop, and was by bert", robot.name)
+    robot.publish_event(changed.model_copy(update={"legs": (2,)}))
+    with pytest.warns(UserWarning, match="leg 2 is commanded by anna's laptop, and was by bert; both may") as warned:
+        stream.set({1: POSE, 2: POSE})
+    assert warned[0].filename == __file__, "the program's own line"
+    robot.publish_event(changed.model_copy(update={"legs": (2,)}))
+    stream.set({1: POSE, 2: POSE})
+
+
+def test_what_stopped_its_legs_is_past_and_names_no_call(robot: Robot, stream: Stream) -> None:
+    """An error may be shown long after a reset, and to a person who has no program."""
+    detail = "emergency stop; all commands are rejected until a reset"
+    robot.publish_event(
+        event(Kind.ESTOP_ENGAGED, detail, "anna").model_copy(update={"time": WALL + timedelta(hours=1)})
+    )
+    for _ in range(2):
+        with pytest.raises(StoppedError, match="anna engaged") as error:
+            stream.set({1: POSE})
+    assert str(error.value) == "anna engaged the emergency stop"
+    assert error.value.__notes__ == [AGAIN]
+
+
+@pytest.mark.parametrize(
+    ("kind", "detail", "sentence"),
+    [
+        (Kind.ESTOP_ENGAGED, "emergency stop; all is rejected until a reset", "somebody engaged the emergency stop"),
+        (Kind.WATCHDOG_EXPIRED, "leg 3 was not heard for 250 ms; it is stopped", "leg 3 was not heard for 250 ms"),
+        (Kind.STOPPING, "the gateway ends; all servos are stopped", "the gateway ends"),
+        (Kind.BUS_FAULT, "write failed; tried again", "write failed; tried again"),
+    ],
+)
+def test_what_happened_is_said_without_what_held_from_then_on(kind: Kind, detail: str, sentence: str) -> None:
+    assert happened(event(kind, detail)) == sentence

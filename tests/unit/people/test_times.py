@@ -11,7 +11,7 @@ import pytest
 from gateway.people.bridge import own_stop
 from gateway.people.client import confirmed_stop, pace, patience, renewal, silence
 from gateway.people.tools.button import known
-from gateway.people.walking import ride
+from gateway.people.walking import ride, words
 
 TIMES: dict[tuple[ModuleType, str], float] = {
     (confirmed_stop, "AGAIN_NS"): 100_000_000,
@@ -32,6 +32,7 @@ TIMES: dict[tuple[ModuleType, str], float] = {
     (renewal, "RENEWALS"): 3,
     (ride, "START_S"): 0.015,
     (silence, "LOOK_S"): 0.1,
+    (words, "NEWS_S"): 1.0,
 }
 
 

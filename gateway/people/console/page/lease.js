@@ -9,6 +9,8 @@ const RENEWALS_PER_TTL = 3;
 const USUAL_TTL_MS = 1000;
 /** On a button, in letters: it may not grow. What was said has the whole name. */
 const LONGEST_NAME = 14;
+const HANDED = "The lease is handed over to you: press Drive.";
+const FREE = "The lease is free: press Drive.";
 
 export class Lease {
   /**
@@ -25,6 +27,8 @@ export class Lease {
     /** @type {ReturnType<typeof setInterval> | undefined} */
     this.renewing = undefined;
     this.announced = "";
+    /** Whether this page has asked its holder for it, who may still hand it over. */
+    this.wanted = false;
     byId("lease-acquire").addEventListener("click", () => this.#ask("acquire"));
     byId("lease-ask").addEventListener("click", () => this.#ask("ask"));
     byId("lease-take").addEventListener("click", () => this.#take());
@@ -55,12 +59,14 @@ export class Lease {
     if (message.mine && !had) {
       this.#renewEvery((message.ttl_ms ?? USUAL_TTL_MS) / RENEWALS_PER_TTL);
       this.told.got();
-      this.told.say("You drive: this page has the lease.");
+      this.told.say(this.wanted ? "You drive: the lease was handed over to you. Press to move." : "You drive: this page has the lease.");
+      this.wanted = false;
     } else if (!message.mine && had) {
-      this.#lost(did === "release" ? "" : "somebody has taken the lease, or it has ended");
+      this.#lost(did === "release" ? "" : (message.detail ?? "the lease has ended"));
     } else if (message.accepted !== true && did && did !== "renew") {
       this.told.say(`No lease: ${message.detail ?? message.reason ?? "rejected"}`);
     } else if (message.accepted && did === "ask") {
+      this.wanted = true;
       this.told.say(`Asked ${this.holder ?? "the driver"} for the lease.`);
     }
     this.refresh();
@@ -70,7 +76,7 @@ export class Lease {
   closed() {
     this.asked.clear();
     clearInterval(this.renewing);
-    this.mine = false;
+    this.mine = this.wanted = false;
   }
 
   refresh() {
@@ -90,7 +96,13 @@ export class Lease {
       enable(/** @type {HTMLButtonElement} */ (byId(id)), connected);
     }
     show(byId("lease-acquire"), (!mine && holder === null && !looks) || handed);
-    const said = mine && asker ? `${asker} asks for the lease.` : handed ? "The lease is handed over to you: take it." : "";
+    const taking = this.wanted && handed;
+    // Nothing moves by it. Who cannot see the robot does not begin to drive: a hidden page leaves it to others.
+    if (taking && document.visibilityState === "visible" && ![...this.asked.values()].includes("acquire")) this.#ask("acquire");
+    const over = (this.wanted && holder === null) || (this.announced === HANDED && !handed);
+    if (over && !mine) this.told.say(holder === null ? FREE : `${holder} drives.`);
+    if (over) this.wanted = false;
+    const said = mine && asker ? `${asker} asks for the lease.` : handed && !taking ? HANDED : "";
     if (said && said !== this.announced) this.told.say(said);
     this.announced = said;
   }

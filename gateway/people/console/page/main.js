@@ -105,6 +105,7 @@ function heard(message) {
       break;
     case "state":
       model.takeState(message.state, message.age_ms, performance.now());
+      model.now = message.now;
       if (!lease.mine) targets.follow(model.lastDeg, false);
       hold.heardState();
       break;

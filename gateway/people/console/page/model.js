@@ -69,6 +69,8 @@ export class Model {
     this.hello = null;
     /** @type {GatewayState | null} */
     this.state = null;
+    /** What the robot does by it, in one sentence of the console's. */
+    this.now = "";
     /** When the state was true, by this page's clock. */
     this.stateAtMs = -Infinity;
     this.connected = false;

@@ -1,7 +1,7 @@
 // @ts-check
 /** STOP ALL: one tap, Escape or space, from any place of the page; and in words what is known of it. */
 
-import { attribute, byId, confirmed, enable, show, text, typesText } from "./dom.js";
+import { attribute, byId, confirmed, enable, show, text, typesText, worded } from "./dom.js";
 
 /** @typedef {import("./types.js").StopMessage} StopMessage */
 
@@ -14,10 +14,10 @@ const DEAF_MS = 1000;
 /**
  * What is known of a STOP ALL, in one line.
  * @param {{looks: boolean, touch: boolean, connected: boolean, why: string, askedMsAgo: number | null, answer: StopMessage | null,
- *          latched: {estop: number, source: string | null} | null}} known
+ *          latched: boolean, now: string}} known   `now`: what the robot does, by the console
  * @returns {{tone: "bad" | "good" | "asked" | "plain", line: string}}
  */
-export function inWords({ looks, touch, connected, why, askedMsAgo, answer, latched }) {
+export function inWords({ looks, touch, connected, why, askedMsAgo, answer, latched, now }) {
   const asked = askedMsAgo === null ? "" : `asked ${(askedMsAgo / 1000).toFixed(1)} s ago, `;
   if (!connected) {
     const waits = asked ? `${asked}and asked again once connected` : why;
@@ -35,9 +35,7 @@ export function inWords({ looks, touch, connected, why, askedMsAgo, answer, latc
     const within = answer.latency_us === null ? "" : ` within ${(answer.latency_us / 1000).toFixed(1)} ms`;
     return { tone: "good", line: `${frames} Stops written${within}` };
   }
-  if (latched) {
-    return { tone: "good", line: `stopped by ${latched.source ?? "somebody"}; nothing runs until a reset` };
-  }
+  if (latched) return { tone: "good", line: worded(now) };
   return { tone: "plain", line: touch ? "One tap, at any time" : "Escape or space, at any time" };
 }
 
@@ -121,7 +119,8 @@ export class StopAll {
       why: model.trouble.split("\n")[0],
       askedMsAgo: this.asked ? nowMs - this.asked.atMs : null,
       answer: this.answer,
-      latched: latched || this.answer ? { estop: model.state?.estop ?? 0, source: model.state?.estop_source ?? null } : null,
+      latched: latched || this.answer !== null,
+      now: model.now,
     });
     text(byId("stop-known"), known.line);
     attribute(byId("stop"), "data-tone", known.tone);

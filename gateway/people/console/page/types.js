@@ -17,7 +17,7 @@
  *
  * @typedef {{type: "hello", role: "operator" | "button" | "observer", person: string, source: string, version: string,
  *            geometry: Geometry}} Hello
- * @typedef {{type: "state", age_ms: number, state: GatewayState}} StateMessage
+ * @typedef {{type: "state", age_ms: number, now: string, state: GatewayState}} StateMessage
  * @typedef {{type: "link", status: "connected" | "silent" | "gone", detail: string}} LinkMessage
  * @typedef {{type: "event", event: GatewayEvent, left_out?: number}} EventMessage
  * @typedef {{type: "ack", id: number, took_ms: number, error: string | null,
@@ -29,7 +29,7 @@
  *            detail?: string | null, holder?: string | null, verified?: boolean | null,
  *            ttl_ms?: number | null}} LeaseMessage
  *
- * @typedef {{type: "walk", press: number, id: number | null, posture: string | null, gait: string | null,
+ * @typedef {{type: "walk", press: number, id: number | null, posture: string | null, now: string, gait: string | null,
  *            height_m: number | null, commanded: number[], scaled: number[], limit: string, lost: number[],
  *            waits: boolean, detail: string}} WalkMessage
  *

@@ -7,7 +7,7 @@
  * to be pressed anew.
  */
 
-import { attribute, byId, enable, show, text } from "./dom.js";
+import { attribute, byId, enable, show, text, worded } from "./dom.js";
 import { obstacle, PERIOD_MS, whenLost } from "./hold.js";
 import { Keys } from "./keys.js";
 import { Stick, Sticks } from "./stick.js";
@@ -123,11 +123,11 @@ export class Walk {
       for (const id of this.sentMs.keys()) if (id <= message.id) this.sentMs.delete(id);
     }
     if (message.detail && message.detail !== before?.detail) {
-      this.told.say(`${message.detail[0].toUpperCase()}${message.detail.slice(1)}.`);
+      this.told.say(worded(`${message.detail[0].toUpperCase()}${message.detail.slice(1)}.`));
       if (message.posture !== null && this.heightM !== null) this.heightM = message.height_m;
     } else if (message.limit && message.limit !== before?.limit) this.told.say(`Slower than that: ${message.limit}.`);
-    else if (message.posture !== before?.posture && message.posture && !(this.dropped && message.posture === "standing")) {
-      this.told.say(`${WORDS[message.posture] ?? message.posture}.`);
+    else if (message.now && message.now !== before?.now && !(this.dropped && message.posture === "standing")) {
+      this.told.say(`${worded(message.now)}.`);
     }
     if (message.waits && message.press === this.press && message.posture !== null && !this.sits) {
       if (message.detail) this.#letGo();
@@ -163,7 +163,7 @@ export class Walk {
     const [forward, left, turn] = report.scaled;
     const speed = `${Math.hypot(forward, left).toFixed(2)} m/s, ${Math.abs((turn * 180) / Math.PI).toFixed(0)}°/s`;
     const answer = Number.isFinite(this.answerMs) ? `, answered in ${Math.round(this.answerMs)} ms` : "";
-    return `${WORDS[report.posture ?? ""] ?? report.posture}, ${report.gait}, ${speed}${answer}`;
+    return `${worded(report.now)}, ${report.gait}, ${speed}${answer}`;
   }
 
   /** Something is held now, or a little further. */
@@ -243,16 +243,6 @@ export class Walk {
     return [...document.querySelectorAll('input[name="gait"]')].map((each) => /** @type {HTMLInputElement} */ (each));
   }
 }
-
-/** @type {Record<string, string>} */
-const WORDS = {
-  lying: "It lies",
-  sitting: "It sits",
-  standing: "It stands",
-  walking: "It walks",
-  moving: "It moves to another posture",
-  halted: "It stands still, since a leg was stopped",
-};
 
 /** @param {Deflection} deflection */
 function moves({ x, y, turn }) {

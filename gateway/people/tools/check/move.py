@@ -58,7 +58,10 @@ def causes(state: GatewayState) -> tuple[str, ...]:
 
 
 def move(connect: Connection, *, agreed: bool) -> int:
-    """Ask, move, stop, ask. 0: somebody saw it move; 1: nobody did, or it was not to be. Raises ZenohError."""
+    """Ask, move, stop, ask; `agreed`: without any question, so 0 then states only that all was accepted.
+
+    0: somebody saw it move; 1: nobody did, or it was not to be. Raises ZenohError.
+    """
     with connect() as client:
         check_at_rest(client.state())
         servo_id = DEFAULT_SERVO if agreed else _servo(ask(f"Which servo, 11 to 63? [{DEFAULT_SERVO}] "))
@@ -80,6 +83,9 @@ def move(connect: Connection, *, agreed: bool) -> int:
             if state.simulated:
                 say("A simulated controller took it: no servo is there to move.")
             say(f"All six legs were stopped at once, servo {servo_id} with them.")
+            if agreed:
+                say("Every frame was written, and SPI has no way back: look whether it moved, and whether it is loose.")
+                return 0
             seen = ask("Did it move? yes or no: ")
             loose = ask("Turn its horn gently with a finger: is it loose now? yes or no: ") if seen == "yes" else ""
     if seen == "no":

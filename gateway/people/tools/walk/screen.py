@@ -152,7 +152,7 @@ class Screen(screen.Screen):
                 else:
                     self._driven.wait(TICK_S)
             except (GatewayError, RuntimeError) as error:
-                self._message = str(error).replace("start_again() goes on", "g goes on")
+                self._message = str(error) if self._walk.error is None else f"{error}; g goes on"
                 self._pad.release()
 
     # ---- drawing
@@ -162,13 +162,13 @@ class Screen(screen.Screen):
         text = Text(no_wrap=False)
         text.append(f"walk · {visible(' '.join(self._client.robot[1:]))} · {visible(self._holder)} drives\n", "bold")
         try:
-            state = self._walk.state
+            state, now = self._walk.state, self._walk.now
         except RuntimeError:  # it is over
             return text.append("It is stopped.")
         commanded = _shown(self._pad.velocity(time.monotonic()))
         alarm = "bold red" if state.lost or "STOP" in self._message else ""
         text.append(f"{visible(self._message)}\n", alarm).append(f"{_STOP_KEY}\n\n", "bold")
-        text.append(f"  {state.posture:10} {state.gait}, {100 * state.height_m:.0f} cm high, ")
+        text.append(f"  {visible(now)}\n  {state.gait}, {100 * state.height_m:.0f} cm high, ")
         text.append(f"keys: {self._pad.speed_m_s:g} m/s\n")
         text.append(f"  commanded  {commanded}\n")
         text.append(f"  scaled to  {_shown(state.scaled)}  ")

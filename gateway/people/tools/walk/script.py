@@ -4,13 +4,12 @@ Whoever ends it early has it finish its step and sit down; who asks again has it
 """
 
 import math
-import re
 import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Final, Protocol
 
-from gateway.errors import DisconnectedError, GatewayError, LeaseError, RejectedError, StoppedError
+from gateway.errors import LeaseError, RejectedError, StoppedError
 from gateway.people.terminal import Progress, clear_line, hint, on_end_signals, say, show_line
 from gateway.people.tools import driving, kept_lease
 from gateway.people.tools.reach import Connection
@@ -61,10 +60,8 @@ def walk(
         except LeaseError as error:
             return driving.not_acquired(client, error)
         except (StoppedError, RejectedError) as error:
-            say(for_a_person(error))
+            say(str(error))
             return 1
-        except DisconnectedError as error:
-            raise type(error)(for_a_person(error)) from error
         except AtOnce as cut:
             failed = getattr(cut, "__notes__", [])  # its Stops were not confirmed
             say("; ".join(failed) or "stopped at once: its servos are slack, wherever its legs were")
@@ -137,8 +134,3 @@ def went(state: WalkState) -> str:
     return f"{x_m:.2f} m ahead, {y_m:.2f} m to the left, turned by {math.degrees(heading_rad):.0f}°".replace(
         "-0.00", "0.00"
     )
-
-
-def for_a_person(error: GatewayError) -> str:
-    """Its sentence, without what a program may do next."""
-    return re.sub(r"; [^;]*start_again\(\) goes on.*", "", str(error))

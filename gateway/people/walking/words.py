@@ -1,0 +1,106 @@
+"""What the robot does now, in sentences for people. Pure.
+
+What holds now comes from the gateway's newest state alone: a driver (a `Ride`) knows only what it wanted, and adds no
+more than the posture. What has ended a drive is an error's sentence, in the past tense: it stays true however long it
+is shown.
+"""
+
+from collections.abc import Iterable
+from typing import Final
+
+from gateway.people.walking.engine import Posture
+from gateway.people.walking.walker import DOWN, WalkState
+from schemas.robot import LEGS
+from schemas.telemetry import GatewayState, Mode
+
+NEWS_S: Final = 1.0
+"""An older state is the past: by default the gateway publishes ten a second."""
+_MODES: Final = {
+    Mode.STARTING: "The gateway starts",
+    Mode.BUS_FAULT: "Bus fault: what was written may not have arrived",
+    Mode.STOPPING: "The gateway ends, and stops all six legs",
+}
+_POSTURES: Final = {
+    Posture.LYING: "It lies",
+    Posture.SITTING: "It sits",
+    Posture.STANDING: "It stands",
+    Posture.WALKING: "It walks",
+    Posture.MOVING: "It moves to another posture",
+}
+
+
+def robot_now(state: GatewayState | None, age_s: float = 0.0, walk: WalkState | None = None) -> str:
+    """What the robot does, in one sentence without its full stop.
+
+    `age_s`: how long ago the state came. `walk`: of a driver who has not ended yet; a leg that the state shows stopped
+    counts for more than the posture.
+    """
+    if state is None:
+        return "What it does is not known: the gateway has published no state yet"
+    if age_s > NEWS_S:
+        return f"What it does is not known: the gateway's newest state is {age_s:.0f} s old"
+    return _of_mode(state) or _of_legs(state, walk)
+
+
+class Newest:
+    """The gateway's newest state, of those that it publishes and those that it answers."""
+
+    def __init__(self) -> None:
+        self._newest: tuple[GatewayState | None, float] = (None, 0.0)
+        """And when it came; one object, since reports come on a thread of their own."""
+
+    def take(self, state: GatewayState, now_s: float) -> None:
+        """Reports and answers come on ways of their own: an older state may come later, by less than `NEWS_S`."""
+        newest, _ = self._newest
+        late_s = 0.0 if newest is None else newest.uptime_s - state.uptime_s
+        if not 0 < late_s < NEWS_S:  # by more than that: the gateway was started anew
+            self._newest = state, now_s
+
+    def sentence(self, now_s: float, walk: WalkState | None) -> str:
+        """See `robot_now`."""
+        state, came_s = self._newest
+        return robot_now(state, now_s - came_s, walk)
+
+
+def lease_lost(silent_s: float, ttl_s: float, holder: str | None) -> str:
+    """Why a page has lost its lease. `silent_s`: how long it sent nothing that keeps it; `holder`: who has it now."""
+    if silent_s > ttl_s:
+        drives = "" if holder is None else f"; {holder} drives now"
+        silence = f"this page sent nothing for {silent_s:.0f} s (hidden, locked or without network)"
+        return f"{silence}, so its lease has ended{drives}"
+    return "the lease has ended" if holder is None else f"{holder} has taken the lease"
+
+
+def _of_mode(state: GatewayState) -> str:
+    """Empty while the legs may run."""
+    if state.mode == Mode.ESTOPPED:
+        by = "" if state.estop_source is None else f" by {state.estop_source}"
+        return f"Emergency stop{by}: nothing runs until a reset"
+    return next((sentence for mode, sentence in _MODES.items() if state.mode == mode), "")
+
+
+def _of_legs(state: GatewayState, walk: WalkState | None) -> str:
+    some = [leg.leg for leg in state.legs if any(servo.running for servo in leg.servos)]
+    whole = frozenset(leg.leg for leg in state.legs if all(servo.running for servo in leg.servos))
+    if walk is None or (some and (walk.posture is Posture.LYING or not whole)):
+        return _running(some)
+    if walk.posture in DOWN or len(whole) == len(LEGS):
+        return _POSTURES.get(walk.posture, "All six legs run")
+    if not some:
+        return "All six legs are stopped, and hold no weight"
+    stopped = frozenset(LEGS) - whole
+    stand = walk.posture is Posture.HALTED and stopped == frozenset(walk.lost)
+    are = "is" if len(stopped) == 1 else "are"
+    return f"{_named(stopped)} {are} stopped, and the others {'stand still' if stand else 'run'}"
+
+
+def _running(legs: list[int]) -> str:
+    if not legs:
+        return "No servo runs"
+    return "All six legs run" if len(legs) == len(LEGS) else f"{_named(legs)} run{'s' if len(legs) == 1 else ''}"
+
+
+def _named(legs: Iterable[int]) -> str:
+    """`Leg 3`, `Legs 1, 3 and 4`."""
+    *first, last = [str(leg) for leg in sorted(legs)]
+    return f"Legs {', '.join(first)} and {last}" if first else f"Leg {last}"

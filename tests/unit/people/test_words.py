@@ -1,0 +1,129 @@
+"""What the robot does now, in a sentence for each situation: what is shown is so, whatever its driver had wanted."""
+
+from collections.abc import Collection
+
+import pytest
+
+from gateway.people.walking import STILL, Odometry, Posture, WalkState, lease_lost, robot_now
+from gateway.people.walking.words import NEWS_S, Newest
+from schemas.robot import LEGS
+from schemas.telemetry import GatewayState, Mode
+from tests.support.watch_reports import servo, state
+
+ALL = frozenset(LEGS)
+LIMP = "All six legs are stopped, and hold no weight"
+SILENT = "this page sent nothing for 4 s (hidden, locked or without network)"
+
+
+def of(running: Collection[int], mode: Mode = Mode.ACTIVE, **changed: object) -> GatewayState:
+    """The gateway's state while exactly these legs run."""
+    found = state(mode=mode)
+    legs = [
+        leg.model_copy(update={"servos": tuple(servo(each.id, leg.leg in running) for each in leg.servos)})
+        for leg in found.legs
+    ]
+    return found.model_copy(update={"legs": tuple(legs), **changed})
+
+
+def walk(posture: Posture, *lost: int) -> WalkState:
+    return WalkState(posture, "tripod", 0.15, STILL, STILL, "", Odometry(0.0, 0.0, 0.0), lost)
+
+
+@pytest.mark.parametrize(
+    ("running", "driver", "sentence"),
+    [
+        ((), None, "No servo runs"),
+        ((3,), None, "Leg 3 runs"),
+        ((1, 3, 4), None, "Legs 1, 3 and 4 run"),
+        (ALL, None, "All six legs run"),
+        ((), walk(Posture.LYING), "It lies"),
+        ((1, 2), walk(Posture.LYING), "Legs 1 and 2 run"),
+        (ALL, walk(Posture.SITTING), "It sits"),
+        ((), walk(Posture.SITTING), "It sits"),
+        (ALL, walk(Posture.STANDING), "It stands"),
+        (ALL, walk(Posture.WALKING), "It walks"),
+        (ALL, walk(Posture.MOVING), "It moves to another posture"),
+        (ALL - {3}, walk(Posture.HALTED, 3), "Leg 3 is stopped, and the others stand still"),
+        (ALL - {2, 5}, walk(Posture.HALTED, 2, 5), "Legs 2 and 5 are stopped, and the others stand still"),
+        # its driver does not know yet, or holds them no more
+        (ALL - {3, 4}, walk(Posture.HALTED, 3), "Legs 3 and 4 are stopped, and the others run"),
+        (ALL - {3}, walk(Posture.WALKING), "Leg 3 is stopped, and the others run"),
+        (ALL, walk(Posture.HALTED), "All six legs run"),
+        # limp, whatever was lost first, and whatever was wanted
+        ((), walk(Posture.HALTED, 3), LIMP),
+        ((), walk(Posture.HALTED, *LEGS), LIMP),
+        ((), walk(Posture.STANDING), LIMP),
+        ((), walk(Posture.WALKING), LIMP),
+    ],
+)
+def test_what_runs_decides_and_the_posture_only_names_it(
+    running: Collection[int], driver: WalkState | None, sentence: str
+) -> None:
+    assert robot_now(of(running), NEWS_S, driver) == sentence
+
+
+@pytest.mark.parametrize("driver", [None, walk(Posture.HALTED, 3), walk(Posture.WALKING)])
+def test_an_emergency_stop_holds_until_the_reset_and_no_longer(driver: WalkState | None) -> None:
+    during = of((), Mode.ESTOPPED, estop_source="anna")
+    assert robot_now(during, walk=driver) == "Emergency stop by anna: nothing runs until a reset"
+    assert robot_now(of((), Mode.ESTOPPED), walk=driver) == "Emergency stop: nothing runs until a reset"
+    assert "reset" not in robot_now(of((), Mode.IDLE, estop_source="anna"), walk=driver)
+
+
+@pytest.mark.parametrize(
+    ("mode", "sentence"),
+    [
+        (Mode.STARTING, "The gateway starts"),
+        (Mode.BUS_FAULT, "Bus fault: what was written may not have arrived"),
+        (Mode.STOPPING, "The gateway ends, and stops all six legs"),
+        ("dancing", "It walks"),
+    ],
+)
+def test_a_gateway_that_takes_no_commands_says_so_and_a_later_versions_mode_is_none_of_them(
+    mode: Mode, sentence: str
+) -> None:
+    assert robot_now(of(ALL, mode), walk=walk(Posture.WALKING)) == sentence
+
+
+def test_of_what_is_long_past_nothing_is_said() -> None:
+    driver = walk(Posture.WALKING)
+    assert robot_now(of(ALL), NEWS_S + 2, driver) == (
+        "What it does is not known: the gateway's newest state is 3 s old"
+    )
+    assert "no state yet" in robot_now(None, walk=driver)
+
+
+def test_an_older_state_that_comes_later_changes_nothing_and_a_gateway_that_began_anew_does() -> None:
+    newest, driver = Newest(), walk(Posture.STANDING)
+    assert "no state yet" in newest.sentence(0.0, driver)
+    newest.take(of(ALL, uptime_s=10.0), 100.0)
+    newest.take(of((), uptime_s=9.9), 100.1)
+    assert newest.sentence(100.9, driver) == "It stands"
+    assert "is 2 s old" in newest.sentence(102.0, driver)
+    newest.take(of((), uptime_s=0.2), 102.0)
+    assert newest.sentence(102.0, driver) == LIMP
+
+
+def test_one_servo_of_each_leg_is_no_leg_that_stands() -> None:
+    found = of(ALL)
+    legs = [
+        leg.model_copy(update={"servos": (leg.servos[0], *(servo(each.id, False) for each in leg.servos[1:]))})
+        for leg in found.legs
+    ]
+    partly = found.model_copy(update={"legs": tuple(legs)})
+    assert robot_now(partly, walk=walk(Posture.STANDING)) == "All six legs run"
+    one = found.model_copy(update={"legs": (legs[0], *found.legs[1:])})
+    assert robot_now(one, walk=walk(Posture.HALTED, 1)) == "Leg 1 is stopped, and the others stand still"
+
+
+@pytest.mark.parametrize(
+    ("silent_s", "holder", "sentence"),
+    [
+        (0.3, "bert", "bert has taken the lease"),
+        (1.0, None, "the lease has ended"),
+        (4.2, None, f"{SILENT}, so its lease has ended"),
+        (4.2, "bert", f"{SILENT}, so its lease has ended; bert drives now"),
+    ],
+)
+def test_why_a_page_has_lost_its_lease(silent_s: float, holder: str | None, sentence: str) -> None:
+    assert lease_lost(silent_s, 1.0, holder) == sentence
