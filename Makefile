@@ -7,6 +7,8 @@ WHEELS ?= dist/wheels
 # terminal, a systemd to start in a box of its own, and a compiler for a robot's processor, which `make wheels` needs, too.
 DEBIAN_PACKAGES := umockdev gir1.2-umockdev-1.0 python3-gi iproute2 tmux systemd dbus chromium \
 	gcc-aarch64-linux-gnu libc6-dev-arm64-cross
+# And what only `make test-all` needs: the other two browsers, and a display with a window manager for WebKit.
+test-all: DEBIAN_PACKAGES += webkit2gtk-driver xvfb matchbox-window-manager firefox-esr
 
 .PHONY: dist lock help run quick test test-all check case bench kernel walk soak mutants schemas docs format clean wheels debian-packages
 
@@ -16,7 +18,7 @@ help:
 	@echo "make quick    ruff, mypy and the tests that start no process: under a minute, no root"
 	@echo "make test     what each commit has to show; installs Debian packages for the hardware tests (APT=no: does not)"
 	@echo "              (PYTEST_ARGS=\"tests/hil -k estop\": only these, one after the other)"
-	@echo "make test-all and what searches or repeats: twenty minutes on two cores"
+	@echo "make test-all and what searches or repeats: twenty minutes on two cores; installs WebKit and Firefox, too"
 	@echo "make check    ruff, mypy, and the JSON Schemas compared with the models"
 	@echo "make case     the safety case (docs/safety.md): which claims the last make test has shown for these files"
 	@echo "              (RUN=yes: runs the tests that it needs first)"

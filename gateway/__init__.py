@@ -4,5 +4,7 @@ import schemas
 
 __version__ = "1.1.0"
 
-if not hasattr(schemas, "__path__"):  # a module: ours is a package
-    raise ImportError(f"{schemas.__file__} hides the gateway's package of that name; rename it")
+try:
+    import schemas.robot
+except ImportError:  # a module or a package of the program that imports this
+    raise ImportError(f"{schemas.__file__} hides the gateway's package of that name; rename it") from None

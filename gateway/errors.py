@@ -8,6 +8,7 @@ class GatewayError(Exception):
     """Ends the program with `exit_code`; its text is one sentence (or one line per fault) for a person."""
 
     exit_code: ClassVar[int] = 1
+    """Of a command that ends by it. @private"""
 
 
 class ConfigError(GatewayError):

@@ -12,6 +12,7 @@ LACKS: Final = {
     "net": "tests.net.namespaces:lacks",
     "systemd": "tests.box.box:lacks",
     "browser": "tests.console.browser:lacks",
+    "other_browsers": "tests.console.other_browsers:lacks",
 }
 """By a test's mark: the function that knows; imported where such a test runs, since most runs have none of them."""
 

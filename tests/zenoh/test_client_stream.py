@@ -262,12 +262,17 @@ def test_what_is_no_setpoint_is_not_sent(robot: Client, watcher: Client) -> None
     assert watcher.state().commands.accepted == before
 
 
-def test_a_rate_that_the_watchdog_would_not_live_with_is_reported(robot: Client) -> None:
+def test_a_rate_that_the_watchdog_or_the_limit_would_not_live_with_is_reported(robot: Client) -> None:
     with pytest.raises(ValueError, match="the watchdog stops each leg"):
         robot.stream(1).__enter__()
     for hz in (0, -1, 1001):
         with pytest.raises(ValueError, match="a stream's rate"):
             robot.stream(hz)
+    with (
+        pytest.warns(UserWarning, match=r"takes 50 setpoints a second .* of 100 Hz it leaves out 50 %"),
+        robot.stream(100),
+    ):
+        pass
 
 
 def test_ready_is_waited_for(robot: Client, watcher: Client) -> None:

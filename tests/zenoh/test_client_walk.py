@@ -1,5 +1,6 @@
 """Walking through a real gateway: what it sends, and how a walk ends."""
 
+import math
 import time
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
@@ -11,8 +12,7 @@ import pytest
 from gateway.client import Client, Walk
 from gateway.errors import LeaseError, LeaseLostError, RejectedError, StoppedError, WalkError
 from gateway.geometry import load
-from gateway.people.client.walk import LONGEST_S
-from gateway.people.walking import Engine, Posture, Robot
+from gateway.people.walking import LONGEST_S, Engine, Posture, Robot
 from gateway.robot.protocol.frames import Op, decode
 from schemas.calibration import ServoChange
 from schemas.robot import JOINTS, LEGS
@@ -94,6 +94,26 @@ def test_a_dozen_lines_stand_walk_turn_and_sit(robot: Client, watcher: Client) -
     assert servos == [10 * leg + joint for leg in LEGS for joint in JOINTS], "leg after leg"
     with pytest.raises(RuntimeError, match="over after it"):
         walk.go(0.1)
+
+
+def test_so_far_ahead_and_so_far_round_and_odometry_goes_on_after_an_error(robot: Client, watcher: Client) -> None:
+    with robot.walk() as walk:
+        walk.ahead(0.1)
+        assert is_now(walk, Posture.STANDING)
+        assert walk.state.odometry.x_m == pytest.approx(0.1, abs=0.03)
+        walk.turn(-0.2)
+        there = walk.state.odometry
+        assert there.heading_rad == pytest.approx(-0.2, abs=0.1)
+        number = watcher.estop().estop
+        with pytest.raises(StoppedError, match="emergency stop"):
+            walk.ahead(-10)
+        assert robot.reset(number).accepted
+        walk.start_again()
+        assert (walk.state.posture, walk.state.odometry) == (Posture.LYING, there)
+        walk.ahead(-0.1)
+        assert math.hypot(*walk.state.odometry[:2]) < 0.06
+        with pytest.raises(WalkError, match="are these degrees"):
+            walk.turn(90)
 
 
 def test_a_start_that_is_rejected_as_late_ends_the_walk(

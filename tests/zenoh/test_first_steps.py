@@ -10,6 +10,8 @@ import sys
 from contextlib import suppress
 from pathlib import Path
 
+import pytest
+
 from gateway.client import Client
 from tests.support.child import Child
 from tests.support.command import run_here
@@ -85,12 +87,20 @@ def test_a_type_checker_finds_the_types_from_any_folder(tmp_path: Path) -> None:
     assert 'gait.py:4: note: Revealed type is "def ' in checked.stdout, checked.stdout
 
 
-def test_a_file_that_hides_a_package_is_named(tmp_path: Path) -> None:
-    (tmp_path / "schemas.py").touch()
-    program = "import sys; sys.path.insert(0, ''); from gateway.client import Client"
-    child = subprocess.run([sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True, check=False)
+@pytest.mark.parametrize("hides", ["schemas.py", "schemas/__init__.py"])
+def test_a_file_that_hides_a_package_is_named(tmp_path: Path, hides: str) -> None:
+    (tmp_path / hides).parent.mkdir(exist_ok=True)
+    (tmp_path / hides).touch()
+    command = [
+        sys.executable,
+        "-S",
+        "-c",
+        "from gateway.client import Client",
+    ]  # -S: no import hooks
+    environment = {**os.environ, "PYTHONPATH": str(REPOSITORY)}
+    child = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
     assert child.returncode == 1
-    assert child.stderr.splitlines()[-1].endswith("schemas.py hides the gateway's package of that name; rename it")
+    assert child.stderr.splitlines()[-1].endswith(f"{hides} hides the gateway's package of that name; rename it")
 
 
 def test_the_first_incident_of_a_newcomer_is_kept_and_the_console_finds_a_port(tmp_path: Path) -> None:

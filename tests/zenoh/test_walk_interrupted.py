@@ -1,11 +1,14 @@
 """Ctrl-C and SIGTERM in a program of one's own that walks: the first has the robot sit down, the second stops it."""
 
+import asyncio
 import os
 import signal
+import subprocess
 import sys
 
 import pytest
 
+from gateway.client import AsyncClient
 from tests.support.child import Child
 from tests.support.fixtures import gateway_fixture, patient
 from tests.support.gateway_process import Gateway
@@ -14,7 +17,7 @@ from tests.zenoh.test_walk_command import seat, stopped_at
 
 gateway = gateway_fixture(patient(10_000, telemetry={"frames": True}))
 
-PROGRAM = """
+BLOCKING = """
 from gateway.client import Client
 
 with Client("{endpoint}") as robot, robot.walk() as walk:
@@ -23,14 +26,43 @@ with Client("{endpoint}") as robot, robot.walk() as walk:
     while True:
         walk.go(forward_m_s=0.05)
 """
+ASYNC = """
+import asyncio
+from gateway.client import AsyncClient
+
+async def walks():
+    async with AsyncClient("{endpoint}") as robot, robot.walk() as walk:
+        await walk.stand()
+        print("it stands", flush=True)
+        await walk.ahead(10)
+
+async def main():
+    async with asyncio.TaskGroup() as tasks:
+        tasks.create_task(walks())
+
+asyncio.run(main())
+"""
+BY_HAND = ASYNC.replace("asyncio.run(main())", "asyncio.new_event_loop().run_until_complete(main())")
+"""Nobody there handles Ctrl-C."""
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize(
+    ("program", "number"),
+    [
+        pytest.param(BLOCKING, signal.SIGINT, id="blocking-Ctrl-C"),
+        pytest.param(BLOCKING, signal.SIGTERM, id="blocking-SIGTERM"),
+        pytest.param(ASYNC, signal.SIGINT, id="async-Ctrl-C"),
+        pytest.param(ASYNC, signal.SIGTERM, id="async-SIGTERM"),
+        pytest.param(BY_HAND, signal.SIGINT, id="by hand-Ctrl-C"),
+    ],
+)
 @pytest.mark.parametrize("again", [False, True], ids=["once", "twice"])
-def test_the_first_sits_and_the_second_stops(gateway: Gateway, number: signal.Signals, again: bool) -> None:
+def test_the_first_sits_and_the_second_stops(
+    gateway: Gateway, number: signal.Signals, again: bool, program: str
+) -> None:
     with gateway.client() as watcher:
         written = frames(watcher)
-        child = Child([sys.executable, "-c", PROGRAM.format(endpoint=gateway.endpoint)], os.environ)
+        child = Child([sys.executable, "-c", program.format(endpoint=gateway.endpoint)], os.environ)
         try:
             child.wait_for_output("it stands", 60)
             child.send_signal(number)
@@ -45,3 +77,53 @@ def test_the_first_sits_and_the_second_stops(gateway: Gateway, number: signal.Si
         state = watcher.state()
         assert (state.mode, state.lease.holder) == ("idle", None)
         assert (stopped_at(written.all) == pytest.approx(seat(), abs=0.02)) is not again
+
+
+STUBBORN = """
+import asyncio, signal
+from gateway.people.client.interrupts import Interrupts
+
+async def main():
+    Interrupts().open()
+    for _ in range(3):
+        signal.raise_signal(signal.{name})
+        try:
+            await asyncio.sleep(60)
+        except asyncio.CancelledError:
+            print("cancelled", flush=True)
+
+asyncio.new_event_loop().run_until_complete(main())
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_the_third_ends_a_program_that_goes_on_after_two(number: signal.Signals) -> None:
+    code = STUBBORN.format(name=number.name)
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=60)
+    assert (ended.stdout, ended.returncode) == ("cancelled\n" * 2, -number), ended.stderr
+
+
+async def test_a_walk_that_its_own_program_cancels_is_stopped_at_once(gateway: Gateway) -> None:
+    gone: list[float] = []
+
+    async def program(arrived: asyncio.Event) -> None:
+        async with AsyncClient(gateway.endpoint) as robot, robot.walk() as walk:
+            await walk.turn(-0.05)
+            gone.append(walk.state.odometry.heading_rad)
+            await walk.ahead(0.03)
+            gone.append(walk.state.odometry.x_m)
+            arrived.set()
+            await walk.ahead(10)
+
+    with gateway.client() as watcher:
+        written = frames(watcher)
+        arrived = asyncio.Event()
+        async with asyncio.timeout(60):
+            task = asyncio.create_task(program(arrived))
+            await asyncio.wait([task, asyncio.create_task(arrived.wait())], return_when=asyncio.FIRST_COMPLETED)
+            assert gone == [pytest.approx(-0.05, abs=0.01), pytest.approx(0.03, abs=0.01)]
+            task.cancel()
+            with pytest.raises(asyncio.CancelledError):
+                await task
+        assert watcher.state().mode == "idle"
+        assert stopped_at(written.all) != pytest.approx(seat(), abs=0.02)

@@ -1,18 +1,13 @@
 """The client for asyncio: each call waits on a thread of its own, and the loop waits for nobody."""
 
 import asyncio
-import threading
 import time
-from abc import ABC, abstractmethod
 from collections import deque
-from collections.abc import Callable, Coroutine, Iterable, Mapping, Sequence
-from concurrent.futures import Future
-from contextlib import AbstractContextManager, suppress
-from functools import partial, wraps
-from inspect import signature
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Concatenate, Final, Generic, ParamSpec, Self, TypeVar
+from typing import TYPE_CHECKING, Any, Final, Self, TypeVar
 from weakref import WeakSet
 
 import zenoh
@@ -20,19 +15,18 @@ import zenoh
 from gateway.errors import LeaseLostError, ZenohError
 from gateway.people.client.blocking import Client
 from gateway.people.client.button import Button
+from gateway.people.client.interrupts import Interrupts
 from gateway.people.client.lease import Lease
 from gateway.people.client.payloads import Angle
 from gateway.people.client.stream import Stream
+from gateway.people.client.twin import HeldTwin, Threads, Twin, on_this_loop, waits
 from gateway.people.client.walk import Walk
-from gateway.people.walking import WalkState
+from gateway.people.walking import Distance, WalkState
 from schemas.telemetry import Ack, Event, GatewayState
 
 if TYPE_CHECKING:
     from gateway.geometry import Geometry
 
-B = TypeVar("B")
-H = TypeVar("H", bound=AbstractContextManager[Any])
-P = ParamSpec("P")
 T = TypeVar("T")
 
 MAX_QUESTIONS: Final = 32
@@ -41,35 +35,7 @@ KEPT_EVENTS: Final = 256
 """For an `events()` that is not read; the oldest make way."""
 
 
-class _Twin(ABC, Generic[B]):
-    """What stands before a blocking object, with the same names, arguments, rules and errors."""
-
-    _threads: "_Threads"
-
-    @property
-    @abstractmethod
-    def _own(self) -> B:
-        """The blocking object."""
-
-    async def _run(self, function: Callable[[], T], *, stops: bool) -> T:
-        return await self._threads.run(function, stops=stops)
-
-
-def _waits(
-    method: Callable[Concatenate[B, P], T], *, stops: bool = False
-) -> Callable[Concatenate[_Twin[B], P], Coroutine[Any, Any, T]]:
-    """The twin of a method that waits. `stops`: it stops the robot, and so never waits for its turn."""
-
-    @wraps(method)
-    async def call(twin: _Twin[B], /, *args: P.args, **kwargs: P.kwargs) -> T:
-        return await twin._run(partial(method, twin._own, *args, **kwargs), stops=stops)
-
-    # Signature and name as of the method; for whoever makes documents of it, it is a coroutine nevertheless.
-    vars(call)["__signature__"] = signature(vars(call).pop("__wrapped__"))
-    return call
-
-
-class AsyncClient(_Twin[Client]):
+class AsyncClient(Twin[Client]):
     """`Client` for asyncio, with the same names, arguments and errors; opened and closed by `async with`.
 
     Whoever cancels a call no longer waits for its answer; what was asked may take effect all the same.
@@ -97,7 +63,7 @@ class AsyncClient(_Twin[Client]):
             Client, endpoint, zenoh_config=zenoh_config, source=source, timeout_s=timeout_s, explain=explain
         )
         self._client: Client | None = None
-        self._threads = _Threads()
+        self._threads = Threads()
         self._turns = asyncio.Semaphore(MAX_QUESTIONS)
         self._events: WeakSet[_Events] = WeakSet()
         self._listens = False
@@ -166,8 +132,8 @@ class AsyncClient(_Twin[Client]):
         on_asked: Callable[[str], None] | None = None,
     ) -> "AsyncLease":
         """The right to drive: `async with robot.lease(): …`; see `Client.lease`. It calls back on the loop."""
-        lost = None if on_lost is None else _on_this_loop(on_lost)
-        asked = None if on_asked is None else _on_this_loop(on_asked)
+        lost = None if on_lost is None else on_this_loop(on_lost)
+        asked = None if on_asked is None else on_this_loop(on_asked)
         lease = self.client.lease(take=take, wait_s=wait_s, source=source, on_lost=lost, on_asked=asked)
         return AsyncLease(lease, self._threads)
 
@@ -175,20 +141,20 @@ class AsyncClient(_Twin[Client]):
         """A stop button: `async with robot.button("kitchen") as button: …`; see `Client.button`."""
         return AsyncButton(self.client.button(name), self._threads)
 
-    wait_ready = _waits(Client.wait_ready)
-    ask_for_lease = _waits(Client.ask_for_lease)
-    start_leg = _waits(Client.start_leg)
-    set_leg = _waits(Client.set_leg)
-    start_legs = _waits(Client.start_legs)
-    set_legs = _waits(Client.set_legs)
-    stop = _waits(Client.stop, stops=True)
-    estop = _waits(Client.estop, stops=True)
-    reset = _waits(Client.reset)
-    calibration = _waits(Client.calibration)
-    revocation = _waits(Client.revocation)
-    calibrate = _waits(Client.calibrate)
-    answerers = _waits(Client.answerers)
-    state = _waits(Client.state)
+    wait_ready = waits(Client.wait_ready)
+    ask_for_lease = waits(Client.ask_for_lease)
+    start_leg = waits(Client.start_leg)
+    set_leg = waits(Client.set_leg)
+    start_legs = waits(Client.start_legs)
+    set_legs = waits(Client.set_legs)
+    stop = waits(Client.stop, stops=True)
+    estop = waits(Client.estop, stops=True)
+    reset = waits(Client.reset)
+    calibration = waits(Client.calibration)
+    revocation = waits(Client.revocation)
+    calibrate = waits(Client.calibrate)
+    answerers = waits(Client.answerers)
+    state = waits(Client.state)
 
     async def servo(self, servo_id: int, op: str, angle_deg: Angle | None = None) -> Ack:
         """See `Client.servo`."""
@@ -206,11 +172,11 @@ class AsyncClient(_Twin[Client]):
 
     def on_state(self, callback: Callable[[GatewayState], None]) -> "zenoh.Subscriber[None]":
         """Call back, on the loop, for each published state, until the returned subscriber is undeclared."""
-        return self.client.on_state(_on_this_loop(callback))
+        return self.client.on_state(on_this_loop(callback))
 
     def on_event(self, callback: Callable[[Event], None]) -> "zenoh.Subscriber[None]":
         """Call back, on the loop, for each event."""
-        return self.client.on_event(_on_this_loop(callback))
+        return self.client.on_event(on_this_loop(callback))
 
     def events(self) -> "_Events":
         """`async for event in robot.events()`: all events from now on, until the client is closed.
@@ -229,31 +195,7 @@ class AsyncClient(_Twin[Client]):
             events.add(event)
 
 
-class _HeldTwin(_Twin[H]):
-    """The twin of what is used in a `with`."""
-
-    def __init__(self, own: H, threads: "_Threads") -> None:
-        """Made by AsyncClient."""
-        self._held = own
-        self._threads = threads
-
-    @property
-    def _own(self) -> H:
-        return self._held
-
-    async def __aenter__(self) -> Self:
-        gone = asyncio.CancelledError()
-        await self._threads.run(self._own.__enter__, too_late=lambda _: self._own.__exit__(type(gone), gone, None))
-        return self
-
-    async def __aexit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        # It goes on when this is cancelled.
-        await self._threads.run(partial(self._own.__exit__, kind, error, trace), stops=True)
-
-
-class AsyncStream(_HeldTwin[Stream]):
+class AsyncStream(HeldTwin[Stream]):
     """`Stream` for asyncio: the same rules, errors and names; for one task at a time.
 
     >>> async def main():
@@ -296,7 +238,7 @@ class AsyncStream(_HeldTwin[Stream]):
         self._own.go_on_without(legs)
 
 
-class AsyncLease(_HeldTwin[Lease]):
+class AsyncLease(HeldTwin[Lease]):
     """`Lease` for asyncio: the same rules, errors and names.
 
     >>> async def main():
@@ -306,7 +248,7 @@ class AsyncLease(_HeldTwin[Lease]):
     True anna
     """
 
-    hand_over = _waits(Lease.hand_over)
+    hand_over = waits(Lease.hand_over)
 
     @property
     def held(self) -> bool:
@@ -334,7 +276,7 @@ class AsyncLease(_HeldTwin[Lease]):
         return self._own.ttl_ms
 
 
-class AsyncButton(_HeldTwin[Button]):
+class AsyncButton(HeldTwin[Button]):
     """`Button` for asyncio: the same rules, errors and names.
 
     >>> async def main():
@@ -344,9 +286,9 @@ class AsyncButton(_HeldTwin[Button]):
     1
     """
 
-    register = _waits(Button.register)
-    alive = _waits(Button.alive)
-    press = _waits(Button.press, stops=True)
+    register = waits(Button.register)
+    alive = waits(Button.alive)
+    press = waits(Button.press, stops=True)
 
     @property
     def name(self) -> str:
@@ -359,8 +301,11 @@ class AsyncButton(_HeldTwin[Button]):
         return self._own.timeout_ms
 
 
-class AsyncWalk(_HeldTwin[Walk]):
+class AsyncWalk(HeldTwin[Walk]):
     """`Walk` for asyncio: the same rules, errors and names; for one task at a time.
+
+    Ctrl-C and SIGTERM have it sit down, and a second one stops it at once, as there. A task that the program itself
+    cancels has it stopped at once.
 
     >>> async def main():
     ...     async with AsyncClient(endpoint) as robot, robot.walk(gait="ripple") as walk:
@@ -371,10 +316,47 @@ class AsyncWalk(_HeldTwin[Walk]):
     walking
     """
 
-    go = _waits(Walk.go)
-    stand = _waits(Walk.stand)
-    sit = _waits(Walk.sit)
-    start_again = _waits(Walk.start_again)
+    go = waits(Walk.go)
+    stand = waits(Walk.stand)
+    sit = waits(Walk.sit)
+    start_again = waits(Walk.start_again)
+
+    def __init__(self, own: Walk, threads: Threads) -> None:
+        """Made by AsyncClient. @private"""
+        super().__init__(own, threads)
+        self._interrupts = Interrupts()
+
+    async def __aenter__(self) -> Self:
+        await super().__aenter__()
+        self._interrupts.open()
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if isinstance(error, asyncio.CancelledError) and self._interrupts.count == 1:
+            error = KeyboardInterrupt()  # at which a walk sits
+        try:
+            await super().__aexit__(kind, error, trace)
+        except asyncio.CancelledError:
+            self._own.end_now()
+            raise
+        finally:
+            self._interrupts.close()
+
+    async def ahead(self, metres: float) -> None:
+        """See `Walk.ahead`. Cancelled, it stands within `hold_s` and a stride."""
+        await self._cover(Distance(metres, turns=False))
+
+    async def turn(self, radians: float) -> None:
+        """See `Walk.turn`. Cancelled, it stands within `hold_s` and a stride."""
+        await self._cover(Distance(radians, turns=True))
+
+    async def _cover(self, distance: Distance) -> None:
+        # No thread goes on with it where this is cancelled.
+        while (velocity := distance.next(self.state, time.monotonic())) is not None:
+            await self.go(*velocity)
+        await self.stand()
 
     def walk_as(self, gait: str) -> None:
         """See `Walk.walk_as`."""
@@ -435,63 +417,3 @@ class _Events:
             self._there.clear()
             await self._there.wait()
         return self._kept.popleft()
-
-
-class _Threads:
-    """Runs what waits, each call on a thread of its own: no pool in which a Stop could be the one too many.
-
-    They are no daemons: a program's end waits for a Stop that is under way.
-    """
-
-    def __init__(self) -> None:
-        self._stops: set[threading.Thread] = set()
-
-    async def run(
-        self, function: Callable[[], T], *, stops: bool = False, too_late: Callable[[T], object] | None = None
-    ) -> T:
-        """What `function` returns or raises. Cancelled, it goes on, and `too_late` takes what it then returns."""
-        done: Future[T] = Future()
-        done.set_running_or_notify_cancel()  # from now on nobody can cancel it
-
-        def call() -> None:
-            try:
-                result = function()
-            except BaseException as error:
-                done.set_exception(error)
-            else:
-                done.set_result(result)
-            finally:
-                self._stops.discard(threading.current_thread())
-
-        thread = threading.Thread(target=call, name="ask the gateway")
-        if stops:
-            self._stops.add(thread)
-        thread.start()
-        try:
-            return await asyncio.wrap_future(done)
-        except asyncio.CancelledError:
-            if too_late is not None:
-                take = too_late
-                threading.Thread(target=lambda: done.exception() or take(done.result())).start()
-            raise
-
-    async def run_last(self, function: Callable[[], None]) -> None:
-        """The same, when all Stops have their answers."""
-        under_way = list(self._stops)
-
-        def call() -> None:
-            for thread in under_way:
-                thread.join()
-            function()
-
-        await self.run(call)
-
-
-def _on_this_loop(callback: Callable[[T], None]) -> Callable[[T], None]:
-    loop = asyncio.get_running_loop()
-
-    def call(report: T) -> None:
-        with suppress(RuntimeError):  # the loop is closed
-            loop.call_soon_threadsafe(callback, report)
-
-    return call

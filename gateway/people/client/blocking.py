@@ -91,7 +91,7 @@ class Client:
         config = client_config(endpoint, file)
         self._hosts = Hosts(config, timeout_s)
         self.robot = (str(get(config, "namespace") or ""), *self._hosts.endpoints)
-        """What is dialled: the namespace ("" for none), and the endpoints."""
+        """What is dialled: the namespace ("" for none), and the endpoints. @private"""
         if not self._hosts.endpoints and get(config, "scouting/multicast/enabled") is not True:
             raise ConfigError(f"{file} names no gateway: set connect.endpoints in it, or give an endpoint")
         self._timeout_s = timeout_s
@@ -106,12 +106,12 @@ class Client:
         self.name = str(self.session.info.zid()) if source is None else source
         """Who this is in events: `source`, or the session's Zenoh id (which only a stream's commands tell)."""
         self.lease_requests = LeaseRequests(partial(self._get, again=False), Identity.of(config), self.name)
-        """For the lease, and for tools that keep one."""
+        """For the lease, and for tools that keep one. @private"""
         self.button_requests = ButtonRequests(partial(self._get, again=False), Identity.of(config), self.name)
-        """For a button, and for tools that are one."""
+        """For a button, and for tools that are one. @private"""
         self._lease: Lease | None = None
         self.walks = False
-        """Whether a walk of it is open; two would move the same legs."""
+        """Whether a walk of it is open; two would move the same legs. @private"""
         close_at_the_end(self)
 
     def __enter__(self) -> Self:
@@ -156,7 +156,10 @@ class Client:
             time.sleep(_POLL_S)
 
     def stream(self, hz: float = 50) -> Stream:
-        """Setpoints of a gait, `hz` (above 0, at most 1000) times a second: `with robot.stream(50) as stream: …`."""
+        """Setpoints of a gait, `hz` (above 0, at most 1000) times a second: `with robot.stream(50) as stream: …`.
+
+        Of more than the gateway's `limits.leg_rate_hz` it leaves some out; the stream then warns.
+        """
         return Stream(self, hz)
 
     def walk(self, gait: str = "tripod", geometry: "Geometry | Path | str | None" = None, hz: float = 50) -> "Walk":
@@ -193,12 +196,12 @@ class Client:
         return self.lease_requests.as_person("ask", source)
 
     def carry(self, lease: Lease) -> None:
-        """From now on commands carry this lease."""
+        """From now on commands carry this lease. @private"""
         self._lease = lease
 
     @property
     def carried_lease(self) -> Lease | None:
-        """The lease that commands carry; also one that was lost, until its `with` ends."""
+        """The lease that commands carry; also one that was lost, until its `with` ends. @private"""
         return self._lease if self._lease is not None and self._lease.token is not None else None
 
     # ---- who watches
@@ -350,7 +353,7 @@ class Client:
             return session.declare_subscriber(key, take)
 
     def check_open(self) -> None:
-        """Raise what each call raises once this client is closed: ZenohError."""
+        """Raise what each call raises once this client is closed: ZenohError. @private"""
         with self._open_session():
             pass
 

@@ -34,7 +34,7 @@ class Button:
     """
 
     def __init__(self, client: "Client", name: str | None) -> None:
-        """See `Client.button`."""
+        """See `Client.button`. @private"""
         self._client = client
         self._wanted = name
         self._token: str | None = None
@@ -42,7 +42,7 @@ class Button:
         self._ends_s = 0.0
         """When the registration has lived long enough, monotonic."""
         self.registered_s = 0.0
-        """When it was, monotonic."""
+        """When it was, monotonic. @private"""
         self.name = ""
         """By which name the gateway knows it: the certificate's person, else the one that was asked for."""
         self.timeout_ms = 0.0
@@ -102,13 +102,13 @@ class Button:
         return self._client.estop(source=self.name or self._wanted)
 
     def leave(self) -> None:
-        """Be none any more; the robot stops if too few remain. One that does not answer notices it by the silence."""
+        """Be none any more; the robot stops if too few remain. @private"""
         token, self._token = self._token, None
         if token is not None:
             try:
                 self._client.button_requests.leave(token, self.timeout_ms / 1000 or None)
             except DisconnectedError:
-                return
+                return  # it notices the silence
 
 
 def _granted(ack: "ButtonAck") -> "ButtonAck":

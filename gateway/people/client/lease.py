@@ -61,7 +61,7 @@ class Lease:
         on_lost: Callable[[LeaseLostError], None] | None,
         on_asked: Callable[[str], None] | None,
     ) -> None:
-        """See `Client.lease`."""
+        """See `Client.lease`. @private"""
         self._client = client
         self._take = take
         self._wait_s = wait_s
@@ -131,7 +131,7 @@ class Lease:
     # ---- begin and end; `with` calls them
 
     def acquire(self) -> None:
-        """Raises LeaseError where it is not to be had, DisconnectedError where no gateway answers."""
+        """Raises LeaseError where it is not to be had, DisconnectedError where no gateway answers. @private"""
         if self._renewal.holds is not Holds.NOT_YET:
             raise RuntimeError("a lease is held once; make a new one with `lease()`")
         if (other := self._client.carried_lease) is not None and other.held:
@@ -153,7 +153,7 @@ class Lease:
         self._thread.start()
 
     def release(self) -> None:
-        """Give it back, if it is held. What is not answered expires by itself."""
+        """Give it back, if it is held. What is not answered expires by itself. @private"""
         token = self._token if self.held else None
         self._end(Holds.RELEASED)
         if token is not None:
@@ -166,28 +166,28 @@ class Lease:
 
     @property
     def token(self) -> str | None:
-        """What commands carry. Still the old one after a loss, so that nothing of ours is taken by mistake."""
+        """What commands carry. Still the old one after a loss, so that nothing of ours is taken by mistake. @private"""
         return self._token
 
     @property
     def elsewhere(self) -> bool:
-        """Whether it was handed over, or somebody else is known to hold it: the legs are theirs."""
+        """Whether it was handed over, or somebody else is known to hold it: the legs are theirs. @private"""
         return self._renewal.elsewhere
 
     def check(self) -> None:
-        """Raise what was lost."""
+        """Raise what was lost. @private"""
         if self.lost is not None:
             raise self.lost.with_traceback(None)
 
     def confirm(self) -> LeaseLostError | None:
-        """Ask the gateway whether we still hold it; the error if not."""
+        """Ask the gateway whether we still hold it; the error if not. @private"""
         with self._giving:
             if self.held:
                 self._renew(ANSWER_S)
         return self.lost
 
     def judge(self, ack: Ack) -> None:
-        """Take notice of what became of a command that carried the token. Raises LeaseLostError."""
+        """Take notice of what became of a command that carried the token. Raises LeaseLostError. @private"""
         if not ack.accepted and ack.reason in NOT_OURS:
             self.confirm()
             self.check()

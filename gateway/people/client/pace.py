@@ -96,6 +96,23 @@ class Doubt:
         return self._raised or stalled or now_s - self._received_s >= SILENCE_S
 
 
+def thins(hz: float, limit_hz: float) -> str | None:
+    """What to warn of where the gateway's `limits.leg_rate_hz` leaves out a part of a stream's setpoints. Pure.
+
+    >>> thins(50, 50), thins(20, 50)
+    (None, None)
+    >>> thins(100, 50)
+    'the gateway takes 50 setpoints a second for each leg (limits.leg_rate_hz): of 100 Hz it leaves out 50 %'
+    """
+    if hz <= limit_hz:
+        return None
+    left_out = 100 * (1 - limit_hz / hz)
+    return (
+        f"the gateway takes {limit_hz:g} setpoints a second for each leg (limits.leg_rate_hz): "
+        f"of {hz:g} Hz it leaves out {left_out:.0f} %"
+    )
+
+
 class Radians:
     """Notices a gait that counts in radians: every angle is legal, and the robot hardly moves. Pure.
 

@@ -18,7 +18,7 @@ import zenoh
 
 from gateway.errors import DisconnectedError, GatewayError, LeaseLostError, RejectedError, StoppedError, ZenohError
 from gateway.people.client.lease import NOT_OURS
-from gateway.people.client.pace import LIKE_RADIANS, Doubt, Pace, Radians
+from gateway.people.client.pace import LIKE_RADIANS, Doubt, Pace, Radians, thins
 from gateway.people.client.payloads import Angle, legs_payload
 from schemas import keys
 from schemas.telemetry import Ack, Event, GatewayState, Kind, Mode, Reason, WatchdogState
@@ -67,7 +67,7 @@ class Stream:
     """
 
     def __init__(self, client: "Client", hz: float) -> None:
-        """Raises ValueError unless 0 < hz ≤ 1000."""
+        """Raises ValueError unless 0 < hz ≤ 1000. @private"""
         self._client = client
         self._hz = checked_hz(hz)
         self._pace = Pace(hz)
@@ -145,17 +145,23 @@ class Stream:
     # ---- the steps of it, which AsyncStream takes, too
 
     def open(self) -> None:
-        """Begin to listen. Raises DisconnectedError, and ValueError for a rate below the watchdog's."""
+        """Begin to listen. Raises DisconnectedError, and ValueError for a rate below the watchdog's. @private
+
+        Warns where the gateway takes fewer setpoints.
+        """
         client = self._client
-        watchdog_s = client.state().watchdog.timeout_ms / 1000
+        state = client.state()
+        watchdog_s = state.watchdog.timeout_ms / 1000
         if self._pace.period_s >= watchdog_s:
             raise ValueError(f"at {self._hz:g} Hz the watchdog stops each leg after {watchdog_s:g} s of silence")
+        if (thinned := thins(self._hz, state.limits.leg_rate_hz)) is not None:
+            warnings.warn(thinned, stacklevel=3)
         self._doubt = Doubt(watchdog_s)
         self._subscribers = [client.on_state(self._hear_state), client.on_event(self._hear_event)]
         self._open = True
 
     def close(self) -> None:
-        """Stop what was started, acknowledged. Raises DisconnectedError, RejectedError."""
+        """Stop what was started, acknowledged. Raises DisconnectedError, RejectedError. @private"""
         self._open = False
         if not self._sending.acquire(blocking=False):
             # A start of another thread's may be under way: a Stop now, and one more that is newer than it.
@@ -171,7 +177,7 @@ class Stream:
                     each.undeclare()
 
     def read(self, angles_deg: Mapping[int, Sequence[Angle]]) -> Angles:
-        """The numbers. Raises ValueError, TypeError. Warns once where they look like radians."""
+        """The numbers. Raises ValueError, TypeError. Warns once where they look like radians. @private"""
         if not angles_deg:
             raise ValueError("no leg is given")
         read: Angles = {}
@@ -189,7 +195,7 @@ class Stream:
         return read
 
     def check_open(self) -> None:
-        """Raise what a call outside of a `with`, or after an error, raises."""
+        """Raise what a call outside of a `with`, or after an error, raises. @private"""
         if not self._open:
             raise RuntimeError("a stream is used in a `with`, and is over after it")
         if self._over is not None:
@@ -201,16 +207,16 @@ class Stream:
         return self._over is not None
 
     def due_s(self) -> float:
-        """When (monotonic) the setpoint is to be sent; once for each."""
+        """When (monotonic) the setpoint is to be sent; once for each. @private"""
         return self._pace.next_s(time.monotonic())
 
     def must_ask(self, angles: Angles) -> bool:
-        """Whether `send` would ask the gateway, and wait for its answer."""
+        """Whether `send` would ask the gateway, and wait for its answer. @private"""
         starts = not angles.keys() <= self._started
         return starts or self._in_doubt() or bool(self._events) or self._sending.locked()
 
     def send(self, angles: Angles) -> None:
-        """Check, and send, as `set` states."""
+        """Check, and send, as `set` states. @private"""
         with self._sending:
             self.check_open()
             try:

@@ -15,8 +15,10 @@ from gateway.errors import GatewayError, RejectedError, StoppedError, Unanswered
 from gateway.geometry import Geometry, load
 from gateway.people.client.stream import ANSWER_S, Stream, checked_hz
 from gateway.people.walking import (
+    LONGEST_S,
     USUAL,
     Body,
+    Distance,
     Do,
     Phase,
     Posture,
@@ -40,18 +42,19 @@ if TYPE_CHECKING:
 Degrees = tuple[float, float, float]
 T = TypeVar("T")
 
-LONGEST_S: Final = 30.0
-"""No way to a posture takes so long, with servos ten times slower than usual ones."""
 _SLOWER: Final = 0.98
 """Of `limits.leg_rate_hz`, where that is below the rate asked for: at exactly the limit setpoints wait for slots."""
 
 
-class _Terminated(SystemExit):
+class Terminated(SystemExit):
     """SIGTERM came within the `with` of a walk."""
 
+    def __init__(self) -> None:
+        super().__init__(128 + signal.SIGTERM)
 
-def _terminate(number: int, _frame: FrameType | None) -> None:
-    raise _Terminated(128 + number)
+
+def _terminate(_number: int, _frame: FrameType | None) -> None:
+    raise Terminated
 
 
 class Walk:
@@ -95,6 +98,8 @@ class Walk:
 
         Raises WalkError for a gait that there is not, ConfigError for a faulty geometry file, and ValueError for a rate
         that no stream has.
+
+        @private
         """
         gait_named(gait)
         self._client = client
@@ -113,14 +118,14 @@ class Walk:
         """Held while the ride is used."""
         self._not_again: Exception | None = None
         """Why it could not start again."""
-        self._closing = False
+        self._closing = self._sits_at_sigterm = False
         self._newest = Newest()
         self._reports: zenoh.Subscriber[None] | None = None
         self._ticks = 0
         self._awaited: Posture | None = None
         """Cleared when it is reached."""
         self.slowest_tick_s = 0.0
-        """What the longest tick took to compute, without the wait for its time."""
+        """What the longest tick took to compute, without the wait for its time. @private"""
 
     # ---- what a program calls
 
@@ -136,6 +141,18 @@ class Walk:
         ticks = self._ticks
         if wait:
             self._wait_for(lambda: self._ticks > ticks)
+
+    def ahead(self, metres: float) -> None:
+        """Walk so far by `state.odometry` (below 0: backward), and stand; returns when it stands.
+
+        Raises what `go` does, and WalkError where it comes no nearer. An exception in it ends the walk as a silence
+        does: the robot stands within `hold_s` and a stride.
+        """
+        self._cover(Distance(metres, turns=False))
+
+    def turn(self, radians: float) -> None:
+        """Turn in place by so much, counter-clockwise above 0, and stand; as `ahead`."""
+        self._cover(Distance(radians, turns=True))
 
     def stand(
         self, height_m: float | None = None, roll_rad: float = 0.0, pitch_rad: float = 0.0, *, wait: bool = True
@@ -181,7 +198,7 @@ class Walk:
                 raise self._not_again or WalkError(f"after {LONGEST_S:g} s the gateway has not answered")
 
     def use(self, do: Callable[[Ride, float], T]) -> T:
-        """Call this with the ride and the time, and wake the thread that walks."""
+        """Call this with the ride and the time, and wake the thread that walks. @private"""
         with self._changed:
             done = do(self._using(), time.monotonic())
             self._changed.notify_all()
@@ -189,7 +206,7 @@ class Walk:
 
     @property
     def error(self) -> GatewayError | None:
-        """What has ended it, and what each call raises, until `start_again`."""
+        """What has ended it, and what each call raises, until `start_again`. @private"""
         return None if self._ride is None else self._ride.error
 
     @property
@@ -208,7 +225,7 @@ class Walk:
 
     @property
     def is_over(self) -> bool:
-        """Whether its driver has been silent, and nothing runs by it any more."""
+        """Whether its driver has been silent, and nothing runs by it any more. @private"""
 
         def look(ride: Ride, now_s: float) -> bool:
             ride.look(now_s)
@@ -238,8 +255,10 @@ class Walk:
 
     def __enter__(self) -> Self:
         self.open()
-        if threading.current_thread() is threading.main_thread() and signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:
+        main = threading.current_thread() is threading.main_thread()
+        if main and signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:
             signal.signal(signal.SIGTERM, _terminate)
+            self._sits_at_sigterm = True
         return self
 
     def __exit__(
@@ -247,17 +266,17 @@ class Walk:
     ) -> None:
         try:
             # Who ends a program wants no fall. Who cannot wait presses again: that interrupts the sitting down.
-            self.close(sits=error is None or isinstance(error, KeyboardInterrupt | _Terminated))
+            self.close(sits=error is None or isinstance(error, KeyboardInterrupt | Terminated))
         except GatewayError as failed:
             if error is None:
                 raise
             error.add_note(f"and the end of the walk: {failed}")
         finally:
-            if signal.getsignal(signal.SIGTERM) is _terminate:
+            if self._sits_at_sigterm:
                 signal.signal(signal.SIGTERM, signal.SIG_DFL)
 
     def open(self) -> None:
-        """Acquire the lease, read limits and calibration. Nothing moves. Raises as the class states, and LeaseError."""
+        """Acquire the lease, read limits and calibration. Nothing moves. Raises as calls do, or LeaseError. @private"""
         if self._thread is not None:
             raise RuntimeError("a walk is used once; make a new one with `walk()`")
         if self._client.walks:
@@ -286,14 +305,16 @@ class Walk:
         self._thread.start()
 
     def close(self, *, sits: bool = True) -> None:
-        """Sit down, if it can, and stop the legs. Raises what went wrong meanwhile."""
+        """Sit down, if it can, and stop the legs. Raises what went wrong meanwhile. @private"""
         try:
-            if sits and self.error is None and self._stream is not None:
-                self.sit()
-        finally:
             with self._changed:
-                self._closing = True
-                self._changed.notify_all()
+                sits = sits and not self._closing and self.error is None and self._stream is not None
+                if sits:
+                    self.sit(wait=False)
+            if sits:
+                self._wait_for(lambda: self._awaited is None)
+        finally:
+            self.end_now()
             if self._thread is not None:
                 self._thread.join()
                 self._client.walks = False
@@ -302,7 +323,18 @@ class Walk:
             finally:
                 self._release()
 
+    def end_now(self) -> None:
+        """Send nothing more. A `close` on another thread does not wait for it to sit, and stops the legs. @private"""
+        with self._changed:
+            self._closing = True
+            self._changed.notify_all()
+
     # ---- inside
+
+    def _cover(self, distance: Distance) -> None:
+        while (velocity := distance.next(self.state, time.monotonic())) is not None:
+            self.go(*velocity)
+        self.stand()
 
     def _set_silences(self, silences: Silences) -> None:
         with self._changed:
@@ -346,7 +378,7 @@ class Walk:
 
     def _wait_for(self, condition: Callable[[], bool]) -> None:
         with self._changed:
-            there = self._changed.wait_for(lambda: self.error is not None or condition(), LONGEST_S)
+            there = self._changed.wait_for(lambda: self.error is not None or self._closing or condition(), LONGEST_S)
             if self.error is not None:
                 raise self.error.with_traceback(None)
             if not there:

@@ -4,22 +4,25 @@
 falls silent. `Walker` below it decides where the legs go; `Engine` is the gait, `Robot` where the feet can be.
 """
 
+from gateway.people.walking.distance import Distance
 from gateway.people.walking.engine import Engine, Odometry, Posture
 from gateway.people.walking.gaits import GAITS, Gait
 from gateway.people.walking.motion import STILL, Body, Velocity
 from gateway.people.walking.ride import USUAL, Do, Phase, Ride, Silences, Step, Wish
 from gateway.people.walking.robot import Pose, Range, Robot, Stance
-from gateway.people.walking.walker import DOWN, HOLD_S, REST_S, Walker, WalkState
+from gateway.people.walking.walker import DOWN, HOLD_S, LONGEST_S, REST_S, Walker, WalkState
 from gateway.people.walking.words import lease_lost, robot_now
 
 __all__ = [
     "DOWN",
     "GAITS",
     "HOLD_S",
+    "LONGEST_S",
     "REST_S",
     "STILL",
     "USUAL",
     "Body",
+    "Distance",
     "Do",
     "Engine",
     "Gait",

@@ -64,7 +64,7 @@ class Odometry(NamedTuple):
     heading_rad: float = 0.0
 
     def after(self, velocity: Velocity, seconds: float) -> "Odometry":
-        """The odometry after a further motion with `velocity`, which is in the body's frame."""
+        """The odometry after a further motion with `velocity`, which is in the body's frame. @private"""
         ahead_m, aside_m, turned = travelled(velocity, seconds)
         cosine, sine = math.cos(self.heading_rad), math.sin(self.heading_rad)
         return Odometry(
@@ -74,7 +74,7 @@ class Odometry(NamedTuple):
         )
 
 
-_ORIGIN: Final = Odometry()
+ORIGIN: Final = Odometry()
 
 
 class Swing(NamedTuple):
@@ -92,7 +92,7 @@ class _State(Figure):
     velocity: Velocity = STILL
     clock: float = 0.0
     """In strides."""
-    odometry: Odometry = _ORIGIN
+    odometry: Odometry = ORIGIN
     part: float = 0.0
     """Of the first of its moves."""
     brake_s: float = 0.0
@@ -107,7 +107,9 @@ class _State(Figure):
 class Engine:
     """Walks, stands and sits; `step` once a tick. Not for several threads at once."""
 
-    def __init__(self, robot: Robot, gait: str = "tripod", angles_deg: Pose | None = None) -> None:
+    def __init__(
+        self, robot: Robot, gait: str = "tripod", angles_deg: Pose | None = None, odometry: Odometry = ORIGIN
+    ) -> None:
         """`angles_deg`: of the legs that run, as they were last commanded; the others are slack and may be anywhere.
 
         Raises WalkError where the robot can neither stand nor sit, and for a gait that there is not.
@@ -127,7 +129,7 @@ class Engine:
         self._pace = 1.0
         self._cap: tuple[object, float] = (None, 1.0)
         self._wanted: deque[Stance | None] = deque(maxlen=1)
-        self._state = _State(Body(0.0), {}, {})
+        self._state = _State(Body(0.0), {}, {}, odometry=odometry)
         self.find(angles_deg or {})
 
     # ---- what it is asked for

@@ -25,7 +25,7 @@ from enum import Enum, auto
 from typing import Final, NamedTuple
 
 from gateway.errors import GatewayError, StoppedError, WalkError
-from gateway.people.walking.engine import Posture
+from gateway.people.walking.engine import ORIGIN, Odometry, Posture
 from gateway.people.walking.inverse import Angles
 from gateway.people.walking.motion import STILL, Body, Velocity
 from gateway.people.walking.robot import Pose, Robot
@@ -257,7 +257,7 @@ class Ride:
         elif self._ours:
             self.phase = Phase.FAILED
         else:
-            self._walker = self._new_walker(robot, engine.gait_name, running)
+            self._walker = self._new_walker(robot, engine.gait_name, running, engine.odometry)
             self.phase, self._found = Phase.RESTS, False
             self._goes_on(now_s)
 
@@ -351,8 +351,9 @@ class Ride:
 
     # ---- inside
 
-    def _new_walker(self, robot: Robot, gait: str, running: Pose) -> Walker:
-        return Walker(robot, gait, running, hold_s=self._silences.hold_s, rest_s=self._silences.rest_s)
+    def _new_walker(self, robot: Robot, gait: str, running: Pose, odometry: Odometry = ORIGIN) -> Walker:
+        hold_s, rest_s = self._silences.hold_s, self._silences.rest_s
+        return Walker(robot, gait, running, hold_s=hold_s, rest_s=rest_s, odometry=odometry)
 
     def _check(self) -> None:
         if self.error is not None:

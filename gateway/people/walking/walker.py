@@ -8,7 +8,7 @@ It takes for granted that all six legs run; `Ride` decides about those.
 
 from typing import Final, NamedTuple
 
-from gateway.people.walking.engine import Engine, Odometry, Posture
+from gateway.people.walking.engine import ORIGIN, Engine, Odometry, Posture
 from gateway.people.walking.motion import STILL, Velocity
 from gateway.people.walking.robot import Pose, Robot, Stance
 
@@ -16,6 +16,8 @@ HOLD_S: Final = 0.5
 """As diff_drive_controller and twist_mux have it."""
 REST_S: Final = 10.0
 """Servos that hold a robot up get hot."""
+LONGEST_S: Final = 30.0
+"""No way to a posture takes so long, with servos ten times slower than usual ones."""
 
 
 class WalkState(NamedTuple):
@@ -49,9 +51,10 @@ class Walker:
         *,
         hold_s: float = HOLD_S,
         rest_s: float = REST_S,
+        odometry: Odometry = ORIGIN,
     ) -> None:
-        """`angles_deg`: of legs that run already. Raises WalkError."""
-        self.engine = Engine(robot, gait, angles_deg)
+        """`angles_deg`: of legs that run already. `odometry`: so far. Raises WalkError."""
+        self.engine = Engine(robot, gait, angles_deg, odometry)
         self.hold_s = hold_s
         self.rest_s = rest_s
         self._velocity = STILL

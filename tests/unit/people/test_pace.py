@@ -117,4 +117,4 @@ def test_a_doubt_is_there_until_it_is_asked_and_the_answer_may_raise_another() -
 
 
 def test_the_examples_are_right() -> None:
-    assert doctest.testmod(pace_module) == (0, 11)
+    assert doctest.testmod(pace_module) == (0, 13)

@@ -89,6 +89,17 @@ def test_a_lost_leg_starts_where_it_was_while_the_others_run() -> None:
     assert ridden.posture is Posture.WALKING
 
 
+def test_odometry_goes_on_where_it_was_though_the_walk_begins_anew() -> None:
+    ridden = walking()
+    ridden.estop()
+    ridden.tick()
+    there = ridden.ride.state.odometry
+    assert there.x_m > 0.01
+    ridden.estopped = False
+    expect_begins_anew(ridden)
+    assert ridden.ride.state.odometry.x_m >= there.x_m
+
+
 def test_two_lost_legs_start_one_after_the_other() -> None:
     ridden = walking()
     ridden.stop([2, 5])

@@ -1,0 +1,79 @@
+"""Ctrl-C and SIGTERM while an `AsyncWalk` is open: the first has the robot sit down, the second stops it at once.
+
+Signals reach the main thread only. A handler that a program has set itself still gets them.
+"""
+
+import asyncio
+import signal
+import threading
+from types import FrameType
+from typing import Any, ClassVar, Final
+
+from gateway.people.client.walk import Terminated
+
+_TWICE: Final = 2
+
+
+class Interrupts:
+    """Those that come while a walk of the main thread's loop is open; several walks may be.
+
+    `asyncio.run` cancels its main task at the first Ctrl-C, and all tasks at the second. For SIGTERM, and where Ctrl-C
+    has no such handler, the task that has opened this is cancelled, twice at most; the third ends the program.
+    """
+
+    _open: ClassVar[list["Interrupts"]] = []
+    _before: ClassVar[dict[int, Any]] = {}
+    """Each signal's handler before the first walk's."""
+
+    def __init__(self) -> None:
+        self.count = 0
+        self._ours: int | None = None
+        self._task: asyncio.Task[Any] | None = None
+
+    def open(self) -> None:
+        """In the task that holds the walk."""
+        if threading.current_thread() is not threading.main_thread():
+            return
+        self._task = asyncio.current_task()
+        if not self._open:
+            for number in (signal.SIGINT, signal.SIGTERM):
+                before = signal.getsignal(number)
+                if callable(before) if number == signal.SIGINT else before == signal.SIG_DFL:
+                    self._before[number] = before
+                    signal.signal(number, self._received)
+        self._open.append(self)
+
+    def close(self) -> None:
+        """The walk is over. Raises KeyboardInterrupt or Terminated where this has cancelled the task."""
+        if self in self._open:
+            self._open.remove(self)
+            if not self._open:
+                for number in list(self._before):
+                    self._restore(number)
+        if self._ours is not None:
+            raise KeyboardInterrupt if self._ours == signal.SIGINT else Terminated
+
+    @classmethod
+    def _received(cls, number: int, frame: FrameType | None) -> None:
+        before = cls._before[number]
+        for each in cls._open:
+            each.count += 1
+        if before not in (signal.SIG_DFL, signal.default_int_handler):
+            before(number, frame)
+        elif all(each.count <= _TWICE for each in cls._open):
+            for each in cls._open:
+                each._cancel(number)
+        else:
+            cls._restore(number)
+            signal.raise_signal(number)
+
+    def _cancel(self, number: int) -> None:
+        self._ours = number
+        if self._task is not None:
+            self._task.get_loop().call_soon_threadsafe(self._task.cancel)
+
+    @classmethod
+    def _restore(cls, number: int) -> None:
+        before = cls._before.pop(number)
+        if signal.getsignal(number) == cls._received:
+            signal.signal(number, before)

@@ -1,0 +1,133 @@
+"""What stands before a blocking object for asyncio: each call waits on a thread of its own."""
+
+import asyncio
+import threading
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Coroutine
+from concurrent.futures import Future
+from contextlib import AbstractContextManager, suppress
+from functools import partial, wraps
+from inspect import signature
+from types import TracebackType
+from typing import Any, Concatenate, Generic, ParamSpec, Self, TypeVar
+
+B = TypeVar("B")
+H = TypeVar("H", bound=AbstractContextManager[Any])
+P = ParamSpec("P")
+T = TypeVar("T")
+
+
+class Twin(ABC, Generic[B]):
+    """What stands before a blocking object, with the same names, arguments, rules and errors."""
+
+    _threads: "Threads"
+
+    @property
+    @abstractmethod
+    def _own(self) -> B:
+        """The blocking object."""
+
+    async def _run(self, function: Callable[[], T], *, stops: bool) -> T:
+        return await self._threads.run(function, stops=stops)
+
+
+def waits(
+    method: Callable[Concatenate[B, P], T], *, stops: bool = False
+) -> Callable[Concatenate[Twin[B], P], Coroutine[Any, Any, T]]:
+    """The twin of a method that waits. `stops`: it stops the robot, and so never waits for its turn."""
+
+    @wraps(method)
+    async def call(twin: Twin[B], /, *args: P.args, **kwargs: P.kwargs) -> T:
+        return await twin._run(partial(method, twin._own, *args, **kwargs), stops=stops)
+
+    # Signature and name as of the method; for whoever makes documents of it, it is a coroutine nevertheless.
+    vars(call)["__signature__"] = signature(vars(call).pop("__wrapped__"))
+    return call
+
+
+class HeldTwin(Twin[H]):
+    """The twin of what is used in a `with`."""
+
+    def __init__(self, own: H, threads: "Threads") -> None:
+        """Made by AsyncClient. @private"""
+        self._held = own
+        self._threads = threads
+
+    @property
+    def _own(self) -> H:
+        return self._held
+
+    async def __aenter__(self) -> Self:
+        gone = asyncio.CancelledError()
+        await self._threads.run(self._own.__enter__, too_late=lambda _: self._own.__exit__(type(gone), gone, None))
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        # It goes on when this is cancelled.
+        await self._threads.run(partial(self._own.__exit__, kind, error, trace), stops=True)
+
+
+class Threads:
+    """Runs what waits, each call on a thread of its own: no pool in which a Stop could be the one too many.
+
+    They are no daemons: a program's end waits for a Stop that is under way.
+    """
+
+    def __init__(self) -> None:
+        self._stops: set[threading.Thread] = set()
+
+    async def run(
+        self,
+        function: Callable[[], T],
+        *,
+        stops: bool = False,
+        too_late: Callable[[T], object] | None = None,
+    ) -> T:
+        """What `function` returns or raises. Cancelled, it goes on, and `too_late` takes what it then returns."""
+        done: Future[T] = Future()
+        done.set_running_or_notify_cancel()  # from now on nobody can cancel it
+
+        def call() -> None:
+            try:
+                result = function()
+            except BaseException as error:
+                done.set_exception(error)
+            else:
+                done.set_result(result)
+            finally:
+                self._stops.discard(threading.current_thread())
+
+        thread = threading.Thread(target=call, name="ask the gateway")
+        if stops:
+            self._stops.add(thread)
+        thread.start()
+        try:
+            return await asyncio.wrap_future(done)
+        except asyncio.CancelledError:
+            if too_late is not None:
+                take = too_late
+                threading.Thread(target=lambda: done.exception() or take(done.result())).start()
+            raise
+
+    async def run_last(self, function: Callable[[], None]) -> None:
+        """The same, when all Stops have their answers."""
+        under_way = list(self._stops)
+
+        def call() -> None:
+            for thread in under_way:
+                thread.join()
+            function()
+
+        await self.run(call)
+
+
+def on_this_loop(callback: Callable[[T], None]) -> Callable[[T], None]:
+    loop = asyncio.get_running_loop()
+
+    def call(report: T) -> None:
+        with suppress(RuntimeError):  # the loop is closed
+            loop.call_soon_threadsafe(callback, report)
+
+    return call

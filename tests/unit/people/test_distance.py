@@ -1,0 +1,85 @@
+"""So many metres ahead, so many radians round: in virtual time, by the steps of a ride."""
+
+import math
+from collections import deque
+
+import pytest
+
+from gateway.errors import WalkError
+from gateway.people.walking import LONGEST_S, STILL, Distance, Posture, Ride, Velocity
+from gateway.people.walking.distance import MOST_M, MOST_RAD
+from tests.support.ridden import TICK_S, Ridden, standing
+
+
+def cover(ridden: Ridden, amount: float, *, turns: bool, late: int) -> tuple[float, float]:
+    """What of it is covered when it stands again, and how fast it was; velocities have effect so many ticks late."""
+    distance, begin, fastest = Distance(amount, turns=turns), ridden.ride.state.odometry, 0.0
+    waiting: deque[Velocity] = deque([STILL] * late)
+    while (velocity := distance.next(ridden.ride.state, ridden.now_s)) is not None:
+        waiting.append(velocity)
+        ridden.ride.go(waiting.popleft(), ridden.now_s)
+        ridden.tick()
+        fastest = max(fastest, math.hypot(*ridden.ride.state.scaled))
+    ridden.ride.stand(None, ridden.now_s)
+    ridden.until(lambda: ridden.posture is Posture.STANDING)
+    end = ridden.ride.state.odometry
+    gone_m = math.hypot(end.x_m - begin.x_m, end.y_m - begin.y_m)
+    return (end.heading_rad - begin.heading_rad if turns else math.copysign(gone_m, amount)), fastest
+
+
+@pytest.mark.parametrize("late", [0, 2])
+@pytest.mark.parametrize(
+    ("gait", "amount", "turns"),
+    [("tripod", 0.3, False), ("ripple", -0.05, False), ("wave", 0.1, False), ("tripod", math.pi / 2, True)],
+)
+def test_it_ends_within_half_a_millimetre_or_a_seventh_of_a_degree(
+    gait: str, amount: float, turns: bool, late: int
+) -> None:
+    ridden = Ridden()  # it lies, and stands up first
+    ridden.ride.walk_as(gait, ridden.now_s)
+    covered, fastest = cover(ridden, amount, turns=turns, late=late)
+    assert covered == pytest.approx(amount, abs=0.0025 if turns else 0.0005)
+    assert fastest <= (0.25 if turns else 0.08)
+
+
+def test_four_sides_and_four_turns_end_where_they_began() -> None:
+    ridden = standing()
+    for _ in range(4):
+        cover(ridden, 0.1, turns=False, late=1)
+        cover(ridden, math.pi / 2, turns=True, late=1)
+    x_m, y_m, heading_rad = ridden.ride.state.odometry
+    assert math.hypot(x_m, y_m) < 0.002
+    assert heading_rad == pytest.approx(2 * math.pi, abs=0.01)
+
+
+def test_nothing_is_far_and_then_it_stands() -> None:
+    assert cover(Ridden(), 0.0, turns=False, late=0) == (0.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("amount", "turns", "why"),
+    [
+        (200, False, "metres is 200, and at most 20 are taken; are these millimetres"),
+        (-90, True, r"radians is -90, and at most 12.57 are taken; are these degrees"),
+        (math.nan, False, "metres is nan; a distance is a finite number"),
+        (-math.inf, True, "radians is -inf"),
+        (True, False, "metres is True"),
+        ("1", False, "metres is '1'"),
+    ],
+)
+def test_what_is_no_distance_is_rejected(amount: float, turns: bool, why: str) -> None:
+    with pytest.raises(WalkError, match=why):
+        Distance(amount, turns=turns)
+    for most in (MOST_RAD, -MOST_RAD) if turns else (MOST_M, -MOST_M):
+        Distance(most, turns=turns)
+
+
+def test_it_does_not_wait_for_ever_for_a_robot_that_comes_no_nearer() -> None:
+    ride: Ride = standing().ride
+    distance = Distance(1.0, turns=False)
+    now_s = 0.0
+    while now_s <= LONGEST_S:
+        assert distance.next(ride.state, now_s) is not None
+        now_s += TICK_S
+    with pytest.raises(WalkError, match="it has come no nearer for 30 s: it is standing"):
+        distance.next(ride.state, now_s)
