@@ -14,3 +14,6 @@ missing_to_compile() {
 		echo "$header"
 	fi
 }
+
+# Compile without debugging information, which has the path of pip's temporary folder: each build makes the same bytes.
+reproducibly() { CFLAGS="${CFLAGS:-} -g0" LDFLAGS="${LDFLAGS:-} -Wl,--build-id=none" "$@"; }
