@@ -16,4 +16,5 @@ missing_to_compile() {
 }
 
 # Compile without debugging information, which has the path of pip's temporary folder: each build makes the same bytes.
-reproducibly() { CFLAGS="${CFLAGS:-} -g0" LDFLAGS="${LDFLAGS:-} -Wl,--build-id=none" "$@"; }
+# setuptools takes these in place of the flags of Python's own build.
+reproducibly() { CFLAGS="${CFLAGS:--O2} -g0" LDFLAGS="${LDFLAGS:-} -Wl,--build-id=none" "$@"; }

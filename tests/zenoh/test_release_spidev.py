@@ -12,6 +12,7 @@ import pytest
 
 from release import spidev
 from release.build import ROOT
+from release.bundle import SYSTEM_PYTHON
 
 WHEN = 1_700_000_000
 THIS = f"{sys.version_info.major}.{sys.version_info.minor}"
@@ -123,7 +124,7 @@ def test_for_an_unknown_python_there_are_no_headers(tmp_path: Path) -> None:
 
 def test_two_builds_for_this_machine_are_equal_to_the_byte(sdist: Path, tmp_path: Path) -> None:
     """As `make wheels` makes it, where pip takes another temporary folder each time."""
-    pip = (sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--no-cache-dir", "--wheel-dir")
+    pip = (SYSTEM_PYTHON, "-m", "pip", "wheel", "--quiet", "--no-deps", "--no-cache-dir", "--wheel-dir")
     made = []
     for folder in (tmp_path / "one", tmp_path / "another"):
         subprocess.run(
