@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from gateway import durable
 from gateway.errors import ConfigError
-from gateway.people.recordings.pieces import MAGIC, Losses
+from gateway.people.recordings.pieces import MAGIC, Losses, opened
 from gateway.people.recordings.reading import records
 from gateway.people.recordings.writing import Copy, in_use
 
@@ -24,7 +24,7 @@ class Repaired(NamedTuple):
 
 def is_cut_off(path: Path) -> bool:
     """Whether this is the beginning of an MCAP file without its end, which nobody is writing. False if unreadable."""
-    with suppress(OSError), path.open("rb") as file:
+    with suppress(OSError), opened(path) as file:
         if file.read(len(MAGIC)) != MAGIC or in_use(file.fileno()):
             return False
         size = file.seek(0, os.SEEK_END)
@@ -38,7 +38,7 @@ def is_damaged(path: Path) -> bool:
     losses = Losses()
     for _ in records(path, losses):
         pass
-    with path.open("rb") as file:
+    with opened(path) as file:
         return bool(losses.places) and not in_use(file.fileno())
 
 

@@ -3,11 +3,14 @@
 mcap's own reader ends at the first damage. Here the next chunk is looked for: its beginning states its length twice.
 """
 
+import errno
 import os
 import re
+import stat
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import BinaryIO, Final
 
 from mcap.opcode import Opcode
@@ -40,6 +43,18 @@ _TYPES: Final = frozenset(
     {Opcode.HEADER, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.ATTACHMENT, Opcode.METADATA, *_FRAMED, *_ENDS}
 )
 """What stands before the index."""
+
+
+def opened(path: Path) -> BinaryIO:
+    """The file, to be read. Raises OSError; also for a named pipe, at which opening and reading would wait for ever."""
+    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+    try:
+        if stat.S_ISFIFO(os.fstat(descriptor).st_mode):
+            raise OSError(errno.EINVAL, "it is a named pipe", path)
+        return os.fdopen(descriptor, "rb")
+    except OSError:
+        os.close(descriptor)
+        raise
 
 
 @dataclass(slots=True)

@@ -1,6 +1,7 @@
 """Damaged recordings: what is not damaged is read, what is lost is counted, and no file is destroyed."""
 
 import json
+import os
 import random
 import tracemalloc
 import zlib
@@ -19,7 +20,7 @@ from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.writer import CompressionType, Writer
 
 from gateway.errors import ConfigError
-from gateway.people.recordings import Losses, Recording, is_damaged, read, repair
+from gateway.people.recordings import Losses, Recording, is_cut_off, is_damaged, read, repair
 from gateway.people.recordings.pieces import MAGIC
 from gateway.people.recordings.reading import records
 from gateway.people.recordings.unpacking import MAX_UNPACKED_BYTES
@@ -322,3 +323,12 @@ def test_wherever_a_file_is_cut_off_it_is_not_damaged(path: Path) -> None:
         for _ in read(path, losses, topics=()):
             pass
         assert not losses.places, end
+
+
+def test_nobody_waits_for_the_other_end_of_a_named_pipe(tmp_path: Path) -> None:
+    pipe = tmp_path / "ride.mcap"
+    os.mkfifo(pipe)
+    with pytest.raises(ConfigError, match=r"cannot be read \(it is a named pipe\)"):
+        next(records(pipe))
+    assert not is_cut_off(pipe)
+    _repair_all(tmp_path / "next.mcap")
