@@ -64,6 +64,18 @@ print(json.dumps(met), flush=True)
 """
 """A page that connects again and again; whom it met: somebody else, nobody, or a console that knew its key."""
 
+BEFORE_SOCKETS = f"""
+set -e
+cp -a "$(readlink -e /opt/{NAME}/venv)" /opt/{NAME}/venv-000000000000
+cd /opt/{NAME}/venv-000000000000
+units=$(echo lib/python*/site-packages/gateway/deploy/systemd)
+rm "$units/{CONSOLE}.socket" complete
+sed -i 's/ {CONSOLE}.socket$//; /^Requires={CONSOLE}.socket/d' "$units/{CONSOLE}.service"
+list=$(find . -type f -print0 | sort -z | xargs -0 sha256sum)
+printf '%s\\n' "$list" >complete
+ln -sfn /opt/{NAME}/venv-000000000000 /opt/{NAME}/previous
+"""
+
 
 def test_console(robot: InstalledGateway) -> None:
     box, unit = robot.box, Unit(robot.box, f"{CONSOLE}.service")
@@ -132,6 +144,16 @@ def test_console(robot: InstalledGateway) -> None:
         in box.run("journalctl", "--unit", CONSOLE, "--output=cat").stdout
     )
     assert Unit(box, f"{CONSOLE}.socket").property("ActiveState") == "active", "nobody else gets the port"
+
+    # Back to a release from before there was a socket unit: its console binds by itself, and nothing else has the port.
+    box.run("sh", "-c", BEFORE_SOCKETS)
+    said = box.run(INSTALLER, "--rollback", "--force", timeout_s=120).stdout
+    assert f"remove /etc/systemd/system/{CONSOLE}.socket" in said
+    assert Unit(box, f"{CONSOLE}.socket").property("ActiveState") == "inactive"
+    link = box.run("sh", "-c", f"until {NAME} console --link 2>/dev/null; do sleep 0.1; done", timeout_s=60).stdout
+    assert "http://127.0.0.1:8091/?token=" in link
+    assert "restart the console" in box.run(INSTALLER, "--rollback", "--force", timeout_s=120).stdout
+    assert Unit(box, f"{CONSOLE}.socket").property("ActiveState") == "active"
 
     gone = box.run(INSTALLER, "--uninstall").stdout
     assert f"remove the user {CONSOLE}" in gone
