@@ -152,8 +152,10 @@ def test_console(robot: InstalledGateway) -> None:
     assert Unit(box, f"{CONSOLE}.socket").property("ActiveState") == "inactive"
     link = box.run("sh", "-c", f"until {NAME} console --link 2>/dev/null; do sleep 0.1; done", timeout_s=60).stdout
     assert "http://127.0.0.1:8091/?token=" in link
-    assert "restart the console" in box.run(INSTALLER, "--rollback", "--force", timeout_s=120).stdout
-    assert Unit(box, f"{CONSOLE}.socket").property("ActiveState") == "active"
+    # And forward, while that console has the port.
+    assert "restart the console" in box.run(INSTALLER, *options, timeout_s=300).stdout
+    assert Unit(box, f"{CONSOLE}.socket").properties("ActiveState", "UnitFileState") == ["active", "enabled"]
+    assert "http://127.0.0.1:8091/?token=" in box.run(NAME, "console", "--link").stdout
 
     gone = box.run(INSTALLER, "--uninstall").stdout
     assert f"remove the user {CONSOLE}" in gone
