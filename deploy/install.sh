@@ -103,7 +103,11 @@ check_machine() {
 check_python() {
 	python=${PYTHON:-/usr/bin/python3}
 	version=$("$python" -c 'import sys; print("%d.%d.%d" % sys.version_info[:3])' 2>/dev/null) ||
-		fail "$python is no Python; apt-get install python3, or name one: PYTHON=/usr/bin/python3.11"
+		version=''
+	case $version in
+	[1-9]*.[0-9]*.[0-9]*) ;;
+	*) fail "$python is no Python; apt-get install python3, or name one: PYTHON=/usr/bin/python3.11" ;;
+	esac
 	"$python" -c 'import sys; sys.exit(sys.version_info < (3, 11))' ||
 		fail "$python is $version, and the gateway needs 3.11; name a newer one: PYTHON=/usr/bin/python3.11"
 	"$python" -c 'import ensurepip, venv' 2>/dev/null ||

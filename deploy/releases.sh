@@ -103,7 +103,7 @@ rollback() {
 	run systemctl daemon-reload
 	flush
 	restart_service
-	[ ! -e "$CONSOLE_UNIT" ] || run systemctl try-restart "$CONSOLE"
+	rollback_console
 	flush
 }
 

@@ -14,3 +14,7 @@ missing_to_compile() {
 		echo "$header"
 	fi
 }
+
+# Compile without debugging information, which has the path of pip's temporary folder: each build makes the same bytes.
+# setuptools takes these in place of the flags of Python's own build.
+reproducibly() { CFLAGS="${CFLAGS:--O2} -g0" LDFLAGS="${LDFLAGS:-} -Wl,--build-id=none" "$@"; }

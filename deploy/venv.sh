@@ -45,6 +45,7 @@ build_venv() {
 	{ "$venv/bin/$NAME" --version >/dev/null &&
 		{ [ $spidev = no ] || "$venv/bin/python" -c 'import spidev'; }; } ||
 		fail "what was installed does not run (above is why); nothing else was changed"
+	time_of "$(compgen -G "${wheels:+$wheels/hexapod_gateway-*.whl}" || echo "$own_wheel")" >"$venv/commit-time"
 	mark_whole "$venv"
 	unfinished=''
 }
@@ -104,6 +105,15 @@ is_fit() {
 # What version pip has installed there.
 version_in() {
 	basename "$(compgen -G "$1/lib/python*/site-packages/hexapod_gateway-*.dist-info" | head -n 1)" .dist-info | cut -d- -f2
+}
+
+# When the commit was made from which a wheel was built (SOURCE_DATE_EPOCH), in seconds since 1970.
+time_of() {
+	"$python" -c '
+import calendar, sys, zipfile
+with zipfile.ZipFile(sys.argv[1]) as wheel:
+    print(max(calendar.timegm((*entry.date_time, 0, 0, 0)) for entry in wheel.infolist()))
+' "$1"
 }
 
 # Sets `spidev`. PyPI has it as source only; where it can be neither had nor compiled, the gateway does without it.

@@ -57,7 +57,7 @@ if [ -z "$processor" ]; then
 		lacks="$lacks is missing"
 	else
 		# shellcheck disable=SC2086
-		pip wheel --no-build-isolation --no-deps $hashes --wheel-dir "$folder" -r "$sources/spidev.txt"
+		reproducibly pip wheel --no-build-isolation --no-deps $hashes --wheel-dir "$folder" -r "$sources/spidev.txt"
 	fi
 else
 	# Raspberry Pi OS 12 has glibc 2.36, 13 has 2.41; pip wants each older one named too.

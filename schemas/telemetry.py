@@ -277,6 +277,7 @@ class LimitsReport(Report):
     """What the settings allow a leg and its servos. The calibration's own limits are on `hexapod/calibration`."""
 
     leg_rate_hz: float = 50.0
+    max_age_ms: Annotated[float, Field(description="0: any age; an older gateway does not say")] = 500.0
     servos: Annotated[dict[str, ServoLimitsReport], Field(description="those that the settings name")] = {}
 
 

@@ -233,9 +233,10 @@ class Settings(Section):
         for servo, angle_deg in self.watchdog.landing.items():
             limits = self.limits.servos.get(servo, ServoLimits())
             if not limits.min_deg <= angle_deg <= limits.max_deg:
-                raise ValueError(
-                    f"watchdog.landing.{servo} is {angle_deg:g}, and limits.servos.{servo} allows "
-                    f"{limits.min_deg:g} to {limits.max_deg:g}"
+                allowed = f"{limits.min_deg:g} to {limits.max_deg:g}"
+                raise _PlacedError(
+                    ("watchdog", "landing", servo),
+                    f"{angle_deg:g} will not do: limits.servos.{servo} allows {allowed}",
                 )
         return self
 
@@ -243,6 +244,16 @@ class Settings(Section):
 Place = tuple[int | str, ...]
 """Where a value stands: ("spi", "speed_hz"), ("zenoh", "listen", 0), ("limits", "servos", "11", "min_deg")."""
 Fault = tuple[Place, str]
+
+
+class _PlacedError(ValueError):
+    """A fault that only the settings as a whole show; pydantic knows no place of it."""
+
+    def __init__(self, place: Place, sentence: str) -> None:
+        super().__init__(sentence)
+        self.place = place
+
+
 Context = Mapping[str, str] | None
 """FOR_STOPS, or None."""
 
@@ -275,10 +286,11 @@ def load(path: Path | None = None, *, simulated: bool = False, for_stops: bool =
         merged = _put(merged, place, value)
     lines += [f"{path or DEFAULT_PATH}: {dotted(place)}: {sentence}" for place, sentence in in_file]
     lines += faults
+    places = {place for place, _ in in_file}
     lines += [
-        f"{' and '.join(named)}: {sentence}"
+        f"{' and '.join(named) or dotted(place)}: {sentence}"
         for place, sentence in _faults(merged, context)
-        if (named := _variables_at(place, variables)) and (place, sentence) not in in_file
+        if ((named := _variables_at(place, variables)) or place not in places) and (place, sentence) not in in_file
     ]
     spi = merged.get("spi", {})
     if not (simulated or unread) and isinstance(spi, Mapping) and "framing" not in spi:
@@ -410,7 +422,12 @@ def _faults(values: dict[str, Any] | str, context: Context) -> list[Fault]:
 
 def faults_of(error: ValidationError) -> list[Fault]:
     """A sentence for each fault of a file that people write."""
-    return [(fault["loc"], _sentence(fault)) for fault in error.errors(include_url=False)]
+    return [(_place(fault), _sentence(fault)) for fault in error.errors(include_url=False)]
+
+
+def _place(fault: ErrorDetails) -> Place:
+    found = fault.get("ctx", {}).get("error")
+    return found.place if isinstance(found, _PlacedError) else fault["loc"]
 
 
 def _sentence(fault: ErrorDetails) -> str:

@@ -22,12 +22,13 @@ pytestmark = pytest.mark.systemd
 KILLS = int(os.environ.get("HEXAPOD_KILLS", "1"))
 OPT = f"/opt/{NAME}"
 UPGRADE = "upgrade"
+TEMPORARY = "/var/tmp"  # noqa: S108 (the installer's own choice)
 UNDER_WAY = {UPGRADE: ("active", "activating", "deactivating"), NAME: ("activating", "deactivating")}
 """What is no rest: the installer is to have ended, and the service may be on its way into the other release."""
 SETTLED_S = 30.0
 WHOLE = f"cd {OPT}/venv && sha256sum --check --quiet --strict complete"
 OTHERS = f'for each in {OPT}/venv-*; do [ "$each" = "$(readlink -e {OPT}/venv)" ] || rm -rf "$each"; done'
-OLDER, FIRST, SECOND = "1.1.9", "1.2.0", "1.3.0"
+OLDER, CANDIDATE, FIRST, SECOND = "1.1.9", "1.2.0rc1", "1.2.0", "1.3.0"
 
 
 @pytest.fixture(scope="module")
@@ -56,7 +57,9 @@ class Robot(Machine):
 
     def what_is_there(self) -> tuple[str, ...]:
         """All that an attempt might change, and the process that must go on."""
-        files = self.box.run("sh", "-c", f"ls {OPT} /var/tmp; readlink -e {OPT}/venv; cat /etc/{NAME}/*").stdout
+        files = self.box.run(
+            "sh", "-c", f"ls --ignore='systemd-*' {OPT} {TEMPORARY}; readlink -e {OPT}/venv; cat /etc/{NAME}/*"
+        ).stdout
         return files, *self.unit.properties("MainPID", "ActiveState")
 
 
@@ -78,7 +81,7 @@ def test_installed_without_a_network_by_the_installer_of_the_release(robot: Robo
     robot.box.run("sh", "-c", WHOLE)
     assert robot.unit.property("ActiveState") == "active"
     assert robot.box.read(f"/etc/{NAME}/release.pub").startswith("ssh-ed25519 ")
-    assert robot.box.run("sh", "-c", f"ls -d /var/tmp/{NAME}.* 2>/dev/null", check=False).stdout == ""
+    assert robot.box.run("sh", "-c", f"ls -d {TEMPORARY}/{NAME}.* 2>/dev/null", check=False).stdout == ""
     again = robot.upgrade(robot.bundles.make(FIRST, "ours"))
     assert any(line.startswith("keep ") and "every file as installed" in line for line in again), again
     assert not any("trusted from now on" in line for line in again)
@@ -114,6 +117,7 @@ def test_each_is_rejected_in_one_sentence_and_the_service_goes_on(robot: Robot) 
         (bundles.changed(second, "more", one_more), "has other files than its sums name"),
         (bundles.make(SECOND, "theirs"), f"is signed by another key ({theirs}) than this robot trusts ("),
         (bundles.make(OLDER, "ours"), f"has release {OLDER}, and {FIRST} is installed, which is newer"),
+        (bundles.make(CANDIDATE, "ours"), f"has release {CANDIDATE}, and {FIRST} is installed, which is newer"),
         (cut, "is no bundle of `make dist`, or was cut off"),
     ]
     before = robot.what_is_there()
@@ -130,6 +134,25 @@ def test_each_is_rejected_in_one_sentence_and_the_service_goes_on(robot: Robot) 
         said = robot.upgrade(bundle, "--dry-run", *option)
         assert any("is what the key" in line for line in said), said
     assert robot.what_is_there() == before
+
+
+def test_a_full_disk_and_what_is_no_python_are_sentences_and_killed_installers_leave_nothing(robot: Robot) -> None:
+    box, second = robot.box, robot.bundles.make(SECOND, "ours")
+    (said,) = robot.run("--bundle", robot.bring(second), check=False, python="/bin/true")
+    assert said.startswith("install.sh: /bin/true is no Python")
+    # Of an installer that was killed, with a number that no process has; of one that runs; of another user.
+    gone, runs, theirs = (f"{TEMPORARY}/{NAME}.{name}" for name in ("4194304.aaaaaa", "1.bbbbbb", "4194304.cccccc"))
+    box.run("mkdir", gone, runs, theirs)
+    box.run("chown", "nobody", theirs)
+    before = robot.what_is_there()
+    box.run("mount", "-t", "tmpfs", "-o", "size=1m", "tmpfs", TEMPORARY)
+    (said,) = robot.upgrade(second, check=False)
+    box.run("umount", TEMPORARY)
+    assert said.startswith(f"install.sh: {TEMPORARY} has no room for /box-out/"), said
+    assert robot.what_is_there() == before
+    robot.upgrade(robot.bundles.make(OLDER, "ours"), check=False)
+    assert [box.exists(path) for path in (gone, runs, theirs)] == [False, True, True]
+    box.run("rmdir", runs, theirs)
 
 
 def test_killed_at_any_moment_it_leaves_one_whole_release(robot: Robot) -> None:

@@ -314,6 +314,32 @@ def test_broken_configuration(robot: InstalledGateway) -> None:
     assert robot.unit.properties("ActiveState", "ExecMainStatus") == ["failed", "2"]
 
 
+@contextmanager
+def mode(robot: InstalledGateway, path: str, meanwhile: str, afterwards: str) -> Iterator[None]:
+    robot.box.run("chmod", meanwhile, path)
+    try:
+        yield
+    finally:
+        robot.box.run("chmod", afterwards, path)
+
+
+def test_a_configuration_that_the_service_may_not_read(robot: InstalledGateway) -> None:
+    """The journal has cat's words for it, and each end is still cleaned up with what the service ran with last."""
+    robot.configure("[watchdog]\nrepeats = 1\n")
+    robot.unit.systemctl("start")
+    with robot.journal() as journal, mode(robot, CONFIGURATION, "600", "640"):
+        robot.unit.systemctl("kill", "--signal=SIGKILL")
+        journal.wait_for_output("gateway.toml: Permission denied")
+        since = len(robot.bed.transfers)
+        robot.unit.systemctl("stop", check=False)  # ends an attempt to start, or the pause before the next one
+        robot.unit.systemctl("start", check=False)
+        robot.wait_for_stops(since)
+        with mode(robot, f"/etc/{NAME}", "700", "750"):
+            robot.unit.systemctl("start", check=False)
+        assert "framing" not in journal.stdout, "which would be the wrong cause"
+    assert "repeats = 1" in robot.box.read(f"/run/{NAME}/gateway.toml")
+
+
 def test_no_device(robot: InstalledGateway) -> None:
     """Exit code 3: tried again as often as the unit's limit has it, then given up."""
     assert robot.unit.property("StartLimitBurst") == "10"

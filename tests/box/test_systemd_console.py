@@ -1,18 +1,17 @@
 """The console as a service of its own, beside the gateway's: installed, signed in to, kept in its place, removed."""
 
+import json
+import os
+
 import pytest
 
 from tests.box.box import SHARED_INSIDE, Unit
 from tests.box.installed import INSTALLER, NAME, InstalledGateway
+from tests.support.child import Child
 
 pytestmark = pytest.mark.systemd
 
 CONSOLE = "hexapod-console"
-LISTENS = """
-import socket, time
-while socket.socket().connect_ex(("127.0.0.1", 8080)) != 0:
-    time.sleep(0.05)
-"""
 SIGN_IN = """
 import http.client, sys, urllib.parse
 link = urllib.parse.urlsplit(sys.argv[1])
@@ -30,6 +29,52 @@ there.request("GET", "/session", headers={"Cookie": sys.argv[1]})
 answer = there.getresponse()
 print(answer.status, answer.read().decode())
 """
+THIEF = """
+import pathlib, socket
+print("waits for the port", flush=True)
+taken = None
+while not pathlib.Path("/box-out/enough").exists():
+    try:
+        taken = taken or socket.create_server(("127.0.0.1", 8080))
+    except OSError:
+        continue
+    with taken.accept()[0] as page:
+        print("got", page.recv(1000), flush=True)
+        page.sendall(b"HTTP/1.1 200 OK\\r\\nContent-Length: 2\\r\\n\\r\\n{}")
+"""
+"""Another user of the machine; every socket in Python's create_server has SO_REUSEADDR."""
+PAGE = """
+import collections, hashlib, hmac, http.client, json, pathlib, sys
+cookie, key = sys.argv[1:]
+key_sha256 = hashlib.sha256(key.encode()).hexdigest().encode()
+met = collections.Counter()
+while not pathlib.Path("/box-out/enough").exists():
+    there = http.client.HTTPConnection("127.0.0.1:8080", timeout=60)
+    try:
+        there.request("GET", "/session?nonce=mine", headers={"Cookie": cookie})
+        answer = json.loads(there.getresponse().read())
+    except (OSError, http.client.HTTPException):
+        met["nobody"] += 1
+        continue
+    proof = hmac.new(key_sha256, f"console mine {answer.get('nonce')}".encode(), "sha256").hexdigest()
+    met["console" if answer.get("proof") == proof else "thief"] += 1
+    if sum(met.values()) == 1:
+        print("connected", flush=True)
+print(json.dumps(met), flush=True)
+"""
+"""A page that connects again and again; whom it met: somebody else, nobody, or a console that knew its key."""
+
+BEFORE_SOCKETS = f"""
+set -e
+cp -a "$(readlink -e /opt/{NAME}/venv)" /opt/{NAME}/venv-000000000000
+cd /opt/{NAME}/venv-000000000000
+units=$(echo lib/python*/site-packages/gateway/deploy/systemd)
+rm "$units/{CONSOLE}.socket" complete
+sed -i 's/ {CONSOLE}.socket$//; /^Requires={CONSOLE}.socket/d' "$units/{CONSOLE}.service"
+list=$(find . -type f -print0 | sort -z | xargs -0 sha256sum)
+printf '%s\\n' "$list" >complete
+ln -sfn /opt/{NAME}/venv-000000000000 /opt/{NAME}/previous
+"""
 
 
 def test_console(robot: InstalledGateway) -> None:
@@ -43,14 +88,28 @@ def test_console(robot: InstalledGateway) -> None:
     assert unit.properties("ActiveState", "UnitFileState") == ["active", "enabled"]
 
     python = f"/opt/{NAME}/venv/bin/python"
-    box.run(python, "-c", LISTENS, timeout_s=20)
     link = box.run(NAME, "console", "--link").stdout.split()[4]
     assert "token=" not in box.run("journalctl", "--unit", CONSOLE, "--output=cat").stdout, "a journal is kept"
     status, cookie, key = box.run(python, "-c", SIGN_IN, link).stdout.split()
     assert status == "303"
-    unit.systemctl("restart")
-    box.run(python, "-c", LISTENS, timeout_s=20)
-    assert box.run(python, "-c", SESSION, cookie, key).stdout.startswith("200"), "a restart signs nobody out"
+    as_nobody = ("setpriv", "--reuid=nobody", "--regid=nogroup", "--clear-groups", "--")
+    with (
+        Child(box.command(*as_nobody, python, "-c", THIEF), os.environ) as thief,
+        Child(box.command(python, "-c", PAGE, cookie, key), os.environ) as page,
+    ):
+        thief.wait_for_output("waits for the port")
+        page.wait_for_output("connected")
+        unit.systemctl("restart")
+        box.run(python, "-c", SESSION, cookie, key)
+        box.run("systemctl", "kill", "--signal=KILL", unit.name)
+        box.run(python, "-c", SESSION, cookie, key)
+        (box.shared / "enough").touch()
+        assert page.wait() == 0, page
+        assert thief.wait() == 0, thief
+        met = json.loads(page.stdout.splitlines()[-1])
+        assert "got" not in thief.stdout, thief
+    assert met.pop("console") > 2, "a restart signs nobody out"
+    assert set(met) <= {"nobody"}, met
 
     pid = unit.property("MainPID")
     status_of = box.read(f"/proc/{pid}/status")
@@ -67,7 +126,39 @@ def test_console(robot: InstalledGateway) -> None:
     again = box.run(INSTALLER, *options).stdout.splitlines()
     assert f"keep /etc/{CONSOLE}/console.conf, your options" in again
     assert not [line for line in again if "restart" in line or "start the console" in line]
+
+    # As an installation from before there was a socket unit left it, with an address of its own.
+    box.run("systemctl", "disable", "--now", f"{CONSOLE}.socket")
+    box.run("rm", f"/etc/systemd/system/{CONSOLE}.socket")
+    box.write(f"/etc/{CONSOLE}/console.conf", "CONSOLE_OPTIONS=--timeout 3 --listen localhost:8090\n")
+    said = box.run(INSTALLER, *options).stdout
+    assert f"let {CONSOLE}.socket listen where /etc/{CONSOLE}/console.conf says: 127.0.0.1:8090 [::1]:8090" in said
+    assert "http://127.0.0.1:8090/?token=" in box.run(NAME, "console", "--link").stdout
+    # Two addresses: the unit's is the one, and the console says so.
+    box.write(f"/etc/{CONSOLE}/console.conf", "CONSOLE_OPTIONS=--listen 127.0.0.1:8091\n")
+    unit.systemctl("restart")
+    box.run("sh", "-c", f"until systemctl is-failed {CONSOLE}.service; do :; done", timeout_s=60)
+    assert unit.property("ExecMainStatus") == "2"
+    assert (
+        "is not where hexapod-console.socket listens (localhost:8090)"
+        in box.run("journalctl", "--unit", CONSOLE, "--output=cat").stdout
+    )
+    assert Unit(box, f"{CONSOLE}.socket").property("ActiveState") == "active", "nobody else gets the port"
+
+    # Back to a release from before there was a socket unit: its console binds by itself, and nothing else has the port.
+    box.run("sh", "-c", BEFORE_SOCKETS)
+    said = box.run(INSTALLER, "--rollback", "--force", timeout_s=120).stdout
+    assert f"remove /etc/systemd/system/{CONSOLE}.socket" in said
+    assert Unit(box, f"{CONSOLE}.socket").property("ActiveState") == "inactive"
+    link = box.run("sh", "-c", f"until {NAME} console --link 2>/dev/null; do sleep 0.1; done", timeout_s=60).stdout
+    assert "http://127.0.0.1:8091/?token=" in link
+    # And forward, while that console has the port.
+    assert "restart the console" in box.run(INSTALLER, *options, timeout_s=300).stdout
+    assert Unit(box, f"{CONSOLE}.socket").properties("ActiveState", "UnitFileState") == ["active", "enabled"]
+    assert "http://127.0.0.1:8091/?token=" in box.run(NAME, "console", "--link").stdout
+
     gone = box.run(INSTALLER, "--uninstall").stdout
     assert f"remove the user {CONSOLE}" in gone
     assert unit.property("LoadState") == "not-found"
+    assert Unit(box, f"{CONSOLE}.socket").property("ActiveState") == "inactive"
     assert not box.exists(f"/var/lib/{CONSOLE}")

@@ -20,6 +20,8 @@ FILE_FAULTS = [
     (f"{'k' * 500} = 1", f'"{"k" * 79}…: is no setting'),
     ("[limits.servos.11]\nmin = 1", "limits.servos.11.min: is no setting"),
     ("[limits.servos.14]", f"limits.servos: 14 {NO_SERVO}"),
+    ("[watchdog.landing]\n11 = 170\n[limits.servos.11]\nmax_deg = 120",
+     "watchdog.landing.11: 170 will not do: limits.servos.11 allows 0 to 120"),
     # wrong types: nothing is converted
     ("spi = 3", "spi: 3 will not do: input should be an object"),
     ("spi = []", "spi: [] will not do: input should be an object"),

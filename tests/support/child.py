@@ -17,7 +17,10 @@ from tests.support.descendants import MARK
 class Child(Closing):
     """A running program. Threads read what it prints, so it never stalls on a full pipe."""
 
-    def __init__(self, command: Sequence[str], env: Mapping[str, str], cwd: Path | None = None) -> None:
+    def __init__(
+        self, command: Sequence[str], env: Mapping[str, str], cwd: Path | None = None, descriptors: Sequence[int] = ()
+    ) -> None:
+        """`descriptors` stay open in it, under the same numbers."""
         self.command = list(command)
         self._popen = subprocess.Popen(
             self.command,
@@ -26,6 +29,7 @@ class Child(Closing):
                 **env,
             },  # so that it ends with the run, whatever becomes of this process
             cwd=cwd,
+            pass_fds=descriptors,
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,

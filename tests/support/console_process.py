@@ -41,12 +41,14 @@ class Console(Closing):
         port: int | None = None,
         prefix: Sequence[str] = (),
         env: Mapping[str, str] | None = None,
+        descriptors: Sequence[int] = (),
     ) -> None:
+        """`descriptors` stay open in its process."""
         self.port = free_port() if port is None else port
         self.listen = ("--listen", f"{address}:{self.port}")
         self.env = {**os.environ, "STATE_DIRECTORY": str(folder), **(env or {})}
         self._folder = folder
-        self.child = Child([*prefix, *COMMAND, "console", *self.listen, *arguments], self.env)
+        self.child = Child([*prefix, *COMMAND, "console", *self.listen, *arguments], self.env, descriptors=descriptors)
         self.url = self.child.wait_for_output(LINK).removeprefix(LINK).strip()
 
     def new_link(self, card: str = "") -> str:

@@ -109,6 +109,7 @@ EXTENDED: Final = (
     "box/test_installer.py::test_the_exact_interpreter",
     "box/test_installer.py::test_what_a_power_cut_has_emptied_is_made_anew",
     "box/test_installer.py::test_without_a_compiler",
+    "box/test_systemd.py::test_a_configuration_that_the_service_may_not_read",
     "box/test_systemd.py::test_device_that_comes_late",
     "box/test_systemd.py::test_no_device",
     "box/test_systemd.py::test_what_the_recorder_keeps",

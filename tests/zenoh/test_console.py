@@ -80,13 +80,18 @@ def test_a_rejection_has_its_reason(page: Page) -> None:
 
 
 def test_what_was_delayed_on_its_way_is_rejected(page: Page) -> None:
-    """A page that was frozen sends what it wanted to do long ago; a Stop is taken all the same."""
-    ack = page.ask(LEG_3, START, sent_ms=page.now_ms() - 3000)["ack"]
+    """A page that was frozen sends what it wanted to do long ago; a Stop is taken all the same.
+
+    How long ago says the gateway, which lets commands be 3 s old here.
+    """
+    page.state()
+    assert page.ask(LEG_3, START, sent_ms=page.now_ms() - 1500)["ack"]["accepted"]
+    ack = page.ask(LEG_3, START, sent_ms=page.now_ms() - 6000)["ack"]
     assert (ack["accepted"], ack["reason"]) == (False, "stale")
-    page.put(LEG_3, START, sent_ms=page.now_ms() - 3000)
+    page.put(LEG_3, START, sent_ms=page.now_ms() - 6000)
     mine = (page.hello["source"], LEG_3, "stale")
     page.wait("event", lambda message: tuple(message["event"][name] for name in ("source", "key", "reason")) == mine)
-    assert page.ask(LEG_3, STOP, sent_ms=page.now_ms() - 3000)["ack"]["accepted"]
+    assert page.ask(LEG_3, STOP, sent_ms=page.now_ms() - 6000)["ack"]["accepted"]
     assert page.state()["mode"] == "idle"
 
 

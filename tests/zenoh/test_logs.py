@@ -201,6 +201,12 @@ def test_lines_for_the_journal_begin_with_their_priority() -> None:
         "warning": "<4>",
         "error": "<3>",
     }
+    plain = spoken("auto", "info", program)
+    assert plain[:2] == [
+        "<6>hexapod-gateway 1 takes commands kind=started",
+        "<4>leg 7 does not exist key=hexapod/leg/7/cmd kind=command_rejected reason=invalid source='lap top'",
+    ]
+    assert not any(char in line for line in plain for char in ("\x1b", *HOSTILE))
     assert all(line.startswith("<") for line in spoken("console", "debug", program)), "each line of a traceback, too"
     other = spoken("json", "debug", "import os\nos.environ['JOURNAL_STREAM'] = '1:1'\n" + SPEAKER)
     assert all(line.startswith("{") for line in other)

@@ -12,6 +12,7 @@ import pytest
 
 from release import spidev
 from release.build import ROOT
+from release.bundle import SYSTEM_PYTHON
 
 WHEN = 1_700_000_000
 THIS = f"{sys.version_info.major}.{sys.version_info.minor}"
@@ -119,3 +120,19 @@ def test_without_a_cross_compiler_it_says_so(
 def test_for_an_unknown_python_there_are_no_headers(tmp_path: Path) -> None:
     with pytest.raises(spidev.CannotBuildError, match=r"for Python 3\.99 no headers are known"):
         spidev.headers("3.99", tmp_path)
+
+
+def test_two_builds_for_this_machine_are_equal_to_the_byte(sdist: Path, tmp_path: Path) -> None:
+    """As `make wheels` makes it, where pip takes another temporary folder each time."""
+    pip = (SYSTEM_PYTHON, "-m", "pip", "wheel", "--quiet", "--no-deps", "--no-cache-dir", "--wheel-dir")
+    made = []
+    for folder in (tmp_path / "one", tmp_path / "another"):
+        subprocess.run(
+            ["bash", "-c", '. deploy/spidev.sh && reproducibly "$@"', "bash", *pip, folder, sdist],
+            cwd=ROOT,
+            env={**os.environ, "SOURCE_DATE_EPOCH": str(WHEN)},
+            check=True,
+        )
+        made += [path.read_bytes() for path in folder.glob("spidev-*.whl")]
+    assert len(made) == 2
+    assert made[0] == made[1]

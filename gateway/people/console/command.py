@@ -9,6 +9,7 @@ from urllib.parse import urlsplit
 
 from gateway.errors import ConfigError, UnreachedError
 from gateway.people.console import register
+from gateway.people.console.listening import address_in, inherited
 from gateway.people.console.messages import ROLES
 from gateway.people.console.register import Register
 from gateway.people.console.site import DEFAULT_ADDRESS, DEFAULT_PORT, address_of, free_address, site
@@ -33,7 +34,10 @@ def console(
     open_browser: bool,
     card: str = "",
 ) -> NoReturn:
-    """Serve the page until the process is asked to end, without `listen` on a free port. Raises GatewayError."""
+    """Serve the page until the process is asked to end. Raises GatewayError.
+
+    On systemd's socket; without one at `listen`; without both on a free port.
+    """
     _need_extra()
     if role not in ROLES:
         raise ConfigError(
@@ -41,10 +45,13 @@ def console(
         )
     from gateway.people.console.serve import Options, serve  # noqa: PLC0415 (does not load without them)
 
+    passed = inherited()
+    address = address_in(passed, listen) if passed else listen or free_address()
     serve(
         Options(
-            site=site(listen or free_address(), cert, key),
-            listen_given=listen is not None,
+            site=site(address, cert, key),
+            passed=passed,
+            listen_given=bool(passed or listen),
             connect=connect,
             zenoh_config=zenoh_config,
             timeout_s=timeout_s,

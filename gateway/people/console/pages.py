@@ -8,6 +8,7 @@ or in this process, is rejected here or by the gateway.
 import asyncio
 import json
 import logging
+import math
 import re
 import time
 from collections import deque
@@ -52,10 +53,8 @@ from gateway.people.console.walking import Walking
 from gateway.people.walking import robot_now
 from gateway.robot.core.staleness import Staleness
 from schemas import keys
-from schemas.telemetry import Ack, BodyReport, Event, GatewayState, Kind, Reason
+from schemas.telemetry import Ack, BodyReport, Event, GatewayState, Kind, LimitsReport, Reason
 
-MAX_AGE_MS: Final = 500.0
-"""The gateway's default (`limits.max_age_ms`). It cannot know how long a page's first command took; its pings tell."""
 WISH_AGE_MS: Final = 250.0
 """Of a wish for the walk: what comes later counts as silence (`walking.SILENT_S`)."""
 MAX_QUESTIONS: Final = 16
@@ -93,6 +92,7 @@ class Pages(Listener):
         self._pages: set[Page] = set()
         self._opened = 0
         self._state: Callable[[], str] | None = None
+        self._max_age_ms = LimitsReport().max_age_ms
         self._link = LinkMessage(status="gone")
         self._events: deque[EventMessage] = deque(maxlen=KEPT_EVENTS)
 
@@ -107,6 +107,7 @@ class Pages(Listener):
             page.outgoing.put(event)
         if self._state is not None:
             page.outgoing.put_state(self._state)
+        page.allow_age(self._max_age_ms)
 
     def remove(self, page: "Page") -> None:
         """It is closed."""
@@ -119,8 +120,10 @@ class Pages(Listener):
 
     def received_state(self, state: GatewayState, received_ns: int) -> None:
         self._state = partial(_state_text, state.model_dump_json(), json.dumps(robot_now(state)), received_ns)
+        self._max_age_ms = state.limits.max_age_ms
         for page in self._pages:
             page.outgoing.put_state(self._state)
+            page.allow_age(self._max_age_ms)
 
     def received_body(self, body: BodyReport) -> None:
         for page in self._pages:
@@ -171,11 +174,21 @@ class Page:
         self._walking = Walking(link.connect, f"{self.source} walks", geometry, self.outgoing.put)
         self._new_link = new_link
         self._button = Pressing(link.client, f"{person[:40]}/page {number}", self.outgoing.put)
-        self._staleness = Staleness(MAX_AGE_MS)
+        self._max_age_ms = LimitsReport().max_age_ms
+        self._staleness = Staleness(self._max_age_ms)
         self._wishes = Staleness(WISH_AGE_MS)
         self._questions: set[asyncio.Task[None]] = set()
         self._leg_stops: dict[tuple[str, str], Stops[dict[str, Any]]] = {}
         """By their key and what they stop."""
+
+    def allow_age(self, max_age_ms: float) -> None:
+        """Commands may be as old as the gateway lets them (`limits.max_age_ms`, 0: any age).
+
+        The gateway cannot know how long a page's first command took; here the page's pings show its clock.
+        """
+        if max_age_ms != self._max_age_ms:
+            self._max_age_ms = max_age_ms
+            self._staleness = Staleness(max_age_ms or math.inf)
 
     def take(self, text: str) -> None:
         """One message of the page's. Raises EndError for what no page of ours sends."""

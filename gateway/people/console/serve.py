@@ -1,15 +1,14 @@
 """`hexapod-gateway console`: takes its address, prints the link, and serves until it is ended."""
 
 import asyncio
-import errno
 import getpass
 import os
 import signal
 import socket
 import threading
 import webbrowser
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager, nullcontext, suppress
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass
 from functools import partial
 from html import escape
@@ -19,17 +18,17 @@ from typing import Final, NoReturn
 import segno
 
 from gateway import certs
-from gateway.errors import AddressTakenError, ConfigError
 from gateway.geometry import Geometry, load
 from gateway.people.console import register
 from gateway.people.console.app import MAX_CLOSING, MAX_PAGES, Console
 from gateway.people.console.door import Door
 from gateway.people.console.front import MAX_SIGNED_IN, MAX_UNKNOWN, Front, report
 from gateway.people.console.link import STACK_BYTES, GatewayLink
+from gateway.people.console.listening import listening
 from gateway.people.console.messages import ROLES, Role, least
 from gateway.people.console.pages import Pages
 from gateway.people.console.register import LINK_S, Register
-from gateway.people.console.site import DEFAULT_PORT, LOCALHOST, Site
+from gateway.people.console.site import DEFAULT_PORT, Site
 from gateway.people.console.stops import Stops, send_stopping
 from gateway.people.console.tls import server_context
 from gateway.people.terminal import hint, say, this_command
@@ -37,12 +36,6 @@ from gateway.robot.host import descriptors, logs, realtime
 from gateway.robot.settings import LogSettings
 from gateway.zenoh_config import client_config, get
 
-BACKLOG: Final = 64
-"""Connections that the kernel keeps until they are taken; it drops more."""
-DEAD_MS: Final = 15_000
-"""A connection that takes nothing for so long is given up: a page that is frozen, or whose machine is gone."""
-RECEIVE_BYTES: Final = 8192
-"""Of the kernel's buffer for each connection."""
 OWN_DESCRIPTORS: Final = 96
 """For the Zenoh session, four more of them for STOP ALL and four for other Stops, the spare ones, and files."""
 DESCRIPTORS: Final = MAX_UNKNOWN + MAX_SIGNED_IN + MAX_PAGES + MAX_CLOSING + OWN_DESCRIPTORS
@@ -54,6 +47,8 @@ class Options:
     """The command's."""
 
     site: Site
+    passed: Sequence[socket.socket]
+    """Sockets of systemd's, on which it listens; empty: it binds by itself."""
     listen_given: bool
     connect: str | None
     zenoh_config: Path | None
@@ -72,12 +67,12 @@ def serve(options: Options) -> NoReturn:
     descriptors.ensure(DESCRIPTORS, "the console")
     realtime.limit_malloc_arenas()
     threading.stack_size(STACK_BYTES)
-    with _listening(options.site) as listening:
+    with listening(options.site, options.passed) as sockets:
         logs.set_up(LogSettings())  # from now on nobody waits for whoever reads what is written here
         found = Register(register.folder(), options.site.port)
         role = least(role, options.role)
         found.begin(options.site.url, role, common_name)
-        asyncio.run(_run(options, listening, found, person, role, common_name, geometry))
+        asyncio.run(_run(options, sockets, found, person, role, common_name, geometry))
 
 
 def show(link: str) -> None:
@@ -90,7 +85,7 @@ def show(link: str) -> None:
 
 async def _run(
     options: Options,
-    listening: list[socket.socket],
+    sockets: Sequence[socket.socket],
     found: Register,
     person: str,
     role: Role,
@@ -107,7 +102,7 @@ async def _run(
     console = Console(found, gateway, stops, pages, person=person, geometry=geometry)
     door = Door(site, found, person=person, role=role)
     context = server_context(site.certificate, site.key) if site.certificate and site.key else None
-    Front(listening, context, door, console.admit).start()
+    Front(sockets, context, door, console.admit).start()
     watching = asyncio.create_task(gateway.run())
     watching.add_done_callback(lambda _: ended.set())
     realtime.freeze_gc()
@@ -152,45 +147,6 @@ def _opened(found: Register, card: str) -> Iterator[None]:
         yield
     finally:
         file.unlink(missing_ok=True)
-
-
-@contextmanager
-def _listening(site: Site) -> Iterator[list[socket.socket]]:
-    """At the site's address; at `localhost` at all of its addresses, so that nobody else listens at one of them."""
-    with ExitStack() as stack:
-        found = [_bound(stack, site, each) for each in (LOCALHOST if site.address == "localhost" else (site.address,))]
-        taken = [each for each in found if each is not None]
-        if not taken:
-            raise ConfigError(f"--listen {site.address}:{site.port}: this machine has no such address")
-        yield taken
-
-
-def _bound(stack: ExitStack, site: Site, address: str) -> socket.socket | None:
-    """None where this machine has no such address of localhost's, such as without IPv6."""
-    try:
-        family, kind, _, _, place = socket.getaddrinfo(
-            address, site.port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
-        )[0]
-    except OSError as error:
-        raise ConfigError(f"--listen: {address} is no address of this machine: {error.strerror}") from error
-    try:
-        listening = stack.enter_context(socket.socket(family, kind))
-        listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        listening.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, DEAD_MS)
-        listening.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        listening.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BYTES)
-        listening.bind(place)
-        listening.listen(BACKLOG)
-    except OSError as error:
-        where = f"{address}:{site.port}" if ":" not in address else f"[{address}]:{site.port}"
-        if error.errno == errno.EADDRINUSE:
-            raise AddressTakenError(
-                f"{where} is taken by another program (perhaps another console); stop it, or set another --listen"
-            ) from error
-        if site.address == "localhost" and error.errno in (errno.EADDRNOTAVAIL, errno.EAFNOSUPPORT):
-            return None
-        raise ConfigError(f"--listen {where}: {error.strerror}; name an address of this machine") from error
-    return listening
 
 
 def _identity(connect: str | None, zenoh_config: Path | None) -> tuple[str, Role, str]:

@@ -3,11 +3,13 @@
 mcap's own reader ends at the first damage. Here the next chunk is looked for: its beginning states its length twice.
 """
 
+import errno
 import os
 import re
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import BinaryIO, Final
 
 from mcap.opcode import Opcode
@@ -40,6 +42,13 @@ _TYPES: Final = frozenset(
     {Opcode.HEADER, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.ATTACHMENT, Opcode.METADATA, *_FRAMED, *_ENDS}
 )
 """What stands before the index."""
+
+
+def opened(path: Path) -> BinaryIO:
+    """The file, to be read. Raises OSError, also for a named pipe, at which a reader would wait for ever."""
+    if path.is_fifo():
+        raise OSError(errno.EINVAL, "it is a named pipe", path)
+    return path.open("rb")
 
 
 @dataclass(slots=True)

@@ -9,7 +9,7 @@ from mcap.records import Message as McapMessage
 from pydantic_core import from_json
 
 from gateway.errors import ConfigError
-from gateway.people.recordings.pieces import MAGIC, Losses, pieces
+from gateway.people.recordings.pieces import MAGIC, Losses, opened, pieces
 
 LIBRARY_NAME = "hexapod-gateway"
 """How a file's header names this program, which numbers the messages of a channel without gaps."""
@@ -33,7 +33,7 @@ def records(path: Path, losses: Losses | None = None) -> Iterator[McapRecord]:
     newest: dict[int, int] = {}  # of each channel the number of its last message
     numbered = False
     try:
-        with path.open("rb") as file:
+        with opened(path) as file:
             if file.read(len(MAGIC)) != MAGIC:
                 raise ConfigError(f"{path}: is no MCAP file")
             for record in pieces(file, losses):

@@ -9,10 +9,12 @@ import logging
 import os
 import select
 import threading
+import time
 from collections.abc import Callable
 from functools import partial
 from typing import Final
 
+from gateway.robot.host.log_condenser import Condenser
 from gateway.robot.host.worker import Worker
 
 KEPT: Final = 1000
@@ -25,7 +27,12 @@ class LogWriter:
     `put` never waits. When several threads put lines at the same moment, a few more than `KEPT` may wait.
     """
 
-    def __init__(self, descriptor: int, render: Callable[[logging.LogRecord], str] = logging.LogRecord.getMessage):
+    def __init__(
+        self,
+        descriptor: int,
+        render: Callable[[logging.LogRecord], str] = logging.LogRecord.getMessage,
+        condenser: Condenser | None = None,
+    ) -> None:
         self.descriptor = descriptor
         self.dropped = 0
         """Lines that were not written: nobody read what came before them, or writing failed."""
@@ -33,7 +40,8 @@ class LogWriter:
         self._told = 0
         """Of these, as it has been written."""
         self._full = False
-        self._worker = Worker(f"log_writer-{descriptor}")
+        self._condenser = condenser
+        self._worker = Worker(f"log_writer-{descriptor}", look=self._look)
 
     def put(self, item: logging.LogRecord | str) -> None:
         """Queue this to be written: a record as one line, a text as it is."""
@@ -47,12 +55,29 @@ class LogWriter:
 
     def close(self, timeout_s: float) -> None:
         """Write the lines that wait, for at most this long."""
+        self._worker.do(self._write_rest)
         self._worker.close(timeout_s)
 
     # ---- on the thread
 
+    def _look(self) -> float | None:
+        if self._condenser is None:
+            return None
+        now_s = time.monotonic()
+        for record in self._condenser.due(now_s):
+            self._write_item(record)
+        due_at_s = self._condenser.due_at_s()
+        return None if due_at_s is None else max(0.0, due_at_s - now_s)
+
+    def _write_rest(self) -> None:
+        for record in [] if self._condenser is None else self._condenser.rest():
+            self._write_item(record)
+
     def _write(self, item: logging.LogRecord | str) -> None:
-        written = self._write_item(item)
+        items = (
+            [item] if self._condenser is None or isinstance(item, str) else self._condenser.take(item, time.monotonic())
+        )
+        written = all([*map(self._write_item, items)])
         dropped = self.dropped
         if written and dropped != self._told and self._worker.waiting <= KEPT // 2:
             self._write_item(_left_out(dropped - self._told))

@@ -1,4 +1,4 @@
-"""How the service logs: readable on a terminal, JSON lines for the journal; and no Stop waits for it.
+"""How the service logs: readable on a terminal and in the journal, JSON lines else; and no Stop waits for it.
 
 By the standard library: structlog loads rich, and the service's modules took 470 ms of processor time to load. Without
 them it is 290, and a service that starts anew writes its Stops so much earlier.
@@ -18,6 +18,7 @@ from datetime import UTC, datetime
 from typing import Final
 
 from gateway.robot.host.directories import runtime_directory
+from gateway.robot.host.log_condenser import Condenser
 from gateway.robot.host.log_writer import LogWriter, Stream
 from gateway.robot.settings import LogSettings
 from gateway.text import visible, visible_json
@@ -33,8 +34,10 @@ def set_up(settings: LogSettings) -> None:
 
     From now on two threads of this module write to stdout and stderr; nobody else waits for these.
     """
-    render = _formatter(settings, os.isatty(2)).format
-    out, err = LogWriter(1), LogWriter(2, _with_priority(render) if _is_journal(2) else render)
+    journal = _is_journal(2)
+    render = _formatter(settings, os.isatty(2), journal).format
+    condenser = Condenser() if journal and settings.format == "auto" else None
+    out, err = LogWriter(1), LogWriter(2, _with_priority(render) if journal else render, condenser)
     _log_writers[:] = [out, err]
     sys.stdout, sys.stderr = Stream(out), Stream(err)
     atexit.register(close)
@@ -111,7 +114,9 @@ class _Handler(logging.Handler):
         return True
 
 
-def _formatter(settings: LogSettings, terminal: bool) -> logging.Formatter:
+def _formatter(settings: LogSettings, terminal: bool, journal: bool) -> logging.Formatter:
+    if settings.format == "auto" and journal:
+        return _LinesForJournal(colours=False)
     if settings.format == "json" or (settings.format == "auto" and not terminal):
         return _JsonLines()
     return _LinesForPeople(colours=terminal)
@@ -141,17 +146,27 @@ class _LinesForPeople(logging.Formatter):
         self._colours = colours
 
     def format(self, record: logging.LogRecord) -> str:
-        level = self._paint(_COLOURS.get(record.levelno, _RED), f"{record.levelname.lower():9}")
-        message = self._paint(_BOLD, f"{visible(record.getMessage()):30}")
-        parts = [self._paint(_DIM, _time(record)), f"[{level}]", message, f"[{self._paint(_BLUE, record.name)}]"]
+        parts = self._head(record)
         for name, value in sorted(_fields(record).items()):
             text = repr(value) if isinstance(value, str) and not _BARE.fullmatch(value) else visible(str(value))
             parts.append(f"{self._paint(_CYAN, name)}={self._paint(_MAGENTA, text)}")
         fault = "" if record.exc_info is None else self.formatException(record.exc_info)
         return "\n".join([" ".join(parts), *map(visible, fault.splitlines())])
 
+    def _head(self, record: logging.LogRecord) -> list[str]:
+        level = self._paint(_COLOURS.get(record.levelno, _RED), f"{record.levelname.lower():9}")
+        message = self._paint(_BOLD, f"{visible(record.getMessage()):30}")
+        return [self._paint(_DIM, _time(record)), f"[{level}]", message, f"[{self._paint(_BLUE, record.name)}]"]
+
     def _paint(self, colour: str, text: str) -> str:
         return f"\x1b[{colour}m{text}\x1b[0m" if self._colours else text
+
+
+class _LinesForJournal(_LinesForPeople):
+    """The message first; the journal itself has the time and the priority."""
+
+    def _head(self, record: logging.LogRecord) -> list[str]:
+        return [visible(record.getMessage())]
 
 
 _BOLD, _DIM, _RED, _BLUE, _CYAN, _MAGENTA = "1", "2", "31;1", "34;1", "36", "35"

@@ -4,7 +4,7 @@ import asyncio
 import threading
 from collections.abc import Callable
 from contextlib import suppress
-from queue import SimpleQueue
+from queue import Empty, SimpleQueue
 
 from gateway.errors import ConfigError
 from gateway.robot.host.ownership import Ownership
@@ -18,9 +18,15 @@ class Worker:
     that is started for each piece of work would have to be waited for.
     """
 
-    def __init__(self, name: str, priority: int | None = PAGE_PRIORITY) -> None:
-        """By its `priority` it is not put aside while it holds the interpreter's lock: see realtime.py."""
+    def __init__(
+        self, name: str, priority: int | None = PAGE_PRIORITY, look: Callable[[], float | None] = lambda: None
+    ) -> None:
+        """By its `priority` it is not put aside while it holds the interpreter's lock: see realtime.py.
+
+        `look` is called on the thread each time before it waits: in how many seconds to call it again at the latest.
+        """
         self._priority = priority
+        self._look = look
         self._waiting: SimpleQueue[Callable[[], object] | None] = SimpleQueue()
         self.thread = threading.Thread(target=self._run, name=name, daemon=True)
         self.thread.start()
@@ -42,7 +48,13 @@ class Worker:
     def _run(self) -> None:
         if self._priority is not None:
             prefer_thread(self._priority)
-        while (work := self._waiting.get()) is not None:
+        while True:
+            try:
+                work = self._waiting.get(timeout=self._look())
+            except Empty:
+                continue
+            if work is None:
+                return
             work()
             del work  # and with it what it refers to, such as a query whose asker waits
 

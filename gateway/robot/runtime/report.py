@@ -135,7 +135,8 @@ class StateReports:
 def limits_of(settings: Settings) -> LimitsReport:
     """The settings' limits, as the state has them."""
     servos = {name: ServoLimitsReport(**each.model_dump()) for name, each in settings.limits.servos.items()}
-    return LimitsReport(leg_rate_hz=settings.limits.leg_rate_hz, servos=servos)
+    limits = settings.limits
+    return LimitsReport(leg_rate_hz=limits.leg_rate_hz, max_age_ms=limits.max_age_ms, servos=servos)
 
 
 def _lease(lease: Lease, now_ns: int) -> LeaseReport:

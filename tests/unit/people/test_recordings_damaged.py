@@ -1,6 +1,7 @@
 """Damaged recordings: what is not damaged is read, what is lost is counted, and no file is destroyed."""
 
 import json
+import os
 import random
 import tracemalloc
 import zlib
@@ -271,3 +272,10 @@ def test_wherever_a_file_is_cut_off_it_is_not_damaged(path: Path) -> None:
         for _ in read(path, losses, topics=()):
             pass
         assert not losses.places, end
+
+
+def test_nobody_waits_for_the_other_end_of_a_named_pipe(tmp_path: Path) -> None:
+    pipe = tmp_path / "ride.mcap"
+    os.mkfifo(pipe)
+    with pytest.raises(ConfigError, match=r"cannot be read \(it is a named pipe\)"):
+        next(records(pipe))

@@ -320,6 +320,14 @@ def test_a_fault_of_the_environment(monkeypatch: pytest.MonkeyPatch, variable: s
     assert faults() == [f"{variable}: {line}"]
 
 
+def test_a_pose_in_the_file_that_limits_in_the_environment_forbid(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    file.write_text("[watchdog.landing]\n11 = 110")
+    monkeypatch.setenv("HEXAPOD_LIMITS__SERVOS__11__MAX_DEG", "100")
+    assert faults(file) == ["watchdog.landing.11: 110 will not do: limits.servos.11 allows 0 to 100"]
+    monkeypatch.setenv("HEXAPOD_WATCHDOG__LANDING__11", "101")
+    assert faults(file) == ["HEXAPOD_WATCHDOG__LANDING__11: 101 will not do: limits.servos.11 allows 0 to 100"]
+
+
 def test_faults_of_file_and_environment_are_told_at_once(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     file.write_text("[spi]\nspeed_hz = 0\n[limits.servos.99]\n")
     for variable in ("HEXAPOD_ZENOH__LISTEN", "HEXAPOD_LOG__LEVEL", "HEXAPOD_SPY", "HEXAPOD_SPI__SPEED_HZ"):
