@@ -258,8 +258,14 @@ class Opened:
         for view in ("view-above", "view-solid"):
             self[view].check(force=True)
 
+    def show_rest(self) -> None:
+        """On a phone, what is there in the pads' place."""
+        if self["more"].is_visible() and self["more"].get_attribute("aria-expanded") == "false":
+            self["more"].click()
+
     def show_joints(self) -> None:
         """Open what is advanced."""
+        self.show_rest()
         if self["advanced"].get_attribute("open") is None:
             self["drive-title"].click()
 

@@ -34,6 +34,7 @@ def running(robot: Client) -> dict[int, float | None]:
 def start_32(page: Opened, begin: str = "90") -> None:
     """Open the calibration and start servo 32, after its question."""
     page.get_lease()
+    page.show_rest()
     page["cal-title"].click()
     expect(page["cal-revision"]).to_have_text(re.compile("revision"))
     page["cal-servo"].select_option("32")

@@ -109,7 +109,8 @@ def situations(source: str) -> dict[str, tuple[list[dict[str, Any]], dict[str, A
 def test_nothing_on_the_driving_page_shifts_is_covered_or_cut_off(size: tuple[int, int], visitor: Visitor) -> None:
     width, height = size
     page = visitor.open(script=HEAR, viewport={"width": width, "height": height}, has_touch=True, is_mobile=True)
-    assert not faults(page)
+    found = faults(page)
+    assert not found, "\n".join(found)
 
 
 def faults(page: Opened) -> list[str]:

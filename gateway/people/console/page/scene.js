@@ -46,9 +46,9 @@ export class Scene {
     this.scene = new three.Scene();
     this.camera = new three.PerspectiveCamera(32, 1, 0.05, 10);
     this.camera.up.set(0, 0, 1);
-    this.azimuth = -0.45;
-    this.elevation = 0.82;
+    this.azimuth = this.elevation = 0;
     this.distance = 1.55;
+    this.chase();
     this.centre = new three.Vector3(0, 0, -0.11);
 
     this.scene.add(new three.HemisphereLight(0xffffff, 0x8890a0, 1.6));
@@ -79,6 +79,9 @@ export class Scene {
     this.ghost = new three.LineSegments(new three.BufferGeometry(), this.ghostMaterial);
     this.ghost.renderOrder = 1;
     this.robot.add(this.ghost);
+    this.course = new three.Line(new three.BufferGeometry(), this.ghostMaterial);
+    this.course.renderOrder = 1;
+    this.scene.add(this.course);
 
     this.bodyMaterial = new three.MeshStandardMaterial({ roughness: 0.7, metalness: 0.1 });
     this.servoMaterial = new three.MeshStandardMaterial({ roughness: 0.5, metalness: 0.2 });
@@ -100,8 +103,17 @@ export class Scene {
     this.#recolour();
   }
 
-  /** @param {Map<number, LegPose>} poses @param {import("./odometry.js").Odometry} odometry @param {import("./types.js").Body | null} body */
-  update(poses, odometry, body) {
+  /** From behind, so that ahead on a pad is ahead in the picture. */
+  chase() {
+    this.azimuth = Math.PI;
+    this.elevation = 0.7;
+  }
+
+  /**
+   * @param {Map<number, LegPose>} poses @param {import("./odometry.js").Odometry} odometry
+   * @param {import("./types.js").Body | null} body @param {[number, number][]} course on the ground, in metres
+   */
+  update(poses, odometry, body, course = []) {
     this.poses = poses;
     this.mesh.position.set(...odometry.crossing(MESH_M), 0);
     this.mesh.rotation.z = odometry.turned;
@@ -122,6 +134,9 @@ export class Scene {
     }
     this.ground.position.z = body ? -heightAbove(body) : lowest - 0.012;
     for (const parts of this.legs.values()) parts.ring.position.z = this.ground.position.z + 0.002;
+    this.course.geometry.dispose();
+    this.course.geometry = new three.BufferGeometry().setFromPoints(course.map(([x, y]) => new three.Vector3(x, y, this.ground.position.z + 0.003)));
+    this.course.visible = course.length > 0;
     this.draw();
   }
 
@@ -182,8 +197,13 @@ export class Scene {
     const [mount, foot] = [points[0], points[4]];
     const length = Math.hypot(foot[0] - mount[0], foot[1] - mount[1]) || 1;
     const out = (/** @type {0 | 1} */ i) => foot[i] + (LABEL_M * (foot[i] - mount[i])) / length;
-    const at = new three.Vector3(out(0), out(1), foot[2]).applyQuaternion(this.robot.quaternion).project(this.camera);
-    return [((at.x + 1) / 2) * this.place.clientWidth, ((1 - at.y) / 2) * this.place.clientHeight];
+    return this.at(new three.Vector3(out(0), out(1), foot[2]).applyQuaternion(this.robot.quaternion));
+  }
+
+  /** Where a point is seen, in pixels of the place. @param {import("./vendor/three/three.module.js").Vector3} point @returns {[number, number]} */
+  at(point) {
+    const { x, y } = point.clone().project(this.camera);
+    return [((x + 1) / 2) * this.place.clientWidth, ((1 - y) / 2) * this.place.clientHeight];
   }
 
   dispose() {
