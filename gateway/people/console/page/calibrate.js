@@ -191,7 +191,8 @@ export class Calibrate {
 
   #tick() {
     const nowMs = performance.now();
-    const why = this.told.holds() ? "legs are driven" : obstacle(this, nowMs);
+    const hidden = byId("cal").getClientRects().length === 0; // behind the pads, on a phone
+    const why = this.told.holds() ? "legs are driven" : hidden ? "the calibration was closed" : obstacle(this, nowMs);
     this.lastTickMs = nowMs;
     if (why) {
       this.stop(why);
