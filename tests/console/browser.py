@@ -35,6 +35,21 @@ HIDE: Final = """
 Object.defineProperty(document, "visibilityState", { value: "hidden", configurable: true });
 document.dispatchEvent(new Event("visibilitychange"));
 """
+SHOW: Final = """
+Object.defineProperty(document, "visibilityState", { value: "visible", configurable: true });
+document.dispatchEvent(new Event("visibilitychange"));
+"""
+
+PHONE: Final = """
+window.wakes = 0;
+window.shakes = [];
+WakeLock.prototype.request = ((request) => function (kind) {
+  window.wakes += 1;
+  return request.call(this, kind);
+})(WakeLock.prototype.request);
+Navigator.prototype.vibrate = (pattern) => window.shakes.push(pattern);
+"""
+"""Counts how often the screen was to stay on, and what the phone was to do."""
 
 GAMEPAD: Final = """
 window.pad = { connected: true, mapping: "standard", axes: [0, 0, 0, 0],

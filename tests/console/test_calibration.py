@@ -130,6 +130,15 @@ def test_a_lease_that_is_taken_and_somebody_elses_stop_end_it(visitor: Visitor, 
             expect_rest(page)
 
 
+def test_on_a_phone_the_pads_in_its_place_end_it(visitor: Visitor) -> None:
+    page = visitor.open(viewport=PHONE)
+    start_32(page)
+    page.expect_status(3, "runs")
+    page["more"].click()
+    expect(page.said).to_have_text("Servo 32: the calibration was closed.")
+    expect_rest(page)
+
+
 def test_an_angle_that_the_calibration_forbids_starts_nothing(visitor: Visitor, gateway: Gateway) -> None:
     with gateway.client() as robot:
         assert robot.calibrate({32: ServoChange(max_deg=100)}).accepted

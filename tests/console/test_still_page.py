@@ -82,8 +82,9 @@ HANDS: Final = """() => {
   const reach = Math.hypot(x - nearest[0], y - nearest[1]);
   if (reach > 320) faults.push(`STOP ALL is ${reach} pixels from the thumb that turns`);
   if (pad.left > 24 || turn.right < innerWidth - 24) faults.push("the pads are not at the edges");
-  if (innerWidth > innerHeight && (pad.right > picture.left || picture.right > turn.left)) faults.push("the picture is not between");
-  if (innerWidth < innerHeight && pad.width < 0.28 * innerHeight && pad.width < 0.45 * innerWidth) faults.push("the pads are small");
+  const wide = innerWidth > innerHeight;
+  if (wide && (pad.right > picture.left || picture.right > turn.left)) faults.push("the picture is not between");
+  if (pad.width < Math.min(0.28 * innerHeight, 0.45 * innerWidth) && !wide) faults.push("the pads are small");
   document.getElementById("more").click();
   for (const each of document.querySelectorAll("details")) each.open = true;
   small("the rest");
@@ -98,9 +99,8 @@ HANDS: Final = """() => {
 ENDLESS: Final = """() => {
   const said = document.getElementById("said");
   said.textContent = "Nothing moves: this is a long story. ".repeat(300);
-  const { bottom } = said.getBoundingClientRect();
-  const [top, scrolls] = [document.getElementById("lease").getBoundingClientRect().top, said.scrollHeight > said.clientHeight];
-  return bottom <= top && scrolls;
+  const [{ bottom }, { top }] = [said, document.getElementById("lease")].map((each) => each.getBoundingClientRect());
+  return bottom <= top && said.scrollHeight > said.clientHeight;
 }"""
 LONG: Final = "anna-katharina.oberhuber@robots.example (page 12)"
 
@@ -149,7 +149,7 @@ def situations(source: str) -> dict[str, tuple[list[dict[str, Any]], dict[str, A
     }
 
 
-@pytest.mark.parametrize("size", (*HELD, DESK), ids=lambda size: f"{size[0]}x{size[1]}")
+@pytest.mark.parametrize("size", [*HELD, DESK], ids=lambda size: f"{size[0]}x{size[1]}")
 def test_nothing_on_the_driving_page_shifts_is_covered_cut_off_or_out_of_a_thumbs_reach(
     size: tuple[int, int], visitor: Visitor
 ) -> None:

@@ -196,7 +196,7 @@ export class Walk {
   /** Something was pressed. @param {boolean} sits */
   #press(sits) {
     const nowMs = performance.now();
-    if (!this.active) this.lastTickMs = nowMs;
+    if (!this.active) [this.lastTickMs, this.answerMs] = [nowMs, NaN];
     const why = obstacle(this, nowMs) || this.told.busy();
     if (why) {
       this.#letGo();
