@@ -1,8 +1,8 @@
 """The console's page in a real browser, as a person uses it."""
 
 import re
-from collections.abc import Callable
-from contextlib import AbstractContextManager, ExitStack
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from pathlib import Path
 from re import Pattern
 from types import TracebackType
@@ -136,7 +136,7 @@ class Visitor(AbstractContextManager["Visitor"]):
         if webgl:
             browser = self._browser.browser_type.launch(executable_path=CHROMIUM, args=DRAWS)
             self._stack.callback(browser.close)
-            opened = self._page(self._prepared(browser.new_context(**options)))
+            opened = self._page(self._prepared(browser.new_context(**options)), script)
         elif context or options:
             prepared = self._prepared(context or self._browser.new_context(**options), WITHOUT_WEBGL)
             if context is None:
@@ -181,6 +181,13 @@ class Visitor(AbstractContextManager["Visitor"]):
             self._idle.setdefault(self._url, []).append(opened)
         else:
             opened.context.close()
+
+    @contextmanager
+    def blank(self) -> Iterator[Page]:
+        """A page of nobody's."""
+        context = self._browser.new_context()
+        yield context.new_page()
+        context.close()
 
     def renderers(self) -> set[int]:
         """The process ids of those that run pages."""

@@ -128,12 +128,13 @@ def test_the_way_it_goes_is_drawn_to_the_side_that_it_turns_to(page: Opened) -> 
         "(m, all) => all.map((going) => m.course(going))",
         [[0, 0, 0], [0.1, 0, 0], [0, 0, 0.4], [0, 0, -0.4], [0, 0.1, 0]],
     )
-    tips = [way[-2] for way in ways[1:]]
+    angle = 4 * 0.4
+    tips = [way[len(way) // 2] for way in ways[1:]]
     assert ways[0] == []
-    assert tips[0] == pytest.approx([0.6, 0])
-    assert tips[1] == pytest.approx([0.3 * math.cos(1.2), 0.3 * math.sin(1.2)])
-    assert tips[2] == pytest.approx([0.3 * math.cos(1.2), -0.3 * math.sin(1.2)])
-    assert tips[3] == pytest.approx([0.3, 0.3])
+    assert tips[0] == pytest.approx([0.7 + 0.09, 0])
+    assert tips[1] == pytest.approx([0.3 * math.cos(angle) - 0.09, 0.3], abs=0.003)
+    assert tips[2] == pytest.approx([0.3 * math.cos(angle) - 0.09, -0.3], abs=0.003)
+    assert tips[3] == pytest.approx([0.3, 0.4 + 0.09])
 
 
 def test_a_links_quality_is_its_worst_of_two_seconds(page: Opened) -> None:

@@ -39,7 +39,7 @@ export class Above {
       this.canvas.append(group);
       this.legs.set(leg, { group, line, dots });
     }
-    this.course = node("polyline", { class: "course" });
+    this.course = node("polygon", { class: "course" });
     this.canvas.append(this.course);
     /** @type {Map<number, LegPose>} */
     this.poses = new Map();

@@ -16,6 +16,8 @@ const PLATE_M = 0.006;
 const GAP_M = 0.036;
 const MESH_M = 0.15;
 const LINES = 7;
+/** Above the legs' mounts: on the ground, seen from behind, the body hides it. */
+const COURSE_M = 0.06;
 const TURN_PER_PIXEL = 0.008;
 const TURN_PER_KEY = Math.PI / 24;
 
@@ -79,9 +81,10 @@ export class Scene {
     this.ghost = new three.LineSegments(new three.BufferGeometry(), this.ghostMaterial);
     this.ghost.renderOrder = 1;
     this.robot.add(this.ghost);
-    this.course = new three.Line(new three.BufferGeometry(), this.ghostMaterial);
-    this.course.renderOrder = 1;
-    this.scene.add(this.course);
+    this.courseMaterial = new three.MeshBasicMaterial({ side: three.DoubleSide });
+    this.course = new three.Mesh(new three.BufferGeometry(), this.courseMaterial);
+    this.course.position.z = COURSE_M;
+    this.robot.add(this.course);
 
     this.bodyMaterial = new three.MeshStandardMaterial({ roughness: 0.7, metalness: 0.1 });
     this.servoMaterial = new three.MeshStandardMaterial({ roughness: 0.5, metalness: 0.2 });
@@ -111,7 +114,7 @@ export class Scene {
 
   /**
    * @param {Map<number, LegPose>} poses @param {import("./odometry.js").Odometry} odometry
-   * @param {import("./types.js").Body | null} body @param {[number, number][]} course on the ground, in metres
+   * @param {import("./types.js").Body | null} body @param {[number, number][]} course in metres
    */
   update(poses, odometry, body, course = []) {
     this.poses = poses;
@@ -134,9 +137,11 @@ export class Scene {
     }
     this.ground.position.z = body ? -heightAbove(body) : lowest - 0.012;
     for (const parts of this.legs.values()) parts.ring.position.z = this.ground.position.z + 0.002;
-    this.course.geometry.dispose();
-    this.course.geometry = new three.BufferGeometry().setFromPoints(course.map(([x, y]) => new three.Vector3(x, y, this.ground.position.z + 0.003)));
     this.course.visible = course.length > 0;
+    if (course.length) {
+      this.course.geometry.dispose();
+      this.course.geometry = new three.ShapeGeometry(new three.Shape(course.map(([x, y]) => new three.Vector2(x, y))));
+    }
     this.draw();
   }
 
@@ -301,6 +306,7 @@ export class Scene {
     this.frontMaterial.color.set(colour("--accent"));
     this.meshMaterial.color.set(colour("--faint"));
     this.ghostMaterial.color.set(colour("--accent"));
+    this.courseMaterial.color.set(colour("--accent"));
     for (const parts of this.legs.values()) {
       /** @type {three.LineBasicMaterial} */ (parts.ring.material).color.set(colour("--accent"));
       const { status } = parts.material.userData;
