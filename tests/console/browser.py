@@ -235,7 +235,8 @@ class Opened:
         if self.page.is_closed() or not self._has_focus:
             return False
         self.page.mouse.up()
-        self.page.keyboard.up("h")
+        for key in "hweq":
+            self.page.keyboard.up(key)
         self._forget()
         self.page.goto("about:blank")
         return True
