@@ -1,8 +1,8 @@
 """The console's page in a real browser, as a person uses it."""
 
 import re
-from collections.abc import Callable
-from contextlib import AbstractContextManager, ExitStack
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from pathlib import Path
 from re import Pattern
 from types import TracebackType
@@ -35,8 +35,21 @@ HIDE: Final = """
 Object.defineProperty(document, "visibilityState", { value: "hidden", configurable: true });
 document.dispatchEvent(new Event("visibilitychange"));
 """
+SHOW: Final = """
+Object.defineProperty(document, "visibilityState", { value: "visible", configurable: true });
+document.dispatchEvent(new Event("visibilitychange"));
+"""
 
-SHOW: Final = "Object.defineProperty(document, 'visibilityState', { value: 'visible', configurable: true })"
+PHONE: Final = """
+window.wakes = 0;
+window.shakes = [];
+WakeLock.prototype.request = ((request) => function (kind) {
+  window.wakes += 1;
+  return request.call(this, kind);
+})(WakeLock.prototype.request);
+Navigator.prototype.vibrate = (pattern) => window.shakes.push(pattern);
+"""
+"""Counts how often the screen was to stay on, and what the phone was to do."""
 
 GAMEPAD: Final = """
 window.pad = { connected: true, mapping: "standard", axes: [0, 0, 0, 0],
@@ -123,7 +136,7 @@ class Visitor(AbstractContextManager["Visitor"]):
         if webgl:
             browser = self._browser.browser_type.launch(executable_path=CHROMIUM, args=DRAWS)
             self._stack.callback(browser.close)
-            opened = self._page(self._prepared(browser.new_context(**options)))
+            opened = self._page(self._prepared(browser.new_context(**options)), script)
         elif context or options:
             prepared = self._prepared(context or self._browser.new_context(**options), WITHOUT_WEBGL)
             if context is None:
@@ -168,6 +181,13 @@ class Visitor(AbstractContextManager["Visitor"]):
             self._idle.setdefault(self._url, []).append(opened)
         else:
             opened.context.close()
+
+    @contextmanager
+    def blank(self) -> Iterator[Page]:
+        """A page of nobody's."""
+        context = self._browser.new_context()
+        yield context.new_page()
+        context.close()
 
     def renderers(self) -> set[int]:
         """The process ids of those that run pages."""
@@ -215,7 +235,8 @@ class Opened:
         if self.page.is_closed() or not self._has_focus:
             return False
         self.page.mouse.up()
-        self.page.keyboard.up("h")
+        for key in "hweq":
+            self.page.keyboard.up(key)
         self._forget()
         self.page.goto("about:blank")
         return True
@@ -260,8 +281,14 @@ class Opened:
         for view in ("view-above", "view-solid"):
             self[view].check(force=True)
 
+    def show_rest(self) -> None:
+        """On a phone, what is there in the pads' place."""
+        if self["more"].is_visible() and self["more"].get_attribute("aria-expanded") == "false":
+            self["more"].click()
+
     def show_joints(self) -> None:
         """Open what is advanced."""
+        self.show_rest()
         if self["advanced"].get_attribute("open") is None:
             self["drive-title"].click()
 

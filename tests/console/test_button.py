@@ -11,7 +11,7 @@ from playwright.sync_api import Browser, expect
 from gateway import certs
 from gateway.client import Client
 from schemas.telemetry import GatewayState, Kind, Mode
-from tests.console.browser import HIDE, Opened, Visitor
+from tests.console.browser import HIDE, PHONE, SHOW, Opened, Visitor
 from tests.support.child import frozen
 from tests.support.console_process import Console, sign_in
 from tests.support.gateway_process import Gateway
@@ -20,21 +20,7 @@ from tests.support.secured import Secured
 
 pytestmark = pytest.mark.browser
 
-PHONE = """
-window.wakes = 0;
-window.shakes = [];
-WakeLock.prototype.request = ((request) => function (kind) {
-  window.wakes += 1;
-  return request.call(this, kind);
-})(WakeLock.prototype.request);
-Navigator.prototype.vibrate = (pattern) => window.shakes.push(pattern);
-"""
-"""Counts how often the screen was to stay on, and what the phone was to do."""
 LANDSCAPE: dict[str, Any] = {"viewport": {"width": 568, "height": 320}, "has_touch": True, "is_mobile": True}
-SHOW = """
-Object.defineProperty(document, "visibilityState", { value: "visible", configurable: true });
-document.dispatchEvent(new Event("visibilitychange"));
-"""
 THROTTLED = """
 window.ticks = 0;
 const later = window.setTimeout;

@@ -34,6 +34,7 @@ def running(robot: Client) -> dict[int, float | None]:
 def start_32(page: Opened, begin: str = "90") -> None:
     """Open the calibration and start servo 32, after its question."""
     page.get_lease()
+    page.show_rest()
     page["cal-title"].click()
     expect(page["cal-revision"]).to_have_text(re.compile("revision"))
     page["cal-servo"].select_option("32")
@@ -147,6 +148,15 @@ def test_a_lease_that_is_taken_and_somebody_elses_stop_end_it(visitor: Visitor, 
         with robot.lease(take=True):
             expect(page["cal-start"]).to_be_disabled()
             expect_rest(page)
+
+
+def test_on_a_phone_the_pads_in_its_place_end_it(visitor: Visitor) -> None:
+    page = visitor.open(viewport=PHONE)
+    start_32(page)
+    page.expect_status(3, "runs")
+    page["more"].click()
+    expect(page.said).to_have_text("Servo 32: the calibration was closed.")
+    expect_rest(page)
 
 
 def test_an_angle_that_the_calibration_forbids_starts_nothing(visitor: Visitor, gateway: Gateway) -> None:

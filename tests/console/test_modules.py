@@ -95,3 +95,52 @@ def test_legs_that_begin_to_run_are_drawn_as_commanded_beside_where_they_are(pag
         geometry.load().model_dump(mode="json"),
     )
     assert points == [0, 48]
+
+
+def test_behind_the_robot_ahead_is_up_and_left_is_left_whatever_way_it_was_turned_before(page: Opened) -> None:
+    """Ahead on the pad is ahead in the picture."""
+    middle, ahead, left = page.module(
+        "scene",
+        """async (m, geometry) => {
+            const { Vector3 } = await import("/vendor/three/three.module.js");
+            const place = document.createElement("div");
+            place.style.cssText = "width: 300px; height: 200px";
+            document.body.append(place);
+            const scene = new m.Scene(place, geometry, () => {});
+            scene.azimuth = 1;
+            scene.chase();
+            scene.draw();
+            const seen = [[0, 0], [0.4, 0], [0, 0.4]].map(([x, y]) => scene.at(new Vector3(x, y, -0.1)));
+            scene.dispose();
+            place.remove();
+            return seen;
+        }""",
+        geometry.load().model_dump(mode="json"),
+    )
+    assert ahead[1] < middle[1] - 20
+    assert ahead[0] == pytest.approx(middle[0], abs=0.5)
+    assert left[0] < middle[0] - 20
+
+
+def test_the_way_it_goes_is_drawn_to_the_side_that_it_turns_to(page: Opened) -> None:
+    ways = page.module(
+        "course",
+        "(m, all) => all.map((going) => m.course(going))",
+        [[0, 0, 0], [0.1, 0, 0], [0, 0, 0.4], [0, 0, -0.4], [0, 0.1, 0]],
+    )
+    angle = 4 * 0.4
+    tips = [way[len(way) // 2] for way in ways[1:]]
+    assert ways[0] == []
+    assert tips[0] == pytest.approx([0.7 + 0.09, 0])
+    assert tips[1] == pytest.approx([0.3 * math.cos(angle) - 0.09, 0.3], abs=0.003)
+    assert tips[2] == pytest.approx([0.3 * math.cos(angle) - 0.09, -0.3], abs=0.003)
+    assert tips[3] == pytest.approx([0.3, 0.4 + 0.09])
+
+
+def test_a_links_quality_is_its_worst_of_two_seconds(page: Opened) -> None:
+    seen = page.module(
+        "quality",
+        "(m, all) => { const quality = new m.Quality(); return all.map((each) => quality.take(...each).bars); }",
+        [[0, 100, 20], [100, 250, 20], [200, 60, 450], [300, 600, 20], [2250, 100, 50], [2350, 100, 50]],
+    )
+    assert seen == [3, 2, 1, 0, 0, 3]

@@ -3,9 +3,12 @@
 from typing import Any, Final
 
 import pytest
-from playwright.sync_api import expect
+from playwright.sync_api import CDPSession, expect
 
-from tests.console.browser import HIDE, WISHES, Opened, Visitor, walks
+from gateway.client import Client
+from tests.console import browser
+from tests.console.browser import HIDE, SHOW, WISHES, Opened, Visitor, walks
+from tests.support.fixtures import client_fixture
 
 pytestmark = pytest.mark.browser
 
@@ -13,18 +16,14 @@ PHONE: Final[dict[str, Any]] = {"viewport": {"width": 360, "height": 640}, "has_
 STANDS_AGAIN: Final = (
     "() => window.wishes.length > 3 && !window.wishes.some((each) => each.forward_m_s || each.left_m_s)"
 )
-VISIBLE: Final = """
-Object.defineProperty(document, "visibilityState", { value: "visible", configurable: true });
-document.dispatchEvent(new Event("visibilitychange"));
-"""
 
 
 class Thumb:
-    """One finger on a page, in pixels from the middle of the walk pad as it was when it landed."""
+    """One finger on a page, in pixels from the middle of a pad as it was when it landed."""
 
-    def __init__(self, page: Opened) -> None:
+    def __init__(self, page: Opened, pad: str = "pad") -> None:
         self._devtools = page.devtools()
-        box = page["pad"].bounding_box()
+        box = page[pad].bounding_box()
         assert box is not None
         self._x, self._y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
         self.land()
@@ -53,8 +52,11 @@ class Thumb:
         )
 
 
+robot = client_fixture("watcher")
+
+
 def driving(visitor: Visitor) -> Opened:
-    page = visitor.open(script=WISHES, **PHONE)
+    page = visitor.open(script=WISHES + browser.PHONE, **PHONE)
     page["lease-acquire"].click()
     expect(page["driver"]).to_have_text("you")
     return page
@@ -120,7 +122,101 @@ def test_a_thumb_that_lay_on_the_pad_while_the_page_was_hidden_counts_no_more(vi
     page = driving(visitor)
     thumb = Thumb(page)
     page.page.evaluate(HIDE)
-    page.page.evaluate(VISIBLE)
+    page.page.evaluate(SHOW)
     thumb.move(0, -30)
     thumb.cancel()
     assert page.page.evaluate("window.wishes") == []
+
+
+def test_slow_bounds_what_a_thumb_asks_for_at_its_pads_end_and_fast_asks_for_more(visitor: Visitor) -> None:
+    page = driving(visitor)
+    asked = "Math.max(...window.wishes.map((each) => Math.hypot(each.forward_m_s, each.left_m_s)))"
+    turned = "Math.max(...window.wishes.map((each) => Math.abs(each.turn_rad_s)))"
+    for pad, most, slow, fast in (("pad", asked, 0.04, 0.1), ("turn", turned, 0.16, 0.4)):
+        for speed, limit in (("slow", slow), ("fast", fast)):
+            page[f"speed-{speed}"].check(force=True)
+            thumb = Thumb(page, pad)
+            thumb.move(300, -300)
+            page.page.wait_for_function(f"() => {most} > {0.99 * limit}")
+            assert page.page.evaluate(most) <= limit + 1e-9
+            thumb.cancel()
+        page.page.evaluate("window.wishes = []")
+
+
+def throttle(devtools: CDPSession, bytes_a_second: int) -> None:
+    """What the page receives; -1: as fast as it comes."""
+    devtools.send("Network.enable")
+    speeds = {"downloadThroughput": bytes_a_second, "uploadThroughput": -1}
+    devtools.send("Network.emulateNetworkConditions", {"offline": False, "latency": 0, **speeds})
+
+
+def test_a_network_that_is_throttled_while_it_walks_stands_still_until_a_new_press(visitor: Visitor) -> None:
+    page = driving(visitor)
+    thumb = pushing(page, -20)
+    devtools = page.devtools()
+    throttle(devtools, 1500)
+    expect(page["pad"]).to_have_attribute("data-held", "no")
+    expect(page["quality"]).to_have_attribute("data-bars", "0")
+    expect(page.said).to_contain_text("It stands still")
+    page.page.evaluate("window.wishes = []")
+    throttle(devtools, -1)
+    page.expect_live()
+    thumb.move(0, -30)
+    expect(page["walk-known"]).not_to_contain_text("It walks")
+    assert not page.page.evaluate("window.wishes.some((each) => each.forward_m_s || each.left_m_s)")
+    expect(page["quality"]).not_to_have_attribute("data-bars", "0")
+    expect(page["driver"]).to_have_text("you")
+    walks(page, lambda _: thumb.push(-20))
+
+
+def test_a_second_phone_that_takes_the_lease_while_a_thumb_is_held_stops_all(visitor: Visitor, robot: Client) -> None:
+    page, other = driving(visitor), visitor.open()
+    thumb = pushing(page, -20)
+    other["lease-take"].click()
+    other["question-yes"].click()
+    expect(other["driver"]).to_have_text("you")
+    expect(page["pad"]).to_have_attribute("data-held", "no")
+    page.page.evaluate("window.wishes = []")
+    thumb.move(0, -30)
+    expect(page["driver"]).not_to_have_text("you")
+    assert not page.page.evaluate("window.wishes.some((each) => each.forward_m_s || each.left_m_s)")
+    assert not any(servo.running for leg in robot.state().legs for servo in leg.servos)
+
+
+def test_a_driver_has_a_screen_that_stays_on_and_feels_what_ends_a_walk(visitor: Visitor) -> None:
+    page = driving(visitor)
+    page.page.wait_for_function("() => window.wakes === 1")
+    thumb = pushing(page, -20)
+    page.page.evaluate("window.shakes = []")
+    thumb.cancel()
+    page.page.wait_for_function("() => window.shakes.length === 1")
+    page.page.evaluate(HIDE)
+    page.page.evaluate(SHOW)
+    page.page.wait_for_function("() => window.wakes === 2")
+    page.page.evaluate("window.shakes = []")
+    page["stop-all"].tap()
+    page.page.wait_for_function("() => window.shakes.length > 0")
+
+
+def test_leaving_the_full_screen_by_a_key_is_stop_all_and_by_its_button_is_not(visitor: Visitor, robot: Client) -> None:
+    """The browser keeps Escape for itself there."""
+    page = visitor.open(**PHONE)
+    page["full-screen"].tap()
+    expect(page["full-screen"]).to_have_attribute("aria-pressed", "true")
+    page.page.keyboard.press("x")
+    page["full-screen"].tap()
+    expect(page["full-screen"]).to_have_attribute("aria-pressed", "false")
+    page["full-screen"].tap()
+    expect(page["full-screen"]).to_have_attribute("aria-pressed", "true")
+    assert robot.state().mode == "idle"
+    page.page.evaluate("document.exitFullscreen()")
+    expect(page["stop-known"]).to_contain_text("6 Stops written within")
+
+
+def test_it_installs_as_an_app(visitor: Visitor) -> None:
+    """As far as Chromium judges; a test's profile keeps nothing, and installs nothing."""
+    devtools = visitor.open().devtools()
+    manifest = devtools.send("Page.getAppManifest")
+    assert (manifest["url"].rpartition("/")[2], manifest["errors"]) == ("console.webmanifest", [])
+    hindrances = [each["errorId"] for each in devtools.send("Page.getInstallabilityErrors")["installabilityErrors"]]
+    assert set(hindrances) <= {"in-incognito"}

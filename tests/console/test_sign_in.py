@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from playwright.sync_api import Browser, Page, expect
+from playwright.sync_api import Browser, Page, ViewportSize, expect
 from websockets.exceptions import InvalidStatus
 
 from tests.console.browser import LATE_MS, WITHOUT_WEBGL
@@ -27,8 +27,10 @@ def victim(browser: Browser, console: Console) -> Iterator[Page]:
 
 
 @contextmanager
-def signed_in(browser: Browser, console: Console, card: str = "") -> Iterator[Page]:
-    context = browser.new_context()
+def signed_in(
+    browser: Browser, console: Console, card: str = "", viewport: ViewportSize | None = None
+) -> Iterator[Page]:
+    context = browser.new_context(viewport=viewport)
     context.set_default_timeout(LATE_MS)
     context.add_init_script(WITHOUT_WEBGL)
     page = context.new_page()
@@ -51,9 +53,12 @@ def test_a_link_a_reload_and_a_second_tab(victim: Page, console: Console) -> Non
     expect_live(second)
 
 
-def test_a_link_to_a_card_opens_the_card(browser: Browser, console: Console) -> None:
-    """`calibrate` leads to the guide."""
-    with signed_in(browser, console, "cal") as page:
+@pytest.mark.parametrize(
+    "viewport", [{"width": 1280, "height": 800}, {"width": 390, "height": 844}], ids=["desk", "phone"]
+)
+def test_a_link_to_a_card_opens_the_card(browser: Browser, console: Console, viewport: ViewportSize) -> None:
+    """`calibrate` leads to the guide, which a phone has behind its pads."""
+    with signed_in(browser, console, "cal", viewport) as page:
         expect(page.locator("#cal")).to_have_attribute("open", "")
         expect(page.locator("#cal-revision")).to_have_text(re.compile("revision"))
         expect(page.locator("#cal-servo")).to_be_in_viewport()

@@ -8,7 +8,8 @@ from tests.console.browser import Opened, Visitor
 
 pytestmark = pytest.mark.browser
 
-SIZES: Final = ((320, 568), (568, 320), (360, 640), (640, 360), (844, 390), (820, 1180), (1024, 768))
+HELD: Final = ((320, 568), (568, 320), (360, 640), (640, 360), (390, 844), (844, 390), (768, 1024), (1024, 768))
+DESK: Final = (1280, 800)
 HEAR: Final = """
 const listen = WebSocket.prototype.addEventListener;
 WebSocket.prototype.addEventListener = function (name, heard, ...more) {
@@ -57,6 +58,49 @@ SHOW: Final = """([messages, state]) => {
   const covered = ["pad", "turn", "stop-all", "stand", "sit"].filter((id) => middle(id) !== id);
   const { scrollWidth, scrollHeight } = document.documentElement;
   return { boxes, cut, covered, scrolls: scrollWidth > innerWidth || scrollHeight > innerHeight };
+}"""
+HANDS: Final = """() => {
+  const box = (id) => document.getElementById(id).getBoundingClientRect();
+  const faults = [];
+  const small = (where) => {
+    for (const each of document.querySelectorAll("button, select, summary, input, a, [role=application]")) {
+      const target = each.matches(".segments input") ? each.closest("label") : each;
+      if (!target.checkVisibility() || target.matches(".label")) continue;
+      const { width, height } = target.getBoundingClientRect();
+      if (width < 44 || height < 44) faults.push(`${where}: ${each.id || each.textContent} is ${width} by ${height}`);
+    }
+  };
+  small("driving");
+  const [pad, turn, stop, picture] = ["pad", "turn", "stop-all", "picture"].map(box);
+  for (const thumb of [pad, turn]) {
+    const across = Math.max(thumb.left - stop.right, stop.left - thumb.right);
+    const down = Math.max(thumb.top - stop.bottom, stop.top - thumb.bottom);
+    if (Math.max(across, down) < 16) faults.push("STOP ALL is under a thumb");
+  }
+  const [x, y] = [turn.left + turn.width / 2, turn.top + turn.height / 2];
+  const nearest = [Math.min(stop.right, Math.max(stop.left, x)), Math.min(stop.bottom, Math.max(stop.top, y))];
+  const reach = Math.hypot(x - nearest[0], y - nearest[1]);
+  if (reach > 320) faults.push(`STOP ALL is ${reach} pixels from the thumb that turns`);
+  if (pad.left > 24 || turn.right < innerWidth - 24) faults.push("the pads are not at the edges");
+  const wide = innerWidth > innerHeight;
+  if (wide && (pad.right > picture.left || picture.right > turn.left)) faults.push("the picture is not between");
+  if (pad.width < Math.min(0.28 * innerHeight, 0.45 * innerWidth) && !wide) faults.push("the pads are small");
+  document.getElementById("more").click();
+  for (const each of document.querySelectorAll("details")) each.open = true;
+  small("the rest");
+  if (document.getElementById("pad").checkVisibility()) faults.push("the rest is not in the pads' place");
+  const rest = box("rest");
+  const covers = rest.right > stop.left && rest.left < stop.right && rest.bottom > stop.top && rest.top < stop.bottom;
+  if (covers || document.documentElement.scrollWidth > innerWidth) faults.push("the rest is not beside STOP ALL");
+  document.getElementById("more").click();
+  return faults;
+}"""
+"""What is too small for a finger, or not where the thumbs are; 320 pixels of a phone are some 5 cm."""
+ENDLESS: Final = """() => {
+  const said = document.getElementById("said");
+  said.textContent = "Nothing moves: this is a long story. ".repeat(300);
+  const [{ bottom }, { top }] = [said, document.getElementById("lease")].map((each) => each.getBoundingClientRect());
+  return bottom <= top && said.scrollHeight > said.clientHeight;
 }"""
 LONG: Final = "anna-katharina.oberhuber@robots.example (page 12)"
 
@@ -117,11 +161,18 @@ def situations(source: str) -> dict[str, tuple[list[dict[str, Any]], dict[str, A
     }
 
 
-@pytest.mark.parametrize("size", SIZES, ids=lambda size: f"{size[0]}x{size[1]}")
-def test_nothing_on_the_driving_page_shifts_is_covered_or_cut_off(size: tuple[int, int], visitor: Visitor) -> None:
+@pytest.mark.parametrize("size", [*HELD, DESK], ids=lambda size: f"{size[0]}x{size[1]}")
+def test_nothing_on_the_driving_page_shifts_is_covered_cut_off_or_out_of_a_thumbs_reach(
+    size: tuple[int, int], visitor: Visitor
+) -> None:
     width, height = size
-    page = visitor.open(script=HEAR, viewport={"width": width, "height": height}, has_touch=True, is_mobile=True)
-    assert not faults(page)
+    held = size in HELD
+    page = visitor.open(script=HEAR, viewport={"width": width, "height": height}, has_touch=held, is_mobile=held)
+    found = faults(page)
+    if held:
+        found += page.page.evaluate(HANDS)
+        found += [] if page.page.evaluate(ENDLESS) else ["what was said covers more than the picture"]
+    assert not found, "\n".join(found)
 
 
 def faults(page: Opened) -> list[str]:

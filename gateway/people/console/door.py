@@ -47,7 +47,7 @@ PUBLIC: Final = ("/enter.html", "/enter.js", "/key.js", "/refused.css")
 
 CONTENT_POLICY: Final = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; connect-src 'self' {socket}; "
-    "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+    "manifest-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
 )
 ANOTHER: Final = "A link that works once is printed, on the console's machine, by:"
 HEADERS: Final = {

@@ -39,14 +39,20 @@ export class Above {
       this.canvas.append(group);
       this.legs.set(leg, { group, line, dots });
     }
+    this.course = node("polygon", { class: "course" });
+    this.canvas.append(this.course);
     /** @type {Map<number, LegPose>} */
     this.poses = new Map();
     place.append(this.canvas);
   }
 
-  /** @param {Map<number, LegPose>} poses @param {import("./odometry.js").Odometry} odometry */
-  update(poses, odometry) {
+  /**
+   * @param {Map<number, LegPose>} poses @param {import("./odometry.js").Odometry} odometry
+   * @param {import("./types.js").Body | null} _body @param {[number, number][]} course
+   */
+  update(poses, odometry, _body, course) {
     this.poses = poses;
+    this.course.setAttribute("points", course.map(flat).join(" "));
     const degrees = (-odometry.turned * 180) / Math.PI;
     const crossing = /** @type {[number, number, number]} */ ([...odometry.crossing(MESH_M), 0]);
     this.pattern.setAttribute("patternTransform", `translate(${flat(crossing)}) rotate(${degrees.toFixed(2)})`);
@@ -65,6 +71,9 @@ export class Above {
   }
 
   draw() {}
+
+  /** It is always seen from above, its front at the top. */
+  chase() {}
 
   /** @param {number} leg @returns {[number, number]} pixels of the place */
   labelAt(leg) {

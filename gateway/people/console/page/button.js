@@ -8,6 +8,7 @@
 
 import { attribute, byId, text } from "./dom.js";
 import { Link } from "./link.js";
+import { Awake, TAP_MS, fillScreen, shake } from "./phone.js";
 
 /** Check-ins within the time that one of them counts. */
 const SHARE = 4;
@@ -63,8 +64,7 @@ export class StopButton {
     /** @type {{id: number, sentMs: number} | null} what is under way */
     this.asked = null;
     this.buzzedMs = -Infinity;
-    /** @type {WakeLockSentinel | null} */
-    this.wake = null;
+    this.awake = new Awake();
     /** @type {ReturnType<typeof setTimeout> | undefined} */
     this.timer = undefined;
     // A stop comes with the touch; what begins comes with its end, which alone lets a page have the full screen.
@@ -76,7 +76,6 @@ export class StopButton {
     window.addEventListener("contextmenu", (event) => event.preventDefault());
     window.addEventListener("pagehide", () => this.#leave());
     byId("leave").addEventListener("click", () => this.#leave());
-    document.addEventListener("visibilitychange", () => this.#seen());
     setInterval(() => this.#refresh(), REFRESH_MS);
     this.#tick();
   }
@@ -89,8 +88,8 @@ export class StopButton {
   #begin() {
     if (this.looks) return;
     this.watches = true;
-    void document.documentElement.requestFullscreen?.().catch(() => {});
-    this.#seen();
+    fillScreen();
+    this.awake.want(true);
     this.#register();
     this.#refresh();
   }
@@ -98,7 +97,7 @@ export class StopButton {
   /** @param {Event} event */
   #stop(event) {
     event.preventDefault();
-    navigator.vibrate?.(60);
+    shake(TAP_MS);
     this.stopping ??= { id: this.link.nextId(), atMs: performance.now() };
     this.stopLine = "STOPPING …";
     this.stoppedAtMs = Infinity;
@@ -198,24 +197,13 @@ export class StopButton {
   #leave() {
     if (this.watches) this.link.sendNow({ type: "button", id: this.link.nextId(), do: "leave", sent_ms: performance.now() });
     this.watches = this.registered = false;
-  }
-
-  /** The screen stays on while it watches; a browser lets go of that when the page is hidden. */
-  #seen() {
-    if (!this.watches || document.visibilityState !== "visible") return;
-    void navigator.wakeLock
-      ?.request("screen")
-      .then((wake) => {
-        this.wake = wake;
-        wake.addEventListener("release", () => this.wake === wake && (this.wake = null));
-      })
-      .catch(() => {});
+    this.awake.want(false);
   }
 
   /** What a person should know while this button counts. */
   #hint() {
     if (this.answerMs > LATE * this.timeoutMs) return `its answers come late: after ${(this.answerMs / 1000).toFixed(1)} s`;
-    if (this.detail || this.wake) return this.detail;
+    if (this.detail || this.awake.on) return this.detail;
     return "this screen may go dark by itself, which is a stop: let it stay on in the phone's settings";
   }
 
@@ -237,7 +225,7 @@ export class StopButton {
     if (this.stopping && now - this.stopping.atMs > DEAF_MS) this.link.renewIfDeaf(DEAF_MS);
     if (tone === "unheard" && now - this.buzzedMs > BUZZ_EVERY_MS) {
       this.buzzedMs = now;
-      navigator.vibrate?.(BUZZ_MS);
+      shake(BUZZ_MS);
     }
   }
 }

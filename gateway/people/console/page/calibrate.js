@@ -139,6 +139,7 @@ export class Calibrate {
     const { view } = this;
     if (location.hash === "#cal" && this.link.open) {
       history.replaceState(null, "", "/");
+      if (byId("cal").getClientRects().length === 0) byId("more").click();
       const details = /** @type {HTMLDetailsElement} */ (byId("cal"));
       details.open = true;
       details.scrollIntoView();
@@ -214,8 +215,9 @@ export class Calibrate {
 
   #tick() {
     const nowMs = performance.now();
+    const hidden = byId("cal").getClientRects().length === 0 && "the calibration was closed"; // behind the pads, on a phone
     const untouched = nowMs - this.touchedMs > UNTOUCHED_MS && "nobody has touched this page for two minutes";
-    const why = this.told.holds() ? "legs are driven" : untouched || obstacle(this, nowMs);
+    const why = this.told.holds() ? "legs are driven" : hidden || untouched || obstacle(this, nowMs);
     this.lastTickMs = nowMs;
     if (why) {
       this.stop(why);

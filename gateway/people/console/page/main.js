@@ -11,8 +11,10 @@ import { Lease } from "./lease.js";
 import { Link } from "./link.js";
 import { Model } from "./model.js";
 import { Numbers } from "./numbers.js";
+import { Awake, TAP_MS, offerFullScreen, shake } from "./phone.js";
 import { Picture } from "./picture.js";
 import { Plots } from "./plots.js";
+import { Quality } from "./quality.js";
 import { StopAll } from "./stop.js";
 import { Targets } from "./targets.js";
 import { Upright } from "./upright.js";
@@ -29,6 +31,7 @@ const model = new Model();
 const link = new Link({ opened, closed, heard });
 const stop = new StopAll(link, model, {
   pressed: () => {
+    shake(TAP_MS);
     /** @type {HTMLDialogElement} */ (byId("question")).close("no");
     walk.end("STOP ALL was pressed");
     hold.drop("STOP ALL was pressed");
@@ -69,6 +72,15 @@ const upright = new Upright(link, model, say);
 const picture = new Picture(model, select, say, upright);
 const plots = new Plots(model);
 const device = new Device(link, say);
+const quality = new Quality();
+const awake = new Awake();
+offerFullScreen(byId("full-screen"), () => stop.press());
+byId("more").addEventListener("click", () => {
+  const more = document.body.dataset.more !== "yes";
+  attribute(document.body, "data-more", more ? "yes" : "no");
+  attribute(byId("more"), "aria-expanded", String(more));
+  text(byId("more"), more ? "Pads" : "More");
+});
 
 /** @param {number} leg */
 function select(leg) {
@@ -151,12 +163,16 @@ function refresh() {
   walk.refresh();
   drive.refresh();
   calibrate.refresh();
+  awake.want(lease.mine);
+  const { bars, known } = quality.take(nowMs, model.connected ? model.ageMs(nowMs) : Infinity, walk.active ? walk.answerMs : NaN);
+  attribute(byId("quality"), "data-bars", String(bars));
+  text(byId("quality-known"), known);
   attribute(document.body, "data-live", model.live(nowMs) ? "yes" : "no");
   if (document.visibilityState !== "visible") return;
   numbers.refresh(nowMs);
   numbers.refreshEvents();
   plots.refresh(nowMs);
-  picture.refresh(nowMs);
+  picture.refresh(nowMs, walk.going);
 }
 
 setInterval(refresh, REFRESH_MS);

@@ -2,6 +2,7 @@
 /** The picture of what was commanded: in three dimensions, or from above where the browser has no WebGL. */
 
 import { Above } from "./above.js";
+import { course } from "./course.js";
 import { attribute, byId, element, show, text } from "./dom.js";
 import { LEGS, legPoints } from "./kinematics.js";
 import { statusOf } from "./model.js";
@@ -26,6 +27,7 @@ export class Picture {
     /** @type {import("./types.js").Geometry | null} */
     this.geometry = null;
     this.drawn = "";
+    this.goes = false;
     this.labels = new Map(
       LEGS.map((leg) => {
         const label = element("button", { type: "button", class: "label" }, "", element("span", {}));
@@ -42,8 +44,8 @@ export class Picture {
     new ResizeObserver(() => this.#draw()).observe(this.place);
   }
 
-  /** @param {number} nowMs */
-  refresh(nowMs) {
+  /** @param {number} nowMs @param {number[]} going forward and left in m/s, turn in rad/s */
+  refresh(nowMs, going = [0, 0, 0]) {
     const { model } = this;
     if (!model.geometry) return;
     if (model.geometry !== this.geometry) {
@@ -69,13 +71,16 @@ export class Picture {
         return [number, { degrees: model.degrees(number), trueDegrees: trueDegrees(body, number), status: status.key, selected: model.selectedLeg === number }];
       }),
     );
-    const now = JSON.stringify([[...poses], body?.position_m, body?.orientation_xyzw]);
+    const way = course(going);
+    if (way.length && !this.goes) this.view?.chase();
+    this.goes = way.length > 0;
+    const now = JSON.stringify([[...poses], way, body?.position_m, body?.orientation_xyzw]);
     if (now === this.drawn || !this.view) return;
     this.drawn = now;
     if (body) this.odometry.see(body);
     else this.odometry.update(this.#feet(this.geometry));
     const beganMs = performance.now();
-    this.view.update(poses, this.odometry, body);
+    this.view.update(poses, this.odometry, body, way);
     this.#describe(body !== null);
     this.#draw();
     this.#judge(performance.now() - beganMs);

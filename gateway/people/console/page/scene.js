@@ -16,6 +16,8 @@ const PLATE_M = 0.006;
 const GAP_M = 0.036;
 const MESH_M = 0.15;
 const LINES = 7;
+/** Above the legs' mounts: on the ground, seen from behind, the body hides it. */
+const COURSE_M = 0.06;
 const TURN_PER_PIXEL = 0.008;
 const TURN_PER_KEY = Math.PI / 24;
 
@@ -46,9 +48,9 @@ export class Scene {
     this.scene = new three.Scene();
     this.camera = new three.PerspectiveCamera(32, 1, 0.05, 10);
     this.camera.up.set(0, 0, 1);
-    this.azimuth = -0.45;
-    this.elevation = 0.82;
+    this.azimuth = this.elevation = 0;
     this.distance = 1.55;
+    this.chase();
     this.centre = new three.Vector3(0, 0, -0.11);
 
     this.scene.add(new three.HemisphereLight(0xffffff, 0x8890a0, 1.6));
@@ -79,6 +81,10 @@ export class Scene {
     this.ghost = new three.LineSegments(new three.BufferGeometry(), this.ghostMaterial);
     this.ghost.renderOrder = 1;
     this.robot.add(this.ghost);
+    this.courseMaterial = new three.MeshBasicMaterial({ side: three.DoubleSide });
+    this.course = new three.Mesh(new three.BufferGeometry(), this.courseMaterial);
+    this.course.position.z = COURSE_M;
+    this.robot.add(this.course);
 
     this.bodyMaterial = new three.MeshStandardMaterial({ roughness: 0.7, metalness: 0.1 });
     this.servoMaterial = new three.MeshStandardMaterial({ roughness: 0.5, metalness: 0.2 });
@@ -100,8 +106,17 @@ export class Scene {
     this.#recolour();
   }
 
-  /** @param {Map<number, LegPose>} poses @param {import("./odometry.js").Odometry} odometry @param {import("./types.js").Body | null} body */
-  update(poses, odometry, body) {
+  /** From behind, so that ahead on a pad is ahead in the picture. */
+  chase() {
+    this.azimuth = Math.PI;
+    this.elevation = 0.7;
+  }
+
+  /**
+   * @param {Map<number, LegPose>} poses @param {import("./odometry.js").Odometry} odometry
+   * @param {import("./types.js").Body | null} body @param {[number, number][]} course in metres
+   */
+  update(poses, odometry, body, course = []) {
     this.poses = poses;
     this.mesh.position.set(...odometry.crossing(MESH_M), 0);
     this.mesh.rotation.z = odometry.turned;
@@ -122,6 +137,11 @@ export class Scene {
     }
     this.ground.position.z = body ? -heightAbove(body) : lowest - 0.012;
     for (const parts of this.legs.values()) parts.ring.position.z = this.ground.position.z + 0.002;
+    this.course.visible = course.length > 0;
+    if (course.length) {
+      this.course.geometry.dispose();
+      this.course.geometry = new three.ShapeGeometry(new three.Shape(course.map(([x, y]) => new three.Vector2(x, y))));
+    }
     this.draw();
   }
 
@@ -182,8 +202,13 @@ export class Scene {
     const [mount, foot] = [points[0], points[4]];
     const length = Math.hypot(foot[0] - mount[0], foot[1] - mount[1]) || 1;
     const out = (/** @type {0 | 1} */ i) => foot[i] + (LABEL_M * (foot[i] - mount[i])) / length;
-    const at = new three.Vector3(out(0), out(1), foot[2]).applyQuaternion(this.robot.quaternion).project(this.camera);
-    return [((at.x + 1) / 2) * this.place.clientWidth, ((1 - at.y) / 2) * this.place.clientHeight];
+    return this.at(new three.Vector3(out(0), out(1), foot[2]).applyQuaternion(this.robot.quaternion));
+  }
+
+  /** Where a point is seen, in pixels of the place. @param {import("./vendor/three/three.module.js").Vector3} point @returns {[number, number]} */
+  at(point) {
+    const { x, y } = point.clone().project(this.camera);
+    return [((x + 1) / 2) * this.place.clientWidth, ((1 - y) / 2) * this.place.clientHeight];
   }
 
   dispose() {
@@ -281,6 +306,7 @@ export class Scene {
     this.frontMaterial.color.set(colour("--accent"));
     this.meshMaterial.color.set(colour("--faint"));
     this.ghostMaterial.color.set(colour("--accent"));
+    this.courseMaterial.color.set(colour("--accent"));
     for (const parts of this.legs.values()) {
       /** @type {three.LineBasicMaterial} */ (parts.ring.material).color.set(colour("--accent"));
       const { status } = parts.material.userData;

@@ -10,12 +10,15 @@
 import { attribute, byId, enable, show, text, worded } from "./dom.js";
 import { obstacle, PERIOD_MS, whenLost } from "./hold.js";
 import { Keys } from "./keys.js";
+import { LOST_MS, shake } from "./phone.js";
 import { Stick, Sticks } from "./stick.js";
 
 /** @typedef {import("./types.js").WalkMessage} WalkMessage @typedef {{x: number, y: number, turn: number}} Deflection */
 
 const SPEED_M_S = 0.1;
 const TURN_RAD_S = 0.4;
+/** Of the fastest: what a pad, a stick or a key that is pushed to its end asks for. @type {Record<string, number>} */
+const PARTS = { slow: 0.4, fast: 1 };
 const STEP_M = 0.01;
 const USUAL_M = 0.15;
 /** After a press, how long it is waited for the console's first word of a walk. */
@@ -35,6 +38,8 @@ export class Walk {
     this.press = 0;
     this.sits = true;
     this.gait = "tripod";
+    /** A page begins slowly, however the last one ended. */
+    this.speed = "slow";
     /** @type {number | null} */
     this.heightM = null;
     /** @type {WalkMessage | null} */
@@ -59,7 +64,8 @@ export class Walk {
     byId("sit").addEventListener("click", () => this.go(true));
     byId("lower").addEventListener("click", () => this.#rise(-STEP_M));
     byId("higher").addEventListener("click", () => this.#rise(STEP_M));
-    for (const input of this.#gaits()) {
+    for (const input of this.#choices("speed")) input.addEventListener("change", () => (this.speed = input.value));
+    for (const input of this.#choices("gait")) {
       input.addEventListener("change", () => {
         this.gait = input.value;
         if (this.active) this.#press(false);
@@ -71,6 +77,11 @@ export class Walk {
   /** Whether the robot stands or walks by this page, or is about to. */
   get active() {
     return this.timer !== undefined;
+  }
+
+  /** How it goes: forward and left in m/s, and the turn in rad/s. @returns {number[]} */
+  get going() {
+    return this.report?.posture === "walking" ? this.report.scaled : [0, 0, 0];
   }
 
   /** What is held now. @returns {Deflection} */
@@ -99,6 +110,7 @@ export class Walk {
     this.#letGo();
     if (!this.active || !moved) return;
     this.dropped = true;
+    shake(LOST_MS);
     this.told.say(`It stands still: ${why}.`);
   }
 
@@ -153,17 +165,20 @@ export class Walk {
     attribute(byId("pad"), "data-held", x || y ? "yes" : "no");
     attribute(byId("turn"), "data-held", turn ? "yes" : "no");
     text(byId("height"), `${Math.round((report?.height_m ?? this.heightM ?? USUAL_M) * 100)} cm`);
-    for (const input of this.#gaits()) input.checked = input.value === this.gait;
+    for (const input of this.#choices("gait")) input.checked = input.value === this.gait;
+    for (const input of this.#choices("speed")) input.checked = input.value === this.speed;
     text(byId("walk-known"), this.#known());
   }
 
   #known() {
     const { report } = this;
     if (!report) return this.active ? "It begins …" : "Nothing walks by this page.";
+    const known = `${worded(report.now)}, ${report.gait}`;
+    if (report.posture !== "walking") return known;
     const [forward, left, turn] = report.scaled;
-    const speed = `${Math.hypot(forward, left).toFixed(2)} m/s, ${Math.abs((turn * 180) / Math.PI).toFixed(0)}°/s`;
-    const answer = Number.isFinite(this.answerMs) ? `, answered in ${Math.round(this.answerMs)} ms` : "";
-    return `${worded(report.now)}, ${report.gait}, ${speed}${answer}`;
+    const turns = Math.round((turn * 180) / Math.PI);
+    const way = turns ? `, ${Math.abs(turns)}°/s to the ${turns > 0 ? "left" : "right"}` : "";
+    return `${known}, ${Math.hypot(forward, left).toFixed(2)} m/s${way}`;
   }
 
   /** Something is held now, or a little further. */
@@ -181,10 +196,11 @@ export class Walk {
   /** Something was pressed. @param {boolean} sits */
   #press(sits) {
     const nowMs = performance.now();
-    if (!this.active) this.lastTickMs = nowMs;
+    if (!this.active) [this.lastTickMs, this.answerMs] = [nowMs, NaN];
     const why = obstacle(this, nowMs) || this.told.busy();
     if (why) {
       this.#letGo();
+      shake(LOST_MS);
       this.told.say(`Nothing moves: ${why}.`);
       return;
     }
@@ -224,7 +240,8 @@ export class Walk {
   #send(sent_ms) {
     const { x, y, turn } = this.deflection;
     const id = this.link.nextId();
-    const velocity = { forward_m_s: y * SPEED_M_S, left_m_s: -x * SPEED_M_S, turn_rad_s: -turn * TURN_RAD_S };
+    const part = PARTS[this.speed];
+    const velocity = { forward_m_s: part * y * SPEED_M_S, left_m_s: part * -x * SPEED_M_S, turn_rad_s: part * -turn * TURN_RAD_S };
     const { press, gait, heightM: height_m, sits } = this;
     const sent = this.link.sendNow({ type: "walk", id, press, sent_ms, ...velocity, gait, height_m, sits });
     if (sent) this.sentMs.set(id, sent_ms);
@@ -238,9 +255,9 @@ export class Walk {
     this.moved = false;
   }
 
-  /** @returns {HTMLInputElement[]} */
-  #gaits() {
-    return [...document.querySelectorAll('input[name="gait"]')].map((each) => /** @type {HTMLInputElement} */ (each));
+  /** @param {"gait" | "speed"} name @returns {HTMLInputElement[]} */
+  #choices(name) {
+    return [...document.querySelectorAll(`input[name="${name}"]`)].map((each) => /** @type {HTMLInputElement} */ (each));
   }
 }
 
