@@ -21,7 +21,7 @@ from gateway.people.client.requests import Identity
 from gateway.people.tools import revoking
 from schemas.keys import LEASE
 from schemas.lease import LeaseAck
-from schemas.telemetry import GatewayState, Reason
+from schemas.telemetry import GatewayState, Reason, RevocationsReport
 from tests.support.certs_folder import NOW
 from tests.support.child import Child
 from tests.support.command import Ended, run_here
@@ -187,6 +187,31 @@ def test_a_robot_that_is_off_gets_its_list_later(robot: Robot, monkeypatch: pyte
     shutil.copy(robot.folder / "revoked.crl", robot.own)  # whoever copies the folder brings it along
     with robot.start() as gateway:
         assert "list 1 shuts out operator-00" in gateway.child.stdout + gateway.child.stderr
+
+
+def test_a_restored_backup_lets_nobody_in_who_was_shut_out_since(robot: Robot) -> None:
+    """The service keeps to the newest list that it has seen, publishes that, and puts it right."""
+    first, backup = certs.moving.revoke(robot.folder, "operator-40"), robot.state / "revoked.crl"
+    shutil.copy(robot.folder / "revoked.crl", robot.own)  # where the service has never written it itself
+    stolen = lost(robot)
+    with robot.start(), robot.laptop("bert") as bert:
+        assert bert.state().revocations == RevocationsReport(number=1, date=first.date)
+    with robot.start() as gateway:
+        newest = certs.moving.revoke(robot.folder, "anna")
+        assert robot.keep(gateway).returncode == 0
+    backup.write_bytes(first.pem)
+    with robot.start() as gateway, robot.laptop("bert") as bert:
+        gateway.child.wait_for_output("list 1 was in the place of list 2, which this robot has seen")
+        assert bert.state().revocations == RevocationsReport(number=2, date=newest.date)
+        assert bert.estop().accepted, "nobody else is kept from stopping it"
+        shut_out(robot, stolen)
+    assert backup.read_bytes() == newest.pem
+
+
+def test_without_a_list_the_service_says_so(robot: Robot) -> None:
+    with robot.start() as gateway, robot.laptop("bert") as bert:
+        assert "there is no list of revoked certificates" in gateway.child.stdout + gateway.child.stderr
+        assert bert.state().revocations is None
 
 
 MOMENT: Final = dt.timedelta(seconds=0.1)

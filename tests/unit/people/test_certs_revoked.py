@@ -257,6 +257,40 @@ def test_a_list_that_cannot_be_read_lets_nobody_in_and_one_of_another_ca_concern
     assert kept.known is None
 
 
+def test_an_older_list_that_a_backup_brings_takes_no_effect_and_is_put_right(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also where the newest one is gone, or one of another CA lies in its place."""
+    state, config = tmp_path / "state", load_config(folder / "gateway.json5")
+    state.mkdir()
+    monkeypatch.setenv("STATE_DIRECTORY", str(state))
+    revoked.keep(state / "revoked.crl", list_of(folder, 3, "operator-00"))
+    backup = contents(state)
+    newest = list_of(folder, 11, "operator-00", "operator-01")
+    revoked.keep(state / "revoked.crl", newest)
+    for stale, brought in (
+        (3, backup),
+        (0, {"revoked.crl": revocation.sign(authority.make_ca(NOW), 20, [], NOW).pem}),
+        (0, {}),
+    ):
+        (state / "revoked.crl").unlink()
+        for name, data in brought.items():
+            (state / name).write_bytes(data)
+        kept = revoked.kept(config, robot(folder))
+        assert kept is not None
+        assert (kept.known, kept.stale) == (newest, stale)
+        revoked.keep(kept.path, newest)
+        assert contents(state) == {"revoked.crl": newest.pem, "revoked-11.crl": newest.pem}
+        right = revoked.kept(config, robot(folder))
+        assert right is not None
+        assert (right.known, right.stale) == (newest, None)
+    (state / "revoked-11.crl").write_bytes(b"")
+    kept = revoked.kept(config, robot(folder))
+    assert kept is not None, "what is remembered matters only where it is newer"
+    (state / "revoked.crl").unlink()
+    assert "revoked-11.crl" in fault(lambda: revoked.kept(config, robot(folder)))
+
+
 def test_a_disk_that_is_full_leaves_the_list_before(folder: Path, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="the list before stays in force"):
         revoked.keep(tmp_path / "nowhere" / "revoked.crl", list_of(folder, 3))
