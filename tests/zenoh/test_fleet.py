@@ -19,6 +19,7 @@ import pytest
 import zenoh
 
 from gateway import certs
+from gateway.certs import pool
 from gateway.client import Client, leg_payload
 from gateway.people.client.requests import Identity
 from gateway.zenoh_config import load_config
@@ -48,7 +49,9 @@ class Fleet:
         certs.folder.init(self.folder, [HOST], port=self.port)
         certs.folder.add_robots(self.folder, ROBOTS)
         for name, role, robot in PEOPLE:
-            certs.folder.issue(self.folder, name, role, robot=robot)
+            certs.folder.issue(self.folder, name, role, robots=[robot])
+        certs.folder.issue(self.folder, "carl", "operator", robots=["robot-1", "robot-3"])
+        certs.folder.issue(self.folder, "alma", "operator", robots=[pool.ALL])
         certs.folder.issue(self.folder, "olga", "operator")  # as for a single robot: the router has no rule for her
         self._end = ExitStack()
         self._router = self._end.enter_context(ExitStack())
@@ -154,7 +157,7 @@ def test_an_operator_commands_the_own_robot_and_sees_it(anna: Client, bert: Clie
 OTHERS = ["robot-2", "robot-$*", "*", "**"]
 
 
-@pytest.mark.parametrize("who", ["anna", "robot-1", "otto", "olga"])
+@pytest.mark.parametrize("who", ["anna", "robot-1", "otto", "olga", "carl.robot-3"])
 def test_nobody_commands_or_sees_the_robot_of_another(fleet: Fleet, anna: Client, bert: Client, who: str) -> None:
     before = bert.state()
     seen: list[str] = []
@@ -179,7 +182,8 @@ def test_nobody_commands_or_sees_the_robot_of_another(fleet: Fleet, anna: Client
         # The robot's state goes by meanwhile, to the one who may see it.
         states(bert).wait(lambda _: True, count=3)
         untouched(bert, before)
-    assert not [key for key in seen if not key.startswith("robot-1/")]
+    own = ("robot-1/", "robot-3/") if who.startswith("carl") else "robot-1/"
+    assert not [key for key in seen if not key.startswith(own)]
     assert anna.state().mode is Mode.IDLE
 
 
@@ -211,6 +215,19 @@ def test_each_robot_has_its_own_driver_through_the_router(anna: Client, bert: Cl
         assert anna.start_leg(3, 90, 45, 120).accepted
         assert (anna.state().lease.holder, bert.state().lease.holder) == ("anna", "bert")
         assert anna.stop().accepted
+
+
+@pytest.mark.parametrize(
+    ("name", "robots"), [("carl", ["robot-1", "robot-3"]), ("alma", ["robot-1", "robot-2", "robot-3"])]
+)
+def test_one_certificate_drives_several_robots(fleet: Fleet, name: str, robots: list[str]) -> None:
+    with ExitStack() as end:
+        clients = [end.enter_context(fleet.present(f"{name}.{robot}")) for robot in robots]
+        for client in clients:
+            lease = end.enter_context(client.lease())
+            assert (lease.holder, lease.verified) == (name, True)
+            assert client.start_leg(3, 90, 45, 120).accepted
+            assert client.stop().accepted
 
 
 @pytest.mark.parametrize("do", ["acquire", "ask", "take"])
@@ -288,7 +305,7 @@ def test_robots_and_people_come_back_after_the_router(fleet: Fleet, anna: Client
 
 
 def test_a_robot_that_is_not_there_has_no_people(fleet: Fleet) -> None:
-    said = fault(lambda: certs.folder.issue(fleet.folder, "nina", "operator", robot="robot-9"))
+    said = fault(lambda: certs.folder.issue(fleet.folder, "nina", "operator", robots=["robot-9"]))
     assert said.endswith("has no robot 'robot-9': add it with `hexapod-gateway certs robot robot-9`")
 
 

@@ -8,6 +8,7 @@ import typer
 
 from gateway import certs
 from gateway.certs import expiry, pool
+from gateway.errors import ConfigError
 from gateway.people.terminal import this_command
 
 WIDE = 100
@@ -120,12 +121,16 @@ def issue(
     ],
     directory: Directory,
     robot: Annotated[
-        str,
+        list[str] | None,
         typer.Option(
             metavar="ROBOT",
-            help="In a fleet: the one robot that it is for, as `certs robot` named it. Example: --robot robot-7",
+            help="In a fleet: the robot that it is for, as `certs robot` named it; repeat it for each. "
+            "Example: --robot robot-7",
         ),
-    ] = "",
+    ] = None,
+    all_robots: Annotated[
+        bool, typer.Option("--all-robots", help="In a fleet: for all robots, also for those that are added later.")
+    ] = False,
     bundle: Bundle = None,
     days: Days = certs.LEAF_DAYS,
     absolute: Annotated[
@@ -140,12 +145,17 @@ def issue(
 
     Lost: `certs revoke NAME`. Each laptop takes a common name of the pool that the robot's rules list, for good.
     """
-    certs.folder.issue(directory, name, role, robot=robot, bundle=bundle, days=days, absolute=absolute)
+    if all_robots and robot:
+        raise ConfigError("give --robot or --all-robots, not both")
+    robots = (pool.ALL,) if all_robots else tuple(robot or ())
+    paths = certs.folder.issue(directory, name, role, robots=robots, bundle=bundle, days=days, absolute=absolute)
     made = certs.folder.describe(directory / f"{name}.pem")
-    typer.echo(
-        f"Made {name}, {role}{f' of {robot}' if robot else ''} ({made.common_name}), in {directory}: {name}.json5 "
-        f"{name}.pem {name}.key"
-    )
+    whose = " of all robots" if all_robots else f" of {', '.join(robots)}" if robots else ""
+    router = directory / certs.folder.ROUTER_FILE
+    files = [path.name for path in paths if path not in (bundle, router)]
+    typer.echo(f"Made {name}, {role}{whose} ({made.common_name}), in {directory}: {' '.join(files)}")
+    if router in paths:
+        typer.echo(f"The router has to know: copy {router} to it, and restart it.")
     if pool.holder(made.common_name).number is None:
         typer.echo(
             f"All of {role} share this common name, so it cannot be revoked alone: {this_command()} certs pool --dir "
@@ -155,7 +165,8 @@ def issue(
         typer.echo(
             f"All that the laptop needs is in {bundle}, its key included: hand it over in private, then delete it."
         )
-    typer.echo(f"Try it: {this_command()} watch --zenoh-config {directory / name}.json5")
+    config = next(path for path in paths if path.suffix == ".json5")
+    typer.echo(f"Try it: {this_command()} watch --zenoh-config {config}")
 
 
 @app.command(epilog="Example: hexapod-gateway certs robot robot-1 robot-2 --dir ~/fleet")
@@ -172,7 +183,7 @@ def robot(
     days: Days = certs.LEAF_DAYS,
 ) -> None:
     """Add robots to a fleet behind one Zenoh router, whose hosts `certs init` was given. Rewrites router.json5."""
-    certs.folder.add_robots(directory, names or (), days=days)
+    paths = certs.folder.add_robots(directory, names or (), days=days)
     if not names:
         typer.echo(f"Made {directory}/router.json5 anew. Copy it to the router, and restart that.")
         return
@@ -181,6 +192,9 @@ def robot(
     typer.echo("Copy to the router, and restart it: router.json5 gateway.pem gateway.key ca.pem")
     typer.echo(f"Copy to each robot, as to {first}: {first}.json5 {first}.pem {first}.key ca.pem. In its gateway.toml:")
     typer.echo(f'  [zenoh]\n  listen = []\n  config = "/etc/hexapod-gateway/zenoh/{first}.json5"')
+    peoples = [path.name for path in paths if path.stem.count(".")]
+    if peoples:
+        typer.echo(f"Copy to the people who have a certificate for all robots: {' '.join(peoples)}")
     typer.echo(f"For its people: {this_command()} certs issue NAME --role operator --robot {first} --dir {directory}")
 
 

@@ -350,8 +350,8 @@ def test_a_fleet_moves_with_its_router(tmp_path: Path) -> None:
     directory = tmp_path / "fleet"
     certs.folder.init(directory, ["router.local"], size=3, now=NOW)
     certs.folder.add_robots(directory, ["robot-1", "robot-2"], now=NOW)
-    certs.folder.issue(directory, "anna", "operator", robot="robot-1", now=NOW)
-    certs.folder.issue(directory, "bert", "operator", robot="robot-2", now=NOW)
+    certs.folder.issue(directory, "anna", "operator", robots=["robot-1"], now=NOW)
+    certs.folder.issue(directory, "bert", "operator", robots=["robot-2"], now=NOW)
     assert common_name(directory, "anna") == "operator-00.robot-1"
     assert common_name(directory, "bert") == "operator-00.robot-2"
 
@@ -359,12 +359,13 @@ def test_a_fleet_moves_with_its_router(tmp_path: Path) -> None:
         subjects = get(zenoh.Config.from_file(str(directory / "router.json5")), "access_control/subjects")
         return {each["id"]: each["cert_common_names"] for each in subjects}
 
-    assert listed()["operator.robot-1"] == ["operator.robot-1", *(f"operator-0{each}.robot-1" for each in range(3))]
+    pool_of_one = ["operator.robot-1", *(f"operator-0{each}.robot-1" for each in range(3))]
+    assert [name for name in listed()["operator.robot-1"] if not name.endswith(pool.ALL)] == pool_of_one
     certs.moving.revoke(directory, "anna", now=NOW)
     assert "operator-00.robot-1" not in listed()["operator.robot-1"]
     assert "operator-00.robot-2" in listed()["operator.robot-2"]
     certs.moving.set_pool(directory, 5)
-    assert len(listed()["observer.robot-2"]) == 6
+    assert len(listed()["observer.robot-2"]) == 2 * 6, "and those for all robots"
 
 
 # ---- another CA
