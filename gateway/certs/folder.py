@@ -438,6 +438,11 @@ def _read_config(config: Path) -> zenoh.Config:
         raise ConfigError(f"cannot read {config}: {reason}; restore it, or fix what it names") from error
 
 
+def robots(directory: Path) -> list[str]:
+    """All robots of a folder: those of a fleet, or the one, which its first host names."""
+    return robots_of(directory) or authority.hosts_of(read_certificate(directory / "gateway.pem"))[:1]
+
+
 def robots_of(directory: Path) -> list[str]:
     """The robots of a fleet, in order; none in a folder of one robot."""
     roles = [item.role for item in expiries(directory)]

@@ -261,16 +261,19 @@ def show(directory: Directory) -> None:
     """List all certificates: name, role, expiry, days left, serial number, common name, and how it stands with each.
 
     `good`, `older CA` (move it: certs reissue), `replaced` (still good: revoke it by its common name once it is not in
-    use any more), `revoked`, `expired`. Tab-separated if not on a terminal.
+    use any more), `revoked`, `expired`. LIST: the list of revoked certificates that a robot has confirmed (`2, not 3`).
+    Tab-separated if not on a terminal.
     """
     from rich.console import Console
     from rich.table import Table
 
     now = dt.datetime.now(dt.UTC)
-    head = ("NAME", "ROLE", "EXPIRES", "DAYS LEFT", "SERIAL", "COMMON NAME", "STATE")
+    lists = certs.confirmed.shown(directory)
+    head = ("NAME", "ROLE", "EXPIRES", "DAYS LEFT", "SERIAL", "COMMON NAME", "STATE", *["LIST"] * bool(lists))
     found = [(each, each.days_left(now), state) for each, state in certs.moving.states(directory, now)]
     rows = [
         (each.name, each.role, f"{each.not_after:%Y-%m-%d}", str(left), each.serial, each.common_name, state)
+        + ((lists.get(each.path.stem, ""),) if lists else ())
         for each, left, state in found
     ]
     console = Console()
@@ -303,16 +306,16 @@ def revoke(
         str | None,
         typer.Argument(
             metavar="[NAME]",
-            help="The laptop, and all certificates it ever had; or one common name, such as operator-07. Without it, "
-            "the list as it is goes to --to",
+            help="The person or laptop, with all certificates it ever had; or one common name, such as operator-07. "
+            "Without it, the list as it is goes to the robots",
         ),
     ] = None,
     to: Annotated[
         list[str] | None,
         typer.Option(
-            metavar="HOST",
-            help="Bring the list to this robot now, over an operator's connection; repeat it for each robot. "
-            "Example: --to robot.local, or an endpoint: --to tls/192.0.2.7:7447",
+            metavar="ROBOT",
+            help="Only to this robot; repeat it for each. In a fleet its name, else a host or an endpoint. "
+            "Example: --to robot-3, or --to tls/192.0.2.7:7447",
         ),
     ] = None,
     zenoh_config: Annotated[
@@ -320,7 +323,7 @@ def revoke(
         typer.Option(
             "--zenoh-config",
             metavar="PATH",
-            help="Whose connection it is. Default: that of an operator in the folder who is not shut out.",
+            help="Whose connection it is. Default: for each robot, an operator's in the folder who is not shut out.",
         ),
     ] = None,
     others_too: OthersToo = False,
@@ -331,11 +334,12 @@ def revoke(
     within three seconds, and from then on the laptop gets nothing: Zenoh drops what it sends, its proofs for the lease
     are rejected. Nobody else has to do anything. To undo it, `certs issue` the name anew.
 
-    A robot that is off gets it later: `certs revoke --to robot.local`, or the file: `sudo hexapod-gateway revoke FILE`
-    there.
+    The list goes to all robots that the folder knows, one after the other, over an operator's connection. A robot that
+    is off gets it later: `certs revoke` without a name, or the file: `sudo hexapod-gateway revoke FILE` there.
+    `certs list` names the list that each robot has confirmed.
 
-    Exit codes: 0 done, 1 a robot rejects the list, 2 an argument or the folder is wrong, 4 a robot does not answer; the
-    list is signed then, and can be brought later.
+    Exit codes: 0 all have confirmed it, 1 one has not (the list is signed, and can be brought later), 2 an argument or
+    the folder is wrong.
     """
     from gateway.people.tools import revoking
 
