@@ -5,6 +5,7 @@ Nothing is proved by waiting for nothing: what must not arrive is followed, on t
 
 import json
 import os
+import shutil
 import statistics
 import sys
 import threading
@@ -81,7 +82,11 @@ class Fleet:
             "telemetry": {"frames": True},
         }
         config = write_settings(folder / f"{robot}.toml", settings)
-        child = Child([*COMMAND, "run", "--sim", "--config", str(config)], os.environ)
+        state = folder / f"{robot}-state"
+        state.mkdir()
+        child = Child(
+            [*COMMAND, "run", "--sim", "--config", str(config)], {**os.environ, "STATE_DIRECTORY": str(state)}
+        )
         self._end.callback(child.close)
         return child
 
@@ -243,6 +248,68 @@ def test_a_certificate_for_one_robot_drives_no_other(fleet: Fleet, anna: Client,
         assert (answer.accepted, answer.reason) == (False, Reason.LEASE_DENIED), answer
         assert bert.state().lease.holder == "bert"
     assert anna.state().lease.holder is None
+
+
+@pytest.fixture(name="copy")
+def copied_folder(fleet: Fleet, tmp_path: Path) -> Path:
+    """A folder of the same CA: other tests find all their people."""
+    return Path(shutil.copytree(fleet.folder, tmp_path / "copy"))
+
+
+def revoke(folder: Path, *arguments: str) -> tuple[int, list[str], str]:
+    """Exit code, the lines of robots, and remarks."""
+    ended = run_here("certs", "revoke", *arguments, "--dir", str(folder))
+    return ended.returncode, [line for line in ended.stdout.splitlines() if line.startswith("robot-")], ended.stderr
+
+
+def test_whoever_leaves_is_shut_out_at_all_robots_and_one_that_is_away_is_named(
+    fleet: Fleet, copy: Path, tmp_path: Path
+) -> None:
+    certs.folder.issue(copy, "lena", "operator", robots=[pool.ALL])
+    certificate, key_file = (Path(shutil.copy(copy / f"lena.{kind}", tmp_path)) for kind in ("pem", "key"))
+    stolen = Identity(certificate, key_file)
+    certs.folder.add_robots(copy, ["robot-away"])
+    code, robots, remarks = revoke(copy, "lena")
+    newest = certs.folder.revoked(copy)
+    assert newest is not None
+    number = newest.number
+    assert robots == [f"{robot}: list {number} is in force (brought as alma)." for robot in ROBOTS], remarks
+    assert code == 1, "one has not confirmed it"
+    assert "\nNot confirmed by robot-away. " in remarks
+    rows = [line.split("\t") for line in run_here("certs", "list", "--dir", str(copy)).stdout.splitlines()]
+    confirmed = {row[0]: row[-1] for row in rows if row[1].startswith("robot.")}
+    assert confirmed == {**dict.fromkeys(ROBOTS, str(number)), "robot-away": f"not {number}"}
+    for robot in ROBOTS:
+        with fleet.present(f"alma.{robot}") as client, zenoh.open(fleet.raw(f"alma.{robot}")) as session:
+            in_force = client.state().revocations
+            assert in_force is not None
+            assert in_force.number == number
+            key = f"{robot}/{keys.LEASE}"
+            nonce = asked(session, key, {"do": "challenge"}).nonce or ""
+            proof = stolen.prove("take", "lena", nonce)
+            answer = asked(session, key, {"do": "take", "source": "lena", "proof": proof})
+            assert "proof.certificate is revoked" in str(answer.detail)
+
+
+def test_robots_with_lists_of_two_copies_of_the_folder_all_get_one_with_both(copy: Path, tmp_path: Path) -> None:
+    """Also the first one, which had confirmed the list before by then."""
+    theirs = Path(shutil.copytree(copy, tmp_path / "theirs"))
+    assert revoke(theirs, "operator-40.robot-2", "--to", "robot-2")[0] == 0
+    code, robots, remarks = revoke(copy, "operator-41.robot-1")
+    newest = certs.folder.revoked(copy)
+    assert newest is not None
+    assert {"operator-40.robot-2", "operator-41.robot-1"} <= newest.common_names
+    assert (code, len(robots)) == (0, 4), remarks
+    assert f"robot-2 had list {newest.number - 1}; list {newest.number} has both." in remarks
+    assert robots[-1].startswith(f"robot-1: list {newest.number} ")
+    assert certs.confirmed.numbers(copy) == dict.fromkeys(ROBOTS, newest.number)
+
+
+def test_in_a_fleet_a_list_goes_to_robots_and_not_to_hosts(copy: Path) -> None:
+    before = contents(copy)
+    assert revoke(copy, "anna", "--to", HOST)[0] == 2
+    assert revoke(copy, "anna", "--zenoh-config", str(copy / "bert.json5"))[0] == 2
+    assert contents(copy) == before
 
 
 def test_people_who_ask_and_do_not_read_hold_no_other_robots_stop_up(fleet: Fleet, bert: Client) -> None:

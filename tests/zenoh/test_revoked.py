@@ -209,6 +209,21 @@ def test_a_restored_backup_lets_nobody_in_who_was_shut_out_since(robot: Robot) -
     assert backup.read_bytes() == newest.pem
 
 
+def test_a_robot_that_has_lost_its_list_is_noticed_when_the_list_comes_again(robot: Robot) -> None:
+    """A new card with an old backup: nothing on the robot knows of the list, and the folder with the CA does."""
+    stolen = lost(robot)
+    with robot.start():
+        assert robot.revoke("anna").returncode == 0
+    shutil.rmtree(robot.state)
+    robot.state.mkdir()
+    with robot.start():
+        assert "\tgood\t1\n" in run_here("certs", "list", "--dir", str(robot.folder)).stdout
+        ended = run_here("certs", "revoke", "--dir", str(robot.folder))
+        assert (ended.returncode, ended.stdout) == (0, f"{HOST}: list 1 is in force (brought as bert).\n")
+        assert ended.stderr == f"{HOST} had list 1, and has none now: was a backup restored?\n"
+        shut_out(robot, stolen)
+
+
 def test_without_a_list_the_service_says_so(robot: Robot) -> None:
     with robot.start() as gateway, robot.laptop("bert") as bert:
         assert "there is no list of revoked certificates" in gateway.child.stdout + gateway.child.stderr
