@@ -95,12 +95,16 @@ def init(
         f"{this_command()} certs robot NAME --dir {directory}"
     )
     typer.echo(f"If {host[0]} is the robot: its files, and how they get into its service:")
-    typer.echo(f"  ssh {host[0]} mkdir -p -m 700 robot-certs")
-    typer.echo(f"  scp {files} {host[0]}:robot-certs/")
-    typer.echo("and on the robot, in the repository's folder: sudo deploy/install.sh --certs ~/robot-certs")
+    _echo_installation(host[0], files)
     typer.echo(
         f"Next, for each laptop: {this_command()} certs issue NAME --role operator --dir {directory} --bundle NAME.zip"
     )
+
+
+def _echo_installation(host: str, files: str) -> None:
+    typer.echo(f"  ssh {host} mkdir -p -m 700 robot-certs")
+    typer.echo(f"  scp {files} {host}:robot-certs/")
+    typer.echo("and on the robot, in the repository's folder: sudo deploy/install.sh --certs ~/robot-certs")
 
 
 @app.command(
@@ -190,8 +194,10 @@ def robot(
     first = names[0]
     typer.echo(f"Made {', '.join(names)} in {directory}, and router.json5 for all robots there.")
     typer.echo("Copy to the router, and restart it: router.json5 gateway.pem gateway.key ca.pem")
-    typer.echo(f"Copy to each robot, as to {first}: {first}.json5 {first}.pem {first}.key ca.pem. In its gateway.toml:")
-    typer.echo(f'  [zenoh]\n  listen = []\n  config = "/etc/hexapod-gateway/zenoh/{first}.json5"')
+    files = [f"{first}.json5", f"{first}.pem", f"{first}.key", "ca.pem"]
+    files += [certs.revocation.FILE_NAME] * (directory / certs.revocation.FILE_NAME).exists()
+    typer.echo(f"For each robot, as for {first}: its files, and how they get into its service:")
+    _echo_installation(first, " ".join(str(directory / file) for file in files))
     peoples = [path.name for path in paths if path.stem.count(".")]
     if peoples:
         typer.echo(f"Copy to the people who have a certificate for all robots: {' '.join(peoples)}")
