@@ -27,7 +27,8 @@ def revoke(directory: Path, name: str | None, to: list[str], zenoh_config: Path 
         found = moving.revoke(directory, name, others_too=others_too)
         say(f"{directory / FILE_NAME}: list {found.number} shuts out {', '.join(sorted(found.common_names))}.")
     elif folder.revoked(directory) is None:
-        raise ConfigError(f"{directory} has no list yet: nobody was revoked")
+        say(f"{directory} has no list: nobody was revoked.")
+        return 0
     missing = _bring(directory, ways)
     if (directory / folder.ROUTER_FILE).exists():
         say(f"The router has to know, too: copy {directory / folder.ROUTER_FILE} to it, and restart it.")
