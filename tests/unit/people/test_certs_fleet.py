@@ -12,7 +12,7 @@ from gateway.certs.proof import ProofChecker
 from gateway.people.client.requests import Identity
 from gateway.zenoh_config import get
 from schemas.lease import Proof
-from tests.support.certs_folder import NOW, fault
+from tests.support.certs_folder import DAY, NOW, fault
 from tests.support.command import run_here
 
 ROBOTS = ["robot-1", "robot-2", "robot-3"]
@@ -115,3 +115,27 @@ def test_which_robots_there_may_be(fleet: Path, tmp_path: Path) -> None:
     both = ("--robot", "robot-1", "--all-robots")
     assert run_here("certs", "issue", "anna", "--role", "operator", "--dir", str(fleet), *both).returncode == 2
     assert not list(fleet.glob("anna*"))
+
+
+def test_without_an_operator_who_stays_a_list_is_signed_and_named_as_not_confirmed(fleet: Path) -> None:
+    """The one who is revoked brings it nowhere, nor does one of another robot, or one whose certificate has expired."""
+    for name, days, robots in (("anna", 9, [pool.ALL]), ("bert", 1, ["robot-1", "robot-2"])):
+        certs.folder.issue(fleet, name, "operator", robots=robots, days=days, now=NOW - 5 * DAY)
+    ended = run_here("certs", "revoke", "anna", "--dir", str(fleet))
+    assert ended.returncode == 1
+    assert "list 1 shuts out operator-00.robots.all" in ended.stdout
+    for robot in ROBOTS:
+        assert f"\n{robot}: {fleet} has no files of an operator of it" in f"\n{ended.stderr}"
+    assert "Not confirmed by robot-1, robot-2, robot-3." in ended.stderr
+    assert certs.confirmed.shown(fleet) == dict.fromkeys(ROBOTS, "not 1")
+
+
+def test_a_record_of_who_has_confirmed_that_cannot_be_read_is_named(fleet: Path) -> None:
+    certs.moving.revoke(fleet, "operator-40.robot-1", now=NOW)
+    certs.confirmed.note(fleet, "robot-2", 1)
+    certs.moving.revoke(fleet, "operator-41.robot-1", now=NOW)
+    certs.confirmed.note(fleet, "robot-1", 2)
+    assert certs.confirmed.shown(fleet) == {"robot-1": "2", "robot-2": "1, not 2", "robot-3": "not 2"}
+    for text in ("", "[]", '{"robot-1": -1}'):
+        (fleet / "confirmed.json").write_text(text)
+        assert "confirmed.json cannot be read: delete it" in fault(lambda: certs.confirmed.numbers(fleet))

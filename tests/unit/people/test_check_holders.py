@@ -115,5 +115,5 @@ def test_a_laptop_beside_the_ca_sees_that_the_robot_has_an_older_list(
     report = None if number is None else RevocationsReport(number=number, date=NOW)
     (found,) = holders.shut_out_from_the_laptop(report, identity)
     assert found.verdict is verdict
-    assert ("no list" if number is None else f"list {number} of") in found.sentence
+    assert ("names no list" if number is None else f"list {number} of") in found.sentence
     assert ("certs revoke --dir" in found.fix) is (verdict is Verdict.WARNING)

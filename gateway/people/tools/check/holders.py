@@ -89,7 +89,7 @@ def shut_out_from_the_laptop(there: RevocationsReport | None, identity: Identity
     """The list in force at the robot, and whether it is older than that in the laptop's own folder."""
     if identity.ca is None:
         return
-    said = "the robot goes by no list: nobody is shut out"
+    said = "the robot names no list of revoked certificates"
     if there is not None:
         said = f"the robot goes by {_of(there.number, there.date)}"
     folder = identity.ca.parent
