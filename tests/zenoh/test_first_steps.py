@@ -10,6 +10,8 @@ import sys
 from contextlib import suppress
 from pathlib import Path
 
+import pytest
+
 from gateway.client import Client
 from tests.support.child import Child
 from tests.support.command import run_here
@@ -27,16 +29,22 @@ def script(path: Path, text: str) -> None:
     path.chmod(0o755)
 
 
-def test_the_copy_lines_of_certs_init_bring_what_the_installer_asks_for(tmp_path: Path) -> None:
-    robot = tmp_path / "robot.local"
+@pytest.mark.parametrize(("host", "name"), [("robot.local", "gateway"), ("robot-1", "robot-1")])
+def test_the_copy_lines_of_certs_bring_what_the_installer_asks_for(tmp_path: Path, host: str, name: str) -> None:
+    """Those of `certs init` for a single robot, those of `certs robot` for one of a fleet."""
+    robot, folder = tmp_path / host, str(tmp_path / "certs")
     robot.mkdir()
     bin_folder = programs(tmp_path / "bin", ssh=SSH, scp=SCP)
-    made = run_here("certs", "init", "--dir", str(tmp_path / "certs"), "--host", "robot.local").stdout
+    made = run_here("certs", "init", "--dir", folder, "--host", "robot.local").stdout
+    if name != "gateway":
+        made = run_here("certs", "robot", name, "--dir", folder).stdout
     lines = [line for line in made.splitlines() if line.startswith("  ")]
     environment = {**os.environ, "PATH": f"{bin_folder}:{os.environ['PATH']}", "HOSTS": str(tmp_path)}
     subprocess.run(["sh", "-e", "-c", "\n".join(lines)], env=environment, check=True)
     wanted = next(line for line in INSTALLER.read_text().splitlines() if line.startswith("CERTIFICATES="))
-    assert {path.name for path in (robot / "robot-certs").iterdir()} == set(wanted.split('"')[1].split())
+    assert {path.name for path in (robot / "robot-certs").iterdir()} == set(
+        wanted.split('"')[1].replace("gateway", name).split()
+    )
     assert (robot / "robot-certs").stat().st_mode & 0o777 == 0o700
 
 
