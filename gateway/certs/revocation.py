@@ -123,7 +123,7 @@ def why_not_newer(found: RevocationList, known: RevocationList | None) -> str | 
     if known is None or found.number > known.number:
         return None
     if found.number == known.number:
-        return f"another list with the number {known.number} is in force; sign a newer one (certs revoke --to)"
+        return f"another list with the number {known.number} is in force; sign a newer one (certs revoke)"
     return f"its number is {found.number}, and number {known.number} is in force; a list only ever grows newer"
 
 

@@ -114,6 +114,14 @@ def shut_out(robot: Robot, file: Path) -> None:
         laptop.state()
 
 
+MOMENT: Final = dt.timedelta(seconds=0.1)
+
+
+def since(state: GatewayState) -> dt.datetime:
+    """When this gateway began."""
+    return state.time - dt.timedelta(seconds=state.uptime_s)
+
+
 def lost(robot: Robot) -> Path:
     """The files of anna as the thief has them."""
     stolen = robot.folder.with_name("stolen")
@@ -216,11 +224,13 @@ def test_a_robot_that_has_lost_its_list_is_noticed_when_the_list_comes_again(rob
         assert robot.revoke("anna").returncode == 0
     shutil.rmtree(robot.state)
     robot.state.mkdir()
-    with robot.start():
+    with robot.start(), robot.laptop("bert") as bert:
+        heard, begun = states(bert), since(bert.state())
         assert "\tgood\t1\n" in run_here("certs", "list", "--dir", str(robot.folder)).stdout
         ended = run_here("certs", "revoke", "--dir", str(robot.folder))
         assert (ended.returncode, ended.stdout) == (0, f"{HOST}: list 1 is in force (brought as bert).\n")
         assert ended.stderr == f"{HOST} had list 1, and has none now: was a backup restored?\n"
+        heard.wait(lambda state: since(state) - begun > MOMENT, timeout_s=20)
         shut_out(robot, stolen)
 
 
@@ -228,14 +238,6 @@ def test_without_a_list_the_service_says_so(robot: Robot) -> None:
     with robot.start() as gateway, robot.laptop("bert") as bert:
         assert "there is no list of revoked certificates" in gateway.child.stdout + gateway.child.stderr
         assert bert.state().revocations is None
-
-
-MOMENT: Final = dt.timedelta(seconds=0.1)
-
-
-def since(state: GatewayState) -> dt.datetime:
-    """When this gateway began."""
-    return state.time - dt.timedelta(seconds=state.uptime_s)
 
 
 def test_two_lists_that_cross(robot: Robot) -> None:

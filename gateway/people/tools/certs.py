@@ -305,7 +305,7 @@ def _where(name: str) -> str:
     return "the robot, and restart the service" if name == "gateway" else f"{name}'s machine"
 
 
-@app.command(epilog="Example: hexapod-gateway certs revoke alice --dir ~/hexapod-certs --to robot.local")
+@app.command(epilog="Example: hexapod-gateway certs revoke alice --dir ~/hexapod-certs")
 def revoke(
     directory: Directory,
     name: Annotated[

@@ -53,7 +53,7 @@ def _ways(directory: Path, to: list[str], config: Path | None) -> list[_Way]:
     if not fleet:
         port = folder.port_of(directory)
         endpoints = [host if "/" in host else zenoh_files.endpoint(host, port) for host in to]
-        return [_Way(known[0], endpoint, config) for endpoint in endpoints] or [_Way(known[0], None, config)]
+        return [_Way(known[0], endpoint, config) for endpoint in endpoints or (None,)]
     unknown = [robot for robot in to if robot not in fleet]
     if unknown:
         raise ConfigError(
@@ -71,7 +71,7 @@ def _bring(directory: Path, ways: list[_Way]) -> list[str]:
     that have confirmed the one before get it in a second round.
     """
     in_force: dict[_Way, int] = {}
-    silent: dict[_Way, str] = {}
+    silent: set[_Way] = set()
     for _ in range(2):
         for way in ways:
             if way in silent or in_force.get(way) == _number(directory):
@@ -79,8 +79,8 @@ def _bring(directory: Path, ways: list[_Way]) -> list[str]:
             try:
                 in_force[way] = _bring_to(directory, way)
             except GatewayError as error:
-                silent[way] = str(error)
-                for line in silent[way].splitlines():
+                silent.add(way)
+                for line in str(error).splitlines():
                     hint(f"{way.robot}: {line}")
     return list(dict.fromkeys(way.robot for way in ways if in_force.get(way) != _number(directory)))
 
@@ -97,19 +97,19 @@ def _bring_to(directory: Path, way: _Way) -> int:
 
 
 def _send(client: Client, directory: Path, robot: str) -> int:
+    found = folder.revoked(directory)
+    if found is None:
+        raise ConfigError(f"{directory} has no list yet: nobody was revoked")
     cas, there = read_certificates(directory / "ca.pem"), client.revocation()
     known_there = None if there.revoked is None else parse(there.revoked.encode(), cas)
     before, number = confirmed.numbers(directory).get(robot, 0), 0 if known_there is None else known_there.number
     if number < before:
         hint(f"{robot} had list {before}, and has {f'list {number}' if number else 'none'} now: was a backup restored?")
-    found = folder.revoked(directory)
-    if known_there is not None and (found is None or found.pem != known_there.pem):
-        missing = known_there.common_names - (frozenset() if found is None else found.common_names)
-        if missing or (found is not None and found.number <= known_there.number):
-            found = moving.merge(directory, known_there)
-            hint(f"{robot} had list {known_there.number}; list {found.number} has both.")
-    if found is None:
-        raise ConfigError(f"{directory} has no list yet: nobody was revoked")
+    if (known_there is not None and found.pem != known_there.pem) and (
+        known_there.common_names - found.common_names or found.number <= known_there.number
+    ):
+        found = moving.merge(directory, known_there)
+        hint(f"{robot} had list {known_there.number}; list {found.number} has both.")
     if len(found.pem) > MAX_REVOCATION_BYTES - 100:
         raise ConfigError(
             f"the list is too long for a message: copy {FILE_NAME}, and: sudo hexapod-gateway revoke FILE"
