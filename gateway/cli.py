@@ -383,7 +383,7 @@ def revoke(
     """On the robot: shut out whom this list names, and restart the service: all legs stop, others are back in 3 s.
 
     The list has to be signed by the CA in the robot's ca.pem, and newer than the one in force. The robot's clock does
-    not matter. From a laptop, `hexapod-gateway certs revoke NAME --to HOST` does the same.
+    not matter. From a laptop, `hexapod-gateway certs revoke NAME` does the same.
 
     Exit codes: 0 it is in force, 1 an older list, or the service does not restart, 2 the file or the configuration is
     wrong.

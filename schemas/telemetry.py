@@ -265,6 +265,13 @@ class CertificateReport(Report):
     expires: AwareDatetime
 
 
+class RevocationsReport(Report):
+    """The list of revoked certificates in force."""
+
+    number: Annotated[int, Field(description="grows with each list that `certs revoke` signs")]
+    date: Annotated[AwareDatetime, Field(description="when it was signed")]
+
+
 class ServoLimitsReport(Report):
     """What the settings allow one servo, in degrees as commands name them; a speed of 0 is not limited."""
 
@@ -304,6 +311,9 @@ class GatewayState(Report):
     telemetry: Annotated[TelemetryReport, Field(description="an older gateway does not say")] = TelemetryReport()
     certificate: Annotated[
         CertificateReport | None, Field(description="the first to expire; null: none are in use, or an older gateway")
+    ] = None
+    revocations: Annotated[
+        RevocationsReport | None, Field(description="null: no list is in force, or an older gateway")
     ] = None
     limits: Annotated[LimitsReport, Field(description="an older gateway does not say")] = LimitsReport()
     physics: Annotated[

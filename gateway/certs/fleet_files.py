@@ -2,7 +2,8 @@
 
 Zenoh's access control compares a certificate's common name whole and cannot put it into a key expression, so the
 router's file has one block for each robot, and is rewritten when a robot is added. Common names: `robot.NAME` of a
-robot's gateway, `operator-07.NAME`, `observer-07.NAME` and `button-07.NAME` of its people, `gateway` of the routers.
+robot's gateway, `operator-07.NAME`, `observer-07.NAME` and `button-07.NAME` of its people, `gateway` of the routers. Of
+people with several robots, `operator-07.NAME.NAME` or `operator-07.robots.all` (pool.py).
 tests/zenoh/test_fleet.py has the gateways, a router and people as processes of their own.
 """
 
@@ -126,17 +127,23 @@ _ROBOT = """\
 
 
 def router_json5(
-    robots: Sequence[str], port: int, numbers: Iterable[int] = range(pool.SIZE), revoked: Container[str] = ()
+    robots: Sequence[str],
+    port: int,
+    numbers: Iterable[int] = range(pool.SIZE),
+    revoked: Container[str] = (),
+    groups: Iterable[str] = (),
 ) -> bytes:
     """The router's configuration: mTLS on all addresses, and one block of access control for each robot.
 
-    `numbers`: of the pool of common names that each role has. `revoked`: those that are not listed.
+    `numbers`: of the pool of common names that each role has. `revoked`: those that are not listed. `groups`: of
+    several robots, for which there are certificates; that of all robots always has a pool.
     """
+    groups = sorted({*groups, pool.ALL})
     return fill(
         _ROUTER,
         PORT=str(port),
         RULES="".join(map(_rules, robots)),
-        SUBJECTS="".join(_subjects(robot, numbers, revoked) for robot in robots),
+        SUBJECTS="".join(_subjects(robot, numbers, revoked, groups) for robot in robots),
         POLICIES="".join(map(_policies, robots)),
     )
 
@@ -152,11 +159,12 @@ def _rules(robot: str) -> str:
     return f"      // ---- {robot}\n{peoples}{robots}"
 
 
-def _subjects(robot: str, numbers: Iterable[int], revoked: Container[str]) -> str:
+def _subjects(robot: str, numbers: Iterable[int], revoked: Container[str], groups: Sequence[str]) -> str:
     """Who has which common names. A role of which all are revoked keeps its subject: none would mean anybody."""
     subjects = access.subject(f"robot.{robot}", [f"robot.{robot}"])
     for role in LAPTOP_ROLES:
-        named = [name for name in pool.names(role, numbers, robot) if name not in revoked]
+        of = [robot, *(group for group in groups if pool.Holder(role, None, group).is_for(robot))]
+        named = [name for group in of for name in pool.names(role, numbers, group) if name not in revoked]
         subjects += access.subject(f"{role}.{robot}", named or [pool.NOBODY])
     return subjects
 

@@ -47,6 +47,7 @@ _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,62}")
 _RESERVED = ("ca", "gateway", "router")
 _ROBOT = "robot."  # in front of a robot's name in the common name of its certificate
 _ROBOT_LENGTH = 48  # a common name has at most 64 characters, "operator-1000." among them
+_GROUP_LENGTH = 50
 _WEB_CA = "-ca"  # behind a console's name in the names of its CA's files
 ROUTER_FILE = "router.json5"
 EARLIER = "earlier"
@@ -119,7 +120,7 @@ def issue(
     name: str,
     role: str,
     *,
-    robot: str = "",
+    robots: Sequence[str] = (),
     bundle: Path | None = None,
     days: int = LEAF_DAYS,
     now: dt.datetime | None = None,
@@ -127,7 +128,8 @@ def issue(
 ) -> list[Path]:
     """Makes NAME.pem, NAME.key and NAME.json5 for a laptop, and `bundle`, a zip of all it needs; returns the paths.
 
-    `robot` is the one robot of a fleet that it is for, as `add_robots` named it.
+    `robots`: of a fleet, those that it is for, as `add_robots` named them; `pool.ALL` alone: all. For several there is
+    a NAME.ROBOT.json5 for each. router.json5 is made anew, and returned, where it does not list the common name yet.
     `absolute`: NAME.json5 names the files by their full paths; in the zip it never does.
     """
     now = now or now_utc()
@@ -140,28 +142,49 @@ def issue(
     ca = load_ca(directory, now)
     gateway = read_certificate(directory / "gateway.pem")
     hosts, (port, namespace) = authority.hosts_of(gateway), _port_and_namespace(directory / "gateway.json5")
-    if robot and robot not in _robots(directory):
-        raise ConfigError(f"{directory} has no robot {robot!r}: add it with `hexapod-gateway certs robot {robot}`")
+    group, known = pool.group(robots), robots_of(directory)
+    for robot in robots:
+        if robot not in (*known, pool.ALL):
+            raise ConfigError(f"{directory} has no robot {robot!r}: add it with `hexapod-gateway certs robot {robot}`")
+    if group == pool.ALL and not known:
+        raise ConfigError(f"{directory} has no robots: add them with `hexapod-gateway certs robot NAME`")
+    if len(group) > _GROUP_LENGTH:
+        raise ConfigError("the robots' names are too long together for one certificate: for all robots, or for fewer")
     _check_free(directory, name)
-    laptop = authority.make_laptop(ca, name, _free_common_name(directory, ca, role, robot), days, now)
-    config = directory / f"{name}.json5"
+    common_name = _free_common_name(directory, ca, role, group)
+    laptop = authority.make_laptop(ca, name, common_name, days, now)
     pair = _pair(directory / name, laptop)
-    files = {**pair, config: Content(zenoh_files.laptop_json5(name, role, hosts, port, robot or namespace))}
+    configs = {
+        config: Content(zenoh_files.laptop_json5(name, role, hosts, port, robot or namespace, config.name))
+        for robot, config in config_files(directory, name, pool.holder(common_name)).items()
+    }
+    files = {**pair, **configs}
     if bundle is not None:
         if bundle in files:
             raise ConfigError(f"--bundle {bundle} is the place of another file: name it {name}.zip")
         expiry = f"{laptop.certificate.not_valid_after_utc:%Y-%m-%d}"
         members = {path.name: content for path, content in files.items()}
         members["ca.pem"] = Content(read_file(directory / "ca.pem", "certificate"))
-        members["README.txt"] = Content(zenoh_files.laptop_readme(name, role, hosts, expiry))
+        readme = zenoh_files.laptop_readme(name, role, hosts, expiry, [config.name for config in configs])
+        members["README.txt"] = Content(readme)
         files[bundle] = Content(_zip(members, now), SECRET)
-    if absolute:
+    for config in configs if absolute else ():
         text = files[config].data
         for file in (directory / "ca.pem", *pair):
             text = text.replace(f'"{file.name}"'.encode(), json.dumps(str(file.absolute())).encode())
         files[config] = Content(text)
     publish(files)
+    if group and common_name not in listed_names(directory / ROUTER_FILE):
+        return [*files, write_router(directory)]
     return list(files)
+
+
+def config_files(directory: Path, name: str, holder: pool.Holder) -> dict[str, Path]:
+    """A laptop's Zenoh configuration for each of its robots: NAME.json5 for one, else NAME.ROBOT.json5."""
+    robots = robots_of(directory) if holder.robot == pool.ALL else holder.robots
+    if holder.robot != pool.ALL and len(robots) < 2:
+        return {holder.robot: directory / f"{name}.json5"}
+    return {robot: directory / f"{name}.{robot}.json5" for robot in robots}
 
 
 def console(
@@ -190,13 +213,14 @@ def add_robots(
 ) -> list[Path]:
     """Makes NAME.pem, NAME.key and NAME.json5 for each robot of a fleet, and router.json5 anew; returns the paths.
 
+    Whoever has a certificate for all robots gets a configuration for each new one.
     The router's certificate is the one that `init` made: its hosts are the router's,
     and robots dial the first of them.
     """
     now = now or now_utc()
     ca = load_ca(directory, now)
     gateway = read_certificate(directory / "gateway.pem")
-    host, port = authority.hosts_of(gateway)[0], _port_and_namespace(directory / "gateway.json5")[0]
+    hosts, port = authority.hosts_of(gateway), port_of(directory)
     _check_free(directory, "router")
     files: dict[Path, Content] = {}
     for name in names:
@@ -206,7 +230,12 @@ def add_robots(
         _check_free(directory, name)
         robot = authority.make_laptop(ca, name, f"{_ROBOT}{name}", days, now)
         files |= _pair(directory / name, robot)
-        files[directory / f"{name}.json5"] = Content(fleet_files.robot_json5(name, host, port))
+        files[directory / f"{name}.json5"] = Content(fleet_files.robot_json5(name, hosts[0], port))
+        for each in expiries(directory):
+            person, holder = each.path.stem, pool.holder(each.common_name)
+            if holder.robot == pool.ALL:
+                config = directory / f"{person}.{name}.json5"
+                files[config] = Content(zenoh_files.laptop_json5(person, holder.role, hosts, port, name, config.name))
     publish(files)
     return [*files, write_router(directory)]
 
@@ -218,7 +247,9 @@ def write_router(directory: Path) -> Path:
     numbers = sorted({number for name in listed if (number := pool.holder(name).number) is not None})
     known = revoked(directory)
     shut_out = frozenset() if known is None else known.common_names
-    replace(path, Content(fleet_files.router_json5(_robots(directory), port, numbers, shut_out)))
+    holders = [pool.holder(each.common_name) for each in (*expiries(directory), *earlier(directory))]
+    groups = {each.robot for each in holders if len(each.robots) > 1}
+    replace(path, Content(fleet_files.router_json5(robots_of(directory), port, numbers, shut_out, groups)))
     return path
 
 
@@ -318,7 +349,7 @@ def port_of(directory: Path) -> int:
     return _port_and_namespace(directory / "gateway.json5")[0]
 
 
-def _free_common_name(directory: Path, ca: KeyPair, role: str, robot: str) -> str:
+def _free_common_name(directory: Path, ca: KeyPair, role: str, group: str) -> str:
     """The first of the pool that nobody has, or had; the role alone where the rules list no pool."""
     config = directory / "gateway.json5"
     listed = [pool.holder(name) for name in listed_names(config)]
@@ -330,12 +361,12 @@ def _free_common_name(directory: Path, ca: KeyPair, role: str, robot: str) -> st
         )
     numbers = sorted(each.number for each in listed if each.role == role and each.number is not None)
     if not numbers:
-        return pool.names(role, (), robot)[0]
+        return pool.names(role, (), group)[0]
     known = revoked(directory)
     taken = {each.common_name for each in (*expiries(directory), *earlier(directory))}
     taken |= frozenset() if known is None else known.common_names
     first = authority.first_number(ca.certificate)
-    free = (name for n in numbers if n >= first and (name := pool.common_name(role, n, robot)) not in taken)
+    free = (name for n in numbers if n >= first and (name := pool.common_name(role, n, group)) not in taken)
     found = next(free, None)
     if found is None:
         raise ConfigError(
@@ -407,7 +438,13 @@ def _read_config(config: Path) -> zenoh.Config:
         raise ConfigError(f"cannot read {config}: {reason}; restore it, or fix what it names") from error
 
 
-def _robots(directory: Path) -> list[str]:
+def robots(directory: Path) -> list[str]:
+    """All robots of a folder: those of a fleet, or the one, which its first host names."""
+    return robots_of(directory) or authority.hosts_of(read_certificate(directory / "gateway.pem"))[:1]
+
+
+def robots_of(directory: Path) -> list[str]:
+    """The robots of a fleet, in order; none in a folder of one robot."""
     roles = [item.role for item in expiries(directory)]
     return sorted(role.removeprefix(_ROBOT) for role in roles if role.startswith(_ROBOT))
 

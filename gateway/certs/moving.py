@@ -100,7 +100,7 @@ def reissue(
             f"{directory}, and the same on the robot, in its folder"
         )
     _put_away(directory, found)
-    return folder.issue(directory, name, holder.role, robot=holder.robot, bundle=bundle, days=days, now=now)
+    return folder.issue(directory, name, holder.role, robots=holder.robots, bundle=bundle, days=days, now=now)
 
 
 def set_pool(directory: Path, size: int = pool.SIZE) -> list[Path]:
@@ -230,7 +230,8 @@ def _put_away(directory: Path, certificate: Certificate) -> None:
     """Its files go to `earlier`, under a name that nothing else has."""
     target = directory / EARLIER
     target.mkdir(mode=0o700, exist_ok=True)
-    for suffix in (".json5", ".key", ".pem"):
-        path = certificate.path.with_suffix(suffix)
+    stem = certificate.path.stem
+    named = (certificate.path.with_name(f"{stem}{suffix}") for suffix in (".json5", ".key", ".pem"))
+    for path in (*named, *directory.glob(f"{stem}.*.json5")):
         if path.exists():
-            path.rename(target / f"{path.stem}-{certificate.serial[:8]}{suffix}")
+            path.rename(target / path.name.replace(stem, f"{stem}-{certificate.serial[:8]}", 1))

@@ -21,11 +21,18 @@ NOBODY: Final = "(nobody)"
 """No certificate of `certs` has this common name. It stands in a subject of which all are revoked: to Zenoh, a subject
 without names is everybody."""
 
+ALL: Final = "robots.all"
+"""The group of all robots of a fleet, also of those that are added later. No other group is called so: a robot's name
+has no dot, and `group` puts names in order."""
+
 _COMMON_NAME: Final = re.compile(r"(?P<role>[a-z]+)(?:-(?P<number>\d{2,4}))?(?:\.(?P<robot>.+))?")
 
 
 class Holder(NamedTuple):
-    """What a common name says. `number` is None in the layout before; `robot` is "" outside a fleet."""
+    """What a common name says. `number` is None in the layout before.
+
+    `robot` is "" outside a fleet, and in one the robot or the group of robots that it is for.
+    """
 
     role: str
     number: int | None
@@ -35,6 +42,15 @@ class Holder(NamedTuple):
     def of(self) -> str:
         """The role without the number: `operator`, in a fleet `operator.robot-1`."""
         return f"{self.role}.{self.robot}" if self.robot else self.role
+
+    @property
+    def robots(self) -> tuple[str, ...]:
+        """The robots that it is for; `ALL` alone for all of them."""
+        return (ALL,) if self.robot == ALL else tuple(filter(None, self.robot.split(".")))
+
+    def is_for(self, robot: str) -> bool:
+        """Whether it is for this robot of a fleet; "": for one outside."""
+        return robot in self.robots or (self.robot == ALL if robot else not self.robot)
 
 
 def holder(common_name: str) -> Holder:
@@ -49,6 +65,11 @@ def is_before(common_name: str, first: int) -> bool:
     """Whether it is a laptop's of before the CA whose first number this is."""
     found = holder(common_name)
     return found.role in LAPTOP_ROLES and (found.number is None or found.number < first)
+
+
+def group(robots: Iterable[str]) -> str:
+    """These robots, as a common name has them."""
+    return ".".join(sorted(set(robots)))
 
 
 def common_name(role: str, number: int, robot: str = "") -> str:

@@ -96,8 +96,9 @@ class ProofChecker:
     def _holders_fault(self, certificate: x509.Certificate, common_name: str, roles: Sequence[str]) -> str | None:
         if self._revoked is not None and self._revoked.holds(common_name, certificate.serial_number):
             return f"proof.certificate is revoked ({common_name}); whoever keeps the CA issues another"
-        wanted = [f"{each}.{self._robot}" if self._robot else each for each in roles]
-        if pool.holder(common_name).of not in wanted:
+        found = pool.holder(common_name)
+        if found.role not in roles or not found.is_for(self._robot):
+            wanted = [f"{each}.{self._robot}" if self._robot else each for each in roles]
             return (
                 f"proof.certificate is not that of an {' or a '.join(roles)} of this robot "
                 f"(its role must be {' or '.join(wanted)})"

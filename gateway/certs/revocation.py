@@ -53,6 +53,8 @@ class RevocationList:
     """A list whose signature was checked, or that was just signed."""
 
     number: int
+    date: dt.datetime
+    """When it was signed, by the clock of the machine with the CA."""
     entries: tuple[Revoked, ...]
     pem: bytes
 
@@ -86,7 +88,7 @@ def sign(ca: KeyPair, number: int, entries: Iterable[Revoked], now: dt.datetime)
             .build()
         )
     pem = builder.sign(ca.key, hashes.SHA256()).public_bytes(serialization.Encoding.PEM)
-    return RevocationList(number, kept, pem)
+    return RevocationList(number, now.replace(microsecond=0), kept, pem)
 
 
 def parse(data: bytes, cas: Sequence[x509.Certificate]) -> RevocationList:
@@ -100,7 +102,7 @@ def parse(data: bytes, cas: Sequence[x509.Certificate]) -> RevocationList:
         raise ConfigError("this is no list of `hexapod-gateway certs revoke`, or it was cut off") from error
     if not signed:
         raise ForeignListError("the list is not signed by a CA of this robot: is it another robot's?")
-    return RevocationList(number, entries, data)
+    return RevocationList(number, found.last_update_utc, entries, data)
 
 
 def read(path: Path, cas: Sequence[x509.Certificate]) -> RevocationList | None:
@@ -121,7 +123,7 @@ def why_not_newer(found: RevocationList, known: RevocationList | None) -> str | 
     if known is None or found.number > known.number:
         return None
     if found.number == known.number:
-        return f"another list with the number {known.number} is in force; sign a newer one (certs revoke --to)"
+        return f"another list with the number {known.number} is in force; sign a newer one (certs revoke)"
     return f"its number is {found.number}, and number {known.number} is in force; a list only ever grows newer"
 
 

@@ -80,7 +80,7 @@ _GATEWAY = """\
 
 _LAPTOP = """\
 // @NAME@ as @ROLE@, made by `hexapod-gateway certs issue`.
-//   hexapod-gateway watch --zenoh-config @NAME@.json5
+//   hexapod-gateway watch --zenoh-config @FILE@
 // Paths are relative to this file's folder: keep ca.pem, @NAME@.pem and @NAME@.key beside it.
 {
   mode: "client",@NAMESPACE@
@@ -120,15 +120,15 @@ The files of @NAME@, @ROLE@ of the hexapod at @HOSTS@. Valid until @EXPIRY@.
 
 Unzip them anywhere, together, and keep @NAME@.key to yourself: whoever has it is @NAME@.
 
-  hexapod-gateway watch --zenoh-config path/to/@NAME@.json5@COMMANDS@
-
+  hexapod-gateway watch --zenoh-config path/to/@FILE@@COMMANDS@
+@OTHERS@
 In Python:
 
   from gateway.client import Client
-  with Client(zenoh_config="path/to/@NAME@.json5") as robot:
+  with Client(zenoh_config="path/to/@FILE@") as robot:
       print(robot.state().mode)
 
-Other Zenoh programs read the paths in @NAME@.json5 from the folder they are started in: start them in this one.
+Other Zenoh programs read the paths in @FILE@ from the folder they are started in: start them in this one.
 """
 
 
@@ -157,10 +157,14 @@ def command_for_new_rules(file: str, port: int, namespace: str = "", program: st
     return f"{made} && sudo cp $d/gateway.json5 {file} && rm -r $d"
 
 
-def laptop_json5(name: str, role: str, hosts: Sequence[str], port: int, namespace: str = "") -> bytes:
-    """A laptop's Zenoh configuration: one endpoint for each host; `namespace` is its robot's, if that has one."""
+def laptop_json5(name: str, role: str, hosts: Sequence[str], port: int, namespace: str = "", file: str = "") -> bytes:
+    """A laptop's Zenoh configuration: one endpoint for each host; `namespace` is its robot's, if that has one.
+
+    `file`: what it is called, if not NAME.json5.
+    """
     endpoints = json.dumps([endpoint(host, port) for host in hosts])
-    return fill(_LAPTOP, NAME=name, ROLE=role, ENDPOINTS=endpoints, NAMESPACE=_namespace(namespace))
+    file = file or f"{name}.json5"
+    return fill(_LAPTOP, NAME=name, FILE=file, ROLE=role, ENDPOINTS=endpoints, NAMESPACE=_namespace(namespace))
 
 
 def _namespace(namespace: str) -> str:
@@ -171,10 +175,21 @@ def _namespace(namespace: str) -> str:
   namespace: "{namespace}","""
 
 
-def laptop_readme(name: str, role: str, hosts: Sequence[str], expiry: str) -> bytes:
-    """What a bundle says to the person who unzips it."""
-    commands = "".join(f"\n  hexapod-gateway {each} --zenoh-config path/to/{name}.json5" for each in _COMMANDS[role])
-    return fill(_README, NAME=name, ROLE=role, HOSTS=" or ".join(hosts), EXPIRY=expiry, COMMANDS=commands)
+def laptop_readme(name: str, role: str, hosts: Sequence[str], expiry: str, files: Sequence[str]) -> bytes:
+    """What a bundle says to the person who unzips it. `files`: a Zenoh configuration for each robot."""
+    file = files[0]
+    commands = "".join(f"\n  hexapod-gateway {each} --zenoh-config path/to/{file}" for each in _COMMANDS[role])
+    others = f"\nEach robot has a file of its own: {', '.join(files)}.\n" if len(files) > 1 else ""
+    return fill(
+        _README,
+        NAME=name,
+        ROLE=role,
+        HOSTS=" or ".join(hosts),
+        EXPIRY=expiry,
+        COMMANDS=commands,
+        FILE=file,
+        OTHERS=others,
+    )
 
 
 def endpoint(host: str, port: int) -> str:

@@ -193,7 +193,10 @@ def _configured(
     if physics is not None:
         simulated_body.admit(config, physics.folder)
     if revoked is not None:
-        logger.info("list %d shuts out %s", revoked.number, ", ".join(sorted(revoked.common_names)) or "nobody")
+        names = ", ".join(sorted(revoked.common_names)) or "nobody"
+        logger.info("list %d shuts out %s; it was signed on %s", revoked.number, names, f"{revoked.date:%Y-%m-%d}")
+    elif shut_out is not None:
+        logger.info("there is no list of revoked certificates: nobody is shut out")
     checker = checker_of(config, revoked)
     fault = None if checker is None else checker.clock_fault(wall_clock())
     if fault is not None:
@@ -256,8 +259,8 @@ async def _run(
             "real-time priority %s", "granted" if realtime.prefer_thread(realtime.LOOP_PRIORITY) else "not allowed"
         )
         with owner:
-            conductor.announce_start()
-            calibrations.announce_start()
+            for announce in (conductor.announce_start, calibrations.announce_start, revocations.announce_start):
+                announce()
         notifier.ready("takes commands")
         connection_limiter, upkeep = _attendants(session, config, conductor, notifier, shut_out)
         on_ready(config)

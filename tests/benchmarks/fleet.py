@@ -61,9 +61,9 @@ def _row(size: int, seconds: float) -> str:
         folder, port = Path(name) / "D", free_port()
         certs.folder.init(folder, [HOST], port=port)
         certs.folder.add_robots(folder, [_robot(number) for number in range(size)])
-        certs.folder.issue(folder, "operator", "operator", robot=_robot(0))
+        certs.folder.issue(folder, "operator", "operator", robots=[_robot(0)])
         for number in range(size):
-            certs.folder.issue(folder, f"observer-{number}", "observer", robot=_robot(number))
+            certs.folder.issue(folder, f"observer-{number}", "observer", robots=[_robot(number)])
         router = _start(end, "router", str(folder / "router.json5"))
         alone_kb = rss_kb(router.pid)
         robots = _start(end, "robots", str(folder), str(size))

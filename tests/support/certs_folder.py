@@ -34,7 +34,7 @@ def mode(path: Path) -> int:
 
 
 def contents(directory: Path) -> dict[str, bytes]:
-    return {path.name: path.read_bytes() for path in directory.iterdir()}
+    return {str(path.relative_to(directory)): path.read_bytes() for path in directory.rglob("*") if path.is_file()}
 
 
 def fault(call: Callable[[], object]) -> str:

@@ -1,6 +1,6 @@
 """Records what a gateway sends, for every later version to read.
 
-    python -m tests.support.record_wire tests/data/wire/1.2
+    python -m tests.support.record_wire tests/data/wire/1.3
 
 One JSON payload a line, in a file for each kind. Every answer, mode, kind of event and cause that a simulated
 controller can bring about is among them.
@@ -18,8 +18,10 @@ from typing import Any
 
 import zenoh
 
+from gateway import certs
+from gateway.client import Client
 from schemas import keys
-from tests.support.gateway_process import Gateway
+from tests.support.gateway_process import Gateway, free_port
 
 LEG = {"servos": [{"op": "start", "angle_deg": 90}] * 3}
 SET = {"servos": [{"op": "set", "angle_deg": 90}] * 3}
@@ -121,9 +123,29 @@ def main(folder: Path) -> None:
         wait_for("stopping", "event")
         for subscriber in subscribers:
             subscriber.undeclare()
+    heard["state"].append(_state_with_a_list())
     folder.mkdir(parents=True, exist_ok=True)
     for name, lines in heard.items():
         (folder / f"{name}.jsonl").write_text("\n".join(dict.fromkeys(lines)) + "\n")
+
+
+def _state_with_a_list() -> str:
+    """The state of a gateway with certificates, and a list of revoked ones."""
+    with tempfile.TemporaryDirectory() as scratch:
+        directory, port = Path(scratch) / "certs", free_port()
+        certs.folder.init(directory, ["127.0.0.1"], port=port)
+        certs.folder.issue(directory, "anna", "operator")
+        certs.moving.revoke(directory, "operator-40")
+        settings = {"zenoh": {"config": str(directory / "gateway.json5"), "listen": [f"tls/127.0.0.1:{port}"]}}
+        with (
+            Gateway(Path(scratch), settings),
+            Client(None, zenoh_config=directory / "anna.json5", timeout_s=10) as client,
+        ):
+            client.state()
+            (reply,) = client.session.get(keys.STATE, timeout=5)
+            if reply.ok is None:
+                raise RuntimeError("no state")
+            return str(reply.ok.payload.to_string())
 
 
 def _into(lines: list[str], changed: threading.Condition) -> Any:

@@ -32,6 +32,8 @@ MADE_ELSEWHERE = frozenset(
         "router.json5",
         "robot-1.json5",
         "anna.json5",
+        "anna.robot-1.json5",
+        "anna.robot-6.json5",
         "ros2.json5",
         "NAME.json5",
         "build/falls.md",

@@ -57,10 +57,12 @@ _WORDS = ("kind", "mode", "reason", "cause", "watchdog")
 
 
 def test_every_kind_of_payload_has_been_recorded() -> None:
-    assert {path.parent.name for path in WIRE.glob("*/*.jsonl")} >= {"1.0", "1.1", "1.2"}
+    assert {path.parent.name for path in WIRE.glob("*/*.jsonl")} >= {"1.0", "1.1", "1.2", "1.3"}
     assert {path.stem for path in WIRE.glob("1.0/*.jsonl")} == MODELS.keys() - {"lease", "calibration", "button"}
     assert {path.stem for path in WIRE.glob("1.1/*.jsonl")} == MODELS.keys() - {"button"}
     assert {path.stem for path in WIRE.glob("1.2/*.jsonl")} == MODELS.keys()
+    assert {path.stem for path in WIRE.glob("1.3/*.jsonl")} == MODELS.keys()
+    assert '"revocations":{"number":1' in (WIRE / "1.3/state.jsonl").read_text()
 
 
 @pytest.mark.parametrize(("name", "line"), RECORDED)

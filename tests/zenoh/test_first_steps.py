@@ -18,18 +18,10 @@ from tests.support.command import run_here
 from tests.support.console_process import LINK
 from tests.support.gateway_process import COMMAND, READY, free_port
 from tests.support.heard import frames
+from tests.support.pages import SCP, SSH, programs
 
 REPOSITORY = Path(__file__).parents[2]
 INSTALLER = REPOSITORY / "deploy" / "install.sh"
-
-SSH = """#!/bin/sh
-cd "$ROBOT" && shift && exec sh -c "$*"
-"""
-SCP = """#!/bin/sh
-for last; do :; done
-for file; do [ "$file" = "$last" ] || cp "$file" "$ROBOT/${last#*:}" || exit; done
-"""
-"""An ssh and an scp whose robot is a folder."""
 
 
 def script(path: Path, text: str) -> None:
@@ -37,18 +29,22 @@ def script(path: Path, text: str) -> None:
     path.chmod(0o755)
 
 
-def test_the_copy_lines_of_certs_init_bring_what_the_installer_asks_for(tmp_path: Path) -> None:
-    robot, bin_folder = tmp_path / "robot", tmp_path / "bin"
+@pytest.mark.parametrize(("host", "name"), [("robot.local", "gateway"), ("robot-1", "robot-1")])
+def test_the_copy_lines_of_certs_bring_what_the_installer_asks_for(tmp_path: Path, host: str, name: str) -> None:
+    """Those of `certs init` for a single robot, those of `certs robot` for one of a fleet."""
+    robot, folder = tmp_path / host, str(tmp_path / "certs")
     robot.mkdir()
-    bin_folder.mkdir()
-    script(bin_folder / "ssh", SSH)
-    script(bin_folder / "scp", SCP)
-    made = run_here("certs", "init", "--dir", str(tmp_path / "certs"), "--host", "robot.local").stdout
+    bin_folder = programs(tmp_path / "bin", ssh=SSH, scp=SCP)
+    made = run_here("certs", "init", "--dir", folder, "--host", "robot.local").stdout
+    if name != "gateway":
+        made = run_here("certs", "robot", name, "--dir", folder).stdout
     lines = [line for line in made.splitlines() if line.startswith("  ")]
-    environment = {**os.environ, "PATH": f"{bin_folder}:{os.environ['PATH']}", "ROBOT": str(robot)}
+    environment = {**os.environ, "PATH": f"{bin_folder}:{os.environ['PATH']}", "HOSTS": str(tmp_path)}
     subprocess.run(["sh", "-e", "-c", "\n".join(lines)], env=environment, check=True)
     wanted = next(line for line in INSTALLER.read_text().splitlines() if line.startswith("CERTIFICATES="))
-    assert {path.name for path in (robot / "robot-certs").iterdir()} == set(wanted.split('"')[1].split())
+    assert {path.name for path in (robot / "robot-certs").iterdir()} == set(
+        wanted.split('"')[1].replace("gateway", name).split()
+    )
     assert (robot / "robot-certs").stat().st_mode & 0o777 == 0o700
 
 

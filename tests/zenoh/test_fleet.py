@@ -5,6 +5,7 @@ Nothing is proved by waiting for nothing: what must not arrive is followed, on t
 
 import json
 import os
+import shutil
 import statistics
 import sys
 import threading
@@ -19,6 +20,7 @@ import pytest
 import zenoh
 
 from gateway import certs
+from gateway.certs import pool
 from gateway.client import Client, leg_payload
 from gateway.people.client.requests import Identity
 from gateway.zenoh_config import load_config
@@ -48,7 +50,9 @@ class Fleet:
         certs.folder.init(self.folder, [HOST], port=self.port)
         certs.folder.add_robots(self.folder, ROBOTS)
         for name, role, robot in PEOPLE:
-            certs.folder.issue(self.folder, name, role, robot=robot)
+            certs.folder.issue(self.folder, name, role, robots=[robot])
+        certs.folder.issue(self.folder, "carl", "operator", robots=["robot-1", "robot-3"])
+        certs.folder.issue(self.folder, "alma", "operator", robots=[pool.ALL])
         certs.folder.issue(self.folder, "olga", "operator")  # as for a single robot: the router has no rule for her
         self._end = ExitStack()
         self._router = self._end.enter_context(ExitStack())
@@ -78,7 +82,11 @@ class Fleet:
             "telemetry": {"frames": True},
         }
         config = write_settings(folder / f"{robot}.toml", settings)
-        child = Child([*COMMAND, "run", "--sim", "--config", str(config)], os.environ)
+        state = folder / f"{robot}-state"
+        state.mkdir()
+        child = Child(
+            [*COMMAND, "run", "--sim", "--config", str(config)], {**os.environ, "STATE_DIRECTORY": str(state)}
+        )
         self._end.callback(child.close)
         return child
 
@@ -154,7 +162,7 @@ def test_an_operator_commands_the_own_robot_and_sees_it(anna: Client, bert: Clie
 OTHERS = ["robot-2", "robot-$*", "*", "**"]
 
 
-@pytest.mark.parametrize("who", ["anna", "robot-1", "otto", "olga"])
+@pytest.mark.parametrize("who", ["anna", "robot-1", "otto", "olga", "carl.robot-3"])
 def test_nobody_commands_or_sees_the_robot_of_another(fleet: Fleet, anna: Client, bert: Client, who: str) -> None:
     before = bert.state()
     seen: list[str] = []
@@ -179,7 +187,8 @@ def test_nobody_commands_or_sees_the_robot_of_another(fleet: Fleet, anna: Client
         # The robot's state goes by meanwhile, to the one who may see it.
         states(bert).wait(lambda _: True, count=3)
         untouched(bert, before)
-    assert not [key for key in seen if not key.startswith("robot-1/")]
+    own = ("robot-1/", "robot-3/") if who.startswith("carl") else "robot-1/"
+    assert not [key for key in seen if not key.startswith(own)]
     assert anna.state().mode is Mode.IDLE
 
 
@@ -213,6 +222,19 @@ def test_each_robot_has_its_own_driver_through_the_router(anna: Client, bert: Cl
         assert anna.stop().accepted
 
 
+@pytest.mark.parametrize(
+    ("name", "robots"), [("carl", ["robot-1", "robot-3"]), ("alma", ["robot-1", "robot-2", "robot-3"])]
+)
+def test_one_certificate_drives_several_robots(fleet: Fleet, name: str, robots: list[str]) -> None:
+    with ExitStack() as end:
+        clients = [end.enter_context(fleet.present(f"{name}.{robot}")) for robot in robots]
+        for client in clients:
+            lease = end.enter_context(client.lease())
+            assert (lease.holder, lease.verified) == (name, True)
+            assert client.start_leg(3, 90, 45, 120).accepted
+            assert client.stop().accepted
+
+
 @pytest.mark.parametrize("do", ["acquire", "ask", "take"])
 def test_a_certificate_for_one_robot_drives_no_other(fleet: Fleet, anna: Client, bert: Client, do: str) -> None:
     key = f"robot-2/{keys.LEASE}"
@@ -226,6 +248,68 @@ def test_a_certificate_for_one_robot_drives_no_other(fleet: Fleet, anna: Client,
         assert (answer.accepted, answer.reason) == (False, Reason.LEASE_DENIED), answer
         assert bert.state().lease.holder == "bert"
     assert anna.state().lease.holder is None
+
+
+@pytest.fixture(name="copy")
+def copied_folder(fleet: Fleet, tmp_path: Path) -> Path:
+    """A folder of the same CA: other tests find all their people."""
+    return Path(shutil.copytree(fleet.folder, tmp_path / "copy"))
+
+
+def revoke(folder: Path, *arguments: str) -> tuple[int, list[str], str]:
+    """Exit code, the lines of robots, and remarks."""
+    ended = run_here("certs", "revoke", *arguments, "--dir", str(folder))
+    return ended.returncode, [line for line in ended.stdout.splitlines() if line.startswith("robot-")], ended.stderr
+
+
+def test_whoever_leaves_is_shut_out_at_all_robots_and_one_that_is_away_is_named(
+    fleet: Fleet, copy: Path, tmp_path: Path
+) -> None:
+    certs.folder.issue(copy, "lena", "operator", robots=[pool.ALL])
+    certificate, key_file = (Path(shutil.copy(copy / f"lena.{kind}", tmp_path)) for kind in ("pem", "key"))
+    stolen = Identity(certificate, key_file)
+    certs.folder.add_robots(copy, ["robot-away"])
+    code, robots, remarks = revoke(copy, "lena")
+    newest = certs.folder.revoked(copy)
+    assert newest is not None
+    number = newest.number
+    assert robots == [f"{robot}: list {number} is in force (brought as alma)." for robot in ROBOTS], remarks
+    assert code == 1, "one has not confirmed it"
+    assert "\nNot confirmed by robot-away. " in remarks
+    rows = [line.split("\t") for line in run_here("certs", "list", "--dir", str(copy)).stdout.splitlines()]
+    confirmed = {row[0]: row[-1] for row in rows if row[1].startswith("robot.")}
+    assert confirmed == {**dict.fromkeys(ROBOTS, str(number)), "robot-away": f"not {number}"}
+    for robot in ROBOTS:
+        with fleet.present(f"alma.{robot}") as client, zenoh.open(fleet.raw(f"alma.{robot}")) as session:
+            in_force = client.state().revocations
+            assert in_force is not None
+            assert in_force.number == number
+            key = f"{robot}/{keys.LEASE}"
+            nonce = asked(session, key, {"do": "challenge"}).nonce or ""
+            proof = stolen.prove("take", "lena", nonce)
+            answer = asked(session, key, {"do": "take", "source": "lena", "proof": proof})
+            assert "proof.certificate is revoked" in str(answer.detail)
+
+
+def test_robots_with_lists_of_two_copies_of_the_folder_all_get_one_with_both(copy: Path, tmp_path: Path) -> None:
+    """Also the first one, which had confirmed the list before by then."""
+    theirs = Path(shutil.copytree(copy, tmp_path / "theirs"))
+    assert revoke(theirs, "operator-40.robot-2", "--to", "robot-2")[0] == 0
+    code, robots, remarks = revoke(copy, "operator-41.robot-1")
+    newest = certs.folder.revoked(copy)
+    assert newest is not None
+    assert {"operator-40.robot-2", "operator-41.robot-1"} <= newest.common_names
+    assert (code, len(robots)) == (0, 4), remarks
+    assert f"robot-2 had list {newest.number - 1}; list {newest.number} has both." in remarks
+    assert robots[-1].startswith(f"robot-1: list {newest.number} ")
+    assert certs.confirmed.numbers(copy) == dict.fromkeys(ROBOTS, newest.number)
+
+
+def test_in_a_fleet_a_list_goes_to_robots_and_not_to_hosts(copy: Path) -> None:
+    before = contents(copy)
+    assert revoke(copy, "anna", "--to", HOST)[0] == 2
+    assert revoke(copy, "anna", "--zenoh-config", str(copy / "bert.json5"))[0] == 2
+    assert contents(copy) == before
 
 
 def test_people_who_ask_and_do_not_read_hold_no_other_robots_stop_up(fleet: Fleet, bert: Client) -> None:
@@ -288,7 +372,7 @@ def test_robots_and_people_come_back_after_the_router(fleet: Fleet, anna: Client
 
 
 def test_a_robot_that_is_not_there_has_no_people(fleet: Fleet) -> None:
-    said = fault(lambda: certs.folder.issue(fleet.folder, "nina", "operator", robot="robot-9"))
+    said = fault(lambda: certs.folder.issue(fleet.folder, "nina", "operator", robots=["robot-9"]))
     assert said.endswith("has no robot 'robot-9': add it with `hexapod-gateway certs robot robot-9`")
 
 

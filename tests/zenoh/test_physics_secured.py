@@ -91,7 +91,7 @@ def test_behind_a_router_and_a_namespace(tmp_path: Path) -> None:
     folder, port = tmp_path / "D", free_port()
     certs.folder.init(folder, [HOST], port=port)
     certs.folder.add_robots(folder, ["robot-1"])
-    certs.folder.issue(folder, "anna", "operator", robot="robot-1")
+    certs.folder.issue(folder, "anna", "operator", robots=["robot-1"])
     settings = {"zenoh": {"listen": [], "config": str(folder / "robot-1.json5")}}
     config = write_settings(tmp_path / "gateway.toml", settings)
     with ExitStack() as end:

@@ -16,6 +16,7 @@ from schemas import keys
 from schemas.telemetry import Event, Kind
 from tests.support.command import run_here
 from tests.support.gateway_process import Gateway
+from tests.support.pages import blocks
 
 ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text()
@@ -23,7 +24,7 @@ TROUBLES = (ROOT / "docs" / "troubles.md").read_text()
 
 
 def test_the_first_payload_and_the_python_example_work(tmp_path: Path) -> None:
-    (code,) = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
+    (code,) = blocks(README, "python")
     (payload,) = re.findall(r"^\| `hexapod/leg/[^`]+` \| in \| `([^`]+)` \|", README, re.MULTILINE)
     with Gateway(tmp_path, {"watchdog": {"timeout_ms": 2000}}) as gateway:  # this machine may be busy
         with gateway.client() as client:
@@ -42,7 +43,7 @@ def test_the_first_payload_and_the_python_example_work(tmp_path: Path) -> None:
 
 
 def test_the_walk_walks(tmp_path: Path) -> None:
-    (code,) = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "walking.md").read_text(), re.DOTALL)
+    (code,) = blocks((ROOT / "docs" / "walking.md").read_text(), "python")
     with Gateway(tmp_path, {"watchdog": {"timeout_ms": 10_000}, "lease": {"ttl_ms": 10_000}}) as gateway:
         code = code.replace("tcp/127.0.0.1:7447", gateway.endpoint).replace("range(150)", "range(50)")
         end = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=90)

@@ -8,6 +8,7 @@ import typer
 
 from gateway import certs
 from gateway.certs import expiry, pool
+from gateway.errors import ConfigError
 from gateway.people.terminal import this_command
 
 WIDE = 100
@@ -94,12 +95,16 @@ def init(
         f"{this_command()} certs robot NAME --dir {directory}"
     )
     typer.echo(f"If {host[0]} is the robot: its files, and how they get into its service:")
-    typer.echo(f"  ssh {host[0]} mkdir -p -m 700 robot-certs")
-    typer.echo(f"  scp {files} {host[0]}:robot-certs/")
-    typer.echo("and on the robot, in the repository's folder: sudo deploy/install.sh --certs ~/robot-certs")
+    _echo_installation(host[0], files)
     typer.echo(
         f"Next, for each laptop: {this_command()} certs issue NAME --role operator --dir {directory} --bundle NAME.zip"
     )
+
+
+def _echo_installation(host: str, files: str) -> None:
+    typer.echo(f"  ssh {host} mkdir -p -m 700 robot-certs")
+    typer.echo(f"  scp {files} {host}:robot-certs/")
+    typer.echo("and on the robot, in the repository's folder: sudo deploy/install.sh --certs ~/robot-certs")
 
 
 @app.command(
@@ -120,12 +125,16 @@ def issue(
     ],
     directory: Directory,
     robot: Annotated[
-        str,
+        list[str] | None,
         typer.Option(
             metavar="ROBOT",
-            help="In a fleet: the one robot that it is for, as `certs robot` named it. Example: --robot robot-7",
+            help="In a fleet: the robot that it is for, as `certs robot` named it; repeat it for each. "
+            "Example: --robot robot-7",
         ),
-    ] = "",
+    ] = None,
+    all_robots: Annotated[
+        bool, typer.Option("--all-robots", help="In a fleet: for all robots, also for those that are added later.")
+    ] = False,
     bundle: Bundle = None,
     days: Days = certs.LEAF_DAYS,
     absolute: Annotated[
@@ -140,12 +149,17 @@ def issue(
 
     Lost: `certs revoke NAME`. Each laptop takes a common name of the pool that the robot's rules list, for good.
     """
-    certs.folder.issue(directory, name, role, robot=robot, bundle=bundle, days=days, absolute=absolute)
+    if all_robots and robot:
+        raise ConfigError("give --robot or --all-robots, not both")
+    robots = (pool.ALL,) if all_robots else tuple(robot or ())
+    paths = certs.folder.issue(directory, name, role, robots=robots, bundle=bundle, days=days, absolute=absolute)
     made = certs.folder.describe(directory / f"{name}.pem")
-    typer.echo(
-        f"Made {name}, {role}{f' of {robot}' if robot else ''} ({made.common_name}), in {directory}: {name}.json5 "
-        f"{name}.pem {name}.key"
-    )
+    whose = " of all robots" if all_robots else f" of {', '.join(robots)}" if robots else ""
+    router = directory / certs.folder.ROUTER_FILE
+    files = [path.name for path in paths if path not in (bundle, router)]
+    typer.echo(f"Made {name}, {role}{whose} ({made.common_name}), in {directory}: {' '.join(files)}")
+    if router in paths:
+        typer.echo(f"The router has to know: copy {router} to it, and restart it.")
     if pool.holder(made.common_name).number is None:
         typer.echo(
             f"All of {role} share this common name, so it cannot be revoked alone: {this_command()} certs pool --dir "
@@ -155,7 +169,8 @@ def issue(
         typer.echo(
             f"All that the laptop needs is in {bundle}, its key included: hand it over in private, then delete it."
         )
-    typer.echo(f"Try it: {this_command()} watch --zenoh-config {directory / name}.json5")
+    config = next(path for path in paths if path.suffix == ".json5")
+    typer.echo(f"Try it: {this_command()} watch --zenoh-config {config}")
 
 
 @app.command(epilog="Example: hexapod-gateway certs robot robot-1 robot-2 --dir ~/fleet")
@@ -172,15 +187,20 @@ def robot(
     days: Days = certs.LEAF_DAYS,
 ) -> None:
     """Add robots to a fleet behind one Zenoh router, whose hosts `certs init` was given. Rewrites router.json5."""
-    certs.folder.add_robots(directory, names or (), days=days)
+    paths = certs.folder.add_robots(directory, names or (), days=days)
     if not names:
         typer.echo(f"Made {directory}/router.json5 anew. Copy it to the router, and restart that.")
         return
     first = names[0]
     typer.echo(f"Made {', '.join(names)} in {directory}, and router.json5 for all robots there.")
     typer.echo("Copy to the router, and restart it: router.json5 gateway.pem gateway.key ca.pem")
-    typer.echo(f"Copy to each robot, as to {first}: {first}.json5 {first}.pem {first}.key ca.pem. In its gateway.toml:")
-    typer.echo(f'  [zenoh]\n  listen = []\n  config = "/etc/hexapod-gateway/zenoh/{first}.json5"')
+    files = [f"{first}.json5", f"{first}.pem", f"{first}.key", "ca.pem"]
+    files += [certs.revocation.FILE_NAME] * (directory / certs.revocation.FILE_NAME).exists()
+    typer.echo(f"For each robot, as for {first}: its files, and how they get into its service:")
+    _echo_installation(first, " ".join(str(directory / file) for file in files))
+    peoples = [path.name for path in paths if path.stem.count(".")]
+    if peoples:
+        typer.echo(f"Copy to the people who have a certificate for all robots: {' '.join(peoples)}")
     typer.echo(f"For its people: {this_command()} certs issue NAME --role operator --robot {first} --dir {directory}")
 
 
@@ -247,16 +267,19 @@ def show(directory: Directory) -> None:
     """List all certificates: name, role, expiry, days left, serial number, common name, and how it stands with each.
 
     `good`, `older CA` (move it: certs reissue), `replaced` (still good: revoke it by its common name once it is not in
-    use any more), `revoked`, `expired`. Tab-separated if not on a terminal.
+    use any more), `revoked`, `expired`. LIST: the list of revoked certificates that a robot has confirmed (`2, not 3`).
+    Tab-separated if not on a terminal.
     """
     from rich.console import Console
     from rich.table import Table
 
     now = dt.datetime.now(dt.UTC)
-    head = ("NAME", "ROLE", "EXPIRES", "DAYS LEFT", "SERIAL", "COMMON NAME", "STATE")
+    lists = certs.confirmed.shown(directory)
+    head = ("NAME", "ROLE", "EXPIRES", "DAYS LEFT", "SERIAL", "COMMON NAME", "STATE", *["LIST"] * bool(lists))
     found = [(each, each.days_left(now), state) for each, state in certs.moving.states(directory, now)]
     rows = [
         (each.name, each.role, f"{each.not_after:%Y-%m-%d}", str(left), each.serial, each.common_name, state)
+        + ((lists.get(each.path.stem, ""),) if lists else ())
         for each, left, state in found
     ]
     console = Console()
@@ -282,23 +305,23 @@ def _where(name: str) -> str:
     return "the robot, and restart the service" if name == "gateway" else f"{name}'s machine"
 
 
-@app.command(epilog="Example: hexapod-gateway certs revoke alice --dir ~/hexapod-certs --to robot.local")
+@app.command(epilog="Example: hexapod-gateway certs revoke alice --dir ~/hexapod-certs")
 def revoke(
     directory: Directory,
     name: Annotated[
         str | None,
         typer.Argument(
             metavar="[NAME]",
-            help="The laptop, and all certificates it ever had; or one common name, such as operator-07. Without it, "
-            "the list as it is goes to --to",
+            help="The person or laptop, with all certificates it ever had; or one common name, such as operator-07. "
+            "Without it, the list as it is goes to the robots",
         ),
     ] = None,
     to: Annotated[
         list[str] | None,
         typer.Option(
-            metavar="HOST",
-            help="Bring the list to this robot now, over an operator's connection; repeat it for each robot. "
-            "Example: --to robot.local, or an endpoint: --to tls/192.0.2.7:7447",
+            metavar="ROBOT",
+            help="Only to this robot; repeat it for each. In a fleet its name, else a host or an endpoint. "
+            "Example: --to robot-3, or --to tls/192.0.2.7:7447",
         ),
     ] = None,
     zenoh_config: Annotated[
@@ -306,7 +329,7 @@ def revoke(
         typer.Option(
             "--zenoh-config",
             metavar="PATH",
-            help="Whose connection it is. Default: that of an operator in the folder who is not shut out.",
+            help="Whose connection it is. Default: for each robot, an operator's in the folder who is not shut out.",
         ),
     ] = None,
     others_too: OthersToo = False,
@@ -317,11 +340,12 @@ def revoke(
     within three seconds, and from then on the laptop gets nothing: Zenoh drops what it sends, its proofs for the lease
     are rejected. Nobody else has to do anything. To undo it, `certs issue` the name anew.
 
-    A robot that is off gets it later: `certs revoke --to robot.local`, or the file: `sudo hexapod-gateway revoke FILE`
-    there.
+    The list goes to all robots that the folder knows, one after the other, over an operator's connection. A robot that
+    is off gets it later: `certs revoke` without a name, or the file: `sudo hexapod-gateway revoke FILE` there.
+    `certs list` names the list that each robot has confirmed.
 
-    Exit codes: 0 done, 1 a robot rejects the list, 2 an argument or the folder is wrong, 4 a robot does not answer; the
-    list is signed then, and can be brought later.
+    Exit codes: 0 all have confirmed it, 1 one has not (the list is signed, and can be brought later), 2 an argument or
+    the folder is wrong.
     """
     from gateway.people.tools import revoking
 

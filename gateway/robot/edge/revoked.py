@@ -40,6 +40,9 @@ class Kept(NamedTuple):
     cas: "tuple[x509.Certificate, ...]"
     path: Path
     known: "RevocationList | None"
+    """The list in force."""
+    stale: int | None = None
+    """Number of the list in its place (0: none is there), where this robot has seen a newer one, which is in force."""
 
     @property
     def first_number(self) -> int | None:
@@ -63,7 +66,10 @@ def kept(config: zenoh.Config, settings: ZenohSettings, *, started_by_systemd: b
         state = SERVICE_STATE
     folders = [beside] if state is None else [state, beside]
     lists = [each for folder in folders if (each := _read(folder / certs.revocation.FILE_NAME, cas)) is not None]
-    return Kept(cas, folders[0] / certs.revocation.FILE_NAME, max(lists, key=lambda each: each.number, default=None))
+    found = max(lists, key=lambda each: each.number, default=None)
+    number = 0 if found is None else found.number
+    seen = _seen(folders[0], number, cas)
+    return Kept(cas, folders[0] / certs.revocation.FILE_NAME, seen or found, None if seen is None else number)
 
 
 def leave_out(config: zenoh.Config, known: "RevocationList | None") -> None:
@@ -81,12 +87,33 @@ def leave_out(config: zenoh.Config, known: "RevocationList | None") -> None:
 def keep(path: Path, found: "RevocationList") -> None:
     """Write the list: it is on the disk when this returns, or the one before is. Raises ConfigError.
 
-    Written by root, it belongs to the folder's owner, which is the service.
+    It is written under its number, too. An older backup that is unpacked over this folder has no such file, so the
+    robot still knows the newest list that it has seen. Written by root, it belongs to the folder's owner, which is the
+    service.
     """
+    numbered = path.with_name(f"{path.stem}-{found.number}{path.suffix}")
     try:
-        durable.write_with_mode(path, found.pem, 0o644, prepare=partial(durable.like_the_folder, path))
+        for each in (numbered, path):
+            if not each.exists() or each.read_bytes() != found.pem:
+                durable.write_with_mode(each, found.pem, 0o644, prepare=partial(durable.like_the_folder, each))
+        for number, each in _numbered(path.parent).items():
+            if number < found.number:
+                each.unlink(missing_ok=True)
     except OSError as error:
         raise ConfigError(f"{path}: cannot be written ({error.strerror}); the list before stays in force") from error
+
+
+def _seen(folder: Path, above: int, cas: "Sequence[x509.Certificate]") -> "RevocationList | None":
+    """The newest list that this robot has kept under a number above this one."""
+    newer = sorted(((number, path) for number, path in _numbered(folder).items() if number > above), reverse=True)
+    lists = (_read(path, cas) for _, path in newer)
+    return next((each for each in lists if each is not None and each.number > above), None)
+
+
+def _numbered(folder: Path) -> dict[int, Path]:
+    name = Path(certs.revocation.FILE_NAME)
+    paths = {path.stem.removeprefix(f"{name.stem}-"): path for path in folder.glob(f"{name.stem}-*{name.suffix}")}
+    return {int(number): path for number, path in paths.items() if number.isdecimal()}
 
 
 def _read(path: Path, cas: "Sequence[x509.Certificate]") -> "RevocationList | None":

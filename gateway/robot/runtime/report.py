@@ -24,6 +24,7 @@ from schemas.telemetry import (
     LegReport,
     LimitsReport,
     LoopLag,
+    RevocationsReport,
     ServoLimitsReport,
     ServoReport,
     SpiReport,
@@ -71,6 +72,8 @@ class StateReports:
         self._limits = limits_of(settings)  # made once: no report has to wait for it
         self.certificate: CertificateReport | None = None
         """Of those in use, the first that expires."""
+        self.revocations: RevocationsReport | None = None
+        """The list in force."""
 
     def state(
         self,
@@ -128,6 +131,7 @@ class StateReports:
             ),
             telemetry=TelemetryReport(frames=settings.telemetry.frames),
             certificate=self.certificate,
+            revocations=self.revocations,
             limits=self._limits,
         )
 

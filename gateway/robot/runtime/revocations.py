@@ -1,6 +1,7 @@
 """The list of who is shut out: kept, and then put in force by a service that starts anew, legs stopped first."""
 
 import asyncio
+import logging
 from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
@@ -14,15 +15,18 @@ from gateway.robot.core.message import Reply
 from gateway.robot.edge import revoked
 from gateway.robot.edge.receiver import Deal
 from gateway.robot.edge.revoked import Kept
+from gateway.robot.host.directories import state_directory
 from gateway.robot.host.worker import DiskWriter
 from gateway.robot.runtime.conductor import Conductor
 from gateway.robot.runtime.request_answers import PAUSE_S, RequestAnswers
 from schemas import keys
 from schemas.revocation import MAX_REVOCATION_BYTES, RevocationAck, RevocationRequest
-from schemas.telemetry import Kind, Reason
+from schemas.telemetry import Kind, Reason, RevocationsReport
 
 if TYPE_CHECKING:
     from gateway.certs.revocation import RevocationList
+
+logger = logging.getLogger(__name__)
 
 
 class Revocations(RequestAnswers):
@@ -51,6 +55,25 @@ class Revocations(RequestAnswers):
         self._disk = DiskWriter("keep list", loop, conductor.owner)
         self._keeps = False
         """A list is being written; the service starts anew once it is."""
+        known = None if kept is None else kept.known
+        if known is not None:
+            conductor.reports.revocations = RevocationsReport(number=known.number, date=known.date)
+
+    def announce_start(self) -> None:
+        """Have the robot remember the list in force, and publish where an older one lies in its place."""
+        kept = self._kept
+        if kept is None or kept.known is None:
+            return
+        if kept.stale is not None:
+            found = f"list {kept.stale}" if kept.stale else "no list"
+            detail = f"{found} was in the place of list {kept.known.number}, which this robot has seen"
+            self._conductor.announce(Kind.REVOKED, f"{detail} and keeps to: was a backup restored?", self.key)
+        if state_directory() is not None:
+            self._disk.write(partial(revoked.keep, kept.path, kept.known), self._remembered)
+
+    def _remembered(self, fault: str | None) -> None:
+        if fault is not None:
+            logger.warning("an older backup could bring an older list: %s", fault)
 
     def read(self, payload: bytes, _now_ns: int, reply: Reply, source: str | None = None, /) -> Deal:
         try:

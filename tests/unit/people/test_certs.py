@@ -134,7 +134,7 @@ def test_a_bundle_holds_what_the_laptop_needs_and_nothing_more(folder: Path, tmp
     [("operator", ["watch", "walk", "estop"]), ("observer", ["watch"]), ("button", ["watch", "button", "estop"])],
 )
 def test_a_bundles_readme_suggests_what_its_role_may(role: str, commands: list[str]) -> None:
-    readme = laptop_readme("alice", role, HOSTS, "2028").decode()
+    readme = laptop_readme("alice", role, HOSTS, "2028", ["alice.json5"]).decode()
     assert re.findall(r"hexapod-gateway (\w+) --zenoh-config path/to/alice.json5\n", readme) == commands
 
 

@@ -257,6 +257,40 @@ def test_a_list_that_cannot_be_read_lets_nobody_in_and_one_of_another_ca_concern
     assert kept.known is None
 
 
+def test_an_older_list_that_a_backup_brings_takes_no_effect_and_is_put_right(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also where the newest one is gone, or one of another CA lies in its place."""
+    state, config = tmp_path / "state", load_config(folder / "gateway.json5")
+    state.mkdir()
+    monkeypatch.setenv("STATE_DIRECTORY", str(state))
+    revoked.keep(state / "revoked.crl", list_of(folder, 3, "operator-00"))
+    backup = contents(state)
+    newest = list_of(folder, 11, "operator-00", "operator-01")
+    revoked.keep(state / "revoked.crl", newest)
+    for stale, brought in (
+        (3, backup),
+        (0, {"revoked.crl": revocation.sign(authority.make_ca(NOW), 20, [], NOW).pem}),
+        (0, {}),
+    ):
+        (state / "revoked.crl").unlink()
+        for name, data in brought.items():
+            (state / name).write_bytes(data)
+        kept = revoked.kept(config, robot(folder))
+        assert kept is not None
+        assert (kept.known, kept.stale) == (newest, stale)
+        revoked.keep(kept.path, newest)
+        assert contents(state) == {"revoked.crl": newest.pem, "revoked-11.crl": newest.pem}
+        right = revoked.kept(config, robot(folder))
+        assert right is not None
+        assert (right.known, right.stale) == (newest, None)
+    (state / "revoked-11.crl").write_bytes(b"")
+    kept = revoked.kept(config, robot(folder))
+    assert kept is not None, "what is remembered matters only where it is newer"
+    (state / "revoked.crl").unlink()
+    assert "revoked-11.crl" in fault(lambda: revoked.kept(config, robot(folder)))
+
+
 def test_a_disk_that_is_full_leaves_the_list_before(folder: Path, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="the list before stays in force"):
         revoked.keep(tmp_path / "nowhere" / "revoked.crl", list_of(folder, 3))
@@ -316,8 +350,8 @@ def test_a_fleet_moves_with_its_router(tmp_path: Path) -> None:
     directory = tmp_path / "fleet"
     certs.folder.init(directory, ["router.local"], size=3, now=NOW)
     certs.folder.add_robots(directory, ["robot-1", "robot-2"], now=NOW)
-    certs.folder.issue(directory, "anna", "operator", robot="robot-1", now=NOW)
-    certs.folder.issue(directory, "bert", "operator", robot="robot-2", now=NOW)
+    certs.folder.issue(directory, "anna", "operator", robots=["robot-1"], now=NOW)
+    certs.folder.issue(directory, "bert", "operator", robots=["robot-2"], now=NOW)
     assert common_name(directory, "anna") == "operator-00.robot-1"
     assert common_name(directory, "bert") == "operator-00.robot-2"
 
@@ -325,12 +359,13 @@ def test_a_fleet_moves_with_its_router(tmp_path: Path) -> None:
         subjects = get(zenoh.Config.from_file(str(directory / "router.json5")), "access_control/subjects")
         return {each["id"]: each["cert_common_names"] for each in subjects}
 
-    assert listed()["operator.robot-1"] == ["operator.robot-1", *(f"operator-0{each}.robot-1" for each in range(3))]
+    pool_of_one = ["operator.robot-1", *(f"operator-0{each}.robot-1" for each in range(3))]
+    assert [name for name in listed()["operator.robot-1"] if not name.endswith(pool.ALL)] == pool_of_one
     certs.moving.revoke(directory, "anna", now=NOW)
     assert "operator-00.robot-1" not in listed()["operator.robot-1"]
     assert "operator-00.robot-2" in listed()["operator.robot-2"]
     certs.moving.set_pool(directory, 5)
-    assert len(listed()["observer.robot-2"]) == 6
+    assert len(listed()["observer.robot-2"]) == 2 * 6, "and those for all robots"
 
 
 # ---- another CA

@@ -13,6 +13,7 @@ from gateway.robot.edge import revoked
 from gateway.robot.edge.revoked import OlderCa
 from gateway.robot.settings import ZenohSettings
 from gateway.zenoh_config import load_config
+from schemas.telemetry import RevocationsReport
 from tests.support.certs_folder import NOW, make_folder
 from tests.unit.people.test_certs_revoked import TODAY
 
@@ -80,3 +81,39 @@ def test_with_one_ca_nobody_is_counted(folder: Path, tmp_path: Path, monkeypatch
     OlderCa(revoked.kept(load_config(folder / "gateway.json5"), settings), counted.append).note({"operator-00"})
     assert counted == []
     assert robot(folder) == []
+
+
+def shut_out(directory: Path) -> list[Result]:
+    file = directory / "gateway.json5"
+    return list(holders.shut_out_at_the_robot(load_config(file), ZenohSettings(config=str(file))))
+
+
+def test_the_list_in_force_is_named_with_its_number_and_date_and_that_there_is_none(folder: Path) -> None:
+    certs.folder.issue(folder, "anna", "operator", now=NOW)
+    (none,) = shut_out(folder)
+    assert (none.verdict, none.sentence.partition(":")[0]) == (Verdict.OK, "there is no list")
+    first = certs.moving.revoke(folder, "anna", now=NOW)
+    revoked.keep(folder / "revoked.crl", certs.moving.revoke(folder, "operator-40", now=NOW))
+    (two,) = shut_out(folder)
+    assert (two.verdict, two.sentence) == (Verdict.OK, f"list 2 of {NOW:%Y-%m-%d} shuts out 2")
+    (folder / "revoked.crl").write_bytes(first.pem)
+    (restored,) = shut_out(folder)
+    assert restored.verdict is Verdict.WARNING
+    assert "shuts out 2, but list 1 lies in its place" in restored.sentence
+    (folder / "revoked.crl").write_bytes(first.pem[:-40])
+    (damaged,) = shut_out(folder)
+    assert damaged.verdict is Verdict.FAILURE
+
+
+@pytest.mark.parametrize(("number", "verdict"), [(None, Verdict.WARNING), (1, Verdict.WARNING), (2, Verdict.OK)])
+def test_a_laptop_beside_the_ca_sees_that_the_robot_has_an_older_list(
+    folder: Path, number: int | None, verdict: Verdict
+) -> None:
+    identity = Identity(folder / "anna.pem", ca=folder / "ca.pem")
+    certs.moving.revoke(folder, "operator-40", now=NOW)
+    certs.moving.revoke(folder, "operator-41", now=NOW)
+    report = None if number is None else RevocationsReport(number=number, date=NOW)
+    (found,) = holders.shut_out_from_the_laptop(report, identity)
+    assert found.verdict is verdict
+    assert ("names no list" if number is None else f"list {number} of") in found.sentence
+    assert ("certs revoke --dir" in found.fix) is (verdict is Verdict.WARNING)

@@ -1,5 +1,6 @@
-"""Whether each laptop has a common name of its own, and is of the newest CA: at the robot, and on the laptop itself."""
+"""Who may come, and who is shut out: at the robot, and on the laptop itself."""
 
+import datetime as dt
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
@@ -11,11 +12,15 @@ from gateway.certs import pool
 from gateway.errors import ConfigError
 from gateway.people.client.requests import Identity
 from gateway.people.terminal import this_command
-from gateway.people.tools.check.result import Result, ok, warning
+from gateway.people.tools.check.result import Result, failure, ok, warning
 from gateway.robot.edge import revoked
+from gateway.robot.settings import ZenohSettings
 from gateway.zenoh_config import get
+from schemas.telemetry import RevocationsReport
 
 _NAME: Final = "laptops"
+_LIST: Final = "revoked"
+_BRING: Final = "where ca.key is: hexapod-gateway certs revoke --dir DIR brings the newest list"
 _CA: Final = "transport/link/tls/root_ca_certificate"
 
 
@@ -54,6 +59,54 @@ def _of_two_cas(config: zenoh.Config) -> Iterator[Result]:
         return
     sentence = f"{len(still)} came with a certificate of the older CA since the service's start: {', '.join(still)}"
     yield warning(_NAME, sentence, "where ca.key is: hexapod-gateway certs reissue NAME (certs list has the names)")
+
+
+def shut_out_at_the_robot(config: zenoh.Config, settings: ZenohSettings) -> Iterator[Result]:
+    """The list in force; nothing where the Zenoh file names no CA."""
+    try:
+        kept = revoked.kept(config, settings, started_by_systemd=False)
+    except ConfigError as error:
+        yield failure(_LIST, str(error), _BRING)
+        return
+    if kept is None:
+        return
+    if kept.known is None:
+        yield ok(_LIST, f"there is no list: nobody is shut out. If somebody was, {_BRING}")
+        return
+    sentence = f"{_of(kept.known.number, kept.known.date)} shuts out {len(kept.known.entries)}"
+    if kept.stale is None:
+        yield ok(_LIST, sentence)
+        return
+    place = f"list {kept.stale} lies" if kept.stale else "no list lies"
+    yield warning(
+        _LIST,
+        f"{sentence}, but {place} in its place ({kept.path}): was a backup restored?",
+        f"start the service, which keeps to the newest that this robot has seen; {_BRING}",
+    )
+
+
+def shut_out_from_the_laptop(there: RevocationsReport | None, identity: Identity) -> Iterator[Result]:
+    """The list in force at the robot, and whether it is older than that in the laptop's own folder."""
+    if identity.ca is None:
+        return
+    said = "the robot names no list of revoked certificates"
+    if there is not None:
+        said = f"the robot goes by {_of(there.number, there.date)}"
+    folder = identity.ca.parent
+    try:
+        own = certs.folder.revoked(folder)
+    except ConfigError as error:
+        yield warning(_LIST, str(error), "restore it from a copy of the folder")
+        return
+    if own is not None and own.number > (0 if there is None else there.number):
+        fix = f"{this_command()} certs revoke --dir {folder}"
+        yield warning(_LIST, f"{said}; {folder} has {_of(own.number, own.date)}", fix)
+    else:
+        yield ok(_LIST, said)
+
+
+def _of(number: int, date: dt.datetime) -> str:
+    return f"list {number} of {date:%Y-%m-%d}"
 
 
 def on_the_laptop(identity: Identity) -> Iterator[Result]:

@@ -52,6 +52,8 @@ def checks(connect: str | None, zenoh_config: Path | None, timeout_s: float) -> 
         yield _result(finding, Verdict.WARNING if observer else Verdict.FAILURE)
     if state is not None and state.certificate is not None:
         yield from _robots_certificate(state.certificate, state.time)
+    if state is not None:
+        yield from holders.shut_out_from_the_laptop(state.revocations, identity)
 
 
 def _robots_certificate(certificate: CertificateReport, now: dt.datetime) -> Iterator[Result]:

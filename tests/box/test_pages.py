@@ -1,0 +1,111 @@
+"""docs/backup.md and docs/security.md to the letter, on an installed robot, which is the machine with the CA, too."""
+
+import subprocess
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import pytest
+
+from tests.box.box import PATH_INSIDE
+from tests.box.installed import NAME
+from tests.box.machine import Machine
+from tests.support.pages import SCP, SSH, SUDO, commands
+
+pytestmark = pytest.mark.systemd
+
+FOLDER = "/root/hexapod-certs"
+OWN = f"/etc/{NAME}/zenoh"
+STATE = f"/var/lib/{NAME}"
+
+
+@dataclass
+class Scene:
+    """A robot with certificates, and people with files of their own."""
+
+    machine: Machine
+
+    def follow(self, lines: Iterable[str]) -> str:
+        """Run these lines in root's home; what they printed. A `check` may find that this machine has no SPI."""
+        said = ""
+        for line in lines:
+            done = self._bash(line)
+            said += done.stdout + done.stderr
+            assert done.returncode == 0 or f"{NAME} check" in line, f"{line}\n{said}"
+        return said
+
+    def _bash(self, line: str) -> subprocess.CompletedProcess[str]:
+        env = {"PATH": f"/root/bin:{PATH_INSIDE}", "HOSTS": "/root/hosts"}
+        return self.machine.box.run("bash", "-c", f"cd && {line}", env=env, check=False, timeout_s=60)
+
+    def take_files_of(self, name: str) -> None:
+        """Onto a laptop of their own."""
+        self.machine.box.run("sh", "-c", f"mkdir /root/{name} && cp {FOLDER}/{name}.* {FOLDER}/ca.pem /root/{name}")
+
+    def may_stop(self, name: str, *wait: str) -> bool:
+        """Whether this laptop may command the robot."""
+        config = ("--zenoh-config", f"/root/{name}/{name}.json5")
+        done = self.machine.box.run(NAME, "send", "leg", "3", "stop", *config, *wait, check=False)
+        return "accepted" in done.stdout
+
+    def lets_in(self, *names: str) -> bool:
+        """Whether bert, who is never shut out, and these may command the robot, and of the others nobody."""
+        present = all(self.may_stop(name, "--timeout", "20") for name in ("bert", *names))
+        return present and not any(self.may_stop(name, "--timeout", "1") for name in {"anna", "lena"} - {*names})
+
+
+@pytest.fixture(name="scene")
+def make_scene(machine: Machine) -> Scene:
+    box = machine.box
+    for name, text in {"ssh": SSH, "scp": SCP, "sudo": SUDO}.items():
+        box.write(f"/root/bin/{name}", text)
+    box.run("sh", "-c", "chmod +x /root/bin/* && mkdir -p /root/hosts/robot.local")
+    box.run("sh", "-c", "echo 127.0.0.1 robot.local >>/etc/hosts")
+    box.run(NAME, "certs", "init", "--dir", FOLDER, "--host", "robot.local")
+    scene = Scene(machine)
+    for name in ("anna", "bert", "lena"):
+        box.run(NAME, "certs", "issue", name, "--role", "operator", "--dir", FOLDER)
+        scene.take_files_of(name)
+    machine.install("--certs", FOLDER)
+    machine.simulate()
+    return scene
+
+
+def test_a_restored_backup_lets_nobody_in_once_the_page_is_followed_to_its_end(scene: Scene) -> None:
+    box = scene.machine.box
+    assert scene.lets_in("anna", "lena")
+    assert "there is no list: nobody is shut out" in box.run(NAME, "check", check=False).stdout
+    (revoke,) = commands("backup.md", "## A laptop is lost, or was stolen")
+    scene.follow([revoke.replace("anna", "lena")])
+    assert scene.lets_in("anna")
+    keep, restore = commands("backup.md", "## What to keep")[:2], commands("backup.md", "**A new card")
+    scene.follow(keep)
+    assert "robot.local: list 2 is in force (brought as bert)." in scene.follow([revoke])
+    assert scene.lets_in()
+
+    *unpacked, delivered = restore
+    assert " list 2 of " in scene.follow(unpacked), "this card remembers the newest list that it has seen"
+    assert scene.lets_in()
+    assert box.read(f"{STATE}/revoked.crl") == box.read(f"{FOLDER}/revoked.crl"), "and put it right"
+
+    box.run("sh", "-c", f"systemctl stop {NAME} && rm -rf {STATE}/* /etc/{NAME}/*")  # a new card
+    assert " list 1 of " in scene.follow(unpacked)
+    assert scene.lets_in("anna"), "what the page warns of"
+    said = scene.follow([delivered])
+    assert "robot.local had list 2, and has list 1 now: was a backup restored?" in said
+    assert "robot.local: list 2 is in force" in said
+    assert scene.lets_in()
+    listed = scene.follow([f"{NAME} certs list --dir {FOLDER}"])
+    assert "\tgateway\tgood\t2\n" in listed
+
+
+def test_another_ca_takes_the_firsts_place(scene: Scene) -> None:
+    lines = commands("security.md", "### Another CA")
+    begun, moved, ended = lines[:3], lines[3], lines[4:]
+    scene.follow(begun)
+    assert scene.lets_in("anna", "lena"), "both are good"
+    for name in ("anna", "bert"):
+        scene.follow([moved.replace("anna", name), f"rm -r {name}"])
+        scene.take_files_of(name)
+    assert "lena still have certificates of the old CA" in scene.follow([f"{ended[0]} || true"])
+    scene.follow([ended[0].replace("drop-ca", "drop-ca --others-too"), *ended[1:]])
+    assert scene.lets_in("anna")
