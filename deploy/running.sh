@@ -5,16 +5,18 @@
 # it has not been restarted since: an installation was ended in between.
 PENDING=/run/$NAME.restart
 
-# Exit codes: 0 no servo runs, 10 one does, 11 the service does not say (it hangs, or has just begun), 12 an older release,
-# which keeps no such file. The service writes the file ten times a second.
+# Exit codes: 0 no servo runs, 10 one does, 11 the service does not say (it hangs, or has just begun), 12 the service's
+# process has no such file mapped: it is of an older release, and a file that is there is another one's. The service writes
+# the file ten times a second.
 RUNS='
 import sys, time
+file, process = sys.argv[1:]
+with open(f"/proc/{process}/maps") as maps:
+    if not any(line.rstrip().endswith(f" {file}") for line in maps):
+        sys.exit(12)
 for _ in range(20):
     try:
-        with open(sys.argv[1]) as file:
-            written_ns, running = map(int, file.read().split())
-    except FileNotFoundError:
-        sys.exit(12)
+        written_ns, running = map(int, open(file).read().split())
     except (OSError, ValueError):
         sys.exit(11)
     if time.monotonic_ns() - written_ns < 1_000_000_000:
@@ -22,10 +24,18 @@ for _ in range(20):
     time.sleep(0.1)
 sys.exit(11)
 '
-# The same, asked of an older release over Zenoh.
+# The same, asked over Zenoh, for an older release. Its own Python runs this, and with the variables of its process: only
+# it knows its settings and where it listens.
 ASK='
-import sys
-from gateway import settings
+import os, sys
+with open(f"/proc/{sys.argv[1]}/environ", "rb") as variables:
+    for each in variables.read().split(b"\0"):
+        if each.startswith(b"HEXAPOD_"):
+            os.environb.__setitem__(*each.split(b"=", 1))
+try:
+    from gateway.robot import settings
+except ImportError:  # a release from before the two wings
+    from gateway import settings
 from gateway.client import Client
 from gateway.errors import GatewayError
 try:
@@ -35,15 +45,19 @@ except GatewayError:
     sys.exit(11)
 '
 
-# Whoever restarts the service of a robot that stands on its legs lets it fall.
+# Whoever restarts the service of a robot that stands on its legs lets it fall. The release that runs is asked, whatever
+# the links say by now.
 check_no_servo_runs() {
 	[ $force = no ] && systemctl is-active --quiet $NAME || return 0
 	[ "$dry" = no ] || [ "$(id -u)" = 0 ] || return 0 # the file is for root and the service only
-	local runs=0
-	"${python:-/usr/bin/python3}" -c "$RUNS" /run/$NAME/servos || runs=$?
+	local process release runs=0
+	process=$(process_of $NAME)
+	[ "$process" != 0 ] || return 0
+	"${python:-/usr/bin/python3}" -c "$RUNS" /run/$NAME/servos "$process" || runs=$?
 	if [ $runs = 12 ]; then
 		runs=0
-		"$OPT/venv/bin/python" -c "$ASK" 2>/dev/null || runs=$?
+		release=$(release_of $NAME)
+		"${release:-$OPT/venv}/bin/python" -c "$ASK" "$process" 2>/dev/null || runs=$?
 	fi
 	[ $runs != 10 ] || fail "a servo runs, and a restart would stop it: stop the robot first, or add --force"
 	[ $runs = 0 ] ||

@@ -204,15 +204,14 @@ def run(
 def stop_servos(config: ConfigOption = None) -> None:
     """Stop all six legs straight over SPI, without Zenoh and without a running gateway.
 
-    Use it when the service has died, or may have. systemd runs it after every end of the service.
+    Use it when the service has died, or may have. systemd runs it after every end of the service. It uses what the
+    service uses, and says where the file differs.
 
     Exit codes: 0 stopped, 2 a wrong configuration, 3 the SPI device fails.
     """
     from gateway.people.tools import stop
-    from gateway.robot import settings
 
-    found = settings.load(config, for_stops=True)
-    stop.stop_servos(found.spi, found.watchdog)
+    stop.run(config)
 
 
 @app.command("stop")

@@ -48,7 +48,7 @@ from gateway.robot.runtime.request_answers import ButtonAnswers, LeaseAnswers
 from gateway.robot.runtime.revocations import Revocations
 from gateway.robot.runtime.shutdown import END_S, End, close_within, stop_the_robot
 from gateway.robot.settings import Settings, SpiSettings, ZenohSettings
-from gateway.robot.spi import SpiDevice, ioctls
+from gateway.robot.spi import SpiDevice, effective, ioctls
 from gateway.robot.spi.bus import Bus
 from gateway.robot.spi.kernel import KernelDevice
 from gateway.robot.spi.machine import driver_of, gpio_selects
@@ -166,6 +166,8 @@ def run(
     realtime.limit_malloc_arenas()
     logs.set_up(settings.log)
     logs.keep_stacks()
+    if not simulated:
+        _show_settings(settings)  # before the first frame
     # epoll and poll round a timer up to the next millisecond; select takes microseconds, and so a Stop is not late.
     with (
         _recorder(settings, simulated=simulated) as recorder,
@@ -204,6 +206,13 @@ def _configured(
     return config, checker, shut_out
 
 
+def _show_settings(settings: Settings) -> None:
+    try:
+        effective.write(settings)
+    except (OSError, ValueError) as error:
+        logger.warning("stop-servos by hand cannot see what the service uses: %s", error)
+
+
 async def _run(
     settings: Settings,
     recorder: Recorder,
@@ -213,7 +222,8 @@ async def _run(
     faults: Faults | None,
     on_ready: Callable[[zenoh.Config], None],
 ) -> End:
-    loop, owner = asyncio.get_running_loop(), Ownership()
+    # The file before systemd counts the service as active: the installer looks for it then.
+    loop, owner, servos = asyncio.get_running_loop(), Ownership(), ServosFile(runtime_directory())
     end = End(loop, owner, recorder)
     notifier = SystemdNotifier()
     config, checker, shut_out = _configured(settings.zenoh, physics)
@@ -267,7 +277,7 @@ async def _run(
         tasks = [
             asyncio.create_task(_report_state(settings, conductor, outbox)),
             asyncio.create_task(
-                _beat(notifier, conductor, inbox, UnknownKeys(session, physics and physics.zenoh_id), end)
+                _beat(notifier, conductor, inbox, UnknownKeys(session, physics and physics.zenoh_id), servos, end)
             ),
         ]
         for task in tasks:
@@ -372,14 +382,18 @@ async def _report_state(settings: Settings, conductor: Conductor, outbox: ZenohO
 
 
 async def _beat(
-    notifier: SystemdNotifier, conductor: Conductor, inbox: Inbox, unknown_keys: UnknownKeys, end: End
+    notifier: SystemdNotifier,
+    conductor: Conductor,
+    inbox: Inbox,
+    unknown_keys: UnknownKeys,
+    servos: ServosFile,
+    end: End,
 ) -> None:
     """Measure how late the loop is, look for `stop-servos`, and tell systemd that the loop turns and hears.
 
     While somebody keeps the state, this waits, so that systemd hears nothing either.
     """
     loop = asyncio.get_running_loop()
-    servos = ServosFile(runtime_directory())
     period_s = min(BEAT_S, notifier.ping_period_s or BEAT_S)
     while inbox.hears:
         with conductor.owner:

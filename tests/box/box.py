@@ -54,7 +54,13 @@ class Box(Closing):
     """A booted box; its end is the end of everything in it."""
 
     def __init__(
-        self, folder: Path, *, disk: Path | None = None, base: Path | None = None, keep: Path | None = None
+        self,
+        folder: Path,
+        *,
+        disk: Path | None = None,
+        base: Path | None = None,
+        keep: Path | None = None,
+        life_s: int = LIFE_S,
     ) -> None:
         """Boot it. `folder` gets the script and the shared folder; `disk`, an ext4 image, what is written inside.
 
@@ -70,7 +76,7 @@ class Box(Closing):
         up = os.open(self.shared / "up", os.O_RDONLY | os.O_NONBLOCK)
         places = {"BOX_OUT": self.shared, "BOX_DISK": disk, "BOX_BASE": base, "BOX_KEEP": keep}
         given = {name: str(place) for name, place in places.items() if place is not None}
-        self._system = Child([str(PROGRAM), str(script), str(LIFE_S)], {**os.environ, **given})
+        self._system = Child([str(PROGRAM), str(script), str(life_s)], {**os.environ, **given})
         try:
             if not select.select([up], [], [], BOOT_S)[0]:
                 raise TimeoutError(f"the box did not boot within {BOOT_S} s: {self._system}")

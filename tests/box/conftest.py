@@ -9,6 +9,7 @@ import pytest
 
 from tests.box.box import Box
 from tests.box.installed import NAME, InstalledGateway
+from tests.box.last_release import LastRelease
 from tests.box.machine import CONFIG_TXT, STOCK, Machine, Prepared
 from tests.hil.bed import SYSTEM_PYTHON
 
@@ -37,6 +38,16 @@ def prepared(tmp_path_factory: pytest.TempPathFactory, wheels: Path) -> Iterator
     made = Prepared.by(tmp_path_factory.mktemp("prepared"), wheels)
     yield made
     made.layer.unlink(missing_ok=True)  # which is large
+
+
+@pytest.fixture(scope="session")
+def last_layer(tmp_path_factory: pytest.TempPathFactory, wheels: Path) -> Iterator[Path]:
+    """A machine with the release before this one, of which each box has a view of its own."""
+    folder = tmp_path_factory.mktemp("last")
+    layer = folder / "layer.tar"
+    LastRelease.by(folder, wheels.parent / "venv/bin/python").install(folder, layer)
+    yield layer
+    layer.unlink(missing_ok=True)
 
 
 @contextmanager

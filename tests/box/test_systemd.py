@@ -13,10 +13,12 @@ from gateway.people.incidents.incidents import kind_of
 from gateway.people.incidents.story import story
 from gateway.people.recordings import read
 from gateway.robot.protocol.frames import ONE_LEG_LEN, Op, decode, stop_leg
+from gateway.robot.protocol.framing import Framing
 from tests.box.box import Box, Unit
-from tests.box.installed import CONFIGURATION, NAME, REPOSITORY, STOPS, InstalledGateway
+from tests.box.installed import CONFIGURATION, DROP_IN, NAME, REPOSITORY, STOPS, InstalledGateway
 from tests.hil.bed import SYSTEM_PYTHON, Transfer
 from tests.hil.test_incidents import frames_in
+from tests.hil.wire import Replay
 from tests.support.child import Child
 
 pytestmark = pytest.mark.systemd
@@ -282,6 +284,30 @@ def test_stop_servos_beside_the_service(robot: InstalledGateway) -> None:
             journal.wait_for_output("stop-servos stopped all servos past the gateway")
             journal.wait_for_output("lease_expired")  # of whoever held the leg, and was killed
         assert "rejected: servo_stopped" in robot.gateway("send", "leg", "3", "set", "1", "2", "3", check=False)
+
+
+def test_no_stop_servos_is_deaf_to_a_drop_in(robot: InstalledGateway) -> None:
+    """The file has `plain`, a drop-in length-prefixed: by hand and by systemd, it writes what the service writes."""
+    before = len(robot.bed.transfers)
+    robot.configure("")
+    robot.drop_in("framing", "Environment=HEXAPOD_SPI__FRAMING=length-prefixed")
+    by_hand = ("env", *robot.emulated, NAME, "stop-servos")
+    differs = f'{CONFIGURATION} has spi.framing = "plain", and the service uses "length-prefixed"'
+    robot.box.run(*by_hand)  # the service has not run since the boot
+    robot.unit.systemctl("start")
+    assert f"{differs}; used the latter" in robot.box.run(*by_hand).stderr
+    checked = robot.gateway("check", check=False)
+    assert f"warning  in use         {differs}" in checked
+    assert "length-prefixed, as the published STM32 firmware wants it" in checked
+    robot.box.run("rm", f"{DROP_IN}/framing.conf")
+    robot.box.run("systemctl", "daemon-reload")
+    with robot.journal() as journal:
+        robot.unit.systemctl("stop")
+        journal.wait_for_output("Stop written to all six legs, 4 times each")
+    assert f"{differs}; used the latter" in robot.box.run(*by_hand).stderr, "which the controller understands"
+    replay = Replay(Framing.LENGTH_PREFIXED)
+    replay.play(robot.bed.transfers[before:])
+    assert not replay.controller.corruptions
 
 
 def test_no_framing(robot: InstalledGateway) -> None:

@@ -11,7 +11,8 @@ from typing import Final
 
 from gateway.errors import ConfigError, UnansweredError, ZenohError
 from gateway.people.client.blocking import Client
-from gateway.people.terminal import this_command
+from gateway.people.terminal import hint, this_command
+from gateway.robot.spi import effective, plain_settings
 from schemas.telemetry import GatewayState, Mode
 
 _WAIT: Final = "wait until it is idle"
@@ -54,3 +55,9 @@ def check_at_rest(state: GatewayState) -> None:
     why_not = why_not_at_rest(state)
     if why_not is not None:
         raise ConfigError(why_not)
+
+
+def show_differences(config: Path | None = None) -> None:
+    """Print where the file does not state what the service of this machine uses; nothing where none runs."""
+    for each in effective.differs_here(config or plain_settings.DEFAULT_PATH):
+        hint(each)

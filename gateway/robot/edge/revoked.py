@@ -15,7 +15,7 @@ import zenoh
 from gateway import certs, durable
 from gateway.certs import pool
 from gateway.errors import ConfigError
-from gateway.robot.host.directories import SERVICE_STATE, runtime_directory, state_directory
+from gateway.robot.host.directories import SERVICE_RUNTIME, SERVICE_STATE, runtime_directory, state_directory
 from gateway.robot.settings import ZenohSettings
 from gateway.zenoh_config import get
 
@@ -29,7 +29,6 @@ _SUBJECTS: Final = "access_control/subjects"
 
 OLDER_CA: Final = "older-ca"
 """In the service's runtime directory: the common names since the start, a line each."""
-_RUNTIME: Final = Path("/run/hexapod-gateway")
 
 logger = logging.getLogger(__name__)
 
@@ -162,4 +161,4 @@ class OlderCa:
 
 def of_older_ca() -> list[str]:
     """Who has come with one since the start of the service, as it has noted them. Raises OSError."""
-    return ((runtime_directory() or _RUNTIME) / OLDER_CA).read_text().split()
+    return ((runtime_directory() or SERVICE_RUNTIME) / OLDER_CA).read_text().split()

@@ -6,6 +6,8 @@ from typing import Final
 
 SERVICE_STATE: Final = Path("/var/lib/hexapod-gateway")
 """The service's state directory (deploy/systemd), for commands that systemd did not start."""
+SERVICE_RUNTIME: Final = Path("/run/hexapod-gateway")
+"""The same for its runtime directory."""
 
 
 def state_directory() -> Path | None:

@@ -61,13 +61,22 @@ _KNOWN: Final = NOT_FOR_STOPS | set(PlainSpi._fields)
 
 def read(path: Path) -> tuple[PlainSpi, PlainRepeats] | None:
     """What the file says; None where anything of it is not plainly right, or a variable overrides it."""
-    if any(name.upper().startswith(_OVERRIDES) for name in os.environ):
+    if overrides(os.environ):
         return None
     try:
         with path.open("rb") as file:
-            tables = nesting.read_toml(file.read(nesting.MOST_BYTES + 1))
+            return of(nesting.read_toml(file.read(nesting.MOST_BYTES + 1)))
     except (OSError, ValueError):
         return None
+
+
+def overrides(variables: Mapping[str, str]) -> dict[str, str]:
+    """Those that override what a file says of this."""
+    return {name: value for name, value in variables.items() if name.upper().startswith(_OVERRIDES)}
+
+
+def of(tables: Mapping[str, Any]) -> tuple[PlainSpi, PlainRepeats] | None:
+    """What a file's tables say; None where anything of it is not plainly right."""
     spi, watchdog = tables.get("spi"), tables.get("watchdog", {})
     if not isinstance(spi, dict) or not isinstance(watchdog, dict) or not spi.keys() <= _KNOWN:
         return None

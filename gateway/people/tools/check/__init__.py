@@ -29,7 +29,8 @@ from gateway.people.tools.check import (
 )
 from gateway.people.tools.check.result import Result, Verdict, failure, ok, warning
 from gateway.robot import settings as settings_file
-from gateway.robot.settings import FramingNotSetError, Settings
+from gateway.robot.settings import FramingNotSetError, Settings, SpiSettings
+from gateway.robot.spi import effective
 from gateway.text import visible
 from gateway.zenoh_config import listen_endpoints
 
@@ -80,12 +81,17 @@ def _report(found: Iterable[Result], well: str, unwell: str) -> int:
 
 
 def run(config: Path | None) -> Iterator[Result]:
-    """All checks, in order; those of the settings only where these can be read. Raises FramingNotSetError at once."""
+    """All checks, in order; those of the settings only where these can be read. Raises FramingNotSetError at once.
+
+    While the service runs, and no file is named, its device is looked at with the settings that it uses.
+    """
     path = config or settings_file.DEFAULT_PATH
     if os.geteuid() not in (0, service_user.uid()) and _denied(path):
         raise ConfigError(f"{path} is not for you to read, as it may name keys: sudo hexapod-gateway check")
+    used = effective.read() if config is None else None
+    used = used if used is not None and used.runs else None
     try:
-        settings: Settings | ConfigError = settings_file.load(config)
+        settings: Settings | ConfigError = settings_file.load(config, simulated=used is not None)
     except FramingNotSetError:
         raise
     except ConfigError as error:
@@ -98,6 +104,9 @@ def run(config: Path | None) -> Iterator[Result]:
         yield from _unreadable(settings)
     else:
         yield _configuration(config)
+        if used is not None:
+            yield from (warning("in use", each, _STATE_IT) for each in effective.differences(used, path))
+            settings = settings.model_copy(update={"spi": SpiSettings.model_validate(used.tables["spi"])})
         yield from _of_settings(settings)
     yield machine.clock()
     yield machine.unit()
@@ -121,6 +130,9 @@ def _denied(path: Path) -> bool:
 
 
 _FIX_IT: Final = "fix it there, and check again"
+_STATE_IT: Final = (
+    "state in the file what the controller needs, and take the variable out (systemctl cat hexapod-gateway)"
+)
 
 
 def _configuration(config: Path | None) -> Result:

@@ -16,7 +16,7 @@ from typing import Final
 from gateway.errors import ConfigError, ZenohError
 from gateway.people.client.blocking import Client
 from gateway.people.terminal import ask, hint, say
-from gateway.people.tools.reach import Connection, check_at_rest
+from gateway.people.tools.reach import Connection, check_at_rest, show_differences
 from schemas.robot import LEGS, SERVO_IDS
 from schemas.telemetry import Ack, GatewayState, Reason, WatchdogState
 
@@ -64,6 +64,7 @@ def move(connect: Connection, *, agreed: bool) -> int:
     """
     with connect() as client:
         check_at_rest(client.state())
+        show_differences()
         servo_id = DEFAULT_SERVO if agreed else _servo(ask(f"Which servo, 11 to 63? [{DEFAULT_SERVO}] "))
         angle_deg = DEFAULT_ANGLE_DEG if agreed else _angle(ask(f"Start it at which angle? [{DEFAULT_ANGLE_DEG:g}] "))
         end_deg = angle_deg + (STEP_DEG if angle_deg + STEP_DEG <= _MOST_DEG else -STEP_DEG)

@@ -16,7 +16,7 @@ from gateway.people.tools.drill.bench import Bench, FailedError, Figures, Seen, 
 from gateway.people.tools.drill.steps import STEPS, Step
 from gateway.people.tools.drill.watching import watching
 from gateway.people.tools.driving import drives
-from gateway.people.tools.reach import Connection, check_at_rest
+from gateway.people.tools.reach import Connection, check_at_rest, show_differences
 from gateway.text import visible
 from schemas.telemetry import GatewayState, Mode
 
@@ -90,6 +90,7 @@ def drill(
         with connect() as client:
             state = client.state()
             check_at_rest(state)
+            show_differences(config)
             _may_drive(client, state)
             delta_deg = MOVE_DEG if whole_leg else STEP_DEG
             bench = Bench(

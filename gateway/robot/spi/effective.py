@@ -1,0 +1,119 @@
+"""The settings that the service uses: its file and its unit's variables, as they were at its start.
+
+The file may be edited since, and a shell does not have the variables of a drop-in. Bare frames make a controller that
+expects announced ones deaf, so `stop-servos`, `check` and `drill` read these. The service writes them into its runtime
+directory before its first frame, and names its process there: they are current while that process runs, and for the
+commands that systemd runs after its end. They stay after that, for a `stop-servos` that finds no other settings. This
+loads as little as `plain_settings`.
+"""
+
+import json
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+from gateway import nesting
+from gateway.robot.host.directories import SERVICE_RUNTIME, runtime_directory
+from gateway.robot.spi import plain_settings
+from gateway.robot.spi.plain_settings import PlainRepeats, PlainSpi
+
+if TYPE_CHECKING:
+    from gateway.robot.settings import Settings
+
+NAME: Final = "effective.toml"
+_INVOCATION: Final = "INVOCATION_ID"
+"""systemd's number for one start of a unit, which the commands after its end have, too."""
+
+
+class Effective(NamedTuple):
+    """What a service uses, and which one."""
+
+    spi: PlainSpi
+    watchdog: PlainRepeats
+    tables: Mapping[str, Any]
+    """As they stand in the file; with `avoid_deg`, on which no Stop depends."""
+
+    @property
+    def runs(self) -> bool:
+        """Whether the process that wrote this runs. Its number alone may be another process's by now."""
+        process = self.tables.get("process")
+        return isinstance(process, int) and _begun(process) == self.tables.get("begun")
+
+    @property
+    def ended_here(self) -> bool:
+        """Whether systemd runs this command after the end of the service that wrote this."""
+        return bool(self.tables.get("invocation")) and self.tables["invocation"] == os.environ.get(_INVOCATION)
+
+
+def write(settings: "Settings") -> None:
+    """Write what this process uses; nothing without a runtime directory. Raises OSError, ValueError."""
+    folder = runtime_directory()
+    if folder is None:
+        return
+    spi = {name: value for name, value in settings.spi.model_dump(mode="json").items() if value is not None}
+    repeats = {name: getattr(settings.watchdog, name) for name in PlainRepeats._fields}
+    process = {"process": os.getpid(), "begun": _begun(os.getpid()), "invocation": os.environ.get(_INVOCATION, "")}
+    lines = ["# What the service uses. Written by it at its start; to change it, see /etc/hexapod-gateway."]
+    for head, table in (("", process), ("[spi]", spi), ("[watchdog]", repeats)):
+        lines += [head, *(f"{name} = {json.dumps(value, ensure_ascii=False)}" for name, value in table.items())]
+    staged = folder / f".{NAME}.new"
+    staged.write_text("\n".join([*lines, ""]), encoding="utf-8")
+    staged.replace(folder / NAME)  # whole at any time; the folder is in memory, so nothing has to reach a disk
+
+
+def read() -> Effective | None:
+    """What a service has written on this machine since it booted; None: nothing, or nothing that can be used.
+
+    Never raises, and waits for nothing: whatever is wrong with it is no reason to write no Stop.
+    """
+    path = (runtime_directory() or SERVICE_RUNTIME) / NAME
+    try:
+        # Not a FIFO that the service's user may have put there: root waits for nobody.
+        descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK)
+        with open(descriptor, "rb") as file:
+            tables = nesting.read_toml(file.read(nesting.MOST_BYTES + 1))
+    except (OSError, ValueError):
+        return None
+    found = plain_settings.of(tables)
+    return None if found is None else Effective(*found, tables)
+
+
+def differences(used: Effective, path: Path) -> list[str]:
+    """Where a file differs from what the service uses, a sentence each."""
+    try:
+        with path.open("rb") as file:
+            stated = nesting.read_toml(file.read(nesting.MOST_BYTES + 1))
+    except (OSError, ValueError):
+        return [f"{path} cannot be read, and the service uses spi.framing = {_shown(used.spi.framing)}"]
+    found = []
+    for section, fields in (("spi", PlainSpi), ("watchdog", PlainRepeats)):
+        table, theirs = stated.get(section), used.tables.get(section)
+        table, theirs = (each if isinstance(each, dict) else {} for each in (table, theirs))
+        for name in (*fields._fields, *(plain_settings.NOT_FOR_STOPS if fields is PlainSpi else ())):
+            default = fields._field_defaults.get(name)
+            value, uses = table.get(name, default), theirs.get(name, default)
+            if value != uses:
+                states = "does not set" if value is None else "has"
+                what = f"{section}.{name}" if value is None else f"{section}.{name} = {_shown(value)}"
+                found.append(f"{path} {states} {what}, and the service uses {_shown(uses)}")
+    return found
+
+
+def differs_here(path: Path = plain_settings.DEFAULT_PATH) -> list[str]:
+    """The same for the service that runs on this machine; nothing where none runs, or nobody may look."""
+    used = read()
+    return [] if used is None or not used.runs else differences(used, path)
+
+
+def _shown(value: Any) -> str:
+    return json.dumps(value, ensure_ascii=False, default=str)
+
+
+def _begun(process: int) -> int | None:
+    """When a process began, in the kernel's ticks since the boot; None: there is none."""
+    try:
+        # After the name, which may have anything in it, comes the third field; this is the 22nd.
+        return int(Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[19])
+    except (OSError, ValueError, IndexError):
+        return None

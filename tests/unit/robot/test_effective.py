@@ -1,0 +1,120 @@
+"""What the service in fact uses: written at its start, read by `stop-servos` and `check`, judged by its process."""
+
+import os
+from pathlib import Path
+
+import pytest
+
+from gateway.robot.protocol.framing import Framing
+from gateway.robot.settings import Settings
+from gateway.robot.spi import effective
+from gateway.robot.spi.plain_settings import PlainRepeats, PlainSpi
+
+USED = Settings.model_validate(
+    {
+        "spi": {
+            "framing": "length-prefixed",
+            "device": '/dev/spi"dev1.0',
+            "speed_hz": 500_000,
+            "frame_gap_us": 60.5,
+            "batch": False,
+            "resync_ms": 10.0,
+            "avoid_deg": [2.0, 3.0],
+        },
+        "watchdog": {"repeats": 7, "repeat_interval_ms": 33.5},
+    }
+)
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The service's runtime directory."""
+    monkeypatch.setenv("RUNTIME_DIRECTORY", str(tmp_path))
+    monkeypatch.delenv("INVOCATION_ID", raising=False)
+    return tmp_path
+
+
+@pytest.mark.parametrize("settings", [USED, Settings()], ids=["all", "defaults"])
+def test_what_is_written_is_read(settings: Settings, folder: Path) -> None:
+    effective.write(settings)
+    found = effective.read()
+    assert found is not None
+    assert found.spi == PlainSpi(**{name: getattr(settings.spi, name) for name in PlainSpi._fields})
+    assert found.watchdog == PlainRepeats(settings.watchdog.repeats, settings.watchdog.repeat_interval_ms)
+    assert type(settings.spi).model_validate(found.tables["spi"]) == settings.spi, "with what no Stop depends on"
+    assert found.runs
+    assert not found.ended_here
+    assert [path.name for path in folder.iterdir()] == [effective.NAME]
+
+
+def test_without_a_runtime_directory_nothing_is_written(monkeypatch: pytest.MonkeyPatch, folder: Path) -> None:
+    monkeypatch.delenv("RUNTIME_DIRECTORY")
+    effective.write(USED)
+    assert list(folder.iterdir()) == []
+
+
+def test_a_process_that_ended_and_one_that_has_its_number(folder: Path) -> None:
+    """A number alone shows nothing: the kernel gives it again."""
+    effective.write(USED)
+    written = (folder / effective.NAME).read_text()
+    beyond = 2**22 + 1  # which the kernel gives to none
+    for line, others in {"process": beyond, "begun": 1}.items():
+        lines = [f"{line} = {others}" if each.startswith(f"{line} = ") else each for each in written.splitlines()]
+        (folder / effective.NAME).write_text("\n".join(lines))
+        found = effective.read()
+        assert found is not None
+        assert not found.runs
+
+
+def test_after_the_end_only_the_commands_of_that_start_are_of_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("INVOCATION_ID", "0a1b")
+    effective.write(USED)
+    found = effective.read()
+    assert found is not None
+    assert found.ended_here
+    monkeypatch.setenv("INVOCATION_ID", "0a1c")
+    assert not found.ended_here
+
+
+@pytest.mark.parametrize(
+    "content", [b"", b"\xff", b'spi.framing = "Plain"', b'spi.framing = "plain"\nspi.speed_hz = 0']
+)
+def test_a_damaged_file_says_nothing(folder: Path, content: bytes) -> None:
+    assert effective.read() is None
+    (folder / effective.NAME).write_bytes(content)
+    assert effective.read() is None
+
+
+def test_nobody_waits_for_what_is_no_file(folder: Path) -> None:
+    os.mkfifo(folder / effective.NAME)
+    assert effective.read() is None
+
+
+def test_a_file_without_a_process_is_of_none(folder: Path) -> None:
+    (folder / effective.NAME).write_text('spi.framing = "plain"\n')
+    found = effective.read()
+    assert found is not None
+    assert not found.runs
+    assert not found.ended_here
+
+
+def test_where_a_file_differs(folder: Path) -> None:
+    effective.write(USED)
+    found = effective.read()
+    assert found is not None
+    file = folder / "gateway.toml"
+    rest = 'device = "/dev/spi\\"dev1.0"\nspeed_hz = 500_000\nframe_gap_us = 60.5\nbatch = false\nresync_ms = 10\n'
+    watchdog = "[watchdog]\nrepeats = 7\nrepeat_interval_ms = 33.5\n"
+    file.write_text(f'[spi]\nframing = "length-prefixed"\navoid_deg = [2.0, 3.0]\n{rest}{watchdog}')
+    assert effective.differences(found, file) == []
+    assert effective.differs_here(file) == []
+    file.write_text(f'[spi]\nframing = "plain"\n{rest}[watchdog]\nrepeat_interval_ms = 33.5\n')
+    assert effective.differs_here(file) == [
+        f'{file} has spi.framing = "plain", and the service uses "length-prefixed"',
+        f"{file} does not set spi.avoid_deg, and the service uses [2.0, 3.0]",
+        f"{file} has watchdog.repeats = 3, and the service uses 7",
+    ]
+    for text in ("spi = 3\n", "no TOML"):
+        file.write_text(text)
+        assert Framing.LENGTH_PREFIXED in effective.differences(found, file)[0]
+    assert "cannot be read" in effective.differences(found, folder / "none")[0]
