@@ -117,6 +117,7 @@ EXTENDED: Final = (
     "box/test_systemd.py::test_what_the_recorder_keeps",
     "box/test_systemd_console.py",
     "hil/test_drill.py",
+    "box/test_upgrade.py",
     "zenoh/test_drill.py",
     "zenoh/test_release.py",
     "zenoh/test_release_spidev.py",
