@@ -13,6 +13,8 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 INSTALLED: Final = Path("/opt/hexapod-gateway/venv")
+SHOWN: Final = 3
+"""As many files are named in a sentence."""
 _MARK: Final = "complete"
 _AGAIN: Final = "again"
 """The command line by which the release was installed, as the installer noted it."""
@@ -64,6 +66,15 @@ def how_to_repeat(release: Path) -> str:
     if needed and all(each.exists() for each in needed):
         return f"sudo {command}"
     return "install it anew, from the bundle or repository that it came from: sudo deploy/install.sh"
+
+
+def why_nothing_loads() -> str:
+    """What `check` says where a damaged file keeps it from being loaded itself; "": no file is."""
+    release = INSTALLED.resolve()
+    changed = compare(release).changed
+    if not changed:
+        return ""
+    return f"not as installed in {release}: {', '.join(changed[:SHOWN])} → {how_to_repeat(release)}"
 
 
 def _look(path: Path) -> tuple[str, bool]:

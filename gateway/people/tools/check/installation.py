@@ -4,20 +4,20 @@ Pure: `looking.py` gathers what is judged here. A remedy's commands go from its 
 help as printed; `tests/box/test_check_faults.py` follows each. A placeholder in capitals is for a person to fill in.
 """
 
+import shlex
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import PurePosixPath as Path
 from typing import Final, NamedTuple
 
 from gateway.people.tools.check.result import Result, Verdict
-from gateway.people.tools.whole import Whole
+from gateway.people.tools.whole import SHOWN, Whole
 
 SERVICE: Final = "hexapod-gateway"
 RECORDER: Final = "hexapod-recorder"
 STATE: Final = f"/var/lib/{SERVICE}"
 ETC: Final = f"/etc/{SERVICE}"
 UNITS: Final = (SERVICE, RECORDER)
-_SHOWN: Final = 3
 
 RESTART: Final = f"sudo systemctl reset-failed {SERVICE}; sudo systemctl restart {SERVICE}"
 """Also after so many failed starts that systemd begins no other."""
@@ -168,8 +168,8 @@ def _when(condition: bool, *given: str) -> _Found:
 
 def _some(names: tuple[str, ...], seen: Seen, *more: str) -> _Found:
     """A few names in one sentence."""
-    rest = f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else ""
-    return _when(bool(names), f"{', '.join(names[:_SHOWN])}{rest}", seen.again, seen.release, *more)
+    rest = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
+    return _when(bool(names), f"{', '.join(names[:SHOWN])}{rest}", seen.again, seen.release, *more)
 
 
 def _differing(seen: Seen) -> _Found:
@@ -232,7 +232,7 @@ FAULTS: Final = (
     Fault(
         "release",
         Verdict.WARNING,
-        lambda seen: _some(seen.whole.added, seen, " ".join(f"{seen.release}/{each}" for each in seen.whole.added)),
+        lambda seen: _some(seen.whole.added, seen, shlex.join(f"{seen.release}/{each}" for each in seen.whole.added)),
         "in {2}, and not installed with it: {0}. Python may load it",
         "sudo rm {3}",
     ),
@@ -349,14 +349,14 @@ FAULTS: Final = (
     Fault(
         "private key",
         Verdict.WARNING,
-        lambda seen: _some(seen.exposed, seen, " ".join(seen.exposed)),
+        lambda seen: _some(seen.exposed, seen, shlex.join(seen.exposed)),
         "others than root and the service may read {0}",
         f"make a new one if others use this machine; else: sudo chown root:{SERVICE} {{3}} && sudo chmod 640 {{3}}",
     ),
     Fault(
         "private key",
         Verdict.WARNING,
-        lambda seen: _some(seen.authority_keys, seen, " ".join(seen.authority_keys)),
+        lambda seen: _some(seen.authority_keys, seen, shlex.join(seen.authority_keys)),
         "{0} is the authority's key: who takes this robot's card can make certificates for all its robots",
         "see that it is on another machine, then: sudo shred -u {3}",
     ),
