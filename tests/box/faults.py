@@ -53,10 +53,13 @@ TAKE_A_STOP = (
 
 FAULTS = (
     # the release
-    Fault("an emptied file", ": >$packages/gateway/people/tools/decode.py", "gateway/people/tools/decode.py"),
+    Fault(
+        "an emptied file and a missing one",
+        ": >$packages/gateway/people/tools/decode.py; rm $packages/mcap/writer.py",
+        "gateway/people/tools/decode.py, ",
+    ),
     Fault("an emptied file of check's own", ": >$packages/gateway/text.py", "gateway/text.py"),
     Fault("a damaged stop.py", "echo '(' >$packages/gateway/people/tools/stop.py", "gateway/people/tools/stop.py"),
-    Fault("a file that is missing", "rm $packages/mcap/writer.py", "mcap/writer.py"),
     Fault("the list of files emptied", ": >$own/complete", "has no list of its files"),
     Fault("a file that was not installed", "echo >$packages/more.pth", "and not installed with it: lib/python"),
     Fault("a file for root only", "chmod 600 $packages/gateway/people/tools/decode.py", "not for all to read"),
@@ -68,13 +71,13 @@ FAULTS = (
     Fault("no group spi", "systemctl stop $service; groupdel spi", "there is no group spi"),
     # units
     Fault("a unit that is missing", "rm $unit; systemctl daemon-reload", f"{NAME}.service is missing"),
-    Fault("an emptied unit", ": >$unit; systemctl daemon-reload", f"{NAME}.service is not as this release has it"),
+    Fault("an emptied unit", ": >$unit; systemctl daemon-reload", f"{NAME} is masked, or its unit is empty"),
     Fault("a unit of another release", "sed -i '1i # older' $unit; systemctl daemon-reload", "as this release has it"),
     Fault("a unit that was edited only", "echo '# edited' >>$unit", f"{NAME} was edited, and systemd still goes by"),
     Fault(
         "a masked unit",
         "systemctl stop $service; rm $unit; systemctl mask $service",
-        f"{NAME} is masked: it cannot start",
+        f"{NAME} is masked, or its unit is empty",
     ),
     Fault("a disabled unit", "systemctl disable $service", "is active, but does not start with the machine"),
     Fault("a stopped service", "systemctl stop $service", "is enabled, but inactive"),
@@ -136,9 +139,9 @@ FAULTS = (
     ),
     Fault(
         "a damaged calibration",
-        "echo '{' >$state/calibration.toml; systemctl restart $service",
+        "echo '{' >$state/calibration.toml; chown $service $state/calibration.toml; systemctl restart $service",
         "nothing can be started",
-        by_hand="printf 'y\\n' | hexapod-gateway calibrate --accept-default --zenoh-config /root/certs/anna.json5",
+        by_hand="hexapod-gateway calibrate --accept-default --yes --zenoh-config /root/certs/anna.json5",
         then="rm $state/calibration.toml; systemctl restart $service",
     ),
     # the device

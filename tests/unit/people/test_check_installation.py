@@ -40,7 +40,10 @@ SEEN = (
     (replace(WELL, command="is missing"), "/usr/local/bin/hexapod-gateway is missing"),
     (replace(WELL, user=False), "there is no user hexapod-gateway"),
     (replace(WELL, groups=("spi",)), "there is no group spi"),
-    (replace(WELL, units=units("hexapod-gateway", LoadState="masked")), "hexapod-gateway is masked"),
+    (
+        replace(WELL, units=units("hexapod-gateway", LoadState="masked")),
+        "hexapod-gateway is masked, or its unit is empty",
+    ),
     (replace(WELL, differ={UNIT: "is missing"}), f"{UNIT} is missing"),
     (replace(WELL, units=units("hexapod-gateway", NeedDaemonReload="yes")), "hexapod-gateway was edited, and systemd"),
     (with_drop_in("[Service]\nEnvironment=GATEWAY_OPTIONS=--sim\nExecStopPost="), "makes the controller a simulated"),

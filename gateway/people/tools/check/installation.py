@@ -269,7 +269,7 @@ FAULTS: Final = (
         "systemd unit",
         Verdict.FAILURE,
         _masked,
-        "{0} is masked: it cannot start",
+        "{0} is masked, or its unit is empty: it cannot start",
         "sudo systemctl unmask {0} && sudo install -m 644 {2} {1} && {3}",
     ),
     Fault(

@@ -96,7 +96,10 @@ def _state(folder: Path, own: int) -> Folder:
 
 
 def _mount_of(path: Path) -> Path:
-    return next(each for each in (path, *path.parents) if each.is_mount())
+    """By the kernel's list: a bind mount is on the same device as what is above it."""
+    lines = Path("/proc/self/mountinfo").read_text().splitlines()
+    points = (Path(line.split()[4].replace("\\040", " ")) for line in lines)
+    return max((each for each in points if path.is_relative_to(each)), key=lambda each: len(each.parts))
 
 
 def _foreign(folder: Path, own: int) -> Iterator[str]:

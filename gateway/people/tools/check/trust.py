@@ -80,3 +80,5 @@ def _lists(beside: Path, state: Path, cas: list[x509.Certificate]) -> Iterator[R
             yield warning("revoked", f"{path} is of another authority, so nobody is shut out by it", fix)
         except ConfigError as error:
             yield failure("revoked", f"{error}; the service does not start", fix)
+        except PermissionError:  # the line of the state directory says it
+            continue
