@@ -175,6 +175,11 @@ FAULTS = (
         by_hand="systemctl stop other; systemctl start $service",
     ),
     # certificates
+    Fault(
+        "the authority's key by another name",
+        "install -g $service -m 640 /root/certs/ca.key $pki/old.key",
+        "old.key is the authority's key",
+    ),
     Fault("a private key that all may read", "chmod 644 $pki/gateway.key", "others than root and the service may read"),
     Fault("a private key of another user's", "chown nobody $pki/gateway.key", "others than root and the service may"),
     Fault("the authority's key", "install -g $service -m 640 /root/certs/ca.key $pki", "is the authority's key"),

@@ -123,6 +123,14 @@ def test_a_fault_is_named_and_its_remedy_helps(robot: Robot, fault: Fault) -> No
     named_and_helped(robot, fault)
 
 
+def test_somebody_who_may_not_look_is_not_answered_with_a_traceback(well: Robot) -> None:
+    stranger = ("setpriv", "--reuid=nobody", "--regid=nogroup", "--clear-groups", "--")
+    done = well.installed.box.run(*stranger, PROGRAM, "check", check=False)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.endswith("is not for you to read, as it may name keys: sudo hexapod-gateway check\n")
+    assert "Traceback" not in done.stderr
+
+
 def named_and_helped(robot: Robot, fault: Fault) -> None:
     """As a technician does: plant, check, run what stands behind the arrow, and check again."""
     robot.shell(fault.plant)
