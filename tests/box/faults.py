@@ -38,6 +38,8 @@ class Fault(NamedTuple):
     by_hand: str = ""
     then: str = ""
     """Takes away what a remedy leaves and no person would see."""
+    more: int = 0
+    """How many lines come to light only after it, each with a remedy of its own."""
 
 
 TAKE_A_STOP = (

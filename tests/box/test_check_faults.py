@@ -13,8 +13,6 @@ from tests.box.installed import NAME, InstalledGateway
 pytestmark = pytest.mark.systemd
 
 PROGRAM = f"/opt/{NAME}/venv/bin/{NAME}"
-MORE = 2
-"""Lines that a remedy may leave behind, each with one of its own."""
 KEPT = "/etc/passwd /etc/group /etc/shadow /etc/gshadow /etc/hexapod-gateway /etc/systemd/system /etc/udev/rules.d"
 PREPARE = f"""
 printf '#!/bin/sh\\nexec "$@"\\n' >/usr/local/bin/sudo
@@ -141,13 +139,9 @@ def named_and_helped(robot: Robot, fault: Fault) -> None:
         robot.shell(fault.by_hand)
     else:
         follow(robot, named[0])
-    for _ in range(MORE):
-        found = robot.new()
-        if not found:
-            break
-        follow(robot, found[0])
-    else:
-        assert not robot.new()
+    for _ in range(fault.more):
+        follow(robot, robot.new()[0])
+    assert not robot.new()
     if fault.then:
         robot.shell(fault.then)
 

@@ -59,6 +59,10 @@ SEEN = (
         "does not start",
     ),
     (replace(WELL, units=units("hexapod-recorder", ActiveState="failed")), "hexapod-recorder is failed"),
+    (
+        replace(WELL, units=units("hexapod-recorder", ActiveState="activating", SubState="auto-restart")),
+        "hexapod-recorder is activating",
+    ),
     (replace(WELL, exposed=("/etc/a.key",)), "others than root and the service may read /etc/a.key"),
     (replace(WELL, authority_keys=("/etc/ca.key",)), "/etc/ca.key is the authority's key"),
 )
@@ -76,6 +80,8 @@ def test_each_fault_is_one_line_whose_remedy_is_a_command(seen: Seen, sentence: 
 
 def test_each_row_of_the_table_is_reached_and_a_robot_that_is_well_has_none() -> None:
     assert list(results(WELL)) == []
+    begins = units("hexapod-recorder", ActiveState="activating", SubState="condition")
+    assert list(results(replace(WELL, units=begins))) == []
     assert [row for row in FAULTS if not any(list(row.found(seen)) for seen, _ in SEEN)] == []
 
 

@@ -208,9 +208,10 @@ def _changes_what_stops_depend_on(each: DropIn) -> bool:
 def _recorder(seen: Seen) -> _Found:
     """It is skipped where the release has no black box; then systemd shows no failure, and it is inactive."""
     load, active = seen.shows(RECORDER, "LoadState"), seen.shows(RECORDER, "ActiveState")
+    begins = active == "activating" and seen.shows(RECORDER, "SubState") != "auto-restart"
     if load == "loaded" and not seen.shows(RECORDER, "UnitFileState").startswith("enabled"):
         yield "does not start with the machine", f"sudo systemctl enable --now {RECORDER}"
-    elif load == "loaded" and active != "active":
+    elif load == "loaded" and active != "active" and not begins:
         yield f"is {active}", f"sudo systemctl reset-failed {RECORDER}; sudo systemctl restart {RECORDER}"
 
 

@@ -17,7 +17,7 @@ from gateway.people.tools.check import service_user
 from gateway.people.tools.check.installation import ETC, SERVICE, SHIPPED, STATE, UNITS, DropIn, Folder, Seen
 
 _GROUPS: Final = ("spi", SERVICE)
-_PROPERTIES: Final = "LoadState,ActiveState,UnitFileState,NeedDaemonReload,DropInPaths"
+_PROPERTIES: Final = "LoadState,ActiveState,SubState,UnitFileState,NeedDaemonReload,DropInPaths"
 _COMMAND: Final = Path("/usr/local/bin", SERVICE)
 _MOST_FILES: Final = 20_000
 """Of the state directory: some incidents have hundreds of files each; a look ends in any case."""
