@@ -75,7 +75,7 @@ FAULTS = (
     Fault("a unit that is missing", "rm $unit; systemctl daemon-reload", f"{NAME}.service is missing"),
     Fault("an emptied unit", ": >$unit; systemctl daemon-reload", f"{NAME} is masked, or its unit is empty"),
     Fault("a unit of another release", "sed -i '1i # older' $unit; systemctl daemon-reload", "as this release has it"),
-    Fault("a unit that was edited only", "echo '# edited' >>$unit", f"{NAME} was edited, and systemd still goes by"),
+    Fault("a unit that was edited only", "echo '# edited' >>$unit", f"{NAME} was edited, and systemd still", more=1),
     Fault(
         "a masked unit",
         "systemctl stop $service; rm $unit; systemctl mask $service",
@@ -105,6 +105,7 @@ FAULTS = (
         "a drop-in that was not read",
         "mkdir -p $unit.d; printf '[Service]\\nNice=5\\n' >$unit.d/own.conf",
         f"{NAME} was edited, and systemd still goes by",
+        more=1,
     ),
     # the recorder
     Fault(
@@ -197,7 +198,9 @@ FAULTS = (
         "cp /root/other/gateway.pem /root/other/gateway.key $pki",
         "is of another authority than",
     ),
-    Fault("a key that is missing", "rm $pki/gateway.key", "gateway.key", by_hand="cp /root/certs/gateway.key $pki"),
+    Fault(
+        "a key that is missing", "rm $pki/gateway.key", "gateway.key", by_hand="cp /root/certs/gateway.key $pki", more=1
+    ),
     Fault(
         "an authority that is damaged", ": >$pki/ca.pem", "holds no certificate", by_hand="cp /root/certs/ca.pem $pki"
     ),

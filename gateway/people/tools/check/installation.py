@@ -320,7 +320,7 @@ FAULTS: Final = (
         Verdict.FAILURE,
         lambda seen: _when(not seen.state.is_folder, STATE),
         "{0} is no folder: the service cannot start, nor stop the servos after its end",
-        "sudo mv {0} {0}.old && " + RESTART,
+        "sudo mv {0} {0}.old && " + RESTART + f" && sudo systemctl restart {RECORDER}",
     ),
     Fault(
         "state",
