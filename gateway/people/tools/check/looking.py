@@ -70,7 +70,14 @@ def _properties(unit: str) -> dict[str, str]:
         said = subprocess.run(command, capture_output=True, text=True, check=True, timeout=5).stdout
     except (OSError, subprocess.SubprocessError):
         return {}
-    return dict(line.split("=", 1) for line in said.splitlines() if "=" in line)
+    shown = dict(line.split("=", 1) for line in said.splitlines() if "=" in line)
+    # systemd does not notice a drop-in in a folder that is new.
+    found = (
+        path for root in ("/etc", "/run") for path in Path(root, f"systemd/system/{unit}.service.d").glob("*.conf")
+    )
+    if not {str(path) for path in found} <= set(shown.get("DropInPaths", "").split()):
+        shown["NeedDaemonReload"] = "yes"
+    return shown
 
 
 def _drop_ins(paths: str) -> Iterator[DropIn]:
