@@ -381,6 +381,7 @@ install_all() {
 	configured=$changed
 	keep_trust
 	allow_spi
+	note_command
 	start_service
 	flush
 	install_console

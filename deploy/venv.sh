@@ -92,6 +92,21 @@ mark_whole() {
 	sync -f "$1"
 }
 
+# How to install this release anew, for `check` to say where a file of it is damaged. A wheel of pip's is gone by then.
+note_command() {
+	local from=''
+	if [ -n "$bundle" ]; then
+		from=$(printf 'bash %q --bundle %q' "$(compgen -G "$venv/lib/python*/site-packages/gateway/deploy/install.sh")" "$bundle")
+	elif [ -n "$wheels" ]; then
+		from=$(printf 'bash %q --wheels %q' "$HERE/install.sh" "$wheels")
+	elif [ -f "$ROOT/pyproject.toml" ]; then
+		from=$(printf 'bash %q' "$HERE/install.sh")
+	fi
+	[ "$dry" = no ] || return 0
+	printf '%s\n' "$from" >"$venv/again.new"
+	replace "$venv/again"
+}
+
 # Whether each file is as it was installed.
 is_whole() {
 	[ -s "$1/complete" ] && (cd "$1" && sha256sum --check --quiet --strict complete >/dev/null 2>&1)

@@ -18,10 +18,21 @@ def main() -> None:
         if code is not None:
             sys.exit(code)
     try:
-        from gateway import cli
-    except KeyboardInterrupt:  # on a Raspberry Pi it takes seconds, in which somebody may have changed their mind
-        sys.exit(130)
-    cli.main()
+        try:
+            from gateway import cli
+        except KeyboardInterrupt:  # on a Raspberry Pi it takes seconds, in which somebody may have changed their mind
+            sys.exit(130)
+        cli.main()
+    except Exception:
+        if sys.argv[1:2] != ["check"]:
+            raise
+        from gateway.people.tools import whole
+
+        damage = whole.why_nothing_loads()
+        if not damage:
+            raise
+        sys.stdout.write(f"failure  release        {damage}\n")
+        sys.exit(1)
 
 
 if __name__ == "__main__":

@@ -22,7 +22,7 @@ from tests.support.closing import Closing
 PROGRAM = Path(__file__).with_name("systemd-box")
 SHARED_INSIDE = Path("/box-out")
 BOOT_S = 30.0  # it takes about one
-LIFE_S = 900  # after which a forgotten box ends by itself
+LIFE_S = 1800  # after which a forgotten box ends by itself
 PATH_INSIDE = "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin"
 
 # Says that the system is up, then holds the box open until the other end of the second pipe is closed.

@@ -20,7 +20,7 @@ init=$(echo "$1"/lib/python*/site-packages/gateway/__init__.py)
 printf '%s' "$2" >>"$init"
 "$1/bin/python" -m compileall -q "$init"
 cd "$1"
-rm complete
+rm -f complete again unit
 list=$(find . -type f -print0 | sort -z | xargs -0 sha256sum)
 printf '%s\n' "$list" >complete
 """

@@ -5,6 +5,7 @@ One upgrade is killed in a run; HEXAPOD_KILLS=20 kills as many.
 
 import os
 import random
+import re
 import shutil
 import time
 from collections.abc import Iterator
@@ -80,6 +81,8 @@ def test_installed_without_a_network_by_the_installer_of_the_release(robot: Robo
     assert robot.version() == FIRST
     robot.box.run("sh", "-c", WHOLE)
     assert robot.unit.property("ActiveState") == "active"
+    repeat = robot.box.read(f"{OPT}/venv/again")  # which `check` prints where a file is damaged
+    assert re.fullmatch(rf"bash {OPT}/\S+/gateway/deploy/install\.sh --bundle /\S+\n", repeat)
     assert robot.box.read(f"/etc/{NAME}/release.pub").startswith("ssh-ed25519 ")
     assert robot.box.run("sh", "-c", f"ls -d {TEMPORARY}/{NAME}.* 2>/dev/null", check=False).stdout == ""
     again = robot.upgrade(robot.bundles.make(FIRST, "ours"))

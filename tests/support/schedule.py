@@ -99,6 +99,7 @@ EXTENDED: Final = (
     # the drill and its planted gateways; releases, and what else may happen to an installation
     "box/test_bundle.py",
     "box/test_pages.py",
+    "box/test_check_faults.py::test_a_fault_is_named_and_its_remedy_helps",
     "box/test_drill.py",
     "box/test_installer.py::test_a_robot_from_before_there_was_a_framing",
     "box/test_installer.py::test_a_terminal_is_asked_and_the_framing_stays",

@@ -349,7 +349,7 @@ def systemctl(tmp_path: Path) -> Path:
     [
         ("loaded", "active", "enabled", OK, ""),
         ("loaded", "inactive", "enabled", WARNING, "sudo systemctl start hexapod-gateway"),
-        ("loaded", "active", "disabled", WARNING, "sudo systemctl enable hexapod-gateway"),
+        ("loaded", "active", "disabled", WARNING, "sudo systemctl enable --now hexapod-gateway"),
         ("loaded", "failed", "enabled", FAILURE, "journalctl -u hexapod-gateway"),
         ("not-found", "inactive", "", WARNING, "sudo deploy/install.sh"),
         ("bad-setting", "inactive", "", FAILURE, "systemctl status hexapod-gateway"),

@@ -3,6 +3,7 @@
 import datetime as dt
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -348,3 +349,19 @@ def test_todays_files_go_on_with_todays_robot_and_with_one_that_has_a_pool(tmp_p
             with anna.lease() as lease:
                 assert lease.verified
         certs.moving.set_pool(robot.own)
+
+
+def test_check_of_a_laptop_that_was_revoked_says_so_and_a_new_certificate_helps(robot: Robot) -> None:
+    """Its TLS is taken, and then its connection is ended, which no router without a robot behind it does."""
+    anna = lost(robot)
+    with robot.start():
+        robot.revoke("anna")
+        said = run_here("check", "--zenoh-config", str(anna))
+        assert said.returncode == 1
+        (line,) = [each for each in said.stdout.splitlines() if each.startswith("failure")]
+        assert "the robot ended it: your certificate is revoked, or its places are taken" in line
+        assert "namespace" not in line
+        remedy = re.search(r"hexapod-gateway (certs issue NAME --role operator)", line)
+        assert remedy is not None, line
+        run_here(*remedy[1].replace("NAME", "anna2").split(), "--dir", str(robot.folder))
+        assert run_here("check", "--zenoh-config", str(robot.folder / "anna2.json5")).returncode == 0

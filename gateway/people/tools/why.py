@@ -47,7 +47,7 @@ def allowed(client: Client, identity: Identity) -> tuple[GatewayState | None, li
     try:
         state = client.state(_ANSWER_S)
     except ZenohError:
-        return None, [_nobody(role)]
+        return None, [_nobody(role, ended=not client.session.info.links())]
     watching = Finding(Step.ROLE, "you may watch" + (f", as {role}" if role else ""))
     if not _may_command(client):
         fix = "ask the robot's owner for a certificate: hexapod-gateway certs issue NAME --role operator"
@@ -56,10 +56,20 @@ def allowed(client: Client, identity: Identity) -> tuple[GatewayState | None, li
     return state, [commanding, Finding(Step.GATEWAY, f"answers, and is {state.mode}")]
 
 
-def _nobody(role: str) -> Finding:
+def _nobody(role: str, *, ended: bool) -> Finding:
+    """`ended`: the connection that was open is not any more, as the robot does with the revoked."""
     if role and role.partition(".")[0] not in LAPTOP_ROLES:
         fix = "get a laptop's from the robot's owner: hexapod-gateway certs issue NAME --role operator"
         return Finding(Step.ROLE, f"the connection is open, but your certificate is of {role}, which is no role", fix)
+    if role and ended:
+        sentence = (
+            "the connection was open, and the robot ended it: your certificate is revoked, or its places are taken"
+        )
+        fix = (
+            "where ca.key is, hexapod-gateway certs list says whether it is revoked, and hexapod-gateway certs issue "
+            "NAME --role operator makes another; bring its files here"
+        )
+        return Finding(Step.ROLE, sentence, fix)
     fix = "does it run behind this router, and with this namespace? See its journal (journalctl -u hexapod-gateway)"
     return Finding(Step.GATEWAY, "the connection is open, but no gateway answers there", fix)
 

@@ -14,18 +14,22 @@ from rich.console import Console
 from rich.text import Text
 
 from gateway.errors import ConfigError
+from gateway.people.terminal import clear_line, show_line
 from gateway.people.tools.check import (
     access,
     calibration,
     device,
     holders,
+    installation,
     laptop,
+    looking,
     machine,
     network,
     release,
     running,
     service_user,
     spi_bus,
+    trust,
 )
 from gateway.people.tools.check.result import Result, Verdict, failure, ok, warning
 from gateway.robot import settings as settings_file
@@ -46,13 +50,16 @@ def check(config: Path | None) -> int:
     matters only once it is known what the controller understands.
     """
     runs = release.running(machine.main_process())  # only root may see it
+    show_line("reading the files of the installed release …")
+    seen = looking.look()  # root sees it all
+    clear_line()
 
     def look() -> int:
         found = running.simulated() if config is None else None
         if found is not None:
-            results = chain(running.results(*found), release.findings(runs))
+            results = chain(running.results(*found), _installed(seen), release.findings(runs))
             return _report(results, "The simulated robot is well", "The simulated robot is not well")
-        results = chain(run(config), release.findings(runs))
+        results = chain(run(config, seen), release.findings(runs))
         return _report(results, "This machine can run the service", "This machine cannot run the service")
 
     return service_user.run(look, machine.granted_rtprio())
@@ -80,7 +87,7 @@ def _report(found: Iterable[Result], well: str, unwell: str) -> int:
     return 0
 
 
-def run(config: Path | None) -> Iterator[Result]:
+def run(config: Path | None, seen: installation.Seen | None = None) -> Iterator[Result]:
     """All checks, in order; those of the settings only where these can be read. Raises FramingNotSetError at once.
 
     While the service runs, and no file is named, its device is looked at with the settings that it uses.
@@ -100,6 +107,7 @@ def run(config: Path | None) -> Iterator[Result]:
     whose = service_user.who()
     if whose is not None:
         yield whose
+    yield from _installed(seen)
     if isinstance(settings, ConfigError):
         yield from _unreadable(settings)
     else:
@@ -109,13 +117,21 @@ def run(config: Path | None) -> Iterator[Result]:
             settings = settings.model_copy(update={"spi": SpiSettings.model_validate(used.tables["spi"])})
         yield from _of_settings(settings)
     yield machine.clock()
-    yield machine.unit()
+    unit = machine.unit()
+    if seen is None or not machine.is_no_unit(unit):  # the installation's line says so, and how to get it back
+        yield unit
     yield machine.running_realtime() or machine.realtime()
+
+
+def _installed(seen: installation.Seen | None) -> Iterator[Result]:
+    """Nothing where the service is not installed."""
+    if seen is not None:
+        yield from list(installation.results(seen)) or [ok("installation", f"{seen.release}, each file as installed")]
 
 
 def _unreadable(error: ConfigError) -> Iterator[Result]:
     for fault in str(error).splitlines():
-        yield failure("configuration", fault, network.LET_READ if network.DENIED in fault else _FIX_IT)
+        yield failure("configuration", fault, trust.LET_READ if network.DENIED in fault else _FIX_IT)
     yield warning("the rest", "device, ports and certificates were not looked at", "fix the configuration first")
 
 
@@ -156,6 +172,8 @@ def _of_settings(settings: Settings) -> Iterator[Result]:
         yield from calibration.landing_pose(settings)
     certificates = network.certificates(settings.zenoh, dt.datetime.now(dt.UTC))
     yield from certificates
+    mismatched = trust.results(settings.zenoh)
+    yield from mismatched
     zenoh_config, found = network.zenoh_configuration(settings.zenoh)
     yield from (result for result in found if result.sentence not in {known.sentence for known in certificates})
     gateway_runs = device.held(spi_device)
@@ -167,7 +185,8 @@ def _of_settings(settings: Settings) -> Iterator[Result]:
         ports = network.ports(endpoints, gateway_runs=gateway_runs)
         yield from ports
         to_be_had = [each for each, port in zip(endpoints, ports, strict=False) if port.verdict is not Verdict.FAILURE]
-        yield from network.opens(settings.zenoh, to_be_had)
+        if not mismatched:  # else Zenoh's sentence about it leads nowhere
+            yield from network.opens(settings.zenoh, to_be_had)
         yield from network.routers(zenoh_config)
     if settings.telemetry.metrics:
         yield network.metrics_port(settings.telemetry.metrics, gateway_runs=gateway_runs)

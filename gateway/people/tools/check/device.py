@@ -10,6 +10,8 @@ from pathlib import Path
 from typing import Final
 
 from gateway.errors import SpiError
+from gateway.people.tools.check import service_user
+from gateway.people.tools.check.installation import RESTART
 from gateway.people.tools.check.result import Result, failure, ok, warning
 from gateway.robot.protocol.frames import ONE_LEG_LEN
 from gateway.robot.protocol.framing import Framing
@@ -76,10 +78,12 @@ def _permission(path: Path) -> Result | None:
     status = path.stat()
     group = _group(status.st_gid)
     rights = stat.filemode(status.st_mode)
-    may_join = status.st_gid and (status.st_mode & 0o060) == 0o060
     fix = (
-        f"sudo usermod -aG {group} {_user()}, then log in again"
-        if may_join
+        f"the udev rule of the installation gives it to the group spi at each boot; now: sudo chgrp spi {path} && "
+        f"sudo chmod 660 {path} && {RESTART}"
+        if service_user.uid() is not None
+        else f"sudo usermod -aG {group} {_user()} # then log in again"
+        if status.st_gid and (status.st_mode & 0o060) == 0o060
         else "install the udev rule (sudo deploy/install.sh), which gives it to the group spi"
     )
     return failure(_NAME, f"{path} may not be opened by {_user()} ({rights}, group {group})", fix)

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Final
 
 from gateway.people.tools.check import service_user
+from gateway.people.tools.check.installation import RESTART
 from gateway.people.tools.check.result import Result, failure, ok, warning
 from gateway.robot.host.realtime import LOOP_PRIORITY
 
@@ -77,13 +78,18 @@ def unit_result(properties: Mapping[str, str]) -> Result:
         return failure(
             name,
             f"has failed ({properties.get('Result', '?')})",
-            f"journalctl -u {UNIT} says why; then: sudo systemctl restart {UNIT}",
+            f"journalctl -u {UNIT} says why; then: {RESTART}",
         )
     if not enabled.startswith("enabled"):
-        return warning(name, f"is {active}, but does not start with the machine", f"sudo systemctl enable {UNIT}")
+        return warning(name, f"is {active}, but does not start with the machine", f"sudo systemctl enable --now {UNIT}")
     if active != "active":
         return warning(name, f"is enabled, but {active}", f"sudo systemctl start {UNIT}")
     return ok(name, "is enabled and active")
+
+
+def is_no_unit(result: Result) -> bool:
+    """Whether `unit` found that systemd has none that could be started."""
+    return result.sentence.startswith(("is not installed", "cannot be loaded (masked)"))
 
 
 def granted_rtprio() -> int | None:

@@ -26,16 +26,13 @@ from gateway.people.client.diagnosis import Step
 from gateway.people.client.requests import Identity
 from gateway.people.tools.check import service_user
 from gateway.people.tools.check.result import Result, failure, ok, warning
+from gateway.people.tools.check.trust import LET_READ
 from gateway.robot.edge.session import service_config
 from gateway.robot.settings import ZenohSettings
 from gateway.zenoh_config import certificate_files, connect_endpoints, load_config, one_line, open_session
 from schemas.telemetry import GatewayState
 
 DENIED: Final = os.strerror(errno.EACCES)
-LET_READ: Final = (
-    "let the service read it, and nobody else: sudo chown -R root:hexapod-gateway /etc/hexapod-gateway; "
-    "sudo chmod -R u=rwX,g=rX,o= /etc/hexapod-gateway"
-)
 _ANSWER_S: Final = 1.0
 _LAST_PORT: Final = 65_535
 _LINKS: Final = {

@@ -1,0 +1,217 @@
+"""What may be wrong on a robot, as a table: how it is planted, what `check` says of it.
+
+The remedy is not here: the test runs the commands that `check` prints. `by_hand` follows a remedy that is a sentence.
+Shell, with the names of `NAMES`. The services run before each.
+"""
+
+from typing import NamedTuple
+
+from tests.box.installed import NAME
+
+NAMES = f"""
+own=/opt/{NAME}/venv; own=$(readlink -f $own); packages=$(echo $own/lib/python*/site-packages)
+etc=/etc/{NAME}; toml=$etc/gateway.toml; pki=$etc/zenoh; state=/var/lib/{NAME}; service={NAME}
+recorder=hexapod-recorder
+units=/etc/systemd/system; unit=$units/$service.service; rules=/etc/udev/rules.d/60-$service.rules
+drop_in() {{
+    mkdir -p $unit.d && printf '[Service]\\n' >$unit.d/own.conf && printf '%s\\n' "$@" >>$unit.d/own.conf
+    systemctl daemon-reload
+}}
+set -e
+"""
+"""Before each shell text."""
+CERTS = "/root/certs"
+"""Where the folder of certificates is, as if on another machine, and one of another authority."""
+OTHER = "/root/other"
+GIVEN = {"FOLDER": CERTS, "FILE": f"{CERTS}/revoked.crl"}
+"""What a person fills in."""
+
+_AGAIN = "cp /root/gateway.toml $toml; systemctl reset-failed $service; systemctl restart $service"
+
+
+class Fault(NamedTuple):
+    """A row. `plant` may restart what notices it only at its start."""
+
+    what: str
+    plant: str
+    says: str
+    by_hand: str = ""
+    then: str = ""
+    """Takes away what a remedy leaves and no person would see."""
+    more: int = 0
+    """How many lines come to light only after it, each with a remedy of its own."""
+
+
+TAKE_A_STOP = (
+    Fault(
+        "a unit without Stops",
+        "sed -i /^ExecStopPost/d $unit; systemctl daemon-reload",
+        f"{NAME}.service is not as this release has it",
+    ),
+    Fault("a drop-in without Stops", "drop_in ExecStopPost=", "empties ExecStopPost="),
+    Fault("a state directory of root's", "chown -R root:root $state", "is not the service's to write"),
+)
+"""After these a crash leaves the servos on: `make test` shows them, `make test-all` the others."""
+
+FAULTS = (
+    # the release
+    Fault(
+        "an emptied file and a missing one",
+        ": >$packages/gateway/people/tools/decode.py; rm $packages/mcap/writer.py",
+        "gateway/people/tools/decode.py, ",
+    ),
+    Fault("an emptied file of check's own", ": >$packages/gateway/text.py", "gateway/text.py"),
+    Fault("a damaged stop.py", "echo '(' >$packages/gateway/people/tools/stop.py", "gateway/people/tools/stop.py"),
+    Fault("the list of files emptied", ": >$own/complete", "has no list of its files"),
+    Fault("a file that was not installed", "echo >$packages/more.pth", "and not installed with it: lib/python"),
+    Fault("a file for root only", "chmod 600 $packages/gateway/people/tools/decode.py", "not for all to read"),
+    Fault("a file that all may write", "chmod 666 $packages/gateway/people/tools/decode.py", "not for root alone to"),
+    Fault("the command of another release", "ln -sfn /bin/true /usr/local/bin/$service", "leads to /usr/bin/true"),
+    Fault("no command", "rm /usr/local/bin/$service", f"/usr/local/bin/{NAME} is missing"),
+    # user and groups
+    Fault("no user", "systemctl stop $service $recorder; userdel $service", f"there is no user {NAME}"),
+    Fault("no group spi", "systemctl stop $service; groupdel spi", "there is no group spi"),
+    # units
+    Fault("a unit that is missing", "rm $unit; systemctl daemon-reload", f"{NAME}.service is missing"),
+    Fault("an emptied unit", ": >$unit; systemctl daemon-reload", f"{NAME} is masked, or its unit is empty"),
+    Fault("a unit of another release", "sed -i '1i # older' $unit; systemctl daemon-reload", "as this release has it"),
+    Fault("a unit that was edited only", "echo '# edited' >>$unit", f"{NAME} was edited, and systemd still", more=1),
+    Fault(
+        "a masked unit",
+        "systemctl stop $service; rm $unit; systemctl mask $service",
+        f"{NAME} is masked, or its unit is empty",
+    ),
+    Fault("a disabled unit", "systemctl disable $service", "is active, but does not start with the machine"),
+    Fault("a stopped service", "systemctl stop $service", "is enabled, but inactive"),
+    Fault(
+        "a failed service",
+        "echo x >>$toml; systemctl restart $service || true; cp /root/gateway.toml $toml",
+        "has failed (exit-code)",
+    ),
+    # drop-ins
+    Fault(
+        "a simulated controller left",
+        "drop_in Environment=GATEWAY_OPTIONS=--sim ExecStopPost=; systemctl restart $service",
+        "makes the controller a simulated one",
+    ),
+    Fault(
+        "a framing in a drop-in",
+        "drop_in Environment=HEXAPOD_SPI__FRAMING=plain; systemctl restart $service",
+        "has settings, which hold in place of gateway.toml",
+    ),
+    Fault("a drop-in without watchdog", "drop_in WatchdogSec=0", "changes what Stops depend on: WatchdogSec"),
+    Fault("a drop-in with another user", "drop_in User=nobody", "changes what Stops depend on: User"),
+    Fault(
+        "a drop-in that was not read",
+        "mkdir -p $unit.d; printf '[Service]\\nNice=5\\n' >$unit.d/own.conf",
+        f"{NAME} was edited, and systemd still goes by",
+        more=1,
+    ),
+    # the recorder
+    Fault(
+        "a recorder that is missing", "rm $units/$recorder.service; systemctl daemon-reload", "recorder.service is mi"
+    ),
+    Fault("a recorder of another release", "echo '# older' >>$units/$recorder.service", "recorder.service is not as"),
+    Fault(
+        "a masked recorder",
+        "systemctl stop $recorder; rm $units/$recorder.service; systemctl mask $recorder",
+        "hexapod-recorder is masked",
+    ),
+    Fault("a disabled recorder", "systemctl disable --now $recorder", "recorder does not start with the machine"),
+    Fault("a stopped recorder", "systemctl stop $recorder", "recorder is inactive"),
+    Fault("a recorder that cannot write", "chown root:root $state/incidents", "read and write: incidents"),
+    # the state directory
+    Fault("a state directory to read only", "chmod 500 $state", "is not the service's to write"),
+    Fault(
+        "a state directory on a read-only file system",
+        "mount --bind $state $state; mount -o remount,bind,ro $state",
+        "is on a file system that is read-only",
+        then="systemctl stop $service $recorder; umount $state; systemctl start $service $recorder",
+    ),
+    Fault(
+        "a state directory that is a file",
+        "systemctl stop $service $recorder; mv $state /root/kept; touch $state",
+        "is no folder",
+        then="rm -rf $state $state.old; mv /root/kept $state; systemctl restart $service $recorder",
+    ),
+    Fault(
+        "a file of root's in it",
+        "install -m 600 /dev/null $state/notes",
+        "read and write: notes",
+        then="rm $state/notes",
+    ),
+    Fault(
+        "a damaged calibration",
+        "echo '{' >$state/calibration.toml; chown $service $state/calibration.toml; systemctl restart $service",
+        "nothing can be started",
+        by_hand="hexapod-gateway calibrate --accept-default --yes --zenoh-config /root/certs/anna.json5",
+        then="rm $state/calibration.toml; systemctl restart $service",
+    ),
+    # the device
+    Fault("no udev rule", "rm $rules", "60-hexapod-gateway.rules is missing"),
+    Fault("another udev rule", "echo >$rules", "60-hexapod-gateway.rules is not as this release has it"),
+    Fault("a node of another group", "chgrp audio $(readlink -f /dev/spidev0.0)", "group audio)", then=""),
+    Fault("a node for root only", "chgrp root /dev/spidev0.0; chmod 600 /dev/spidev0.0", "may not be opened by"),
+    Fault(
+        "a device that does not exist",
+        "sed -i '1i spi.device = \"/dev/spidev9.9\"' $toml",
+        "/dev/spidev9.9 does not exist → set spi.device; here there is /dev/spidev0.0",
+        by_hand="sed -i 's/spidev9.9/spidev0.0/' $toml",
+        then="cp /root/gateway.toml $toml",
+    ),
+    # the configuration
+    Fault("a configuration that is no TOML", "echo '[' >>$toml", "→ fix it there", by_hand=_AGAIN),
+    Fault(
+        "a setting that does not exist", "sed -i '1i spi.speed = 1' $toml", "spi.speed: is no setting", by_hand=_AGAIN
+    ),
+    Fault("a value out of range", "sed -i '1i watchdog.timeout_ms = 1' $toml", "watchdog.timeout_ms", by_hand=_AGAIN),
+    Fault("no framing", "sed -i /framing/d $toml", "spi.framing: is not set", by_hand=_AGAIN),
+    Fault(
+        "a configuration for root only", "chown root:root $toml; chmod 600 $toml", "cannot be read (Permission denied)"
+    ),
+    Fault(
+        "a port that is taken",
+        "systemctl stop $service; systemd-run --quiet --unit=other socat-less /bin/true || true; "
+        "systemd-run --quiet --unit=other python3 -m http.server --bind 127.0.0.1 7447; "
+        "until ss -ltn | grep -q 7447; do :; done",
+        "is taken by another program",
+        by_hand="systemctl stop other; systemctl start $service",
+    ),
+    # certificates
+    Fault(
+        "the authority's key by another name",
+        "install -g $service -m 640 /root/certs/ca.key $pki/old.key",
+        "old.key is the authority's key",
+    ),
+    Fault("a private key that all may read", "chmod 644 $pki/gateway.key", "others than root and the service may read"),
+    Fault("a private key of another user's", "chown nobody $pki/gateway.key", "others than root and the service may"),
+    Fault("the authority's key", "install -g $service -m 640 /root/certs/ca.key $pki", "is the authority's key"),
+    Fault(
+        "a private key for root only",
+        "chown root:root $pki/gateway.key; chmod 600 $pki/gateway.key",
+        "gateway.key: Permission",
+    ),
+    Fault("the key of another", "cp /root/other/gateway.key $pki", "gateway.key is not the key of"),
+    Fault("another authority", "cp /root/other/ca.pem $pki", "is of another authority than"),
+    Fault(
+        "a certificate of another authority",
+        "cp /root/other/gateway.pem /root/other/gateway.key $pki",
+        "is of another authority than",
+    ),
+    Fault(
+        "a key that is missing", "rm $pki/gateway.key", "gateway.key", by_hand="cp /root/certs/gateway.key $pki", more=1
+    ),
+    Fault(
+        "an authority that is damaged", ": >$pki/ca.pem", "holds no certificate", by_hand="cp /root/certs/ca.pem $pki"
+    ),
+    Fault(
+        "a certificate that has expired",
+        "cp /root/expired/ca.pem /root/expired/gateway.pem /root/expired/gateway.key $pki",
+        "gateway.pem expired on",
+        by_hand="cp /root/certs/ca.pem /root/certs/gateway.pem /root/certs/gateway.key $pki",
+    ),
+    Fault("no Zenoh file", "mv $pki/gateway.json5 /root", "gateway.json5", by_hand="mv /root/gateway.json5 $pki"),
+    Fault("a damaged list of the revoked", "echo x >$state/revoked.crl", "this is no list of"),
+    Fault("a list of another authority", "cp /root/other/revoked.crl $state", "is of another authority, so nobody is"),
+    Fault("a damaged list beside", "echo x >$pki/revoked.crl", "this is no list of", then="rm $pki/revoked.crl"),
+)

@@ -1,0 +1,158 @@
+"""`check` finds each fault of a table on an installed robot; the remedy that it prints, run to the letter, helps."""
+
+import re
+import subprocess
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import pytest
+
+from tests.box.faults import CERTS, FAULTS, GIVEN, NAMES, OTHER, TAKE_A_STOP, Fault
+from tests.box.installed import NAME, InstalledGateway
+
+pytestmark = pytest.mark.systemd
+
+PROGRAM = f"/opt/{NAME}/venv/bin/{NAME}"
+KEPT = "/etc/passwd /etc/group /etc/shadow /etc/gshadow /etc/hexapod-gateway /etc/systemd/system /etc/udev/rules.d"
+PREPARE = f"""
+printf '#!/bin/sh\\nexec "$@"\\n' >/usr/local/bin/sudo
+printf '#!/bin/sh\\n' >/usr/local/sbin/udevadm # no udev runs in a box
+chmod +x /usr/local/bin/sudo /usr/local/sbin/udevadm
+for each in {CERTS} {OTHER}; do
+    {NAME} certs init --dir $each --host 127.0.0.1
+    for name in anna carl; do {NAME} certs issue $name --role operator --dir $each; done
+    {NAME} certs revoke carl --dir $each
+done
+/opt/{NAME}/venv/bin/python - <<'END'
+import datetime as dt
+from pathlib import Path
+from gateway import certs
+long_ago = dt.datetime.now(dt.UTC) - dt.timedelta(days=9)
+certs.folder.init(Path("/root/expired"), ["127.0.0.1"], days=2, now=long_ago)
+END
+mkdir $pki
+cp {CERTS}/ca.pem {CERTS}/gateway.* $pki
+cat >$toml <<'END'
+spi.framing = "length-prefixed"
+zenoh.config = "/etc/hexapod-gateway/zenoh/gateway.json5"
+zenoh.listen = ["tls/127.0.0.1:7447"]
+END
+chown -R root:$service $etc && chmod -R u=rwX,g=rX,o= $etc
+cp -p $toml /root
+systemctl restart $service $recorder
+{NAME} revoke {CERTS}/revoked.crl
+mkdir -p $state/incidents && chown $service:$service $state/incidents
+tar -cpf /root/kept.tar {KEPT} $state
+cp -a /opt/{NAME} /root/opt
+"""
+UNDO = f"""
+systemctl stop $service $recorder other || true
+umount $state || true
+rm -rf $state $units/$service* $units/$recorder* /opt/{NAME}
+tar -xpf /root/kept.tar -C /
+cp -a /root/opt /opt/{NAME}
+ln -sfnT /opt/{NAME}/venv/bin/{NAME} /usr/local/bin/{NAME}
+chgrp -R spi /box-out/bed && chmod -R g+rwX /box-out/bed
+systemctl daemon-reload
+systemctl reset-failed
+systemctl start $service $recorder
+"""
+
+
+class Line(NamedTuple):
+    """What `check` says of one thing that is not well."""
+
+    sentence: str
+    fix: str
+
+
+class Robot:
+    """An installed robot with certificates, of which `check` has nothing new to say."""
+
+    def __init__(self, installed: InstalledGateway) -> None:
+        self.installed = installed
+        self.env = dict(each.split("=", 1) for each in installed.emulated)
+        self.shell(f"ln -sf {self.env['UMOCKDEV_DIR']}/dev/spidev0.0 /dev/spidev0.0")
+        self.shell(PREPARE)
+        self.usual = set(self.check())
+        """What is not well in any box, such as its clock."""
+
+    def shell(self, text: str) -> str:
+        done = self.installed.box.run("bash", "-c", NAMES + text, timeout_s=200, check=False)
+        print(text, done.stdout, done.stderr, sep="\n")
+        if done.returncode:
+            raise subprocess.CalledProcessError(done.returncode, text, done.stdout, done.stderr)
+        return done.stdout
+
+    def check(self) -> list[Line]:
+        """What is not well. Without such a line it has to be content, and with a failure it must not be."""
+        done = self.installed.box.run(PROGRAM, "check", env=self.env, check=False)
+        print(done.stdout, done.stderr)
+        said = (done.stdout + done.stderr).splitlines()
+        assert done.returncode == (2 if not done.stdout else int("\nfailure" in f"\n{done.stdout}"))
+        found = [line[24:] for line in said if line.startswith(("warning", "failure"))]
+        found += [line for line in said if line.startswith(f"{NAME}: ")]
+        return [Line(*(line.split(" → ", 1) if " → " in line else (line, ""))) for line in found]
+
+    def new(self) -> list[Line]:
+        return [line for line in self.check() if line not in self.usual]
+
+
+@pytest.fixture(scope="module")
+def well(installed: InstalledGateway) -> Robot:
+    return Robot(installed)
+
+
+@pytest.fixture
+def robot(well: Robot, request: pytest.FixtureRequest) -> Iterator[Robot]:
+    failed = request.session.testsfailed
+    yield well
+    if request.session.testsfailed != failed:
+        well.shell(UNDO)
+
+
+@pytest.mark.parametrize("fault", TAKE_A_STOP, ids=lambda fault: fault.what)
+def test_a_fault_that_takes_a_stop_is_named_and_its_remedy_helps(robot: Robot, fault: Fault) -> None:
+    named_and_helped(robot, fault)
+
+
+@pytest.mark.parametrize("fault", FAULTS, ids=lambda fault: fault.what)
+def test_a_fault_is_named_and_its_remedy_helps(robot: Robot, fault: Fault) -> None:
+    named_and_helped(robot, fault)
+
+
+def test_somebody_who_may_not_look_is_not_answered_with_a_traceback(well: Robot) -> None:
+    stranger = ("setpriv", "--reuid=nobody", "--regid=nogroup", "--clear-groups", "--")
+    done = well.installed.box.run(*stranger, PROGRAM, "check", check=False)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.endswith("is not for you to read, as it may name keys: sudo hexapod-gateway check\n")
+    assert "Traceback" not in done.stderr
+
+
+def named_and_helped(robot: Robot, fault: Fault) -> None:
+    """As a technician does: plant, check, run what stands behind the arrow, and check again."""
+    robot.shell(fault.plant)
+    found = robot.new()
+    named = [line for line in found if fault.says in f"{line.sentence} → {line.fix}"]
+    assert named, f"nothing says {fault.says!r}"
+    if fault.by_hand:
+        robot.shell(fault.by_hand)
+    else:
+        follow(robot, named[0])
+    for _ in range(fault.more):
+        follow(robot, robot.new()[0])
+    assert not robot.new()
+    if fault.then:
+        robot.shell(fault.then)
+
+
+def follow(robot: Robot, line: Line) -> None:
+    command = re.search(r"sudo .*", line.fix)
+    assert command, f"{line.fix!r} has no command"
+    robot.shell(filled_in(command[0]))
+
+
+def filled_in(command: str) -> str:
+    for word, meant in GIVEN.items():
+        command = re.sub(rf"\b{word}\b", meant, command)
+    return command
