@@ -180,7 +180,8 @@ def _of_settings(settings: Settings) -> Iterator[Result]:
     if zenoh_config is not None:
         yield from access.passes(zenoh_config, settings.zenoh.config)
         yield from holders.at_the_robot(zenoh_config, settings.zenoh.config)
-        yield from holders.shut_out_at_the_robot(zenoh_config, settings.zenoh)
+        if all(each.name != "revoked" for each in mismatched):
+            yield from holders.shut_out_at_the_robot(zenoh_config, settings.zenoh)
         endpoints = listen_endpoints(zenoh_config)
         ports = network.ports(endpoints, gateway_runs=gateway_runs)
         yield from ports
