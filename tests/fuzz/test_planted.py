@@ -70,6 +70,11 @@ CALIBRATING_DRIVER = BY_NAME["one servo, calibrated by its driver"]
 UNREAD = BY_NAME["one servo, whose calibration cannot be read"]
 
 
+def answered_only(_robot: Supervisor, _event: Event, effects: list[Effect]) -> list[Effect]:
+    """Commands are answered, and their frames lost."""
+    return [each for each in spelled_out(effects) if not (isinstance(each, Transmit) and each.cause is Cause.COMMAND)]
+
+
 def uncoalesced(_robot: Supervisor, _event: Event, effects: list[Effect]) -> list[Effect]:
     """No command is answered as replaced."""
     for effect in effects:
@@ -111,7 +116,7 @@ BROKEN: list[tuple[str, Configuration, Make]] = [
     (
         "an answer comes after the frames",
         ONE_SERVO,
-        wanting(lambda _, __, effects: [each for each in spelled_out(effects) if not isinstance(each, Transmit)]),
+        wanting(answered_only),
     ),
     (
         "all Stops come before anything else",

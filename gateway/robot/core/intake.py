@@ -127,7 +127,7 @@ def _fields(row: Row, command: Command | Reset) -> int:
     if type(command) is Reset:
         fields += command.estop is not None
     else:
-        fields += len(command.targets) + len(command.moves) + each_leg * len(command.by_leg)  # a Stop has no angle
+        fields += command.left + len(command.moves) + each_leg * len(command.by_leg)  # a Stop has no angle
     return fields + once
 
 

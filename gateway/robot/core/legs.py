@@ -14,7 +14,7 @@ from gateway.robot.core.landing import Landing, landing
 from gateway.robot.core.leg import NO_COMMAND, Leg, Rules, Servo, servos_of
 from gateway.robot.core.pacing import NEVER, RateSlots, StartQueue, merged
 from gateway.robot.core.speed import step
-from gateway.robot.protocol.frames import OP_SET, OP_STOP, STOP, OneLeg, OneServo, ServoOp, stop_leg
+from gateway.robot.protocol.frames import OP_START, OP_STOP, SETS, STOP, OneLeg, OneServo, ServoOp, stop_leg
 from schemas.robot import LEGS
 from schemas.telemetry import Cause, Kind, Reason
 
@@ -31,8 +31,8 @@ def _whole_leg(leg: Leg) -> OneLeg:
 
 
 def _as_it_is(servo: Servo) -> ServoOp:
-    """What tells a servo to go on as it is."""
-    return STOP if servo.angle_cdeg is None else ServoOp(OP_SET, servo.angle_cdeg)
+    """The operation that changes nothing."""
+    return STOP if servo.angle_cdeg is None else SETS[servo.angle_cdeg]
 
 
 def _stops(leg: Leg, servos: list[Servo], cause: Cause, commands: tuple[Command, ...] = ()) -> list[Effect]:
@@ -251,9 +251,14 @@ class Legs:
 
     def _send(self, leg: Leg, now_ns: int, cause: Cause = Cause.COMMAND) -> list[Effect]:
         """Send what waits for this leg, if it may go now."""
-        waiting = [(servo, servo.waiting) for servo in leg.servos if servo.waiting is not None]
+        waiting: list[tuple[Servo, ServoOp]] = []
+        energises = False
+        for servo in leg.servos:
+            op = servo.waiting
+            if op is not None:
+                waiting += [(servo, op)]
+                energises = energises or (servo.angle_cdeg is None and op.op is OP_START)
         limited = self._rules.max_speed_cdeg_s
-        energises = leg.waits_to_start
         if energises:
             self._queue.join(leg.number)
         elif self._queue.legs:
@@ -267,7 +272,7 @@ class Legs:
         leg.slots.take(now_ns)
         if limited:
             waiting = self._in_steps(leg, now_ns)
-        frame = OneServo(waiting[0][0].servo_id, waiting[0][1]) if len(waiting) == 1 else _whole_leg(leg)
+        frame = _whole_leg(leg) if waiting[1:] else OneServo(waiting[0][0].servo_id, waiting[0][1])
         wire = self._reach.wire  # the one place where users' angles become the servos' own; a Stop has none
         commands: tuple[Command, ...] = ()
         done: tuple[Command, ...] = ()
@@ -291,7 +296,7 @@ class Legs:
         said: list[tuple[Servo, ServoOp]] = []
         for servo in leg.servos:
             if servo.waiting is None and servo.target_cdeg is not None:
-                servo.waiting, servo.waiting_for = ServoOp(OP_SET, servo.target_cdeg), NO_COMMAND
+                servo.waiting, servo.waiting_for = SETS[servo.target_cdeg], NO_COMMAND
             if servo.waiting is None:
                 continue
             speed_cdeg_s = self._rules.max_speed_cdeg_s.get(servo.servo_id)
@@ -353,7 +358,7 @@ class Legs:
                     angle_cdeg = self.landing.angle_cdeg(servo.servo_id, leg.landed_ns)
                     angle_cdeg = self._reach.near_side(servo.servo_id, servo.angle_cdeg, angle_cdeg)
                     if angle_cdeg != servo.angle_cdeg:
-                        servo.waiting, servo.waiting_for = ServoOp(OP_SET, angle_cdeg), NO_COMMAND
+                        servo.waiting, servo.waiting_for = SETS[angle_cdeg], NO_COMMAND
             effects += self._send(leg, now_ns, Cause.WATCHDOG)
             for servo in leg.servos:
                 servo.target_cdeg = None  # one whose speed is limited follows the line, and not where the line was

@@ -251,7 +251,7 @@ class Supervisor:
                 # Which of the two is older is not known, and an older Start must not overtake a Stop.
                 by = ", ".join(sorted(servo.stopped_by))
                 return Reason.SERVO_STOPPED, f"servo {servo_id} was stopped in the same instant ({by})"
-            if op.op is OP_SET and not servo.will_run:
+            if op.op is OP_SET and servo.angle_cdeg is None and not servo.will_run:
                 return Reason.SERVO_STOPPED, f"servo {servo_id} does not run; start it before you set it"
         return None
 

@@ -1,14 +1,16 @@
 """What a command key addresses, and what follows from that: one row for each target, which all who ask read. Pure.
 
-A new key needs its row here, and nothing else in the robot's wing decides by target: which rings are read again
-(`edge/rings.py`), what a delete and what lost messages mean (`intake`, `losses`), and how a payload is read follow.
+A new key needs its row here. Which rings are read again (`edge/rings.py`), what may be a Stop, what a delete and what
+lost messages mean (`intake`, `losses`), and how a payload is read follow from it. Only the emergency stop is known by
+its key elsewhere, since it has rings and threads of its own, and nothing of its payload is read (`edge/inbox.py`,
+`runtime/conductor.py`).
 """
 
 from collections.abc import Callable
 from typing import Final, NamedTuple
 
 from gateway.robot.core.events import Command, Reset, Targets
-from gateway.robot.protocol.frames import OP_SET, OP_START, STOP, ServoOp, servo_ids_of
+from gateway.robot.protocol.frames import SETS, STARTS, STOP, servo_ids_of
 from schemas import keys
 from schemas.command import SERVO_COMMAND, LegCommand, LegsCommand, Move, ResetCommand, Stop
 from schemas.keys import CommandKey, Target
@@ -16,7 +18,7 @@ from schemas.robot import JOINTS, LEGS, SERVO_IDS
 
 # ---- readers: each raises pydantic's ValidationError
 
-_OPS: Final = {"start": OP_START, "set": OP_SET}
+_MOVES: Final = {"start": STARTS, "set": SETS}
 _IDS_OF_LEG: Final = {leg: servo_ids_of(leg) for leg in LEGS}
 _LEG_COMMAND: Final = LegCommand.__pydantic_validator__
 """Called at once, without the wrapper around it: it reads each setpoint of a gait."""
@@ -52,7 +54,7 @@ def _targets(servo_ids: tuple[int, ...], setpoints: tuple[Move | Stop, ...]) -> 
     targets: Targets = ()
     for place, servo_id in enumerate(servo_ids):
         setpoint = setpoints[place]
-        op = STOP if setpoint.op == "stop" else ServoOp(_OPS[setpoint.op], round(setpoint.angle_deg * 100))
+        op = STOP if setpoint.op == "stop" else _MOVES[setpoint.op][round(setpoint.angle_deg * 100)]
         targets += ((servo_id, op),)
     return targets
 

@@ -72,6 +72,8 @@ class Executor:
             self._events.announce(Announce(Kind.BUS_MEDDLED, outcome.meddled))
         for effect in effects:
             match effect:
+                case Transmit() if not effect.done:
+                    pass  # written above
                 case Transmit() | Completed():
                     self._answers.complete(effect, outcome.fault)
                 case Rejected():

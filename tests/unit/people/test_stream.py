@@ -1,5 +1,7 @@
 """What a stream makes of a gateway's silence, its end and its watchdog, in virtual time: no thread, no gateway."""
 
+import json
+import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any, Self
 
@@ -8,6 +10,7 @@ import pytest
 from gateway.errors import DisconnectedError, StoppedError, UnansweredError
 from gateway.people.client.pace import SILENCE_S
 from gateway.people.client.stream import Stream
+from schemas.robot import LEGS
 from schemas.telemetry import Ack, GatewayState, WatchdogState
 from tests.support.watch_reports import state
 
@@ -190,3 +193,27 @@ def test_a_gateway_that_was_restarted_is_noticed_by_its_first_state(robot: Robot
     asked = robot.questions
     stream.set({1: POSE})
     assert robot.questions == asked, "one answer was enough"
+
+
+MOST_CALLS = 143
+"""Of Python functions and of C's, from the angles of six legs to their payload. There were 780 while each angle was
+looked at twice, and an abstract class was asked for the type of each leg."""
+
+
+def test_a_setpoint_takes_no_more_calls_than_it_did(robot: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(robot, "publish", lambda _key, payload: json.dumps({"sent_ms": 1.0, **payload}))
+    counted = 0
+
+    def count(_frame: object, event: str, _argument: object) -> None:
+        nonlocal counted
+        counted += event in ("call", "c_call")
+
+    with Stream(robot, HZ) as stream:
+        angles = dict.fromkeys(LEGS, (91.25, 45.5, 120))
+        for _ in range(2):
+            stream.set(angles)
+            robot.publish_state()
+        sys.setprofile(count)
+        stream.set(angles)
+        sys.setprofile(None)
+    assert counted <= MOST_CALLS

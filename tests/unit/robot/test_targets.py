@@ -49,6 +49,10 @@ def test_what_each_row_says(key: str, servos: tuple[int, ...], followed: tuple[i
     target = COMMAND_KEYS[key]
     assert servos_of(target) == set(servos), "without one, a message would never be done, but for a reset"
     assert follows(target) == set(followed), "an older Start on another key must not come after a Stop on this one"
+    may_stop = TARGETS[target.target].may_stop
+    assert may_stop(b'{"op": "stop"}') is (key != keys.RESET), "else it would lose its place before an older start"
+    assert may_stop(b'{"op": "\\u0073top"}') is (key != keys.RESET)
+    assert may_stop(b'{"op": "set", "angle_deg": 90}') is (key == keys.ESTOP), "else a stream would be dealt with whole"
     stops = tuple((servo_id, STOP) for servo_id in servos)
     assert stops_of(target) == stops
     no_reset = Rejection(Reason.INVALID, "a delete does not reset; put {} on hexapod/reset/cmd")
