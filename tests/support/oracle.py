@@ -334,7 +334,8 @@ class Oracle(RobotHistory):
         wants = {want.number for servo_id, _ in transmit.frame.servos if (want := self.servos[servo_id].want)}
         named = {each.number for each in transmit.commands}
         demand(named >= {each.number for each in transmit.done}, "a frame completes what it carries out, if anything")
-        demand(wants <= named <= wants | {command}, f"a frame of commands {wants} names {named}")
+        its = {command} if command else set[int]()
+        demand(wants <= named <= wants | its, f"a frame of commands {wants} names {named}")
         demand(named == {command} or not transmit.frame.is_stop, f"a Stop of command {command} names {named}")
 
     def _moved(self, transmit: Transmit, stops: frozenset[int], now_ns: int) -> None:
