@@ -10,11 +10,11 @@ from pathlib import Path
 from statistics import median
 
 from gateway.robot.core.events import BusOpened, Command, Do, LeaseRequest, Rejected
-from gateway.robot.core.intake import decode
+from gateway.robot.core.intake import read
 from gateway.robot.core.leg import Rules
+from gateway.robot.core.message import Received, Verb
 from gateway.robot.core.pacing import NS_PER_S
 from gateway.robot.core.supervisor import Supervisor
-from gateway.robot.core.targets import Intent
 from schemas import keys
 from tests.benchmarks.processes import Figures, cpu_ns, now_ns, say
 from tests.benchmarks.subjects import SETTLE_S, Publisher, Subject, program
@@ -60,7 +60,7 @@ def _token_us() -> float:
     Two streams of a real gateway do not show it: the same stream twice differs by a tenth on a shared machine.
     """
     say("lease: a token on each command")
-    key, token = keys.COMMAND_KEYS[keys.leg_command(3)], "0123456789abcdef" * 2
+    name, token = keys.leg_command(3), "0123456789abcdef" * 2
     command = {"servos": [{"op": "start", "angle_deg": 90}] * 3}
     payloads = [json.dumps(each).encode() for each in (command, {**command, "lease": token})]
     supervisors = [Supervisor(Rules(timeout_ns=10 * NS_PER_S, lease_ttl_ns=10 * NS_PER_S)) for _ in payloads]
@@ -74,9 +74,11 @@ def _token_us() -> float:
             time.sleep(0.001)
             junk[::64] = junk[::64]
             begun_ns = time.thread_time_ns()
-            intent = decode(key, payloads[index], "application/json")
-            assert isinstance(intent, Intent)
-            event = Command(number, "put", intent.targets, None, intent.lease)
+            key = keys.COMMAND_KEYS[name]
+            event = read(
+                Received(name, name, key, Verb.PUT, payloads[index], len(payloads[index]), "application/json", None, 0)
+            )
+            assert isinstance(event, Command)
             effects = supervisors[index].step(event, now_ns())
             taken_us[index].append((time.thread_time_ns() - begun_ns) / 1000)
             assert not any(isinstance(effect, Rejected) for effect in effects)

@@ -12,7 +12,7 @@ from typing import Any, Final
 
 from gateway.people.tools import decode as decode_command
 from gateway.robot.core import intake
-from gateway.robot.core.targets import Intent, Targets
+from gateway.robot.core.events import Targets
 from gateway.robot.protocol import frames
 from gateway.robot.protocol.frames import Frame, FrameError, OneLeg, OneServo, Op, ServoOp, servo_ids_of
 from gateway.robot.protocol.framing import Framing
@@ -23,6 +23,7 @@ from schemas.robot import SERVO_IDS
 from schemas.telemetry import Reason
 from tests.fuzz import ring
 from tests.fuzz.reference import ReferenceController
+from tests.support.reading import Intent, decode
 
 MAX_DETAIL: Final = 200
 """Characters of an answer to a bad command; it goes out as an event and into the log for everyone to see."""
@@ -37,7 +38,7 @@ def fuzz_intake(data: bytes) -> str:
     if len(data) < 2:
         return "too short"
     key, encoding, payload = KEYS[data[0] % len(KEYS)], ENCODINGS[data[1] % len(ENCODINGS)], data[2:]
-    return check_intake(key, payload, intake.decode(key, payload, encoding))
+    return check_intake(key, payload, decode(key, payload, encoding))
 
 
 def check_intake(key: CommandKey, payload: bytes, answer: object) -> str:

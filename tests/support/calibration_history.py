@@ -5,6 +5,7 @@ another reading of them.
 """
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import replace
 from typing import NamedTuple, Self
 
 from gateway.robot.core.calibration import Calibration, ServoChange
@@ -12,7 +13,7 @@ from gateway.robot.core.events import Calibrate, Effect, Keep, Kept, Transmit
 from gateway.robot.core.leg import Rules
 from gateway.robot.protocol.frames import Frame, OneLeg, OneServo, Op, ServoOp
 from schemas.telemetry import Kind, Reason
-from tests.support.history import demand, told
+from tests.support.history import demand, spelled_out, told
 
 
 class OneServos(NamedTuple):
@@ -138,12 +139,10 @@ class CalibrationHistory:
         return {servo_id: angle for servo_id, angle in pose.items() if self.allows(servo_id, angle)}
 
     def read(self, effects: Iterable[Effect]) -> list[Effect]:
-        """The same, with frames that say what users mean; raise Violation where no user can have meant one."""
+        """The same, spelled out, with frames as users mean them; raise Violation where no user can have meant one."""
         return [
-            Transmit(self._read(effect.frame), effect.cause, effect.deadline_ns, effect.numbers, effect.joins)
-            if isinstance(effect, Transmit)
-            else effect
-            for effect in effects
+            replace(effect, frame=self._read(effect.frame)) if isinstance(effect, Transmit) else effect
+            for effect in spelled_out(effects)
         ]
 
     def _read(self, frame: Frame) -> Frame:

@@ -1,11 +1,21 @@
 """What a judge of the supervisor remembers of servos and legs; see `oracle.py`."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, fields
 from operator import attrgetter
 from typing import Any, NamedTuple, Self, TypeVar
 
-from gateway.robot.core.events import Announce, Command, Effect, Rejected, Reset, StoppedOutside
+from gateway.robot.core.events import (
+    Announce,
+    Command,
+    Completed,
+    Effect,
+    Rejected,
+    Request,
+    Reset,
+    StoppedOutside,
+    Transmit,
+)
 from gateway.robot.core.leg import Rules
 from gateway.robot.core.pacing import NS_PER_S
 from gateway.robot.protocol.frames import Op, leg_of
@@ -36,9 +46,22 @@ def told(effects: Iterable[Effect], kind: Kind) -> bool:
     return any(isinstance(effect, Announce) and effect.kind is kind for effect in effects)
 
 
+def spelled_out(effects: Iterable[Effect]) -> Iterator[Effect]:
+    """The same, with what each frame completes behind it."""
+    for effect in effects:
+        yield effect
+        if isinstance(effect, Transmit):
+            yield from map(Completed, effect.done)
+
+
+def is_coalesced(request: Request) -> bool:
+    """Whether a newer command has replaced a part of it."""
+    return isinstance(request, Command) and request.coalesced
+
+
 def rejections_of(number: int, effects: Iterable[Effect]) -> list[Reason]:
     """Why this command is rejected."""
-    return [effect.reason for effect in effects if isinstance(effect, Rejected) and effect.number == number]
+    return [effect.reason for effect in effects if isinstance(effect, Rejected) and effect.request.number == number]
 
 
 def is_newer(reset: Reset, age_ns: int, estops: int, rules: Rules) -> bool:

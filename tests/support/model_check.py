@@ -11,7 +11,7 @@ of time (a tick is half a leg's period, or a quarter of it).
 import math
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from operator import attrgetter
 from typing import Any, Final
 
@@ -28,7 +28,7 @@ from gateway.robot.core.events import (
     TimePassed,
 )
 from gateway.robot.core.leg import Leg, Rules, Servo
-from gateway.robot.core.legs import Legs, _PendingCommand
+from gateway.robot.core.legs import Legs
 from gateway.robot.core.pacing import RateSlots, StartQueue
 from gateway.robot.core.supervisor import Supervisor
 from schemas.telemetry import Mode
@@ -75,16 +75,18 @@ _KNOWN: Final = (
     (_ROBOT._reach, "_limits_cdeg _landing_cdeg _avoid_cdeg calibration wire limited"),
     (_ROBOT.calibrating, "_reach fault guards _on_its_way"),
     (_ROBOT.calibrating, "_delay"),  # words for people, which decide nothing
-    (_ROBOT.legs, "_rules _reach by_number _all servos _pending _queue instant_ns landing land_ns rest_ns"),
+    (_ROBOT.legs, "_rules _reach by_number _all servos _queue instant_ns landing land_ns rest_ns"),
     (_ROBOT.legs, "due_ns repeat_ns at_rest"),  # these follow from the others: `take` sees to that
     (_ROBOT.legs, "_moved given _silent"),  # these count within a step
     (Leg, "number servos slots heard_ns expired source landed_ns"),
     (Leg, "due_ns repeat_ns runs rests"),  # these follow, too
-    (Servo, "servo_id leg angle_cdeg waiting waiting_number target_cdeg since_ns passing_cdeg repeats_left repeat_ns"),
+    (Servo, "servo_id leg angle_cdeg waiting waiting_for target_cdeg since_ns passing_cdeg repeats_left repeat_ns"),
     (Servo, "stopped_ns stopped_by"),
     (RateSlots, "period_ns oldest_ns next_ns"),
     (StartQueue, "pause_ns next_ns legs"),
-    (_PendingCommand, "targets coalesced"),
+    (Command, "targets key source sent_ms lease reply verb received_ns number lost moves by_leg"),  # these never change
+    (Command, "written"),  # by the executor
+    (Command, "left coalesced"),
 )
 """All that a supervisor has. A field that is not named here may matter to what states are equal: then say so below."""
 for _part in dict(_KNOWN):
@@ -100,7 +102,7 @@ def _getter(kind: type) -> "attrgetter[tuple[Any, ...]]":
 
 
 _servo_fields, _leg_fields = _getter(Servo), _getter(Leg)
-_slots_fields, _pending_fields = _getter(RateSlots), _getter(_PendingCommand)
+_slots_fields = _getter(RateSlots)
 
 
 def _with_legs(legs: Legs, by_number: dict[int, Leg]) -> None:
@@ -114,12 +116,31 @@ def small(supervisor: Supervisor, legs: Iterable[int]) -> Supervisor:
     return supervisor
 
 
+def pending(supervisor: Supervisor) -> dict[int, Command]:
+    """The commands that servos wait for, by their numbers, in order."""
+    waiting = [servo.waiting_for for servo in supervisor.legs.servos.values() if servo.waiting is not None]
+    return {command.number: command for command in sorted(waiting, key=attrgetter("number"))}
+
+
+def copied_servo(servo: Servo, commands: dict[int, Command]) -> Servo:
+    """A copy that waits for the copy of its command, of which each servo has the same."""
+    other = type(servo)(*_servo_fields(servo))
+    if servo.waiting is not None:
+        command = servo.waiting_for
+        if command.number not in commands:
+            commands[command.number] = replace(command)
+            commands[command.number].left = command.left
+        other.waiting_for = commands[command.number]
+    return other
+
+
 def copied(supervisor: Supervisor) -> Supervisor:
     """A copy that shares nothing that changes; copy.deepcopy takes fifty times as long."""
     legs = cloned(supervisor.legs)
     by_number: dict[int, Leg] = {}
+    commands: dict[int, Command] = {}
     for number, leg in supervisor.legs.by_number.items():
-        first, second, third = (type(servo)(*_servo_fields(servo)) for servo in leg.servos)
+        first, second, third = (copied_servo(servo, commands) for servo in leg.servos)
         slots = type(leg.slots)(*_slots_fields(leg.slots))
         _, _, _, *rest = _leg_fields(leg)
         by_number[number] = type(leg)(number, (first, second, third), slots, *rest)
@@ -129,9 +150,6 @@ def copied(supervisor: Supervisor) -> Supervisor:
     copy_calibrating(supervisor, other)
     queue = supervisor.legs._queue
     legs._queue = type(queue)(queue.pause_ns, queue.next_ns, list(queue.legs))
-    legs._pending = {
-        number: _PendingCommand(*_pending_fields(pending)) for number, pending in supervisor.legs._pending.items()
-    }
     return other
 
 
@@ -160,7 +178,7 @@ def key(supervisor: Supervisor, now_ns: int, rank: dict[int, int]) -> tuple[obje
         calibrating_key(supervisor),
         legs.landing and (*landing_key(legs.landing, now_ns), legs.land_ns - now_ns),
         (tuple(queue.legs), max(0, queue.next_ns - now_ns)) if queue.pause_ns else None,
-        tuple((rank[number], *_pending_fields(pending)) for number, pending in sorted(legs._pending.items())),
+        tuple((rank[number], each.left, each.coalesced) for number, each in pending(supervisor).items()),
         tuple(
             (
                 min(now_ns - leg.heard_ns, legs._rules.timeout_ns) if leg.heard_ns is not None and leg.armed else None,
@@ -171,7 +189,7 @@ def key(supervisor: Supervisor, now_ns: int, rank: dict[int, int]) -> tuple[obje
                 tuple(
                     (
                         servo.angle_cdeg,
-                        servo.waiting and (servo.waiting, rank[servo.waiting_number]),
+                        servo.waiting and (servo.waiting, rank[servo.waiting_for.number]),
                         servo.target_cdeg,
                         servo.passing_cdeg,
                         speed_age_ns(servo.since_ns, now_ns, legs._rules) if servo.running else None,
@@ -205,7 +223,7 @@ def events(
     commands = configuration.commands if mode in (Mode.IDLE, Mode.ACTIVE) else configuration.commands[:1]
     for which, (channel, targets) in enumerate(commands):
         for whose, token in tokens(configuration.drivers, lease):
-            yield f"{channel} command {which}{whose}", Command(number, channel, targets, lease=token)
+            yield f"{channel} command {which}{whose}", Command(targets, key=channel, number=number, lease=token)
     yield "time passed", TimePassed()
     yield "bus opened", BusOpened()
     yield from lease_requests(configuration.drivers, number, lease)
@@ -215,11 +233,11 @@ def events(
         return
     yield "emergency stop", EmergencyStop()
     for whose, token in tokens(configuration.drivers, lease):
-        yield f"reset{whose}", Reset(number, estop=estops, lease=token)
+        yield f"reset{whose}", Reset(number=number, estop=estops, lease=token)
     if mode is Mode.ESTOPPED:
-        yield "reset of an older one", Reset(number, estop=estops - 1)
-        yield "reset of none that was", Reset(number, estop=estops + 1)
-        yield "reset without a number", Reset(number)
+        yield "reset of an older one", Reset(number=number, estop=estops - 1)
+        yield "reset of none that was", Reset(number=number, estop=estops + 1)
+        yield "reset without a number", Reset(number=number)
     yield from STOP_SERVOS.items()
     yield "bus failed", BusFailed("a test's fault")
     if configuration.ends:

@@ -125,10 +125,16 @@ def changes(wanted: Sequence[Change], number: int, history: CalibrationHistory) 
     """Everything that may be asked of the calibration, and what the disk may answer."""
     revision = history.whole.revision
     for which, change in enumerate(wanted):
-        yield f"calibration {which}", Calibrate(number, change, revision, accept_default=not history.trusted)
+        yield (
+            f"calibration {which}",
+            Calibrate(number=number, change=change, revision=revision, accept_default=not history.trusted),
+        )
     if wanted:
-        yield "calibration of an older one", Calibrate(number, wanted[0], revision - 1)
-        yield "another default accepted", Calibrate(number, Change({}, {}), accept_default=history.trusted)
+        yield "calibration of an older one", Calibrate(number=number, change=wanted[0], revision=revision - 1)
+        yield (
+            "another default accepted",
+            Calibrate(number=number, change=Change({}, {}), accept_default=history.trusted),
+        )
     if history.on_its_way is not None:
         yield "calibration kept", Kept(history.on_its_way.number)
         yield "calibration not kept", Kept(history.on_its_way.number, "the disk is full")

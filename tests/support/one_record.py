@@ -4,8 +4,8 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from gateway.robot.blackbox.recorder import ACCEPTED, Heard, Recorder
-from gateway.robot.core.events import Transmit
+from gateway.robot.blackbox.recorder import ACCEPTED, Recorder
+from gateway.robot.core.events import Command, Transmit
 from gateway.robot.protocol.frames import OneLeg, Op, ServoOp
 from gateway.robot.settings import Settings
 from gateway.robot.spi.bus import Sent
@@ -19,13 +19,14 @@ def writers(folder: Path) -> dict[str, Callable[[], None]]:
     recorder = Recorder(settings, {}, time.monotonic_ns, time.time_ns)
     recorder.open()
     key, target = leg_command(3), ServoOp(Op.SET, 90_00)
-    heard = Heard(5_000_000, 1, "put", key, "anna", 12.0, tuple((31 + joint, target) for joint in range(3)))
+    targets = tuple((31 + joint, target) for joint in range(3))
+    heard = Command(targets, key=key, source="anna", sent_ms=12.0, received_ns=5_000_000, number=1)
     sent = Sent(0, b"\x0e" * 14, 5_100_000, 45_000, heard=True)
-    transmit = Transmit(OneLeg(3, (target, target, target)), Cause.COMMAND, None, (1,))
+    transmit = Transmit(OneLeg(3, (target, target, target)), Cause.COMMAND, None, (heard,), (heard,))
 
     return {
-        "setpoint with its frame": lambda: recorder.step(heard, [(transmit, sent)], [(1, ACCEPTED, key, "anna")]),
+        "setpoint with its frame": lambda: recorder.step(heard, [(transmit, sent)], [(heard, ACCEPTED)]),
         "command": lambda: recorder.step(heard, (), ()),
-        "decision": lambda: recorder.step(None, (), [(1, "estopped", key, "anna")]),
+        "decision": lambda: recorder.step(None, (), [(heard, "estopped")]),
         "frame": lambda: recorder.step(None, [(transmit, sent)], ()),
     }

@@ -35,6 +35,7 @@ from tests.support.history import (
     Want,
     change_hands,
     demand,
+    is_coalesced,
     is_newer,
     rejections_of,
     told,
@@ -133,7 +134,7 @@ class Oracle(RobotHistory):
         for effect in effects:
             if isinstance(effect, Completed | Rejected):
                 demand(isinstance(effect, Rejected) and effect.reason is reason, f"what waited is rejected: {reason}")
-                self._answered(effect.number)
+                self._answered(effect.request.number)
         demand(not self.pending, "nothing waits any more")
 
     def _in_time(
@@ -331,8 +332,10 @@ class Oracle(RobotHistory):
     def _named(self, transmit: Transmit, command: int) -> None:
         """A frame names the commands that it carries out, so that the answer of one that fails later names its leg."""
         wants = {want.number for servo_id, _ in transmit.frame.servos if (want := self.servos[servo_id].want)}
-        named = set(transmit.numbers)
-        demand(wants <= named <= wants | {command}, f"a frame of commands {wants} names {named}")
+        named = {each.number for each in transmit.commands}
+        demand(named >= {each.number for each in transmit.done}, "a frame completes what it carries out, if anything")
+        its = {command} if command else set[int]()
+        demand(wants <= named <= wants | its, f"a frame of commands {wants} names {named}")
         demand(named == {command} or not transmit.frame.is_stop, f"a Stop of command {command} names {named}")
 
     def _moved(self, transmit: Transmit, stops: frozenset[int], now_ns: int) -> None:
@@ -382,12 +385,12 @@ class Oracle(RobotHistory):
         return self.pending.pop(number)
 
     def _answers(self, effect: Completed | Rejected) -> None:
-        replaced = self._answered(effect.number)
-        waits = [servo for servo in self.servos.values() if servo.want and servo.want.number == effect.number]
+        replaced = self._answered(effect.request.number)
+        waits = [servo for servo in self.servos.values() if servo.want and servo.want.number == effect.request.number]
         if isinstance(effect, Completed):
-            demand(effect.number not in self._lost, "what the watchdog dropped is rejected")
+            demand(effect.request.number not in self._lost, "what the watchdog dropped is rejected")
             demand(not waits, "an answer comes after the frames")
-            demand(replaced == effect.coalesced, "replaced commands are answered as such")
+            demand(replaced == is_coalesced(effect.request), "replaced commands are answered as such")
         for servo in waits:
             servo.want = None  # a rejected command takes no effect any more
 

@@ -31,6 +31,7 @@ from gateway.robot.core.leg import Rules
 from gateway.robot.core.pacing import NS_PER_MS
 from gateway.robot.core.supervisor import Supervisor
 from gateway.robot.protocol.frames import STOP, OneServo, Op, ServoOp, servo_ids_of
+from tests.support.history import is_coalesced, spelled_out
 from tests.support.oracle import Oracle
 
 Targets = tuple[tuple[int, ServoOp], ...]
@@ -66,9 +67,9 @@ def said(effect: Effect) -> str:
             number = frame.servo_id if isinstance(frame, OneServo) else frame.leg
             return f"{effect.cause} {number} {words[0] if len(set(words)) == 1 else ' | '.join(words)}"
         case Completed():
-            return f"completed {effect.number}{' coalesced' if effect.coalesced else ''}"
+            return f"completed {effect.request.number}{' coalesced' if is_coalesced(effect.request) else ''}"
         case Rejected():
-            return f"rejected {effect.number} {effect.reason}"
+            return f"rejected {effect.request.number} {effect.reason}"
         case Announce():
             return f"announce {effect.kind}"
         case Answer():
@@ -126,7 +127,7 @@ class Steps:
         instant_ns = None if self.instant_ms is None else _ns(self.instant_ms)
         self.effects = self.supervisor.step(event, now_ns, instant_ns)
         self.oracle.judge(event, now_ns, self.effects, self.supervisor, instant_ns)
-        return [said(effect) for effect in self.effects if effect not in self.joining]
+        return [said(effect) for effect in spelled_out(self.effects) if effect not in self.joining]
 
     @property
     def joining(self) -> list[Transmit]:
@@ -151,7 +152,7 @@ class Steps:
     def command(self, at_ms: float, targets: Targets, channel: str = "leg", *, lease: str | None = None) -> list[str]:
         """A command with the next number."""
         self.number += 1
-        return self.take(at_ms, Command(self.number, channel, targets, lease=lease))
+        return self.take(at_ms, Command(targets, key=channel, number=self.number, lease=lease))
 
     def lease(self, at_ms: float, words: str, token: str | None = None, *, fresh: str = "") -> list[str]:
         """A request such as `acquire anna`, `renew` or `release to bert`."""
@@ -179,11 +180,11 @@ class Steps:
     def reset(self, at_ms: float, *, newer: int = 0, lease: str | None = None) -> list[str]:
         """A reset that names the latest emergency stop, or one that is newer (or older, if negative) by so many."""
         self.number += 1
-        return self.take(at_ms, Reset(self.number, estop=self.supervisor.estops + newer, lease=lease))
+        return self.take(at_ms, Reset(number=self.number, estop=self.supervisor.estops + newer, lease=lease))
 
     def reset_without_number(self, at_ms: float) -> list[str]:
         self.number += 1
-        return self.take(at_ms, Reset(self.number))
+        return self.take(at_ms, Reset(number=self.number))
 
     def calibrate(
         self,
@@ -196,7 +197,10 @@ class Steps:
     ) -> list[str]:
         """A change with the next number."""
         self.number += 1
-        event = Calibrate(self.number, change, revision, accept_default, "anna", "hexapod/calibration/cmd", lease)
+        event = Calibrate(
+            number=self.number, change=change, revision=revision, accept_default=accept_default, lease=lease
+        )
+        event.source, event.key = "anna", "hexapod/calibration/cmd"
         return self.take(at_ms, event)
 
     def kept(self, at_ms: float, fault: str | None = None) -> list[str]:

@@ -11,8 +11,10 @@ from typing import Any
 import pytest
 import zenoh
 
+from gateway.robot.core.events import Command
+from gateway.robot.core.intake import words_of_stop
 from gateway.robot.core.message import Received, Verb
-from gateway.robot.edge.inbox import FLOOD_PAUSE_S, OTHER_DEPTH, Inbox, _received, _words_of_stop
+from gateway.robot.edge.inbox import FLOOD_PAUSE_S, OTHER_DEPTH, Inbox, _received
 from gateway.robot.edge.rings import RING_DEPTH, Ring
 from gateway.robot.host.ownership import Ownership
 from gateway.robot.host.realtime import LOOP_PRIORITY
@@ -80,9 +82,9 @@ def received(key: str, verb: Verb) -> Received:
 
 
 def test_put_and_delete_of_a_key_are_in_order_and_a_get_is_another_channel() -> None:
-    put, delete, get = (received(LEG_1, verb).channel for verb in (Verb.PUT, Verb.DELETE, Verb.GET))
+    put, delete, get = (Command(key=LEG_1, verb=verb).channel for verb in (Verb.PUT, Verb.DELETE, Verb.GET))
     assert put == delete != get
-    others = {received(SERVO_11, Verb.PUT).channel, received(SERVO_11, Verb.GET).channel}
+    others = {Command(key=SERVO_11, verb=verb).channel for verb in (Verb.PUT, Verb.GET)}
     assert len({put, get} | others) == 4
 
 
@@ -379,7 +381,7 @@ async def test_what_may_be_a_stop_is_seen_at_a_glance(session: zenoh.Session) ->
         samples = [await asyncio.to_thread(subscriber.recv) for _ in range(5)]
     answers: Any = None
     messages = [_received(answers, LEG_1, sample) for sample in samples]
-    assert [_words_of_stop(message) is not None for message in messages] == [True, True, False, False, True]
+    assert [words_of_stop(message) is not None for message in messages] == [True, True, False, False, True]
 
 
 async def test_a_wildcard_is_taken_from_each_ring_that_it_names(session: zenoh.Session, held: Held) -> None:

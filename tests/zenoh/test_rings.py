@@ -13,6 +13,7 @@ import pytest
 
 from gateway.robot.core.events import BusOpened, Command, Transmit
 from gateway.robot.core.leg import Rules
+from gateway.robot.core.message import Verb
 from gateway.robot.core.supervisor import Supervisor
 from gateway.robot.edge.rings import LEAST_PUT_DEPTH, PASSES, RING_DEPTH, Rings, put_depth
 from gateway.robot.protocol.frames import STOP, Op, ServoOp, servo_ids_of
@@ -82,7 +83,6 @@ class ReadRings:
         )
         self.supervisor = Supervisor(Rules(repeats=0, period_ns=1))
         self.supervisor.step(BusOpened(), 0)
-        self._pending = itertools.count()
         self._now_ns = self._instant_ns = 0
         self.sent: list[ServoOp] = []
         """What servo 11 was told."""
@@ -93,7 +93,7 @@ class ReadRings:
             self._instant_ns = self._now_ns
         for key, item in self.rings.read(keys):
             assert item is not None, "nothing was lost"
-            command = Command(next(self._pending), f"{item.verb} {key}", tuple((each, item.op) for each in item.servos))
+            command = Command(tuple((each, item.op) for each in item.servos), key=key, verb=Verb(item.verb))
             for effect in self.supervisor.step(command, self._now_ns, self._instant_ns):
                 if isinstance(effect, Transmit):
                     self.sent += [op for servo_id, op in effect.frame.servos if servo_id == 11]

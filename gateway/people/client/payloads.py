@@ -18,6 +18,10 @@ ROUNDING_DEG: Final = 0.005
 """Half of the protocol's hundredth: what is so close outside 0 to 180 is that limit, reached by inexact arithmetic."""
 
 
+Angles = dict[int, tuple[float, ...]]
+"""The three angles of each leg, by its number."""
+
+
 def leg_payload(op: str, angles_deg: Sequence[Angle] = ()) -> dict[str, Any]:
     """The payload of a leg's command: one operation for its three servos, with three angles unless it stops.
 
@@ -26,13 +30,19 @@ def leg_payload(op: str, angles_deg: Sequence[Angle] = ()) -> dict[str, Any]:
     >>> leg_payload("set", (90, 45.5, 120))["servos"][1]
     {'op': 'set', 'angle_deg': 45.5}
     """
-    if op == "stop":
-        return {"servos": [servo_payload(op)] * 3}
+    return {"servos": [servo_payload(op)] * 3} if op == "stop" else _setpoint(op, _leg_angles(angles_deg))
+
+
+def _leg_angles(angles_deg: Sequence[Angle]) -> tuple[float, ...]:
     if not _is_row(angles_deg):
         raise TypeError(f"a leg's angles are a list, a tuple or an array of three, and not {angles_deg!r}")
     if len(angles_deg) != len(JOINTS):
         raise ValueError(f"{len(angles_deg)} angles; a leg has three joints")
-    return {"servos": [{"op": op, "angle_deg": number(angle_deg)} for angle_deg in angles_deg]}
+    return tuple([number(angle_deg) for angle_deg in angles_deg])
+
+
+def _setpoint(op: str, angles: tuple[float, ...]) -> dict[str, Any]:
+    return {"servos": [{"op": op, "angle_deg": angle} for angle in angles]}
 
 
 def row(angles_deg: tuple[Angle | Sequence[Angle], ...]) -> Sequence[Angle]:
@@ -50,6 +60,8 @@ def row(angles_deg: tuple[Angle | Sequence[Angle], ...]) -> Sequence[Angle]:
 
 def _is_row(value: object) -> TypeGuard[Sequence[Angle]]:
     """Also numpy's arrays, which are no Sequence; no set and no dict, whose order is not the joints'."""
+    if type(value) is tuple or type(value) is list:  # a stream's, as a rule; to ask an ABC takes ten calls
+        return True
     indexed = isinstance(value, Collection) and hasattr(value, "__getitem__")
     return indexed and not isinstance(value, str | bytes | Mapping)
 
@@ -59,12 +71,21 @@ def legs_payload(op: str, angles_deg: Mapping[int, Sequence[Angle]]) -> dict[str
 
     Raises as `leg_payload` and `leg_number`.
     """
+    if op == "stop":
+        return {"legs": {str(leg_number(leg)): leg_payload(op) for leg in angles_deg}}
+    return {"legs": setpoints(op, legs_angles(angles_deg))}
+
+
+def legs_angles(angles_deg: Mapping[int, Sequence[Angle]]) -> Angles:
+    """The numbers of several legs (1 to 6). Raises as `leg_payload` and `leg_number`."""
     if not isinstance(angles_deg, Mapping):
         raise TypeError(f"legs and their angles are a dict, such as {{3: (90, 45, 120)}}, and not {angles_deg!r}")
-    legs = {}
-    for leg, angles in angles_deg.items():
-        legs[str(leg_number(leg))] = leg_payload(op, angles)
-    return {"legs": legs}
+    return {leg_number(leg): _leg_angles(angles) for leg, angles in angles_deg.items()}
+
+
+def setpoints(op: str, angles: Angles) -> dict[str, Any]:
+    """The legs of a payload, from numbers that `legs_angles` has read: a stream looks at each angle once."""
+    return {str(leg): _setpoint(op, each) for leg, each in angles.items()}
 
 
 def servo_payload(op: str, angle_deg: Angle | None = None) -> dict[str, Any]:
@@ -102,7 +123,7 @@ def servo_number(servo_id: object) -> int:
 
 
 def _named(what: str, name: object, known: Collection[int], which: str) -> int:
-    if isinstance(name, bool) or not isinstance(name, SupportsIndex):
+    if type(name) is not int and (isinstance(name, bool) or not isinstance(name, SupportsIndex)):
         raise TypeError(f"a {what} is a whole number, and not {name!r}; {which}")
     number = operator.index(name)
     if number not in known:
@@ -118,6 +139,8 @@ def number(angle_deg: object) -> float:
     >>> number(180.0000000000001), number(-1e-15)
     (180.0, 0.0)
     """
+    if type(angle_deg) is float or type(angle_deg) is int:  # a stream's, as a rule
+        return _within_limits(angle_deg)
     if isinstance(angle_deg, int | float) and not isinstance(angle_deg, bool):
         return _within_limits(angle_deg)
     if type(angle_deg).__name__ not in ("bool", "bool_"):  # Python's, numpy's

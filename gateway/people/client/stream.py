@@ -19,7 +19,7 @@ import zenoh
 from gateway.errors import DisconnectedError, GatewayError, LeaseLostError, RejectedError, StoppedError, ZenohError
 from gateway.people.client.lease import NOT_OURS
 from gateway.people.client.pace import LIKE_RADIANS, Doubt, Pace, Radians, thins
-from gateway.people.client.payloads import Angle, legs_payload
+from gateway.people.client.payloads import Angle, Angles, legs_angles, legs_payload, setpoints
 from schemas import keys
 from schemas.telemetry import Ack, Event, GatewayState, Kind, Mode, Reason, WatchdogState
 
@@ -44,8 +44,6 @@ AGAIN: Final = "start_again() goes on; after an emergency stop, once reset() has
 _AND_THEN: Final = (Kind.WATCHDOG_EXPIRED, Kind.STOPPED_OUTSIDE, Kind.STOPPING)
 """Events whose detail goes on, behind a semicolon, with what held from then on."""
 _UNHEARD: Final = "if it runs, its watchdog stops the legs; if it has died, stop-servos does, where systemd runs it"
-
-Angles = dict[int, tuple[float, float, float]]
 
 
 class Stream:
@@ -180,13 +178,11 @@ class Stream:
         """The numbers. Raises ValueError, TypeError. Warns once where they look like radians. @private"""
         if not angles_deg:
             raise ValueError("no leg is given")
-        read: Angles = {}
-        for leg, setpoint in legs_payload("set", angles_deg)["legs"].items():
-            first, second, third = (servo["angle_deg"] for servo in setpoint["servos"])
-            for joint, angle in enumerate((first, second, third), start=1):
+        read = legs_angles(angles_deg)
+        for leg, angles in read.items():
+            for joint, angle in enumerate(angles, start=1):
                 if not 0 <= angle <= 180:
                     raise ValueError(f"leg {leg}, joint {joint}: {angle} is not between 0 and 180 degrees")
-            read[int(leg)] = (first, second, third)
         if self._radians.suspected(read.values(), time.monotonic()):
             warnings.warn(LIKE_RADIANS, stacklevel=3)
         if self._rival is not None and not self._warned:
@@ -246,13 +242,13 @@ class Stream:
         return self._lease.confirm() if may_be and self._lease is not None else None
 
     def _publish(self, angles: Angles) -> None:
-        self._client.publish(keys.LEGS_COMMAND, {"source": self._client.name, **legs_payload("set", angles)})
+        self._client.publish(keys.LEGS_COMMAND, {"source": self._client.name, "legs": setpoints("set", angles)})
         self._doubt.sent(time.monotonic())
 
     def _start(self, angles: Angles) -> None:
         new = {leg: each for leg, each in angles.items() if leg not in self._started}
         old = {leg: each for leg, each in angles.items() if leg in self._started}
-        legs = {**legs_payload("start", new)["legs"], **legs_payload("set", old)["legs"]}
+        legs = setpoints("start", new) | setpoints("set", old)
         before = self._to_stop
         self._to_stop |= new.keys()  # until it is answered nobody knows whether they run
         self._lease = self._client.carried_lease

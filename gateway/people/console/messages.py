@@ -242,7 +242,6 @@ class Hello(Report):
     source: str
     version: str
     geometry: dict[str, Any]
-    gaits: list[str] = Field(default_factory=lambda: list(GAITS))
 
 
 class StateMessage(Report):

@@ -248,7 +248,7 @@ class MarkerArray(Message):
 
 @ros_msg("std_srvs/srv/Trigger_Request", "d010825374ce8918e72bfd826c82603e60f45419e932ea976f807b74a863a199")
 class TriggerRequest(Message):
-    """The request of `std_srvs/srv/Trigger`, which has no fields."""
+    """It has no fields."""
 
 
 @ros_msg("std_srvs/srv/Trigger_Response", "2d946c21e2fc3f1e9ca6986a8191d85fcc70097a8bb7771a053564bc47009cdf")

@@ -1,4 +1,8 @@
-"""The gaits: when each leg swings. A further one is a line in the table. Pure."""
+"""The gaits: when each leg swings. Pure.
+
+A further one is a line in the table, and has to be offered: `console/page/index.html` has a choice for each,
+`tools/walk/screen.py` a key, `bridge/motions.py` a number.
+"""
 
 from typing import Final, NamedTuple
 

@@ -269,7 +269,9 @@ WALL: Final = struct.Struct("<q")
 COMMAND_HEAD: Final = struct.Struct("<IdB")
 DECISION_HEAD: Final = struct.Struct("<I")
 FRAME_HEAD: Final = struct.Struct("<IIIB")
-CARRIED_OUT_HEAD: Final = struct.Struct("<IIB14s")
+_MOST_FRAME: Final = 14
+"""Bytes of a frame in a CarriedOut; a longer one is a record of its own, since evidence is never cut."""
+CARRIED_OUT_HEAD: Final = struct.Struct(f"<IIB{_MOST_FRAME}s")
 """Of a CarriedOut: from the arrival to the end of the frame's transfer, and how long that took, in ns; the frame's
 length, and the frame. The command follows, as in a record of its own."""
 _UINT32: Final = 0xFFFFFFFF
@@ -371,12 +373,14 @@ def carried_out(
     after_ns = frame_ns - ns
     texts = _known.get((verb, key, source)) or _texts(verb, key, source)
     rest_bytes = _CARRIED_OUT_HEAD_BYTES + len(texts)
-    if len(targets) != _OF_A_LEG or rest_bytes > ROOM or not 0 <= after_ns <= _UINT32:
+    size = len(data)
+    fits = rest_bytes <= ROOM and size <= _MOST_FRAME
+    if len(targets) != _OF_A_LEG or not fits or not 0 <= after_ns <= _UINT32:
         return None
     (first, one), (second, two), (third, three) = targets
     fixed = _pack_carried_out(
         HEAD_BYTES + rest_bytes, CARRIED_OUT, 0, sequence, ns,
-        after_ns, transfer_ns & _UINT32, len(data), data,
+        after_ns, transfer_ns & _UINT32, size, data,
         number & _UINT32, _SENT_NOT if sent_ms is None else sent_ms, _OF_A_LEG,
         first, _OF_OP[one.op] + one.angle_cdeg,
         second, _OF_OP[two.op] + two.angle_cdeg,

@@ -19,8 +19,7 @@ from gateway.robot.blackbox import format as form
 from gateway.robot.blackbox import place
 from gateway.robot.blackbox.ring import Ring
 from gateway.robot.core.calibration import Calibration, report_of
-from gateway.robot.core.events import Transmit, value
-from gateway.robot.core.targets import Targets
+from gateway.robot.core.events import Request, Transmit
 from gateway.robot.protocol import VERSION
 from gateway.robot.settings import Settings
 from gateway.robot.spi.bus import Sent
@@ -63,21 +62,8 @@ logger = logging.getLogger(__name__)
 
 Written = tuple[Transmit, Sent]
 """A frame that was written: why, and what the bus says of it."""
-Decided = tuple[int, str, str, str | None]
-"""What became of a command: its number (0: it got no further than this), the verdict, its key and source."""
-
-
-@value
-class Heard:
-    """A command that came in at `ns`; `number` 0: it gets no further."""
-
-    ns: int
-    number: int
-    verb: str
-    key: str
-    source: str | None
-    sent_ms: float | None = None
-    targets: Targets = ()
+Decided = tuple[Request, str]
+"""What became of a request (of number 0: it got no further than this), and the verdict."""
 
 
 class Recorder:
@@ -144,34 +130,35 @@ class Recorder:
             self._ring.close()
             self._ring = None
 
-    def step(self, heard: Heard | None, written: Sequence[Written], decided: Sequence[Decided]) -> None:
+    def step(self, heard: Request | None, written: Sequence[Written], decided: Sequence[Decided]) -> None:
         """A step: the command that it took, if it took one, the frames that it wrote, and what became of commands."""
         if not self._on:
             return
         accepted = 0  # with the only frame of this step: it then needs no Decision
         if len(written) == 1:
-            numbers = written[0][0].numbers
-            for number, verdict, _, _ in decided:
-                if verdict == ACCEPTED and numbers == (number,):
-                    accepted = number
+            commands = written[0][0].commands
+            for request, verdict in decided:
+                if verdict == ACCEPTED and commands == (request,):
+                    accepted = request.number
         if heard is not None:
             if accepted == heard.number != 0 and len(decided) == 1 and self._carried_out(heard, written[0][1]):
                 return
             fields = form.command(heard.number, heard.verb, heard.key, heard.source, heard.sent_ms, heard.targets)
-            self._append(form.COMMAND, heard.ns, fields)
+            self._append(form.COMMAND, heard.received_ns, fields)
         for transmit, sent in written:
             late_ns = 0 if transmit.deadline_ns is None else sent.ns - transmit.deadline_ns
             self._append(form.FRAME, sent.ns, form.frame(sent.data, transmit.cause, sent.call_ns, late_ns, accepted))
-        for number, verdict, key, source in decided:
+        for request, verdict in decided:
+            number = request.number
             if not number or number != accepted:
-                self._append(form.DECISION, self._clock(), form.decision(number, verdict, key, source))
+                self._append(form.DECISION, self._clock(), form.decision(number, verdict, request.key, request.source))
 
-    def _carried_out(self, heard: Heard, sent: Sent) -> bool:
+    def _carried_out(self, heard: Request, sent: Sent) -> bool:
         """Record a command and its frame as one; False: that does not fit, or there is no ring yet."""
         if self._ring is None:
             return False
         body = form.carried_out(
-            self._ring.sequence, heard.ns, heard.number, heard.verb, heard.key, heard.source, heard.sent_ms,
+            self._ring.sequence, heard.received_ns, heard.number, heard.verb, heard.key, heard.source, heard.sent_ms,
             heard.targets, sent.data, sent.ns, sent.call_ns,
         )  # fmt: skip
         if body is None:

@@ -82,21 +82,21 @@ class Calibrating:
         """Check a change against everything but mode, lease and landing, which are the supervisor's."""
         rejection = self._why_not_now(event)
         if rejection is not None:
-            return [Rejected(event.number, *rejection)]
+            return [Rejected(event, *rejection)]
         before = Calibration(self.in_force.revision) if event.accept_default else self.in_force
         try:
             calibration = event.change.applied_to(before)
         except CalibrationError as error:
-            return [Rejected(event.number, Reason.INVALID, str(error))]
+            return [Rejected(event, Reason.INVALID, str(error))]
         for servo_id, angle_cdeg in calibration.landing_cdeg.items():
             why_not = self._reach.why_avoided(calibration, servo_id, angle_cdeg)
             if why_not is not None:
-                return [Rejected(event.number, Reason.JOINT_LIMIT, f"the landing pose cannot be sent: {why_not}")]
+                return [Rejected(event, Reason.JOINT_LIMIT, f"the landing pose cannot be sent: {why_not}")]
         changed = changed_servos(self.in_force, calibration)
         for servo_id in sorted(changed):
             if servos[servo_id].will_run:
                 detail = f"servo {servo_id} runs or waits to be started; stop it before its calibration is changed"
-                return [Rejected(event.number, Reason.INVALID, detail)]
+                return [Rejected(event, Reason.INVALID, detail)]
         self._on_its_way = _OnItsWay(calibration, changed, event)
         self.guards = True
         return [Keep(event.number, calibration)]
@@ -131,9 +131,9 @@ class Calibrating:
             self.fault = None
         self.guards = self.fault is not None
         if event.fault is not None:
-            return [Rejected(event.number, Reason.INVALID, event.fault)]
+            return [Rejected(asked, Reason.INVALID, event.fault)]
         changed = [f"servo {servo_id}" for servo_id in sorted(servos)] + ["the landing pose"] * landing_changes
         detail = f"calibration {calibration.revision} is in force; it changes {', '.join(changed) or 'nothing'}"
         if asked.accept_default:
             detail = f"the default calibration is taken as this robot's; {detail}"
-        return [Announce(Kind.CALIBRATED, detail, asked.source, asked.key), Completed(event.number)]
+        return [Announce(Kind.CALIBRATED, detail, asked.source, asked.key), Completed(asked)]

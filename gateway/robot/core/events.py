@@ -1,20 +1,114 @@
 """The supervisor's vocabulary: what happens to it (events), and what it wants done (effects)."""
 
-from dataclasses import dataclass, field
+from collections.abc import Iterable
+from dataclasses import KW_ONLY, dataclass, field
 from enum import StrEnum
-from typing import TypeVar, dataclass_transform
+from typing import Final, final
 
 from gateway.robot.core.calibration import Calibration, Change
-from gateway.robot.protocol.frames import Frame, ServoOp
+from gateway.robot.core.message import Reply, Verb
+from gateway.robot.core.value import value
+from gateway.robot.protocol.frames import OP_STOP, Frame, ServoOp
 from schemas.telemetry import Cause, Kind, Reason
 
-T = TypeVar("T")
+Targets = tuple[tuple[int, ServoOp], ...]
+"""Operations for servos, by their ids."""
+
+_GET: Final = Verb.GET  # see `frames.OP_STOP`
+
+# ---- what is answered
 
 
-@dataclass_transform(frozen_default=True)
-def value(cls: type[T]) -> type[T]:
-    """A dataclass that is frozen for the type checker only: one that is frozen at run time takes four times as long."""
-    return dataclass(slots=True, unsafe_hash=True)(cls)
+@dataclass(slots=True, eq=False)
+class Request:
+    """What somebody asked for: one object from its payload to its answer, which the owner of the state changes.
+
+    The reader of its payload makes it, and adds how it came.
+    """
+
+    targets: Targets = ()
+    """What each of these servos should do."""
+    _: KW_ONLY
+    key: str = ""
+    source: str | None = None
+    """For people: it decides nothing that is sent."""
+    sent_ms: float | None = None
+    lease: str | None = field(default=None, repr=False)
+    """The token that it carries."""
+    reply: Reply | None = field(default=None, repr=False)
+    verb: Verb = Verb.PUT
+    received_ns: int = 0
+    number: int = 0
+    """Its own, from 1 on, for the supervisor and the black box; 0: it is rejected before."""
+    written: tuple[int, ...] = ()
+    """The legs that a frame of it was written for; should it be rejected after that, its answer names them."""
+
+    @property
+    def servo_ids(self) -> Iterable[int]:
+        """The servos that it names."""
+        return (servo_id for servo_id, _ in self.targets)
+
+    @property
+    def only_stops(self) -> bool:
+        """Whether it stops servos and does nothing else. A reset stops none."""
+        return bool(self.targets) and all(op.op is OP_STOP for _, op in self.targets)
+
+
+@final
+@dataclass(slots=True, eq=False, kw_only=True)
+class Command(Request):
+    """A valid command for servos, and what of it is still to be written."""
+
+    lost: bool = False
+    """Nobody's command: Stops that stand for messages of the channel which were lost."""
+    moves: Targets = field(init=False)
+    """Those of its targets that are no Stops."""
+    by_leg: dict[int, Targets] = field(init=False)
+    """The targets of each leg."""
+    left: int = field(init=False)
+    """How many of its targets are still to be written, or replaced by a newer command's."""
+    coalesced: bool = False
+    """Whether a newer command has replaced one of its targets."""
+
+    def __post_init__(self) -> None:
+        self.moves, self.by_leg, self.left = (), {}, 0
+        for target in self.targets:
+            servo_id, op = target
+            leg = servo_id // 10
+            self.by_leg[leg] = (*self.by_leg[leg], target) if leg in self.by_leg else (target,)
+            self.left += 1
+            if op.op is not OP_STOP:
+                self.moves += (target,)
+
+    @property
+    def channel(self) -> str:
+        """Commands of one channel came in this order; between channels the order is unknown."""
+        return f"{'get' if self.verb is _GET else 'put'} {self.key}"
+
+
+@final
+@dataclass(slots=True, eq=False, kw_only=True)
+class Reset(Request):
+    """Somebody wants to leave the emergency stop with number `estop`; None: they did not say which one."""
+
+    estop: int | None = None
+
+
+@dataclass(slots=True, eq=False, kw_only=True)
+class Calibrate(Request):
+    """Somebody wants the calibration changed: the one with this `revision`, or whichever is in force (None).
+
+    `accept_default` takes the default calibration (with `change`, if that says anything) as this robot's, where the
+    file that kept its own cannot be read.
+    """
+
+    change: Change
+    revision: int | None = None
+    accept_default: bool = False
+
+    @property
+    def servo_ids(self) -> Iterable[int]:
+        return (*self.change.servos, *self.change.landing_cdeg)
 
 
 # ---- events
@@ -33,40 +127,11 @@ class BusFailed:
 
 
 @value
-class Command:
-    """A valid command: what each of these servos should do. `number` is its own; `channel` is the way it came.
-
-    Commands of one channel are in order among themselves; of two channels in one instant nobody knows which is older.
-    """
-
-    number: int
-    channel: str
-    targets: tuple[tuple[int, ServoOp], ...]
-    source: str | None = None
-    """For people: it decides nothing that is sent."""
-    lease: str | None = field(default=None, repr=False)
-    """The token that it carries."""
-    lost: bool = False
-    """Nobody's command: Stops that stand for messages of the channel which were lost."""
-
-
-@value
 class EmergencyStop:
     """Somebody wants everything stopped."""
 
     source: str | None = None
     key: str | None = None
-
-
-@value
-class Reset:
-    """Somebody wants to leave the emergency stop with number `estop`; None: they did not say which one."""
-
-    number: int
-    source: str | None = None
-    key: str | None = None
-    estop: int | None = None
-    lease: str | None = field(default=None, repr=False)
 
 
 class Do(StrEnum):
@@ -122,23 +187,6 @@ class ButtonRequest:
 
 
 @value
-class Calibrate:
-    """Somebody wants the calibration changed: the one with this `revision`, or whichever is in force (None).
-
-    `accept_default` takes the default calibration (with `change`, if that says anything) as this robot's, where the
-    file that kept its own cannot be read.
-    """
-
-    number: int
-    change: Change
-    revision: int | None = None
-    accept_default: bool = False
-    source: str | None = None
-    key: str | None = None
-    lease: str | None = field(default=None, repr=False)
-
-
-@value
 class Kept:
     """The calibration of the Keep with this number is on the disk; with a `fault`, the old one still is."""
 
@@ -188,25 +236,31 @@ class Transmit:
     frame: Frame
     cause: Cause
     deadline_ns: int | None = None
-    numbers: tuple[int, ...] = ()
-    """The commands that it carries out, or a part of them."""
+    commands: tuple[Command, ...] = ()
+    """Those that it carries out, or a part of them."""
+    done: tuple[Command, ...] = ()
+    """Of these, the ones that it completes."""
     joins: bool = False
     """A repeated Stop that leaves in one call with the step's first Stops, behind them, and needs no preamble."""
 
 
 @value
 class Completed:
-    """The command is done: its frames are written, or a newer command replaced what waited of it (`coalesced`)."""
+    """It is done without a frame of its own: a newer command replaced what waited of it, or its Stops are written."""
 
-    number: int
-    coalesced: bool = False
+    request: Request
+
+    @property
+    def done(self) -> tuple[Request, ...]:
+        """As a Transmit's."""
+        return (self.request,)
 
 
 @value
 class Rejected:
-    """The command takes no effect (any more)."""
+    """It takes no effect (any more)."""
 
-    number: int
+    request: Request
     reason: Reason
     detail: str
 

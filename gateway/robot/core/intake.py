@@ -1,17 +1,17 @@
-"""Reads what came in: an Intent, or a Rejection with its reason. Pure; `targets` has what each key means."""
+"""Reads what came in: a Command, a Reset, or a Rejection with its reason. Pure; `targets` has what each key means."""
 
 import json
 import math
 import re
-from typing import Any, Final
+from typing import Any, Final, final
 
 from pydantic import ValidationError
 from pydantic_core import from_json
 
-from gateway.robot.core.events import value
+from gateway.robot.core.events import Command, Reset
 from gateway.robot.core.message import Received, Verb
-from gateway.robot.core.targets import TARGETS, Intent, Row, stops_of
-from gateway.robot.protocol.frames import STOP
+from gateway.robot.core.targets import TARGETS, Row, stops_of
+from gateway.robot.core.value import value
 from schemas import keys
 from schemas.calibration import MAX_TRIM_DEG
 from schemas.command import MAX_NUMBER, MAX_PAYLOAD_BYTES, MAX_SENT_MS, SENDER
@@ -29,6 +29,7 @@ _DELETE: Final = Verb.DELETE  # see `frames.OP_STOP`
 _SERVO_OPS: Final = ("start", "set", "stop")
 
 
+@final
 @value
 class Rejection:
     """Why a command is rejected, and a sentence that helps whoever sent it."""
@@ -37,7 +38,7 @@ class Rejection:
     detail: str
 
 
-def intent_of(received: Received) -> Intent | Rejection:
+def read(received: Received) -> Command | Reset | Rejection:
     """What a message asks for. Never raises: one that is wrong returns a Rejection."""
     key = received.target
     if key is None:
@@ -46,43 +47,50 @@ def intent_of(received: Received) -> Intent | Rejection:
         except ValueError as error:
             return Rejection(Reason.INVALID, str(error))
         return Rejection(Reason.INVALID, f"{echo_of(received.expression)} names no command key")
-    only_meant = TARGETS[key.target].only_meant
-    if only_meant is not None and received.expression != received.key:
-        return Rejection(Reason.INVALID, f"a wildcard {only_meant}")
-    if received.verb is _DELETE:
-        return deleted(key)
-    if received.size > MAX_PAYLOAD_BYTES:
-        return too_large(received.size)
-    return decode(key, received.payload, received.encoding)
+    row = TARGETS[key.target]
+    if row.only_meant is not None and received.expression != received.key:
+        return Rejection(Reason.INVALID, f"a wildcard {row.only_meant}")
+    found = deleted(key) if received.verb is _DELETE else _decoded(row, key.number, received)
+    if type(found) is not Rejection:
+        found.key, found.verb, found.reply = received.key, received.verb, received.reply
+        found.received_ns, found.source = received.received_ns, found.source or received.source
+    return found
 
 
-def deleted(key: CommandKey) -> Intent | Rejection:
+def deleted(key: CommandKey) -> Command | Rejection:
     """What a `delete` on `key` asks for: Stops for the servos that the key names."""
     only_meant = TARGETS[key.target].only_meant
-    return Intent(stops_of(key)) if only_meant is None else Rejection(Reason.INVALID, f"a delete {only_meant}")
+    return Command(stops_of(key)) if only_meant is None else Rejection(Reason.INVALID, f"a delete {only_meant}")
 
 
-def decode(key: CommandKey, payload: bytes, encoding: str) -> Intent | Rejection:
-    """Read the payload that came on `key`. Never raises: a payload that is wrong returns a Rejection."""
-    row = TARGETS[key.target]
+def words_of_stop(received: Received) -> bytes | None:
+    """The payload of what may be a Stop; None: it is none. What is too large has no payload, and is rejected."""
+    if received.verb is _DELETE:
+        return b""
+    key, words = received.target, received.payload
+    return words if key is not None and TARGETS[key.target].may_stop(words) else None
+
+
+def _decoded(row: Row, number: int, received: Received) -> Command | Reset | Rejection:
+    """What the payload asks for."""
     if row.read is None:
-        return Intent()
-    if len(payload) > MAX_PAYLOAD_BYTES:
-        return too_large(len(payload))
-    if encoding not in ENCODINGS:
-        return Rejection(
-            Reason.BAD_ENCODING, f"the encoding is {_name(encoding)}; it must be application/json, or left out"
-        )
+        return Command()
+    if received.size > MAX_PAYLOAD_BYTES:
+        return too_large(received.size)
+    if received.encoding not in ENCODINGS:
+        name = _name(received.encoding)
+        return Rejection(Reason.BAD_ENCODING, f"the encoding is {name}; it must be application/json, or left out")
+    payload = received.payload
     colons = payload.count(b":")
     if colons > row.most_fields + MAX_COLONS_OF_SOURCE:
         return too_many_fields(payload)
     try:
-        intent = row.read(key.number, payload)
+        command = row.read(number, payload)
     except ValidationError as error:
         return explain(error)
     # Each field takes a colon. A payload with no more colons than fields repeats no name and needs no second reading.
-    twice = name_given_twice(payload) if colons > _fields(row, intent) else None
-    return intent if twice is None else given_twice(twice)
+    twice = name_given_twice(payload) if colons > _fields(row, command) else None
+    return command if twice is None else given_twice(twice)
 
 
 def named_source(payload: bytes) -> str | None:
@@ -112,15 +120,14 @@ def too_many_fields(payload: bytes) -> Rejection:
     return Rejection(Reason.INVALID, "the payload has more fields than any command of its key has")
 
 
-def _fields(row: Row, intent: Intent) -> int:
+def _fields(row: Row, command: Command | Reset) -> int:
     """How many fields a payload with this content has at least."""
-    fields = (intent.source is not None) + (intent.sent_ms is not None) + (intent.estop is not None)
-    fields += intent.lease is not None
-    for _, op in intent.targets:
-        fields += 1 if op is STOP else 2
+    fields = (command.source is not None) + (command.sent_ms is not None) + (command.lease is not None)
     once, each_leg = row.fields_around
-    if each_leg:
-        fields += each_leg * len(intent.targets) // len(JOINTS)
+    if type(command) is Reset:
+        fields += command.estop is not None
+    else:
+        fields += command.left + len(command.moves) + each_leg * len(command.by_leg)  # a Stop has no angle
     return fields + once
 
 

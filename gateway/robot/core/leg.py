@@ -3,12 +3,12 @@
 from dataclasses import dataclass, field
 from typing import Final
 
+from gateway.robot.core.events import Command
 from gateway.robot.core.pacing import NEVER, NS_PER_MS, NS_PER_S, RateSlots
 from gateway.robot.protocol.frames import OP_START, ServoOp, servo_ids_of
 from schemas.telemetry import WatchdogState
 
-NO_COMMAND: Final = 0
-"""Commands are numbered from 1."""
+NO_COMMAND: Final = Command(())
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +56,7 @@ class Servo:
     angle_cdeg: int | None = None
     waiting: ServoOp | None = None
     """Its newest target, until that is sent."""
-    waiting_number: int = 0
+    waiting_for: Command = NO_COMMAND
     """Which command set it; NO_COMMAND: none, it is a step on the way to a target that a command was answered for."""
     target_cdeg: int | None = None
     """Where it is bound for, while its speed is limited and it is not there yet."""

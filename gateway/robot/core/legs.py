@@ -6,28 +6,19 @@ commands are thereby done.
 """
 
 from collections.abc import Collection, Iterator, Mapping
-from dataclasses import dataclass
 from typing import Final
 
-from gateway.robot.core.events import Announce, Command, Completed, Effect, Rejected, Transmit
+from gateway.robot.core.events import Announce, Command, Completed, Effect, Rejected, Targets, Transmit
 from gateway.robot.core.joint_limits import Reach
 from gateway.robot.core.landing import Landing, landing
 from gateway.robot.core.leg import NO_COMMAND, Leg, Rules, Servo, servos_of
 from gateway.robot.core.pacing import NEVER, RateSlots, StartQueue, merged
 from gateway.robot.core.speed import step
-from gateway.robot.protocol.frames import OP_SET, OP_STOP, STOP, OneLeg, OneServo, ServoOp, stop_leg
+from gateway.robot.protocol.frames import OP_START, OP_STOP, SETS, STOP, OneLeg, OneServo, ServoOp, stop_leg
 from schemas.robot import LEGS
 from schemas.telemetry import Cause, Kind, Reason
 
 _LOST: Final = "messages of the same key were lost, and a stop may be among them"
-
-
-@dataclass(slots=True)
-class _PendingCommand:
-    """A command under way: how many of its targets still wait, and whether a newer command replaced one."""
-
-    targets: int
-    coalesced: bool = False
 
 
 def _whole_leg(leg: Leg) -> OneLeg:
@@ -40,15 +31,15 @@ def _whole_leg(leg: Leg) -> OneLeg:
 
 
 def _as_it_is(servo: Servo) -> ServoOp:
-    """What tells a servo to go on as it is."""
-    return STOP if servo.angle_cdeg is None else ServoOp(OP_SET, servo.angle_cdeg)
+    """The operation that changes nothing."""
+    return STOP if servo.angle_cdeg is None else SETS[servo.angle_cdeg]
 
 
-def _stops(leg: Leg, servos: list[Servo], cause: Cause, numbers: tuple[int, ...] = ()) -> list[Effect]:
+def _stops(leg: Leg, servos: list[Servo], cause: Cause, commands: tuple[Command, ...] = ()) -> list[Effect]:
     """Stops for these servos of a leg, in one frame where they are all of it."""
     if len(servos) == len(leg.servos):
-        return [Transmit(stop_leg(leg.number), cause, None, numbers)]
-    return [Transmit(OneServo(servo.servo_id, STOP), cause, None, numbers) for servo in servos]
+        return [Transmit(stop_leg(leg.number), cause, None, commands)]
+    return [Transmit(OneServo(servo.servo_id, STOP), cause, None, commands) for servo in servos]
 
 
 def _taken_over(leg: Leg, source: str | None, moves: bool) -> list[Effect]:
@@ -73,7 +64,6 @@ class Legs:
         self.by_number = {number: Leg(number, servos_of(number), RateSlots(rules.period_ns)) for number in LEGS}
         self._all = tuple(self.by_number.values())
         self.servos = {servo.servo_id: servo for leg in self._all for servo in leg.servos}
-        self._pending: dict[int, _PendingCommand] = {}
         self.instant_ns = 0
         """When the present instant began; see `Supervisor.step`."""
         self.due_ns: int | None = None
@@ -193,18 +183,11 @@ class Legs:
 
     def apply(self, command: Command, now_ns: int) -> list[Effect]:
         """Carry out an accepted command."""
-        by_leg: dict[int, list[tuple[Servo, ServoOp]]] = {}
         moved: list[Leg] = []
-        for servo_id, op in command.targets:
-            servo = self.servos[servo_id]
-            if servo.leg not in by_leg:
-                by_leg[servo.leg] = []
-            by_leg[servo.leg] += [(servo, op)]
-        self._pending[command.number] = _PendingCommand(len(command.targets))
         effects: list[Effect] = []
         stops: list[tuple[Leg, list[Servo]]] = []
         taken: list[Effect] = []
-        for number, targets in by_leg.items():
+        for number, targets in command.by_leg.items():
             leg = self.by_number[number]
             moves = False
             for _, op in targets:
@@ -219,7 +202,7 @@ class Legs:
                 effects += self._move(leg, targets, command, now_ns)
                 moved += [leg]
             else:
-                stops.append((leg, [servo for servo, _ in targets]))
+                stops.append((leg, [self.servos[servo_id] for servo_id, _ in targets]))
         for leg, servos in stops:  # after the moves, so that they are known as what came with these Stops
             effects += self._stop_on_command(leg, servos, command, now_ns)
         if stops:  # they may have ended what its own starts queued behind
@@ -230,46 +213,52 @@ class Legs:
 
     def _stop_on_command(self, leg: Leg, servos: list[Servo], command: Command, now_ns: int) -> list[Effect]:
         """A command that only stops: its frames go out now, whatever waits."""
-        effects = _stops(leg, servos, Cause.COMMAND, (command.number,))
+        effects = _stops(leg, servos, Cause.COMMAND, (command,))
         if command.lost:
             effects += self.drop(servos, Reason.OVERFLOW, _LOST)
         for servo in servos:
             effects += self._replaced(servo)
             servo.note_stop(command.channel, self.instant_ns)
             self._stopped(servo, now_ns)
-            effects += self._target_done(command.number)
+            effects += self._target_done(command)
         leg.expired = leg.expired and len(servos) < len(leg.servos)
-        return effects + self._empty_start_queue(command.number)
+        return effects + self._empty_start_queue(command)
 
-    def _move(self, leg: Leg, targets: list[tuple[Servo, ServoOp]], command: Command, now_ns: int) -> list[Effect]:
+    def _move(self, leg: Leg, targets: Targets, command: Command, now_ns: int) -> list[Effect]:
         """A command that starts or sets (and may stop some servos as well): it waits for the leg's rate slot."""
         effects: list[Effect] = []
-        for servo, op in targets:
-            newest = op
+        for servo_id, op in targets:
+            servo, newest = self.servos[servo_id], op
             if servo.waiting is not None:
                 newest = merged(servo.waiting, op)
                 effects += self._replaced(servo)
-            servo.waiting, servo.waiting_number, servo.target_cdeg = newest, command.number, None
+            servo.waiting, servo.waiting_for, servo.target_cdeg = newest, command, None
             if op.op is OP_STOP:
                 servo.note_stop(command.channel, self.instant_ns)
         effects += self._send(leg, now_ns)
-        for servo, _ in targets:
+        for servo_id, _ in targets:
+            servo = self.servos[servo_id]
             # The leg's rate slot has not come. Its moves wait; its Stops do not.
             if servo.waiting is not None and servo.waiting.op is OP_STOP:
                 servo.waiting = None
                 # A stream above the rate that keeps a stopped servo stopped is served by the repeats.
                 if servo.running or not servo.repeats_left:
                     stop = OneServo(servo.servo_id, STOP)
-                    effects.append(Transmit(stop, Cause.COMMAND, None, (command.number,)))
+                    effects.append(Transmit(stop, Cause.COMMAND, None, (command,)))
                     self._stopped(servo, now_ns)
-                effects += self._target_done(command.number)
+                effects += self._target_done(command)
         return effects
 
     def _send(self, leg: Leg, now_ns: int, cause: Cause = Cause.COMMAND) -> list[Effect]:
         """Send what waits for this leg, if it may go now."""
-        waiting = [(servo, servo.waiting) for servo in leg.servos if servo.waiting is not None]
+        waiting: list[tuple[Servo, ServoOp]] = []
+        energises = False
+        for servo in leg.servos:
+            op = servo.waiting
+            if op is not None:
+                waiting += [(servo, op)]
+                energises = energises or (servo.angle_cdeg is None and op.op is OP_START)
         limited = self._rules.max_speed_cdeg_s
-        energises = leg.waits_to_start
         if energises:
             self._queue.join(leg.number)
         elif self._queue.legs:
@@ -283,10 +272,10 @@ class Legs:
         leg.slots.take(now_ns)
         if limited:
             waiting = self._in_steps(leg, now_ns)
-        frame = OneServo(waiting[0][0].servo_id, waiting[0][1]) if len(waiting) == 1 else _whole_leg(leg)
+        frame = _whole_leg(leg) if waiting[1:] else OneServo(waiting[0][0].servo_id, waiting[0][1])
         wire = self._reach.wire  # the one place where users' angles become the servos' own; a Stop has none
-        numbers = tuple({servo.waiting_number for servo, _ in waiting if servo.waiting_number != NO_COMMAND})
-        effects: list[Effect] = [Transmit(frame if wire is None else wire.frame(frame), cause, None, numbers)]
+        commands: tuple[Command, ...] = ()
+        done: tuple[Command, ...] = ()
         for servo, target in waiting:
             servo.waiting = None
             if target.op is OP_STOP:
@@ -295,19 +284,19 @@ class Legs:
                 servo.angle_cdeg = target.angle_cdeg
                 servo.repeats_left = 0  # started again: a repeated Stop would undo it
                 leg.expired = False
-            if servo.waiting_number != NO_COMMAND:
-                pending = self._pending[servo.waiting_number]
-                pending.targets -= 1
-                if not pending.targets:
-                    effects += [self._completed(servo.waiting_number)]
-        return effects
+            command = servo.waiting_for
+            if command is not NO_COMMAND:
+                commands += () if command in commands else (command,)
+                command.left -= 1
+                done += () if command.left else (command,)
+        return [Transmit(frame if wire is None else wire.frame(frame), cause, None, commands, done)]
 
     def _in_steps(self, leg: Leg, now_ns: int) -> list[tuple[Servo, ServoOp]]:
         """What the frame that goes out now says, where speeds are limited: for each servo a step towards its target."""
         said: list[tuple[Servo, ServoOp]] = []
         for servo in leg.servos:
             if servo.waiting is None and servo.target_cdeg is not None:
-                servo.waiting, servo.waiting_number = ServoOp(OP_SET, servo.target_cdeg), NO_COMMAND
+                servo.waiting, servo.waiting_for = SETS[servo.target_cdeg], NO_COMMAND
             if servo.waiting is None:
                 continue
             speed_cdeg_s = self._rules.max_speed_cdeg_s.get(servo.servo_id)
@@ -369,7 +358,7 @@ class Legs:
                     angle_cdeg = self.landing.angle_cdeg(servo.servo_id, leg.landed_ns)
                     angle_cdeg = self._reach.near_side(servo.servo_id, servo.angle_cdeg, angle_cdeg)
                     if angle_cdeg != servo.angle_cdeg:
-                        servo.waiting, servo.waiting_number = ServoOp(OP_SET, angle_cdeg), NO_COMMAND
+                        servo.waiting, servo.waiting_for = SETS[angle_cdeg], NO_COMMAND
             effects += self._send(leg, now_ns, Cause.WATCHDOG)
             for servo in leg.servos:
                 servo.target_cdeg = None  # one whose speed is limited follows the line, and not where the line was
@@ -400,13 +389,13 @@ class Legs:
         servo.passing_cdeg = None
         servo.repeat_ns = now_ns + self._rules.repeat_interval_ns
 
-    def _empty_start_queue(self, own: int | None = None) -> list[Effect]:
+    def _empty_start_queue(self, own: Command | None = None) -> list[Effect]:
         """A Stop anywhere ends what waits to be energised: whoever stops one leg does not want another to start now.
 
         Unless the Stop's own command wants it.
         """
         servos = (servo for number in self._queue.legs for servo in self.by_number[number].servos)
-        waiting = [servo for servo in servos if servo.waiting is not None and servo.waiting_number != own]
+        waiting = [servo for servo in servos if servo.waiting is not None and servo.waiting_for is not own]
         return self.drop(waiting, Reason.SERVO_STOPPED, "a Stop came before it was started")
 
     # ---- commands under way
@@ -416,33 +405,27 @@ class Legs:
         if servo.waiting is None:
             return []
         servo.waiting = None
-        self._pending[servo.waiting_number].coalesced = True
-        return self._target_done(servo.waiting_number)
+        servo.waiting_for.coalesced = True
+        return self._target_done(servo.waiting_for)
 
-    def _target_done(self, number: int) -> list[Effect]:
-        pending = self._pending[number]
-        pending.targets -= 1
-        return [] if pending.targets else [self._completed(number)]
-
-    def _completed(self, number: int) -> Completed:
-        """All its targets are sent, or replaced."""
-        return Completed(number, self._pending.pop(number).coalesced)
+    def _target_done(self, command: Command) -> list[Effect]:
+        """A target of it is replaced, or has its Stop."""
+        command.left -= 1
+        return [] if command.left else [Completed(command)]
 
     def drop(self, servos: Collection[Servo], reason: Reason, detail: str) -> list[Effect]:
         """Forget what waits for these servos, and reject the commands that it came from, as a whole."""
-        rejected = dict.fromkeys(servo.waiting_number for servo in servos if servo.waiting is not None)
+        rejected = dict.fromkeys(servo.waiting_for for servo in servos if servo.waiting is not None)
         for servo in servos:
             servo.target_cdeg = None  # nor does it go on to where an earlier command sent it
             servo.passing_cdeg = None
         for servo in self.servos.values():  # what is rejected here must not take effect on another leg
-            if servo.waiting is not None and servo.waiting_number in rejected:
+            if servo.waiting is not None and servo.waiting_for in rejected:
                 servo.waiting = None
-        for number in rejected:
-            del self._pending[number]
         for leg in self:
             if not leg.waits_to_start:
                 self._queue.leave(leg.number)
-        return [Rejected(number, reason, detail) for number in rejected]
+        return [Rejected(command, reason, detail) for command in rejected]
 
     def _repeat(self, leg: Leg, now_ns: int) -> list[Effect]:
         due = [servo for servo in leg.servos if servo.repeats_left and now_ns >= servo.repeat_ns]

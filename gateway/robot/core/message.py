@@ -1,15 +1,15 @@
 """What the middle and the edges share: a message as it came in, how it is answered, and where reports go.
 
-No Zenoh here, so that whatever carries messages can be exchanged, and a second edge can stand beside the first.
+No Zenoh here, so that whatever carries messages can be exchanged.
 """
 
 from collections.abc import Callable, Iterable
 from enum import StrEnum
-from typing import Final, Protocol
+from typing import Protocol
 
 from pydantic import BaseModel
 
-from gateway.robot.core.events import value
+from gateway.robot.core.value import value
 from schemas.keys import CommandKey
 
 Reply = Callable[[bytes], None]
@@ -24,9 +24,6 @@ class Verb(StrEnum):
     GET = "get"
     LOST = "lost"
     """It stands for puts that were lost before those that follow, at least `size` of them: a Stop may be among them."""
-
-
-_GET: Final = Verb.GET
 
 
 @value
@@ -46,11 +43,6 @@ class Received:
     source: str | None
     received_ns: int
     reply: Reply | None = None
-
-    @property
-    def channel(self) -> str:
-        """Messages of one channel came in this order; between channels the order is unknown."""
-        return f"{'get' if self.verb is _GET else 'put'} {self.key}"
 
 
 class Messages(Protocol):

@@ -14,7 +14,7 @@ Stop frames need no slot and never pass through here.
 from dataclasses import dataclass, field
 from typing import Final
 
-from gateway.robot.protocol.frames import OP_SET, OP_START, ServoOp
+from gateway.robot.protocol.frames import OP_SET, OP_START, STARTS, ServoOp
 
 NS_PER_S: Final = 1_000_000_000
 NS_PER_MS: Final = 1_000_000
@@ -31,7 +31,7 @@ SPACING_SHARE: Final = 4
 def merged(older: ServoOp, newer: ServoOp) -> ServoOp:
     """The newest target; a start that waits keeps being a start when only its angle changes."""
     if older.op is OP_START and newer.op is OP_SET:
-        return ServoOp(OP_START, newer.angle_cdeg)
+        return STARTS[newer.angle_cdeg]
     return newer
 
 

@@ -72,7 +72,7 @@ from gateway.robot.core.lease import Lease
 from gateway.robot.core.leg import Rules
 from gateway.robot.core.legs import Legs
 from gateway.robot.core.pacing import NS_PER_MS, NS_PER_S
-from gateway.robot.protocol.frames import OP_SET, OP_STOP
+from gateway.robot.protocol.frames import OP_SET
 from schemas.robot import LEGS
 from schemas.telemetry import Cause, Kind, Mode, Reason
 
@@ -226,7 +226,7 @@ class Supervisor:
     def _command(self, command: Command, now_ns: int) -> list[Effect]:
         rejection = self._rejection(command)
         if rejection is not None:
-            return [Rejected(command.number, *rejection)]
+            return [Rejected(command, *rejection)]
         if command.lease is not None:
             self.lease.heard(command.lease, now_ns)
         return self.legs.apply(command, now_ns)
@@ -235,7 +235,7 @@ class Supervisor:
         """Why the command as a whole takes no effect; None: it does. Asked before anything of it takes effect."""
         if self.mode in _REJECTING:
             return _REJECTING[self.mode]
-        moves = [(servo_id, op) for servo_id, op in command.targets if op.op is not OP_STOP]
+        moves = command.moves
         guarded = self.stopped_outside or self.lease.guards or self.legs.landing is not None or self.calibrating.guards
         if moves and (guarded or command.lease is not None or self.buttons.closed):
             rejection = self._why_closed(command.lease) or self._why_unwatched() or self.calibrating.rejection(moves)
@@ -251,7 +251,7 @@ class Supervisor:
                 # Which of the two is older is not known, and an older Start must not overtake a Stop.
                 by = ", ".join(sorted(servo.stopped_by))
                 return Reason.SERVO_STOPPED, f"servo {servo_id} was stopped in the same instant ({by})"
-            if op.op is OP_SET and not servo.will_run:
+            if op.op is OP_SET and servo.angle_cdeg is None and not servo.will_run:
                 return Reason.SERVO_STOPPED, f"servo {servo_id} does not run; start it before you set it"
         return None
 
@@ -274,7 +274,7 @@ class Supervisor:
     def _calibrate(self, event: Calibrate, now_ns: int) -> list[Effect]:
         rejection = _REJECTING.get(self.mode) or self._why_closed(event.lease)
         if rejection is not None:
-            return [Rejected(event.number, *rejection)]
+            return [Rejected(event, *rejection)]
         effects = self.calibrating.change(event, self.legs.servos)
         if event.lease is not None and self.calibrating.awaits(event.number):
             self.lease.heard(event.lease, now_ns)
@@ -294,20 +294,20 @@ class Supervisor:
 
     def _reset(self, event: Reset, now_ns: int) -> list[Effect]:
         if self.mode in _REJECTING and self.mode is not Mode.ESTOPPED:
-            return [Rejected(event.number, *_REJECTING[self.mode])]
+            return [Rejected(event, *_REJECTING[self.mode])]
         closed = self.lease.rejection(event.lease, reset=True) or self._why_unwatched()
         if closed is not None:
-            return [Rejected(event.number, *closed)]
+            return [Rejected(event, *closed)]
         older = None if self._latched_ns is None else self._may_be_older(event, self._latched_ns)
         if older is not None:
-            return [Rejected(event.number, Reason.ESTOPPED, older)]
+            return [Rejected(event, Reason.ESTOPPED, older)]
         if event.lease is not None:
             self.lease.heard(event.lease, now_ns)
         if self._latched_ns is None:
-            return [Completed(event.number)]
+            return [Completed(event)]
         self._latched_ns = None
         detail = "emergency stop left; nothing moves until it is started again"
-        return [Announce(Kind.ESTOP_RESET, detail, event.source, event.key), Completed(event.number)]
+        return [Announce(Kind.ESTOP_RESET, detail, event.source, event.key), Completed(event)]
 
     def _may_be_older(self, reset: Reset, latched_ns: int) -> str | None:
         """Why this reset may have been sent before the latest emergency stop; None: it was sent after it."""

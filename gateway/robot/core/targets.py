@@ -1,72 +1,52 @@
 """What a command key addresses, and what follows from that: one row for each target, which all who ask read. Pure.
 
-A new key needs its row here, and nothing else in the robot's wing decides by target: which rings are read again
-(`edge/rings.py`), what a delete and what lost messages mean (`intake`, `losses`), and how a payload is read follow.
+A new key needs its row here. Which rings are read again (`edge/rings.py`), what may be a Stop, what a delete and what
+lost messages mean (`intake`, `losses`), and how a payload is read follow from it. Only the emergency stop is known by
+its key elsewhere, since it has rings and threads of its own, and nothing of its payload is read (`edge/inbox.py`,
+`runtime/conductor.py`).
 """
 
 from collections.abc import Callable
 from typing import Final, NamedTuple
 
-from gateway.robot.core.events import value
-from gateway.robot.protocol.frames import OP_SET, OP_START, OP_STOP, STOP, ServoOp, servo_ids_of
+from gateway.robot.core.events import Command, Reset, Targets
+from gateway.robot.protocol.frames import SETS, STARTS, STOP, servo_ids_of
 from schemas import keys
 from schemas.command import SERVO_COMMAND, LegCommand, LegsCommand, Move, ResetCommand, Stop
 from schemas.keys import CommandKey, Target
 from schemas.robot import JOINTS, LEGS, SERVO_IDS
 
-Targets = tuple[tuple[int, ServoOp], ...]
-
-
-@value
-class Intent:
-    """What a valid command asks for: an operation for each servo that it names (none for a reset)."""
-
-    targets: Targets = ()
-    source: str | None = None
-    sent_ms: float | None = None
-    estop: int | None = None
-    """Of a reset: the number of the emergency stop that it leaves."""
-    lease: str | None = None
-    """The token of the sender's lease."""
-
-    def __repr__(self) -> str:
-        return f"Intent({self.targets}, source={self.source!r})"  # the token is a secret
-
-    @property
-    def only_stops(self) -> bool:
-        """Whether it stops servos and does nothing else. A reset stops none."""
-        return bool(self.targets) and all(op.op is OP_STOP for _, op in self.targets)
-
-
 # ---- readers: each raises pydantic's ValidationError
 
-_OPS: Final = {"start": OP_START, "set": OP_SET}
+_MOVES: Final = {"start": STARTS, "set": SETS}
 _IDS_OF_LEG: Final = {leg: servo_ids_of(leg) for leg in LEGS}
 _LEG_COMMAND: Final = LegCommand.__pydantic_validator__
 """Called at once, without the wrapper around it: it reads each setpoint of a gait."""
 
 
-def _read_servo(servo_id: int, payload: bytes) -> Intent:
+def _read_servo(servo_id: int, payload: bytes) -> Command:
     command = SERVO_COMMAND.validate_json(payload)
-    return Intent(_targets((servo_id,), (command,)), command.source, command.sent_ms, None, command.lease)
+    targets = _targets((servo_id,), (command,))
+    return Command(targets, source=command.source, sent_ms=command.sent_ms, lease=command.lease)
 
 
-def _read_leg(leg: int, payload: bytes) -> Intent:
+def _read_leg(leg: int, payload: bytes) -> Command:
     command: LegCommand = _LEG_COMMAND.validate_json(payload)
-    return Intent(_targets(_IDS_OF_LEG[leg], command.servos), command.source, command.sent_ms, None, command.lease)
+    targets = _targets(_IDS_OF_LEG[leg], command.servos)
+    return Command(targets, source=command.source, sent_ms=command.sent_ms, lease=command.lease)
 
 
-def _read_legs(_: int, payload: bytes) -> Intent:
+def _read_legs(_: int, payload: bytes) -> Command:
     command = LegsCommand.model_validate_json(payload)
     targets: Targets = ()
     for leg, setpoint in sorted(command.legs.items()):
         targets += _targets(_IDS_OF_LEG[int(leg)], setpoint.servos)
-    return Intent(targets, command.source, command.sent_ms, None, command.lease)
+    return Command(targets, source=command.source, sent_ms=command.sent_ms, lease=command.lease)
 
 
-def _read_reset(_: int, payload: bytes) -> Intent:
+def _read_reset(_: int, payload: bytes) -> Reset:
     command = ResetCommand.model_validate_json(payload or b"{}")
-    return Intent((), command.source, command.sent_ms, command.estop, command.lease)
+    return Reset(source=command.source, sent_ms=command.sent_ms, lease=command.lease, estop=command.estop)
 
 
 def _targets(servo_ids: tuple[int, ...], setpoints: tuple[Move | Stop, ...]) -> Targets:
@@ -74,7 +54,7 @@ def _targets(servo_ids: tuple[int, ...], setpoints: tuple[Move | Stop, ...]) -> 
     targets: Targets = ()
     for place, servo_id in enumerate(servo_ids):
         setpoint = setpoints[place]
-        op = STOP if setpoint.op == "stop" else ServoOp(_OPS[setpoint.op], round(setpoint.angle_deg * 100))
+        op = STOP if setpoint.op == "stop" else _MOVES[setpoint.op][round(setpoint.angle_deg * 100)]
         targets += ((servo_id, op),)
     return targets
 
@@ -94,6 +74,19 @@ def _own(servo_id: int) -> tuple[int, ...]:
     return (servo_id,)
 
 
+def _has_stop(payload: bytes) -> bool:
+    """In JSON a word may be written with escapes, and each of them has a backslash."""
+    return b"stop" in payload or b"\\" in payload
+
+
+def _always(_payload: bytes) -> bool:
+    return True
+
+
+def _never(_payload: bytes) -> bool:
+    return False
+
+
 class Row(NamedTuple):
     """One target. A key's `number` is the leg, the servo, or 0."""
 
@@ -101,8 +94,13 @@ class Row(NamedTuple):
     """The servos that a message on the key may start, set or stop. A delete stops them, and so do lost messages."""
     follows: Callable[[int], tuple[int, ...]]
     """The servos whose older messages, on any key, are taken before a message of this one takes effect."""
-    read: Callable[[int, bytes], Intent] | None
+    read: Callable[[int, bytes], Command | Reset] | None
     """Reads a payload; None: any payload will do."""
+    may_stop: Callable[[bytes], bool]
+    """Whether a payload may be a Stop: it may take others for one, but misses none, and reads nothing.
+
+    Such a message keeps its place before an older Start, and is dealt with though newer ones of its key are waiting.
+    """
     most_fields: int
     """Of a payload with all that it may have; each takes a colon, and `source` may have 64 more.
 
@@ -119,12 +117,14 @@ _SENDER, _SETPOINT, _LEG = 3, 2, 2 * len(JOINTS)
 """Fields: source, sent_ms and lease; op and angle_deg of a servo; the same of a leg."""
 
 TARGETS: Final[dict[Target, Row]] = {
-    Target.LEGS: Row(_all, _all, _read_legs, _SENDER + 1 + len(LEGS) * (2 + _LEG), (1, 2)),
-    Target.LEG: Row(servo_ids_of, servo_ids_of, _read_leg, _SENDER + 1 + _LEG, (1, 0)),
-    Target.SERVO: Row(_own, _own, _read_servo, _SENDER + _SETPOINT),
-    Target.ESTOP: Row(_all, _all, None, 0),
+    Target.LEGS: Row(_all, _all, _read_legs, _has_stop, _SENDER + 1 + len(LEGS) * (2 + _LEG), (1, 2)),
+    Target.LEG: Row(servo_ids_of, servo_ids_of, _read_leg, _has_stop, _SENDER + 1 + _LEG, (1, 0)),
+    Target.SERVO: Row(_own, _own, _read_servo, _has_stop, _SENDER + _SETPOINT),
+    Target.ESTOP: Row(_all, _all, None, _always, 0),
     # What was sent while the emergency stop was engaged is rejected, also where the reset after it is seen first.
-    Target.RESET: Row(_none, _all, _read_reset, _SENDER + 1, only_meant=f"does not reset; put {{}} on {keys.RESET}"),
+    Target.RESET: Row(
+        _none, _all, _read_reset, _never, _SENDER + 1, only_meant=f"does not reset; put {{}} on {keys.RESET}"
+    ),
 }
 """Every target. Without a row for one, `unit/robot/test_targets.py` fails, and no gateway starts."""
 

@@ -22,6 +22,7 @@ from typing import Any, Final
 import zenoh
 from zenoh.handlers import Handler, RingChannel
 
+from gateway.robot.core.intake import words_of_stop
 from gateway.robot.core.message import Received, Reply, Verb
 from gateway.robot.edge.questions import DEPTH as QUESTIONS_DEPTH
 from gateway.robot.edge.questions import Knows, QuestionRing
@@ -113,7 +114,7 @@ class Inbox:
             for key in COMMAND_KEYS
             if key != ESTOP
         }
-        self._rings = Rings[_Item, Received](receivers, partial(_received, self._replies), _words_of_stop, depth)
+        self._rings = Rings[_Item, Received](receivers, partial(_received, self._replies), words_of_stop, depth)
         self._wakeups = (
             self._subscriber(session, ALL_COMMANDS, OTHER_DEPTH),
             self._queryable(session, ALL_COMMANDS, OTHER_DEPTH),
@@ -330,14 +331,6 @@ _NOT_BY_WILDCARD: Final = (
 def _named(item: _Item, among: Collection[str]) -> set[str]:
     """The keys that a wildcard names."""
     return {key for key in among if item.key_expr.intersects(zenoh.KeyExpr(key))}
-
-
-def _words_of_stop(received: Received) -> bytes | None:
-    """In JSON a word may be written with escapes, and each of them has a backslash. What is too large is rejected."""
-    if received.verb is _DELETE:
-        return b""
-    words = received.payload
-    return words if b"stop" in words or b"\\" in words else None
 
 
 def _lost(key: str, count: int) -> Received:

@@ -124,7 +124,7 @@ class Rings(Generic[Item, Message]):
                     items = (
                         [self._make(ring.key, first)] if second is None else self._made(ring, ring.rest(first, second))
                     )
-                    taken.append((ring, items))
+                    taken += [(ring, items)]
                     if self._may_stop(ring, items):
                         stops = True
                         again |= ring.others

@@ -13,7 +13,7 @@ be built here. Every message counts bytes from 1, as docs/protocol.md does.
 """
 
 import enum
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final
 
 from schemas.robot import JOINTS, LEGS, SERVO_IDS
@@ -26,6 +26,10 @@ ONE_LEG_LEN: Final = 14
 ONE_LEG_TYPE: Final = 1
 ONE_SERVO_LEN: Final = 6
 ONE_SERVO_TYPE: Final = 2
+_ONE_LEG: Final = bytes((ONE_LEG_LEN, ONE_LEG_TYPE))
+_ONE_SERVO: Final = bytes((ONE_SERVO_LEN, ONE_SERVO_TYPE))
+_IDS: Final = {servo_id: bytes((servo_id,)) for servo_id in SERVO_IDS}
+_IDS_OF_LEG: Final = {leg: tuple(_IDS[10 * leg + joint] for joint in (1, 2, 3)) for leg in LEGS}
 _MAX_INT: Final = 180
 _MAX_FLOAT: Final = 99
 
@@ -50,13 +54,12 @@ OP_SET: Final = Op.SET
 
 @dataclass(slots=True, init=False, unsafe_hash=True)
 class ServoOp:
-    """What one servo is told: the operation and the angle in hundredths of a degree, 0 to 18000 (0 for STOP).
-
-    Each setpoint makes three. One that is frozen at run time, and checks itself, takes twice as long to make.
-    """
+    """What one servo is told: the operation and the angle in hundredths of a degree, 0 to 18000 (0 for STOP)."""
 
     op: Final[Op]
     angle_cdeg: Final[int]
+    data: bytes = field(compare=False, repr=False)
+    """OP, INT and FLOAT."""
 
     def __init__(self, op: Op, angle_cdeg: int = 0) -> None:
         if type(op) is not Op:
@@ -69,23 +72,44 @@ class ServoOp:
             raise FrameError(f"the angle of a Stop is {angle_cdeg} hundredths of a degree; a Stop has none, so 0")
         self.op = op
         self.angle_cdeg = angle_cdeg
+        self.data = bytes((op, angle_cdeg // 100, angle_cdeg % 100))
+
+
+class _Moves(dict[int, ServoOp]):
+    """The operation for each angle, made when it is first asked for: at most 18001. Each setpoint needs three."""
+
+    def __init__(self, op: Op) -> None:
+        self._op = op
+
+    def __missing__(self, angle_cdeg: int) -> ServoOp:
+        made = self[angle_cdeg] = ServoOp(self._op, angle_cdeg)
+        return made
 
 
 STOP: Final = ServoOp(OP_STOP)
+STARTS: Final = _Moves(OP_START)
+SETS: Final = _Moves(OP_SET)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True, init=False, unsafe_hash=True)
 class OneServo:
     """ONE SERVO: one operation for one servo."""
 
-    servo_id: int
-    command: ServoOp
+    servo_id: Final[int]
+    command: Final[ServoOp]
+    is_stop: bool = field(compare=False, repr=False)
+    """Whether the frame only de-energises."""
+    _data: bytes = field(compare=False, repr=False)
 
-    def __post_init__(self) -> None:
-        if type(self.servo_id) is not int or self.servo_id not in _SERVO_ID_SET:
-            raise FrameError(f"the servo id is {self.servo_id!r}; {_SERVO_ID_RULE}")
-        if type(self.command) is not ServoOp:
-            raise FrameError(f"the command is {self.command!r}; it is a ServoOp")
+    def __init__(self, servo_id: int, command: ServoOp) -> None:
+        if type(servo_id) is not int or servo_id not in _SERVO_ID_SET:
+            raise FrameError(f"the servo id is {servo_id!r}; {_SERVO_ID_RULE}")
+        if type(command) is not ServoOp:
+            raise FrameError(f"the command is {command!r}; it is a ServoOp")
+        self.servo_id = servo_id
+        self.command = command
+        self.is_stop = command.op is OP_STOP
+        self._data = _ONE_SERVO + _IDS[servo_id] + command.data
 
     @property
     def leg(self) -> int:
@@ -97,15 +121,9 @@ class OneServo:
         """The (servo id, operation) pairs of the frame, in its order."""
         return ((self.servo_id, self.command),)
 
-    @property
-    def is_stop(self) -> bool:
-        """Whether the frame only de-energises."""
-        return self.command.op is OP_STOP
-
     def to_bytes(self) -> bytes:
         """The 6 bytes of the frame."""
-        whole_deg, hundredths = divmod(self.command.angle_cdeg, 100)
-        return bytes((ONE_SERVO_LEN, ONE_SERVO_TYPE, self.servo_id, self.command.op, whole_deg, hundredths))
+        return self._data
 
 
 @dataclass(slots=True, init=False, unsafe_hash=True)
@@ -114,6 +132,9 @@ class OneLeg:
 
     leg: Final[int]
     commands: Final[tuple[ServoOp, ServoOp, ServoOp]]
+    is_stop: bool = field(compare=False, repr=False)
+    """Whether the frame only de-energises."""
+    _data: bytes = field(compare=False, repr=False)
 
     def __init__(self, leg: int, commands: tuple[ServoOp, ServoOp, ServoOp]) -> None:
         if type(leg) is not int or leg not in LEGS:
@@ -125,26 +146,18 @@ class OneLeg:
             raise FrameError(f"the commands are {commands!r}; each is a ServoOp")
         self.leg = leg
         self.commands = commands
+        self.is_stop = first.op is second.op is third.op is OP_STOP
+        one, two, three = _IDS_OF_LEG[leg]
+        self._data = _ONE_LEG + one + first.data + two + second.data + three + third.data
 
     @property
     def servos(self) -> tuple[tuple[int, ServoOp], ...]:
         """The (servo id, operation) pairs of the frame, in its order."""
         return tuple(zip(servo_ids_of(self.leg), self.commands, strict=True))
 
-    @property
-    def is_stop(self) -> bool:
-        """Whether the frame only de-energises."""
-        first, second, third = self.commands
-        return first.op is second.op is third.op is OP_STOP
-
     def to_bytes(self) -> bytes:
         """The 14 bytes of the frame."""
-        data = [ONE_LEG_LEN, ONE_LEG_TYPE]
-        servo_id = 10 * self.leg
-        for command in self.commands:
-            servo_id += 1
-            data += (servo_id, command.op, command.angle_cdeg // 100, command.angle_cdeg % 100)
-        return bytes(data)
+        return self._data
 
 
 Frame = OneLeg | OneServo
@@ -169,9 +182,12 @@ def centidegrees(angle_deg: float) -> int:
     return round(angle_deg * 100)
 
 
+_STOPS: Final = {leg: OneLeg(leg, (STOP, STOP, STOP)) for leg in LEGS}
+
+
 def stop_leg(leg: int) -> OneLeg:
-    """The frame that de-energises all three servos of a leg."""
-    return OneLeg(leg, (STOP, STOP, STOP))
+    """The frame that de-energises all three servos of a leg. Raises FrameError for a leg other than 1 to 6."""
+    return _STOPS[leg] if leg in _STOPS else OneLeg(leg, (STOP, STOP, STOP))
 
 
 def decode(data: bytes) -> Frame:
@@ -229,4 +245,4 @@ def _read_op(data: bytes, index: int) -> ServoOp:
         raise FrameError(f"{_found(data, index + 2)}; FLOAT PART is 0 to {_MAX_FLOAT} hundredths of a degree")
     if 100 * degrees + hundredths > MAX_ANGLE_CDEG:
         raise FrameError(f"{_found(data, index + 2)} after 180 whole degrees; the largest angle is 180.00")
-    return ServoOp(Op(op_code), 100 * degrees + hundredths)
+    return (STARTS if op_code == OP_START else SETS)[100 * degrees + hundredths]

@@ -75,14 +75,15 @@ class Calibrations(RequestAnswers):
         """Decide about a change, and answer once it is on the disk, or rejected."""
         conductor, answers = self._conductor, self._conductor.answers
         now_ns = conductor.turned()
-        servos = (*change.servos.items(), *change.landing_cdeg.items())
-        too_old = conductor.too_old(source, command.sent_ms, now_ns, now_ns)
+        event = Calibrate(
+            change=change, revision=command.revision, accept_default=command.accept_default is not None,
+            key=self.key, source=source, sent_ms=command.sent_ms, lease=command.lease, reply=reply,
+        )  # fmt: skip
+        too_old = conductor.too_old(event, now_ns, now_ns)
         if too_old is not None:
-            answers.reject(self.key, source, reply, Reason.STALE, too_old, servos=servos)
+            answers.reject(event, Reason.STALE, too_old)
             return
-        number = answers.expect(self.key, source, reply, servos)
-        accept_default = command.accept_default is not None
-        event = Calibrate(number, change, command.revision, accept_default, source, self.key, command.lease)
+        event.number = answers.next_number()
         keep = conductor.ask(event).keep
         if keep is not None:
             self._hand_on(keep)

@@ -13,7 +13,7 @@ from pydantic import BaseModel
 
 from gateway import __version__
 from gateway.errors import SpiError
-from gateway.robot.blackbox.recorder import Heard, Recorder
+from gateway.robot.blackbox.recorder import Recorder
 from gateway.robot.core.events import (
     Announce,
     BusFailed,
@@ -25,12 +25,12 @@ from gateway.robot.core.events import (
     Event,
     Kept,
     LeaseRequest,
-    Reset,
+    Request,
     ShutDown,
     StoppedOutside,
     TimePassed,
 )
-from gateway.robot.core.intake import Rejection, echo_of, intent_of
+from gateway.robot.core.intake import Rejection, echo_of, read
 from gateway.robot.core.losses import DETAIL, Losses
 from gateway.robot.core.message import Messages, NoMessages, Outbox, Received, Reply, Verb
 from gateway.robot.core.staleness import Staleness
@@ -191,9 +191,10 @@ class Conductor:
         self._arm()
         return outcome
 
-    def too_old(self, source: str | None, sent_ms: float | None, now_ns: int, instant_ns: int) -> str | None:
-        """Why a command was, or may have been, delayed for too long; None: it was not."""
-        return None if self._staleness is None else self._staleness.too_old(source, sent_ms, now_ns, instant_ns)
+    def too_old(self, request: Request, now_ns: int, instant_ns: int) -> str | None:
+        """Why a request was, or may have been, delayed for too long; None: it was not."""
+        judge = self._staleness
+        return None if judge is None else judge.too_old(request.source, request.sent_ms, now_ns, instant_ns)
 
     def look_outside(self) -> None:
         """Learn of `stop-servos` on the same device and of its end, and of settings that another program changed."""
@@ -224,39 +225,33 @@ class Conductor:
             self.metrics.overflows += 1
             self.metrics.lost += received.size
             return
-        intent = intent_of(received)
-        if isinstance(intent, Rejection):
-            key = echo_of(received.expression)
-            self.answers.reject(key, received.source, received.reply, intent.reason, intent.detail)
+        command = read(received)
+        if type(command) is Rejection:
+            unread = Request(key=echo_of(received.expression), source=received.source, reply=received.reply)
+            self.answers.reject(unread, command.reason, command.detail)
             return
-        key, source, targets = received.key, intent.source or received.source, intent.targets
         now_ns = self._clock()
-        too_old = self.too_old(source, intent.sent_ms, now_ns, instant_ns)
-        if too_old is not None and intent.only_stops:
-            too_old = None  # a Stop is taken however old it is: to stop once too often harms nobody
-        number = 0 if too_old is not None else self.answers.expect(key, source, received.reply, targets)
-        heard = Heard(received.received_ns, number, received.verb, key, source, intent.sent_ms, targets)
-        if too_old is not None:
-            self.answers.reject(key, source, received.reply, Reason.STALE, too_old, servos=targets, heard=heard)
+        too_old = self.too_old(command, now_ns, instant_ns)
+        if too_old is not None and not command.only_stops:  # to stop once too often harms nobody
+            self.answers.reject(command, Reason.STALE, too_old, command)
             return
-        event: Command | Reset = Command(number, received.channel, targets, source, intent.lease)
-        if key == keys.RESET:
-            event = Reset(number, source, key, intent.estop, intent.lease)
+        command.number = self.answers.next_number()
         try:
-            outcome = self._step(event, instant_ns, now_ns, heard)
+            outcome = self._step(command, instant_ns, now_ns, command)
         except Exception:
-            self.recorder.step(heard, (), ())  # what broke the gateway
+            self.recorder.step(command, (), ())  # what broke the gateway
             raise
-        if self._losses.key and number not in outcome.rejected:
-            self._losses.accepted(targets)
+        if self._losses.key and command not in outcome.rejected:
+            self._losses.accepted(command.targets)
 
     def _stop_what_lost_stops_named(self, instant_ns: int) -> None:
         key, targets = self._losses.take()
         stops = tuple(stop for stop in targets if self.supervisor.legs.servos[stop[0]].will_run)
         if stops:
-            number = self.answers.expect(key, None, None, stops)
-            self._step(Command(number, f"put {key}", stops, lost=True), instant_ns)
-            self._events.announce(Announce(Kind.OVERFLOW, DETAIL, None, key, legs_of(stops), Reason.OVERFLOW))
+            command = Command(stops, key=key, number=self.answers.next_number(), lost=True)
+            self._step(command, instant_ns)
+            legs = legs_of(command.servo_ids)
+            self._events.announce(Announce(Kind.OVERFLOW, DETAIL, None, key, legs, Reason.OVERFLOW))
 
     def _emergency_stop(self, received: Received, instant_ns: int) -> None:
         # Nothing of the payload is looked at before the Stops: whatever it is, somebody wants the robot to stop.
@@ -265,7 +260,9 @@ class Conductor:
             self._reopen()
         stop_frames = self._step(EmergencyStop(received.source, received.key), instant_ns).stop_frames(Cause.ESTOP)
         latency_ns = max(0, self._clock() - received.received_ns)
-        heard = Heard(received.received_ns, 0, received.verb, received.key, self._events.estop_source)
+        heard = Request(
+            key=received.key, source=self._events.estop_source, verb=received.verb, received_ns=received.received_ns
+        )
         self.recorder.step(heard, (), ())
         if stop_frames >= len(LEGS):
             self.metrics.emergency_stops.record(latency_ns)
@@ -275,7 +272,7 @@ class Conductor:
             received.reply(ack.model_dump_json().encode())
 
     def _step(
-        self, event: Event, instant_ns: int | None = None, now_ns: int | None = None, heard: Heard | None = None
+        self, event: Event, instant_ns: int | None = None, now_ns: int | None = None, heard: Request | None = None
     ) -> Outcome:
         """Let the supervisor take an event, and carry out what it wants. `heard`: the command that the event is."""
         now_ns = self._clock() if now_ns is None else now_ns

@@ -5,8 +5,8 @@ from dataclasses import dataclass, field
 from typing import Final, assert_never
 
 from gateway.errors import SpiError
-from gateway.robot.blackbox.recorder import Heard, Recorder, Written
-from gateway.robot.core.events import Announce, Answer, Completed, Effect, Keep, Rejected, Transmit
+from gateway.robot.blackbox.recorder import Recorder, Written
+from gateway.robot.core.events import Announce, Answer, Completed, Effect, Keep, Rejected, Request, Transmit
 from gateway.robot.runtime.answers import Answers
 from gateway.robot.runtime.event_publisher import EventPublisher
 from gateway.robot.runtime.metrics import Metrics
@@ -25,8 +25,8 @@ class Outcome:
     """Why not all frames were written; commands that were completed are rejected for it."""
     meddled: str | None = None
     """What another program had set on the device, until just before these frames were written."""
-    rejected: list[int] = field(default_factory=list)
-    """The numbers of commands that the supervisor rejected."""
+    rejected: list[Request] = field(default_factory=list)
+    """What the supervisor rejected."""
     answer: Answer | None = None
     """To be sent to whoever asked."""
     keep: Keep | None = None
@@ -57,7 +57,7 @@ class Executor:
         self._metrics = metrics
         self._publish_frames = publish_frames
 
-    def carry_out(self, effects: Sequence[Effect], heard: Heard | None = None) -> Outcome:
+    def carry_out(self, effects: Sequence[Effect], heard: Request | None = None) -> Outcome:
         """The frames first, as batches; then the record of it, answers and events. `heard`: the command of this step.
 
         No answer, no record and no event stands before a frame of the same step.
@@ -72,13 +72,13 @@ class Executor:
             self._events.announce(Announce(Kind.BUS_MEDDLED, outcome.meddled))
         for effect in effects:
             match effect:
-                case Transmit():
+                case Transmit() if not effect.done:
                     pass  # written above
-                case Completed():
-                    self._answers.end(effect, outcome.fault)
+                case Transmit() | Completed():
+                    self._answers.complete(effect, outcome.fault)
                 case Rejected():
-                    outcome.rejected.append(effect.number)
-                    self._answers.end(effect, outcome.fault)
+                    outcome.rejected.append(effect.request)
+                    self._answers.end(effect.request, effect.reason, effect.detail)
                 case Announce(kind=Kind.BUS_RECOVERED) if outcome.fault is not None:
                     pass  # it opened, but did not take six Stops: the fault goes on, and has been published
                 case Announce():
@@ -106,7 +106,8 @@ class Executor:
                 effect = batch[sent.place]
                 outcome.written += [(effect, sent)]
                 self._metrics.frames[effect.cause] += 1
-                self._answers.wrote(effect)
+                for command in effect.commands:
+                    command.written += (effect.frame.leg,)
                 if effect.deadline_ns is not None and sent.heard:
                     self._metrics.watchdog_stops.record(self._bus.ended_ns - effect.deadline_ns)
             unbatched = report.rejection or unbatched

@@ -57,7 +57,7 @@ def test_a_socket_is_taken_and_no_child_gets_it_or_its_name(stack: ExitStack) ->
         socket.create_connection(address).close()
 
 
-@pytest.mark.parametrize("pid", ["", "1", PID + "0", "all"])
+@pytest.mark.parametrize("pid", ["", "1", PID + "0", "all"], ids=["none", "init", "another", "no number"])
 def test_without_sockets_of_its_own_it_binds_by_itself(stack: ExitStack, pid: str) -> None:
     passed = server(stack)
     assert taken(passed, pid=pid) == []

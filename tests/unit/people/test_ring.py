@@ -218,6 +218,7 @@ def test_what_a_setpoints_record_cannot_hold_is_for_others() -> None:
     assert form.carried_out(1, 0, 7, "put", "k", None, None, targets[:2], FRAME, 5, 5) is None
     assert form.carried_out(1, 0, 7, "put", "k", None, None, targets, FRAME, 2**32, 5) is None
     assert form.carried_out(1, 6, 7, "put", "k", None, None, targets, FRAME, 5, 5) is None
+    assert form.carried_out(1, 0, 7, "put", "k", None, None, targets, FRAME + b"\0", 5, 5) is None, "it would be cut"
 
 
 def test_a_cut_off_or_mistaken_setpoint_is_damage() -> None:

@@ -8,9 +8,9 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from gateway.robot.core import intake
-from gateway.robot.core.intake import Rejection, decode, echo_of, intent_of, too_large
+from gateway.robot.core.events import Command, Reset
+from gateway.robot.core.intake import Rejection, echo_of, read, too_large
 from gateway.robot.core.message import Received, Verb
-from gateway.robot.core.targets import Intent
 from gateway.robot.protocol.frames import STOP as STOP_OP
 from gateway.robot.protocol.frames import Op, ServoOp
 from schemas.command import MAX_PAYLOAD_BYTES
@@ -19,6 +19,7 @@ from schemas.telemetry import Reason
 from tests.fuzz.targets import ENCODINGS, KEYS, MAX_DETAIL, check_intake
 from tests.support.bad_commands import FAULTS
 from tests.support.commands import LEG, LEG_3, LEGS_KEY, RESET_KEY, SERVO_32, START_90, STOP, as_json, legal, parsed
+from tests.support.reading import Intent, decode, meant
 
 JSON = "application/json"
 
@@ -55,8 +56,9 @@ def test_a_servo() -> None:
 )
 def test_the_token_of_a_lease_which_no_repr_shows(key: CommandKey, command: dict[str, Any]) -> None:
     token = "0123456789abcdef" * 2
-    answer = decode(key, as_json(command | {"lease": token}), JSON)
-    assert isinstance(answer, Intent)
+    payload = as_json(command | {"lease": token})
+    answer = read(Received("", "", key, Verb.PUT, payload, len(payload), JSON, None, 0))
+    assert not isinstance(answer, Rejection)
     assert answer.lease == token
     assert token not in repr(answer)
 
@@ -87,10 +89,10 @@ def test_a_reset_says_which_emergency_stop_it_leaves_who_sends_it_and_when() -> 
 
 def test_what_only_stops_is_taken_however_old_and_nothing_else_is() -> None:
     stop, start, move = (11, STOP_OP), (12, ServoOp(Op.START, 90_00)), (12, ServoOp(Op.SET, 1_00))
-    assert Intent((stop, stop)).only_stops
+    assert Command((stop, stop)).only_stops
     for targets in ((stop, start), (start, stop), (stop, move, stop), (start,)):
-        assert not Intent(targets).only_stops
-    assert not Intent(estop=1).only_stops, "a reset may be delayed, and is then rejected"
+        assert not Command(targets).only_stops
+    assert not Reset(estop=1).only_stops, "a reset may be delayed, and is then rejected"
 
 
 @pytest.mark.parametrize("payload", [b"", b"{", b"\xff" * 5000, b'{"op": "stop"}'])
@@ -143,7 +145,7 @@ def test_the_largest_payload_and_one_byte_more() -> None:
     assert decode(SERVO_32, largest, JSON) == Intent(((32, STOP_OP),))
     key = servo_command(32)
     whole, not_copied = (
-        intent_of(Received(key, key, SERVO_32, Verb.PUT, payload, size, JSON, None, 0)) for size in (4096, 4097)
+        meant(read(Received(key, key, SERVO_32, Verb.PUT, payload, size, JSON, None, 0))) for size in (4096, 4097)
     )
     assert (whole, not_copied) == (Intent(((32, STOP_OP),)), too_large(4097))
     assert len(largest) == 4096

@@ -18,12 +18,14 @@ from gateway.robot.core.events import (
     BusOpened,
     Calibrate,
     Command,
+    Completed,
     Do,
     Effect,
     EmergencyStop,
     Event,
     Kept,
     LeaseRequest,
+    Rejected,
     Reset,
     ShutDown,
     StoppedOutside,
@@ -38,7 +40,8 @@ from gateway.robot.protocol.framing import Framing
 from schemas.robot import LEGS, SERVO_IDS
 from schemas.telemetry import Kind, Mode
 from tests.support.faulty_controller import FaultyController
-from tests.support.history import demand
+from tests.support.history import demand, is_coalesced
+from tests.support.model_check import pending
 from tests.support.oracle import Oracle
 from tests.support.transitions import TRANSITIONS
 
@@ -103,6 +106,19 @@ def is_handover(effect: Effect) -> bool:
     return isinstance(effect, Announce) and effect.kind is Kind.SOURCE_CHANGED
 
 
+def numbered(effect: Effect) -> object:
+    """An effect with the numbers of requests in place of these."""
+    match effect:
+        case Transmit():
+            numbers = [[each.number for each in named] for named in (effect.commands, effect.done)]
+            return replace(effect, commands=(), done=()), numbers
+        case Completed():
+            return effect.request.number, is_coalesced(effect.request)
+        case Rejected():
+            return effect.request.number, effect.reason, effect.detail
+    return effect
+
+
 class SupervisorMachine(RuleBasedStateMachine):
     """One supervisor, its judge and its robot."""
 
@@ -134,11 +150,11 @@ class SupervisorMachine(RuleBasedStateMachine):
         if type(event) not in TRANSITIONS[mode]:
             return
         self.now_ns += wait_ns
-        effects = self.supervisor.step(event, self.now_ns, self.instant_ns)
         without = replace(event, source=None) if isinstance(event, Command) else event
+        effects = self.supervisor.step(event, self.now_ns, self.instant_ns)
+        nameless = self.nameless.step(without, self.now_ns, self.instant_ns)
         demand(
-            [effect for effect in effects if not is_handover(effect)]
-            == self.nameless.step(without, self.now_ns, self.instant_ns),
+            [numbered(effect) for effect in effects if not is_handover(effect)] == list(map(numbered, nameless)),
             "who commands changes nothing but what is told of it",
         )
         demand(self.supervisor.due_ns == self.nameless.due_ns, "who commands changes no time")
@@ -159,7 +175,9 @@ class SupervisorMachine(RuleBasedStateMachine):
     def command(self, channel: str, targets: tuple[tuple[int, ServoOp], ...], wait_ns: int) -> None:
         self.number += 1
         source = ("anna", "ben", None)[self.number % 3]
-        self.step(Command(self.number, channel, targets, source, self.token(self.carries)), wait_ns)
+        self.step(
+            Command(targets, key=channel, number=self.number, source=source, lease=self.token(self.carries)), wait_ns
+        )
 
     def token(self, whose: str) -> str | None:
         """None where there is no such lease."""
@@ -210,7 +228,10 @@ class SupervisorMachine(RuleBasedStateMachine):
         self.number += 1
         revision = None if older is None else self.supervisor.calibrating.in_force.revision - older
         lease = self.token(self.carries)
-        self.step(Calibrate(self.number, change, revision, default, lease=lease), wait_ns)
+        self.step(
+            Calibrate(number=self.number, change=change, revision=revision, accept_default=default, lease=lease),
+            wait_ns,
+        )
 
     @precondition(lambda self: self.oracle.calibration.on_its_way is not None)
     @rule(fault=st.sampled_from([None, None, "the disk is full"]), wait_ns=WAITS_NS)
@@ -239,7 +260,7 @@ class SupervisorMachine(RuleBasedStateMachine):
     def reset(self, newer: int | None, wait_ns: int) -> None:
         self.number += 1
         estop = None if newer is None else self.supervisor.estops + newer
-        self.step(Reset(self.number, estop=estop, lease=self.token(self.carries)), wait_ns)
+        self.step(Reset(number=self.number, estop=estop, lease=self.token(self.carries)), wait_ns)
 
     @rule()
     def an_instant_begins(self) -> None:
@@ -295,7 +316,7 @@ class SupervisorMachine(RuleBasedStateMachine):
 
     @invariant()
     def nothing_is_forgotten(self) -> None:
-        assert self.supervisor.legs._pending.keys() == self.oracle.pending.keys()
+        assert pending(self.supervisor).keys() == self.oracle.pending.keys()
 
 
 TestSupervisorMachine = SupervisorMachine.TestCase

@@ -7,10 +7,11 @@ from typing import cast
 import pytest
 
 from gateway.robot.core import targets
-from gateway.robot.core.intake import Rejection, decode, deleted, intent_of
+from gateway.robot.core.events import Command
+from gateway.robot.core.intake import Rejection, deleted, read
 from gateway.robot.core.losses import Losses
 from gateway.robot.core.message import Received, Verb
-from gateway.robot.core.targets import TARGETS, Intent, follows, servos_of, stops_of
+from gateway.robot.core.targets import TARGETS, follows, servos_of, stops_of
 from gateway.robot.edge.rings import Rings
 from gateway.robot.protocol.frames import STOP
 from schemas import keys
@@ -18,11 +19,14 @@ from schemas.keys import COMMAND_KEYS, CommandKey, Target, leg_command, servo_co
 from schemas.robot import SERVO_IDS
 from schemas.telemetry import Reason
 from tests.support.commands import as_json
+from tests.support.reading import Intent, decode, meant
 
 BODY = "hexapod/body/cmd"
 BODY_KEY = CommandKey(cast("Target", "body"))
 """A key that somebody adds: it moves all servos."""
-BODY_ROW = targets.Row(lambda _: SERVO_IDS, lambda _: SERVO_IDS, lambda _number, _payload: Intent(), 9)
+BODY_ROW = targets.Row(
+    lambda _: SERVO_IDS, lambda _: SERVO_IDS, lambda _number, _payload: Command(), lambda _payload: True, 9
+)
 
 
 def test_every_target_has_its_row() -> None:
@@ -45,10 +49,14 @@ def test_what_each_row_says(key: str, servos: tuple[int, ...], followed: tuple[i
     target = COMMAND_KEYS[key]
     assert servos_of(target) == set(servos), "without one, a message would never be done, but for a reset"
     assert follows(target) == set(followed), "an older Start on another key must not come after a Stop on this one"
+    may_stop = TARGETS[target.target].may_stop
+    assert may_stop(b'{"op": "stop"}') is (key != keys.RESET), "else it would lose its place before an older start"
+    assert may_stop(b'{"op": "\\u0073top"}') is (key != keys.RESET)
+    assert may_stop(b'{"op": "set", "angle_deg": 90}') is (key == keys.ESTOP), "else a stream would be dealt with whole"
     stops = tuple((servo_id, STOP) for servo_id in servos)
     assert stops_of(target) == stops
     no_reset = Rejection(Reason.INVALID, "a delete does not reset; put {} on hexapod/reset/cmd")
-    assert deleted(target) == (no_reset if key == keys.RESET else Intent(stops))
+    assert meant(deleted(target)) == (no_reset if key == keys.RESET else Intent(stops))
     for count, rejected in ((fields + 64, False), (fields + 65, True)) if fields else ():
         answer = decode(target, as_json({f"x{number}": 0 for number in range(count)}), "application/json")
         assert isinstance(answer, Rejection)
@@ -59,13 +67,13 @@ def test_what_each_row_says(key: str, servos: tuple[int, ...], followed: tuple[i
 @pytest.mark.parametrize("key", COMMAND_KEYS)
 def test_a_wildcard_may_mean_any_key_but_a_reset(key: str, verb: Verb) -> None:
     target, stop = COMMAND_KEYS[key], b'{"op": "stop"}'
-    exact, meant = (
-        intent_of(Received(key, expression, target, verb, stop, len(stop), "", None, 0))
+    exact, wild = (
+        meant(read(Received(key, expression, target, verb, stop, len(stop), "", None, 0)))
         for expression in (key, "hexapod/**")
     )
     wildcard = Rejection(Reason.INVALID, "a wildcard does not reset; put {} on hexapod/reset/cmd")
-    assert meant == (wildcard if key == keys.RESET else exact)
-    assert meant != exact or key != keys.RESET
+    assert wild == (wildcard if key == keys.RESET else exact)
+    assert wild != exact or key != keys.RESET
 
 
 def read_twice(first: str, second: str) -> list[str]:
@@ -97,7 +105,7 @@ def test_an_invented_key_overtakes_no_stop_and_its_delete_stops_what_it_names(
         read_twice(BODY, other)
     monkeypatch.setitem(TARGETS, BODY_KEY.target, BODY_ROW)
     assert set(read_twice(BODY, other)) == set(read_twice(other, BODY)) == {BODY, other}
-    assert deleted(BODY_KEY) == Intent(tuple((servo_id, STOP) for servo_id in SERVO_IDS))
+    assert meant(deleted(BODY_KEY)) == Intent(tuple((servo_id, STOP) for servo_id in SERVO_IDS))
     losses = Losses()
     losses.note(BODY)
     assert dict(losses.take()[1]).keys() == set(SERVO_IDS)
