@@ -1,5 +1,6 @@
 """The release that robots have now: made as it was made then, installed by its own installer, and this one over it."""
 
+import os
 import re
 import shutil
 import subprocess
@@ -15,7 +16,8 @@ from tests.box.machine import CONFIG_TXT, STOCK, Machine
 COMMIT = "4aa0d07"
 """The last that was landed on robots. It keeps no file of whether a servo runs, and had its rooms under other names."""
 POINTS = "/run/points"
-TEN = 10
+PLACES = int(os.environ.get("HEXAPOD_KILLS", "2"))
+"""At so many of an upgrade's changes it is killed, and the plug is pulled."""
 _UNTIL_A_SERVO_RUNS = """
 from gateway.client import Client
 with Client() as robot:
@@ -110,14 +112,14 @@ class Upgrade(Machine):
         return "env", f"PATH={POINTS}/bin:{PATH_INSIDE}", INSTALLER, "--wheels", self.wheels
 
     def points(self) -> list[int]:
-        """Ten of the changes that the way forward makes, from the first to the last; this release is there already."""
+        """Some of the changes that the way forward makes, from the first to the last; this release is there already."""
         self.forward()
         self.begin()
         self.box.run(*self.counted(), timeout_s=300)
         last = int(self.box.read(f"{POINTS}/count"))
         self.begin()
-        assert last >= TEN
-        return [1 + (last - 1) * place // (TEN - 1) for place in range(TEN)]
+        assert last >= PLACES
+        return [1 + (last - 1) * (2 * place + 1) // (2 * PLACES) for place in range(PLACES)]
 
     def runs(self) -> str:
         """The folder of the release that the service's process has loaded."""

@@ -1,4 +1,7 @@
-"""From the release before this one, to it, back and to it again: whatever runs, and wherever the way is cut."""
+"""From the release before this one, to it, back and to it again: whatever runs, and wherever the way is cut.
+
+An upgrade is killed at two of its changes, and the plug is pulled at two; HEXAPOD_KILLS=10: at ten.
+"""
 
 import os
 import select
@@ -9,7 +12,7 @@ import pytest
 
 from tests.box.box import PATH_INSIDE, Box
 from tests.box.disk import Disk
-from tests.box.last_release import TEN, Upgrade
+from tests.box.last_release import PLACES, Upgrade
 from tests.box.test_installer import SERVO_RUNS
 from tests.box.test_power_cut import folder
 from tests.support.child import Child
@@ -34,7 +37,7 @@ def robot(upgraded: Upgrade) -> Upgrade:
 
 @pytest.fixture(scope="module")
 def points(upgraded: Upgrade) -> list[int]:
-    """Ten of the changes that an upgrade makes."""
+    """Some of the changes that an upgrade makes."""
     return upgraded.points()
 
 
@@ -56,7 +59,7 @@ def test_forward_back_and_forward(robot: Upgrade, service: str) -> None:
         robot.is_at_work()
 
 
-@pytest.mark.parametrize("place", range(TEN))
+@pytest.mark.parametrize("place", range(PLACES))
 def test_killed(robot: Upgrade, points: list[int], place: int) -> None:
     """The service goes on meanwhile; run again, the installer finishes, and asks for nothing."""
     killed = robot.box.run(*robot.counted(kill=points[place]), check=False, timeout_s=300)

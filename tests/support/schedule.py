@@ -99,7 +99,7 @@ EXTENDED: Final = (
     # the drill and its planted gateways; releases, and what else may happen to an installation
     "box/test_bundle.py",
     "box/test_pages.py",
-    "box/test_check_faults.py::test_a_fault_is_named_and_its_remedy_helps",
+    "box/test_check_faults.py",
     "box/test_drill.py",
     "box/test_installer.py::test_a_robot_from_before_there_was_a_framing",
     "box/test_installer.py::test_a_terminal_is_asked_and_the_framing_stays",
@@ -177,6 +177,8 @@ APART: Final = ("hil", "fuzz", "zenoh/test_service.py")
 """Tests that share nothing with those beside them, so that each may run on whichever worker is free."""
 TOGETHER: Final = ("box", "net", "ros2")
 """Folders that share a machine or a bridge; files of other folders share a gateway."""
+SECOND_BOX: Final = ("box/test_upgrade.py", "box/test_check_faults.py", "box/test_pages.py")
+"""These prepare a machine of their own, beside that of the other boxes: one after the other would take twice as long."""
 SEARCHES: Final = ("fuzz/test_model_check.py",)
 """The model check: minutes of a processor, while the attended, and then those that run alone, leave one idle."""
 SECONDS: Final = {
@@ -244,6 +246,8 @@ def group(nodeid: str) -> str:
     file = _file(nodeid)
     if _is_among(file, APART):
         return nodeid
+    if _is_among(file, SECOND_BOX):
+        return "the second box"
     return file.partition("/")[0] if _is_among(file, TOGETHER) else file
 
 
