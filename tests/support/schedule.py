@@ -178,7 +178,7 @@ APART: Final = ("hil", "fuzz", "zenoh/test_service.py")
 TOGETHER: Final = ("box", "net", "ros2")
 """Folders that share a machine or a bridge; files of other folders share a gateway."""
 SECOND_BOX: Final = ("box/test_upgrade.py", "box/test_check_faults.py", "box/test_pages.py")
-"""These prepare a machine of their own, beside that of the other boxes: one after the other would take twice as long."""
+"""These prepare a machine of their own, beside the other boxes: one after the other would take twice as long."""
 SEARCHES: Final = ("fuzz/test_model_check.py",)
 """The model check: minutes of a processor, while the attended, and then those that run alone, leave one idle."""
 SECONDS: Final = {
