@@ -107,8 +107,11 @@ def parse(data: bytes, cas: Sequence[x509.Certificate]) -> RevocationList:
 
 def read(path: Path, cas: Sequence[x509.Certificate]) -> RevocationList | None:
     """The list that is kept there; None: there is none. Raises ConfigError, naming the file."""
-    if not path.exists():
-        return None
+    try:
+        if not path.exists():
+            return None
+    except OSError as error:  # the folder is another user's
+        raise ConfigError(f"{path}: cannot be read ({error.strerror})") from error
     data = read_file(path, "list of revoked certificates")
     if len(data) > MAX_BYTES:
         raise ConfigError(f"{path} has {len(data)} bytes; that is no list of revoked certificates")

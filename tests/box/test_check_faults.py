@@ -21,7 +21,7 @@ chmod +x /usr/local/bin/sudo /usr/local/sbin/udevadm
 for each in {CERTS} {OTHER}; do
     {NAME} certs init --dir $each --host 127.0.0.1
     for name in anna carl; do {NAME} certs issue $name --role operator --dir $each; done
-    {NAME} certs revoke carl --dir $each
+    {NAME} certs revoke carl --dir $each || [ $? = 1 ]  # no robot confirms it yet
 done
 /opt/{NAME}/venv/bin/python - <<'END'
 import datetime as dt

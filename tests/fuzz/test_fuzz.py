@@ -73,6 +73,8 @@ def test_a_broken_line_is_found(target: str, module: str, right: str, wrong: str
     tree = tmp_path / "tree"
     for package in ("gateway", "schemas", "tests/fuzz", "tests/data"):
         shutil.copytree(ROOT / package, tree / package, ignore=shutil.ignore_patterns("__pycache__"))
+    (tree / "tests" / "support").mkdir()
+    shutil.copy(ROOT / "tests/support/reading.py", tree / "tests/support")
     (tree / "tests" / "__init__.py").touch()
     source = (tree / "gateway" / module).read_text()
     assert source.count(right) == 1

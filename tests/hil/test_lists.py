@@ -113,7 +113,9 @@ def test_check_move_shows_that_a_driver_ignores_cs_change_and_what_to_set(
         six_stops = b"".join(map(bytes.fromhex, STOPS))
         started = spi_testbed.wait_for_count(1 if batch else 6)
         assert (started[0].data == six_stops) is batch
-        child = spi_testbed.spawn([*COMMAND, "check", "--move", "--yes", "--connect", gateway.endpoint])
+        child = spi_testbed.spawn([*COMMAND, "check", "--move", "--connect", gateway.endpoint])
+        for answer in ("", "", "yes"):  # servo 61, at 90 degrees
+            child.tell(answer)
         child.wait_for_output("All six legs were stopped at once", LATE_S)
         seen = Replay(wire.framing, selects=True)
         seen.play(spi_testbed.transfers)

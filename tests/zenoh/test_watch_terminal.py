@@ -359,7 +359,6 @@ def test_an_unconfirmed_stop_is_reported_once_more_at_the_end(tmp_path: Path) ->
 
 OTHERWISE = {
     "watch": (2, "; a program reads hexapod/state and hexapod/event instead", ""),
-    "calibrate": (1, ", and somebody beside the robot; --show prints the calibration, and a program uses", ""),
     "walk": (1, "; without one: --forward 0.1 --seconds 5", ", or give --seconds"),
     "button": (1, "", ", or open the console's /button"),
 }

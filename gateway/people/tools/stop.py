@@ -69,7 +69,7 @@ def _choose(path: Path | None) -> _Chosen:
     if theirs is not None and used is not None and (used.ended_here or (runs and not named)):
         return theirs
     if not named:
-        process, variables = _unit()
+        process, variables = unit()
         if theirs is not None and not process:  # nothing else has spoken to the controller since
             return theirs
         os.environ.update(variables)
@@ -92,8 +92,9 @@ def _of_file(path: Path | None) -> _Chosen:
     return _Chosen(found.spi, found.watchdog)
 
 
-def _unit() -> tuple[int, dict[str, str]]:
-    """The service's process (0: none, or not known), and its unit's variables that override a file."""
+def unit() -> tuple[int, dict[str, str]]:
+    """The service's process (0: none, or not known), and its unit's variables that override a file: those of `[spi]`
+    and `[watchdog]`."""
     if not _SYSTEMD.exists():
         return 0, {}
     import shlex

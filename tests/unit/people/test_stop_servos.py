@@ -32,7 +32,7 @@ class Robot:
         monkeypatch.delenv("HEXAPOD_SPI__FRAMING")
         monkeypatch.setattr(stop, "DEFAULT_PATH", self.file)
         monkeypatch.setattr(settings_file, "DEFAULT_PATH", self.file)
-        monkeypatch.setattr(stop, "_unit", lambda: self.unit)
+        monkeypatch.setattr(stop, "unit", lambda: self.unit)
         monkeypatch.setattr(stop, "stop", self._stop)
 
     def _stop(self, spi: SpiValues, _watchdog: RepeatValues) -> None:

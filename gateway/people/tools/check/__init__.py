@@ -15,6 +15,7 @@ from rich.text import Text
 
 from gateway.errors import ConfigError
 from gateway.people.terminal import clear_line, show_line
+from gateway.people.tools import stop
 from gateway.people.tools.check import (
     access,
     calibration,
@@ -97,10 +98,13 @@ def run(config: Path | None, seen: installation.Seen | None = None) -> Iterator[
         raise ConfigError(f"{path} is not for you to read, as it may name keys: sudo hexapod-gateway check")
     used = effective.read() if config is None else None
     used = used if used is not None and used.runs else None
+    stated_in_unit = used is not None and any(name.lower() == _FRAMING for name in stop.unit()[1])
     try:
-        settings: Settings | ConfigError = settings_file.load(config, simulated=used is not None)
-    except FramingNotSetError:
-        raise
+        settings: Settings | ConfigError = settings_file.load(config, simulated=stated_in_unit)
+    except FramingNotSetError as error:
+        if used is None:
+            raise
+        settings = error  # the service runs, and would not start again
     except ConfigError as error:
         settings = error
     yield machine.python()
@@ -113,6 +117,8 @@ def run(config: Path | None, seen: installation.Seen | None = None) -> Iterator[
     else:
         yield _configuration(config)
         if used is not None:
+            if settings.spi.device != used.spi.device:
+                yield device.device(settings.spi)
             yield from (warning("in use", each, _STATE_IT) for each in effective.differences(used, path))
             settings = settings.model_copy(update={"spi": SpiSettings.model_validate(used.tables["spi"])})
         yield from _of_settings(settings)
@@ -145,6 +151,7 @@ def _denied(path: Path) -> bool:
     return False
 
 
+_FRAMING: Final = "hexapod_spi__framing"
 _FIX_IT: Final = "fix it there, and check again"
 _STATE_IT: Final = (
     "state in the file what the controller needs, and take the variable out (systemctl cat hexapod-gateway)"
