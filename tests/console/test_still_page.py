@@ -116,7 +116,7 @@ def mine(yes: bool) -> dict[str, Any]:
 NOW: Final = {
     "moving": "It moves to another posture",
     "halted": "Legs 1, 2, 3, 4 and 5 are stopped, and the others stand still",
-    "sitting": "What it does is not known: the gateway's newest state is 12 s old",
+    "sitting": "What it does is not known: the newest state is 12 s old",
 }
 """The longest sentences of gateway/people/walking/words.py."""
 

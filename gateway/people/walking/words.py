@@ -38,7 +38,7 @@ def robot_now(state: GatewayState | None, age_s: float = 0.0, walk: WalkState | 
     if state is None:
         return "What it does is not known: the gateway has published no state yet"
     if age_s > NEWS_S:
-        return f"What it does is not known: the gateway's newest state is {age_s:.0f} s old"
+        return f"What it does is not known: the newest state is {age_s:.0f} s old"
     return _of_mode(state) or _of_legs(state, walk)
 
 

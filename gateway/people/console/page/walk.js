@@ -173,11 +173,12 @@ export class Walk {
   #known() {
     const { report } = this;
     if (!report) return this.active ? "It begins …" : "Nothing walks by this page.";
-    if (report.posture !== "walking") return `${worded(report.now)}.`;
+    const known = `${worded(report.now)}, ${report.gait}`;
+    if (report.posture !== "walking") return known;
     const [forward, left, turn] = report.scaled;
     const turns = Math.round((turn * 180) / Math.PI);
     const way = turns ? `, ${Math.abs(turns)}°/s to the ${turns > 0 ? "left" : "right"}` : "";
-    return `${worded(report.now)}, ${report.gait}, ${Math.hypot(forward, left).toFixed(2)} m/s${way}`;
+    return `${known}, ${Math.hypot(forward, left).toFixed(2)} m/s${way}`;
   }
 
   /** Something is held now, or a little further. */
