@@ -87,9 +87,7 @@ def test_a_gateway_that_takes_no_commands_says_so_and_a_later_versions_mode_is_n
 
 def test_of_what_is_long_past_nothing_is_said() -> None:
     driver = walk(Posture.WALKING)
-    assert robot_now(of(ALL), NEWS_S + 2, driver) == (
-        "What it does is not known: the newest state is 3 s old"
-    )
+    assert robot_now(of(ALL), NEWS_S + 2, driver) == ("What it does is not known: the newest state is 3 s old")
     assert "no state yet" in robot_now(None, walk=driver)
 
 
