@@ -123,8 +123,8 @@ JUDGES: Final = {
     "gateway/robot/core/targets.py": (f"{_UNIT}test_targets.py", f"{_UNIT}test_intake.py"),
     "gateway/robot/core/losses.py": _CONDUCTOR,
     "gateway/robot/runtime/calibrations.py": _CALIBRATION_REQUESTS,
-    "gateway/robot/runtime/answers.py": _CONDUCTOR,
-    "gateway/robot/runtime/executor.py": _CONDUCTOR,
+    "gateway/robot/runtime/answers.py": (*_CONDUCTOR, f"{_PEOPLE}test_recorder.py"),
+    "gateway/robot/runtime/executor.py": (*_CONDUCTOR, f"{_UNIT}test_meddled_conductor.py"),
     "gateway/robot/runtime/conductor.py": _CONDUCTOR,
     # rules of the people's wing, with the time as an argument
     "gateway/allowance.py": ("tests/unit/test_allowance.py",),

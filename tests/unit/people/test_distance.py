@@ -6,8 +6,9 @@ from collections import deque
 import pytest
 
 from gateway.errors import WalkError
-from gateway.people.walking import LONGEST_S, STILL, Distance, Posture, Ride, Velocity
+from gateway.people.walking import LONGEST_S, STILL, Distance, Odometry, Posture, Ride, Velocity, WalkState
 from gateway.people.walking.distance import MOST_M, MOST_RAD
+from gateway.people.walking.engine import SLEW_M_S2
 from tests.support.ridden import TICK_S, Ridden, standing
 
 
@@ -83,3 +84,34 @@ def test_it_does_not_wait_for_ever_for_a_robot_that_comes_no_nearer() -> None:
         now_s += TICK_S
     with pytest.raises(WalkError, match="it has come no nearer for 30 s: it is standing"):
         distance.next(ride.state, now_s)
+
+
+def at(x_m: float, y_m: float = 0.0, heading_rad: float = 0.0) -> WalkState:
+    return WalkState(Posture.WALKING, "tripod", 0.15, STILL, STILL, "", Odometry(x_m, y_m, heading_rad), ())
+
+
+def test_ahead_is_where_it_looks_and_it_slows_down_gently_before_the_end() -> None:
+    distance = Distance(0.1, turns=False)
+    assert distance.next(at(1.0, 2.0, 1.0), 0.0) == Velocity(forward_m_s=0.08)
+    near = at(1.0 + 0.098 * math.cos(1.0), 2.0 + 0.098 * math.sin(1.0), 1.0)
+    velocity = distance.next(near, 1.0)
+    assert velocity is not None
+    assert velocity.forward_m_s == pytest.approx(math.sqrt(SLEW_M_S2 * 0.002)), "half of what the engine can"
+    assert distance.next(at(1.0 + 0.1 * math.cos(1.0), 2.0 + 0.1 * math.sin(1.0), 1.0), 2.0) is None
+
+
+def test_whoever_comes_nearer_however_slowly_goes_on() -> None:
+    """By more than half a millimetre in each LONGEST_S."""
+    distance = Distance(1.0, turns=False)
+    for step in range(4):
+        assert distance.next(at(0.001 * step), LONGEST_S * step) is not None
+    distance = Distance(1.0, turns=False)
+    assert distance.next(at(0.0), 0.0) is not None
+    assert distance.next(at(0.0005), LONGEST_S) is not None
+    with pytest.raises(WalkError, match="no nearer"):
+        distance.next(at(0.0005), LONGEST_S + TICK_S)
+
+
+def test_half_a_millimetre_is_a_distance_and_less_is_none() -> None:
+    assert Distance(0.0005, turns=False).next(at(0.0), 0.0) is not None
+    assert Distance(0.0004, turns=False).next(at(0.0), 0.0) is None

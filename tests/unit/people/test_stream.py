@@ -1,7 +1,5 @@
 """What a stream makes of a gateway's silence, its end and its watchdog, in virtual time: no thread, no gateway."""
 
-import json
-import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from datetime import timedelta
 from typing import Any, Self
@@ -11,7 +9,6 @@ import pytest
 from gateway.errors import DisconnectedError, StoppedError, UnansweredError
 from gateway.people.client.pace import SILENCE_S
 from gateway.people.client.stream import AGAIN, Stream, happened
-from schemas.robot import LEGS
 from schemas.telemetry import Ack, Event, GatewayState, Kind, WatchdogState
 from tests.support.watch_reports import WALL, event, state
 
@@ -237,27 +234,3 @@ def test_what_stopped_its_legs_is_past_and_names_no_call(robot: Robot, stream: S
 )
 def test_what_happened_is_said_without_what_held_from_then_on(kind: Kind, detail: str, sentence: str) -> None:
     assert happened(event(kind, detail)) == sentence
-
-
-MOST_CALLS = 143
-"""Of Python functions and of C's, from the angles of six legs to their payload. There were 780 while each angle was
-looked at twice, and an abstract class was asked for the type of each leg."""
-
-
-def test_a_setpoint_takes_no_more_calls_than_it_did(robot: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(robot, "publish", lambda _key, payload: json.dumps({"sent_ms": 1.0, **payload}))
-    counted = 0
-
-    def count(_frame: object, event: str, _argument: object) -> None:
-        nonlocal counted
-        counted += event in ("call", "c_call")
-
-    with Stream(robot, HZ) as stream:
-        angles = dict.fromkeys(LEGS, (91.25, 45.5, 120))
-        for _ in range(2):
-            stream.set(angles)
-            robot.publish_state()
-        sys.setprofile(count)
-        stream.set(angles)
-        sys.setprofile(None)
-    assert counted <= MOST_CALLS

@@ -9,12 +9,12 @@ from hypothesis import strategies as st
 
 from gateway.robot.core import intake
 from gateway.robot.core.events import Command, Reset
-from gateway.robot.core.intake import Rejection, echo_of, read, too_large
+from gateway.robot.core.intake import Rejection, echo_of, read, too_large, words_of_stop
 from gateway.robot.core.message import Received, Verb
 from gateway.robot.protocol.frames import STOP as STOP_OP
 from gateway.robot.protocol.frames import Op, ServoOp
 from schemas.command import MAX_PAYLOAD_BYTES
-from schemas.keys import ESTOP, CommandKey, servo_command
+from schemas.keys import COMMAND_KEYS, ESTOP, CommandKey, servo_command
 from schemas.telemetry import Reason
 from tests.fuzz.targets import ENCODINGS, KEYS, MAX_DETAIL, check_intake
 from tests.support.bad_commands import FAULTS
@@ -307,3 +307,21 @@ def test_only_a_payload_with_more_colons_than_fields_is_read_twice(
     for source in ("x:", ":" * 64):
         assert isinstance(decode(key, as_json(command | {"source": source}), JSON), Intent)
         assert read_twice.pop() == as_json(command | {"source": source})
+
+
+@pytest.mark.parametrize(
+    ("expression", "verb", "payload", "words"),
+    [
+        ("hexapod/leg/3/cmd", Verb.PUT, b'{"servos": [{"op": "stop"}]}', True),
+        ("hexapod/leg/3/cmd", Verb.GET, b'{"op": "\\u0073top"}', True),
+        ("hexapod/leg/3/cmd", Verb.PUT, b'{"servos": [{"op": "set"}]}', False),
+        ("hexapod/leg/3/cmd", Verb.DELETE, b"", True),
+        ("hexapod/estop/cmd", Verb.PUT, b"", True),
+        ("hexapod/reset/cmd", Verb.PUT, b'{"source": "stop"}', False),
+        ("hexapod/leg/9/cmd", Verb.PUT, b'{"op": "stop"}', False),
+    ],
+)
+def test_what_may_be_a_stop_keeps_its_place(expression: str, verb: Verb, payload: bytes, words: bool) -> None:
+    target = COMMAND_KEYS.get(expression)
+    found = words_of_stop(Received(expression, expression, target, verb, payload, len(payload), JSON, None, 0))
+    assert found == (payload if words else None)
