@@ -6,7 +6,7 @@ import random
 import pytest
 
 from gateway.people.client import pace as pace_module
-from gateway.people.client.pace import LATE, SILENCE_S, Doubt, Pace
+from gateway.people.client.pace import LATE, LOOK_S, MOST_DEG, SILENCE_S, Doubt, Pace, Radians, thins
 
 BEGUN_S = 1000.0
 PERIOD_S = 0.02
@@ -118,3 +118,19 @@ def test_a_doubt_is_there_until_it_is_asked_and_the_answer_may_raise_another() -
 
 def test_the_examples_are_right() -> None:
     assert doctest.testmod(pace_module) == (0, 13)
+
+
+def test_how_much_is_left_out() -> None:
+    assert thins(100, 100) is None
+    assert str(thins(100, 10)).endswith("of 100 Hz it leaves out 90 %")
+
+
+def test_radians_are_suspected_once_and_never_of_a_program_that_has_sent_degrees() -> None:
+    radians = Radians()
+    assert [radians.suspected([(MOST_DEG, 0.0)], now_s) for now_s in (0.0, LOOK_S, LOOK_S + 1)] == [False, True, False]
+    degrees = Radians()
+    assert not any(degrees.suspected([(angle,)], now_s) for angle, now_s in ((MOST_DEG + 0.01, 0), (1, 9), (1, 99)))
+    late = Radians()
+    late.suspected([(1.0,)], 0.0)
+    late.suspected([(90.0,)], 0.1)
+    assert not late.suspected([(1.0,)], LOOK_S)
