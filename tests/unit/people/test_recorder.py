@@ -120,6 +120,12 @@ async def test_what_waits_or_is_rejected_has_its_decision_too(folder: Path) -> N
     assert (last.number, last.source, last.sent_ms) == (0, "slow", 2.0), "a stale one is decoded as well"
 
 
+async def test_what_the_core_rejects_has_its_reason_too(folder: Path) -> None:
+    robot = recorded(folder)
+    robot.put(LEG_3, leg("set", 90, 90, 90, source="anna"))
+    assert contents(folder, form.Decision) == [form.Decision(1, "servo_stopped", LEG_3, "anna")]
+
+
 @pytest.mark.parametrize("framing", Framing)
 @pytest.mark.parametrize("only_stops", [True, False])
 async def test_nothing_is_recorded_before_a_frame_is_written(
