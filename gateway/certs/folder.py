@@ -213,7 +213,7 @@ def add_robots(
 ) -> list[Path]:
     """Makes NAME.pem, NAME.key and NAME.json5 for each robot of a fleet, and router.json5 anew; returns the paths.
 
-    Whoever has a certificate for all robots gets a configuration for each new one.
+    A person with a certificate for all robots gets a configuration for each new one.
     The router's certificate is the one that `init` made: its hosts are the router's,
     and robots dial the first of them.
     """

@@ -168,3 +168,12 @@ def test_by_itself_it_leads_to_the_guide(gateway: Gateway) -> None:
         url = console.wait_for_output("The console is at").split()[-1]
         link = subprocess.run([*COMMAND, "calibrate"], capture_output=True, text=True, timeout=30, check=True).stdout
         assert re.search(rf"{re.escape(url)}/\?token=[\w-]+&card=cal$", link, re.MULTILINE)
+
+
+def test_a_file_that_is_no_calibration_is_not_shown(gateway: Gateway, tmp_path: Path) -> None:
+    file = tmp_path / "another's"
+    file.write_text("root:secret")
+    end = gateway.run("calibrate", "import", str(file))
+    assert end.returncode == 2
+    assert "secret" not in end.stderr
+    assert "pydantic" not in end.stderr

@@ -79,7 +79,7 @@ class Stream:
         self._events: deque[Event] = deque(maxlen=_KEPT)
         self._received_stop = threading.Event()
         self.answer: GatewayState | None = None
-        """The gateway's newest answer, for whoever takes it."""
+        """The gateway's newest answer; it is taken once."""
         self._rival: str | None = None  # the gateway's sentence about another source on a leg of ours
         self._warned = False  # once is enough
         self._subscribers: list[Any] = []

@@ -40,7 +40,7 @@ def waits(
     async def call(twin: Twin[B], /, *args: P.args, **kwargs: P.kwargs) -> T:
         return await twin._run(partial(method, twin._own, *args, **kwargs), stops=stops)
 
-    # Signature and name as of the method; for whoever makes documents of it, it is a coroutine nevertheless.
+    # It has the method's name and signature, but not the method: tools that make documents see that it is a coroutine.
     vars(call)["__signature__"] = signature(vars(call).pop("__wrapped__"))
     return call
 

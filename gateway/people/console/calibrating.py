@@ -13,11 +13,10 @@ from gateway.people.client.payloads import calibration_payload
 from gateway.people.console.guide import Guide
 from gateway.people.console.link import GatewayLink
 from gateway.people.console.messages import Calibrate, CalibrationMessage, Draft
-from gateway.people.tools.calibration import standing
+from gateway.people.tools.calibration import change_of, standing
 from gateway.robot.core.calibration import CalibrationError, calibration_of
 from gateway.robot.protocol.framing import avoided_by
 from schemas import keys
-from schemas.calibration import ServoChange
 from schemas.telemetry import GatewayState
 
 MAX_WAITING: Final = 32
@@ -97,7 +96,7 @@ class Calibrating:
             payload = calibration_payload(landing=stand, revision=revision)
             done = f"the landing pose of {len(stand)} servos is written"
         elif guide.changed:
-            changes = {name: ServoChange(**guide.draft[name].report.model_dump()) for name in guide.changed}
+            changes = {name: change_of(guide.draft[name]) for name in guide.changed}
             payload = calibration_payload(changes, dict.fromkeys(guide.landing_left_out), revision=revision)
             done = "written"
         else:

@@ -49,7 +49,7 @@ def set_servo(connect: Connection, servo_id: int, wanted: Mapping[str, float | b
     try:
         change = wire.ServoChange.model_validate(named)
     except ValidationError as error:
-        raise ConfigError("; ".join(f"{each['loc'][0]}: {each['msg']}" for each in error.errors())) from error
+        raise ConfigError(_faults(error)) from error
     with connect() as client:
         return _change(client, f"servo {servo_id} is changed", client.state(), calibration_payload({servo_id: change}))
 
@@ -68,7 +68,8 @@ def import_file(connect: Connection, file: Path, *, agreed: bool) -> int:
         found = wire.Calibration.model_validate_json(text)
         wanted = calibration_of(found)
     except ValueError as error:  # pydantic's, and CalibrationError
-        raise ConfigError(f"{file} is no calibration, as `calibrate export` prints one: {error}") from error
+        why = _faults(error) if isinstance(error, ValidationError) else error
+        raise ConfigError(f"{file} is no calibration, as `calibrate export` prints one: {why}") from error
     with connect() as client:
         state, now = client.state(), calibration_of(client.calibration())
         changed = sorted(changed_servos(now, wanted))
@@ -79,7 +80,7 @@ def import_file(connect: Connection, file: Path, *, agreed: bool) -> int:
             say(f"{servo_id:5}  {_row(now.of(servo_id))}  becomes  {_row(wanted.of(servo_id))}".rstrip())
         if not agreed and not _agree("Is this the calibration of this robot?"):
             return 1
-        servos = {name: wire.ServoChange(**wanted.of(name).report.model_dump()) for name in changed}
+        servos = {name: change_of(wanted.of(name)) for name in changed}
         lands = {name: wanted.landing_cdeg.get(name) for name in now.landing_cdeg.keys() | wanted.landing_cdeg.keys()}
         landing_deg = {name: None if cdeg is None else cdeg / 100 for name, cdeg in lands.items()}
         payload = calibration_payload(servos, landing_deg, revision=now.revision)
@@ -96,6 +97,17 @@ def _read(file: Path) -> str:
         return text.decode()
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(f"{file} cannot be read: {error}") from error
+
+
+def change_of(servo: ServoCalibration) -> wire.ServoChange:
+    """What is sent to make a servo's calibration this one."""
+    return wire.ServoChange(**servo.report.model_dump())
+
+
+def _faults(error: ValidationError) -> str:
+    """Where and what, without the input: whose file that is may not be known."""
+    faults = error.errors(include_url=False, include_context=False, include_input=False)
+    return "; ".join(": ".join((*map(str, each["loc"]), each["msg"])) for each in faults)
 
 
 def _row(servo: ServoCalibration) -> str:

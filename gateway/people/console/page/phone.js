@@ -1,5 +1,5 @@
 // @ts-check
-/** What a phone can do for whoever holds it: keep its screen on, shake, and fill its screen with the page. */
+/** A phone keeps its screen on, shakes, and fills its screen with the page. */
 
 import { attribute, show } from "./dom.js";
 
