@@ -15,6 +15,7 @@ The model check's searches run behind the stages that leave processors idle, and
 import argparse
 import json
 import resource
+import signal
 import subprocess
 import sys
 import tempfile
@@ -27,11 +28,13 @@ from typing import Final
 import pytest
 
 from tests.case import extended, left
-from tests.support import schedule, seconds
+from tests.support import descendants, schedule, seconds
 from tests.support.descendants import Run
 
 MOST_AGAIN: Final = 5
 """Where more have failed, it was not the machine."""
+STAGE_S: Final = 2400
+"""A stage that takes longer hangs behind its tests, each of which pyproject.toml gives a quarter of an hour."""
 TOGETHER: Final = "not alone and not attended and not searches"
 _PYTEST: Final = (sys.executable, "-m", "pytest")
 _FAILED: Final = Path(".pytest_cache") / "v" / "cache" / "lastfailed"
@@ -84,7 +87,14 @@ def _test(workers: int, *, everything: bool) -> bool:
 def _stage(name: str, *arguments: str) -> bool:
     """Whether all its tests have passed; ends this program where they could not be run to their end."""
     begun_s = time.monotonic()
-    code = subprocess.run(_command(name, *arguments), check=False, process_group=0).returncode
+    process = subprocess.Popen(_command(name, *arguments), process_group=0)
+    try:
+        code = process.wait(STAGE_S)
+    except subprocess.TimeoutExpired:
+        for pid in (process.pid, *descendants.children(process.pid)):
+            descendants.send(pid, signal.SIGABRT)  # at which pytest says where it stands
+        process.wait()
+        sys.exit(f"stage {name} has not ended after {STAGE_S} s")
     print(f"stage {name}: {time.monotonic() - begun_s:.0f} s", flush=True)
     if code not in (pytest.ExitCode.OK, pytest.ExitCode.TESTS_FAILED):
         sys.exit(code)

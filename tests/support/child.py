@@ -113,15 +113,14 @@ class Child(Closing):
         self._popen.wait(5.0)
 
     def close(self) -> None:
-        """Kill it if it runs, and close the pipes."""
+        """Kill it if it runs. What it has started may go on until the run of the tests ends."""
         if self.returncode is None:
             self.kill()
         for reader in self._readers:
             reader.join(1.0)
-        for pipe in (self._popen.stdin, self._popen.stdout, self._popen.stderr):
-            if pipe is not None:
-                with suppress(BrokenPipeError):
-                    pipe.close()
+        assert self._popen.stdin is not None
+        with suppress(BrokenPipeError):
+            self._popen.stdin.close()
 
     def __str__(self) -> str:
         state = "running" if self.returncode is None else f"exit status {self.returncode}"
@@ -141,10 +140,11 @@ class Child(Closing):
 
     def _read(self, pipe: IO[str] | None, lines: list[str]) -> None:
         assert pipe is not None
-        for line in pipe:
-            with self._heard:
-                lines.append(line)
-                self._heard.notify_all()
+        with pipe:  # closed where it is read: close() waits for a read, which what this program has started may hold up
+            for line in pipe:
+                with self._heard:
+                    lines.append(line)
+                    self._heard.notify_all()
         with self._heard:
             self._open -= 1
             self._heard.notify_all()

@@ -46,8 +46,8 @@ class Run(Closing):
             asked: set[int] = set()
             while (left := self.processes()) and time.monotonic() < until_s:
                 for pid in left - asked:
-                    _send(pid, number)
-                    _send(pid, signal.SIGCONT)  # a test may have stopped it
+                    send(pid, number)
+                    send(pid, signal.SIGCONT)  # a test may have stopped it
                 asked |= left
                 _wait_for_one_of(left)
 
@@ -57,10 +57,10 @@ class Run(Closing):
             signal.signal(number, self._pass_on)
 
     def _pass_on(self, number: int, _frame: FrameType | None) -> None:
-        children = [pid for pid, parent in _parents() if parent == os.getpid()]
-        for pid in children:
-            _send(pid, signal.SIGTERM)
-        if not children:
+        ended = children(os.getpid())
+        for pid in ended:
+            send(pid, signal.SIGTERM)
+        if not ended:
             raise SystemExit(128 + number)
 
     def _has_mark(self, pid: int) -> bool:
@@ -69,6 +69,11 @@ class Run(Closing):
             mine = f"{MARK}={self.mark}".encode()
             return any(each == mine or each.startswith(mine + b"/") for each in marks)
         return False
+
+
+def children(process: int) -> list[int]:
+    """What this process has started and has not ended."""
+    return [pid for pid, parent in _parents() if parent == process]
 
 
 def _parents() -> Iterator[tuple[int, int]]:
@@ -80,7 +85,7 @@ def _parents() -> Iterator[tuple[int, int]]:
                 yield int(folder.name), int(parent)
 
 
-def _send(pid: int, number: int) -> None:
+def send(pid: int, number: int) -> None:
     with suppress(ProcessLookupError, PermissionError):
         os.kill(pid, number)
 
