@@ -6,12 +6,11 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from enum import StrEnum
 from functools import cache
-from hashlib import sha256
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from gateway.people.tools.drill.steps import STEPS
-from tests.case import extended
+from tests.case import extended, program
 from tests.case.case import ROOT, SEARCH, Bench, Claim, Figure, Kernel, Model, Mutants
 from tests.case.extended import Shown
 from tests.case.kernel import Report
@@ -172,13 +171,9 @@ def _score(mutants: Mutants, ran: Ran) -> Judged:
     score = float(found["score"])
     if score < mutants.at_least:
         return Judged(Verdict.RED, evidence, f"{score:.1f} %")
-    if found["digest"] != _digest(mutants.module):
+    if found["digest"] != program.digest(ROOT / mutants.module):
         return Judged(Verdict.PERSON, evidence, f"{score:.1f} % of an older text of it: make mutants")
     return Judged(Verdict.SHOWN, evidence, f"{score:.1f} %")
-
-
-def _digest(module: str) -> str:
-    return sha256((ROOT / module).read_bytes()).hexdigest()[:16]
 
 
 def _figure(figure: Figure, ran: Ran) -> Judged:

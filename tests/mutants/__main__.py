@@ -14,6 +14,7 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Final
 
+from tests.case import program
 from tests.mutants.by_hand import made_by_hand
 from tests.mutants.generated import accepted, mutants_of
 from tests.mutants.judges import JUDGES
@@ -85,8 +86,7 @@ def keep(file: str, score: Counter[str]) -> None:
     """
     scores = json.loads(SCORES.read_text(encoding="utf-8"))
     share = round(100 * score["killed"] / max(1, score["wanted"]), 1)
-    digest = sha256((ROOT / file).read_bytes()).hexdigest()[:16]
-    scores[file] = {**score, "score": share, "digest": digest, "commit": commit()}
+    scores[file] = {**score, "score": share, "digest": program.digest(ROOT / file), "commit": commit()}
     SCORES.write_text(json.dumps(scores, indent=2, sort_keys=True) + "\n", encoding="utf-8")
 
 

@@ -1,7 +1,6 @@
 """The safety case turns red where its evidence does, and its parts agree with each other."""
 
 from collections.abc import Callable
-from hashlib import sha256
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -10,7 +9,7 @@ import pytest
 from pydantic import ValidationError
 
 from gateway.people.tools.drill.steps import STEPS
-from tests.case import extended, left
+from tests.case import extended, left, program
 from tests.case.__main__ import DRAWN, as_text
 from tests.case.case import ROOT, Case, Claim, Figure, Mutants, load
 from tests.case.judge import Judged, Ran, Verdict, judge, worst
@@ -79,9 +78,9 @@ def inputs(at_least: float, name: str = "inputs") -> dict[str, object]:
     return {"figures": [Figure(test=THIS, name=name, at_least=at_least)]}
 
 
-def scored(score: float, text: bytes) -> Ran:
-    """The bus's mutants were judged when this was its text."""
-    return Ran({}, None, {BUS: {"score": score, "digest": sha256(text).hexdigest()[:16]}})
+def scored(score: float, digest: str) -> Ran:
+    """The bus's mutants were judged when its program had this digest."""
+    return Ran({}, None, {BUS: {"score": score, "digest": digest}})
 
 
 def measured(gateway: str, aim: str, met: bool | None) -> Ran:
@@ -112,9 +111,9 @@ VERDICTS: dict[str, tuple[dict[str, Any], Ran, Verdict]] = {
         Verdict.SHOWN,
     ),
     "a promise that it does not make": (promise("no Stop is needed"), ran(PASSED, test=SEARCH), Verdict.RED),
-    "a score above its floor": (FLOOR, scored(98.5, (ROOT / BUS).read_bytes()), Verdict.SHOWN),
-    "a score of an older text": (FLOOR, scored(98.5, b"an older one"), Verdict.PERSON),
-    "a score below its floor": (FLOOR, scored(97.9, (ROOT / BUS).read_bytes()), Verdict.RED),
+    "a score above its floor": (FLOOR, scored(98.5, program.digest(ROOT / BUS)), Verdict.SHOWN),
+    "a score of an older text": (FLOOR, scored(98.5, "an older one"), Verdict.PERSON),
+    "a score below its floor": (FLOOR, scored(97.9, program.digest(ROOT / BUS)), Verdict.RED),
     "a score that nobody measured": (FLOOR, ran(PASSED), Verdict.RED),
     "a figure that the test left": (inputs(500), ran(PASSED), Verdict.SHOWN),
     "a figure that is too small": (inputs(501), ran(PASSED), Verdict.RED),
