@@ -26,7 +26,8 @@ from gateway.client import (
     Walk,
 )
 from gateway.errors import ZenohError
-from gateway.people.client.aio import KEPT_EVENTS, MAX_QUESTIONS
+from gateway.people.client.aio import MAX_QUESTIONS
+from gateway.people.client.subscriptions import KEPT_EVENTS
 from gateway.people.client.twin import Threads
 from schemas import keys
 from schemas.telemetry import Event, Kind, Mode

@@ -19,6 +19,7 @@ from gateway.people.client.interrupts import Interrupts
 from gateway.people.client.lease import Lease
 from gateway.people.client.payloads import Angle
 from gateway.people.client.stream import Stream
+from gateway.people.client.subscriptions import KEPT_EVENTS
 from gateway.people.client.twin import HeldTwin, Threads, Twin, on_this_loop, waits
 from gateway.people.client.walk import Walk
 from gateway.people.walking import Distance, WalkState
@@ -31,8 +32,6 @@ T = TypeVar("T")
 
 MAX_QUESTIONS: Final = 32
 """At once; whoever asks more waits for its turn. A Stop never does."""
-KEPT_EVENTS: Final = 256
-"""For an `events()` that is not read; the oldest make way."""
 
 
 class AsyncClient(Twin[Client]):

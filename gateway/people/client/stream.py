@@ -8,24 +8,20 @@ import threading
 import time
 import warnings
 from collections import deque
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from datetime import datetime
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Final, Self
+from typing import Any, Final, Protocol, Self
 
 import zenoh
 
 from gateway.errors import DisconnectedError, GatewayError, LeaseLostError, RejectedError, StoppedError, ZenohError
-from gateway.people.client.lease import NOT_OURS
+from gateway.people.client.lease import NOT_OURS, Lease, LeaseClient
 from gateway.people.client.pace import LIKE_RADIANS, Doubt, Pace, Radians, thins
 from gateway.people.client.payloads import Angle, Angles, legs_angles, legs_payload, setpoints
 from schemas import keys
 from schemas.telemetry import Ack, Event, GatewayState, Kind, Mode, Reason, WatchdogState
-
-if TYPE_CHECKING:
-    from gateway.people.client.blocking import Client
-    from gateway.people.client.lease import Lease
 
 MAX_HZ: Final = 1000
 """As `limits.leg_rate_hz`."""
@@ -46,6 +42,23 @@ _AND_THEN: Final = (Kind.WATCHDOG_EXPIRED, Kind.STOPPED_OUTSIDE, Kind.STOPPING)
 _UNHEARD: Final = "if it runs, its watchdog stops the legs; if it has died, stop-servos does, where systemd runs it"
 
 
+class StreamClient(LeaseClient, Protocol):
+    """What a stream needs of its client."""
+
+    @property
+    def connected(self) -> bool: ...
+
+    def check_open(self) -> None: ...
+
+    def ask(self, key: str, payload: Mapping[str, Any], *, again: bool = False) -> Ack: ...
+
+    def publish(self, key: str, payload: Mapping[str, Any]) -> None: ...
+
+    def state(self, timeout_s: float | None = None) -> GatewayState: ...
+
+    def on_state(self, callback: Callable[[GatewayState], None]) -> "zenoh.Subscriber[None]": ...
+
+
 class Stream:
     """Setpoints for any of the six legs, `hz` times a second; made by `Client.stream`, used in a `with`.
 
@@ -64,7 +77,7 @@ class Stream:
     [1, 2]
     """
 
-    def __init__(self, client: "Client", hz: float) -> None:
+    def __init__(self, client: StreamClient, hz: float) -> None:
         """Raises ValueError unless 0 < hz ≤ 1000. @private"""
         self._client = client
         self._hz = checked_hz(hz)

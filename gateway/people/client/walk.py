@@ -7,13 +7,14 @@ from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from types import FrameType, TracebackType
-from typing import TYPE_CHECKING, Final, Self, TypeVar
+from typing import TYPE_CHECKING, Final, Protocol, Self, TypeVar
 
 import zenoh
 
 from gateway.errors import GatewayError, RejectedError, StoppedError, UnansweredError, WalkError
 from gateway.geometry import Geometry, load
-from gateway.people.client.stream import ANSWER_S, Stream, checked_hz
+from gateway.people.client.lease import Lease
+from gateway.people.client.stream import ANSWER_S, Stream, StreamClient, checked_hz
 from gateway.people.walking import (
     LONGEST_S,
     USUAL,
@@ -36,8 +37,7 @@ from schemas.robot import LEGS
 from schemas.telemetry import GatewayState, Reason
 
 if TYPE_CHECKING:
-    from gateway.people.client.blocking import Client
-    from gateway.people.client.lease import Lease
+    from schemas.calibration import Calibration
 
 Degrees = tuple[float, float, float]
 T = TypeVar("T")
@@ -51,6 +51,14 @@ class Terminated(SystemExit):
 
     def __init__(self) -> None:
         super().__init__(128 + signal.SIGTERM)
+
+
+class WalkClient(StreamClient, Protocol):
+    """What a walk needs of its client."""
+
+    walks: bool
+
+    def calibration(self) -> "Calibration": ...
 
 
 def _terminate(_number: int, _frame: FrameType | None) -> None:
@@ -86,7 +94,7 @@ class Walk:
 
     def __init__(
         self,
-        client: "Client",
+        client: WalkClient,
         gait: str,
         geometry: Geometry | Path | str | None,
         hz: float,
@@ -282,7 +290,7 @@ class Walk:
         if self._client.walks:
             raise RuntimeError("this client walks already")
         if self._client.carried_lease is None:
-            lease = self._client.lease()
+            lease = Lease(self._client)
             with suppress(UnansweredError):  # a gateway that knows of no lease
                 lease.acquire()
                 self._lease = lease
@@ -418,7 +426,7 @@ class Walk:
                         ride.ended()
             case Do.SEND:
                 if self._stream is None:
-                    stream = self._client.stream(self._rate_hz)
+                    stream = Stream(self._client, self._rate_hz)
                     stream.open()
                     self._stream = stream
                 self._stream.set(step.pose)
@@ -435,7 +443,7 @@ class Walk:
         """Who runs now: before legs are started, and before anybody says that it goes on where it was."""
         again, robot = ride.wants_again, ride.robot
         if again and self._lease is not None and self._lease.lost is not None:
-            lease = self._client.lease()
+            lease = Lease(self._client)
             lease.acquire()
             self._lease = lease
         state = self._ask(None)
@@ -485,7 +493,7 @@ def running_deg(state: GatewayState) -> dict[int, Degrees]:
     return found
 
 
-def robot_of(client: "Client", geometry: Geometry, state: GatewayState) -> Robot:
+def robot_of(client: WalkClient, geometry: Geometry, state: GatewayState) -> Robot:
     """This robot within the limits and the calibration that are in force. Raises WalkError where both mirror it."""
     calibration = None
     with suppress(UnansweredError):  # an older gateway has none
