@@ -17,7 +17,7 @@ time, and a bad crystal (200 ppm) loses half of that quarter meanwhile."""
 REGISTERED_WITHIN: Final = 0.5
 """Of `timeout_ms`, for both questions of a registration. How late later check-ins are is judged by its delay, so one
 that somebody on the way has held back for longer does not count."""
-TRIES: Final = 3
+REGISTRATION_TRIES: Final = 3
 """The first of a program also loads what signs."""
 
 
@@ -64,7 +64,7 @@ class Button:
         Raises RejectedError (`stale`) where the answers take longer than half of `timeout_ms`.
         """
         self.name = self._requests.person(self._wanted)
-        for _ in range(TRIES):
+        for _ in range(REGISTRATION_TRIES):
             began_s = time.monotonic()
             ack = _granted(self._requests.register(self._wanted))
             self._token, self._count = ack.button, 0

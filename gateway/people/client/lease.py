@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 
 TTL_MS: Final = 1000.0
 """The gateway's default (`lease.ttl_ms`), where an answer does not say it."""
-ANSWER_S: Final = 1.0
-"""Where a program waits for it."""
+CONFIRM_S: Final = 1.0
+"""For an answer that a program waits for: by then the watchdog (0.25 s) has long stopped its legs."""
 RELEASE_S: Final = 0.5
 """What the end of a program may cost."""
 _CHANGES: Final = (Kind.LEASE_RELEASED, Kind.LEASE_EXPIRED, Kind.LEASE_TAKEN)
@@ -197,7 +197,7 @@ class Lease:
         """Ask the gateway whether we still hold it; the error if not. @private"""
         with self._giving:
             if self.held:
-                self._renew(ANSWER_S)
+                self._renew(CONFIRM_S)
         return self.lost
 
     def judge(self, ack: Ack) -> None:

@@ -20,7 +20,7 @@ from pydantic import BaseModel, ValidationError
 
 from gateway.errors import GatewayError, UnansweredError
 from gateway.people.client.blocking import Client
-from gateway.people.client.silence import LOOK_S, Silence
+from gateway.people.client.silence import LOOK_EVERY_S, Silence
 from gateway.people.client.subscriptions import KEPT_EVENTS, reports, subscribed
 from schemas import keys
 from schemas.telemetry import Ack, BodyReport, Event, GatewayState
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from asyncio import AbstractEventLoop
 
 OPEN_AGAIN_S: Final = 0.3
-ANSWER_S: Final = 0.6
+STATE_ANSWER_S: Final = 0.6
 CLOSE_S: Final = 0.5
 """How long to wait for the session to close; with a frozen gateway Zenoh would take ten seconds."""
 SAME_START_S: Final = 0.1
@@ -61,7 +61,7 @@ def set_upright(client: Client) -> Ack:
 # ---- to one thread
 
 
-class Received(NamedTuple):
+class ReceivedReport(NamedTuple):
     """A report, and when it came, in nanoseconds since 1970."""
 
     key: str
@@ -111,7 +111,7 @@ class ReportQueue:
         """`get` returns None once all before it is taken out; also from a signal handler."""
         self._waiting.put(None)
 
-    def get(self, timeout_s: float) -> Received | None:
+    def get(self, timeout_s: float) -> ReceivedReport | None:
         """The next one; None: it has ended. Raises queue.Empty where none comes in time."""
         end_s = time.monotonic() + timeout_s
         while True:
@@ -120,7 +120,7 @@ class ReportQueue:
                 return None
             key, payload, time_ns = found
             if key not in self._models:
-                return Received(key, {}, time_ns)
+                return ReceivedReport(key, {}, time_ns)
             try:
                 self._models[key].model_validate_json(payload)
             except ValidationError:
@@ -131,7 +131,7 @@ class ReportQueue:
             report = json.loads(payload)
             if key == keys.STATE:
                 self._physics = report.get("physics")
-            return Received(key, report, time_ns)
+            return ReceivedReport(key, report, time_ns)
 
     def now_ns(self) -> int:
         """Nanoseconds since 1970, by a clock that nobody sets meanwhile."""
@@ -289,17 +289,17 @@ class Live:
         self._receiver.received_state(state, received_ns)
 
     def _ask_when_quiet(self) -> None:
-        while not self._ended.wait(LOOK_S):
+        while not self._ended.wait(LOOK_EVERY_S):
             client = self.client
             if client is not None and self._silence.is_quiet(time.monotonic_ns()):
                 with suppress(*ERRORS):
-                    state = client.state(ANSWER_S)
+                    state = client.state(STATE_ANSWER_S)
                     self._receiver.received_token(True)
                     self._take_state(state)
                     self._receiver.answered(client)
 
     def _look_when_silent(self) -> None:
-        while not self._ended.wait(LOOK_S):
+        while not self._ended.wait(LOOK_EVERY_S):
             if self._silence.must_look(time.monotonic_ns()):
                 with suppress(*ERRORS):
                     if reasons := self._why(self.client):

@@ -13,24 +13,25 @@ import zenoh
 
 from gateway.errors import GatewayError, RejectedError, StoppedError, UnansweredError, WalkError
 from gateway.geometry import Geometry, load
-from gateway.people.client.lease import Lease
-from gateway.people.client.stream import ANSWER_S, Stream, StreamClient, checked_hz
+from gateway.people.client.lease import CONFIRM_S, Lease
+from gateway.people.client.stream import Stream, StreamClient, checked_hz
 from gateway.people.walking import (
     LONGEST_S,
-    USUAL,
-    Body,
+    USUAL_SILENCES,
+    BodyPose,
     Distance,
-    Do,
     Phase,
     Posture,
     Ride,
+    RideStep,
+    RideTask,
     Robot,
     Silences,
-    Step,
     Velocity,
     WalkState,
 )
 from gateway.people.walking.gaits import gait as gait_named
+from gateway.people.walking.inverse import Angles
 from gateway.people.walking.robot import check_mirrored_once, ranges
 from gateway.people.walking.words import Newest
 from schemas.robot import LEGS
@@ -39,7 +40,6 @@ from schemas.telemetry import GatewayState, Reason
 if TYPE_CHECKING:
     from schemas.calibration import Calibration
 
-Degrees = tuple[float, float, float]
 T = TypeVar("T")
 
 _SLOWER: Final = 0.98
@@ -99,7 +99,7 @@ class Walk:
         geometry: Geometry | Path | str | None,
         hz: float,
         *,
-        silences: Silences = USUAL,
+        silences: Silences = USUAL_SILENCES,
         once: bool = False,
     ) -> None:
         """See `Client.walk`, and `Ride` for `silences` and `once`.
@@ -170,7 +170,7 @@ class Walk:
         def stand(ride: Ride, now_s: float) -> None:
             height = ride.body.height_m if height_m is None else height_m
             as_before = height_m is None and not roll_rad and not pitch_rad
-            ride.stand(None if as_before else Body(height, roll_rad, pitch_rad), now_s)
+            ride.stand(None if as_before else BodyPose(height, roll_rad, pitch_rad), now_s)
             self._awaited = Posture.STANDING
 
         self.use(stand)
@@ -403,7 +403,7 @@ class Walk:
                 begun_s = time.monotonic()
                 step = ride.next(begun_s)
                 took_s = time.monotonic() - begun_s
-                if step.do is Do.WAIT:
+                if step.do is RideTask.WAIT:
                     self._changed.wait(min(step.look_s - begun_s, threading.TIMEOUT_MAX))
                     continue
             try:
@@ -414,17 +414,17 @@ class Walk:
             with self._changed:
                 self._changed.notify_all()
 
-    def _carry_out(self, ride: Ride, step: Step) -> None:
+    def _carry_out(self, ride: Ride, step: RideStep) -> None:
         match step.do:
-            case Do.FIND:
+            case RideTask.FIND:
                 self._find(ride)
-            case Do.STOP:
+            case RideTask.STOP:
                 try:
                     self._end_stream()
                 finally:
                     with self._changed:
                         ride.ended()
-            case Do.SEND:
+            case RideTask.SEND:
                 if self._stream is None:
                     stream = Stream(self._client, self._rate_hz)
                     stream.open()
@@ -458,16 +458,16 @@ class Walk:
         with self._changed:
             ride.found(robot, running, time.monotonic())
 
-    def _failed(self, ride: Ride, step: Step, error: Exception) -> None:
+    def _failed(self, ride: Ride, step: RideStep, error: Exception) -> None:
         """What a step raised."""
         stream = self._stream
-        if ride.wants_again and step.do is not Do.SEND:
+        if ride.wants_again and step.do is not RideTask.SEND:
             with self._changed:
                 self._not_again = error
                 ride.not_again(error)
         elif isinstance(error, StoppedError) and stream is not None and not self._closing:
             try:
-                running = running_deg(self._ask(ANSWER_S))
+                running = running_deg(self._ask(CONFIRM_S))
             except GatewayError:
                 running = {}  # nobody knows who stands
             with self._changed:
@@ -483,9 +483,9 @@ class Walk:
                 ride.failed(error if isinstance(error, GatewayError) else WalkError(str(error)))
 
 
-def running_deg(state: GatewayState) -> dict[int, Degrees]:
+def running_deg(state: GatewayState) -> dict[int, Angles]:
     """The legs all of whose servos run, and where they were commanded to, in degrees."""
-    found: dict[int, Degrees] = {}
+    found: dict[int, Angles] = {}
     for leg in state.legs:
         angles = [servo.angle_deg for servo in leg.servos if servo.running and servo.angle_deg is not None]
         if len(angles) == len(leg.servos):

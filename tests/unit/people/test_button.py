@@ -6,7 +6,7 @@ from typing import cast
 import pytest
 
 from gateway.client import RejectedError
-from gateway.people.client.button import LIFE, TRIES, Button
+from gateway.people.client.button import LIFE, REGISTRATION_TRIES, Button
 from gateway.people.client.requests import ButtonRequests
 from schemas.button import ButtonAck
 from schemas.telemetry import Ack, Reason
@@ -81,7 +81,7 @@ def test_a_registration_that_was_held_back_does_not_count(requests: Requests) ->
     with pytest.raises(RejectedError, match="stale") as error:
         kitchen.register()
     assert error.value.reason == Reason.STALE
-    assert requests.asked == ["register"] * TRIES
+    assert requests.asked == ["register"] * REGISTRATION_TRIES
     requests.takes_s = 0.5
     kitchen.alive()
-    assert requests.asked[TRIES:] == ["register", f"alive token {TRIES + 1} 1"]
+    assert requests.asked[REGISTRATION_TRIES:] == ["register", f"alive token {REGISTRATION_TRIES + 1} 1"]
