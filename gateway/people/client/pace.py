@@ -21,7 +21,7 @@ LIKE_RADIANS: Final = (
 class SetpointPace:
     """When setpoints are due: a grid of ticks that does not drift. A missed tick is skipped, never made up. Pure.
 
-    >>> pace = Pace(50)
+    >>> pace = SetpointPace(50)
     >>> pace.begin(10.0)
     >>> round(pace.next_s(10.001), 3)       # early: at the next tick
     10.02
