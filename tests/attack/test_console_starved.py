@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from gateway.people.client.confirmed_stop import AT_ONCE
+from gateway.people.client.confirmed_stop import REQUESTS_AT_ONCE
 from gateway.people.console.link import QUESTIONS_AT_ONCE, STOPS_AT_ONCE
 from gateway.people.console.register import Register
 from tests.attack.console_door import strangers
@@ -117,7 +117,7 @@ def test_a_press_while_other_stops_wait(tmp_path: Path) -> None:
     """With the memory that the service unit allows, fifteen Stops of each page, and no gateway."""
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     listens = {"zenoh": {"listen": [endpoint]}}
-    own = QUESTIONS_AT_ONCE + STOPS_AT_ONCE + AT_ONCE
+    own = QUESTIONS_AT_ONCE + STOPS_AT_ONCE + REQUESTS_AT_ONCE
     with BareConsole(tmp_path, endpoint, f"--data={512 * 2**20}") as console:
         opened = [console.page() for _ in range(PAGES)]
         with Gateway(tmp_path, listens) as gateway:
@@ -133,7 +133,7 @@ def test_a_press_while_other_stops_wait(tmp_path: Path) -> None:
             for number in range(100, 115):
                 page.send(type="stop_all", id=number)
         assert not opened[-1].wait("stop", lambda message: message["attempts"] > 0, LATE_S)["answered"]
-        assert threads(console.pid) < own + 3 * (STOPS_AT_ONCE + AT_ONCE) + 40, "some are Zenoh's"
+        assert threads(console.pid) < own + 3 * (STOPS_AT_ONCE + REQUESTS_AT_ONCE) + 40, "some are Zenoh's"
         with Gateway(tmp_path, listens):
             for page in opened:
                 assert confirmed(page, 114)

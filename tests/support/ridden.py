@@ -15,8 +15,8 @@ import pytest
 
 from gateway.errors import DisconnectedError, GatewayError, RejectedError, StoppedError
 from gateway.geometry import load
-from gateway.people.walking import USUAL, Do, Phase, Pose, Posture, Ride, Robot, Silences, Step
-from gateway.people.walking.ride import START_S
+from gateway.people.walking import USUAL_SILENCES, Phase, Pose, Posture, Ride, RideStep, RideTask, Robot, Silences
+from gateway.people.walking.ride import START_PAUSE_S
 from gateway.people.walking.stability import margin_m
 from schemas.robot import LEGS
 
@@ -32,7 +32,7 @@ copyreg.pickle(MappingProxyType, lambda proxy: (MappingProxyType, (dict(proxy),)
 class Ridden:
     """`tick` is one turn of the shell."""
 
-    def __init__(self, silences: Silences = USUAL, *, once: bool = False, running: Pose | None = None) -> None:
+    def __init__(self, silences: Silences = USUAL_SILENCES, *, once: bool = False, running: Pose | None = None) -> None:
         self.now_s = 100.0
         self.running: dict[int, tuple[float, float, float]] = dict(running or {})
         self.at: dict[int, tuple[float, float, float]] = dict(self.running)
@@ -69,7 +69,7 @@ class Ridden:
 
     # ---- the shell
 
-    def tick(self, seconds: float = TICK_S) -> Step:
+    def tick(self, seconds: float = TICK_S) -> RideStep:
         """One turn, so long after the one before; what it did last."""
         self.now_s += seconds
         self._watch()
@@ -82,12 +82,12 @@ class Ridden:
                 if left:
                     self._over, self._streams = None, self._streams & left
             except GatewayError as error:
-                if self.ride.wants_again and step.do is not Do.SEND:
+                if self.ride.wants_again and step.do is not RideTask.SEND:
                     self.ride.not_again(error)
                 else:
                     self.ride.failed(error)
             self._judge_state()
-            if step.do in (Do.SEND, Do.WAIT):
+            if step.do in (RideTask.SEND, RideTask.WAIT):
                 return step
             self.now_s += 0.001
         raise AssertionError("it asks and stops without an end")
@@ -113,17 +113,17 @@ class Ridden:
     def posture(self) -> Posture:
         return self.ride.state.posture
 
-    def _carry_out(self, step: Step) -> None:
+    def _carry_out(self, step: RideStep) -> None:
         match step.do:
-            case Do.FIND:
+            case RideTask.FIND:
                 self._check_link()
                 self.ride.found(ROBOT, dict(self.running), self.now_s)
-            case Do.STOP:
+            case RideTask.STOP:
                 self.stop(self._streams & self.running.keys())
                 self._streams, self._over = frozenset(), None
                 self.ride.ended()
                 self._check_link()
-            case Do.SEND:
+            case RideTask.SEND:
                 self._set(step.pose)
                 self.ride.sent(step.pose)
 
@@ -174,7 +174,7 @@ class Ridden:
         assert len(starts) <= 1, f"legs {sorted(starts)} start at once"
         for leg, angles in starts.items():
             if self.started:
-                assert self.now_s - self.started[-1][0] >= START_S - 1e-9, f"leg {leg} starts too soon"
+                assert self.now_s - self.started[-1][0] >= START_PAUSE_S - 1e-9, f"leg {leg} starts too soon"
             self.started.append((self.now_s, leg))
             if self.lies:
                 below_m = -ROBOT.foot_m(leg, angles)[2] - ROBOT.lying_m
@@ -189,7 +189,7 @@ class Ridden:
         assert math.isfinite(self.now_s)
 
 
-def standing(silences: Silences = USUAL) -> Ridden:
+def standing(silences: Silences = USUAL_SILENCES) -> Ridden:
     """A program's, that has stood up."""
     if silences not in _STOOD:
         ridden = Ridden(silences)

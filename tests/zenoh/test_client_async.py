@@ -26,8 +26,9 @@ from gateway.client import (
     Walk,
 )
 from gateway.errors import ZenohError
-from gateway.people.client.aio import KEPT_EVENTS, MAX_QUESTIONS
-from gateway.people.client.twin import Threads
+from gateway.people.client.aio import MAX_CALLS
+from gateway.people.client.subscriptions import KEPT_EVENTS
+from gateway.people.client.twin import CallThreads
 from schemas import keys
 from schemas.telemetry import Event, Kind, Mode
 from tests.support.fixtures import gateway_fixture, patient
@@ -158,7 +159,7 @@ async def test_events_are_kept_until_they_are_read(robot: AsyncClient) -> None:
 
 
 async def test_a_stop_does_not_wait_behind_questions(robot: AsyncClient) -> None:
-    for _ in range(MAX_QUESTIONS):
+    for _ in range(MAX_CALLS):
         await robot._turns.acquire()  # as if so many were being asked
     question = asyncio.create_task(robot.state())
     async with asyncio.timeout(10):
@@ -170,7 +171,7 @@ async def test_a_stop_does_not_wait_behind_questions(robot: AsyncClient) -> None
 
 
 async def test_closing_waits_for_a_stop_that_is_under_way() -> None:
-    threads, done = Threads(), threading.Event()
+    threads, done = CallThreads(), threading.Event()
     order: list[str] = []
 
     def stop() -> None:

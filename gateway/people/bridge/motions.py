@@ -20,7 +20,7 @@ from gateway.people.client.stream import Stream
 from gateway.people.client.walk import Walk, robot_of
 from gateway.people.ros2.joints import Degrees, legs_deg
 from gateway.people.ros2.trajectory import Trajectory
-from gateway.people.walking import DOWN, REST_S, Do, Pose, Ride, Velocity
+from gateway.people.walking import DOWN, REST_S, Pose, Ride, RideTask, Velocity
 
 HZ: Final = 50.0
 MARGIN_S: Final = 0.25
@@ -126,7 +126,7 @@ class Course:
         if self._ride is None:
             return next_start(legs_deg(self._geometry, self._at_rad), self._started)
         step = self._ride.next(now_s)
-        if step.do is not Do.SEND:
+        if step.do is not RideTask.SEND:
             return None
         self._ride.sent(step.pose)
         self._at_rad = {

@@ -12,8 +12,8 @@ import zenoh
 from gateway.errors import ConfigError, RejectedError, UnansweredError
 from gateway.geometry import load
 from gateway.people.bridge.driving import Driving
-from gateway.people.client.live import subscribed
 from gateway.people.client.requests import Identity
+from gateway.people.client.subscriptions import subscribed
 from gateway.people.ros2.messages import DISTRIBUTIONS
 from gateway.people.terminal import hint, on_end_signals, say
 from gateway.people.tools.reach import Connection

@@ -19,7 +19,8 @@ from gateway.people.client.interrupts import Interrupts
 from gateway.people.client.lease import Lease
 from gateway.people.client.payloads import Angle
 from gateway.people.client.stream import Stream
-from gateway.people.client.twin import HeldTwin, Threads, Twin, on_this_loop, waits
+from gateway.people.client.subscriptions import KEPT_EVENTS
+from gateway.people.client.twin import CallThreads, HeldTwin, Twin, on_this_loop, waits
 from gateway.people.client.walk import Walk
 from gateway.people.walking import Distance, WalkState
 from schemas.telemetry import Ack, Event, GatewayState
@@ -29,10 +30,8 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-MAX_QUESTIONS: Final = 32
+MAX_CALLS: Final = 32
 """At once; whoever asks more waits for its turn. A Stop never does."""
-KEPT_EVENTS: Final = 256
-"""For an `events()` that is not read; the oldest make way."""
 
 
 class AsyncClient(Twin[Client]):
@@ -63,8 +62,8 @@ class AsyncClient(Twin[Client]):
             Client, endpoint, zenoh_config=zenoh_config, source=source, timeout_s=timeout_s, explain=explain
         )
         self._client: Client | None = None
-        self._threads = Threads()
-        self._turns = asyncio.Semaphore(MAX_QUESTIONS)
+        self._threads = CallThreads()
+        self._turns = asyncio.Semaphore(MAX_CALLS)
         self._events: WeakSet[_Events] = WeakSet()
         self._listens = False
 
@@ -321,7 +320,7 @@ class AsyncWalk(HeldTwin[Walk]):
     sit = waits(Walk.sit)
     start_again = waits(Walk.start_again)
 
-    def __init__(self, own: Walk, threads: Threads) -> None:
+    def __init__(self, own: Walk, threads: CallThreads) -> None:
         """Made by AsyncClient. @private"""
         super().__init__(own, threads)
         self._interrupts = Interrupts()

@@ -18,7 +18,6 @@ from gateway.people.client.button import Button
 from gateway.people.client.close_at_exit import close_at_the_end
 from gateway.people.client.hosts import Hosts
 from gateway.people.client.lease import Lease
-from gateway.people.client.live import reports
 from gateway.people.client.payloads import (
     Angle,
     calibration_payload,
@@ -32,6 +31,7 @@ from gateway.people.client.payloads import (
 from gateway.people.client.question import JSON, Question
 from gateway.people.client.requests import ButtonRequests, Identity, LeaseRequests
 from gateway.people.client.stream import Stream
+from gateway.people.client.subscriptions import reports
 from gateway.zenoh_config import client_config, get, one_line
 from schemas import keys
 from schemas.robot import LEGS
@@ -212,7 +212,7 @@ class Client:
         It is alive only as often as the program says so; see `Button`. With a certificate you are its person; without,
         `name`, or the client's.
         """
-        return Button(self, name)
+        return Button(self.button_requests, self.estop, name)
 
     # ---- commands, acknowledged
 

@@ -1,13 +1,14 @@
 """A stop button: a program that shows again and again that it is there, and can stop the robot."""
 
 import time
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Final, Self
 
 from gateway.errors import DisconnectedError, RejectedError
+from gateway.people.client.requests import ButtonRequests
 from schemas.telemetry import Ack, Reason
 
 if TYPE_CHECKING:
-    from gateway.people.client.blocking import Client
     from schemas.button import ButtonAck
 
 LIFE: Final = 600
@@ -16,7 +17,7 @@ time, and a bad crystal (200 ppm) loses half of that quarter meanwhile."""
 REGISTERED_WITHIN: Final = 0.5
 """Of `timeout_ms`, for both questions of a registration. How late later check-ins are is judged by its delay, so one
 that somebody on the way has held back for longer does not count."""
-TRIES: Final = 3
+REGISTRATION_TRIES: Final = 3
 """The first of a program also loads what signs."""
 
 
@@ -33,9 +34,10 @@ class Button:
     True
     """
 
-    def __init__(self, client: "Client", name: str | None) -> None:
+    def __init__(self, requests: ButtonRequests, estop: Callable[[str | None], Ack], name: str | None) -> None:
         """See `Client.button`. @private"""
-        self._client = client
+        self._requests = requests
+        self._estop = estop
         self._wanted = name
         self._token: str | None = None
         self._count = 0
@@ -61,10 +63,10 @@ class Button:
 
         Raises RejectedError (`stale`) where the answers take longer than half of `timeout_ms`.
         """
-        self.name = self._client.button_requests.person(self._wanted)
-        for _ in range(TRIES):
+        self.name = self._requests.person(self._wanted)
+        for _ in range(REGISTRATION_TRIES):
             began_s = time.monotonic()
-            ack = _granted(self._client.button_requests.register(self._wanted))
+            ack = _granted(self._requests.register(self._wanted))
             self._token, self._count = ack.button, 0
             self.timeout_ms = ack.timeout_ms or 0.0
             self.registered_s = self._ends_s = time.monotonic()
@@ -86,7 +88,7 @@ class Button:
             self._renew()
         self._count += 1
         timeout_s = self.timeout_ms / 1000 or None
-        return _granted(self._client.button_requests.alive(self._token, self._count, timeout_s=timeout_s))
+        return _granted(self._requests.alive(self._token, self._count, timeout_s=timeout_s))
 
     def _renew(self) -> None:
         """Register anew in time. Where it is denied, such as for too many proofs a second, the older one goes on."""
@@ -99,14 +101,14 @@ class Button:
 
     def press(self) -> Ack:
         """The emergency stop, by the button's name; see `Client.estop`."""
-        return self._client.estop(source=self.name or self._wanted)
+        return self._estop(self.name or self._wanted)
 
     def leave(self) -> None:
         """Be none any more; the robot stops if too few remain. @private"""
         token, self._token = self._token, None
         if token is not None:
             try:
-                self._client.button_requests.leave(token, self.timeout_ms / 1000 or None)
+                self._requests.leave(token, self.timeout_ms / 1000 or None)
             except DisconnectedError:
                 return  # it notices the silence
 

@@ -1,4 +1,4 @@
-"""Closes what a program forgot to close, so that it ends.
+"""Closable what a program forgot to close, so that it ends.
 
 Zenoh calls back on threads for which Python waits at a program's end, and these end with their session. Nothing that
 `atexit` runs comes before that wait.
@@ -6,21 +6,24 @@ Zenoh calls back on threads for which Python waits at a program's end, and these
 
 import threading
 from contextlib import suppress
-from typing import TYPE_CHECKING, Final
+from typing import Final, Protocol
 from weakref import WeakSet
-
-if TYPE_CHECKING:
-    from gateway.people.client.blocking import Client
 
 _CALLBACKS: Final = "pyo3-closure"
 """In the names of Zenoh's own threads."""
 
 
-_open: "WeakSet[Client]" = WeakSet()
+class Closable(Protocol):
+    """What a client offers here."""
+
+    def close(self) -> None: ...
+
+
+_open: WeakSet[Closable] = WeakSet()
 _lock: Final = threading.Lock()
 
 
-def close_at_the_end(client: "Client") -> None:
+def close_at_the_end(client: Closable) -> None:
     """Close it when the main thread and all other threads of the program's own have ended."""
     with _lock:
         _open.add(client)

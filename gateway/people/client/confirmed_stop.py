@@ -12,7 +12,7 @@ from typing import Final, Generic, TypeVar
 P = TypeVar("P")
 W = TypeVar("W")
 
-AT_ONCE: Final = 4
+REQUESTS_AT_ONCE: Final = 4
 """Requests under way at most; a key that is held down repeats some 30 times a second."""
 AGAIN_NS: Final = 100_000_000
 """After a request that nobody answered, which itself has lasted as long as a client waits for an answer."""
@@ -40,7 +40,7 @@ class Press(Generic[P, W]):
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Request(Generic[W]):
+class StopRequest(Generic[W]):
     """One request under way; its answer confirms every press up to number `covers`."""
 
     covers: int
@@ -58,7 +58,7 @@ class ConfirmedStop(Generic[P, W]):
         """The newest press that a request has covered."""
         self._again_ns = 0
         self._unconfirmed: list[Press[P, W]] = []
-        self._under_way: list[Request[W]] = []
+        self._under_way: list[StopRequest[W]] = []
 
     @property
     def since_ns(self) -> int | None:
@@ -83,7 +83,7 @@ class ConfirmedStop(Generic[P, W]):
         for press in [press for press in self._unconfirmed if press.page is None][:-1]:
             self._unconfirmed.remove(press)
 
-    def take_back(self, request: Request[W] | None = None) -> None:
+    def take_back(self, request: StopRequest[W] | None = None) -> None:
         """Nobody wants any longer what this request covers; without one, nothing that has been pressed so far."""
         covers = self._presses if request is None else request.covers
         self._unconfirmed = [press for press in self._unconfirmed if press.number > covers]
@@ -94,24 +94,24 @@ class ConfirmedStop(Generic[P, W]):
 
         What is due depends on the newest press alone, for a request that can confirm it can confirm all of them.
         """
-        if not self._unconfirmed or len(self._under_way) >= AT_ONCE:
+        if not self._unconfirmed or len(self._under_way) >= REQUESTS_AT_ONCE:
             return None
         newest = self._unconfirmed[-1]
         if any(request.covers >= newest.number for request in self._under_way):
             return None
         return newest.pressed_ns if newest.number > self._asked else self._again_ns
 
-    def begin(self, now_ns: int) -> Request[W] | None:
+    def begin(self, now_ns: int) -> StopRequest[W] | None:
         """The request that begins now; None: none is due."""
         due_ns = self.due_ns
         if due_ns is None or now_ns < due_ns:
             return None
-        request = Request(self._presses, self._unconfirmed[-1].what)
+        request = StopRequest(self._presses, self._unconfirmed[-1].what)
         self._asked = request.covers
         self._under_way.append(request)
         return request
 
-    def ended(self, request: Request[W], now_ns: int, *, answered: bool) -> list[Press[P, W]]:
+    def ended(self, request: StopRequest[W], now_ns: int, *, answered: bool) -> list[Press[P, W]]:
         """It has its answer, or will get none. Those that it covers, confirmed or not; none: it is no news."""
         self._under_way.remove(request)
         covered = [press for press in self._unconfirmed if press.number <= request.covers]

@@ -40,7 +40,7 @@ _UNKNOWN_CA: Final = (2, 18, 19, 20, 21)
 _WRONG_HOST: Final = (62, 64)
 
 
-class Step(StrEnum):
+class Stage(StrEnum):
     """The steps of the way, in order."""
 
     ENDPOINT = "endpoint"
@@ -56,7 +56,7 @@ class Step(StrEnum):
 class Finding:
     """How it stands with a step. `fix` is "" where the step is well."""
 
-    step: Step
+    step: Stage
     sentence: str
     fix: str = ""
 
@@ -88,7 +88,7 @@ def look_at_all(endpoints: Sequence[str], identity: Identity, timeout_s: float =
         threads[-1].start()
     for thread in threads:
         thread.join(max(0.0, end_s - time.monotonic()) + _MARGIN_S)
-    late = Finding(Step.TCP, "nothing is known within the time", "try again, with a longer --timeout")
+    late = Finding(Stage.TCP, "nothing is known within the time", "try again, with a longer --timeout")
     return {endpoint: list(findings) or [late] for endpoint, findings in found.items()}
 
 
@@ -106,12 +106,14 @@ def look(endpoint: str, identity: Identity, end_s: float) -> Iterator[Finding]:
     parsed = _ENDPOINT.fullmatch(endpoint)
     if parsed is None:
         fix = f"dial it so, such as {DEFAULT_ENDPOINT}"
-        yield Finding(Step.ENDPOINT, "it is not tcp/HOST:PORT or tls/HOST:PORT", fix)
+        yield Finding(Stage.ENDPOINT, "it is not tcp/HOST:PORT or tls/HOST:PORT", fix)
         return
     host, port, tls = parsed["host"].strip("[]"), int(parsed["port"]), parsed["link"] == "tls"
     if tls and _is_ipv6(host):
         yield Finding(
-            Step.ENDPOINT, "Zenoh dials no IPv6 address over TLS", "dial the robot's name, or its IPv4 address"
+            Stage.ENDPOINT,
+            "Zenoh dials no IPv6 address over TLS",
+            "dial the robot's name, or its IPv4 address",
         )
         return
     try:
@@ -119,13 +121,13 @@ def look(endpoint: str, identity: Identity, end_s: float) -> Iterator[Finding]:
     except OSError as error:
         yield _unresolved(host, error)
         return
-    yield Finding(Step.NAME, f"{host} is {', '.join(dict.fromkeys(str(address[0]) for _, address in addresses))}")
+    yield Finding(Stage.NAME, f"{host} is {', '.join(dict.fromkeys(str(address[0]) for _, address in addresses))}")
     try:
         connection = _connect(addresses, end_s)
     except OSError as error:
         yield _unreachable(host, port, error)
         return
-    yield Finding(Step.TCP, f"port {port} answers")
+    yield Finding(Stage.TCP, f"port {port} answers")
     with connection:
         yield from _tls(connection, host, identity, end_s) if tls else _plain(connection, end_s)
 
@@ -146,7 +148,7 @@ def own_certificates(identity: Identity, now: dt.datetime) -> Iterator[Finding]:
         try:
             certificate = certs.files.read_certificate(path)
         except ConfigError as error:
-            yield Finding(Step.CERTIFICATE, str(error), "restore it from its bundle")
+            yield Finding(Stage.CERTIFICATE, str(error), "restore it from its bundle")
             continue
         yield validity(path.name, certificate.not_valid_before_utc, certificate.not_valid_after_utc, now)
 
@@ -175,11 +177,11 @@ def validity(name: str, begin: dt.datetime, end: dt.datetime, now: dt.datetime) 
         sentence = f"{name} is good from {begin:%Y-%m-%d} only, and {clock}"
         if now.year < _OLDEST_YEAR:
             sentence = f"{clock}, which is before any certificate was made"
-        return Finding(Step.CERTIFICATE, sentence, "set the clock (timedatectl set-ntp true)")
+        return Finding(Stage.CERTIFICATE, sentence, "set the clock (timedatectl set-ntp true)")
     if now >= end:
         fix = "get a new one from `hexapod-gateway certs renew` (is this clock right?)"
-        return Finding(Step.CERTIFICATE, f"{name} expired on {end:%Y-%m-%d}", fix)
-    return Finding(Step.CERTIFICATE, f"{name} is good until {end:%Y-%m-%d}")
+        return Finding(Stage.CERTIFICATE, f"{name} expired on {end:%Y-%m-%d}", fix)
+    return Finding(Stage.CERTIFICATE, f"{name} is good until {end:%Y-%m-%d}")
 
 
 # ---- name and TCP
@@ -213,8 +215,8 @@ def _unresolved(host: str, error: OSError) -> Finding:
     mdns = "is the robot on, and in this network? Names in .local need mDNS (avahi) here and there"
     fix = f"{mdns if host.endswith('.local') else 'check the name'}; or dial its address"
     if isinstance(error, TimeoutError):
-        return Finding(Step.NAME, f"no name server says what {host} is", fix)
-    return Finding(Step.NAME, f"{host} is unknown ({error.strerror})", fix)
+        return Finding(Stage.NAME, f"no name server says what {host} is", fix)
+    return Finding(Stage.NAME, f"{host} is unknown ({error.strerror})", fix)
 
 
 def _connect(addresses: _Addresses, end_s: float) -> socket.socket:
@@ -236,15 +238,15 @@ def _connect(addresses: _Addresses, end_s: float) -> socket.socket:
 def _unreachable(host: str, port: int, error: OSError) -> Finding:
     if isinstance(error, ConnectionRefusedError):
         return Finding(
-            Step.TCP,
+            Stage.TCP,
             f"{host} rejects port {port}: nothing listens there",
             "does the gateway run (systemctl status hexapod-gateway), and on this port? Without certificates it "
             "listens on its own machine only",
         )
     if isinstance(error, TimeoutError):
         fix = "is the robot on, and in this network? A firewall may drop what comes for the port"
-        return Finding(Step.TCP, f"{host} does not answer on port {port}", fix)
-    return Finding(Step.TCP, f"{host} cannot be reached ({error.strerror})", "join the robot's network")
+        return Finding(Stage.TCP, f"{host} does not answer on port {port}", fix)
+    return Finding(Stage.TCP, f"{host} cannot be reached ({error.strerror})", "join the robot's network")
 
 
 # ---- TLS
@@ -254,24 +256,24 @@ def _tls(connection: socket.socket, host: str, identity: Identity, end_s: float)
     try:
         context = _context(identity)
     except (OSError, ssl.SSLError) as error:
-        yield Finding(Step.CERTIFICATE, f"the files of your certificate do not go together ({error})", _NEW_BUNDLE)
+        yield Finding(Stage.CERTIFICATE, f"the files of your certificate do not go together ({error})", _NEW_BUNDLE)
         return
     if identity.ca is None:
-        yield Finding(Step.CERTIFICATE, "the robot wants a certificate, and you have none", _GIVE_CERTIFICATE)
+        yield Finding(Stage.CERTIFICATE, "the robot wants a certificate, and you have none", _GIVE_CERTIFICATE)
         return
     try:
         connection.settimeout(_left_s(end_s))
         with context.wrap_socket(connection, server_hostname=host) as secured:
-            yield Finding(Step.TLS, f"{host} shows a certificate of your CA, in its own name")
+            yield Finding(Stage.TLS, f"{host} shows a certificate of your CA, in its own name")
             yield _after_handshake(secured, end_s)
     except ssl.SSLCertVerificationError as error:
         yield _distrusted(host, error)
     except ssl.SSLError as error:
         yield _alert(error)
     except TimeoutError:
-        yield Finding(Step.TLS, "the port answers, but speaks no TLS within the time", _NO_TLS)
+        yield Finding(Stage.TLS, "the port answers, but speaks no TLS within the time", _NO_TLS)
     except OSError:
-        yield Finding(Step.TLS, "the port ends the connection instead of speaking TLS", _NO_TLS)
+        yield Finding(Stage.TLS, "the port ends the connection instead of speaking TLS", _NO_TLS)
 
 
 _NEW_BUNDLE: Final = "unzip the bundle of `hexapod-gateway certs issue` again, all its files together"
@@ -295,12 +297,12 @@ def _after_handshake(secured: ssl.SSLSocket, end_s: float) -> Finding:
     try:
         secured.recv(1)
     except TimeoutError:  # it waits for Zenoh's first word
-        return Finding(Step.CERTIFICATE, "the robot takes yours")
+        return Finding(Stage.CERTIFICATE, "the robot takes yours")
     except ssl.SSLError as error:
         return _alert(error)
     except OSError:
         pass
-    return Finding(Step.GATEWAY, "the robot ends the connection", "is it at its most sessions? See its journal")
+    return Finding(Stage.GATEWAY, "the robot ends the connection", "is it at its most sessions? See its journal")
 
 
 def _distrusted(host: str, error: ssl.SSLCertVerificationError) -> Finding:
@@ -308,22 +310,22 @@ def _distrusted(host: str, error: ssl.SSLCertVerificationError) -> Finding:
     code = error.verify_code
     if code in _WRONG_HOST:
         return Finding(
-            Step.TLS,
+            Stage.TLS,
             f"the robot's certificate does not name {host}",
             f"dial it by a name that it has (hexapod-gateway certs list), or make it one with --host {host}",
         )
     if code == _EXPIRED:
         fix = f"hexapod-gateway certs renew gateway, and copy gateway.pem to the robot; or {_CLOCK} here"
-        return Finding(Step.CERTIFICATE, "the robot's certificate has expired", fix)
+        return Finding(Stage.CERTIFICATE, "the robot's certificate has expired", fix)
     if code == _NOT_YET_VALID:
-        return Finding(Step.CERTIFICATE, "the robot's certificate is not valid yet", f"{_CLOCK} here")
+        return Finding(Stage.CERTIFICATE, "the robot's certificate is not valid yet", f"{_CLOCK} here")
     if code in _UNKNOWN_CA:
         return Finding(
-            Step.CERTIFICATE,
+            Stage.CERTIFICATE,
             "the robot's certificate is of another CA than yours",
             "is it the right robot? Take certificates from the folder that made the robot's",
         )
-    return Finding(Step.CERTIFICATE, f"the robot's certificate does not do ({error.verify_message})", _NEW_BUNDLE)
+    return Finding(Stage.CERTIFICATE, f"the robot's certificate does not do ({error.verify_message})", _NEW_BUNDLE)
 
 
 def _alert(error: ssl.SSLError) -> Finding:
@@ -331,21 +333,21 @@ def _alert(error: ssl.SSLError) -> Finding:
     reason = error.reason or ""
     if "UNKNOWN_CA" in reason:
         return Finding(
-            Step.CERTIFICATE,
+            Stage.CERTIFICATE,
             "the robot does not know the CA of your certificate",
             "get one from the folder that made the robot's (hexapod-gateway certs issue)",
         )
     if "EXPIRED" in reason:
         return Finding(
-            Step.CERTIFICATE,
+            Stage.CERTIFICATE,
             "your certificate has expired, or is not valid yet, by the robot's clock",
             "hexapod-gateway certs renew NAME; or set the robot's clock (timedatectl set-ntp true)",
         )
     if "CERTIFICATE_REQUIRED" in reason:
-        return Finding(Step.CERTIFICATE, _SHOWS_NONE, _GIVE_CERTIFICATE)
+        return Finding(Stage.CERTIFICATE, _SHOWS_NONE, _GIVE_CERTIFICATE)
     if "ALERT" in reason:
-        return Finding(Step.CERTIFICATE, f"the robot does not take your certificate ({reason})", _NEW_BUNDLE)
-    return Finding(Step.TLS, f"the port speaks no TLS ({reason or error.strerror})", _NO_TLS)
+        return Finding(Stage.CERTIFICATE, f"the robot does not take your certificate ({reason})", _NEW_BUNDLE)
+    return Finding(Stage.TLS, f"the port speaks no TLS ({reason or error.strerror})", _NO_TLS)
 
 
 def _plain(connection: socket.socket, end_s: float) -> Iterator[Finding]:
@@ -358,9 +360,9 @@ def _plain(connection: socket.socket, end_s: float) -> Iterator[Finding]:
             pass
     except (OSError, ssl.SSLError):
         fix = "another program may have the port (ss -ltnp there), or the gateway wants a password: see its journal"
-        yield Finding(Step.GATEWAY, "the port takes connections, but no gateway speaks there", fix)
+        yield Finding(Stage.GATEWAY, "the port takes connections, but no gateway speaks there", fix)
         return
-    yield Finding(Step.TLS, "the port wants TLS, and you dial it without", f"dial tls/…, and {_GIVE_CERTIFICATE}")
+    yield Finding(Stage.TLS, "the port wants TLS, and you dial it without", f"dial tls/…, and {_GIVE_CERTIFICATE}")
 
 
 def _is_ipv6(host: str) -> bool:

@@ -9,27 +9,41 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any, Final, Self
+from typing import TYPE_CHECKING, Any, Final, Protocol, Self
 
 import zenoh
 
 from gateway.errors import GatewayError, LeaseError, LeaseLostError, ZenohError
 from gateway.people.client.renewal import Holds, Renewal, Waiting
+from gateway.people.client.requests import LeaseRequests
 from schemas.telemetry import Ack, Event, Kind, Reason
 
 if TYPE_CHECKING:
-    from gateway.people.client.blocking import Client
     from schemas.lease import LeaseAck
 
 TTL_MS: Final = 1000.0
 """The gateway's default (`lease.ttl_ms`), where an answer does not say it."""
-ANSWER_S: Final = 1.0
-"""Where a program waits for it."""
+CONFIRM_S: Final = 1.0
+"""For an answer that a program waits for: by then the watchdog (0.25 s) has long stopped its legs."""
 RELEASE_S: Final = 0.5
 """What the end of a program may cost."""
 _CHANGES: Final = (Kind.LEASE_RELEASED, Kind.LEASE_EXPIRED, Kind.LEASE_TAKEN)
 _TOKEN: Final = re.compile("[0-9a-f]{32}")
 NOT_OURS: Final = (Reason.NOT_HOLDER, Reason.NO_LEASE)
+
+
+class LeaseClient(Protocol):
+    """What a lease needs of its client, whose commands carry it."""
+
+    name: str
+    lease_requests: LeaseRequests
+
+    @property
+    def carried_lease(self) -> "Lease | None": ...
+
+    def carry(self, lease: "Lease") -> None: ...
+
+    def on_event(self, callback: Callable[[Event], None]) -> "zenoh.Subscriber[None]": ...
 
 
 class Lease:
@@ -53,13 +67,13 @@ class Lease:
 
     def __init__(
         self,
-        client: "Client",
+        client: LeaseClient,
         *,
-        take: bool,
-        wait_s: float,
-        source: str | None,
-        on_lost: Callable[[LeaseLostError], None] | None,
-        on_asked: Callable[[str], None] | None,
+        take: bool = False,
+        wait_s: float = 0.0,
+        source: str | None = None,
+        on_lost: Callable[[LeaseLostError], None] | None = None,
+        on_asked: Callable[[str], None] | None = None,
     ) -> None:
         """See `Client.lease`. @private"""
         self._client = client
@@ -183,7 +197,7 @@ class Lease:
         """Ask the gateway whether we still hold it; the error if not. @private"""
         with self._giving:
             if self.held:
-                self._renew(ANSWER_S)
+                self._renew(CONFIRM_S)
         return self.lost
 
     def judge(self, ack: Ack) -> None:
@@ -278,8 +292,8 @@ class LentLease(Lease):
     Only commands that carry it prolong it, and a question where the gateway rejects one.
     """
 
-    def __init__(self, client: "Client", token: str) -> None:
-        super().__init__(client, take=False, wait_s=0.0, source=None, on_lost=None, on_asked=None)
+    def __init__(self, client: LeaseClient, token: str) -> None:
+        super().__init__(client)
         self._token = token
         self._renewal.granted(TTL_MS, -math.inf)
 

@@ -13,63 +13,32 @@ from datetime import datetime
 from enum import Enum, auto
 from functools import partial
 from queue import Empty, SimpleQueue
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import zenoh
 from pydantic import BaseModel, ValidationError
 
 from gateway.errors import GatewayError, UnansweredError
-from gateway.people.client.silence import LOOK_S, Silence
+from gateway.people.client.blocking import Client
+from gateway.people.client.silence import LOOK_EVERY_S, Silence
+from gateway.people.client.subscriptions import KEPT_EVENTS, reports, subscribed
 from schemas import keys
 from schemas.telemetry import Ack, BodyReport, Event, GatewayState
 
 if TYPE_CHECKING:
     from asyncio import AbstractEventLoop
 
-    from gateway.people.client.blocking import Client
-
-R = TypeVar("R", bound=BaseModel)
-
 OPEN_AGAIN_S: Final = 0.3
-ANSWER_S: Final = 0.6
+STATE_ANSWER_S: Final = 0.6
 CLOSE_S: Final = 0.5
 """How long to wait for the session to close; with a frozen gateway Zenoh would take ten seconds."""
 SAME_START_S: Final = 0.1
 """Two states of one gateway agree on its start to within this; no gateway restarts so quickly."""
 LATE_S: Final = 1.0
 """How much later than another one a state may come."""
-KEPT_EVENTS: Final = 256
 
 ERRORS: Final = (GatewayError, zenoh.ZError, ValidationError, RuntimeError)
 """What a session, or a question that it asks, may raise."""
-
-
-# ---- one subscription
-
-
-def reports(model: type[R], take: Callable[[R], object]) -> Callable[[zenoh.Sample], None]:
-    """A subscriber's callback: `take` gets each report that is valid."""
-
-    def receive(sample: zenoh.Sample) -> None:
-        try:
-            report = model.model_validate_json(sample.payload.to_bytes())
-        except ValidationError:
-            return
-        take(report)
-
-    return receive
-
-
-@contextmanager
-def subscribed(session: zenoh.Session, handlers: Mapping[str, Any]) -> Iterator[list[Any]]:
-    """Subscribers meanwhile, one for each key: a callback, which runs on a thread of Zenoh's, or a channel."""
-    subscribers = [session.declare_subscriber(key, handler) for key, handler in handlers.items()]
-    try:
-        yield subscribers
-    finally:
-        for subscriber in subscribers:
-            with suppress(zenoh.ZError):
-                subscriber.undeclare()
 
 
 # ---- a simulated body
@@ -81,7 +50,7 @@ def is_of_physics(sample: zenoh.Sample, physics: str | None) -> bool:
     return physics is not None and source is not None and str(source.source_id.zid) == physics
 
 
-def set_upright(client: "Client") -> Ack:
+def set_upright(client: Client) -> Ack:
     """Put a robot that is simulated with physics on its feet, as somebody would. Raises UnansweredError."""
     try:
         return client.ask(keys.SIM_UPRIGHT, {})
@@ -92,7 +61,7 @@ def set_upright(client: "Client") -> Ack:
 # ---- to one thread
 
 
-class Received(NamedTuple):
+class ReceivedReport(NamedTuple):
     """A report, and when it came, in nanoseconds since 1970."""
 
     key: str
@@ -142,7 +111,7 @@ class ReportQueue:
         """`get` returns None once all before it is taken out; also from a signal handler."""
         self._waiting.put(None)
 
-    def get(self, timeout_s: float) -> Received | None:
+    def get(self, timeout_s: float) -> ReceivedReport | None:
         """The next one; None: it has ended. Raises queue.Empty where none comes in time."""
         end_s = time.monotonic() + timeout_s
         while True:
@@ -151,7 +120,7 @@ class ReportQueue:
                 return None
             key, payload, time_ns = found
             if key not in self._models:
-                return Received(key, {}, time_ns)
+                return ReceivedReport(key, {}, time_ns)
             try:
                 self._models[key].model_validate_json(payload)
             except ValidationError:
@@ -162,7 +131,7 @@ class ReportQueue:
             report = json.loads(payload)
             if key == keys.STATE:
                 self._physics = report.get("physics")
-            return Received(key, report, time_ns)
+            return ReceivedReport(key, report, time_ns)
 
     def now_ns(self) -> int:
         """Nanoseconds since 1970, by a clock that nobody sets meanwhile."""
@@ -233,7 +202,7 @@ class Receiver:
     def received_token(self, alive: bool) -> None:
         """The gateway is there, or has ended, or the link to it has: within milliseconds where its process ends."""
 
-    def answered(self, client: "Client") -> None:
+    def answered(self, client: Client) -> None:
         """The gateway has answered a question for its state."""
 
     def looked(self, reasons: list[str]) -> None:
@@ -247,7 +216,7 @@ class Live:
     """
 
     def __init__(
-        self, connect: Callable[[], "Client"], receiver: Receiver, why: Callable[["Client | None"], list[str]]
+        self, connect: Callable[[], Client], receiver: Receiver, why: Callable[[Client | None], list[str]]
     ) -> None:
         """`why` returns a line for each host, why nobody is there; it may take a second."""
         self.client: Client | None = None
@@ -320,17 +289,17 @@ class Live:
         self._receiver.received_state(state, received_ns)
 
     def _ask_when_quiet(self) -> None:
-        while not self._ended.wait(LOOK_S):
+        while not self._ended.wait(LOOK_EVERY_S):
             client = self.client
             if client is not None and self._silence.is_quiet(time.monotonic_ns()):
                 with suppress(*ERRORS):
-                    state = client.state(ANSWER_S)
+                    state = client.state(STATE_ANSWER_S)
                     self._receiver.received_token(True)
                     self._take_state(state)
                     self._receiver.answered(client)
 
     def _look_when_silent(self) -> None:
-        while not self._ended.wait(LOOK_S):
+        while not self._ended.wait(LOOK_EVERY_S):
             if self._silence.must_look(time.monotonic_ns()):
                 with suppress(*ERRORS):
                     if reasons := self._why(self.client):
@@ -370,7 +339,7 @@ class OnLoop(Receiver):
     def looked(self, reasons: list[str]) -> None:
         self._put(self._receiver.looked, reasons)
 
-    def answered(self, client: "Client") -> None:
+    def answered(self, client: Client) -> None:
         self._put(self._receiver.answered, client)
 
     def received_state(self, state: GatewayState, received_ns: int) -> None:

@@ -6,22 +6,22 @@ from typing import Final
 
 SILENCE_S: Final = 0.5
 """A gateway that has published nothing for so long is asked: by default it publishes its state every 0.1 s."""
-LATE: Final = 0.5
+LATE_PART: Final = 0.5
 """Of a period. What comes later than that after its tick waits for the next: no two setpoints are closer."""
 MOST_DEG: Final = 3.2
 """Half a turn in radians, and a little more for arithmetic."""
-LOOK_S: Final = 1.0
+RADIANS_S: Final = 1.0
 """A whole stride of most gaits; a leg in degrees is not between 0 and 3.2 for so long but on purpose."""
 LIKE_RADIANS: Final = (
-    f"all angles of this stream were between 0 and {MOST_DEG:g} for {LOOK_S:g} s; angles are degrees, and these look "
-    "like radians (math.degrees() converts them)"
+    f"all angles of this stream were between 0 and {MOST_DEG:g} for {RADIANS_S:g} s; angles are degrees, and these "
+    "look like radians (math.degrees() converts them)"
 )
 
 
-class Pace:
+class SetpointPace:
     """When setpoints are due: a grid of ticks that does not drift. A missed tick is skipped, never made up. Pure.
 
-    >>> pace = Pace(50)
+    >>> pace = SetpointPace(50)
     >>> pace.begin(10.0)
     >>> round(pace.next_s(10.001), 3)       # early: at the next tick
     10.02
@@ -52,7 +52,7 @@ class Pace:
         if self._begun_s is None:
             return now_s
         late = (now_s - self._begun_s) / self.period_s - (self._tick + 1)
-        skipped = max(0, math.ceil(late - LATE))
+        skipped = max(0, math.ceil(late - LATE_PART))
         self.missed += skipped
         self._tick += 1 + skipped
         return self._begun_s + self._tick * self.period_s
@@ -125,14 +125,14 @@ class Radians:
         self._warn_at_s: float | None = None
 
     def suspected(self, angles_deg: Iterable[tuple[float, ...]], now_s: float) -> bool:
-        """Whether all that was given for LOOK_S looks like radians; true once at most."""
+        """Whether all that was given for RADIANS_S looks like radians; true once at most."""
         if self._warn_at_s == math.inf:
             return False
         if any(angle > MOST_DEG for angles in angles_deg for angle in angles):
             self._warn_at_s = math.inf  # for good: what was in degrees once stays so
             return False
         if self._warn_at_s is None:
-            self._warn_at_s = now_s + LOOK_S
+            self._warn_at_s = now_s + RADIANS_S
         suspected = now_s >= self._warn_at_s
         if suspected:
             self._warn_at_s = math.inf

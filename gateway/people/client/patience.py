@@ -11,7 +11,7 @@ from typing import Final, Generic, TypeVar
 
 A = TypeVar("A")
 
-AGAIN_S: Final = 0.05
+RESEND_S: Final = 0.05
 """A client that lost the gateway tries to reach it again after 0.1 s (`gateway.zenoh_config`)."""
 ATTEMPT_S: Final = 1.0
 """After so long without an answer a Stop is requested again: the link may be dead without a sign.
@@ -25,7 +25,7 @@ An answer takes milliseconds. Zenoh notices a dead link only after its lease, an
 """
 
 
-class Step(Enum):
+class QuestionStep(Enum):
     """What to do next."""
 
     WAIT = auto()
@@ -83,7 +83,7 @@ class Patience(Generic[A]):
         if self.under_way:
             return
         self._over = self._over or not self._again
-        self._again_s = min(self._again_s, self._sent_s + AGAIN_S)
+        self._again_s = min(self._again_s, self._sent_s + RESEND_S)
         self._other_way_s = min(self._other_way_s, now_s)
 
     @property
@@ -91,20 +91,20 @@ class Patience(Generic[A]):
         """When to look again at the latest."""
         return min(self._end_s, self._again_s, self._end_s if self._searches else self._other_way_s)
 
-    def step(self, now_s: float) -> Step:
+    def step(self, now_s: float) -> QuestionStep:
         """What to do now; what it says is taken as done."""
         if now_s >= self._end_s:
             self._finish(self._foreign)
             self._over = True
         if self._over or self.answer is not None:
-            return Step.OVER
+            return QuestionStep.OVER
         if not self._searches and now_s >= self._other_way_s:
             self._searches = True
-            return Step.OTHER_WAY
+            return QuestionStep.OTHER_WAY
         if now_s >= self._again_s:
             self._again_s = now_s + ATTEMPT_S
-            return Step.AGAIN
-        return Step.WAIT
+            return QuestionStep.AGAIN
+        return QuestionStep.WAIT
 
     def _finish(self, answer: A | None) -> None:
         if self.answer is None:

@@ -18,7 +18,7 @@ ROUNDING_DEG: Final = 0.005
 """Half of the protocol's hundredth: what is so close outside 0 to 180 is that limit, reached by inexact arithmetic."""
 
 
-Angles = dict[int, tuple[float, ...]]
+LegAngles = dict[int, tuple[float, ...]]
 """The three angles of each leg, by its number."""
 
 
@@ -76,14 +76,14 @@ def legs_payload(op: str, angles_deg: Mapping[int, Sequence[Angle]]) -> dict[str
     return {"legs": setpoints(op, legs_angles(angles_deg))}
 
 
-def legs_angles(angles_deg: Mapping[int, Sequence[Angle]]) -> Angles:
+def legs_angles(angles_deg: Mapping[int, Sequence[Angle]]) -> LegAngles:
     """The numbers of several legs (1 to 6). Raises as `leg_payload` and `leg_number`."""
     if not isinstance(angles_deg, Mapping):
         raise TypeError(f"legs and their angles are a dict, such as {{3: (90, 45, 120)}}, and not {angles_deg!r}")
     return {leg_number(leg): _leg_angles(angles) for leg, angles in angles_deg.items()}
 
 
-def setpoints(op: str, angles: Angles) -> dict[str, Any]:
+def setpoints(op: str, angles: LegAngles) -> dict[str, Any]:
     """The legs of a payload, from numbers that `legs_angles` has read: a stream looks at each angle once."""
     return {str(leg): _setpoint(op, each) for leg, each in angles.items()}
 

@@ -13,7 +13,7 @@ import zenoh
 from pydantic import BaseModel, ValidationError
 
 from gateway.people.client.hosts import Hosts, Search
-from gateway.people.client.patience import Patience, Query, Step
+from gateway.people.client.patience import Patience, Query, QuestionStep
 
 A = TypeVar("A", bound=BaseModel)
 
@@ -43,11 +43,11 @@ class Question(Generic[A]):
         self._send(session, end_s)
         search: Search | None = None
         try:
-            while (step := patience.step(time.monotonic())) is not Step.OVER:
-                if step is Step.AGAIN:
+            while (step := patience.step(time.monotonic())) is not QuestionStep.OVER:
+                if step is QuestionStep.AGAIN:
                     for each in self._sessions:
                         self._send(each, end_s)
-                elif step is Step.OTHER_WAY and other_ways is not None:
+                elif step is QuestionStep.OTHER_WAY and other_ways is not None:
                     search = Search(other_ways, end_s, self._received.put, next_host_s=0)
                 else:
                     with suppress(Empty):

@@ -7,7 +7,7 @@ nothing of one that hangs, or of a cable that was pulled.
 import math
 from typing import Final
 
-LOOK_S: Final = 0.1
+LOOK_EVERY_S: Final = 0.1
 """How often the age of the newest state is looked at."""
 QUIET_MS: Final = 250.0
 """After so long without a state the gateway is asked for it: it may publish none (`telemetry.state_hz = 0`)."""

@@ -5,7 +5,7 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 
-from gateway.people.client.confirmed_stop import AT_ONCE, ConfirmedStop, Request
+from gateway.people.client.confirmed_stop import REQUESTS_AT_ONCE, ConfirmedStop, StopRequest
 from schemas.telemetry import Ack
 
 
@@ -29,7 +29,7 @@ class UntilConfirmed:
         self._changed = threading.Condition(threading.Lock())
         """Its lock is held for moments only, so that a press never waits."""
         self._noting = threading.Lock()
-        for _ in range(AT_ONCE):
+        for _ in range(REQUESTS_AT_ONCE):
             threading.Thread(target=self._serve, name="stop", daemon=True).start()
 
     def press(self) -> None:
@@ -60,14 +60,14 @@ class UntilConfirmed:
             with self._noting:  # otherwise a failure before the answer could be noted behind it
                 self._end(request, outcome)
 
-    def _next(self) -> Request[None]:
+    def _next(self) -> StopRequest[None]:
         with self._changed:
             while (request := self._stop.begin(time.monotonic_ns())) is None:
                 due_ns = self._stop.due_ns
                 self._changed.wait(None if due_ns is None else max(0.0, (due_ns - time.monotonic_ns()) / 1e9))
             return request
 
-    def _end(self, request: Request[None], outcome: Ack | Exception) -> None:
+    def _end(self, request: StopRequest[None], outcome: Ack | Exception) -> None:
         with self._changed:
             waited = self._stop.ended(request, time.monotonic_ns(), answered=isinstance(outcome, Ack))
             self._changed.notify()  # the next may be due

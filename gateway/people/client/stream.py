@@ -8,29 +8,23 @@ import threading
 import time
 import warnings
 from collections import deque
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from datetime import datetime
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Final, Self
+from typing import Any, Final, Protocol, Self
 
 import zenoh
 
 from gateway.errors import DisconnectedError, GatewayError, LeaseLostError, RejectedError, StoppedError, ZenohError
-from gateway.people.client.lease import NOT_OURS
-from gateway.people.client.pace import LIKE_RADIANS, Doubt, Pace, Radians, thins
-from gateway.people.client.payloads import Angle, Angles, legs_angles, legs_payload, setpoints
+from gateway.people.client.lease import CONFIRM_S, NOT_OURS, Lease, LeaseClient
+from gateway.people.client.pace import LIKE_RADIANS, Doubt, Radians, SetpointPace, thins
+from gateway.people.client.payloads import Angle, LegAngles, legs_angles, legs_payload, setpoints
 from schemas import keys
 from schemas.telemetry import Ack, Event, GatewayState, Kind, Mode, Reason, WatchdogState
 
-if TYPE_CHECKING:
-    from gateway.people.client.blocking import Client
-    from gateway.people.client.lease import Lease
-
 MAX_HZ: Final = 1000
 """As `limits.leg_rate_hz`."""
-ANSWER_S: Final = 1.0
-"""What a doubt may cost: by then the watchdog (0.25 s) has long stopped what is not received."""
 _KEPT: Final = 64
 _STOPPED_ALREADY: Final = (Reason.ESTOPPED, Reason.STOPPING)
 _ENDINGS: Final = (Kind.ESTOP_ENGAGED, Kind.BUS_FAULT, Kind.STOPPED_OUTSIDE, Kind.STOPPING, Kind.STARTED)
@@ -44,6 +38,23 @@ AGAIN: Final = "start_again() goes on; after an emergency stop, once reset() has
 _AND_THEN: Final = (Kind.WATCHDOG_EXPIRED, Kind.STOPPED_OUTSIDE, Kind.STOPPING)
 """Events whose detail goes on, behind a semicolon, with what held from then on."""
 _UNHEARD: Final = "if it runs, its watchdog stops the legs; if it has died, stop-servos does, where systemd runs it"
+
+
+class StreamClient(LeaseClient, Protocol):
+    """What a stream needs of its client."""
+
+    @property
+    def connected(self) -> bool: ...
+
+    def check_open(self) -> None: ...
+
+    def ask(self, key: str, payload: Mapping[str, Any], *, again: bool = False) -> Ack: ...
+
+    def publish(self, key: str, payload: Mapping[str, Any]) -> None: ...
+
+    def state(self, timeout_s: float | None = None) -> GatewayState: ...
+
+    def on_state(self, callback: Callable[[GatewayState], None]) -> "zenoh.Subscriber[None]": ...
 
 
 class Stream:
@@ -64,11 +75,11 @@ class Stream:
     [1, 2]
     """
 
-    def __init__(self, client: "Client", hz: float) -> None:
+    def __init__(self, client: StreamClient, hz: float) -> None:
         """Raises ValueError unless 0 < hz ≤ 1000. @private"""
         self._client = client
         self._hz = checked_hz(hz)
-        self._pace = Pace(hz)
+        self._pace = SetpointPace(hz)
         self._radians = Radians()
         self._started: frozenset[int] = frozenset()
         self._to_stop: frozenset[int] = frozenset()
@@ -174,7 +185,7 @@ class Stream:
                 for each in subscribers:
                     each.undeclare()
 
-    def read(self, angles_deg: Mapping[int, Sequence[Angle]]) -> Angles:
+    def read(self, angles_deg: Mapping[int, Sequence[Angle]]) -> LegAngles:
         """The numbers. Raises ValueError, TypeError. Warns once where they look like radians. @private"""
         if not angles_deg:
             raise ValueError("no leg is given")
@@ -206,12 +217,12 @@ class Stream:
         """When (monotonic) the setpoint is to be sent; once for each. @private"""
         return self._pace.next_s(time.monotonic())
 
-    def must_ask(self, angles: Angles) -> bool:
+    def must_ask(self, angles: LegAngles) -> bool:
         """Whether `send` would ask the gateway, and wait for its answer. @private"""
         starts = not angles.keys() <= self._started
         return starts or self._in_doubt() or bool(self._events) or self._sending.locked()
 
-    def send(self, angles: Angles) -> None:
+    def send(self, angles: LegAngles) -> None:
         """Check, and send, as `set` states. @private"""
         with self._sending:
             self.check_open()
@@ -241,11 +252,11 @@ class Stream:
         may_be = isinstance(error, StoppedError) or (isinstance(error, RejectedError) and error.reason in NOT_OURS)
         return self._lease.confirm() if may_be and self._lease is not None else None
 
-    def _publish(self, angles: Angles) -> None:
+    def _publish(self, angles: LegAngles) -> None:
         self._client.publish(keys.LEGS_COMMAND, {"source": self._client.name, "legs": setpoints("set", angles)})
         self._doubt.sent(time.monotonic())
 
-    def _start(self, angles: Angles) -> None:
+    def _start(self, angles: LegAngles) -> None:
         new = {leg: each for leg, each in angles.items() if leg not in self._started}
         old = {leg: each for leg, each in angles.items() if leg in self._started}
         legs = setpoints("start", new) | setpoints("set", old)
@@ -347,7 +358,7 @@ class Stream:
             raise DisconnectedError(f"the link to the gateway was lost: {_UNHEARD}")
         self._doubt.asked()
         try:
-            state = self._client.state(ANSWER_S)
+            state = self._client.state(CONFIRM_S)
         except ZenohError as error:
             raise DisconnectedError(f"the gateway did not answer: {_UNHEARD}") from error
         self._doubt.received(time.monotonic())

@@ -20,7 +20,7 @@ T = TypeVar("T")
 class Twin(ABC, Generic[B]):
     """What stands before a blocking object, with the same names, arguments, rules and errors."""
 
-    _threads: "Threads"
+    _threads: "CallThreads"
 
     @property
     @abstractmethod
@@ -48,7 +48,7 @@ def waits(
 class HeldTwin(Twin[H]):
     """The twin of what is used in a `with`."""
 
-    def __init__(self, own: H, threads: "Threads") -> None:
+    def __init__(self, own: H, threads: "CallThreads") -> None:
         """Made by AsyncClient. @private"""
         self._held = own
         self._threads = threads
@@ -69,7 +69,7 @@ class HeldTwin(Twin[H]):
         await self._threads.run(partial(self._own.__exit__, kind, error, trace), stops=True)
 
 
-class Threads:
+class CallThreads:
     """Runs what waits, each call on a thread of its own: no pool in which a Stop could be the one too many.
 
     They are no daemons: a program's end waits for a Stop that is under way.

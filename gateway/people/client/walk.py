@@ -7,39 +7,39 @@ from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from types import FrameType, TracebackType
-from typing import TYPE_CHECKING, Final, Self, TypeVar
+from typing import TYPE_CHECKING, Final, Protocol, Self, TypeVar
 
 import zenoh
 
 from gateway.errors import GatewayError, RejectedError, StoppedError, UnansweredError, WalkError
 from gateway.geometry import Geometry, load
-from gateway.people.client.stream import ANSWER_S, Stream, checked_hz
+from gateway.people.client.lease import CONFIRM_S, Lease
+from gateway.people.client.stream import Stream, StreamClient, checked_hz
 from gateway.people.walking import (
     LONGEST_S,
-    USUAL,
-    Body,
+    USUAL_SILENCES,
+    BodyPose,
     Distance,
-    Do,
     Phase,
     Posture,
     Ride,
+    RideStep,
+    RideTask,
     Robot,
     Silences,
-    Step,
     Velocity,
     WalkState,
 )
 from gateway.people.walking.gaits import gait as gait_named
+from gateway.people.walking.inverse import Angles
 from gateway.people.walking.robot import check_mirrored_once, ranges
 from gateway.people.walking.words import Newest
 from schemas.robot import LEGS
 from schemas.telemetry import GatewayState, Reason
 
 if TYPE_CHECKING:
-    from gateway.people.client.blocking import Client
-    from gateway.people.client.lease import Lease
+    from schemas.calibration import Calibration
 
-Degrees = tuple[float, float, float]
 T = TypeVar("T")
 
 _SLOWER: Final = 0.98
@@ -51,6 +51,14 @@ class Terminated(SystemExit):
 
     def __init__(self) -> None:
         super().__init__(128 + signal.SIGTERM)
+
+
+class WalkClient(StreamClient, Protocol):
+    """What a walk needs of its client."""
+
+    walks: bool
+
+    def calibration(self) -> "Calibration": ...
 
 
 def _terminate(_number: int, _frame: FrameType | None) -> None:
@@ -86,12 +94,12 @@ class Walk:
 
     def __init__(
         self,
-        client: "Client",
+        client: WalkClient,
         gait: str,
         geometry: Geometry | Path | str | None,
         hz: float,
         *,
-        silences: Silences = USUAL,
+        silences: Silences = USUAL_SILENCES,
         once: bool = False,
     ) -> None:
         """See `Client.walk`, and `Ride` for `silences` and `once`.
@@ -162,7 +170,7 @@ class Walk:
         def stand(ride: Ride, now_s: float) -> None:
             height = ride.body.height_m if height_m is None else height_m
             as_before = height_m is None and not roll_rad and not pitch_rad
-            ride.stand(None if as_before else Body(height, roll_rad, pitch_rad), now_s)
+            ride.stand(None if as_before else BodyPose(height, roll_rad, pitch_rad), now_s)
             self._awaited = Posture.STANDING
 
         self.use(stand)
@@ -282,7 +290,7 @@ class Walk:
         if self._client.walks:
             raise RuntimeError("this client walks already")
         if self._client.carried_lease is None:
-            lease = self._client.lease()
+            lease = Lease(self._client)
             with suppress(UnansweredError):  # a gateway that knows of no lease
                 lease.acquire()
                 self._lease = lease
@@ -395,7 +403,7 @@ class Walk:
                 begun_s = time.monotonic()
                 step = ride.next(begun_s)
                 took_s = time.monotonic() - begun_s
-                if step.do is Do.WAIT:
+                if step.do is RideTask.WAIT:
                     self._changed.wait(min(step.look_s - begun_s, threading.TIMEOUT_MAX))
                     continue
             try:
@@ -406,19 +414,19 @@ class Walk:
             with self._changed:
                 self._changed.notify_all()
 
-    def _carry_out(self, ride: Ride, step: Step) -> None:
+    def _carry_out(self, ride: Ride, step: RideStep) -> None:
         match step.do:
-            case Do.FIND:
+            case RideTask.FIND:
                 self._find(ride)
-            case Do.STOP:
+            case RideTask.STOP:
                 try:
                     self._end_stream()
                 finally:
                     with self._changed:
                         ride.ended()
-            case Do.SEND:
+            case RideTask.SEND:
                 if self._stream is None:
-                    stream = self._client.stream(self._rate_hz)
+                    stream = Stream(self._client, self._rate_hz)
                     stream.open()
                     self._stream = stream
                 self._stream.set(step.pose)
@@ -435,7 +443,7 @@ class Walk:
         """Who runs now: before legs are started, and before anybody says that it goes on where it was."""
         again, robot = ride.wants_again, ride.robot
         if again and self._lease is not None and self._lease.lost is not None:
-            lease = self._client.lease()
+            lease = Lease(self._client)
             lease.acquire()
             self._lease = lease
         state = self._ask(None)
@@ -450,16 +458,16 @@ class Walk:
         with self._changed:
             ride.found(robot, running, time.monotonic())
 
-    def _failed(self, ride: Ride, step: Step, error: Exception) -> None:
+    def _failed(self, ride: Ride, step: RideStep, error: Exception) -> None:
         """What a step raised."""
         stream = self._stream
-        if ride.wants_again and step.do is not Do.SEND:
+        if ride.wants_again and step.do is not RideTask.SEND:
             with self._changed:
                 self._not_again = error
                 ride.not_again(error)
         elif isinstance(error, StoppedError) and stream is not None and not self._closing:
             try:
-                running = running_deg(self._ask(ANSWER_S))
+                running = running_deg(self._ask(CONFIRM_S))
             except GatewayError:
                 running = {}  # nobody knows who stands
             with self._changed:
@@ -475,9 +483,9 @@ class Walk:
                 ride.failed(error if isinstance(error, GatewayError) else WalkError(str(error)))
 
 
-def running_deg(state: GatewayState) -> dict[int, Degrees]:
+def running_deg(state: GatewayState) -> dict[int, Angles]:
     """The legs all of whose servos run, and where they were commanded to, in degrees."""
-    found: dict[int, Degrees] = {}
+    found: dict[int, Angles] = {}
     for leg in state.legs:
         angles = [servo.angle_deg for servo in leg.servos if servo.running and servo.angle_deg is not None]
         if len(angles) == len(leg.servos):
@@ -485,7 +493,7 @@ def running_deg(state: GatewayState) -> dict[int, Degrees]:
     return found
 
 
-def robot_of(client: "Client", geometry: Geometry, state: GatewayState) -> Robot:
+def robot_of(client: WalkClient, geometry: Geometry, state: GatewayState) -> Robot:
     """This robot within the limits and the calibration that are in force. Raises WalkError where both mirror it."""
     calibration = None
     with suppress(UnansweredError):  # an older gateway has none

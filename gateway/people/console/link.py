@@ -15,9 +15,9 @@ from typing import Any, Final, TypeVar
 
 from gateway.errors import UnreachedError, ZenohError
 from gateway.people.client.blocking import Client
-from gateway.people.client.confirmed_stop import AT_ONCE
+from gateway.people.client.confirmed_stop import REQUESTS_AT_ONCE
 from gateway.people.client.live import Live, OnLoop, Receiver, set_upright
-from gateway.people.client.silence import LOOK_S
+from gateway.people.client.silence import LOOK_EVERY_S
 from gateway.people.console.messages import LinkMessage
 from gateway.people.console.presence import Presence
 from gateway.people.tools import why
@@ -66,7 +66,7 @@ class GatewayLink(Receiver):
     ) -> None:
         """`connect` and `zenoh_config` as for `Client`; `source` is whom the gateway names for an emergency stop."""
         self._connect = partial(Client, connect, zenoh_config=zenoh_config, timeout_s=timeout_s, explain=False)
-        self._stop_all = Threads(AT_ONCE, "STOP ALL")
+        self._stop_all = Threads(REQUESTS_AT_ONCE, "STOP ALL")
         self._stops = Threads(STOPS_AT_ONCE, "Stops")
         self._questions = Threads(QUESTIONS_AT_ONCE, "ask")
         loop = asyncio.get_running_loop()
@@ -127,7 +127,7 @@ class GatewayLink(Receiver):
         while not self._failed.done():
             if self._opened.is_set():
                 self._watch()
-            await asyncio.wait([self._failed], timeout=LOOK_S)
+            await asyncio.wait([self._failed], timeout=LOOK_EVERY_S)
         self._failed.result()
 
     async def close(self) -> None:

@@ -4,7 +4,7 @@ import asyncio
 from collections.abc import Awaitable, Callable
 from typing import Generic, TypeVar
 
-from gateway.people.client.confirmed_stop import ConfirmedStop, Press, Request
+from gateway.people.client.confirmed_stop import ConfirmedStop, Press, StopRequest
 from gateway.people.console.messages import Stopping
 from gateway.people.console.outgoing import Outgoing
 from schemas.telemetry import Ack
@@ -59,7 +59,7 @@ class Stops(Generic[W]):
         due_ns = self._stop.due_ns
         self._next = None if due_ns is None else self._loop.call_at(due_ns / 1e9, self._begin)
 
-    async def _run(self, request: Request[W]) -> None:
+    async def _run(self, request: StopRequest[W]) -> None:
         ack, error = None, None
         try:
             ack = await self._ask(request.what)

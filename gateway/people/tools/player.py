@@ -11,7 +11,7 @@ from typing import Final
 from gateway.errors import GatewayError, RejectedError, StoppedError
 from gateway.people.client.blocking import Client
 from gateway.people.client.lease import NOT_OURS
-from gateway.people.client.live import reports, subscribed
+from gateway.people.client.subscriptions import reports, subscribed
 from gateway.people.recordings.replaying import NS_PER_MS, Plan, Step
 from gateway.people.terminal import clear_line, on_end_signals, show_line
 from schemas.keys import EVENT

@@ -10,7 +10,7 @@ from gateway.certs import LAPTOP_ROLES
 from gateway.errors import ConfigError, ZenohError
 from gateway.people.client import diagnosis
 from gateway.people.client.blocking import Client
-from gateway.people.client.diagnosis import Finding, Step
+from gateway.people.client.diagnosis import Finding, Stage
 from gateway.people.client.requests import Identity
 from gateway.zenoh_config import client_config
 from schemas import keys
@@ -48,19 +48,22 @@ def allowed(client: Client, identity: Identity) -> tuple[GatewayState | None, li
         state = client.state(_ANSWER_S)
     except ZenohError:
         return None, [_nobody(role, ended=not client.session.info.links())]
-    watching = Finding(Step.ROLE, "you may watch" + (f", as {role}" if role else ""))
+    watching = Finding(Stage.ROLE, "you may watch" + (f", as {role}" if role else ""))
     if not _may_command(client):
         fix = "ask the robot's owner for a certificate: hexapod-gateway certs issue NAME --role operator"
-        return state, [watching, Finding(Step.ROLE, f"you may not command, as {role or 'nobody in particular'}", fix)]
-    commanding = Finding(Step.ROLE, "you may command" + (f", as {role}" if role else ""))
-    return state, [commanding, Finding(Step.GATEWAY, f"answers, and is {state.mode}")]
+        return state, [
+            watching,
+            Finding(Stage.ROLE, f"you may not command, as {role or 'nobody in particular'}", fix),
+        ]
+    commanding = Finding(Stage.ROLE, "you may command" + (f", as {role}" if role else ""))
+    return state, [commanding, Finding(Stage.GATEWAY, f"answers, and is {state.mode}")]
 
 
 def _nobody(role: str, *, ended: bool) -> Finding:
     """`ended`: the connection that was open is not any more, as the robot does with the revoked."""
     if role and role.partition(".")[0] not in LAPTOP_ROLES:
         fix = "get a laptop's from the robot's owner: hexapod-gateway certs issue NAME --role operator"
-        return Finding(Step.ROLE, f"the connection is open, but your certificate is of {role}, which is no role", fix)
+        return Finding(Stage.ROLE, f"the connection is open, but your certificate is of {role}, which is no role", fix)
     if role and ended:
         sentence = (
             "the connection was open, and the robot ended it: your certificate is revoked, or its places are taken"
@@ -69,9 +72,9 @@ def _nobody(role: str, *, ended: bool) -> Finding:
             "where ca.key is, hexapod-gateway certs list says whether it is revoked, and hexapod-gateway certs issue "
             "NAME --role operator makes another; bring its files here"
         )
-        return Finding(Step.ROLE, sentence, fix)
+        return Finding(Stage.ROLE, sentence, fix)
     fix = "does it run behind this router, and with this namespace? See its journal (journalctl -u hexapod-gateway)"
-    return Finding(Step.GATEWAY, "the connection is open, but no gateway answers there", fix)
+    return Finding(Stage.GATEWAY, "the connection is open, but no gateway answers there", fix)
 
 
 def _may_command(client: Client) -> bool:

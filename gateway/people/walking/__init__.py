@@ -7,8 +7,8 @@ falls silent. `Walker` below it decides where the legs go; `Engine` is the gait,
 from gateway.people.walking.distance import Distance
 from gateway.people.walking.engine import Engine, Odometry, Posture
 from gateway.people.walking.gaits import GAITS, Gait
-from gateway.people.walking.motion import STILL, Body, Velocity
-from gateway.people.walking.ride import USUAL, Do, Phase, Ride, Silences, Step, Wish
+from gateway.people.walking.motion import STILL, BodyPose, Velocity
+from gateway.people.walking.ride import USUAL_SILENCES, Phase, Ride, RideStep, RideTask, Silences, Wish
 from gateway.people.walking.robot import Pose, Range, Robot, Stance
 from gateway.people.walking.walker import DOWN, HOLD_S, LONGEST_S, REST_S, Walker, WalkState
 from gateway.people.walking.words import lease_lost, robot_now
@@ -20,10 +20,9 @@ __all__ = [
     "LONGEST_S",
     "REST_S",
     "STILL",
-    "USUAL",
-    "Body",
+    "USUAL_SILENCES",
+    "BodyPose",
     "Distance",
-    "Do",
     "Engine",
     "Gait",
     "Odometry",
@@ -32,10 +31,11 @@ __all__ = [
     "Posture",
     "Range",
     "Ride",
+    "RideStep",
+    "RideTask",
     "Robot",
     "Silences",
     "Stance",
-    "Step",
     "Velocity",
     "WalkState",
     "Walker",

@@ -19,7 +19,7 @@ from typing import Final, NamedTuple, Self
 from gateway.errors import WalkError
 from gateway.geometry.kinematics import Vector
 from gateway.people.walking import gaits
-from gateway.people.walking.motion import STILL, Body, Velocity, carried, travelled
+from gateway.people.walking.motion import STILL, BodyPose, Velocity, carried, travelled
 from gateway.people.walking.planning import Planner, balanced
 from gateway.people.walking.robot import LIFT_M, Pose, Robot, Stance
 from gateway.people.walking.ways import ON_GROUND_M, Figure, Shift, across, between, lowered, outward, up
@@ -117,7 +117,7 @@ class Engine:
         self.robot = robot
         self.gait_name, self._gait = gait, gaits.gait(gait)
         self._next_gait: str | None = None
-        self._stance = robot.stance(Body(robot.usual_m))
+        self._stance = robot.stance(BodyPose(robot.usual_m))
         self._planner = Planner(robot)
         self.commanded = STILL
         self.scaled = STILL
@@ -129,7 +129,7 @@ class Engine:
         self._pace = 1.0
         self._cap: tuple[object, float] = (None, 1.0)
         self._wanted: deque[Stance | None] = deque(maxlen=1)
-        self._state = _State(Body(0.0), {}, {}, odometry=odometry)
+        self._state = _State(BodyPose(0.0), {}, {}, odometry=odometry)
         self.find(angles_deg or {})
 
     # ---- what it is asked for
@@ -272,7 +272,7 @@ class Engine:
         return self._stance
 
     @property
-    def body(self) -> Body:
+    def body(self) -> BodyPose:
         """The body's pose above the ground."""
         return self._state.body
 

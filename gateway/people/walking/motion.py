@@ -65,7 +65,7 @@ def carried(point: Vector, velocity: Velocity, seconds: float) -> Vector:
     return cosine * ahead + sine * aside, cosine * aside - sine * ahead, point[2]
 
 
-class Body(NamedTuple):
+class BodyPose(NamedTuple):
     """The body's pose above the ground: how high its frame's origin is, and how it leans."""
 
     height_m: float
@@ -88,8 +88,8 @@ class Body(NamedTuple):
         x, y, z = apply(turn, point)
         return x, y, z + self.height_m
 
-    def towards(self, other: "Body", part: float) -> "Body":
+    def towards(self, other: "BodyPose", part: float) -> "BodyPose":
         """The pose between the two: `part` is 0 here and 1 there."""
         pairs = zip(self, other, strict=True)
         height_m, roll_rad, pitch_rad = (a + (b - a) * part for a, b in pairs)
-        return Body(height_m, roll_rad, pitch_rad)
+        return BodyPose(height_m, roll_rad, pitch_rad)

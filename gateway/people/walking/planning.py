@@ -7,7 +7,7 @@ from typing import Final
 
 from gateway.errors import WalkError
 from gateway.people.walking.gaits import TRIPODS
-from gateway.people.walking.motion import Body
+from gateway.people.walking.motion import BodyPose
 from gateway.people.walking.robot import LIFT_M, Pose, Robot, Stance
 from gateway.people.walking.stability import MARGIN_M, centre_of_mass, margin_m
 from gateway.people.walking.ways import ON_GROUND_M, Bend, Figure, Move, Shift, lowered, shift, steps
@@ -27,7 +27,7 @@ class Planner:
     def __init__(self, robot: Robot) -> None:
         """Raises WalkError where it cannot sit."""
         self._robot = robot
-        self._seat = robot.stance(Body(robot.lying_m), walks=False)
+        self._seat = robot.stance(BodyPose(robot.lying_m), walks=False)
         feet = {leg: (x, y, RAISED_M) for leg, (x, y, _) in self._seat.feet.items()}
         self._rest = Figure(self._seat.body, feet, {}, sits=True)
         self._rest.place(robot, LEGS)
@@ -43,7 +43,7 @@ class Planner:
             return self._rest.copy()
         robot, whole = self._robot, {**self._rest.pose, **pose}
         points = {leg: robot.foot_m(leg, angles) for leg, angles in whole.items()}
-        body = Body(-min(point[2] for point in points.values()))
+        body = BodyPose(-min(point[2] for point in points.values()))
         turn = body.turn
         feet = {leg: body.grounded(point, turn) for leg, point in points.items()}
         stand = [leg for leg in LEGS if feet[leg][2] < ON_GROUND_M]
@@ -78,15 +78,15 @@ class Planner:
         needed = list(steps(down, goal.feet))
         heights_m = (self._robot.usual_m, goal.body.height_m, body.height_m, (goal.body.height_m + body.height_m) / 2)
         for height_m in dict.fromkeys(heights_m):
-            level = Body(height_m) if needed else goal.body
+            level = BodyPose(height_m) if needed else goal.body
             yield [*begin, *shift(body, level), *needed, *shift(level, goal.body)]
         try:
-            near = self._robot.stance(Body(body.height_m), walks=False)
+            near = self._robot.stance(BodyPose(body.height_m), walks=False)
         except WalkError:
             return
         bent = list(self._bent(figure.pose, near))
         for height_m in dict.fromkeys(heights_m):
-            level = Body(height_m)
+            level = BodyPose(height_m)
             further = list(steps(near.feet, goal.feet))
             yield [*bent, *shift(near.body, level), *further, *shift(level, goal.body)]
 

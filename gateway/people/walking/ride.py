@@ -6,7 +6,7 @@ does what that returns, and reports what became of it: `sent`, `found`, `stopped
 | phase | what runs | leaves it by |
 |---|---|---|
 | RESTS | nothing | a word: STARTS |
-| STARTS | legs that ran already, and one more each `START_S`; no leg that runs moves | the sixth: RUNS |
+| STARTS | legs that ran already, and one more each `START_PAUSE_S`; no leg that runs moves | the sixth: RUNS |
 | RUNS | all six, by the walker | silence, and it lies: ENDS |
 | HALTED | some; somebody has stopped the others. Feet in the air are put down, and nothing moves | `start_again` |
 | FAILED | nothing is sent; the gateway's watchdog stops what runs | `start_again` |
@@ -27,12 +27,12 @@ from typing import Final, NamedTuple
 from gateway.errors import GatewayError, StoppedError, WalkError
 from gateway.people.walking.engine import ORIGIN, Odometry, Posture
 from gateway.people.walking.inverse import Angles
-from gateway.people.walking.motion import STILL, Body, Velocity
+from gateway.people.walking.motion import STILL, BodyPose, Velocity
 from gateway.people.walking.robot import Pose, Robot
 from gateway.people.walking.walker import DOWN, HOLD_S, REST_S, Walker, WalkState
 from schemas.robot import LEGS
 
-START_S: Final = 0.015
+START_PAUSE_S: Final = 0.015
 """Least pause between the starts of two legs: a servo draws most then. A tick of 50 Hz, less what it may come early."""
 _ALL: Final = frozenset(LEGS)
 
@@ -61,7 +61,7 @@ class Wish(NamedTuple):
     sits: bool = False
 
 
-USUAL: Final = Silences()
+USUAL_SILENCES: Final = Silences()
 
 
 class Phase(Enum):
@@ -75,7 +75,7 @@ class Phase(Enum):
     ENDS = auto()
 
 
-class Do(Enum):
+class RideTask(Enum):
     """What the shell does next."""
 
     WAIT = auto()
@@ -91,10 +91,10 @@ class Do(Enum):
 _NO_LEGS: Final[Pose] = {}
 
 
-class Step(NamedTuple):
+class RideStep(NamedTuple):
     """What to do, and when to look again."""
 
-    do: Do
+    do: RideTask
     pose: Pose = _NO_LEGS
     look_s: float = math.inf
 
@@ -107,7 +107,7 @@ class Ride:
         robot: Robot,
         gait: str = "tripod",
         running: Pose | None = None,
-        silences: Silences = USUAL,
+        silences: Silences = USUAL_SILENCES,
         *,
         once: bool = False,
         now_s: float = 0.0,
@@ -155,7 +155,7 @@ class Ride:
         self._walker.go(velocity, now_s)
         self._wanted(now_s)
 
-    def stand(self, body: Body | None, now_s: float) -> None:
+    def stand(self, body: BodyPose | None, now_s: float) -> None:
         """End the walk, and stand so (None: as before)."""
         self._check()
         engine = self._walker.engine
@@ -203,27 +203,27 @@ class Ride:
 
     # ---- what the shell does
 
-    def next(self, now_s: float) -> Step:
+    def next(self, now_s: float) -> RideStep:
         """What to do now. A step that moves is taken by the walker."""
         self.look(now_s)
         if self._wants_again:
-            return Step(Do.STOP if self.phase is Phase.FAILED and self._ours else Do.FIND)
+            return RideStep(RideTask.STOP if self.phase is Phase.FAILED and self._ours else RideTask.FIND)
         pose = _NO_LEGS
         if self.phase in (Phase.RUNS, Phase.HALTED):
             pose = self._walker.tick(now_s)
             self.look(now_s)  # it may have sat down by this
         elif self.phase is Phase.STARTS and not self._found:
-            return Step(Do.FIND)
+            return RideStep(RideTask.FIND)
         elif self.phase is Phase.STARTS:
             pose = self._next_start(now_s)
         match self.phase:
             case Phase.ENDS:
-                return Step(Do.STOP)
+                return RideStep(RideTask.STOP)
             case Phase.RESTS | Phase.FAILED:
                 waits = self.phase is Phase.RESTS and not self.over
-                return Step(Do.WAIT, look_s=self._said_s + self._silences.rest_s if waits else math.inf)
+                return RideStep(RideTask.WAIT, look_s=self._said_s + self._silences.rest_s if waits else math.inf)
         self._ours = True
-        return Step(Do.SEND, pose)
+        return RideStep(RideTask.SEND, pose)
 
     def look(self, now_s: float) -> None:
         """Notice a silence. Once it is over its legs are to be stopped, if any run."""
@@ -337,7 +337,7 @@ class Ride:
         return self._walker.engine.robot
 
     @property
-    def body(self) -> Body:
+    def body(self) -> BodyPose:
         """In which it stands and walks."""
         return self._walker.engine.stance.body
 
@@ -374,13 +374,13 @@ class Ride:
         if wish.gait != (self._walker.engine.gait_name if before is None else before.gait):
             self._walker.walk_as(wish.gait, now_s)
         if before is None or self._walker.sits or wish.height_m != before.height_m:
-            self.stand(Body(self.robot.usual_m if wish.height_m is None else wish.height_m), now_s)
+            self.stand(BodyPose(self.robot.usual_m if wish.height_m is None else wish.height_m), now_s)
         self.go(wish.velocity, now_s)
 
     def _next_start(self, now_s: float) -> Pose:
         legs = self._running
         missing = sorted(_ALL - legs)
-        if missing and now_s - self._started_s >= START_S:
+        if missing and now_s - self._started_s >= START_PAUSE_S:
             self._started_s = now_s
             legs |= {missing[0]}
         pose = self._walker.engine.whole_pose

@@ -11,7 +11,7 @@ from gateway.geometry import MAX_SPEED_DEG_S, Geometry
 from gateway.geometry.kinematics import Vector
 from gateway.geometry.urdf import BODY_HEIGHT_M
 from gateway.people.walking.inverse import Angles, Limb
-from gateway.people.walking.motion import Body
+from gateway.people.walking.motion import BodyPose
 from schemas.calibration import Calibration
 from schemas.robot import JOINTS, LEGS, SERVO_IDS
 from schemas.telemetry import LimitsReport, ServoLimitsReport
@@ -36,7 +36,7 @@ class Range(NamedTuple):
 class Stance(NamedTuple):
     """A body's pose, where its feet rest below it, and how far each may go from there."""
 
-    body: Body
+    body: BodyPose
     feet: Mapping[int, Vector]
     """In the ground frame."""
     radius_m: float
@@ -109,7 +109,7 @@ class Robot:
         """Where the foot is in the body's frame."""
         return self.limbs[leg].forward(self.joints_rad(leg, angles_deg)).foot_m
 
-    def _stance(self, body: Body, *, walks: bool = True) -> Stance:
+    def _stance(self, body: BodyPose, *, walks: bool = True) -> Stance:
         """Where its feet rest at this pose, so that they reach far around. Raises WalkError where they cannot.
 
         With `walks` they need room for a stride; without, they need only stand.
@@ -147,7 +147,7 @@ class Robot:
             for leg in LEGS
         }
 
-    def _radius_m(self, body: Body, feet: Mapping[int, Vector], most_m: float) -> float:
+    def _radius_m(self, body: BodyPose, feet: Mapping[int, Vector], most_m: float) -> float:
         """The radius below `most_m` within which all feet reach."""
         low, high = 0.0, most_m
         for _ in range(_HALVINGS):
@@ -160,7 +160,7 @@ class Robot:
                 low = middle
         return low
 
-    def _check(self, body: Body, feet: Mapping[int, Vector], radius_m: float) -> None:
+    def _check(self, body: BodyPose, feet: Mapping[int, Vector], radius_m: float) -> None:
         turn = body.turn
         for leg, (x, y, _) in feet.items():
             for across, along in _DIRECTIONS if radius_m else _DIRECTIONS[:1]:
@@ -190,7 +190,7 @@ class Robot:
         )
 
 
-def _pose(body: Body) -> str:
+def _pose(body: BodyPose) -> str:
     leaning = f", leaning {body.roll_rad:g} and {body.pitch_rad:g} rad" if body.roll_rad or body.pitch_rad else ""
     return f"{body.height_m:g} m high{leaning}"
 

@@ -11,7 +11,7 @@ from typing import Final
 from gateway.geometry.kinematics import Vector, plus
 from gateway.geometry.masses import MASSES, Masses
 from gateway.people.walking.inverse import Angles
-from gateway.people.walking.motion import Body
+from gateway.people.walking.motion import BodyPose
 from gateway.people.walking.robot import Robot
 from gateway.people.walking.vectors import scaled
 
@@ -21,7 +21,7 @@ MARGIN_M: Final = 0.010
 """How far inside the polygon the centre of mass stays."""
 
 
-def centre_of_mass(robot: Robot, body: Body, joints_rad: Mapping[int, Angles], masses: Masses = MASSES) -> Vector:
+def centre_of_mass(robot: Robot, body: BodyPose, joints_rad: Mapping[int, Angles], masses: Masses = MASSES) -> Vector:
     """In the ground frame, in metres."""
     mounts = [mount.xyz_m for mount in robot.geometry.leg_mounts.values()]
     low, high = (tuple(limit(axis) for axis in zip(*mounts, strict=True)) for limit in (min, max))

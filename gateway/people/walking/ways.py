@@ -9,7 +9,7 @@ from typing import Final, NamedTuple, Self
 from gateway.geometry.kinematics import Vector
 from gateway.people.walking.gaits import TRIPODS
 from gateway.people.walking.inverse import Angles
-from gateway.people.walking.motion import Body
+from gateway.people.walking.motion import BodyPose
 from gateway.people.walking.robot import LIFT_M, Robot
 from schemas.robot import LEGS
 
@@ -32,19 +32,19 @@ _THERE_M: Final = 0.005
 class Shift(NamedTuple):
     """The body goes to another pose above feet that stand."""
 
-    begin: Body
-    end: Body
+    begin: BodyPose
+    end: BodyPose
 
     @property
     def seconds(self) -> float:
         rise_m, roll, pitch = (abs(b - a) for a, b in zip(self.begin, self.end, strict=True))
         return max(_LEAST_S, rise_m / _SINK_M_S, max(roll, pitch) / _LEAN_RAD_S)
 
-    def at(self, part: float) -> Body:
+    def at(self, part: float) -> BodyPose:
         return self.begin.towards(self.end, smooth(part))
 
 
-class Step(NamedTuple):
+class Footsteps(NamedTuple):
     """Some feet go to other places at the same time: at most three, unless the body lies on the ground."""
 
     paths: Mapping[int, tuple[Vector, Vector]]
@@ -61,7 +61,7 @@ class Bend(NamedTuple):
     """Some legs go from one pose to another, each servo straight to its angle."""
 
     paths: Mapping[int, tuple[Angles, Angles]]
-    then: Body | None = None
+    then: BodyPose | None = None
     """The body's pose from its end on, where that is known only then."""
 
     @property
@@ -73,14 +73,14 @@ class Bend(NamedTuple):
         return between(*self.paths[leg], smooth(part))
 
 
-Move = Shift | Step | Bend
+Move = Shift | Footsteps | Bend
 
 
 @dataclass(slots=True)
 class Figure:
     """Where a robot's body, feet (in the ground frame) and joints (in degrees) are, and which way it is on."""
 
-    body: Body
+    body: BodyPose
     feet: dict[int, Vector]
     pose: dict[int, Angles]
     moves: tuple[Move, ...] = ()
@@ -99,7 +99,7 @@ class Figure:
         if isinstance(move, Shift):
             self.body = move.at(part)
             self.place(robot, LEGS)
-        elif isinstance(move, Step):
+        elif isinstance(move, Footsteps):
             self.feet |= {leg: move.at(leg, part) for leg in move.paths}
             self.place(robot, move.paths)
         else:
@@ -117,7 +117,7 @@ class Figure:
             self.pose[leg] = robot.angles_deg(leg, self.body.seen(self.feet[leg], turn))
 
 
-def steps(feet: Mapping[int, Vector], places: Mapping[int, Vector]) -> Iterator[Step]:
+def steps(feet: Mapping[int, Vector], places: Mapping[int, Vector]) -> Iterator[Footsteps]:
     """Three feet at a time to their places; those that are there already stay."""
     for tripod in TRIPODS:
         paths = {
@@ -126,10 +126,10 @@ def steps(feet: Mapping[int, Vector], places: Mapping[int, Vector]) -> Iterator[
             if leg in feet and math.dist(feet[leg], places[leg]) > _THERE_M
         }
         if paths:
-            yield Step(paths)
+            yield Footsteps(paths)
 
 
-def shift(begin: Body, end: Body) -> Iterator[Shift]:
+def shift(begin: BodyPose, end: BodyPose) -> Iterator[Shift]:
     """Nothing, where the body is there already."""
     if begin != end:
         yield Shift(begin, end)
@@ -181,6 +181,8 @@ def between(begin: Vector, end: Vector, part: float) -> Vector:
     return a * rest + d * part, b * rest + e * part, c * rest + f * part
 
 
-def lowered(feet: Mapping[int, Vector], legs: Iterable[int]) -> Step:
+def lowered(feet: Mapping[int, Vector], legs: Iterable[int]) -> Footsteps:
     """Those feet straight down to the ground."""
-    return Step({leg: (feet[leg], (feet[leg][0], feet[leg][1], 0.0)) for leg in legs}, lift_m=0.0, seconds=STEP_S / 2)
+    return Footsteps(
+        {leg: (feet[leg], (feet[leg][0], feet[leg][1], 0.0)) for leg in legs}, lift_m=0.0, seconds=STEP_S / 2
+    )

@@ -5,10 +5,11 @@ from typing import cast
 
 import pytest
 
-from gateway.client import Client, RejectedError
-from gateway.people.client.button import LIFE, TRIES, Button
+from gateway.client import RejectedError
+from gateway.people.client.button import LIFE, REGISTRATION_TRIES, Button
+from gateway.people.client.requests import ButtonRequests
 from schemas.button import ButtonAck
-from schemas.telemetry import Reason
+from schemas.telemetry import Ack, Reason
 
 TIMEOUT_MS = 1000.0
 
@@ -46,13 +47,8 @@ def requests(monkeypatch: pytest.MonkeyPatch) -> Requests:
     return made
 
 
-@dataclass
-class FakeClient:
-    button_requests: Requests
-
-
 def button(requests: Requests) -> Button:
-    return Button(cast(Client, FakeClient(requests)), None)
+    return Button(cast(ButtonRequests, requests), lambda _: Ack(accepted=True), None)
 
 
 def test_it_registers_anew_before_its_clock_may_have_fallen_behind(requests: Requests) -> None:
@@ -85,7 +81,7 @@ def test_a_registration_that_was_held_back_does_not_count(requests: Requests) ->
     with pytest.raises(RejectedError, match="stale") as error:
         kitchen.register()
     assert error.value.reason == Reason.STALE
-    assert requests.asked == ["register"] * TRIES
+    assert requests.asked == ["register"] * REGISTRATION_TRIES
     requests.takes_s = 0.5
     kitchen.alive()
-    assert requests.asked[TRIES:] == ["register", f"alive token {TRIES + 1} 1"]
+    assert requests.asked[REGISTRATION_TRIES:] == ["register", f"alive token {REGISTRATION_TRIES + 1} 1"]

@@ -4,10 +4,17 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import Bundle, RuleBasedStateMachine, consumes, invariant, precondition, rule
 
-from gateway.people.client.confirmed_stop import AGAIN_NS, AT_ONCE, MAX_PRESSES, ConfirmedStop, Press, Request
+from gateway.people.client.confirmed_stop import (
+    AGAIN_NS,
+    MAX_PRESSES,
+    REQUESTS_AT_ONCE,
+    ConfirmedStop,
+    Press,
+    StopRequest,
+)
 
 AnyPress = Press[str, str]
-AnyRequest = Request[str]
+AnyRequest = StopRequest[str]
 
 
 class Stop(ConfirmedStop[str, str]):
@@ -97,13 +104,13 @@ def test_one_answer_confirms_all_that_was_pressed_before_its_request_and_the_nex
 
 def test_beyond_those_at_once_the_newest_is_asked_for_as_soon_as_one_has_ended() -> None:
     stop = Stop()
-    requests = [stop.asked(number) for number in range(AT_ONCE)]
-    stop.presses(AT_ONCE, 5)
-    stop.presses(AT_ONCE + 1, 6)
+    requests = [stop.asked(number) for number in range(REQUESTS_AT_ONCE)]
+    stop.presses(REQUESTS_AT_ONCE, 5)
+    stop.presses(REQUESTS_AT_ONCE + 1, 6)
     assert (stop.due_ns, stop.begin(7)) == (None, None)
     stop.ended(requests[0], 8, answered=False)
     request = stop.begins(8)
-    assert ids(stop.ended(request, 9, answered=True)) == list(range(AT_ONCE + 2))
+    assert ids(stop.ended(request, 9, answered=True)) == list(range(REQUESTS_AT_ONCE + 2))
 
 
 def test_two_that_fail_at_the_same_moment_do_not_leave_it_to_each_other() -> None:
@@ -185,7 +192,7 @@ class AnyOrder(RuleBasedStateMachine):
         self.stop = ConfirmedStop[str, int]()
         self.now_ns = 0
         self.pressed: list[Press[str, int]] = []
-        self.before: dict[Request[int], int] = {}
+        self.before: dict[StopRequest[int], int] = {}
         """How many presses there were when it began."""
 
     @rule(page=pages)
@@ -199,7 +206,7 @@ class AnyOrder(RuleBasedStateMachine):
 
     @rule(target=under_way)
     @precondition(lambda self: self.stop.due_ns is not None and self.stop.due_ns <= self.now_ns)
-    def begin(self) -> Request[int]:
+    def begin(self) -> StopRequest[int]:
         request = self.stop.begin(self.now_ns)
         assert request is not None, "it was due"
         assert request.what == self.pressed[-1].id
@@ -207,7 +214,7 @@ class AnyOrder(RuleBasedStateMachine):
         return request
 
     @rule(request=consumes(under_way), answered=st.booleans())
-    def end(self, request: Request[int], answered: bool) -> None:
+    def end(self, request: StopRequest[int], answered: bool) -> None:
         before = self.before.pop(request)
         waited = self.stop.ended(request, self.now_ns, answered=answered)
         assert all(press.number <= before for press in waited), "an answer counts only for a press before its request"
@@ -236,11 +243,15 @@ class AnyOrder(RuleBasedStateMachine):
         assert self.stop.since_ns is not None, "the newest press is never given up"
         confirms = any(before == len(self.pressed) for before in self.before.values())
         due_ns = self.stop.due_ns
-        assert confirms or len(self.before) == AT_ONCE or (due_ns is not None and due_ns <= self.now_ns + AGAIN_NS)
+        assert (
+            confirms
+            or len(self.before) == REQUESTS_AT_ONCE
+            or (due_ns is not None and due_ns <= self.now_ns + AGAIN_NS)
+        )
 
     @invariant()
     def bounded(self) -> None:
-        assert len(self.before) <= AT_ONCE
+        assert len(self.before) <= REQUESTS_AT_ONCE
 
     def teardown(self) -> None:
         """Whatever came before: once the gateway answers, every press is confirmed."""

@@ -6,7 +6,7 @@ from collections.abc import AsyncIterator
 import pytest
 
 from gateway.errors import DisconnectedError
-from gateway.people.client.confirmed_stop import AGAIN_NS, AT_ONCE
+from gateway.people.client.confirmed_stop import AGAIN_NS, REQUESTS_AT_ONCE
 from gateway.people.console.messages import Stopping
 from gateway.people.console.outgoing import Outgoing
 from gateway.people.console.stops import Stops, send_stopping
@@ -142,14 +142,14 @@ async def test_a_press_outlives_its_page(robot: Robot) -> None:
 
 async def test_a_press_waits_for_no_earlier_request(robot: Robot) -> None:
     stops, page = Stops(robot.estop, send_stopping), Page()
-    for number in range(AT_ONCE + 1):
+    for number in range(REQUESTS_AT_ONCE + 1):
         stops.press(page, number, None)
         await turns()
-    assert len(robot.requests) == AT_ONCE
+    assert len(robot.requests) == REQUESTS_AT_ONCE
     await robot.answer(0)
-    assert len(robot.requests) == AT_ONCE + 1
-    await robot.answer(AT_ONCE)
-    assert page.answered() == list(range(AT_ONCE + 1))
+    assert len(robot.requests) == REQUESTS_AT_ONCE + 1
+    await robot.answer(REQUESTS_AT_ONCE)
+    assert page.answered() == list(range(REQUESTS_AT_ONCE + 1))
 
 
 async def test_where_it_lasts_for_a_time_it_ends_with_the_last_failure(robot: Robot) -> None:

@@ -11,7 +11,8 @@ import zenoh
 from pydantic import BaseModel
 
 from gateway.client import Client
-from gateway.people.client.live import KEPT_EVENTS, Live, OnLoop, Order, Receiver, ReportQueue, Starts
+from gateway.people.client.live import Live, OnLoop, Order, Receiver, ReportQueue, Starts
+from gateway.people.client.subscriptions import KEPT_EVENTS
 from schemas.keys import EVENT, STATE
 from schemas.telemetry import BodyReport, Event, GatewayState, Kind
 from tests.support.watch_reports import WALL, event, state

@@ -6,20 +6,20 @@ import random
 import pytest
 
 from gateway.people.client import pace as pace_module
-from gateway.people.client.pace import LATE, LOOK_S, MOST_DEG, SILENCE_S, Doubt, Pace, Radians, thins
+from gateway.people.client.pace import LATE_PART, MOST_DEG, RADIANS_S, SILENCE_S, Doubt, Radians, SetpointPace, thins
 
 BEGUN_S = 1000.0
 PERIOD_S = 0.02
 
 
-def begun() -> Pace:
-    pace = Pace(1 / PERIOD_S)
+def begun() -> SetpointPace:
+    pace = SetpointPace(1 / PERIOD_S)
     pace.begin(BEGUN_S)
     return pace
 
 
 def test_before_the_first_nothing_is_due() -> None:
-    pace = Pace(50)
+    pace = SetpointPace(50)
     assert pace.next_s(7.0) == 7.0
     assert pace.missed == 0
 
@@ -55,8 +55,8 @@ def test_after_any_stalls_there_is_no_burst_and_no_drift() -> None:
         due_s = pace.next_s(ready_s)
         sent_s.append(max(ready_s, due_s))
         assert due_s == pytest.approx(BEGUN_S + (len(sent_s) - 1 + pace.missed) * PERIOD_S, abs=1e-6)
-        assert sent_s[-1] - due_s <= LATE * PERIOD_S + 1e-6
-        assert sent_s[-1] - sent_s[-2] >= (1 - LATE) * PERIOD_S - 1e-6
+        assert sent_s[-1] - due_s <= LATE_PART * PERIOD_S + 1e-6
+        assert sent_s[-1] - sent_s[-2] >= (1 - LATE_PART) * PERIOD_S - 1e-6
     assert pace.missed > 1000
 
 
@@ -127,10 +127,14 @@ def test_how_much_is_left_out() -> None:
 
 def test_radians_are_suspected_once_and_never_of_a_program_that_has_sent_degrees() -> None:
     radians = Radians()
-    assert [radians.suspected([(MOST_DEG, 0.0)], now_s) for now_s in (0.0, LOOK_S, LOOK_S + 1)] == [False, True, False]
+    assert [radians.suspected([(MOST_DEG, 0.0)], now_s) for now_s in (0.0, RADIANS_S, RADIANS_S + 1)] == [
+        False,
+        True,
+        False,
+    ]
     degrees = Radians()
     assert not any(degrees.suspected([(angle,)], now_s) for angle, now_s in ((MOST_DEG + 0.01, 0), (1, 9), (1, 99)))
     late = Radians()
     late.suspected([(1.0,)], 0.0)
     late.suspected([(90.0,)], 0.1)
-    assert not late.suspected([(1.0,)], LOOK_S)
+    assert not late.suspected([(1.0,)], RADIANS_S)

@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 
 from gateway.people.console.walking import SILENCES as PAGE
 from gateway.people.tools.walk import screen
-from gateway.people.walking import STILL, USUAL, Do, Phase, Posture, Ride, Silences, Velocity, Wish
-from gateway.people.walking.motion import Body
+from gateway.people.walking import STILL, USUAL_SILENCES, Phase, Posture, Ride, RideTask, Silences, Velocity, Wish
+from gateway.people.walking.motion import BodyPose
 from schemas.robot import LEGS
 from tests.support.ridden import ROBOT, TICK_S, Ridden, standing
 
@@ -27,7 +27,7 @@ def moved(ridden: Ridden, before: int) -> bool:
 # ---- a program
 
 
-@pytest.mark.parametrize("silences", [USUAL, Silences(hold_s=1.0, rest_s=3.0)], ids=["usual", "set"])
+@pytest.mark.parametrize("silences", [USUAL_SILENCES, Silences(hold_s=1.0, rest_s=3.0)], ids=["usual", "set"])
 def test_a_program_that_falls_silent_stands_then_sits_then_is_stopped(silences: Silences) -> None:
     """Each within a tick of its time: what is longer heats the servos, what is shorter stops a program that pauses."""
     ridden = standing(silences)
@@ -49,7 +49,7 @@ def test_a_program_that_falls_silent_stands_then_sits_then_is_stopped(silences: 
 
 def test_a_word_in_time_is_no_silence_and_the_way_to_a_posture_neither() -> None:
     ridden = Ridden(Silences(hold_s=0.5, rest_s=1.0))
-    ridden.ride.stand(Body(0.18), ridden.now_s)
+    ridden.ride.stand(BodyPose(0.18), ridden.now_s)
     ridden.until(lambda: ridden.posture is Posture.STANDING)
     for _ in range(10):
         ridden.run(0.9)
@@ -75,22 +75,22 @@ def test_its_own_rest_is_no_stop_of_anybodys_and_the_next_word_goes_on() -> None
 def test_a_word_while_the_rests_stops_are_sent_goes_on_behind_them() -> None:
     ridden = standing(Silences(rest_s=1.0))
     ridden.until(lambda: ridden.ride.over)
-    assert ridden.ride.next(ridden.now_s).do is Do.WAIT
+    assert ridden.ride.next(ridden.now_s).do is RideTask.WAIT
     other = standing(Silences(rest_s=1.0))
     step = other.ride.next(other.now_s)
-    while step.do is Do.SEND:
+    while step.do is RideTask.SEND:
         other.now_s += TICK_S
         step = other.ride.next(other.now_s)
-    assert step.do is Do.STOP
+    assert step.do is RideTask.STOP
     other.ride.stand(None, other.now_s)
     other.ride.ended()
-    assert other.ride.next(other.now_s).do is Do.FIND
+    assert other.ride.next(other.now_s).do is RideTask.FIND
 
 
 def test_at_rest_it_says_when_to_look_again() -> None:
     ridden = Ridden(Silences(rest_s=3.0))
     step = ridden.tick()
-    assert step.do is Do.WAIT
+    assert step.do is RideTask.WAIT
     assert step.look_s == pytest.approx(103.0)
     ridden.wait(3.0)
     assert ridden.tick().look_s == float("inf")
@@ -163,7 +163,7 @@ def held(velocity: Velocity = AHEAD, silences: Silences = PAGE) -> Pad:
 
 def test_each_driver_has_the_silences_that_its_docs_state() -> None:
     assert (PAGE.hold_s, PAGE.rest_s, PAGE.idle_s, PAGE.halted_s) == (0.25, 5.0, 60.0, 5.25)
-    assert (USUAL.hold_s, USUAL.rest_s) == (0.5, 10.0)
+    assert (USUAL_SILENCES.hold_s, USUAL_SILENCES.rest_s) == (0.5, 10.0)
     assert (screen.HOLD_S, screen.REST_S) == (0.25, 60.0)
 
 

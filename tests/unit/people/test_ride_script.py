@@ -7,7 +7,7 @@ import pytest
 
 from gateway.people.tools.walk.script import AtOnce, End, go
 from gateway.people.walking import Posture, Velocity, WalkState
-from gateway.people.walking.motion import Body
+from gateway.people.walking.motion import BodyPose
 from tests.support.ridden import Ridden
 
 AHEAD: Final = Velocity(0.1)
@@ -34,7 +34,7 @@ class Walked:
         self._ticked(self)
 
     def stand(self, height_m: float | None = None, *, wait: bool = True) -> None:
-        self.ridden.ride.stand(None if height_m is None else Body(height_m), self.ridden.now_s)
+        self.ridden.ride.stand(None if height_m is None else BodyPose(height_m), self.ridden.now_s)
         if wait:
             self.ridden.until(lambda: self.ridden.posture is Posture.STANDING)
 

@@ -6,7 +6,7 @@ from queue import SimpleQueue
 import pytest
 
 from gateway.errors import DisconnectedError
-from gateway.people.client.confirmed_stop import AT_ONCE
+from gateway.people.client.confirmed_stop import REQUESTS_AT_ONCE
 from gateway.people.client.stops import UntilConfirmed
 from schemas.telemetry import Ack
 
@@ -67,7 +67,7 @@ def test_a_press_waits_for_no_earlier_request_and_finds_a_thread_where_there_are
 
     gateway = Gateway()
     monkeypatch.setattr(threading.Thread, "start", start)
-    requests = [gateway.pressed() for _ in range(AT_ONCE)]
+    requests = [gateway.pressed() for _ in range(REQUESTS_AT_ONCE)]
     gateway.stops.press()
     requests[0].put(STOPPED)
     requests.append(gateway.asked())

@@ -14,7 +14,7 @@ from gateway.errors import WalkError
 from gateway.geometry import load
 from gateway.people.walking import GAITS, STILL, Engine, Posture, Range, Robot, Velocity
 from gateway.people.walking.gaits import gait, phase
-from gateway.people.walking.motion import Body
+from gateway.people.walking.motion import BodyPose
 from gateway.people.walking.robot import check_mirrored_once
 from gateway.robot.settings import load as load_settings
 from schemas.calibration import Calibration
@@ -152,9 +152,9 @@ def test_a_tick_that_comes_late_makes_no_leap() -> None:
 def test_a_height_that_the_legs_cannot_reach_is_an_error_that_says_why() -> None:
     for height_m in (0.02, 0.4, -1.0):
         with pytest.raises(WalkError, match="it cannot stand"):
-            robot("default").stance(Body(height_m))
+            robot("default").stance(BodyPose(height_m))
     with pytest.raises(WalkError, match="are finite numbers"):
-        robot("default").stance(Body(math.nan))
+        robot("default").stance(BodyPose(math.nan))
 
 
 @pytest.mark.parametrize(

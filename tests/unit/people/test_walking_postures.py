@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from gateway.geometry import load
 from gateway.people.walking import STILL, Engine, Posture, Robot, Velocity, Walker
-from gateway.people.walking.motion import Body
+from gateway.people.walking.motion import BodyPose
 from gateway.people.walking.ways import ON_GROUND_M
 from schemas.robot import LEGS
 from tests.support.walked import Walked, standing
@@ -22,9 +22,9 @@ leans = st.floats(-0.12, 0.12)
 angles = st.tuples(*[st.floats(0, 1)] * 3)
 
 
-def stance_or_none(height_m: float, roll_rad: float = 0.0, pitch_rad: float = 0.0) -> Body | None:
+def stance_or_none(height_m: float, roll_rad: float = 0.0, pitch_rad: float = 0.0) -> BodyPose | None:
     try:
-        return ROBOT.stance(Body(height_m, roll_rad, pitch_rad)).body
+        return ROBOT.stance(BodyPose(height_m, roll_rad, pitch_rad)).body
     except ValueError:
         return None
 

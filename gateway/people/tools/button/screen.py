@@ -8,8 +8,8 @@ from rich.text import Text
 
 from gateway.people.client.blocking import Client
 from gateway.people.client.button import Button
-from gateway.people.client.live import reports, subscribed
 from gateway.people.client.stops import UntilConfirmed
+from gateway.people.client.subscriptions import reports, subscribed
 from gateway.people.terminal import check_terminal, screen
 from gateway.people.tools.button.check_ins import CheckIns
 from gateway.people.tools.reach import Connection

@@ -9,7 +9,7 @@ from gateway.certs import expiry
 from gateway.errors import ConfigError, ZenohError
 from gateway.people.client import diagnosis
 from gateway.people.client.blocking import Client
-from gateway.people.client.diagnosis import Finding, Step
+from gateway.people.client.diagnosis import Finding, Stage
 from gateway.people.client.requests import Identity
 from gateway.people.tools import why
 from gateway.people.tools.check import holders, machine
@@ -37,7 +37,7 @@ def checks(connect: str | None, zenoh_config: Path | None, timeout_s: float) -> 
     for finding in diagnosis.own_certificates(identity, dt.datetime.now(dt.UTC)):
         yield _result(finding)
     if (soon := diagnosis.own_expiry(config)) is not None:
-        yield warning(Step.CERTIFICATE, soon, "hexapod-gateway certs renew, where ca.key is, and copy it here")
+        yield warning(Stage.CERTIFICATE, soon, "hexapod-gateway certs renew, where ca.key is, and copy it here")
     yield from holders.on_the_laptop(identity)
     try:
         client = Client(connect, zenoh_config=zenoh_config, source=_SOURCE, timeout_s=timeout_s, explain=False)
@@ -48,7 +48,7 @@ def checks(connect: str | None, zenoh_config: Path | None, timeout_s: float) -> 
         yield from _way(endpoints, identity, opened=True)
         state, allowed = why.allowed(client, identity)
     for finding in allowed:
-        observer = finding.fix and finding.step is Step.ROLE and len(allowed) > 1
+        observer = finding.fix and finding.step is Stage.ROLE and len(allowed) > 1
         yield _result(finding, Verdict.WARNING if observer else Verdict.FAILURE)
     if state is not None and state.certificate is not None:
         yield from _robots_certificate(state.certificate, state.time)
@@ -60,13 +60,13 @@ def _robots_certificate(certificate: CertificateReport, now: dt.datetime) -> Ite
     soon = expiry.soon(certificate.file, certificate.expires, now)
     if soon is not None:
         fix = "hexapod-gateway certs renew gateway, where ca.key is, copy it to the robot, and restart the service"
-        yield warning(Step.CERTIFICATE, f"the robot's {soon}", fix)
+        yield warning(Stage.CERTIFICATE, f"the robot's {soon}", fix)
 
 
 def _way(endpoints: list[str], identity: Identity, *, opened: bool) -> Iterator[Result]:
     for endpoint, findings in diagnosis.look_at_all(endpoints, identity).items():
         for finding in findings:
-            if opened and finding.step is Step.GATEWAY:
+            if opened and finding.step is Stage.GATEWAY:
                 continue  # that no gateway speaks TLS on a tcp/ port is no fault: the session is open
             said = f"{endpoint}: {finding.sentence}" if len(endpoints) > 1 else finding.sentence
             worst = Verdict.WARNING if opened else Verdict.FAILURE

@@ -22,7 +22,7 @@ from gateway.certs import expiry
 from gateway.errors import ConfigError, GatewayError, ZenohError
 from gateway.people.client import diagnosis
 from gateway.people.client.blocking import Client
-from gateway.people.client.diagnosis import Step
+from gateway.people.client.diagnosis import Stage
 from gateway.people.client.requests import Identity
 from gateway.people.tools.check import service_user
 from gateway.people.tools.check.result import Result, failure, ok, warning
@@ -110,14 +110,14 @@ def routers(config: zenoh.Config) -> Iterator[Result]:
     endpoints = connect_endpoints(config)
     for endpoint, findings in diagnosis.look_at_all(endpoints, Identity.of(config)).items():
         # A port that speaks no TLS may well be a router's.
-        last = next((each for each in reversed(findings) if each.step is not Step.GATEWAY), findings[-1])
+        last = next((each for each in reversed(findings) if each.step is not Stage.GATEWAY), findings[-1])
         said = f"{endpoint}: {_of_a_router(last.sentence)}"
         if not last.fix:
             yield ok("router", said)
             continue
         fix = (
             "start it there (zenohd -c router.json5), or set another zenoh.connect; the gateway goes on trying"
-            if last.step in (Step.NAME, Step.TCP)
+            if last.step in (Stage.NAME, Stage.TCP)
             else _of_a_router(last.fix)
         )
         yield failure("router", f"{said}: nobody behind it reaches this robot", fix)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from gateway.errors import GatewayError, UnansweredError
 from gateway.people.client.blocking import Client
-from gateway.people.client.live import reports, subscribed
+from gateway.people.client.subscriptions import reports, subscribed
 from gateway.robot.core.calibration import Calibration, calibration_of
 from gateway.robot.protocol.frames import Frame, FrameError, OneLeg, OneServo, Op, ServoOp, centidegrees, decode
 from schemas import keys
