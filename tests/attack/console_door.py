@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Final
 
 from gateway import certs
-from gateway.people.console.register import Register
+from gateway.people.console.sessions import Sessions
 from tests.benchmarks.processes import rss_kb, threads
 from tests.net.namespaces import Network
 from tests.support.child import Child
@@ -106,7 +106,7 @@ class DoorStand(Closing):
 
     def another_page(self) -> PagePresses:
         """One more, on the same laptop."""
-        link = Register(self.folder, PORT).new_link()
+        link = Sessions(self.folder, PORT).new_link()
         return PagePresses(self.network.laptop(PAGE), link, self.folder / "certs" / "web-ca.pem")
 
     def press(self, times: int = PRESSES) -> list[float]:

@@ -10,7 +10,7 @@ import pytest
 
 from gateway.people.client.confirmed_stop import REQUESTS_AT_ONCE
 from gateway.people.console.link import QUESTIONS_AT_ONCE, STOPS_AT_ONCE
-from gateway.people.console.register import Register
+from gateway.people.console.sessions import Sessions
 from tests.attack.console_door import strangers
 from tests.benchmarks.processes import threads
 from tests.support.closing import Closing
@@ -55,7 +55,7 @@ class BareConsole(Closing):
 
     def page(self) -> Page:
         """A page that is signed in."""
-        session = sign_in(Register(self._folder, self.port).new_link())
+        session = sign_in(Sessions(self._folder, self.port).new_link())
         return Page(self.url, session)
 
     def _wait(self) -> None:

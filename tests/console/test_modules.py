@@ -40,7 +40,7 @@ def test_how_late_a_state_is_shows_although_clocks_differ(page: Opened) -> None:
     """States that waited in a frozen page, or behind it, are as old as they are, not as new as their arrival."""
     late = page.module(
         "model",
-        "(m, heard) => { const lateness = new m.Lateness(); return heard.map(([up, at]) => lateness.heard(up, at)); }",
+        "(m, came) => { const lateness = new m.Lateness(); return came.map(([up, at]) => lateness.received(up, at)); }",
         [[1000, 5000], [1100, 5100], [1200, 6300], [1300, 6301], [2400, 6400], [50, 6500], [150, 6601]],
     )
     assert late == [0, 0, 1100, 1001, 0, 0, 1]

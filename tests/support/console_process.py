@@ -18,8 +18,8 @@ from websockets.exceptions import InvalidMessage
 from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Subprotocol
 
-from gateway.people.console.door import PROOF_PREFIX, SUBPROTOCOL, proof
-from gateway.people.console.register import Register
+from gateway.people.console.auth import PROOF_PREFIX, SUBPROTOCOL, proof
+from gateway.people.console.sessions import Sessions
 from tests.support.child import Child
 from tests.support.closing import Closing
 from tests.support.gateway_process import COMMAND, free_port
@@ -53,7 +53,7 @@ class Console(Closing):
 
     def new_link(self, card: str = "") -> str:
         """As `--link` prints it."""
-        return Register(self._folder, self.port).new_link(card)
+        return Sessions(self._folder, self.port).new_link(card)
 
     def sign_in(self, link: str = "") -> "SignedIn":
         """Exchange a link (by default a new one) for a session, as a browser does."""

@@ -1,4 +1,4 @@
-"""The pages that are signed in: each WebSocket that the front has admitted is served here, on one loop."""
+"""The pages that are signed in: each WebSocket that the listener has admitted is served here, on one loop."""
 
 import asyncio
 from contextlib import suppress
@@ -6,12 +6,12 @@ from typing import Final
 
 from gateway import __version__
 from gateway.geometry import Geometry
-from gateway.people.console.door import SignedIn
-from gateway.people.console.front import Admitted
+from gateway.people.console.auth import SignedIn
 from gateway.people.console.link import GatewayLink
+from gateway.people.console.listener import Admitted
 from gateway.people.console.messages import Hello
 from gateway.people.console.pages import EndError, Page, Pages
-from gateway.people.console.register import Register
+from gateway.people.console.sessions import Sessions
 from gateway.people.console.stops import Stops
 from gateway.people.console.websocket import POLICY_VIOLATION, ClosedError, WebSocket
 
@@ -35,7 +35,7 @@ class Console:
 
     def __init__(
         self,
-        register: Register,
+        sessions: Sessions,
         link: GatewayLink,
         stops: Stops[str | None],
         pages: Pages,
@@ -44,7 +44,7 @@ class Console:
         geometry: Geometry,
     ) -> None:
         """Made on the pages' loop."""
-        self._register = register
+        self._sessions = sessions
         self._link = link
         self._pages = pages
         self._stops = stops
@@ -96,7 +96,7 @@ class Console:
             self._link,
             self._stops,
             self._geometry,
-            self._register.new_link,
+            self._sessions.new_link,
         )
         hello = Hello(
             role=session.role, person=self._person, source=page.source, version=__version__, geometry=self._shape
@@ -143,6 +143,6 @@ class Console:
 
     async def _check(self, session: SignedIn) -> None:
         while True:
-            if not self._register.still_valid(session.entry):
+            if not self._sessions.still_valid(session.entry):
                 raise EndError(SIGNED_OUT)
             await asyncio.sleep(CHECK_S)

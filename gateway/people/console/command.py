@@ -8,11 +8,11 @@ from typing import Final, NoReturn
 from urllib.parse import urlsplit
 
 from gateway.errors import ConfigError, UnreachedError
-from gateway.people.console import register
-from gateway.people.console.listening import address_in, inherited
+from gateway.people.console import sessions
 from gateway.people.console.messages import ROLES
-from gateway.people.console.register import Register
+from gateway.people.console.sessions import Sessions
 from gateway.people.console.site import DEFAULT_ADDRESS, DEFAULT_PORT, address_of, free_address, site
+from gateway.people.console.sockets import address_in, inherited
 from gateway.people.terminal import hint, say
 
 NEEDS: Final = ("websockets", "segno")
@@ -91,7 +91,7 @@ def link(listen: str | None, card: str = "") -> int:
     from gateway.people.console.serve import show  # noqa: PLC0415 (the same)
 
     address, port = (_answering() or (DEFAULT_ADDRESS, DEFAULT_PORT)) if listen is None else address_of(listen)
-    made = Register(register.folder(), port).new_link(card)
+    made = Sessions(sessions.folder(), port).new_link(card)
     try:
         socket.create_connection((address, port), LOOK_S).close()
     except OSError as error:
@@ -103,7 +103,7 @@ def link(listen: str | None, card: str = "") -> int:
 
 
 def _answering() -> tuple[str, int] | None:
-    for port, url in register.begun(register.folder()):
+    for port, url in sessions.begun(sessions.folder()):
         for address in (DEFAULT_ADDRESS, urlsplit(url).hostname):
             with suppress(OSError):
                 socket.create_connection((address, port), LOOK_S).close()
@@ -113,7 +113,7 @@ def _answering() -> tuple[str, int] | None:
 
 def revoke() -> int:
     """End all sessions of this user's consoles, or as root of the service's. Raises GatewayError."""
-    ended = register.revoke_all(register.folder())
+    ended = sessions.revoke_all(sessions.folder())
     say(f"{ended} session{'' if ended == 1 else 's'} ended; no link that was printed works any more")
     return 0
 

@@ -19,7 +19,7 @@ from gateway.people.client.confirmed_stop import REQUESTS_AT_ONCE
 from gateway.people.client.live import Live, OnLoop, Receiver, set_upright
 from gateway.people.client.silence import LOOK_EVERY_S
 from gateway.people.console.messages import LinkMessage
-from gateway.people.console.presence import Presence
+from gateway.people.console.presence import GatewayPresence
 from gateway.people.tools import why
 from gateway.robot.host.descriptors import Spare
 from schemas.telemetry import Ack, BodyReport, Event, GatewayState
@@ -35,7 +35,7 @@ STACK_BYTES: Final = 1_048_576
 _START_S: Final = 10.0
 
 
-class Threads:
+class ReadyThreads:
     """So many, all of them started; what they are asked for beyond that waits for its turn."""
 
     def __init__(self, count: int, name: str) -> None:
@@ -51,7 +51,7 @@ class Threads:
         return await asyncio.get_running_loop().run_in_executor(self.executor, function)
 
 
-class Listener(Receiver):
+class LinkReceiver(Receiver):
     """Receives, on the event loop, what the gateway publishes."""
 
     def link_changed(self, link: LinkMessage) -> None:
@@ -62,13 +62,13 @@ class GatewayLink(Receiver):
     """`Live` on an event loop, and whether the gateway is there."""
 
     def __init__(
-        self, connect: str | None, zenoh_config: Path | None, source: str, timeout_s: float, listener: Listener
+        self, connect: str | None, zenoh_config: Path | None, source: str, timeout_s: float, listener: LinkReceiver
     ) -> None:
         """`connect` and `zenoh_config` as for `Client`; `source` is whom the gateway names for an emergency stop."""
         self._connect = partial(Client, connect, zenoh_config=zenoh_config, timeout_s=timeout_s, explain=False)
-        self._stop_all = Threads(REQUESTS_AT_ONCE, "STOP ALL")
-        self._stops = Threads(STOPS_AT_ONCE, "Stops")
-        self._questions = Threads(QUESTIONS_AT_ONCE, "ask")
+        self._stop_all = ReadyThreads(REQUESTS_AT_ONCE, "STOP ALL")
+        self._stops = ReadyThreads(STOPS_AT_ONCE, "Stops")
+        self._questions = ReadyThreads(QUESTIONS_AT_ONCE, "ask")
         loop = asyncio.get_running_loop()
         loop.set_default_executor(self._questions.executor)
         self._spare = Spare()
@@ -80,7 +80,7 @@ class GatewayLink(Receiver):
         )
         self._opened = asyncio.Event()
         self._failed: asyncio.Future[None] = loop.create_future()
-        self._presence = Presence()
+        self._presence = GatewayPresence()
         self._announced = self._presence.link
 
     # ---- what pages send

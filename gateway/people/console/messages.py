@@ -4,8 +4,8 @@ What comes from a page is strict and closed, and a command's payload is what `sc
 else it sends ends its WebSocket with code 1008 and the reason. What goes to a page is open: it ignores fields and
 messages that it does not know.
 
-A page opens with `Alive` and repeats it each second: so the console learns the page's clock before the first command,
-and rejects what was delayed on its way. A page that has the lease renews it itself; nothing else does.
+A page opens with `AliveMessage` and repeats it each second. So the console knows the page's clock before the first
+command, and rejects what was delayed on its way. A page that has the lease renews it itself; nothing else does.
 """
 
 from typing import Annotated, Any, Final, Literal, Self, get_args
@@ -80,17 +80,17 @@ Payload = Annotated[
 # ---- from the page
 
 
-class Alive(Closed):
+class AliveMessage(Closed):
     """Sent when the page opens, and each second: its monotonic clock (`performance.now()`)."""
 
     type: Literal["alive"]
     now_ms: SentMs
 
 
-class Command(Closed):
+class CommandRequest(Closed):
     """A command for one leg, one servo or several legs: with `id` it is acknowledged (`AckMessage`), else only put.
 
-    `sent_ms` is the page's clock as in `Alive`. Who commands, and the lease, the console adds.
+    `sent_ms` is the page's clock as in `AliveMessage`. Who commands, and the lease, the console adds.
     """
 
     type: Literal["command"]
@@ -122,7 +122,7 @@ class Command(Closed):
         return all(move.op == "stop" for move in moves)
 
 
-class StopAll(Closed):
+class StopAllRequest(Closed):
     """The emergency stop, now; answered by `Stopping` until it is confirmed."""
 
     type: Literal["stop_all"]
@@ -131,7 +131,7 @@ class StopAll(Closed):
     """Pressed on a page that is a stop button: by its name."""
 
 
-class Reset(Closed):
+class ResetRequest(Closed):
     """Leave the emergency stop of that number: the one that the page shows, as its user agreed."""
 
     type: Literal["reset"]
@@ -140,7 +140,7 @@ class Reset(Closed):
     sent_ms: SentMs
 
 
-class Lease(Closed):
+class DriveRequest(Closed):
     """Get, keep or give up the right to drive, for this WebSocket; `to` hands it over with `release`."""
 
     type: Literal["lease"]
@@ -155,7 +155,7 @@ class Lease(Closed):
         return self
 
 
-class Calibrate(Closed):
+class CalibrateRequest(Closed):
     """One step of the guide through the calibration, which the console keeps for this WebSocket; it moves nothing.
 
     The servo under test is moved by the page's own commands, to the `command_deg` of the answer (`CalibrationMessage`).
@@ -197,7 +197,7 @@ class WalkWish(Closed):
     sits: bool = False
 
 
-class StopButton(Closed):
+class StopButtonRequest(Closed):
     """This page is a stop button (`hexapod/button/cmd`), for this WebSocket; answered by `StopButtonMessage`.
 
     Each check-in comes from the page's own timer: the console adds the token, and sends none by itself.
@@ -209,21 +209,32 @@ class StopButton(Closed):
     sent_ms: SentMs
 
 
-class LinkFor(Closed):
+class LinkForRequest(Closed):
     """A link for a second device, such as a phone; answered by `LinkForMessage`."""
 
     type: Literal["link_for"]
     id: Id
 
 
-class Upright(Closed):
+class UprightRequest(Closed):
     """Put a robot that is simulated with physics on its feet; answered by `AckMessage`."""
 
     type: Literal["upright"]
     id: Id
 
 
-FromPage = Upright | Alive | Command | StopAll | Reset | Lease | Calibrate | WalkWish | StopButton | LinkFor
+FromPage = (
+    UprightRequest
+    | AliveMessage
+    | CommandRequest
+    | StopAllRequest
+    | ResetRequest
+    | DriveRequest
+    | CalibrateRequest
+    | WalkWish
+    | StopButtonRequest
+    | LinkForRequest
+)
 FROM_PAGE: Final[TypeAdapter[FromPage]] = TypeAdapter(Annotated[FromPage, Field(discriminator="type")])
 
 
@@ -293,7 +304,7 @@ class AckMessage(Report):
 
 
 class Stopping(Report):
-    """How far a `StopAll` has come: sent at once, after each attempt that stays unanswered, and when it is confirmed.
+    """The progress of a `StopAllRequest`: sent at once, after each unanswered attempt, and when it is confirmed.
 
     While `answered` is false the console goes on asking.
     """
@@ -310,7 +321,7 @@ class Stopping(Report):
 
 
 class LeaseMessage(Report):
-    """Whether this WebSocket has the lease: the answer to `Lease` (with its `id`), or sent when it is lost.
+    """Whether this WebSocket has the lease: the answer to `DriveRequest` (with its `id`), or sent when it is lost.
 
     Who holds it otherwise stands in the state. A page renews at a third of `ttl_ms`.
     """
@@ -351,7 +362,7 @@ class WalkMessage(Report):
 
 
 class StopButtonMessage(Report):
-    """The answer to `StopButton`. `accepted` null: no gateway answered, and `detail` states why."""
+    """The answer to `StopButtonRequest`. `accepted` null: no gateway answered, and `detail` states why."""
 
     type: Literal["button"] = "button"
     id: int
@@ -382,7 +393,7 @@ class Draft(ServoCalibration):
 
 
 class CalibrationMessage(Report):
-    """The answer to `Calibrate`: where the guide stands. `error` states in one sentence what was not done, and why.
+    """The answer to `CalibrateRequest`: the guide's state. `error`: what was not done and why, in one sentence.
 
     `shown_deg` is where the servo under test stands as the draft counts; `command_deg` what to command for that, by the
     calibration in force.

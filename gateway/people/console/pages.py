@@ -24,32 +24,33 @@ from pydantic import ValidationError
 from gateway.errors import GatewayError
 from gateway.geometry import Geometry
 from gateway.people.client.confirmed_stop import Press
-from gateway.people.console.calibrating import Calibrating
-from gateway.people.console.driving import Driving
-from gateway.people.console.link import GatewayLink, Listener
+from gateway.people.console.link import GatewayLink, LinkReceiver
 from gateway.people.console.messages import (
     FROM_PAGE,
     AckMessage,
-    Alive,
+    AliveMessage,
     BodyMessage,
-    Calibrate,
-    Command,
+    CalibrateRequest,
+    CommandRequest,
+    DriveRequest,
     EventMessage,
-    Lease,
-    LinkFor,
+    FromPage,
     LinkForMessage,
+    LinkForRequest,
     LinkMessage,
-    Reset,
+    ResetRequest,
     Role,
-    StopAll,
-    StopButton,
-    Upright,
+    StopAllRequest,
+    StopButtonRequest,
+    UprightRequest,
     WalkWish,
 )
 from gateway.people.console.outgoing import Outgoing
-from gateway.people.console.pressing import Pressing
+from gateway.people.console.page_calibration import PageCalibration
+from gateway.people.console.page_lease import PageLease
+from gateway.people.console.page_walk import PageWalks
+from gateway.people.console.stop_button import StopButton
 from gateway.people.console.stops import Stops, now_ns
-from gateway.people.console.walking import Walking
 from gateway.people.walking import robot_now
 from gateway.robot.core.staleness import Staleness
 from schemas import keys
@@ -76,12 +77,12 @@ class EndError(Exception):
     """Ends a page's WebSocket; the text is the reason."""
 
 
-class Pages(Listener):
+class Pages(LinkReceiver):
     """All open pages; what the gateway publishes goes to each of them.
 
     All sessions end when the gateway says that this console's own certificate is revoked. It says so before it lets go
     of the connection. A console that is not connected then gets in no more, so its pages show no robot, and its
-    sessions end when it is started with another certificate (`Register.begin`).
+    sessions end when it is started with another certificate (`Sessions.begin`).
     """
 
     def __init__(self, common_name: str, end_sessions: Callable[[], int]) -> None:
@@ -169,11 +170,11 @@ class Page:
         self._role = role
         self._link = link
         self._stops = stops
-        self._driving = Driving(link.client, self.source, self.outgoing.put)
-        self._calibrating = Calibrating(link, partial(self._signed, sent_ms=None), self.outgoing.put)
-        self._walking = Walking(link.connect, f"{self.source} walks", geometry, self.outgoing.put)
+        self._lease = PageLease(link.client, self.source, self.outgoing.put)
+        self._calibrating = PageCalibration(link, partial(self._signed, sent_ms=None), self.outgoing.put)
+        self._walking = PageWalks(link.connect, f"{self.source} walks", geometry, self.outgoing.put)
         self._new_link = new_link
-        self._button = Pressing(link.client, f"{person[:40]}/page {number}", self.outgoing.put)
+        self._button = StopButton(link.client, f"{person[:40]}/page {number}", self.outgoing.put)
         self._max_age_ms = LimitsReport().max_age_ms
         self._staleness = Staleness(self._max_age_ms)
         self._wishes = Staleness(WISH_AGE_MS)
@@ -196,61 +197,61 @@ class Page:
             message = FROM_PAGE.validate_json(text)
         except ValidationError as error:
             raise EndError(_first_fault(error)) from error
-        if isinstance(message, Alive):
+        if isinstance(message, AliveMessage):
             self._is_late(message.now_ms)
             self._is_late(message.now_ms, self._wishes)
-        elif self._role != "operator" and not (self._role == "button" and isinstance(message, StopAll | StopButton)):
+        elif self._role != "operator" and not (
+            self._role == "button" and isinstance(message, StopAllRequest | StopButtonRequest)
+        ):
             raise EndError("this page only looks" + (", and stops" if self._role == "button" else ""))
         else:
             self._do(message)
 
     def close(self) -> None:
         """The WebSocket is closed. A stop that it asked for goes on; the lease is given back, after the walk."""
-        self._walking.when_over(self._driving.close, sits=False)
+        self._walking.when_over(self._lease.close, sits=False)
         self._stops.leave(self.outgoing)
 
-    def _do(
-        self, message: Command | StopAll | Reset | Lease | Calibrate | WalkWish | StopButton | LinkFor | Upright
-    ) -> None:
+    def _do(self, message: FromPage) -> None:
         match message:
-            case StopAll():
+            case StopAllRequest():
                 self._stops.press(self.outgoing, message.id, self._button.name if message.button else None)
-            case Command():
+            case CommandRequest():
                 self._command(message)
-            case Reset():
+            case ResetRequest():
                 late = self._is_late(message.sent_ms)
                 if late is None:
                     self._ask(message.id, keys.RESET, self._signed({"estop": message.estop}, message.sent_ms))
                 else:
                     self._reject(message.id, keys.RESET, late)
-            case Lease():
-                self._lease(message)
+            case DriveRequest():
+                self._drive(message)
             case WalkWish():
                 self._wish(message)
-            case Upright():
+            case UprightRequest():
                 self._begin(message.id, self._link.set_upright)
-            case StopButton():
+            case StopButtonRequest():
                 self._button.take(message)
-            case LinkFor():
+            case LinkForRequest():
                 self._start(self._invite(message.id))
-            case Calibrate():
+            case CalibrateRequest():
                 if self._calibrating.is_full:
                     raise EndError("too many steps of the calibration wait for their answers")
-                self._calibrating.ask(message, mine=self._driving.mine)
+                self._calibrating.ask(message, mine=self._lease.mine)
 
     def _wish(self, message: WalkWish) -> None:
         if self._is_late(message.sent_ms, self._wishes) is None:
-            self._walking.take(message, self._driving.token if self._driving.mine else None)
+            self._walking.take(message, self._lease.token if self._lease.mine else None)
 
-    def _lease(self, message: Lease) -> None:
-        if self._driving.is_full:
+    def _drive(self, message: DriveRequest) -> None:
+        if self._lease.is_full:
             raise EndError("too many requests for the lease wait for their answers")
         if message.do == "release":  # who walks sits down first
-            self._walking.when_over(partial(self._driving.ask, message), sits=True)
+            self._walking.when_over(partial(self._lease.ask, message), sits=True)
         else:
-            self._driving.ask(message)
+            self._lease.ask(message)
 
-    def _command(self, message: Command) -> None:
+    def _command(self, message: CommandRequest) -> None:
         payload = self._signed(message.payload.model_dump(mode="json", exclude_none=True), message.sent_ms)
         late = self._is_late(message.sent_ms)
         if message.only_stops:  # however old; and sent again until it is answered
@@ -267,7 +268,7 @@ class Page:
                 self._link.client().publish(message.key, payload)  # at most a millisecond
 
     def _signed(self, payload: dict[str, Any], sent_ms: float | None) -> dict[str, Any]:
-        token = self._driving.token
+        token = self._lease.token
         lease = {} if token is None else {"lease": token}
         return {**payload, **lease, "source": self.source, "sent_ms": sent_ms}
 
@@ -306,7 +307,7 @@ class Page:
             rows = ["".join(str(module & 1) for module in row) for row in code.matrix]
             self.outgoing.put(LinkForMessage(id=message_id, url=url, rows=rows))
 
-    def _stop(self, message: Command, payload: dict[str, Any]) -> None:
+    def _stop(self, message: CommandRequest, payload: dict[str, Any]) -> None:
         """Ask until it is answered or its time is over; the answer to a newer one is also that of an older one."""
         kind = (message.key, message.payload.model_dump_json())
         if kind not in self._leg_stops:
@@ -322,7 +323,7 @@ class Page:
         if not press.over:
             return
         if ack is not None:
-            self._driving.judge(ack)
+            self._lease.judge(ack)
         if press.id is not None:
             took_ms = (now_ns() - press.pressed_ns) / 1e6
             self.outgoing.put(AckMessage(id=press.id, took_ms=took_ms, ack=ack, error=error))
@@ -334,7 +335,7 @@ class Page:
         ack, error = None, None
         try:
             ack = await ask()
-            self._driving.judge(ack)
+            self._lease.judge(ack)
         except Exception as failed:  # also without memory or descriptors: the page has to know
             error = str(failed) or repr(failed)
         if message_id is not None:

@@ -6,10 +6,10 @@ from gateway.people.client.silence import Silence
 from gateway.people.console.messages import LinkMessage
 
 
-class Presence:
+class GatewayPresence:
     """`link` is the newest message to the pages; the methods take what happened.
 
-    >>> presence = Presence()
+    >>> presence = GatewayPresence()
     >>> presence.opened(0)
     >>> presence.received_state(0)
     >>> presence.is_silent(1_000_000_000)

@@ -19,16 +19,16 @@ import segno
 
 from gateway import certs
 from gateway.geometry import Geometry, load
-from gateway.people.console import register
+from gateway.people.console import sessions
 from gateway.people.console.app import MAX_CLOSING, MAX_PAGES, Console
-from gateway.people.console.door import Door
-from gateway.people.console.front import MAX_SIGNED_IN, MAX_UNKNOWN, Front, report
+from gateway.people.console.auth import Auth
 from gateway.people.console.link import STACK_BYTES, GatewayLink
-from gateway.people.console.listening import listening
+from gateway.people.console.listener import MAX_SIGNED_IN, MAX_UNKNOWN, HttpListener, report
 from gateway.people.console.messages import ROLES, Role, least
 from gateway.people.console.pages import Pages
-from gateway.people.console.register import LINK_S, Register
+from gateway.people.console.sessions import LINK_S, Sessions
 from gateway.people.console.site import DEFAULT_PORT, Site
+from gateway.people.console.sockets import listening
 from gateway.people.console.stops import Stops, send_stopping
 from gateway.people.console.tls import server_context
 from gateway.people.terminal import hint, say, this_command
@@ -69,7 +69,7 @@ def serve(options: Options) -> NoReturn:
     threading.stack_size(STACK_BYTES)
     with listening(options.site, options.passed) as sockets:
         logs.set_up(LogSettings())  # from now on nobody waits for whoever reads what is written here
-        found = Register(register.folder(), options.site.port)
+        found = Sessions(sessions.folder(), options.site.port)
         role = least(role, options.role)
         found.begin(options.site.url, role, common_name)
         asyncio.run(_run(options, sockets, found, person, role, common_name, geometry))
@@ -86,7 +86,7 @@ def show(link: str) -> None:
 async def _run(
     options: Options,
     sockets: Sequence[socket.socket],
-    found: Register,
+    found: Sessions,
     person: str,
     role: Role,
     common_name: str,
@@ -100,9 +100,9 @@ async def _run(
     gateway = GatewayLink(options.connect, options.zenoh_config, person, options.timeout_s, pages)
     stops = Stops(gateway.estop, send_stopping)
     console = Console(found, gateway, stops, pages, person=person, geometry=geometry)
-    door = Door(site, found, person=person, role=role)
+    auth = Auth(site, found, person=person, role=role)
     context = server_context(site.certificate, site.key) if site.certificate and site.key else None
-    Front(sockets, context, door, console.admit).start()
+    HttpListener(sockets, context, auth, console.admit).start()
     watching = asyncio.create_task(gateway.run())
     watching.add_done_callback(lambda _: ended.set())
     realtime.freeze_gc()
@@ -124,7 +124,7 @@ async def _run(
     os._exit(0)
 
 
-def _say_where(site: Site, found: Register, card: str) -> None:
+def _say_where(site: Site, found: Sessions, card: str) -> None:
     """A link goes to a terminal only: whatever else reads this, such as a journal, is read by others, and kept."""
     where = "" if site.port == DEFAULT_PORT else f" --listen {site.address}:{site.port}"
     say(f"For a{'nother' if os.isatty(1) else ''} browser: {this_command()} console --link{where}")
@@ -135,12 +135,12 @@ def _say_where(site: Site, found: Register, card: str) -> None:
 
 
 @contextmanager
-def _opened(found: Register, card: str) -> Iterator[None]:
+def _opened(found: Sessions, card: str) -> Iterator[None]:
     """Open this machine's browser by a private file that goes on to a link: everybody sees a program's arguments."""
     file = found.path.with_suffix(".html")
     link = escape(found.new_link(card))
     content = f'<!doctype html><title>Console</title><meta http-equiv="refresh" content="0; url={link}">'
-    register.write_private(file, content)
+    sessions.write_private(file, content)
     asyncio.get_running_loop().call_later(LINK_S, partial(file.unlink, missing_ok=True))
     threading.Thread(target=partial(_open, file), name="browser", daemon=True).start()
     try:

@@ -10,10 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from gateway.people.console import front
-from gateway.people.console.door import Door, SignedIn, proof
-from gateway.people.console.front import MAX_UNKNOWN, READS, Admitted, Front
-from gateway.people.console.register import Register, SignIn
+from gateway.people.console import listener
+from gateway.people.console.auth import Auth, SignedIn, proof
+from gateway.people.console.listener import MAX_UNKNOWN, READS, Admitted, HttpListener
+from gateway.people.console.sessions import Sessions, SignIn
 from gateway.people.console.site import Site
 
 URL = "http://127.0.0.1:8080"
@@ -27,15 +27,15 @@ class Stand:
     """A front on a port of its own."""
 
     def __init__(self, folder: Path, listening: socket.socket) -> None:
-        register = Register(folder, 8080)
-        register.begin(URL, "operator")
-        found = register.exchange(register.new_link().partition("token=")[2])
+        sessions = Sessions(folder, 8080)
+        sessions.begin(URL, "operator")
+        found = sessions.exchange(sessions.new_link().partition("token=")[2])
         assert found is not None
         self.session: SignIn = found
         self.admitted: asyncio.Queue[Admitted] = asyncio.Queue()
         self.address = listening.getsockname()
-        door = Door(Site("127.0.0.1", 8080, ("127.0.0.1",)), register, person="anna", role="operator")
-        self.front = Front([listening], None, door, self.admitted.put_nowait)
+        auth = Auth(Site("127.0.0.1", 8080, ("127.0.0.1",)), sessions, person="anna", role="operator")
+        self.listener = HttpListener([listening], None, auth, self.admitted.put_nowait)
 
     async def proved(self, key: str) -> str:
         """What a page with that key offers for its WebSocket."""
@@ -64,7 +64,7 @@ def listening() -> Iterator[socket.socket]:
 async def stand(tmp_path: Path) -> AsyncIterator[Stand]:
     with listening() as taken:
         found = Stand(tmp_path, taken)
-        serving = asyncio.create_task(found.front.serve())
+        serving = asyncio.create_task(found.listener.serve())
         yield found
         serving.cancel()
         await asyncio.gather(serving, return_exceptions=True)
@@ -115,7 +115,7 @@ async def test_bytes_that_come_one_by_one_are_bounded(stand: Stand) -> None:
 
 
 async def test_a_deadline_for_all_of_it(stand: Stand, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(front, "UNKNOWN_S", 0.1)
+    monkeypatch.setattr(listener, "UNKNOWN_S", 0.1)
     assert await stand.ask("GET / HTTP/1.1\r\n") == b""
 
 

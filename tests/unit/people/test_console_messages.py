@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 from pydantic import ValidationError
 
-from gateway.people.console.messages import FROM_PAGE, Command
+from gateway.people.console.messages import FROM_PAGE, CommandRequest
 
 SET = {"op": "set", "angle_deg": 90.5}
 START = {"op": "start", "angle_deg": 90}
@@ -31,7 +31,7 @@ def command(key: str, payload: Any, **more: Any) -> dict[str, Any]:
 )
 def test_commands(message: dict[str, Any], only_stops: bool) -> None:
     found = FROM_PAGE.validate_json(json.dumps(message))
-    assert isinstance(found, Command)
+    assert isinstance(found, CommandRequest)
     assert found.only_stops is only_stops
     assert json.loads(found.payload.model_dump_json(exclude_unset=True)) == message["payload"]
 

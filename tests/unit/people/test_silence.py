@@ -8,7 +8,7 @@ from gateway.people.client import silence as silence_module
 from gateway.people.client.silence import QUIET_MS, SILENT_MS, WHY_EVERY_S, Silence
 from gateway.people.console import presence as presence_module
 from gateway.people.console.messages import LinkMessage
-from gateway.people.console.presence import Presence
+from gateway.people.console.presence import GatewayPresence
 
 MS = 1_000_000
 
@@ -69,8 +69,8 @@ def test_each_look_costs_the_robot_something_and_so_has_three_seconds_before_it(
 CONNECTED = LinkMessage(status="connected")
 
 
-def live() -> Presence:
-    presence = Presence()
+def live() -> GatewayPresence:
+    presence = GatewayPresence()
     presence.opened(0)
     presence.received_token(True)
     presence.received_state(0)
@@ -79,7 +79,7 @@ def live() -> Presence:
 
 
 def test_until_the_first_state_nobody_is_there() -> None:
-    presence = Presence()
+    presence = GatewayPresence()
     assert presence.link.status == "gone"
     presence.not_opened("nobody listens")
     assert presence.link == LinkMessage(status="gone", detail="nobody listens")

@@ -39,7 +39,7 @@ export function mayCheckIn({ visible, sinceTickMs, timeoutMs }) {
 
 export class StopButton {
   constructor() {
-    this.link = new Link({ opened: () => this.#opened(), closed: (why) => this.#closed(why), heard: (message) => this.#heard(message) });
+    this.link = new Link({ opened: () => this.#opened(), closed: (why) => this.#closed(why), received: (message) => this.#received(message) });
     this.watches = false;
     this.registered = false;
     this.timeoutMs = 1000;
@@ -152,7 +152,7 @@ export class StopButton {
   }
 
   /** @param {any} message of the console */
-  #heard(message) {
+  #received(message) {
     if (message.type === "hello") this.looks = message.role === "observer";
     else if (message.type === "state") {
       this.mode = message.state.mode;

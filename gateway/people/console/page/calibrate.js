@@ -19,12 +19,12 @@ const STEPS = ["wrong_way", "lowest_here", "highest_here", "full_range", "as_dra
 export class Calibrate {
   /**
    * @param {import("./link.js").Link} link @param {import("./model.js").Model} model
-   * @param {{mine: () => boolean, holds: () => boolean, say: (line: string) => void}} told
+   * @param {{mine: () => boolean, holds: () => boolean, say: (line: string) => void}} callbacks
    */
-  constructor(link, model, told) {
+  constructor(link, model, callbacks) {
     this.link = link;
     this.model = model;
-    this.told = told;
+    this.callbacks = callbacks;
     /** What the console knows. @type {CalibrationMessage | null} */
     this.view = null;
     /** What was asked, by its number. @type {Map<number, string>} */
@@ -95,23 +95,23 @@ export class Calibrate {
     if (this.view?.shown_deg != null) this.stood.set(servo, this.view.shown_deg);
     this.#suggest();
     const sent = this.#sendStop(servo);
-    this.told.say(`Servo ${servo}: ${why}.${sent ? "" : " Not connected: the watchdog stops it."}`);
+    this.callbacks.say(`Servo ${servo}: ${why}.${sent ? "" : " Not connected: the watchdog stops it."}`);
     this.#ask("leave");
   }
 
   /** @param {CalibrationMessage} message */
-  heard(message) {
+  received(message) {
     const did = this.asked.get(message.id) ?? "";
     this.asked.delete(message.id);
     this.view = message;
-    if (message.error) this.told.say(`Calibration: ${message.error}.`);
-    else if (message.said) this.told.say(`Calibration: ${message.said}.`);
+    if (message.error) this.callbacks.say(`Calibration: ${message.error}.`);
+    else if (message.said) this.callbacks.say(`Calibration: ${message.said}.`);
     if (did === "test" && !message.error) this.#energise();
     this.refresh();
   }
 
   /** @param {import("./types.js").AckMessage} message */
-  heardAck(message) {
+  receivedAck(message) {
     const said = whyNot(message);
     const abandoned = this.abandoned.get(message.id);
     if (abandoned !== undefined) {
@@ -144,7 +144,7 @@ export class Calibrate {
       details.open = true;
       details.scrollIntoView();
     }
-    const mine = this.told.mine();
+    const mine = this.callbacks.mine();
     const tested = this.active;
     const fault = this.model.state?.calibration?.fault ?? null;
     show(byId("cal-untrusted"), fault !== null);
@@ -180,7 +180,7 @@ export class Calibrate {
     const servo = Number(/** @type {HTMLSelectElement} */ (byId("cal-servo")).value);
     const deg = /** @type {HTMLInputElement} */ (byId("cal-begin")).valueAsNumber;
     if (!Number.isFinite(deg)) {
-      this.told.say("Calibration: type the angle at which it starts, such as 90.");
+      this.callbacks.say("Calibration: type the angle at which it starts, such as 90.");
       return;
     }
     const agreed = await confirmed(
@@ -190,7 +190,7 @@ export class Calibrate {
       "Leave it",
     );
     if (!agreed) return;
-    if (this.told.holds()) this.told.say("Calibration: legs run; let go first.");
+    if (this.callbacks.holds()) this.callbacks.say("Calibration: legs run; let go first.");
     else this.#ask("test", { servo, deg });
   }
 
@@ -217,7 +217,7 @@ export class Calibrate {
     const nowMs = performance.now();
     const hidden = byId("cal").getClientRects().length === 0 && "the calibration was closed"; // behind the pads, on a phone
     const untouched = nowMs - this.touchedMs > UNTOUCHED_MS && "nobody has touched this page for two minutes";
-    const why = this.told.holds() ? "legs are driven" : hidden || untouched || obstacle(this, nowMs);
+    const why = this.callbacks.holds() ? "legs are driven" : hidden || untouched || obstacle(this, nowMs);
     this.lastTickMs = nowMs;
     if (why) {
       this.stop(why);
@@ -285,7 +285,7 @@ export class Calibrate {
     this.asked.set(id, step);
     if (this.link.sendNow({ type: "calibrate", id, do: step, ...more })) return;
     this.asked.delete(id);
-    if (step !== "leave") this.told.say("Not connected.");
+    if (step !== "leave") this.callbacks.say("Not connected.");
   }
 
   #table() {

@@ -21,7 +21,7 @@ export class Device {
   }
 
   /** @param {{id: number, url: string | null, rows: string[], error: string | null}} message */
-  heard(message) {
+  received(message) {
     if (message.id !== this.asked) return;
     if (message.url) byId("device-code").replaceChildren(picture(message.rows));
     text(byId("device-link"), message.url ?? message.error ?? "");

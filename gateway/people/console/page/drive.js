@@ -12,13 +12,13 @@ const HOLD_KEY = "h";
 export class Drive {
   /**
    * @param {Model} model @param {Targets} targets @param {import("./hold.js").Hold} hold
-   * @param {{say: (line: string) => void, select: (leg: number) => void}} told
+   * @param {{say: (line: string) => void, select: (leg: number) => void}} callbacks
    */
-  constructor(model, targets, hold, told) {
+  constructor(model, targets, hold, callbacks) {
     this.model = model;
     this.targets = targets;
     this.hold = hold;
-    this.told = told;
+    this.callbacks = callbacks;
     this.poses = new Poses();
     /** @type {Set<number>} */
     this.chosen = new Set();
@@ -75,7 +75,7 @@ export class Drive {
   /** @param {number[]} legs */
   #stop(legs) {
     const sent = this.hold.stop(legs);
-    this.told.say(sent ? `Stops sent to ${legs.length === 1 ? `leg ${legs[0]}` : "all six legs"}.` : "NOT CONNECTED: use the switch.");
+    this.callbacks.say(sent ? `Stops sent to ${legs.length === 1 ? `leg ${legs[0]}` : "all six legs"}.` : "NOT CONNECTED: use the switch.");
   }
 
   /** @param {number[]} legs */
@@ -105,7 +105,7 @@ export class Drive {
   /** @param {number} leg */
   #selector(leg) {
     const input = element("input", { type: "radio", name: "leg", id: `leg-${leg}`, value: String(leg) });
-    input.addEventListener("change", () => this.told.select(leg));
+    input.addEventListener("change", () => this.callbacks.select(leg));
     byId("leg-chooser").append(element("label", {}, input, element("span", {}, String(leg))));
     return input;
   }
@@ -185,7 +185,7 @@ export class Drive {
       event.preventDefault();
       if (!name.value.trim()) return;
       const why = this.poses.keep(name.value.trim(), this.targets);
-      this.told.say(why ? `The pose is not kept: ${why}.` : `Pose "${name.value.trim()}" is kept in this browser.`);
+      this.callbacks.say(why ? `The pose is not kept: ${why}.` : `Pose "${name.value.trim()}" is kept in this browser.`);
       list();
     });
     byId("pose-load").addEventListener("click", () => this.poses.apply(name.value.trim(), this.targets));

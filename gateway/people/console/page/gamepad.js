@@ -21,13 +21,13 @@ export class Pad {
   /**
    * @param {import("./hold.js").Hold} hold @param {import("./targets.js").Targets} targets
    * @param {import("./walk.js").Walk} walk
-   * @param {{leg: () => number, stopAll: () => void}} told
+   * @param {{leg: () => number, stopAll: () => void}} callbacks
    */
-  constructor(hold, targets, walk, told) {
+  constructor(hold, targets, walk, callbacks) {
     this.hold = hold;
     this.walk = walk;
     this.targets = targets;
-    this.told = told;
+    this.callbacks = callbacks;
     this.held = false;
     /** The trigger was seen released, so that its next pull is meant. */
     this.ready = false;
@@ -48,7 +48,7 @@ export class Pad {
     AXES.forEach((axis, index) => {
       const value = pad.axes[axis] ?? 0;
       if (Math.abs(value) < DEAD_ZONE) return;
-      const servo = this.told.leg() * 10 + index + 1;
+      const servo = this.callbacks.leg() * 10 + index + 1;
       const turn = index === 0 ? value : -value; // up is more
       this.targets.set(servo, this.targets.get(servo) + (turn * SPEED_DEG_S * elapsedMs) / 1000);
     });
@@ -66,9 +66,9 @@ export class Pad {
       }
       return;
     }
-    text(byId("gamepad-leg"), String(this.told.leg()));
+    text(byId("gamepad-leg"), String(this.callbacks.leg()));
     const stops = pad.buttons[STOP_BUTTON]?.pressed ?? false;
-    if (stops && !this.stopping) this.told.stopAll();
+    if (stops && !this.stopping) this.callbacks.stopAll();
     this.stopping = stops;
     const pulled = (pad.buttons[TRIGGER]?.value ?? 0) > PRESSED;
     this.#walk(pad, pulled);

@@ -22,10 +22,10 @@ const FROZEN_MS = 250;
 
 /**
  * Why nothing may be sent, in words; "" where it may.
- * @param {{link: import("./link.js").Link, model: Model, told: {mine: () => boolean}, lastTickMs: number}} driver
+ * @param {{link: import("./link.js").Link, model: Model, callbacks: {mine: () => boolean}, lastTickMs: number}} driver
  * @param {number} nowMs
  */
-export function obstacle({ link, model, told, lastTickMs }, nowMs) {
+export function obstacle({ link, model, callbacks, lastTickMs }, nowMs) {
   const sinceTickMs = nowMs - lastTickMs;
   if (sinceTickMs > FROZEN_MS) return `this page was frozen for ${(sinceTickMs / 1000).toFixed(1)} s`;
   if (document.visibilityState !== "visible") return "this page is hidden";
@@ -38,7 +38,7 @@ export function obstacle({ link, model, told, lastTickMs }, nowMs) {
   const mode = model.state?.mode ?? "unknown";
   if (mode === "estopped") return "STOP ALL is engaged; reset it first";
   if (mode !== "idle" && mode !== "active") return `the gateway is not ready (${mode})`;
-  if (!told.mine()) return "this page does not have the lease";
+  if (!callbacks.mine()) return "this page does not have the lease";
   return "";
 }
 
@@ -71,12 +71,12 @@ export class Hold {
   /**
    * @param {import("./link.js").Link} link @param {Model} model
    * @param {{mine: () => boolean, chosen: (held: Set<string>) => number[], target: (servo: number, mostDeg: number) => number, busy: () => string,
-   *          steer: (elapsedMs: number) => void, say: (line: string) => void, changed: () => void}} told
+   *          steer: (elapsedMs: number) => void, say: (line: string) => void, changed: () => void}} callbacks
    */
-  constructor(link, model, told) {
+  constructor(link, model, callbacks) {
     this.link = link;
     this.model = model;
-    this.told = told;
+    this.callbacks = callbacks;
     /** What is held now: "button", "key", "gamepad". @type {Set<string>} */
     this.held = new Set();
     /** Legs whose start was acknowledged. @type {Set<number>} */
@@ -110,18 +110,18 @@ export class Hold {
       return;
     }
     this.lastTickMs = performance.now();
-    const why = obstacle(this, this.lastTickMs) || this.told.busy() || (this.told.chosen(new Set([what])).length ? "" : "choose a leg first");
+    const why = obstacle(this, this.lastTickMs) || this.callbacks.busy() || (this.callbacks.chosen(new Set([what])).length ? "" : "choose a leg first");
     if (why) {
-      this.told.say(`Nothing runs: ${why}.`);
+      this.callbacks.say(`Nothing runs: ${why}.`);
       return;
     }
     this.left = [];
     this.stopped.clear();
     this.held.add(what);
     this.timer = setInterval(() => this.#tick(), PERIOD_MS);
-    this.told.say(`Running ${legsInWords(this.told.chosen(this.held))} while you hold.`);
+    this.callbacks.say(`Running ${legsInWords(this.callbacks.chosen(this.held))} while you hold.`);
     this.#startNew();
-    this.told.changed();
+    this.callbacks.changed();
   }
 
   /** Let go: what this page ran is stopped at once. @param {string} what */
@@ -131,7 +131,7 @@ export class Hold {
     const legs = this.#end();
     if (!legs.length) return;
     const sent = this.#stop(legs);
-    this.told.say(sent ? `Let go: ${legsInWords(legs)} stopped.` : "Let go, but not connected: the watchdog stops them.");
+    this.callbacks.say(sent ? `Let go: ${legsInWords(legs)} stopped.` : "Let go, but not connected: the watchdog stops them.");
   }
 
   /** Nothing is sent from now on, until it is held anew. @param {string} why */
@@ -140,7 +140,7 @@ export class Hold {
     this.left = this.#end();
     const stops = this.left.length ? ` The watchdog stops ${legsInWords(this.left)}` : "";
     const within = stops && this.model.state ? ` after ${this.model.state.watchdog.timeout_ms} ms.` : "";
-    this.told.say(`Nothing more is sent: ${why}.${stops}${within}`);
+    this.callbacks.say(`Nothing more is sent: ${why}.${stops}${within}`);
     this.why = why;
   }
 
@@ -163,7 +163,7 @@ export class Hold {
   }
 
   /** @param {AckMessage} message */
-  heardAck(message) {
+  receivedAck(message) {
     const said = whyNot(message);
     const abandoned = this.abandoned.get(message.id);
     if (abandoned !== undefined) {
@@ -183,18 +183,18 @@ export class Hold {
   }
 
   /** A new state: what the watchdog did of that which was left to it. */
-  heardState() {
+  receivedState() {
     if (!this.left.length) return;
     const legs = this.left.map((leg) => this.model.leg(leg));
     if (legs.some((leg) => leg?.servos.some((servo) => servo.running))) return;
     const watchdog = legs.every((leg) => leg?.watchdog === "expired");
     const stopped = watchdog ? `The watchdog has stopped ${legsInWords(this.left)}` : `Stopped: ${legsInWords(this.left)}`;
-    this.told.say(`${stopped}. Reason: ${this.why}.`);
+    this.callbacks.say(`${stopped}. Reason: ${this.why}.`);
     this.left = [];
   }
 
   /** The gateway rejected something of this page, or stopped a leg that it runs. @param {import("./types.js").GatewayEvent} event */
-  heardEvent(event) {
+  receivedEvent(event) {
     const stopped = event.kind === "overflow" && event.legs?.some((leg) => this.running.has(leg));
     const rejected = event.kind === "command_rejected" && event.source === this.model.hello?.source;
     if (stopped || rejected) this.drop(`${event.reason}: ${event.detail}`);
@@ -209,7 +209,7 @@ export class Hold {
     this.running.clear();
     for (const [id, leg] of this.starting) this.#abandon(id, leg);
     this.asked = null;
-    this.told.changed();
+    this.callbacks.changed();
     return legs;
   }
 
@@ -228,7 +228,7 @@ export class Hold {
       this.drop(why);
       return;
     }
-    this.told.steer(elapsedMs);
+    this.callbacks.steer(elapsedMs);
     if (!this.active) return; // the gamepad has gone
     this.#startNew();
     this.#set(nowMs);
@@ -236,7 +236,7 @@ export class Hold {
 
   /** Start the legs that were chosen, and stop those that are not any more. */
   #startNew() {
-    const chosen = new Set(this.told.chosen(this.held));
+    const chosen = new Set(this.callbacks.chosen(this.held));
     const known = new Set([...this.running, ...this.starting.values()]);
     const dismissed = [...known].filter((leg) => !chosen.has(leg));
     if (dismissed.length) this.#stop(dismissed);
@@ -266,6 +266,6 @@ export class Hold {
 
   /** @param {number} leg @param {"start" | "set"} op */
   #payload(leg, op) {
-    return { servos: [1, 2, 3].map((joint) => ({ op, angle_deg: this.told.target(leg * 10 + joint, SPEED_DEG_S * (PERIOD_MS / 1000)) })) };
+    return { servos: [1, 2, 3].map((joint) => ({ op, angle_deg: this.callbacks.target(leg * 10 + joint, SPEED_DEG_S * (PERIOD_MS / 1000)) })) };
   }
 }

@@ -4,7 +4,7 @@
  * nothing: it also goes to other ports of this host, where somebody else may listen.
  *
  * The key is sent to nobody, since somebody else may listen at this port, too, while the console is started again. Page
- * and console show each other that they know it, the console first (`door.py`).
+ * and console show each other that they know it, the console first (`auth.py`).
  */
 
 const NAME = "hexapod-console-key";

@@ -15,12 +15,12 @@ const FREE = "The lease is free: press Drive.";
 export class Lease {
   /**
    * @param {import("./link.js").Link} link @param {import("./model.js").Model} model
-   * @param {{say: (line: string) => void, lost: (why: string) => void, got: () => void}} told
+   * @param {{say: (line: string) => void, lost: (why: string) => void, got: () => void}} callbacks
    */
-  constructor(link, model, told) {
+  constructor(link, model, callbacks) {
     this.link = link;
     this.model = model;
-    this.told = told;
+    this.callbacks = callbacks;
     this.mine = false;
     /** @type {Map<number, string>} what was asked, by its number */
     this.asked = new Map();
@@ -51,23 +51,23 @@ export class Lease {
   }
 
   /** @param {LeaseMessage} message */
-  heard(message) {
+  received(message) {
     const did = message.id == null ? "" : (this.asked.get(message.id) ?? "");
     if (message.id != null) this.asked.delete(message.id);
     const had = this.mine;
     this.mine = message.mine;
     if (message.mine && !had) {
       this.#renewEvery((message.ttl_ms ?? USUAL_TTL_MS) / RENEWALS_PER_TTL);
-      this.told.got();
-      this.told.say(this.wanted ? "You drive: the lease was handed over to you. Press to move." : "You drive: this page has the lease.");
+      this.callbacks.got();
+      this.callbacks.say(this.wanted ? "You drive: the lease was handed over to you. Press to move." : "You drive: this page has the lease.");
       this.wanted = false;
     } else if (!message.mine && had) {
       this.#lost(did === "release" ? "" : (message.detail ?? "the lease has ended"));
     } else if (message.accepted !== true && did && did !== "renew") {
-      this.told.say(`No lease: ${message.detail ?? message.reason ?? "rejected"}`);
+      this.callbacks.say(`No lease: ${message.detail ?? message.reason ?? "rejected"}`);
     } else if (message.accepted && did === "ask") {
       this.wanted = true;
-      this.told.say(`Asked ${this.holder ?? "the driver"} for the lease.`);
+      this.callbacks.say(`Asked ${this.holder ?? "the driver"} for the lease.`);
     }
     this.refresh();
   }
@@ -100,10 +100,10 @@ export class Lease {
     // Nothing moves by it. Who cannot see the robot does not begin to drive: a hidden page leaves it to others.
     if (taking && document.visibilityState === "visible" && ![...this.asked.values()].includes("acquire")) this.#ask("acquire");
     const over = (this.wanted && holder === null) || (this.announced === HANDED && !handed);
-    if (over && !mine) this.told.say(holder === null ? FREE : `${holder} drives.`);
+    if (over && !mine) this.callbacks.say(holder === null ? FREE : `${holder} drives.`);
     if (over) this.wanted = false;
     const said = mine && asker ? `${asker} asks for the lease.` : handed && !taking ? HANDED : "";
-    if (said && said !== this.announced) this.told.say(said);
+    if (said && said !== this.announced) this.callbacks.say(said);
     this.announced = said;
   }
 
@@ -111,7 +111,7 @@ export class Lease {
   #lost(why) {
     clearInterval(this.renewing);
     this.mine = false;
-    this.told.lost(why ? `you do not drive any more: ${why}` : "you do not drive any more");
+    this.callbacks.lost(why ? `you do not drive any more: ${why}` : "you do not drive any more");
   }
 
   /** @param {number} everyMs */
@@ -129,7 +129,7 @@ export class Lease {
     const id = this.link.nextId();
     this.asked.set(id, verb);
     const sent = this.link.sendNow({ type: "lease", id, do: verb, ...(to ? { to } : {}) });
-    if (!sent && verb !== "renew") this.told.say("Not connected.");
+    if (!sent && verb !== "renew") this.callbacks.say("Not connected.");
   }
 
   async #take() {

@@ -17,18 +17,18 @@ export class Link {
    * @param {{
    *   opened: () => void,
    *   closed: (why: string) => void,
-   *   heard: (message: any) => void,
-   * }} told
+   *   received: (message: any) => void,
+   * }} callbacks
    */
-  constructor(told) {
-    this.told = told;
+  constructor(callbacks) {
+    this.callbacks = callbacks;
     this.open = false;
     /** @type {WebSocket | null} */
     this.socket = null;
     this.pauseMs = FIRST_PAUSE_MS;
     this.lastId = 0;
     /** When something was heard, or a connection was begun. */
-    this.heardMs = performance.now();
+    this.receivedMs = performance.now();
     setInterval(() => {
       this.sendNow({ type: "alive", now_ms: performance.now() });
       this.renewIfDeaf(DEAF_MS);
@@ -62,25 +62,25 @@ export class Link {
   /** Try a new connection, if there is one on which nothing was heard for so long. @param {number} ms */
   renewIfDeaf(ms) {
     const { socket } = this;
-    if (!socket || performance.now() - this.heardMs < ms) return;
+    if (!socket || performance.now() - this.receivedMs < ms) return;
     this.open = false;
     this.socket = null;
     socket.close(); // whatever it still says is not heard
-    this.told.closed("nothing is heard from the console");
+    this.callbacks.closed("nothing is heard from the console");
     void this.#connect();
   }
 
   async #connect() {
-    this.heardMs = performance.now();
+    this.receivedMs = performance.now();
     let offered;
     try {
       offered = await subprotocols(DEAF_MS);
     } catch (error) {
-      this.told.closed(error instanceof Error ? error.message : "");
+      this.callbacks.closed(error instanceof Error ? error.message : "");
       this.#again();
       return;
     }
-    this.heardMs = performance.now();
+    this.receivedMs = performance.now();
     const address = new URL("ws", location.href);
     address.protocol = location.protocol === "https:" ? "wss:" : "ws:";
     const socket = new WebSocket(address, offered);
@@ -90,12 +90,12 @@ export class Link {
       this.open = true;
       this.pauseMs = FIRST_PAUSE_MS;
       this.sendNow({ type: "alive", now_ms: performance.now() });
-      this.told.opened();
+      this.callbacks.opened();
     });
     socket.addEventListener("message", (event) => {
       if (this.socket !== socket) return;
-      this.heardMs = performance.now();
-      this.told.heard(JSON.parse(event.data));
+      this.receivedMs = performance.now();
+      this.callbacks.received(JSON.parse(event.data));
     });
     socket.addEventListener("close", (event) => {
       if (this.socket === socket) this.#ended(event);
@@ -106,7 +106,7 @@ export class Link {
   #ended(event) {
     this.open = false;
     this.socket = null;
-    this.told.closed(event.code === REJECTED || event.reason ? event.reason || "the console ended the connection" : "");
+    this.callbacks.closed(event.code === REJECTED || event.reason ? event.reason || "the console ended the connection" : "");
     this.#again();
   }
 

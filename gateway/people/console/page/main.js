@@ -28,7 +28,7 @@ function say(line) {
 }
 
 const model = new Model();
-const link = new Link({ opened, closed, heard });
+const link = new Link({ opened, closed, received });
 const stop = new StopAll(link, model, {
   pressed: () => {
     shake(TAP_MS);
@@ -109,7 +109,7 @@ function closed(why) {
 }
 
 /** @param {any} message of the console */
-function heard(message) {
+function received(message) {
   switch (message.type) {
     case "hello":
       model.hello = message;
@@ -119,7 +119,7 @@ function heard(message) {
       model.takeState(message.state, message.age_ms, performance.now());
       model.now = message.now;
       if (!lease.mine) targets.follow(model.lastDeg, false);
-      hold.heardState();
+      hold.receivedState();
       break;
     case "link":
       model.linkStatus = message.status;
@@ -127,31 +127,31 @@ function heard(message) {
       break;
     case "event":
       model.takeEvent(message.event);
-      hold.heardEvent(message.event);
+      hold.receivedEvent(message.event);
       break;
     case "body":
       model.takeBody(message.body, performance.now());
       break;
     case "ack":
-      upright.heardAck(message);
-      hold.heardAck(message);
-      calibrate.heardAck(message);
-      stop.heardAck(message);
+      upright.receivedAck(message);
+      hold.receivedAck(message);
+      calibrate.receivedAck(message);
+      stop.receivedAck(message);
       break;
     case "stop":
-      stop.heard(message);
+      stop.received(message);
       break;
     case "calibration":
-      calibrate.heard(message);
+      calibrate.received(message);
       break;
     case "walk":
-      walk.heard(message);
+      walk.received(message);
       break;
     case "link_for":
-      device.heard(message);
+      device.received(message);
       break;
     case "lease":
-      lease.heard(message);
+      lease.received(message);
       break;
   }
 }

@@ -47,7 +47,7 @@ export class Lateness {
   }
 
   /** @param {number} uptimeMs the gateway's clock @param {number} atMs this page's, when it heard it */
-  heard(uptimeMs, atMs) {
+  received(uptimeMs, atMs) {
     if (uptimeMs < this.uptimeMs || this.least === Infinity) {
       this.least = this.leastBefore = Infinity; // another run of the gateway
       this.turnedAtMs = atMs;
@@ -137,7 +137,7 @@ export class Model {
   takeState(state, ageMs, nowMs) {
     if (this.state !== null && Math.abs(beganMs(state) - beganMs(this.state)) >= SAME_START_MS) this.frames = [];
     this.state = state;
-    this.stateAtMs = nowMs - ageMs - this.lateness.heard(state.uptime_s * 1000, nowMs - ageMs);
+    this.stateAtMs = nowMs - ageMs - this.lateness.received(state.uptime_s * 1000, nowMs - ageMs);
     for (const leg of state.legs) {
       for (const servo of leg.servos) if (servo.angle_deg !== null) this.lastDeg.set(servo.id, servo.angle_deg);
     }

@@ -42,12 +42,12 @@ export function inWords({ looks, touch, connected, why, askedMsAgo, answer, latc
 export class StopAll {
   /**
    * @param {import("./link.js").Link} link @param {import("./model.js").Model} model
-   * @param {{pressed: () => void, say: (line: string) => void}} told
+   * @param {{pressed: () => void, say: (line: string) => void}} callbacks
    */
-  constructor(link, model, told) {
+  constructor(link, model, callbacks) {
     this.link = link;
     this.model = model;
-    this.told = told;
+    this.callbacks = callbacks;
     /** @type {{id: number, atMs: number} | null} not confirmed yet */
     this.asked = null;
     /** @type {StopMessage | null} */
@@ -71,7 +71,7 @@ export class StopAll {
   /** @param {Event} [event] */
   press(event) {
     event?.preventDefault();
-    this.told.pressed();
+    this.callbacks.pressed();
     if (this.#looks) return;
     if (!this.asked) {
       this.asked = { id: this.link.nextId(), atMs: performance.now() };
@@ -87,7 +87,7 @@ export class StopAll {
   }
 
   /** @param {StopMessage} message */
-  heard(message) {
+  received(message) {
     if (!this.asked || message.id !== this.asked.id) return;
     this.answer = message;
     if (message.answered) {
@@ -98,12 +98,12 @@ export class StopAll {
   }
 
   /** @param {import("./types.js").AckMessage} message */
-  heardAck(message) {
+  receivedAck(message) {
     if (message.id !== this.resetId) return;
     this.resetId = null;
     const { ack } = message;
-    if (ack?.accepted) this.told.say("Reset. Nothing moves until it is started again.");
-    else this.told.say(`No reset: ${ack ? `${ack.reason}: ${ack.detail ?? ""}` : message.error}`);
+    if (ack?.accepted) this.callbacks.say("Reset. Nothing moves until it is started again.");
+    else this.callbacks.say(`No reset: ${ack ? `${ack.reason}: ${ack.detail ?? ""}` : message.error}`);
   }
 
   /** @param {number} nowMs */
@@ -158,6 +158,6 @@ export class StopAll {
     if (!agreed) return;
     this.resetId = this.link.nextId();
     const sent = this.link.sendNow({ type: "reset", id: this.resetId, estop, sent_ms: performance.now() });
-    if (!sent) this.told.say("No reset: not connected.");
+    if (!sent) this.callbacks.say("No reset: not connected.");
   }
 }

@@ -41,7 +41,7 @@ export class Upright {
   }
 
   /** @param {import("./types.js").AckMessage} message */
-  heardAck(message) {
+  receivedAck(message) {
     if (message.id !== this.askedId) return;
     this.askedId = null;
     this.say(message.ack?.accepted ? "It stands on its feet again." : `Not set upright: ${message.ack?.detail ?? message.error}`);

@@ -27,13 +27,13 @@ const BEGINS_MS = 6000;
 export class Walk {
   /**
    * @param {import("./link.js").Link} link @param {import("./model.js").Model} model
-   * @param {{mine: () => boolean, busy: () => string, say: (line: string) => void}} told
+   * @param {{mine: () => boolean, busy: () => string, say: (line: string) => void}} callbacks
    *   `busy`: what else drives the legs, in words, or ""
    */
-  constructor(link, model, told) {
+  constructor(link, model, callbacks) {
     this.link = link;
     this.model = model;
-    this.told = told;
+    this.callbacks = callbacks;
     /** The newest press; 0: none. */
     this.press = 0;
     this.sits = true;
@@ -111,7 +111,7 @@ export class Walk {
     if (!this.active || !moved) return;
     this.dropped = true;
     shake(LOST_MS);
-    this.told.say(`It stands still: ${why}.`);
+    this.callbacks.say(`It stands still: ${why}.`);
   }
 
   /** The connection to the console ended, or STOP ALL was pressed: the walk is over here. @param {string} why */
@@ -125,7 +125,7 @@ export class Walk {
   }
 
   /** @param {WalkMessage} message */
-  heard(message) {
+  received(message) {
     if (message.press < this.press && message.posture === null && !message.detail) return; // of a walk before
     const before = this.report;
     this.report = message.posture === null ? null : message;
@@ -135,11 +135,11 @@ export class Walk {
       for (const id of this.sentMs.keys()) if (id <= message.id) this.sentMs.delete(id);
     }
     if (message.detail && message.detail !== before?.detail) {
-      this.told.say(worded(`${message.detail[0].toUpperCase()}${message.detail.slice(1)}.`));
+      this.callbacks.say(worded(`${message.detail[0].toUpperCase()}${message.detail.slice(1)}.`));
       if (message.posture !== null && this.heightM !== null) this.heightM = message.height_m;
-    } else if (message.limit && message.limit !== before?.limit) this.told.say(`Slower than that: ${message.limit}.`);
+    } else if (message.limit && message.limit !== before?.limit) this.callbacks.say(`Slower than that: ${message.limit}.`);
     else if (message.now && message.now !== before?.now && !(this.dropped && message.posture === "standing")) {
-      this.told.say(`${worded(message.now)}.`);
+      this.callbacks.say(`${worded(message.now)}.`);
     }
     if (message.waits && message.press === this.press && message.posture !== null && !this.sits) {
       if (message.detail) this.#letGo();
@@ -149,7 +149,7 @@ export class Walk {
       this.#letGo();
       clearInterval(this.timer);
       this.timer = undefined;
-      if (before && !message.detail) this.told.say("It sits, and its servos are stopped.");
+      if (before && !message.detail) this.callbacks.say("It sits, and its servos are stopped.");
     }
     this.refresh();
   }
@@ -157,7 +157,7 @@ export class Walk {
   refresh() {
     const { report } = this;
     const { x, y, turn } = this.deflection;
-    const mine = this.told.mine();
+    const mine = this.callbacks.mine();
     show(byId("walk-controls"), !this.model.looks);
     attribute(byId("walk-controls"), "data-mine", mine ? "yes" : "no");
     for (const id of ["stand", "sit", "lower", "higher"]) enable(/** @type {HTMLButtonElement} */ (byId(id)), mine);
@@ -197,15 +197,15 @@ export class Walk {
   #press(sits) {
     const nowMs = performance.now();
     if (!this.active) [this.lastTickMs, this.answerMs] = [nowMs, NaN];
-    const why = obstacle(this, nowMs) || this.told.busy();
+    const why = obstacle(this, nowMs) || this.callbacks.busy();
     if (why) {
       this.#letGo();
       shake(LOST_MS);
-      this.told.say(`Nothing moves: ${why}.`);
+      this.callbacks.say(`Nothing moves: ${why}.`);
       return;
     }
     if (sits && !this.active) {
-      this.told.say("It sits already, as far as this page knows.");
+      this.callbacks.say("It sits already, as far as this page knows.");
       return;
     }
     this.press = this.link.nextId();

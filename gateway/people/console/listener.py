@@ -30,7 +30,7 @@ from websockets.server import ServerProtocol
 from websockets.typing import Subprotocol
 
 from gateway.allowance import NS_PER_S, Allowance
-from gateway.people.console.door import SUBPROTOCOL, Door, SignedIn
+from gateway.people.console.auth import SUBPROTOCOL, Auth, SignedIn
 from gateway.people.console.messages import MAX_BYTES
 from gateway.people.console.tls import Layer, Tls
 from gateway.robot.host.realtime import SWITCH_INTERVAL_S
@@ -113,20 +113,20 @@ class _Places:
         self.visits.pop(visit, None)
 
 
-class Front:
+class HttpListener:
     """Listens, on a thread of its own, from `start` on."""
 
     def __init__(
         self,
         listening: Sequence[socket.socket],
         context: ssl.SSLContext | None,
-        door: Door,
+        auth: Auth,
         admit: Callable[[Admitted], None],
     ) -> None:
         """`admit` is called on this thread."""
         self._listening = listening
         self._context = context
-        self._door = door
+        self._auth = auth
         self._admit = admit
         self._unknown = _Places(MAX_UNKNOWN)
         self._signed_in = _Places(MAX_SIGNED_IN)
@@ -135,7 +135,7 @@ class Front:
     def start(self) -> None:
         """Begin to take connections."""
         sys.setswitchinterval(SWITCH_INTERVAL_S)
-        threading.Thread(target=self._run, name="front", daemon=True).start()
+        threading.Thread(target=self._run, name="listener", daemon=True).start()
 
     def _run(self) -> None:
         while True:
@@ -215,7 +215,7 @@ class Front:
         raise EOFError
 
     async def _answer(self, visit: _Visit, request: Request, deadline: asyncio.Timeout) -> None:
-        answer = self._door.answer(request)
+        answer = self._auth.answer(request)
         if isinstance(answer, SignedIn):
             response = visit.protocol.accept(request)
             visit.protocol.send_response(response)

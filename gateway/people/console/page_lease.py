@@ -15,7 +15,7 @@ from typing import Final
 from gateway.errors import GatewayError
 from gateway.people.client.blocking import Client
 from gateway.people.client.lease import NOT_OURS
-from gateway.people.console.messages import Lease, LeaseMessage
+from gateway.people.console.messages import DriveRequest, LeaseMessage
 from gateway.people.walking import lease_lost
 from schemas.lease import LeaseAck
 from schemas.telemetry import Ack, Reason
@@ -26,7 +26,7 @@ MAX_WAITING: Final = 8
 """Requests of one page; they are made one after the other."""
 
 
-class Driving:
+class PageLease:
     """On the event loop; what waits runs on threads."""
 
     def __init__(self, client: Callable[[], Client], name: str, send: Callable[[LeaseMessage], None]) -> None:
@@ -50,7 +50,7 @@ class Driving:
         """Whether too many requests of the page wait."""
         return self._waiting >= MAX_WAITING
 
-    def ask(self, request: Lease) -> None:
+    def ask(self, request: DriveRequest) -> None:
         """Do what the page asks for, and send it what came of it."""
         self._start(request)
 
@@ -66,13 +66,13 @@ class Driving:
         """The page is gone: give it back, if it has it."""
         self._start(None)
 
-    def _start(self, request: Lease | None) -> None:
+    def _start(self, request: DriveRequest | None) -> None:
         self._waiting += 1
         task = asyncio.get_running_loop().create_task(self._run(request))
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
 
-    async def _run(self, request: Lease | None) -> None:
+    async def _run(self, request: DriveRequest | None) -> None:
         async with self._turn:
             self._waiting -= 1
             if request is None:
@@ -90,7 +90,7 @@ class Driving:
                 ack = ack.model_copy(update={"detail": self._why_lost(asked_s, ack.holder)})
             self._answered(request, ack)
 
-    async def _asked(self, request: Lease) -> LeaseAck:
+    async def _asked(self, request: DriveRequest) -> LeaseAck:
         requests, token = self._client().lease_requests, self.token
         if request.do in ("renew", "release"):
             if token is None:
@@ -100,7 +100,7 @@ class Driving:
             return await asyncio.to_thread(requests.release, token, request.to)
         return await asyncio.to_thread(requests.as_person, request.do, self._name)
 
-    def _answered(self, request: Lease, ack: LeaseAck) -> None:
+    def _answered(self, request: DriveRequest, ack: LeaseAck) -> None:
         if ack.accepted and request.do in ("acquire", "take"):
             self.token, self.mine = ack.lease, ack.lease is not None
         elif request.do == "release":

@@ -28,7 +28,7 @@ from websockets.datastructures import Headers, MultipleValuesError
 from websockets.http11 import Request, Response
 
 from gateway.people.console.messages import Role, least
-from gateway.people.console.register import SESSION_S, Entry, Register
+from gateway.people.console.sessions import SESSION_S, Entry, Sessions
 from gateway.people.console.site import Site
 from gateway.people.terminal import this_command
 
@@ -73,7 +73,7 @@ _PAGES: Final = {"/": "/index.html", "/button": "/button.html"}
 
 
 @dataclass(frozen=True)
-class Answer:
+class HttpAnswer:
     """What to send. `is_for_session`: to somebody who is signed in."""
 
     response: Response
@@ -81,33 +81,33 @@ class Answer:
 
 
 @dataclass(frozen=True)
-class _File:
+class _PageFile:
     content: bytes
     kind: str
     tag: str
 
 
-class Door:
+class Auth:
     """For the thread that takes requests."""
 
-    def __init__(self, site: Site, register: Register, *, person: str, role: Role) -> None:
+    def __init__(self, site: Site, sessions: Sessions, *, person: str, role: Role) -> None:
         """`role` is what a page may do at most."""
         self._site = site
-        self._register = register
+        self._sessions = sessions
         self._person = person
         self._role = role
         self._files = _files()
         self._nonces: dict[str, float] = {}
         """Given out and not used, and until when each serves, monotonic."""
 
-    def answer(self, request: Request) -> Answer | SignedIn:
+    def answer(self, request: Request) -> HttpAnswer | SignedIn:
         """What to say to it, or that its WebSocket may come in."""
         found = self._answer(request)
-        if isinstance(found, Answer):
+        if isinstance(found, HttpAnswer):
             self._add_headers(request, found.response)
         return found
 
-    def _answer(self, request: Request) -> Answer | SignedIn:
+    def _answer(self, request: Request) -> HttpAnswer | SignedIn:
         path, _, query = request.path.partition("?")
         if (why := self._why_not(request, path)) is not None:
             return why
@@ -117,7 +117,7 @@ class Door:
             return self._file(path, request)
         return self._for_session(request, path, query)
 
-    def _why_not(self, request: Request, path: str) -> Answer | None:
+    def _why_not(self, request: Request, path: str) -> HttpAnswer | None:
         """What to say to what no page of ours sends."""
         host, origin = _one(request, "Host"), _one(request, "Origin")
         if request.method != "GET":
@@ -128,8 +128,8 @@ class Door:
             return _no("only the console's own page may come here")
         return None
 
-    def _for_session(self, request: Request, path: str, query: str) -> Answer | SignedIn:
-        entry = self._register.cookie(_cookie(request, self._site.cookie))
+    def _for_session(self, request: Request, path: str, query: str) -> HttpAnswer | SignedIn:
+        entry = self._sessions.cookie(_cookie(request, self._site.cookie))
         if entry is None or (path == WEBSOCKET and not self._is_proved(entry, *_offered_proof(request))):
             if path in _PAGES:
                 return self._refused("You are not signed in.")
@@ -140,7 +140,7 @@ class Door:
         if path == "/session":
             nonce = self._new_nonce()
             answer = {"nonce": nonce, "proof": proof(entry.key_sha256, f"console {_given(query, 'nonce')} {nonce}")}
-            return Answer(_response(HTTPStatus.OK, json.dumps(answer).encode(), "json"))
+            return HttpAnswer(_response(HTTPStatus.OK, json.dumps(answer).encode(), "json"))
         return self._file(_PAGES.get(path, path), request)
 
     def _new_nonce(self) -> str:
@@ -156,8 +156,8 @@ class Door:
         serves = time.monotonic() < self._nonces.pop(nonce, 0.0)
         return serves and bool(entry.key_sha256) and hmac.compare_digest(proof(entry.key_sha256, f"page {nonce}"), made)
 
-    def _enter(self, token: str, card: str) -> Answer:
-        found = self._register.exchange(token)
+    def _enter(self, token: str, card: str) -> HttpAnswer:
+        found = self._sessions.exchange(token)
         if found is None:
             return self._refused("This link was used already, or is too old.")
         card = f"?{card}" if card.isascii() and card.isalpha() else ""
@@ -166,15 +166,15 @@ class Door:
         response = _response(HTTPStatus.SEE_OTHER, b"", "plain")
         response.headers["Location"] = f"{PUBLIC[0]}{card}#{found.key}"
         response.headers["Set-Cookie"] = cookie
-        return Answer(response)
+        return HttpAnswer(response)
 
-    def _refused(self, why: str) -> Answer:
+    def _refused(self, why: str) -> HttpAnswer:
         """A page for a person: what to do on a phone, and at the console's machine."""
         page = self._files["/refused.html"].content.decode()
         page = page.replace("WHY", escape(why)).replace("COMMAND", escape(f"{this_command()} console --link"))
-        return Answer(_response(HTTPStatus.FORBIDDEN, page.encode(), "html"))
+        return HttpAnswer(_response(HTTPStatus.FORBIDDEN, page.encode(), "html"))
 
-    def _file(self, path: str, request: Request) -> Answer:
+    def _file(self, path: str, request: Request) -> HttpAnswer:
         file = self._files.get(path)
         for_session = path not in PUBLIC
         if file is None:
@@ -184,7 +184,7 @@ class Door:
         else:
             response = _response(HTTPStatus.OK, file.content, file.kind)
         response.headers["ETag"] = file.tag
-        return Answer(response, is_for_session=for_session)
+        return HttpAnswer(response, is_for_session=for_session)
 
     def _add_headers(self, request: Request, response: Response) -> None:
         host = _one(request, "Host") or ""
@@ -194,7 +194,7 @@ class Door:
         response.headers["content-security-policy"] = CONTENT_POLICY.format(socket=socket)
 
 
-def _files() -> Mapping[str, _File]:
+def _files() -> Mapping[str, _PageFile]:
     """The page's files, 2 MB: nobody waits for a disk, and none takes a descriptor."""
     found = {}
     for path in PAGE.rglob("*"):
@@ -202,16 +202,16 @@ def _files() -> Mapping[str, _File]:
             content = path.read_bytes()
             kind = mimetypes.guess_type(path.name)[0] or "text/plain"
             tag = f'"{hashlib.sha256(content).hexdigest()[:32]}"'
-            found[f"/{path.relative_to(PAGE).as_posix()}"] = _File(content, kind, tag)
+            found[f"/{path.relative_to(PAGE).as_posix()}"] = _PageFile(content, kind, tag)
     return found
 
 
-def _no(why: str) -> Answer:
+def _no(why: str) -> HttpAnswer:
     return _text(HTTPStatus.FORBIDDEN, why)
 
 
-def _text(status: HTTPStatus, text: str) -> Answer:
-    return Answer(_response(status, f"{text}\n".encode(), "plain"))
+def _text(status: HTTPStatus, text: str) -> HttpAnswer:
+    return HttpAnswer(_response(status, f"{text}\n".encode(), "plain"))
 
 
 def _response(status: HTTPStatus, body: bytes, kind: str) -> Response:

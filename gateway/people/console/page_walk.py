@@ -44,7 +44,7 @@ REPORT_S: Final = 0.1
 _log: Final = logging.getLogger(__name__)
 
 
-class Walking:
+class PageWalks:
     """For one page, on the event loop; all walks of the page come one after the other."""
 
     def __init__(

@@ -70,7 +70,7 @@ class _Entries(BaseModel):
     sessions: tuple[Entry, ...] = ()
 
 
-class Register:
+class Sessions:
     """The links and sessions of the console at one port. For any thread and process."""
 
     def __init__(self, folder: Path, port: int, now_s: Callable[[], float] = time.time) -> None:
@@ -222,13 +222,13 @@ def begun(folder: Path) -> list[tuple[int, str]]:
     """Port and address of the consoles that keep their sessions there; the one whose file was written last is first."""
     paths = sorted(folder.glob("console-*.json"), key=lambda path: path.stat().st_mtime_ns, reverse=True)
     ports = [int(number) for path in paths if (number := path.stem.removeprefix("console-")).isdigit()]
-    return [(port, url) for port in ports if (url := Register(folder, port).url)]
+    return [(port, url) for port in ports if (url := Sessions(folder, port).url)]
 
 
 def revoke_all(folder: Path, now_s: Callable[[], float] = time.time) -> int:
     """End the sessions of all consoles that keep theirs there; how many there were."""
     ports = [path.stem.removeprefix("console-") for path in folder.glob("console-*.json")]
-    return sum(Register(folder, int(port), now_s).revoke() for port in ports if port.isdigit())
+    return sum(Sessions(folder, int(port), now_s).revoke() for port in ports if port.isdigit())
 
 
 def _find(entries: tuple[Entry, ...], token: str, now_s: float) -> Entry | None:

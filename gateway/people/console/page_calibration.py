@@ -12,7 +12,7 @@ from gateway.errors import GatewayError
 from gateway.people.client.payloads import calibration_payload
 from gateway.people.console.guide import Guide
 from gateway.people.console.link import GatewayLink
-from gateway.people.console.messages import Calibrate, CalibrationMessage, Draft
+from gateway.people.console.messages import CalibrateRequest, CalibrationMessage, Draft
 from gateway.people.tools.calibration import change_of, standing
 from gateway.robot.core.calibration import CalibrationError, calibration_of
 from gateway.robot.protocol.framing import avoided_by
@@ -23,7 +23,7 @@ MAX_WAITING: Final = 32
 """Steps of one page that wait for the one before; a key that is held jogs ten times a second."""
 
 
-class Calibrating:
+class PageCalibration:
     """On the event loop; its steps are taken one after the other."""
 
     def __init__(
@@ -45,13 +45,13 @@ class Calibrating:
         """Whether too many steps of the page wait."""
         return len(self._tasks) >= MAX_WAITING
 
-    def ask(self, step: Calibrate, *, mine: bool) -> None:
+    def ask(self, step: CalibrateRequest, *, mine: bool) -> None:
         """Take a step, and send the page where the guide then stands. `mine`: the page has the lease."""
         task = asyncio.get_running_loop().create_task(self._run(step, mine=mine))
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
 
-    async def _run(self, step: Calibrate, *, mine: bool) -> None:
+    async def _run(self, step: CalibrateRequest, *, mine: bool) -> None:
         async with self._turn:
             said = error = None
             try:
@@ -60,7 +60,7 @@ class Calibrating:
                 error = str(fault)
             self._send(self._view(step.id, said, error))
 
-    async def _take(self, step: Calibrate, *, mine: bool) -> str | None:
+    async def _take(self, step: CalibrateRequest, *, mine: bool) -> str | None:
         if step.do == "open" or self._guide is None:
             await self._look()
         guide = self._guide
@@ -85,7 +85,7 @@ class Calibrating:
     async def _state(self) -> GatewayState:
         return await asyncio.to_thread(self._link.client().state)
 
-    async def _write(self, step: Calibrate, guide: Guide) -> str:
+    async def _write(self, step: CalibrateRequest, guide: Guide) -> str:
         revision = guide.in_force.revision
         if step.do == "accept_default":
             payload, done = calibration_payload(accept_default=True), "the default calibration is in force"
@@ -133,7 +133,7 @@ class Calibrating:
         )
 
 
-def _on_paper(step: Calibrate, guide: Guide) -> str | None:
+def _on_paper(step: CalibrateRequest, guide: Guide) -> str | None:
     """A step that changes nothing but the draft, or where the servo under test is to be."""
     deg = 0.0 if step.deg is None else step.deg
     match step.do:

@@ -9,14 +9,14 @@ from typing import Final
 
 from gateway.errors import GatewayError
 from gateway.people.client.blocking import Client
-from gateway.people.console.messages import StopButton, StopButtonMessage
+from gateway.people.console.messages import StopButtonMessage, StopButtonRequest
 from schemas.button import ButtonAck
 
 ANSWER_S: Final = 1.0
 """For a check-in; a newer one takes the place of one that waits for its turn."""
 
 
-class Pressing:
+class StopButton:
     """On the event loop; what waits runs on threads."""
 
     def __init__(self, client: Callable[[], Client], name: str, send: Callable[[StopButtonMessage], None]) -> None:
@@ -26,10 +26,10 @@ class Pressing:
         self._send = send
         self._token: str | None = None
         self._count = 0
-        self._next: StopButton | None = None
+        self._next: StopButtonRequest | None = None
         self._task: asyncio.Task[None] | None = None
 
-    def take(self, message: StopButton) -> None:
+    def take(self, message: StopButtonRequest) -> None:
         """Do what the page asks for, and answer. Of several that wait, the newest is as good as all."""
         self._next = message
         if self._task is None:
@@ -46,7 +46,7 @@ class Pressing:
                 self._send(self._answered(message, ack))
         self._task = None
 
-    def _ask(self, message: StopButton) -> ButtonAck:
+    def _ask(self, message: StopButtonRequest) -> ButtonAck:
         """On a thread."""
         requests = self._client().button_requests
         if message.do == "register":
@@ -58,7 +58,7 @@ class Pressing:
         self._count += 1
         return requests.alive(token, self._count, message.sent_ms, ANSWER_S)
 
-    def _answered(self, message: StopButton, ack: ButtonAck) -> StopButtonMessage:
+    def _answered(self, message: StopButtonRequest, ack: ButtonAck) -> StopButtonMessage:
         if ack.accepted and ack.button is not None:
             self._token, self._count = ack.button, 0
         # Of the answer it has the fields that a page may know: not the token.

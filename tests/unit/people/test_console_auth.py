@@ -9,8 +9,8 @@ import pytest
 from websockets.datastructures import Headers
 from websockets.http11 import Request
 
-from gateway.people.console.door import MOST_NONCES, NONCE_S, Answer, Door, SignedIn, proof
-from gateway.people.console.register import Register, SignIn
+from gateway.people.console.auth import MOST_NONCES, NONCE_S, Auth, HttpAnswer, SignedIn, proof
+from gateway.people.console.sessions import Sessions, SignIn
 from gateway.people.console.site import site
 
 URL = "http://127.0.0.1:8080"
@@ -21,33 +21,33 @@ class Visitor:
 
     def __init__(self, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         self.now_s = 100.0
-        monkeypatch.setattr("gateway.people.console.door.time.monotonic", lambda: self.now_s)
-        self._register = Register(folder, 8080)
-        self._register.begin(URL, "operator")
+        monkeypatch.setattr("gateway.people.console.auth.time.monotonic", lambda: self.now_s)
+        self._sessions = Sessions(folder, 8080)
+        self._sessions.begin(URL, "operator")
         self._site = site("127.0.0.1:8080", None, None)
-        self._door = Door(self._site, self._register, person="anna", role="operator")
+        self._auth = Auth(self._site, self._sessions, person="anna", role="operator")
 
     def sign_in(self) -> SignIn:
-        found = self._register.exchange(self._register.new_link().partition("=")[2])
+        found = self._sessions.exchange(self._sessions.new_link().partition("=")[2])
         assert found is not None
         return found
 
     def follow_link(self, card: str) -> str:
         """Where a browser goes that opens a link to this card."""
-        link = self._register.new_link().removeprefix(URL)
-        answer = self._door.answer(Request(f"{link}&card={card}", Headers({"Host": "127.0.0.1:8080"})))
-        assert isinstance(answer, Answer)
+        link = self._sessions.new_link().removeprefix(URL)
+        answer = self._auth.answer(Request(f"{link}&card={card}", Headers({"Host": "127.0.0.1:8080"})))
+        assert isinstance(answer, HttpAnswer)
         return answer.response.headers["Location"]
 
-    def get(self, path: str, session: SignIn, **headers: str) -> Answer | SignedIn:
+    def get(self, path: str, session: SignIn, **headers: str) -> HttpAnswer | SignedIn:
         cookie = f"{self._site.cookie}={session.cookie}"
         names = {name.replace("_", "-"): value for name, value in headers.items()}
-        return self._door.answer(Request(path, Headers({"Host": "127.0.0.1:8080", "Cookie": cookie, **names})))
+        return self._auth.answer(Request(path, Headers({"Host": "127.0.0.1:8080", "Cookie": cookie, **names})))
 
     def nonce(self, session: SignIn, mine: str = "mine") -> tuple[str, str]:
         """The console's, and its proof."""
         answer = self.get(f"/session?nonce={mine}", session)
-        assert isinstance(answer, Answer)
+        assert isinstance(answer, HttpAnswer)
         found = json.loads(answer.response.body)
         assert session.key not in answer.response.body.decode()
         return found["nonce"], found["proof"]

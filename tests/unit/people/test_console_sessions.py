@@ -1,0 +1,215 @@
+"""Links that work once, and the sessions that follow from them."""
+
+import os
+import resource
+import stat
+from pathlib import Path
+
+import pytest
+
+from gateway.errors import ConfigError
+from gateway.people.console.sessions import LINK_S, MAX_ENTRIES, SESSION_S, Sessions, SignIn, begun, revoke_all
+
+URL = "http://127.0.0.1:8080"
+
+
+class Clock:
+    """A wall clock that somebody sets."""
+
+    def __init__(self) -> None:
+        self.now_s = 1_700_000_000.0
+
+    def __call__(self) -> float:
+        return self.now_s
+
+
+@pytest.fixture
+def clock() -> Clock:
+    return Clock()
+
+
+@pytest.fixture
+def sessions(tmp_path: Path, clock: Clock) -> Sessions:
+    found = Sessions(tmp_path, 8080, clock)
+    found.begin(URL, "operator")
+    return found
+
+
+def token_of(link: str) -> str:
+    assert link.startswith(f"{URL}/?token=")
+    return link.partition("token=")[2]
+
+
+def sign_in(sessions: Sessions) -> str:
+    """The cookie of a new session."""
+    return new_session(sessions).cookie
+
+
+def new_session(sessions: Sessions) -> SignIn:
+    found = sessions.exchange(token_of(sessions.new_link()))
+    assert found is not None
+    return found
+
+
+def test_a_link_works_once(sessions: Sessions) -> None:
+    sessions.begin(URL, "observer")
+    token = token_of(sessions.new_link())
+    found = sessions.exchange(token)
+    assert found is not None
+    assert found.entry.role == "observer"
+    assert sessions.cookie(found.cookie) == found.entry
+    assert sessions.exchange(token) is None
+    assert sessions.cookie(token) is None, "a link is no session"
+    assert sessions.exchange(found.cookie) is None, "a session is no link"
+
+
+def test_a_session_is_found_by_its_cookie_and_not_by_its_key(sessions: Sessions) -> None:
+    mine = new_session(sessions)
+    assert sessions.cookie(mine.cookie) == mine.entry
+    for other in (None, "", mine.key, mine.entry.sha256):
+        assert sessions.cookie(other) is None
+
+
+def test_a_link_is_void_once_the_console_is_started_again(sessions: Sessions) -> None:
+    token, session = token_of(sessions.new_link()), new_session(sessions)
+    sessions.begin(URL, "operator")
+    assert sessions.exchange(token) is None
+    assert sessions.cookie(session.cookie) is not None, "a restart signs nobody out"
+
+
+def test_sessions_are_of_one_certificate(sessions: Sessions) -> None:
+    """A console may not be connected when its certificate is revoked, and later have another."""
+    sessions.begin(URL, "operator", "operator-00")
+    session = new_session(sessions)
+    sessions.begin(URL, "operator", "operator-00")
+    assert sessions.still_valid(session.entry), "a restart signs nobody out"
+    sessions.begin(URL, "operator", "operator-01")
+    assert not sessions.still_valid(session.entry)
+    sessions.begin(URL, "operator", "operator-00")
+    assert not sessions.still_valid(session.entry), "it is over for good"
+
+
+@pytest.mark.parametrize("token", [None, "", "x", "\ud800", "0" * 43])
+def test_what_is_no_session(sessions: Sessions, token: str | None) -> None:
+    sign_in(sessions)
+    assert sessions.cookie(token) is None
+
+
+def test_a_page_that_only_looks_goes_on_so(sessions: Sessions) -> None:
+    """Also at a console that is started again for operators."""
+    sessions.begin(URL, "observer")
+    found = sessions.exchange(token_of(sessions.new_link()))
+    assert found is not None
+    sessions.begin(URL, "operator")
+    entry = sessions.cookie(found.cookie)
+    assert entry is not None
+    assert entry.role == "observer"
+
+
+def test_a_link_becomes_too_old(sessions: Sessions, clock: Clock) -> None:
+    token = token_of(sessions.new_link())
+    clock.now_s += LINK_S
+    assert sessions.exchange(token) is None
+
+
+def test_a_session_ends(sessions: Sessions, clock: Clock) -> None:
+    token = sign_in(sessions)
+    entry = sessions.cookie(token)
+    assert entry is not None
+    clock.now_s += SESSION_S - 1
+    assert sessions.still_valid(entry)
+    clock.now_s += 1
+    assert not sessions.still_valid(entry)
+    assert sessions.cookie(token) is None
+
+
+def test_what_seems_to_come_from_the_future_is_void(sessions: Sessions, clock: Clock) -> None:
+    """A robot without a clock of its own starts in the past; a session must not live for years by that."""
+    token = sign_in(sessions)
+    clock.now_s -= 3600
+    assert sessions.cookie(token) is None
+
+
+def test_another_process_knows_the_session_and_revokes_it(sessions: Sessions, tmp_path: Path, clock: Clock) -> None:
+    token = sign_in(sessions)
+    link = sessions.new_link()
+    other = Sessions(tmp_path, 8080, clock)
+    entry = other.cookie(token)
+    assert entry is not None
+    assert revoke_all(tmp_path, clock) == 1
+    assert not sessions.still_valid(entry)
+    assert sessions.cookie(token) is None
+    assert sessions.exchange(token_of(link)) is None
+    sign_in(sessions)  # and it goes on
+
+
+def test_the_port_has_its_own(sessions: Sessions, tmp_path: Path, clock: Clock) -> None:
+    token = sign_in(sessions)
+    other = Sessions(tmp_path, 8081, clock)
+    assert other.cookie(token) is None
+    with pytest.raises(ConfigError, match="no console has run there"):
+        other.new_link()
+
+
+def test_the_file_holds_no_token_and_is_private(sessions: Sessions, tmp_path: Path) -> None:
+    token = sign_in(sessions)
+    link = token_of(sessions.new_link())
+    file = tmp_path / "console-8080.json"
+    assert token not in file.read_text()
+    assert link not in file.read_text()
+    assert stat.S_IMODE(file.stat().st_mode) == 0o600
+
+
+@pytest.mark.parametrize("content", [b"", b"{", b"[]", b'{"sessions": 3}', b'{"sessions": [{"sha256": ""}]}', b"\xff"])
+def test_a_faulty_file_lets_nobody_in(sessions: Sessions, tmp_path: Path, content: bytes) -> None:
+    token = sign_in(sessions)
+    (tmp_path / "console-8080.json").write_bytes(content)
+    assert sessions.cookie(token) is None
+    sessions.begin(URL, "operator")
+    assert sessions.cookie(sign_in(sessions)) is not None
+
+
+def test_it_is_bounded(sessions: Sessions) -> None:
+    first = sign_in(sessions)
+    for _ in range(MAX_ENTRIES):
+        newest = sign_in(sessions)
+    assert sessions.cookie(first) is None
+    assert sessions.cookie(newest) is not None
+
+
+def test_a_folder_that_cannot_be_written(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ConfigError, match="cannot write"):
+        Sessions(tmp_path / "file", 8080).begin(URL, "operator")
+
+
+def test_consoles_that_have_begun_the_latest_first(tmp_path: Path, clock: Clock) -> None:
+    """A file without an address, or of another name, is no console's."""
+    for port, written_s in ((8080, 1), (8443, 3), (9000, 2)):
+        Sessions(tmp_path, port, clock).begin(f"https://robot.local:{port}", "operator")
+        os.utime(tmp_path / f"console-{port}.json", (written_s, written_s))
+    (tmp_path / "console-7.json").write_text("{}")
+    (tmp_path / "console-x.json").write_text("{}")
+    assert begun(tmp_path) == [(port, f"https://robot.local:{port}") for port in (8443, 9000, 8080)]
+
+
+def test_without_a_free_descriptor_who_is_signed_in_stays_so_and_nobody_else_comes_in(
+    sessions: Sessions, clock: Clock
+) -> None:
+    """Strangers can take the last one; the file of the sessions may have changed just before."""
+    before = new_session(sessions)
+    assert sessions.still_valid(before.entry)
+    sessions.new_link()
+    limits = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (0, limits[1]))
+    try:
+        with pytest.raises(OSError, match="Too many open files"):
+            sessions.path.open()
+        assert sessions.still_valid(before.entry)
+        with pytest.raises(ConfigError, match="Too many open files"):
+            sessions.new_link()
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, limits)
+    assert sessions.still_valid(before.entry)
+    revoke_all(sessions.path.parent, clock)
+    assert not sessions.still_valid(before.entry)
