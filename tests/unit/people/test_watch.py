@@ -12,8 +12,8 @@ from gateway.people.tools.watch.model import (
     STOP_PATIENCE_NS,
     Confirmation,
     Counts,
-    Model,
     GatewayPresence,
+    Model,
     Tone,
 )
 from gateway.robot.core.rejection_limit import RejectionLimit

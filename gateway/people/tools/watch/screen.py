@@ -19,7 +19,7 @@ from gateway.people.client.live import CLOSE_S, ERRORS, Live, Receiver
 from gateway.people.client.stops import UntilConfirmed
 from gateway.people.terminal import screen
 from gateway.people.tools import kept_lease
-from gateway.people.tools.watch.model import Confirmation, Model, GatewayPresence, Tone
+from gateway.people.tools.watch.model import Confirmation, GatewayPresence, Model, Tone
 from gateway.people.tools.watch.view import picture
 from gateway.text import visible
 from schemas import keys as wire

@@ -10,7 +10,7 @@ from rich.cells import cell_len
 from rich.text import Text
 
 from gateway.certs import expiry
-from gateway.people.tools.watch.model import Counts, Model, GatewayPresence, Tone
+from gateway.people.tools.watch.model import Counts, GatewayPresence, Model, Tone
 from gateway.text import visible
 from schemas.telemetry import ButtonsReport, GatewayState, LeaseReport, LegReport, Mode, ServoReport, WatchdogState
 
