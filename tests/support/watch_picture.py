@@ -15,7 +15,7 @@ from pathlib import Path
 
 from gateway import certs
 from gateway.client import Client, leg_payload
-from gateway.people.tools.watch.screen import Screen
+from gateway.people.tools.watch.screen import WatchScreen
 from schemas import keys
 from tests.support.secured import Secured
 from tests.support.terminal_picture import svg
@@ -46,7 +46,7 @@ def walk(client: Client, legs: Sequence[int], seconds: float) -> None:
 
 def run(secured: Secured) -> str:
     """Let the gateway be busy, and draw what `watch` knows of it then."""
-    watch = Screen(partial(secured.client, "anna"), SHOWN)
+    watch = WatchScreen(partial(secured.client, "anna"), SHOWN)
     watch.begin()
     with secured.client("bert") as bert, secured.client("anna") as anna:
         bert.start_leg(2, 90, 45, 120)  # and then no more: the watchdog stops it

@@ -19,6 +19,7 @@ from schemas.telemetry import (
     WatchdogState,
 )
 
+NS_PER_MS = 1_000_000
 WALL = datetime(2026, 1, 2, 3, 4, 5, tzinfo=UTC)
 
 

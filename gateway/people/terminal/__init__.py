@@ -17,7 +17,7 @@ from typing import Final, Self
 from gateway.errors import ConfigError, GatewayError
 from gateway.text import visible
 
-PROGRESS_S: Final = 0.2
+_REDRAW_S: Final = 0.2
 """How often a line of progress changes."""
 NOBODY: Final = "nobody can be asked here, since there is no terminal; --yes agrees"
 
@@ -52,7 +52,7 @@ class Progress:
     def show(self, text: str) -> None:
         """Show this, unless something was shown just now."""
         now_s = time.monotonic()
-        if now_s - self._shown_s >= PROGRESS_S:
+        if now_s - self._shown_s >= _REDRAW_S:
             self._shown_s = now_s
             show_line(text)
 

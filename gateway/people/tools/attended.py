@@ -70,12 +70,12 @@ def drill(
     from gateway.people.terminal import say
     from gateway.people.tools import reach
     from gateway.people.tools.drill import report as reports
-    from gateway.people.tools.drill.run import SOURCE, drill
+    from gateway.people.tools.drill.run import DRILL_SOURCE, drill
 
     if report is not None:
         reports.check(report)
     found = drill(
-        reach.connection(connect, zenoh_config, timeout, source=SOURCE),
+        reach.connection(connect, zenoh_config, timeout, source=DRILL_SOURCE),
         leg=leg,
         angle_deg=angle,
         whole_leg=move,

@@ -19,7 +19,7 @@ from gateway.people.recordings.writing import REPORTS, ROS_ENCODING, ROS_SCHEMA_
 from gateway.people.ros2.cdr import Message, definition, encode
 from gateway.people.terminal import hint, on_end_signals, say
 from gateway.people.tools.reach import Connection
-from gateway.people.tools.viewers_door import Door, Pair
+from gateway.people.tools.viewer_access import Pair, ViewerAccess
 from schemas.keys import STATE
 
 try:
@@ -33,18 +33,18 @@ HOST: Final = "127.0.0.1"
 """This machine only. From elsewhere, `ssh -L` leads here."""
 _NAME: Final = "viewers.invalid"
 """Of the server behind the door."""
-SILENT_S: Final = 1.0
+_SILENT_S: Final = 1.0
 """A gateway publishes its state ten times a second."""
-MOST_WAITING: Final = 10_000
+_MOST_WAITING: Final = 10_000
 
 
 def serve(connect: Connection, *, port: int, geometry: Path | None, origins: Collection[str] = ()) -> int:
     """Serve until a signal. Returns the exit code. Raises AddressTakenError, ConfigError, ZenohError."""
     shape = load(geometry)
     with connect() as client:
-        reports = ReportQueue(REPORTS, MOST_WAITING, client.state().physics)
+        reports = ReportQueue(REPORTS, _MOST_WAITING, client.state().physics)
         try:
-            door = Door(HOST, port, origins)
+            door = ViewerAccess(HOST, port, origins)
         except OSError as error:
             raise AddressTakenError(f"port {port} is taken; name another with --port") from error
         pair = Pair(_NAME)
@@ -96,7 +96,7 @@ class _Server(ServerListener):
         """Until the reports end."""
         while True:
             try:
-                received = self._reports.get(SILENT_S)
+                received = self._reports.get(_SILENT_S)
             except Empty:
                 self._is_silent()
                 continue

@@ -30,7 +30,7 @@ MOST_AHEAD: Final = 100
 """Steps that are read before their time: two seconds of a gait. A chunk of the file takes 2 ms."""
 FREE_NS: Final = 2 * NS_PER_MS
 """Before the next command there must be so much time for a step to be read."""
-PROGRESS_S: Final = 0.5
+_PROGRESS_S: Final = 0.5
 
 _ENDS: Final = (Kind.ESTOP_ENGAGED, Kind.BUS_FAULT, Kind.STOPPED_OUTSIDE, Kind.STOPPING)
 
@@ -71,7 +71,7 @@ class Player:
             sender = threading.Thread(target=self._send, args=(lease,), name="sender")
             try:
                 sender.start()
-                while not self._over.wait(PROGRESS_S):
+                while not self._over.wait(_PROGRESS_S):
                     self._show()
             finally:
                 self._wake.set()

@@ -16,10 +16,10 @@ from gateway.people.terminal import clear_line, hint, on_end_signals, say, show_
 from gateway.people.tools.reach import Connection
 from schemas.keys import CALIBRATION, EVENT, FRAME, STATE
 
-PROGRESS_S: Final = 0.5
-SILENT_S: Final = 3.0
+_PROGRESS_S: Final = 0.5
+_SILENT_S: Final = 3.0
 """Without a word from the gateway for so long, the progress says so."""
-MOST_WAITING: Final = 100_000
+_MOST_WAITING: Final = 100_000
 """Reports that wait for the disk: minutes of frames. More are dropped and counted, before memory runs out."""
 
 _NAMES: Final = {STATE: "states", EVENT: "events", FRAME: "frames"}
@@ -37,7 +37,7 @@ def record(connect: Connection, path: Path, *, geometry: Path | None, overwrite:
         except OSError as error:
             raise ConfigError(f"{path}: cannot be written ({error.strerror})") from error
         recording.describe(about(state))
-        reports = ReportQueue(REPORTS, MOST_WAITING, state.physics)
+        reports = ReportQueue(REPORTS, _MOST_WAITING, state.physics)
         if state.calibration.revision:  # so that the frames can be read; the default, and an older gateway, have 0
             reports.put(CALIBRATION, client.calibration().model_dump_json().encode())
         with reports.receives(client.session), on_end_signals(reports.end):
@@ -81,7 +81,7 @@ class _Recorder:
         progress_s = self._begun_s
         while (now_s := time.monotonic()) < (end_s or now_s + 1):
             if now_s >= progress_s:
-                progress_s = now_s + PROGRESS_S
+                progress_s = now_s + _PROGRESS_S
                 self._show_progress()
             with suppress(Empty):
                 received = self._reports.get(min(progress_s, end_s or progress_s) - now_s)
@@ -103,12 +103,12 @@ class _Recorder:
 
     def _show_progress(self) -> None:
         silent_s = time.monotonic() - self._received_s
-        silence = f"nothing heard for {silent_s:.0f} s; " if silent_s > SILENT_S else ""
+        silence = f"nothing heard for {silent_s:.0f} s; " if silent_s > _SILENT_S else ""
         show_line(f"{silence}{self._summary()}")
 
     def _report(self) -> None:
         say(f"{self._recording.path}: {self._summary()}")
-        if (silent_s := time.monotonic() - self._received_s) > SILENT_S:
+        if (silent_s := time.monotonic() - self._received_s) > _SILENT_S:
             hint(f"Nothing was heard of the gateway in the last {silent_s:.0f} s.")
         if not self._counts[FRAME] and self._frames_written > self._frames_before:
             hint("The gateway publishes no frames (telemetry.frames = false), so there is nothing for `replay`.")

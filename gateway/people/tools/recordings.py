@@ -107,9 +107,9 @@ def replay(
     2 there is nothing to replay, the robot is not at rest, or nobody agreed, 4 no gateway answers.
     """
     from gateway.people.tools import reach
-    from gateway.people.tools.replay import SOURCE, replay
+    from gateway.people.tools.replay import REPLAY_SOURCE, replay
 
-    connection = reach.connection(connect, zenoh_config, timeout, source=SOURCE)
+    connection = reach.connection(connect, zenoh_config, timeout, source=REPLAY_SOURCE)
     sys.exit(replay(connection, file, speed=speed, agreed=yes))
 
 

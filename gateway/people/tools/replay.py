@@ -16,7 +16,7 @@ from gateway.robot.core.calibration import Calibration, calibration_of
 from schemas.keys import CALIBRATION, FRAME, STATE
 from schemas.telemetry import GatewayState
 
-SOURCE: Final = "hexapod-gateway replay"
+REPLAY_SOURCE: Final = "hexapod-gateway replay"
 
 
 def replay(connect: Connection, path: Path, *, speed: float, agreed: bool) -> int:

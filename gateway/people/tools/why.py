@@ -16,7 +16,7 @@ from gateway.zenoh_config import client_config
 from schemas import keys
 from schemas.telemetry import GatewayState
 
-LOOK_S: Final = 1.0
+_DIAGNOSIS_S: Final = 1.0
 """What a command that failed may go on to find out why."""
 _ANSWER_S: Final = 0.5
 _MATCHING_S: Final = 0.3
@@ -24,9 +24,9 @@ _PAUSE_S: Final = 0.01
 
 
 def unreached(connect: str | None, zenoh_config: Path | None) -> list[str]:
-    """One line for each endpoint; takes LOOK_S at most."""
+    """One line for each endpoint; takes _DIAGNOSIS_S at most."""
     try:
-        return diagnosis.why(client_config(connect, zenoh_config), LOOK_S)
+        return diagnosis.why(client_config(connect, zenoh_config), _DIAGNOSIS_S)
     except ConfigError as error:  # the certificate has run out meanwhile
         return str(error).splitlines()
 

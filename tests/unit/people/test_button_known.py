@@ -2,7 +2,7 @@
 
 import pytest
 
-from gateway.people.tools.button.known import AGAIN_S, DENIED_S, LATE, SHARE, Known, is_taken
+from gateway.people.tools.button.known import CHECK_IN_AGAIN_S, DENIED_S, LATE_SHARE, SHARE, Known, is_taken
 
 TIMEOUT_S = 2.0
 
@@ -35,7 +35,7 @@ def test_three_may_be_lost_one_without_an_answer_is_followed_soon_and_one_that_i
     known = Known(0.0)
     assert known.next_s(1.0, TIMEOUT_S) == 1.0 + TIMEOUT_S / SHARE
     known.failed("no gateway answered", denied=False)
-    assert known.next_s(1.0, TIMEOUT_S) == 1.0 + AGAIN_S
+    assert known.next_s(1.0, TIMEOUT_S) == 1.0 + CHECK_IN_AGAIN_S
     known.failed("button_denied", denied=True)
     assert known.next_s(1.0, TIMEOUT_S) == 1.0 + DENIED_S
     known.registered()
@@ -48,10 +48,10 @@ def test_three_may_be_lost_one_without_an_answer_is_followed_soon_and_one_that_i
 def test_an_answer_that_takes_a_quarter_of_what_it_counts_comes_late() -> None:
     known = Known(0.0)
     assert known.late_s(TIMEOUT_S) is None
-    known.accepted((1, 1), "", 1.0, 1.0 + LATE * TIMEOUT_S)
+    known.accepted((1, 1), "", 1.0, 1.0 + LATE_SHARE * TIMEOUT_S)
     assert known.late_s(TIMEOUT_S) is None
-    known.accepted((1, 1), "", 1.0, 1.001 + LATE * TIMEOUT_S)
-    assert known.late_s(TIMEOUT_S) == pytest.approx(0.001 + LATE * TIMEOUT_S)
+    known.accepted((1, 1), "", 1.0, 1.001 + LATE_SHARE * TIMEOUT_S)
+    assert known.late_s(TIMEOUT_S) == pytest.approx(0.001 + LATE_SHARE * TIMEOUT_S)
 
 
 def test_the_name_is_anothers_where_the_gateway_is_older_than_the_registration() -> None:

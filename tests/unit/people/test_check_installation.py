@@ -10,7 +10,7 @@ import pytest
 from gateway import certs
 from gateway.people.tools import whole
 from gateway.people.tools.check import trust
-from gateway.people.tools.check.installation import FAULTS, SHIPPED, DropIn, Folder, Seen, results
+from gateway.people.tools.check.installation import FAULTS, SHIPPED, DropIn, Folder, Installation, results
 from gateway.people.tools.check.result import Verdict
 from gateway.people.tools.whole import Whole
 from gateway.robot.settings import ZenohSettings
@@ -19,7 +19,7 @@ UNITS = {
     name: {"LoadState": "loaded", "ActiveState": "active", "UnitFileState": "enabled", "NeedDaemonReload": "no"}
     for name in ("hexapod-gateway", "hexapod-recorder")
 }
-WELL = Seen(release="/opt/R", deploy="/opt/R/deploy", again="sudo bash install.sh --wheels W", units=UNITS)
+WELL = Installation(release="/opt/R", deploy="/opt/R/deploy", again="sudo bash install.sh --wheels W", units=UNITS)
 UNIT = SHIPPED[0].place
 
 
@@ -27,7 +27,7 @@ def units(name: str, **changed: str) -> dict[str, dict[str, str]]:
     return {**UNITS, name: {**UNITS[name], **changed}}
 
 
-def with_drop_in(text: str) -> Seen:
+def with_drop_in(text: str) -> Installation:
     return replace(WELL, drop_ins=(DropIn.of("/etc/x.conf", text),))
 
 
@@ -69,7 +69,7 @@ SEEN = (
 
 
 @pytest.mark.parametrize(("seen", "sentence"), SEEN, ids=[sentence for _, sentence in SEEN])
-def test_each_fault_is_one_line_whose_remedy_is_a_command(seen: Seen, sentence: str) -> None:
+def test_each_fault_is_one_line_whose_remedy_is_a_command(seen: Installation, sentence: str) -> None:
     (found,) = results(seen)
     assert sentence in found.sentence
     assert found.verdict is not Verdict.OK

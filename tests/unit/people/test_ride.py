@@ -164,7 +164,7 @@ def held(velocity: Velocity = AHEAD, silences: Silences = PAGE) -> Pad:
 def test_each_driver_has_the_silences_that_its_docs_state() -> None:
     assert (PAGE.hold_s, PAGE.rest_s, PAGE.idle_s, PAGE.halted_s) == (0.25, 5.0, 60.0, 5.25)
     assert (USUAL_SILENCES.hold_s, USUAL_SILENCES.rest_s) == (0.5, 10.0)
-    assert (screen.HOLD_S, screen.REST_S) == (0.25, 60.0)
+    assert (screen.KEYS_HOLD_S, screen.KEYS_REST_S) == (0.25, 60.0)
 
 
 def test_it_stands_walks_while_held_stands_when_let_go_and_sits() -> None:

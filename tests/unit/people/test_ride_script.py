@@ -5,7 +5,7 @@ from typing import Final
 
 import pytest
 
-from gateway.people.tools.walk.script import AtOnce, End, go
+from gateway.people.tools.walk.script import AtOnce, EndRequests, go
 from gateway.people.walking import Posture, Velocity, WalkState
 from gateway.people.walking.motion import BodyPose
 from tests.support.ridden import Ridden
@@ -48,7 +48,7 @@ class Walked:
 
 def test_it_stands_up_walks_for_so_long_and_sits(capsys: pytest.CaptureFixture[str]) -> None:
     robot = Walked()
-    assert go(robot, AHEAD, 1.0, 0.14, End(), robot.clock)
+    assert go(robot, AHEAD, 1.0, 0.14, EndRequests(), robot.clock)
     assert robot.walked_s == pytest.approx(1.0, abs=0.05)
     assert robot.state.posture is Posture.SITTING
     assert 0.02 < robot.state.odometry.x_m < 0.15
@@ -59,7 +59,7 @@ def test_it_stands_up_walks_for_so_long_and_sits(capsys: pytest.CaptureFixture[s
 
 @pytest.mark.parametrize("when", [Posture.MOVING, Posture.WALKING])
 def test_ended_early_it_finishes_its_step_and_sits(when: Posture, capsys: pytest.CaptureFixture[str]) -> None:
-    end = End()
+    end = EndRequests()
 
     def asks(robot: Walked) -> None:
         if robot.state.posture is when and robot.ridden.now_s > 101:
@@ -73,12 +73,12 @@ def test_ended_early_it_finishes_its_step_and_sits(when: Posture, capsys: pytest
 
 
 def test_asked_twice_it_is_cut_but_not_while_its_stops_are_sent() -> None:
-    end = End()
+    end = EndRequests()
     end.ask()
     with pytest.raises(AtOnce):
         end.ask()
     end.ask()
-    other = End()
+    other = EndRequests()
     other.stops()
     other.ask()
     other.ask()

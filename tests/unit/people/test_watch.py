@@ -2,24 +2,23 @@
 
 import pytest
 
+from gateway.allowance import NS_PER_S
 from gateway.people.tools.watch.model import (
-    NS_PER_MS,
-    NS_PER_S,
+    COUNTED_SOURCES,
     OTHERS,
     QUESTION_NS,
     REMARK_NS,
     SILENT_AFTER_NS,
-    SOURCES,
     STOP_PATIENCE_NS,
+    Confirmation,
     Counts,
+    GatewayPresence,
     Model,
-    Presence,
-    Question,
     Tone,
 )
 from gateway.robot.core.rejection_limit import RejectionLimit
 from schemas.telemetry import Ack, ButtonsReport, Kind, LeaseReport, Mode, Reason, WatchdogState
-from tests.support.watch_reports import WALL, event, kinds, model_with_state, rejected, screen, state
+from tests.support.watch_reports import NS_PER_MS, WALL, event, kinds, model_with_state, rejected, screen, state
 
 STOPPED = Ack(accepted=True, stop_frames=6, latency_us=812.4)
 
@@ -29,7 +28,7 @@ STOPPED = Ack(accepted=True, stop_frames=6, latency_us=812.4)
 
 def test_nothing_has_been_received() -> None:
     model = Model(trouble="no gateway answers on tcp/robot:7447")
-    assert model.presence(0) is Presence.WAITING
+    assert model.presence(0) is GatewayPresence.WAITING
     assert " WAITING " in screen(model)
     assert "no gateway answers on tcp/robot:7447" in screen(model)
     assert "trying again" in screen(model)
@@ -38,8 +37,8 @@ def test_nothing_has_been_received() -> None:
 def test_silence_begins_after_its_time_and_ends_with_the_first_word() -> None:
     model = Model()
     model.received_state(state(), 0, WALL)
-    assert model.presence(SILENT_AFTER_NS) is Presence.LIVE
-    assert model.presence(SILENT_AFTER_NS + 1) is Presence.SILENT
+    assert model.presence(SILENT_AFTER_NS) is GatewayPresence.LIVE
+    assert model.presence(SILENT_AFTER_NS + 1) is GatewayPresence.SILENT
     model.look(SILENT_AFTER_NS + 1, WALL)
     model.look(SILENT_AFTER_NS + 2, WALL)
     assert kinds(model) == ["silent"]
@@ -47,22 +46,22 @@ def test_silence_begins_after_its_time_and_ends_with_the_first_word() -> None:
     assert "was IDLE" in screen(model, 4 * NS_PER_S)
     assert "If the robot moves, cut power" in screen(model, 4 * NS_PER_S)
     model.received_state(state(14), 4 * NS_PER_S, WALL)
-    assert model.presence(4 * NS_PER_S) is Presence.LIVE
+    assert model.presence(4 * NS_PER_S) is GatewayPresence.LIVE
     assert kinds(model) == ["back", "silent"]
     assert model.lines[0].text == "the gateway is heard again, after 4.0 s"
     model.received_event(event(Kind.WATCHDOG_EXPIRED), 5 * NS_PER_S, WALL)
-    assert model.presence(SILENT_AFTER_NS + 5 * NS_PER_S) is Presence.LIVE, "an event alone is a word, too"
+    assert model.presence(SILENT_AFTER_NS + 5 * NS_PER_S) is GatewayPresence.LIVE, "an event alone is a word, too"
 
 
 def test_a_token_that_goes_is_silence_at_once() -> None:
     model = Model()
     model.received_token(True, 0, WALL)
-    assert model.presence(0) is Presence.LIVE
+    assert model.presence(0) is GatewayPresence.LIVE
     model.received_token(False, NS_PER_MS, WALL)
-    assert model.presence(NS_PER_MS) is Presence.SILENT
+    assert model.presence(NS_PER_MS) is GatewayPresence.SILENT
     assert kinds(model) == ["silent"]
     model.received_token(True, 2 * NS_PER_MS, WALL)
-    assert model.presence(2 * NS_PER_MS) is Presence.LIVE
+    assert model.presence(2 * NS_PER_MS) is GatewayPresence.LIVE
 
 
 @pytest.mark.parametrize("uptime_s", [100, 0.6])
@@ -178,10 +177,10 @@ def test_rejections_are_counted_by_source_with_those_left_out() -> None:
 
 def test_whoever_invents_names_shares_one_line() -> None:
     model = Model()
-    for number in range(SOURCES + 36):
+    for number in range(COUNTED_SOURCES + 36):
         model.received_event(rejected(f"name {number}"), 0, WALL)
     model.received_event(rejected(None), 0, WALL)
-    assert len(model.rejected) == SOURCES + 1
+    assert len(model.rejected) == COUNTED_SOURCES + 1
     assert model.rejected[OTHERS] == 37
 
 
@@ -302,7 +301,7 @@ def test_a_reset_means_the_latest_emergency_stop_that_was_received() -> None:
 
 def test_nothing_to_reset() -> None:
     model = model_with_state(Model())
-    model.ask(Question.RESET, 0)
+    model.ask(Confirmation.RESET, 0)
     assert model.asking(0) is None
     assert "no emergency stop is engaged" in screen(model)
 
@@ -338,19 +337,19 @@ def test_the_top_line_says_who_drives_and_how_many_watch(part: LeaseReport | But
 
 
 QUESTIONS = {
-    Question.RESET: (
+    Confirmation.RESET: (
         "Leave the emergency stop? Nothing moves until it is started again. y: yes n: no",
         "no reset: the emergency stop stays as it is",
     ),
-    Question.TAKE: ("Take it from anna? All six legs stop first. y: yes n: no", "not taken"),
+    Confirmation.TAKE: ("Take it from anna? All six legs stop first. y: yes n: no", "not taken"),
 }
 """Their words, and what is said to a no."""
 
 
-@pytest.mark.parametrize("question", Question)
-def test_a_question_does_not_stand_for_ever_a_stop_takes_it_back_and_a_no_is_confirmed(question: Question) -> None:
+@pytest.mark.parametrize("question", Confirmation)
+def test_a_question_does_not_stand_for_ever_a_stop_takes_it_back_and_a_no_is_confirmed(question: Confirmation) -> None:
     model = driven(ANNA, Mode.ESTOPPED)
-    for other in Question:  # a y answers one of them only
+    for other in Confirmation:  # a y answers one of them only
         model.ask(other, 0)
     model.ask(question, 0)
     asked, no = QUESTIONS[question]
@@ -371,13 +370,13 @@ def test_a_question_does_not_stand_for_ever_a_stop_takes_it_back_and_a_no_is_con
 
 def test_where_nobody_drives_the_question_says_what_it_means_for_others() -> None:
     model = driven(LeaseReport())
-    model.ask(Question.TAKE, 0)
+    model.ask(Confirmation.TAKE, 0)
     assert "Drive? Nobody else's starts, sets and resets count then" in screen(model)
 
 
 def test_what_became_of_a_take() -> None:
     model = driven(ANNA)
-    model.ask(Question.TAKE, 0)
+    model.ask(Confirmation.TAKE, 0)
     model.take_confirmed(2)
     assert model.asking(2) is None
     model.answered(Tone.BAD, "NOT DONE: lease_denied: no\x1b", 4)

@@ -6,10 +6,10 @@ import pytest
 from rich.cells import cell_len
 from rich.text import Text
 
-from gateway.people.tools.watch.model import NS_PER_MS, Model, Question
+from gateway.people.tools.watch.model import Confirmation, Model
 from gateway.people.tools.watch.view import bar, picture
 from schemas.telemetry import CalibrationReport, Kind, Mode
-from tests.support.watch_reports import WALL, event, model_with_state, rejected, screen, state
+from tests.support.watch_reports import NS_PER_MS, WALL, event, model_with_state, rejected, screen, state
 
 
 @pytest.mark.parametrize("width", [20, 40, 60, 79, 80, 81, 120, 300])
@@ -22,7 +22,7 @@ def test_it_fills_every_terminal_and_no_more(width: int, height: int) -> None:
         model.received_event(rejected(f"猫 {number} " + "x" * 56, "a long reason, in many words, " * 5), 0, WALL)
     model.stop_pressed(0)
     model.stop_unanswered()
-    model.ask(Question.RESET, 0)
+    model.ask(Confirmation.RESET, 0)
     lines = screen(model, NS_PER_MS, width, height).split("\n")
     assert len(lines) == height
     assert max(map(cell_len, lines)) <= width

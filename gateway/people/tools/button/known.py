@@ -4,11 +4,11 @@ from typing import Final
 
 SHARE: Final = 4
 """Check-ins within the time that one of them counts: three may be lost on the way."""
-AGAIN_S: Final = 0.2
+CHECK_IN_AGAIN_S: Final = 0.2
 """After one that nobody answered."""
 DENIED_S: Final = 1.0
 """After one, or a registration, that was rejected: a registration costs the gateway a proof to check."""
-LATE: Final = 0.25
+LATE_SHARE: Final = 0.25
 """Of the time that one counts: an answer that takes longer comes late, as the person should know."""
 
 
@@ -39,7 +39,7 @@ class Known:
 
     def failed(self, trouble: str, *, denied: bool) -> None:
         """It was not accepted: `denied` by the gateway, or not answered."""
-        self.trouble, self._pause_s = trouble, DENIED_S if denied else AGAIN_S
+        self.trouble, self._pause_s = trouble, DENIED_S if denied else CHECK_IN_AGAIN_S
 
     def registered(self) -> None:
         """It is registered anew: the next check-in is due in time for that."""
@@ -59,7 +59,7 @@ class Known:
 
     def late_s(self, timeout_s: float) -> float | None:
         """How long the latest answer took, if it came late."""
-        return self._answer_s if self._answer_s > LATE * timeout_s else None
+        return self._answer_s if self._answer_s > LATE_SHARE * timeout_s else None
 
 
 def is_taken(uptime_s: float, registered_s: float, now_s: float) -> bool:

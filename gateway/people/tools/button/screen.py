@@ -23,7 +23,7 @@ BELL_S: Final = 1.0
 _STOPPED: Final = frozenset({Mode.ESTOPPED})
 
 
-class Screen(screen.Screen):
+class ButtonScreen(screen.Screen):
     """Shown until Ctrl-C; each other key stops, whatever is shown: what is shown may be wrong."""
 
     def __init__(self, client: Client, button: Button) -> None:
@@ -130,4 +130,4 @@ def hold(connect: Connection, name: str) -> int:
     with connect() as client:
         button = client.button(name)
         button.register()
-        return Screen(client, button).run()
+        return ButtonScreen(client, button).run()

@@ -88,7 +88,7 @@ def _report(found: Iterable[Result], well: str, unwell: str) -> int:
     return 0
 
 
-def run(config: Path | None, seen: installation.Seen | None = None) -> Iterator[Result]:
+def run(config: Path | None, seen: installation.Installation | None = None) -> Iterator[Result]:
     """All checks, in order; those of the settings only where these can be read. Raises FramingNotSetError at once.
 
     While the service runs, and no file is named, its device is looked at with the settings that it uses.
@@ -129,7 +129,7 @@ def run(config: Path | None, seen: installation.Seen | None = None) -> Iterator[
     yield machine.running_realtime() or machine.realtime()
 
 
-def _installed(seen: installation.Seen | None) -> Iterator[Result]:
+def _installed(seen: installation.Installation | None) -> Iterator[Result]:
     """Nothing where the service is not installed."""
     if seen is not None:
         yield from list(installation.results(seen)) or [ok("installation", f"{seen.release}, each file as installed")]

@@ -112,7 +112,7 @@ class Folder:
 
 
 @dataclass(frozen=True)
-class Seen:
+class Installation:
     """What there is of an installation. `units`: what systemd shows of each."""
 
     release: str
@@ -150,12 +150,12 @@ class Fault:
 
     name: str
     verdict: Verdict
-    found: Callable[[Seen], _Found]
+    found: Callable[[Installation], _Found]
     sentence: str
     remedy: str
 
 
-def results(seen: Seen) -> Iterator[Result]:
+def results(seen: Installation) -> Iterator[Result]:
     """What is wrong, in the table's order; nothing where all is well."""
     for fault in FAULTS:
         for given in fault.found(seen):
@@ -166,31 +166,31 @@ def _when(condition: bool, *given: str) -> _Found:
     return [given] if condition else []
 
 
-def _some(names: tuple[str, ...], seen: Seen, *more: str) -> _Found:
+def _some(names: tuple[str, ...], seen: Installation, *more: str) -> _Found:
     """A few names in one sentence."""
     rest = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
     return _when(bool(names), f"{', '.join(names[:SHOWN])}{rest}", seen.again, seen.release, *more)
 
 
-def _differing(seen: Seen) -> _Found:
+def _differing(seen: Installation) -> _Found:
     for each in SHIPPED:
         why = seen.differ.get(each.place)
         if why is not None and not _is_masked(seen, Path(each.place).stem):
             yield each.place, why, str(Path(seen.deploy, each.source)), each.after
 
 
-def _is_masked(seen: Seen, unit: str) -> bool:
+def _is_masked(seen: Installation, unit: str) -> bool:
     return seen.shows(unit, "LoadState") == "masked"
 
 
-def _masked(seen: Seen) -> _Found:
+def _masked(seen: Installation) -> _Found:
     for each in SHIPPED:
         unit = Path(each.place).stem
         if _is_masked(seen, unit):
             yield unit, each.place, str(Path(seen.deploy, each.source)), each.after
 
 
-def _drop_ins(wanted: Callable[[DropIn], bool]) -> Callable[[Seen], _Found]:
+def _drop_ins(wanted: Callable[[DropIn], bool]) -> Callable[[Installation], _Found]:
     """Each drop-in is named once, by what is worst of it."""
     return lambda seen: [
         (each.path, each.environment, ", ".join(sorted(each.keys & _DEPENDS))) for each in seen.drop_ins if wanted(each)
@@ -205,7 +205,7 @@ def _changes_what_stops_depend_on(each: DropIn) -> bool:
     return bool(each.keys & _DEPENDS) and not (each.simulates or each.stops_nothing or _sets_settings(each))
 
 
-def _recorder(seen: Seen) -> _Found:
+def _recorder(seen: Installation) -> _Found:
     """It is skipped where the release has no black box; then systemd shows no failure, and it is inactive."""
     load, active = seen.shows(RECORDER, "LoadState"), seen.shows(RECORDER, "ActiveState")
     begins = active == "activating" and seen.shows(RECORDER, "SubState") != "auto-restart"

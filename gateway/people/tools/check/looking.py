@@ -14,7 +14,7 @@ from gateway import certs
 from gateway.errors import ConfigError
 from gateway.people.tools import whole
 from gateway.people.tools.check import service_user
-from gateway.people.tools.check.installation import ETC, SERVICE, SHIPPED, STATE, UNITS, DropIn, Folder, Seen
+from gateway.people.tools.check.installation import ETC, SERVICE, SHIPPED, STATE, UNITS, DropIn, Folder, Installation
 
 _GROUPS: Final = ("spi", SERVICE)
 _PROPERTIES: Final = "LoadState,ActiveState,SubState,UnitFileState,NeedDaemonReload,DropInPaths"
@@ -23,7 +23,7 @@ _MOST_FILES: Final = 20_000
 """Of the state directory: some incidents have hundreds of files each; a look ends in any case."""
 
 
-def look() -> Seen | None:
+def look() -> Installation | None:
     """What there is of an installation; None where no service is installed."""
     if not whole.INSTALLED.is_dir():
         return None
@@ -31,7 +31,7 @@ def look() -> Seen | None:
     deploy = next(release.glob("lib/python*/site-packages/gateway/deploy"), release / "deploy")
     units = {unit: _properties(unit) for unit in UNITS}
     own = service_user.uid()
-    return Seen(
+    return Installation(
         release=str(release),
         deploy=str(deploy),
         again=whole.how_to_repeat(release),

@@ -262,11 +262,11 @@ def _warnings_of(logger_name: str) -> Iterator[list[str]]:
     """Collects the warnings logged meanwhile, which go nowhere else."""
     logged: list[str] = []
 
-    class Keep(logging.Handler):
+    class CollectLines(logging.Handler):
         def emit(self, record: logging.LogRecord) -> None:
             logged.append(record.getMessage())
 
-    logger, handler = logging.getLogger(logger_name), Keep(logging.WARNING)
+    logger, handler = logging.getLogger(logger_name), CollectLines(logging.WARNING)
     propagate = logger.propagate
     logger.addHandler(handler)
     logger.propagate = False

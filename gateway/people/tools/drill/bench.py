@@ -19,11 +19,13 @@ from schemas.telemetry import Ack, Cause, Event, FrameRecord, GatewayState
 if TYPE_CHECKING:
     from gateway.people.tools.drill.watching import Watching
 
-PERIOD_S: Final = 0.02
+SETPOINT_PERIOD_S: Final = 0.02
+STREAM_S: Final = 0.3
+"""How long setpoints stream before the step acts."""
 QUIET_S: Final = 0.15
 """What was to be sent has been by then: a leg's rate slot comes every 20 ms."""
 POLL_S: Final = 0.01
-ANSWER_S: Final = 5.0
+EVIDENCE_S: Final = 5.0
 
 Figures = dict[str, float | int | str]
 """What a step has measured."""
@@ -43,7 +45,7 @@ def demand(true: object, sentence: str) -> None:
         raise FailedError(sentence)
 
 
-class Seen(NamedTuple):
+class WrittenFrame(NamedTuple):
     """A frame that the gateway wrote."""
 
     at_ns: int
@@ -94,7 +96,7 @@ class Bench:
     """The drill's own stop button, where the robot wants one."""
     lease: dict[str, str] = field(default_factory=dict)
     """What commands carry, where this user has acquired the lease beforehand."""
-    frames: list[Seen] = field(default_factory=list)
+    frames: list[WrittenFrame] = field(default_factory=list)
     events: list[Event] = field(default_factory=list)
 
     # ---- commands
@@ -146,7 +148,7 @@ class Bench:
 
         def stream() -> None:
             with suppress(GatewayError):
-                while not ended.wait(PERIOD_S):
+                while not ended.wait(SETPOINT_PERIOD_S):
                     sender.publish(self.key, self.payload(op, self.start_deg))
 
         thread = threading.Thread(target=stream, name="stream")
@@ -163,7 +165,7 @@ class Bench:
         """`since` this moment."""
         return len(self.frames)
 
-    def since(self, mark: int) -> list[Seen]:
+    def since(self, mark: int) -> list[WrittenFrame]:
         """Frames written since a mark."""
         return self.frames[mark:]
 
@@ -216,9 +218,9 @@ class Bench:
         came_s = time.monotonic()
         with suppress(FrameError, ValueError):
             frame = decode(bytes.fromhex(record.bytes))
-            self.frames.append(Seen(record.monotonic_ns, frame, str(record.cause), came_s))
+            self.frames.append(WrittenFrame(record.monotonic_ns, frame, str(record.cause), came_s))
 
 
-def caused(frames: Sequence[Seen], cause: Cause) -> list[Seen]:
+def caused(frames: Sequence[WrittenFrame], cause: Cause) -> list[WrittenFrame]:
     """Those frames that were written for this reason."""
     return [seen for seen in frames if seen.cause == cause]

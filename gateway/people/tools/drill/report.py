@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from gateway.errors import ConfigError
-from gateway.people.tools.drill.bench import Seen
-from gateway.people.tools.drill.run import Drill, Outcome
+from gateway.people.tools.drill.bench import WrittenFrame
+from gateway.people.tools.drill.run import Drill, StepResult
 
 MOST_FRAMES: Final = 5000
 """In the report of one step; a stream of 50 Hz for ten seconds has 500."""
@@ -96,7 +96,7 @@ def write(path: Path, drill: Drill) -> None:
         raise ConfigError(f"{path}: the report cannot be written ({error.strerror})") from error
 
 
-def _timed(frames: list[Seen]) -> list[tuple[float, Seen]]:
+def _timed(frames: list[WrittenFrame]) -> list[tuple[float, WrittenFrame]]:
     return [((seen.at_ns - frames[0].at_ns) / 1e6, seen) for seen in frames[:MOST_FRAMES]]
 
 
@@ -126,7 +126,7 @@ def _html(drill: Drill, found: dict[str, Any], now: datetime) -> str:
 """
 
 
-def _section(outcome: Outcome) -> str:
+def _section(outcome: StepResult) -> str:
     figures = "".join(
         f"<tr><td>{escape(name)}</td><td>{value:.3f}</td></tr>"
         if isinstance(value, float)
@@ -140,7 +140,7 @@ def _section(outcome: Outcome) -> str:
     )
 
 
-def _plot(frames: list[Seen]) -> str:
+def _plot(frames: list[WrittenFrame]) -> str:
     """Each frame over time, a row for each leg: full for what moves, hollow for a Stop."""
     timed = _timed(frames)
     if not timed:

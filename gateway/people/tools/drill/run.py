@@ -12,24 +12,24 @@ from gateway.errors import ConfigError, GatewayError
 from gateway.people.client.blocking import Client
 from gateway.people.terminal import NOBODY, ask, hint, on_end_signals, say, this_command
 from gateway.people.tools import kept_lease
-from gateway.people.tools.drill.bench import Bench, FailedError, Figures, Seen, Skipped
-from gateway.people.tools.drill.steps import STEPS, Step
+from gateway.people.tools.drill.bench import Bench, FailedError, Figures, Skipped, WrittenFrame
+from gateway.people.tools.drill.steps import STEPS, DrillStep
 from gateway.people.tools.drill.watching import watching
 from gateway.people.tools.driving import drives
 from gateway.people.tools.reach import Connection, check_at_rest, show_differences
 from gateway.text import visible
 from schemas.telemetry import GatewayState, Mode
 
-SOURCE: Final = "hexapod-gateway drill"
+DRILL_SOURCE: Final = "hexapod-gateway drill"
 STEP_DEG: Final = 5.0
 MOVE_DEG: Final = 15.0
-IDLE_S: Final = 2.0
+_IDLE_S: Final = 2.0
 LEASE_S: Final = 1.0
 """Any time: a step holds the lease until it ends."""
 
 
 @dataclass(slots=True)
-class Outcome:
+class StepResult:
     """What became of one step: `passed` is None where it was skipped."""
 
     name: str
@@ -40,7 +40,7 @@ class Outcome:
     detail: str
     figures: Figures
     took_s: float
-    frames: list[Seen] = field(default_factory=list)
+    frames: list[WrittenFrame] = field(default_factory=list)
 
     @property
     def word(self) -> str:
@@ -55,7 +55,7 @@ class Drill:
     state: GatewayState
     leg: int
     frames_published: bool = False
-    outcomes: list[Outcome] = field(default_factory=list)
+    outcomes: list[StepResult] = field(default_factory=list)
     complete: bool = False
     lost: GatewayError | None = None
     """Why nobody has confirmed at the end that all legs are stopped."""
@@ -124,7 +124,7 @@ def drill(
     return found
 
 
-def _do(bench: Bench, step: Step, place: str) -> Outcome:
+def _do(bench: Bench, step: DrillStep, place: str) -> StepResult:
     which = f"servo {bench.servo_ids[0]}" if bench.servos == 1 else f"leg {bench.leg}"
     end_of_silence = "land the robot, then stop it" if bench.lands else "stop it"
     does = step.does.format(servos=which, start=bench.start_deg, end=bench.end_deg, end_of_silence=end_of_silence)
@@ -142,7 +142,7 @@ def _do(bench: Bench, step: Step, place: str) -> Outcome:
         passed, detail = None, str(skipped)
     except GatewayError as error:
         passed, detail = False, f"the drill could not go on: {error}"
-    outcome = Outcome(
+    outcome = StepResult(
         step.name, does, step.shows, passed, detail, figures, time.monotonic() - begun_s, bench.since(mark)
     )
     say(f"{outcome.word:8}{step.name}: {detail}")
@@ -160,7 +160,7 @@ def _rest(bench: Bench, *, keep_estop: bool = False) -> None:
     bench.client.stop()
     if not keep_estop and bench.estop and bench.client.state().mode == Mode.ESTOPPED:
         bench.reset(bench.estop)  # rejected where somebody else has engaged a newer one
-    bench.wait(lambda: bench.client.state().mode in (Mode.IDLE, Mode.ESTOPPED), IDLE_S)
+    bench.wait(lambda: bench.client.state().mode in (Mode.IDLE, Mode.ESTOPPED), _IDLE_S)
 
 
 @contextmanager

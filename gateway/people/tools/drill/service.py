@@ -7,19 +7,18 @@ from contextlib import suppress
 from typing import Final, NamedTuple
 
 from gateway.errors import GatewayError
-from gateway.people.tools.drill.bench import Bench, FailedError, Figures, Skipped, demand
+from gateway.people.tools.drill.bench import STREAM_S, Bench, FailedError, Figures, Skipped, demand
 from schemas.robot import LEGS
 from schemas.telemetry import GatewayState, Mode
 
-STREAM_S: Final = 0.3
 SYSTEMCTL_S: Final = 20.0
 BACK_S: Final = 20.0
-UNIT: Final = "hexapod-gateway.service"
+_UNIT: Final = "hexapod-gateway.service"
 _ENDED: Final = re.compile(r"stop-servos.* code=(\w+) ; status=(\d+)")
 _WRITTEN: Final = re.compile(r"Stop written to all six legs, (\d+) times each")
 
 
-START_S: Final = 15.0
+_SAME_START_S: Final = 15.0
 """From the begin of the service's process to that of its uptime: loading Python, on a slow board."""
 
 
@@ -42,12 +41,12 @@ def killed(bench: Bench) -> Figures:
     if not bench.restart:
         raise Skipped("only with --restart, on the robot itself")
     before = _unit_of(bench.client.state())
-    demand(before.has_stop_servos, f"{UNIT} runs no stop-servos after its end, so it is not killed")
+    demand(before.has_stop_servos, f"{_UNIT} runs no stop-servos after its end, so it is not killed")
     bench.start()
     with bench.streaming():
         time.sleep(STREAM_S)
         begun_s = time.monotonic()
-        _run("systemctl", "kill", "--signal=KILL", UNIT)
+        _run("systemctl", "kill", "--signal=KILL", _UNIT)
         ended = _ended(bench, before)
         back = bench.wait(lambda: _started_since(bench, begun_s), BACK_S)
         took_s = time.monotonic() - begun_s
@@ -83,15 +82,15 @@ def _unit_of(state: GatewayState) -> _Unit:
     except FailedError as failed:
         raise Skipped(f"no systemd on this machine tells of a service ({failed}); run it on the robot") from failed
     if not unit.loaded:
-        raise Skipped(f"this machine has no {UNIT}; run it on the robot")
-    if abs(time.monotonic() - state.uptime_s - unit.begun_s) > START_S:
-        raise Skipped(f"{UNIT} of this machine is not the gateway that answers; run it on the robot")
+        raise Skipped(f"this machine has no {_UNIT}; run it on the robot")
+    if abs(time.monotonic() - state.uptime_s - unit.begun_s) > _SAME_START_S:
+        raise Skipped(f"{_UNIT} of this machine is not the gateway that answers; run it on the robot")
     return unit
 
 
 def _unit() -> _Unit:
     properties = "LoadState,ExecMainStartTimestampMonotonic,InvocationID,ExecStopPost"
-    shown = _run("systemctl", "show", f"--property={properties}", UNIT)
+    shown = _run("systemctl", "show", f"--property={properties}", _UNIT)
     found = dict(line.partition("=")[::2] for line in shown.splitlines())
     ended = _ENDED.search(shown)
     return _Unit(

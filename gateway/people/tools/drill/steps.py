@@ -11,14 +11,15 @@ from typing import Final, NamedTuple
 
 from gateway.people.client.blocking import Client
 from gateway.people.tools.drill.bench import (
-    ANSWER_S,
-    PERIOD_S,
+    EVIDENCE_S,
     QUIET_S,
+    SETPOINT_PERIOD_S,
+    STREAM_S,
     Bench,
     FailedError,
     Figures,
-    Seen,
     Skipped,
+    WrittenFrame,
     caused,
     demand,
 )
@@ -34,7 +35,6 @@ ANSWER_MS: Final = 100.0
 """How long the answer to an emergency stop may take, beyond that of any other question."""
 TRAVEL_S: Final = 20.0
 """For 15° at 1° a second."""
-STREAM_S: Final = 0.3
 LEARN_S: Final = 0.6
 """A gateway learns a sender's clock from setpoints that were not delayed."""
 HELD_S: Final = 1.5
@@ -44,7 +44,7 @@ KEPT_MS: Final = 30_000
 STOP_SERVOS_S: Final = 20.0
 
 
-class Step(NamedTuple):
+class DrillStep(NamedTuple):
     """One step of the drill."""
 
     name: str
@@ -94,13 +94,15 @@ def _arrive(bench: Bench) -> bool:
         demand(on_the_way and time.monotonic() < end_s, f"set to {bench.end_deg:g}°, and the state says {shown}")
         ack = bench.ask("set", bench.end_deg)
         demand(ack.accepted, f"a set was rejected: {ack.reason}: {ack.detail}")
-        time.sleep(PERIOD_S)
+        time.sleep(SETPOINT_PERIOD_S)
 
 
 def _demand_frames(bench: Bench, mark: int, wanted: list[Frame], *, on_the_way: bool) -> None:
     if not bench.frames_published:
         return
-    stopped = bench.wait(lambda: any(not seen.moves and seen.leg == bench.leg for seen in bench.since(mark)), ANSWER_S)
+    stopped = bench.wait(
+        lambda: any(not seen.moves and seen.leg == bench.leg for seen in bench.since(mark)), EVIDENCE_S
+    )
     found = [seen.frame for seen in bench.since(mark) if seen.moves]
     shown = ", ".join(frame.to_bytes().hex() for frame in found) or "none"
     if on_the_way and found and _never_back(found):
@@ -153,11 +155,11 @@ def silence(bench: Bench) -> Figures:
         )
         return {**figures, "stopped_after_ms_by_state": took_ms}
 
-    def watchdog_stops() -> list[Seen]:
+    def watchdog_stops() -> list[WrittenFrame]:
         ours = caused(bench.since(mark), Cause.WATCHDOG)  # and those of a landing
         return [seen for seen in ours if seen.leg == bench.leg and not seen.moves]
 
-    bench.wait(watchdog_stops, ANSWER_S)
+    bench.wait(watchdog_stops, EVIDENCE_S)
     started = [seen for seen in caused(bench.since(mark), Cause.COMMAND) if seen.moves]
     stops = watchdog_stops()
     demand(started and stops, "no Stop of the watchdog was written for the leg")
@@ -195,7 +197,7 @@ def estop_in_stream(bench: Bench) -> Figures:
     return {"request_to_sixth_stop_us": latency_us, "request_to_answer_ms": took_ms, "stop_frames": len(LEGS)}
 
 
-def _demand_six_stops(frames: list[Seen]) -> None:
+def _demand_six_stops(frames: list[WrittenFrame]) -> None:
     stops = caused(frames, Cause.ESTOP)
     legs = {seen.leg for seen in stops if not seen.moves}
     demand(legs == set(LEGS), f"Stops were written for the legs {sorted(legs)} only")
@@ -260,7 +262,7 @@ def queue_of_a_cut_link(bench: Bench) -> Figures:
         link.fix()
         stale = bench.wait(
             lambda: any(event.reason == Reason.STALE and event.source == source for event in bench.events[events:]),
-            ANSWER_S / 2,
+            EVIDENCE_S / 2,
         )
         bench.demand_no_motion(mark, f"once the link was there again, with starts that were {HELD_S:g} s old")
         demand(stale, "nothing old was rejected; is limits.max_age_ms 0, or above 1500?")
@@ -291,7 +293,7 @@ def _through(bench: Bench, link: CutLink, source: str) -> Iterator[Client]:
         file = Path(folder) / "cut-link.json5"
         file.touch(0o600)
         file.write_text(str(config), encoding="utf-8")
-        with Client(zenoh_config=file, source=source, timeout_s=ANSWER_S) as far:
+        with Client(zenoh_config=file, source=source, timeout_s=EVIDENCE_S) as far:
             yield far
 
 
@@ -300,7 +302,7 @@ def lease_keeps_others_out(bench: Bench) -> Figures:
     holder = bench.client.state().lease.holder
     if holder is None:
         raise Skipped("this gateway knows no lease, or gives the drill none")
-    with Client(**bench.reaches, source=f"{bench.client.name} (somebody else)", timeout_s=ANSWER_S) as other:
+    with Client(**bench.reaches, source=f"{bench.client.name} (somebody else)", timeout_s=EVIDENCE_S) as other:
         mark = bench.mark()
         payload = {name: value for name, value in bench.payload("start", bench.start_deg).items() if name != "lease"}
         ack = other.ask(bench.key, payload)
@@ -334,7 +336,7 @@ def stop_servos(bench: Bench) -> Figures:
         took_ms = (time.monotonic() - begun_s) * 1000
         demand(done.returncode == 0, f"stop-servos ended with {done.returncode}: {done.stderr.strip()}")
         noticed = bench.wait(
-            lambda: any(event.kind == Kind.STOPPED_OUTSIDE for event in bench.events[events:]), ANSWER_S
+            lambda: any(event.kind == Kind.STOPPED_OUTSIDE for event in bench.events[events:]), EVIDENCE_S
         )
         demand(noticed, "the gateway did not notice it")
         after = [seen for seen in bench.since(mark) if seen.cause == Cause.REPEAT]
@@ -344,48 +346,54 @@ def stop_servos(bench: Bench) -> Figures:
 
 
 STEPS: Final = (
-    Step("command", "starts {servos} at {start:g}°, sets {end:g}°, and stops again", command, "only-a-start-energises"),
-    Step(
+    DrillStep(
+        "command", "starts {servos} at {start:g}°, sets {end:g}°, and stops again", command, "only-a-start-energises"
+    ),
+    DrillStep(
         "set-while-stopped",
         "sets {servos}, which is stopped: must be rejected",
         set_while_stopped,
         "only-a-start-energises",
     ),
-    Step("silence", "starts {servos} and falls silent: the watchdog must {end_of_silence}", silence, "silence-stops"),
-    Step(
+    DrillStep(
+        "silence", "starts {servos} and falls silent: the watchdog must {end_of_silence}", silence, "silence-stops"
+    ),
+    DrillStep(
         "estop",
         "engages the emergency stop while setpoints stream: six Stops, and nothing after",
         estop_in_stream,
         "estop-always",
     ),
-    Step(
+    DrillStep(
         "until-reset",
         "starts {servos} in the emergency stop: must be rejected until a reset",
         rejected_until_reset,
         "restart-asks",
     ),
-    Step("after-reset", "goes on streaming after the reset: nothing may move", nothing_after_reset, "restart-asks"),
-    Step(
+    DrillStep(
+        "after-reset", "goes on streaming after the reset: nothing may move", nothing_after_reset, "restart-asks"
+    ),
+    DrillStep(
         "cut-link",
         "cuts a link of its own and joins it again, with old starts in it: must be rejected",
         queue_of_a_cut_link,
         "old-commands-move-nothing",
         drives=False,
     ),
-    Step(
+    DrillStep(
         "lease",
         "somebody else starts {servos} (must be rejected) and stops it",
         lease_keeps_others_out,
         "one-driver",
     ),
-    Step(
+    DrillStep(
         "button",
         "its stop button falls silent while setpoints stream: all legs must stop, and stay so once it is back",
         falls_silent,
         "somebody-watches",
     ),
-    Step("stop-servos", "runs stop-servos beside the gateway while setpoints stream", stop_servos, "death-stops"),
-    Step(
+    DrillStep("stop-servos", "runs stop-servos beside the gateway while setpoints stream", stop_servos, "death-stops"),
+    DrillStep(
         "restart",
         "kills the service while setpoints stream: stopped at once, and again at its new start",
         killed,

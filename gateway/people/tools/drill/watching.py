@@ -3,18 +3,25 @@
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Final
 
 from gateway.errors import ConfigError, RejectedError
 from gateway.people.client.blocking import Client
 from gateway.people.terminal import hint, this_command
 from gateway.people.tools import kept_lease
 from gateway.people.tools.button.check_ins import CheckIns
-from gateway.people.tools.drill.bench import ANSWER_S, QUIET_S, Bench, Figures, Seen, Skipped, caused, demand
+from gateway.people.tools.drill.bench import (
+    EVIDENCE_S,
+    QUIET_S,
+    STREAM_S,
+    Bench,
+    Figures,
+    Skipped,
+    WrittenFrame,
+    caused,
+    demand,
+)
 from schemas.robot import LEGS
 from schemas.telemetry import Cause, GatewayState, Kind, Reason
-
-STREAM_S: Final = 0.3
 
 
 class Watching:
@@ -60,7 +67,7 @@ def watching(bench: Bench, state: GatewayState) -> Iterator[None]:
     hint("The drill is one of the stop buttons that are required, until it ends.")
     watches.check_ins.start()
     try:
-        if not bench.wait(lambda: bench.client.state().buttons.alive >= required, ANSWER_S):
+        if not bench.wait(lambda: bench.client.state().buttons.alive >= required, EVIDENCE_S):
             raise ConfigError(
                 f"the drill is the button {watches.name}, and does not count: a button of the same certificate is "
                 "alive already, or the robot's settings list others (buttons.names)"
@@ -92,7 +99,7 @@ def falls_silent(bench: Bench) -> Figures:
             demand(ack.reason == Reason.NO_BUTTON, f"it was rejected for another reason: {ack.reason}: {ack.detail}")
             bench.demand_no_motion(bench.mark(), "while the button is silent")
             mark = bench.mark()
-        back = bench.wait(lambda: bench.client.state().buttons.alive >= buttons.required, ANSWER_S)
+        back = bench.wait(lambda: bench.client.state().buttons.alive >= buttons.required, EVIDENCE_S)
         demand(back, f"the button {button.name} checks in again, and does not count")
         bench.demand_no_motion(mark, "once the button was back")
     told = [event.kind for event in bench.events[events:] if event.source == button.name]
@@ -106,7 +113,7 @@ def _stopped_in_time(bench: Bench, button: Watching, mark: int) -> Figures:
     timeout_ms = button.check_ins.timeout_ms + landing_ms
     figures: Figures = {"timeout_ms": button.check_ins.timeout_ms, **({"landing_ms": landing_ms} if landing_ms else {})}
 
-    def stops() -> list[Seen]:
+    def stops() -> list[WrittenFrame]:
         """Of each leg the first."""
         found = [seen for seen in caused(bench.since(mark), Cause.WATCHDOG) if not seen.moves]
         return list({seen.leg: seen for seen in reversed(found)}.values())
@@ -118,7 +125,7 @@ def _stopped_in_time(bench: Bench, button: Watching, mark: int) -> Figures:
         late_ms = by_state_ms - timeout_ms - bench.answer_ms
         demand(late_ms <= bench.late_ms + bench.answer_ms, f"it ran on for {late_ms:.0f} ms after the time was over")
         return {**figures, "stopped_after_ms_by_state": by_state_ms}
-    bench.wait(lambda: len(stops()) == len(LEGS), ANSWER_S)
+    bench.wait(lambda: len(stops()) == len(LEGS), EVIDENCE_S)
     legs = sorted(seen.leg for seen in stops())
     demand(legs == list(LEGS), f"Stops were written for the legs {legs or 'none'} only")
     sixth_ms = (max(seen.came_s for seen in stops()) - button.check_ins.confirmed_s) * 1000

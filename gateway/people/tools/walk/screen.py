@@ -23,10 +23,10 @@ from gateway.people.walking import Velocity
 from gateway.text import visible
 from schemas.telemetry import Ack, Mode
 
-TICK_S: Final = 0.02
-HOLD_S: Final = 0.25
+_TICK_S: Final = 0.02
+KEYS_HOLD_S: Final = 0.25
 """Should this program freeze, the robot stands after it: its other thread commands 50 times a second."""
-REST_S: Final = 60.0
+KEYS_REST_S: Final = 60.0
 """Without a key: then it sits down, and its servos are stopped."""
 HEIGHT_STEP_M: Final = 0.01
 _GAITS: Final = {"1": "tripod", "2": "ripple", "3": "wave"}
@@ -41,7 +41,7 @@ _KEYS: Final = """
 _UNCONFIRMED: Final = "Nobody has confirmed that the legs are stopped: if they hold, switch the servos' power off."
 
 
-class Screen(screen.Screen):
+class WalkScreen(screen.Screen):
     """One person's drive; `run` shows it until q."""
 
     def __init__(self, client: Client, holder: str, gait: str, geometry: Path | None, height_m: float | None) -> None:
@@ -64,7 +64,7 @@ class Screen(screen.Screen):
     def run(self) -> int:
         """Until q (it sits down first), Ctrl-C or a signal (it is stopped at once). Returns the exit code."""
         self._walk.open()
-        self._walk.hold_s, self._walk.rest_s = HOLD_S, REST_S
+        self._walk.hold_s, self._walk.rest_s = KEYS_HOLD_S, KEYS_REST_S
         return self.show()
 
     def begin(self) -> None:
@@ -150,7 +150,7 @@ class Screen(screen.Screen):
                 if velocity.moves:
                     self._walk.go(*velocity)
                 else:
-                    self._driven.wait(TICK_S)
+                    self._driven.wait(_TICK_S)
             except (GatewayError, RuntimeError) as error:
                 self._message = str(error) if self._walk.error is None else f"{error}; g goes on"
                 self._pad.release()
@@ -189,6 +189,6 @@ def drive(connect: Connection, gait: str, geometry: Path | None, height_m: float
     with connect() as client:
         try:
             with client.lease(source=kept_lease.me()) as lease:
-                return Screen(client, lease.holder, gait, geometry, height_m).run()
+                return WalkScreen(client, lease.holder, gait, geometry, height_m).run()
         except LeaseError as error:
             return driving.not_acquired(client, error)

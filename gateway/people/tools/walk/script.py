@@ -23,7 +23,7 @@ class AtOnce(BaseException):  # no error, but what KeyboardInterrupt is elsewher
     """The second request to end."""
 
 
-class End:
+class EndRequests:
     """How it is ended early: by Ctrl-C, SIGTERM or the end of its terminal."""
 
     def __init__(self) -> None:
@@ -52,7 +52,7 @@ def walk(
 ) -> int:
     """Stand up, walk, sit down and stop. Returns the exit code. Raises WalkError, ConfigError, ZenohError."""
     wanted = Velocity.checked(*velocity)
-    end = End()
+    end = EndRequests()
     with connect() as client:
         try:
             with client.lease(source=kept_lease.me()), on_end_signals(end.ask), client.walk(gait, geometry) as robot:
@@ -91,7 +91,7 @@ def go(
     velocity: Velocity,
     seconds: float,
     height_m: float | None,
-    end: End,
+    end: EndRequests,
     clock: Callable[[], float] = time.monotonic,
 ) -> bool:
     """Whether it walked for so long, and nobody ended it before."""

@@ -14,7 +14,7 @@ from gateway.people.client import diagnosis
 from gateway.people.client.blocking import Client
 from gateway.people.terminal import check_terminal
 from gateway.people.tools import why
-from gateway.people.tools.watch.screen import Screen
+from gateway.people.tools.watch.screen import WatchScreen
 from gateway.zenoh_config import client_config, connect_endpoints
 
 _OTHERWISE: Final = "; a program reads hexapod/state and hexapod/event instead"
@@ -35,7 +35,7 @@ def watch(connect: str | None, zenoh_config: Path | None, timeout_s: float) -> N
         timeout_s=timeout_s,
         explain=False,  # it tries again several times a second, and looks for the reason once in three seconds
     )
-    view = Screen(
+    view = WatchScreen(
         client,
         ", ".join(connect_endpoints(config)),
         partial(why.unreached, connect, zenoh_config),

@@ -10,13 +10,13 @@ from datetime import datetime
 from enum import Enum, StrEnum, auto
 from typing import Final, NamedTuple
 
+from gateway.allowance import NS_PER_S
 from gateway.people.client.live import Order, Starts
 from gateway.text import visible
 from schemas.robot import LEGS
 from schemas.telemetry import Ack, Event, GatewayState, Kind, LegReport, Mode
 
-NS_PER_MS: Final = 1_000_000
-NS_PER_S: Final = 1_000_000_000
+_NS_PER_MS: Final = 1_000_000
 
 SILENT_AFTER_NS: Final = 2_000_000_000
 """Long enough for a gateway that publishes no state, which is asked for it, and for one lost answer (live.py: 0.4 s,
@@ -29,14 +29,14 @@ REMARK_NS: Final = 15 * NS_PER_S
 """How long a remark on a success is shown; one on a failure stays until another key is pressed."""
 QUESTION_NS: Final = 10 * NS_PER_S
 """An older question is withdrawn, so that a stray y answers nothing."""
-KEPT_EVENTS: Final = 200
-SOURCES: Final = 64
+SHOWN_EVENTS: Final = 200
+COUNTED_SOURCES: Final = 64
 """Sources counted separately, as in the gateway; all further ones share one line."""
 OTHERS: Final = "all others"
 NAMELESS: Final = "no name"
 
 
-class Presence(Enum):
+class GatewayPresence(Enum):
     """Whether a gateway publishes."""
 
     WAITING = auto()  # nothing has been received yet
@@ -63,7 +63,7 @@ class Remark:
 
 
 @dataclass(frozen=True, slots=True)
-class Line:
+class EventLine:
     """One event, or a remark of `watch` about the gateway (`kind` is then none of the gateway's)."""
 
     time: datetime
@@ -72,7 +72,7 @@ class Line:
     bad: bool
 
 
-class Question(Enum):
+class Confirmation(Enum):
     """What a key asks back, one at a time; y is yes, any other key no."""
 
     RESET = auto()
@@ -108,7 +108,7 @@ class Model:
     """Commands rejected since we watch, by source, with those that the gateway left out of its events."""
     reasons: dict[str, str] = field(default_factory=dict)
     """The latest reason, by source."""
-    lines: deque[Line] = field(default_factory=lambda: deque(maxlen=KEPT_EVENTS))
+    lines: deque[EventLine] = field(default_factory=lambda: deque(maxlen=SHOWN_EVENTS))
     """Newest first."""
     stop_wanted_ns: int | None = None
     """Since when an emergency stop is requested and not confirmed; None: there is none."""
@@ -118,14 +118,14 @@ class Model:
     _state_ns: int = 0
     _received_ns: int | None = None
     _gone: bool = False
-    _noted: Presence = Presence.WAITING
+    _noted: GatewayPresence = GatewayPresence.WAITING
     _samples: deque[tuple[float, Counts]] = field(default_factory=deque)
     """With the uptime of each, in seconds."""
     _starts: Starts = field(default_factory=Starts)
     _warned: set[str] = field(default_factory=set)
     drives: bool = False
     """We hold the lease."""
-    _question: Question | None = None
+    _question: Confirmation | None = None
     _asked_ns: int = 0
     _pressed_ns: int = 0
 
@@ -162,14 +162,14 @@ class Model:
         source = visible(event.source or NAMELESS)
         text = visible(event.detail)
         if event.kind is Kind.COMMAND_REJECTED:
-            known = source if source in self.rejected or len(self.rejected) < SOURCES else OTHERS
+            known = source if source in self.rejected or len(self.rejected) < COUNTED_SOURCES else OTHERS
             self.rejected[known] += 1 + event.left_out
             if event.reason is not None:
                 self.reasons[known] = event.reason
             text = f"{source}: {text}"
         elif event.source is not None and source not in text:
             text = f"{text} ({source})"
-        self.lines.appendleft(Line(event.time, visible(event.kind), text, event.kind in _BAD))
+        self.lines.appendleft(EventLine(event.time, visible(event.kind), text, event.kind in _BAD))
 
     def received_token(self, alive: bool, now_ns: int, wall: datetime) -> None:
         """The gateway's liveliness token came or went; it goes within milliseconds when the process ends."""
@@ -188,7 +188,7 @@ class Model:
     def look(self, now_ns: int, wall: datetime) -> None:
         """Notice what time alone changes: silence, and a question that nobody answered."""
         presence = self.presence(now_ns)
-        if presence is Presence.SILENT and self._noted is not Presence.SILENT:
+        if presence is GatewayPresence.SILENT and self._noted is not GatewayPresence.SILENT:
             self._noted = presence
             self._note(wall, "silent", "the gateway fell silent", bad=True)
         self._question = self.asking(now_ns)
@@ -197,10 +197,10 @@ class Model:
             self.remark = None
 
     def _receive(self, now_ns: int, wall: datetime) -> None:
-        if self._noted is Presence.SILENT and self._received_ns is not None:
+        if self._noted is GatewayPresence.SILENT and self._received_ns is not None:
             away_s = (now_ns - self._received_ns) / NS_PER_S
             self._note(wall, "back", f"the gateway is heard again, after {away_s:.1f} s", bad=False)
-        self._received_ns, self._gone, self._noted, self.trouble = now_ns, False, Presence.LIVE, ""
+        self._received_ns, self._gone, self._noted, self.trouble = now_ns, False, GatewayPresence.LIVE, ""
 
     def _forget_remark_of_stop(self) -> None:
         """Remove a remark that says STOPPED once the robot may move again."""
@@ -208,15 +208,19 @@ class Model:
             self.remark = None
 
     def _note(self, wall: datetime, kind: str, text: str, *, bad: bool) -> None:
-        self.lines.appendleft(Line(wall, kind, text, bad))
+        self.lines.appendleft(EventLine(wall, kind, text, bad))
 
     # ---- what it means
 
-    def presence(self, now_ns: int) -> Presence:
+    def presence(self, now_ns: int) -> GatewayPresence:
         """Whether the gateway is there."""
         if self._received_ns is None:
-            return Presence.WAITING
-        return Presence.SILENT if self._gone or now_ns - self._received_ns > SILENT_AFTER_NS else Presence.LIVE
+            return GatewayPresence.WAITING
+        return (
+            GatewayPresence.SILENT
+            if self._gone or now_ns - self._received_ns > SILENT_AFTER_NS
+            else GatewayPresence.LIVE
+        )
 
     def silent_s(self, now_ns: int) -> float:
         """For how long nothing has been received."""
@@ -224,7 +228,7 @@ class Model:
 
     def state_age_ms(self, now_ns: int) -> float:
         """How long ago the state came; infinite before the first."""
-        return float("inf") if self.state is None else (now_ns - self._state_ns) / NS_PER_MS
+        return float("inf") if self.state is None else (now_ns - self._state_ns) / _NS_PER_MS
 
     def command_age_ms(self, leg: LegReport, now_ns: int) -> float | None:
         """The age of the leg's last accepted command: as in the state, plus the time since the state came."""
@@ -245,16 +249,16 @@ class Model:
 
     # ---- what is asked back
 
-    def ask(self, question: Question, now_ns: int) -> None:
+    def ask(self, question: Confirmation, now_ns: int) -> None:
         """Its key was pressed: ask whether it is meant; the reset only where an emergency stop is engaged."""
         estopped = self.state is not None and self.state.mode is Mode.ESTOPPED
-        nothing = self.presence(now_ns) is Presence.LIVE and not estopped and self.stop_wanted_ns is None
-        if question is Question.RESET and nothing:
+        nothing = self.presence(now_ns) is GatewayPresence.LIVE and not estopped and self.stop_wanted_ns is None
+        if question is Confirmation.RESET and nothing:
             self.remark = Remark(Tone.NOTE, "no emergency stop is engaged, so there is nothing to reset", now_ns)
             return
         self._question, self._asked_ns = question, now_ns
 
-    def asking(self, now_ns: int) -> Question | None:
+    def asking(self, now_ns: int) -> Confirmation | None:
         """The question that is on the screen."""
         return self._question if now_ns - self._asked_ns < QUESTION_NS else None
 
@@ -263,17 +267,17 @@ class Model:
         match self.asking(now_ns), self.holder:
             case None, _:
                 return None
-            case Question.RESET, _:
+            case Confirmation.RESET, _:
                 asked = "Leave the emergency stop? Nothing moves until it is started again."
-            case Question.TAKE, None:
+            case Confirmation.TAKE, None:
                 asked = "Drive? Nobody else's starts, sets and resets count then, until t is pressed again."
-            case Question.TAKE, str(holder):
+            case Confirmation.TAKE, str(holder):
                 asked = f"Take it from {visible(holder)}? All six legs stop first."
         return f"{asked}  y: yes  n: no"
 
     def declined(self, now_ns: int) -> None:
         """The question was answered with anything but yes."""
-        taken = self._question is Question.TAKE
+        taken = self._question is Confirmation.TAKE
         self._question = None
         text = "not taken" if taken else "no reset: the emergency stop stays as it is"
         self.remark = Remark(Tone.NOTE, text, now_ns)
@@ -292,7 +296,7 @@ class Model:
         """The gateway confirms a press, with how many Stop frames it wrote; one of `newer_ns` is not confirmed yet."""
         self.estop = max(self.estop or 0, ack.estop or 0)
         frames = ack.stop_frames or 0
-        took = f", confirmed {(now_ns - self._pressed_ns) / NS_PER_MS:.0f} ms after the key"
+        took = f", confirmed {(now_ns - self._pressed_ns) / _NS_PER_MS:.0f} ms after the key"
         self.stop_wanted_ns = newer_ns
         if newer_ns is not None:
             self._pressed_ns, self.stop_tries = newer_ns, 0
@@ -316,7 +320,7 @@ class Model:
         waited_s = (now_ns - self.stop_wanted_ns) / NS_PER_S
         why = (
             "the gateway runs but does not take it (an observer's certificate may not stop)"
-            if self.presence(now_ns) is Presence.LIVE
+            if self.presence(now_ns) is GatewayPresence.LIVE
             else "trying on"
         )
         return f"NOT STOPPED, NOBODY ANSWERED for {waited_s:.0f} s: switch the servos' power off; {why}"

@@ -19,7 +19,7 @@ from gateway.people.client.live import CLOSE_S, ERRORS, Live, Receiver
 from gateway.people.client.stops import UntilConfirmed
 from gateway.people.terminal import screen
 from gateway.people.tools import kept_lease
-from gateway.people.tools.watch.model import Model, Presence, Question, Tone
+from gateway.people.tools.watch.model import Confirmation, GatewayPresence, Model, Tone
 from gateway.people.tools.watch.view import picture
 from gateway.text import visible
 from schemas import keys as wire
@@ -32,7 +32,7 @@ OTHERS_S: Final = 0.2
 _NO_KEYS: Final = frozenset({"escape", "up", "down", "left", "right"})
 
 
-class Screen(screen.Screen, Receiver):
+class WatchScreen(screen.Screen, Receiver):
     """One view; shown until q. While it holds the lease, `send` of the same user drives under it."""
 
     def __init__(
@@ -92,21 +92,21 @@ class Screen(screen.Screen, Receiver):
             asking, holder = model.asking(now_ns), model.holder
             estop = model.estop  # the one that the user has seen, not one that somebody requests from now on
             match asking, key:
-                case Question.RESET, "y":
+                case Confirmation.RESET, "y":
                     self._stops.take_back()
                     model.reset_confirmed(now_ns)
                     self._begin(partial(self._reset, estop=estop), "NO RESET", "reset")
-                case Question.TAKE, "y":
+                case Confirmation.TAKE, "y":
                     model.take_confirmed(now_ns)
                     self._begin(partial(self._take, holder=holder))
-                case Question(), _:
+                case Confirmation(), _:
                     model.declined(now_ns)
                 case None, "r":
-                    model.ask(Question.RESET, now_ns)
+                    model.ask(Confirmation.RESET, now_ns)
                 case None, "t" if model.drives:
                     self._begin(self._release)
                 case None, "t":
-                    model.ask(Question.TAKE, now_ns)
+                    model.ask(Confirmation.TAKE, now_ns)
                 case None, "a":
                     self._begin(partial(self._ask, holder=holder))
 
@@ -223,7 +223,7 @@ class Screen(screen.Screen, Receiver):
 
     def looked(self, reasons: list[str]) -> None:
         with self._changes():
-            if self.model.presence(time.monotonic_ns()) is not Presence.LIVE:
+            if self.model.presence(time.monotonic_ns()) is not GatewayPresence.LIVE:
                 self.model.trouble = "\n".join(visible(line) for line in reasons)
 
     def _note_others(self, client: Client, key: str) -> None:

@@ -10,7 +10,7 @@ from rich.cells import cell_len
 from rich.text import Text
 
 from gateway.certs import expiry
-from gateway.people.tools.watch.model import Counts, Model, Presence, Tone
+from gateway.people.tools.watch.model import Counts, GatewayPresence, Model, Tone
 from gateway.text import visible
 from schemas.telemetry import ButtonsReport, GatewayState, LeaseReport, LegReport, Mode, ServoReport, WatchdogState
 
@@ -38,7 +38,7 @@ _EVENT_COLUMNS: Final = len("12:34:56 command_rejected ")
 
 def picture(model: Model, now_ns: int, where: str, width: int, height: int) -> Text:
     """The whole screen, `height` lines of at most `width` columns."""
-    live = model.presence(now_ns) is Presence.LIVE
+    live = model.presence(now_ns) is GatewayPresence.LIVE
     blank = [Text()] if height >= _ROOMY_ROWS else []
     top = [_header(model, now_ns, where), *_banner(model, now_ns, width)]
     body = [] if model.state is None else [_head(model.state, width), *_legs(model, model.state, now_ns, width, live)]
@@ -60,11 +60,11 @@ def picture(model: Model, now_ns: int, where: str, width: int, height: int) -> T
 def _header(model: Model, now_ns: int, where: str) -> Text:
     line = Text()
     state, presence = model.state, model.presence(now_ns)
-    if presence is Presence.WAITING:
+    if presence is GatewayPresence.WAITING:
         line.append(" WAITING ", _ASK).append(f"  for a gateway on {where}")
         return line
     mode = "?" if state is None else visible(state.mode).upper().replace("_", " ")
-    if presence is Presence.SILENT:
+    if presence is GatewayPresence.SILENT:
         line.append(f" SILENT for {model.silent_s(now_ns):.1f} s ", _ALARM).append(f"  was {mode}")
     else:
         line.append(f" {mode} ", "bold" if state is None else _MODES.get(state.mode, "bold"))
@@ -73,7 +73,7 @@ def _header(model: Model, now_ns: int, where: str) -> Text:
     if state is not None:
         running = model.running_legs()
         legs = f"{running} leg{'' if running == 1 else 's'} running"
-        line.append(f"  {legs}", "bold green" if running and presence is Presence.LIVE else "dim")
+        line.append(f"  {legs}", "bold green" if running and presence is GatewayPresence.LIVE else "dim")
         line.append_text(_driver(state.lease))
         line.append_text(_watchers(state.buttons))
         line.append(f"  {where}  up {dt.timedelta(seconds=int(state.uptime_s))}  {state.version}", "dim")
@@ -109,7 +109,7 @@ def _banner(model: Model, now_ns: int, width: int) -> list[Text]:
         messages.append(("EMERGENCY STOP sent, waiting for its confirmation", _ALARM))
     if (question := model.question(now_ns)) is not None:
         messages.append((question, _ASK))
-    if model.presence(now_ns) is Presence.SILENT:
+    if model.presence(now_ns) is GatewayPresence.SILENT:
         messages.append(("No word from the gateway: below is the past. If the robot moves, cut power.", _ALARM))
     if model.remark is not None:
         messages.append((model.remark.text, _TONES[model.remark.tone]))
@@ -117,7 +117,7 @@ def _banner(model: Model, now_ns: int, width: int) -> list[Text]:
         messages.append((f"Nothing can be started (calibrate accept-default): {visible(fault)}", "bold yellow"))
     if (expiring := _expiring(model)) is not None:
         messages.append((f"{visible(expiring)}: see `certs renew`", "yellow"))
-    if model.presence(now_ns) is Presence.WAITING:
+    if model.presence(now_ns) is GatewayPresence.WAITING:
         messages.append(("no connection; trying again" if model.trouble else "connecting …", "yellow"))
     rows = _BANNER_ROWS if len(messages) == 1 else 1
     lines = [Text(f" {row} ", style) for text, style in messages for row in _wrapped(text, width - 2, rows)]

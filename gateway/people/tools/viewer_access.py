@@ -49,7 +49,7 @@ class Pair:
         )
 
 
-class Door:
+class ViewerAccess:
     """Listens at once, and serves from a thread of its own until `close`. Raises OSError."""
 
     def __init__(self, host: str, port: int, origins: Collection[str]) -> None:
