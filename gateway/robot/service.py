@@ -15,7 +15,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 import zenoh
 
 from gateway import __version__
-from gateway.robot.blackbox.format import STOP_FACTS
+from gateway.model.black_box.format import STOP_FACTS
+from gateway.model.frames import centidegrees
+from gateway.model.framing import Framing
 from gateway.robot.blackbox.recorder import Recorder
 from gateway.robot.core.calibrating import ACCEPT_DEFAULT
 from gateway.robot.core.leg import Rules
@@ -38,8 +40,6 @@ from gateway.robot.host.ownership import Ownership
 from gateway.robot.host.servos_file import ServosFile
 from gateway.robot.host.systemd import SystemdNotifier
 from gateway.robot.host.worker import DiskWriter
-from gateway.robot.protocol.frames import centidegrees
-from gateway.robot.protocol.framing import Framing
 from gateway.robot.runtime import prometheus as exposition
 from gateway.robot.runtime.calibrations import Calibrations
 from gateway.robot.runtime.conductor import Conductor

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, Union
 
 from gateway import nesting
-from gateway.robot.protocol.framing import Framing
+from gateway.model.framing import Framing
 
 if TYPE_CHECKING:
     from gateway.robot.settings import SpiSettings, WatchdogSettings

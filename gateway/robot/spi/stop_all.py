@@ -3,8 +3,8 @@
 import time
 from typing import Final
 
+from gateway.model.frames import stop_leg
 from gateway.robot.host import stop_note
-from gateway.robot.protocol.frames import stop_leg
 from gateway.robot.spi.bus import Bus
 from gateway.robot.spi.kernel import KernelDevice
 from gateway.robot.spi.outside import Notice

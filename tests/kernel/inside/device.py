@@ -4,7 +4,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from gateway.robot.protocol.framing import Framing
+from gateway.model.framing import Framing
 from gateway.robot.spi.bus import Bus
 from gateway.robot.spi.kernel import KernelDevice
 from gateway.robot.spi.plain_settings import PlainSpi

@@ -5,9 +5,9 @@ from pathlib import Path
 import pytest
 
 from gateway.errors import ConfigError
+from gateway.model.framing import Framing
 from gateway.people.tools import stop
 from gateway.robot import settings as settings_file
-from gateway.robot.protocol.framing import Framing
 from gateway.robot.settings import Settings
 from gateway.robot.spi import effective
 from gateway.robot.spi.plain_settings import RepeatValues, SpiValues

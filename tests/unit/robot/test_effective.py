@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from gateway.robot.protocol.framing import Framing
+from gateway.model.framing import Framing
 from gateway.robot.settings import Settings
 from gateway.robot.spi import effective
 from gateway.robot.spi.plain_settings import PlainRepeats, PlainSpi

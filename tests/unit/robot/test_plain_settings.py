@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 from gateway.errors import ConfigError
+from gateway.model.framing import Framing
 from gateway.robot import settings
-from gateway.robot.protocol.framing import Framing
 from gateway.robot.spi import plain_settings
 from gateway.robot.spi.plain_settings import LIMITS, NOT_FOR_STOPS, PlainRepeats, PlainSpi
 

@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 
 from gateway.errors import SpiError
+from gateway.model.frames import stop_leg
+from gateway.model.framing import PREAMBLE_ZEROS, ZERO, Framing
 from gateway.robot.host import stop_note
-from gateway.robot.protocol.frames import stop_leg
-from gateway.robot.protocol.framing import PREAMBLE_ZEROS, ZERO, Framing
 from gateway.robot.settings import SpiSettings
 from gateway.robot.spi import ByteDevice, stop_all
 from gateway.robot.spi.bus import Bus
