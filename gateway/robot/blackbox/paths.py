@@ -5,8 +5,8 @@ import zlib
 from pathlib import Path
 from typing import Final
 
+from gateway.host.directories import SERVICE_STATE, runtime_directory, state_directory
 from gateway.model.black_box.files import MAX_SLOTS, RING_FILE
-from gateway.robot.host.directories import SERVICE_STATE, runtime_directory, state_directory
 from gateway.robot.settings import Settings
 from schemas.robot import LEGS
 
