@@ -14,12 +14,12 @@ from typer.core import TyperCommand, TyperGroup
 
 from gateway import __version__
 from gateway.errors import ConfigError, GatewayError
+from gateway.model.frames import PROTOCOL_VERSION
 from gateway.people.bridge import command as bridge
 from gateway.people.console import calibrate_command
 from gateway.people.terminal import hint
 from gateway.people.tools import attended, certs, incidents, lease, recordings
 from gateway.people.tools.options import ConfigOption, ConnectOption, OtherShapeOption, TimeoutOption, ZenohConfigOption
-from gateway.robot import protocol
 
 _PANELS = {
     "Stop": ("estop", "stop", "reset"),
@@ -71,7 +71,7 @@ app = typer.Typer(
 
 def _version(wanted: bool) -> None:
     if wanted:
-        typer.echo(f"hexapod-gateway {__version__} (HexapodProtocol {protocol.VERSION})")
+        typer.echo(f"hexapod-gateway {__version__} (HexapodProtocol {PROTOCOL_VERSION})")
         raise typer.Exit
 
 

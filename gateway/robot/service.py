@@ -15,7 +15,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 import zenoh
 
 from gateway import __version__
-from gateway.robot.blackbox.format import STOP_FACTS
+from gateway.host import descriptors, effective, logs, realtime
+from gateway.host.descriptors import Spare
+from gateway.host.directories import runtime_directory
+from gateway.host.servo_page import ServoPage
+from gateway.model.black_box.format import STOP_FACTS
+from gateway.model.frames import centidegrees
+from gateway.model.framing import Framing
 from gateway.robot.blackbox.recorder import Recorder
 from gateway.robot.core.calibrating import ACCEPT_DEFAULT
 from gateway.robot.core.leg import Rules
@@ -31,15 +37,11 @@ from gateway.robot.edge.rings import put_depth
 from gateway.robot.edge.session import service_config
 from gateway.robot.edge.unknown_keys import UnknownKeys
 from gateway.robot.edge.upkeep import Upkeep
-from gateway.robot.host import calibration_file, descriptors, logs, realtime, stop_note
-from gateway.robot.host.descriptors import Spare
-from gateway.robot.host.directories import runtime_directory
+from gateway.robot.host import calibration_file, stop_note
+from gateway.robot.host.disk_writer import DiskWriter
 from gateway.robot.host.ownership import Ownership
 from gateway.robot.host.servos_file import ServosFile
 from gateway.robot.host.systemd import SystemdNotifier
-from gateway.robot.host.worker import DiskWriter
-from gateway.robot.protocol.frames import centidegrees
-from gateway.robot.protocol.framing import Framing
 from gateway.robot.runtime import prometheus as exposition
 from gateway.robot.runtime.calibrations import Calibrations
 from gateway.robot.runtime.conductor import Conductor
@@ -48,11 +50,10 @@ from gateway.robot.runtime.request_answers import ButtonAnswers, LeaseAnswers
 from gateway.robot.runtime.revocations import Revocations
 from gateway.robot.runtime.shutdown import END_S, End, close_within, stop_the_robot
 from gateway.robot.settings import Settings, SpiSettings, ZenohSettings
-from gateway.robot.spi import SpiDevice, effective, ioctls
+from gateway.robot.spi import SpiDevice, ioctls
 from gateway.robot.spi.bus import Bus
 from gateway.robot.spi.kernel import KernelDevice
 from gateway.robot.spi.machine import driver_of, gpio_selects
-from gateway.robot.spi.servo_page import ServoPage
 from gateway.robot.spi.simulator import SimulatedController
 from gateway.robot.spi.unreliable import Faults, UnreliableDevice
 from gateway.zenoh_config import open_session
@@ -164,7 +165,7 @@ def run(
     descriptors.ensure()
     realtime.prefer_process()
     realtime.limit_malloc_arenas()
-    logs.set_up(settings.log)
+    logs.set_up(settings.log.level, settings.log.format)
     logs.keep_stacks()
     if not simulated:
         _show_settings(settings)  # before the first frame
@@ -208,7 +209,7 @@ def _configured(
 
 def _show_settings(settings: Settings) -> None:
     try:
-        effective.write(settings)
+        effective.write(settings.spi.model_dump(mode="json"), settings.watchdog)
     except (OSError, ValueError) as error:
         logger.warning("stop-servos by hand cannot see what the service uses: %s", error)
 

@@ -8,15 +8,15 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
+from gateway.model.angle_limits import AngleLimits
+from gateway.model.calibration import Calibration
+from gateway.model.frames import MAX_ANGLE_CDEG
 from gateway.robot.core.calibrating import Calibrating
-from gateway.robot.core.calibration import Calibration
 from gateway.robot.core.events import Calibrate, Command, Effect, Event, TimePassed, Transmit
-from gateway.robot.core.joint_limits import Reach
 from gateway.robot.core.leg import Leg, Rules, Servo
 from gateway.robot.core.legs import Legs
 from gateway.robot.core.pacing import RateSlots
 from gateway.robot.core.supervisor import Supervisor
-from gateway.robot.protocol.frames import MAX_ANGLE_CDEG
 from schemas.telemetry import Reason
 
 Make = Callable[[Rules], Supervisor]
@@ -100,14 +100,14 @@ def made_of(
     *,
     slots: type[RateSlots] = RateSlots,
     legs: type[Legs] = Legs,
-    reach: type[Reach] = Reach,
+    reach: type[AngleLimits] = AngleLimits,
     calibrating: type[Calibrating] = Calibrating,
 ) -> Make:
     """A supervisor of other parts."""
 
     def make(rules: Rules) -> Supervisor:
         robot = Supervisor(rules)
-        robot._reach = reach(rules)
+        robot._reach = reach(rules.joint_limits_cdeg, rules.landing_cdeg, rules.avoid_cdeg)
         robot.calibrating = calibrating(robot._reach)
         robot.legs = legs(rules, robot._reach)
         for leg in robot.legs:
@@ -213,7 +213,7 @@ class GoesOnAfterStop(Legs):
         servo.target_cdeg = target_cdeg
 
 
-class CrossesAtOnce(Reach):
+class CrossesAtOnce(AngleLimits):
     """A way that leads to angles that are never sent goes on behind them at once."""
 
     def near_side(self, servo_id: int, from_cdeg: int, angle_cdeg: int) -> int:
@@ -223,7 +223,7 @@ class CrossesAtOnce(Reach):
         return super().near_side(servo_id, MAX_ANGLE_CDEG if from_cdeg < angle_cdeg else 0, angle_cdeg)
 
 
-class FramesAsCommanded(Reach):
+class FramesAsCommanded(AngleLimits):
     """Users' angles go on the wire."""
 
     def use(self, calibration: Calibration) -> None:
@@ -231,7 +231,7 @@ class FramesAsCommanded(Reach):
         self.wire = None
 
 
-class AnyAngle(Reach):
+class AnyAngle(AngleLimits):
     """The calibration's limits are not looked at."""
 
     def use(self, calibration: Calibration) -> None:
@@ -239,7 +239,7 @@ class AnyAngle(Reach):
         self.limited = False
 
 
-class LandsWhereTheSettingsSay(Reach):
+class LandsWhereTheSettingsSay(AngleLimits):
     """The pose that a person recorded is not approached."""
 
     def landing_cdeg(self) -> dict[int, int]:

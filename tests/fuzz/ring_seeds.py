@@ -12,10 +12,11 @@ from typing import Final
 import async_solipsism
 
 from gateway.errors import SpiError
-from gateway.robot.blackbox import format as form
-from gateway.robot.blackbox import header, place
+from gateway.model.black_box import format as form
+from gateway.model.black_box import header
+from gateway.model.black_box.files import RING_FILE
+from gateway.model.frames import stop_leg
 from gateway.robot.blackbox.ring import Ring
-from gateway.robot.protocol.frames import stop_leg
 from schemas import keys
 from tests.fuzz.ring_image import BODY, MAX_SLOTS, input_of
 from tests.support.robot import WALL_NS, Robot, leg
@@ -86,7 +87,7 @@ def _recorded(happens: Callable[[Robot], Awaitable[None]]) -> Written:
         with tempfile.TemporaryDirectory() as folder:
             os.environ["RUNTIME_DIRECTORY"] = folder  # where its ring is to be
             loop.run_until_complete(run(folder))
-            image = (Path(folder) / place.RING).read_bytes()
+            image = (Path(folder) / RING_FILE).read_bytes()
     finally:
         loop.close()
         logging.disable(disabled)
@@ -109,11 +110,11 @@ def _recorded(happens: Callable[[Robot], Awaitable[None]]) -> Written:
 def _ring(written: Written, slots: int) -> bytes:
     """The same in a ring of so many slots, which wraps around where they are more."""
     with tempfile.TemporaryDirectory() as folder:
-        ring = Ring(Path(folder) / place.RING, slots)
+        ring = Ring(Path(folder) / RING_FILE, slots)
         for kind, ns, rest in written:
             ring.append(kind, ns, rest)
         ring.close()
-        return (Path(folder) / place.RING).read_bytes()
+        return (Path(folder) / RING_FILE).read_bytes()
 
 
 HOSTILE: Final[Written] = [

@@ -19,12 +19,12 @@ from typing import Any
 
 import pytest
 
+from gateway.model.black_box import format as form
+from gateway.model.black_box.files import RING_FILE
+from gateway.model.frames import Frame, OneLeg, OneServo, Op, ServoOp, decode
+from gateway.model.framing import Framing
 from gateway.people.incidents import ring_reader
-from gateway.robot.blackbox import format as form
-from gateway.robot.blackbox.place import RING
 from gateway.robot.host.systemd import HANGS_AFTER
-from gateway.robot.protocol.frames import Frame, OneLeg, OneServo, Op, ServoOp, decode
-from gateway.robot.protocol.framing import Framing
 from schemas.robot import LEGS
 from schemas.telemetry import Cause
 from tests.hil.bed import SpiTestbed, Transfer
@@ -195,7 +195,7 @@ def kill_once(forks: Forks, bed: SpiTestbed, framing: Framing, config: Path, mom
     assert forks.wait() == 0, str(forks)
     transfers = bed.transfers[before:]
     of_gateway = [each for each in transfers if each.opening == transfers[0].opening]
-    check_black_box(config.parent / "box" / RING, of_gateway)
+    check_black_box(config.parent / "box" / RING_FILE, of_gateway)
     replay = Replay(framing)
     replay.play(of_gateway)
     first_move = next(place for place, each in enumerate(of_gateway) if moves(each))

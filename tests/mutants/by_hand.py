@@ -124,7 +124,7 @@ MADE: Final[Mapping[str, tuple[ByHand, ...]]] = {
             "        self.estops += first\n",
         ),
     ),
-    "gateway/robot/core/calibration.py": (
+    "gateway/model/calibration.py": (
         ByHand(
             "two joints get each other's angles",
             "    first, second, third = (op_of(servo_id, op) for servo_id, op in frame.servos)\n",

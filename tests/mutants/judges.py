@@ -3,13 +3,14 @@
 from typing import Final
 
 _UNIT: Final = "tests/unit/robot/"
+_MODEL: Final = "tests/unit/model/"
 _CONDUCTOR: Final = (
     f"{_UNIT}test_conductor.py",
     f"{_UNIT}test_conductor_safety.py",
     f"{_UNIT}test_lease_conductor.py",
     "tests/zenoh/test_conductor_counts.py",
-    f"{_UNIT}test_staleness.py",
-    f"{_UNIT}test_staleness_clocks.py",
+    f"{_MODEL}test_staleness.py",
+    f"{_MODEL}test_staleness_clocks.py",
     f"{_UNIT}test_preamble.py",
     f"{_UNIT}test_conductor_landing.py",
     f"{_UNIT}test_calibration_conductor.py",
@@ -43,7 +44,7 @@ _SUPERVISOR: Final = (
     f"{_UNIT}test_conductor_landing.py",
 )
 _CALIBRATION: Final = (
-    f"{_UNIT}test_calibration.py",
+    f"{_MODEL}test_calibration.py",
     f"{_UNIT}test_supervisor_calibration.py",
     f"{_UNIT}test_supervisor_landing.py",
     f"{_UNIT}test_calibration_conductor.py",
@@ -68,8 +69,8 @@ _PEOPLE: Final = "tests/unit/people/"
 _TIMES: Final = f"{_PEOPLE}test_times.py"
 
 JUDGES: Final = {
-    "gateway/robot/protocol/frames.py": (f"{_UNIT}test_frames.py", "tests/unit/test_decode.py"),
-    "gateway/robot/protocol/framing.py": (f"{_UNIT}test_framing.py",),
+    "gateway/model/frames.py": (f"{_MODEL}test_frames.py", "tests/unit/test_decode.py"),
+    "gateway/model/framing.py": (f"{_MODEL}test_framing.py",),
     "gateway/robot/spi/guard.py": (
         f"{_UNIT}test_guard.py",
         f"{_UNIT}test_bus_device.py",
@@ -102,7 +103,7 @@ JUDGES: Final = {
         f"{_UNIT}test_conductor.py",
         f"{_UNIT}test_conductor_safety.py",
     ),
-    "gateway/robot/core/staleness.py": (f"{_UNIT}test_staleness.py", f"{_UNIT}test_staleness_clocks.py"),
+    "gateway/model/staleness.py": (f"{_MODEL}test_staleness.py", f"{_MODEL}test_staleness_clocks.py"),
     "gateway/robot/core/pacing.py": (
         f"{_UNIT}test_pacing.py",
         f"{_UNIT}test_supervisor.py",
@@ -116,9 +117,9 @@ JUDGES: Final = {
     "gateway/robot/core/lease.py": _LEASE,
     "gateway/robot/core/buttons.py": (f"{_UNIT}test_buttons.py", f"{_UNIT}test_buttons_conductor.py"),
     "gateway/robot/core/nonces.py": ("tests/unit/people/test_lease_checker.py",),
-    "gateway/robot/core/joint_limits.py": (*_CALIBRATION, f"{_UNIT}test_supervisor_speed.py"),
+    "gateway/model/angle_limits.py": (*_CALIBRATION, f"{_UNIT}test_supervisor_speed.py"),
     "gateway/robot/core/calibrating.py": _CALIBRATION,
-    "gateway/robot/core/calibration.py": (*_CALIBRATION, f"{_UNIT}test_calibration_intake.py"),
+    "gateway/model/calibration.py": (*_CALIBRATION, f"{_UNIT}test_calibration_intake.py"),
     "gateway/robot/core/calibration_intake.py": _CALIBRATION_REQUESTS,
     "gateway/robot/core/targets.py": (f"{_UNIT}test_targets.py", f"{_UNIT}test_intake.py"),
     "gateway/robot/core/losses.py": _CONDUCTOR,

@@ -4,9 +4,10 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from gateway.robot.blackbox.recorder import ACCEPTED, Recorder
+from gateway.model.black_box.format import ACCEPTED
+from gateway.model.frames import OneLeg, Op, ServoOp
+from gateway.robot.blackbox.recorder import Recorder
 from gateway.robot.core.events import Command, Transmit
-from gateway.robot.protocol.frames import OneLeg, Op, ServoOp
 from gateway.robot.settings import Settings
 from gateway.robot.spi.bus import Sent
 from schemas.keys import leg_command

@@ -10,7 +10,8 @@ GATEWAY = Path(__file__).parents[2] / "gateway"
 
 ROOMS: Final = (
     ("allowance", "durable", "errors", "limits", "nesting", "text", "web_hosts"),
-    ("robot.protocol", "geometry"),
+    ("model", "geometry"),
+    ("host",),
     ("robot.core", "people.walking", "people.ros2"),
     ("robot.settings",),
     ("robot.host",),
@@ -33,7 +34,7 @@ ROOMS: Final = (
 """From the inside out: a room knows itself and what stands before it, never its neighbour in the same row."""
 
 WINGS: Final = ("robot", "people")
-PURE: Final = ("robot.protocol", "robot.core", "people.walking", "people.ros2")
+PURE: Final = ("model", "robot.core", "people.walking", "people.ros2")
 ALSO_PURE: Final = frozenset({"allowance", "errors", "geometry", "text", *WINGS})
 """Geometry but for reading its file, which is for whoever calls."""
 NOT_PURE: Final = frozenset(

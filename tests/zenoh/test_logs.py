@@ -16,10 +16,9 @@ from tests.support.gateway_process import Gateway
 
 SPEAKER = """
 import logging, sys, threading, warnings
-from gateway.robot.host import logs
-from gateway.robot.settings import LogSettings
+from gateway.host import logs
 from schemas.telemetry import Kind, Reason
-logs.set_up(LogSettings(format=sys.argv[1], level=sys.argv[2]))
+logs.set_up(sys.argv[2], sys.argv[1])
 logger = logging.getLogger("gateway.test")
 logger.debug("detail")
 logger.info("hexapod-gateway %s takes commands", 1, extra={
@@ -165,11 +164,8 @@ def test_a_line_is_as_it_was_said_though_it_is_written_later() -> None:
 
 
 def test_all_that_was_said_is_written_before_the_process_goes() -> None:
-    program = "import logging, sys, threading, warnings\nfrom gateway.robot.host import logs\n"
-    program += (
-        "from gateway.robot.settings import LogSettings\nlogs.set_up(LogSettings())\nlogger = logging.getLogger('test')"
-        + MORE
-    )
+    program = "import logging, sys, threading, warnings\nfrom gateway.host import logs\nlogs.set_up('info', 'auto')\n"
+    program += "logger = logging.getLogger('test')" + MORE
     ran = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=30)
     assert ran.stdout.splitlines() == [f"printed {number}" for number in range(400)]
     assert "UserWarning: beware" in ran.stderr

@@ -14,8 +14,8 @@ from prometheus_client.samples import Sample
 
 from gateway import __version__, certs
 from gateway.client import Client
+from gateway.model.frames import PROTOCOL_VERSION
 from gateway.robot.core.latency import KEPT, Latency, percentile
-from gateway.robot.protocol import VERSION
 from tests.support.gateway_process import Gateway, free_port
 
 
@@ -82,7 +82,7 @@ def test_the_list_in_the_docs_is_the_page(tmp_path: Path) -> None:
         samples = read(address)
         assert value(samples, "hexapod_sessions") == 1
         assert value(samples, "hexapod_incidents_total") == 1
-        assert value(samples, "hexapod_build_info", version=__version__, protocol=VERSION) == 1
+        assert value(samples, "hexapod_build_info", version=__version__, protocol=PROTOCOL_VERSION) == 1
         expires = value(samples, "hexapod_certificate_expiry_timestamp_seconds", file="gateway.pem")
         assert expires == pytest.approx(time.time() + certs.LEAF_DAYS * 86400, abs=100)
         for path in ("/", "/metric", "/metrics/more", "/favicon.ico"):

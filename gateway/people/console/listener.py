@@ -30,10 +30,10 @@ from websockets.server import ServerProtocol
 from websockets.typing import Subprotocol
 
 from gateway.allowance import NS_PER_S, Allowance
+from gateway.host.realtime import SWITCH_INTERVAL_S
 from gateway.people.console.auth import SUBPROTOCOL, Auth, SignedIn
 from gateway.people.console.messages import MAX_BYTES
 from gateway.people.console.tls import Layer, Tls
-from gateway.robot.host.realtime import SWITCH_INTERVAL_S
 
 MAX_UNKNOWN: Final = 64
 """Connections of whom we do not know; each takes one descriptor, and some 100 kB with TLS."""
@@ -248,7 +248,7 @@ class HttpListener:
 
 
 def report(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
-    """asyncio's exception handler: one line, which another thread writes (`gateway.robot.host.log_writer`).
+    """asyncio's exception handler: one line, which another thread writes (`gateway.host.log_writer`).
 
     asyncio's own would render a traceback on the loop.
     """

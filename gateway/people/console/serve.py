@@ -19,6 +19,7 @@ import segno
 
 from gateway import certs
 from gateway.geometry import Geometry, load
+from gateway.host import descriptors, logs, realtime
 from gateway.people.console import sessions
 from gateway.people.console.app import MAX_CLOSING, MAX_PAGES, Console
 from gateway.people.console.auth import Auth
@@ -32,8 +33,6 @@ from gateway.people.console.sockets import listening
 from gateway.people.console.stops import Stops, send_stopping
 from gateway.people.console.tls import server_context
 from gateway.people.terminal import hint, say, this_command
-from gateway.robot.host import descriptors, logs, realtime
-from gateway.robot.settings import LogSettings
 from gateway.zenoh_config import client_config, get
 
 OWN_DESCRIPTORS: Final = 96
@@ -68,7 +67,7 @@ def serve(options: Options) -> NoReturn:
     realtime.limit_malloc_arenas()
     threading.stack_size(STACK_BYTES)
     with listening(options.site, options.passed) as sockets:
-        logs.set_up(LogSettings())  # from now on nobody waits for whoever reads what is written here
+        logs.set_up("info", "auto")  # from now on nobody waits for whoever reads what is written here
         found = Sessions(sessions.folder(), options.site.port)
         role = least(role, options.role)
         found.begin(options.site.url, role, common_name)

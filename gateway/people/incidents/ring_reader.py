@@ -1,6 +1,6 @@
 """Reads a ring that may be written to meanwhile, cut off, damaged or made by somebody else: it trusts nothing.
 
-It holds a copy of the file, never more than `header.file_bytes(place.MAX_SLOTS)`: a mapping would end the reader with
+It holds a copy of the file, never more than `header.file_bytes(MAX_SLOTS)`: a mapping would end the reader with
 SIGBUS where somebody makes the file shorter. Besides, it holds some 26 bytes for each record: all of them as objects
 would take eight times the file's size, more than the recorder's service may have (docs/blackbox.md).
 """
@@ -16,11 +16,11 @@ from pathlib import Path
 from typing import Any, Final, overload
 
 from gateway.errors import GatewayError
+from gateway.host.file_lock import written_by_anyone
+from gateway.model.black_box import format as form
+from gateway.model.black_box import header
+from gateway.model.black_box.files import MAX_SLOTS
 from gateway.people.incidents.ring_decoding import decode
-from gateway.robot.blackbox import format as form
-from gateway.robot.blackbox import header
-from gateway.robot.blackbox.place import MAX_SLOTS
-from gateway.robot.blackbox.ring import written_by_anyone
 from schemas.calibration import Calibration
 
 MAX_BYTES: Final = header.file_bytes(MAX_SLOTS)

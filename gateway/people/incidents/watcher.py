@@ -7,11 +7,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Final
 
+from gateway.host.file_lock import written_by_anyone
+from gateway.model.black_box import format as form
+from gateway.model.black_box import header
+from gateway.model.black_box.files import INCIDENTS_FOLDER, MAX_SLOTS, RING_FILE
 from gateway.people.incidents import archive, ring_reader
 from gateway.people.incidents.incidents import Incident, find
-from gateway.robot.blackbox import format as form
-from gateway.robot.blackbox import header, place
-from gateway.robot.blackbox.ring import written_by_anyone
 
 LOOK_S: Final = 0.5
 """How often it looks whether something happened; a look takes some 50 µs."""
@@ -26,8 +27,8 @@ class IncidentWatcher:
     """Keeps the incidents of one black box."""
 
     def __init__(self, folder: Path, clock: Callable[[], int] = time.monotonic_ns) -> None:
-        self._ring = folder / place.RING
-        self._folder = folder / place.INCIDENTS
+        self._ring = folder / RING_FILE
+        self._folder = folder / INCIDENTS_FOLDER
         self._clock = clock
         self._seen: tuple[int, int, bool] | None = None
         self._due_ns: int | None = None
@@ -48,7 +49,7 @@ class IncidentWatcher:
         self.keep(whole_only=False, most=NEWEST)
         self.keep(whole_only=False)
 
-    def keep(self, *, whole_only: bool, most: int = place.MAX_SLOTS) -> list[Path]:
+    def keep(self, *, whole_only: bool, most: int = MAX_SLOTS) -> list[Path]:
         """Read the ring and keep its incidents; `whole_only`: those that nothing can be added to any more.
 
         With `most`, the incidents of its newest so many slots; those that began earlier are then kept anew when it is

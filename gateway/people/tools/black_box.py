@@ -11,6 +11,7 @@ from typing import Any, Final, NamedTuple
 import typer
 
 from gateway.errors import ConfigError, GatewayError
+from gateway.model.black_box.files import INCIDENTS_FOLDER, RING_FILE
 from gateway.people.incidents import archive, ring_reader
 from gateway.people.incidents.incidents import Incident, find, is_id, time_of
 from gateway.people.incidents.messages import RECORDER, incident_of, messages
@@ -20,7 +21,7 @@ from gateway.people.incidents.watcher import LOOK_S, IncidentWatcher
 from gateway.people.recordings import Losses, Message, read
 from gateway.people.recordings.writing import making
 from gateway.people.terminal import hint, say, this_command
-from gateway.robot.blackbox import place
+from gateway.robot.blackbox import paths
 from gateway.robot.settings import Settings
 from gateway.text import visible
 
@@ -41,7 +42,7 @@ class _Found(NamedTuple):
 def list_all(settings: Settings, *, as_json: bool = False) -> int:
     """Print the incidents, newest first. Exit code 0, also where there are none."""
     folder = _folder(settings)
-    found, said = _find(folder), archive.headlines(folder / place.INCIDENTS)
+    found, said = _find(folder), archive.headlines(folder / INCIDENTS_FOLDER)
     rows: list[dict[str, Any]] = [
         {
             "id": each.name,
@@ -147,7 +148,7 @@ def keep(settings: Settings, *, once: bool) -> int:
 
 
 def _folder(settings: Settings) -> Path:
-    folder = place.folder_to_read(settings)
+    folder = paths.folder_to_read(settings)
     if folder is None:
         raise ConfigError(
             "the black box is off: no gateway has kept one on this machine. `make run` and the installed service keep "
@@ -159,9 +160,9 @@ def _folder(settings: Settings) -> Path:
 
 def _find(folder: Path) -> list[_Found]:
     """All incidents, oldest first: after a change of the clock, that is not the order of their ids."""
-    found = {each.name: _Found(*each) for each in archive.kept(folder / place.INCIDENTS)}
+    found = {each.name: _Found(*each) for each in archive.kept(folder / INCIDENTS_FOLDER)}
     try:
-        content = ring_reader.read(folder / place.RING)
+        content = ring_reader.read(folder / RING_FILE)
     except ring_reader.NoRingError as error:
         if isinstance(error.__cause__, PermissionError):  # "no incidents" would not be true
             raise ConfigError(f"{error}; only the gateway's own user may read its black box, or root: sudo") from error
@@ -170,8 +171,8 @@ def _find(folder: Path) -> list[_Found]:
         return list(found.values())
     for incident in find(content.records, written=content.written, now_ns=time.monotonic_ns()):
         before = found.pop(incident.name, None)  # what is in the ring is newer than what is there no more
-        if before is None or not archive.is_kept(folder / place.INCIDENTS, incident):
-            path, size = archive.path_of(folder / place.INCIDENTS, incident), None if before is None else before.size
+        if before is None or not archive.is_kept(folder / INCIDENTS_FOLDER, incident):
+            path, size = archive.path_of(folder / INCIDENTS_FOLDER, incident), None if before is None else before.size
             before = _Found(incident.name, path, size, (incident, content.records))
         found[incident.name] = before
     return list(found.values())

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Final
 
 from gateway.people.terminal import on_end_signals, say
-from gateway.robot.blackbox.place import tried
+from gateway.robot.blackbox.paths import tried
 
 NO_CONSOLE: Final = "no"
 _COMMAND: Final = Path(sys.executable).with_name("hexapod-gateway")

@@ -9,18 +9,19 @@ Who calls owns the gateway's state, as with the supervisor.
 import logging
 import os
 from collections.abc import Callable, Sequence
-from datetime import UTC, datetime
 from types import TracebackType
 from typing import Any, Final, Self
 
 from gateway import __version__
 from gateway.errors import GatewayError
-from gateway.robot.blackbox import format as form
-from gateway.robot.blackbox import place
+from gateway.model.black_box import format as form
+from gateway.model.black_box.format import ACCEPTED
+from gateway.model.black_box.incidents import INCIDENTS, LONGEST_NS, MISTAKE, follow_ns, incident_id
+from gateway.model.calibration import Calibration, report_of
+from gateway.model.frames import PROTOCOL_VERSION
+from gateway.robot.blackbox import paths
 from gateway.robot.blackbox.ring import Ring
-from gateway.robot.core.calibration import Calibration, report_of
 from gateway.robot.core.events import Request, Transmit
-from gateway.robot.protocol import VERSION
 from gateway.robot.settings import Settings
 from gateway.robot.spi.bus import Sent
 from schemas.telemetry import Kind, Mode
@@ -30,33 +31,11 @@ LAG_NS: Final = 10_000_000
 CLOCK_NS: Final = 1_000_000_000
 ABOUT_NS: Final = 10_000_000_000
 """How often versions and settings are recorded: an incident reaches back as far, and has them among its records."""
-FOLLOW_NS: Final = 5_000_000_000
-"""An incident takes in what happens up to 5 s after it; what happens meanwhile prolongs it …"""
-LONGEST_NS: Final = 30_000_000_000
-"""… up to this."""
-LANDING_NS: Final = 5_000_000_000
-"""What `watchdog.landing_ms` allows at most: the Stops at its end belong to the silence that began it."""
 KEPT_BEFORE_OPEN: Final = 200
 """Records of the start, which come before the ring is open: the first Stops do not wait for it."""
 
-INCIDENTS: Final = {
-    Kind.WATCHDOG_EXPIRED: "watchdog",
-    Kind.LANDING: "landing",
-    Kind.ESTOP_ENGAGED: "estop",
-    Kind.BUS_FAULT: "bus-fault",
-    Kind.OVERFLOW: "overflow",
-    Kind.LEASE_TAKEN: "lease-taken",
-    Kind.STOPPED_OUTSIDE: "stopped-outside",
-    Kind.BUTTON_SILENT: "button",
-    Kind.BUTTON_LEFT: "button",
-}
-"""Events that are kept as incidents, and how their ids end."""
 _IF_LEGS_STOP: Final = frozenset({Kind.BUTTON_SILENT, Kind.BUTTON_LEFT})
 """These are incidents only where legs are stopped for them."""
-MISTAKE: Final = "mistake"
-ACCEPTED: Final = "accepted"
-COALESCED: Final = "coalesced"
-
 logger = logging.getLogger(__name__)
 
 
@@ -86,7 +65,7 @@ class Recorder:
         self._clock_ns = 0  # when the time that people read was recorded last
         self._about_ns = -ABOUT_NS
         self._first_ns = self._until_ns = 0  # what belongs to the latest incident
-        self._on = place.folder_of(settings) is not None
+        self._on = paths.folder_of(settings) is not None
         if self._on:
             self._about = form.about(_about(settings, facts))
             self._append(form.START, clock(), form.start(wall_ns(), {"pid": os.getpid(), **facts}))
@@ -106,12 +85,12 @@ class Recorder:
 
     def open(self) -> None:
         """Open the ring. Until then, what comes waits. Never raises."""
-        folder = place.folder_of(self._settings)
+        folder = paths.folder_of(self._settings)
         if folder is None:
             return
         waiting, self._waiting = self._waiting, []
         try:
-            self._ring = Ring(place.prepare(folder), place.slots_for(self._settings))
+            self._ring = Ring(paths.prepare(folder), paths.slots_for(self._settings))
         except OSError as error:
             logger.warning("the black box is off: %s: %s", folder, error.strerror or error)
             self._on, self._append, self.incident = False, _forget, None
@@ -243,22 +222,11 @@ class Recorder:
             self._waiting.append((kind, ns, rest))
 
 
-def follow_ns(what: str) -> int:
-    """How long what happens belongs to an incident: `what` is the end of its id, or the kind of a later event."""
-    return FOLLOW_NS + LANDING_NS if what == Kind.LANDING else FOLLOW_NS
-
-
-def incident_id(wall_ns: int, what: str) -> str:
-    """Such as 20261122-001233-123-watchdog: the time in UTC to the millisecond, and what happened."""
-    seconds, ns = divmod(wall_ns, 1_000_000_000)
-    return f"{datetime.fromtimestamp(seconds, UTC):%Y%m%d-%H%M%S}-{ns // 1_000_000:03d}-{what}"
-
-
 def _about(settings: Settings, facts: dict[str, Any]) -> dict[str, Any]:
     """What a recording has of a gateway, too, under the same names as in its state."""
     return {
         "version": __version__,
-        "protocol": VERSION,
+        "protocol": PROTOCOL_VERSION,
         "simulated": facts.get("simulated"),
         "spi": settings.spi.model_dump(mode="json"),
         "watchdog": settings.watchdog.model_dump(mode="json"),

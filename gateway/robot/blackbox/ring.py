@@ -7,20 +7,17 @@ The file must be in memory (tmpfs). The kernel makes a page of a file on a disk 
 write-back, for as long as the disk is busy, and a Stop would wait with it (docs/blackbox.md has the measurement).
 """
 
-import fcntl
 import mmap
 import os
 import stat
-import struct
 from pathlib import Path
-from typing import Final
 from zlib import crc32
 
-from gateway.robot.blackbox import format as form
-from gateway.robot.blackbox import header
-from gateway.robot.blackbox.format import HEAD_BYTES, pack_head, pack_slot_into
+from gateway.host.file_lock import lock_to_write
+from gateway.model.black_box import format as form
+from gateway.model.black_box import header
+from gateway.model.black_box.format import HEAD_BYTES, pack_head, pack_slot_into
 
-_FLOCK: Final = struct.Struct("hhqqi4x")  # struct flock: type, whence, start, length, process
 _HEADER, _SLOT, _ROOM = form.HEADER_BYTES, form.SLOT, form.ROOM
 
 
@@ -37,7 +34,7 @@ class Ring:
         self._fd = os.open(path, flags, 0o600)
         try:
             _check_owner(self._fd, path)
-            _lock(self._fd)
+            lock_to_write(self._fd)
             size = header.file_bytes(slots)
             whole = self._is_whole(slots)
             if not whole:
@@ -110,20 +107,6 @@ class Ring:
         if number and torn:
             self.note = f"the black box is continued; {torn} of its newest records are not whole"
         return number
-
-
-def written_by_anyone(fd: int) -> bool:
-    """Whether a running gateway writes to this file."""
-    answer = fcntl.fcntl(fd, fcntl.F_OFD_GETLK, _FLOCK.pack(fcntl.F_RDLCK, os.SEEK_SET, 0, 1, 0))
-    return bool(_FLOCK.unpack(answer)[0] != fcntl.F_UNLCK)
-
-
-def _lock(fd: int) -> None:
-    """It ends with the process, so readers see whether the gateway runs, and two never write to one file."""
-    try:
-        fcntl.fcntl(fd, fcntl.F_OFD_SETLK, _FLOCK.pack(fcntl.F_WRLCK, os.SEEK_SET, 0, 1, 0))
-    except OSError as error:
-        raise OSError(error.errno, "another gateway writes to it") from error
 
 
 def _check_owner(fd: int, path: Path) -> None:

@@ -8,13 +8,13 @@ commands are thereby done.
 from collections.abc import Collection, Iterator, Mapping
 from typing import Final
 
+from gateway.model.angle_limits import AngleLimits
+from gateway.model.frames import OP_START, OP_STOP, SETS, STOP, OneLeg, OneServo, ServoOp, stop_leg
 from gateway.robot.core.events import Announce, Command, Completed, Effect, Rejected, Targets, Transmit
-from gateway.robot.core.joint_limits import Reach
 from gateway.robot.core.landing import Landing, landing
 from gateway.robot.core.leg import NO_COMMAND, Leg, Rules, Servo, servos_of
 from gateway.robot.core.pacing import NEVER, RateSlots, StartQueue, merged
 from gateway.robot.core.speed import step
-from gateway.robot.protocol.frames import OP_START, OP_STOP, SETS, STOP, OneLeg, OneServo, ServoOp, stop_leg
 from schemas.robot import LEGS
 from schemas.telemetry import Cause, Kind, Reason
 
@@ -58,7 +58,7 @@ def _taken_over(leg: Leg, source: str | None, moves: bool) -> list[Effect]:
 class Legs:
     """The six legs, and the commands under way on them."""
 
-    def __init__(self, rules: Rules, reach: Reach) -> None:
+    def __init__(self, rules: Rules, reach: AngleLimits) -> None:
         self._rules = rules
         self._reach = reach
         self.by_number = {number: Leg(number, servos_of(number), RateSlots(rules.period_ns)) for number in LEGS}

@@ -26,8 +26,8 @@ from zenoh.handlers import RingChannel
 
 from gateway.allowance import Allowance
 from gateway.certs import BUTTON, OPERATOR, pool
+from gateway.host.realtime import PAGE_PRIORITY, prefer_thread
 from gateway.limits import MAX_SESSIONS, OPERATORS_PLACES
-from gateway.robot.host.realtime import PAGE_PRIORITY, prefer_thread
 
 VISITORS: Final = MAX_SESSIONS - OPERATORS_PLACES
 SAY_AGAIN_S: Final = 10.0

@@ -22,6 +22,7 @@ from typing import Any, Final
 import zenoh
 from zenoh.handlers import Handler, RingChannel
 
+from gateway.host.realtime import LOOP_PRIORITY
 from gateway.robot.core.intake import words_of_stop
 from gateway.robot.core.message import Received, Reply, Verb
 from gateway.robot.edge.questions import DEPTH as QUESTIONS_DEPTH
@@ -30,7 +31,6 @@ from gateway.robot.edge.receiver import Deal, Reader, ReceiverThread
 from gateway.robot.edge.replies import ReplySender
 from gateway.robot.edge.rings import LEAST_PUT_DEPTH, RING_DEPTH, Receive, Rings
 from gateway.robot.host.ownership import Ownership, OwnersTimer
-from gateway.robot.host.realtime import LOOP_PRIORITY
 from schemas.command import MAX_PAYLOAD_BYTES
 from schemas.keys import ALL_COMMANDS, COMMAND_KEYS, ESTOP, STATE
 from schemas.telemetry import Ack, Reason

@@ -12,7 +12,7 @@ import zenoh
 from pydantic import BaseModel
 from zenoh.handlers import Handler, RingChannel
 
-from gateway.robot.host.worker import Worker
+from gateway.host.worker import Worker
 from schemas.keys import ALIVE, GATEWAYS
 
 MOST_WAITING: Final = 1000

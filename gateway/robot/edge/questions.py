@@ -16,7 +16,7 @@ import zenoh
 from zenoh.handlers import Handler
 
 from gateway.allowance import Allowance
-from gateway.robot.host.worker import Worker
+from gateway.host.worker import Worker
 from schemas.command import MAX_PAYLOAD_BYTES
 
 Knows = Callable[[str], bool]

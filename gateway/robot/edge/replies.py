@@ -9,8 +9,8 @@ import logging
 
 import zenoh
 
+from gateway.host.worker import Worker
 from gateway.robot.core.message import Reply
-from gateway.robot.host.worker import Worker
 
 logger = logging.getLogger(__name__)
 

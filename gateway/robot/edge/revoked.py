@@ -15,7 +15,7 @@ import zenoh
 from gateway import certs, durable
 from gateway.certs import pool
 from gateway.errors import ConfigError
-from gateway.robot.host.directories import SERVICE_RUNTIME, SERVICE_STATE, runtime_directory, state_directory
+from gateway.host.directories import SERVICE_RUNTIME, SERVICE_STATE, runtime_directory, state_directory
 from gateway.robot.settings import ZenohSettings
 from gateway.zenoh_config import get
 

@@ -17,7 +17,7 @@ import zenoh
 from gateway import certs
 from gateway.certs import expiry
 from gateway.errors import ConfigError
-from gateway.robot.host.realtime import PAGE_PRIORITY, prefer_thread
+from gateway.host.realtime import PAGE_PRIORITY, prefer_thread
 from gateway.zenoh_config import Expiry, connect_endpoints, first_expiry, listen_endpoints
 from schemas.telemetry import CertificateReport
 

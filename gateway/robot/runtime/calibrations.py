@@ -6,8 +6,8 @@ from collections.abc import Callable
 from functools import partial
 from typing import Final
 
+from gateway.model.calibration import Calibration, Change, report_of
 from gateway.robot.core import calibration_intake
-from gateway.robot.core.calibration import Calibration, Change, report_of
 from gateway.robot.core.events import Calibrate, Keep, Kept
 from gateway.robot.core.intake import Rejection
 from gateway.robot.core.message import Reply

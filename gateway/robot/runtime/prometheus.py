@@ -15,10 +15,10 @@ from prometheus_client.metrics_core import (
 from prometheus_client.registry import Collector
 
 from gateway import __version__
+from gateway.host import logs
+from gateway.model.frames import PROTOCOL_VERSION
 from gateway.robot.core.latency import BOUNDS_US, Latency
 from gateway.robot.edge.exposure import is_local
-from gateway.robot.host import logs
-from gateway.robot.protocol import VERSION
 from gateway.robot.runtime.conductor import Conductor
 from gateway.robot.runtime.metrics_page import MetricsPage
 from gateway.web_hosts import LOOPBACK, may_ask
@@ -45,7 +45,7 @@ class _Numbers(Collector):
 
     def collect(self) -> Iterator[Metric]:
         metrics, bus = self._conductor.metrics, self._conductor.bus
-        yield InfoMetricFamily(f"{_PREFIX}_build", "What runs", {"version": __version__, "protocol": VERSION})
+        yield InfoMetricFamily(f"{_PREFIX}_build", "What runs", {"version": __version__, "protocol": PROTOCOL_VERSION})
         yield GaugeMetricFamily(f"{_PREFIX}_sessions", "Zenoh sessions that are open", metrics.sessions)
         yield GaugeMetricFamily(
             f"{_PREFIX}_older_ca_laptops",

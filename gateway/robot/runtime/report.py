@@ -4,12 +4,11 @@ from datetime import UTC, datetime
 from typing import Final
 
 from gateway import __version__
+from gateway.model.frames import PROTOCOL_VERSION, Op
 from gateway.robot.core.buttons import Buttons
 from gateway.robot.core.lease import Lease
 from gateway.robot.core.leg import Leg, Servo
 from gateway.robot.core.supervisor import Supervisor
-from gateway.robot.protocol import VERSION
-from gateway.robot.protocol.frames import Op
 from gateway.robot.runtime.metrics import Metrics
 from gateway.robot.settings import Settings
 from gateway.robot.spi.bus import Bus
@@ -93,7 +92,7 @@ class StateReports:
             time=wall_clock(),
             uptime_s=(now_ns - self._started_ns) / 1e9,
             version=__version__,
-            protocol=VERSION,
+            protocol=PROTOCOL_VERSION,
             simulated=self._simulated,
             physics=self._physics,
             legs=tuple(_leg(leg, now_ns) for leg in supervisor.legs),

@@ -11,12 +11,12 @@ from pydantic import ValidationError
 
 from gateway import certs
 from gateway.errors import ConfigError
+from gateway.host.directories import state_directory
 from gateway.robot.core.message import Reply
 from gateway.robot.edge import revoked
 from gateway.robot.edge.receiver import Deal
 from gateway.robot.edge.revoked import Kept
-from gateway.robot.host.directories import state_directory
-from gateway.robot.host.worker import DiskWriter
+from gateway.robot.host.disk_writer import DiskWriter
 from gateway.robot.runtime.conductor import Conductor
 from gateway.robot.runtime.request_answers import PAUSE_S, RequestAnswers
 from schemas import keys

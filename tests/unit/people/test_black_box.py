@@ -11,11 +11,12 @@ from pathlib import Path
 import pytest
 
 from gateway.errors import ConfigError
+from gateway.model.black_box import format as form
+from gateway.model.black_box.files import INCIDENTS_FOLDER, RING_FILE
 from gateway.people.incidents.watcher import IncidentWatcher
 from gateway.people.recordings.contents import cut
 from gateway.people.tools import black_box
-from gateway.robot.blackbox import format as form
-from gateway.robot.blackbox import place
+from gateway.robot.blackbox import paths
 from gateway.robot.blackbox.ring import Ring
 from gateway.robot.settings import Settings
 from tests.support.robot import WALL_NS
@@ -45,7 +46,7 @@ def test_who_may_not_read_it_is_not_told_that_there_is_nothing(mode: int) -> Non
         Path(name).chmod(0o711)
         folder = Path(name) / "box"
         folder.mkdir()
-        (folder / place.RING).touch(0o600)
+        (folder / RING_FILE).touch(0o600)
         folder.chmod(mode)
         with nobody():
             for call in (black_box.list_all, lambda found: black_box.show(found, "last")):
@@ -63,11 +64,11 @@ def test_a_ring_that_somebody_else_has_made_is_neither_shown_nor_kept(
     folder: Path, capsys: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture, spoil: Callable[[Path], None]
 ) -> None:
     """In /dev/shm, where a link of ours leads: it could be there before the gateway begins one."""
-    ring_at = place.prepare(folder)
+    ring_at = paths.prepare(folder)
     ring = Ring(ring_at, 100)
     ring.append(form.INCIDENT, 5, form.incident(WALL_NS, NAME))
     ring.close()
-    os.chown(folder / place.RING, 65534, -1, follow_symlinks=False)
+    os.chown(folder / RING_FILE, 65534, -1, follow_symlinks=False)
     os.chown(ring_at, 65534, -1)
     black_box.list_all(settings(folder))
     assert NAME in capsys.readouterr().out, "root reads the ring of the link's own user"
@@ -79,11 +80,11 @@ def test_a_ring_that_somebody_else_has_made_is_neither_shown_nor_kept(
     with caplog.at_level(logging.INFO):
         assert not IncidentWatcher(folder).keep(whole_only=False)
     assert "another user has made this file" in caplog.text
-    assert not (folder / place.INCIDENTS).exists()
+    assert not (folder / INCIDENTS_FOLDER).exists()
 
 
 def test_a_disk_that_gets_full_is_left_without_half_an_export(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    kept = tmp_path / place.INCIDENTS / f"{NAME}.mcap"
+    kept = tmp_path / INCIDENTS_FOLDER / f"{NAME}.mcap"
     kept.parent.mkdir()
     kept.write_bytes(b"an incident")
     copy = tmp_path / "stop.mcap"

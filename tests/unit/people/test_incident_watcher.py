@@ -9,13 +9,13 @@ from pathlib import Path
 
 import pytest
 
+from gateway.model.black_box import format as form
+from gateway.model.black_box.files import INCIDENTS_FOLDER, RING_FILE
 from gateway.people.incidents import archive, ring_reader, watcher
 from gateway.people.incidents.incidents import Incident, is_id
 from gateway.people.incidents.watcher import IncidentWatcher
 from gateway.people.recordings import read
 from gateway.people.tools import black_box
-from gateway.robot.blackbox import format as form
-from gateway.robot.blackbox import place
 from gateway.robot.blackbox.ring import Ring
 from gateway.robot.settings import Settings
 from schemas import keys
@@ -75,7 +75,7 @@ def test_which_is_the_newest_is_what_happened_last_and_not_what_a_clock_said(tmp
 async def test_after_the_clock_was_set_back_the_last_is_still_what_happened_last(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    filled(folder / place.INCIDENTS, 100)
+    filled(folder / INCIDENTS_FOLDER, 100)
     settings = Settings.model_validate({"recorder": {"path": str(folder)}})
     first = recorded(folder)
     first.put(keys.ESTOP)
@@ -168,7 +168,7 @@ async def test_a_full_disk_is_reported_once_and_leaves_nothing_behind(
     said = [entry.message for entry in caplog.records if "kept" in entry.message]
     assert len(said) == 1
     assert said[0].endswith("cannot be kept: No space left on device")
-    assert list((folder / place.INCIDENTS).iterdir()) == []
+    assert list((folder / INCIDENTS_FOLDER).iterdir()) == []
     assert len(keeper.keep(whole_only=True)) == 1
 
 
@@ -183,7 +183,7 @@ LATE_NS = 1000 * S
 
 def ring(folder: Path, seconds: int, *incidents: tuple[int, str]) -> Path:
     """A gateway that was killed after so long; each second the clock and a lag, and these incidents."""
-    made = Ring(folder / place.RING, SLOTS)
+    made = Ring(folder / RING_FILE, SLOTS)
     made.append(form.START, 0, form.start(BEGAN_NS, {"pid": 1}))
     for second in range(1, seconds + 1):
         made.append(form.CLOCK, second * S, form.number(BEGAN_NS + second * S))
@@ -192,12 +192,12 @@ def ring(folder: Path, seconds: int, *incidents: tuple[int, str]) -> Path:
             if at_s == second:
                 made.append(form.INCIDENT, second * S, form.incident(BEGAN_NS + second * S, name))
     made.close()
-    return folder / place.RING
+    return folder / RING_FILE
 
 
 def kept(folder: Path) -> dict[str, list[int]]:
     """The incidents by how their names end, and the times of what their files hold."""
-    files = sorted((folder / place.INCIDENTS).glob("*.mcap"))
+    files = sorted((folder / INCIDENTS_FOLDER).glob("*.mcap"))
     return {path.stem.split("-", 3)[-1]: [message.time_ns for message in read(path)] for path in files}
 
 

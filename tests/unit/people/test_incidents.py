@@ -13,6 +13,11 @@ from mcap.reader import make_reader
 from gateway import __version__
 from gateway.errors import SpiError
 from gateway.geometry import load
+from gateway.model.black_box import format as form
+from gateway.model.black_box.files import INCIDENTS_FOLDER, RING_FILE
+from gateway.model.black_box.incidents import INCIDENTS, MISTAKE
+from gateway.model.calibration import Calibration, ServoCalibration
+from gateway.model.frames import decode
 from gateway.people.incidents import archive, ring_reader
 from gateway.people.incidents.incidents import CRASH, Incident, find
 from gateway.people.incidents.messages import messages
@@ -23,14 +28,10 @@ from gateway.people.recordings.contents import contents
 from gateway.people.recordings.drawing import JOINT_STATES
 from gateway.people.recordings.replaying import steps_of
 from gateway.people.recordings.user_angles import UserAngles
-from gateway.robot.blackbox import format as form
-from gateway.robot.blackbox import place
-from gateway.robot.blackbox.recorder import INCIDENTS, MISTAKE
+from gateway.robot.blackbox import paths
 from gateway.robot.blackbox.ring import Ring
-from gateway.robot.core.calibration import Calibration, ServoCalibration
 from gateway.robot.core.events import StoppedOutside
 from gateway.robot.core.message import Verb
-from gateway.robot.protocol.frames import decode
 from gateway.robot.runtime.calibrations import Calibrations
 from schemas import keys
 from schemas.telemetry import Kind
@@ -47,7 +48,7 @@ SECOND = 1_000_000_000
 
 
 def incidents(folder: Path, now_ns: int = 0) -> tuple[list[Incident], ring_reader.Content]:
-    content = ring_reader.read(folder / place.RING)
+    content = ring_reader.read(folder / RING_FILE)
     return find(content.records, written=content.written, now_ns=now_ns), content
 
 
@@ -137,8 +138,8 @@ async def test_the_headline_names_the_worst_and_who_and_which_legs(folder: Path)
     silent = "a leg was silent, and was stopped: leg 3"
     worst = f"somebody requested an emergency stop (bert); also: {silent}"
     assert f": {worst}, at " in told(folder)[0]
-    archive.keep(folder / place.INCIDENTS, incident, content.records)
-    assert archive.headlines(folder / place.INCIDENTS) == {incident.name: worst}
+    archive.keep(folder / INCIDENTS_FOLDER, incident, content.records)
+    assert archive.headlines(folder / INCIDENTS_FOLDER) == {incident.name: worst}
     robot.conductor.recorder.close()
     assert f": the gateway ended without a word; also: {silent}; also: somebody" in told(folder)[0]
 
@@ -215,7 +216,7 @@ async def test_a_calibrated_robots_story_and_picture_have_its_users_angles(folde
     robot.conductor.recorder.calibration(Calibration(2))  # of later frames
     await asyncio.sleep(10)
     (incident,), content = incidents(folder, robot.now_ns())
-    path = archive.keep(folder / place.INCIDENTS, incident, content.records)
+    path = archive.keep(folder / INCIDENTS_FOLDER, incident, content.records)
     told = list(read(path))
     (way_down,) = [line for line in story(told) if "last frame of the way down" in line]
     assert way_down.endswith("leg 3 at 30 45 120")
@@ -323,7 +324,7 @@ async def test_an_incident_is_a_file_that_mcaps_own_reader_reads_and_its_schemas
     await happens(robot)
     robot.put(LEG_3, b"{")
     ((incident,), content) = incidents(folder)
-    path = archive.keep(folder / place.INCIDENTS, incident, content.records)
+    path = archive.keep(folder / INCIDENTS_FOLDER, incident, content.records)
     seen = Counter(topic for topic, _ in checked(path))
     with path.open("rb") as file:
         summary = make_reader(file).get_summary()
@@ -369,7 +370,7 @@ def assert_ordered(path: Path) -> None:
 
 def test_noise_in_the_ring_makes_no_story_fail(folder: Path) -> None:
     """Records that no gateway writes in this order, or at all."""
-    place_of_ring = place.prepare(folder)
+    place_of_ring = paths.prepare(folder)
     ring = Ring(place_of_ring, 100)
     ring.append(form.INCIDENT, 5 * SECOND, form.incident(WALL_NS, "20260921-141320-123-watchdog"))
     ring.append(form.INCIDENT, 5 * SECOND, form.incident(WALL_NS, "../../etc/passwd"))
@@ -383,7 +384,7 @@ def test_noise_in_the_ring_makes_no_story_fail(folder: Path) -> None:
     found, content = incidents(folder)
     assert [each.name for each in found] == ["20260921-141320-123-watchdog"]
     assert content.damaged == 2
-    path = archive.keep(folder / place.INCIDENTS, found[0], content.records)
+    path = archive.keep(folder / INCIDENTS_FOLDER, found[0], content.records)
     assert "made up: " in "\n".join(story(list(read(path))))
 
 

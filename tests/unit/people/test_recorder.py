@@ -11,13 +11,14 @@ from typing import Any
 import pytest
 
 from gateway.errors import SpiError
+from gateway.model.black_box import format as form
+from gateway.model.black_box.files import RING_FILE
+from gateway.model.black_box.incidents import incident_id
+from gateway.model.calibration import Calibration, ServoCalibration
+from gateway.model.frames import Op, ServoOp, decode, stop_leg
+from gateway.model.framing import Framing
 from gateway.people.incidents import ring_reader
-from gateway.robot.blackbox import format as form
-from gateway.robot.blackbox import place
-from gateway.robot.blackbox.recorder import incident_id
-from gateway.robot.core.calibration import Calibration, ServoCalibration
-from gateway.robot.protocol.frames import Op, ServoOp, decode, stop_leg
-from gateway.robot.protocol.framing import Framing
+from gateway.robot.blackbox import paths
 from gateway.robot.settings import Settings
 from schemas import keys
 from schemas.robot import LEGS
@@ -41,7 +42,7 @@ def recorded(folder: Path, **sections: Any) -> Robot:
 
 
 def contents(folder: Path, *types: type[form.Content]) -> list[Any]:
-    records = ring_reader.read(folder / place.RING).records
+    records = ring_reader.read(folder / RING_FILE).records
     return [record.content for record in records if not types or isinstance(record.content, types)]
 
 
@@ -56,7 +57,7 @@ async def test_what_was_in_force_is_known_after_any_time_and_across_runs(folder:
         await asyncio.sleep(1)
     for _ in range(20_000):  # the ring comes round
         robot.conductor.recorder.mode(Mode.IDLE)
-    records = ring_reader.read(folder / place.RING).records
+    records = ring_reader.read(folder / RING_FILE).records
     assert form.CALIBRATION not in records.kinds
     assert in_force(records, robot.now_ns()) == 2
     robot.conductor.recorder.close()
@@ -64,7 +65,7 @@ async def test_what_was_in_force_is_known_after_any_time_and_across_runs(folder:
     before_ns = after.now_ns()
     await asyncio.sleep(1)
     after.conductor.recorder.calibration(Calibration())
-    records = ring_reader.read(folder / place.RING).records
+    records = ring_reader.read(folder / RING_FILE).records
     assert [in_force(records, ns) for ns in (min(revisions), before_ns, after.now_ns())] == [2, 2, 0]
 
 
@@ -85,7 +86,7 @@ async def test_a_command_its_frame_and_its_decision_are_there(folder: Path) -> N
     assert decode(frame.data).servos == angles
     assert frame.cause == Cause.COMMAND
     assert mode == form.ModeChange("active")
-    record = ring_reader.read(folder / place.RING).records[before]
+    record = ring_reader.read(folder / RING_FILE).records[before]
     assert record.ns == 77, "the command's own time is its arrival"
 
 
@@ -147,11 +148,11 @@ async def test_nothing_is_recorded_before_a_frame_is_written(
 async def test_a_setpoint_is_one_record(folder: Path, framing: Framing, batch: bool) -> None:
     robot = recorded(folder, spi={"framing": framing, "batch": batch}, watchdog={"repeats": 0})
     robot.put(LEG_3, START)
-    before = ring_reader.read(folder / place.RING).records
+    before = ring_reader.read(folder / RING_FILE).records
     for angle in (0.01, 90, 180):
         await asyncio.sleep(0.1)
         robot.put(LEG_3, leg("set", angle, 46, 120, source="anna"), received_ns=robot.now_ns() - 3)
-    records = ring_reader.read(folder / place.RING).records[len(before) :]
+    records = ring_reader.read(folder / RING_FILE).records[len(before) :]
     kinds = [type(record.content) for record in records if not isinstance(record.content, form.Clock)]
     assert kinds == [form.CommandRecord, form.FrameWritten] * 3
     assert len({record.sequence for record in records if not isinstance(record.content, form.Clock)}) == 3
@@ -279,7 +280,7 @@ async def test_stops_of_a_batch_that_failed_are_there_as_they_were_written(folde
 
 
 def a_folder_in_its_place(folder: Path) -> None:
-    (folder / place.RING).mkdir(parents=True)
+    (folder / RING_FILE).mkdir(parents=True)
 
 
 @pytest.mark.parametrize(
@@ -288,7 +289,7 @@ def a_folder_in_its_place(folder: Path) -> None:
         lambda folder: folder.write_text("a file"),
         lambda folder: folder.symlink_to("/proc/sys"),
         a_folder_in_its_place,
-        lambda folder: (folder.parent / place.RING).mkdir(),
+        lambda folder: (folder.parent / RING_FILE).mkdir(),
     ],
     ids=["no folder", "read-only", "another folder there", "a folder in memory"],
 )
@@ -324,16 +325,16 @@ async def test_a_full_disk_is_met_at_the_start(
 @pytest.mark.parametrize(("seconds", "rate", "records"), [(60, 50, 78_000), (10, 50, 13_000), (600, 1000, 500_000)])
 def test_the_size_follows_from_the_settings(seconds: float, rate: float, records: int) -> None:
     settings = Settings.model_validate({"recorder": {"seconds": seconds}, "limits": {"leg_rate_hz": rate}})
-    assert place.slots_for(settings) == records
+    assert paths.slots_for(settings) == records
 
 
 def test_it_is_off_without_a_folder_and_in_the_state_directory_under_systemd(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("STATE_DIRECTORY", raising=False)
-    assert place.folder_of(Settings()) is None
+    assert paths.folder_of(Settings()) is None
     monkeypatch.setenv("STATE_DIRECTORY", "/var/lib/hexapod-gateway")
-    assert place.folder_of(Settings()) == Path("/var/lib/hexapod-gateway")
+    assert paths.folder_of(Settings()) == Path("/var/lib/hexapod-gateway")
     named = Settings.model_validate({"recorder": {"path": "/mnt/box"}})
-    assert place.folder_of(named) == Path("/mnt/box")
+    assert paths.folder_of(named) == Path("/mnt/box")
 
 
 def test_the_ring_is_in_memory_and_the_folder_names_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -341,11 +342,11 @@ def test_the_ring_is_in_memory_and_the_folder_names_it(tmp_path: Path, monkeypat
     monkeypatch.delenv("RUNTIME_DIRECTORY", raising=False)
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / "memory"))
     (tmp_path / "memory").mkdir()
-    one, other = place.prepare(tmp_path / "one"), place.prepare(tmp_path / "other")
+    one, other = paths.prepare(tmp_path / "one"), paths.prepare(tmp_path / "other")
     assert one != other
     assert one.parent == other.parent == tmp_path / "memory"
-    assert (tmp_path / "one" / place.RING).readlink() == one
-    assert place.prepare(tmp_path / "one") == one
+    assert (tmp_path / "one" / RING_FILE).readlink() == one
+    assert paths.prepare(tmp_path / "one") == one
 
 
 MOST_CALLS = {"setpoint with its frame": 15, "command": 17, "decision": 18, "frame": 18}

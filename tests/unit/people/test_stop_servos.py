@@ -5,12 +5,11 @@ from pathlib import Path
 import pytest
 
 from gateway.errors import ConfigError
+from gateway.host import effective
+from gateway.host.plain_settings import PlainRepeats, RepeatValues, SpiValues
+from gateway.model.framing import Framing
 from gateway.people.tools import stop
 from gateway.robot import settings as settings_file
-from gateway.robot.protocol.framing import Framing
-from gateway.robot.settings import Settings
-from gateway.robot.spi import effective
-from gateway.robot.spi.plain_settings import RepeatValues, SpiValues
 
 PLAIN = 'spi.framing = "plain"\n'
 ANOTHER = f'{PLAIN}spi.device = "/dev/spidev1.0"\n'
@@ -43,7 +42,7 @@ class Robot:
         if state == NEVER:
             return
         self._patch.setenv("INVOCATION_ID", "1")
-        effective.write(Settings.model_validate({"spi": {"framing": "length-prefixed"}}))
+        effective.write({"framing": "length-prefixed"}, PlainRepeats())
         if state != ENDED_HERE:
             self._patch.delenv("INVOCATION_ID")
         if state in {ENDED, ENDED_HERE}:

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 
 from gateway.errors import ConfigError
-from gateway.robot.core.calibration import Calibration, ServoCalibration
+from gateway.model.calibration import Calibration, ServoCalibration
 from gateway.robot.host import calibration_file
 from gateway.robot.host.calibration_file import (
     KEPT,
@@ -22,7 +22,7 @@ from gateway.robot.host.calibration_file import (
     write,
 )
 from gateway.robot.settings import Settings
-from tests.unit.robot.test_calibration import calibrations
+from tests.unit.model.test_calibration import calibrations
 
 OWN = Calibration(3, {32: ServoCalibration(7_50, inverted=True, max_cdeg=140_00)}, {31: 90_00, 32: 45_25})
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.robot.core.calibration import Calibration, CalibrationError, Change, ServoChange, calibration_of, report_of
+from gateway.model.calibration import Calibration, CalibrationError, Change, ServoChange, calibration_of, report_of
 from gateway.robot.core.calibration_intake import change_of, read
 from gateway.robot.core.intake import Rejection
 from schemas import calibration as wire
@@ -15,7 +15,7 @@ from schemas.calibration import CalibrationCommand
 from schemas.command import MAX_PAYLOAD_BYTES
 from schemas.robot import SERVO_IDS
 from schemas.telemetry import Reason
-from tests.unit.robot.test_calibration import calibrations
+from tests.unit.model.test_calibration import calibrations
 
 TOKEN = "0123456789abcdef" * 2
 

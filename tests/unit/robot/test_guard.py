@@ -7,14 +7,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gateway.errors import SpiError
-from gateway.robot.protocol.frames import STOP, Frame, FrameError, OneLeg, OneServo, Op, ServoOp, decode, stop_leg
-from gateway.robot.protocol.framing import Framing
+from gateway.model.frames import STOP, Frame, FrameError, OneLeg, OneServo, Op, ServoOp, decode, stop_leg
+from gateway.model.framing import Framing
 from gateway.robot.spi import Batch, SpiDevice
 from gateway.robot.spi.guard import Guard, IllegalTransferError, _is_frame
 from schemas.robot import LEGS, SERVO_IDS
 from tests.support.faulty_controller import FaultyController
 from tests.support.transfers import on_wire
-from tests.unit.robot.test_frames import ILLEGAL, bytes_near_a_frame, frames
+from tests.unit.model.test_frames import ILLEGAL, bytes_near_a_frame, frames
 
 PREFIXED = Framing.LENGTH_PREFIXED
 STOP_1 = stop_leg(1).to_bytes()

@@ -10,14 +10,14 @@ from typing import Any, cast
 
 import pytest
 
+from gateway.host.realtime import RECEIVER_PRIORITY
+from gateway.model.frames import decode
 from gateway.robot.blackbox.recorder import Recorder
 from gateway.robot.core.message import Reply
 from gateway.robot.core.supervisor import Supervisor
 from gateway.robot.edge.inbox import Inbox
 from gateway.robot.edge.receiver import MOST_LOOKS, ReceiverThread
 from gateway.robot.host.ownership import Ownership, OwnersTimer
-from gateway.robot.host.realtime import RECEIVER_PRIORITY
-from gateway.robot.protocol.frames import decode
 from gateway.robot.runtime.conductor import Conductor
 from gateway.robot.service import BEAT_S, rules
 from gateway.robot.settings import Settings

@@ -7,13 +7,13 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from gateway.robot.protocol.frames import Frame, OneLeg, OneServo, Op, ServoOp, centidegrees, decode
-from gateway.robot.protocol.framing import Framing
+from gateway.model.frames import Frame, OneLeg, OneServo, Op, ServoOp, centidegrees, decode
+from gateway.model.framing import Framing
 from gateway.robot.spi.simulator import ServoState, SimulatedController, pulse_us
 from schemas.robot import SERVO_IDS
 from tests.fuzz.targets import PAUSES_NS, fuzz_simulator
 from tests.support.transfers import on_wire
-from tests.unit.robot.test_frames import LEGAL, bytes_near_a_frame, frames
+from tests.unit.model.test_frames import LEGAL, bytes_near_a_frame, frames
 
 MS = 1_000_000  # ns
 PREAMBLE = bytes(16)

@@ -14,6 +14,7 @@ from rich.console import Console
 from rich.text import Text
 
 from gateway.errors import ConfigError
+from gateway.host import effective
 from gateway.people.terminal import clear_line, show_line
 from gateway.people.tools import stop
 from gateway.people.tools.check import (
@@ -35,7 +36,6 @@ from gateway.people.tools.check import (
 from gateway.people.tools.check.result import Result, Verdict, failure, ok, warning
 from gateway.robot import settings as settings_file
 from gateway.robot.settings import FramingNotSetError, Settings, SpiSettings
-from gateway.robot.spi import effective
 from gateway.text import visible
 from gateway.zenoh_config import listen_endpoints
 

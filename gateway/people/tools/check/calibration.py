@@ -7,13 +7,12 @@ from pathlib import Path
 from typing import Final
 
 from gateway.durable import staged_for
+from gateway.model.angle_limits import AngleLimits
+from gateway.model.calibration import Calibration
+from gateway.model.frames import centidegrees
 from gateway.people.tools.check.result import Result, failure, ok, warning
 from gateway.robot.core.calibrating import ACCEPT_DEFAULT
-from gateway.robot.core.calibration import Calibration
-from gateway.robot.core.joint_limits import Reach
-from gateway.robot.core.leg import Rules
 from gateway.robot.host.calibration_file import SLOW_S, load, path_to_read
-from gateway.robot.protocol.frames import centidegrees
 from gateway.robot.settings import Settings
 
 _NAME: Final = "calibration"
@@ -48,7 +47,7 @@ def landing_pose(settings: Settings) -> Iterator[Result]:
     if fault is not None or not settings.watchdog.landing_ms:
         return
     pose = {int(servo): centidegrees(angle) for servo, angle in settings.watchdog.landing.items()}
-    reach = Reach(Rules(avoid_cdeg=settings.spi.avoid_cdeg))
+    reach = AngleLimits(avoid_cdeg=settings.spi.avoid_cdeg)
     for servo_id, angle_cdeg in sorted({**pose, **found.landing_cdeg}.items()):
         why_not = reach.why_avoided(found, servo_id, angle_cdeg)
         if why_not is not None:

@@ -8,10 +8,11 @@ from collections.abc import Iterator
 
 from gateway import __version__
 from gateway.errors import ConfigError
+from gateway.model.black_box.files import RING_FILE
 from gateway.people.tools.check import calibration, machine, network
 from gateway.people.tools.check.result import Result, ok, warning
 from gateway.robot import settings as settings_file
-from gateway.robot.blackbox import place
+from gateway.robot.blackbox import paths
 from gateway.robot.edge.session import service_config
 from gateway.robot.settings import Settings
 from gateway.zenoh_config import listen_endpoints
@@ -57,7 +58,7 @@ def _gateway(state: GatewayState) -> Result:
 
 
 def _black_box(settings: Settings) -> Result:
-    folder = place.folder_to_read(settings)
-    if folder is None or not (folder / place.RING).exists():
+    folder = paths.folder_to_read(settings)
+    if folder is None or not (folder / RING_FILE).exists():
         return warning("black box", "is off", "`make run` keeps one; for another gateway set recorder.path")
     return ok("black box", f"{folder}; hexapod-gateway incidents shows what it kept")

@@ -14,8 +14,8 @@ from collections.abc import Callable
 from functools import partial
 from typing import Final
 
-from gateway.robot.host.log_condenser import Condenser
-from gateway.robot.host.worker import Worker
+from gateway.host.log_condenser import Condenser
+from gateway.host.worker import Worker
 
 KEPT: Final = 1000
 """Most lines that wait, some 1 MB. Beyond that, lines are dropped until half of these are written."""

@@ -1,14 +1,10 @@
 """Work that may take long, on threads of their own: nobody waits for it, and least of all whoever owns the state."""
 
-import asyncio
 import threading
 from collections.abc import Callable
-from contextlib import suppress
 from queue import Empty, SimpleQueue
 
-from gateway.errors import ConfigError
-from gateway.robot.host.ownership import Ownership
-from gateway.robot.host.realtime import PAGE_PRIORITY, prefer_thread
+from gateway.host.realtime import PAGE_PRIORITY, prefer_thread
 
 
 class Worker:
@@ -57,37 +53,3 @@ class Worker:
                 return
             work()
             del work  # and with it what it refers to, such as a query whose asker waits
-
-
-class DiskWriter:
-    """A worker that writes to a disk. A write that never ends keeps its own caller waiting and nobody else."""
-
-    def __init__(self, name: str, loop: asyncio.AbstractEventLoop, owner: Ownership) -> None:
-        self._loop = loop
-        self._owner = owner
-        self._worker = Worker(name)
-
-    def write(self, write: Callable[[], None], then: Callable[[str | None], object]) -> None:
-        """Call `write`, and then, as owner of the state, `then`: with a sentence where it raised ConfigError.
-
-        Returns at once.
-        """
-        self._worker.do(lambda: self._write(write, then))
-
-    def _write(self, write: Callable[[], None], then: Callable[[str | None], object]) -> None:
-        try:
-            fault = None
-            try:
-                write()
-            except ConfigError as error:
-                fault = str(error)
-            with self._owner:
-                then(fault)
-        except Exception as error:
-            report_mistake(self._loop, f"the thread {self._worker.thread.name} failed", error)
-
-
-def report_mistake(loop: asyncio.AbstractEventLoop, what: str, error: Exception) -> None:
-    """As if it had happened on the loop, which ends the service after a mistake of our own. From any thread."""
-    with suppress(RuntimeError):  # the loop is closed: the service has ended
-        loop.call_soon_threadsafe(loop.call_exception_handler, {"message": what, "exception": error})

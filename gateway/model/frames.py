@@ -18,6 +18,7 @@ from typing import Final
 
 from schemas.robot import JOINTS, LEGS, SERVO_IDS
 
+PROTOCOL_VERSION: Final = "1.0.0"
 MAX_ANGLE_CDEG: Final = 180_00
 
 _SERVO_ID_SET: Final = frozenset(SERVO_IDS)

@@ -7,8 +7,8 @@ from collections.abc import Callable
 import pytest
 
 from gateway.errors import ConfigError
+from gateway.robot.host.disk_writer import DiskWriter
 from gateway.robot.host.ownership import Ownership
-from gateway.robot.host.worker import DiskWriter
 
 
 def full() -> None:

@@ -6,7 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.robot.core.calibration import (
+from gateway.model.angle_limits import AngleLimits
+from gateway.model.calibration import (
     AS_DRAWN,
     Calibration,
     CalibrationError,
@@ -17,9 +18,7 @@ from gateway.robot.core.calibration import (
     changed_servos,
     report_of,
 )
-from gateway.robot.core.joint_limits import Reach
-from gateway.robot.core.leg import Rules
-from gateway.robot.protocol.frames import (
+from gateway.model.frames import (
     MAX_ANGLE_CDEG,
     STOP,
     Frame,
@@ -118,7 +117,7 @@ def test_a_way_across_angles_that_are_never_sent(
     from_deg: float, to_deg: float, crosses: bool, sent_deg: float, inverted: bool
 ) -> None:
     """From 1 up to 4 degrees on the wire. An end among them is where the way is now, and not where it leads."""
-    reach = Reach(Rules(avoid_cdeg=(1_00, 4_00)))
+    reach = AngleLimits(avoid_cdeg=(1_00, 4_00))
     if inverted:
         reach.use(Calibration(1, {32: ServoCalibration(inverted=True)}))
     from_cdeg, to_cdeg, sent_cdeg = (
@@ -127,7 +126,7 @@ def test_a_way_across_angles_that_are_never_sent(
     assert reach.crosses(32, from_cdeg, to_cdeg) is crosses
     assert reach.near_side(32, from_cdeg, to_cdeg) == sent_cdeg
     assert (reach.why_not(32, to_cdeg) is None) == (sent_deg == to_deg)
-    free = Reach(Rules(joint_limits_cdeg={32: (1_00, 4_00)}))
+    free = AngleLimits({32: (1_00, 4_00)})
     assert not free.crosses(32, from_cdeg, to_cdeg)
     assert free.near_side(32, from_cdeg, to_cdeg) == to_cdeg
     if not inverted:

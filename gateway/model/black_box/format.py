@@ -28,7 +28,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
-from gateway.robot.protocol.frames import ServoOp
+from gateway.model.frames import ServoOp
 from schemas.calibration import Calibration
 from schemas.robot import JOINTS
 
@@ -59,6 +59,10 @@ pack_slot_into: Final = _SLOT.pack_into
 START, END, COMMAND, DECISION, FRAME, MODE, EVENT, LAG, INCIDENT, MORE, CLOCK, CARRIED_OUT, CALIBRATION = range(1, 14)
 ABOUT: Final = 14
 
+
+ACCEPTED: Final = "accepted"
+COALESCED: Final = "coalesced"
+"""Verdicts of a decision, beside the reasons of rejections."""
 
 STOP_FACTS: Final = ("stop_servos_first_ns", "stop_servos_last_ns")
 """Among the facts of a start: when `stop-servos` wrote before it, as in `gateway.robot.host.stop_note`."""

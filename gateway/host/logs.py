@@ -17,10 +17,9 @@ from collections.abc import Callable
 from datetime import UTC, datetime
 from typing import Final
 
-from gateway.robot.host.directories import runtime_directory
-from gateway.robot.host.log_condenser import Condenser
-from gateway.robot.host.log_writer import LogWriter, Stream
-from gateway.robot.settings import LogSettings
+from gateway.host.directories import runtime_directory
+from gateway.host.log_condenser import Condenser
+from gateway.host.log_writer import LogWriter, Stream
 from gateway.text import visible, visible_json
 
 FLUSH_S: Final = 0.3
@@ -29,21 +28,21 @@ FLUSH_S: Final = 0.3
 _log_writers: list[LogWriter] = []
 
 
-def set_up(settings: LogSettings) -> None:
-    """Render what `logging` gets as the settings say, and write it to stderr.
+def set_up(level: str, layout: str) -> None:
+    """Write to stderr what `logging` gets, from this level on, as auto, console or json (as the settings `log` say).
 
     From now on two threads of this module write to stdout and stderr; nobody else waits for these.
     """
     journal = _is_journal(2)
-    render = _formatter(settings, os.isatty(2), journal).format
-    condenser = Condenser() if journal and settings.format == "auto" else None
+    render = _formatter(layout, os.isatty(2), journal).format
+    condenser = Condenser() if journal and layout == "auto" else None
     out, err = LogWriter(1), LogWriter(2, _with_priority(render) if journal else render, condenser)
     _log_writers[:] = [out, err]
     sys.stdout, sys.stderr = Stream(out), Stream(err)
     atexit.register(close)
     root = logging.getLogger()
     root.handlers[:] = [_Handler(err)]
-    root.setLevel(settings.level.upper())
+    root.setLevel(level.upper())
 
 
 def _is_journal(descriptor: int) -> bool:
@@ -114,10 +113,10 @@ class _Handler(logging.Handler):
         return True
 
 
-def _formatter(settings: LogSettings, terminal: bool, journal: bool) -> logging.Formatter:
-    if settings.format == "auto" and journal:
+def _formatter(layout: str, terminal: bool, journal: bool) -> logging.Formatter:
+    if layout == "auto" and journal:
         return _LinesForJournal(colours=False)
-    if settings.format == "json" or (settings.format == "auto" and not terminal):
+    if layout == "json" or (layout == "auto" and not terminal):
         return _JsonLines()
     return _LinesForPeople(colours=terminal)
 

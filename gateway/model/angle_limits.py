@@ -5,10 +5,11 @@ Both must allow an angle. Each allows one range without gaps, so whatever lies b
 never sent (`spi.avoid_deg`): a way that leads across it waits at its near end until it would be beyond.
 """
 
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Final
 
-from gateway.robot.core.calibration import Calibration
-from gateway.robot.core.leg import Rules
+from gateway.model.calibration import Calibration
 
 _WHY_AVOIDED: Final = (
     "are never sent (spi.avoid_deg): where one byte is lost, the published firmware dies of whole degrees 1 to 3, with "
@@ -16,13 +17,20 @@ _WHY_AVOIDED: Final = (
 )
 
 
-class Reach:
+class AngleLimits:
     """What every servo may do. One owner, one thread."""
 
-    def __init__(self, rules: Rules) -> None:
-        self._limits_cdeg = rules.joint_limits_cdeg
-        self._landing_cdeg = rules.landing_cdeg
-        self._avoid_cdeg = rules.avoid_cdeg
+    def __init__(
+        self,
+        limits_cdeg: Mapping[int, tuple[int, int]] = MappingProxyType({}),
+        landing_cdeg: Mapping[int, int] = MappingProxyType({}),
+        avoid_cdeg: tuple[int, int] | None = None,
+    ) -> None:
+        """The settings' limits and landing pose by servo, in users' angles; `avoid_cdeg`: wire angles that are never
+        sent, from the first up to, without, the second. All in hundredths of a degree."""
+        self._limits_cdeg = limits_cdeg
+        self._landing_cdeg = landing_cdeg
+        self._avoid_cdeg = avoid_cdeg
         self.use(Calibration())
 
     def use(self, calibration: Calibration) -> None:

@@ -12,7 +12,7 @@ import struct
 import zlib
 from typing import Any, Final
 
-from gateway.robot.blackbox.format import HEADER_BYTES, SLOT, DamagedError
+from gateway.model.black_box.format import HEADER_BYTES, SLOT, DamagedError
 
 VERSION: Final = 2
 MAGIC: Final = b"hexapod black box\n"

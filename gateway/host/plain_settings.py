@@ -1,20 +1,17 @@
 """The settings of `stop-servos`, read without pydantic: to load that and its models takes longer than all Stops.
 
 Only what is plainly right is read here: known names, values of the right type and within their limits. Anything else is
-for `gateway.robot.settings`, whose defaults and limits these are (`tests/unit/robot/test_plain_settings.py`). What the
+for `gateway.robot.settings`, whose defaults and limits these are (`tests/unit/host/test_plain_settings.py`). What the
 framing allows beyond these limits is no reason to write no Stop, see `within_limits`.
 """
 
 import os
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, Union
+from typing import Any, Final, NamedTuple, Protocol
 
 from gateway import nesting
-from gateway.robot.protocol.framing import Framing
-
-if TYPE_CHECKING:
-    from gateway.robot.settings import SpiSettings, WatchdogSettings
+from gateway.model.framing import Framing
 
 DEFAULT_PATH: Final = Path("/etc/hexapod-gateway/gateway.toml")
 _OVERRIDES: Final = ("HEXAPOD_SPI__", "HEXAPOD_WATCHDOG__")
@@ -42,8 +39,33 @@ class PlainRepeats(NamedTuple):
     repeat_interval_ms: float = 20.0
 
 
-SpiValues = Union["SpiSettings", PlainSpi]
-RepeatValues = Union["WatchdogSettings", PlainRepeats]
+class SpiValues(Protocol):
+    """The table [spi], as `PlainSpi` or as the service has it."""
+
+    @property
+    def framing(self) -> Framing: ...
+    @property
+    def device(self) -> str: ...
+    @property
+    def batch(self) -> bool: ...
+    @property
+    def speed_hz(self) -> int: ...
+    @property
+    def frame_gap_us(self) -> float: ...
+    @property
+    def resync_ms(self) -> float: ...
+    @property
+    def avoid_cdeg(self) -> tuple[int, int] | None: ...
+
+
+class RepeatValues(Protocol):
+    """How often a Stop is repeated, as `PlainRepeats` or as the service has it."""
+
+    @property
+    def repeats(self) -> int: ...
+    @property
+    def repeat_interval_ms(self) -> float: ...
+
 
 LIMITS: Final[Mapping[str, tuple[float, float]]] = {
     "speed_hz": (1, 20_000_000),

@@ -5,10 +5,10 @@ from pathlib import Path
 
 import pytest
 
-from gateway.robot.protocol.framing import Framing
+from gateway.host import effective
+from gateway.host.plain_settings import PlainRepeats, PlainSpi
+from gateway.model.framing import Framing
 from gateway.robot.settings import Settings
-from gateway.robot.spi import effective
-from gateway.robot.spi.plain_settings import PlainRepeats, PlainSpi
 
 USED = Settings.model_validate(
     {
@@ -36,7 +36,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 @pytest.mark.parametrize("settings", [USED, Settings()], ids=["all", "defaults"])
 def test_what_is_written_is_read(settings: Settings, folder: Path) -> None:
-    effective.write(settings)
+    effective.write(settings.spi.model_dump(mode="json"), settings.watchdog)
     found = effective.read()
     assert found is not None
     assert found.spi == PlainSpi(**{name: getattr(settings.spi, name) for name in PlainSpi._fields})
@@ -49,13 +49,13 @@ def test_what_is_written_is_read(settings: Settings, folder: Path) -> None:
 
 def test_without_a_runtime_directory_nothing_is_written(monkeypatch: pytest.MonkeyPatch, folder: Path) -> None:
     monkeypatch.delenv("RUNTIME_DIRECTORY")
-    effective.write(USED)
+    effective.write(USED.spi.model_dump(mode="json"), USED.watchdog)
     assert list(folder.iterdir()) == []
 
 
 def test_a_process_that_ended_and_one_that_has_its_number(folder: Path) -> None:
     """A number alone shows nothing: the kernel gives it again."""
-    effective.write(USED)
+    effective.write(USED.spi.model_dump(mode="json"), USED.watchdog)
     written = (folder / effective.NAME).read_text()
     beyond = 2**22 + 1  # which the kernel gives to none
     for line, others in {"process": beyond, "begun": 1}.items():
@@ -68,7 +68,7 @@ def test_a_process_that_ended_and_one_that_has_its_number(folder: Path) -> None:
 
 def test_after_the_end_only_the_commands_of_that_start_are_of_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("INVOCATION_ID", "0a1b")
-    effective.write(USED)
+    effective.write(USED.spi.model_dump(mode="json"), USED.watchdog)
     found = effective.read()
     assert found is not None
     assert found.ended_here
@@ -99,7 +99,7 @@ def test_a_file_without_a_process_is_of_none(folder: Path) -> None:
 
 
 def test_where_a_file_differs(folder: Path) -> None:
-    effective.write(USED)
+    effective.write(USED.spi.model_dump(mode="json"), USED.watchdog)
     found = effective.read()
     assert found is not None
     file = folder / "gateway.toml"

@@ -11,15 +11,12 @@ import json
 import os
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from gateway import nesting
-from gateway.robot.host.directories import SERVICE_RUNTIME, runtime_directory
-from gateway.robot.spi import plain_settings
-from gateway.robot.spi.plain_settings import PlainRepeats, PlainSpi
-
-if TYPE_CHECKING:
-    from gateway.robot.settings import Settings
+from gateway.host import plain_settings
+from gateway.host.directories import SERVICE_RUNTIME, runtime_directory
+from gateway.host.plain_settings import PlainRepeats, PlainSpi, RepeatValues
 
 NAME: Final = "effective.toml"
 _INVOCATION: Final = "INVOCATION_ID"
@@ -46,16 +43,19 @@ class Effective(NamedTuple):
         return bool(self.tables.get("invocation")) and self.tables["invocation"] == os.environ.get(_INVOCATION)
 
 
-def write(settings: "Settings") -> None:
-    """Write what this process uses; nothing without a runtime directory. Raises OSError, ValueError."""
+def write(spi: Mapping[str, Any], watchdog: RepeatValues) -> None:
+    """Write what this process uses (`spi` as in a file); nothing without a runtime directory.
+
+    Raises OSError, ValueError.
+    """
     folder = runtime_directory()
     if folder is None:
         return
-    spi = {name: value for name, value in settings.spi.model_dump(mode="json").items() if value is not None}
-    repeats = {name: getattr(settings.watchdog, name) for name in PlainRepeats._fields}
+    stated = {name: value for name, value in spi.items() if value is not None}
+    repeats = {name: getattr(watchdog, name) for name in PlainRepeats._fields}
     process = {"process": os.getpid(), "begun": _begun(os.getpid()), "invocation": os.environ.get(_INVOCATION, "")}
     lines = ["# What the service uses. Written by it at its start; to change it, see /etc/hexapod-gateway."]
-    for head, table in (("", process), ("[spi]", spi), ("[watchdog]", repeats)):
+    for head, table in (("", process), ("[spi]", stated), ("[watchdog]", repeats)):
         lines += [head, *(f"{name} = {json.dumps(value, ensure_ascii=False)}" for name, value in table.items())]
     staged = folder / f".{NAME}.new"
     staged.write_text("\n".join([*lines, ""]), encoding="utf-8")

@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Final, NamedTuple, Self
 
-from gateway.robot.protocol.frames import (
+from gateway.model.frames import (
     MAX_ANGLE_CDEG,
     OP_STOP,
     STOP,

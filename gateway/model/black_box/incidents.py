@@ -1,0 +1,39 @@
+"""Which events are kept as incidents, what belongs to one, and its id."""
+
+from datetime import UTC, datetime
+from typing import Final
+
+from schemas.telemetry import Kind
+
+FOLLOW_NS: Final = 5_000_000_000
+"""An incident takes in what happens up to 5 s after it; what happens meanwhile prolongs it …"""
+LONGEST_NS: Final = 30_000_000_000
+"""… up to this."""
+LANDING_NS: Final = 5_000_000_000
+"""What `watchdog.landing_ms` allows at most: the Stops at its end belong to the silence that began it."""
+
+INCIDENTS: Final = {
+    Kind.WATCHDOG_EXPIRED: "watchdog",
+    Kind.LANDING: "landing",
+    Kind.ESTOP_ENGAGED: "estop",
+    Kind.BUS_FAULT: "bus-fault",
+    Kind.OVERFLOW: "overflow",
+    Kind.LEASE_TAKEN: "lease-taken",
+    Kind.STOPPED_OUTSIDE: "stopped-outside",
+    Kind.BUTTON_SILENT: "button",
+    Kind.BUTTON_LEFT: "button",
+}
+"""Events that are kept as incidents, and how their ids end."""
+MISTAKE: Final = "mistake"
+"""An exception that nobody expected has ended the service."""
+
+
+def follow_ns(what: str) -> int:
+    """How long what happens belongs to an incident: `what` is the end of its id, or the kind of a later event."""
+    return FOLLOW_NS + LANDING_NS if what == Kind.LANDING else FOLLOW_NS
+
+
+def incident_id(wall_ns: int, what: str) -> str:
+    """Such as 20261122-001233-123-watchdog: the time in UTC to the millisecond, and what happened."""
+    seconds, ns = divmod(wall_ns, 1_000_000_000)
+    return f"{datetime.fromtimestamp(seconds, UTC):%Y%m%d-%H%M%S}-{ns // 1_000_000:03d}-{what}"
