@@ -118,9 +118,11 @@ def test_what_only_nonsense_answers_is_one_sentence() -> None:
     with listening(endpoint) as session, Client(endpoint, timeout_s=0.5) as client:
         for key in (keys.ESTOP, keys.STATE):
             session.declare_queryable(key, lambda query: query.reply(query.key_expr, "{}"))
-        with pytest.raises(ZenohError, match=r"^no gateway answered within 0\.5 s \(what answers on hexapod/estop"):
+        with pytest.raises(
+            ZenohError, match=r"^no gateway answered within 0\.5 s \(the program that replies on hexapod/estop"
+        ):
             client.estop()
-        with pytest.raises(ZenohError, match=r"\(what answers on hexapod/state is none\)"):
+        with pytest.raises(ZenohError, match=r"\(the program that replies on hexapod/state is none\)"):
             client.state()
 
 

@@ -197,10 +197,10 @@ def test_a_file_that_names_no_gateway_is_reported(tmp_path: Path) -> None:
     [
         (None, {"source": ""}, "a source has 1 to 64 characters, and this one has 0"),
         (None, {"source": "x" * 65}, "a source has 1 to 64 characters, and this one has 65"),
-        (None, {"timeout_s": 0}, "a timeout of 0 s will not do"),
-        (None, {"timeout_s": -1}, "a timeout of -1 s will not do"),
-        (None, {"timeout_s": math.nan}, "a timeout of nan s will not do"),
-        (None, {"timeout_s": math.inf}, "a timeout of inf s will not do"),
+        (None, {"timeout_s": 0}, "timeout_s must be positive and finite, and is 0 s"),
+        (None, {"timeout_s": -1}, "timeout_s must be positive and finite, and is -1 s"),
+        (None, {"timeout_s": math.nan}, "timeout_s must be positive and finite, and is nan s"),
+        (None, {"timeout_s": math.inf}, "timeout_s must be positive and finite, and is inf s"),
         ("", {}, '"tcp/" is no endpoint, such as tcp/127.0.0.1:7447$'),
     ],
 )

@@ -216,7 +216,7 @@ def test_a_take_is_reported_as_such_though_its_event_is_lost(
     anna: Client, bert: Client, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """All legs stand still, and what was sent is rejected; why, the gateway is asked."""
-    monkeypatch.setattr(Lease, "_hear", lambda *_: None)
+    monkeypatch.setattr(Lease, "_receive", lambda *_: None)
     with anna.lease(), anna.stream(HZ) as stream:
         stream.set({1: POSE})
         with bert.lease(take=True), pytest.raises(LeaseLostError, match="bert holds it now"):

@@ -1,4 +1,4 @@
-"""The client for asyncio: each call waits on a thread of its own, and the loop waits for nobody."""
+"""The client for asyncio: each call waits on a thread of its own and never blocks the loop."""
 
 import asyncio
 import time
@@ -31,13 +31,13 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 MAX_CALLS: Final = 32
-"""At once; whoever asks more waits for its turn. A Stop never does."""
+"""At once; further calls wait for their turn. A Stop never does."""
 
 
 class AsyncClient(Twin[Client]):
     """`Client` for asyncio, with the same names, arguments and errors; opened and closed by `async with`.
 
-    Whoever cancels a call no longer waits for its answer; what was asked may take effect all the same.
+    Cancelling a call ends the wait, not the command: it may still take effect.
 
     >>> async def main():
     ...     async with AsyncClient(endpoint, source="an example") as robot:
@@ -57,7 +57,7 @@ class AsyncClient(Twin[Client]):
         timeout_s: float = 2.0,
         explain: bool = True,
     ) -> None:
-        """As `Client`; nothing is opened yet."""
+        """As `Client`; `async with` connects."""
         self._make = partial(
             Client, endpoint, zenoh_config=zenoh_config, source=source, timeout_s=timeout_s, explain=explain
         )
@@ -76,7 +76,7 @@ class AsyncClient(Twin[Client]):
         await self.close()
 
     async def close(self) -> None:
-        """Disconnect, once what is under way (a Stop) has its answer."""
+        """Disconnect after all pending Stops have their answers."""
         client, self._client = self._client, None
         self._listens = False
         for events in self._events:
@@ -86,7 +86,7 @@ class AsyncClient(Twin[Client]):
 
     @property
     def client(self) -> Client:
-        """The one behind it. Raises ZenohError where it is not open."""
+        """The blocking client behind this one. Raises ZenohError unless it is open."""
         if self._client is None:
             raise ZenohError("this client is not open; use it in an `async with`")
         return self._client
@@ -130,7 +130,7 @@ class AsyncClient(Twin[Client]):
         on_lost: Callable[[LeaseLostError], None] | None = None,
         on_asked: Callable[[str], None] | None = None,
     ) -> "AsyncLease":
-        """The right to drive: `async with robot.lease(): …`; see `Client.lease`. It calls back on the loop."""
+        """The right to drive: `async with robot.lease(): …`; see `Client.lease`. Callbacks run on the loop."""
         lost = None if on_lost is None else on_this_loop(on_lost)
         asked = None if on_asked is None else on_this_loop(on_asked)
         lease = self.client.lease(take=take, wait_s=wait_s, source=source, on_lost=lost, on_asked=asked)
@@ -170,17 +170,17 @@ class AsyncClient(Twin[Client]):
         self.client.publish(key, payload)
 
     def on_state(self, callback: Callable[[GatewayState], None]) -> "zenoh.Subscriber[None]":
-        """Call back, on the loop, for each published state, until the returned subscriber is undeclared."""
+        """Call `callback` on the loop for each published state, until the returned subscriber is undeclared."""
         return self.client.on_state(on_this_loop(callback))
 
     def on_event(self, callback: Callable[[Event], None]) -> "zenoh.Subscriber[None]":
-        """Call back, on the loop, for each event."""
+        """Call `callback` on the loop for each event, until the returned subscriber is undeclared."""
         return self.client.on_event(on_this_loop(callback))
 
     def events(self) -> "_Events":
         """`async for event in robot.events()`: all events from now on, until the client is closed.
 
-        What is not read is kept, but for no more than 256 events, of which the oldest make way.
+        At most 256 unread events are kept; the oldest are dropped first.
         """
         events = _Events()
         self._events.add(events)
@@ -303,8 +303,8 @@ class AsyncButton(HeldTwin[Button]):
 class AsyncWalk(HeldTwin[Walk]):
     """`Walk` for asyncio: the same rules, errors and names; for one task at a time.
 
-    Ctrl-C and SIGTERM have it sit down, and a second one stops it at once, as there. A task that the program itself
-    cancels has it stopped at once.
+    As there, Ctrl-C and SIGTERM make it sit down, and a second one stops it at once. Cancelling the task stops it at
+    once.
 
     >>> async def main():
     ...     async with AsyncClient(endpoint) as robot, robot.walk(gait="ripple") as walk:
@@ -344,15 +344,15 @@ class AsyncWalk(HeldTwin[Walk]):
             self._interrupts.close()
 
     async def ahead(self, metres: float) -> None:
-        """See `Walk.ahead`. Cancelled, it stands within `hold_s` and a stride."""
+        """See `Walk.ahead`. When cancelled, the robot stands within `hold_s` and a stride."""
         await self._cover(Distance(metres, turns=False))
 
     async def turn(self, radians: float) -> None:
-        """See `Walk.turn`. Cancelled, it stands within `hold_s` and a stride."""
+        """See `Walk.turn`. When cancelled, the robot stands within `hold_s` and a stride."""
         await self._cover(Distance(radians, turns=True))
 
     async def _cover(self, distance: Distance) -> None:
-        # No thread goes on with it where this is cancelled.
+        # Tick by tick on the loop: a cancelled call must leave no thread that walks on.
         while (velocity := distance.next(self.state, time.monotonic())) is not None:
             await self.go(*velocity)
         await self.stand()
@@ -391,7 +391,7 @@ class AsyncWalk(HeldTwin[Walk]):
 
 
 class _Events:
-    """What `AsyncClient.events` returns."""
+    """The iterator that `AsyncClient.events` returns."""
 
     def __init__(self) -> None:
         self._kept: deque[Event] = deque(maxlen=KEPT_EVENTS)

@@ -1,4 +1,4 @@
-"""A connection to one gateway whose calls wait for their answers."""
+"""The client whose calls wait for their answers."""
 
 import json
 import math
@@ -51,10 +51,10 @@ _POLL_S: Final = 0.1
 class Client:
     """A connection to one gateway. For any thread; close it, or use it in a `with`.
 
-    Commands are acknowledged: the Ack states whether the frame has been written, or why not. A running leg must be sent
-    something every 250 ms (the gateway's `watchdog.timeout_ms`), or the gateway stops it; `stream` is for that. All
-    raise DisconnectedError when no gateway answers in time, ValueError for a leg or servo that does not exist or a
-    wrong count of angles, TypeError for a leg, servo or angle that is no number.
+    Commands are acknowledged: the Ack states whether the frame has been written, or why not. The gateway stops a
+    running leg after 250 ms (its `watchdog.timeout_ms`) without a command; `stream` sends them in time. All commands
+    raise DisconnectedError if no gateway answers in time, ValueError for a leg or servo that does not exist or a wrong
+    count of angles, TypeError for a leg, servo or angle that is no number.
 
     >>> with Client(endpoint, source="an example") as robot:
     ...     robot.wait_ready().mode
@@ -76,22 +76,22 @@ class Client:
         timeout_s: float = 2.0,
         explain: bool = True,
     ) -> None:
-        """Connect, by whichever host of the file answers first. `source` (1 to 64 characters) is who you are in events.
+        """Connect by the first host of the file that answers. `source` (1 to 64 characters) is your name in events.
 
-        `zenoh_config` is the file that came with your certificate, and states where the robot is. An `endpoint` that is
-        given goes before the file's; with neither, it is this machine's gateway. `timeout_s`: how long an answer may
-        take. Raises ConfigError, and ZenohError, which with `explain` has a line for each host: the step that fails,
-        and what to do. To find that out takes up to a second more.
+        `zenoh_config` is the file that came with your certificate, and has the robot's address. `endpoint` precedes the
+        file's; without either, it is this machine's gateway. `timeout_s`: how long an answer may take, in seconds.
+        Raises ConfigError, and ZenohError, which with `explain` has a line for each host: the step that fails, and
+        what to do. Finding that takes up to one second more.
         """
-        if source is not None and not 1 <= len(source) <= keys.MAX_SOURCE:  # also a Stop would be rejected for it
+        if source is not None and not 1 <= len(source) <= keys.MAX_SOURCE:  # the gateway would reject even a Stop
             raise ConfigError(f"a source has 1 to {keys.MAX_SOURCE} characters, and this one has {len(source)}")
         if not 0 < timeout_s < math.inf:
-            raise ConfigError(f"a timeout of {timeout_s:g} s will not do; it is a time above 0")
+            raise ConfigError(f"timeout_s must be positive and finite, and is {timeout_s:g} s")
         file = None if zenoh_config is None else Path(zenoh_config).expanduser()
         config = client_config(endpoint, file)
         self._hosts = Hosts(config, timeout_s)
         self.robot = (str(get(config, "namespace") or ""), *self._hosts.endpoints)
-        """What is dialled: the namespace ("" for none), and the endpoints. @private"""
+        """The namespace ("" for none) and the endpoints that it dials. @private"""
         if not self._hosts.endpoints and get(config, "scouting/multicast/enabled") is not True:
             raise ConfigError(f"{file} names no gateway: set connect.endpoints in it, or give an endpoint")
         self._timeout_s = timeout_s
@@ -102,16 +102,16 @@ class Client:
             self.session = self._hosts.open()
         except UnreachedError as error:
             raise UnreachedError((_why(config) if explain else "") or str(error)) from error
-        """Lives until `close`: when its link breaks, it comes back by any of the hosts, with all that is declared."""
+        """Open until `close`: after a broken link Zenoh reconnects to any of the hosts, with all declarations."""
         self.name = str(self.session.info.zid()) if source is None else source
-        """Who this is in events: `source`, or the session's Zenoh id (which only a stream's commands tell)."""
+        """The name in events: `source`, or the session's Zenoh id (which only a stream's commands contain)."""
         self.lease_requests = LeaseRequests(partial(self._get, again=False), Identity.of(config), self.name)
-        """For the lease, and for tools that keep one. @private"""
+        """For leases, and tools that renew one. @private"""
         self.button_requests = ButtonRequests(partial(self._get, again=False), Identity.of(config), self.name)
-        """For a button, and for tools that are one. @private"""
+        """For buttons, and tools that are one. @private"""
         self._lease: Lease | None = None
         self.walks = False
-        """Whether a walk of it is open; two would move the same legs. @private"""
+        """Whether a walk is open; two would move the same legs. @private"""
         close_at_the_end(self)
 
     def __enter__(self) -> Self:
@@ -121,19 +121,19 @@ class Client:
         self.close()
 
     def close(self) -> None:
-        """Disconnect. A leg that is left running is stopped by the gateway's watchdog, and a lease is released.
+        """Disconnect, and release the lease. The gateway's watchdog stops legs that still run.
 
-        A program that forgets it ends all the same.
+        A program that does not call it still ends.
         """
         if self._lease is not None:
             self._lease.release()
         self._closed = True
-        with suppress(zenoh.ZError):  # a frozen gateway did not say good-bye within ten seconds
+        with suppress(zenoh.ZError):  # a frozen gateway has not closed the link within ten seconds
             self.session.close()
 
     @property
     def connected(self) -> bool:
-        """Whether there is a link now. Zenoh notices one that died without a word only after its lease."""
+        """Whether there is a link now. Zenoh notices a link that died silently only after its own lease time."""
         try:
             with self._open_session() as session:
                 return bool(session.info.transports())
@@ -141,10 +141,10 @@ class Client:
             return False
 
     def wait_ready(self, timeout_s: float = 10.0) -> GatewayState:
-        """Wait until the gateway takes commands; its state then.
+        """Wait until the gateway accepts commands; returns its state then.
 
-        Raises DisconnectedError when nobody answers until then, StoppedError when it does and takes none (an emergency
-        stop, a bus fault).
+        Raises DisconnectedError if it does not answer within `timeout_s`, StoppedError if it answers and accepts none
+        (after an emergency stop or a bus fault).
         """
         end_s = time.monotonic() + timeout_s
         while True:
@@ -152,26 +152,29 @@ class Client:
             if state.mode in (Mode.IDLE, Mode.ACTIVE):
                 return state
             if time.monotonic() + _POLL_S >= end_s:
-                raise StoppedError(f"the gateway takes no commands after {timeout_s:g} s: its mode is {state.mode}", ())
+                raise StoppedError(
+                    f"the gateway accepts no commands after {timeout_s:g} s: its mode is {state.mode}", ()
+                )
             time.sleep(_POLL_S)
 
     def stream(self, hz: float = 50) -> Stream:
         """Setpoints of a gait, `hz` (above 0, at most 1000) times a second: `with robot.stream(50) as stream: …`.
 
-        Of more than the gateway's `limits.leg_rate_hz` it leaves some out; the stream then warns.
+        The gateway leaves out what exceeds its `limits.leg_rate_hz`; the stream then warns.
         """
         return Stream(self, hz)
 
     def walk(self, gait: str = "tripod", geometry: "Geometry | Path | str | None" = None, hz: float = 50) -> "Walk":
         """Velocities in place of angles: `with robot.walk() as walk: walk.go(forward_m_s=0.1)`; see `Walk`.
 
-        `gait`: tripod, ripple or wave. `geometry`: of another robot than the Elkapod. Raises WalkError, ConfigError.
+        `gait`: tripod, ripple or wave. `geometry`: a robot's, or its file; by default the Elkapod's. `hz`: the stream's
+        rate. Raises WalkError, ConfigError.
         """
         from gateway.people.client.walk import Walk
 
         return Walk(self, gait, geometry, hz)
 
-    # ---- who is driving
+    # ---- the lease
 
     def lease(
         self,
@@ -185,32 +188,33 @@ class Client:
         """The right to drive, for the time of a `with`: `with robot.lease(): …`; see `Lease`.
 
         While somebody else drives, it raises LeaseError with the `holder`. With `wait_s` it asks the holder, and waits
-        that long to be handed it. With `take` it takes it by force: the gateway stops all six legs first.
-        `on_lost` is called (on a thread of its own) once it is lost, `on_asked` with the name of whoever asks for it.
-        A client has one lease at a time. With a certificate you are its person; without, `source`, or the client's.
+        that many seconds for a hand-over. With `take` it takes it by force: the gateway stops all six legs first.
+        `on_lost` is called (on a thread of its own) after a loss, `on_asked` with the name of a person who asks for it.
+        A client has one lease at a time. Its holder is your certificate's person, else `source`, else this client's
+        name.
         """
         return Lease(self, take=take, wait_s=wait_s, source=source, on_lost=on_lost, on_asked=on_asked)
 
     def ask_for_lease(self, source: str | None = None) -> "LeaseAck":
-        """Tell the holder that you would like to drive, once; `Lease.hand_over` is the holder's answer."""
+        """Ask the holder for the lease, once; the holder may answer with `Lease.hand_over`."""
         return self.lease_requests.as_person("ask", source)
 
     def carry(self, lease: Lease) -> None:
-        """From now on commands carry this lease. @private"""
+        """Put this lease into later commands. @private"""
         self._lease = lease
 
     @property
     def carried_lease(self) -> Lease | None:
-        """The lease that commands carry; also one that was lost, until its `with` ends. @private"""
+        """The lease in commands; also a lost one, until its `with` ends. @private"""
         return self._lease if self._lease is not None and self._lease.token is not None else None
 
-    # ---- who watches
+    # ---- stop buttons
 
     def button(self, name: str | None = None) -> Button:
         """A stop button, for the time of a `with`: `with robot.button("kitchen") as button: button.alive()`.
 
-        It is alive only as often as the program says so; see `Button`. With a certificate you are its person; without,
-        `name`, or the client's.
+        It counts as alive only while the program calls `alive`; see `Button`. Its name is your certificate's person,
+        else `name`, else the client's.
         """
         return Button(self.button_requests, self.estop, name)
 
@@ -233,20 +237,20 @@ class Client:
         return self.ask(keys.LEGS_COMMAND, legs_payload("set", angles_deg))
 
     def stop(self, leg: int | None = None) -> Ack:
-        """De-energise one leg, or all six."""
+        """De-energise one leg (1 to 6), or all six."""
         if leg is not None:
             return self.ask(keys.leg_command(leg_number(leg)), leg_payload("stop"), again=True)
         return self.ask(keys.LEGS_COMMAND, legs_payload("stop", dict.fromkeys(LEGS, ())), again=True)
 
     def servo(self, servo_id: int, op: str, angle_deg: Angle | None = None) -> Ack:
-        """Start, set or stop one servo (11 to 63)."""
+        """`op`: start, set or stop one servo (11 to 63); the angle is in degrees, 0 to 180."""
         key = keys.servo_command(servo_number(servo_id))
         return self.ask(key, servo_payload(op, angle_deg), again=op == "stop")
 
     def estop(self, source: str | None = None) -> Ack:
-        """Engage the emergency stop. The answer has its number, how many Stop frames were written, and how soon.
+        """Engage the emergency stop. The answer has its number, the count of Stop frames written, and the latency.
 
-        `source`: who requests it, if not this client by its own name.
+        `source`: the name of the requester, by default this client's.
         """
         payload = self._payload(keys.ESTOP, {} if source is None else {"source": source}, None)
         return self._get(keys.ESTOP, payload, _EstopAck, again=True, priority=zenoh.Priority.REAL_TIME)
@@ -254,25 +258,25 @@ class Client:
     def reset(self, estop: int | None = None) -> Ack:
         """Leave the emergency stop; nothing moves until it is started again.
 
-        `estop` is the number of the emergency stop that you mean to leave (in its Ack and in the state); without it the
-        gateway is first asked for the latest. If a newer one is requested meanwhile, the gateway rejects the reset.
+        `estop` is the number of the emergency stop to leave (from its Ack or the state); by default the latest, for
+        which the gateway is asked first. If a newer one is requested meanwhile, the gateway rejects the reset.
         """
         return self.ask(keys.RESET, {"estop": self.state().estop if estop is None else estop})
 
-    # ---- how the robot was built
+    # ---- calibration and revocation
 
     def calibration(self) -> "Calibration":
-        """Trim, direction and limits of each servo, and the landing pose, as they are in force."""
-        from schemas.calibration import Calibration  # no emergency stop waits for what it loads
+        """Trim, direction and limits of each servo, and the landing pose, that are in force."""
+        from schemas.calibration import Calibration  # an emergency stop must not wait for this import
 
         return self._get(keys.CALIBRATION, None, Calibration, again=True)
 
     def revocation(self, revoked: str | None = None) -> "RevocationAck":
-        """Put a list of revoked certificates in force (PEM), or ask which one is.
+        """Put a list of revoked certificates (PEM) in force, or ask for the one in force.
 
-        A gateway that takes it stops all legs and starts anew; the connection comes back by itself.
+        A gateway that accepts it stops all legs and restarts; the connection returns by itself.
         """
-        from schemas.revocation import RevocationAck  # no emergency stop waits for what it loads
+        from schemas.revocation import RevocationAck  # an emergency stop must not wait for this import
 
         payload = None if revoked is None else json.dumps({"revoked": revoked})
         return self._get(keys.REVOCATION, payload, RevocationAck, again=False)
@@ -285,11 +289,11 @@ class Client:
         revision: int | None = None,
         accept_default: bool = False,
     ) -> Ack:
-        """Change the calibration: all that is named, or nothing. Accepted once it is kept on the robot's disk.
+        """Change the calibration, completely or not at all. It is accepted once it is on the robot's disk.
 
-        No servo that it changes may run. `landing` is the landing pose in degrees; None takes a servo out of it. With
-        `revision`, that of `calibration()`, it is rejected if somebody else has changed it meanwhile. `accept_default`
-        takes the calibration without any trim as this robot's, where the file that kept its own cannot be read.
+        The servos that it changes must not run. `landing` is the landing pose in degrees; None removes a servo from it.
+        With the `revision` of `calibration()`, it is rejected if somebody else has changed it since. `accept_default`
+        accepts the calibration without trims as this robot's, if the file with its own cannot be read.
         """
         return self.ask(
             keys.CALIBRATION_CMD,
@@ -299,15 +303,15 @@ class Client:
     def ask(
         self, key: str, payload: Mapping[str, Any], *, again: bool = False, priority: zenoh.Priority | None = None
     ) -> Ack:
-        """Send one acknowledged command. Raises DisconnectedError when nobody answers in time.
+        """Send one acknowledged command. Raises DisconnectedError if no answer comes in time.
 
-        Raises LeaseLostError when it was rejected because the lease that it carries has been lost.
+        Raises LeaseLostError if it is rejected because the lease that it carries is lost.
 
-        `again`: where the link is lost meanwhile, or no answer comes, ask again until `timeout_s` is over, also by a
-        session of its own through whichever host answers. Only for what may safely happen twice, a Stop: a reset or a
-        start that is asked again could undo what someone else stopped in between.
+        `again`: without an answer, or after the loss of the link, repeat it until `timeout_s` is over, also by a new
+        session through any host. Only for a Stop, which may safely happen twice: a repeated reset or start could undo a
+        Stop that somebody else requested in between.
         """
-        lease = None if again else self.carried_lease  # a Stop needs none, and must not fail by one
+        lease = None if again else self.carried_lease  # a Stop needs none, and must not fail for one
         data = self._payload(key, payload, lease)
         ack = self._get(key, data, Ack, again=again, priority=priority)
         if lease is not None:
@@ -315,9 +319,9 @@ class Client:
         return ack
 
     def answerers(self, key: str, wait_s: float = 0.0) -> frozenset[str]:
-        """Zenoh ids of the programs that replied to the latest question on `key` that got its answer.
+        """Zenoh ids of the programs that replied to the latest answered question on `key`.
 
-        Only one can be the gateway. Those that reply later than it are waited for, at most so long.
+        Only one can be the gateway. Waits at most `wait_s` seconds for later replies.
         """
         question = self._answered.get(key)
         if question is None:
@@ -328,7 +332,7 @@ class Client:
     # ---- commands, fire and forget
 
     def publish(self, key: str, payload: Mapping[str, Any]) -> None:
-        """Send one command without waiting; a rejection shows on `hexapod/event` only."""
+        """Send one command without waiting; a rejection is published on `hexapod/event` only."""
         data = self._payload(key, payload, self.carried_lease)
         with self._open_session() as session:
             session.put(key, data, encoding=JSON, express=True)
@@ -336,15 +340,15 @@ class Client:
     # ---- watching
 
     def state(self, timeout_s: float | None = None) -> GatewayState:
-        """The gateway's state now. Raises DisconnectedError when nobody answers in time (None: the client's own)."""
+        """The gateway's state now. Raises DisconnectedError without an answer in `timeout_s` (None: the client's)."""
         return self._get(keys.STATE, None, GatewayState, again=True, timeout_s=timeout_s)
 
     def on_state(self, callback: Callable[[GatewayState], None]) -> "zenoh.Subscriber[None]":
-        """Call back (on a thread of Zenoh's) for each published state, until the returned subscriber is undeclared."""
+        """Call `callback` (on a Zenoh thread) for each published state, until the returned subscriber is undeclared."""
         return self._subscribe(keys.STATE, GatewayState, callback)
 
     def on_event(self, callback: Callable[[Event], None]) -> "zenoh.Subscriber[None]":
-        """Call back (on a thread of Zenoh's) for each event."""
+        """Call `callback` (on a Zenoh thread) for each event, until the returned subscriber is undeclared."""
         return self._subscribe(keys.EVENT, Event, callback)
 
     def _subscribe(self, key: str, report: type[R], callback: Callable[[R], None]) -> "zenoh.Subscriber[None]":
@@ -353,13 +357,13 @@ class Client:
             return session.declare_subscriber(key, take)
 
     def check_open(self) -> None:
-        """Raise what each call raises once this client is closed: ZenohError. @private"""
+        """Raise ZenohError if this client is closed. @private"""
         with self._open_session():
             pass
 
     @contextmanager
     def _open_session(self) -> Iterator[zenoh.Session]:
-        """The session, for one call. Raises ZenohError, one sentence, once it is closed."""
+        """The session, for one call. Raises ZenohError, one sentence, if it is closed."""
         try:
             if not self._closed:
                 yield self.session
@@ -397,18 +401,18 @@ class Client:
             self._answered[key] = question
             return found
         waited = f"within {timeout_s:g} s" if time.monotonic() >= end_s else "and the link may have been lost"
-        others = f" (what answers on {key} is none)" if question.answerers else ""
+        others = f" (the program that replies on {key} is none)" if question.answerers else ""
         raise UnansweredError(f"no gateway answered {waited}{others}; is it running, and may you command it?")
 
 
 def _why(config: zenoh.Config) -> str:
-    from gateway.people.client import diagnosis  # only now: no emergency stop waits for what it loads
+    from gateway.people.client import diagnosis  # an emergency stop must not wait for this import
 
     return "\n".join(diagnosis.why(config))
 
 
 class _EstopAck(Ack):
-    """Without these it is not the gateway's: an emergency stop is always taken."""
+    """The gateway's answer: it always accepts an emergency stop, so a reply without these is another program's."""
 
     accepted: Literal[True]
     stop_frames: Annotated[int, Field(ge=0)]
@@ -416,7 +420,7 @@ class _EstopAck(Ack):
 
 
 def several_answer(count: int, key: str) -> str:
-    """What to tell a person where `Client.answerers` has found more than one."""
+    """The sentence for a person if `Client.answerers` finds more than one."""
     return (
         f"{count} programs answer on {key}, and only one of them is the gateway; "
         "certificates keep others out (docs/security.md)"

@@ -1,4 +1,4 @@
-"""A stop button: a program that shows again and again that it is there, and can stop the robot."""
+"""A stop button: a program that regularly shows the gateway that it is alive, and can stop the robot."""
 
 import time
 from collections.abc import Callable
@@ -12,20 +12,20 @@ if TYPE_CHECKING:
     from schemas.button import ButtonAck
 
 LIFE: Final = 600
-"""Times `timeout_ms` until it registers anew: the gateway lets a registration's clock fall behind by a quarter of that
-time, and a bad crystal (200 ppm) loses half of that quarter meanwhile."""
+"""Times `timeout_ms` until it registers anew: the gateway lets a registration's clock drift by a quarter of that time.
+A bad crystal (200 ppm) drifts by half of that quarter meanwhile."""
 REGISTERED_WITHIN: Final = 0.5
-"""Of `timeout_ms`, for both questions of a registration. How late later check-ins are is judged by its delay, so one
-that somebody on the way has held back for longer does not count."""
+"""Of `timeout_ms`, for both queries of a registration. The lateness of check-ins is judged by its delay, so a
+longer delay does not count."""
 REGISTRATION_TRIES: Final = 3
-"""The first of a program also loads what signs."""
+"""The first registration of a program also imports `cryptography`."""
 
 
 class Button:
-    """A stop button for the time of a `with`, alive only as often as the program itself says so.
+    """A stop button for the time of a `with`. The program itself checks in, by `alive`.
 
-    Nothing here checks in by itself: a thread that did would vouch for a program that hangs. Call `alive` three times
-    within `timeout_ms`, where the program sees that it does what it is there for. At the end it leaves, on purpose.
+    No thread does that: it would vouch for a program that hangs. Call `alive` three times within `timeout_ms`, where
+    the program knows that it works. The end of the `with` ends the registration, which is no failure.
 
     >>> with Client(endpoint) as robot, robot.button("kitchen") as button:
     ...     button.alive().alive
@@ -42,16 +42,16 @@ class Button:
         self._token: str | None = None
         self._count = 0
         self._ends_s = 0.0
-        """When the registration has lived long enough, monotonic."""
+        """When to register anew, monotonic."""
         self.registered_s = 0.0
-        """When it was, monotonic. @private"""
+        """When it was registered, monotonic. @private"""
         self.name = ""
-        """By which name the gateway knows it: the certificate's person, else the one that was asked for."""
+        """Its name at the gateway: the certificate's person, else the name that the program chose."""
         self.timeout_ms = 0.0
-        """For so long a check-in counts."""
+        """How long a check-in counts, in milliseconds."""
 
     def __enter__(self) -> Self:
-        """Raises RejectedError where the gateway denies it, DisconnectedError where none answers."""
+        """Raises RejectedError if the gateway denies it, DisconnectedError if none answers."""
         self.register()
         return self
 
@@ -59,9 +59,9 @@ class Button:
         self.leave()
 
     def register(self) -> None:
-        """Register, or register anew: after the gateway was started again, or this machine slept.
+        """Register, or register anew: after the gateway was restarted, or this machine slept.
 
-        Raises RejectedError (`stale`) where the answers take longer than half of `timeout_ms`.
+        Raises RejectedError (`stale`) if the answers take longer than half of `timeout_ms`.
         """
         self.name = self._requests.person(self._wanted)
         for _ in range(REGISTRATION_TRIES):
@@ -73,17 +73,17 @@ class Button:
             if self.registered_s - began_s <= REGISTERED_WITHIN * self.timeout_ms / 1000:
                 self._ends_s += LIFE * self.timeout_ms / 1000
                 return
-        raise RejectedError(Reason.STALE, "to register takes longer than half of what a check-in counts for")
+        raise RejectedError(Reason.STALE, "registering takes longer than half the time that a check-in counts")
 
     def alive(self) -> "ButtonAck":
-        """Check in; the answer says how many are `alive`, and how many are `required`. Registers anew now and then.
+        """Check in. The answer has the number of buttons `alive` and `required`. Registers anew now and then.
 
-        Raises RejectedError: `unknown_button`, where the gateway was started anew or the name has been registered by
-        another (`register` again, or do not), or `stale`, where it came too late. DisconnectedError where no answer
-        comes within `timeout_ms`: then this button is silent, and the robot stops.
+        Raises RejectedError: `unknown_button` if the gateway was restarted or another program has registered the name
+        (`register` again, or do not), `stale` if it came too late. Raises DisconnectedError if no answer comes within
+        `timeout_ms`: then this button counts as silent, and the robot stops.
         """
         if self._token is None:
-            raise RuntimeError("a button that has left checks in no more; register it again")
+            raise RuntimeError("a button that has left cannot check in; register it again")
         if time.monotonic() >= self._ends_s:
             self._renew()
         self._count += 1
@@ -91,7 +91,7 @@ class Button:
         return _granted(self._requests.alive(self._token, self._count, timeout_s=timeout_s))
 
     def _renew(self) -> None:
-        """Register anew in time. Where it is denied, such as for too many proofs a second, the older one goes on."""
+        """Register anew in time. If denied, such as for too many proofs a second, the old registration stays."""
         try:
             self.register()
         except RejectedError as error:
@@ -100,17 +100,17 @@ class Button:
             self._ends_s = time.monotonic() + LIFE / 10 * self.timeout_ms / 1000
 
     def press(self) -> Ack:
-        """The emergency stop, by the button's name; see `Client.estop`."""
+        """Engage the emergency stop in the button's name; see `Client.estop`."""
         return self._estop(self.name or self._wanted)
 
     def leave(self) -> None:
-        """Be none any more; the robot stops if too few remain. @private"""
+        """End the registration; the robot stops if too few buttons remain. @private"""
         token, self._token = self._token, None
         if token is not None:
             try:
                 self._requests.leave(token, self.timeout_ms / 1000 or None)
             except DisconnectedError:
-                return  # it notices the silence
+                return  # the registration expires
 
 
 def _granted(ack: "ButtonAck") -> "ButtonAck":

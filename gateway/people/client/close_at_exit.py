@@ -1,7 +1,7 @@
-"""Closable what a program forgot to close, so that it ends.
+"""Closes the clients that a program forgot to close, so that it ends.
 
-Zenoh calls back on threads for which Python waits at a program's end, and these end with their session. Nothing that
-`atexit` runs comes before that wait.
+At its end Python waits for Zenoh's callback threads, which end with their session, and runs `atexit` functions only
+after that wait.
 """
 
 import threading
@@ -10,11 +10,11 @@ from typing import Final, Protocol
 from weakref import WeakSet
 
 _CALLBACKS: Final = "pyo3-closure"
-"""In the names of Zenoh's own threads."""
+"""Part of the names of Zenoh's own threads."""
 
 
 class Closable(Protocol):
-    """What a client offers here."""
+    """A client, as far as this module needs it."""
 
     def close(self) -> None: ...
 
@@ -24,7 +24,7 @@ _lock: Final = threading.Lock()
 
 
 def close_at_the_end(client: Closable) -> None:
-    """Close it when the main thread and all other threads of the program's own have ended."""
+    """Close it when all threads of the program have ended, apart from Zenoh's and daemons."""
     with _lock:
         _open.add(client)
         if not any(isinstance(thread, _Closer) for thread in threading.enumerate()):

@@ -1,9 +1,9 @@
 """A Stop that is requested at once, and again until it is confirmed: the rules, without a clock, a thread or a link.
 
-A press is requested at once and waits for no earlier request, while fewer than AT_ONCE are under way. Only an answer to
-a request that began after the press confirms it: an earlier one may have been reset in between. Whatever else comes of
-a request counts as no answer, and the next one begins AGAIN_NS later. So each press that is unconfirmed has a request
-under way that can confirm it, or one that is due. A press outlives its page.
+While fewer than REQUESTS_AT_ONCE requests are under way, each press begins one at once. Only an answer to a request
+that began after the press confirms it: an earlier Stop may have been reset in between. Any other result counts as no
+answer, and the next request begins AGAIN_NS later. So each unconfirmed press has a request under way that can confirm
+it, or one that is due. A press outlives its page.
 """
 
 from dataclasses import dataclass
@@ -15,21 +15,21 @@ W = TypeVar("W")
 REQUESTS_AT_ONCE: Final = 4
 """Requests under way at most; a key that is held down repeats some 30 times a second."""
 AGAIN_NS: Final = 100_000_000
-"""After a request that nobody answered, which itself has lasted as long as a client waits for an answer."""
+"""After a request without an answer, which itself has lasted as long as a client waits for one."""
 MAX_PRESSES: Final = 16
-"""Of one page, unconfirmed; the newest makes the oldest give way, for it asks for the same, later."""
+"""Of one page, unconfirmed. A newer press replaces the oldest: it requests the same, later."""
 
 
 @dataclass(eq=False, slots=True)
 class Press(Generic[P, W]):
-    """One press of a page's, until it is confirmed or given up."""
+    """One press on a page, until it is confirmed or given up."""
 
     page: P | None
     """None: the page that pressed is gone."""
     id: int | None
     """By the page's own count; None: it wants no answer."""
     what: W
-    """What a request for this press has to carry."""
+    """The content of a request for this press."""
     pressed_ns: int
     number: int
     """Of all pages' presses, in the order in which they came."""
@@ -66,7 +66,7 @@ class ConfirmedStop(Generic[P, W]):
         return self._unconfirmed[0].pressed_ns if self._unconfirmed else None
 
     def press(self, page: P, press_id: int | None, what: W, now_ns: int) -> Press[P, W]:
-        """A page asks for it, now."""
+        """A page requests the Stop now."""
         self._presses += 1
         press: Press[P, W] = Press(page, press_id, what, now_ns, self._presses)
         mine = [other for other in self._unconfirmed if other.page is page]
@@ -76,7 +76,7 @@ class ConfirmedStop(Generic[P, W]):
         return press
 
     def leave(self, page: P) -> None:
-        """The page is gone: of its presses, and those of all that went before, the newest stands for all of them."""
+        """The page is gone. Of the presses of all gone pages only the newest is kept: it stands for all of them."""
         for press in self._unconfirmed:
             if press.page is page:
                 press.page = None
@@ -84,15 +84,15 @@ class ConfirmedStop(Generic[P, W]):
             self._unconfirmed.remove(press)
 
     def take_back(self, request: StopRequest[W] | None = None) -> None:
-        """Nobody wants any longer what this request covers; without one, nothing that has been pressed so far."""
+        """Drop the presses that this request covers; without one, all presses so far."""
         covers = self._presses if request is None else request.covers
         self._unconfirmed = [press for press in self._unconfirmed if press.number > covers]
 
     @property
     def due_ns(self) -> int | None:
-        """When the next request is to begin, perhaps in the past; None: not before something else happens.
+        """When the next request is to begin, perhaps in the past; None: not before another event.
 
-        What is due depends on the newest press alone, for a request that can confirm it can confirm all of them.
+        Only the newest press matters: a request that can confirm it can confirm all of them.
         """
         if not self._unconfirmed or len(self._under_way) >= REQUESTS_AT_ONCE:
             return None
@@ -112,7 +112,7 @@ class ConfirmedStop(Generic[P, W]):
         return request
 
     def ended(self, request: StopRequest[W], now_ns: int, *, answered: bool) -> list[Press[P, W]]:
-        """It has its answer, or will get none. Those that it covers, confirmed or not; none: it is no news."""
+        """A request has ended. Returns the presses that it covered; none: they were confirmed or dropped before."""
         self._under_way.remove(request)
         covered = [press for press in self._unconfirmed if press.number <= request.covers]
         if not answered:

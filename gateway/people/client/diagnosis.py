@@ -1,7 +1,7 @@
-"""Why no connection comes about: goes the way to an endpoint step by step, and names which step fails and what to do.
+"""Finds the stage at which connecting to an endpoint fails, and what to do about it.
 
-Zenoh reports for all of them "Unable to connect". These looks use their own sockets, and come only after an attempt has
-failed: none may delay a Stop. Each complete TLS handshake, and each TCP connection, is one; an endpoint gets one.
+Zenoh reports "Unable to connect" for all of them. This uses sockets of its own, one connection for each endpoint, and
+runs only after an attempt has failed: it must not delay a Stop.
 """
 
 import datetime as dt
@@ -28,12 +28,12 @@ from gateway.people.client.requests import Identity
 from gateway.zenoh_config import DEFAULT_ENDPOINT, connect_endpoints, first_expiry
 
 TIMEOUT_S: Final = 1.0
-"""What all looks together may take."""
+"""The time for all endpoints together."""
 _ALERT_S: Final = 0.3
-"""A server reports what is wrong with a client's certificate after the handshake: at once, so a round trip later."""
+"""A server rejects a client's certificate after the handshake: a round trip later."""
 _ENDPOINT: Final = re.compile(r"(?P<link>tcp|tls)/(?P<host>\[[^\]]+\]|[^:#?\[\]]+):(?P<port>\d{1,5})(?:[#?].*)?")
 _OLDEST_YEAR: Final = 2024
-"""No certificate of ours is older: a clock before it was never set."""
+"""No certificate of ours is older: an earlier clock was never set."""
 
 _NOT_YET_VALID, _EXPIRED = 9, 10  # OpenSSL's X509_V_ERR_…
 _UNKNOWN_CA: Final = (2, 18, 19, 20, 21)
@@ -41,7 +41,7 @@ _WRONG_HOST: Final = (62, 64)
 
 
 class Stage(StrEnum):
-    """The steps of the way, in order."""
+    """The stages of connecting, in order."""
 
     ENDPOINT = "endpoint"
     NAME = "name"
@@ -54,7 +54,7 @@ class Stage(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """How it stands with a step. `fix` is "" where the step is well."""
+    """Result of one stage; `fix` is empty if it passed."""
 
     step: Stage
     sentence: str
@@ -65,7 +65,7 @@ class Finding:
 
 
 def why(config: zenoh.Config, timeout_s: float = TIMEOUT_S) -> list[str]:
-    """One line for each endpoint, of the step that fails. Takes `timeout_s` at most."""
+    """One line for each endpoint, with the stage that fails. Takes `timeout_s` at most."""
     identity = Identity.of(config)
     found = look_at_all(connect_endpoints(config), identity, timeout_s)
     of_clock = [each for each in own_certificates(identity, dt.datetime.now(dt.UTC)) if each.fix]
@@ -75,7 +75,7 @@ def why(config: zenoh.Config, timeout_s: float = TIMEOUT_S) -> list[str]:
 
 
 def look_at_all(endpoints: Sequence[str], identity: Identity, timeout_s: float = TIMEOUT_S) -> dict[str, list[Finding]]:
-    """What `look` finds for each of them, side by side. The last one of each shows how far it came."""
+    """The findings of `look` for each endpoint, in parallel. The last one of each is the stage that it reached."""
     end_s = time.monotonic() + timeout_s
     found: dict[str, list[Finding]] = {}
     threads = []
@@ -83,7 +83,7 @@ def look_at_all(endpoints: Sequence[str], identity: Identity, timeout_s: float =
         findings: list[Finding] = []
         found[endpoint] = findings
         arguments = (findings, look(endpoint, identity, end_s))
-        # Nobody waits for it at the end of the program.
+        # A daemon: the end of the program does not wait for it.
         threads.append(threading.Thread(target=_note, args=arguments, name=f"look at {endpoint}", daemon=True))
         threads[-1].start()
     for thread in threads:
@@ -93,16 +93,16 @@ def look_at_all(endpoints: Sequence[str], identity: Identity, timeout_s: float =
 
 
 _MARGIN_S: Final = 0.05
-"""A look that times out at the end of the time still says so."""
+"""For a finding about a timeout at the end of the time."""
 
 
 def _note(found: list[Finding], looked: Iterator[Finding]) -> None:
     for finding in looked:
-        found.append(finding)  # one by one: what is known when the time is over counts
+        found.append(finding)  # one by one: the caller reads those before the end of its time
 
 
 def look(endpoint: str, identity: Identity, end_s: float) -> Iterator[Finding]:
-    """Go the way to `endpoint` until a step fails, at most until `end_s` (monotonic)."""
+    """Connect to `endpoint` stage by stage until one fails, at most until `end_s` (monotonic)."""
     parsed = _ENDPOINT.fullmatch(endpoint)
     if parsed is None:
         fix = f"dial it so, such as {DEFAULT_ENDPOINT}"
@@ -133,15 +133,15 @@ def look(endpoint: str, identity: Identity, end_s: float) -> Iterator[Finding]:
 
 
 def demands_certificate(endpoint: str, identity: Identity, timeout_s: float = TIMEOUT_S) -> bool:
-    """Whether a listener of the CA in `identity` rejects, over TLS, whoever shows no certificate."""
-    nobody = Identity(ca=identity.ca, verify_name=False)  # its addresses may be none of the names in its certificate
+    """Whether a listener of the CA in `identity` rejects a TLS client without a certificate."""
+    nobody = Identity(ca=identity.ca, verify_name=False)  # the certificate may lack its address
     if identity.ca is None or not endpoint.startswith("tls/"):
         return False
     return any(each.sentence == _SHOWS_NONE for each in look(endpoint, nobody, time.monotonic() + timeout_s))
 
 
 def own_certificates(identity: Identity, now: dt.datetime) -> Iterator[Finding]:
-    """Whether this machine's clock is within what its certificates are good for."""
+    """The validity of this machine's certificates, by its clock."""
     for path in (identity.ca, identity.certificate):
         if path is None:
             continue
@@ -154,7 +154,7 @@ def own_certificates(identity: Identity, now: dt.datetime) -> Iterator[Finding]:
 
 
 def own_expiry(config: zenoh.Config) -> str | None:
-    """That one of this machine's certificates expires soon; None: none does, or none can be read."""
+    """A warning if one of this machine's certificates expires soon; None: none does, or none can be read."""
     with suppress(ConfigError):
         first = first_expiry(config)
         if first is not None:
@@ -163,7 +163,7 @@ def own_expiry(config: zenoh.Config) -> str | None:
 
 
 def role(certificate: Path) -> str:
-    """What its holder is to the robot: the common name; "" where that cannot be read."""
+    """The role in a certificate: its common name; "" if that cannot be read."""
     try:
         return certs.folder.describe(certificate).role
     except ConfigError:
@@ -171,7 +171,7 @@ def role(certificate: Path) -> str:
 
 
 def validity(name: str, begin: dt.datetime, end: dt.datetime, now: dt.datetime) -> Finding:
-    """Of a certificate that is good from `begin` to `end`, at `now`."""
+    """The validity at `now` of a certificate that is valid from `begin` to `end`."""
     if now < begin:
         clock = f"this machine's clock says {now:%Y-%m-%d}"
         sentence = f"{name} is good from {begin:%Y-%m-%d} only, and {clock}"
@@ -190,7 +190,7 @@ _Addresses = list[tuple[socket.AddressFamily, tuple[Any, ...]]]
 
 
 def _resolve(host: str, port: int, end_s: float) -> _Addresses:
-    """The host's addresses; TimeoutError where no resolver answers in time (getaddrinfo itself knows no time)."""
+    """The host's addresses. Raises TimeoutError if no resolver answers in time; getaddrinfo has no timeout."""
     answer: SimpleQueue[_Addresses | OSError] = SimpleQueue()
 
     def ask() -> None:
@@ -215,12 +215,12 @@ def _unresolved(host: str, error: OSError) -> Finding:
     mdns = "is the robot on, and in this network? Names in .local need mDNS (avahi) here and there"
     fix = f"{mdns if host.endswith('.local') else 'check the name'}; or dial its address"
     if isinstance(error, TimeoutError):
-        return Finding(Stage.NAME, f"no name server says what {host} is", fix)
+        return Finding(Stage.NAME, f"no name server answers for {host}", fix)
     return Finding(Stage.NAME, f"{host} is unknown ({error.strerror})", fix)
 
 
 def _connect(addresses: _Addresses, end_s: float) -> socket.socket:
-    """A connection to the first address that takes one; raises the error of the last one."""
+    """A connection to the first address that accepts one. Raises the error of the last one."""
     fault: OSError = OSError("no address")
     for place, (family, address) in enumerate(addresses):
         probe = socket.socket(family, socket.SOCK_STREAM)
@@ -292,12 +292,12 @@ def _context(identity: Identity) -> ssl.SSLContext:
 
 
 def _after_handshake(secured: ssl.SSLSocket, end_s: float) -> Finding:
-    """What the robot answers to one's own certificate: an alert, or nothing."""
+    """The robot's response to our certificate: an alert, or nothing."""
     secured.settimeout(min(_ALERT_S, _left_s(end_s)))
     try:
         secured.recv(1)
-    except TimeoutError:  # it waits for Zenoh's first word
-        return Finding(Stage.CERTIFICATE, "the robot takes yours")
+    except TimeoutError:  # it waits for Zenoh's first message
+        return Finding(Stage.CERTIFICATE, "the robot accepts yours")
     except ssl.SSLError as error:
         return _alert(error)
     except OSError:
@@ -306,7 +306,7 @@ def _after_handshake(secured: ssl.SSLSocket, end_s: float) -> Finding:
 
 
 def _distrusted(host: str, error: ssl.SSLCertVerificationError) -> Finding:
-    """We do not take the robot's certificate."""
+    """We reject the robot's certificate."""
     code = error.verify_code
     if code in _WRONG_HOST:
         return Finding(
@@ -329,7 +329,7 @@ def _distrusted(host: str, error: ssl.SSLCertVerificationError) -> Finding:
 
 
 def _alert(error: ssl.SSLError) -> Finding:
-    """The robot does not take our certificate, or this is no TLS."""
+    """The robot rejects our certificate, or this is no TLS."""
     reason = error.reason or ""
     if "UNKNOWN_CA" in reason:
         return Finding(
@@ -351,9 +351,9 @@ def _alert(error: ssl.SSLError) -> Finding:
 
 
 def _plain(connection: socket.socket, end_s: float) -> Iterator[Finding]:
-    """Whether a port that is dialled without TLS wants it."""
+    """Whether a port that is dialled without TLS requires it."""
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
-    context.check_hostname, context.verify_mode = False, ssl.CERT_NONE  # it is asked whether it speaks TLS at all
+    context.check_hostname, context.verify_mode = False, ssl.CERT_NONE  # only whether it speaks TLS matters
     connection.settimeout(min(_ALERT_S, _left_s(end_s)))
     try:
         with context.wrap_socket(connection):

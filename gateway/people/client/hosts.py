@@ -1,12 +1,11 @@
-"""Reaches a gateway by whichever of its hosts answers first.
+"""Connects to a gateway by the first of its hosts that answers.
 
-Zenoh tries a client's endpoints one after the other. With `connect/timeout_ms` it spends that whole time on the first
-one. Without it, it spends up to `open_timeout` on each host that drops packets, or whose name is not resolved. A Stop
-must not wait for that, so each host is tried on a thread of its own, which begins shortly after the one before
-(RFC 8305, "happy eyeballs").
+Zenoh tries a client's endpoints one after the other, and spends `connect/timeout_ms` on the first, or up to
+`open_timeout` on each that drops packets or has no address. A Stop must not wait for that, so each host is tried on a
+thread of its own, which begins shortly after the one before (RFC 8305, "happy eyeballs").
 
 The session that opens first is kept. It has all the endpoints, its own first: when its link breaks, Zenoh tries them in
-turn, and everything that was declared in the session stays declared.
+turn, and all that was declared in the session stays declared.
 """
 
 import json
@@ -40,11 +39,11 @@ class Hosts:
     """The endpoints of a client's configuration."""
 
     def __init__(self, config: zenoh.Config, timeout_s: float) -> None:
-        """Keeps `config` and changes it. `timeout_s`: how long the caller waits for a session at most."""
+        """Keeps and changes `config`. `timeout_s`: the longest that `open` waits for a session."""
         self.endpoints = connect_endpoints(config)
         self.config = config
         self._timeout_s = timeout_s
-        config.insert_json5("connect/timeout_ms", "0")  # each endpoint once; trying again is done here
+        config.insert_json5("connect/timeout_ms", "0")  # each endpoint once; `Search` retries
         if get(config, _OPEN_TIMEOUT) == _ZENOHS_OPEN_TIMEOUT_MS:
             alone_ms = max(OPEN_TIMEOUT_MS, min(round(timeout_s * 1000), _ZENOHS_OPEN_TIMEOUT_MS))
             config.insert_json5(_OPEN_TIMEOUT, str(OPEN_TIMEOUT_MS if len(self.endpoints) > 1 else alone_ms))
@@ -75,7 +74,7 @@ class Hosts:
 
 
 class Search:
-    """Tries all hosts repeatedly until one has answered, `close` is called, or the time is over.
+    """Tries all hosts repeatedly until one answers, `close` is called, or the time is over.
 
     Calls `found` on a thread of its own: with the session, or with None when no host is left to try.
     """
@@ -96,13 +95,13 @@ class Search:
         self._lock = threading.Lock()
         self._over = threading.Event()
         self._session: zenoh.Session | None = None
-        self._begin = [threading.Event() for _ in hosts.endpoints or ("whom scouting finds",)]
+        self._begin = [threading.Event() for _ in hosts.endpoints or ("scouting",)]
         self._trying = len(self._begin)
         for place in range(self._trying):
             _Thread(target=self._try, args=(place,), name=f"open host {place}").start()
 
     def close(self) -> None:
-        """Give up, and close the session that was found."""
+        """Give up, and close the session if one was found."""
         with self._lock:
             session, self._session = self._session, None
             self._end()
@@ -153,12 +152,12 @@ class Search:
 class _Thread(threading.Thread):
     """Not a daemon: Python aborts if a daemon returns from Zenoh while the interpreter ends.
 
-    So a program's end waits for a host that is being tried, for up to `open_timeout`.
+    So a program's end waits up to `open_timeout` for a pending attempt.
     """
 
 
 def under_way() -> bool:
-    """Whether a host is still being tried, although nobody waits for it any longer."""
+    """Whether an attempt to connect is still pending; nobody waits for its result."""
     return any(isinstance(thread, _Thread) for thread in threading.enumerate())
 
 

@@ -1,6 +1,6 @@
-"""Ctrl-C and SIGTERM while an `AsyncWalk` is open: the first has the robot sit down, the second stops it at once.
+"""Ctrl-C and SIGTERM while an `AsyncWalk` is open: the first makes the robot sit down, the second stops it at once.
 
-Signals reach the main thread only. A handler that a program has set itself still gets them.
+Python delivers signals to the main thread only. A handler that the program installed is still called.
 """
 
 import asyncio
@@ -15,15 +15,15 @@ _TWICE: Final = 2
 
 
 class Interrupts:
-    """Those that come while a walk of the main thread's loop is open; several walks may be.
+    """Counts the signals while one or more walks of the main thread's loop are open.
 
-    `asyncio.run` cancels its main task at the first Ctrl-C, and all tasks at the second. For SIGTERM, and where Ctrl-C
-    has no such handler, the task that has opened this is cancelled, twice at most; the third ends the program.
+    `asyncio.run` cancels its main task at the first Ctrl-C. For SIGTERM, and for Ctrl-C without that handler, this
+    cancels the task that opened it, twice at most; the third signal ends the program.
     """
 
     _open: ClassVar[list["Interrupts"]] = []
     _before: ClassVar[dict[int, Any]] = {}
-    """Each signal's handler before the first walk's."""
+    """The handler of each signal before the first walk opened."""
 
     def __init__(self) -> None:
         self.count = 0
@@ -31,7 +31,7 @@ class Interrupts:
         self._task: asyncio.Task[Any] | None = None
 
     def open(self) -> None:
-        """In the task that holds the walk."""
+        """Begin; to be called in the task that uses the walk."""
         if threading.current_thread() is not threading.main_thread():
             return
         self._task = asyncio.current_task()
@@ -44,7 +44,7 @@ class Interrupts:
         self._open.append(self)
 
     def close(self) -> None:
-        """The walk is over. Raises KeyboardInterrupt or Terminated where this has cancelled the task."""
+        """End. Raises KeyboardInterrupt or Terminated if this has cancelled the task."""
         if self in self._open:
             self._open.remove(self)
             if not self._open:

@@ -1,6 +1,6 @@
-"""Who is driving: holding the lease of a robot, so that nobody else's starts, sets and resets count.
+"""The lease of a robot: while a program holds it, the gateway rejects the starts, sets and resets of all others.
 
-The token that proves it stays in here and in the commands: it is in no error, no log and no `repr`.
+Its token is in the commands only: in no error, no log and no `repr`.
 """
 
 import math
@@ -22,11 +22,11 @@ if TYPE_CHECKING:
     from schemas.lease import LeaseAck
 
 TTL_MS: Final = 1000.0
-"""The gateway's default (`lease.ttl_ms`), where an answer does not say it."""
+"""The gateway's default (`lease.ttl_ms`), for an answer without it."""
 CONFIRM_S: Final = 1.0
 """For an answer that a program waits for: by then the watchdog (0.25 s) has long stopped its legs."""
 RELEASE_S: Final = 0.5
-"""What the end of a program may cost."""
+"""Longest delay of a program's end."""
 _CHANGES: Final = (Kind.LEASE_RELEASED, Kind.LEASE_EXPIRED, Kind.LEASE_TAKEN)
 _TOKEN: Final = re.compile("[0-9a-f]{32}")
 NOT_OURS: Final = (Reason.NOT_HOLDER, Reason.NO_LEASE)
@@ -49,11 +49,11 @@ class LeaseClient(Protocol):
 class Lease:
     """The right to drive; made by `Client.lease`, used in a `with`.
 
-    Inside it every command of the client carries the lease, published ones and a stream's, too. It is renewed by a
-    thread of its own for as long as the program lives, and released at the end. Legs are the watchdog's affair as ever.
+    Inside it every command of the client carries the lease, also published ones and a stream's. A thread renews it for
+    as long as the program lives; the end of the `with` releases it. The watchdog stops legs as without a lease.
 
-    Once it is lost (taken by force, or the link was cut for longer than it lives), the next acknowledged command and
-    the next `set` of a stream raise LeaseLostError. Stops and the emergency stop are taken from anyone, always.
+    After a loss (taken by force, or the link was cut for longer than `ttl_ms`) the next acknowledged command and the
+    next `set` of a stream raise LeaseLostError. The gateway accepts Stops and the emergency stop from anyone, always.
 
     >>> with Client(endpoint, source="anna") as robot, robot.lease() as lease:
     ...     robot.start_leg(3, 90, 45, 120).accepted
@@ -84,17 +84,17 @@ class Lease:
         self._on_asked = on_asked
         self._lock = threading.Lock()
         self._renewal = Renewal()
-        """Changed with the lock."""
+        """Changed under the lock."""
         self._token: str | None = None
         self._giving = threading.RLock()
-        """Held until the gateway has answered a hand-over: only then it is known whose the legs are."""
+        """Held during a hand-over: only its answer decides who holds the lease."""
         self._asked_s = 0.0
         self._news = threading.Event()
         self._asked_by: str | None = None
         self._subscriber: Any = None
         self._thread = threading.Thread(target=self._keep, name="renew the lease", daemon=True)
         self.holder = ""
-        """By which name the gateway knows us: the certificate's person, else the client's own name."""
+        """Our name at the gateway: the certificate's person, else the client's own name."""
         self.verified = False
         """Whether that name was proved by a certificate."""
 
@@ -107,23 +107,23 @@ class Lease:
 
     @property
     def held(self) -> bool:
-        """Whether we hold it, as far as we know."""
+        """Whether we hold it, by the gateway's latest answer."""
         return self._renewal.holds is Holds.YES
 
     @property
     def lost(self) -> LeaseLostError | None:
-        """How it was lost."""
+        """The error with which it was lost; None: it was not."""
         return self._renewal.lost
 
     @property
     def ttl_ms(self) -> float:
-        """It ends that long after the gateway last received a renewal or a command of ours."""
+        """It expires so many milliseconds after the gateway's last receipt of a renewal or a command of ours."""
         return self._renewal.ttl_ms
 
     def hand_over(self, to: str) -> None:
-        """Give it to `to`, who has the gateway's `ttl_ms` to acquire it; legs that run go on running meanwhile.
+        """Give it to `to`, who has `ttl_ms` to acquire it; running legs go on running meanwhile.
 
-        Raises LeaseLostError where we no longer hold it, and LeaseError where nobody of that name has asked.
+        Raises LeaseLostError if we no longer hold it, and LeaseError if `to` has not asked.
         """
         self.check()
         token = self._token
@@ -145,12 +145,12 @@ class Lease:
     # ---- begin and end; `with` calls them
 
     def acquire(self) -> None:
-        """Raises LeaseError where it is not to be had, DisconnectedError where no gateway answers. @private"""
+        """Raises LeaseError if it is denied, DisconnectedError if no gateway answers. @private"""
         if self._renewal.holds is not Holds.NOT_YET:
-            raise RuntimeError("a lease is held once; make a new one with `lease()`")
+            raise RuntimeError("a lease is used once; make a new one with `lease()`")
         if (other := self._client.carried_lease) is not None and other.held:
             raise RuntimeError("this client holds a lease already")
-        self._subscriber = self._client.on_event(self._hear)
+        self._subscriber = self._client.on_event(self._receive)
         try:
             ack = self._acquired()
         except BaseException:
@@ -158,7 +158,7 @@ class Lease:
             raise
         if not _TOKEN.fullmatch(ack.lease or ""):
             self._unsubscribe()
-            raise LeaseError(Reason.LEASE_DENIED, "what answers gives no token; is it a gateway?", ack.holder)
+            raise LeaseError(Reason.LEASE_DENIED, "the reply has no token; is it a gateway's?", ack.holder)
         self.holder, self.verified = ack.holder or self._client.name, bool(ack.verified)
         with self._lock:
             self._token = ack.lease
@@ -167,7 +167,7 @@ class Lease:
         self._thread.start()
 
     def release(self) -> None:
-        """Give it back, if it is held. What is not answered expires by itself. @private"""
+        """Give it back, if it is held. Without an answer it expires by itself. @private"""
         token = self._token if self.held else None
         self._end(Holds.RELEASED)
         if token is not None:
@@ -180,28 +180,31 @@ class Lease:
 
     @property
     def token(self) -> str | None:
-        """What commands carry. Still the old one after a loss, so that nothing of ours is taken by mistake. @private"""
+        """The token in our commands. It stays after a loss, so that the gateway rejects them. @private"""
         return self._token
 
     @property
     def elsewhere(self) -> bool:
-        """Whether it was handed over, or somebody else is known to hold it: the legs are theirs. @private"""
+        """See `Renewal.elsewhere`. @private"""
         return self._renewal.elsewhere
 
     def check(self) -> None:
-        """Raise what was lost. @private"""
+        """Raise LeaseLostError if it was lost. @private"""
         if self.lost is not None:
             raise self.lost.with_traceback(None)
 
     def confirm(self) -> LeaseLostError | None:
-        """Ask the gateway whether we still hold it; the error if not. @private"""
+        """Ask the gateway whether we still hold it. Returns the error if not. @private"""
         with self._giving:
             if self.held:
                 self._renew(CONFIRM_S)
         return self.lost
 
     def judge(self, ack: Ack) -> None:
-        """Take notice of what became of a command that carried the token. Raises LeaseLostError. @private"""
+        """If a command that carried the token was rejected for its lease, ask whether it is lost.
+
+        Raises LeaseLostError. @private
+        """
         if not ack.accepted and ack.reason in NOT_OURS:
             self.confirm()
             self.check()
@@ -214,7 +217,7 @@ class Lease:
             self._news.clear()
             if self.held:
                 self._renew(self._renewal.answer_s)
-            self._tell_who_asks()
+            self._report_request()
         if self.lost is not None:
             self._unsubscribe()
             if self._on_lost is not None:
@@ -236,14 +239,14 @@ class Lease:
         if not self.held:
             self._news.set()
 
-    def _tell_who_asks(self) -> None:
+    def _report_request(self) -> None:
         who, self._asked_by = self._asked_by, None
         if who is not None and self._on_asked is not None and self.held:
             self._on_asked(who)
 
-    def _hear(self, event: Event) -> None:
-        """On a thread of Zenoh's: note it only."""
-        if event.kind == Kind.LEASE_ASKED and self.held:  # before, it may be ourselves who ask
+    def _receive(self, event: Event) -> None:
+        """On a thread of Zenoh's: it may only note, never wait."""
+        if event.kind == Kind.LEASE_ASKED and self.held:  # before, the request may be our own
             self._asked_by = event.source
         if event.kind == Kind.LEASE_ASKED or event.kind in _CHANGES:
             self._news.set()
@@ -251,7 +254,7 @@ class Lease:
     # ---- the rest
 
     def _acquired(self) -> "LeaseAck":
-        ack = self._ask_for_it("take" if self._take else "acquire")
+        ack = self._request("take" if self._take else "acquire")
         if not self._take and ack.reason == Reason.LEASE_HELD and self._wait_s > 0:
             ack = self._waited(ack)
         if not ack.accepted:
@@ -262,13 +265,13 @@ class Lease:
         waiting = Waiting(time.monotonic() + self._wait_s)
         while ack.reason == Reason.LEASE_HELD and waiting.pause_s(time.monotonic()) > 0:
             if waiting.asks(ack.holder):
-                self._ask_for_it("ask")
+                self._request("ask")
             self._news.wait(waiting.pause_s(time.monotonic()))
             self._news.clear()
-            ack = self._ask_for_it("acquire")
+            ack = self._request("acquire")
         return ack
 
-    def _ask_for_it(self, do: str) -> "LeaseAck":
+    def _request(self, do: str) -> "LeaseAck":
         self._asked_s = time.monotonic()
         return self._client.lease_requests.as_person(do, self._source)
 
@@ -287,9 +290,9 @@ class Lease:
 
 
 class LentLease(Lease):
-    """A lease that somebody else acquired, renews and releases: for `Client.carry`, in a program that drives for them.
+    """A lease that another program acquired, renews and releases: for `Client.carry`, in a program that drives for it.
 
-    Only commands that carry it prolong it, and a question where the gateway rejects one.
+    Commands that carry it prolong it; after a rejected one it asks the gateway whether the lease is lost.
     """
 
     def __init__(self, client: LeaseClient, token: str) -> None:
@@ -298,7 +301,7 @@ class LentLease(Lease):
         self._renewal.granted(TTL_MS, -math.inf)
 
     def release(self) -> None:
-        """Commands carry it no more; it is not ours to give back."""
+        """Commands no longer carry it; its owner gives it back."""
         self._end(Holds.RELEASED)
 
 

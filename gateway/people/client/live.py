@@ -1,7 +1,4 @@
-"""What a gateway publishes, live: subscribed, decoded, validated, and handed to a thread, a queue or an event loop.
-
-Without access control anybody may publish on the gateway's keys: what is no report is left out.
-"""
+"""What a gateway publishes, live: validated, and delivered to a thread, a queue or an event loop."""
 
 import json
 import threading
@@ -31,27 +28,27 @@ if TYPE_CHECKING:
 OPEN_AGAIN_S: Final = 0.3
 STATE_ANSWER_S: Final = 0.6
 CLOSE_S: Final = 0.5
-"""How long to wait for the session to close; with a frozen gateway Zenoh would take ten seconds."""
+"""The longest wait for the session to close; with a frozen gateway Zenoh takes ten seconds."""
 SAME_START_S: Final = 0.1
 """Two states of one gateway agree on its start to within this; no gateway restarts so quickly."""
 LATE_S: Final = 1.0
-"""How much later than another one a state may come."""
+"""The longest delay of a state behind a newer one."""
 
 ERRORS: Final = (GatewayError, zenoh.ZError, ValidationError, RuntimeError)
-"""What a session, or a question that it asks, may raise."""
+"""The exceptions of a session and its queries."""
 
 
 # ---- a simulated body
 
 
 def is_of_physics(sample: zenoh.Sample, physics: str | None) -> bool:
-    """Whether the process with this Zenoh id has published it. Without access control, anybody may publish there."""
+    """Whether the process with this Zenoh id published it: without access control any program may publish there."""
     source = sample.source_info
     return physics is not None and source is not None and str(source.source_id.zid) == physics
 
 
 def set_upright(client: Client) -> Ack:
-    """Put a robot that is simulated with physics on its feet, as somebody would. Raises UnansweredError."""
+    """Put a robot that is simulated with physics on its feet. Raises UnansweredError."""
     try:
         return client.ask(keys.SIM_UPRIGHT, {})
     except UnansweredError as error:
@@ -62,7 +59,7 @@ def set_upright(client: Client) -> Ack:
 
 
 class ReceivedReport(NamedTuple):
-    """A report, and when it came, in nanoseconds since 1970."""
+    """A report, and when it was received, in nanoseconds since 1970."""
 
     key: str
     report: dict[str, Any]
@@ -70,12 +67,12 @@ class ReceivedReport(NamedTuple):
 
 
 class ReportQueue:
-    """Zenoh's threads put in what they receive; one thread takes it out. No more than `most` wait: memory ends."""
+    """A queue from Zenoh's threads to one reader. At most `most` reports wait, which limits memory."""
 
     def __init__(self, models: Mapping[str, type[BaseModel]], most: int, physics: str | None = None) -> None:
-        """`models`: what is published on which key. What has another key (`put`) is handed on without a report.
+        """`models`: the report of each key. An entry with another key (`put`) is delivered without a report.
 
-        `physics`: the state's; its later states are looked at here.
+        `physics`: that of the newest state; later states replace it.
         """
         self._models = models
         self._most = most
@@ -83,13 +80,13 @@ class ReportQueue:
         self._waiting: SimpleQueue[tuple[str, bytes, int] | None] = SimpleQueue()
         self._since_1970_ns = time.time_ns() - time.monotonic_ns()
         self.dropped = 0
-        """For which there was no place."""
+        """The count of reports for which there was no place."""
         self.invalid = 0
-        """That were no reports."""
+        """The count of invalid reports."""
 
     @contextmanager
     def receives(self, session: zenoh.Session) -> Iterator[None]:
-        """What is published meanwhile is put in."""
+        """Subscribe, and put in what is received."""
 
         def receive(key: str, sample: zenoh.Sample) -> None:
             if key == keys.SIM_BODY and not is_of_physics(sample, self._physics):
@@ -101,18 +98,18 @@ class ReportQueue:
             yield
 
     def put(self, key: str, payload: bytes = b"") -> None:
-        """One more, received now. For any thread."""
+        """Put in an entry, received now. For any thread."""
         if self._waiting.qsize() >= self._most:
             self.dropped += 1
         else:
             self._waiting.put((key, payload, self.now_ns()))
 
     def end(self) -> None:
-        """`get` returns None once all before it is taken out; also from a signal handler."""
+        """Make `get` return None after all earlier entries. May be called in a signal handler."""
         self._waiting.put(None)
 
     def get(self, timeout_s: float) -> ReceivedReport | None:
-        """The next one; None: it has ended. Raises queue.Empty where none comes in time."""
+        """The next valid entry; None: the queue has ended. Raises queue.Empty if none comes in time."""
         end_s = time.monotonic() + timeout_s
         while True:
             found = self._waiting.get(timeout=max(0.0, end_s - time.monotonic()))
@@ -134,7 +131,7 @@ class ReportQueue:
             return ReceivedReport(key, report, time_ns)
 
     def now_ns(self) -> int:
-        """Nanoseconds since 1970, by a clock that nobody sets meanwhile."""
+        """Nanoseconds since 1970, by a clock that is not set meanwhile."""
         return time.monotonic_ns() + self._since_1970_ns
 
 
@@ -142,18 +139,18 @@ class ReportQueue:
 
 
 class Order(Enum):
-    """What a state is to the newest before it."""
+    """How a state relates to the newest before it."""
 
     NEXT = auto()
-    RESTARTED = auto()  # the gateway has been started again between the two
-    OVERTAKEN = auto()  # an answer that comes behind a state which was published after it
+    RESTARTED = auto()  # the gateway was restarted between the two
+    OVERTAKEN = auto()  # an answer that is older than a state received before it
 
 
 class Starts:
-    """Recognises a gateway that was started again: by when it began, and not by its uptime alone. Pure.
+    """Recognises a restarted gateway by its time of start, not by its uptime alone. Pure.
 
-    After a silence the new one may have run for longer than the old one had; and a clock that is set (a Pi after its
-    boot) moves the beginning of one that goes on.
+    After a silence the new gateway may have run for longer than the old one had, and a clock that is set (a Pi's after
+    its boot) moves the time of start of one that goes on.
     """
 
     def __init__(self) -> None:
@@ -161,7 +158,7 @@ class Starts:
         self._received_ns: int | None = None
 
     def look(self, time: datetime, uptime_s: float, received_ns: int) -> Order:
-        """`time` and `uptime_s` are a state's, `received_ns` is by a clock of this machine's."""
+        """`time` and `uptime_s` are a state's, `received_ns` is by this machine's monotonic clock."""
         began_s = time.timestamp() - uptime_s
         order = Order.NEXT
         if self._received_ns is not None:
@@ -179,46 +176,46 @@ class Starts:
 
 
 class Receiver:
-    """Called on threads of `Live`, or by `OnLoop` on an event loop. Each call waits for moments at most.
+    """Called on threads of `Live`, or by `OnLoop` on an event loop. The methods must return quickly.
 
-    This one does nothing with what it is given.
+    The default methods do nothing.
     """
 
     def opened(self) -> None:
-        """There is a session: from now on a Stop can be sent."""
+        """A session is open: from now on a Stop can be sent."""
 
     def not_opened(self, error: Exception) -> None:
-        """There is none yet; it is tried again."""
+        """No session could be opened; `Live` tries again."""
 
     def received_state(self, state: GatewayState, received_ns: int) -> None:
-        """A state, published or as an answer, and when it came by this machine's monotonic clock."""
+        """A state, published or as an answer. `received_ns`: by this machine's monotonic clock."""
 
     def received_event(self, event: Event, left_out: int = 0) -> None:
-        """An event; before it so many were left out."""
+        """An event; `left_out` events before it were dropped."""
 
     def received_body(self, body: BodyReport) -> None:
-        """Where a robot is that is simulated with physics."""
+        """The pose of a robot that is simulated with physics."""
 
     def received_token(self, alive: bool) -> None:
-        """The gateway is there, or has ended, or the link to it has: within milliseconds where its process ends."""
+        """The gateway is alive, or it or the link has ended. The end of its process is noticed within milliseconds."""
 
     def answered(self, client: Client) -> None:
-        """The gateway has answered a question for its state."""
+        """The gateway has answered a query for its state."""
 
     def looked(self, reasons: list[str]) -> None:
-        """Why no state comes: a line for each host."""
+        """Why no state is received: a line for each host."""
 
 
 class Live:
     """Opens a session, trying until it succeeds; after a broken link Zenoh itself reconnects to any of the hosts.
 
-    Zenoh delivers into rings, which threads of this class empty, so a receiver that is slow keeps nobody waiting.
+    Zenoh delivers into rings, which threads of this class empty: a slow receiver does not delay Zenoh.
     """
 
     def __init__(
         self, connect: Callable[[], Client], receiver: Receiver, why: Callable[[Client | None], list[str]]
     ) -> None:
-        """`why` returns a line for each host, why nobody is there; it may take a second."""
+        """`why` returns a line for each host, why it cannot be reached; it may take a second."""
         self.client: Client | None = None
         self._connect = connect
         self._receiver = receiver
@@ -229,7 +226,7 @@ class Live:
         self._subscribers: list[Any] = []
 
     def start(self) -> None:
-        """Begin to connect. What waits has a thread of its own from the beginning."""
+        """Begin to connect. The threads exist from now on."""
         for loop in (self._open_at_last, self._ask_when_quiet, self._look_when_silent):
             threading.Thread(target=loop, name=f"live {loop.__name__}", daemon=True).start()
 
@@ -259,19 +256,19 @@ class Live:
         self._receiver.opened()
         session, ring = client.session, zenoh.handlers.RingChannel
         # A state makes the one before it useless; of events, each counts.
-        self._listen(session.declare_subscriber(keys.STATE, ring(2)), reports(GatewayState, self._take_state))
+        self._read(session.declare_subscriber(keys.STATE, ring(2)), reports(GatewayState, self._take_state))
         events = session.declare_subscriber(keys.EVENT, ring(KEPT_EVENTS))
-        self._listen(events, reports(Event, self._receiver.received_event))
+        self._read(events, reports(Event, self._receiver.received_event))
         body = reports(BodyReport, self._receiver.received_body)
-        self._listen(
+        self._read(
             session.declare_subscriber(keys.SIM_BODY, ring(2)),
             lambda sample: body(sample) if is_of_physics(sample, self._physics) else None,
         )
         alive = session.liveliness().declare_subscriber(keys.ALIVE, ring(KEPT_EVENTS), history=True)
-        self._listen(alive, lambda sample: self._receiver.received_token(sample.kind == zenoh.SampleKind.PUT))
+        self._read(alive, lambda sample: self._receiver.received_token(sample.kind == zenoh.SampleKind.PUT))
 
-    def _listen(self, subscriber: Any, take: Callable[[zenoh.Sample], None]) -> None:
-        """Read a subscriber on a thread of its own, until it is undeclared."""
+    def _read(self, subscriber: Any, take: Callable[[zenoh.Sample], None]) -> None:
+        """Read a subscriber on a thread, until it is undeclared."""
         handler = subscriber.handler
 
         def read() -> None:
@@ -280,7 +277,7 @@ class Live:
                     take(sample)
 
         self._subscribers.append(subscriber)
-        threading.Thread(target=read, name=f"listen to {subscriber.key_expr}", daemon=True).start()
+        threading.Thread(target=read, name=f"receive {subscriber.key_expr}", daemon=True).start()
 
     def _take_state(self, state: GatewayState) -> None:
         received_ns = time.monotonic_ns()
@@ -319,8 +316,8 @@ class Live:
 
 
 class OnLoop(Receiver):
-    """Hands on to a receiver on an event loop, in the order in which things came: of each the newest, and of events at
-    most 256, so neither a flood nor a busy loop takes memory."""
+    """Calls a receiver on an event loop, in order: the newest of each kind, and at most 256 events, so a
+    flood or a busy loop takes no memory."""
 
     def __init__(self, loop: "AbstractEventLoop", receiver: Receiver) -> None:
         self._loop = loop
@@ -361,7 +358,7 @@ class OnLoop(Receiver):
         self._put(self._deliver_events)
 
     def _put(self, take: Callable[..., None], *arguments: object) -> None:
-        """Call it on the loop, with no other arguments than these, and after all that waits already."""
+        """Call `take` on the loop with these arguments only, after the calls that wait already."""
         with self._lock:
             announced = bool(self._waiting)
             self._waiting.pop(take.__name__, None)

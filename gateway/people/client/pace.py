@@ -5,13 +5,13 @@ from collections.abc import Iterable
 from typing import Final
 
 SILENCE_S: Final = 0.5
-"""A gateway that has published nothing for so long is asked: by default it publishes its state every 0.1 s."""
+"""After this time without a report the gateway is asked: by default it publishes its state every 0.1 s."""
 LATE_PART: Final = 0.5
-"""Of a period. What comes later than that after its tick waits for the next: no two setpoints are closer."""
+"""Of a period. A setpoint that comes later than this after its tick waits for the next, which keeps two apart."""
 MOST_DEG: Final = 3.2
-"""Half a turn in radians, and a little more for arithmetic."""
+"""Half a turn in radians, rounded up."""
 RADIANS_S: Final = 1.0
-"""A whole stride of most gaits; a leg in degrees is not between 0 and 3.2 for so long but on purpose."""
+"""A whole stride of most gaits: a leg in degrees stays between 0 and 3.2 for so long only on purpose."""
 LIKE_RADIANS: Final = (
     f"all angles of this stream were between 0 and {MOST_DEG:g} for {RADIANS_S:g} s; angles are degrees, and these "
     "look like radians (math.degrees() converts them)"
@@ -39,16 +39,16 @@ class SetpointPace:
         self._tick: int
 
     def begin(self, now_s: float) -> None:
-        """A setpoint was sent now; the grid begins with it."""
+        """A setpoint is sent now; the grid begins with it."""
         self._begun_s = now_s
         self._tick = 0
 
     def pause(self) -> None:
-        """Until the next `begin` nothing is due, and nothing missed."""
+        """Until the next `begin` no tick counts as missed."""
         self._begun_s = None
 
     def next_s(self, now_s: float) -> float:
-        """When a setpoint that is there now is due, once for each."""
+        """When to send a setpoint that is ready now; to be called once for each."""
         if self._begun_s is None:
             return now_s
         late = (now_s - self._begun_s) / self.period_s - (self._tick + 1)
@@ -69,13 +69,13 @@ class Doubt:
     """
 
     def __init__(self, watchdog_s: float = 0.0) -> None:
-        """`watchdog_s`: after so long without a setpoint the gateway stops a leg."""
+        """`watchdog_s`: the time without a setpoint after which the gateway stops a leg."""
         self._watchdog_s = watchdog_s
         self._sent_s = self._received_s = -math.inf
         self._raised = False
 
     def sent(self, now_s: float) -> None:
-        """A setpoint left."""
+        """A setpoint was sent."""
         self._sent_s = now_s
 
     def received(self, now_s: float) -> None:
@@ -83,21 +83,21 @@ class Doubt:
         self._received_s = now_s
 
     def raise_it(self) -> None:
-        """By something that only the gateway's answer can decide."""
+        """A report needs the gateway's answer to decide."""
         self._raised = True
 
     def asked(self) -> None:
-        """A question leaves now: what is received from now on is a doubt of its own."""
+        """The gateway is asked now: later reports raise a new doubt."""
         self._raised = False
 
     def is_there(self, now_s: float) -> bool:
-        """Whether the gateway is to be asked: a doubt was raised, this program stalled, or the gateway is silent."""
+        """Whether to ask the gateway: a doubt was raised, this program stalled, or the gateway is silent."""
         stalled = now_s - self._sent_s >= self._watchdog_s
         return self._raised or stalled or now_s - self._received_s >= SILENCE_S
 
 
 def thins(hz: float, limit_hz: float) -> str | None:
-    """What to warn of where the gateway's `limits.leg_rate_hz` leaves out a part of a stream's setpoints. Pure.
+    """The warning if the gateway's `limits.leg_rate_hz` leaves out a part of a stream's setpoints. Pure.
 
     >>> thins(50, 50), thins(20, 50)
     (None, None)
@@ -125,11 +125,11 @@ class Radians:
         self._warn_at_s: float | None = None
 
     def suspected(self, angles_deg: Iterable[tuple[float, ...]], now_s: float) -> bool:
-        """Whether all that was given for RADIANS_S looks like radians; true once at most."""
+        """Whether all angles of the last RADIANS_S look like radians; true once at most."""
         if self._warn_at_s == math.inf:
             return False
         if any(angle > MOST_DEG for angles in angles_deg for angle in angles):
-            self._warn_at_s = math.inf  # for good: what was in degrees once stays so
+            self._warn_at_s = math.inf  # for good: one angle in degrees decides
             return False
         if self._warn_at_s is None:
             self._warn_at_s = now_s + RADIANS_S

@@ -1,4 +1,4 @@
-"""The payloads of commands, from whatever a program has for numbers."""
+"""The payloads of commands, from any kind of number."""
 
 import operator
 from collections.abc import Collection, Mapping, Sequence
@@ -11,12 +11,11 @@ if TYPE_CHECKING:
     from schemas.calibration import ServoChange
 
 Angle = SupportsFloat | SupportsIndex
-"""Degrees: an int, a float, or whatever is one, such as numpy's `float32` and `int64`. A bool is not."""
+"""Degrees: an int, a float, or a number such as numpy's `float32` and `int64`; no bool."""
 MIN_DEG: Final = 0.0
 MAX_DEG: Final = 180.0
 ROUNDING_DEG: Final = 0.005
-"""Half of the protocol's hundredth: what is so close outside 0 to 180 is that limit, reached by inexact arithmetic."""
-
+"""Half of the protocol's hundredth: an angle so close outside 0 to 180 is the limit, after inexact arithmetic."""
 
 LegAngles = dict[int, tuple[float, ...]]
 """The three angles of each leg, by its number."""
@@ -25,7 +24,7 @@ LegAngles = dict[int, tuple[float, ...]]
 def leg_payload(op: str, angles_deg: Sequence[Angle] = ()) -> dict[str, Any]:
     """The payload of a leg's command: one operation for its three servos, with three angles unless it stops.
 
-    Raises ValueError unless there are three, TypeError where one is no number, or where they have no order.
+    Raises ValueError unless there are three, TypeError if one is no number, or if they have no order.
 
     >>> leg_payload("set", (90, 45.5, 120))["servos"][1]
     {'op': 'set', 'angle_deg': 45.5}
@@ -55,12 +54,12 @@ def row(angles_deg: tuple[Angle | Sequence[Angle], ...]) -> Sequence[Angle]:
         case [one] if _is_row(one):
             return one
         case _:
-            return cast(tuple[Angle, ...], angles_deg)  # each is looked at by `number`
+            return cast(tuple[Angle, ...], angles_deg)  # `number` checks each
 
 
 def _is_row(value: object) -> TypeGuard[Sequence[Angle]]:
-    """Also numpy's arrays, which are no Sequence; no set and no dict, whose order is not the joints'."""
-    if type(value) is tuple or type(value) is list:  # a stream's, as a rule; to ask an ABC takes ten calls
+    """Also numpy's arrays, which are no Sequence; no set and no dict, which have no order of joints."""
+    if type(value) is tuple or type(value) is list:  # a stream's, usually; an ABC's check takes ten calls
         return True
     indexed = isinstance(value, Collection) and hasattr(value, "__getitem__")
     return indexed and not isinstance(value, str | bytes | Mapping)
@@ -84,12 +83,12 @@ def legs_angles(angles_deg: Mapping[int, Sequence[Angle]]) -> LegAngles:
 
 
 def setpoints(op: str, angles: LegAngles) -> dict[str, Any]:
-    """The legs of a payload, from numbers that `legs_angles` has read: a stream looks at each angle once."""
+    """The legs of a payload, from the numbers of `legs_angles`: a stream reads each angle once."""
     return {str(leg): _setpoint(op, each) for leg, each in angles.items()}
 
 
 def servo_payload(op: str, angle_deg: Angle | None = None) -> dict[str, Any]:
-    """The payload of a servo's command. Raises TypeError where the angle is no number."""
+    """The payload of a servo's command. Raises TypeError if the angle is no number."""
     return {"op": op} if angle_deg is None else {"op": op, "angle_deg": number(angle_deg)}
 
 
@@ -100,7 +99,7 @@ def calibration_payload(
     revision: int | None = None,
     accept_default: bool = False,
 ) -> dict[str, Any]:
-    """What changes the calibration; see `Client.calibrate`. Raises TypeError where an angle is no number."""
+    """The payload that changes the calibration; see `Client.calibrate`. Raises TypeError if an angle is no number."""
     payload: dict[str, Any] = {
         "servos": {str(name): change.model_dump(exclude_none=True) for name, change in servos.items()},
         "landing": {str(name): None if angle is None else number(angle) for name, angle in landing.items()},
@@ -113,12 +112,12 @@ def calibration_payload(
 
 
 def leg_number(leg: object) -> int:
-    """A leg's number. Raises TypeError where it is none, such as "3", ValueError for a leg that does not exist."""
+    """A leg's number, 1 to 6. Raises TypeError for no whole number, such as "3", ValueError for another one."""
     return _named("leg", leg, LEGS, "legs are 1 to 6")
 
 
 def servo_number(servo_id: object) -> int:
-    """A servo's id. Raises TypeError where it is no number, ValueError for a servo that does not exist."""
+    """A servo's id, 11 to 63. Raises TypeError for no whole number, ValueError for an id that does not exist."""
     return _named("servo", servo_id, SERVO_IDS, "an id is the leg (1 to 6) and the joint (1 to 3), such as 32")
 
 
@@ -132,14 +131,14 @@ def _named(what: str, name: object, known: Collection[int], which: str) -> int:
 
 
 def number(angle_deg: object) -> float:
-    """An angle as JSON can carry it. Raises TypeError for a bool, a string, or whatever else is no number.
+    """An angle as a number for JSON. Raises TypeError for a bool, a string, and all else that is no number.
 
     One that is outside 0 to 180 degrees by no more than ROUNDING_DEG becomes that limit.
 
     >>> number(180.0000000000001), number(-1e-15)
     (180.0, 0.0)
     """
-    if type(angle_deg) is float or type(angle_deg) is int:  # a stream's, as a rule
+    if type(angle_deg) is float or type(angle_deg) is int:  # a stream's, usually
         return _within_limits(angle_deg)
     if isinstance(angle_deg, int | float) and not isinstance(angle_deg, bool):
         return _within_limits(angle_deg)

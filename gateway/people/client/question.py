@@ -1,6 +1,6 @@
-"""One Zenoh query to the gateway, repeated and sent by other sessions until an answer comes that can be its own.
+"""One Zenoh query to the gateway, repeated and sent by other sessions until a valid answer arrives.
 
-What cannot be an answer is ignored: a recorder answers everything with `{}`. Everybody who answers is noted.
+Invalid replies are ignored: a recorder replies to everything with `{}`. All repliers are noted.
 """
 
 import time
@@ -21,14 +21,14 @@ JSON: Final = "application/json"
 
 
 class Question(Generic[A]):
-    """One question; `ask` may be called once."""
+    """One query and its answer; `ask` may be called once."""
 
     def __init__(
         self, key: str, payload: str | None, read: Callable[[bytes], A], priority: zenoh.Priority | None = None
     ) -> None:
         """`read` turns bytes into an answer, or raises ValidationError."""
         self.answerers: set[str] = set()
-        """Zenoh ids of all programs that have replied, valid or not."""
+        """Zenoh ids of all programs that replied, validly or not."""
         self._key = key
         self._payload = payload
         self._read = read
@@ -38,7 +38,7 @@ class Question(Generic[A]):
         self._patience: Patience[A]
 
     def ask(self, session: zenoh.Session, end_s: float, *, again: bool, other_ways: Hosts | None) -> A | None:
-        """The answer. None: the time is over, or everybody has declined and `again` is false."""
+        """The answer. None: the time is over, or `again` is false and all programs declined or none was reached."""
         patience = self._patience = Patience(time.monotonic(), end_s, again=again, other_ways=other_ways is not None)
         self._send(session, end_s)
         search: Search | None = None
@@ -59,7 +59,7 @@ class Question(Generic[A]):
                 search.close()
 
     def wait_for_others(self, wait_s: float) -> None:
-        """After `ask`: note who else answers, until everybody has answered or declined, for at most `wait_s`."""
+        """After `ask`: note further repliers, until all have replied or declined, for at most `wait_s`."""
         end_s = time.monotonic() + wait_s
         with suppress(Empty):
             while self._patience.under_way:
@@ -76,18 +76,18 @@ class Question(Generic[A]):
 
         session.get(
             self._key,
-            # Not `indirect`: that starts a thread for each question, and took nearly twice the time. A put never waits.
+            # `indirect` starts a thread for each query and took nearly twice as long; a put never waits.
             zenoh.handlers.Callback(receive, receive, indirect=False),
-            target=zenoh.QueryTarget.ALL,  # by default only a queryable that claims to be complete is asked
+            target=zenoh.QueryTarget.ALL,  # by default Zenoh asks only queryables declared complete
             payload=self._payload,
             encoding=None if self._payload is None else JSON,
             timeout=max(0.001, end_s - time.monotonic()),
             priority=self._priority,
-            consolidation=zenoh.ConsolidationMode.NONE,  # otherwise Zenoh holds answers back until the query has ended
+            consolidation=zenoh.ConsolidationMode.NONE,  # otherwise Zenoh delays answers until the query has ended
         )
 
     def _take(self, until_s: float) -> zenoh.Session | None:
-        """Judge what comes in next; returns the session that was searched for. Raises Empty."""
+        """Process the next reply, or return the session that the search found. Raises Empty."""
         received = self._received.get(timeout=max(0.0, until_s - time.monotonic()))
         if isinstance(received, zenoh.Session) or received is None:
             return received
@@ -95,7 +95,7 @@ class Question(Generic[A]):
         return None
 
     def _judge(self, session: zenoh.Session, query: Query[A], reply: zenoh.Reply | None) -> None:
-        """A reply, or None for the query's end."""
+        """`reply` is None at the query's end."""
         if reply is None:
             self._patience.ended(query, time.monotonic())
         elif reply.ok is not None:
@@ -107,9 +107,6 @@ class Question(Generic[A]):
 
 
 def _is_own(session: zenoh.Session, replier: str) -> bool:
-    """Whether the answer is that of the program that was dialled, or may be.
-
-    A router never answers, so behind one anybody may be the gateway.
-    """
+    """Whether the replier may be the program that was dialled. Routers never reply: behind one, any program may."""
     dialled = [str(link.zid) for link in session.info.transports() if link.whatami == zenoh.WhatAmI.PEER]
     return not dialled or replier in dialled

@@ -15,11 +15,11 @@ if TYPE_CHECKING:
     from schemas.lease import LeaseAck
 
 RENEWALS: Final = 3
-"""In each time to live: two may be lost."""
+"""In each time to live, so two may be lost."""
 LEAST_ANSWER_S: Final = 0.1
 """For an answer to a renewal; with the shortest time to live (200 ms) a third of it would be less."""
 TRY_AGAIN_S: Final = 0.3
-"""While it waits to be handed over: how often it is tried besides what events tell."""
+"""While waiting for a hand-over: how often to try, besides after each event."""
 
 
 class Holds(Enum):
@@ -33,7 +33,7 @@ class Holds(Enum):
 
 
 class Renewal:
-    """What is known of one lease. For one thread at a time.
+    """The state of one lease. For one thread at a time.
 
     >>> renewal = Renewal()
     >>> renewal.granted(ttl_ms=900, asked_s=10.0)
@@ -52,46 +52,46 @@ class Renewal:
         self.lost: LeaseLostError | None = None
         """How it was lost."""
         self.gives = False
-        """Away: a renewal that is rejected meanwhile is no loss."""
+        """It is being handed over: a renewal that is rejected meanwhile is no loss."""
         self.due_s = math.inf
-        """When the next renewal leaves."""
+        """When the next renewal is due (seconds, by the caller's clock)."""
         self._confirmed_s = -math.inf
 
     def granted(self, ttl_ms: float, asked_s: float) -> None:
-        """It is ours, by a request that left at `asked_s`: it may live that much shorter than we know."""
+        """It is ours, by a request sent at `asked_s`, from when its life is counted."""
         self.holds, self.ttl_ms, self._confirmed_s = Holds.YES, ttl_ms, asked_s
         self.asked(asked_s)
 
     @property
     def answer_s(self) -> float:
-        """How long an answer to a renewal is waited for."""
+        """How long to wait for the answer to a renewal."""
         return max(self._period_s, LEAST_ANSWER_S)
 
     def asked(self, now_s: float) -> None:
-        """A renewal leaves now."""
+        """A renewal is sent now."""
         self.due_s = now_s + self._period_s
 
     def answered(self, ack: "LeaseAck", asked_s: float) -> None:
-        """What the gateway says to a renewal that left at `asked_s`."""
+        """The gateway's answer to a renewal sent at `asked_s`."""
         if ack.accepted:
             self._confirmed_s = max(self._confirmed_s, asked_s)
         else:
             self._lose(ack.reason or "", f"the lease is lost, {ack.holder or 'nobody'} holds it now", ack.holder)
 
     def unanswered(self, now_s: float) -> None:
-        """Nobody has answered a renewal until now."""
+        """A renewal has had no answer until now."""
         if now_s - self._confirmed_s > self.ttl_ms / 1000:
             detail = f"the gateway has not answered for {self.ttl_ms:g} ms, and the lease lives no longer than that"
             self._lose(Reason.NO_LEASE, detail, None)
 
     def end(self, how: Holds) -> None:
-        """By ourselves. What is lost stays lost."""
+        """We gave it up. A lost lease stays lost."""
         if self.holds is Holds.YES:
             self.holds = how
 
     @property
     def elsewhere(self) -> bool:
-        """Whether it was handed over, or somebody else is known to hold it: the legs are theirs."""
+        """Whether somebody else holds it, by a hand-over or a takeover: the legs are theirs."""
         taken = self.holds is Holds.LOST and self.lost is not None and self.lost.holder is not None
         return taken or self.holds is Holds.HANDED_OVER
 
@@ -105,14 +105,14 @@ class Renewal:
 
 
 class Waiting:
-    """For a lease that somebody else holds: whom to ask for it, and when to try again."""
+    """Waits for a lease that somebody else holds: whom to ask, and when to try again."""
 
     def __init__(self, end_s: float) -> None:
         self._end_s = end_s
         self._asked: str | None = None
 
     def asks(self, holder: str | None) -> bool:
-        """Whether that holder is to be asked: once, and so is whoever has become the holder meanwhile."""
+        """Whether to ask this holder: each holder is asked once."""
         new = holder != self._asked
         self._asked = holder
         return new

@@ -1,7 +1,7 @@
-"""What is asked of a gateway about its lease and its stop buttons, and who asks. Tokens stay nowhere here.
+"""Requests about the lease and the stop buttons, and the person in whose name they are made. Keeps no token.
 
-That is the person of the own certificate, proved by a nonce signed with its key. `cryptography` is loaded only for
-that, and what an answer is read by only when something is asked: no emergency stop waits for either.
+The person is that of the own certificate, proved by a nonce signed with its key. `cryptography` and the answers' models
+are imported at the first request, so that no emergency stop waits for them.
 """
 
 import base64
@@ -33,7 +33,7 @@ _TLS: Final = "transport/link/tls"
 
 @dataclass(frozen=True)
 class Identity:
-    """What a client shows, and whom it trusts, as its Zenoh file names it."""
+    """A client's certificate and key, and the CA that it trusts, as its Zenoh file names them."""
 
     certificate: Path | None = None
     key: Path | None = None
@@ -42,7 +42,7 @@ class Identity:
 
     @classmethod
     def of(cls, config: zenoh.Config) -> "Identity":
-        """Of a configuration whose paths are absolute."""
+        """Read it from a configuration; its paths have to be absolute."""
         named = {
             name: Path(value)
             for name, setting in (
@@ -56,11 +56,11 @@ class Identity:
 
     @property
     def proves(self) -> bool:
-        """Whether it can prove who it is."""
+        """Whether it has a certificate and its key."""
         return self.certificate is not None and self.key is not None
 
     def person(self) -> str:
-        """Whose certificate it is: its organizational unit. Raises ConfigError."""
+        """The certificate's person: its organizational unit. Raises ConfigError."""
         from cryptography.x509.oid import NameOID
 
         units = self._read().subject.get_attributes_for_oid(NameOID.ORGANIZATIONAL_UNIT_NAME)
@@ -71,7 +71,7 @@ class Identity:
     def prove(
         self, do: str, source: str, nonce: str, text: Callable[[str, str, str], bytes] | None = None
     ) -> dict[str, str]:
-        """The proof that this person wants this now. `text` is what is signed, by default a lease's.
+        """The proof that this person requests `do` now. `text` makes the signed text, by default a lease's.
 
         Raises ConfigError.
         """
@@ -109,28 +109,28 @@ def _sign(file: Path, data: bytes) -> bytes:
 
 
 class Get(Protocol):
-    """Asks on a key, with a time limit (None: the client's own)."""
+    """Queries a key, for at most `timeout_s` (None: the client's own time)."""
 
     def __call__(self, key: str, payload: str, answer: type[A], *, timeout_s: float | None) -> A: ...
 
 
 class _Requests(ABC, Generic[A]):
-    """Questions on one key. All raise DisconnectedError where nobody answers in time."""
+    """Requests on one key. All raise DisconnectedError if no answer comes in time."""
 
     def __init__(self, get: Get, identity: Identity, name: str) -> None:
-        """`name` is ours without a certificate."""
+        """`name`: the person's without a certificate."""
         self._get = get
         self._identity = identity
         self._name = name
 
     def person(self, name: str | None = None) -> str:
-        """Who we are: our certificate's person, else `name`, else the client's. Raises ConfigError."""
+        """The certificate's person, else `name`, else the client's name. Raises ConfigError."""
         return self._identity.person() if self._identity.proves else (name or self._name)
 
     def _proved(
         self, do: str, name: str | None, text: Callable[[str, str, str], bytes] | None = None
     ) -> dict[str, Any]:
-        """The request, proved where we have a certificate. Raises ConfigError for a key that cannot."""
+        """The request, with a proof if there is a certificate. Raises ConfigError for an unusable key."""
         request: dict[str, Any] = {"do": do, "source": self.person(name)}
         if self._identity.proves:
             nonce = self._ask({"do": "challenge"}).nonce
@@ -140,22 +140,22 @@ class _Requests(ABC, Generic[A]):
 
     @abstractmethod
     def _ask(self, request: dict[str, Any], timeout_s: float | None = None) -> A:
-        """One request and its answer."""
+        """Send one request; returns its answer."""
 
 
 class LeaseRequests(_Requests["LeaseAck"]):
-    """The questions on `hexapod/lease/cmd`."""
+    """The requests on `hexapod/lease/cmd`."""
 
     def as_person(self, do: str, name: str | None = None) -> "LeaseAck":
         """`acquire`, `ask` or `take`. Raises ConfigError."""
         return self._ask(self._proved(do, name))
 
     def renew(self, token: str, timeout_s: float | None = None) -> "LeaseAck":
-        """Hold it for another `ttl_ms`."""
+        """Prolong the lease by `ttl_ms`."""
         return self._ask({"do": "renew", "lease": token}, timeout_s)
 
     def release(self, token: str, to: str | None = None, timeout_s: float | None = None) -> "LeaseAck":
-        """Give it back, or over to somebody."""
+        """Give the lease back, or hand it over to the person `to`."""
         return self._ask({"do": "release", "lease": token, **({} if to is None else {"to": to})}, timeout_s)
 
     def _ask(self, request: dict[str, Any], timeout_s: float | None = None) -> "LeaseAck":
@@ -165,17 +165,17 @@ class LeaseRequests(_Requests["LeaseAck"]):
 
 
 class ButtonRequests(_Requests["ButtonAck"]):
-    """The questions on `hexapod/button/cmd`."""
+    """The requests on `hexapod/button/cmd`."""
 
     def person(self, name: str | None = None) -> str:
-        """By which name we register. A person may have several buttons, as `PERSON/…`."""
+        """The name to register. A person may have several buttons, as `PERSON/…`."""
         person = super().person(name)
         return name if name is not None and name.startswith(f"{person}/") else person
 
     def register(self, name: str | None = None, sent_ms: float | None = None) -> "ButtonAck":
-        """Become a button. Raises ConfigError.
+        """Register a button. Raises ConfigError.
 
-        `sent_ms`: by the clock of whoever checks in then; by default this program's monotonic one.
+        `sent_ms`: by the clock that later check-ins use; by default this program's monotonic one.
         """
         from schemas.button import signed_text
 
@@ -188,7 +188,7 @@ class ButtonRequests(_Requests["ButtonAck"]):
         return self._ask({"do": "alive", "button": token, "count": count, "sent_ms": _or_now_ms(sent_ms)}, timeout_s)
 
     def leave(self, token: str, timeout_s: float | None = None) -> "ButtonAck":
-        """Be none any more."""
+        """End the registration."""
         return self._ask({"do": "leave", "button": token}, timeout_s)
 
     def _ask(self, request: dict[str, Any], timeout_s: float | None = None) -> "ButtonAck":

@@ -1,24 +1,24 @@
-"""How long a gateway has published nothing, and what follows from it. Pure: `now_ns` never goes back.
+"""How long a gateway has published no state, and what to do then. Pure: `now_ns` is monotonic.
 
-What decides is the newest state. A liveliness token that is gone says so within milliseconds where a process ends, and
-nothing of one that hangs, or of a cable that was pulled.
+The newest state decides. The liveliness token ends within milliseconds of the gateway's process, but not when that
+hangs or a cable is pulled.
 """
 
 import math
 from typing import Final
 
 LOOK_EVERY_S: Final = 0.1
-"""How often the age of the newest state is looked at."""
+"""How often to check the age of the newest state."""
 QUIET_MS: Final = 250.0
-"""After so long without a state the gateway is asked for it: it may publish none (`telemetry.state_hz = 0`)."""
+"""After this time without a state the gateway is asked for it: it may publish none (`telemetry.state_hz = 0`)."""
 SILENT_MS: Final = 1000.0
-"""Without a state for so long, it is looked why."""
+"""After this time without a state the cause is looked for."""
 WHY_EVERY_S: Final = 3.0
-"""How often: each look is a connection, which costs the robot something."""
+"""How often to look: each look is a connection, which costs the robot something."""
 
 
 class Silence:
-    """Since when no state has come.
+    """The time since the newest state.
 
     >>> silence = Silence()
     >>> silence.opened(0)
@@ -35,16 +35,16 @@ class Silence:
         self._look_ns = -math.inf
 
     def opened(self, now_ns: int) -> None:
-        """There is a session; the gateway has from now on until it counts as silent."""
+        """A session is open: the silence counts from now on."""
         self._since_ns = now_ns
 
     def not_opened(self) -> None:
-        """There is none: nobody has to wait until it is looked why."""
+        """No session: the cause may be looked for at once."""
         if self._since_ns is None:
             self._since_ns = -math.inf
 
     def received(self, now_ns: int) -> None:
-        """A state, published or as an answer."""
+        """A state came, published or as an answer."""
         self._since_ns, self._has_state = now_ns, True
 
     def is_quiet(self, now_ns: int) -> bool:
@@ -56,7 +56,7 @@ class Silence:
         return self._is_older(now_ns, SILENT_MS)
 
     def must_look(self, now_ns: int) -> bool:
-        """Whether it is to be looked why nobody is there."""
+        """Whether to look for the cause now."""
         return self.is_long(now_ns) and now_ns >= self._look_ns
 
     def looked(self, now_ns: int) -> None:

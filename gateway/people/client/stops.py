@@ -10,18 +10,18 @@ from schemas.telemetry import Ack
 
 
 class UntilConfirmed:
-    """Requests a Stop on threads of its own, as `ConfirmedStop` says.
+    """Requests a Stop on threads of its own, by the rules of `ConfirmedStop`.
 
-    The threads exist from the beginning: a press finds one also where the system allows no more. Whatever comes of a
-    request besides an answer, also a fault in this program, counts as none.
+    The threads exist from the beginning: a press finds one even if the system allows no more. An exception from a
+    request, also a fault in this program, counts as no answer.
     """
 
     def __init__(
         self, request: Callable[[], Ack], note: Callable[[Ack | Exception], bool], lasts_s: float | None = None
     ) -> None:
-        """`note` is given what became of a request that presses wait for, in order; whether they still want it.
+        """`note` receives each request's answer or error, in order; it must not wait, and returns whether to continue.
 
-        It must not wait. `lasts_s`: for so long it is requested again; None: until it is confirmed.
+        `lasts_s`: how long after a press it is requested again; None: until it is confirmed.
         """
         self._request = request
         self._note = note
@@ -39,13 +39,13 @@ class UntilConfirmed:
             self._changed.notify()
 
     def take_back(self) -> None:
-        """Nobody wants it any more: it has been reset, by the person who pressed."""
+        """Drop all presses: the person who pressed has reset the robot."""
         with self._changed:
             self._stop.take_back()
 
     @property
     def since_ns(self) -> int | None:
-        """When the oldest unconfirmed press came; None: all are confirmed."""
+        """When the oldest unconfirmed press came (monotonic ns); None: all are confirmed."""
         with self._changed:
             return self._stop.since_ns
 
@@ -57,7 +57,7 @@ class UntilConfirmed:
                 outcome = self._request()
             except Exception as error:
                 outcome = error
-            with self._noting:  # otherwise a failure before the answer could be noted behind it
+            with self._noting:  # otherwise an earlier failure could be noted after the answer
                 self._end(request, outcome)
 
     def _next(self) -> StopRequest[None]:
@@ -72,7 +72,7 @@ class UntilConfirmed:
             waited = self._stop.ended(request, time.monotonic_ns(), answered=isinstance(outcome, Ack))
             self._changed.notify()  # the next may be due
         wanted = True
-        with suppress(Exception):  # without its thread, the next press would find one less
+        with suppress(Exception):  # an exception would end this thread, and the next press needs it
             wanted = not waited or self._note(outcome)
         if not wanted:
             with self._changed:

@@ -1,7 +1,7 @@
-"""A gait's setpoints at a steady rate, and word of everything that ends them.
+"""A gait's setpoints at a steady rate, and an error for everything that ends them.
 
-The gateway is believed, and nobody else: what is received (a rejection, a published state in which a leg does not run,
-silence) only raises a doubt, and what it answers then decides. Events that are newer than the start need no question.
+Only the gateway's answers decide. Published reports (a rejection, a state in which a leg does not run) and silence only
+raise a doubt, after which the gateway is asked. Events that are newer than the start decide without a query.
 """
 
 import threading
@@ -24,20 +24,20 @@ from schemas import keys
 from schemas.telemetry import Ack, Event, GatewayState, Kind, Mode, Reason, WatchdogState
 
 MAX_HZ: Final = 1000
-"""As `limits.leg_rate_hz`."""
+"""The highest `limits.leg_rate_hz`."""
 _KEPT: Final = 64
 _STOPPED_ALREADY: Final = (Reason.ESTOPPED, Reason.STOPPING)
 _ENDINGS: Final = (Kind.ESTOP_ENGAGED, Kind.BUS_FAULT, Kind.STOPPED_OUTSIDE, Kind.STOPPING, Kind.STARTED)
 """Events after which no leg runs."""
 _STOPPED_LEGS: Final = (Kind.WATCHDOG_EXPIRED, Kind.OVERFLOW)
-"""Events of legs that the gateway has stopped by a rule of its own."""
+"""Events of single legs that the gateway stopped by a rule of its own."""
 _EVENT_S: Final = 0.1
-"""An event is published beside the answer to a question, and may come after it."""
+"""How much later than an answer the event about the same Stop may arrive."""
 AGAIN: Final = "start_again() goes on; after an emergency stop, once reset() has left it"
-"""A program's next call: a note of the error, which its traceback shows; the sentence itself is for anybody."""
+"""A program's next call, as a note of the error: tracebacks show it, `str()` does not."""
 _AND_THEN: Final = (Kind.WATCHDOG_EXPIRED, Kind.STOPPED_OUTSIDE, Kind.STOPPING)
-"""Events whose detail goes on, behind a semicolon, with what held from then on."""
-_UNHEARD: Final = "if it runs, its watchdog stops the legs; if it has died, stop-servos does, where systemd runs it"
+"""Events whose detail continues, after a semicolon, with the state that followed."""
+_SILENCE: Final = "if it runs, its watchdog stops the legs; if it has died, stop-servos does, where systemd runs it"
 
 
 class StreamClient(LeaseClient, Protocol):
@@ -60,12 +60,12 @@ class StreamClient(LeaseClient, Protocol):
 class Stream:
     """Setpoints for any of the six legs, `hz` times a second; made by `Client.stream`, used in a `with`.
 
-    The first setpoint of a leg starts it. At the end of the `with` what was started is stopped, also after an error:
-    legs whose start was accepted, or not answered. A leg whose start was rejected, or that the gateway has since found
-    stopped, may be somebody else's, and is left alone.
-    Nothing is ever sent but what `set` is given: a program that stalls is stopped by the gateway's watchdog. So is a
-    leg that is left out for longer than that. Inside `Client.lease`, legs whose lease was handed over, or taken, are no
-    longer this stream's: it does not stop them at its end. For one thread at a time.
+    The first setpoint of a leg starts it. The end of the `with` stops, also after an error, the legs whose start was
+    accepted or not answered. It does not stop a leg whose start was rejected, or that the gateway has since reported
+    stopped: somebody else may have started it.
+    Only `set` sends setpoints, so the gateway's watchdog stops the legs of a program that stalls, and a leg that is
+    left out for longer than its timeout. Inside `Client.lease`, legs whose lease was handed over or taken are no longer
+    this stream's: it does not stop them at its end. For one thread at a time.
 
     >>> with Client(endpoint) as robot, robot.stream(hz=50) as stream:
     ...     for step in range(10):
@@ -84,14 +84,14 @@ class Stream:
         self._started: frozenset[int] = frozenset()
         self._to_stop: frozenset[int] = frozenset()
         self._lease: Lease | None = None  # under which it started them
-        self._since: datetime | None = None  # by the gateway's clock: since when all that is started runs
+        self._since: datetime | None = None  # by the gateway's clock: since then all started legs run
         self._over: GatewayError | None = None
         self._doubt = Doubt()
         self._events: deque[Event] = deque(maxlen=_KEPT)
         self._received_stop = threading.Event()
         self.answer: GatewayState | None = None
-        """The gateway's newest answer; it is taken once."""
-        self._rival: str | None = None  # the gateway's sentence about another source on a leg of ours
+        """The gateway's newest answer; the reader sets it to None."""
+        self._rival: str | None = None  # the gateway's sentence about another source that moved a leg of ours
         self._warned = False  # once is enough
         self._subscribers: list[Any] = []
         self._sending = threading.Lock()
@@ -99,7 +99,7 @@ class Stream:
 
     @property
     def missed(self) -> int:
-        """Ticks for which `set` was called too late, or not at all. They were skipped, never made up."""
+        """Ticks for which `set` was called too late, or not at all. They were skipped, never sent later."""
         return self._pace.missed
 
     def __enter__(self) -> Self:
@@ -119,16 +119,16 @@ class Stream:
     def set(self, angles_deg: Mapping[int, Sequence[Angle]]) -> None:
         """Wait for the next tick, then send these legs' angles (degrees, 0 to 180, joints 1, 2, 3) in one message.
 
-        The first setpoint of a leg starts it, and is acknowledged; all others are fire and forget. So what became of
-        one is told by a later call. Where `limits.start_stagger_ms` spreads starts over longer than the watchdog's
-        timeout, give one leg more at each call. Raises, without sending:
+        The first setpoint of a leg starts it and is acknowledged; the others are fire and forget, so a later call
+        raises the error of an earlier one. If `limits.start_stagger_ms` spreads starts over more than the watchdog's
+        timeout, add one leg with each call. Raises, without sending:
 
         - LeaseLostError: somebody else drives now.
         - RejectedError: the gateway rejected an earlier setpoint, or this start (nothing more is then sent).
         - StoppedError: the watchdog (this program stalled, or left a leg out), another's Stop, an emergency stop, a bus
-          fault or the gateway's end has stopped what this stream moves.
-        - DisconnectedError: the link is lost, or the gateway has fallen silent.
-        - ValueError, TypeError: these are no three angles of a leg.
+          fault or the gateway's end has stopped legs of this stream.
+        - DisconnectedError: the link is lost, or the gateway does not answer.
+        - ValueError, TypeError: a leg, or its angles, are invalid.
 
         After LeaseLostError, StoppedError, DisconnectedError and a rejected start each call raises the same again,
         until `start_again`.
@@ -141,22 +141,22 @@ class Stream:
         self.send(angles)
 
     def start_again(self) -> None:
-        """Go on after an error: the next `set` starts its legs afresh, from wherever they now are."""
+        """Go on after an error: the next `set` starts its legs anew, from wherever they are."""
         self._over = None
         self._started = frozenset()
         self._pace.pause()
 
     def go_on_without(self, legs: Iterable[int]) -> None:
-        """Go on after a StoppedError with the legs that still run. They are set, never started: that undoes no Stop."""
+        """Go on after a StoppedError with the legs that still run. They are set, never started: no Stop is undone."""
         self._over = None
         self._started -= frozenset(legs)
 
-    # ---- the steps of it, which AsyncStream takes, too
+    # ---- the parts of `set`, which AsyncStream calls as well
 
     def open(self) -> None:
-        """Begin to listen. Raises DisconnectedError, and ValueError for a rate below the watchdog's. @private
+        """Subscribe. Raises DisconnectedError, and ValueError for a rate below the watchdog's. @private
 
-        Warns where the gateway takes fewer setpoints.
+        Warns if the gateway takes fewer setpoints.
         """
         client = self._client
         state = client.state()
@@ -166,14 +166,14 @@ class Stream:
         if (thinned := thins(self._hz, state.limits.leg_rate_hz)) is not None:
             warnings.warn(thinned, stacklevel=3)
         self._doubt = Doubt(watchdog_s)
-        self._subscribers = [client.on_state(self._hear_state), client.on_event(self._hear_event)]
+        self._subscribers = [client.on_state(self._receive_state), client.on_event(self._receive_event)]
         self._open = True
 
     def close(self) -> None:
-        """Stop what was started, acknowledged. Raises DisconnectedError, RejectedError. @private"""
+        """Stop the started legs, acknowledged. Raises DisconnectedError, RejectedError. @private"""
         self._open = False
         if not self._sending.acquire(blocking=False):
-            # A start of another thread's may be under way: a Stop now, and one more that is newer than it.
+            # Another thread may be starting legs: a Stop now, and one more after that start.
             self._stop()
             self._sending.acquire()
         try:
@@ -186,7 +186,7 @@ class Stream:
                     each.undeclare()
 
     def read(self, angles_deg: Mapping[int, Sequence[Angle]]) -> LegAngles:
-        """The numbers. Raises ValueError, TypeError. Warns once where they look like radians. @private"""
+        """The angles as numbers. Raises ValueError, TypeError. Warns once if they look like radians. @private"""
         if not angles_deg:
             raise ValueError("no leg is given")
         read = legs_angles(angles_deg)
@@ -202,7 +202,7 @@ class Stream:
         return read
 
     def check_open(self) -> None:
-        """Raise what a call outside of a `with`, or after an error, raises. @private"""
+        """Raise RuntimeError outside the `with`, and the error that has ended the stream. @private"""
         if not self._open:
             raise RuntimeError("a stream is used in a `with`, and is over after it")
         if self._over is not None:
@@ -214,16 +214,16 @@ class Stream:
         return self._over is not None
 
     def due_s(self) -> float:
-        """When (monotonic) the setpoint is to be sent; once for each. @private"""
+        """When (monotonic) to send the setpoint; to be called once for each. @private"""
         return self._pace.next_s(time.monotonic())
 
     def must_ask(self, angles: LegAngles) -> bool:
-        """Whether `send` would ask the gateway, and wait for its answer. @private"""
+        """Whether `send` would wait for an answer of the gateway. @private"""
         starts = not angles.keys() <= self._started
         return starts or self._in_doubt() or bool(self._events) or self._sending.locked()
 
     def send(self, angles: LegAngles) -> None:
-        """Check, and send, as `set` states. @private"""
+        """Check and send, with the errors of `set`. @private"""
         with self._sending:
             self.check_open()
             try:
@@ -246,7 +246,7 @@ class Stream:
                 raise
 
     def _lost_lease(self, error: GatewayError) -> LeaseLostError | None:
-        """Whether that is behind it: a forced take stops all legs, and what was sent after it is rejected."""
+        """The loss of the lease, if it caused the error: a forced take stops all legs and rejects later commands."""
         if isinstance(error, LeaseLostError):
             return error
         may_be = isinstance(error, StoppedError) or (isinstance(error, RejectedError) and error.reason in NOT_OURS)
@@ -261,7 +261,7 @@ class Stream:
         old = {leg: each for leg, each in angles.items() if leg in self._started}
         legs = setpoints("start", new) | setpoints("set", old)
         before = self._to_stop
-        self._to_stop |= new.keys()  # until it is answered nobody knows whether they run
+        self._to_stop |= new.keys()  # without an answer they may run
         self._lease = self._client.carried_lease
         self._received_stop.clear()
         try:
@@ -291,15 +291,15 @@ class Stream:
 
     # ---- what is received, on a thread of Zenoh's
 
-    def _hear_state(self, state: GatewayState) -> None:
+    def _receive_state(self, state: GatewayState) -> None:
         self._doubt.received(time.monotonic())
         if not self._runs(state):
             self._doubt.raise_it()
 
-    def _hear_event(self, event: Event) -> None:
+    def _receive_event(self, event: Event) -> None:
         self._doubt.received(time.monotonic())
         if event.kind == Kind.COMMAND_REJECTED:
-            # A command that names none but our legs: those of another stream are that one's business.
+            # A command with a leg that is not ours is another stream's, of the same client.
             named_ours = self._started.issuperset(event.legs)
             if event.source == self._client.name and event.key == keys.LEGS_COMMAND and named_ours:
                 self._events.append(event)
@@ -307,7 +307,7 @@ class Stream:
             if self._started.intersection(event.legs):
                 self._events.append(event)
                 self._received_stop.set()
-            elif not event.legs:  # an older gateway does not say which
+            elif not event.legs:  # an older gateway omits them
                 self._doubt.raise_it()
         elif event.kind in _ENDINGS:
             self._events.append(event)
@@ -315,7 +315,7 @@ class Stream:
             self._rival = event.detail
 
     def _takes(self, event: Event) -> bool:
-        """Whether we have taken a leg from another source that moved it. What that one takes, it may also stop."""
+        """Whether we took a leg from another source. A leg that a source takes from us it may also stop."""
         ours = event.source == self._client.name and self._lease is None
         return ours and bool(self._to_stop.intersection(event.legs))
 
@@ -330,20 +330,20 @@ class Stream:
         if (error := self._reported_stop(fresh)) is not None:
             raise error
         if fresh:
-            self._ask()  # which knows better why nothing runs, if so
+            self._ask()  # whose answer states better why legs do not run
             raise RejectedError(fresh[0].reason or "", fresh[0].detail)
         if self._in_doubt():
             self._ask()
 
     def _fresh_events(self) -> list[Event]:
-        """Those since the latest call. What is older than the start was the end of something that is over."""
+        """The events since the latest call. Those before the start concern earlier motion."""
         events = []
         while self._events:
             events.append(self._events.popleft())
         return [event for event in events if self._since is not None and event.time > self._since]
 
     def _reported_stop(self, events: Iterable[Event]) -> StoppedError | None:
-        """What has stopped this stream's legs, if events state it: all of them together."""
+        """The error for all events that stopped this stream's legs; None: there are none."""
         stops = [event for event in events if event.kind != Kind.COMMAND_REJECTED]
         if not stops:
             return None
@@ -352,15 +352,15 @@ class Stream:
         return StoppedError(details, frozenset().union(*legs))
 
     def _ask(self) -> GatewayState:
-        """Raise unless the gateway reports that all that is started runs."""
+        """Ask for the state. Raises unless all started legs run."""
         self._client.check_open()
         if not self._client.connected:
-            raise DisconnectedError(f"the link to the gateway was lost: {_UNHEARD}")
+            raise DisconnectedError(f"the link to the gateway was lost: {_SILENCE}")
         self._doubt.asked()
         try:
             state = self._client.state(CONFIRM_S)
         except ZenohError as error:
-            raise DisconnectedError(f"the gateway did not answer: {_UNHEARD}") from error
+            raise DisconnectedError(f"the gateway did not answer: {_SILENCE}") from error
         self._doubt.received(time.monotonic())
         self.answer = state
         self._to_stop -= self._not_ours(state)
@@ -369,10 +369,10 @@ class Stream:
         return state
 
     def _not_ours(self, state: GatewayState) -> frozenset[int]:
-        """Legs that the end of this stream must leave alone; each start of ours was answered before this state.
+        """Legs that the end of this stream must not stop; this state is newer than the answers to our starts.
 
-        What does not run is over: what runs again later was started by somebody else. While somebody else holds the
-        lease, what runs by another's command is theirs, too: a takeover has stopped ours.
+        A leg that does not run is no longer ours: only somebody else can start it again. While somebody else holds the
+        lease, a leg with another source is theirs: the takeover has stopped ours.
         """
         ours_only = state.lease.holder is None or (self._lease is not None and self._lease.held)
         return frozenset(
@@ -400,7 +400,7 @@ class Stream:
             case Mode.STOPPING | Mode.STARTING:
                 why = "the gateway ended, or was started anew"
             case _ if expired:
-                why = f"the watchdog stopped {names}: not heard for {state.watchdog.timeout_ms:g} ms"
+                why = f"the watchdog stopped {names}: no command in {state.watchdog.timeout_ms:g} ms"
             case _ if any(each.source is not None for each in state.legs if each.leg in legs):
                 why = f"somebody else stopped {names}"
             case _:
@@ -412,14 +412,14 @@ class Stream:
 
 
 def happened(event: Event) -> str:
-    """What an event that stops legs reports; past tense, so that it stays true however long an error is shown."""
+    """The sentence of an event that stopped legs, in past tense: an error may be shown for long."""
     if event.kind == Kind.ESTOP_ENGAGED:
         return f"{event.source or 'somebody'} engaged the emergency stop"
     return event.detail.partition("; ")[0] if event.kind in _AND_THEN else event.detail
 
 
 def checked_hz(hz: float) -> float:
-    """Raises ValueError for what is no rate of a stream."""
+    """Raises ValueError unless 0 < hz ≤ 1000."""
     if not 0 < hz <= MAX_HZ:
         raise ValueError(f"{hz:g} Hz; a stream's rate is above 0 and at most {MAX_HZ}")
     return hz

@@ -1,6 +1,6 @@
 """Subscriptions to what a gateway publishes.
 
-Without access control anybody may publish on the gateway's keys: what is no valid report is left out.
+Without access control any program may publish on the gateway's keys: invalid reports are left out.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -13,11 +13,11 @@ from pydantic import BaseModel, ValidationError
 R = TypeVar("R", bound=BaseModel)
 
 KEPT_EVENTS: Final = 256
-"""Events that wait for a reader which is busy; the oldest make way."""
+"""The events kept for a busy reader; the oldest are dropped first."""
 
 
 def reports(model: type[R], take: Callable[[R], object]) -> Callable[[zenoh.Sample], None]:
-    """A subscriber's callback: `take` gets each report that is valid."""
+    """A subscriber's callback that calls `take` with each valid report."""
 
     def receive(sample: zenoh.Sample) -> None:
         try:
@@ -31,7 +31,7 @@ def reports(model: type[R], take: Callable[[R], object]) -> Callable[[zenoh.Samp
 
 @contextmanager
 def subscribed(session: zenoh.Session, handlers: Mapping[str, Any]) -> Iterator[list[Any]]:
-    """Subscribers meanwhile, one for each key: a callback, which runs on a thread of Zenoh's, or a channel."""
+    """Subscribe to each key for the time of a `with`; a handler is a callback, on a Zenoh thread, or a channel."""
     subscribers = [session.declare_subscriber(key, handler) for key, handler in handlers.items()]
     try:
         yield subscribers

@@ -1,4 +1,4 @@
-"""What stands before a blocking object for asyncio: each call waits on a thread of its own."""
+"""Asynchronous twins of blocking objects: each call waits on a thread of its own."""
 
 import asyncio
 import threading
@@ -18,7 +18,7 @@ T = TypeVar("T")
 
 
 class Twin(ABC, Generic[B]):
-    """What stands before a blocking object, with the same names, arguments, rules and errors."""
+    """Wraps a blocking object, with the same names, arguments, rules and errors."""
 
     _threads: "CallThreads"
 
@@ -34,19 +34,19 @@ class Twin(ABC, Generic[B]):
 def waits(
     method: Callable[Concatenate[B, P], T], *, stops: bool = False
 ) -> Callable[Concatenate[Twin[B], P], Coroutine[Any, Any, T]]:
-    """The twin of a method that waits. `stops`: it stops the robot, and so never waits for its turn."""
+    """The twin of a method that waits. `stops`: it stops the robot, so it never waits for its turn."""
 
     @wraps(method)
     async def call(twin: Twin[B], /, *args: P.args, **kwargs: P.kwargs) -> T:
         return await twin._run(partial(method, twin._own, *args, **kwargs), stops=stops)
 
-    # It has the method's name and signature, but not the method: tools that make documents see that it is a coroutine.
+    # Documentation tools follow `__wrapped__` to the blocking method; without it they show a coroutine.
     vars(call)["__signature__"] = signature(vars(call).pop("__wrapped__"))
     return call
 
 
 class HeldTwin(Twin[H]):
-    """The twin of what is used in a `with`."""
+    """The twin of an object that is used in a `with`."""
 
     def __init__(self, own: H, threads: "CallThreads") -> None:
         """Made by AsyncClient. @private"""
@@ -65,14 +65,14 @@ class HeldTwin(Twin[H]):
     async def __aexit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        # It goes on when this is cancelled.
+        # The thread finishes the Stop even when this is cancelled.
         await self._threads.run(partial(self._own.__exit__, kind, error, trace), stops=True)
 
 
 class CallThreads:
-    """Runs what waits, each call on a thread of its own: no pool in which a Stop could be the one too many.
+    """Runs each call on a thread of its own: a pool could be full when a Stop comes.
 
-    They are no daemons: a program's end waits for a Stop that is under way.
+    The threads are not daemons, so the program's end waits for a pending Stop.
     """
 
     def __init__(self) -> None:
@@ -85,9 +85,9 @@ class CallThreads:
         stops: bool = False,
         too_late: Callable[[T], object] | None = None,
     ) -> T:
-        """What `function` returns or raises. Cancelled, it goes on, and `too_late` takes what it then returns."""
+        """Return or raise what `function` does. If cancelled, it continues, and `too_late` receives its result."""
         done: Future[T] = Future()
-        done.set_running_or_notify_cancel()  # from now on nobody can cancel it
+        done.set_running_or_notify_cancel()  # from now on it cannot be cancelled
 
         def call() -> None:
             try:
@@ -112,7 +112,7 @@ class CallThreads:
             raise
 
     async def run_last(self, function: Callable[[], None]) -> None:
-        """The same, when all Stops have their answers."""
+        """Run `function` after all pending Stops have their answers."""
         under_way = list(self._stops)
 
         def call() -> None:
@@ -124,6 +124,7 @@ class CallThreads:
 
 
 def on_this_loop(callback: Callable[[T], None]) -> Callable[[T], None]:
+    """`callback`, called on the running loop from any thread; not at all once the loop is closed."""
     loop = asyncio.get_running_loop()
 
     def call(report: T) -> None:

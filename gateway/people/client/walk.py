@@ -1,4 +1,4 @@
-"""Walking: velocities in place of angles. A `Ride` (gateway/people/walking) with a thread, a connection and a clock."""
+"""Walking by velocities: a `Ride` (gateway/people/walking) with a thread, a connection and a clock."""
 
 import signal
 import threading
@@ -47,7 +47,7 @@ _SLOWER: Final = 0.98
 
 
 class Terminated(SystemExit):
-    """SIGTERM came within the `with` of a walk."""
+    """SIGTERM arrived inside the `with` of a walk."""
 
     def __init__(self) -> None:
         super().__init__(128 + signal.SIGTERM)
@@ -72,15 +72,14 @@ class Walk:
     (StoppedError, RejectedError, LeaseLostError, DisconnectedError), and WalkError for what these legs cannot do.
 
     A velocity holds for `hold_s`; then the robot finishes its step and stands, so a program that hangs does not walk
-    on. Whoever calls nothing for `rest_s` has it sit down, and its servos stopped. At the end of the `with` it sits
-    down and is stopped, after an error it is stopped at once. Ctrl-C in it, or SIGTERM where the main thread has no
-    handler of its own, is no error: it sits down, and a second one stops it at once. If the process dies, the gateway's
-    watchdog stops it.
+    on. After `rest_s` without a call it sits down, and its servos are stopped. At the end of the `with` it sits down
+    and is stopped; after an error it is stopped at once. Ctrl-C, or SIGTERM if the main thread has no handler for it,
+    is no error: it sits down, and a second one stops it at once. If the process dies, the gateway's watchdog stops it.
 
     A leg that somebody else stops ends the walk: the others are put down and stand still, and every call raises
     StoppedError with that leg in `legs`, until `start_again`. For one thread at a time.
 
-    With `wait=False` a call returns at once, for programs that have a clock of their own, and look at `state`.
+    With `wait=False` a call returns at once, for programs that have a clock of their own and read `state`.
 
     >>> with Client(endpoint) as robot, robot.walk() as walk:
     ...     walk.stand()
@@ -104,10 +103,8 @@ class Walk:
     ) -> None:
         """See `Client.walk`, and `Ride` for `silences` and `once`.
 
-        Raises WalkError for a gait that there is not, ConfigError for a faulty geometry file, and ValueError for a rate
-        that no stream has.
-
-        @private
+        Raises WalkError for an unknown gait, ConfigError for a faulty geometry file, ValueError for a rate that no
+        stream has. @private
         """
         gait_named(gait)
         self._client = client
@@ -123,17 +120,17 @@ class Walk:
         self._ride: Ride | None = None
         self._thread: threading.Thread | None = None
         self._changed = threading.Condition()
-        """Held while the ride is used."""
+        """Notified after each change; its lock guards the ride."""
         self._not_again: Exception | None = None
-        """Why it could not start again."""
+        """Why `start_again` failed."""
         self._closing = self._sits_at_sigterm = False
         self._newest = Newest()
         self._reports: zenoh.Subscriber[None] | None = None
         self._ticks = 0
         self._awaited: Posture | None = None
-        """Cleared when it is reached."""
+        """The posture that a call waits for; None: none, or it is reached."""
         self.slowest_tick_s = 0.0
-        """What the longest tick took to compute, without the wait for its time. @private"""
+        """The longest computation of a tick, without the wait for its time. @private"""
 
     # ---- what a program calls
 
@@ -142,7 +139,7 @@ class Walk:
     ) -> None:
         """Walk at this velocity for `hold_s` from now on; waits for the next tick, so a loop needs no other clock.
 
-        A robot that does not stand yet stands up first. `state.scaled` states what of a velocity the legs can do.
+        A robot that does not stand yet stands up first. `state.scaled` is the velocity that the legs can reach.
         """
         velocity = Velocity.checked(forward_m_s, left_m_s, turn_rad_s)
         self.use(lambda ride, now_s: ride.go(velocity, now_s))
@@ -151,52 +148,42 @@ class Walk:
             self._wait_for(lambda: self._ticks > ticks)
 
     def ahead(self, metres: float) -> None:
-        """Walk so far by `state.odometry` (below 0: backward), and stand; returns when it stands.
+        """Walk this far by `state.odometry` (below 0: backward); returns when the robot stands.
 
-        Raises what `go` does, and WalkError where it comes no nearer. An exception in it ends the walk as a silence
-        does: the robot stands within `hold_s` and a stride.
+        Raises as `go`, and WalkError if it comes no nearer. After an exception, such as Ctrl-C, the robot stands within
+        `hold_s` and a stride.
         """
         self._cover(Distance(metres, turns=False))
 
     def turn(self, radians: float) -> None:
-        """Turn in place by so much, counter-clockwise above 0, and stand; as `ahead`."""
+        """Turn in place by this angle (above 0: counter-clockwise), and stand; as `ahead`."""
         self._cover(Distance(radians, turns=True))
 
     def stand(
         self, height_m: float | None = None, roll_rad: float = 0.0, pitch_rad: float = 0.0, *, wait: bool = True
     ) -> None:
-        """Stand with the body that high above the ground (None: as before), leaning right and forward; waits for it."""
+        """Stand with the body this high above the ground (None: as before), leaning right and forward; waits for it."""
 
         def stand(ride: Ride, now_s: float) -> None:
             height = ride.body.height_m if height_m is None else height_m
             as_before = height_m is None and not roll_rad and not pitch_rad
             ride.stand(None if as_before else BodyPose(height, roll_rad, pitch_rad), now_s)
-            self._awaited = Posture.STANDING
 
-        self.use(stand)
-        if wait:
-            self._wait_for(lambda: self._awaited is None)
+        self._reach(Posture.STANDING, stand, wait)
 
     def sit(self, *, wait: bool = True) -> None:
-        """Lie down on the belly; waits for it. The servos hold on until the `with` ends, or `rest_s` is over."""
-
-        def sit(ride: Ride, now_s: float) -> None:
-            ride.sit(now_s)
-            self._awaited = Posture.SITTING
-
-        self.use(sit)
-        if wait:
-            self._wait_for(lambda: self._awaited is None)
+        """Lie down on the belly; waits for it. The servos stay on until the `with` ends, or for `rest_s`."""
+        self._reach(Posture.SITTING, Ride.sit, wait)
 
     def walk_as(self, gait: str) -> None:
-        """Another gait; the walk pauses for the change. Raises WalkError for one that there is not."""
+        """Change the gait; the walk pauses meanwhile. Raises WalkError for an unknown one."""
         self.use(lambda ride, now_s: ride.walk_as(gait, now_s))
 
     def start_again(self) -> None:
-        """Go on after an error, which a person decides. Lost legs start where they were, while the others carry the
-        robot; else all are stopped, and it begins anew, lying, with the next call.
+        """Go on after an error, which a person decides. If the other legs carry the robot, lost legs start where they
+        were; else all are stopped, and the next call begins anew, from lying.
 
-        A lease of its own that was lost is acquired again. Raises LeaseError where somebody else drives.
+        A lost lease of its own is acquired again. Raises LeaseError if somebody else drives.
         """
         with self._changed:
             self._not_again = None
@@ -206,34 +193,33 @@ class Walk:
                 raise self._not_again or WalkError(f"after {LONGEST_S:g} s the gateway has not answered")
 
     def use(self, do: Callable[[Ride, float], T]) -> T:
-        """Call this with the ride and the time, and wake the thread that walks. @private"""
+        """Call `do` with the ride and the time, and wake the walking thread. @private"""
         with self._changed:
-            done = do(self._using(), time.monotonic())
-            self._changed.notify_all()
-            return done
+            self._changed.notify_all()  # it wakes when this is done
+            return do(self._using(), time.monotonic())
 
     @property
     def error(self) -> GatewayError | None:
-        """What has ended it, and what each call raises, until `start_again`. @private"""
+        """The error that ended the walk; each call raises it until `start_again`. @private"""
         return None if self._ride is None else self._ride.error
 
     @property
     def state(self) -> WalkState:
-        """What it is doing: posture, commanded and scaled velocity and why, odometry, lost legs."""
+        """Posture, commanded and scaled velocity, the reason for scaling, odometry, lost legs."""
         with self._changed:
             return self._using().state
 
     @property
     def now(self) -> str:
-        """What the robot does, in one sentence (`It walks`), by the gateway's newest state; says so if that is old."""
+        """What the robot does by the newest state, in one sentence (`It walks`), which reports an old state."""
         with self._changed:
             ride = self._using()
-            # While it starts legs, one after the other, those that do not run yet were not stopped.
+            # Legs that it has not started yet were not stopped.
             return self._newest.sentence(time.monotonic(), None if ride.phase is Phase.STARTS else ride.state)
 
     @property
     def is_over(self) -> bool:
-        """Whether its driver has been silent, and nothing runs by it any more. @private"""
+        """Whether it ended because its driver was silent, and all its legs are stopped. @private"""
 
         def look(ride: Ride, now_s: float) -> bool:
             ride.look(now_s)
@@ -243,7 +229,7 @@ class Walk:
 
     @property
     def hold_s(self) -> float:
-        """How long a velocity holds; 0.5 unless it is set."""
+        """How long a velocity holds, in seconds; 0.5 by default."""
         return self._silences.hold_s
 
     @hold_s.setter
@@ -252,7 +238,7 @@ class Walk:
 
     @property
     def rest_s(self) -> float:
-        """After how long without a call it sits down and is stopped; 10 unless it is set."""
+        """After how many seconds without a call it sits down and is stopped; 10 by default."""
         return self._silences.rest_s
 
     @rest_s.setter
@@ -273,7 +259,7 @@ class Walk:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         try:
-            # Who ends a program wants no fall. Who cannot wait presses again: that interrupts the sitting down.
+            # The end of a program must not drop the robot; a second signal interrupts the sitting down.
             self.close(sits=error is None or isinstance(error, KeyboardInterrupt | Terminated))
         except GatewayError as failed:
             if error is None:
@@ -284,7 +270,7 @@ class Walk:
                 signal.signal(signal.SIGTERM, signal.SIG_DFL)
 
     def open(self) -> None:
-        """Acquire the lease, read limits and calibration. Nothing moves. Raises as calls do, or LeaseError. @private"""
+        """Acquire the lease, read limits and calibration; moves nothing. Raises as calls do, or LeaseError. @private"""
         if self._thread is not None:
             raise RuntimeError("a walk is used once; make a new one with `walk()`")
         if self._client.walks:
@@ -313,7 +299,7 @@ class Walk:
         self._thread.start()
 
     def close(self, *, sits: bool = True) -> None:
-        """Sit down, if it can, and stop the legs. Raises what went wrong meanwhile. @private"""
+        """Sit down, if it can, and stop the legs. Raises the errors of both. @private"""
         try:
             with self._changed:
                 sits = sits and not self._closing and self.error is None and self._stream is not None
@@ -332,12 +318,19 @@ class Walk:
                 self._release()
 
     def end_now(self) -> None:
-        """Send nothing more. A `close` on another thread does not wait for it to sit, and stops the legs. @private"""
+        """Send nothing more. A `close` on another thread then stops the legs without sitting down. @private"""
         with self._changed:
             self._closing = True
             self._changed.notify_all()
 
     # ---- inside
+
+    def _reach(self, posture: Posture, do: Callable[[Ride, float], None], wait: bool) -> None:
+        with self._changed:
+            self.use(do)
+            self._awaited = posture
+        if wait:
+            self._wait_for(lambda: self._awaited is None)
 
     def _cover(self, distance: Distance) -> None:
         while (velocity := distance.next(self.state, time.monotonic())) is not None:
@@ -351,12 +344,11 @@ class Walk:
                 self._ride.silences = silences
 
     def _release(self) -> None:
-        lease, self._lease, reports, self._reports = self._lease, None, self._reports, None
-        if reports is not None:
+        if self._reports is not None:
             with suppress(zenoh.ZError):  # the client is closed
-                reports.undeclare()
-        if lease is not None:
-            lease.release()
+                self._reports.undeclare()
+        if self._lease is not None:
+            self._lease.release()
 
     def _end_stream(self) -> None:
         stream, self._stream = self._stream, None
@@ -372,11 +364,11 @@ class Walk:
         self._newest.take(state, time.monotonic())
 
     def _robot(self, state: GatewayState) -> Robot:
-        """As it is now, with its limits and its calibration; the rate is one that they allow."""
+        """The robot with its current limits and calibration; also sets a rate that they allow."""
         robot = robot_of(self._client, self._geometry, state)
         self._revision = state.calibration.revision
-        rate_hz = state.limits.leg_rate_hz
-        self._rate_hz = self._hz if self._hz <= rate_hz else _SLOWER * rate_hz
+        limit_hz = state.limits.leg_rate_hz
+        self._rate_hz = self._hz if self._hz <= limit_hz else _SLOWER * limit_hz
         return robot
 
     def _using(self) -> Ride:
@@ -392,7 +384,7 @@ class Walk:
             if not there:
                 raise WalkError(f"after {LONGEST_S:g} s it is still {self._using().posture}")
 
-    # ---- its thread: the only one that asks, starts and sets
+    # ---- the walking thread: the only one that asks, starts and sets
 
     def _run(self) -> None:
         ride = self._using()
@@ -430,7 +422,7 @@ class Walk:
                     stream.open()
                     self._stream = stream
                 self._stream.set(step.pose)
-                if self._stream.answer is not None:  # to a start, which no report knows yet
+                if self._stream.answer is not None:  # to a start: newer than all published states
                     self._take(self._stream.answer)
                     self._stream.answer = None
                 with self._changed:
@@ -440,7 +432,7 @@ class Walk:
                         self._awaited = None
 
     def _find(self, ride: Ride) -> None:
-        """Who runs now: before legs are started, and before anybody says that it goes on where it was."""
+        """Ask which legs run, before it starts legs or goes on where it was."""
         again, robot = ride.wants_again, ride.robot
         if again and self._lease is not None and self._lease.lost is not None:
             lease = Lease(self._client)
@@ -450,7 +442,7 @@ class Walk:
         running = running_deg(state)
         changed = state.calibration.revision != self._revision
         if again and ride.phase is Phase.HALTED:
-            running = {} if changed else running  # where it was is another angle now
+            running = {} if changed else running  # the same angles are another pose now
         elif again:
             robot = self._robot(state)
         elif changed:
@@ -459,7 +451,7 @@ class Walk:
             ride.found(robot, running, time.monotonic())
 
     def _failed(self, ride: Ride, step: RideStep, error: Exception) -> None:
-        """What a step raised."""
+        """A step has raised `error`."""
         stream = self._stream
         if ride.wants_again and step.do is not RideTask.SEND:
             with self._changed:
@@ -469,7 +461,7 @@ class Walk:
             try:
                 running = running_deg(self._ask(CONFIRM_S))
             except GatewayError:
-                running = {}  # nobody knows who stands
+                running = {}  # no leg is known to run
             with self._changed:
                 left = ride.stopped(error, running)
             if left:
@@ -484,7 +476,7 @@ class Walk:
 
 
 def running_deg(state: GatewayState) -> dict[int, Angles]:
-    """The legs all of whose servos run, and where they were commanded to, in degrees."""
+    """The legs with all servos running, and their commanded angles in degrees."""
     found: dict[int, Angles] = {}
     for leg in state.legs:
         angles = [servo.angle_deg for servo in leg.servos if servo.running and servo.angle_deg is not None]
@@ -494,7 +486,7 @@ def running_deg(state: GatewayState) -> dict[int, Angles]:
 
 
 def robot_of(client: WalkClient, geometry: Geometry, state: GatewayState) -> Robot:
-    """This robot within the limits and the calibration that are in force. Raises WalkError where both mirror it."""
+    """The robot with its limits and calibration. Raises WalkError if geometry and calibration both mirror it."""
     calibration = None
     with suppress(UnansweredError):  # an older gateway has none
         calibration = client.calibration()

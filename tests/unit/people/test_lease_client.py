@@ -235,7 +235,7 @@ def test_who_takes_does_not_ask() -> None:
 def test_what_is_no_token_is_carried_by_no_command(token: str | None) -> None:
     """Without access control anybody may answer, and a gateway rejects a command that carries something else."""
     robot = Robot(GRANTED.model_copy(update={"lease": token}))
-    with pytest.raises(LeaseError, match="gives no token"):
+    with pytest.raises(LeaseError, match="has no token"):
         lease_of(robot).acquire()
     assert (robot.carried_lease, robot.hears) == (None, None)
 

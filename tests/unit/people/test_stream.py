@@ -161,7 +161,7 @@ def test_a_program_that_stalls_asks_before_it_sends_and_learns_what_the_watchdog
     robot.sleep(0.25)
     robot.running, robot.expired = set(), {1, 2}
     for _ in range(2):
-        with pytest.raises(StoppedError, match=r"not heard for .* ms") as error:
+        with pytest.raises(StoppedError, match=r"no command in .* ms") as error:
             stream.set({1: POSE, 2: POSE})
         assert error.value.legs == (1, 2)
         assert error.value.__notes__ == [AGAIN]
@@ -176,7 +176,7 @@ def test_a_leg_that_is_left_out_is_stopped_and_not_repeated(robot: Robot, stream
     go_on(robot, stream, 0.2, legs=[2])
     robot.running, robot.expired = {2}, {1}
     robot.publish_state()
-    with pytest.raises(StoppedError, match="leg 1: not heard") as error:
+    with pytest.raises(StoppedError, match="leg 1: no command") as error:
         stream.set({2: POSE})
     assert error.value.legs == (1,)
     assert {leg for _, legs in robot.published for leg in legs} == {"2"}
