@@ -361,17 +361,8 @@ def console(
 
     if revoke or link:
         sys.exit(command.revoke() if revoke else command.link(listen))
-    command.console(
-        listen=listen,
-        connect=connect,
-        zenoh_config=zenoh_config,
-        timeout_s=timeout,
-        cert=cert,
-        key=key,
-        role=role,
-        geometry=geometry,
-        open_browser=open_browser,
-    )
+    options = command.Options(connect, zenoh_config, timeout, listen, cert, key, role, geometry, open_browser)
+    command.console(options)
 
 
 @app.command()

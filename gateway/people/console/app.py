@@ -5,52 +5,38 @@ from contextlib import suppress
 from typing import Final
 
 from gateway import __version__
-from gateway.geometry import Geometry
 from gateway.people.console.auth import SignedIn
-from gateway.people.console.link import GatewayLink
 from gateway.people.console.listener import Admitted
 from gateway.people.console.messages import Hello
-from gateway.people.console.pages import EndError, Page, Pages
+from gateway.people.console.page_tasks import EndError
+from gateway.people.console.pages import Page, Pages, Shared
 from gateway.people.console.sessions import Sessions
-from gateway.people.console.stops import Stops
 from gateway.people.console.websocket import POLICY_VIOLATION, ClosedError, WebSocket
 
 MAX_PAGES: Final = 64
 """Open at once, as many as the gateway takes sessions."""
 MAX_CLOSING: Final = 16
-"""WebSockets besides, which are being closed; more are ended without a word."""
+"""Further WebSockets, which are being closed; those beyond are ended without a reason."""
 SEND_S: Final = 5.0
-"""How long a page may leave unread what fills its socket, before it is closed."""
+"""A page that does not read for so long, while its socket is full, is closed."""
 CHECK_S: Final = 1.0
-"""How often it is looked whether a session has ended."""
-END_S: Final = 1.0
-"""How long all pages together may take to learn that the console ends."""
+"""How often each page's session is checked for its end."""
+CLOSE_PAGES_S: Final = 1.0
+"""How long all pages together may take to receive that the console ends."""
 SIGNED_OUT: Final = "signed out"
 SERVICE_RESTART: Final = 1012
 TRY_AGAIN_LATER: Final = 1013
 
 
 class Console:
-    """What all pages share."""
+    """Serves the pages, with what they share."""
 
-    def __init__(
-        self,
-        sessions: Sessions,
-        link: GatewayLink,
-        stops: Stops[str | None],
-        pages: Pages,
-        *,
-        person: str,
-        geometry: Geometry,
-    ) -> None:
+    def __init__(self, sessions: Sessions, pages: Pages, shared: Shared) -> None:
         """Made on the pages' loop."""
         self._sessions = sessions
-        self._link = link
         self._pages = pages
-        self._stops = stops
-        self._person = person
-        self._geometry = geometry
-        self._shape = geometry.model_dump(mode="json")
+        self._shared = shared
+        self._geometry = shared.geometry.model_dump(mode="json")
         self._loop = asyncio.get_running_loop()
         self._open: dict[WebSocket, asyncio.Task[None]] = {}
 
@@ -64,7 +50,7 @@ class Console:
         for websocket in self._open:
             websocket.close(SERVICE_RESTART, "the console ends")
         if tasks:
-            await asyncio.wait(tasks, timeout=END_S)
+            await asyncio.wait(tasks, timeout=CLOSE_PAGES_S)
 
     def _admit(self, admitted: Admitted) -> None:
         if len(self._open) >= MAX_PAGES + MAX_CLOSING:
@@ -76,7 +62,7 @@ class Console:
         task.add_done_callback(lambda _: self._open.pop(websocket, None))
 
     async def _serve(self, websocket: WebSocket, admitted: Admitted) -> None:
-        """From its admission until its connection has ended."""
+        """Until its connection has ended."""
         try:
             await self._loop.connect_accepted_socket(lambda: websocket, admitted.connection)
         except OSError:
@@ -89,18 +75,9 @@ class Console:
         await websocket.closed.wait()
 
     async def _serve_page(self, websocket: WebSocket, session: SignedIn) -> None:
-        page = Page(
-            self._pages.next_number(),
-            self._person,
-            session.role,
-            self._link,
-            self._stops,
-            self._geometry,
-            self._sessions.new_link,
-        )
-        hello = Hello(
-            role=session.role, person=self._person, source=page.source, version=__version__, geometry=self._shape
-        )
+        page = Page(self._pages.next_number(), session.role, self._shared)
+        person, geometry = self._shared.person, self._geometry
+        hello = Hello(role=session.role, person=person, source=page.source, version=__version__, geometry=geometry)
         self._pages.add(page)
         try:
             with suppress(ClosedError):
@@ -109,13 +86,13 @@ class Console:
         except EndError as end:
             websocket.close(POLICY_VIOLATION, str(end))
         except TimeoutError:
-            websocket.abort()  # it reads nothing, not even a reason
+            websocket.abort()  # it does not read, so it gets no reason
         finally:
             self._pages.remove(page)
             page.close()
 
     async def _exchange(self, websocket: WebSocket, page: Page, session: SignedIn) -> None:
-        """Until the page is closed, or has to be."""
+        """Until the page is closed. Raises EndError where it has to be, and TimeoutError where it does not read."""
         tasks = [
             asyncio.create_task(each)
             for each in (self._receive(websocket, page), self._send(websocket, page), self._check(session))
@@ -133,7 +110,7 @@ class Console:
     async def _receive(self, websocket: WebSocket, page: Page) -> None:
         while True:
             page.take(await websocket.receive())
-            await asyncio.sleep(0)  # a page that has sent much waits for the others
+            await asyncio.sleep(0)  # lets the other pages go first
 
     async def _send(self, websocket: WebSocket, page: Page) -> None:
         while True:

@@ -1,12 +1,12 @@
-"""Who is let in: answers requests, without I/O. Whoever is not signed in gets 403, a few words, and nothing else.
+"""Answers HTTP requests, without I/O. A request without a session is answered by 403, a reason, and nothing else.
 
-A session has two secrets. The cookie goes with every request, also to other ports of the same host, where another user
-of the machine may listen. So it opens nothing that matters by itself: who wants the WebSocket also has to know the
+A session has two secrets. Browsers send the cookie with every request, also to other ports of the same host, where
+another user of the machine may listen. So it gives access to the page's files alone; the WebSocket also requires the
 session's key, which the page keeps for its own origin (scheme, host and port).
 
-The key is never sent, since another program may listen at this origin while the console is started again. The page asks
-`/session` with a nonce of its own; the answer has the console's nonce, and shows by an HMAC over both that it knows the
-key. Only then does the page open its WebSocket, with an HMAC over the console's nonce.
+The key is never sent, since another program may listen at this origin while the console is started again. The page
+sends a nonce to `/session`; the answer has the console's nonce, and an HMAC over both proves that it knows the key.
+Only then the page opens its WebSocket, with an HMAC over the console's nonce.
 """
 
 import hashlib
@@ -36,20 +36,20 @@ PAGE: Final = Path(__file__).with_name("page")
 WEBSOCKET: Final = "/ws"
 SUBPROTOCOL: Final = "hexapod-console"
 PROOF_PREFIX: Final = "proof."
-"""A page offers this with the console's nonce and its HMAC as a second subprotocol: a WebSocket's request has no other
-place for it that a script can fill."""
+"""A page offers it with the console's nonce and its HMAC as a second subprotocol: a script can set no other header of a
+WebSocket's request."""
 NONCE_S: Final = 10.0
-"""How long a nonce serves, once: a page opens its WebSocket with the answer that brought it."""
-MOST_NONCES: Final = 256
-"""Five seconds' worth of connections; whoever has a cookie can ask for more, and the oldest are forgotten."""
+"""How long a nonce may be used, once: a page opens its WebSocket as soon as it receives it."""
+MAX_NONCES: Final = 256
+"""Issued in five seconds at most, by the bound on connections; beyond it the oldest are dropped."""
 PUBLIC: Final = ("/enter.html", "/enter.js", "/key.js", "/refused.css")
-"""The first three take the key of a new session out of the address, and into the page's keeping."""
+"""The first three move the key of a new session from the address into the browser's storage."""
 
 CONTENT_POLICY: Final = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; connect-src 'self' {socket}; "
     "manifest-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
 )
-ANOTHER: Final = "A link that works once is printed, on the console's machine, by:"
+NEW_LINK: Final = "A link that works once is printed, on the console's machine, by:"
 HEADERS: Final = {
     "x-content-type-options": "nosniff",
     "x-frame-options": "DENY",
@@ -57,13 +57,13 @@ HEADERS: Final = {
     "cross-origin-opener-policy": "same-origin",
     "cross-origin-resource-policy": "same-origin",
     "permissions-policy": "camera=(), microphone=(), geolocation=(), gamepad=(self)",
-    "cache-control": "no-cache",  # asked for again each time, and answered with 304 where it is the same
+    "cache-control": "no-cache",  # revalidated each time, and answered with 304 if unchanged
 }
 
 
 @dataclass(frozen=True)
 class SignedIn:
-    """A page's WebSocket may come in."""
+    """A WebSocket request of a page with a session."""
 
     entry: Entry
     role: Role
@@ -74,7 +74,7 @@ _PAGES: Final = {"/": "/index.html", "/button": "/button.html"}
 
 @dataclass(frozen=True)
 class HttpAnswer:
-    """What to send. `is_for_session`: to somebody who is signed in."""
+    """`is_for_session`: the request had a valid session."""
 
     response: Response
     is_for_session: bool = False
@@ -88,20 +88,19 @@ class _PageFile:
 
 
 class Auth:
-    """For the thread that takes requests."""
+    """For one thread."""
 
-    def __init__(self, site: Site, sessions: Sessions, *, person: str, role: Role) -> None:
-        """`role` is what a page may do at most."""
+    def __init__(self, site: Site, sessions: Sessions, role: Role) -> None:
+        """`role`: what a page may do at most."""
         self._site = site
         self._sessions = sessions
-        self._person = person
         self._role = role
         self._files = _files()
         self._nonces: dict[str, float] = {}
-        """Given out and not used, and until when each serves, monotonic."""
+        """Issued and not used, and until when each is valid, monotonic."""
 
     def answer(self, request: Request) -> HttpAnswer | SignedIn:
-        """What to say to it, or that its WebSocket may come in."""
+        """The response, or the session whose WebSocket is admitted."""
         found = self._answer(request)
         if isinstance(found, HttpAnswer):
             self._add_headers(request, found.response)
@@ -118,7 +117,7 @@ class Auth:
         return self._for_session(request, path, query)
 
     def _why_not(self, request: Request, path: str) -> HttpAnswer | None:
-        """What to say to what no page of ours sends."""
+        """The answer to a request that no page of ours sends."""
         host, origin = _one(request, "Host"), _one(request, "Origin")
         if request.method != "GET":
             return _text(HTTPStatus.METHOD_NOT_ALLOWED, "only GET")
@@ -133,7 +132,7 @@ class Auth:
         if entry is None or (path == WEBSOCKET and not self._is_proved(entry, *_offered_proof(request))):
             if path in _PAGES:
                 return self._refused("You are not signed in.")
-            return _no(f"You are not signed in. {ANOTHER} {this_command()} console --link")
+            return _no(f"You are not signed in. {NEW_LINK} {this_command()} console --link")
         role = least(entry.role, self._role)
         if path == WEBSOCKET:
             return SignedIn(entry, role)
@@ -145,16 +144,16 @@ class Auth:
 
     def _new_nonce(self) -> str:
         now_s = time.monotonic()
-        while self._nonces and (len(self._nonces) >= MOST_NONCES or now_s >= self._nonces[next(iter(self._nonces))]):
+        while self._nonces and (len(self._nonces) >= MAX_NONCES or now_s >= self._nonces[next(iter(self._nonces))]):
             del self._nonces[next(iter(self._nonces))]
         nonce = secrets.token_hex(16)
         self._nonces[nonce] = now_s + NONCE_S
         return nonce
 
     def _is_proved(self, entry: Entry, nonce: str, made: str) -> bool:
-        """Whether this is the page of the session; the nonce has served."""
-        serves = time.monotonic() < self._nonces.pop(nonce, 0.0)
-        return serves and bool(entry.key_sha256) and hmac.compare_digest(proof(entry.key_sha256, f"page {nonce}"), made)
+        """Whether the page knows the session's key; uses up the nonce."""
+        is_valid = time.monotonic() < self._nonces.pop(nonce, 0.0) and bool(entry.key_sha256)
+        return is_valid and hmac.compare_digest(proof(entry.key_sha256, f"page {nonce}"), made)
 
     def _enter(self, token: str, card: str) -> HttpAnswer:
         found = self._sessions.exchange(token)
@@ -169,7 +168,7 @@ class Auth:
         return HttpAnswer(response)
 
     def _refused(self, why: str) -> HttpAnswer:
-        """A page for a person: what to do on a phone, and at the console's machine."""
+        """A page that explains how to sign in, on a phone and at the console's machine."""
         page = self._files["/refused.html"].content.decode()
         page = page.replace("WHY", escape(why)).replace("COMMAND", escape(f"{this_command()} console --link"))
         return HttpAnswer(_response(HTTPStatus.FORBIDDEN, page.encode(), "html"))
@@ -195,7 +194,7 @@ class Auth:
 
 
 def _files() -> Mapping[str, _PageFile]:
-    """The page's files, 2 MB: nobody waits for a disk, and none takes a descriptor."""
+    """The page's files, 2 MB in memory: no request waits for a disk or takes a descriptor."""
     found = {}
     for path in PAGE.rglob("*"):
         if path.is_file():
@@ -215,7 +214,7 @@ def _text(status: HTTPStatus, text: str) -> HttpAnswer:
 
 
 def _response(status: HTTPStatus, body: bytes, kind: str) -> Response:
-    """With one request for each connection: nobody keeps one, and what comes after a request is not read."""
+    """Closes its connection: each serves one request, and what follows it is not read."""
     kinds = {"html": "text/html; charset=utf-8", "plain": "text/plain; charset=utf-8", "json": "application/json"}
     headers = Headers(Date=formatdate(usegmt=True), Connection="close")
     if status is not HTTPStatus.NOT_MODIFIED:
@@ -225,7 +224,7 @@ def _response(status: HTTPStatus, body: bytes, kind: str) -> Response:
 
 
 def _one(request: Request, name: str) -> str | None:
-    """The header's value; None where it is missing, or there are several."""
+    """The header's value; None if it is missing or repeated."""
     try:
         return request.headers.get(name)
     except MultipleValuesError:
@@ -233,7 +232,7 @@ def _one(request: Request, name: str) -> str | None:
 
 
 def _given(query: str, name: str) -> str | None:
-    """What an address says behind its ?, such as a link's token."""
+    """A parameter of an address, such as a link's token."""
     try:
         return parse_qs(query, keep_blank_values=True, max_num_fields=4).get(name, [None])[0]
     except ValueError:
@@ -250,12 +249,12 @@ def _cookie(request: Request, name: str) -> str | None:
 
 
 def proof(key_sha256: str, text: str) -> str:
-    """That somebody knows the key of which this is the SHA-256, in hex; the page's `key.js` makes the same."""
+    """Proves knowledge of the key that has this SHA-256: an HMAC in hex, as `key.js` makes it."""
     return hmac.new(key_sha256.encode(), text.encode("utf-8", "surrogatepass"), hashlib.sha256).hexdigest()
 
 
 def _offered_proof(request: Request) -> tuple[str, str]:
-    """The console's nonce, and the page's proof of it; empty where none is offered."""
+    """The console's nonce and the page's proof; empty if none is offered."""
     for header in request.headers.get_all("Sec-WebSocket-Protocol"):
         for offered in header.split(","):
             if offered.strip().startswith(PROOF_PREFIX) and offered.isascii():

@@ -1,8 +1,9 @@
-"""The command's three uses: serve the page, make a link for another browser, end all sessions."""
+"""The command's three uses: serve the page, print a link for another browser, end all sessions."""
 
 import importlib.util
 import socket
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, NoReturn
 from urllib.parse import urlsplit
@@ -16,84 +17,69 @@ from gateway.people.console.sockets import address_in, inherited
 from gateway.people.terminal import hint, say
 
 NEEDS: Final = ("websockets", "segno")
-LOOK_S: Final = 1.0
-CALIBRATION: Final = "cal"
-"""The card of the page that is the guide through the calibration."""
+ANSWERS_S: Final = 1.0
+"""How long a console that runs may take to accept a connection."""
+CALIBRATION_CARD: Final = "cal"
 
 
-def console(
-    *,
-    listen: str | None,
-    connect: str | None,
-    zenoh_config: Path | None,
-    timeout_s: float,
-    cert: Path | None,
-    key: Path | None,
-    role: str,
-    geometry: Path | None,
-    open_browser: bool,
-    card: str = "",
-) -> NoReturn:
+@dataclass(frozen=True)
+class Options:
+    """The command's arguments."""
+
+    connect: str | None
+    zenoh_config: Path | None
+    timeout_s: float
+    listen: str | None = None
+    cert: Path | None = None
+    key: Path | None = None
+    role: str = "operator"
+    geometry: Path | None = None
+    open_browser: bool = False
+    card: str = ""
+    """Of the page, to which the first link leads; empty: to its beginning."""
+
+
+def console(options: Options) -> NoReturn:
     """Serve the page until the process is asked to end. Raises GatewayError.
 
     On systemd's socket; without one at `listen`; without both on a free port.
     """
     _need_extra()
+    role = options.role
     if role not in ROLES:
         raise ConfigError(
             f"--role {role}: pages are an operator's (drive, stop), a button's (only stop) or an observer's (only look)"
         )
-    from gateway.people.console.serve import Options, serve  # noqa: PLC0415 (does not load without them)
+    from gateway.people.console.serve import serve  # noqa: PLC0415 (does not load without them)
 
     passed = inherited()
-    address = address_in(passed, listen) if passed else listen or free_address()
-    serve(
-        Options(
-            site=site(address, cert, key),
-            passed=passed,
-            listen_given=bool(passed or listen),
-            connect=connect,
-            zenoh_config=zenoh_config,
-            timeout_s=timeout_s,
-            role=role,
-            geometry=geometry,
-            open_browser=open_browser,
-            card=card,
-        )
-    )
+    address = address_in(passed, options.listen) if passed else options.listen or free_address()
+    place = site(address, options.cert, options.key)
+    if not passed and options.listen is None and place.port != DEFAULT_PORT:
+        hint(f"Port {DEFAULT_PORT} is taken by another program, so the console listens on {place.port}.")
+    serve(options, role, place, passed)
 
 
 def calibration(connect: str | None, zenoh_config: Path | None, timeout_s: float) -> int:
-    """Lead to the guide: in this user's console, or in one that is started for this gateway. Raises GatewayError."""
+    """Open the calibration guide, in this user's console or in one started for this gateway. Raises GatewayError."""
     if connect is None and zenoh_config is None and _answering() is not None:
-        return link(None, CALIBRATION)
+        return link(None, CALIBRATION_CARD)
     hint("A console starts for the guide; Ctrl-C ends it.")
-    console(
-        listen=None,
-        connect=connect,
-        zenoh_config=zenoh_config,
-        timeout_s=timeout_s,
-        cert=None,
-        key=None,
-        role="operator",
-        geometry=None,
-        open_browser=True,
-        card=CALIBRATION,
-    )
+    console(Options(connect, zenoh_config, timeout_s, open_browser=True, card=CALIBRATION_CARD))
 
 
 def link(listen: str | None, card: str = "") -> int:
-    """Print a link into the console that runs at that address, for another browser. Raises GatewayError.
+    """Print a link to the console that runs at this address, for another browser. Raises GatewayError.
 
-    Without an address: into the console of this user, or for root the service's, that answers, wherever it listens.
+    Without an address: to this user's console (root: the service's) that answers, wherever it listens.
     """
     _need_extra()
-    from gateway.people.console.serve import show  # noqa: PLC0415 (the same)
+    from gateway.people.console.serve import show  # noqa: PLC0415 (likewise)
 
     address, port = (_answering() or (DEFAULT_ADDRESS, DEFAULT_PORT)) if listen is None else address_of(listen)
     made = Sessions(sessions.folder(), port).new_link(card)
     try:
-        socket.create_connection((address, port), LOOK_S).close()
+        socket.create_connection((address, port), ANSWERS_S).close()
     except OSError as error:
         raise UnreachedError(
             f"no console answers at {listen or f'{address}:{port}'}: {error.strerror or error}; start it, and ask again"
@@ -106,15 +92,15 @@ def _answering() -> tuple[str, int] | None:
     for port, url in sessions.begun(sessions.folder()):
         for address in (DEFAULT_ADDRESS, urlsplit(url).hostname):
             with suppress(OSError):
-                socket.create_connection((address, port), LOOK_S).close()
+                socket.create_connection((address, port), ANSWERS_S).close()
                 return address or DEFAULT_ADDRESS, port
     return None
 
 
 def revoke() -> int:
-    """End all sessions of this user's consoles, or as root of the service's. Raises GatewayError."""
+    """End all sessions of this user's consoles (root: the service's). Raises GatewayError."""
     ended = sessions.revoke_all(sessions.folder())
-    say(f"{ended} session{'' if ended == 1 else 's'} ended; no link that was printed works any more")
+    say(f"{ended} session{'' if ended == 1 else 's'} ended; no printed link works any more")
     return 0
 
 

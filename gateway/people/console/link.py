@@ -1,7 +1,7 @@
-"""The console's one Zenoh session: what it receives goes to the event loop, newest first; what waits runs on threads.
+"""The console's one Zenoh session: hands what it receives to the event loop, and asks the gateway on threads.
 
-The threads exist from the beginning, four of them for STOP ALL and four for other Stops alone: whatever else waits, or
-has taken all that the system allows, a Stop finds one.
+All threads are started at the beginning, four of them for STOP ALL alone and four for other Stops: so a Stop finds one
+even if everything else waits, or has taken all that the system allows.
 """
 
 import asyncio
@@ -27,44 +27,44 @@ from schemas.telemetry import Ack, BodyReport, Event, GatewayState
 T = TypeVar("T")
 
 STOPS_AT_ONCE: Final = 4
-"""Stops of single legs; more of them wait for one that is answered, or given up after the timeout."""
+"""Stops of single legs; further ones wait until one is answered, or given up after the timeout."""
 QUESTIONS_AT_ONCE: Final = 12
 """Everything else: commands, the lease, the state."""
 STACK_BYTES: Final = 1_048_576
 """Of each thread that Python starts; the system's 8 MB count as memory (`LimitDATA`), though nobody uses them."""
-_START_S: Final = 10.0
+THREADS_START_S: Final = 10.0
 
 
 class ReadyThreads:
-    """So many, all of them started; what they are asked for beyond that waits for its turn."""
+    """So many threads, all of them started; further calls wait for their turn."""
 
     def __init__(self, count: int, name: str) -> None:
         """Raises RuntimeError where the system does not allow so many."""
         self.executor = ThreadPoolExecutor(count, thread_name_prefix=name)
         together = threading.Barrier(count + 1)
         for _ in range(count):
-            self.executor.submit(together.wait, _START_S)
-        together.wait(_START_S)
+            self.executor.submit(together.wait, THREADS_START_S)
+        together.wait(THREADS_START_S)
 
     async def run(self, function: Callable[[], T]) -> T:
-        """What it returns or raises. Cancelled, it goes on."""
+        """Returns or raises what the function does, which goes on if this is cancelled."""
         return await asyncio.get_running_loop().run_in_executor(self.executor, function)
 
 
 class LinkReceiver(Receiver):
-    """Receives, on the event loop, what the gateway publishes."""
+    """Receives on the event loop what the gateway publishes, and changes of the link to it."""
 
     def link_changed(self, link: LinkMessage) -> None:
         """The link has changed. A page stops driving by itself 500 ms after the newest state."""
 
 
 class GatewayLink(Receiver):
-    """`Live` on an event loop, and whether the gateway is there."""
+    """`Live` on an event loop, with the link's status."""
 
     def __init__(
-        self, connect: str | None, zenoh_config: Path | None, source: str, timeout_s: float, listener: LinkReceiver
+        self, connect: str | None, zenoh_config: Path | None, source: str, timeout_s: float, receiver: LinkReceiver
     ) -> None:
-        """`connect` and `zenoh_config` as for `Client`; `source` is whom the gateway names for an emergency stop."""
+        """`connect` and `zenoh_config` as for `Client`; `source` is the name of the console's emergency stops."""
         self._connect = partial(Client, connect, zenoh_config=zenoh_config, timeout_s=timeout_s, explain=False)
         self._stop_all = ReadyThreads(REQUESTS_AT_ONCE, "STOP ALL")
         self._stops = ReadyThreads(STOPS_AT_ONCE, "Stops")
@@ -72,12 +72,9 @@ class GatewayLink(Receiver):
         loop = asyncio.get_running_loop()
         loop.set_default_executor(self._questions.executor)
         self._spare = Spare()
-        self._listener = listener
-        self._live = Live(
-            partial(self._connect, source=source),
-            OnLoop(loop, self),
-            partial(_why, connect, zenoh_config),
-        )
+        self._receiver = receiver
+        reasons = partial(_why, connect, zenoh_config)
+        self._live = Live(partial(self._connect, source=source), OnLoop(loop, self), reasons)
         self._opened = asyncio.Event()
         self._failed: asyncio.Future[None] = loop.create_future()
         self._presence = GatewayPresence()
@@ -86,17 +83,17 @@ class GatewayLink(Receiver):
     # ---- what pages send
 
     def client(self) -> Client:
-        """The one of all pages, whose questions wait on a thread. Raises ZenohError while there is no session."""
+        """Of all pages; its questions wait, so a thread asks them. Raises ZenohError while there is no session."""
         if self._live.client is None:
             raise ZenohError("no gateway has been reached yet")
         return self._live.client
 
     def connect(self, source: str) -> Client:
-        """A session of its own, named so; waits for it. Raises GatewayError."""
+        """Open a further session under this name, and wait for it. Raises GatewayError."""
         return self._connect(source=source)
 
     async def ask(self, key: str, payload: Mapping[str, Any], *, again: bool) -> Ack:
-        """An acknowledged command; only with `again`, for a Stop, it is sent more than once. Raises GatewayError."""
+        """Send a command; returns its Ack. `again` (Stops only): send it until it is answered. Raises GatewayError."""
         client = self.client()
         threads = self._stops if again else self._questions
         return await threads.run(lambda: client.ask(key, payload, again=again))
@@ -106,14 +103,14 @@ class GatewayLink(Receiver):
         return await asyncio.to_thread(partial(set_upright, self.client()))
 
     async def estop(self, source: str | None) -> Ack:
-        """The emergency stop, by whichever way reaches the gateway; waits for the session. Raises ZenohError.
+        """Request the emergency stop by any way that reaches the gateway; waits for the session. Raises ZenohError.
 
-        `source`: by whose name, if not the console's.
+        `source`: the name to request it by; None: the console's.
         """
         await self._opened.wait()
         client = self.client()
         if not client.connected:
-            self._spare.give_up()  # another way to the gateway takes descriptors, and there may be no others
+            self._spare.give_up()  # another way to the gateway needs descriptors, and none may be left
         try:
             return await self._stop_all.run(partial(client.estop, source))
         finally:
@@ -122,7 +119,7 @@ class GatewayLink(Receiver):
     # ---- what is received
 
     async def run(self) -> None:
-        """Open the session and watch it, until cancelled. Raises what will not get better by waiting."""
+        """Open the session and watch it, until cancelled. Raises errors that waiting does not resolve."""
         self._live.start()
         while not self._failed.done():
             if self._opened.is_set():
@@ -155,14 +152,14 @@ class GatewayLink(Receiver):
 
     def received_state(self, state: GatewayState, received_ns: int) -> None:
         self._presence.received_state(received_ns)
-        self._listener.received_state(state, received_ns)
+        self._receiver.received_state(state, received_ns)
         self._announce()
 
     def received_body(self, body: BodyReport) -> None:
-        self._listener.received_body(body)
+        self._receiver.received_body(body)
 
     def received_event(self, event: Event, left_out: int = 0) -> None:
-        self._listener.received_event(event, left_out)
+        self._receiver.received_event(event, left_out)
 
     def _watch(self) -> None:
         if self._presence.is_silent(time.monotonic_ns()):
@@ -172,7 +169,7 @@ class GatewayLink(Receiver):
     def _announce(self) -> None:
         if self._presence.link != self._announced:
             self._announced = self._presence.link
-            self._listener.link_changed(self._announced)
+            self._receiver.link_changed(self._announced)
 
 
 def _why(connect: str | None, zenoh_config: Path | None, client: Client | None) -> list[str]:

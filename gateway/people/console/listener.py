@@ -1,14 +1,14 @@
-"""Whoever is not signed in: one thread with a loop of its own takes connections, TLS and requests, and answers them.
+"""Takes connections, TLS and HTTP requests, and answers them, on a thread with a loop of its own.
 
-The loop that serves the pages never waits for any of it, and gets a connection only once it is the WebSocket of a page
-that is signed in. What one connection may cost until then is bounded, and so is how many there are:
+The pages' loop never waits for it, and is given a connection only once it is the WebSocket of a page with a session.
+Until then the cost of a connection is bounded, and so is their number:
 
 | per connection | so many reads and bytes, one deadline for everything, one request, no body |
-| at once        | so many places; who comes then ends the oldest of the address that has most of them |
-| a second       | so many connections; the rest waits in the kernel's queue, or is dropped there |
+| at once        | so many places; a further connection ends the oldest of the address that has most of them |
+| a second       | so many connections; the kernel queues the others, or drops them |
 
-Both threads share the interpreter, so the pages' loop may wait for a step of this one, each time that it comes back
-from the kernel: for `SWITCH_INTERVAL_S`. A press comes back some ten times on its way.
+Both threads share the interpreter, so each time that the pages' loop returns from the kernel it may wait for this
+thread, for `SWITCH_INTERVAL_S`. A press of STOP ALL returns from the kernel some ten times.
 """
 
 import asyncio
@@ -32,37 +32,37 @@ from websockets.typing import Subprotocol
 from gateway.allowance import NS_PER_S, Allowance
 from gateway.host.realtime import SWITCH_INTERVAL_S
 from gateway.people.console.auth import SUBPROTOCOL, Auth, SignedIn
-from gateway.people.console.messages import MAX_BYTES
+from gateway.people.console.messages import MAX_MESSAGE_BYTES
 from gateway.people.console.tls import Layer, Tls
 
 MAX_UNKNOWN: Final = 64
-"""Connections of whom we do not know; each takes one descriptor, and some 100 kB with TLS."""
+"""Connections without a session; each takes one descriptor, and some 100 kB with TLS."""
 MAX_SIGNED_IN: Final = 32
-"""The same of those who are signed in and load the page's files: a browser opens six."""
+"""Connections with a session, which load the page's files: a browser opens six."""
 CONNECTIONS_A_SECOND: Final = 50
 """With TLS each takes some 2 ms of this thread, so a flood takes a tenth of a processor."""
 CONNECTIONS_AT_ONCE: Final = 64
 """Without a pause: a page loads 30 files."""
 READS: Final = 40
-"""From one connection: a handshake and a request take five, on a bad network some more."""
-READ_BYTES: Final = 4096
-RECEIVE_BYTES: Final = 32_768
-"""From one connection: a request has 1 to 8 kB, on loopback with the cookies of all that ever ran there."""
+"""Of one connection: a handshake and a request take five, on a bad network some more."""
+REQUEST_READ_BYTES: Final = 4096
+REQUEST_BYTES: Final = 32_768
+"""Of one connection: a request has 1 to 8 kB, since on loopback all consoles' cookies come with it."""
 UNKNOWN_S: Final = 5.0
 """For the handshake, the request and its answer."""
 SIGNED_IN_S: Final = 30.0
-"""For a file of 1.5 MB to somebody who is signed in."""
-SEND_BYTES: Final = 65_536
-"""Encrypted at a time: what waits for one connection in memory."""
-AGAIN_S: Final = 1.0
-"""After a connection could not be taken, for want of descriptors or memory: so long these are there for Stops."""
+"""For a file of 1.5 MB, with a session."""
+ANSWER_PART_BYTES: Final = 65_536
+"""Encrypted at a time, which is what waits in memory for one connection."""
+ACCEPT_AGAIN_S: Final = 1.0
+"""After a connection could not be accepted, for want of descriptors or memory: meanwhile Stops have them."""
 
 _log: Final = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
 class Admitted:
-    """A signed-in page's WebSocket: its request is answered in `protocol`, though the answer is not sent yet."""
+    """A page's WebSocket with a session: its request is answered in `protocol`, but the answer is not sent yet."""
 
     connection: socket.socket
     layer: Layer
@@ -72,7 +72,7 @@ class Admitted:
 
 @dataclass(eq=False)
 class _Visit:
-    """One connection."""
+    """One connection, until it is answered or handed over."""
 
     connection: socket.socket
     address: str
@@ -86,13 +86,13 @@ class _Visit:
 
 @dataclass(eq=False)
 class _Places:
-    """Who has them, the oldest first."""
+    """The connections that have one, the oldest first."""
 
     most: int
     visits: dict[_Visit, None] = field(default_factory=dict)
 
     def add(self, visit: _Visit) -> None:
-        """Give it a place; if there was none, end the oldest of the address that has most."""
+        """Give it a place; if there is none, end the oldest connection of the address that has most."""
         if len(self.visits) >= self.most:
             have = Counter(other.address for other in self.visits)
             largest = max(have.values())
@@ -100,7 +100,7 @@ class _Places:
         self.visits[visit] = None
 
     def end_all(self) -> None:
-        """Nobody keeps one: what they hold is wanted for a Stop."""
+        """End all: a Stop needs what they hold."""
         for visit in list(self.visits):
             self._end(visit)
 
@@ -114,7 +114,7 @@ class _Places:
 
 
 class HttpListener:
-    """Listens, on a thread of its own, from `start` on."""
+    """Serves on a thread of its own, from `start` on."""
 
     def __init__(
         self,
@@ -133,7 +133,7 @@ class HttpListener:
         self._allowance = Allowance(CONNECTIONS_A_SECOND, CONNECTIONS_AT_ONCE)
 
     def start(self) -> None:
-        """Begin to take connections."""
+        """Begin to accept connections."""
         sys.setswitchinterval(SWITCH_INTERVAL_S)
         threading.Thread(target=self._run, name="listener", daemon=True).start()
 
@@ -142,10 +142,10 @@ class HttpListener:
             try:
                 asyncio.run(self.serve())
             except Exception:
-                _log.exception("who is not signed in cannot be served; trying again")
+                _log.exception("new connections cannot be served; trying again")
 
     async def serve(self) -> None:
-        """Take connections, for ever."""
+        """Accept connections, for ever."""
         loop = asyncio.get_running_loop()
         loop.set_exception_handler(report)
         await asyncio.gather(*(self._serve(loop, each) for each in self._listening))
@@ -157,23 +157,23 @@ class HttpListener:
             try:
                 connection, address = await loop.sock_accept(listening)
             except OSError as error:
-                _log.warning("a connection could not be taken: %s; all of unknown origin are ended", error)
+                _log.warning("a connection could not be accepted: %s; all without a session are ended", error)
                 self._unknown.end_all()
-                await asyncio.sleep(AGAIN_S)
+                await asyncio.sleep(ACCEPT_AGAIN_S)
                 continue
             self._allowance.take(time.monotonic_ns())
             self._begin(connection, str(address[0]))
 
     def _begin(self, connection: socket.socket, address: str) -> None:
         layer = Layer() if self._context is None else Tls(self._context)
-        protocol = ServerProtocol(subprotocols=[Subprotocol(SUBPROTOCOL)], max_size=MAX_BYTES, logger=_silent)
+        protocol = ServerProtocol(subprotocols=[Subprotocol(SUBPROTOCOL)], max_size=MAX_MESSAGE_BYTES, logger=_silent)
         visit = _Visit(connection, address, layer, protocol)
         self._unknown.add(visit)
         visit.task = asyncio.get_running_loop().create_task(self._visit(visit))
         visit.task.add_done_callback(partial(self._end, visit))
 
     def _end(self, visit: _Visit, task: "asyncio.Task[None]") -> None:
-        """Also of one that was ended before it began."""
+        """Release what it holds, also if it was cancelled before it began."""
         self._unknown.discard(visit)
         self._signed_in.discard(visit)
         if not visit.handed_over:
@@ -188,13 +188,13 @@ class HttpListener:
                 if request is not None:
                     await self._answer(visit, request, deadline)
         except (OSError, EOFError):
-            pass  # it ended, or was too slow (TimeoutError is an OSError, and so is ssl.SSLError)
+            pass  # closed, or too slow (TimeoutError is an OSError, and so is ssl.SSLError)
 
     async def _request(self, visit: _Visit) -> Request | None:
-        """The request; None where it was none and has been answered."""
+        """The request; None if it was malformed, and is answered. Raises OSError, EOFError."""
         loop = asyncio.get_running_loop()
-        while visit.reads < READS and visit.received < RECEIVE_BYTES:
-            data = await loop.sock_recv(visit.connection, READ_BYTES)
+        while visit.reads < READS and visit.received < REQUEST_BYTES:
+            data = await loop.sock_recv(visit.connection, REQUEST_READ_BYTES)
             if not data:
                 raise EOFError
             visit.reads += 1
@@ -207,7 +207,7 @@ class HttpListener:
                 visit.protocol.receive_data(received)
                 for event in visit.protocol.events_received():
                     if visit.protocol.eof_sent:
-                        raise EOFError  # something came behind the request that is no frame
+                        raise EOFError  # what follows the request is no frame
                     if isinstance(event, Request):
                         return event
                 if await self._send_answer(visit):
@@ -232,11 +232,11 @@ class HttpListener:
         await self._send_answer(visit)
 
     async def _send_answer(self, visit: _Visit) -> bool:
-        """Send what the protocol has to send; whether there was something."""
+        """Send what the protocol has to send; returns whether there was something."""
         parts = visit.protocol.data_to_send()
         for part in parts:
-            for start in range(0, len(part), SEND_BYTES):
-                await self._send(visit, visit.layer.encrypt(part[start : start + SEND_BYTES]))
+            for start in range(0, len(part), ANSWER_PART_BYTES):
+                await self._send(visit, visit.layer.encrypt(part[start : start + ANSWER_PART_BYTES]))
         if parts:
             with suppress(OSError):
                 visit.connection.shutdown(socket.SHUT_WR)
@@ -248,15 +248,12 @@ class HttpListener:
 
 
 def report(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
-    """asyncio's exception handler: one line, which another thread writes (`gateway.host.log_writer`).
-
-    asyncio's own would render a traceback on the loop.
-    """
+    """Log one line as asyncio's exception handler; its own would render a traceback on the loop."""
     del loop
     _log.error("%s: %r", context.get("message"), context.get("exception"))
 
 
 _silent: Final = logging.getLogger("gateway.people.console.websockets")
-"""What the library would say of each connection."""
+"""The library's log of each connection."""
 _silent.setLevel(logging.CRITICAL + 1)
 _silent.propagate = False

@@ -1,11 +1,11 @@
-"""What the page and the console say to each other over the WebSocket, as JSON text; `type` shows which message it is.
+"""The messages between a page and the console on the WebSocket, as JSON text; `type` states which message it is.
 
-What comes from a page is strict and closed, and a command's payload is what `schemas` takes on the same key. Whatever
-else it sends ends its WebSocket with code 1008 and the reason. What goes to a page is open: it ignores fields and
-messages that it does not know.
+Messages from a page are strict and closed, and a command's payload is what `schemas` accepts on the same key. Anything
+else ends the WebSocket with code 1008 and the reason. Messages to a page are open: it ignores fields and messages that
+it does not know.
 
-A page opens with `AliveMessage` and repeats it each second. So the console knows the page's clock before the first
-command, and rejects what was delayed on its way. A page that has the lease renews it itself; nothing else does.
+A page sends `AliveMessage` when it opens and each second. So the console knows the page's clock before the first
+command, and rejects what was delayed on its way. Only the page itself renews its lease.
 """
 
 from typing import Annotated, Any, Final, Literal, Self, get_args
@@ -18,8 +18,8 @@ from schemas.calibration import ServoCalibration
 from schemas.command import Closed, EstopNumber, LegCommand, LegsCommand, MoveCommand, SentMs, Source, StopCommand
 from schemas.telemetry import Ack, BodyReport, Event, GatewayState, Report
 
-MAX_BYTES: Final = 8192
-"""Of a message from a page: a payload that the gateway takes (4096), and what is around it."""
+MAX_MESSAGE_BYTES: Final = 8192
+"""Of a message from a page: a payload of at most 4096 (`schemas`), and the fields around it."""
 MAX_ID: Final = 2**53
 
 
@@ -36,7 +36,7 @@ ROLES: Final[tuple[Role, ...]] = get_args(Role)
 
 
 def least(first: Role, second: Role) -> Role:
-    """Which of both may do less."""
+    """The role that may do less."""
     return max(first, second, key=ROLES.index)
 
 
@@ -59,7 +59,7 @@ _PAYLOADS: Final[dict[keys.Target, tuple[type[BaseModel], ...]]] = {
 
 
 def _shape(payload: Any) -> str:
-    """Which payload it may be."""
+    """The tag of the payload to validate it as."""
     if isinstance(payload, dict):
         if "legs" in payload:
             return "legs"
@@ -81,16 +81,16 @@ Payload = Annotated[
 
 
 class AliveMessage(Closed):
-    """Sent when the page opens, and each second: its monotonic clock (`performance.now()`)."""
+    """Sent when the page opens, and each second: its monotonic clock in ms (`performance.now()`)."""
 
     type: Literal["alive"]
     now_ms: SentMs
 
 
 class CommandRequest(Closed):
-    """A command for one leg, one servo or several legs: with `id` it is acknowledged (`AckMessage`), else only put.
+    """A command for one leg, one servo or several legs; with `id` it is answered by `AckMessage`, else only published.
 
-    `sent_ms` is the page's clock as in `AliveMessage`. Who commands, and the lease, the console adds.
+    `sent_ms` is by the page's clock, as in `AliveMessage`. The console adds the page's name and lease.
     """
 
     type: Literal["command"]
@@ -111,7 +111,7 @@ class CommandRequest(Closed):
 
     @property
     def only_stops(self) -> bool:
-        """Whether it starts and sets nothing: then it may be sent again, and waits for nobody."""
+        """Whether it starts and sets nothing: then it is accepted at any age, and sent again until it is answered."""
         match self.payload:
             case LegsCommand(legs=legs):
                 moves = [setpoint for leg in legs.values() for setpoint in leg.servos]
@@ -128,11 +128,11 @@ class StopAllRequest(Closed):
     type: Literal["stop_all"]
     id: Id
     button: bool = False
-    """Pressed on a page that is a stop button: by its name."""
+    """Requested by a page that is a stop button, under the button's name."""
 
 
 class ResetRequest(Closed):
-    """Leave the emergency stop of that number: the one that the page shows, as its user agreed."""
+    """Leave the emergency stop of this number: the one that the page showed when its user agreed."""
 
     type: Literal["reset"]
     id: Id
@@ -141,7 +141,7 @@ class ResetRequest(Closed):
 
 
 class DriveRequest(Closed):
-    """Get, keep or give up the right to drive, for this WebSocket; `to` hands it over with `release`."""
+    """Acquire, renew or release the lease of this WebSocket; `to`: release it to this person."""
 
     type: Literal["lease"]
     id: Id
@@ -156,10 +156,10 @@ class DriveRequest(Closed):
 
 
 class CalibrateRequest(Closed):
-    """One step of the guide through the calibration, which the console keeps for this WebSocket; it moves nothing.
+    """One step of the calibration guide, which the console keeps for this WebSocket; it moves no servo.
 
-    The servo under test is moved by the page's own commands, to the `command_deg` of the answer (`CalibrationMessage`).
-    `deg` is where a test begins, how far to jog, or where the servo was measured to stand.
+    The page's own commands move the servo under test, to `command_deg` of the answer (`CalibrationMessage`). `deg` is
+    the angle at which a test begins, the angle to jog by, or the measured angle.
     """
 
     type: Literal["calibrate"]
@@ -178,11 +178,11 @@ class CalibrateRequest(Closed):
 
 
 class WalkWish(Closed):
-    """What the page wants of the robot's walk, 20 times a second while it walks or stands; used once (`walking.py`).
+    """The walk that the page wants, sent 20 times a second while the robot walks or stands; used once (`page_walk.py`).
 
-    `press` is the number of the button's or stick's press that it belongs to; it grows. Velocities are the body's;
-    `height_m` null: the usual one. `sits`: lie down, and have the servos stopped. Each wish is complete, so none that
-    is lost is missed.
+    `press` is the number of the press, of a button or stick, that it belongs to; it grows. Velocities are the body's.
+    `height_m` null: the usual height. `sits`: sit down, and stop the servos. Each wish is complete, so a lost one
+    matters little.
     """
 
     type: Literal["walk"]
@@ -198,7 +198,7 @@ class WalkWish(Closed):
 
 
 class StopButtonRequest(Closed):
-    """This page is a stop button (`hexapod/button/cmd`), for this WebSocket; answered by `StopButtonMessage`.
+    """Register, check in or leave as a stop button (`hexapod/button/cmd`); answered by `StopButtonMessage`.
 
     Each check-in comes from the page's own timer: the console adds the token, and sends none by itself.
     """
@@ -210,14 +210,14 @@ class StopButtonRequest(Closed):
 
 
 class LinkForRequest(Closed):
-    """A link for a second device, such as a phone; answered by `LinkForMessage`."""
+    """Request a link for a second device, such as a phone; answered by `LinkForMessage`."""
 
     type: Literal["link_for"]
     id: Id
 
 
 class UprightRequest(Closed):
-    """Put a robot that is simulated with physics on its feet; answered by `AckMessage`."""
+    """Set a robot that is simulated with physics upright; answered by `AckMessage`."""
 
     type: Literal["upright"]
     id: Id
@@ -244,7 +244,7 @@ FROM_PAGE: Final[TypeAdapter[FromPage]] = TypeAdapter(Annotated[FromPage, Field(
 class Hello(Report):
     """The first message. `source` is this page's name in state and events (`anna (page 3)`), `person` its holder's.
 
-    `geometry` is the robot's, as in its file.
+    `geometry` is the robot's, as in its geometry file.
     """
 
     type: Literal["hello"] = "hello"
@@ -256,9 +256,9 @@ class Hello(Report):
 
 
 class StateMessage(Report):
-    """The gateway's newest state, and how long ago the console received it; older ones may have been left out.
+    """The gateway's newest state, received `age_ms` ago; older ones may have been left out.
 
-    `now`: what the robot does by it, in one sentence without its full stop.
+    `now`: what the robot does according to it, in one sentence without its full stop.
     """
 
     type: Literal["state"] = "state"
@@ -268,9 +268,9 @@ class StateMessage(Report):
 
 
 class LinkMessage(Report):
-    """The console's link to the gateway. `connected`: state comes; `silent`: a link, but nothing is received on it.
+    """The console's link to the gateway. `connected`: states come; `silent`: linked, but no state comes.
 
-    `gone`: no gateway. `detail` states why, a line for each host; empty while connected.
+    `gone`: no gateway is reached. `detail` states why, one line for each host; empty while connected.
     """
 
     type: Literal["link"] = "link"
@@ -279,14 +279,14 @@ class LinkMessage(Report):
 
 
 class BodyMessage(Report):
-    """Where a robot really is that is simulated with physics; older ones may have been left out."""
+    """The pose of a body that is simulated with physics; older ones may have been left out."""
 
     type: Literal["body"] = "body"
     body: BodyReport
 
 
 class EventMessage(Report):
-    """One event; after `Hello` come the newest that the console has received. `left_out`: events not sent before it."""
+    """One event; after `Hello` the page is sent the newest ones. `left_out`: how many before it were not sent."""
 
     type: Literal["event"] = "event"
     event: Event
@@ -294,7 +294,7 @@ class EventMessage(Report):
 
 
 class AckMessage(Report):
-    """The answer to a command or reset. `ack` is null where none came, and `error` states why."""
+    """The answer to a command or reset. `ack` is null if none came, and `error` states why."""
 
     type: Literal["ack"] = "ack"
     id: int
@@ -323,7 +323,7 @@ class Stopping(Report):
 class LeaseMessage(Report):
     """Whether this WebSocket has the lease: the answer to `DriveRequest` (with its `id`), or sent when it is lost.
 
-    Who holds it otherwise stands in the state. A page renews at a third of `ttl_ms`.
+    The state names any other holder. A page renews at a third of `ttl_ms`.
     """
 
     type: Literal["lease"] = "lease"
@@ -338,12 +338,12 @@ class LeaseMessage(Report):
 
 
 class WalkMessage(Report):
-    """How the page's walk goes: ten times a second while it lasts, and once when it is over (`posture` null).
+    """The progress of the page's walk: ten times a second while it lasts, and once when it is over (`posture` null).
 
     `now`: what the robot does, in one sentence without its full stop, by the gateway's newest state and this walk.
-    `id` is the newest wish that was used. `waits`: what the page has pressed is used up, and moves nothing any more.
-    `commanded` and `scaled` (what of it the legs can do, and in `limit` why) are forward and left in m/s, and the turn
-    in rad/s. `lost` are legs that somebody else has stopped. `detail`: why it ended, or waits.
+    `id` is the newest wish that was used. `waits`: the page's newest press is used up, and moves nothing any more.
+    `commanded` and `scaled` (what the legs can do of it; `limit` states why) are forward and left in m/s, and the turn
+    in rad/s. `lost`: legs that somebody else has stopped. `detail`: why it ended, or waits.
     """
 
     type: Literal["walk"] = "walk"
@@ -377,7 +377,7 @@ class StopButtonMessage(Report):
 
 
 class LinkForMessage(Report):
-    """A link that works once, and its QR code: a row of 0 (light) and 1 (dark) for each line."""
+    """A link that works once, and its QR code: one text of 0 (light) and 1 (dark) for each row."""
 
     type: Literal["link_for"] = "link_for"
     id: int
@@ -387,7 +387,7 @@ class LinkForMessage(Report):
 
 
 class Draft(ServoCalibration):
-    """One servo's calibration as the page would write it; `changed`: it is not what is in force."""
+    """One servo's calibration as the page would write it; `changed`: it differs from the one in force."""
 
     changed: bool
 
@@ -395,8 +395,8 @@ class Draft(ServoCalibration):
 class CalibrationMessage(Report):
     """The answer to `CalibrateRequest`: the guide's state. `error`: what was not done and why, in one sentence.
 
-    `shown_deg` is where the servo under test stands as the draft counts; `command_deg` what to command for that, by the
-    calibration in force.
+    `shown_deg` is the angle of the servo under test by the draft; `command_deg` the same by the calibration in force,
+    which is what the page commands.
     """
 
     type: Literal["calibration"] = "calibration"

@@ -1,6 +1,6 @@
-"""What waits to be sent to one page: of the state only the newest, of everything else a bounded number.
+"""The messages that wait for one page: the newest state, and a bounded number of everything else.
 
-A page that is frozen, or at the end of a bad link, costs this much and no more, and delays nobody else.
+So a page that is frozen, or has a bad link, costs a bounded amount of memory and delays no other page.
 """
 
 import asyncio
@@ -11,21 +11,21 @@ from typing import Final
 from gateway.people.console.messages import AckMessage, BodyMessage, EventMessage, LinkMessage, Stopping, WalkMessage
 from schemas.telemetry import Report
 
-KEPT: Final = 64
-"""Events, and acknowledgements; the oldest make way."""
+KEPT_MESSAGES: Final = 64
+"""Of each kind; beyond it the oldest are dropped."""
 
 
 class Outgoing:
-    """Filled and emptied on the event loop; whoever empties it waits for `wait`."""
+    """Filled by `put`, emptied by `wait`. On the event loop."""
 
     def __init__(self) -> None:
         self._there = asyncio.Event()
         self._stops: dict[int, Stopping] = {}
-        self._acks: deque[AckMessage] = deque(maxlen=KEPT)
-        self._answers: deque[Report] = deque(maxlen=KEPT)
+        self._acks: deque[AckMessage] = deque(maxlen=KEPT_MESSAGES)
+        self._answers: deque[Report] = deque(maxlen=KEPT_MESSAGES)
         self._newest: dict[type[Report], Report] = {}
         self._state: Callable[[], str] | None = None
-        self._events: deque[EventMessage] = deque(maxlen=KEPT)
+        self._events: deque[EventMessage] = deque(maxlen=KEPT_MESSAGES)
         self._events_lost = 0
 
     def put(self, message: Report) -> None:
@@ -33,14 +33,14 @@ class Outgoing:
         match message:
             case Stopping():
                 self._stops[message.id] = message
-                if len(self._stops) > KEPT:
+                if len(self._stops) > KEPT_MESSAGES:
                     del self._stops[next(iter(self._stops))]
             case AckMessage():
                 self._acks.append(message)
             case LinkMessage() | WalkMessage() | BodyMessage():
                 self._newest[type(message)] = message
             case EventMessage():
-                if len(self._events) == KEPT:
+                if len(self._events) == KEPT_MESSAGES:
                     self._events_lost += 1 + self._events[0].left_out
                 self._events.append(message)
             case _:
@@ -48,12 +48,12 @@ class Outgoing:
         self._there.set()
 
     def put_state(self, text: Callable[[], str]) -> None:
-        """Queue a state; `text` makes the message when it is sent, with the state's age by then."""
+        """Queue a state; `text` makes the message when it is sent, with the state's age at that time."""
         self._state = text
         self._there.set()
 
     async def wait(self) -> list[str]:
-        """The texts to send now, in their order; waits until there is one."""
+        """The texts to send now, in this order; waits until there is one."""
         await self._there.wait()
         self._there.clear()
         messages: list[Report] = [*self._stops.values(), *self._acks, *self._answers, *self._newest.values()]
@@ -61,9 +61,8 @@ class Outgoing:
         if self._state is not None:
             texts.append(self._state())
         if self._events_lost:
-            self._events[0] = self._events[0].model_copy(
-                update={"left_out": self._events[0].left_out + self._events_lost}
-            )
+            left_out = self._events[0].left_out + self._events_lost
+            self._events[0] = self._events[0].model_copy(update={"left_out": left_out})
             self._events_lost = 0
         texts += [event.model_dump_json() for event in self._events]
         for sent in (self._stops, self._acks, self._answers, self._newest, self._events):

@@ -1,7 +1,7 @@
-"""One page's walk through the calibration: the guide, asked by messages.
+"""The calibration guide of one page: takes its requests, asks the gateway, and answers with the guide's state.
 
-Nothing here moves a servo. The page commands the servo under test by itself, as whoever has the lease, and stops
-commanding it when nobody looks; so what the guide knows may be old without any harm.
+Nothing here moves a servo. The page itself commands the servo under test, with its lease, and stops doing so when
+nobody looks. So the guide's idea of where the servo stands may be old without any harm.
 """
 
 import asyncio
@@ -15,12 +15,13 @@ from gateway.people.client.payloads import calibration_payload
 from gateway.people.console.guide import Guide
 from gateway.people.console.link import GatewayLink
 from gateway.people.console.messages import CalibrateRequest, CalibrationMessage, Draft
+from gateway.people.console.page_tasks import PageTasks
 from gateway.people.tools.calibration import change_of, standing
 from schemas import keys
 from schemas.telemetry import GatewayState
 
-MAX_WAITING: Final = 32
-"""Steps of one page that wait for the one before; a key that is held jogs ten times a second."""
+MAX_STEPS: Final = 32
+"""Of one page, that wait; a key that is held jogs ten times a second."""
 
 
 class PageCalibration:
@@ -32,33 +33,25 @@ class PageCalibration:
         signed: Callable[[dict[str, Any]], dict[str, Any]],
         send: Callable[[CalibrationMessage], None],
     ) -> None:
-        """`signed` adds who asks, and the lease."""
+        """`signed` adds the page's name and lease to a payload."""
         self._link = link
         self._signed = signed
         self._send = send
         self._guide: Guide | None = None
-        self._turn = asyncio.Lock()
-        self._tasks: set[asyncio.Task[None]] = set()
-
-    @property
-    def is_full(self) -> bool:
-        """Whether too many steps of the page wait."""
-        return len(self._tasks) >= MAX_WAITING
+        self._tasks = PageTasks(MAX_STEPS, "calibration steps", in_turn=True)
 
     def ask(self, step: CalibrateRequest, *, mine: bool) -> None:
-        """Take a step, and send the page where the guide then stands. `mine`: the page has the lease."""
-        task = asyncio.get_running_loop().create_task(self._run(step, mine=mine))
-        self._tasks.add(task)
-        task.add_done_callback(self._tasks.discard)
+        """Take a step, and send the page the guide's state. `mine`: the page has the lease. Raises EndError."""
+        self._tasks.check()
+        self._tasks.start(self._run(step, mine=mine))
 
     async def _run(self, step: CalibrateRequest, *, mine: bool) -> None:
-        async with self._turn:
-            said = error = None
-            try:
-                said = await self._take(step, mine=mine)
-            except (GatewayError, CalibrationError) as fault:
-                error = str(fault)
-            self._send(self._view(step.id, said, error))
+        said = error = None
+        try:
+            said = await self._take(step, mine=mine)
+        except (GatewayError, CalibrationError) as fault:
+            error = str(fault)
+        self._send(self._view(step.id, said, error))
 
     async def _take(self, step: CalibrateRequest, *, mine: bool) -> str | None:
         if step.do == "open" or self._guide is None:
@@ -75,7 +68,7 @@ class PageCalibration:
         return _on_paper(step, guide)
 
     async def _look(self) -> list[int]:
-        """What is in force now; a draft stands on it. Returns the servos that both have changed."""
+        """Read the calibration in force into the guide. Returns the servos that both this draft and others changed."""
         calibration = calibration_of(await asyncio.to_thread(self._link.client().calibration))
         if self._guide is None:
             self._guide = Guide(calibration, avoided_by((await self._state()).spi.framing))
@@ -92,7 +85,7 @@ class PageCalibration:
         elif step.do == "landing":
             stand = standing(await self._state())
             if not stand:
-                raise CalibrationError("no servo runs, so nobody knows where the robot stands: make it stand first")
+                raise CalibrationError("no servo runs, so the robot's pose is not known: make it stand first")
             payload = calibration_payload(landing=stand, revision=revision)
             done = f"the landing pose of {len(stand)} servos is written"
         elif guide.changed:
@@ -134,7 +127,7 @@ class PageCalibration:
 
 
 def _on_paper(step: CalibrateRequest, guide: Guide) -> str | None:
-    """A step that changes nothing but the draft, or where the servo under test is to be."""
+    """Change the draft or the wanted angle, and nothing else. Returns what to show. Raises CalibrationError."""
     deg = 0.0 if step.deg is None else step.deg
     match step.do:
         case "test" if step.servo is not None:

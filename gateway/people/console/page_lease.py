@@ -1,8 +1,8 @@
-"""The lease of one page: its token stays here, bound to one WebSocket, and goes with that one's commands.
+"""The lease of one page. Its token stays here, bound to one WebSocket, and is added to that page's commands.
 
-Nothing here renews it but the page's own request, so a page that is frozen or hidden loses it. The WebSocket's end
-gives it back. After a loss the old token still goes with the commands, until the page asks anew: so nothing that it
-sends by mistake is taken while nobody drives.
+Only the page's own requests renew it, so a page that is frozen or hidden loses it. It is released when the WebSocket
+ends. After a loss, commands keep the old token until the page asks for the lease anew: the gateway then rejects what
+the page sends by mistake, also while nobody holds the lease.
 """
 
 import asyncio
@@ -14,48 +14,42 @@ from typing import Final
 
 from gateway.errors import GatewayError
 from gateway.people.client.blocking import Client
-from gateway.people.client.lease import NOT_OURS
+from gateway.people.client.lease import NOT_OURS, RELEASE_S
 from gateway.people.console.messages import DriveRequest, LeaseMessage
+from gateway.people.console.page_tasks import PageTasks
 from gateway.people.walking import lease_lost
 from schemas.lease import LeaseAck
 from schemas.telemetry import Ack, Reason
 
 RENEW_S: Final = 1.0
-RELEASE_S: Final = 0.5
-MAX_WAITING: Final = 8
-"""Requests of one page; they are made one after the other."""
+"""How long a renewal waits for its answer."""
+MAX_REQUESTS: Final = 9
+"""Of one page: the one that is being made, and eight that wait."""
 
 
 class PageLease:
-    """On the event loop; what waits runs on threads."""
+    """On the event loop; questions to the gateway wait on threads."""
 
     def __init__(self, client: Callable[[], Client], name: str, send: Callable[[LeaseMessage], None]) -> None:
         """`client` raises GatewayError while there is no session. `name` is the page's."""
         self._client = client
         self._name = name
         self._send = send
-        self._turn = asyncio.Lock()
-        self._waiting = 0
-        self._tasks: set[asyncio.Task[None]] = set()
+        self.tasks = PageTasks(MAX_REQUESTS, "requests for the lease", in_turn=True)
         self.mine = False
         """Whether the page drives."""
         self.token: str | None = None
         """What the page's commands carry."""
         self._kept_s = -math.inf
-        """When the page asked last for what has kept the lease."""
+        """When the page sent its latest request that was granted, monotonic."""
         self._ttl_s = math.inf
 
-    @property
-    def is_full(self) -> bool:
-        """Whether too many requests of the page wait."""
-        return self._waiting >= MAX_WAITING
-
     def ask(self, request: DriveRequest) -> None:
-        """Do what the page asks for, and send it what came of it."""
-        self._start(request)
+        """Do what the page requests, and send it the answer."""
+        self.tasks.start(self._run(request))
 
     def judge(self, ack: Ack) -> None:
-        """What became of a command that carried the token."""
+        """Take the answer to a command that carried the token: it may show that the lease is lost."""
         if self.mine and not ack.accepted and ack.reason in NOT_OURS:
             self.mine = False
             silent = time.monotonic() - self._kept_s > self._ttl_s
@@ -63,32 +57,21 @@ class PageLease:
             self._send(LeaseMessage(mine=False, reason=str(ack.reason), detail=detail))
 
     def close(self) -> None:
-        """The page is gone: give it back, if it has it."""
-        self._start(None)
+        """The page is gone: release the lease, if it has it."""
+        self.tasks.start(self._release())
 
-    def _start(self, request: DriveRequest | None) -> None:
-        self._waiting += 1
-        task = asyncio.get_running_loop().create_task(self._run(request))
-        self._tasks.add(task)
-        task.add_done_callback(self._tasks.discard)
-
-    async def _run(self, request: DriveRequest | None) -> None:
-        async with self._turn:
-            self._waiting -= 1
-            if request is None:
-                await self._give_back()
-                return
-            asked_s = time.monotonic()
-            try:
-                ack = await self._asked(request)
-            except GatewayError as error:
-                self._send(LeaseMessage(mine=self.mine, id=request.id, detail=str(error)))
-                return
-            if ack.accepted:
-                self._kept_s, self._ttl_s = asked_s, (ack.ttl_ms or math.inf) / 1000
-            elif self.mine and request.do == "renew":
-                ack = ack.model_copy(update={"detail": self._why_lost(asked_s, ack.holder)})
-            self._answered(request, ack)
+    async def _run(self, request: DriveRequest) -> None:
+        asked_s = time.monotonic()
+        try:
+            ack = await self._asked(request)
+        except GatewayError as error:
+            self._send(LeaseMessage(mine=self.mine, id=request.id, detail=str(error)))
+            return
+        if ack.accepted:
+            self._kept_s, self._ttl_s = asked_s, (ack.ttl_ms or math.inf) / 1000
+        elif self.mine and request.do == "renew":
+            ack = ack.model_copy(update={"detail": self._why_lost(asked_s, ack.holder)})
+        self._answered(request, ack)
 
     async def _asked(self, request: DriveRequest) -> LeaseAck:
         requests, token = self._client().lease_requests, self.token
@@ -107,15 +90,15 @@ class PageLease:
             self.token, self.mine = (None, False) if ack.accepted or not self.mine else (self.token, True)
         elif request.do == "renew":
             self.mine = ack.accepted
-        # Of the answer it has the fields that a page may know: not the token.
+        # LeaseMessage ignores the token, which a page must not learn.
         self._send(LeaseMessage.model_validate({**ack.model_dump(), "mine": self.mine, "id": request.id}))
 
     def _why_lost(self, now_s: float, holder: str | None) -> str:
         return lease_lost(now_s - self._kept_s, self._ttl_s, holder)
 
-    async def _give_back(self) -> None:
+    async def _release(self) -> None:
         token, mine = self.token, self.mine
         self.token, self.mine = None, False
         if token is not None and mine:
-            with suppress(GatewayError):  # what is not answered expires by itself
+            with suppress(GatewayError):  # a lease that stays unreleased expires
                 await asyncio.to_thread(self._client().lease_requests.release, token, None, RELEASE_S)

@@ -1,15 +1,15 @@
-"""One page's walk: the page sends 20 times a second what it wants, and a thread of its own walks by the newest of that.
+"""One page's walk: the page sends its wish 20 times a second, and a thread of its own walks by the newest one.
 
-The thread drives `gateway.client.Walk` over a session of its own, with the page's lease. The loop that serves the pages
-only leaves a wish for it and never waits for it, so that no STOP ALL does either.
+The thread uses `gateway.client.Walk` over a session of its own, with the page's lease. The pages' loop only stores the
+wish and never waits for the thread, so no STOP ALL does either.
 
-- No wish is used twice. A page that has sent nothing for `SILENT_S` (frozen, locked, without Wi-Fi) has the robot
-  finish its step and stand, `SIT_S` later sit down, and its servos stopped. A page that is closed, the same.
-- Each wish carries the number of the press that it belongs to. What ends a walk (silence, an error, a Stop) uses up the
-  newest press: only a newer one moves the robot again.
-- A page that only shows itself, with nothing pressed for `IDLE_S`, has the robot sit down: standing heats the servos.
-- Until the legs are stopped the setpoints carry the page's lease; it is given back after that.
-- Where this process dies, the gateway's watchdog stops the legs.
+- Each wish is used once. When a page has sent none for `SILENT_S` (frozen, locked, without Wi-Fi, closed), the robot
+  finishes its step and stands; after another `SIT_S` it sits down, and its servos are stopped.
+- Each wish carries the number of its press. What ends a walk (silence, an error, a Stop) uses up the newest press: only
+  a newer one moves the robot again.
+- Without a press for `IDLE_S` the robot sits down although wishes come: standing heats the servos.
+- Setpoints carry the page's lease until the legs are stopped; only then is it released.
+- If this process dies, the gateway's watchdog stops the legs.
 """
 
 import asyncio
@@ -36,105 +36,103 @@ SILENT_S: Final = 0.25
 SIT_S: Final = 5.0
 IDLE_S: Final = 60.0
 SILENCES: Final = Silences(hold_s=SILENT_S, rest_s=SIT_S, idle_s=IDLE_S, halted_s=SILENT_S + SIT_S)
-HZ: Final = 50.0
-TICK_S: Final = 0.05
-"""How long a wish is waited for, before silence is looked at."""
+SETPOINTS_HZ: Final = 50.0
+WISH_WAIT_S: Final = 0.05
+"""How long the thread waits for a wish before it looks at the silence."""
 REPORT_S: Final = 0.1
 
 _log: Final = logging.getLogger(__name__)
 
 
 class PageWalks:
-    """For one page, on the event loop; all walks of the page come one after the other."""
+    """The walks of one page, one after the other. On the event loop."""
 
     def __init__(
         self, connect: Callable[[str], Client], name: str, geometry: Geometry, send: Callable[[WalkMessage], None]
     ) -> None:
         """`connect` opens a session under a name, and waits for that; it is called on a thread."""
         self._loop = asyncio.get_running_loop()
-        self._connect = connect
-        self._name = name
-        self._geometry = geometry
         self._send = send
-        self._ride: _PageWalk | None = None
+        self._new = partial(_WalkThread, name, partial(connect, name), geometry, partial(self._later, send))
+        self._walk: _WalkThread | None = None
         self._spent = -1
         """The newest press that has been used."""
 
     @property
     def active(self) -> bool:
         """Whether legs may run by it."""
-        return self._ride is not None and self._ride.is_alive()
+        return self._walk is not None and self._walk.is_alive()
 
     def take(self, wish: WalkWish, token: str | None) -> None:
-        """A wish that is fresh. `token` is the page's lease; without it nothing begins."""
-        if self._ride is not None:
-            if self._ride.is_alive():
-                self._ride.take(wish)
+        """Store a fresh wish, or begin a walk by it. `token` is the page's lease; without it no walk begins."""
+        if self._walk is not None:
+            if self._walk.is_alive():
+                self._walk.take(wish)
                 return
-            self._spent, self._ride = max(self._spent, self._ride.spent), None
+            self._spent, self._walk = max(self._spent, self._walk.spent), None
         if wish.press <= self._spent or wish.sits:
             return
         self._spent = wish.press
         if token is None:
             self._send(WalkMessage(press=wish.press, detail="this page does not have the lease; press Drive first"))
             return
-        self._ride = _PageWalk(self._connect, self._name, self._geometry, token, wish, partial(self._later, self._send))
+        walk = self._new(token, wish)
         try:
-            self._ride.start()
-        except RuntimeError as error:  # no thread
-            self._ride = None
+            walk.start()
+        except RuntimeError as error:  # the system allows no further thread
             self._send(WalkMessage(press=wish.press, detail=str(error)))
+        else:
+            self._walk = walk
 
     def when_over(self, then: Callable[[], None], *, sits: bool) -> None:
-        """Call `then` once the legs are stopped; with `sits` it sits down now, else when the page's silence has it."""
-        if self._ride is None or not self._ride.when_over(partial(self._later, then), sits=sits):
+        """Call `then` once the legs are stopped. `sits`: sit down now; else the page's silence makes it sit."""
+        if self._walk is None or not self._walk.when_over(partial(self._later, then), sits=sits):
             then()
 
     def _later(self, call: Callable[..., None], *arguments: object) -> None:
-        """For the walk's thread."""
+        """Call on the loop; for the walk's thread."""
         with suppress(RuntimeError):  # the loop is closed
             self._loop.call_soon_threadsafe(call, *arguments)
 
 
-class _PageWalk(threading.Thread):
-    """One walk, from the press that begins it until its servos are stopped. What it does is decided by `Ride`."""
+class _WalkThread(threading.Thread):
+    """One walk, from the press that begins it until its servos are stopped. `Ride` decides what it does."""
 
     def __init__(
         self,
-        connect: Callable[[str], Client],
         name: str,
+        connect: Callable[[], Client],
         geometry: Geometry,
+        send: Callable[[WalkMessage], None],
         token: str,
         wish: WalkWish,
-        send: Callable[[WalkMessage], None],
     ) -> None:
-        super().__init__(name="walk for a page", daemon=True)
+        super().__init__(name=name, daemon=True)
         self._connect = connect
-        self._source = name
         self._geometry = geometry
-        self._token = token
         self._send = send
+        self._token = token
         self._changed = threading.Condition()
-        """Held for an assignment at a time only: the pages' loop takes it, too."""
+        """Held for an assignment at a time only, since the pages' loop takes it too."""
         self._wish: tuple[WalkWish, float] | None = (wish, time.monotonic())
-        """And when it came."""
+        """The newest wish that was not used yet, and when it came."""
         self._then: list[Callable[[], None]] = []
         self._ending = False
         self._over = False
         self.spent = wish.press
-        """Wishes of this press, and older ones, move nothing any more once it is over."""
+        """Once it is over, wishes of this press and older ones move nothing."""
         self._newest = wish
 
-    # ---- the loop's side
+    # ---- called on the loop
 
     def take(self, wish: WalkWish) -> None:
-        """In place of an older one."""
+        """Replace the wish before it."""
         with self._changed:
             self._wish = (wish, time.monotonic())
             self._changed.notify()
 
     def when_over(self, then: Callable[[], None], *, sits: bool) -> bool:
-        """`sits`: sit down now. False where it is over: then nothing is called."""
+        """Call `then` at the end; `sits`: sit down now. False if it is over: then `then` is not called."""
         with self._changed:
             if self._over:
                 return False
@@ -151,7 +149,7 @@ class _PageWalk(threading.Thread):
             detail = self._walk()
         except Exception as error:
             if not isinstance(error, GatewayError | ValueError | RuntimeError | zenoh.ZError):
-                _log.exception("the walk for %s ended by a fault", self._source)
+                _log.exception("%s: ended by a fault", self.name)
             detail = str(error) or repr(error)
         finally:
             with self._changed:
@@ -163,10 +161,10 @@ class _PageWalk(threading.Thread):
                 each()
 
     def _walk(self) -> str:
-        """Returns why it has ended, for people."""
-        with closing(self._connect(self._source)) as client:
+        """Returns why it has ended, in words."""
+        with closing(self._connect()) as client:
             client.carry(LentLease(client, self._token))
-            walk = Walk(client, self._newest.gait, self._geometry, HZ, silences=SILENCES, once=True)
+            walk = Walk(client, self._newest.gait, self._geometry, SETPOINTS_HZ, silences=SILENCES, once=True)
             walk.open()
             try:
                 reported_s = 0.0
@@ -180,10 +178,10 @@ class _PageWalk(threading.Thread):
                 walk.close(sits=False)
 
     def _obey(self, walk: Walk) -> None:
-        """The newest wish, or the page's end."""
+        """Give the ride the newest wish, or the page's end."""
         with self._changed:
             if self._wish is None:
-                self._changed.wait(TICK_S)
+                self._changed.wait(WISH_WAIT_S)
             taken, self._wish = self._wish, None
         if taken is not None:
             self._newest, came_s = taken

@@ -1,8 +1,8 @@
-"""The pages that are open, and what one of them may do.
+"""The open pages, and what one of them may do.
 
-Setpoints go through as they come, once. Nothing here repeats one: where a page falls silent, the gateway's watchdog
-stops the legs. A page's commands carry the time by its own clock, so that what waited on the way, in a frozen browser
-or in this process, is rejected here or by the gateway.
+Setpoints are passed on once, as they come, and never repeated: if a page falls silent, the gateway's watchdog stops the
+legs. A page's commands carry the time by its own clock, so what was delayed on its way, in a frozen browser or in this
+process, is rejected here or by the gateway.
 """
 
 import asyncio
@@ -12,8 +12,9 @@ import math
 import re
 import time
 from collections import deque
-from collections.abc import Awaitable, Callable, Coroutine
+from collections.abc import Awaitable, Callable
 from contextlib import suppress
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import partial
 from typing import Any, Final
@@ -25,64 +26,50 @@ from gateway.errors import GatewayError
 from gateway.geometry import Geometry
 from gateway.model.staleness import Staleness
 from gateway.people.client.confirmed_stop import Press
+from gateway.people.console import messages
 from gateway.people.console.link import GatewayLink, LinkReceiver
-from gateway.people.console.messages import (
-    FROM_PAGE,
-    AckMessage,
-    AliveMessage,
-    BodyMessage,
-    CalibrateRequest,
-    CommandRequest,
-    DriveRequest,
-    EventMessage,
-    FromPage,
-    LinkForMessage,
-    LinkForRequest,
-    LinkMessage,
-    ResetRequest,
-    Role,
-    StopAllRequest,
-    StopButtonRequest,
-    UprightRequest,
-    WalkWish,
-)
 from gateway.people.console.outgoing import Outgoing
 from gateway.people.console.page_calibration import PageCalibration
 from gateway.people.console.page_lease import PageLease
-from gateway.people.console.page_walk import PageWalks
+from gateway.people.console.page_tasks import EndError, PageTasks
+from gateway.people.console.page_walk import SILENT_S, PageWalks
 from gateway.people.console.stop_button import StopButton
 from gateway.people.console.stops import Stops, now_ns
 from gateway.people.walking import robot_now
 from schemas import keys
 from schemas.telemetry import Ack, BodyReport, Event, GatewayState, Kind, LimitsReport, Reason
 
-WISH_AGE_MS: Final = 250.0
-"""Of a wish for the walk: what comes later counts as silence (`walking.SILENT_S`)."""
-MAX_QUESTIONS: Final = 16
-"""Of one page, under way at once."""
+MAX_COMMANDS: Final = 16
+"""Of one page, that wait for their acknowledgement."""
 MAX_STOPS: Final = 32
-"""Kinds of Stops of legs and servos, of one page, under way at once."""
+"""Kinds of Stops of legs and servos, of one page, that wait for theirs."""
 STOP_LASTS_S: Final = 2.0
-"""For so long one of these is asked for again: later, somebody else may drive that leg."""
-KEPT_EVENTS: Final = 50
-"""What a page that opens gets of the past."""
-
+"""How long such a Stop is requested again: later, somebody else may drive that leg."""
+PAST_EVENTS: Final = 50
+"""What a page that opens receives of the past."""
 
 _WORDS: Final = re.compile(r"[^\s,:]+")
 
 logger = logging.getLogger(__name__)
 
 
-class EndError(Exception):
-    """Ends a page's WebSocket; the text is the reason."""
+@dataclass(frozen=True)
+class Shared:
+    """What all pages of a console use. `new_link` writes a file, so a thread calls it."""
+
+    person: str
+    link: GatewayLink
+    stops: Stops[str | None]
+    geometry: Geometry
+    new_link: Callable[[], str]
 
 
 class Pages(LinkReceiver):
-    """All open pages; what the gateway publishes goes to each of them.
+    """All open pages, each of which is sent what the gateway publishes.
 
-    All sessions end when the gateway says that this console's own certificate is revoked. It says so before it lets go
-    of the connection. A console that is not connected then gets in no more, so its pages show no robot, and its
-    sessions end when it is started with another certificate (`Sessions.begin`).
+    All sessions end when the gateway reports that this console's own certificate is revoked, which it does before it
+    closes the connection. A console that is not connected then cannot connect any more, so its pages show no robot;
+    its sessions end when it is started with another certificate (`Sessions.begin`).
     """
 
     def __init__(self, common_name: str, end_sessions: Callable[[], int]) -> None:
@@ -94,28 +81,27 @@ class Pages(LinkReceiver):
         self._opened = 0
         self._state: Callable[[], str] | None = None
         self._max_age_ms = LimitsReport().max_age_ms
-        self._link = LinkMessage(status="gone")
-        self._events: deque[EventMessage] = deque(maxlen=KEPT_EVENTS)
+        self._link = messages.LinkMessage(status="gone")
+        self._events: deque[messages.EventMessage] = deque(maxlen=PAST_EVENTS)
 
     def __len__(self) -> int:
         return len(self._pages)
 
     def add(self, page: "Page") -> None:
-        """It receives everything from now on, beginning with what is known."""
+        """Send it what is known, and from now on what is received."""
         self._pages.add(page)
-        page.outgoing.put(self._link)
-        for event in self._events:
-            page.outgoing.put(event)
+        for message in (self._link, *self._events):
+            page.outgoing.put(message)
         if self._state is not None:
             page.outgoing.put_state(self._state)
         page.allow_age(self._max_age_ms)
 
     def remove(self, page: "Page") -> None:
-        """It is closed."""
+        """Send it nothing more."""
         self._pages.discard(page)
 
     def next_number(self) -> int:
-        """Of a page: no two have the same, so that the gateway takes no page's clock for another's."""
+        """A page's number, never given twice: by it the gateway keeps the pages' clocks apart."""
         self._opened += 1
         return self._opened
 
@@ -127,21 +113,20 @@ class Pages(LinkReceiver):
             page.allow_age(self._max_age_ms)
 
     def received_body(self, body: BodyReport) -> None:
-        for page in self._pages:
-            page.outgoing.put(BodyMessage(body=body))
+        self._send(messages.BodyMessage(body=body))
 
     def received_event(self, event: Event, left_out: int = 0) -> None:
-        self._events.append(EventMessage(event=event, left_out=left_out))
+        self._events.append(messages.EventMessage(event=event, left_out=left_out))
         self._send(self._events[-1])
         if event.kind == Kind.REVOKED and self._common_name in _WORDS.findall(event.detail):
             logger.warning("this console's certificate (%s) is revoked: all its sessions end", self._common_name)
             self._ending = asyncio.ensure_future(asyncio.to_thread(self._end_sessions))
 
-    def link_changed(self, link: LinkMessage) -> None:
+    def link_changed(self, link: messages.LinkMessage) -> None:
         self._link = link
         self._send(link)
 
-    def _send(self, message: EventMessage | LinkMessage) -> None:
+    def _send(self, message: messages.EventMessage | messages.LinkMessage | messages.BodyMessage) -> None:
         for page in self._pages:
             page.outgoing.put(message)
 
@@ -153,39 +138,33 @@ def _state_text(state: str, now: str, received_ns: int) -> str:
 
 
 class Page:
-    """One page's WebSocket: takes its messages, and answers into `outgoing`."""
+    """One page's WebSocket: takes its messages, and answers into `outgoing`. On the event loop."""
 
-    def __init__(
-        self,
-        number: int,
-        person: str,
-        role: Role,
-        link: GatewayLink,
-        stops: Stops[str | None],
-        geometry: Geometry,
-        new_link: Callable[[], str],
-    ) -> None:
-        self.source = f"{person[:40]} (page {number})"
+    def __init__(self, number: int, role: messages.Role, shared: Shared) -> None:
+        person, link = shared.person[:40], shared.link
+        self.source = f"{person} (page {number})"
+        """Its name in states and events."""
         self.outgoing = Outgoing()
         self._role = role
         self._link = link
-        self._stops = stops
+        self._stops = shared.stops
+        self._new_link = shared.new_link
         self._lease = PageLease(link.client, self.source, self.outgoing.put)
-        self._calibrating = PageCalibration(link, partial(self._signed, sent_ms=None), self.outgoing.put)
-        self._walking = PageWalks(link.connect, f"{self.source} walks", geometry, self.outgoing.put)
-        self._new_link = new_link
-        self._button = StopButton(link.client, f"{person[:40]}/page {number}", self.outgoing.put)
+        self._calibration = PageCalibration(link, partial(self._signed, sent_ms=None), self.outgoing.put)
+        self._walks = PageWalks(link.connect, f"{self.source} walks", shared.geometry, self.outgoing.put)
+        self._button = StopButton(link.client, f"{person}/page {number}", self.outgoing.put)
         self._max_age_ms = LimitsReport().max_age_ms
         self._staleness = Staleness(self._max_age_ms)
-        self._wishes = Staleness(WISH_AGE_MS)
-        self._questions: set[asyncio.Task[None]] = set()
+        self._wishes = Staleness(SILENT_S * 1000)
+        """Of wishes for the walk: a later one counts as silence."""
+        self._tasks = PageTasks(MAX_COMMANDS, "commands")
         self._leg_stops: dict[tuple[str, str], Stops[dict[str, Any]]] = {}
-        """By their key and what they stop."""
+        """By their key and payload."""
 
     def allow_age(self, max_age_ms: float) -> None:
-        """Commands may be as old as the gateway lets them (`limits.max_age_ms`, 0: any age).
+        """Commands may be as old as the gateway allows (`limits.max_age_ms`; 0: any age).
 
-        The gateway cannot know how long a page's first command took; here the page's pings show its clock.
+        The gateway cannot know how long a page's first command took; the page's `AliveMessage` shows its clock here.
         """
         if max_age_ms != self._max_age_ms:
             self._max_age_ms = max_age_ms
@@ -194,77 +173,73 @@ class Page:
     def take(self, text: str) -> None:
         """One message of the page's. Raises EndError for what no page of ours sends."""
         try:
-            message = FROM_PAGE.validate_json(text)
+            message = messages.FROM_PAGE.validate_json(text)
         except ValidationError as error:
             raise EndError(_first_fault(error)) from error
-        if isinstance(message, AliveMessage):
+        stops = isinstance(message, messages.StopAllRequest | messages.StopButtonRequest)
+        if isinstance(message, messages.AliveMessage):
             self._is_late(message.now_ms)
             self._is_late(message.now_ms, self._wishes)
-        elif self._role != "operator" and not (
-            self._role == "button" and isinstance(message, StopAllRequest | StopButtonRequest)
-        ):
+        elif self._role != "operator" and not (self._role == "button" and stops):
             raise EndError("this page only looks" + (", and stops" if self._role == "button" else ""))
         else:
             self._do(message)
 
     def close(self) -> None:
-        """The WebSocket is closed. A stop that it asked for goes on; the lease is given back, after the walk."""
-        self._walking.when_over(self._lease.close, sits=False)
+        """The WebSocket is closed. A stop that it requested goes on; the lease is released after the walk."""
+        self._walks.when_over(self._lease.close, sits=False)
         self._stops.leave(self.outgoing)
 
-    def _do(self, message: FromPage) -> None:
+    def _do(self, message: messages.FromPage) -> None:
         match message:
-            case StopAllRequest():
+            case messages.StopAllRequest():
                 self._stops.press(self.outgoing, message.id, self._button.name if message.button else None)
-            case CommandRequest():
+            case messages.CommandRequest():
                 self._command(message)
-            case ResetRequest():
+            case messages.ResetRequest():
+                payload = self._signed({"estop": message.estop}, message.sent_ms)
                 late = self._is_late(message.sent_ms)
                 if late is None:
-                    self._ask(message.id, keys.RESET, self._signed({"estop": message.estop}, message.sent_ms))
+                    self._ask(message.id, partial(self._link.ask, keys.RESET, payload, again=False))
                 else:
                     self._reject(message.id, keys.RESET, late)
-            case DriveRequest():
+            case messages.DriveRequest():
                 self._drive(message)
-            case WalkWish():
-                self._wish(message)
-            case UprightRequest():
-                self._begin(message.id, self._link.set_upright)
-            case StopButtonRequest():
+            case messages.WalkWish():
+                if self._is_late(message.sent_ms, self._wishes) is None:
+                    self._walks.take(message, self._lease.token if self._lease.mine else None)
+            case messages.UprightRequest():
+                self._ask(message.id, self._link.set_upright)
+            case messages.StopButtonRequest():
                 self._button.take(message)
-            case LinkForRequest():
-                self._start(self._invite(message.id))
-            case CalibrateRequest():
-                if self._calibrating.is_full:
-                    raise EndError("too many steps of the calibration wait for their answers")
-                self._calibrating.ask(message, mine=self._lease.mine)
+            case messages.LinkForRequest():
+                self._tasks.check()
+                self._tasks.start(self._invite(message.id))
+            case messages.CalibrateRequest():
+                self._calibration.ask(message, mine=self._lease.mine)
 
-    def _wish(self, message: WalkWish) -> None:
-        if self._is_late(message.sent_ms, self._wishes) is None:
-            self._walking.take(message, self._lease.token if self._lease.mine else None)
-
-    def _drive(self, message: DriveRequest) -> None:
-        if self._lease.is_full:
-            raise EndError("too many requests for the lease wait for their answers")
-        if message.do == "release":  # who walks sits down first
-            self._walking.when_over(partial(self._lease.ask, message), sits=True)
+    def _drive(self, message: messages.DriveRequest) -> None:
+        self._lease.tasks.check()
+        if message.do == "release":  # a robot that walks sits down first
+            self._walks.when_over(partial(self._lease.ask, message), sits=True)
         else:
             self._lease.ask(message)
 
-    def _command(self, message: CommandRequest) -> None:
+    def _command(self, message: messages.CommandRequest) -> None:
         payload = self._signed(message.payload.model_dump(mode="json", exclude_none=True), message.sent_ms)
         late = self._is_late(message.sent_ms)
-        if message.only_stops:  # however old; and sent again until it is answered
+        if message.only_stops:  # accepted at any age, and sent again until it is answered
             self._stop(message, {**payload, "sent_ms": None})
         elif late is not None:
             self._reject(message.id, message.key, late)
-        elif self._walking.active:
+        elif self._walks.active:
             if message.id is not None:
-                self.outgoing.put(AckMessage(id=message.id, took_ms=0.0, error="this page walks; sit down first"))
+                error = "this page walks; sit down first"
+                self.outgoing.put(messages.AckMessage(id=message.id, took_ms=0.0, error=error))
         elif message.id is not None:
-            self._ask(message.id, message.key, payload)
+            self._ask(message.id, partial(self._link.ask, message.key, payload, again=False))
         else:
-            with suppress(GatewayError):  # the page is sent the link's state
+            with suppress(GatewayError):  # the page receives the link's state
                 self._link.client().publish(message.key, payload)  # at most a millisecond
 
     def _signed(self, payload: dict[str, Any], sent_ms: float | None) -> dict[str, Any]:
@@ -277,38 +252,42 @@ class Page:
         return (among or self._staleness).too_old(None, sent_ms, now_ns, now_ns)
 
     def _reject(self, message_id: int | None, key: str, detail: str) -> None:
+        """As too old: by an answer to a command with an id, else by an event."""
         if message_id is not None:
             ack = Ack(accepted=False, reason=Reason.STALE, detail=detail)
-            self.outgoing.put(AckMessage(id=message_id, took_ms=0.0, ack=ack))
-        else:
-            self.outgoing.put(EventMessage(event=_rejection(self.source, key, detail)))
+            self.outgoing.put(messages.AckMessage(id=message_id, took_ms=0.0, ack=ack))
+            return
+        kind, reason = Kind.COMMAND_REJECTED, Reason.STALE
+        event = Event(time=datetime.now(UTC), kind=kind, source=self.source, key=key, reason=reason, detail=detail)
+        self.outgoing.put(messages.EventMessage(event=event))
 
-    def _ask(self, message_id: int | None, key: str, payload: dict[str, Any]) -> None:
-        self._begin(message_id, partial(self._link.ask, key, payload, again=False))
+    def _ask(self, message_id: int, ask: Callable[[], Awaitable[Ack]]) -> None:
+        self._tasks.check()
+        self._tasks.start(self._answer(message_id, ask))
 
-    def _begin(self, message_id: int | None, ask: Callable[[], Awaitable[Ack]]) -> None:
-        self._start(self._answer(message_id, ask))
-
-    def _start(self, answer: Coroutine[Any, Any, None]) -> None:
-        if len(self._questions) >= MAX_QUESTIONS:
-            answer.close()
-            raise EndError(f"{MAX_QUESTIONS} commands of this page wait for their acknowledgement")
-        question = asyncio.create_task(answer)
-        self._questions.add(question)
-        question.add_done_callback(self._questions.discard)
+    async def _answer(self, message_id: int, ask: Callable[[], Awaitable[Ack]]) -> None:
+        began_s = time.monotonic()
+        ack, error = None, None
+        try:
+            ack = await ask()
+            self._lease.judge(ack)
+        except Exception as failed:  # also for want of memory or descriptors: the page has to know
+            error = str(failed) or repr(failed)
+        took_ms = (time.monotonic() - began_s) * 1000
+        self.outgoing.put(messages.AckMessage(id=message_id, took_ms=took_ms, ack=ack, error=error))
 
     async def _invite(self, message_id: int) -> None:
         try:
-            url = await asyncio.to_thread(self._new_link)  # which writes a file
+            url = await asyncio.to_thread(self._new_link)
             code = await asyncio.to_thread(segno.make, url, error="l")
         except GatewayError as error:
-            self.outgoing.put(LinkForMessage(id=message_id, error=str(error)))
+            self.outgoing.put(messages.LinkForMessage(id=message_id, error=str(error)))
         else:
             rows = ["".join(str(module & 1) for module in row) for row in code.matrix]
-            self.outgoing.put(LinkForMessage(id=message_id, url=url, rows=rows))
+            self.outgoing.put(messages.LinkForMessage(id=message_id, url=url, rows=rows))
 
-    def _stop(self, message: CommandRequest, payload: dict[str, Any]) -> None:
-        """Ask until it is answered or its time is over; the answer to a newer one is also that of an older one."""
+    def _stop(self, message: messages.CommandRequest, payload: dict[str, Any]) -> None:
+        """Request it until it is answered or its time is over; an answer to a newer request is also an older one's."""
         kind = (message.key, message.payload.model_dump_json())
         if kind not in self._leg_stops:
             if len(self._leg_stops) >= MAX_STOPS:
@@ -326,32 +305,9 @@ class Page:
             self._lease.judge(ack)
         if press.id is not None:
             took_ms = (now_ns() - press.pressed_ns) / 1e6
-            self.outgoing.put(AckMessage(id=press.id, took_ms=took_ms, ack=ack, error=error))
+            self.outgoing.put(messages.AckMessage(id=press.id, took_ms=took_ms, ack=ack, error=error))
         if kind in self._leg_stops and not self._leg_stops[kind].unconfirmed:
             del self._leg_stops[kind]
-
-    async def _answer(self, message_id: int | None, ask: Callable[[], Awaitable[Ack]]) -> None:
-        began_s = time.monotonic()
-        ack, error = None, None
-        try:
-            ack = await ask()
-            self._lease.judge(ack)
-        except Exception as failed:  # also without memory or descriptors: the page has to know
-            error = str(failed) or repr(failed)
-        if message_id is not None:
-            took_ms = (time.monotonic() - began_s) * 1000
-            self.outgoing.put(AckMessage(id=message_id, took_ms=took_ms, ack=ack, error=error))
-
-
-def _rejection(source: str, key: str, detail: str) -> Event:
-    return Event(
-        time=datetime.now(UTC),
-        kind=Kind.COMMAND_REJECTED,
-        source=source,
-        key=key,
-        reason=Reason.STALE,
-        detail=detail,
-    )
 
 
 def _first_fault(error: ValidationError) -> str:

@@ -1,4 +1,4 @@
-"""Whether the gateway is there, as pages show it. Pure: `now_ns` is by a clock that never goes back."""
+"""The status of the link to the gateway, as pages show it. Pure: `now_ns` is monotonic."""
 
 from collections.abc import Sequence
 
@@ -7,7 +7,7 @@ from gateway.people.console.messages import LinkMessage
 
 
 class GatewayPresence:
-    """`link` is the newest message to the pages; the methods take what happened.
+    """`link` is the newest message to the pages; the methods take what happens.
 
     >>> presence = GatewayPresence()
     >>> presence.opened(0)
@@ -25,39 +25,39 @@ class GatewayPresence:
         self.link = LinkMessage(status="gone")
         self._silence = Silence()
         self._ended = False
-        """Whether the gateway has ended since its newest state."""
+        """Whether its liveliness token is gone."""
 
     def opened(self, now_ns: int) -> None:
-        """There is a session."""
+        """A session is open."""
         self._silence.opened(now_ns)
 
     def not_opened(self, why: str) -> None:
-        """There is none yet."""
+        """No session could be opened yet."""
         self.link = LinkMessage(status="gone", detail=self.link.detail or why)
 
     def looked(self, reasons: Sequence[str]) -> None:
-        """Why nobody is there, a line for each host."""
+        """Why no state comes, one line for each host."""
         if self.link.status != "connected":
             self.link = LinkMessage(status=self.link.status, detail="\n".join(reasons))
 
     def received_token(self, alive: bool) -> None:
-        """The gateway is there, or has ended, or the link to it has."""
+        """The gateway's liveliness token has appeared or gone."""
         self._ended = not alive
         if not alive:
             self.link = LinkMessage(status="gone", detail="the gateway has ended, or the link to it has")
 
     def received_state(self, now_ns: int) -> None:
-        """A state that was under way when the gateway ended brings nobody back."""
+        """A state that comes after the token has gone was under way, and does not count."""
         self._silence.received(now_ns)
         if not self._ended:
             self.link = LinkMessage(status="connected")
 
     def is_silent(self, now_ns: int) -> bool:
-        """Whether `fell_silent` is to be called."""
+        """Whether no state has come for so long that `fell_silent` applies."""
         return self._silence.is_long(now_ns)
 
     def fell_silent(self, *, linked: bool) -> None:
-        """`linked`: whether there is a connection, to the gateway or to a router before it."""
+        """`linked`: connected to the gateway, or to a router in front of it."""
         if not linked:
             self.link = LinkMessage(status="gone", detail=self.link.detail or "the link to the gateway is lost")
         elif not self._ended:

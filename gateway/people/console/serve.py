@@ -9,11 +9,10 @@ import threading
 import webbrowser
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext, suppress
-from dataclasses import dataclass
 from functools import partial
 from html import escape
 from pathlib import Path
-from typing import Final, NoReturn
+from typing import Final, NamedTuple, NoReturn
 
 import segno
 
@@ -23,10 +22,11 @@ from gateway.host import descriptors, logs, realtime
 from gateway.people.console import sessions
 from gateway.people.console.app import MAX_CLOSING, MAX_PAGES, Console
 from gateway.people.console.auth import Auth
+from gateway.people.console.command import Options
 from gateway.people.console.link import STACK_BYTES, GatewayLink
 from gateway.people.console.listener import MAX_SIGNED_IN, MAX_UNKNOWN, HttpListener, report
 from gateway.people.console.messages import ROLES, Role, least
-from gateway.people.console.pages import Pages
+from gateway.people.console.pages import Pages, Shared
 from gateway.people.console.sessions import LINK_S, Sessions
 from gateway.people.console.site import DEFAULT_PORT, Site
 from gateway.people.console.sockets import listening
@@ -38,40 +38,34 @@ from gateway.zenoh_config import client_config, get
 OWN_DESCRIPTORS: Final = 96
 """For the Zenoh session, four more of them for STOP ALL and four for other Stops, the spare ones, and files."""
 DESCRIPTORS: Final = MAX_UNKNOWN + MAX_SIGNED_IN + MAX_PAGES + MAX_CLOSING + OWN_DESCRIPTORS
-"""There are fewer places for connections than descriptors, whoever comes."""
+"""More than the places for connections, so no flood of connections takes them all."""
 
 
-@dataclass(frozen=True)
-class Options:
-    """The command's."""
+class Owner(NamedTuple):
+    """By the console's certificate; without one it is the user's, with an empty common name."""
 
-    site: Site
-    passed: Sequence[socket.socket]
-    """Sockets of systemd's, on which it listens; empty: it binds by itself."""
-    listen_given: bool
-    connect: str | None
-    zenoh_config: Path | None
-    timeout_s: float
+    person: str
     role: Role
-    geometry: Path | None
-    open_browser: bool
-    card: str = ""
-    """Of the page, which the first links lead to; empty: its beginning."""
+    """What pages may do at most."""
+    common_name: str
 
 
-def serve(options: Options) -> NoReturn:
-    """Serve until SIGTERM or Ctrl-C, and end the process with 0. Raises ConfigError, AddressTakenError, ZenohError."""
-    person, role, common_name = _identity(options.connect, options.zenoh_config)
+def serve(options: Options, role: Role, site: Site, passed: Sequence[socket.socket]) -> NoReturn:
+    """Serve until SIGTERM or Ctrl-C, and end the process with 0. Raises ConfigError, AddressTakenError, ZenohError.
+
+    `role`: what pages may do at most. `passed`: systemd's sockets; empty: the console binds its own.
+    """
+    owner = _owner(options.connect, options.zenoh_config)
+    owner = owner._replace(role=least(owner.role, role))
     geometry = load(options.geometry)
     descriptors.ensure(DESCRIPTORS, "the console")
     realtime.limit_malloc_arenas()
     threading.stack_size(STACK_BYTES)
-    with listening(options.site, options.passed) as sockets:
-        logs.set_up("info", "auto")  # from now on nobody waits for whoever reads what is written here
-        found = Sessions(sessions.folder(), options.site.port)
-        role = least(role, options.role)
-        found.begin(options.site.url, role, common_name)
-        asyncio.run(_run(options, sockets, found, person, role, common_name, geometry))
+    with listening(site, passed) as sockets:
+        logs.set_up("info", "auto")  # from now on another thread writes the log: no slow reader delays this process
+        found = Sessions(sessions.folder(), site.port)
+        found.begin(site.url, owner.role, owner.common_name)
+        asyncio.run(_run(options, site, sockets, found, owner, geometry))
 
 
 def show(link: str) -> None:
@@ -84,29 +78,26 @@ def show(link: str) -> None:
 
 async def _run(
     options: Options,
+    site: Site,
     sockets: Sequence[socket.socket],
     found: Sessions,
-    person: str,
-    role: Role,
-    common_name: str,
+    owner: Owner,
     geometry: Geometry,
 ) -> NoReturn:
     loop, ended = asyncio.get_running_loop(), asyncio.Event()
     loop.set_exception_handler(report)
     for number in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(number, ended.set)
-    site, pages = options.site, Pages(common_name, found.revoke)
-    gateway = GatewayLink(options.connect, options.zenoh_config, person, options.timeout_s, pages)
+    pages = Pages(owner.common_name, found.revoke)
+    gateway = GatewayLink(options.connect, options.zenoh_config, owner.person, options.timeout_s, pages)
     stops = Stops(gateway.estop, send_stopping)
-    console = Console(found, gateway, stops, pages, person=person, geometry=geometry)
-    auth = Auth(site, found, person=person, role=role)
+    console = Console(found, pages, Shared(owner.person, gateway, stops, geometry, found.new_link))
+    auth = Auth(site, found, owner.role)
     context = server_context(site.certificate, site.key) if site.certificate and site.key else None
     HttpListener(sockets, context, auth, console.admit).start()
     watching = asyncio.create_task(gateway.run())
     watching.add_done_callback(lambda _: ended.set())
     realtime.freeze_gc()
-    if not options.listen_given and site.port != DEFAULT_PORT:
-        hint(f"Port {DEFAULT_PORT} is taken by another program, so the console listens on {site.port}.")
     _say_where(site, found, options.card)
     with _opened(found, options.card) if options.open_browser else nullcontext():
         await ended.wait()
@@ -118,13 +109,13 @@ async def _run(
         hint("STOP ALL was NOT confirmed: switch the servos' power off.")
     if failed is not None:
         raise failed
-    # Not by the interpreter's own end: it would wait for threads that ask a gateway which does not answer.
+    # The interpreter's own end would wait for threads that ask a gateway which does not answer.
     logs.close()
     os._exit(0)
 
 
 def _say_where(site: Site, found: Sessions, card: str) -> None:
-    """A link goes to a terminal only: whatever else reads this, such as a journal, is read by others, and kept."""
+    """Print a link to a terminal only: a journal, or another reader of this output, keeps it and shows it to others."""
     where = "" if site.port == DEFAULT_PORT else f" --listen {site.address}:{site.port}"
     say(f"For a{'nother' if os.isatty(1) else ''} browser: {this_command()} console --link{where}")
     if os.isatty(1):
@@ -135,7 +126,7 @@ def _say_where(site: Site, found: Sessions, card: str) -> None:
 
 @contextmanager
 def _opened(found: Sessions, card: str) -> Iterator[None]:
-    """Open this machine's browser by a private file that goes on to a link: everybody sees a program's arguments."""
+    """Open this machine's browser by a private file that leads to a link: all users can read a command's arguments."""
     file = found.path.with_suffix(".html")
     link = escape(found.new_link(card))
     content = f'<!doctype html><title>Console</title><meta http-equiv="refresh" content="0; url={link}">'
@@ -148,17 +139,16 @@ def _opened(found: Sessions, card: str) -> Iterator[None]:
         file.unlink(missing_ok=True)
 
 
-def _identity(connect: str | None, zenoh_config: Path | None) -> tuple[str, Role, str]:
-    """Whose console it is, what it may do at most, and its common name: by its certificate; without one, the user's."""
+def _owner(connect: str | None, zenoh_config: Path | None) -> Owner:
     config = client_config(connect, zenoh_config)
     certificate = get(config, "transport/link/tls/connect_certificate")
     if certificate:
         holder = certs.folder.describe(Path(certificate))
         role: Role = next((each for each in ROLES if each == holder.role.partition(".")[0]), "observer")
-        return holder.name, role, holder.common_name
+        return Owner(holder.name, role, holder.common_name)
     with suppress(OSError, KeyError):
-        return getpass.getuser(), "operator", ""
-    return "console", "operator", ""
+        return Owner(getpass.getuser(), "operator", "")
+    return Owner("console", "operator", "")
 
 
 def _open(file: Path) -> None:

@@ -1,9 +1,9 @@
-"""Who may open pages: links that work once, and the sessions that they were exchanged for.
+"""Links that work once, and the sessions that browsers exchange them for.
 
-Kept in a file, so that a console that is started again knows its pages, and `console --link` and `--revoke` reach the
-one that runs. Of each random token the file holds only its SHA-256: that of a session's key is what a page proves to
-know, which opens nothing without the cookie. It counts wall-clock time, since it
-outlives the process; what seems to come from the future is void.
+They are kept in a file, so a console that is started again knows its pages, and `console --link` and `--revoke` reach
+the one that runs. The file holds only the SHA-256 of each random token; that of a session's key serves to check a
+page's proof, and opens nothing without the cookie. Ages are by the wall clock, since the file outlives the process;
+an entry from the future is void.
 """
 
 import fcntl
@@ -25,34 +25,34 @@ from gateway.people.console.messages import Role
 
 SESSION_S: Final = 12 * 3600
 LINK_S: Final = 600
-"""Of a link that was not used: it may stand in a terminal that others see."""
+"""Of a link that is not used: others may see the terminal in which it stands."""
 MAX_ENTRIES: Final = 256
-"""Sessions, and links; the oldest make way."""
-MAX_BYTES: Final = 1_000_000
+"""Of sessions, and of links; beyond these the oldest are dropped."""
+MAX_FILE_BYTES: Final = 1_000_000
 STATE_DIRECTORY: Final = Path("/var/lib/hexapod-console")
-"""Of the service hexapod-console."""
+"""Of the service hexapod-console, also for root's commands."""
 _LOCK_FLAGS: Final = os.O_RDWR | os.O_CREAT | os.O_CLOEXEC
 
 
 class Entry(BaseModel):
-    """A link, or a session: `sha256` of its token, which for a session is its cookie, and of its key."""
+    """A link or a session: the SHA-256 of its token (a session's is its cookie) and of its key."""
 
     model_config = ConfigDict(frozen=True)
     sha256: str
     key_sha256: str = ""
-    """Of a session; empty for a link, and for a session of an earlier version: then no key fits."""
+    """Empty for a link, and for a session of an earlier version, which no key fits."""
     role: Role
     created_s: float
     lives_s: float
 
     def is_valid(self, now_s: float) -> bool:
-        """By the wall clock."""
+        """Whether it has begun and not ended, by the wall clock."""
         return self.created_s <= now_s < self.created_s + self.lives_s
 
 
 @dataclass(frozen=True)
 class SignIn:
-    """A new session: what the browser gets, and its entry."""
+    """A new session: the browser's two secrets, and its entry."""
 
     cookie: str
     key: str
@@ -62,7 +62,7 @@ class SignIn:
 class _Entries(BaseModel):
     model_config = ConfigDict(frozen=True)
     url: str = ""
-    """Of the console that runs, or ran last, at this port."""
+    """Of the console that runs, or last ran, at this port."""
     role: Role = "observer"
     common_name: str = ""
     """Of its certificate; empty: it had none."""
@@ -78,31 +78,30 @@ class Sessions:
         """Where they are kept."""
         self._now_s = now_s
         self._known: tuple[tuple[int, int, int] | None, _Entries] = None, _Entries()
-        """What the file held, and which file that was: changed as one, since several threads read."""
+        """The file's inode, time and size, and its content: one tuple, since several threads read it."""
 
     def begin(self, url: str, role: Role, common_name: str = "") -> None:
-        """A console begins at `url`; its links open pages of `role`, earlier links are void. Raises ConfigError.
+        """Begin a console at `url`: its links open pages of `role`, earlier links are void. Raises ConfigError.
 
         Sessions of another certificate (`common_name`) end: it may have been revoked while this console was not
-        connected, and what it let in must not reach the robot by the certificate that takes its place.
+        connected, and its sessions must not reach the robot by the certificate that replaces it.
         """
 
         def begun(now: _Entries) -> _Entries:
             sessions = now.sessions if now.common_name == common_name else ()
-            kept = {"url": url, "role": role, "common_name": common_name, "links": (), "sessions": sessions}
-            return now.model_copy(update=kept)
+            return _Entries(url=url, role=role, common_name=common_name, sessions=sessions)
 
         self._change(begun)
 
     @property
     def url(self) -> str:
-        """Of the console that runs, or ran last, at this port; empty: none did."""
+        """Of the console that runs, or last ran, at this port; empty: none did."""
         return self._read().url
 
     def new_link(self, card: str = "") -> str:
-        """A link that works once, to a card of the page where one is named.
+        """A link that works once, to the page's beginning or this card of it.
 
-        Raises ConfigError where no console has begun or the folder cannot be written.
+        Raises ConfigError if no console has begun, or the folder cannot be written.
         """
         if not self._read().url:
             raise ConfigError(f"no console has run there: {self.path} is missing; start one, or name its --listen")
@@ -115,7 +114,7 @@ class Sessions:
         return f"{self._change(add).url}/?token={token}{card and f'&card={card}'}"
 
     def exchange(self, token: str) -> SignIn | None:
-        """A new session for a link's token, which is void from now on; None for what is no valid link."""
+        """A new session for a link's token, which is void from now on; None if no valid link has this token."""
         found = _find(self._read().links, token, self._now_s())
         if found is None:
             return None
@@ -129,10 +128,10 @@ class Sessions:
             return now.model_copy(update={"links": links, "sessions": (*now.sessions, entry)[-MAX_ENTRIES:]})
 
         before = self._change(enter)
-        return SignIn(cookie, key, entry) if found in before.links else None  # somebody else was quicker
+        return SignIn(cookie, key, entry) if found in before.links else None  # another process has exchanged it
 
     def cookie(self, cookie: str | None) -> Entry | None:
-        """The session of that cookie, if it is valid. It opens nothing that matters without the key."""
+        """The valid session of this cookie. It gives access to the page's files; the WebSocket requires the key too."""
         return None if cookie is None else _find(self._read().sessions, cookie, self._now_s())
 
     def still_valid(self, session: Entry) -> bool:
@@ -140,20 +139,19 @@ class Sessions:
         return session.is_valid(self._now_s()) and session in self._read().sessions
 
     def revoke(self) -> int:
-        """End all sessions and links; how many sessions there were."""
+        """End all sessions and links; returns how many sessions there were."""
         before = self._change(lambda now: now.model_copy(update={"links": (), "sessions": ()}))
         return len(before.sessions)
 
-    def _entry(self, token: str, role: Role, lives_s: float, key: str | None = None) -> Entry:
-        hashed = "" if key is None else _sha256(key)
-        created_s = self._now_s()
+    def _entry(self, token: str, role: Role, lives_s: float, key: str = "") -> Entry:
+        hashed, created_s = key and _sha256(key), self._now_s()
         return Entry(sha256=_sha256(token), key_sha256=hashed, role=role, created_s=created_s, lives_s=lives_s)
 
     def _read(self) -> _Entries:
-        """The file as it is now; a missing or faulty one has no entries, so nobody is let in.
+        """The file's content; a missing or faulty file has no entries, so it signs nobody in.
 
-        A file that is there and cannot be opened (strangers have taken the last descriptor) holds what it held: who is
-        signed in must be able to press STOP ALL just then. It is looked at again each time.
+        If the file exists and cannot be opened (a flood of connections has taken the last descriptor), its last known
+        content counts: a person who is signed in must be able to press STOP ALL just then.
         """
         seen, entries = self._known
         try:
@@ -168,18 +166,18 @@ class Sessions:
         return entries
 
     def _load(self) -> _Entries:
-        """Raises OSError, also where there is no file."""
+        """Raises OSError, also if there is no file."""
         with self.path.open("rb") as file:
-            content = file.read(MAX_BYTES)
+            content = file.read(MAX_FILE_BYTES)
         try:
             return _Entries.model_validate_json(content)
         except ValidationError:
             return _Entries()
 
     def _change(self, change: Callable[[_Entries], _Entries]) -> _Entries:
-        """Replace the valid entries by what `change` makes of them; returns those before. Raises ConfigError.
+        """Replace the valid entries by what `change` returns for them; returns those before. Raises ConfigError.
 
-        Nobody else changes them meanwhile.
+        A lock on a second file excludes other processes and threads meanwhile.
         """
         try:
             self.path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -201,15 +199,15 @@ class Sessions:
 
 
 def write_private(path: Path, content: str) -> None:
-    """Replace a file, which nobody else may read, at once. Raises OSError.
+    """Replace a file that only the folder's owner may read. Raises OSError.
 
-    `sudo hexapod-gateway console --link` must not lock the service out.
+    It gets the folder's owner, so `sudo hexapod-gateway console --link` does not lock the service out.
     """
     durable.write_with_mode(path, content.encode(), 0o600, prepare=partial(durable.like_the_folder, path))
 
 
 def folder() -> Path:
-    """Where registers are kept: the service's state directory, or the user's."""
+    """Where the files are kept: the service's state directory, or the user's."""
     if given := os.environ.get("STATE_DIRECTORY"):
         return Path(given.partition(":")[0])
     if os.geteuid() == 0 and STATE_DIRECTORY.is_dir():
@@ -219,20 +217,22 @@ def folder() -> Path:
 
 
 def begun(folder: Path) -> list[tuple[int, str]]:
-    """Port and address of the consoles that keep their sessions there; the one whose file was written last is first."""
-    paths = sorted(folder.glob("console-*.json"), key=lambda path: path.stat().st_mtime_ns, reverse=True)
-    ports = [int(number) for path in paths if (number := path.stem.removeprefix("console-")).isdigit()]
-    return [(port, url) for port in ports if (url := Sessions(folder, port).url)]
+    """Port and URL of the consoles with a file in this folder, the newest file first."""
+    return [(port, url) for port in _ports(folder) if (url := Sessions(folder, port).url)]
 
 
 def revoke_all(folder: Path, now_s: Callable[[], float] = time.time) -> int:
-    """End the sessions of all consoles that keep theirs there; how many there were."""
-    ports = [path.stem.removeprefix("console-") for path in folder.glob("console-*.json")]
-    return sum(Sessions(folder, int(port), now_s).revoke() for port in ports if port.isdigit())
+    """End the sessions of all consoles with a file in this folder; returns how many there were."""
+    return sum(Sessions(folder, port, now_s).revoke() for port in _ports(folder))
+
+
+def _ports(folder: Path) -> list[int]:
+    paths = sorted(folder.glob("console-*.json"), key=lambda path: path.stat().st_mtime_ns, reverse=True)
+    return [int(number) for path in paths if (number := path.stem.removeprefix("console-")).isdigit()]
 
 
 def _find(entries: tuple[Entry, ...], token: str, now_s: float) -> Entry | None:
-    """By the token's SHA-256: how long the comparison takes shows nothing about a token."""
+    """Compares SHA-256 values, so the time that it takes shows nothing about a token."""
     wanted = _sha256(token)
     return next((entry for entry in entries if entry.sha256 == wanted and entry.is_valid(now_s)), None)
 

@@ -1,8 +1,7 @@
-"""Where the console listens, and which Host and Origin headers belong to it.
+"""The console's address, and the Host and Origin headers that belong to it.
 
-A page of another origin must not reach the robot with the cookie of somebody who is signed in, and neither must a
-foreign name that somebody points at this machine (DNS rebinding). So both headers are compared with what the console
-listens on; nothing is taken from them.
+Neither a page of another origin nor a foreign name that points at this machine (DNS rebinding) may reach the robot with
+the cookie of a session. So both headers are compared with the console's own address.
 """
 
 import ipaddress
@@ -21,15 +20,15 @@ from gateway.errors import ConfigError
 DEFAULT_PORT: Final = 8080
 DEFAULT_ADDRESS: Final = "127.0.0.1"
 LOCALHOST: Final = ("127.0.0.1", "::1")
-"""What browsers take `localhost` for, whatever the machine's own file says. Links name the first."""
+"""To which browsers resolve `localhost`, whatever the machine's own file states. Links name the first."""
 _NEXT_PORTS: Final = range(DEFAULT_PORT + 1, DEFAULT_PORT + 20)
-"""Where nobody has named an address, and another program has the default port."""
+"""Tried if no address is given and another program has the default port."""
 _DEFAULT_PORTS: Final = {"http": 80, "https": 443}
 
 
 @dataclass(frozen=True)
 class Site:
-    """One listening address. `hosts`: the names under which browsers reach it, the first in links."""
+    """One listening address. `hosts`: the names by which browsers reach it; links have the first."""
 
     address: str
     port: int
@@ -39,17 +38,17 @@ class Site:
 
     @property
     def scheme(self) -> str:
-        """`https` with a certificate."""
+        """`https` with a certificate, else `http`."""
         return "http" if self.certificate is None else "https"
 
     @property
     def url(self) -> str:
-        """Its address in a browser, without a path."""
+        """Its address in a browser, without a path: `http://127.0.0.1:8080`."""
         return f"{self.scheme}://{self._authority(self.hosts[0])}"
 
     @property
     def cookie(self) -> str:
-        """The session cookie's name. It has the port in it, for cookies know no ports and another console may run.
+        """The session cookie's name, with the port: browsers send a cookie to all ports, and another console may run.
 
         With TLS no other host can set it (`__Host-`).
         """
@@ -60,22 +59,19 @@ class Site:
         return host is not None and host.lower() in self._authorities()
 
     def knows_origin(self, origin: str | None, host: str | None) -> bool:
-        """Whether an Origin header is that of this site's own page, as reached under that Host."""
+        """Whether an Origin header is that of this site's own page, reached by that Host."""
         return origin is not None and host is not None and self.knows_host(host) and origin == f"{self.scheme}://{host}"
 
     def _authorities(self) -> set[str]:
-        found = {self._authority(host) for host in self.hosts}
-        if self.port == _DEFAULT_PORTS[self.scheme]:
-            found |= {f"{authority}:{self.port}" for authority in found}
-        return found
+        return {self._authority(host) for host in self.hosts} | {with_port(host, self.port) for host in self.hosts}
 
     def _authority(self, host: str) -> str:
-        host = f"[{host}]" if ":" in host else host
-        return host if self.port == _DEFAULT_PORTS[self.scheme] else f"{host}:{self.port}"
+        full = with_port(host, self.port)
+        return full.removesuffix(f":{self.port}") if self.port == _DEFAULT_PORTS[self.scheme] else full
 
 
 def site(listen: str, certificate: Path | None, key: Path | None) -> Site:
-    """What to listen on. Raises ConfigError, with a way to go on, for an address that is none or must not be open."""
+    """The site at `listen`. Raises ConfigError, with a way to go on, if it is no address or needs TLS."""
     address, port = address_of(listen)
     if (certificate is None) != (key is None):
         raise ConfigError("--cert and --key go together: the certificate and its private key (PEM)")
@@ -91,7 +87,7 @@ def site(listen: str, certificate: Path | None, key: Path | None) -> Site:
     names = hosts_of(read_certificate(certificate))
     if not names:
         raise ConfigError(
-            f"{certificate} names no host, and no browser would take it: "
+            f"{certificate} names no host, so no browser accepts it: "
             "make one with hexapod-gateway certs console --host NAME"
         )
     _check_pair(certificate, key)
@@ -111,8 +107,13 @@ def address_of(listen: str) -> tuple[str, int]:
     return host, port
 
 
+def with_port(host: str, port: int) -> str:
+    """`HOST:PORT`, with an IPv6 address in brackets."""
+    return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
+
+
 def free_address() -> str:
-    """The default address, with the first port that nobody has; where all are taken, with the default port."""
+    """The default address with the first free port; if none is free, with the default port."""
     return f"{DEFAULT_ADDRESS}:{next(filter(_is_free, (DEFAULT_PORT, *_NEXT_PORTS)), DEFAULT_PORT)}"
 
 

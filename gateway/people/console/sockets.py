@@ -1,7 +1,7 @@
-"""The sockets on which the console listens: systemd's, which outlive it, or its own.
+"""The console's listening sockets: systemd's, which outlive it, or its own.
 
-While a console that binds by itself is started again, its port is free, and any user of the machine may take it. A
-socket unit keeps the port: the console finds the socket from file descriptor 3 on (sd_listen_fds(3)).
+While a console with its own socket is started again, its port is free, and any user of the machine may take it. A
+socket unit keeps the port, and passes the sockets as file descriptors from 3 on (sd_listen_fds(3)).
 """
 
 import errno
@@ -12,27 +12,27 @@ from contextlib import ExitStack, contextmanager
 from typing import Final
 
 from gateway.errors import AddressTakenError, ConfigError
-from gateway.people.console.site import LOCALHOST, Site, address_of
+from gateway.people.console.site import LOCALHOST, Site, address_of, with_port
 
 BACKLOG: Final = 64
-"""Connections that the kernel keeps until they are taken; it drops more."""
+"""Connections that the kernel queues; it drops further ones."""
 DEAD_MS: Final = 15_000
-"""A connection that takes nothing for so long is given up: a page that is frozen, or whose machine is gone."""
-RECEIVE_BYTES: Final = 8192
+"""A connection that acknowledges nothing for so long is closed: its page is frozen, or its machine is gone."""
+SOCKET_BUFFER_BYTES: Final = 8192
 """Of the kernel's buffer for each connection."""
 FIRST_DESCRIPTOR: Final = 3
-"""Where systemd puts the first socket (SD_LISTEN_FDS_START)."""
+"""The first socket of systemd's (SD_LISTEN_FDS_START)."""
 UNIT: Final = "hexapod-console.socket"
 
 
 def inherited(environment: MutableMapping[str, str] = os.environ, first: int = FIRST_DESCRIPTOR) -> list[socket.socket]:
-    """The listening TCP sockets that systemd has passed to this process; empty: none. Raises ConfigError for others.
+    """The listening TCP sockets that systemd has passed to this process. Raises ConfigError for other descriptors.
 
-    The variables are removed, so that no child takes the sockets for its own.
+    The variables are removed, so no child process uses the sockets.
     """
     process, number, _ = (environment.pop(f"LISTEN_{name}", "") for name in ("PID", "FDS", "FDNAMES"))
     if process != str(os.getpid()):
-        return []  # passed to a parent, which left its environment to this process
+        return []  # passed to a parent process
     if number not in map(str, range(1, len(LOCALHOST) + 1)):
         raise ConfigError(f"LISTEN_FDS={number}: systemd passes one socket, or localhost's two; see {UNIT}")
     descriptors = range(first, first + int(number))
@@ -55,9 +55,9 @@ def _checked(descriptor: int) -> socket.socket:
 
 
 def address_in(passed: Sequence[socket.socket], listen: str | None) -> str:
-    """HOST:PORT of systemd's sockets. Raises ConfigError where `listen` (--listen) is another address.
+    """HOST:PORT of systemd's sockets. Raises ConfigError if `listen` (--listen) is another address.
 
-    The unit alone has the address: a console that listened elsewhere would leave the unit's port to nobody.
+    Only the unit states the address: if the console listened elsewhere, nobody would serve the unit's port.
     """
     places = [each.getsockname()[:2] for each in passed]
     hosts, ports = [str(host) for host, _ in places], {int(port) for _, port in places}
@@ -66,35 +66,35 @@ def address_in(passed: Sequence[socket.socket], listen: str | None) -> str:
     host, port = "localhost" if len(hosts) > 1 else hosts[0], ports.pop()
     if listen is not None and address_of(listen) != (host, port):
         raise ConfigError(
-            f"--listen {listen} is not where {UNIT} listens ({_written(host, port)}): remove --listen from "
+            f"--listen {listen} is not where {UNIT} listens ({with_port(host, port)}): remove --listen from "
             f"/etc/hexapod-console/console.conf, and name the address there: sudo systemctl edit {UNIT}"
         )
-    return _written(host, port)
+    return with_port(host, port)
 
 
 @contextmanager
 def listening(site: Site, passed: Sequence[socket.socket] = ()) -> Iterator[Sequence[socket.socket]]:
-    """On `passed`, or bound here: at `localhost` at all of its addresses, so that nobody else has one of them."""
+    """`passed`, or sockets bound here; for `localhost` on all of its addresses, so no other program has one of them."""
     with ExitStack() as stack:
         for own in passed:
             _prepare(stack.enter_context(own))
         hosts = LOCALHOST if site.address == "localhost" else (site.address,)
         found = passed or [each for host in hosts if (each := _bound(stack, site, host)) is not None]
         if not found:
-            raise ConfigError(f"--listen {_written(site.address, site.port)}: this machine has no such address")
+            raise ConfigError(f"--listen {with_port(site.address, site.port)}: this machine has no such address")
         yield found
 
 
 def _prepare(listening: socket.socket) -> None:
-    """Connections inherit these."""
+    """Set what its connections inherit, and listen."""
     listening.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, DEAD_MS)
     listening.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-    listening.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BYTES)
+    listening.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, SOCKET_BUFFER_BYTES)
     listening.listen(BACKLOG)
 
 
 def _bound(stack: ExitStack, site: Site, address: str) -> socket.socket | None:
-    """None where this machine has no such address of localhost's, such as without IPv6."""
+    """None if this machine lacks this address of localhost's, such as without IPv6. Raises ConfigError."""
     try:
         family, kind, _, _, place = socket.getaddrinfo(
             address, site.port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
@@ -107,7 +107,7 @@ def _bound(stack: ExitStack, site: Site, address: str) -> socket.socket | None:
         listening.bind(place)
         _prepare(listening)
     except OSError as error:
-        where = _written(address, site.port)
+        where = with_port(address, site.port)
         if error.errno == errno.EADDRINUSE:
             raise AddressTakenError(
                 f"{where} is taken by another program (perhaps another console); stop it, or set another --listen"
@@ -116,7 +116,3 @@ def _bound(stack: ExitStack, site: Site, address: str) -> socket.socket | None:
             return None
         raise ConfigError(f"--listen {where}: {error.strerror}; name an address of this machine") from error
     return listening
-
-
-def _written(host: str, port: int) -> str:
-    return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"

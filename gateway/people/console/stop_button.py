@@ -1,6 +1,6 @@
-"""One page that is a stop button: its token stays here, and each check-in is the page's own.
+"""A page that is a stop button. Its token stays here; each check-in is sent by the page itself.
 
-Nothing here checks in by itself: a page that is frozen, hidden or gone is silent, and the gateway stops the robot.
+Nothing here checks in by itself: so a page that is frozen, hidden or gone is silent, and the gateway stops the robot.
 """
 
 import asyncio
@@ -12,12 +12,14 @@ from gateway.people.client.blocking import Client
 from gateway.people.console.messages import StopButtonMessage, StopButtonRequest
 from schemas.button import ButtonAck
 
-ANSWER_S: Final = 1.0
-"""For a check-in; a newer one takes the place of one that waits for its turn."""
+CHECK_IN_S: Final = 1.0
+"""How long a check-in waits for its answer; meanwhile only the page's newest request is kept."""
+NO_TOKEN: Final = "0" * 32
+"""Of no button: the gateway answers `unknown_button`."""
 
 
 class StopButton:
-    """On the event loop; what waits runs on threads."""
+    """On the event loop; questions to the gateway wait on threads."""
 
     def __init__(self, client: Callable[[], Client], name: str, send: Callable[[StopButtonMessage], None]) -> None:
         """`client` raises GatewayError while there is no session. `name` is the page's."""
@@ -30,7 +32,7 @@ class StopButton:
         self._task: asyncio.Task[None] | None = None
 
     def take(self, message: StopButtonRequest) -> None:
-        """Do what the page asks for, and answer. Of several that wait, the newest is as good as all."""
+        """Do what the page requests, and answer. A newer request replaces one that waits."""
         self._next = message
         if self._task is None:
             self._task = asyncio.get_running_loop().create_task(self._run())
@@ -40,28 +42,26 @@ class StopButton:
             self._next = None
             try:
                 ack = await asyncio.to_thread(self._ask, message)
-            except (GatewayError, RuntimeError) as error:  # RuntimeError: no thread is to be had
+            except (GatewayError, RuntimeError) as error:  # RuntimeError: the system allows no further thread
                 self._send(StopButtonMessage(id=message.id, do=message.do, detail=str(error)))
             else:
                 self._send(self._answered(message, ack))
         self._task = None
 
     def _ask(self, message: StopButtonRequest) -> ButtonAck:
-        """On a thread."""
         requests = self._client().button_requests
         if message.do == "register":
             return requests.register(self.name, message.sent_ms)
-        token = self._token or "0" * 32  # of no button: the gateway says so
+        token = self._token or NO_TOKEN
         if message.do == "leave":
             self._token = None
-            return requests.leave(token, ANSWER_S)
+            return requests.leave(token, CHECK_IN_S)
         self._count += 1
-        return requests.alive(token, self._count, message.sent_ms, ANSWER_S)
+        return requests.alive(token, self._count, message.sent_ms, CHECK_IN_S)
 
     def _answered(self, message: StopButtonRequest, ack: ButtonAck) -> StopButtonMessage:
         if ack.accepted and ack.button is not None:
             self._token, self._count = ack.button, 0
-        # Of the answer it has the fields that a page may know: not the token.
-        return StopButtonMessage.model_validate(
-            {**ack.model_dump(), "id": message.id, "do": message.do, "name": self.name}
-        )
+        # StopButtonMessage ignores the token, which a page must not learn.
+        own = {"id": message.id, "do": message.do, "name": self.name}
+        return StopButtonMessage.model_validate({**ack.model_dump(), **own})

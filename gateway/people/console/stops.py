@@ -1,4 +1,4 @@
-"""Stops that pages press: tasks around `ConfirmedStop`."""
+"""Stops that pages request: tasks and a timer around `ConfirmedStop`."""
 
 import asyncio
 from collections.abc import Awaitable, Callable
@@ -13,7 +13,7 @@ W = TypeVar("W")
 
 
 class Stops(Generic[W]):
-    """Whatever comes of a request besides an answer, also a fault in this program or no memory, counts as none."""
+    """A request that ends without an answer, also by a fault of this program or for want of memory, is repeated."""
 
     def __init__(
         self,
@@ -21,10 +21,10 @@ class Stops(Generic[W]):
         note: Callable[[Press[Outgoing, W], Ack | None, str | None], None],
         lasts_s: float | None = None,
     ) -> None:
-        """`ask` requests it with what the newest press gave, and waits for its Ack, or raises.
+        """`ask` requests the Stop with the newest press's `what`, and returns its Ack or raises.
 
-        `note` is given each press at once, and whenever a request for it has ended: with the answer, or why there is
-        none. `lasts_s`: for so long it is requested again; None: until it is confirmed.
+        `note` is called with each press at once, and whenever a request for it has ended, with the Ack or the error.
+        `lasts_s`: how long it is requested again; None: until it is confirmed.
         """
         self._ask = ask
         self._note = note
@@ -39,17 +39,17 @@ class Stops(Generic[W]):
         return self._stop.since_ns is not None
 
     def press(self, page: Outgoing, press_id: int | None, what: W) -> None:
-        """A page asks for it, now."""
+        """A page requests it, now."""
         press = self._stop.press(page, press_id, what, now_ns())
         self._begin()
         self._note(press, None, None)
 
     def leave(self, page: Outgoing) -> None:
-        """The page is gone; what it pressed is still wanted."""
+        """The page is gone; its Stops are still requested."""
         self._stop.leave(page)
 
     def _begin(self) -> None:
-        """Begin what is due, and look again when the next is."""
+        """Begin the requests that are due, and set the timer for the next."""
         if self._next is not None:
             self._next.cancel()
         while (request := self._stop.begin(now_ns())) is not None:
@@ -63,7 +63,7 @@ class Stops(Generic[W]):
         ack, error = None, None
         try:
             ack = await self._ask(request.what)
-        except Exception as failed:  # no thread, no memory, no descriptor: whatever it is, it is asked again
+        except Exception as failed:  # also for want of a thread, memory or a descriptor: it is requested again
             error = str(failed) or repr(failed)
         waited = self._stop.ended(request, now_ns(), answered=ack is not None)
         self._begin()
@@ -72,12 +72,12 @@ class Stops(Generic[W]):
 
 
 def now_ns() -> int:
-    """By the running event loop's clock, as a press has it."""
+    """The running event loop's clock in ns, which a press's times are by."""
     return round(asyncio.get_running_loop().time() * 1e9)
 
 
 def send_stopping(press: Press[Outgoing, str | None], ack: Ack | None, error: str | None) -> None:
-    """Send the page that pressed STOP ALL how far it is."""
+    """Send the progress of STOP ALL to the page that pressed it."""
     if press.page is None:
         return
     press.page.put(

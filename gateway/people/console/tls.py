@@ -1,7 +1,7 @@
-"""TLS of one connection, without I/O: what came goes in, what is to be sent comes out.
+"""TLS of one connection, without I/O: takes received bytes, and returns the bytes to send.
 
-So a connection can go from one thread to another between two calls, with all that it has: its socket, this, and the
-state of its protocol. asyncio's own TLS is bound to the loop that it began on.
+So a connection can move to another thread between two calls, with its socket, its TLS and its protocol's state.
+asyncio's own TLS is bound to the loop on which it began.
 """
 
 import ssl
@@ -9,22 +9,22 @@ from pathlib import Path
 from typing import Final
 
 RECORD_BYTES: Final = 16_384
-"""The largest record of TLS; as much is decrypted in one step."""
+"""TLS's largest record, decrypted in one step."""
 
 
 class Layer:
-    """What is between a socket and HTTP. This one is no TLS, and changes nothing."""
+    """Between a socket and HTTP, without TLS: changes nothing."""
 
     def receive(self, data: bytes) -> bytes:
-        """Take what came, and return its content. Raises EOFError once the other side has closed, ssl.SSLError."""
+        """The content of received bytes. Raises EOFError once the other side has closed, ssl.SSLError."""
         return data
 
     def encrypt(self, data: bytes) -> bytes:
-        """What to send so that the other side receives `data`. Raises ssl.SSLError."""
+        """The bytes by which the other side receives `data`. Raises ssl.SSLError."""
         return data
 
     def to_send(self) -> bytes:
-        """What is to be sent besides: answers of the handshake, alerts."""
+        """Further bytes to send: of the handshake, and alerts."""
         return b""
 
 
@@ -60,9 +60,9 @@ class Tls(Layer):
 
 
 def server_context(certificate: Path, key: Path) -> ssl.SSLContext:
-    """For a console with these files. Raises OSError, ssl.SSLError."""
+    """TLS 1.2 or newer, with this certificate and key. Raises OSError, ssl.SSLError."""
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
     context.minimum_version = ssl.TLSVersion.TLSv1_2
-    context.options |= ssl.OP_NO_RENEGOTIATION  # with TLS 1.2 a client could make the server compute again and again
+    context.options |= ssl.OP_NO_RENEGOTIATION  # in TLS 1.2 a client could demand handshakes without end
     context.load_cert_chain(certificate, key)
     return context

@@ -1,7 +1,7 @@
-"""The WebSocket of a page that is signed in, on the loop that serves all pages.
+"""The WebSocket of a page with a session, on the loop that serves all pages.
 
-It takes little at a time, so that a page that floods delays the others by little, and keeps little for one that reads
-slowly: what waits in buffers is the past, and the newest state waits behind it.
+It reads little at a time, so a page that floods delays the others by little. It buffers little for a page that reads
+slowly, since the newest state waits behind what is buffered.
 """
 
 import asyncio
@@ -19,27 +19,27 @@ from websockets.server import ServerProtocol
 from gateway.allowance import Allowance
 from gateway.people.console.tls import Layer
 
-SEND_BYTES: Final = 4096
-"""Of what waits for one page in this process, and in the kernel besides what is under way: some five states."""
-READ_BYTES: Final = 1024
-"""Taken from one page before all others have their turn: some ten messages, or 170 of the smallest frames (2.5 ms)."""
+UNSENT_BYTES: Final = 4096
+"""That wait for one page, in this process and as much in the kernel: some five states."""
+PAGE_READ_BYTES: Final = 1024
+"""Read from one page before the others: some ten messages, or 170 of the smallest frames (2.5 ms)."""
 SLICE_BYTES: Final = 256
 """Parsed before the frames in it are counted."""
 FRAMES_A_SECOND: Final = 300
 """From one page, control frames too. A page that drives each leg by a message of its own sends 120 setpoints."""
 FRAMES_AT_ONCE: Final = 150
-"""A page whose network stalled for a second sends what waited."""
+"""A page whose network stalled for a second sends at once what waited."""
 BYTES_A_SECOND: Final = 131_072
 """From one page; one that drives each leg by a message of its own sends 40 000."""
 PING_S: Final = 20.0
-"""A page of which nothing comes for so long is asked, and given up after as long again."""
-END_S: Final = 1.0
-"""How long a page has to take the reason why it is closed, and to say that it did."""
+"""A page that has sent nothing for so long is pinged, and closed after as long again."""
+CLOSING_S: Final = 1.0
+"""How long a page has to receive and confirm the reason why it is closed."""
 POLICY_VIOLATION: Final = 1008
 NOT_TEXT: Final = "a page sends text"
 TOO_MUCH: Final = f"more than {FRAMES_A_SECOND:g} messages a second, or {BYTES_A_SECOND:g} bytes"
 REASON_BYTES: Final = 123
-"""What a WebSocket's close has room for."""
+"""The room for it in a close frame."""
 
 
 class ClosedError(Exception):
@@ -47,7 +47,7 @@ class ClosedError(Exception):
 
 
 class Quiet:
-    """A page of which nothing comes is asked after PING_S, and gone after as long again. Pure: `now_s` never goes back.
+    """A silent page is pinged after PING_S, and gone after as long again. Pure: `now_s` never goes back.
 
     >>> quiet = Quiet(0.0)
     >>> quiet.received(5.0)
@@ -59,33 +59,33 @@ class Quiet:
         self.received(now_s)
 
     def received(self, now_s: float) -> None:
-        """The page has sent something, an answer too."""
+        """The page has sent something, a pong too."""
         self._received_s = now_s
         self._asked = False
 
     @property
     def due_s(self) -> float:
-        """When to look again."""
+        """When to check again."""
         return self._received_s + PING_S * (2 if self._asked else 1)
 
     def must_ask(self, now_s: float) -> bool:
-        """Whether the page is asked now; true once for each silence."""
+        """Whether to ping the page now; true once for each silence."""
         asks = not self._asked and now_s >= self.due_s
         self._asked = self._asked or asks
         return asks
 
     def is_gone(self, now_s: float) -> bool:
-        """Whether it was asked, and has answered nothing."""
+        """Whether it was pinged, and has sent nothing."""
         return self._asked and now_s >= self.due_s
 
 
 class WebSocket(asyncio.BufferedProtocol):
-    """One connection, whose request has been answered with 101 in `protocol`."""
+    """One connection, whose request is answered with 101 in `protocol`."""
 
     def __init__(self, layer: Layer, protocol: ServerProtocol) -> None:
         self._layer = layer
         self._protocol = protocol
-        self._buffer = bytearray(READ_BYTES)
+        self._buffer = bytearray(PAGE_READ_BYTES)
         self._loop = asyncio.get_running_loop()
         self._frames = Allowance(FRAMES_A_SECOND, FRAMES_AT_ONCE)
         self._bytes = Allowance(BYTES_A_SECOND, BYTES_A_SECOND)
@@ -97,7 +97,7 @@ class WebSocket(asyncio.BufferedProtocol):
         self._writable.set()
         self._timer: asyncio.TimerHandle | None = None
         self.closed = asyncio.Event()
-        """Set once the connection has ended, whoever ended it."""
+        """Set once the connection has ended, by either side."""
 
     async def receive(self) -> str:
         """The next text message. Raises ClosedError."""
@@ -111,34 +111,34 @@ class WebSocket(asyncio.BufferedProtocol):
         return text
 
     async def send(self, text: str) -> None:
-        """Send a message, once there is room for it. Raises ClosedError."""
+        """Send a message once there is room for it. Raises ClosedError."""
         await self._writable.wait()
         self._raise_if_closed()
         self._protocol.send_text(text.encode())
         self._flush()
 
     def close(self, code: int, reason: str) -> None:
-        """End it, with the reason as far as it fits. What still comes is not taken."""
+        """Close it with this reason, cut to what fits. What the page still sends is ignored."""
         if self._transport.is_closing():
             return
-        with suppress(InvalidState, ProtocolError):  # it is being closed already
+        with suppress(InvalidState, ProtocolError):  # already closing
             self._protocol.send_close(code, reason.encode()[:REASON_BYTES].decode(errors="ignore"))
         self._flush()
-        self._give_up_in(END_S)
+        self._give_up_in(CLOSING_S)
         self._there.set()
-        self._transport.resume_reading()  # the page's own close
+        self._transport.resume_reading()  # to receive the page's own close
 
     def abort(self) -> None:
-        """End it at once, without a word."""
+        """End it at once, without a reason."""
         self._transport.abort()
 
     # ---- asyncio's
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         self._transport = cast("asyncio.Transport", transport)
-        self._transport.set_write_buffer_limits(high=SEND_BYTES)
+        self._transport.set_write_buffer_limits(high=UNSENT_BYTES)
         connection: socket.socket = transport.get_extra_info("socket")
-        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NOTSENT_LOWAT, SEND_BYTES)
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NOTSENT_LOWAT, UNSENT_BYTES)
         self._timer = self._loop.call_at(self._quiet.due_s, self._look)
         self._flush()
         self._take_events()
@@ -182,7 +182,7 @@ class WebSocket(asyncio.BufferedProtocol):
     # ---- inside
 
     def _take_events(self) -> bool:
-        """Take the frames that were parsed; False if no more may be parsed."""
+        """Take the parsed frames; returns whether further bytes may be parsed."""
         frames = self._protocol.events_received()
         if frames and not self._frames.take(time.monotonic_ns(), len(frames)):
             self._flooded()
@@ -207,7 +207,7 @@ class WebSocket(asyncio.BufferedProtocol):
                     self.close(1007, NOT_TEXT)
                     return False
                 self._there.set()
-                self._transport.pause_reading()  # until this has been taken
+                self._transport.pause_reading()  # until `receive` has returned this
         return True
 
     def _flush(self) -> None:
@@ -219,18 +219,18 @@ class WebSocket(asyncio.BufferedProtocol):
             if data:
                 self._transport.write(self._layer.encrypt(data))
             else:
-                self._transport.close()  # both sides have announced that it ends
-                self._give_up_in(END_S)
+                self._transport.close()  # both sides have sent a close frame
+                self._give_up_in(CLOSING_S)
 
     def _flooded(self) -> None:
-        """Say why, and take nothing more: all that it sends costs time."""
+        """Close it with the reason, and read nothing more, since each read costs time."""
         self._texts.clear()
         self._protocol.fail(POLICY_VIOLATION, TOO_MUCH)
         for data in self._protocol.data_to_send():
             if data:
                 self._transport.write(self._layer.encrypt(data))
         self._transport.pause_reading()
-        self._give_up_in(END_S)
+        self._give_up_in(CLOSING_S)
         self._there.set()
 
     def _raise_if_closed(self) -> None:

@@ -9,7 +9,7 @@ import pytest
 from websockets.datastructures import Headers
 from websockets.http11 import Request
 
-from gateway.people.console.auth import MOST_NONCES, NONCE_S, Auth, HttpAnswer, SignedIn, proof
+from gateway.people.console.auth import MAX_NONCES, NONCE_S, Auth, HttpAnswer, SignedIn, proof
 from gateway.people.console.sessions import Sessions, SignIn
 from gateway.people.console.site import site
 
@@ -25,7 +25,7 @@ class Visitor:
         self._sessions = Sessions(folder, 8080)
         self._sessions.begin(URL, "operator")
         self._site = site("127.0.0.1:8080", None, None)
-        self._auth = Auth(self._site, self._sessions, person="anna", role="operator")
+        self._auth = Auth(self._site, self._sessions, "operator")
 
     def sign_in(self) -> SignIn:
         found = self._sessions.exchange(self._sessions.new_link().partition("=")[2])
@@ -113,7 +113,7 @@ def test_a_nonce_serves_for_a_short_time_and_few_are_kept(visitor: Visitor) -> N
     visitor.now_s += 0.1
     assert not visitor.comes_in(session, late)
     pushed_out = offer()
-    for _ in range(MOST_NONCES):
+    for _ in range(MAX_NONCES):
         kept = offer()
     assert visitor.comes_in(session, kept)
     assert not visitor.comes_in(session, pushed_out)

@@ -34,7 +34,7 @@ class Stand:
         self.session: SignIn = found
         self.admitted: asyncio.Queue[Admitted] = asyncio.Queue()
         self.address = listening.getsockname()
-        auth = Auth(Site("127.0.0.1", 8080, ("127.0.0.1",)), sessions, person="anna", role="operator")
+        auth = Auth(Site("127.0.0.1", 8080, ("127.0.0.1",)), sessions, "operator")
         self.listener = HttpListener([listening], None, auth, self.admitted.put_nowait)
 
     async def proved(self, key: str) -> str:

@@ -83,7 +83,7 @@ def test_it_never_leaves_what_the_gateway_accepts() -> None:
     assert made.command_deg == 92.0
     with pytest.raises(CalibrationError, match="has no command for it"):
         guide(ServoCalibration(20_00), 0.0).jog(-COARSE_CDEG)
-    with pytest.raises(CalibrationError, match="no more way"):
+    with pytest.raises(CalibrationError, match="cannot go further"):
         guide(start_deg=180.0).jog(FINE_CDEG)
 
 

@@ -6,7 +6,7 @@ from functools import partial
 from typing import Any
 
 from gateway.people.console.messages import AckMessage, EventMessage, LinkMessage, Stopping
-from gateway.people.console.outgoing import KEPT, Outgoing
+from gateway.people.console.outgoing import KEPT_MESSAGES, Outgoing
 from schemas.telemetry import Event
 
 
@@ -33,12 +33,14 @@ async def test_a_page_that_reads_nothing_costs_a_bounded_amount() -> None:
         outgoing.put(stopping(number % 3, answered=number >= 999))
         outgoing.put_state(partial(json.dumps, {"type": "state", "number": number}))
     messages = await sent(outgoing)
-    assert len(messages) == 3 + KEPT + 1 + 1 + KEPT
+    assert len(messages) == 3 + KEPT_MESSAGES + 1 + 1 + KEPT_MESSAGES
     assert [message["number"] for message in messages if message["type"] == "state"] == [999]
     assert [message["detail"] for message in messages if message["type"] == "link"] == ["999"]
     events = [message for message in messages if message["type"] == "event"]
-    assert [message["event"]["detail"] for message in events] == [str(number) for number in range(1000 - KEPT, 1000)]
-    assert [message["left_out"] for message in events] == [1000 - KEPT, *[0] * (KEPT - 1)]
+    assert [message["event"]["detail"] for message in events] == [
+        str(number) for number in range(1000 - KEPT_MESSAGES, 1000)
+    ]
+    assert [message["left_out"] for message in events] == [1000 - KEPT_MESSAGES, *[0] * (KEPT_MESSAGES - 1)]
 
 
 async def test_the_stop_goes_first() -> None:
