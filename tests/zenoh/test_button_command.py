@@ -81,6 +81,11 @@ def test_a_gateway_that_is_gone_is_said_loudly_and_one_that_is_back_is_registere
         with Gateway(tmp_path, settings) as second, second.client() as watcher:
             terminal.wait(READY)
             alive(watcher, "kitchen")
+        terminal.press("j")
+        terminal.wait("NOT STOPPED, NO ANSWER for")
+        terminal.press("C-c")
+        terminal.wait_for_end()
+        terminal.wait("The emergency stop was NOT confirmed: switch the servos' power off.")
 
 
 def test_two_of_one_name_do_not_take_it_from_each_other_for_ever_and_a_key_of_either_stops(

@@ -105,7 +105,7 @@ def test_a_person_walks_stops_and_leaves(tmp_path: Path, gateway: Gateway, watch
         terminal.wait("It walks ripple")
         terminal.wait("It stands")  # a key that is released
         terminal.press("Space")
-        terminal.wait("EMERGENCY STOP: 6 Stop frames written within")
+        terminal.wait("STOPPED: 6 Stop frames written within")
         assert watcher.state().mode == Mode.ESTOPPED
         terminal.press("w")
         terminal.wait("engaged the emergency stop; g goes on", "nothing runs until a reset")
@@ -135,12 +135,12 @@ def test_a_stop_that_nobody_answers_is_requested_until_it_is_confirmed_and_at_th
 ) -> None:
     """Also in a small terminal."""
     with at_terminal(tmp_path, "walk", gateway.endpoint, columns=40, rows=12) as terminal:
-        terminal.wait("Nothing moves before you press a key.", "SPACE or x EMERGENCY STOP")
+        terminal.wait("Nothing moves before you press a key.", "SPACE or e: EMERGENCY STOP")
         gateway.child.send_signal(signal.SIGSTOP)
         terminal.press("Space")
-        terminal.wait("NOT STOPPED", "it is tried again")
+        terminal.wait("NOT STOPPED", "trying again")
         gateway.child.send_signal(signal.SIGCONT)
-        terminal.wait("EMERGENCY STOP: 6 Stop frames written within")
+        terminal.wait("STOPPED: 6 Stop frames written within")
         assert watcher.state().mode == Mode.ESTOPPED
         terminal.press("g")
         terminal.wait("It goes on with the next key.")

@@ -85,6 +85,8 @@ def test_a_small_terminal_keeps_the_legs_and_the_stop_key(terminal: Terminal) ->
     terminal.wait_for_screen(is_small, "the smaller picture")
     terminal.press("Space")
     terminal.wait("ESTOPPED")
+    terminal.resize(20, 2)
+    terminal.wait_for_screen(lambda screen: screen.splitlines()[-1] == " SPACE or e: EMERGEN", "its last rows")
 
 
 # ---- the emergency stop and the reset
@@ -193,7 +195,7 @@ def test_a_gateway_that_hangs_and_one_that_dies_are_called_silent_and_come_back(
         gateway.child.send_signal(signal.SIGSTOP)
         terminal.wait("SILENT for")
         terminal.press("Space")
-        terminal.wait("NOT STOPPED, NOBODY ANSWERED")
+        terminal.wait("NOT STOPPED, NO ANSWER")
         gateway.child.send_signal(signal.SIGCONT)
         terminal.wait("ESTOPPED", "STOPPED: 6 Stop frames")  # it was asked for until it was confirmed
         with gateway.client() as client:
@@ -207,7 +209,7 @@ def test_a_gateway_that_hangs_and_one_that_dies_are_called_silent_and_come_back(
         terminal.press("y")
         terminal.wait("NO RESET: nobody answered (an observer's certificate may not reset)")
         terminal.press("Space")
-        terminal.wait("NOT STOPPED, NOBODY ANSWERED", "switch the servos' power off", "trying on")
+        terminal.wait("NOT STOPPED, NO ANSWER", "switch the servos' power off", "trying again")
         with Gateway(tmp_path, {**PATIENT, **listen}) as again:  # what nobody received is sent again
             shown = terminal.wait("ESTOPPED", "the gateway is heard again", "the gateway was started again")
             assert "SILENT for" not in shown
@@ -227,7 +229,7 @@ def test_it_waits_for_a_gateway_that_is_not_there_yet_and_asks_one_that_publishe
         terminal.press("y")
         terminal.wait("NOT DONE: there is no connection")
         terminal.press("Space")
-        terminal.wait("NOT STOPPED, NOBODY ANSWERED")
+        terminal.wait("NOT STOPPED, NO ANSWER")
         with Gateway(tmp_path, {"zenoh": {"listen": [endpoint]}, "telemetry": {"state_hz": 0}}):
             terminal.wait("ESTOPPED", "STOPPED: 6 Stop frames")
             # Longer than silence takes, by the gateway's own time, which passes on the screen by what it asks alone.
@@ -265,7 +267,7 @@ def test_over_tls_an_operator_stops_and_an_observer_is_informed_that_he_may_not(
         for terminal in (otto, anna):
             terminal.wait("ACTIVE", "3 ● 90.00°")
         otto.press("Space")
-        otto.wait("NOT STOPPED, NOBODY ANSWERED", "an observer's certificate may not stop")
+        otto.wait("NOT STOPPED, NO ANSWER", "an observer's certificate may not stop")
         assert client.state().mode in (Mode.ACTIVE, Mode.IDLE)  # idle: the watchdog, on a slow machine
         anna.press("Space")
         anna.wait("ESTOPPED", "STOPPED: 6 Stop frames")

@@ -3,18 +3,16 @@
 import pytest
 
 from gateway.allowance import NS_PER_S
+from gateway.people.terminal.stop_status import Tone
 from gateway.people.tools.watch.model import (
     COUNTED_SOURCES,
     OTHERS,
     QUESTION_NS,
-    REMARK_NS,
     SILENT_AFTER_NS,
-    STOP_PATIENCE_NS,
     Confirmation,
     Counts,
     GatewayPresence,
     Model,
-    Tone,
 )
 from gateway.robot.core.rejection_limit import RejectionLimit
 from schemas.telemetry import Ack, ButtonsReport, Kind, LeaseReport, Mode, Reason, WatchdogState
@@ -208,95 +206,53 @@ def test_what_others_wrote_cannot_steer_the_terminal() -> None:
 
 def test_a_stop_that_is_confirmed_says_how_many_frames_and_how_soon() -> None:
     model = model_with_state(Model())
-    model.stop_pressed(0)
+    model.stop.press(0)
     assert "EMERGENCY STOP sent" in screen(model)
-    model.stop_answered(STOPPED, None, 3 * NS_PER_MS)
-    assert model.stop_wanted_ns is None
+    model.stop.confirm(STOPPED, None, 3 * NS_PER_MS)
+    assert model.stop.wanted_ns is None
     shown = " ".join(screen(model).split())
     assert "STOPPED: 6 Stop frames written within 812 µs of the request, confirmed 3 ms after the key" in shown
 
 
-@pytest.mark.parametrize("ack", [Ack(accepted=True, stop_frames=5, latency_us=10), Ack(accepted=True)])
-def test_a_stop_that_was_not_written_whole_is_shouted(ack: Ack) -> None:
-    model = model_with_state(Model())
-    model.stop_pressed(0)
-    model.stop_answered(ack, None, NS_PER_MS)
-    assert model.remark is not None
-    assert model.remark.tone is Tone.BAD
-    assert "switch the servos' power off" in " ".join(screen(model).split())
-    model.look(REMARK_NS * 10, WALL)
-    assert model.remark is not None  # it stays
-
-
-def test_a_stop_that_nobody_answers_is_shouted_until_somebody_does() -> None:
-    model = Model()
-    model.stop_pressed(0)
-    assert model.stop_alarm(STOP_PATIENCE_NS - 1) is None
-    assert model.stop_alarm(STOP_PATIENCE_NS) is not None, "before the question's own time is over"
-    model.stop_unanswered()
-    assert "NOT STOPPED, NOBODY ANSWERED" in screen(model, NS_PER_MS)
-    assert "switch the servos' power off" in screen(model, NS_PER_MS)
-    assert "NOBODY ANSWERED for 60 s" in screen(model, 60 * NS_PER_S)
-    model.stop_answered(STOPPED, None, 61 * NS_PER_S)
-    assert model.stop_alarm(61 * NS_PER_S) is None
-    assert model.remark is not None
-    assert "confirmed 61000 ms after the key" in model.remark.text
-
-
 def test_a_living_gateway_that_takes_no_stop_is_named_as_such() -> None:
     model = model_with_state(Model())
-    model.stop_pressed(0)
-    model.stop_unanswered()
+    model.stop.press(0)
+    model.stop.unanswered()
     assert "the gateway runs but does not take it" in " ".join(screen(model, NS_PER_MS).split())
     model.received_state(state(10.1, Mode.ESTOPPED), 2 * NS_PER_MS, WALL)  # somebody else could
-    assert model.stop_wanted_ns is None
+    assert model.stop.wanted_ns is None
     assert "ESTOPPED, as its state says" in screen(model, 2 * NS_PER_MS)
 
 
 def test_an_answer_that_comes_after_the_state_says_more_than_it() -> None:
     model = model_with_state(Model())
-    model.stop_pressed(0)
-    model.stop_unanswered()
+    model.stop.press(0)
+    model.stop.unanswered()
     model.received_state(state(10.1, Mode.ESTOPPED), NS_PER_MS, WALL)
-    model.stop_answered(STOPPED, None, 2 * NS_PER_MS)
+    model.stop.confirm(STOPPED, None, 2 * NS_PER_MS)
     assert "STOPPED: 6 Stop frames" in screen(model, 3 * NS_PER_MS)
 
 
-def test_an_answer_to_an_earlier_press_leaves_the_later_one_to_its_own() -> None:
+def test_what_became_of_a_later_key_replaces_what_became_of_the_stop() -> None:
     model = model_with_state(Model())
-    model.stop_pressed(1)
-    model.stop_unanswered()
-    model.stop_pressed(4 * NS_PER_MS)
-    model.stop_answered(STOPPED, 4 * NS_PER_MS, 5 * NS_PER_MS)
-    assert model.stop_wanted_ns == 4 * NS_PER_MS
-    assert model.stop_alarm(6 * NS_PER_MS) is None, "of the later one nothing has failed"
-    assert "EMERGENCY STOP sent" in screen(model)
-    model.stop_answered(STOPPED, None, 7 * NS_PER_MS)
-    assert model.stop_wanted_ns is None
-    assert "confirmed 3 ms after the key" in " ".join(screen(model).split())
+    model.stop.press(0)
+    model.stop.confirm(STOPPED, None, 1)
+    model.answered(Tone.GOOD, "released", 2)
+    assert "STOPPED: 6" not in screen(model)
+    assert "released" in screen(model)
+    model.stop.press(3)
+    model.stop_pressed()
+    assert "released" not in screen(model)
 
 
 def test_stopped_is_not_said_over_a_robot_that_may_move_again() -> None:
     model = model_with_state(Model())
-    model.stop_pressed(0)
-    model.stop_answered(STOPPED, None, 1)
+    model.stop.press(0)
+    model.stop.confirm(STOPPED, None, 1)
     model.received_state(state(10.1, Mode.ESTOPPED), 2, WALL)
     assert "STOPPED: 6" in screen(model)
     model.received_state(state(10.2, Mode.IDLE), 3, WALL)
     assert "STOPPED: 6" not in screen(model)
-
-
-def test_a_reset_means_the_latest_emergency_stop_that_was_received() -> None:
-    model = Model()
-    assert model.estop is None
-    model.received_state(state(mode=Mode.ESTOPPED).model_copy(update={"estop": 3}), 0, WALL)
-    assert model.estop == 3
-    model.stop_pressed(1)
-    model.stop_answered(STOPPED.model_copy(update={"estop": 5}), None, 2)
-    model.stop_answered(STOPPED.model_copy(update={"estop": 4}), None, 3)
-    assert model.estop == 5, "answers come in any order"
-    model.received_state(state(started_s=100).model_copy(update={"estop": 0}), 4, WALL)
-    assert model.estop == 0, "a gateway that was started anew counts anew"
 
 
 def test_nothing_to_reset() -> None:
@@ -359,7 +315,7 @@ def test_a_question_does_not_stand_for_ever_a_stop_takes_it_back_and_a_no_is_con
     model.look(QUESTION_NS, WALL)
     assert model.asking(0) is None
     model.ask(question, 0)
-    model.stop_pressed(1)
+    model.stop_pressed()
     assert model.asking(1) is None
     model.ask(question, 2)
     model.declined(3)

@@ -12,16 +12,16 @@ from rich.text import Text
 
 from gateway.errors import GatewayError, LeaseError, ZenohError
 from gateway.people.client.blocking import Client
-from gateway.people.client.stops import UntilConfirmed
 from gateway.people.client.walk import Walk
-from gateway.people.terminal import check_terminal, screen
+from gateway.people.terminal import check_terminal
+from gateway.people.terminal.screen import STYLES, Screen, fitted
 from gateway.people.tools import driving, kept_lease
 from gateway.people.tools.reach import Connection
 from gateway.people.tools.walk.keypad import Keypad
 from gateway.people.tools.walk.script import went
 from gateway.people.walking import Velocity
 from gateway.text import visible
-from schemas.telemetry import Ack, Mode
+from schemas.telemetry import Mode
 
 _TICK_S: Final = 0.02
 KEYS_HOLD_S: Final = 0.25
@@ -30,7 +30,6 @@ KEYS_REST_S: Final = 60.0
 """Without a key: then it sits down, and its servos are stopped."""
 HEIGHT_STEP_M: Final = 0.01
 _GAITS: Final = {"1": "tripod", "2": "ripple", "3": "wave"}
-_STOP_KEY: Final = "  SPACE or x   EMERGENCY STOP"
 _KEYS: Final = """
   W S ↑ ↓   forward, backward          1 2 3   tripod, ripple, wave
   ← →       turn                       + -     faster, slower
@@ -41,17 +40,16 @@ _KEYS: Final = """
 _UNCONFIRMED: Final = "Nobody has confirmed that the legs are stopped: if they hold, switch the servos' power off."
 
 
-class WalkScreen(screen.Screen):
+class WalkScreen(Screen):
     """One person's drive; `run` shows it until q."""
 
     def __init__(self, client: Client, holder: str, gait: str, geometry: Path | None, height_m: float | None) -> None:
         """`holder`: by which name we hold the lease."""
-        super().__init__()
+        super().__init__(client.estop)
         self._client = client
         self._holder = holder
         self._walk: Walk = client.walk(gait, geometry)
         self._height_m = height_m
-        self._stop = UntilConfirmed(client.estop, self._stop_answered)
         self._pad = Keypad()
         self._todo: queue.SimpleQueue[Callable[[], object]] = queue.SimpleQueue()
         self._driven = threading.Event()
@@ -79,28 +77,23 @@ class WalkScreen(screen.Screen):
             raise
 
     def last_words(self) -> list[str]:
-        if self._stop.since_ns is not None:
-            return [screen.NOT_STOPPED]
-        return [] if self._legs_stopped else [_UNCONFIRMED]
+        return super().last_words() or ([] if self._legs_stopped else [_UNCONFIRMED])
 
     # ---- keys
 
-    def press(self, keys: list[str]) -> bool:
-        """An emergency stop among them is all that counts."""
-        if " " in keys or "x" in keys:
-            self._stop.press()
+    def press(self, key: str) -> bool:
+        if key in ("q", "escape"):
+            self._sits, self._message = True, "It sits down …"
             self._pad.release()
-            return True
-        for key in keys:
-            if key == "ctrl-c":
-                return False
-            if key in ("q", "escape"):
-                self._sits, self._message = True, "It sits down …"
-                self._pad.release()
-                return False
-            if not self._pad.press(key, time.monotonic()):
-                self._act(key.lower())
+            return False
+        if not self._pad.press(key, time.monotonic()):
+            self._act(key.lower())
         return True
+
+    def request_stop(self) -> None:
+        super().request_stop()
+        self._pad.release()
+        self._message = ""
 
     def _act(self, key: str) -> None:
         walk = self._walk
@@ -109,7 +102,8 @@ class WalkScreen(screen.Screen):
         elif key == "c":
             self._todo.put(walk.sit)
         elif key == "g":
-            self._stop.take_back()  # here, in the order of the keys: not a stop that is pressed behind it
+            with self.changes():  # here, in the order of the keys: not a Stop that is pressed after it
+                self.take_stop_back()
             self._todo.put(self._go_on)
         elif key in _GAITS:
             self._todo.put(lambda: walk.walk_as(_GAITS[key]))
@@ -126,14 +120,6 @@ class WalkScreen(screen.Screen):
             self._client.reset()
         self._walk.start_again()
         self._message = "It goes on with the next key."
-
-    def _stop_answered(self, outcome: Ack | Exception) -> bool:
-        if isinstance(outcome, Ack):
-            within = f"within {outcome.latency_us:.0f} µs"
-            self._message = f"EMERGENCY STOP: {outcome.stop_frames} Stop frames written {within}"
-        else:
-            self._message = "NOT STOPPED: no gateway answered; it is tried again"
-        return True
 
     # ---- the robot
 
@@ -158,23 +144,30 @@ class WalkScreen(screen.Screen):
     # ---- drawing
 
     def picture(self, columns: int, rows: int) -> Text:
-        del columns, rows  # it wraps; in a small terminal the end is cut off, so what matters most stands first
-        text = Text(no_wrap=False)
-        text.append(f"walk · {visible(' '.join(self._client.robot[1:]))} · {visible(self._holder)} drives\n", "bold")
+        title = f"walk · {visible(' '.join(self._client.robot[1:]))} · {visible(self._holder)} drives"
+        stop = self.stop_remark()
+        lines = [Text(title, "bold")]
+        if stop is not None:
+            lines.append(Text(stop.text, STYLES[stop.tone]))
+        lines += self._lines()
+        wrapped = [row for line in lines for row in line.wrap(self._console, max(1, columns))]
+        return fitted(wrapped, Text(), columns, rows, stop)
+
+    def _lines(self) -> list[Text]:
         try:
             state, now = self._walk.state, self._walk.now
         except RuntimeError:  # it is over
-            return text.append("It is stopped.")
-        commanded = _shown(self._pad.velocity(time.monotonic()))
-        alarm = "bold red" if state.lost or "STOP" in self._message else ""
-        text.append(f"{visible(self._message)}\n", alarm).append(f"{_STOP_KEY}\n\n", "bold")
-        text.append(f"  {visible(now)}\n  {state.gait}, {100 * state.height_m:.0f} cm high, ")
-        text.append(f"keys: {self._pad.speed_m_s:g} m/s\n")
-        text.append(f"  commanded  {commanded}\n")
-        text.append(f"  scaled to  {_shown(state.scaled)}  ")
-        text.append(f"{state.limit}\n" if state.limit else "\n", "yellow")
-        text.append(f"  went       {went(state)}\n")
-        return text.append(_KEYS)
+            return [Text("It is stopped.")]
+        return [
+            Text(visible(self._message), "bold red" if state.lost else ""),
+            Text(),
+            Text(f"  {visible(now)}"),
+            Text(f"  {state.gait}, {100 * state.height_m:.0f} cm high, keys: {self._pad.speed_m_s:g} m/s"),
+            Text(f"  commanded  {_shown(self._pad.velocity(time.monotonic()))}"),
+            Text(f"  scaled to  {_shown(state.scaled)}  ").append(state.limit, "yellow"),
+            Text(f"  went       {went(state)}"),
+            *map(Text, _KEYS.splitlines()),
+        ]
 
 
 def _shown(velocity: Velocity) -> str:

@@ -7,14 +7,14 @@ gateway is there, and whether the emergency stop was taken.
 from collections import Counter, deque
 from dataclasses import dataclass, field
 from datetime import datetime
-from enum import Enum, StrEnum, auto
+from enum import Enum, auto
 from typing import Final, NamedTuple
 
 from gateway.allowance import NS_PER_S
 from gateway.people.client.live import Order, Starts
+from gateway.people.terminal.stop_status import Remark, StopStatus, Tone
 from gateway.text import visible
-from schemas.robot import LEGS
-from schemas.telemetry import Ack, Event, GatewayState, Kind, LegReport, Mode
+from schemas.telemetry import Event, GatewayState, Kind, LegReport, Mode
 
 _NS_PER_MS: Final = 1_000_000
 
@@ -23,10 +23,6 @@ SILENT_AFTER_NS: Final = 2_000_000_000
 0.6 s, 0.4 s). The end of its process is noticed at once, by its liveliness token."""
 RATE_WINDOW_S: Final = 2.0
 """Rates are means over this time: at 10 states a second, steady to the eye and still quick to follow."""
-STOP_PATIENCE_NS: Final = 500_000_000
-"""A stop takes milliseconds. If its confirmation takes longer, the person must go to the power switch."""
-REMARK_NS: Final = 15 * NS_PER_S
-"""How long a remark on a success is shown; one on a failure stays until another key is pressed."""
 QUESTION_NS: Final = 10 * NS_PER_S
 """An older question is withdrawn, so that a stray y answers nothing."""
 SHOWN_EVENTS: Final = 200
@@ -42,24 +38,6 @@ class GatewayPresence(Enum):
     WAITING = auto()  # nothing has been received yet
     LIVE = auto()
     SILENT = auto()  # something was received, and then no more
-
-
-class Tone(StrEnum):
-    """How a remark is meant."""
-
-    GOOD = "good"
-    NOTE = "note"
-    BAD = "bad"
-
-
-@dataclass(frozen=True, slots=True)
-class Remark:
-    """What became of a key that was pressed, in one sentence."""
-
-    tone: Tone
-    text: str
-    since_ns: int
-    of_stop: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,18 +81,15 @@ class Model:
     """That this laptop's certificate expires soon."""
     trouble: str = ""
     """Why there is no connection: a line for each host."""
+    stop: StopStatus = field(default_factory=StopStatus)
     remark: Remark | None = None
+    """What became of another key."""
     rejected: Counter[str] = field(default_factory=Counter)
     """Commands rejected since we watch, by source, with those that the gateway left out of its events."""
     reasons: dict[str, str] = field(default_factory=dict)
     """The latest reason, by source."""
     lines: deque[EventLine] = field(default_factory=lambda: deque(maxlen=SHOWN_EVENTS))
     """Newest first."""
-    stop_wanted_ns: int | None = None
-    """Since when an emergency stop is requested and not confirmed; None: there is none."""
-    stop_tries: int = 0
-    estop: int | None = None
-    """The number of the latest emergency stop that we know of."""
     _state_ns: int = 0
     _received_ns: int | None = None
     _gone: bool = False
@@ -127,14 +102,12 @@ class Model:
     """We hold the lease."""
     _question: Confirmation | None = None
     _asked_ns: int = 0
-    _pressed_ns: int = 0
 
     # ---- what is received
 
     def received_state(self, state: GatewayState, now_ns: int, wall: datetime) -> None:
         """A state came, published or as an answer."""
         self._receive(now_ns, wall)
-        known = self.state
         match self._starts.look(state.time, state.uptime_s, now_ns):
             case Order.RESTARTED:
                 self._note(wall, "restarted", "the gateway was started again", bad=True)
@@ -143,14 +116,11 @@ class Model:
                 return
             case Order.NEXT:
                 pass
-        if state.mode is not Mode.ESTOPPED and known is not None and known.mode is Mode.ESTOPPED:
-            self._forget_remark_of_stop()
-        self.state, self._state_ns, self.estop = state, now_ns, state.estop
-        if state.mode is Mode.ESTOPPED and self.stop_wanted_ns is not None and self.stop_tries:
-            # The answer was lost, or somebody else engaged it where this laptop may not.
-            self.stop_wanted_ns = None
-            text = "ESTOPPED, as its state says; nobody confirmed the Stop frames"
-            self.remark = Remark(Tone.NOTE, text, now_ns, of_stop=True)
+        self.state, self._state_ns = state, now_ns
+        estopped = state.mode is Mode.ESTOPPED
+        self.stop.receive_state(state.estop, estopped=estopped)
+        if estopped:
+            self.stop.is_estopped(now_ns)
         self._samples.append((state.uptime_s, Counts.of(state)))
         # Keep one sample that is at least a window old, so that states that come slowly also give rates.
         while len(self._samples) > 2 and state.uptime_s - self._samples[1][0] >= RATE_WINDOW_S:
@@ -192,8 +162,7 @@ class Model:
             self._noted = presence
             self._note(wall, "silent", "the gateway fell silent", bad=True)
         self._question = self.asking(now_ns)
-        remark = self.remark
-        if remark is not None and remark.tone is not Tone.BAD and now_ns - remark.since_ns > REMARK_NS:
+        if self.remark is not None and self.remark.is_over(now_ns):
             self.remark = None
 
     def _receive(self, now_ns: int, wall: datetime) -> None:
@@ -201,11 +170,6 @@ class Model:
             away_s = (now_ns - self._received_ns) / NS_PER_S
             self._note(wall, "back", f"the gateway is heard again, after {away_s:.1f} s", bad=False)
         self._received_ns, self._gone, self._noted, self.trouble = now_ns, False, GatewayPresence.LIVE, ""
-
-    def _forget_remark_of_stop(self) -> None:
-        """Remove a remark that says STOPPED once the robot may move again."""
-        if self.remark is not None and self.remark.of_stop:
-            self.remark = None
 
     def _note(self, wall: datetime, kind: str, text: str, *, bad: bool) -> None:
         self.lines.appendleft(EventLine(wall, kind, text, bad))
@@ -252,9 +216,9 @@ class Model:
     def ask(self, question: Confirmation, now_ns: int) -> None:
         """Its key was pressed: ask whether it is meant; the reset only where an emergency stop is engaged."""
         estopped = self.state is not None and self.state.mode is Mode.ESTOPPED
-        nothing = self.presence(now_ns) is GatewayPresence.LIVE and not estopped and self.stop_wanted_ns is None
+        nothing = self.presence(now_ns) is GatewayPresence.LIVE and not estopped and self.stop.wanted_ns is None
         if question is Confirmation.RESET and nothing:
-            self.remark = Remark(Tone.NOTE, "no emergency stop is engaged, so there is nothing to reset", now_ns)
+            self.answered(Tone.NOTE, "no emergency stop is engaged, so there is nothing to reset", now_ns)
             return
         self._question, self._asked_ns = question, now_ns
 
@@ -280,56 +244,18 @@ class Model:
         taken = self._question is Confirmation.TAKE
         self._question = None
         text = "not taken" if taken else "no reset: the emergency stop stays as it is"
-        self.remark = Remark(Tone.NOTE, text, now_ns)
+        self.answered(Tone.NOTE, text, now_ns)
 
     # ---- emergency stop and reset
 
-    def stop_pressed(self, now_ns: int) -> None:
-        """The stop key was pressed. The stop is wanted until it is confirmed, or until a reset is requested."""
-        self._question = None
-        self.remark = None
-        if self.stop_wanted_ns is None:
-            self.stop_wanted_ns = self._pressed_ns = now_ns
-            self.stop_tries = 0
-
-    def stop_answered(self, ack: Ack, newer_ns: int | None, now_ns: int) -> None:
-        """The gateway confirms a press, with how many Stop frames it wrote; one of `newer_ns` is not confirmed yet."""
-        self.estop = max(self.estop or 0, ack.estop or 0)
-        frames = ack.stop_frames or 0
-        took = f", confirmed {(now_ns - self._pressed_ns) / _NS_PER_MS:.0f} ms after the key"
-        self.stop_wanted_ns = newer_ns
-        if newer_ns is not None:
-            self._pressed_ns, self.stop_tries = newer_ns, 0
-        if frames >= len(LEGS) and ack.latency_us is not None:
-            text = f"STOPPED: {frames} Stop frames written within {ack.latency_us:.0f} µs of the request{took}"
-            self.remark = Remark(Tone.GOOD, text, now_ns, of_stop=True)
-        else:
-            text = f"LATCHED, BUT ONLY {frames} OF {len(LEGS)} STOP FRAMES WERE WRITTEN: switch the servos' power off"
-            self.remark = Remark(Tone.BAD, text, now_ns)
-
-    def stop_unanswered(self) -> None:
-        """Nobody confirmed it in time; it is being sent again."""
-        self.stop_tries += 1
-
-    def stop_alarm(self, now_ns: int) -> str | None:
-        """The alarm about a stop that nobody confirms, or None."""
-        if self.stop_wanted_ns is None:
-            return None
-        if not self.stop_tries and now_ns - self.stop_wanted_ns < STOP_PATIENCE_NS:
-            return None
-        waited_s = (now_ns - self.stop_wanted_ns) / NS_PER_S
-        why = (
-            "the gateway runs but does not take it (an observer's certificate may not stop)"
-            if self.presence(now_ns) is GatewayPresence.LIVE
-            else "trying on"
-        )
-        return f"NOT STOPPED, NOBODY ANSWERED for {waited_s:.0f} s: switch the servos' power off; {why}"
+    def stop_pressed(self) -> None:
+        """A Stop key was pressed: it answers no question, and what became of earlier keys is no news."""
+        self._question = self.remark = None
 
     def reset_confirmed(self, now_ns: int) -> None:
         """The question was answered with yes."""
         self._question = None
-        self.stop_wanted_ns = None
-        self.remark = Remark(Tone.NOTE, "reset: sent, waiting for the answer", now_ns)
+        self.answered(Tone.NOTE, "reset: sent, waiting for the answer", now_ns)
 
     # ---- who is driving
 
@@ -341,10 +267,11 @@ class Model:
     def take_confirmed(self, now_ns: int) -> None:
         """The question was answered with yes."""
         self._question = None
-        self.remark = Remark(Tone.NOTE, "lease: sent, waiting for the answer", now_ns)
+        self.answered(Tone.NOTE, "lease: sent, waiting for the answer", now_ns)
 
     def answered(self, tone: Tone, text: str, now_ns: int) -> None:
         """What became of a reset, or of a key about the lease."""
+        self.stop.outcome = None
         self.remark = Remark(tone, visible(text), now_ns)
 
 

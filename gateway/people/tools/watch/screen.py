@@ -5,8 +5,8 @@ No key waits: a Stop, a reset and what is asked about the lease are requested on
 
 import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from collections.abc import Callable
+from contextlib import ExitStack, suppress
 from datetime import datetime
 from functools import partial
 from typing import Final
@@ -16,23 +16,22 @@ from rich.text import Text
 from gateway.errors import LeaseLostError, RejectedError, ZenohError
 from gateway.people.client.blocking import Client, several_answer
 from gateway.people.client.live import CLOSE_S, ERRORS, Live, Receiver
-from gateway.people.client.stops import UntilConfirmed
-from gateway.people.terminal import screen
+from gateway.people.terminal.screen import Screen
+from gateway.people.terminal.stop_status import Tone
 from gateway.people.tools import kept_lease
-from gateway.people.tools.watch.model import Confirmation, GatewayPresence, Model, Tone
+from gateway.people.tools.watch.model import Confirmation, GatewayPresence, Model
 from gateway.people.tools.watch.view import picture
 from gateway.text import visible
 from schemas import keys as wire
 from schemas.lease import LeaseAck
 from schemas.telemetry import Ack, Event, GatewayState
 
-STOP_KEYS: Final = frozenset(" eE")
 OTHERS_S: Final = 0.2
 """How long others that answer besides the gateway are waited for."""
 _NO_KEYS: Final = frozenset({"escape", "up", "down", "left", "right"})
 
 
-class WatchScreen(screen.Screen, Receiver):
+class WatchScreen(Screen, Receiver):
     """One view; shown until q. While it holds the lease, `send` of the same user drives under it."""
 
     def __init__(
@@ -43,16 +42,11 @@ class WatchScreen(screen.Screen, Receiver):
         own_expiry: str | None = None,
     ) -> None:
         """`why` returns a line for each host, why no connection comes about; it may take a second."""
-        super().__init__()
-        self.model = Model(own_expiry=own_expiry)
-        self._lock = threading.Lock()
-        """Of the model."""
+        super().__init__(lambda: self._client().estop())
+        self.model = Model(own_expiry=own_expiry, stop=self.stop)
         self._where = where
         # A link that is there has a gateway at its end that is frozen, or nobody behind a router.
         self._link = Live(connect, self, lambda client: [] if client is not None and client.connected else why())
-        self._stops = UntilConfirmed(lambda: self._client().estop(), self._stop_answered)
-        self._noted = threading.Event()
-        """Whether the model knows of the newest press."""
         self._lease = ExitStack()
 
     def begin(self) -> None:
@@ -68,32 +62,24 @@ class WatchScreen(screen.Screen, Receiver):
         closer.join(CLOSE_S)
         self._link.close()
 
-    def last_words(self) -> list[str]:
-        return [screen.NOT_STOPPED] if self.model.stop_wanted_ns is not None else []
-
     # ---- keys
 
-    def press(self, keys: list[str]) -> bool:
-        """A stop among them comes first, whatever else there is."""
-        if STOP_KEYS & set(keys):
-            self._stop()
-            return True
-        for key in keys:
-            if key in ("q", "Q", "ctrl-c"):
-                return False
-            if key not in _NO_KEYS:
-                self._press(key.lower())
+    def press(self, key: str) -> bool:
+        if key in ("q", "Q"):
+            return False
+        if key not in _NO_KEYS:
+            self._press(key.lower())
         return True
 
     def _press(self, key: str) -> None:
         now_ns = time.monotonic_ns()
-        with self._lock:
+        with self.lock:
             model = self.model
             asking, holder = model.asking(now_ns), model.holder
-            estop = model.estop  # the one that the user has seen, not one that somebody requests from now on
+            estop = model.stop.estop  # the one that the user has seen, not one that somebody requests from now on
             match asking, key:
                 case Confirmation.RESET, "y":
-                    self._stops.take_back()
+                    self.take_stop_back()
                     model.reset_confirmed(now_ns)
                     self._begin(partial(self._reset, estop=estop), "NO RESET", "reset")
                 case Confirmation.TAKE, "y":
@@ -127,30 +113,22 @@ class WatchScreen(screen.Screen, Receiver):
         threading.Thread(target=run, name="key", daemon=True).start()
 
     def _remark(self, tone: Tone, text: str) -> None:
-        with self._changes():
+        with self.changes():
             self.model.answered(tone, text, time.monotonic_ns())
 
     # ---- the emergency stop
 
-    def _stop(self) -> None:
-        """Request the emergency stop, at once and without waiting, and again until it is confirmed."""
-        self._noted.clear()
-        self._stops.press()  # first: not even the model's lock stands between the key and the wire
-        with self._changes():
-            self.model.stop_pressed(time.monotonic_ns())
-        self._noted.set()
+    def request_stop(self) -> None:
+        super().request_stop()
+        with self.changes():
+            self.model.stop_pressed()
 
-    def _stop_answered(self, outcome: Ack | Exception) -> bool:
-        """What came of a request; whether the stop is still wanted."""
-        self._noted.wait()
-        with self._changes():
-            if not isinstance(outcome, Ack):
-                self.model.stop_unanswered()
-                return self.model.stop_wanted_ns is not None
-            self.model.stop_answered(outcome, self._stops.since_ns, time.monotonic_ns())
-        with suppress(RuntimeError):  # no thread is to be had
-            threading.Thread(target=self._who_answered, name="others", daemon=True).start()
-        return True
+    def stop_answered(self, outcome: Ack | Exception) -> bool:
+        wanted = super().stop_answered(outcome)
+        if isinstance(outcome, Ack):
+            with suppress(RuntimeError):  # the system allows no more threads
+                threading.Thread(target=self._who_answered, name="others", daemon=True).start()
+        return wanted
 
     def _who_answered(self) -> None:
         if (client := self._link.client) is not None:
@@ -193,17 +171,17 @@ class WatchScreen(screen.Screen, Receiver):
         self._remark(Tone.BAD, f"LOST: {error.detail}")
 
     def _drives(self, drives: bool) -> None:
-        with self._lock:
+        with self.lock:
             self.model.drives = drives
 
     # ---- what is received
 
     def not_opened(self, error: Exception) -> None:
-        with self._changes():
+        with self.changes():
             self.model.trouble = self.model.trouble or visible(str(error))
 
     def received_state(self, state: GatewayState, received_ns: int) -> None:
-        with self._lock:
+        with self.lock:
             mode = None if self.model.state is None else self.model.state.mode
             self.model.received_state(state, received_ns, _wall())
         if state.mode != mode:  # else the next picture is soon enough
@@ -211,38 +189,32 @@ class WatchScreen(screen.Screen, Receiver):
 
     def received_event(self, event: Event, left_out: int = 0) -> None:
         del left_out  # none: the model takes them as they come
-        with self._changes():
+        with self.changes():
             self.model.received_event(event, time.monotonic_ns(), _wall())
 
     def received_token(self, alive: bool) -> None:
-        with self._changes():
+        with self.changes():
             self.model.received_token(alive, time.monotonic_ns(), _wall())
 
     def answered(self, client: Client) -> None:
         self._note_others(client, wire.STATE)
 
     def looked(self, reasons: list[str]) -> None:
-        with self._changes():
+        with self.changes():
             if self.model.presence(time.monotonic_ns()) is not GatewayPresence.LIVE:
                 self.model.trouble = "\n".join(visible(line) for line in reasons)
 
     def _note_others(self, client: Client, key: str) -> None:
         count = len(client.answerers(key, OTHERS_S))
         if count > 1:
-            with self._changes():
+            with self.changes():
                 self.model.note_others(several_answer(count, key), _wall())
-
-    @contextmanager
-    def _changes(self) -> Iterator[None]:
-        with self._lock:
-            yield
-        self.changed.set()
 
     # ---- drawing
 
     def picture(self, columns: int, rows: int) -> Text:
         now_ns = time.monotonic_ns()
-        with self._lock:
+        with self.lock:
             self.model.look(now_ns, _wall())
             return picture(self.model, now_ns, self._where, columns, rows)
 

@@ -10,7 +10,9 @@ from rich.cells import cell_len
 from rich.text import Text
 
 from gateway.certs import expiry
-from gateway.people.tools.watch.model import Counts, GatewayPresence, Model, Tone
+from gateway.people.terminal.screen import ALARM, STYLES, fitted
+from gateway.people.terminal.stop_status import Remark, Tone
+from gateway.people.tools.watch.model import Counts, GatewayPresence, Model
 from gateway.text import visible
 from schemas.telemetry import ButtonsReport, GatewayState, LeaseReport, LegReport, Mode, ServoReport, WatchdogState
 
@@ -22,8 +24,7 @@ _MODES: Final[dict[str, str]] = {
     Mode.BUS_FAULT: "bold white on magenta",
     Mode.STOPPING: "bold black on yellow",
 }
-_TONES: Final = {Tone.GOOD: "bold green", Tone.NOTE: "cyan", Tone.BAD: "bold white on red"}
-_ALARM: Final = "bold white on red"
+_KEYS: Final = Text.assemble(("  r: reset  q: quit  a: ask  t: take", "bold"), ("  (● on  ○ off)", "dim"))
 _ASK: Final = "bold black on yellow"
 _BANNER_ROWS: Final = 2
 _MAX_TROUBLES: Final = 3
@@ -40,18 +41,14 @@ def picture(model: Model, now_ns: int, where: str, width: int, height: int) -> T
     """The whole screen, `height` lines of at most `width` columns."""
     live = model.presence(now_ns) is GatewayPresence.LIVE
     blank = [Text()] if height >= _ROOMY_ROWS else []
-    top = [_header(model, now_ns, where), *_banner(model, now_ns, width)]
+    stop = model.stop.remark(now_ns, live=live)
+    top = [_header(model, now_ns, where), *_banner(model, stop, now_ns, width)]
     body = [] if model.state is None else [_head(model.state, width), *_legs(model, model.state, now_ns, width, live)]
     numbers = [] if model.state is None else [*blank, *_numbers(model.state, model.rates(), live)]
     trouble = [] if live else _trouble(model, width)
     room = max(0, height - len(top) - len(trouble) - len(body) - 1)
     rest = [*numbers, *_rejections(model), *blank, *_events(model, width, room)][:room]
-    lines = [*top, *trouble, *body, *rest][: height - 1]
-    lines += [Text()] * (height - 1 - len(lines))
-    lines.append(_keys())
-    for line in lines:
-        line.truncate(width)
-    return Text("\n", no_wrap=True, overflow="crop", end="").join(lines)
+    return fitted([*top, *trouble, *body, *rest], _KEYS, width, height, stop)
 
 
 # ---- what matters most
@@ -65,7 +62,7 @@ def _header(model: Model, now_ns: int, where: str) -> Text:
         return line
     mode = "?" if state is None else visible(state.mode).upper().replace("_", " ")
     if presence is GatewayPresence.SILENT:
-        line.append(f" SILENT for {model.silent_s(now_ns):.1f} s ", _ALARM).append(f"  was {mode}")
+        line.append(f" SILENT for {model.silent_s(now_ns):.1f} s ", ALARM).append(f"  was {mode}")
     else:
         line.append(f" {mode} ", "bold" if state is None else _MODES.get(state.mode, "bold"))
     if state is not None and state.mode is Mode.ESTOPPED and state.estop_source is not None:
@@ -99,20 +96,19 @@ def _watchers(buttons: ButtonsReport) -> Text:
     return Text(f"  buttons {buttons.alive}/{buttons.required}", "bold green" if enough else "bold red")
 
 
-def _banner(model: Model, now_ns: int, width: int) -> list[Text]:
+def _banner(model: Model, stop: Remark | None, now_ns: int, width: int) -> list[Text]:
     """Two rows for what has to be read now; one message may have both."""
     messages: list[tuple[str, str]] = []
-    alarm = model.stop_alarm(now_ns)
-    if alarm is not None:
-        messages.append((alarm, _ALARM))
-    elif model.stop_wanted_ns is not None:
-        messages.append(("EMERGENCY STOP sent, waiting for its confirmation", _ALARM))
+    if stop is not None and stop.tone is Tone.BAD:
+        messages.append((stop.text, ALARM))
     if (question := model.question(now_ns)) is not None:
         messages.append((question, _ASK))
     if model.presence(now_ns) is GatewayPresence.SILENT:
-        messages.append(("No word from the gateway: below is the past. If the robot moves, cut power.", _ALARM))
+        messages.append(("No word from the gateway: below is the past. If the robot moves, cut power.", ALARM))
+    if stop is not None and stop.tone is not Tone.BAD:
+        messages.append((stop.text, STYLES[stop.tone]))
     if model.remark is not None:
-        messages.append((model.remark.text, _TONES[model.remark.tone]))
+        messages.append((model.remark.text, STYLES[model.remark.tone]))
     if model.state is not None and (fault := model.state.calibration.fault) is not None:
         messages.append((f"Nothing can be started (calibrate accept-default): {visible(fault)}", "bold yellow"))
     if (expiring := _expiring(model)) is not None:
@@ -151,15 +147,6 @@ def _wrapped(text: str, width: int, rows: int) -> list[str]:
             lines.append("")
         lines[-1] += f" {word}" if lines[-1] else word
     return lines
-
-
-def _keys() -> Text:
-    return (
-        Text()
-        .append(" SPACE or e: EMERGENCY STOP ", "bold white on red")
-        .append("  r: reset  q: quit  a: ask  t: take", "bold")
-        .append("  (● on  ○ off)", "dim")
-    )
 
 
 # ---- legs

@@ -1,0 +1,113 @@
+"""What a person is shown of the emergency stop that a key has requested. Pure: `now_ns` is monotonic."""
+
+from enum import StrEnum
+from typing import Final, NamedTuple
+
+from schemas.robot import LEGS
+from schemas.telemetry import Ack
+
+PATIENCE_NS: Final = 500_000_000
+"""A Stop takes milliseconds. If its confirmation takes longer, the person must go to the power switch."""
+SHOWN_NS: Final = 15_000_000_000
+"""How long a success is shown. A failure stays until another key is pressed."""
+
+
+class Tone(StrEnum):
+    """How a sentence is meant."""
+
+    GOOD = "good"
+    NOTE = "note"
+    BAD = "bad"
+
+
+class Remark(NamedTuple):
+    """One sentence for the person who pressed a key."""
+
+    tone: Tone
+    text: str
+    since_ns: int = 0
+
+    def is_over(self, now_ns: int) -> bool:
+        """Whether it has been shown for long enough."""
+        return self.tone is not Tone.BAD and now_ns - self.since_ns > SHOWN_NS
+
+
+class StopStatus:
+    """A Stop is wanted from the press until it is confirmed, or until the same person asks for the reset."""
+
+    def __init__(self) -> None:
+        self.wanted_ns: int | None = None
+        """Since when a Stop is requested and not confirmed; None: there is none."""
+        self.estop: int | None = None
+        """The number of the latest emergency stop that is known."""
+        self.outcome: Remark | None = None
+        """What became of the latest confirmed request."""
+        self._pressed_ns = 0
+        self._tries = 0
+        self._estopped = False
+
+    def press(self, now_ns: int) -> None:
+        """A Stop key was pressed."""
+        self.outcome = None
+        if self.wanted_ns is None:
+            self.wanted_ns = self._pressed_ns = now_ns
+            self._tries = 0
+
+    def unanswered(self) -> None:
+        """Nobody confirmed a request in time; it is sent again."""
+        self._tries += 1
+
+    def confirm(self, ack: Ack, newer_ns: int | None, now_ns: int) -> None:
+        """The gateway confirms the presses before `newer_ns`; None: all of them."""
+        self.estop = max(self.estop or 0, ack.estop or 0)
+        frames = ack.stop_frames or 0
+        took_ms = (now_ns - self._pressed_ns) / 1e6
+        self.wanted_ns = newer_ns
+        if newer_ns is not None:
+            self._pressed_ns, self._tries = newer_ns, 0
+        if frames >= len(LEGS) and ack.latency_us is not None:
+            text = (
+                f"STOPPED: {frames} Stop frames written within {ack.latency_us:.0f} µs of the request, "
+                f"confirmed {took_ms:.0f} ms after the key"
+            )
+            self.outcome = Remark(Tone.GOOD, text, now_ns)
+        else:
+            text = f"LATCHED, BUT ONLY {frames} OF {len(LEGS)} STOP FRAMES WERE WRITTEN: switch the servos' power off"
+            self.outcome = Remark(Tone.BAD, text, now_ns)
+
+    def receive_state(self, estop: int, *, estopped: bool) -> None:
+        """The gateway's state; `estop` is the number of its latest emergency stop."""
+        self.estop = estop
+        if self._estopped and not estopped and self.outcome is not None and self.outcome.tone is not Tone.BAD:
+            self.outcome = None  # the robot may move again
+        self._estopped = estopped
+
+    def is_estopped(self, now_ns: int) -> None:
+        """A state that is no older than the one before shows the emergency stop: requests that failed are over."""
+        if self.wanted_ns is not None and self._tries:
+            # The reply was lost, or somebody else engaged it where this laptop may not.
+            self.wanted_ns = None
+            text = "ESTOPPED, as its state says; nobody confirmed the Stop frames"
+            self.outcome = Remark(Tone.NOTE, text, now_ns)
+
+    def reset(self) -> None:
+        """The person asks for the reset, so no Stop is wanted."""
+        self.wanted_ns = self.outcome = None
+
+    def alarm(self, now_ns: int, *, live: bool = False) -> str | None:
+        """The alarm about a Stop that nobody confirms, or None. `live`: whether the gateway still publishes."""
+        if self.wanted_ns is None or (not self._tries and now_ns - self.wanted_ns < PATIENCE_NS):
+            return None
+        why = "trying again"
+        if live:
+            why = "the gateway runs but does not take it (an observer's certificate may not stop)"
+        waited_s = (now_ns - self.wanted_ns) / 1e9
+        return f"NOT STOPPED, NO ANSWER for {waited_s:.0f} s: switch the servos' power off; {why}"
+
+    def remark(self, now_ns: int, *, live: bool = False) -> Remark | None:
+        """The sentence to show: a Stop that is not confirmed, or what became of the last one."""
+        if (alarm := self.alarm(now_ns, live=live)) is not None:
+            return Remark(Tone.BAD, alarm)
+        if self.wanted_ns is not None:
+            return Remark(Tone.BAD, "EMERGENCY STOP sent, waiting for its confirmation")
+        return None if self.outcome is None or self.outcome.is_over(now_ns) else self.outcome
