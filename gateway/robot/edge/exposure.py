@@ -4,19 +4,16 @@ A listen endpoint that is not loopback needs TLS with client certificates, or us
 `zenoh.allow_insecure = true`. An endpoint that is not understood here counts as exposed.
 """
 
-import ipaddress
 import logging
 from pathlib import Path
 from typing import Final
 
 import zenoh
 
+from gateway.endpoints import ip_of, is_local
 from gateway.errors import ConfigError
 from gateway.zenoh_config import connect_endpoints, get, listen_endpoints
 
-_LOCAL_LINKS: Final = frozenset({"unixsock-stream", "unixpipe"})
-"""Links that do not leave the machine; who may use them is a matter of file permissions."""
-_IP_LINKS: Final = frozenset({"tcp", "udp", "tls", "quic", "ws"})
 _TLS_LINKS: Final = frozenset({"tls", "quic"})
 
 logger = logging.getLogger(__name__)
@@ -88,34 +85,10 @@ def is_open_to_anyone(endpoint: str, config: zenoh.Config) -> bool:
     )
 
 
-def is_local(endpoint: str) -> bool:
-    """Whether only this machine reaches it: `tcp/127.0.0.1:7447`, `tcp/[::1]:7447`, a Unix socket."""
-    link, _, rest = endpoint.partition("/")
-    if link in _LOCAL_LINKS:
-        return True
-    if link not in _IP_LINKS:
-        return False
-    ip = _ip(rest)
-    return _host(rest) == "localhost" or (ip is not None and ip.is_loopback)
-
-
-def _host(address: str) -> str:
-    return address.partition("#")[0].partition("?")[0].rpartition(":")[0].removeprefix("[").removesuffix("]")
-
-
-def _ip(address: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
-    """None for a name: its address may change."""
-    try:
-        ip = ipaddress.ip_address(_host(address))
-    except ValueError:
-        return None
-    return (ip.ipv4_mapped if isinstance(ip, ipaddress.IPv6Address) else None) or ip
-
-
 def _may_be_multicast(endpoint: str) -> bool:
     """A multicast group has no sessions, so Zenoh asks for no password and takes what anyone sends there."""
     link, _, rest = endpoint.partition("/")
-    ip = _ip(rest)
+    ip = ip_of(rest)
     return link == "udp" and (ip is None or ip.is_multicast)
 
 

@@ -9,8 +9,8 @@ from collections.abc import Iterator
 from gateway import __version__
 from gateway.errors import ConfigError
 from gateway.model.black_box.files import RING_FILE
-from gateway.people.tools.check import calibration, machine, network
-from gateway.people.tools.check.result import Result, ok, warning
+from gateway.onboard.check import calibration, machine, network
+from gateway.onboard.check.result import Result, ok, warning
 from gateway.robot import settings as settings_file
 from gateway.robot.blackbox import paths
 from gateway.robot.edge.session import service_config

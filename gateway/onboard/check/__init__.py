@@ -15,9 +15,8 @@ from rich.text import Text
 
 from gateway.errors import ConfigError
 from gateway.host import effective
-from gateway.people.terminal import clear_line, show_line
-from gateway.people.tools import stop
-from gateway.people.tools.check import (
+from gateway.onboard import stop
+from gateway.onboard.check import (
     access,
     calibration,
     device,
@@ -33,7 +32,8 @@ from gateway.people.tools.check import (
     spi_bus,
     trust,
 )
-from gateway.people.tools.check.result import Result, Verdict, failure, ok, warning
+from gateway.onboard.check.result import Result, Verdict, failure, ok, warning
+from gateway.people.terminal import clear_line, show_line
 from gateway.robot import settings as settings_file
 from gateway.robot.settings import FramingNotSetError, Settings, SpiSettings
 from gateway.text import visible

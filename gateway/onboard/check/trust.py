@@ -11,8 +11,8 @@ from gateway import certs
 from gateway.certs import revocation
 from gateway.errors import ConfigError
 from gateway.host.directories import SERVICE_STATE
-from gateway.people.tools.check.installation import RESTART, SERVICE
-from gateway.people.tools.check.result import Result, failure, warning
+from gateway.onboard.check.installation import RESTART, SERVICE
+from gateway.onboard.check.result import Result, failure, warning
 from gateway.robot.settings import ZenohSettings
 from gateway.zenoh_config import get, load_config
 

@@ -1,23 +1,38 @@
 """`run`: the service, and what it prints once it is ready."""
 
 from collections.abc import Sequence
+from contextlib import nullcontext
+from pathlib import Path
 
 import zenoh
 
+from gateway.onboard.body_process import BodyProcess
+from gateway.people.physics.assumed import Assumed
 from gateway.people.terminal import say, this_command
-from gateway.people.tools.body_process import BodyProcess
 from gateway.robot import service
+from gateway.robot import settings as settings_file
 from gateway.robot.edge.simulated_body import endpoint
 from gateway.robot.settings import Settings
+from gateway.robot.spi import unreliable
 from gateway.robot.spi.unreliable import Faults
 from gateway.zenoh_config import DEFAULT_ENDPOINT, listen_endpoints
 
 
-def run(settings: Settings, *, simulated: bool, body: BodyProcess | None = None, faults: Faults | None = None) -> None:
-    """Run the service and, once it is ready, say where it is and what to try next.
+def serve(
+    config: Path | None, *, simulated: bool, fault: str | None = None, body: tuple[Path | None, Assumed] | None = None
+) -> None:
+    """Run the service with the settings of this file, until it is stopped. Raises GatewayError.
 
-    `body`: what the servos of a simulated controller move. `faults`: which of its transfers fail.
+    `body`: shape and masses of what the servos of a simulated controller move. `fault`: which of its transfers fail.
     """
+    faults = None if fault is None else unreliable.read(fault)
+    settings = settings_file.load(config, simulated=simulated)
+    with nullcontext() if body is None else BodyProcess(*body) as process:
+        _run(settings, simulated=simulated, body=process, faults=faults)
+
+
+def _run(settings: Settings, *, simulated: bool, body: BodyProcess | None, faults: Faults | None) -> None:
+    """Once it is ready, print where it is and what to try next."""
     controller = "a simulated controller" if simulated else settings.spi.device
     robot = controller if body is None else "a simulated robot"
 

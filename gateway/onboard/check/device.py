@@ -12,9 +12,9 @@ from typing import Final
 from gateway.errors import SpiError
 from gateway.model.frames import ONE_LEG_LEN
 from gateway.model.framing import Framing
-from gateway.people.tools.check import service_user
-from gateway.people.tools.check.installation import RESTART
-from gateway.people.tools.check.result import Result, failure, ok, warning
+from gateway.onboard.check import service_user
+from gateway.onboard.check.installation import RESTART
+from gateway.onboard.check.result import Result, failure, ok, warning
 from gateway.robot.settings import SpiSettings
 from gateway.robot.spi import ioctls
 from gateway.robot.spi.bus import CS_CHANGE_NS

@@ -10,9 +10,9 @@ import zenoh
 from gateway import certs
 from gateway.certs import pool
 from gateway.errors import ConfigError
+from gateway.onboard.check.result import Result, failure, ok, warning
 from gateway.people.client.requests import Identity
 from gateway.people.terminal import this_command
-from gateway.people.tools.check.result import Result, failure, ok, warning
 from gateway.robot.edge import revoked
 from gateway.robot.settings import ZenohSettings
 from gateway.zenoh_config import get

@@ -48,7 +48,7 @@ def list_incidents(context: typer.Context, config: ConfigOption = None, as_json:
 
     Exit codes: 0 listed, 2 the black box is off, or may not be read.
     """
-    from gateway.people.tools import black_box
+    from gateway.onboard import black_box
 
     sys.exit(black_box.list_all(_settings(context, config), as_json=as_json))
 
@@ -61,7 +61,7 @@ def show(
 
     Exit codes: 0 told, 1 no such incident, 2 the black box is off, or may not be read.
     """
-    from gateway.people.tools import black_box
+    from gateway.onboard import black_box
 
     sys.exit(black_box.show(_settings(context, config), incident, as_json=as_json))
 
@@ -78,7 +78,7 @@ def report(
     Exit codes: 0 written, 1 no such incident, 2 the black box is off or may not be read, or the file exists or cannot
     be written.
     """
-    from gateway.people.tools import black_box
+    from gateway.onboard import black_box
 
     sys.exit(black_box.report(_settings(context, config), incident, file))
 
@@ -95,7 +95,7 @@ def export(
     Exit codes: 0 written, 1 no such incident, 2 the black box is off or may not be read, or the file exists or cannot
     be written.
     """
-    from gateway.people.tools import black_box
+    from gateway.onboard import black_box
 
     sys.exit(black_box.export(_settings(context, config), incident, file))
 
@@ -112,6 +112,6 @@ def keep(
 
     Exit codes: 0 ended on request, 2 the black box is off.
     """
-    from gateway.people.tools import black_box
+    from gateway.onboard import black_box
 
     sys.exit(black_box.keep(_settings(context, config), once=once))

@@ -10,8 +10,8 @@ from dataclasses import dataclass, field
 from pathlib import PurePosixPath as Path
 from typing import Final, NamedTuple
 
-from gateway.people.tools.check.result import Result, Verdict
-from gateway.people.tools.whole import SHOWN, Whole
+from gateway.onboard.check.result import Result, Verdict
+from gateway.onboard.whole import SHOWN, Whole
 
 SERVICE: Final = "hexapod-gateway"
 RECORDER: Final = "hexapod-recorder"

@@ -10,7 +10,7 @@ from gateway.durable import staged_for
 from gateway.model.angle_limits import AngleLimits
 from gateway.model.calibration import Calibration
 from gateway.model.frames import centidegrees
-from gateway.people.tools.check.result import Result, failure, ok, warning
+from gateway.onboard.check.result import Result, failure, ok, warning
 from gateway.robot.core.calibrating import ACCEPT_DEFAULT
 from gateway.robot.host.calibration_file import SLOW_S, load, path_to_read
 from gateway.robot.settings import Settings

@@ -7,13 +7,13 @@ from typing import Final
 
 from gateway.certs import expiry
 from gateway.errors import ConfigError, ZenohError
+from gateway.onboard.check import holders, machine
+from gateway.onboard.check.result import Result, Verdict, failure, ok, warning
 from gateway.people.client import diagnosis
 from gateway.people.client.blocking import Client
 from gateway.people.client.diagnosis import Finding, Step
 from gateway.people.client.requests import Identity
 from gateway.people.tools import why
-from gateway.people.tools.check import holders, machine
-from gateway.people.tools.check.result import Result, Verdict, failure, ok, warning
 from gateway.zenoh_config import client_config, connect_endpoints
 from schemas.telemetry import CertificateReport
 

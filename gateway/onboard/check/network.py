@@ -2,15 +2,13 @@
 
 import datetime as dt
 import errno
-import ipaddress
 import json
 import logging
 import os
 import re
 import socket
-import sys
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final
 
@@ -20,13 +18,14 @@ from pydantic import ValidationError
 from gateway import certs
 from gateway.certs import expiry
 from gateway.errors import ConfigError, GatewayError, ZenohError
+from gateway.host.sockets import listening
+from gateway.onboard.check import service_user
+from gateway.onboard.check.result import Result, failure, ok, warning
+from gateway.onboard.check.trust import LET_READ
 from gateway.people.client import diagnosis
 from gateway.people.client.blocking import Client
 from gateway.people.client.diagnosis import Step
 from gateway.people.client.requests import Identity
-from gateway.people.tools.check import service_user
-from gateway.people.tools.check.result import Result, failure, ok, warning
-from gateway.people.tools.check.trust import LET_READ
 from gateway.robot.edge.session import service_config
 from gateway.robot.settings import ZenohSettings
 from gateway.zenoh_config import certificate_files, connect_endpoints, load_config, one_line, open_session
@@ -201,29 +200,9 @@ def _service_at(port: int, link: str) -> str:
     return "the service" if service is not None and service in owners(port, _LINKS[link]) else ""
 
 
-_LISTENS: Final = {"0A", "07"}  # TCP_LISTEN; a UDP socket that is bound
-
-
 def owners(port: int, kind: socket.SocketKind) -> set[int]:
     """The users (numbers) of the sockets that listen on a port, as the kernel shows everybody."""
     return {uid for _, uid in listening(port, kind)}
-
-
-def listening(port: int, kind: socket.SocketKind) -> Iterator[tuple[str, int]]:
-    """Address and user (a number) of each socket of this machine that listens on a port."""
-    for file in ("tcp", "tcp6") if kind is socket.SOCK_STREAM else ("udp", "udp6"):
-        with suppress(OSError):
-            for line in Path("/proc/net", file).read_text().splitlines()[1:]:
-                _, local, _, state, _, _, _, uid, *_ = line.split()
-                address, _, number = local.rpartition(":")
-                if state in _LISTENS and int(number, 16) == port:
-                    yield _address(address), int(uid)
-
-
-def _address(shown: str) -> str:
-    """As the kernel shows it: words of 32 bits in hex, each in this machine's byte order."""
-    words = [int(shown[place : place + 8], 16).to_bytes(4, sys.byteorder) for place in range(0, len(shown), 8)]
-    return str(ipaddress.ip_address(b"".join(words)))
 
 
 def certificates(settings: ZenohSettings, now: dt.datetime) -> list[Result]:

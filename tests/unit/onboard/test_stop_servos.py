@@ -8,7 +8,7 @@ from gateway.errors import ConfigError
 from gateway.host import effective
 from gateway.host.plain_settings import PlainRepeats, RepeatValues, SpiValues
 from gateway.model.framing import Framing
-from gateway.people.tools import stop
+from gateway.onboard import stop
 from gateway.robot import settings as settings_file
 
 PLAIN = 'spi.framing = "plain"\n'

@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 
 from gateway import certs
+from gateway.onboard.check import holders
+from gateway.onboard.check.result import Result, Verdict
 from gateway.people.client.requests import Identity
-from gateway.people.tools.check import holders
-from gateway.people.tools.check.result import Result, Verdict
 from gateway.robot.edge import revoked
 from gateway.robot.edge.revoked import OlderCa
 from gateway.robot.settings import ZenohSettings

@@ -5,8 +5,8 @@ import re
 from pathlib import Path
 from typing import Final
 
-from gateway.people.tools.check.machine import UNIT
-from gateway.people.tools.check.result import Result, warning
+from gateway.onboard.check.machine import UNIT
+from gateway.onboard.check.result import Result, warning
 
 INSTALLED: Final = Path("/opt/hexapod-gateway/venv")
 SYSTEM_PYTHON: Final = Path("/usr/bin/python3")

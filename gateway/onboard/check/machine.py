@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import Final
 
 from gateway.host.realtime import LOOP_PRIORITY
-from gateway.people.tools.check import service_user
-from gateway.people.tools.check.installation import RESTART
-from gateway.people.tools.check.result import Result, failure, ok, warning
+from gateway.onboard.check import service_user
+from gateway.onboard.check.installation import RESTART
+from gateway.onboard.check.result import Result, failure, ok, warning
 
 UNIT: Final = "hexapod-gateway"
 _UNSYNCHRONISED: Final = 5  # TIME_ERROR of adjtimex(2)

@@ -14,7 +14,7 @@ from importlib import import_module
 from typing import Final
 
 from gateway.errors import GatewayError
-from gateway.people.tools.check.result import Result, ok, warning
+from gateway.onboard.check.result import Result, ok, warning
 
 SERVICE_USER: Final = "hexapod-gateway"
 _GROUP_OF_THE_UNIT: Final = "spi"

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Final
 
-from gateway.people.tools.check.result import Result, ok, warning
+from gateway.onboard.check.result import Result, ok, warning
 from gateway.robot.spi.machine import (
     ROOT,
     RP1_FIXED,
