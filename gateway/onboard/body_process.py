@@ -20,7 +20,7 @@ from gateway.errors import ConfigError
 from gateway.host.servo_page import ServoPage
 from gateway.people.physics.assumed import Assumed
 from gateway.people.terminal import hint
-from gateway.robot.edge import simulated_body
+from gateway.robot.zenoh_io import simulated_body
 
 START_S: Final = 30.0
 """It loads MuJoCo in less than one."""

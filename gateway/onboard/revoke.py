@@ -10,8 +10,8 @@ from gateway.certs.revocation import RevocationList, parse, why_not_newer
 from gateway.errors import ConfigError, GatewayError
 from gateway.people.terminal import hint, say
 from gateway.robot import settings as settings_file
-from gateway.robot.edge import revoked
-from gateway.robot.edge.session import service_config
+from gateway.robot.zenoh_io import revoked
+from gateway.robot.zenoh_io.session import service_config
 
 UNIT: Final = "hexapod-gateway"
 

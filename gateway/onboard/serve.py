@@ -11,10 +11,10 @@ from gateway.people.physics.assumed import Assumed
 from gateway.people.terminal import say, this_command
 from gateway.robot import service
 from gateway.robot import settings as settings_file
-from gateway.robot.edge.simulated_body import endpoint
 from gateway.robot.settings import Settings
 from gateway.robot.spi import unreliable
 from gateway.robot.spi.unreliable import Faults
+from gateway.robot.zenoh_io.simulated_body import endpoint
 from gateway.zenoh_config import DEFAULT_ENDPOINT, listen_endpoints
 
 

@@ -79,7 +79,7 @@ JUDGES: Final = {
     "gateway/robot/spi/bus.py": _BUS,
     "gateway/robot/spi/stop_all.py": (f"{_UNIT}test_stop.py",),
     "gateway/endpoints.py": (f"{_UNIT}test_exposure.py",),
-    "gateway/robot/edge/exposure.py": (f"{_UNIT}test_exposure.py",),
+    "gateway/robot/zenoh_io/exposure.py": (f"{_UNIT}test_exposure.py",),
     "gateway/certs/access.py": ("tests/unit/test_access.py",),
     "gateway/certs/zenoh_files.py": (
         "tests/unit/test_access.py",
@@ -87,9 +87,9 @@ JUDGES: Final = {
         "tests/unit/onboard/test_check_access.py",
     ),
     "gateway/certs/proof.py": _CHECKER,
-    "gateway/robot/edge/inbox.py": _INBOX,
-    "gateway/robot/edge/rings.py": ("tests/zenoh/test_rings.py", *_INBOX),
-    "gateway/robot/edge/receiver.py": (f"{_UNIT}test_ownership.py", "tests/zenoh/test_inbox_parts.py"),
+    "gateway/robot/zenoh_io/inbox.py": _INBOX,
+    "gateway/robot/zenoh_io/rings.py": ("tests/zenoh/test_rings.py", *_INBOX),
+    "gateway/robot/zenoh_io/receiver.py": (f"{_UNIT}test_ownership.py", "tests/zenoh/test_inbox_parts.py"),
     "gateway/robot/runtime/request_answers.py": (
         *_CHECKER,
         f"{_UNIT}test_buttons_conductor.py",

@@ -17,7 +17,7 @@ ROOMS: Final = (
     ("robot.settings", "people.recordings", "people.physics", "people.terminal"),
     ("robot.host", "people.incidents", "people.client"),
     ("robot.spi", "client"),
-    ("robot.edge", "people.tools"),
+    ("robot.zenoh_io", "people.tools"),
     ("robot.blackbox", "people.console", "people.bridge"),
     ("robot.runtime",),
     ("robot.service",),
@@ -111,9 +111,9 @@ def test_only_the_robots_wing_and_its_commands_know_the_settings() -> None:
 
 
 def test_the_conductor_knows_no_zenoh() -> None:
-    """So that a second edge could stand beside the first."""
+    """So that another transport could stand in its place."""
     assert not {
         name
         for name in imported(GATEWAY / "robot/runtime/conductor.py")
-        if name.startswith(("zenoh", "gateway.robot.edge"))
+        if name.startswith(("zenoh", "gateway.robot.zenoh_io"))
     }

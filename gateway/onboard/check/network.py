@@ -26,8 +26,8 @@ from gateway.people.client import diagnosis
 from gateway.people.client.blocking import Client
 from gateway.people.client.diagnosis import Step
 from gateway.people.client.requests import Identity
-from gateway.robot.edge.session import service_config
 from gateway.robot.settings import ZenohSettings
+from gateway.robot.zenoh_io.session import service_config
 from gateway.zenoh_config import certificate_files, connect_endpoints, load_config, one_line, open_session
 from schemas.telemetry import GatewayState
 

@@ -13,8 +13,8 @@ from gateway.onboard.check import calibration, machine, network
 from gateway.onboard.check.result import Result, ok, warning
 from gateway.robot import settings as settings_file
 from gateway.robot.blackbox import paths
-from gateway.robot.edge.session import service_config
 from gateway.robot.settings import Settings
+from gateway.robot.zenoh_io.session import service_config
 from gateway.zenoh_config import listen_endpoints
 from schemas.telemetry import GatewayState, Mode
 

@@ -12,9 +12,9 @@ from zenoh.handlers import Handler
 
 from gateway.host.realtime import RECEIVER_PRIORITY, prefer_thread
 from gateway.robot.core.message import Reply
-from gateway.robot.edge.questions import QuestionRing
 from gateway.robot.host.disk_writer import report_mistake
 from gateway.robot.host.ownership import Ownership
+from gateway.robot.zenoh_io.questions import QuestionRing
 
 Deal = Callable[[], float | None]
 """What an owner of the state is to do with an item. Returns for how long to wait before the next one, if at all."""

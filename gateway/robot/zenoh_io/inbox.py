@@ -25,12 +25,12 @@ from zenoh.handlers import Handler, RingChannel
 from gateway.host.realtime import LOOP_PRIORITY
 from gateway.robot.core.intake import words_of_stop
 from gateway.robot.core.message import Received, Reply, Verb
-from gateway.robot.edge.questions import DEPTH as QUESTIONS_DEPTH
-from gateway.robot.edge.questions import Knows, QuestionRing
-from gateway.robot.edge.receiver import Deal, Reader, ReceiverThread
-from gateway.robot.edge.replies import ReplySender
-from gateway.robot.edge.rings import LEAST_PUT_DEPTH, RING_DEPTH, Receive, Rings
 from gateway.robot.host.ownership import Ownership, OwnersTimer
+from gateway.robot.zenoh_io.questions import DEPTH as QUESTIONS_DEPTH
+from gateway.robot.zenoh_io.questions import Knows, QuestionRing
+from gateway.robot.zenoh_io.receiver import Deal, Reader, ReceiverThread
+from gateway.robot.zenoh_io.replies import ReplySender
+from gateway.robot.zenoh_io.rings import LEAST_PUT_DEPTH, RING_DEPTH, Receive, Rings
 from schemas.command import MAX_PAYLOAD_BYTES
 from schemas.keys import ALL_COMMANDS, COMMAND_KEYS, ESTOP, STATE
 from schemas.telemetry import Ack, Reason
