@@ -29,7 +29,7 @@ help:
 	@echo "make falls    what a stop does to that robot: each gait, every way of stopping, 24 phases; a table and a picture"
 	@echo "make soak     an hour of mixed traffic at ten times the real rate: does anything drift?"
 	@echo "make mutants  small faults in the files that keep the robot safe, one at a time: does a test fail for each?"
-	@echo "              (MUTANTS=\"spi edge\": only files whose name has one of these in it)"
+	@echo "              (MUTANTS=\"spi zenoh_io\": only files whose name has one of these in it)"
 	@echo "make docs     the Python API as HTML, in build/docs"
 	@echo "make schemas  write schemas/json/ anew"
 	@echo "make format   let ruff format"
@@ -40,7 +40,7 @@ help:
 
 # Ctrl-C, and SIGTERM to make, end all; the console's end does not end the gateway.
 run: $(VENV)/run
-	@$(BIN)/python -m gateway.people.tools.try_out $(CONSOLE)
+	@$(BIN)/python -m gateway.onboard.try_out $(CONSOLE)
 
 quick: $(VENV)/dev
 	@$(BIN)/python -m tests --quick

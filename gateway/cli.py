@@ -15,10 +15,11 @@ from typer.core import TyperCommand, TyperGroup
 from gateway import __version__
 from gateway.errors import ConfigError, GatewayError
 from gateway.model.frames import PROTOCOL_VERSION
+from gateway.onboard import incidents
 from gateway.people.bridge import command as bridge
 from gateway.people.console import calibrate_command
 from gateway.people.terminal import hint
-from gateway.people.tools import attended, certs, incidents, lease, recordings
+from gateway.people.tools import attended, certs, lease, recordings
 from gateway.people.tools.options import ConfigOption, ConnectOption, OtherShapeOption, TimeoutOption, ZenohConfigOption
 
 _PANELS = {
@@ -179,25 +180,19 @@ def run(
 
     Exit codes: 0 stopped on request, 2 a wrong configuration, 3 the SPI device fails, 4 Zenoh cannot be opened.
     """
-    from gateway.people.tools import serve
-    from gateway.robot import settings
-    from gateway.robot.spi import unreliable
+    from gateway.onboard import serve
 
     physics = (geometry, mass_kg, servo_torque_nm, friction, terrain)
     if sim is not Sim.PHYSICS and physics != (None,) * len(physics):
         raise ConfigError("--geometry, --mass-kg, --servo-torque-nm, --friction and --terrain go with --sim=physics")
     if sim is None and fault is not None:
         raise ConfigError("--sim-fault goes with --sim")
-    faults = None if fault is None else unreliable.read(fault)
-    found = settings.load(config, simulated=sim is not None)
+    body = None
     if sim is Sim.PHYSICS:
         from gateway.people.physics.assumed import assumed
-        from gateway.people.tools.body_process import BodyProcess
 
-        with BodyProcess(geometry, assumed(mass_kg, servo_torque_nm, friction, terrain)) as body:
-            serve.run(found, simulated=True, body=body, faults=faults)
-    else:
-        serve.run(found, simulated=sim is not None, faults=faults)
+        body = geometry, assumed(mass_kg, servo_torque_nm, friction, terrain)
+    serve.serve(config, simulated=sim is not None, fault=fault, body=body)
 
 
 @app.command("stop-servos")
@@ -209,7 +204,7 @@ def stop_servos(config: ConfigOption = None) -> None:
 
     Exit codes: 0 stopped, 2 a wrong configuration, 3 the SPI device fails.
     """
-    from gateway.people.tools import stop
+    from gateway.onboard import stop
 
     stop.run(config)
 
@@ -276,12 +271,12 @@ def check(
     answers.
     """
     if move:
+        from gateway.onboard.check.move import move as move_servo
         from gateway.people.tools import reach
-        from gateway.people.tools.check.move import move as move_servo
 
         connection = reach.connection(connect, zenoh_config, timeout, source="hexapod-gateway check")
         sys.exit(move_servo(connection, agreed=yes))
-    from gateway.people.tools.check import check, check_laptop
+    from gateway.onboard.check import check, check_laptop
 
     if connect is not None or zenoh_config is not None:
         sys.exit(check_laptop(connect, zenoh_config, timeout))
@@ -378,9 +373,9 @@ def revoke(
     Exit codes: 0 it is in force, 1 an older list, or the service does not restart, 2 the file or the configuration is
     wrong.
     """
-    from gateway.people.tools import revoking
+    from gateway.onboard import revoke
 
-    sys.exit(revoking.take(file, config))
+    sys.exit(revoke.take(file, config))
 
 
 @app.command(
@@ -395,7 +390,7 @@ def install_service(context: typer.Context) -> None:
 
     Exit codes: 0 done, 1 rejected or failed, with one sentence, and the service that ran goes on.
     """
-    from gateway.people.tools import install_service
+    from gateway.onboard import install_service
 
     sys.exit(install_service.install(context.args))
 

@@ -12,7 +12,7 @@ MAX_SESSIONS: Final = 64
 """How many may be connected at once. With Zenoh's 1000, an observer took 999 places in 4.3 s, and as many of the
 service's file descriptors; no operator could connect."""
 OPERATORS_PLACES: Final = 8
-"""Of these, how many are kept for operators (edge/connection_limiter.py)."""
+"""Of these, how many are kept for operators (zenoh_io/connection_limiter.py)."""
 ACCEPT_PENDING: Final = 100
 """How many connections may be in their handshake; Zenoh's own default."""
 ACCEPT_TIMEOUT_MS: Final = 2000

@@ -27,16 +27,6 @@ from gateway.robot.core.calibrating import ACCEPT_DEFAULT
 from gateway.robot.core.leg import Rules
 from gateway.robot.core.pacing import NS_PER_MS, NS_PER_S
 from gateway.robot.core.supervisor import Supervisor
-from gateway.robot.edge import simulated_body
-from gateway.robot.edge.connection_limiter import ConnectionLimiter
-from gateway.robot.edge.inbox import Inbox
-from gateway.robot.edge.outbox import ZenohOutbox
-from gateway.robot.edge.proofs import checker_of
-from gateway.robot.edge.revoked import Kept, OlderCa, kept, leave_out
-from gateway.robot.edge.rings import put_depth
-from gateway.robot.edge.session import service_config
-from gateway.robot.edge.unknown_keys import UnknownKeys
-from gateway.robot.edge.upkeep import Upkeep
 from gateway.robot.host import calibration_file, stop_note
 from gateway.robot.host.disk_writer import DiskWriter
 from gateway.robot.host.ownership import Ownership
@@ -56,6 +46,16 @@ from gateway.robot.spi.kernel import KernelDevice
 from gateway.robot.spi.machine import driver_of, gpio_selects
 from gateway.robot.spi.simulator import SimulatedController
 from gateway.robot.spi.unreliable import Faults, UnreliableDevice
+from gateway.robot.zenoh_io import simulated_body
+from gateway.robot.zenoh_io.connection_limiter import ConnectionLimiter
+from gateway.robot.zenoh_io.inbox import Inbox
+from gateway.robot.zenoh_io.outbox import ZenohOutbox
+from gateway.robot.zenoh_io.proofs import checker_of
+from gateway.robot.zenoh_io.revoked import Kept, OlderCa, kept, leave_out
+from gateway.robot.zenoh_io.rings import put_depth
+from gateway.robot.zenoh_io.session import service_config
+from gateway.robot.zenoh_io.unknown_keys import UnknownKeys
+from gateway.robot.zenoh_io.upkeep import Upkeep
 from gateway.zenoh_config import open_session
 from schemas.keys import CALIBRATION, STATE
 

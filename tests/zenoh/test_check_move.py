@@ -11,7 +11,7 @@ import pytest
 
 from gateway.client import Client
 from gateway.model.frames import OneServo, Op, ServoOp, decode
-from gateway.people.tools.check import move as module
+from gateway.onboard.check import move as module
 from schemas.telemetry import Cause, FrameRecord, Mode
 from tests.support.child import Child
 from tests.support.command import Ended

@@ -13,14 +13,14 @@ import numpy as np
 
 from gateway.geometry import Geometry
 from gateway.geometry.kinematics import Quaternion, Vector, about, rotated
+from gateway.model.servo import NO_LOAD_DEG_S
 from gateway.people.physics.assumed import USUAL, Assumed
 from gateway.people.physics.model import TIMESTEP_S, built
-from gateway.robot.spi.simulator import MAX_SPEED_DEG_S
 from schemas.robot import LEGS, SERVO_IDS
 
 FALLEN_DEG: Final = 45.0
 """A body that leans further than this against the ground does not stand on its feet any more."""
-_STEP_RAD: Final = math.radians(MAX_SPEED_DEG_S) * TIMESTEP_S
+_STEP_RAD: Final = math.radians(NO_LOAD_DEG_S) * TIMESTEP_S
 _DROP_M: Final = 0.02
 """Slack legs, a little above the ground."""
 _FREE: Final = 7

@@ -1,22 +1,16 @@
-"""Brings a list of revoked certificates to robots: signed where the CA is, taken by the service, or by root."""
+"""Brings a list of revoked certificates to robots: it is signed where the CA is, and sent to each service."""
 
-import os
-import subprocess
 from pathlib import Path
 from typing import Final, NamedTuple
 
 from gateway.certs import OPERATOR, confirmed, folder, moving, pool, zenoh_files
-from gateway.certs.files import read_certificates, read_file
-from gateway.certs.revocation import FILE_NAME, RevocationList, parse, why_not_newer
+from gateway.certs.files import read_certificates
+from gateway.certs.revocation import FILE_NAME, parse
 from gateway.errors import ConfigError, GatewayError, RejectedError
 from gateway.people.client.blocking import Client
 from gateway.people.terminal import hint, say, this_command
-from gateway.robot import settings as settings_file
-from gateway.robot.edge import revoked
-from gateway.robot.edge.session import service_config
 from schemas.revocation import MAX_REVOCATION_BYTES
 
-UNIT: Final = "hexapod-gateway"
 ANSWER_S: Final = 5.0
 
 
@@ -88,7 +82,7 @@ def _bring(directory: Path, ways: list[_Way]) -> list[str]:
 def _bring_to(directory: Path, way: _Way) -> int:
     """Its number, once it is in force there and the folder has noted so."""
     config, person = (way.config, way.config.stem) if way.config else _operators_file(directory, way.robot)
-    with Client(way.endpoint, zenoh_config=config, source=f"{UNIT} certs revoke", timeout_s=ANSWER_S) as client:
+    with Client(way.endpoint, zenoh_config=config, source="hexapod-gateway certs revoke", timeout_s=ANSWER_S) as client:
         client.state()  # a robot that starts anew is awaited
         number = _send(client, directory, way.robot)
     confirmed.note(directory, way.robot, number)
@@ -139,41 +133,3 @@ def _operators_file(directory: Path, robot: str) -> tuple[Path, str]:
         f"{directory} has no files of an operator of it: issue one, or name your own: --zenoh-config NAME.json5"
         + (f" --to {robot}" if fleet else "")
     )
-
-
-def take(file: Path, config: Path | None) -> int:
-    """On the robot: put the list in `file` in force, and restart the service. Returns the exit code."""
-    data = read_file(file, "list of revoked certificates")
-    settings = settings_file.load(config, simulated=True).zenoh
-    kept = revoked.kept(service_config(settings), settings, started_by_systemd=False)
-    if kept is None:
-        raise ConfigError("this robot's Zenoh file names no CA, so it knows nobody by a certificate")
-    try:
-        found = parse(data, kept.cas)
-    except ConfigError as error:
-        raise ConfigError(f"{file}: {error}") from error
-    if kept.known is not None and kept.known.pem == found.pem:
-        say(f"List {found.number} is in force already.")
-        return 0
-    fault = why_not_newer(found, kept.known)
-    if fault is not None:
-        raise GatewayError(f"{file}: {fault}")
-    revoked.keep(kept.path, found)
-    say(f"{kept.path}: list {found.number} shuts out {', '.join(sorted(found.common_names))}.")
-    return _restart(found)
-
-
-def _restart(found: RevocationList) -> int:
-    """As root, where the service runs under systemd; else somebody has to."""
-    if not _systemd() or subprocess.run(["systemctl", "is-active", "--quiet", UNIT], check=False).returncode != 0:
-        say("It takes effect when the gateway starts.")
-        return 0
-    if subprocess.run(["systemctl", "restart", UNIT], check=False).returncode != 0:
-        hint(f"The list is kept, but the service does not restart: journalctl -u {UNIT} says why.")
-        return 1
-    say(f"The service was restarted, all legs stopped; list {found.number} is in force.")
-    return 0
-
-
-def _systemd() -> bool:
-    return Path("/run/systemd/system").is_dir() and os.geteuid() == 0

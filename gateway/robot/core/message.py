@@ -46,7 +46,7 @@ class Received:
 
 
 class Messages(Protocol):
-    """What the conductor needs of the left edge."""
+    """What the conductor needs of the inbox."""
 
     instant_open: bool
     """Whether what is taken next is of the same instant as what was taken last."""
@@ -56,7 +56,7 @@ class Messages(Protocol):
 
 
 class NoMessages:
-    """Before the left edge is connected."""
+    """Before the inbox is connected."""
 
     instant_open = False
 
@@ -66,7 +66,7 @@ class NoMessages:
 
 
 class Outbox(Protocol):
-    """What the conductor needs of the right edge."""
+    """What the conductor needs of the outbox."""
 
     def publish(self, key: str, report: BaseModel) -> None:
         """Send a report to whoever listens. Never raises, never waits."""

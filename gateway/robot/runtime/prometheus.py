@@ -15,10 +15,10 @@ from prometheus_client.metrics_core import (
 from prometheus_client.registry import Collector
 
 from gateway import __version__
+from gateway.endpoints import is_local
 from gateway.host import logs
 from gateway.model.frames import PROTOCOL_VERSION
 from gateway.robot.core.latency import BOUNDS_US, Latency
-from gateway.robot.edge.exposure import is_local
 from gateway.robot.runtime.conductor import Conductor
 from gateway.robot.runtime.metrics_page import MetricsPage
 from gateway.web_hosts import LOOPBACK, may_ask

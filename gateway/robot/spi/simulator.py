@@ -41,12 +41,12 @@ from typing import Final
 from gateway.host.servo_page import ServoPage
 from gateway.model.frames import ONE_LEG_LEN, ONE_LEG_TYPE, ONE_SERVO_LEN, ONE_SERVO_TYPE, Op
 from gateway.model.framing import Framing
+from gateway.model.servo import NO_LOAD_DEG_S
 from gateway.robot.spi import ByteDevice
 from schemas.robot import SERVO_IDS
 
 TICK_NS: Final = 1_000_000
 RECEIVE_TIMEOUT_TICKS: Final = 1000  # HEXAPOD_RECEIVE_TIMEOUT
-MAX_SPEED_DEG_S: Final = 60 / 0.17  # MG996R at 4.8 V without load: 0.17 s for 60°
 KEPT_TRANSFERS: Final = 10_000  # the newest; 33 s of six legs at 50 Hz
 
 _RECEIVE_BUFFER_LEN: Final = 64  # MESSAGE_MAX_LEN
@@ -244,7 +244,7 @@ class SimulatedController(ByteDevice):
             self._on_change(f"the controller is dead until it is reset: {why}")
 
     def _move(self, now_ns: int) -> None:
-        reach_deg = MAX_SPEED_DEG_S * (now_ns - self._moved_ns) / 1e9
+        reach_deg = NO_LOAD_DEG_S * (now_ns - self._moved_ns) / 1e9
         self._moved_ns = now_ns
         for servo in self._servos.values():
             if servo.energised and (target_deg := servo.target_deg) is not None:

@@ -8,10 +8,11 @@ from typing import Any
 import pytest
 import zenoh
 
+from gateway.endpoints import is_local
 from gateway.errors import ConfigError
-from gateway.robot.edge import exposure
-from gateway.robot.edge.session import service_config
 from gateway.robot.settings import ZenohSettings
+from gateway.robot.zenoh_io import exposure
+from gateway.robot.zenoh_io.session import service_config
 from gateway.zenoh_config import listen_endpoints
 
 MTLS = {"transport/link/tls/enable_mtls": True, "transport/link/tls/root_ca_certificate": "/ca.pem"}
@@ -80,7 +81,7 @@ def test_this_machine_alone_needs_nothing(endpoint: str) -> None:
 )
 def test_whatever_else_is_open_to_strangers(endpoint: str) -> None:
     assert exposure.is_open_to_anyone(endpoint, config())
-    assert not exposure.is_local(endpoint)
+    assert not is_local(endpoint)
 
 
 @pytest.mark.parametrize(

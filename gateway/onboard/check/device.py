@@ -1,0 +1,227 @@
+"""The SPI device: node, permissions, who holds it, speed, framing. Writes nothing to the robot."""
+
+import fcntl
+import grp
+import os
+import pwd
+import stat
+import sys
+from pathlib import Path
+from typing import Final
+
+from gateway.errors import SpiError
+from gateway.model.frames import ONE_LEG_LEN
+from gateway.model.framing import Framing
+from gateway.onboard.check import service_user
+from gateway.onboard.check.installation import RESTART
+from gateway.onboard.check.result import Result, failure, ok, warning
+from gateway.robot.settings import SpiSettings
+from gateway.robot.spi import ioctls
+from gateway.robot.spi.bus import CS_CHANGE_NS
+from gateway.robot.spi.kernel import KernelDevice
+from gateway.robot.spi.machine import ROOT, driver_of, gpio_selects
+from schemas.robot import LEGS
+
+MEASURED_HZ: Final = 2_500_000
+"""Up to this speed the clock was measured to be clean."""
+CALL_NS: Final = 90_000
+"""What a transfer takes longer that is a call of its own (140 µs were seen with a pause of 50)."""
+SLOW_STOPS_MS: Final = 20.0
+"""Six Stops should not take longer to write than the shortest watchdog timeout that can be set."""
+
+_READ_SPEED: Final = 2 << 30 | 4 << 16 | ord("k") << 8 | 4
+"""SPI_IOC_RD_MAX_SPEED_HZ."""
+_NAME: Final = "SPI device"
+_HELD: Final = "is held by a running gateway"
+
+
+def device(spi: SpiSettings) -> Result:
+    """Whether the device can be opened and set up as the service does it. Closes it at once."""
+    path = Path(spi.device)
+    lack = _node(path) or _permission(path)
+    if lack is not None:
+        return lack
+    try:
+        KernelDevice(spi.device, spi.speed_hz).close()
+    except SpiError as error:
+        if isinstance(error.__cause__, BlockingIOError):
+            return ok(_NAME, f"{path} {_HELD}; a second one would be rejected")
+        return failure(_NAME, str(error), f"is {path} a SPI device? dmesg may tell more")
+    by = f"; {ioctls.USED}" if ioctls.are_used() else ""
+    return ok(_NAME, f"{path} opens, as {_user()}{by}")
+
+
+def held(result: Result) -> bool:
+    """Whether `device` found that a gateway holds the device."""
+    return _HELD in result.sentence
+
+
+def _node(path: Path) -> Result | None:
+    try:
+        mode = path.stat().st_mode
+    except PermissionError as error:
+        return failure(_NAME, f"{path} cannot be looked at ({error.strerror})", "check the folder's permissions")
+    except OSError:
+        others = sorted(str(found) for found in path.parent.glob("spidev*")) if path.parent.is_dir() else []
+        fix = (
+            f"set spi.device; here there is {', '.join(others)}"
+            if others
+            else "switch SPI on (dtparam=spi=on in config.txt) and reboot; without a robot: run --sim"
+        )
+        return failure(_NAME, f"{path} does not exist", fix)
+    return None if stat.S_ISCHR(mode) else failure(_NAME, f"{path} is no device node", "set spi.device to one")
+
+
+def _permission(path: Path) -> Result | None:
+    if os.access(path, os.R_OK | os.W_OK):
+        return None
+    status = path.stat()
+    group = _group(status.st_gid)
+    rights = stat.filemode(status.st_mode)
+    fix = (
+        f"the udev rule of the installation gives it to the group spi at each boot; now: sudo chgrp spi {path} && "
+        f"sudo chmod 660 {path} && {RESTART}"
+        if service_user.uid() is not None
+        else f"sudo usermod -aG {group} {_user()} # then log in again"
+        if status.st_gid and (status.st_mode & 0o060) == 0o060
+        else "install the udev rule (sudo deploy/install.sh), which gives it to the group spi"
+    )
+    return failure(_NAME, f"{path} may not be opened by {_user()} ({rights}, group {group})", fix)
+
+
+def kernel_hz(path: str) -> int | None:
+    """The clock that the kernel gives the device where nobody has set one: what device tree and controller allow.
+
+    While another program has the device open it is what that one has set. Linux answers with a speed that was set
+    even where the controller's limit lowers it, so it is read before.
+    """
+    try:
+        fd = os.open(path, os.O_RDWR | os.O_CLOEXEC)
+        try:
+            return int.from_bytes(fcntl.ioctl(fd, _READ_SPEED, bytes(4)), sys.byteorder) or None
+        finally:
+            os.close(fd)
+    except OSError:
+        return None
+
+
+def stops_ms(spi: SpiSettings, speed_hz: int) -> float:
+    """How long six Stops take on the wire."""
+    announced = spi.framing is Framing.LENGTH_PREFIXED
+    each_ns = spi.frame_gap_us * 1e3 + CS_CHANGE_NS + (0 if spi.batch else CALL_NS)
+    bits = 8 * (ONE_LEG_LEN + announced)
+    return len(LEGS) * (bits / speed_hz * 1e3 + (1 + announced) * each_ns / 1e6)
+
+
+def speed(spi: SpiSettings, *, kernel_hz: int | None = None, gateway_runs: bool = False, root: Path = ROOT) -> Result:
+    """The clock, compared with what was measured, what device tree and kernel allow, and how long a Stop may take.
+
+    `kernel_hz`: what the function of that name found, while a gateway had the device open or not (`gateway_runs`).
+    """
+    name = "SPI speed"
+    wanted = _megahertz(spi.speed_hz)
+    most_hz = _most_hz(root / "sys/class/spidev" / Path(spi.device).name / "device/of_node/spi-max-frequency")
+    if most_hz is not None and spi.speed_hz > most_hz:
+        return warning(
+            name,
+            f"{wanted} is above the {_megahertz(most_hz)} that the device tree allows {spi.device}",
+            f"set spi.speed_hz = {most_hz} or less, or raise spi-max-frequency",
+        )
+    if spi.speed_hz > MEASURED_HZ:
+        return warning(
+            name,
+            f"{wanted} is above the {_megahertz(MEASURED_HZ)} up to which the protocol was measured",
+            f"set spi.speed_hz = {MEASURED_HZ}, or measure the clock on your wires",
+        )
+    given_hz = min(spi.speed_hz, kernel_hz or spi.speed_hz)
+    takes_ms = stops_ms(spi, given_hz)
+    if kernel_hz is not None and (kernel_hz != spi.speed_hz if gateway_runs else kernel_hz < spi.speed_hz):
+        why, fix = _OTHER_SPEED if gateway_runs else (_LOWERED, f"set spi.speed_hz = {kernel_hz} or less")
+        return warning(
+            name,
+            f"{wanted} is set, and the kernel gives {_megahertz(kernel_hz)}: {why}; "
+            f"an emergency stop takes {takes_ms:.1f} ms to write",
+            fix,
+        )
+    if takes_ms > SLOW_STOPS_MS:
+        return warning(
+            name,
+            f"{wanted} is so slow that an emergency stop takes {takes_ms:.0f} ms to write",
+            f"set spi.speed_hz = {MEASURED_HZ}",
+        )
+    given = f", and the kernel gives {_megahertz(given_hz)}" if kernel_hz is not None else ""
+    return ok(name, f"{wanted}{given}; an emergency stop takes {takes_ms:.1f} ms to write")
+
+
+_LOWERED: Final = "its controller takes no more, or another program has the device open"
+_OTHER_SPEED: Final = (
+    "another program has set it, or the configuration was changed since the gateway was started",
+    "sudo systemctl restart hexapod-gateway",
+)
+
+
+def framing(spi: SpiSettings) -> Result:
+    """The framing that the controller's firmware must have, too."""
+    if spi.framing is Framing.PLAIN:
+        return warning(
+            "framing",
+            "plain, as the protocol's document says; the published STM32 firmware jams in it until it is reset",
+            'set spi.framing = "length-prefixed" for that firmware, and reset it',
+        )
+    deadly = Framing.LENGTH_PREFIXED.avoid_cdeg or (0, 0)
+    low, high = spi.avoid_cdeg or (0, 0)
+    if low > deadly[0] or high < deadly[1]:
+        return warning(
+            "framing",
+            f"{spi.framing}, and spi.avoid_deg lets some of 1 to 3.99 degrees on the wire: the published STM32 "
+            "firmware dies of these where one byte is lost, with its servos on",
+            "leave spi.avoid_deg out, unless the controller's firmware is another",
+        )
+    avoided = f"{low / 100:g} up to {high / 100:g} degrees are never sent"
+    return ok("framing", f"{spi.framing}, as the published STM32 firmware wants it; wire angles from {avoided}")
+
+
+def lists(spi: SpiSettings, *, root: Path = ROOT) -> Result:
+    """Whether chip select is known to be released between transfers of one call, as a plain controller needs."""
+    name = "SPI lists"
+    if not spi.batch:
+        return ok(name, "spi.batch is false: one system call for each transfer")
+    driver = driver_of(spi.device, root)
+    if gpio_selects(spi.device, root):
+        return ok(name, "chip select is a GPIO, which Linux releases between the transfers of a call")
+    if spi.framing is not Framing.PLAIN:
+        return ok(
+            name, f"{driver or 'the driver'} may keep chip select within a call; the published firmware ignores it"
+        )
+    return warning(
+        name,
+        f"nobody has seen whether {driver or 'this driver'} releases chip select between the transfers of a call",
+        "hexapod-gateway check --move shows it: set spi.batch = false if servo 61 still holds when all are stopped",
+    )
+
+
+def _most_hz(file: Path) -> int | None:
+    """A device tree's number: four bytes, the highest first."""
+    try:
+        data = file.read_bytes()
+    except OSError:
+        return None
+    return int.from_bytes(data, "big") if len(data) == 4 and any(data) else None
+
+
+def _megahertz(hz: int) -> str:
+    return f"{hz / 1e6:g} MHz" if hz >= 10_000 else f"{hz} Hz"
+
+
+def _user() -> str:
+    try:
+        return pwd.getpwuid(os.geteuid()).pw_name
+    except KeyError:
+        return str(os.geteuid())
+
+
+def _group(gid: int) -> str:
+    try:
+        return grp.getgrgid(gid).gr_name
+    except KeyError:
+        return str(gid)

@@ -1,0 +1,117 @@
+"""The command line of the black box: `incidents list`, `show`, `export`, `keep`."""
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from gateway.people.tools.options import ConfigOption, JsonOption
+
+if TYPE_CHECKING:
+    from gateway.robot.settings import Settings
+
+app = typer.Typer(
+    help="What the black box kept of stops and faults, and the story of each.\n\n"
+    "They are read from the files that hexapod-recorder.service keeps, and from the gateway's ring, also after it was "
+    "killed. Where the service recorded them, use sudo.\n\n"
+    "Exit codes: 0 done, 1 no such incident, 2 the black box is off or may not be read, or a file cannot be "
+    "written.",
+    invoke_without_command=True,
+)
+
+IncidentArgument = Annotated[
+    str,
+    typer.Argument(
+        metavar="ID", help="An id that `list` shows and events name, `last` for the newest, or an exported FILE.mcap."
+    ),
+]
+
+
+@app.callback()
+def _list_without_command(context: typer.Context, config: ConfigOption = None) -> None:
+    if context.invoked_subcommand is None:
+        list_incidents(context, config)
+    context.obj = config  # `incidents --config F show last`
+
+
+def _settings(context: typer.Context, config: Path | None) -> "Settings":
+    from gateway.robot import settings
+
+    # No framing is needed to read: it is asked for as with a simulated controller.
+    return settings.load(config or context.obj, simulated=True)
+
+
+@app.command("list")
+def list_incidents(context: typer.Context, config: ConfigOption = None, as_json: JsonOption = False) -> None:
+    """List them, newest first.
+
+    Exit codes: 0 listed, 2 the black box is off, or may not be read.
+    """
+    from gateway.onboard import black_box
+
+    sys.exit(black_box.list_all(_settings(context, config), as_json=as_json))
+
+
+@app.command()
+def show(
+    context: typer.Context, incident: IncidentArgument, config: ConfigOption = None, as_json: JsonOption = False
+) -> None:
+    """Tell what happened: commands, decisions and frames, with times relative to the stop.
+
+    Exit codes: 0 told, 1 no such incident, 2 the black box is off, or may not be read.
+    """
+    from gateway.onboard import black_box
+
+    sys.exit(black_box.show(_settings(context, config), incident, as_json=as_json))
+
+
+@app.command()
+def report(
+    context: typer.Context,
+    incident: IncidentArgument,
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="The page to make, such as stop.html")],
+    config: ConfigOption = None,
+) -> None:
+    """Write one page to mail: the story, the joints as they were commanded, and the Stops over time.
+
+    Exit codes: 0 written, 1 no such incident, 2 the black box is off or may not be read, or the file exists or cannot
+    be written.
+    """
+    from gateway.onboard import black_box
+
+    sys.exit(black_box.report(_settings(context, config), incident, file))
+
+
+@app.command()
+def export(
+    context: typer.Context,
+    incident: IncidentArgument,
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="The MCAP file to make, such as stop.mcap")],
+    config: ConfigOption = None,
+) -> None:
+    """Write one as an MCAP file, for Foxglove, Lichtblick or a program of your own.
+
+    Exit codes: 0 written, 1 no such incident, 2 the black box is off or may not be read, or the file exists or cannot
+    be written.
+    """
+    from gateway.onboard import black_box
+
+    sys.exit(black_box.export(_settings(context, config), incident, file))
+
+
+@app.command()
+def keep(
+    context: typer.Context,
+    config: ConfigOption = None,
+    once: Annotated[
+        bool, typer.Option("--once", help="Keep what is in the ring now, and end: after the end of a gateway.")
+    ] = False,
+) -> None:
+    """Keep incidents on the disk as they happen, until SIGTERM: what hexapod-recorder.service runs.
+
+    Exit codes: 0 ended on request, 2 the black box is off.
+    """
+    from gateway.onboard import black_box
+
+    sys.exit(black_box.keep(_settings(context, config), once=once))
