@@ -26,7 +26,7 @@ from gateway.robot.edge.connection_limiter import ConnectionLimiter
 from gateway.robot.edge.inbox import Inbox
 from gateway.robot.edge.outbox import ZenohOutbox
 from gateway.robot.edge.proofs import checker_of
-from gateway.robot.edge.revoked import Kept, OlderCa, kept, leave_out
+from gateway.robot.edge.revoked import OlderCa, RevocationState, leave_out, revocation_state
 from gateway.robot.edge.rings import put_depth
 from gateway.robot.edge.session import service_config
 from gateway.robot.edge.unknown_keys import UnknownKeys
@@ -46,7 +46,7 @@ from gateway.robot.runtime.conductor import Conductor
 from gateway.robot.runtime.report import wall_clock
 from gateway.robot.runtime.request_answers import ButtonAnswers, LeaseAnswers
 from gateway.robot.runtime.revocations import Revocations
-from gateway.robot.runtime.shutdown import END_S, End, close_within, stop_the_robot
+from gateway.robot.runtime.shutdown import SHUTDOWN_S, ServiceEnd, close_within, stop_the_robot
 from gateway.robot.settings import Settings, SpiSettings, ZenohSettings
 from gateway.robot.spi import SpiDevice, effective, ioctls
 from gateway.robot.spi.bus import Bus
@@ -183,13 +183,13 @@ def run(
 
 def _configured(
     settings: ZenohSettings, physics: Physics | None
-) -> tuple[zenoh.Config, "ProofChecker | None", Kept | None]:
+) -> tuple[zenoh.Config, "ProofChecker | None", RevocationState | None]:
     """Zenoh's configuration, what checks who asks for the lease, and who is shut out, where it names a CA.
 
     Raises ConfigError.
     """
     config = service_config(settings)
-    shut_out = kept(config, settings)
+    shut_out = revocation_state(config, settings)
     revoked = None if shut_out is None else shut_out.known
     leave_out(config, revoked)
     if physics is not None:
@@ -221,10 +221,10 @@ async def _run(
     physics: Physics | None,
     faults: Faults | None,
     on_ready: Callable[[zenoh.Config], None],
-) -> End:
+) -> ServiceEnd:
     # The file before systemd counts the service as active: the installer looks for it then.
     loop, owner, servos = asyncio.get_running_loop(), Ownership(), ServosFile(runtime_directory())
-    end = End(loop, owner, recorder)
+    end = ServiceEnd(loop, owner, recorder)
     notifier = SystemdNotifier()
     config, checker, shut_out = _configured(settings.zenoh, physics)
     bus = Bus(settings.spi, device_opener(settings, simulated=simulated, page=physics and physics.page, faults=faults))
@@ -286,7 +286,7 @@ async def _run(
         notifier.stopping(anew=end.starts_anew)
         for task in tasks:
             task.cancel()
-        deadline = loop.time() + END_S
+        deadline = loop.time() + SHUTDOWN_S
         await stop_the_robot(conductor, bus, settings.watchdog)
         with owner:
             conductor.close()
@@ -362,7 +362,7 @@ def _attendants(
     config: zenoh.Config,
     conductor: Conductor,
     notifier: SystemdNotifier,
-    shut_out: Kept | None,
+    shut_out: RevocationState | None,
 ) -> tuple[ConnectionLimiter, Upkeep]:
     """The threads that look after the session."""
     upkeep = Upkeep(session, config, notifier.status, wall_clock)
@@ -387,7 +387,7 @@ async def _beat(
     inbox: Inbox,
     unknown_keys: UnknownKeys,
     servos: ServosFile,
-    end: End,
+    end: ServiceEnd,
 ) -> None:
     """Measure how late the loop is, look for `stop-servos`, and tell systemd that the loop turns and hears.
 

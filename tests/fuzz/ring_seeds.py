@@ -14,7 +14,7 @@ import async_solipsism
 from gateway.errors import SpiError
 from gateway.robot.blackbox import format as form
 from gateway.robot.blackbox import header, place
-from gateway.robot.blackbox.ring import Ring
+from gateway.robot.blackbox.ring import RecordRing
 from gateway.robot.protocol.frames import stop_leg
 from schemas import keys
 from tests.fuzz.ring_image import BODY, MAX_SLOTS, input_of
@@ -109,7 +109,7 @@ def _recorded(happens: Callable[[Robot], Awaitable[None]]) -> Written:
 def _ring(written: Written, slots: int) -> bytes:
     """The same in a ring of so many slots, which wraps around where they are more."""
     with tempfile.TemporaryDirectory() as folder:
-        ring = Ring(Path(folder) / place.RING, slots)
+        ring = RecordRing(Path(folder) / place.RING, slots)
         for kind, ns, rest in written:
             ring.append(kind, ns, rest)
         ring.close()

@@ -10,7 +10,7 @@ import zenoh
 from pydantic import BaseModel, PrivateAttr, model_serializer
 from zenoh.handlers import RingChannel
 
-from gateway.robot.edge.outbox import MOST_WAITING, ZenohOutbox
+from gateway.robot.edge.outbox import MAX_REPORTS_WAITING, ZenohOutbox
 from gateway.robot.edge.session import service_config
 from gateway.robot.edge.unknown_keys import UnknownKeys
 from gateway.robot.settings import ZenohSettings
@@ -77,7 +77,7 @@ def test_what_is_published_while_too_much_waits_is_dropped_and_counted() -> None
         held = HeldServo()
         outbox.publish(EVENT, held)
         assert held.begun.wait(10)
-        for number in range(MOST_WAITING + 7):
+        for number in range(MAX_REPORTS_WAITING + 7):
             outbox.publish(EVENT, Numbered(number=number))
         assert outbox.dropped == 7
         held.go_on.set()

@@ -7,6 +7,7 @@ from typing import Final
 
 from gateway.robot.host.directories import SERVICE_STATE, runtime_directory, state_directory
 from gateway.robot.settings import Settings
+from schemas.robot import LEGS
 
 RING: Final = "black-box"
 INCIDENTS: Final = "incidents"
@@ -17,12 +18,11 @@ with. Twice as many come in a stream above the limit, for commands that are repl
 OTHER_RECORDS_PER_S: Final = 100
 MAX_SLOTS: Final = 500_000
 """64 MB of memory. More than 60 s at 1000 frames a second and leg, or 600 s at 125, do not fit in it."""
-LEGS: Final = 6
 
 
 def slots_for(settings: Settings) -> int:
     """How many records reach back `recorder.seconds` while all legs are commanded at their rate."""
-    per_s = RECORDS_PER_FRAME * LEGS * settings.limits.leg_rate_hz + OTHER_RECORDS_PER_S
+    per_s = RECORDS_PER_FRAME * len(LEGS) * settings.limits.leg_rate_hz + OTHER_RECORDS_PER_S
     return min(MAX_SLOTS, round(settings.recorder.seconds * per_s))
 
 

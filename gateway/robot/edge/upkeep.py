@@ -21,7 +21,7 @@ from gateway.robot.host.realtime import PAGE_PRIORITY, prefer_thread
 from gateway.zenoh_config import Expiry, connect_endpoints, first_expiry, listen_endpoints
 from schemas.telemetry import CertificateReport
 
-LOOK_S: Final = 1.0
+LINKS_PERIOD_S: Final = 1.0
 GRACE_S: Final = 3.0
 """How long a router may take at the start before it counts as not reached; Zenoh tries again every second at least."""
 CLOCK_S: Final = 3600.0
@@ -75,7 +75,9 @@ class Upkeep:
         with suppress(zenoh.ZError):  # the session is closed
             while True:
                 self._look(time.monotonic())
-                if self._closed.wait(LOOK_S if self._dials else max(LOOK_S, self._clock_due_s - time.monotonic())):
+                if self._closed.wait(
+                    LINKS_PERIOD_S if self._dials else max(LINKS_PERIOD_S, self._clock_due_s - time.monotonic())
+                ):
                     return
 
     def _look(self, now_s: float) -> None:

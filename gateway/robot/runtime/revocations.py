@@ -14,7 +14,7 @@ from gateway.errors import ConfigError
 from gateway.robot.core.message import Reply
 from gateway.robot.edge import revoked
 from gateway.robot.edge.receiver import Deal
-from gateway.robot.edge.revoked import Kept
+from gateway.robot.edge.revoked import RevocationState
 from gateway.robot.host.directories import state_directory
 from gateway.robot.host.worker import DiskWriter
 from gateway.robot.runtime.conductor import Conductor
@@ -40,7 +40,7 @@ class Revocations(RequestAnswers):
     def __init__(
         self,
         conductor: Conductor,
-        kept: Kept | None,
+        kept: RevocationState | None,
         loop: asyncio.AbstractEventLoop,
         begin_again: Callable[[], None],
     ) -> None:
@@ -115,7 +115,7 @@ class Revocations(RequestAnswers):
         # A disk may take seconds, and no Stop waits for one.
         self._disk.write(partial(revoked.keep, kept.path, found), partial(self._put_in_force, kept, found, reply))
 
-    def _put_in_force(self, kept: Kept, found: "RevocationList", reply: Reply, fault: str | None) -> None:
+    def _put_in_force(self, kept: RevocationState, found: "RevocationList", reply: Reply, fault: str | None) -> None:
         self._keeps = False
         if fault is not None:
             self.reject(None, Reason.REVOCATION_DENIED, fault, reply)

@@ -11,7 +11,7 @@ from gateway.errors import ConfigError
 from gateway.robot.core.calibration import Calibration, ServoCalibration
 from gateway.robot.host import calibration_file
 from gateway.robot.host.calibration_file import (
-    KEPT,
+    EARLIER_KEPT,
     from_toml,
     load,
     path_of,
@@ -80,7 +80,9 @@ def test_a_broken_file_is_an_error_that_names_the_place(tmp_path: Path, before: 
     assert str(raised.value).startswith(f"{path}: {fault}")
 
 
-@pytest.mark.parametrize("content", [b"\xff\xfe", b"\0" * 100, b"[" * 5000, b" " * (calibration_file.MAX_BYTES + 1)])
+@pytest.mark.parametrize(
+    "content", [b"\xff\xfe", b"\0" * 100, b"[" * 5000, b" " * (calibration_file.MAX_CALIBRATION_BYTES + 1)]
+)
 def test_a_foreign_file_is_an_error(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "calibration.toml"
     path.write_bytes(content)
@@ -93,7 +95,7 @@ def test_the_previous_ten_are_kept(tmp_path: Path) -> None:
     for revision in range(1, 15):
         write(path, Calibration(revision, {32: ServoCalibration(revision)}))
     kept = [read(found) for found in previous(path)]
-    assert [calibration.revision for calibration in kept if calibration] == list(range(13, 13 - KEPT, -1))
+    assert [calibration.revision for calibration in kept if calibration] == list(range(13, 13 - EARLIER_KEPT, -1))
     assert read(path) == Calibration(14, {32: ServoCalibration(14)})
 
 
