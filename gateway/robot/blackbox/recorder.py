@@ -19,7 +19,7 @@ from gateway.robot.blackbox import format as form
 from gateway.robot.blackbox import place
 from gateway.robot.blackbox.ring import RecordRing
 from gateway.robot.core.calibration import Calibration, report_of
-from gateway.robot.core.events import Request, Transmit
+from gateway.robot.core.events import Announce, Request, Transmit
 from gateway.robot.protocol import VERSION
 from gateway.robot.settings import Settings
 from gateway.robot.spi.bus import Sent
@@ -170,20 +170,12 @@ class Recorder:
         """The gateway's mode changes."""
         self._append(form.MODE, self._clock(), form.mode(mode))
 
-    def event(
-        self,
-        kind: Kind,
-        source: str | None,
-        key: str | None,
-        reason: str | None,
-        detail: str,
-        left_out: int,
-        legs: tuple[int, ...] = (),
-    ) -> str | None:
-        """An event is published; returns the id of the incident that it belongs to, if it is one."""
+    def event(self, event: Announce, source: str | None, left_out: int) -> str | None:
+        """An event is published; returns the id of the incident that it begins or belongs to, if it does."""
         now_ns = self._clock()
-        self._append(form.EVENT, now_ns, form.event(kind, source, key, reason, detail, left_out))
-        what = INCIDENT_NAMES.get(kind) if legs or kind not in _IF_LEGS_STOP else None
+        fields = form.event(event.kind, source, event.key, event.reason, event.detail, left_out)
+        self._append(form.EVENT, now_ns, fields)
+        what = INCIDENT_NAMES.get(event.kind) if event.legs or event.kind not in _IF_LEGS_STOP else None
         return None if what is None else self._happened(what, now_ns)
 
     def beat(self, lag_ns: int) -> None:

@@ -15,7 +15,7 @@ import zenoh
 from gateway import certs, durable
 from gateway.certs import pool
 from gateway.errors import ConfigError
-from gateway.robot.host.directories import SERVICE_RUNTIME, SERVICE_STATE, runtime_directory, state_directory
+from gateway.robot.host.directories import SERVICE_RUNTIME, runtime_directory, state_directory, state_to_read
 from gateway.robot.settings import ZenohSettings
 from gateway.zenoh_config import get
 
@@ -62,9 +62,7 @@ def revocation_state(
         return None
     cas = tuple(certs.files.read_certificates(Path(ca)))
     beside = Path(settings.config).absolute().parent
-    state = state_directory()
-    if state is None and not started_by_systemd and SERVICE_STATE.is_dir():
-        state = SERVICE_STATE
+    state = state_directory() if started_by_systemd else state_to_read()
     folders = [beside] if state is None else [state, beside]
     lists = [each for folder in folders if (each := _read(folder / certs.revocation.REVOCATION_FILE, cas)) is not None]
     found = max(lists, key=lambda each: each.number, default=None)

@@ -5,7 +5,6 @@ Neither stops the service, and Zenoh is silent about both. A thread of its own l
 
 import datetime as dt
 import logging
-import re
 import threading
 import time
 from collections.abc import Callable
@@ -17,6 +16,7 @@ import zenoh
 from gateway import certs
 from gateway.certs import expiry
 from gateway.errors import ConfigError
+from gateway.robot.edge.exposure import host_and_port
 from gateway.robot.host.realtime import PAGE_PRIORITY, prefer_thread
 from gateway.zenoh_config import Expiry, connect_endpoints, first_expiry, listen_endpoints
 from schemas.telemetry import CertificateReport
@@ -26,8 +26,6 @@ GRACE_S: Final = 3.0
 """How long a router may take at the start before it counts as not reached; Zenoh tries again every second at least."""
 CLOCK_S: Final = 3600.0
 """How often the certificates' time is compared with the clock, which may be set after the start."""
-
-_PORT: Final = re.compile(r":(\d+)(?:[?#].*)?$")
 
 logger = logging.getLogger(__name__)
 
@@ -142,4 +140,4 @@ class Upkeep:
 
 
 def _ports(endpoints: list[str]) -> set[str]:
-    return {found[1] for each in endpoints if (found := _PORT.search(each)) is not None}
+    return {port for _, port in map(host_and_port, endpoints) if port.isdecimal()}

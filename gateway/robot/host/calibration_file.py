@@ -19,7 +19,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from gateway import durable, nesting
 from gateway.errors import ConfigError
 from gateway.robot.core.calibration import Calibration, CalibrationError, ServoCalibration, report_of
-from gateway.robot.host.directories import SERVICE_STATE, state_directory
+from gateway.robot.host.directories import state_directory, state_to_read
 from gateway.robot.protocol.frames import centidegrees
 from gateway.robot.settings import MISSING, Settings, dotted, faults_of
 from schemas import calibration as wire
@@ -47,17 +47,19 @@ _HEAD: Final = """\
 
 
 def path_of(settings: Settings) -> Path | None:
-    """Where the gateway itself keeps its calibration; None: in memory only."""
-    if settings.calibration.path:
-        return Path(settings.calibration.path)
-    folder = state_directory()
-    return None if folder is None else folder / CALIBRATION_FILE
+    """The file in which the gateway itself keeps its calibration; None: in memory only."""
+    return _path(settings, state_directory())
 
 
 def path_to_read(settings: Settings) -> Path | None:
-    """The same for whoever looks at it: also the service's, where systemd did not start the looker."""
-    path = path_of(settings)
-    return path if path is not None else SERVICE_STATE / CALIBRATION_FILE if SERVICE_STATE.is_dir() else None
+    """The same for a program that reads it, which systemd need not have started."""
+    return _path(settings, state_to_read())
+
+
+def _path(settings: Settings, folder: Path | None) -> Path | None:
+    if settings.calibration.path:
+        return Path(settings.calibration.path)
+    return None if folder is None else folder / CALIBRATION_FILE
 
 
 def load(path: Path) -> tuple[Calibration, str | None]:

@@ -10,7 +10,7 @@ from gateway import durable
 from gateway.people.tools.check.calibration import kept, landing_pose
 from gateway.people.tools.check.result import Verdict
 from gateway.robot.core.calibration import Calibration, ServoCalibration
-from gateway.robot.host import calibration_file
+from gateway.robot.host import calibration_file, directories
 from gateway.robot.host.calibration_file import SLOW_S
 from gateway.robot.settings import Settings
 
@@ -60,7 +60,7 @@ def test_what_only_the_service_may_read_is_no_failure(tmp_path: Path, monkeypatc
 
 def test_in_memory_only(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.delenv("STATE_DIRECTORY", raising=False)
-    monkeypatch.setattr(calibration_file, "SERVICE_STATE", tmp_path / "none")
+    monkeypatch.setattr(directories, "SERVICE_STATE", tmp_path / "none")
     assert "in memory only" in kept(Settings()).sentence
 
 

@@ -9,7 +9,7 @@ from hypothesis import given
 
 from gateway.errors import ConfigError
 from gateway.robot.core.calibration import Calibration, ServoCalibration
-from gateway.robot.host import calibration_file
+from gateway.robot.host import calibration_file, directories
 from gateway.robot.host.calibration_file import (
     EARLIER_KEPT,
     from_toml,
@@ -178,7 +178,7 @@ def test_where_it_is_kept(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> No
 
 def test_where_it_is_looked_for(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.delenv("STATE_DIRECTORY", raising=False)
-    monkeypatch.setattr(calibration_file, "SERVICE_STATE", tmp_path)
+    monkeypatch.setattr(directories, "SERVICE_STATE", tmp_path)
     assert path_to_read(Settings()) == tmp_path / "calibration.toml"
-    monkeypatch.setattr(calibration_file, "SERVICE_STATE", tmp_path / "none")
+    monkeypatch.setattr(directories, "SERVICE_STATE", tmp_path / "none")
     assert path_to_read(Settings()) is None
