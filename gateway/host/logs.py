@@ -19,7 +19,7 @@ from typing import Final
 
 from gateway.robot.host.directories import runtime_directory
 from gateway.robot.host.log_condenser import Condenser
-from gateway.robot.host.log_writer import LogWriter, Stream
+from gateway.robot.host.log_writer import LogStream, LogWriter
 
 from gateway.robot.settings import LogSettings
 from gateway.text import visible, visible_json
@@ -40,7 +40,7 @@ def set_up(settings: LogSettings) -> None:
     condenser = Condenser() if journal and settings.format == "auto" else None
     out, err = LogWriter(1), LogWriter(2, _with_priority(render) if journal else render, condenser)
     _log_writers[:] = [out, err]
-    sys.stdout, sys.stderr = Stream(out), Stream(err)
+    sys.stdout, sys.stderr = LogStream(out), LogStream(err)
     atexit.register(close)
     root = logging.getLogger()
     root.handlers[:] = [_Handler(err)]

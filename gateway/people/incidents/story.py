@@ -11,7 +11,7 @@ from gateway.people.incidents.incidents import kind_of
 from gateway.people.incidents.messages import COMMAND_TOPICS, INCIDENT, RECORDER, incident_of
 from gateway.people.recordings import Message
 from gateway.people.recordings.user_angles import FrameIn, frames_in
-from gateway.robot.blackbox.recorder import INCIDENTS, MISTAKE
+from gateway.robot.blackbox.recorder import INCIDENT_NAMES, MISTAKE
 from gateway.text import visible
 from schemas import keys
 from schemas.robot import LEGS
@@ -45,7 +45,7 @@ _EVENTS: Final[dict[object, str]] = {
 _AT_ZERO: Final[dict[str, str]] = {"watchdog": Kind.WATCHDOG_EXPIRED, "estop": Kind.ESTOP_ENGAGED}
 """Events that are reported after their Stops are written, though what they report came before."""
 _ENDINGS: Final[dict[str, str]] = {
-    **{str(kind): ending for kind, ending in INCIDENTS.items()},
+    **{str(kind): ending for kind, ending in INCIDENT_NAMES.items()},
     MISTAKE: MISTAKE,
     "killed": "crash",
 }

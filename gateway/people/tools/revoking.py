@@ -7,7 +7,7 @@ from typing import Final, NamedTuple
 
 from gateway.certs import OPERATOR, confirmed, folder, moving, pool, zenoh_files
 from gateway.certs.files import read_certificates, read_file
-from gateway.certs.revocation import FILE_NAME, RevocationList, parse, why_not_newer
+from gateway.certs.revocation import REVOCATION_FILE, RevocationList, parse, why_not_newer
 from gateway.errors import ConfigError, GatewayError, RejectedError
 from gateway.people.client.blocking import Client
 from gateway.people.terminal import hint, say, this_command
@@ -25,7 +25,7 @@ def revoke(directory: Path, name: str | None, to: list[str], zenoh_config: Path 
     ways = _ways(directory, to, zenoh_config)
     if name is not None:
         found = moving.revoke(directory, name, others_too=others_too)
-        say(f"{directory / FILE_NAME}: list {found.number} shuts out {', '.join(sorted(found.common_names))}.")
+        say(f"{directory / REVOCATION_FILE}: list {found.number} shuts out {', '.join(sorted(found.common_names))}.")
     elif folder.revoked(directory) is None:
         say(f"{directory} has no list: nobody was revoked.")
         return 0
@@ -35,7 +35,7 @@ def revoke(directory: Path, name: str | None, to: list[str], zenoh_config: Path 
     if missing:
         later = f"{this_command()} certs revoke --dir {directory}"
         hint(f"Not confirmed by {', '.join(missing)}. Once they are there: {later}")
-        hint(f"or copy the file, and there: sudo hexapod-gateway revoke {FILE_NAME}")
+        hint(f"or copy the file, and there: sudo hexapod-gateway revoke {REVOCATION_FILE}")
     return 1 if missing else 0
 
 
@@ -112,7 +112,7 @@ def _send(client: Client, directory: Path, robot: str) -> int:
         hint(f"{robot} had list {known_there.number}; list {found.number} has both.")
     if len(found.pem) > MAX_REVOCATION_BYTES - 100:
         raise ConfigError(
-            f"the list is too long for a message: copy {FILE_NAME}, and: sudo hexapod-gateway revoke FILE"
+            f"the list is too long for a message: copy {REVOCATION_FILE}, and: sudo hexapod-gateway revoke FILE"
         )
     ack = client.revocation(found.pem.decode())
     if not ack.accepted:
@@ -145,7 +145,7 @@ def take(file: Path, config: Path | None) -> int:
     """On the robot: put the list in `file` in force, and restart the service. Returns the exit code."""
     data = read_file(file, "list of revoked certificates")
     settings = settings_file.load(config, simulated=True).zenoh
-    kept = revoked.kept(service_config(settings), settings, started_by_systemd=False)
+    kept = revoked.revocation_state(service_config(settings), settings, started_by_systemd=False)
     if kept is None:
         raise ConfigError("this robot's Zenoh file names no CA, so it knows nobody by a certificate")
     try:

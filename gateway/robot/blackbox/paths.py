@@ -5,8 +5,9 @@ import zlib
 from pathlib import Path
 from typing import Final
 
-from gateway.robot.host.directories import SERVICE_STATE, runtime_directory, state_directory
+from gateway.robot.host.directories import runtime_directory, state_directory, state_to_read
 from gateway.robot.settings import Settings
+from schemas.robot import LEGS
 
 RING: Final = "black-box"
 INCIDENTS: Final = "incidents"
@@ -17,12 +18,11 @@ with. Twice as many come in a stream above the limit, for commands that are repl
 OTHER_RECORDS_PER_S: Final = 100
 MAX_SLOTS: Final = 500_000
 """64 MB of memory. More than 60 s at 1000 frames a second and leg, or 600 s at 125, do not fit in it."""
-LEGS: Final = 6
 
 
 def slots_for(settings: Settings) -> int:
     """How many records reach back `recorder.seconds` while all legs are commanded at their rate."""
-    per_s = RECORDS_PER_FRAME * LEGS * settings.limits.leg_rate_hz + OTHER_RECORDS_PER_S
+    per_s = RECORDS_PER_FRAME * len(LEGS) * settings.limits.leg_rate_hz + OTHER_RECORDS_PER_S
     return min(MAX_SLOTS, round(settings.recorder.seconds * per_s))
 
 
@@ -34,11 +34,8 @@ def folder_of(settings: Settings) -> Path | None:
 
 
 def folder_to_read(settings: Settings) -> Path | None:
-    """The same for whoever reads it: also the service's, or else that of `make run`, where no setting names one."""
-    folder = folder_of(settings)
-    if folder is not None:
-        return folder
-    return next((each for each in (SERVICE_STATE, tried()) if each.is_dir()), None)
+    """The same for a program that reads it: also the service's, or else that of `make run`."""
+    return folder_of(settings) or state_to_read() or (tried() if tried().is_dir() else None)
 
 
 def tried() -> Path:

@@ -90,23 +90,24 @@ def is_open_to_anyone(endpoint: str, config: zenoh.Config) -> bool:
 
 def is_local(endpoint: str) -> bool:
     """Whether only this machine reaches it: `tcp/127.0.0.1:7447`, `tcp/[::1]:7447`, a Unix socket."""
-    link, _, rest = endpoint.partition("/")
+    link, ip = endpoint.partition("/")[0], _ip(endpoint)
     if link in _LOCAL_LINKS:
         return True
     if link not in _IP_LINKS:
         return False
-    ip = _ip(rest)
-    return _host(rest) == "localhost" or (ip is not None and ip.is_loopback)
+    return host_and_port(endpoint)[0] == "localhost" or (ip is not None and ip.is_loopback)
 
 
-def _host(address: str) -> str:
-    return address.partition("#")[0].partition("?")[0].rpartition(":")[0].removeprefix("[").removesuffix("]")
+def host_and_port(endpoint: str) -> tuple[str, str]:
+    """Of `tls/[::1]:7447?…#…`: `::1` and `7447`. An endpoint without an address, such as a Unix socket, has no host."""
+    host, _, port = endpoint.partition("/")[2].partition("#")[0].partition("?")[0].rpartition(":")
+    return host.removeprefix("[").removesuffix("]"), port
 
 
-def _ip(address: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
+def _ip(endpoint: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
     """None for a name: its address may change."""
     try:
-        ip = ipaddress.ip_address(_host(address))
+        ip = ipaddress.ip_address(host_and_port(endpoint)[0])
     except ValueError:
         return None
     return (ip.ipv4_mapped if isinstance(ip, ipaddress.IPv6Address) else None) or ip
@@ -114,9 +115,8 @@ def _ip(address: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
 
 def _may_be_multicast(endpoint: str) -> bool:
     """A multicast group has no sessions, so Zenoh asks for no password and takes what anyone sends there."""
-    link, _, rest = endpoint.partition("/")
-    ip = _ip(rest)
-    return link == "udp" and (ip is None or ip.is_multicast)
+    ip = _ip(endpoint)
+    return endpoint.startswith("udp/") and (ip is None or ip.is_multicast)
 
 
 def _is_tls(endpoint: str) -> bool:

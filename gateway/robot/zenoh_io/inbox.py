@@ -24,8 +24,7 @@ from zenoh.handlers import Handler, RingChannel
 
 from gateway.robot.core.intake import words_of_stop
 from gateway.robot.core.message import Received, Reply, Verb
-from gateway.robot.edge.questions import DEPTH as QUESTIONS_DEPTH
-from gateway.robot.edge.questions import Knows, QuestionRing
+from gateway.robot.edge.questions import QUESTIONS_DEPTH, Knows, QuestionRing
 from gateway.robot.edge.receiver import Deal, Reader, ReceiverThread
 from gateway.robot.edge.replies import ReplySender
 from gateway.robot.edge.rings import LEAST_PUT_DEPTH, RING_DEPTH, Receive, Rings
