@@ -112,25 +112,15 @@ def run(
     ] = None,
     geometry: Annotated[
         Path | None,
-        typer.Option(
-            "--geometry", metavar="FILE", help="Physics: another robot's shape (JSON). Default: the Elkapod's."
-        ),
+        typer.Option(metavar="FILE", help="Physics: another robot's shape (JSON). Default: the Elkapod's."),
     ] = None,
     mass_kg: Annotated[
         float | None,
-        typer.Option(
-            "--mass-kg",
-            metavar="KG",
-            min=0.2,
-            max=50,
-            help="Physics: of the whole robot.",
-            show_default="2.68: assumed",
-        ),
+        typer.Option(metavar="KG", min=0.2, max=50, help="Physics: of the whole robot.", show_default="2.68: assumed"),
     ] = None,
     servo_torque_nm: Annotated[
         float | None,
         typer.Option(
-            "--servo-torque-nm",
             metavar="NM",
             min=0.1,
             max=50,
@@ -141,21 +131,13 @@ def run(
     friction: Annotated[
         float | None,
         typer.Option(
-            "--friction",
-            metavar="MU",
-            min=0.01,
-            max=3,
-            help="Physics: of feet on the ground.",
-            show_default="0.8: rubber on wood",
+            metavar="MU", min=0.01, max=3, help="Physics: of feet on the ground.", show_default="0.8: rubber on wood"
         ),
     ] = None,
     terrain: Annotated[
         str | None,
         typer.Option(
-            "--terrain",
-            metavar="GROUND",
-            help="Physics: flat, slope:DEGREES (ahead, up) or rough:METRES.",
-            show_default="flat",
+            metavar="GROUND", help="Physics: flat, slope:DEGREES (ahead, up) or rough:METRES.", show_default="flat"
         ),
     ] = None,
     fault: Annotated[
@@ -317,7 +299,6 @@ def console(
     listen: Annotated[
         str | None,
         typer.Option(
-            "--listen",
             metavar="HOST:PORT",
             help="Where browsers reach it. Default: 127.0.0.1:8080, or the next port that is free.",
         ),
@@ -326,14 +307,12 @@ def console(
     zenoh_config: ZenohConfigOption = None,
     timeout: TimeoutOption = 2.0,
     cert: Annotated[
-        Path | None, typer.Option("--cert", metavar="PATH", help="Its TLS certificate (PEM); `certs console` makes it.")
+        Path | None, typer.Option(metavar="PATH", help="Its TLS certificate (PEM); `certs console` makes it.")
     ] = None,
-    key: Annotated[Path | None, typer.Option("--key", metavar="PATH", help="The certificate's private key.")] = None,
+    key: Annotated[Path | None, typer.Option(metavar="PATH", help="The certificate's private key.")] = None,
     role: Annotated[
         str,
-        typer.Option(
-            "--role", metavar="ROLE", help="operator, button (stops, drives nothing) or observer (only looks)."
-        ),
+        typer.Option(metavar="ROLE", help="operator, button (stops, drives nothing) or observer (only looks)."),
     ] = "operator",
     geometry: OtherShapeOption = None,
     open_browser: Annotated[bool, typer.Option("--open", help="Open the page in this machine's browser.")] = False,

@@ -10,23 +10,24 @@ _IP_LINKS: Final = frozenset({"tcp", "udp", "tls", "quic", "ws"})
 
 def is_local(endpoint: str) -> bool:
     """Whether only this machine reaches it: `tcp/127.0.0.1:7447`, `tcp/[::1]:7447`, a Unix socket."""
-    link, _, rest = endpoint.partition("/")
+    link, ip = endpoint.partition("/")[0], ip_of(endpoint)
     if link in _LOCAL_LINKS:
         return True
     if link not in _IP_LINKS:
         return False
-    ip = ip_of(rest)
-    return _host(rest) == "localhost" or (ip is not None and ip.is_loopback)
+    return host_and_port(endpoint)[0] == "localhost" or (ip is not None and ip.is_loopback)
 
 
-def ip_of(address: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
-    """The address in `host:port`; None for a name: its address may change."""
+def host_and_port(endpoint: str) -> tuple[str, str]:
+    """Of `tls/[::1]:7447?…#…`: `::1` and `7447`. An endpoint without an address, such as a Unix socket, has no host."""
+    host, _, port = endpoint.partition("/")[2].partition("#")[0].partition("?")[0].rpartition(":")
+    return host.removeprefix("[").removesuffix("]"), port
+
+
+def ip_of(endpoint: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
+    """Its IP address; None for a name: its address may change."""
     try:
-        ip = ipaddress.ip_address(_host(address))
+        ip = ipaddress.ip_address(host_and_port(endpoint)[0])
     except ValueError:
         return None
     return (ip.ipv4_mapped if isinstance(ip, ipaddress.IPv6Address) else None) or ip
-
-
-def _host(address: str) -> str:
-    return address.partition("#")[0].partition("?")[0].rpartition(":")[0].removeprefix("[").removesuffix("]")

@@ -7,16 +7,16 @@ from typing import Final
 from pydantic import NonNegativeInt, TypeAdapter, ValidationError
 
 from gateway.certs import folder
-from gateway.certs.files import Content, read_file, replace
+from gateway.certs.files import FileContent, read_file, replace
 from gateway.errors import ConfigError
 
-FILE_NAME: Final = "confirmed.json"
+CONFIRMED_FILE: Final = "confirmed.json"
 _NUMBERS: Final = TypeAdapter(dict[str, NonNegativeInt])
 
 
 def numbers(directory: Path) -> dict[str, int]:
     """The number of the list that each robot has confirmed, of those that have. Raises ConfigError."""
-    path = directory / FILE_NAME
+    path = directory / CONFIRMED_FILE
     if not path.exists():
         return {}
     try:
@@ -28,7 +28,7 @@ def numbers(directory: Path) -> dict[str, int]:
 def note(directory: Path, robot: str, number: int) -> None:
     """This robot has this list in force."""
     known = {**numbers(directory), robot: number}
-    replace(directory / FILE_NAME, Content(f"{json.dumps(known, indent=1, sort_keys=True)}\n".encode()))
+    replace(directory / CONFIRMED_FILE, FileContent(f"{json.dumps(known, indent=1, sort_keys=True)}\n".encode()))
 
 
 def shown(directory: Path) -> dict[str, str]:

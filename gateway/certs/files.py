@@ -21,8 +21,8 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from gateway import durable
 from gateway.errors import ConfigError
 
-SECRET = 0o600
-PUBLIC = 0o644
+SECRET_MODE = 0o600
+PUBLIC_MODE = 0o644
 
 UNREADABLE: Final = (
     ValueError,
@@ -81,14 +81,14 @@ def read_file(path: Path, what: str) -> bytes:
 
 
 @dataclass(frozen=True)
-class Content:
+class FileContent:
     """A file's content and mode."""
 
     data: bytes
-    mode: int = PUBLIC
+    mode: int = PUBLIC_MODE
 
 
-def publish(files: Mapping[Path, Content]) -> None:
+def publish(files: Mapping[Path, FileContent]) -> None:
     """Writes `files` in their order. Raises ConfigError if one exists or cannot be written, and then leaves none.
 
     Each file is first written under a temporary name in the same folder, then hard-linked to its own. Unlike a rename,
@@ -114,7 +114,7 @@ def publish(files: Mapping[Path, Content]) -> None:
         undo.pop_all()
 
 
-def replace(path: Path, content: Content) -> None:
+def replace(path: Path, content: FileContent) -> None:
     """Replaces the content of the file at `path` in one step. Raises ConfigError."""
     with _explained(path):
         durable.write_with_mode(path, content.data, content.mode, prepare=partial(_check_mode, path, content.mode))

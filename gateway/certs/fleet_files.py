@@ -165,7 +165,7 @@ def _subjects(robot: str, numbers: Iterable[int], revoked: Container[str], group
     for role in LAPTOP_ROLES:
         of = [robot, *(group for group in groups if pool.Holder(role, None, group).is_for(robot))]
         named = [name for group in of for name in pool.names(role, numbers, group) if name not in revoked]
-        subjects += access.subject(f"{role}.{robot}", named or [pool.NOBODY])
+        subjects += access.subject(f"{role}.{robot}", named or [pool.NO_COMMON_NAME])
     return subjects
 
 

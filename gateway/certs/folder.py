@@ -31,8 +31,8 @@ from gateway.certs import (
 )
 from gateway.certs.authority import KeyPair, is_issued
 from gateway.certs.files import (
-    SECRET,
-    Content,
+    SECRET_MODE,
+    FileContent,
     publish,
     read_certificate,
     read_certificates,
@@ -109,7 +109,7 @@ def init(
     files = {
         **_pair(directory / authority.CA, ca),  # first: its key decides which of two simultaneous inits fails
         **_pair(directory / authority.GATEWAY, gateway),
-        directory / "gateway.json5": Content(zenoh_files.gateway_json5(names, port, namespace, size)),
+        directory / "gateway.json5": FileContent(zenoh_files.gateway_json5(names, port, namespace, size)),
     }
     publish(files)
     return list(files)
@@ -155,7 +155,7 @@ def issue(
     laptop = authority.make_laptop(ca, name, common_name, days, now)
     pair = _pair(directory / name, laptop)
     configs = {
-        config: Content(zenoh_files.laptop_json5(name, role, hosts, port, robot or namespace, config.name))
+        config: FileContent(zenoh_files.laptop_json5(name, role, hosts, port, robot or namespace, config.name))
         for robot, config in config_files(directory, name, pool.holder(common_name)).items()
     }
     files = {**pair, **configs}
@@ -164,15 +164,15 @@ def issue(
             raise ConfigError(f"--bundle {bundle} is the place of another file: name it {name}.zip")
         expiry = f"{laptop.certificate.not_valid_after_utc:%Y-%m-%d}"
         members = {path.name: content for path, content in files.items()}
-        members["ca.pem"] = Content(read_file(directory / "ca.pem", "certificate"))
+        members["ca.pem"] = FileContent(read_file(directory / "ca.pem", "certificate"))
         readme = zenoh_files.laptop_readme(name, role, hosts, expiry, [config.name for config in configs])
-        members["README.txt"] = Content(readme)
-        files[bundle] = Content(_zip(members, now), SECRET)
+        members["README.txt"] = FileContent(readme)
+        files[bundle] = FileContent(_zip(members, now), SECRET_MODE)
     for config in configs if absolute else ():
         text = files[config].data
         for file in (directory / "ca.pem", *pair):
             text = text.replace(f'"{file.name}"'.encode(), json.dumps(str(file.absolute())).encode())
-        files[config] = Content(text)
+        files[config] = FileContent(text)
     publish(files)
     if group and common_name not in listed_names(directory / ROUTER_FILE):
         return [*files, write_router(directory)]
@@ -222,7 +222,7 @@ def add_robots(
     gateway = read_certificate(directory / "gateway.pem")
     hosts, port = authority.hosts_of(gateway), port_of(directory)
     _check_free(directory, "router")
-    files: dict[Path, Content] = {}
+    files: dict[Path, FileContent] = {}
     for name in names:
         _check_name(name)
         if len(name) > _ROBOT_LENGTH:
@@ -230,12 +230,14 @@ def add_robots(
         _check_free(directory, name)
         robot = authority.make_laptop(ca, name, f"{_ROBOT}{name}", days, now)
         files |= _pair(directory / name, robot)
-        files[directory / f"{name}.json5"] = Content(fleet_files.robot_json5(name, hosts[0], port))
+        files[directory / f"{name}.json5"] = FileContent(fleet_files.robot_json5(name, hosts[0], port))
         for each in expiries(directory):
             person, holder = each.path.stem, pool.holder(each.common_name)
             if holder.robot == pool.ALL:
                 config = directory / f"{person}.{name}.json5"
-                files[config] = Content(zenoh_files.laptop_json5(person, holder.role, hosts, port, name, config.name))
+                files[config] = FileContent(
+                    zenoh_files.laptop_json5(person, holder.role, hosts, port, name, config.name)
+                )
     publish(files)
     return [*files, write_router(directory)]
 
@@ -249,7 +251,7 @@ def write_router(directory: Path) -> Path:
     shut_out = frozenset() if known is None else known.common_names
     holders = [pool.holder(each.common_name) for each in (*expiries(directory), *earlier(directory))]
     groups = {each.robot for each in holders if len(each.robots) > 1}
-    replace(path, Content(fleet_files.router_json5(robots_of(directory), port, numbers, shut_out, groups)))
+    replace(path, FileContent(fleet_files.router_json5(robots_of(directory), port, numbers, shut_out, groups)))
     return path
 
 
@@ -277,7 +279,7 @@ def renew(
             f"`hexapod-gateway certs console NAME --host …`, and import NAME{_WEB_CA}.pem"
         )
     renewed = authority.renew(ca, old, days, now, [*known, *further]).public_bytes(serialization.Encoding.PEM)
-    replace(path, Content(renewed))
+    replace(path, FileContent(renewed))
     return path
 
 
@@ -334,7 +336,7 @@ def earlier(directory: Path) -> list[Certificate]:
 
 def revoked(directory: Path) -> revocation.RevocationList | None:
     """Who is shut out, by the list in this folder; None: nobody was yet."""
-    path = directory / revocation.FILE_NAME
+    path = directory / revocation.REVOCATION_FILE
     return revocation.read(path, read_certificates(directory / "ca.pem")) if path.exists() else None
 
 
@@ -456,15 +458,15 @@ def _check_free(directory: Path, name: str) -> None:
         raise ConfigError(f"the name {name} is taken ({taken} exists, and is never overwritten): choose another")
 
 
-def _pair(stem: Path, pair: KeyPair) -> dict[Path, Content]:
+def _pair(stem: Path, pair: KeyPair) -> dict[Path, FileContent]:
     """Its two files: the key, for its owner only, and the certificate."""
     return {
-        stem.with_name(f"{stem.name}.key"): Content(pair.key_pem(), SECRET),
-        stem.with_name(f"{stem.name}.pem"): Content(pair.certificate_pem()),
+        stem.with_name(f"{stem.name}.key"): FileContent(pair.key_pem(), SECRET_MODE),
+        stem.with_name(f"{stem.name}.pem"): FileContent(pair.certificate_pem()),
     }
 
 
-def _zip(members: dict[str, Content], now: dt.datetime) -> bytes:
+def _zip(members: dict[str, FileContent], now: dt.datetime) -> bytes:
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, content in members.items():

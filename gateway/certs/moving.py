@@ -9,7 +9,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from gateway.certs import LAPTOP_ROLES, LEAF_DAYS, access, authority, folder, pool, revocation
-from gateway.certs.files import SECRET, Content, read_certificate, read_certificates, read_file, replace
+from gateway.certs.files import SECRET_MODE, FileContent, read_certificate, read_certificates, read_file, replace
 from gateway.certs.folder import EARLIER, ROUTER_FILE, Certificate
 from gateway.certs.revocation import RevocationList, Revoked
 from gateway.errors import ConfigError
@@ -108,8 +108,8 @@ def set_pool(directory: Path, size: int = pool.SIZE) -> list[Path]:
 
     What else is written there stays. Names that are listed are never taken away.
     """
-    if size > pool.MOST:
-        raise ConfigError(f"a pool of {size} common names will not do: {pool.MOST} at most")
+    if size > pool.MAX_POOL:
+        raise ConfigError(f"a pool of {size} common names will not do: {pool.MAX_POOL} at most")
     config = directory / "gateway.json5"
     listed = [pool.holder(name).number for name in folder.listed_names(config)]
     size = max(size, *(number + 1 for number in listed if number is not None), 1)
@@ -117,7 +117,7 @@ def set_pool(directory: Path, size: int = pool.SIZE) -> list[Path]:
     changed = _LISTED.sub(lambda found: _with_pool(found, size), text)
     if changed == text and not any(number is not None for number in listed):
         raise ConfigError(f"{config} lists no common names as `certs init` writes them: make it anew with certs init")
-    replace(config, Content(changed.encode(), config.stat().st_mode & 0o777))
+    replace(config, FileContent(changed.encode(), config.stat().st_mode & 0o777))
     if not (directory / ROUTER_FILE).exists():
         return [config]
     return [config, folder.write_router(directory)]
@@ -137,10 +137,12 @@ def replace_ca(directory: Path, *, now: dt.datetime | None = None) -> list[Path]
     new = authority.make_ca(now, first)
     kept = directory / EARLIER / f"ca-{old.certificate.serial_number:x}"[:-24]
     kept.parent.mkdir(mode=0o700, exist_ok=True)
-    replace(kept.with_suffix(".key"), Content(old.key_pem(), SECRET))
-    replace(kept.with_suffix(".pem"), Content(old.certificate_pem()))
-    replace(pem, Content(new.certificate_pem() + old.certificate_pem()))
-    replace(directory / "ca.key", Content(new.key_pem(), SECRET))  # last: the old key fits what was there before
+    replace(kept.with_suffix(".key"), FileContent(old.key_pem(), SECRET_MODE))
+    replace(kept.with_suffix(".pem"), FileContent(old.certificate_pem()))
+    replace(pem, FileContent(new.certificate_pem() + old.certificate_pem()))
+    replace(
+        directory / "ca.key", FileContent(new.key_pem(), SECRET_MODE)
+    )  # last: the old key fits what was there before
     known = folder.revoked(directory)
     if known is not None:
         _sign(directory, new, known.entries, (known,), now)
@@ -158,7 +160,7 @@ def drop_ca(directory: Path, *, others_too: bool = False, now: dt.datetime | Non
             f"{', '.join(left)} still have certificates of the old CA: for a laptop hexapod-gateway certs reissue "
             "NAME, for the gateway and robots certs renew NAME; or say --others-too"
         )
-    replace(pem, Content(ca.certificate_pem()))
+    replace(pem, FileContent(ca.certificate_pem()))
     return pem
 
 
@@ -207,7 +209,7 @@ def _sign(
     """A newer list than those before, kept in the folder."""
     number = 1 + max((each.number for each in before if each is not None), default=0)
     made = revocation.sign(ca, number, entries, now)
-    replace(directory / revocation.FILE_NAME, Content(made.pem))
+    replace(directory / revocation.REVOCATION_FILE, FileContent(made.pem))
     if (directory / ROUTER_FILE).exists():
         folder.write_router(directory)
     return made

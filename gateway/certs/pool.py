@@ -14,10 +14,10 @@ from gateway.certs import LAPTOP_ROLES
 
 SIZE: Final = 64
 """Common names of each role. A laptop that is issued takes one for good, also when it is revoked."""
-MOST: Final = 1000
+MAX_POOL: Final = 1000
 """Of each role. Zenoh compares a name with those of all rules when a session opens."""
 
-NOBODY: Final = "(nobody)"
+NO_COMMON_NAME: Final = "(nobody)"
 """No certificate of `certs` has this common name. It stands in a subject of which all are revoked: to Zenoh, a subject
 without names is everybody."""
 

@@ -106,7 +106,7 @@ class ProofChecker:
         return None
 
 
-class Holder(NamedTuple):
+class CertificateHolder(NamedTuple):
     """Whose certificate it is: two of the layout before the pool share a common name, and two of a person do not."""
 
     common_name: str
@@ -118,9 +118,9 @@ class Holder(NamedTuple):
         return pool.holder(self.common_name).role
 
 
-def holder(proof: Proof) -> Holder:
+def holder(proof: Proof) -> CertificateHolder:
     """Of a proof in which `ProofChecker.fault` has found none."""
-    return Holder(*common_name_and_name(x509.load_pem_x509_certificates(proof.certificate.encode())[0]))
+    return CertificateHolder(*common_name_and_name(x509.load_pem_x509_certificates(proof.certificate.encode())[0]))
 
 
 def _is_valid(ca: x509.Certificate, now: dt.datetime) -> bool:

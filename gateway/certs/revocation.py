@@ -22,8 +22,8 @@ from gateway.certs.authority import KeyPair
 from gateway.certs.files import UNREADABLE, read_file
 from gateway.errors import ConfigError
 
-FILE_NAME: Final = "revoked.crl"
-MAX_BYTES: Final = 1_000_000
+REVOCATION_FILE: Final = "revoked.crl"
+MAX_LIST_BYTES: Final = 1_000_000
 """Of a file: one entry takes some 125 bytes."""
 
 _HOLDER: Final = x509.ObjectIdentifier("2.25.304287190233465927514019364182720945113")
@@ -113,7 +113,7 @@ def read(path: Path, cas: Sequence[x509.Certificate]) -> RevocationList | None:
     except OSError as error:  # the folder is another user's
         raise ConfigError(f"{path}: cannot be read ({error.strerror})") from error
     data = read_file(path, "list of revoked certificates")
-    if len(data) > MAX_BYTES:
+    if len(data) > MAX_LIST_BYTES:
         raise ConfigError(f"{path} has {len(data)} bytes; that is no list of revoked certificates")
     try:
         return parse(data, cas)

@@ -4,14 +4,14 @@ One file has the numbers (elkapod.json is the default); the console, recordings 
 """
 
 from gateway.geometry.kinematics import Transform, foot_m, joint_name, transforms
-from gateway.geometry.model import ELKAPOD, MAX_SPEED_DEG_S, Geometry, Servo, load
+from gateway.geometry.model import ELKAPOD, MAX_SPEED_DEG_S, Geometry, JointServo, load
 from gateway.geometry.urdf import urdf
 
 __all__ = [
     "ELKAPOD",
     "MAX_SPEED_DEG_S",
     "Geometry",
-    "Servo",
+    "JointServo",
     "Transform",
     "foot_m",
     "joint_name",

@@ -63,7 +63,7 @@ class Foot(Part):
     origin_xyz_m: Vector
 
 
-class Servo(Part):
+class JointServo(Part):
     """How a servo's angle follows from its joint's: `zero_deg` where the joint's angle is 0, and which way it turns."""
 
     zero_deg: Annotated[float, Field(ge=-360, le=360, allow_inf_nan=False)]
@@ -84,7 +84,7 @@ class Geometry(Part):
     name: Annotated[str, Field(min_length=1, max_length=64, pattern=r"^[\w. -]+$")] = "hexapod"
     leg_mounts: dict[int, Mount]
     chain: tuple[Joint, Joint, Joint, Foot]
-    servos: dict[int, Servo]
+    servos: dict[int, JointServo]
 
     @field_validator("leg_mounts")
     @classmethod
@@ -95,7 +95,7 @@ class Geometry(Part):
 
     @field_validator("servos")
     @classmethod
-    def _all_servos(cls, servos: dict[int, Servo]) -> dict[int, Servo]:
+    def _all_servos(cls, servos: dict[int, JointServo]) -> dict[int, JointServo]:
         missing, unknown = set(SERVO_IDS) - servos.keys(), servos.keys() - set(SERVO_IDS)
         if missing or unknown:
             raise ValueError(

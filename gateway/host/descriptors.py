@@ -18,9 +18,9 @@ from gateway.limits import ACCEPT_PENDING, MAX_SESSIONS
 OWN: Final = 48
 """What the service itself takes: 22 with TLS, metrics and a real device, and room for files open for a moment."""
 NEEDED: Final = OWN + MAX_SESSIONS + ACCEPT_PENDING
-GIVEN_UP: Final = 2
+SPARES_PER_OPENING: Final = 2
 """How many are closed for one try to open the device: a real one takes one, an emulated one (umockdev) two."""
-SPARES: Final = 3 * GIVEN_UP
+SPARES: Final = 3 * SPARES_PER_OPENING
 """Enough for three tries: Zenoh may take descriptors between their closing and the opening of the device."""
 
 
@@ -58,7 +58,7 @@ class Spare:
 
     def give_up(self) -> bool:
         """Close some for the file that is opened next; False if none were left."""
-        given_up, self._kept = self._kept[:GIVEN_UP], self._kept[GIVEN_UP:]
+        given_up, self._kept = self._kept[:SPARES_PER_OPENING], self._kept[SPARES_PER_OPENING:]
         for number in given_up:
             os.close(number)
         return bool(given_up)

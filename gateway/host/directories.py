@@ -15,6 +15,11 @@ def state_directory() -> Path | None:
     return _named("STATE_DIRECTORY")
 
 
+def state_to_read() -> Path | None:
+    """The same for a program that reads it: also the service's folder, if systemd did not start this program."""
+    return state_directory() or (SERVICE_STATE if SERVICE_STATE.is_dir() else None)
+
+
 def runtime_directory() -> Path | None:
     """The same for what a reboot ends: it is in memory."""
     return _named("RUNTIME_DIRECTORY")

@@ -1,8 +1,8 @@
 """Fewer lines where a person reads them, in the journal. Pure: log records, and times in seconds of a monotonic clock.
 
-* Repeats are counted: of warnings and rejected commands that differ in numbers at most, the first of `WINDOW_S` is
-  written at once, and the others as one line at its end. An emergency stop, a mode and what else is no repetition is
-  never held back by this.
+* Repeats are counted: of warnings and rejected commands that differ only in numbers, the first in `REPEATS_WINDOW_S`
+  is written at once, and the others as one line at its end. Other records, such as an emergency stop, are never
+  delayed by this.
 * One stop is one line: where all legs fall silent, each has its own event within some milliseconds. What is logged in
   the `GATHER_S` after the first waits with it, so that the order stays. A kill in this time loses these lines; the
   black box has the events.
@@ -17,7 +17,7 @@ from typing import Final
 
 from schemas.telemetry import Kind
 
-WINDOW_S: Final = 10.0
+REPEATS_WINDOW_S: Final = 10.0
 """A client that sends on a wrong key again and again causes ten events a second."""
 GATHER_S: Final = 0.1
 """Six legs that a client commands one after the other, 50 times a second, fall silent within 20 ms."""
@@ -68,7 +68,7 @@ class Condenser:
             if now_s >= repeats.ends_s:
                 if repeats.more:
                     found.append(_counted(repeats))
-                    repeats.more, repeats.ends_s = 0, now_s + WINDOW_S
+                    repeats.more, repeats.ends_s = 0, now_s + REPEATS_WINDOW_S
                 else:
                     del self._repeats[kind]
         return found
@@ -90,7 +90,7 @@ class Condenser:
         repeats = self._repeats.get(kind)
         if repeats is None:
             if len(self._repeats) < MOST_KINDS:
-                self._repeats[kind] = _Repeats(now_s + WINDOW_S, record)
+                self._repeats[kind] = _Repeats(now_s + REPEATS_WINDOW_S, record)
             return False
         repeats.more += 1
         repeats.latest = record
@@ -116,7 +116,7 @@ def _silent_leg(record: logging.LogRecord) -> int | None:
 
 def _counted(repeats: _Repeats) -> logging.LogRecord:
     return _changed(
-        repeats.latest, f"{repeats.more} more within {WINDOW_S:g} s, the last: {repeats.latest.getMessage()}"
+        repeats.latest, f"{repeats.more} more within {REPEATS_WINDOW_S:g} s, the last: {repeats.latest.getMessage()}"
     )
 
 

@@ -17,14 +17,14 @@ from typing import Final
 from gateway.host.log_condenser import Condenser
 from gateway.host.worker import Worker
 
-KEPT: Final = 1000
+MAX_LINES_WAITING: Final = 1000
 """Most lines that wait, some 1 MB. Beyond that, lines are dropped until half of these are written."""
 
 
 class LogWriter:
     """One descriptor, and the thread that writes to it.
 
-    `put` never waits. When several threads put lines at the same moment, a few more than `KEPT` may wait.
+    `put` never waits. When several threads put lines at the same moment, a few more than `MAX_LINES_WAITING` may wait.
     """
 
     def __init__(
@@ -46,7 +46,7 @@ class LogWriter:
     def put(self, item: logging.LogRecord | str) -> None:
         """Queue this to be written: a record as one line, a text as it is."""
         waiting = self._worker.waiting
-        if waiting >= KEPT or (self._full and waiting > KEPT // 2):
+        if waiting >= MAX_LINES_WAITING or (self._full and waiting > MAX_LINES_WAITING // 2):
             self._full = True
             self.dropped += 1
             return
@@ -79,7 +79,7 @@ class LogWriter:
         )
         written = all([*map(self._write_item, items)])
         dropped = self.dropped
-        if written and dropped != self._told and self._worker.waiting <= KEPT // 2:
+        if written and dropped != self._told and self._worker.waiting <= MAX_LINES_WAITING // 2:
             self._write_item(_left_out(dropped - self._told))
             self._told = dropped
 
@@ -110,7 +110,7 @@ class _Line(threading.local):
     text = ""
 
 
-class Stream(io.TextIOBase):
+class LogStream(io.TextIOBase):
     """Replaces `sys.stdout` or `sys.stderr`, for results, what libraries print, and tracebacks of threads."""
 
     def __init__(self, log_writer: LogWriter) -> None:

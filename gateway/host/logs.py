@@ -19,7 +19,7 @@ from typing import Final
 
 from gateway.host.directories import runtime_directory
 from gateway.host.log_condenser import Condenser
-from gateway.host.log_writer import LogWriter, Stream
+from gateway.host.log_writer import LogStream, LogWriter
 from gateway.text import visible, visible_json
 
 FLUSH_S: Final = 0.3
@@ -38,7 +38,7 @@ def set_up(level: str, layout: str) -> None:
     condenser = Condenser() if journal and layout == "auto" else None
     out, err = LogWriter(1), LogWriter(2, _with_priority(render) if journal else render, condenser)
     _log_writers[:] = [out, err]
-    sys.stdout, sys.stderr = Stream(out), Stream(err)
+    sys.stdout, sys.stderr = LogStream(out), LogStream(err)
     atexit.register(close)
     root = logging.getLogger()
     root.handlers[:] = [_Handler(err)]

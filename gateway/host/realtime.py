@@ -31,7 +31,7 @@ RECEIVER_PRIORITY: Final = 10
 could be preempted there, and whoever writes a Stop would wait for them. (So it is for the interpreter's lock.)"""
 PAGE_PRIORITY: Final = 1
 """Of the metrics page and the log: below the others, but not preempted while they hold the interpreter's lock."""
-NICE: Final = -10
+ZENOH_NICE: Final = -10
 """Of Zenoh's own threads: ahead of other programs, but a flood of messages does not starve these."""
 SWITCH_INTERVAL_S: Final = 0.0005
 """How long another thread may keep the interpreter's lock while the loop waits for it. Python's own 5 ms would be half
@@ -58,8 +58,8 @@ def prefer_process() -> None:
     with suppress(OSError, AttributeError):  # only Linux knows this
         ctypes.CDLL(None).prctl(_PR_SET_TIMERSLACK, TIMER_SLACK_NS, 0, 0, 0)
     with suppress(PermissionError):
-        if os.getpriority(os.PRIO_PROCESS, 0) > NICE:
-            os.setpriority(os.PRIO_PROCESS, 0, NICE)
+        if os.getpriority(os.PRIO_PROCESS, 0) > ZENOH_NICE:
+            os.setpriority(os.PRIO_PROCESS, 0, ZENOH_NICE)
 
 
 def limit_malloc_arenas() -> None:

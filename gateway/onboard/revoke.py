@@ -20,7 +20,7 @@ def take(file: Path, config: Path | None) -> int:
     """On the robot: put the list in `file` in force, and restart the service. Returns the exit code."""
     data = read_file(file, "list of revoked certificates")
     settings = settings_file.load(config, simulated=True).zenoh
-    kept = revoked.kept(service_config(settings), settings, started_by_systemd=False)
+    kept = revoked.revocation_state(service_config(settings), settings, started_by_systemd=False)
     if kept is None:
         raise ConfigError("this robot's Zenoh file names no CA, so it knows nobody by a certificate")
     try:

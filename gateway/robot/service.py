@@ -38,7 +38,7 @@ from gateway.robot.runtime.conductor import Conductor
 from gateway.robot.runtime.report import wall_clock
 from gateway.robot.runtime.request_answers import ButtonAnswers, LeaseAnswers
 from gateway.robot.runtime.revocations import Revocations
-from gateway.robot.runtime.shutdown import END_S, End, close_within, stop_the_robot
+from gateway.robot.runtime.shutdown import SHUTDOWN_S, ServiceEnd, close_within, stop_the_robot
 from gateway.robot.settings import Settings, SpiSettings, ZenohSettings
 from gateway.robot.spi import SpiDevice, ioctls
 from gateway.robot.spi.bus import Bus
@@ -51,7 +51,7 @@ from gateway.robot.zenoh_io.connection_limiter import ConnectionLimiter
 from gateway.robot.zenoh_io.inbox import Inbox
 from gateway.robot.zenoh_io.outbox import ZenohOutbox
 from gateway.robot.zenoh_io.proofs import checker_of
-from gateway.robot.zenoh_io.revoked import Kept, OlderCa, kept, leave_out
+from gateway.robot.zenoh_io.revoked import OlderCa, RevocationState, leave_out, revocation_state
 from gateway.robot.zenoh_io.rings import put_depth
 from gateway.robot.zenoh_io.session import service_config
 from gateway.robot.zenoh_io.unknown_keys import UnknownKeys
@@ -184,13 +184,13 @@ def run(
 
 def _configured(
     settings: ZenohSettings, physics: Physics | None
-) -> tuple[zenoh.Config, "ProofChecker | None", Kept | None]:
+) -> tuple[zenoh.Config, "ProofChecker | None", RevocationState | None]:
     """Zenoh's configuration, what checks who asks for the lease, and who is shut out, where it names a CA.
 
     Raises ConfigError.
     """
     config = service_config(settings)
-    shut_out = kept(config, settings)
+    shut_out = revocation_state(config, settings)
     revoked = None if shut_out is None else shut_out.known
     leave_out(config, revoked)
     if physics is not None:
@@ -222,10 +222,10 @@ async def _run(
     physics: Physics | None,
     faults: Faults | None,
     on_ready: Callable[[zenoh.Config], None],
-) -> End:
+) -> ServiceEnd:
     # The file before systemd counts the service as active: the installer looks for it then.
     loop, owner, servos = asyncio.get_running_loop(), Ownership(), ServosFile(runtime_directory())
-    end = End(loop, owner, recorder)
+    end = ServiceEnd(loop, owner, recorder)
     notifier = SystemdNotifier()
     config, checker, shut_out = _configured(settings.zenoh, physics)
     bus = Bus(settings.spi, device_opener(settings, simulated=simulated, page=physics and physics.page, faults=faults))
@@ -287,7 +287,7 @@ async def _run(
         notifier.stopping(anew=end.starts_anew)
         for task in tasks:
             task.cancel()
-        deadline = loop.time() + END_S
+        deadline = loop.time() + SHUTDOWN_S
         await stop_the_robot(conductor, bus, settings.watchdog)
         with owner:
             conductor.close()
@@ -363,7 +363,7 @@ def _attendants(
     config: zenoh.Config,
     conductor: Conductor,
     notifier: SystemdNotifier,
-    shut_out: Kept | None,
+    shut_out: RevocationState | None,
 ) -> tuple[ConnectionLimiter, Upkeep]:
     """The threads that look after the session."""
     upkeep = Upkeep(session, config, notifier.status, wall_clock)
@@ -388,7 +388,7 @@ async def _beat(
     inbox: Inbox,
     unknown_keys: UnknownKeys,
     servos: ServosFile,
-    end: End,
+    end: ServiceEnd,
 ) -> None:
     """Measure how late the loop is, look for `stop-servos`, and tell systemd that the loop turns and hears.
 

@@ -16,7 +16,7 @@ from typing import Any, Self
 import pytest
 
 from gateway.client import Client
-from gateway.host.log_writer import KEPT
+from gateway.host.log_writer import MAX_LINES_WAITING
 from schemas import keys
 from schemas.telemetry import Ack, Cause
 from tests.support.closing import Closing
@@ -131,7 +131,7 @@ def test_what_nobody_read_is_counted_in_the_log_and_in_the_metrics(tmp_path: Pat
     ):
         with client_of(gateway) as client:
             stuck.fill()
-            for _ in range(KEPT // 6 + 10):
+            for _ in range(MAX_LINES_WAITING // 6 + 10):
                 assert client.stop().accepted
             dropped = value(read(address), "hexapod_log_lines_dropped_total")
             assert dropped > 0

@@ -25,7 +25,7 @@ from gateway.people.incidents.incidents import CRASH, MOST, Incident, find, is_i
 from gateway.people.incidents.messages import COMMAND_TOPICS, RECORDER, messages
 from gateway.people.incidents.story import story
 from gateway.people.recordings import REPORTS, Message, read
-from gateway.robot.blackbox.ring import Ring
+from gateway.robot.blackbox.ring import RecordRing
 from tests.fuzz import ring_reference
 from tests.fuzz.ring_image import image_of
 
@@ -108,7 +108,7 @@ def _measured(work: Callable[[bytes], Made], data: bytes, most: int) -> Made:
 def _parse(data: bytes) -> tuple[ring_reader.Records, int, int] | None:
     try:
         return ring_reader.parse(image_of(data))
-    except form.DamagedError:
+    except form.DamagedRingError:
         return None
 
 
@@ -263,7 +263,7 @@ def _read_while(path: Path, change: Callable[[], None]) -> ring_reader.Content |
 def _check_same(image: bytes, seen: ring_reader.Content | None) -> None:
     try:
         records, damaged, missing = ring_reader.parse(image)
-    except form.DamagedError:
+    except form.DamagedRingError:
         assert seen is None
         return
     assert seen is not None
@@ -274,9 +274,9 @@ def _go_on(path: Path) -> str:
     """A gateway opens it and writes: what it wrote is the newest that is there. Returns what it says of the file."""
     try:
         slots = header.slots_of(path.read_bytes()[: form.HEADER_BYTES], path.stat().st_size)
-    except form.DamagedError:
+    except form.DamagedRingError:
         slots = 5
-    ring = Ring(path, slots)
+    ring = RecordRing(path, slots)
     try:
         first = ring.sequence
         for number in range(3):
@@ -290,7 +290,7 @@ def _go_on(path: Path) -> str:
     assert not content.written
     there = [(each.sequence, each.content) for each in content.records[-4:]]
     wanted: list[tuple[int, form.Content]] = [(first + number, form.ModeChange(str(number))) for number in range(3)]
-    wanted.append((first + 3, form.EventTold("bus_fault", None, None, None, "x" * form.ROOM, 0)))
+    wanted.append((first + 3, form.EventPublished("bus_fault", None, None, None, "x" * form.ROOM, 0)))
     # Whoever forges the last of all numbers makes a gateway's records unreadable, and does no more harm.
     assert there == wanted or slots < FEW_SLOTS or first > form.MAX_SEQUENCE - 4, (there, wanted)
     return ring.note

@@ -38,7 +38,7 @@ def records(image: bytes) -> tuple[list[form.Record], int, int] | None:
                     raise KeyError(following)
                 more, rest, following = good[following][2], rest + good[following][3], following + 1
             content = decode(kind, ns, rest)
-        except (KeyError, form.DamagedError):
+        except (KeyError, form.DamagedRingError):
             damaged += 1
             continue
         if content is None:
@@ -105,7 +105,7 @@ def encoded(content: form.Content) -> bytes:
             made = form.decision(number, verdict, key, source)
         case form.FrameWritten(data, cause, transfer_ns, late_ns, number):
             made = form.frame(data, cause, transfer_ns, late_ns, number)
-        case form.EventTold(kind, source, key, reason, detail, left_out):
+        case form.EventPublished(kind, source, key, reason, detail, left_out):
             made = form.event(kind, source, key, reason, detail, left_out)
         case form.Lag(ns) | form.Clock(ns):
             made = form.number(ns)

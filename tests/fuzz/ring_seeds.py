@@ -16,7 +16,7 @@ from gateway.model.black_box import format as form
 from gateway.model.black_box import header
 from gateway.model.black_box.files import RING_FILE
 from gateway.model.frames import stop_leg
-from gateway.robot.blackbox.ring import Ring
+from gateway.robot.blackbox.ring import RecordRing
 from schemas import keys
 from tests.fuzz.ring_image import BODY, MAX_SLOTS, input_of
 from tests.support.robot import WALL_NS, Robot, leg
@@ -110,7 +110,7 @@ def _recorded(happens: Callable[[Robot], Awaitable[None]]) -> Written:
 def _ring(written: Written, slots: int) -> bytes:
     """The same in a ring of so many slots, which wraps around where they are more."""
     with tempfile.TemporaryDirectory() as folder:
-        ring = Ring(Path(folder) / RING_FILE, slots)
+        ring = RecordRing(Path(folder) / RING_FILE, slots)
         for kind, ns, rest in written:
             ring.append(kind, ns, rest)
         ring.close()

@@ -11,7 +11,7 @@ from pydantic import BaseModel, PrivateAttr, model_serializer
 from zenoh.handlers import RingChannel
 
 from gateway.robot.settings import ZenohSettings
-from gateway.robot.zenoh_io.outbox import MOST_WAITING, ZenohOutbox
+from gateway.robot.zenoh_io.outbox import MAX_REPORTS_WAITING, ZenohOutbox
 from gateway.robot.zenoh_io.session import service_config
 from gateway.robot.zenoh_io.unknown_keys import UnknownKeys
 from gateway.zenoh_config import client_config, open_session
@@ -77,7 +77,7 @@ def test_what_is_published_while_too_much_waits_is_dropped_and_counted() -> None
         held = HeldServo()
         outbox.publish(EVENT, held)
         assert held.begun.wait(10)
-        for number in range(MOST_WAITING + 7):
+        for number in range(MAX_REPORTS_WAITING + 7):
             outbox.publish(EVENT, Numbered(number=number))
         assert outbox.dropped == 7
         held.go_on.set()

@@ -11,10 +11,10 @@ import pytest
 from gateway.host.realtime import (
     LOOP_PRIORITY,
     MALLOC_ARENAS,
-    NICE,
     PAGE_PRIORITY,
     RECEIVER_PRIORITY,
     TIMER_SLACK_NS,
+    ZENOH_NICE,
 )
 from tests.support.gateway_process import Gateway
 
@@ -55,7 +55,7 @@ thread = threading.Thread(target=lambda: print(os.getpriority(os.PRIO_PROCESS, t
 thread.start()
 thread.join()
 """
-    assert run(program) == str(NICE)
+    assert run(program) == str(ZENOH_NICE)
 
 
 def test_timers_are_on_time_in_every_thread() -> None:
@@ -90,7 +90,7 @@ def test_without_the_right_to_it_everything_stays_as_it_was() -> None:
 
 def test_the_service_unit_allows_what_the_process_takes() -> None:
     unit = (Path(__file__).parents[2] / "deploy/systemd/hexapod-gateway.service").read_text()
-    assert f"\nLimitRTPRIO={LOOP_PRIORITY}\nLimitNICE={NICE}\n" in unit
+    assert f"\nLimitRTPRIO={LOOP_PRIORITY}\nLimitNICE={ZENOH_NICE}\n" in unit
 
 
 @pytest.mark.parametrize(

@@ -139,7 +139,7 @@ class ModeChange:
 
 
 @dataclass(frozen=True, slots=True)
-class EventTold:
+class EventPublished:
     """An event as it was published."""
 
     kind: str
@@ -193,7 +193,7 @@ Content = (
     | Decision
     | FrameWritten
     | ModeChange
-    | EventTold
+    | EventPublished
     | Lag
     | Clock
     | IncidentBegun
@@ -211,7 +211,7 @@ class Record:
     content: Content
 
 
-class DamagedError(ValueError):
+class DamagedRingError(ValueError):
     """Bytes that are no record of this format."""
 
 
@@ -280,14 +280,13 @@ CARRIED_OUT_HEAD: Final = struct.Struct(f"<IIB{_MOST_FRAME}s")
 length, and the frame. The command follows, as in a record of its own."""
 _UINT32: Final = 0xFFFFFFFF
 EVENT_HEAD: Final = struct.Struct("<I")
-TARGETS: Final = tuple(struct.Struct("<" + "BH" * count) for count in range(19))
+TARGET_STRUCTS: Final = tuple(struct.Struct("<" + "BH" * count) for count in range(19))
 _SENT_NOT: Final = float("nan")
 _OF_A_LEG: Final = len(JOINTS)
 
 STOP_CODE, SET_CODE = 65_535, 20_000
 _OF_OP: Final = (0, 0, STOP_CODE, SET_CODE)
 """By the operation's code. Operation and angle (0 to 18000) are one number of 16 bits."""
-MAX_ANGLE_CDEG: Final = 18_000
 _MAX_BYTE: Final = 255
 
 
@@ -335,7 +334,7 @@ def command(
     count = len(targets)
     fixed = COMMAND_HEAD.pack(number & _UINT32, _SENT_NOT if sent_ms is None else sent_ms, count)
     texts = _known.get((verb, key, source)) or _texts(verb, key, source)
-    return fixed + TARGETS[count].pack(*flat) + texts
+    return fixed + TARGET_STRUCTS[count].pack(*flat) + texts
 
 
 def decision(number: int, verdict: str, key: str, source: str | None) -> bytes:
@@ -394,7 +393,7 @@ def carried_out(
 
 
 def event(kind: str, source: str | None, key: str | None, reason: str | None, detail: str, left_out: int) -> bytes:
-    """Of an EventTold."""
+    """Of an EventPublished."""
     fixed = EVENT_HEAD.pack(min(left_out, _UINT32)) + _texts(kind, source, key, reason)
     return (fixed + detail.encode("utf-8", "replace"))[:MAX_TEXT]
 

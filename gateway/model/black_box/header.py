@@ -12,7 +12,7 @@ import struct
 import zlib
 from typing import Any, Final
 
-from gateway.model.black_box.format import HEADER_BYTES, SLOT, DamagedError
+from gateway.model.black_box.format import HEADER_BYTES, SLOT, DamagedRingError
 
 VERSION: Final = 2
 MAGIC: Final = b"hexapod black box\n"
@@ -36,16 +36,16 @@ def file_bytes(slots: int) -> int:
 
 
 def slots_of(head: bytes, size: int) -> int:
-    """The slots of a file that begins with `head` and has `size` bytes. Raises DamagedError."""
+    """The slots of a file that begins with `head` and has `size` bytes. Raises DamagedRingError."""
     if len(head) < _BEGIN.size:
-        raise DamagedError("it has no header")
+        raise DamagedRingError("it has no header")
     magic, version, slot, slots = _BEGIN.unpack_from(head)
     if magic != MAGIC:
-        raise DamagedError("it is no black box")
+        raise DamagedRingError("it is no black box")
     if version != VERSION or slot != SLOT:
-        raise DamagedError(f"it has version {version}, with records of {slot} bytes")
+        raise DamagedRingError(f"it has version {version}, with records of {slot} bytes")
     if not slots or size != file_bytes(slots):
-        raise DamagedError(f"it has {size} bytes, and its header says {slots} records")
+        raise DamagedRingError(f"it has {size} bytes, and its header says {slots} records")
     return int(slots)
 
 

@@ -7,12 +7,12 @@ from schemas.telemetry import Kind
 
 FOLLOW_NS: Final = 5_000_000_000
 """An incident takes in what happens up to 5 s after it; what happens meanwhile prolongs it …"""
-LONGEST_NS: Final = 30_000_000_000
+LONGEST_INCIDENT_NS: Final = 30_000_000_000
 """… up to this."""
 LANDING_NS: Final = 5_000_000_000
 """What `watchdog.landing_ms` allows at most: the Stops at its end belong to the silence that began it."""
 
-INCIDENTS: Final = {
+INCIDENT_NAMES: Final = {
     Kind.WATCHDOG_EXPIRED: "watchdog",
     Kind.LANDING: "landing",
     Kind.ESTOP_ENGAGED: "estop",

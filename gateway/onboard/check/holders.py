@@ -64,7 +64,7 @@ def _of_two_cas(config: zenoh.Config) -> Iterator[Result]:
 def shut_out_at_the_robot(config: zenoh.Config, settings: ZenohSettings) -> Iterator[Result]:
     """The list in force; nothing where the Zenoh file names no CA."""
     try:
-        kept = revoked.kept(config, settings, started_by_systemd=False)
+        kept = revoked.revocation_state(config, settings, started_by_systemd=False)
     except ConfigError as error:
         yield failure(_LIST, str(error), _BRING)
         return

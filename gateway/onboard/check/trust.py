@@ -69,9 +69,9 @@ def _of_one_folder(*files: Path) -> str:
 
 def _lists(beside: Path, state: Path, cas: list[x509.Certificate]) -> Iterator[Result]:
     """Each list that the service reads at its start: its own, and one that came with the certificates."""
-    for path in (each / revocation.FILE_NAME for each in (state, beside)):
+    for path in (each / revocation.REVOCATION_FILE for each in (state, beside)):
         fix = (
-            f"copy {revocation.FILE_NAME} from the folder of certificates (where ca.key is) to FILE here, then: "
+            f"copy {revocation.REVOCATION_FILE} from the folder of certificates (where ca.key is) to FILE here, then: "
             f"sudo install -m 644 -o {SERVICE} -g {SERVICE} FILE {path} && {RESTART}"
         )
         try:

@@ -12,7 +12,7 @@ from typing import Any, Final
 
 import zenoh
 
-from gateway.endpoints import is_local
+from gateway.endpoints import host_and_port, is_local
 from gateway.errors import ConfigError
 from gateway.host.sockets import listening
 from gateway.people.client.diagnosis import demands_certificate
@@ -36,8 +36,7 @@ def check_closed(endpoint: str, router: zenoh.Session, identity: Identity) -> No
 
 
 def _open_here(endpoint: str, identity: Identity) -> Iterator[str]:
-    link, _, address = endpoint.partition("/")
-    host, _, port = address.partition("#")[0].partition("?")[0].rpartition(":")
+    link, (host, port) = endpoint.partition("/")[0], host_and_port(endpoint)
     if is_local(endpoint) and not port.isdecimal():  # a Unix socket
         return
     addresses = {where for where, _ in listening(int(port), socket.SOCK_STREAM)} if is_local(endpoint) else {host}

@@ -9,7 +9,14 @@ from datetime import UTC, datetime
 from typing import Final
 
 from gateway.model.black_box import format as form
-from gateway.model.black_box.incidents import FOLLOW_NS, INCIDENTS, LONGEST_NS, MISTAKE, follow_ns, incident_id
+from gateway.model.black_box.incidents import (
+    FOLLOW_NS,
+    INCIDENT_NAMES,
+    LONGEST_INCIDENT_NS,
+    MISTAKE,
+    follow_ns,
+    incident_id,
+)
 from gateway.people.incidents.ring_reader import Records
 from schemas import keys
 from schemas.telemetry import Cause, Kind
@@ -27,7 +34,7 @@ MOST: Final = 100
 LAST_RECORDS: Final = 20
 """Among these is the latest: a command's time is its arrival, which may be before that of what is recorded earlier."""
 
-_TRIGGERS: Final = frozenset({*INCIDENTS, MISTAKE})
+_TRIGGERS: Final = frozenset({*INCIDENT_NAMES, MISTAKE})
 _TELL_THE_TIME: Final = frozenset({form.START, form.CLOCK, form.INCIDENT})
 
 
@@ -132,7 +139,7 @@ def _triggers(records: Records, places: range) -> tuple[Sequence[int], Sequence[
     for index in places:
         if records.kinds[index] == form.EVENT:
             content = records[index].content
-            if isinstance(content, form.EventTold) and content.kind in _TRIGGERS:
+            if isinstance(content, form.EventPublished) and content.kind in _TRIGGERS:
                 found.append(index)
                 follow.append(follow_ns(content.kind))
     return found, follow
@@ -144,7 +151,7 @@ def _end(records: Records, triggers: Iterable[tuple[int, int]], begun_ns: int, k
     for index, more_ns in triggers:
         if records.times_ns[index] > end_ns:
             break
-        end_ns = min(max(end_ns, records.times_ns[index] + more_ns), begun_ns + LONGEST_NS)
+        end_ns = min(max(end_ns, records.times_ns[index] + more_ns), begun_ns + LONGEST_INCIDENT_NS)
     return end_ns
 
 
@@ -157,10 +164,10 @@ def _zero(records: Records, near: range, noted_ns: int, kind: str) -> int:
         record = records[index]
         match record.content:
             case form.FrameWritten(cause=Cause.WATCHDOG, late_ns=late_ns) if (
-                late_ns and kind == INCIDENTS[Kind.WATCHDOG_EXPIRED]  # a landing's frames have no deadline
+                late_ns and kind == INCIDENT_NAMES[Kind.WATCHDOG_EXPIRED]  # a landing's frames have no deadline
             ):
                 zero_ns = min(zero_ns, record.ns - late_ns)
-            case form.CommandRecord(key=keys.ESTOP) if kind == INCIDENTS[Kind.ESTOP_ENGAGED]:
+            case form.CommandRecord(key=keys.ESTOP) if kind == INCIDENT_NAMES[Kind.ESTOP_ENGAGED]:
                 zero_ns = min(zero_ns, record.ns)
     return zero_ns
 

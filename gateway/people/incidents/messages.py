@@ -198,7 +198,7 @@ def _message(
             )
         case form.Calibrated(calibration=calibration):
             return keys.CALIBRATION, calibration
-        case form.EventTold() as event:
+        case form.EventPublished() as event:
             return keys.EVENT, Event(time=time, **asdict(event))
         case form.Decision(number=0, verdict=detail, key=key, source=source) if not is_told:
             what = "rejected"

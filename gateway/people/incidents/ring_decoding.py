@@ -10,7 +10,7 @@ from pydantic_core import from_json
 
 from gateway.model.black_box import format as form
 from gateway.model.calibration import calibration_of
-from gateway.model.frames import Op, ServoOp
+from gateway.model.frames import MAX_ANGLE_CDEG, Op, ServoOp
 from schemas.calibration import Calibration
 from schemas.telemetry import Cause
 
@@ -23,32 +23,32 @@ def decode(kind: int, ns: int, rest: bytes) -> form.Content | form.CarriedOut | 
             return _carried_out(ns, rest)
         return None if reader is None else reader(rest)
     except (struct.error, ValueError, IndexError, RecursionError) as error:
-        raise form.DamagedError(str(error)) from error
+        raise form.DamagedRingError(str(error)) from error
 
 
 def _wall_ns(rest: bytes) -> int:
     (wall_ns,) = form.WALL.unpack_from(rest)
     if not 0 <= wall_ns < form.MAX_NS:
-        raise form.DamagedError(f"{wall_ns} ns is no time of day")
+        raise form.DamagedRingError(f"{wall_ns} ns is no time of day")
     return int(wall_ns)
 
 
 def _start(rest: bytes) -> form.Start:
     facts = json.loads(rest[form.WALL.size :])
     if not isinstance(facts, dict):
-        raise form.DamagedError("a start without facts")
+        raise form.DamagedRingError("a start without facts")
     # JSON can write half a character, which no file and no terminal takes, and lists in lists without end.
     if not all(isinstance(fact, str | int | float | None) for fact in facts.values()):
-        raise form.DamagedError("a fact is no single value")
+        raise form.DamagedRingError("a fact is no single value")
     "".join(f"{name}{fact}" for name, fact in facts.items()).encode()
     return form.Start(_wall_ns(rest), facts)
 
 
 def _command(rest: bytes) -> form.CommandRecord:
     number, sent_ms, count = form.COMMAND_HEAD.unpack_from(rest)
-    flat = form.TARGETS[count].unpack_from(rest, form.COMMAND_HEAD.size)
+    flat = form.TARGET_STRUCTS[count].unpack_from(rest, form.COMMAND_HEAD.size)
     targets = tuple((flat[index], _op(flat[index + 1])) for index in range(0, len(flat), 2))
-    verb, key, source = _read_texts(rest, form.COMMAND_HEAD.size + form.TARGETS[count].size, 3)
+    verb, key, source = _read_texts(rest, form.COMMAND_HEAD.size + form.TARGET_STRUCTS[count].size, 3)
     return form.CommandRecord(number, verb, key, source or None, sent_ms if math.isfinite(sent_ms) else None, targets)
 
 
@@ -68,17 +68,17 @@ def _frame(rest: bytes) -> form.FrameWritten:
 def _carried_out(ns: int, rest: bytes) -> form.CarriedOut:
     after_ns, transfer_ns, length, data = form.CARRIED_OUT_HEAD.unpack_from(rest)
     if length > len(data):
-        raise form.DamagedError(f"a frame of {length} bytes")
+        raise form.DamagedRingError(f"a frame of {length} bytes")
     command = _command(rest[form.CARRIED_OUT_HEAD.size :])
     frame = form.FrameWritten(data[:length], Cause.COMMAND, transfer_ns, 0, command.number)
     return form.CarriedOut(command, frame, ns + after_ns)
 
 
-def _event(rest: bytes) -> form.EventTold:
+def _event(rest: bytes) -> form.EventPublished:
     kind, source, key, reason = texts = _read_texts(rest, form.EVENT_HEAD.size, 4)
     begin = form.EVENT_HEAD.size + sum(1 + len(text.encode()) for text in texts)
     detail = rest[begin:].decode("utf-8", "ignore")  # it may have been cut within a character
-    return form.EventTold(
+    return form.EventPublished(
         kind, source or None, key or None, reason or None, detail, form.EVENT_HEAD.unpack_from(rest)[0]
     )
 
@@ -92,7 +92,7 @@ def _calibrated(rest: bytes) -> form.Calibrated:
 def _about(rest: bytes) -> form.About:
     facts = from_json(rest, allow_inf_nan=False)  # unlike json's, it has an end to lists within lists
     if not isinstance(facts, dict):
-        raise form.DamagedError("versions and settings that have no names")
+        raise form.DamagedRingError("versions and settings that have no names")
     return form.About(facts)
 
 
@@ -100,7 +100,7 @@ def _op(value: int) -> ServoOp:
     """Raises FrameError, a ValueError, for what is no operation."""
     if value == form.STOP_CODE:
         return ServoOp(Op.STOP)
-    if value <= form.MAX_ANGLE_CDEG:
+    if value <= MAX_ANGLE_CDEG:
         return ServoOp(Op.START, value)
     return ServoOp(Op.SET, value - form.SET_CODE)
 
@@ -110,7 +110,7 @@ def _read_texts(rest: bytes, begin: int, count: int) -> list[str]:
     for _ in range(count):
         end = begin + 1 + rest[begin]
         if end > len(rest):
-            raise form.DamagedError("a text is cut off")
+            raise form.DamagedRingError("a text is cut off")
         texts.append(rest[begin + 1 : end].decode())
         begin = end
     return texts

@@ -129,7 +129,7 @@ def read(path: Path, most: int = MAX_SLOTS) -> Content:
         os.close(fd)
     try:
         records, damaged, missing = parse(data, most)
-    except form.DamagedError as error:
+    except form.DamagedRingError as error:
         raise NoRingError(f"{path}: {error}") from error
     return Content(records, damaged, missing, written)
 
@@ -172,7 +172,7 @@ def parse(data: bytes, most: int = MAX_SLOTS) -> tuple[Records, int, int]:
         oldest, kept = oldest or number, kept + 1
         try:
             kind, found = ring.decoded(number)
-        except form.DamagedError:
+        except form.DamagedRingError:
             damaged += 1
             continue
         for part, record in enumerate(found):
@@ -189,7 +189,7 @@ def _in_force(head: bytes) -> Calibration | None:
     """The calibration in a file's header; None: it states nothing, or what no gateway publishes."""
     try:
         content = decode(form.CALIBRATION, 0, header.calibration(head))
-    except form.DamagedError:
+    except form.DamagedRingError:
         return None
     return content.calibration if isinstance(content, form.Calibrated) else None
 
@@ -217,7 +217,7 @@ class _Slots:
         while last.more:
             last = self._slot(last.sequence + 1)
             if last.kind != form.MORE or len(rest) > form.MAX_TEXT:
-                raise form.DamagedError("a continued record is cut off")
+                raise form.DamagedRingError("a continued record is cut off")
             rest += last.rest
         content = decode(slot.kind, slot.ns, rest)
         if isinstance(content, form.CarriedOut):
@@ -228,5 +228,5 @@ class _Slots:
     def _slot(self, number: int) -> form.Slot:
         slot = form.read_slot(form.slot_bytes(self._data, number % self._slots))
         if slot is None or slot.sequence != number:
-            raise form.DamagedError("a continued record is cut off")
+            raise form.DamagedRingError("a continued record is cut off")
         return slot

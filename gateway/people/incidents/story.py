@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Any, Final, NamedTuple
 
-from gateway.model.black_box.incidents import INCIDENTS, MISTAKE
+from gateway.model.black_box.incidents import INCIDENT_NAMES, MISTAKE
 from gateway.model.frames import Op
 from gateway.people.incidents.incidents import kind_of
 from gateway.people.incidents.messages import COMMAND_TOPICS, INCIDENT, RECORDER, incident_of
@@ -45,7 +45,7 @@ _EVENTS: Final[dict[object, str]] = {
 _AT_ZERO: Final[dict[str, str]] = {"watchdog": Kind.WATCHDOG_EXPIRED, "estop": Kind.ESTOP_ENGAGED}
 """Events that are reported after their Stops are written, though what they report came before."""
 _ENDINGS: Final[dict[str, str]] = {
-    **{str(kind): ending for kind, ending in INCIDENTS.items()},
+    **{str(kind): ending for kind, ending in INCIDENT_NAMES.items()},
     MISTAKE: MISTAKE,
     "killed": "crash",
 }

@@ -76,7 +76,7 @@ def init(
             "--pool",
             metavar="N",
             min=1,
-            max=pool.MOST,
+            max=pool.MAX_POOL,
             help="How many laptops of each role the rules know in advance. Example: --pool 256",
         ),
     ] = pool.SIZE,
@@ -195,7 +195,7 @@ def robot(
     typer.echo(f"Made {', '.join(names)} in {directory}, and router.json5 for all robots there.")
     typer.echo("Copy to the router, and restart it: router.json5 gateway.pem gateway.key ca.pem")
     files = [f"{first}.json5", f"{first}.pem", f"{first}.key", "ca.pem"]
-    files += [certs.revocation.FILE_NAME] * (directory / certs.revocation.FILE_NAME).exists()
+    files += [certs.revocation.REVOCATION_FILE] * (directory / certs.revocation.REVOCATION_FILE).exists()
     typer.echo(f"For each robot, as for {first}: its files, and how they get into its service:")
     _echo_installation(first, " ".join(str(directory / file) for file in files))
     peoples = [path.name for path in paths if path.stem.count(".")]
@@ -376,7 +376,7 @@ def set_pool(
     directory: Directory,
     size: Annotated[
         int,
-        typer.Option(metavar="N", min=1, max=pool.MOST, help="How many laptops of each role. Example: --size 128"),
+        typer.Option(metavar="N", min=1, max=pool.MAX_POOL, help="How many laptops of each role. Example: --size 128"),
     ] = pool.SIZE,
 ) -> None:
     """Let the rules in gateway.json5 know so many common names of each role, so that each laptop can have its own.

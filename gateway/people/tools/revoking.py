@@ -5,7 +5,7 @@ from typing import Final, NamedTuple
 
 from gateway.certs import OPERATOR, confirmed, folder, moving, pool, zenoh_files
 from gateway.certs.files import read_certificates
-from gateway.certs.revocation import FILE_NAME, parse
+from gateway.certs.revocation import REVOCATION_FILE, parse
 from gateway.errors import ConfigError, GatewayError, RejectedError
 from gateway.people.client.blocking import Client
 from gateway.people.terminal import hint, say, this_command
@@ -19,7 +19,7 @@ def revoke(directory: Path, name: str | None, to: list[str], zenoh_config: Path 
     ways = _ways(directory, to, zenoh_config)
     if name is not None:
         found = moving.revoke(directory, name, others_too=others_too)
-        say(f"{directory / FILE_NAME}: list {found.number} shuts out {', '.join(sorted(found.common_names))}.")
+        say(f"{directory / REVOCATION_FILE}: list {found.number} shuts out {', '.join(sorted(found.common_names))}.")
     elif folder.revoked(directory) is None:
         say(f"{directory} has no list: nobody was revoked.")
         return 0
@@ -29,7 +29,7 @@ def revoke(directory: Path, name: str | None, to: list[str], zenoh_config: Path 
     if missing:
         later = f"{this_command()} certs revoke --dir {directory}"
         hint(f"Not confirmed by {', '.join(missing)}. Once they are there: {later}")
-        hint(f"or copy the file, and there: sudo hexapod-gateway revoke {FILE_NAME}")
+        hint(f"or copy the file, and there: sudo hexapod-gateway revoke {REVOCATION_FILE}")
     return 1 if missing else 0
 
 
@@ -106,7 +106,7 @@ def _send(client: Client, directory: Path, robot: str) -> int:
         hint(f"{robot} had list {known_there.number}; list {found.number} has both.")
     if len(found.pem) > MAX_REVOCATION_BYTES - 100:
         raise ConfigError(
-            f"the list is too long for a message: copy {FILE_NAME}, and: sudo hexapod-gateway revoke FILE"
+            f"the list is too long for a message: copy {REVOCATION_FILE}, and: sudo hexapod-gateway revoke FILE"
         )
     ack = client.revocation(found.pem.decode())
     if not ack.accepted:

@@ -5,7 +5,7 @@ import zlib
 from pathlib import Path
 from typing import Final
 
-from gateway.host.directories import SERVICE_STATE, runtime_directory, state_directory
+from gateway.host.directories import runtime_directory, state_directory, state_to_read
 from gateway.model.black_box.files import MAX_SLOTS, RING_FILE
 from gateway.robot.settings import Settings
 from schemas.robot import LEGS
@@ -30,11 +30,8 @@ def folder_of(settings: Settings) -> Path | None:
 
 
 def folder_to_read(settings: Settings) -> Path | None:
-    """The same for whoever reads it: also the service's, or else that of `make run`, where no setting names one."""
-    folder = folder_of(settings)
-    if folder is not None:
-        return folder
-    return next((each for each in (SERVICE_STATE, tried()) if each.is_dir()), None)
+    """The same for a program that reads it: also the service's, or else that of `make run`."""
+    return folder_of(settings) or state_to_read() or (tried() if tried().is_dir() else None)
 
 
 def tried() -> Path:

@@ -16,12 +16,12 @@ from gateway import __version__
 from gateway.errors import GatewayError
 from gateway.model.black_box import format as form
 from gateway.model.black_box.format import ACCEPTED
-from gateway.model.black_box.incidents import INCIDENTS, LONGEST_NS, MISTAKE, follow_ns, incident_id
+from gateway.model.black_box.incidents import INCIDENT_NAMES, LONGEST_INCIDENT_NS, MISTAKE, follow_ns, incident_id
 from gateway.model.calibration import Calibration, report_of
 from gateway.model.frames import PROTOCOL_VERSION
 from gateway.robot.blackbox import paths
-from gateway.robot.blackbox.ring import Ring
-from gateway.robot.core.events import Request, Transmit
+from gateway.robot.blackbox.ring import RecordRing
+from gateway.robot.core.events import Announce, Request, Transmit
 from gateway.robot.settings import Settings
 from gateway.robot.spi.bus import Sent
 from schemas.telemetry import Kind, Mode
@@ -59,7 +59,7 @@ class Recorder:
         self._settings = settings
         self._clock = clock
         self._wall_ns = wall_ns
-        self._ring: Ring | None = None
+        self._ring: RecordRing | None = None
         self._waiting: list[tuple[int, int, bytes]] = []
         self._append: Callable[[int, int, bytes], None] = self._wait
         self._clock_ns = 0  # when the time that people read was recorded last
@@ -90,7 +90,7 @@ class Recorder:
             return
         waiting, self._waiting = self._waiting, []
         try:
-            self._ring = Ring(paths.prepare(folder), paths.slots_for(self._settings))
+            self._ring = RecordRing(paths.prepare(folder), paths.slots_for(self._settings))
         except OSError as error:
             logger.warning("the black box is off: %s: %s", folder, error.strerror or error)
             self._on, self._append, self.incident = False, _forget, None
@@ -149,20 +149,12 @@ class Recorder:
         """The gateway's mode changes."""
         self._append(form.MODE, self._clock(), form.mode(mode))
 
-    def event(
-        self,
-        kind: Kind,
-        source: str | None,
-        key: str | None,
-        reason: str | None,
-        detail: str,
-        left_out: int,
-        legs: tuple[int, ...] = (),
-    ) -> str | None:
-        """An event is published; returns the id of the incident that it belongs to, if it is one."""
+    def event(self, event: Announce, source: str | None, left_out: int) -> str | None:
+        """An event is published; returns the id of the incident that it begins or belongs to, if it does."""
         now_ns = self._clock()
-        self._append(form.EVENT, now_ns, form.event(kind, source, key, reason, detail, left_out))
-        what = INCIDENTS.get(kind) if legs or kind not in _IF_LEGS_STOP else None
+        fields = form.event(event.kind, source, event.key, event.reason, event.detail, left_out)
+        self._append(form.EVENT, now_ns, fields)
+        what = INCIDENT_NAMES.get(event.kind) if event.legs or event.kind not in _IF_LEGS_STOP else None
         return None if what is None else self._happened(what, now_ns)
 
     def beat(self, lag_ns: int) -> None:
@@ -206,7 +198,7 @@ class Recorder:
         """What happens within the time that an incident takes in belongs to it, and prolongs it."""
         if not self._on:
             return None
-        if self.incident is None or now_ns > min(self._until_ns, self._first_ns + LONGEST_NS):
+        if self.incident is None or now_ns > min(self._until_ns, self._first_ns + LONGEST_INCIDENT_NS):
             wall_ns = self._wall_ns()
             self.incident = incident_id(wall_ns, what)
             self.incidents += 1

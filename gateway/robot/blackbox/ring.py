@@ -21,7 +21,7 @@ from gateway.model.black_box.format import HEAD_BYTES, pack_head, pack_slot_into
 _HEADER, _SLOT, _ROOM = form.HEADER_BYTES, form.SLOT, form.ROOM
 
 
-class Ring:
+class RecordRing:
     """The writer's side. One owner."""
 
     def __init__(self, path: Path, slots: int) -> None:
@@ -94,7 +94,7 @@ class Ring:
             return False
         try:
             found = header.slots_of(os.pread(self._fd, form.HEADER_BYTES, 0), size)
-        except form.DamagedError as error:
+        except form.DamagedRingError as error:
             self.note = f"the black box is begun anew: {error}"
             return False
         if found != slots:

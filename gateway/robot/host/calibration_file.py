@@ -18,19 +18,19 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from gateway import durable, nesting
 from gateway.errors import ConfigError
-from gateway.host.directories import SERVICE_STATE, state_directory
+from gateway.host.directories import state_directory, state_to_read
 from gateway.model.calibration import Calibration, CalibrationError, ServoCalibration, report_of
 from gateway.model.frames import centidegrees
 from gateway.robot.settings import MISSING, Settings, dotted, faults_of
 from schemas import calibration as wire
 from schemas.robot import SERVO_IDS
 
-NAME: Final = "calibration.toml"
+CALIBRATION_FILE: Final = "calibration.toml"
 """In the service's state directory."""
-VERSION: Final = 1
-KEPT: Final = 10
+CALIBRATION_VERSION: Final = 1
+EARLIER_KEPT: Final = 10
 """How many earlier calibrations are kept beside the file."""
-MAX_BYTES: Final = 64 * 1024
+MAX_CALIBRATION_BYTES: Final = 64 * 1024
 """A whole calibration takes 2 kB; what is larger is no calibration, and is not read."""
 
 SLOW_S: Final = 5.0
@@ -47,17 +47,19 @@ _HEAD: Final = """\
 
 
 def path_of(settings: Settings) -> Path | None:
-    """Where the gateway itself keeps its calibration; None: in memory only."""
-    if settings.calibration.path:
-        return Path(settings.calibration.path)
-    folder = state_directory()
-    return None if folder is None else folder / NAME
+    """The file in which the gateway itself keeps its calibration; None: in memory only."""
+    return _path(settings, state_directory())
 
 
 def path_to_read(settings: Settings) -> Path | None:
-    """The same for whoever looks at it: also the service's, where systemd did not start the looker."""
-    path = path_of(settings)
-    return path if path is not None else SERVICE_STATE / NAME if SERVICE_STATE.is_dir() else None
+    """The same for a program that reads it, which systemd need not have started."""
+    return _path(settings, state_to_read())
+
+
+def _path(settings: Settings, folder: Path | None) -> Path | None:
+    if settings.calibration.path:
+        return Path(settings.calibration.path)
+    return None if folder is None else folder / CALIBRATION_FILE
 
 
 def load(path: Path) -> tuple[Calibration, str | None]:
@@ -93,13 +95,13 @@ def read(path: Path) -> Calibration | None:
         with open(descriptor, "rb") as file:
             if not stat.S_ISREG(os.fstat(descriptor).st_mode):
                 raise ConfigError(f"{path}: is no file")
-            data = file.read(MAX_BYTES + 1)
+            data = file.read(MAX_CALIBRATION_BYTES + 1)
     except FileNotFoundError:
         return None
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read ({error.strerror})") from error
-    if len(data) > MAX_BYTES:
-        raise ConfigError(f"{path}: is larger than {MAX_BYTES} bytes; that is no calibration")
+    if len(data) > MAX_CALIBRATION_BYTES:
+        raise ConfigError(f"{path}: is larger than {MAX_CALIBRATION_BYTES} bytes; that is no calibration")
     try:
         return from_toml(data)
     except ValueError as error:
@@ -141,7 +143,7 @@ def _keep_previous(path: Path) -> None:
     copy = path.with_name(f"{path.stem}.{name}{path.suffix}")
     copy.unlink(missing_ok=True)
     os.link(path, copy)
-    for old in previous(path)[KEPT:]:
+    for old in previous(path)[EARLIER_KEPT:]:
         old.unlink()
 
 
@@ -151,7 +153,7 @@ def _keep_previous(path: Path) -> None:
 def to_toml(calibration: Calibration) -> str:
     """The file's text. Its last line names the revision again, so that a file that was cut off can be told."""
     report = report_of(calibration)
-    lines = [f"{_HEAD}version = {VERSION}", f"revision = {report.revision}", "", "[landing]"]
+    lines = [f"{_HEAD}version = {CALIBRATION_VERSION}", f"revision = {report.revision}", "", "[landing]"]
     lines += [f"{name} = {angle!r}" for name, angle in report.landing.items()]
     for name, servo in report.servos.items():
         lines += ["", f"[servos.{name}]", *(f"{each} = {json.dumps(value)}" for each, value in servo)]
@@ -187,8 +189,8 @@ def from_toml(data: bytes) -> Calibration:
     """The calibration in a file. Raises ValueError with one sentence."""
     values = nesting.read_toml(data)
     version = values.get("version")
-    if version != VERSION:
-        raise ValueError(f"version is {version!r}; this gateway reads {VERSION}")
+    if version != CALIBRATION_VERSION:
+        raise ValueError(f"version is {version!r}; this gateway reads {CALIBRATION_VERSION}")
     try:
         found = _File.model_validate(values)
     except ValidationError as error:

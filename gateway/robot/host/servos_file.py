@@ -11,7 +11,7 @@ import os
 from pathlib import Path
 from typing import Final
 
-NAME: Final = "servos"
+SERVOS_FILE: Final = "servos"
 _LINE: Final = "%020d %d\n"
 _BYTES: Final = len(_LINE % (0, 0))
 
@@ -26,7 +26,7 @@ class ServosFile:
         if folder is None:
             return
         try:
-            descriptor = os.open(folder / NAME, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
+            descriptor = os.open(folder / SERVOS_FILE, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
             try:
                 os.ftruncate(descriptor, _BYTES)
                 self._map = mmap.mmap(descriptor, _BYTES)

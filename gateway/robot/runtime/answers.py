@@ -13,7 +13,7 @@ from gateway.robot.runtime.metrics import Metrics
 from schemas.telemetry import Ack, Kind, Reason
 
 
-class Answers:
+class PendingCommands:
     """Numbers commands, and answers them once. Called by the owner of the state."""
 
     def __init__(self, metrics: Metrics, recorder: Recorder, events: EventPublisher) -> None:

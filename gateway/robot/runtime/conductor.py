@@ -36,7 +36,7 @@ from gateway.robot.core.losses import DETAIL, Losses
 from gateway.robot.core.message import Messages, NoMessages, Outbox, Received, Reply, Verb
 from gateway.robot.core.supervisor import Supervisor
 from gateway.robot.host.ownership import Ownership, OwnersTimer
-from gateway.robot.runtime.answers import Answers, legs_of
+from gateway.robot.runtime.answers import PendingCommands, legs_of
 from gateway.robot.runtime.event_publisher import EventPublisher
 from gateway.robot.runtime.executor import Executor, Outcome
 from gateway.robot.runtime.metrics import Metrics
@@ -85,7 +85,7 @@ class Conductor:
         self.recorder = recorder
         self._outbox = outbox
         self._events = EventPublisher(outbox, recorder, clock)
-        self.answers = Answers(self.metrics, recorder, self._events)
+        self.answers = PendingCommands(self.metrics, recorder, self._events)
         self._executor = Executor(
             bus, self.answers, self._events, recorder, self.metrics, publish_frames=settings.telemetry.frames
         )

@@ -66,7 +66,7 @@ class EventPublisher:
         left_out = 0 if limit is None else limit.admit(source, self._clock())
         if left_out is None:
             return
-        incident = self._recorder.event(kind, source, what.key, what.reason, what.detail, left_out, what.legs)
+        incident = self._recorder.event(what, source, left_out)
         extra = {
             "kind": kind, "source": source, "key": what.key, "reason": what.reason, "left_out": left_out or None,
             "legs": list(what.legs) or None, "incident": incident,

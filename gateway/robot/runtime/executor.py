@@ -7,7 +7,7 @@ from typing import Final, assert_never
 from gateway.errors import SpiError
 from gateway.robot.blackbox.recorder import Recorder, Written
 from gateway.robot.core.events import Announce, Answer, Completed, Effect, Keep, Rejected, Request, Transmit
-from gateway.robot.runtime.answers import Answers
+from gateway.robot.runtime.answers import PendingCommands
 from gateway.robot.runtime.event_publisher import EventPublisher
 from gateway.robot.runtime.metrics import Metrics
 from gateway.robot.spi.bus import Bus
@@ -43,7 +43,7 @@ class Executor:
     def __init__(
         self,
         bus: Bus,
-        answers: Answers,
+        answers: PendingCommands,
         events: EventPublisher,
         recorder: Recorder,
         metrics: Metrics,

@@ -29,7 +29,7 @@ from schemas.lease import LEASE_REQUEST, Challenge, Claim, LeaseAck, Release, Re
 from schemas.telemetry import Reason
 
 if TYPE_CHECKING:
-    from gateway.certs.proof import Holder, ProofChecker
+    from gateway.certs.proof import CertificateHolder, ProofChecker
 
 PAUSE_S: Final = 0.05
 """Between two that change a file: twenty a second, each of which may take a millisecond. A person writes one."""
@@ -226,7 +226,7 @@ class ButtonAnswers(RequestAnswers):
         detail = answer.detail or None
         reply(self.accepted(detail=detail, button=answer.token, timeout_ms=timeout_ms, alive=alive, required=required))
 
-    def _counts(self, source: str, holder: "Holder | None") -> bool:
+    def _counts(self, source: str, holder: "CertificateHolder | None") -> bool:
         """Whether the settings want this one: its person (`anna` of `anna/phone`), or its certificate's role."""
         person = source.partition("/")[0] if holder is None else holder.person
         names = self._settings.names

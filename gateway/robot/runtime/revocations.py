@@ -18,7 +18,7 @@ from gateway.robot.runtime.conductor import Conductor
 from gateway.robot.runtime.request_answers import PAUSE_S, RequestAnswers
 from gateway.robot.zenoh_io import revoked
 from gateway.robot.zenoh_io.receiver import Deal
-from gateway.robot.zenoh_io.revoked import Kept
+from gateway.robot.zenoh_io.revoked import RevocationState
 from schemas import keys
 from schemas.revocation import MAX_REVOCATION_BYTES, RevocationAck, RevocationRequest
 from schemas.telemetry import Kind, Reason, RevocationsReport
@@ -40,7 +40,7 @@ class Revocations(RequestAnswers):
     def __init__(
         self,
         conductor: Conductor,
-        kept: Kept | None,
+        kept: RevocationState | None,
         loop: asyncio.AbstractEventLoop,
         begin_again: Callable[[], None],
     ) -> None:
@@ -115,7 +115,7 @@ class Revocations(RequestAnswers):
         # A disk may take seconds, and no Stop waits for one.
         self._disk.write(partial(revoked.keep, kept.path, found), partial(self._put_in_force, kept, found, reply))
 
-    def _put_in_force(self, kept: Kept, found: "RevocationList", reply: Reply, fault: str | None) -> None:
+    def _put_in_force(self, kept: RevocationState, found: "RevocationList", reply: Reply, fault: str | None) -> None:
         self._keeps = False
         if fault is not None:
             self.reject(None, Reason.REVOCATION_DENIED, fault, reply)

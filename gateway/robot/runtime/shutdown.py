@@ -23,7 +23,7 @@ from gateway.robot.spi.bus import Bus
 from gateway.robot.spi.stop_all import MOST_PAUSE_MS, stop_once
 from schemas.robot import LEGS
 
-END_S = 0.8
+SHUTDOWN_S = 0.8
 """What the end may take: the second of docs/interface.md, Behaviour 7, less what the process needs to go."""
 REPEATS_S = 0.3
 """Of that, what the repeats of the last Stops may take."""
@@ -37,7 +37,7 @@ EXEC_S = 5.0
 logger = logging.getLogger(__name__)
 
 
-class End:
+class ServiceEnd:
     """What ends the service: a signal, or a mistake of our own.
 
     After an exception that nobody expected, nobody knows what state is left; so the robot is stopped and the service

@@ -26,6 +26,7 @@ from zenoh.handlers import RingChannel
 
 from gateway.allowance import Allowance
 from gateway.certs import BUTTON, OPERATOR, pool
+from gateway.endpoints import host_and_port
 from gateway.host.realtime import PAGE_PRIORITY, prefer_thread
 from gateway.limits import MAX_SESSIONS, OPERATORS_PLACES
 
@@ -150,9 +151,9 @@ def _peer(connection: socket.socket) -> Any:
 
 
 def _address(locator: str) -> Any:
-    """Of a locator such as `tls/[::ffff:192.0.2.7]:49090`: address and port; None for what has none."""
-    host, _, port = locator.partition("/")[2].partition("#")[0].partition("?")[0].rpartition(":")
+    """Address and port of a locator such as `tls/[::ffff:192.0.2.7]:49090`; None if it has none."""
+    host, port = host_and_port(locator)
     try:
-        return ipaddress.ip_address(host.removeprefix("[").removesuffix("]").partition("%")[0]), int(port)
+        return ipaddress.ip_address(host.partition("%")[0]), int(port)
     except ValueError:
         return None

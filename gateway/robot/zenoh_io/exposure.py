@@ -87,9 +87,8 @@ def is_open_to_anyone(endpoint: str, config: zenoh.Config) -> bool:
 
 def _may_be_multicast(endpoint: str) -> bool:
     """A multicast group has no sessions, so Zenoh asks for no password and takes what anyone sends there."""
-    link, _, rest = endpoint.partition("/")
-    ip = ip_of(rest)
-    return link == "udp" and (ip is None or ip.is_multicast)
+    ip = ip_of(endpoint)
+    return endpoint.startswith("udp/") and (ip is None or ip.is_multicast)
 
 
 def _is_tls(endpoint: str) -> bool:

@@ -26,8 +26,7 @@ from gateway.host.realtime import LOOP_PRIORITY
 from gateway.robot.core.intake import words_of_stop
 from gateway.robot.core.message import Received, Reply, Verb
 from gateway.robot.host.ownership import Ownership, OwnersTimer
-from gateway.robot.zenoh_io.questions import DEPTH as QUESTIONS_DEPTH
-from gateway.robot.zenoh_io.questions import Knows, QuestionRing
+from gateway.robot.zenoh_io.questions import QUESTIONS_DEPTH, Knows, QuestionRing
 from gateway.robot.zenoh_io.receiver import Deal, Reader, ReceiverThread
 from gateway.robot.zenoh_io.replies import ReplySender
 from gateway.robot.zenoh_io.rings import LEAST_PUT_DEPTH, RING_DEPTH, Receive, Rings

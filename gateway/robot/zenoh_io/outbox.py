@@ -15,7 +15,7 @@ from zenoh.handlers import Handler, RingChannel
 from gateway.host.worker import Worker
 from schemas.keys import ALIVE, GATEWAYS
 
-MOST_WAITING: Final = 1000
+MAX_REPORTS_WAITING: Final = 1000
 """Reports: some seconds of frames. What comes when so many wait is dropped, since it tells of what is over."""
 
 logger = logging.getLogger(__name__)
@@ -63,7 +63,7 @@ class ZenohOutbox:
         """Send a report to whoever listens. It must not change any more."""
         if key not in self._publishers:
             return
-        if self._worker.waiting < MOST_WAITING:
+        if self._worker.waiting < MAX_REPORTS_WAITING:
             self._worker.do(partial(self._send, key, report))
         else:
             self.dropped += 1

@@ -19,7 +19,7 @@ from gateway.zenoh_config import get
 from schemas.lease import Proof
 
 if TYPE_CHECKING:
-    from gateway.certs.proof import Holder, ProofChecker, Purpose
+    from gateway.certs.proof import CertificateHolder, ProofChecker, Purpose
     from gateway.certs.revocation import RevocationList
 
 CHECKS_PER_S: Final = 20
@@ -72,7 +72,7 @@ class Proofs:
             return self._checker.fault(proof, do, source, self._wall_clock())
         return self._checker.fault(proof, do, source, self._wall_clock(), self._purpose)
 
-    def holder(self, proof: Proof | None) -> "Holder | None":
+    def holder(self, proof: Proof | None) -> "CertificateHolder | None":
         """Whose certificate has made this proof, which was not denied; None: names are taken as they are."""
         return None if self._checker is None or proof is None else certs.proof.holder(proof)
 

@@ -23,18 +23,18 @@ Knows = Callable[[str], bool]
 """Whether a token is good. From any thread."""
 Item = TypeVar("Item")
 
-DEPTH: Final = 1024
+QUESTIONS_DEPTH: Final = 1024
 """Questions that wait in the ring: 40 000 a second fill it in 25 ms. More would cost memory: while this thread waits, a
 question may keep the 64 KiB that Zenoh received it in."""
 MOST_OF_TOKEN: Final = 4
 """That wait to be read; their sender waits for the answer before the next one, as a rule."""
-PER_S: Final = 20
+QUESTIONS_PER_S: Final = 20
 """Of each source without a good token: no more proofs are checked, and to drive takes two questions."""
-AT_ONCE: Final = 40
+QUESTIONS_AT_ONCE: Final = 40
 """The same without a pause: the pages of a console that all come back."""
 MOST_SOURCES: Final = 64
 """As many as there may be sessions. Further ones share one place: a source is only what somebody writes."""
-MOST_WAITING: Final = 32
+MAX_WITHOUT_TOKEN: Final = 32
 """Of those without a good token."""
 MOST_ENDING: Final = 4096
 """Whose end has not been sent yet."""
@@ -62,7 +62,7 @@ class Questions(Generic[Item]):
             self._of_token[token] += 1
             self._first.append((token, item))
             return True
-        if len(self._others) == MOST_WAITING or not self._is_admitted(source, now_ns):
+        if len(self._others) == MAX_WITHOUT_TOKEN or not self._is_admitted(source, now_ns):
             return False
         self._others.append(item)
         return True
@@ -82,7 +82,7 @@ class Questions(Generic[Item]):
             self._allowances = {each: used for each, used in self._allowances.items() if not used.is_full(now_ns)}
             if len(self._allowances) >= MOST_SOURCES:
                 source = None
-        return self._allowances.setdefault(source, Allowance(PER_S, AT_ONCE)).take(now_ns)
+        return self._allowances.setdefault(source, Allowance(QUESTIONS_PER_S, QUESTIONS_AT_ONCE)).take(now_ns)
 
 
 class QuestionRing:
@@ -97,7 +97,7 @@ class QuestionRing:
     def recv(self) -> zenoh.Query:
         """The next one. Waits for it; raises ZError once the ring is closed."""
         while True:
-            for _ in range(DEPTH):
+            for _ in range(QUESTIONS_DEPTH):
                 item = self._ring.try_recv()
                 if item is None:
                     break

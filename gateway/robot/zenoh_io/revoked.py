@@ -15,7 +15,7 @@ import zenoh
 from gateway import certs, durable
 from gateway.certs import pool
 from gateway.errors import ConfigError
-from gateway.host.directories import SERVICE_RUNTIME, SERVICE_STATE, runtime_directory, state_directory
+from gateway.host.directories import SERVICE_RUNTIME, runtime_directory, state_directory, state_to_read
 from gateway.robot.settings import ZenohSettings
 from gateway.zenoh_config import get
 
@@ -33,7 +33,7 @@ OLDER_CA: Final = "older-ca"
 logger = logging.getLogger(__name__)
 
 
-class Kept(NamedTuple):
+class RevocationState(NamedTuple):
     """What a robot needs to judge a list, and where it keeps the one in force."""
 
     cas: "tuple[x509.Certificate, ...]"
@@ -49,7 +49,9 @@ class Kept(NamedTuple):
         return max(map(certs.authority.first_number, self.cas)) if len(self.cas) > 1 else None
 
 
-def kept(config: zenoh.Config, settings: ZenohSettings, *, started_by_systemd: bool = True) -> Kept | None:
+def revocation_state(
+    config: zenoh.Config, settings: ZenohSettings, *, started_by_systemd: bool = True
+) -> RevocationState | None:
     """What is in force; None where the Zenoh file names no CA. Raises ConfigError for a list that cannot be read.
 
     `started_by_systemd`: this process is the service itself, or none is installed; else the service's folder is looked
@@ -60,15 +62,15 @@ def kept(config: zenoh.Config, settings: ZenohSettings, *, started_by_systemd: b
         return None
     cas = tuple(certs.files.read_certificates(Path(ca)))
     beside = Path(settings.config).absolute().parent
-    state = state_directory()
-    if state is None and not started_by_systemd and SERVICE_STATE.is_dir():
-        state = SERVICE_STATE
+    state = state_directory() if started_by_systemd else state_to_read()
     folders = [beside] if state is None else [state, beside]
-    lists = [each for folder in folders if (each := _read(folder / certs.revocation.FILE_NAME, cas)) is not None]
+    lists = [each for folder in folders if (each := _read(folder / certs.revocation.REVOCATION_FILE, cas)) is not None]
     found = max(lists, key=lambda each: each.number, default=None)
     number = 0 if found is None else found.number
     seen = _seen(folders[0], number, cas)
-    return Kept(cas, folders[0] / certs.revocation.FILE_NAME, seen or found, None if seen is None else number)
+    return RevocationState(
+        cas, folders[0] / certs.revocation.REVOCATION_FILE, seen or found, None if seen is None else number
+    )
 
 
 def leave_out(config: zenoh.Config, known: "RevocationList | None") -> None:
@@ -79,7 +81,9 @@ def leave_out(config: zenoh.Config, known: "RevocationList | None") -> None:
     for subject in subjects:
         names = subject.get("cert_common_names")
         if names:
-            subject["cert_common_names"] = [name for name in names if name not in known.common_names] or [pool.NOBODY]
+            subject["cert_common_names"] = [name for name in names if name not in known.common_names] or [
+                pool.NO_COMMON_NAME
+            ]
     config.insert_json5(_SUBJECTS, json.dumps(subjects))
 
 
@@ -110,7 +114,7 @@ def _seen(folder: Path, above: int, cas: "Sequence[x509.Certificate]") -> "Revoc
 
 
 def _numbered(folder: Path) -> dict[int, Path]:
-    name = Path(certs.revocation.FILE_NAME)
+    name = Path(certs.revocation.REVOCATION_FILE)
     paths = {path.stem.removeprefix(f"{name.stem}-"): path for path in folder.glob(f"{name.stem}-*{name.suffix}")}
     return {int(number): path for number, path in paths.items() if number.isdecimal()}
 
@@ -130,9 +134,9 @@ class OlderCa:
     A CA that takes another's place has common names of its own, so the name alone says it. On one thread.
     """
 
-    def __init__(self, kept: Kept | None, count: Callable[[int], None]) -> None:
+    def __init__(self, shut_out: RevocationState | None, count: Callable[[int], None]) -> None:
         """`count` is called with how many they are, since the start."""
-        self._first = None if kept is None else kept.first_number
+        self._first = None if shut_out is None else shut_out.first_number
         self._count = count
         self._names: set[str] = set()
         folder = runtime_directory()

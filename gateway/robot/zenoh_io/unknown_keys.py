@@ -13,7 +13,7 @@ from zenoh.handlers import RingChannel
 
 from schemas.keys import ALIVE, COMMAND_KEYS, GATEWAYS, ROOT, SIM_BODY, leg_command, servo_command
 
-DEPTH: Final = 36
+UNKNOWN_KEYS_DEPTH: Final = 36
 """Messages between two looks. Six legs at 50 Hz are thirty, a simulated body three; to look at thirty takes 40 µs, at
 none 1.3 (measured)."""
 MISSPELT: Final = ("Hexapod/**", "HEXAPOD/**")
@@ -39,14 +39,14 @@ class UnknownKeys:
         self._physics = physics
         self._subscribers: list[Any] = [
             session.declare_subscriber(key, RingChannel(depth), allowed_origin=zenoh.Locality.REMOTE)
-            for key, depth in ((f"{ROOT}/**", DEPTH), *((key, 1) for key in MISSPELT))
+            for key, depth in ((f"{ROOT}/**", UNKNOWN_KEYS_DEPTH), *((key, 1) for key in MISSPELT))
         ]
 
     def look(self) -> UnknownKey | None:
         """The newest stranger since the last look. One at a time: ten a second are told at most."""
         found = None
         for subscriber in self._subscribers:
-            for _ in range(DEPTH):
+            for _ in range(UNKNOWN_KEYS_DEPTH):
                 sample = subscriber.handler.try_recv()
                 if sample is None:
                     break

@@ -5,7 +5,6 @@ Neither stops the service, and Zenoh is silent about both. A thread of its own l
 
 import datetime as dt
 import logging
-import re
 import threading
 import time
 from collections.abc import Callable
@@ -16,18 +15,17 @@ import zenoh
 
 from gateway import certs
 from gateway.certs import expiry
+from gateway.endpoints import host_and_port
 from gateway.errors import ConfigError
 from gateway.host.realtime import PAGE_PRIORITY, prefer_thread
 from gateway.zenoh_config import Expiry, connect_endpoints, first_expiry, listen_endpoints
 from schemas.telemetry import CertificateReport
 
-LOOK_S: Final = 1.0
+LINKS_PERIOD_S: Final = 1.0
 GRACE_S: Final = 3.0
 """How long a router may take at the start before it counts as not reached; Zenoh tries again every second at least."""
 CLOCK_S: Final = 3600.0
 """How often the certificates' time is compared with the clock, which may be set after the start."""
-
-_PORT: Final = re.compile(r":(\d+)(?:[?#].*)?$")
 
 logger = logging.getLogger(__name__)
 
@@ -75,7 +73,9 @@ class Upkeep:
         with suppress(zenoh.ZError):  # the session is closed
             while True:
                 self._look(time.monotonic())
-                if self._closed.wait(LOOK_S if self._dials else max(LOOK_S, self._clock_due_s - time.monotonic())):
+                if self._closed.wait(
+                    LINKS_PERIOD_S if self._dials else max(LINKS_PERIOD_S, self._clock_due_s - time.monotonic())
+                ):
                     return
 
     def _look(self, now_s: float) -> None:
@@ -140,4 +140,4 @@ class Upkeep:
 
 
 def _ports(endpoints: list[str]) -> set[str]:
-    return {found[1] for each in endpoints if (found := _PORT.search(each)) is not None}
+    return {port for _, port in map(host_and_port, endpoints) if port.isdecimal()}

@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from gateway.host.log_condenser import GATHER_S, MOST_HELD, MOST_KINDS, WINDOW_S, Condenser
+from gateway.host.log_condenser import GATHER_S, MOST_HELD, MOST_KINDS, REPEATS_WINDOW_S, Condenser
 from schemas.telemetry import Kind
 
 
@@ -58,8 +58,8 @@ def test_a_client_on_a_wrong_key_is_one_line_and_one_in_ten_seconds(condenser: C
     found = [each for n in range(250) for each in condenser.take(rejected("hexapod/lag/3/cmd"), n / 10)]
     assert written(found) == [
         "hexapod/lag/3/cmd is no key",
-        f"99 more within {WINDOW_S:g} s, the last: hexapod/lag/3/cmd is no key",
-        f"100 more within {WINDOW_S:g} s, the last: hexapod/lag/3/cmd is no key",
+        f"99 more within {REPEATS_WINDOW_S:g} s, the last: hexapod/lag/3/cmd is no key",
+        f"100 more within {REPEATS_WINDOW_S:g} s, the last: hexapod/lag/3/cmd is no key",
     ]
     assert condenser.due_at_s() == pytest.approx(30)
     assert written(condenser.due(30)) == ["50 more within 10 s, the last: hexapod/lag/3/cmd is no key"]

@@ -9,7 +9,7 @@ from typing import IO
 import pytest
 
 from gateway.host.log_condenser import Condenser
-from gateway.host.log_writer import KEPT, LogWriter, Stream
+from gateway.host.log_writer import MAX_LINES_WAITING, LogStream, LogWriter
 from schemas.telemetry import Kind
 
 
@@ -43,16 +43,16 @@ def pipe(request: pytest.FixtureRequest) -> Iterator[Pipe]:
 
 def test_nobody_waits_and_what_was_dropped_is_said_once(pipe: Pipe) -> None:
     log_writer = LogWriter(pipe.theirs)
-    for number in range(2 * KEPT):
+    for number in range(2 * MAX_LINES_WAITING):
         log_writer.put(f"{number}\n")
     dropped = log_writer.dropped
-    assert KEPT - 1 <= dropped <= KEPT, "the thread may have taken one before the others came"
+    assert MAX_LINES_WAITING - 1 <= dropped <= MAX_LINES_WAITING, "the thread may have taken one before the others came"
     lines = pipe.lines()
-    kept = [next(lines) for _ in range(2 * KEPT - dropped + 1)]
+    kept = [next(lines) for _ in range(2 * MAX_LINES_WAITING - dropped + 1)]
     said = f"{dropped} lines were left out here, since nobody read them in time"
     assert kept.count(said) == 1
     kept.remove(said)
-    assert kept == [str(number) for number in range(2 * KEPT - dropped)]
+    assert kept == [str(number) for number in range(2 * MAX_LINES_WAITING - dropped)]
     log_writer.put("it flows again\n")
     assert next(lines) == "it flows again"
     log_writer.close(10)
@@ -63,14 +63,14 @@ def test_while_most_of_it_waits_nothing_more_is_taken(pipe: Pipe) -> None:
     """So that the lines between two gaps belong together."""
     log_writer = LogWriter(pipe.theirs)
     line = "x" * 1000
-    for _ in range(2 * KEPT):
+    for _ in range(2 * MAX_LINES_WAITING):
         log_writer.put(f"{line}\n")
     dropped = log_writer.dropped
     lines = pipe.lines()
     assert next(lines) == line
     log_writer.put("more\n")  # the pipe has room for 64 lines, and not for half of those that wait
     assert log_writer.dropped == dropped + 1
-    left = [next(lines) for _ in range(2 * KEPT - dropped)]
+    left = [next(lines) for _ in range(2 * MAX_LINES_WAITING - dropped)]
     assert left.count(line) == len(left) - 1, "and the line that says how many are missing"
     log_writer.close(10)
 
@@ -98,7 +98,7 @@ def test_a_line_that_cannot_be_rendered_is_dropped_and_the_next_is_written() -> 
 
 def test_what_is_printed_goes_the_same_way(pipe: Pipe) -> None:
     log_writer = LogWriter(pipe.theirs)
-    stream = Stream(log_writer)
+    stream = LogStream(log_writer)
     lines = pipe.lines()
     print("a", "result", file=stream)
     stream.write("two\nlines and a part")

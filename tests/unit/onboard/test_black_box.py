@@ -17,7 +17,7 @@ from gateway.onboard import black_box
 from gateway.people.incidents.watcher import IncidentWatcher
 from gateway.people.recordings.contents import cut
 from gateway.robot.blackbox import paths
-from gateway.robot.blackbox.ring import Ring
+from gateway.robot.blackbox.ring import RecordRing
 from gateway.robot.settings import Settings
 from tests.support.robot import WALL_NS
 from tests.unit.people.test_recordings import recorded
@@ -65,7 +65,7 @@ def test_a_ring_that_somebody_else_has_made_is_neither_shown_nor_kept(
 ) -> None:
     """In /dev/shm, where a link of ours leads: it could be there before the gateway begins one."""
     ring_at = paths.prepare(folder)
-    ring = Ring(ring_at, 100)
+    ring = RecordRing(ring_at, 100)
     ring.append(form.INCIDENT, 5, form.incident(WALL_NS, NAME))
     ring.close()
     os.chown(folder / RING_FILE, 65534, -1, follow_symlinks=False)

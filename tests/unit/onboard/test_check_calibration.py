@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from gateway import durable
+from gateway.host import directories
 from gateway.model.calibration import Calibration, ServoCalibration
 from gateway.onboard.check.calibration import kept, landing_pose
 from gateway.onboard.check.result import Verdict
@@ -60,7 +61,7 @@ def test_what_only_the_service_may_read_is_no_failure(tmp_path: Path, monkeypatc
 
 def test_in_memory_only(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.delenv("STATE_DIRECTORY", raising=False)
-    monkeypatch.setattr(calibration_file, "SERVICE_STATE", tmp_path / "none")
+    monkeypatch.setattr(directories, "SERVICE_STATE", tmp_path / "none")
     assert "in memory only" in kept(Settings()).sentence
 
 

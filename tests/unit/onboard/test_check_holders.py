@@ -59,7 +59,7 @@ def test_who_still_comes_with_the_older_ca_is_counted(
     assert "nobody has noted" in nobody_noted.sentence
     settings = ZenohSettings(config=str(folder / "gateway.json5"))
     counted: list[int] = []
-    older = OlderCa(revoked.kept(load_config(folder / "gateway.json5"), settings), counted.append)
+    older = OlderCa(revoked.revocation_state(load_config(folder / "gateway.json5"), settings), counted.append)
     (none_yet,) = robot(folder)
     assert none_yet.verdict is Verdict.OK
     for connected in ({"operator-64"}, {"operator-00", "operator-64", "gateway"}, {"operator-00"}, {"operator"}):
@@ -78,7 +78,9 @@ def test_with_one_ca_nobody_is_counted(folder: Path, tmp_path: Path, monkeypatch
     monkeypatch.setenv("RUNTIME_DIRECTORY", str(tmp_path))
     settings = ZenohSettings(config=str(folder / "gateway.json5"))
     counted: list[int] = []
-    OlderCa(revoked.kept(load_config(folder / "gateway.json5"), settings), counted.append).note({"operator-00"})
+    OlderCa(revoked.revocation_state(load_config(folder / "gateway.json5"), settings), counted.append).note(
+        {"operator-00"}
+    )
     assert counted == []
     assert robot(folder) == []
 

@@ -203,7 +203,7 @@ def test_the_rules_list_nobody_who_is_revoked_and_a_role_without_anybody_stays_a
     issue(folder, "anna")
     certs.moving.revoke(folder, "anna", now=NOW)
     config = load_config(folder / "gateway.json5")
-    kept = revoked.kept(config, robot(folder))
+    kept = revoked.revocation_state(config, robot(folder))
     assert kept is not None
     revoked.leave_out(config, kept.known)
     subjects = {each["id"]: each["cert_common_names"] for each in get(config, "access_control/subjects")}
@@ -212,7 +212,7 @@ def test_the_rules_list_nobody_who_is_revoked_and_a_role_without_anybody_stays_a
     assert len(subjects["observer"]) == 65
     everybody = list_of(folder, 9, *subjects["observer"])
     revoked.leave_out(config, everybody)
-    assert get(config, "access_control/subjects")[1]["cert_common_names"] == [pool.NOBODY]
+    assert get(config, "access_control/subjects")[1]["cert_common_names"] == [pool.NO_COMMON_NAME]
 
 
 def test_of_two_places_the_newer_list_is_in_force_and_it_is_kept_in_the_services_own(
@@ -225,7 +225,7 @@ def test_of_two_places_the_newer_list_is_in_force_and_it_is_kept_in_the_services
     (folder / "revoked.crl").write_bytes(list_of(folder, 3).pem)
     for number, in_force in ((2, 3), (4, 4)):
         revoked.keep(state / "revoked.crl", list_of(folder, number))
-        kept = revoked.kept(config, robot(folder))
+        kept = revoked.revocation_state(config, robot(folder))
         assert kept is not None
         assert kept.known is not None
         assert (kept.path, kept.known.number) == (state / "revoked.crl", in_force)
@@ -235,13 +235,16 @@ def test_of_two_places_the_newer_list_is_in_force_and_it_is_kept_in_the_services
 async def test_a_list_that_was_kept_counts_before_the_service_has_ended(folder: Path) -> None:
     """Else an older one that comes meanwhile would take its place on the disk."""
     conductor = HarnessedRobot().conductor
-    loop, in_force = asyncio.get_running_loop(), revoked.kept(load_config(folder / "gateway.json5"), robot(folder))
+    loop, in_force = (
+        asyncio.get_running_loop(),
+        revoked.revocation_state(load_config(folder / "gateway.json5"), robot(folder)),
+    )
     changes = Revocations(conductor, in_force, loop, lambda: None)
     answers: SimpleQueue[bytes] = SimpleQueue()
     for number, accepted in ((6, True), (5, False)):
         changes.change(list_of(folder, number), answers.put)
         assert RevocationAck.model_validate_json(answers.get(timeout=10)).accepted is accepted
-    kept = revoked.kept(load_config(folder / "gateway.json5"), robot(folder))
+    kept = revoked.revocation_state(load_config(folder / "gateway.json5"), robot(folder))
     assert kept is not None
     assert kept.known is not None
     assert kept.known.number == 6
@@ -250,9 +253,9 @@ async def test_a_list_that_was_kept_counts_before_the_service_has_ended(folder: 
 def test_a_list_that_cannot_be_read_lets_nobody_in_and_one_of_another_ca_concerns_nobody(folder: Path) -> None:
     config = load_config(folder / "gateway.json5")
     (folder / "revoked.crl").write_bytes(list_of(folder, 3).pem[:-40])
-    assert "revoked.crl" in fault(lambda: revoked.kept(config, robot(folder)))
+    assert "revoked.crl" in fault(lambda: revoked.revocation_state(config, robot(folder)))
     (folder / "revoked.crl").write_bytes(revocation.sign(authority.make_ca(NOW), 6, [], NOW).pem)
-    kept = revoked.kept(config, robot(folder))
+    kept = revoked.revocation_state(config, robot(folder))
     assert kept is not None
     assert kept.known is None
 
@@ -276,19 +279,19 @@ def test_an_older_list_that_a_backup_brings_takes_no_effect_and_is_put_right(
         (state / "revoked.crl").unlink()
         for name, data in brought.items():
             (state / name).write_bytes(data)
-        kept = revoked.kept(config, robot(folder))
+        kept = revoked.revocation_state(config, robot(folder))
         assert kept is not None
         assert (kept.known, kept.stale) == (newest, stale)
         revoked.keep(kept.path, newest)
         assert contents(state) == {"revoked.crl": newest.pem, "revoked-11.crl": newest.pem}
-        right = revoked.kept(config, robot(folder))
+        right = revoked.revocation_state(config, robot(folder))
         assert right is not None
         assert (right.known, right.stale) == (newest, None)
     (state / "revoked-11.crl").write_bytes(b"")
-    kept = revoked.kept(config, robot(folder))
+    kept = revoked.revocation_state(config, robot(folder))
     assert kept is not None, "what is remembered matters only where it is newer"
     (state / "revoked.crl").unlink()
-    assert "revoked-11.crl" in fault(lambda: revoked.kept(config, robot(folder)))
+    assert "revoked-11.crl" in fault(lambda: revoked.revocation_state(config, robot(folder)))
 
 
 def test_a_disk_that_is_full_leaves_the_list_before(folder: Path, tmp_path: Path) -> None:

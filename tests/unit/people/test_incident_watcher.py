@@ -16,7 +16,7 @@ from gateway.people.incidents import archive, ring_reader, watcher
 from gateway.people.incidents.incidents import Incident, is_id
 from gateway.people.incidents.watcher import IncidentWatcher
 from gateway.people.recordings import read
-from gateway.robot.blackbox.ring import Ring
+from gateway.robot.blackbox.ring import RecordRing
 from gateway.robot.settings import Settings
 from schemas import keys
 from tests.support.robot import WALL_NS
@@ -183,7 +183,7 @@ LATE_NS = 1000 * S
 
 def ring(folder: Path, seconds: int, *incidents: tuple[int, str]) -> Path:
     """A gateway that was killed after so long; each second the clock and a lag, and these incidents."""
-    made = Ring(folder / RING_FILE, SLOTS)
+    made = RecordRing(folder / RING_FILE, SLOTS)
     made.append(form.START, 0, form.start(BEGAN_NS, {"pid": 1}))
     for second in range(1, seconds + 1):
         made.append(form.CLOCK, second * S, form.number(BEGAN_NS + second * S))

@@ -15,7 +15,7 @@ from gateway.errors import SpiError
 from gateway.geometry import load
 from gateway.model.black_box import format as form
 from gateway.model.black_box.files import INCIDENTS_FOLDER, RING_FILE
-from gateway.model.black_box.incidents import INCIDENTS, MISTAKE
+from gateway.model.black_box.incidents import INCIDENT_NAMES, MISTAKE
 from gateway.model.calibration import Calibration, ServoCalibration
 from gateway.model.frames import decode
 from gateway.people.incidents import archive, ring_reader
@@ -29,7 +29,7 @@ from gateway.people.recordings.drawing import JOINT_STATES
 from gateway.people.recordings.replaying import steps_of
 from gateway.people.recordings.user_angles import UserAngles
 from gateway.robot.blackbox import paths
-from gateway.robot.blackbox.ring import Ring
+from gateway.robot.blackbox.ring import RecordRing
 from gateway.robot.core.events import StoppedOutside
 from gateway.robot.core.message import Verb
 from gateway.robot.runtime.calibrations import Calibrations
@@ -371,7 +371,7 @@ def assert_ordered(path: Path) -> None:
 def test_noise_in_the_ring_makes_no_story_fail(folder: Path) -> None:
     """Records that no gateway writes in this order, or at all."""
     place_of_ring = paths.prepare(folder)
-    ring = Ring(place_of_ring, 100)
+    ring = RecordRing(place_of_ring, 100)
     ring.append(form.INCIDENT, 5 * SECOND, form.incident(WALL_NS, "20260921-141320-123-watchdog"))
     ring.append(form.INCIDENT, 5 * SECOND, form.incident(WALL_NS, "../../etc/passwd"))
     ring.append(form.FRAME, 5 * SECOND, form.frame(b"\xff" * 30, "made up", 1))
@@ -390,7 +390,7 @@ def test_noise_in_the_ring_makes_no_story_fail(folder: Path) -> None:
 
 KINDS: dict[type[form.Content], int] = {
     form.Start: form.START,
-    form.EventTold: form.EVENT,
+    form.EventPublished: form.EVENT,
     form.FrameWritten: form.FRAME,
     form.IncidentBegun: form.INCIDENT,
     form.About: form.ABOUT,
@@ -405,8 +405,8 @@ def records(*contents: tuple[float, form.Content]) -> ring_reader.Records:
     return ring_reader.Records([record.ns for record in made], kinds, made.__getitem__)
 
 
-def event(kind: str) -> form.EventTold:
-    return form.EventTold(kind, "\x1b[2Janna", None, None, "a sentence", 0)
+def event(kind: str) -> form.EventPublished:
+    return form.EventPublished(kind, "\x1b[2Janna", None, None, "a sentence", 0)
 
 
 BEGUN = form.IncidentBegun(WALL_NS, "20260921-141320-123-watchdog")
@@ -437,5 +437,5 @@ def test_its_zero_is_the_deadline_also_where_the_stop_was_late() -> None:
 
 
 def test_every_kind_of_incident_has_its_words_and_its_rank() -> None:
-    kinds = {*INCIDENTS.values(), MISTAKE, CRASH}
+    kinds = {*INCIDENT_NAMES.values(), MISTAKE, CRASH}
     assert all(what(f"20260921-141320-123-{kind}") != kind for kind in kinds)

@@ -10,7 +10,7 @@ from gateway.model.black_box import header
 from gateway.model.frames import STOP, Op, ServoOp, stop_leg
 from gateway.people.incidents import ring_reader
 from gateway.people.incidents.ring_reader import NoRingError
-from gateway.robot.blackbox.ring import Ring
+from gateway.robot.blackbox.ring import RecordRing
 from schemas.robot import SERVO_IDS
 
 ALL_LEGS = tuple((servo_id, ServoOp(Op.SET, 180_00)) for servo_id in SERVO_IDS)
@@ -34,7 +34,7 @@ CONTENTS: list[tuple[int, bytes, form.Content]] = [
     (
         form.EVENT,
         form.event("bus_fault", None, "k", None, "x" * 500, 3),
-        form.EventTold("bus_fault", None, "k", None, "x" * 500, 3),
+        form.EventPublished("bus_fault", None, "k", None, "x" * 500, 3),
     ),
     (form.LAG, form.number(20_000_000), form.Lag(20_000_000)),
     (form.INCIDENT, form.incident(9, "20260101-000000-000-estop"), form.IncidentBegun(9, "20260101-000000-000-estop")),
@@ -48,7 +48,7 @@ def path(tmp_path: Path) -> Path:
 
 def filled(path: Path, records: int, slots: int = 50) -> None:
     """A ring with so many modes, numbered from 1."""
-    ring = Ring(path, slots)
+    ring = RecordRing(path, slots)
     for number in range(1, records + 1):
         ring.append(form.MODE, number, form.mode(str(number)))
     ring.close()
@@ -63,7 +63,7 @@ def modes(path: Path) -> list[int]:
 
 
 def test_everything_is_read_as_it_was_written(path: Path) -> None:
-    ring = Ring(path, 100)
+    ring = RecordRing(path, 100)
     for ns, (kind, rest, _) in enumerate(CONTENTS):
         ring.append(kind, ns, rest)
     ring.append(99, 0, b"of a later version")
@@ -81,7 +81,7 @@ def test_the_newest_are_kept_in_their_order(path: Path, records: int) -> None:
 
 
 def test_a_text_of_any_characters_is_no_error(path: Path) -> None:
-    ring = Ring(path, 100)
+    ring = RecordRing(path, 100)
     for text in ("\ud800", "x" * 300, "é" * 200, "\0\n"):
         ring.append(form.COMMAND, 0, form.command(1, "put", "key", text, None, ()))
         ring.append(form.EVENT, 0, form.event("kind", text, text, text, text * 100, 0))
@@ -92,7 +92,7 @@ def test_a_text_of_any_characters_is_no_error(path: Path) -> None:
 
 def test_a_ring_is_continued_by_the_next_gateway(path: Path) -> None:
     filled(path, 60)
-    ring = Ring(path, 50)
+    ring = RecordRing(path, 50)
     assert (ring.sequence, ring.note) == (61, "")
     ring.close()
     assert modes(path) == list(range(11, 61))
@@ -106,7 +106,7 @@ def test_a_torn_record_is_left_out_and_written_over(path: Path) -> None:
     content = ring_reader.read(path)
     assert modes(path) == list(range(11, 60))
     assert content.damaged == 1
-    ring = Ring(path, 50)
+    ring = RecordRing(path, 50)
     assert ring.sequence == 60
     assert ring.note == "the black box is continued; 1 of its newest records are not whole"
     ring.append(form.MODE, 0, form.mode("60"))
@@ -142,7 +142,7 @@ def test_every_byte_counts(path: Path) -> None:
 def test_another_file_is_begun_anew_and_said(path: Path, found: bytes, note: str) -> None:
     path.write_bytes(found)
     path.chmod(0o600)
-    ring = Ring(path, 50)
+    ring = RecordRing(path, 50)
     assert ring.note.startswith(f"the black box is begun anew: {note}")
     ring.append(form.MODE, 0, form.mode("1"))
     ring.close()
@@ -151,13 +151,13 @@ def test_another_file_is_begun_anew_and_said(path: Path, found: bytes, note: str
 
 
 def test_two_gateways_never_write_to_one_ring(path: Path) -> None:
-    ring = Ring(path, 50)
+    ring = RecordRing(path, 50)
     assert ring_reader.read(path).written
     with pytest.raises(OSError, match="another gateway writes to it"):
-        Ring(path, 50)
+        RecordRing(path, 50)
     ring.close()
     assert not ring_reader.read(path).written
-    Ring(path, 50).close()
+    RecordRing(path, 50).close()
 
 
 def test_nobody_else_may_have_put_the_file_there(path: Path, tmp_path: Path) -> None:
@@ -165,11 +165,11 @@ def test_nobody_else_may_have_put_the_file_there(path: Path, tmp_path: Path) -> 
     elsewhere.write_text("mine")
     path.symlink_to(elsewhere)
     with pytest.raises(OSError, match="symbolic links"):
-        Ring(path, 50)
+        RecordRing(path, 50)
     path.unlink()
     os.link(elsewhere, path)
     with pytest.raises(PermissionError, match="belongs to somebody else"):
-        Ring(path, 50)
+        RecordRing(path, 50)
     assert elsewhere.read_text() == "mine"
 
 
@@ -200,7 +200,7 @@ def test_a_setpoint_reads_as_the_two_records_that_it_stands_for(
 ) -> None:
     targets = ((31, ServoOp(Op.START, 0)), (32, STOP), (33, ServoOp(Op.SET, 180_00)))
     said = ("put", "hexapod/leg/3/cmd", source, sent_ms, targets)
-    ring = Ring(path, 50)
+    ring = RecordRing(path, 50)
     body = form.carried_out(ring.sequence, 1000, 7, *said, FRAME, 1000 + after_ns, 45_000)
     assert body is not None
     ring.put(body)

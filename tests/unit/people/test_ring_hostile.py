@@ -13,7 +13,7 @@ from gateway.people.incidents import archive, ring_reader
 from gateway.people.incidents.incidents import MOST, find, is_id
 from gateway.people.incidents.messages import RECORDER, messages
 from gateway.people.recordings import read
-from gateway.robot.blackbox.ring import Ring
+from gateway.robot.blackbox.ring import RecordRing
 from tests.support.robot import WALL_NS
 
 SECOND = 1_000_000_000
@@ -94,7 +94,7 @@ def test_an_id_begins_with_a_time(name: str, good: bool) -> None:
 @pytest.mark.parametrize("sequence", [0, 2**63, 2**64 - 1])
 def test_a_gateway_does_not_run_out_of_sequence_numbers(tmp_path: Path, sequence: int) -> None:
     path = tmp_path / "ring"
-    ring = Ring(path, 15)  # divides 2**64 - 1
+    ring = RecordRing(path, 15)  # divides 2**64 - 1
     ring.append(form.MODE, 1, form.mode("active"))
     ring.close()
     image = bytearray(path.read_bytes())
@@ -102,7 +102,7 @@ def test_a_gateway_does_not_run_out_of_sequence_numbers(tmp_path: Path, sequence
     form.put(image, offset, form.MODE, sequence, 2, form.mode("idle"))
     path.write_bytes(image)
     assert [record.sequence for record in ring_reader.read(path).records] == [1]
-    ring = Ring(path, 15)
+    ring = RecordRing(path, 15)
     ring.append(form.MODE, 3, form.mode("idle"))
     ring.close()
     assert [record.sequence for record in ring_reader.read(path).records] == [1, 2]

@@ -8,10 +8,11 @@ import pytest
 from hypothesis import given
 
 from gateway.errors import ConfigError
+from gateway.host import directories
 from gateway.model.calibration import Calibration, ServoCalibration
 from gateway.robot.host import calibration_file
 from gateway.robot.host.calibration_file import (
-    KEPT,
+    EARLIER_KEPT,
     from_toml,
     load,
     path_of,
@@ -80,7 +81,9 @@ def test_a_broken_file_is_an_error_that_names_the_place(tmp_path: Path, before: 
     assert str(raised.value).startswith(f"{path}: {fault}")
 
 
-@pytest.mark.parametrize("content", [b"\xff\xfe", b"\0" * 100, b"[" * 5000, b" " * (calibration_file.MAX_BYTES + 1)])
+@pytest.mark.parametrize(
+    "content", [b"\xff\xfe", b"\0" * 100, b"[" * 5000, b" " * (calibration_file.MAX_CALIBRATION_BYTES + 1)]
+)
 def test_a_foreign_file_is_an_error(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "calibration.toml"
     path.write_bytes(content)
@@ -93,7 +96,7 @@ def test_the_previous_ten_are_kept(tmp_path: Path) -> None:
     for revision in range(1, 15):
         write(path, Calibration(revision, {32: ServoCalibration(revision)}))
     kept = [read(found) for found in previous(path)]
-    assert [calibration.revision for calibration in kept if calibration] == list(range(13, 13 - KEPT, -1))
+    assert [calibration.revision for calibration in kept if calibration] == list(range(13, 13 - EARLIER_KEPT, -1))
     assert read(path) == Calibration(14, {32: ServoCalibration(14)})
 
 
@@ -176,7 +179,7 @@ def test_where_it_is_kept(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> No
 
 def test_where_it_is_looked_for(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.delenv("STATE_DIRECTORY", raising=False)
-    monkeypatch.setattr(calibration_file, "SERVICE_STATE", tmp_path)
+    monkeypatch.setattr(directories, "SERVICE_STATE", tmp_path)
     assert path_to_read(Settings()) == tmp_path / "calibration.toml"
-    monkeypatch.setattr(calibration_file, "SERVICE_STATE", tmp_path / "none")
+    monkeypatch.setattr(directories, "SERVICE_STATE", tmp_path / "none")
     assert path_to_read(Settings()) is None

@@ -7,7 +7,14 @@ from typing import Any
 import pytest
 
 from gateway.robot.core.pacing import NS_PER_S
-from gateway.robot.zenoh_io.questions import AT_ONCE, MOST_OF_TOKEN, MOST_SOURCES, MOST_WAITING, PER_S, Questions
+from gateway.robot.zenoh_io.questions import (
+    MAX_WITHOUT_TOKEN,
+    MOST_OF_TOKEN,
+    MOST_SOURCES,
+    QUESTIONS_AT_ONCE,
+    QUESTIONS_PER_S,
+    Questions,
+)
 
 DRIVER, KITCHEN, STRANGER = "d" * 32, "b" * 32, "0" * 32
 CHALLENGE = {"do": "challenge"}
@@ -47,7 +54,7 @@ def test_a_good_token_goes_before_everybody_else(asked: Asked) -> None:
 
 
 def test_a_flood_of_others_keeps_no_good_token_out(asked: Asked) -> None:
-    assert sum(asked.ask("flood", CHALLENGE) for _ in range(10_000)) == MOST_WAITING
+    assert sum(asked.ask("flood", CHALLENGE) for _ in range(10_000)) == MAX_WITHOUT_TOKEN
     assert asked.ask("renewal", {"do": "renew", "lease": DRIVER})
     assert asked.read()[0] == "renewal"
 
@@ -68,11 +75,15 @@ def test_each_source_has_so_many_a_second(asked: Asked) -> None:
             asked.read()
         return count
 
-    assert (admitted("anna"), admitted("bert"), admitted(None)) == (AT_ONCE, AT_ONCE, AT_ONCE)
+    assert (admitted("anna"), admitted("bert"), admitted(None)) == (
+        QUESTIONS_AT_ONCE,
+        QUESTIONS_AT_ONCE,
+        QUESTIONS_AT_ONCE,
+    )
     asked.now_ns += NS_PER_S
-    assert (admitted("anna"), admitted("carla")) == (PER_S, AT_ONCE)
+    assert (admitted("anna"), admitted("carla")) == (QUESTIONS_PER_S, QUESTIONS_AT_ONCE)
     asked.now_ns += 100 * NS_PER_S
-    assert admitted("anna") == AT_ONCE, "what is not used is not saved"
+    assert admitted("anna") == QUESTIONS_AT_ONCE, "what is not used is not saved"
 
 
 def test_ever_new_sources_share_one_place_and_take_bounded_memory(asked: Asked) -> None:
@@ -80,6 +91,6 @@ def test_ever_new_sources_share_one_place_and_take_bounded_memory(asked: Asked) 
     for number in range(1000):
         count += asked.ask("", CHALLENGE, f"source {number}")
         asked.read()
-    assert count == MOST_SOURCES + AT_ONCE
+    assert count == MOST_SOURCES + QUESTIONS_AT_ONCE
     asked.now_ns += NS_PER_S
     assert asked.ask("", CHALLENGE, "a new one"), "those that asked before are forgotten"

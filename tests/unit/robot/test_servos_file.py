@@ -5,12 +5,12 @@ from pathlib import Path
 
 import pytest
 
-from gateway.robot.host.servos_file import NAME, ServosFile
+from gateway.robot.host.servos_file import SERVOS_FILE, ServosFile
 
 
 def test_a_line_that_is_written_over(tmp_path: Path) -> None:
     file = ServosFile(tmp_path)
-    path = tmp_path / NAME
+    path = tmp_path / SERVOS_FILE
     for now_ns, any_runs in ((1, True), (123_456_789_012_345, False)):
         file.write(now_ns, any_runs=any_runs)
         assert list(map(int, path.read_text().split())) == [now_ns, int(any_runs)]
@@ -18,10 +18,10 @@ def test_a_line_that_is_written_over(tmp_path: Path) -> None:
 
 
 def test_what_an_earlier_run_has_left_is_taken_over(tmp_path: Path) -> None:
-    (tmp_path / NAME).write_text("something longer than the line, from another version\n")
+    (tmp_path / SERVOS_FILE).write_text("something longer than the line, from another version\n")
     file = ServosFile(tmp_path)
     file.write(7, any_runs=True)
-    assert (tmp_path / NAME).read_text() == f"{7:020d} 1\n"
+    assert (tmp_path / SERVOS_FILE).read_text() == f"{7:020d} 1\n"
 
 
 def test_without_a_folder_it_is_nothing(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
