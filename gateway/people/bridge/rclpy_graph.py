@@ -240,5 +240,6 @@ def _own_addresses() -> Iterator[str]:
             if Path("/proc/self/fd", name).readlink().name.startswith("socket:"):
                 with socket.socket(fileno=os.dup(int(name))) as found:
                     if found.family in (socket.AF_INET, socket.AF_INET6):
-                        host = found.getsockname()[0]
-                        yield f"[{host}]" if found.family == socket.AF_INET6 else host
+                        host, port, *_ = found.getsockname()
+                        if port:  # else it is bound to none, and nothing reaches it
+                            yield f"[{host}]" if found.family == socket.AF_INET6 else host
