@@ -171,16 +171,19 @@ def test_a_flood_keeps_no_emergency_stop_waiting_and_ros_leaves_its_own_alone(
 
 
 def test_an_emergency_stop_waits_for_no_other_service(driven: RclpyPeer, watcher: Client) -> None:
-    """`release` sits down for some seconds, and joint trajectories wait for it meanwhile."""
+    """`release` sits down for some seconds before it answers."""
+    happened = events(watcher)
     driven.advertise("/hexapod/cmd_vel", Twist)
     keeps(lambda: driven.publish("/hexapod/cmd_vel", WALKING), lambda: len(running(watcher)) == 6, hz=20)
+    driven.next_where(DIAGNOSTICS, lambda each: each.status[-1].message == "drives by cmd_vel")
     with RclpyPeer() as other:
         releasing = threading.Thread(target=other.call, args=("/hexapod/release",))
         releasing.start()
-        driven.publish("/hexapod/cmd_vel", WALKING)
+        driven.next_where(DIAGNOSTICS, lambda each: each.status[-1].message == "drives; nothing moves")
         assert driven.call("/hexapod/estop")[0]
-        assert watcher.state().mode == Mode.ESTOPPED
         releasing.join()
+    both = [each.kind for each in happened.all if each.kind in (Kind.ESTOP_ENGAGED, Kind.LEASE_RELEASED)]
+    assert both == [Kind.ESTOP_ENGAGED, Kind.LEASE_RELEASED]
 
 
 # ---- trajectories

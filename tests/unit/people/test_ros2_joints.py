@@ -73,6 +73,22 @@ def test_names_that_are_not_taken(names: tuple[str, ...], why: str) -> None:
         NAMES.servos(names)
 
 
+def test_another_stacks_joint_names_are_taken_alone() -> None:
+    names = JointNames("leg{leg}_J{joint}")
+    assert names.servos(["leg6_J3", "leg6_J1", "leg6_J2"]) == (63, 61, 62)
+    assert [names.of(servo_id) for servo_id in (11, 63)] == ["leg1_J1", "leg6_J3"]
+    with pytest.raises(JointsError, match="no joint 'joint_61'; they are leg1_J1 to leg6_J3"):
+        names.servos(["joint_61", "joint_62", "joint_63"])
+
+
+@pytest.mark.parametrize(
+    "pattern", ["", "joint", "leg{leg}", "{joint}", "{leg}{joint}{}", "{leg.__class__}{joint}", "a<b"]
+)
+def test_patterns_that_do_not_name_each_joint(pattern: str) -> None:
+    with pytest.raises(JointsError, match=r"no pattern of joint names|gives two joints one name"):
+        JointNames(pattern)
+
+
 @pytest.mark.parametrize(
     ("values", "why"),
     [
