@@ -106,7 +106,7 @@ def test_an_open_graph_that_is_accepted_shows_in_diagnostics_state_and_events(ga
         with Bridge(gateway, f"tcp/127.0.0.1:{port}", router, "--open-graph", "--drive") as bridge:
             own = Received(bridge, "diagnostics", DiagnosticArray).wait(lambda _: True).status[-1]
             assert own.level == DiagnosticStatus.WARN
-            assert "whoever reaches its router can drive the robot" in own.message
+            assert "all who reach it can drive the robot" in own.message
             assert anna.state().lease.holder == "ros2 (open graph)"
         happened.wait(lambda event: event.kind == Kind.LEASE_RELEASED and event.source == "ros2 (open graph)")
 

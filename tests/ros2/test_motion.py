@@ -10,6 +10,7 @@ import pytest
 
 from gateway.client import Client
 from gateway.people.bridge.driving import Driving
+from gateway.people.ros2.joints import JointNames
 from gateway.people.ros2.messages import (
     Duration,
     Float64,
@@ -175,12 +176,13 @@ def test_a_trajectory_behind_one_that_has_just_ended_is_followed(gateway: Gatewa
     with gateway.client(source="ros2") as client:
         driving = Driving(client, "ros2", GEOMETRY, lambda _: None)
         driving.drive()
-        driving.follow(Trajectory.read(leg, GEOMETRY, time.monotonic(), time.time_ns()), lambda: not gone.is_set())
+        first, then = (Trajectory.read(leg, JointNames(), GEOMETRY, time.monotonic(), time.time_ns()) for _ in range(2))
+        driving.follow(first, lambda: not gone.is_set())
         states(watcher).wait(lambda state: state.mode == Mode.ACTIVE)
         gone.set()
         driving.check()  # with one leg nothing can sit down
         happened.wait(lambda event: event.kind == Kind.WATCHDOG_EXPIRED)
-        driving.follow(Trajectory.read(leg, GEOMETRY, time.monotonic(), time.time_ns()), lambda: True)
+        driving.follow(then, lambda: True)
         states(watcher).wait(lambda state: state.mode == Mode.ACTIVE)
         driving.close()
     assert watcher.state().mode == Mode.IDLE

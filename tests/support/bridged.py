@@ -121,7 +121,7 @@ def bridged(gateway: Gateway, *arguments: str) -> Iterator[Bridge]:
 
 def clean() -> dict[str, str]:
     """This process's environment, without what ROS would have set."""
-    return {name: value for name, value in os.environ.items() if not name.startswith("ROS_")}
+    return {name: value for name, value in os.environ.items() if not name.startswith(("ROS_", "RMW_", "FASTDDS_"))}
 
 
 def resting(**moved_rad: float) -> JointState:

@@ -31,9 +31,11 @@ class Peer:
     """The end that a test holds."""
 
     def __init__(self, endpoint: str) -> None:
-        env = os.environ | {"PYTHONPATH": str(Path(__file__).parents[2]), "GIT_PYTHON_REFRESH": "quiet"}
-        command = [sys.executable, "-m", "tests.support.ros2_peer", endpoint.rpartition(":")[2]]
-        self.child = Child(command, env)
+        self._begin("tests.support.ros2_peer", endpoint.rpartition(":")[2], {"GIT_PYTHON_REFRESH": "quiet"})
+
+    def _begin(self, module: str, argument: str, env: dict[str, str]) -> None:
+        env = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2]), **env}
+        self.child = Child([sys.executable, "-m", module, argument], env)
         self.child.wait_for_output(READY, timeout_s=30)
 
     def __enter__(self) -> Self:
@@ -142,8 +144,8 @@ def kind_of(name: str) -> type[Message]:
     return found
 
 
-def main() -> None:
-    actor = Actor(int(sys.argv[1]))
+def act(actor: object) -> None:
+    """Do what stdin says, until it ends."""
     print(READY, flush=True)
     for line in sys.stdin:
         name, *arguments = json.loads(line)
@@ -155,4 +157,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    act(Actor(int(sys.argv[1])))

@@ -1,19 +1,50 @@
 """The command line of `ros2`."""
 
+import os
 import sys
+from enum import StrEnum
 from functools import partial
+from importlib.util import find_spec
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Final
 
 import typer
 
 from gateway.people.tools.options import ConnectOption, OtherShapeOption, TimeoutOption, ZenohConfigOption
 
 app = typer.Typer()
+ZENOH_RMW: Final = "rmw_zenoh_cpp"
+
+
+class Via(StrEnum):
+    """How the bridge is in ROS 2's graph."""
+
+    ZENOH = "zenoh"
+    RCLPY = "rclpy"
+
+    @classmethod
+    def usual(cls) -> "Via":
+        """By rclpy where it is installed and another RMW than Zenoh is set; else the way that needs no ROS."""
+        other = os.environ.get("RMW_IMPLEMENTATION") not in (None, "", ZENOH_RMW)
+        return cls.RCLPY if other and find_spec("rclpy") is not None else cls.ZENOH
 
 
 @app.command()
 def ros2(
+    ros_args: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="[-- ROS_ARGS]", help="With --via rclpy, ROS 2's own: -- --ros-args -r cmd_vel:=/cmd_vel_out"
+        ),
+    ] = None,
+    via: Annotated[
+        Via | None,
+        typer.Option(
+            "--via",
+            help="zenoh: as rmw_zenoh speaks, without ROS on this machine. rclpy: by the ROS 2 that is installed, with "
+            "its RMW. Default: rclpy where it is installed and RMW_IMPLEMENTATION names another than Zenoh.",
+        ),
+    ] = None,
     router: Annotated[
         str | None,
         typer.Option(
@@ -38,6 +69,12 @@ def ros2(
             "--distro", metavar="NAME", envvar="ROS_DISTRO", help="Of the peers: jazzy, kilted, lyrical or humble."
         ),
     ] = "jazzy",
+    joint_names: Annotated[
+        str,
+        typer.Option(
+            "--joint-names", metavar="PATTERN", help="Of the joints in messages: leg{leg}_J{joint} are the Elkapod's."
+        ),
+    ] = "joint_{leg}{joint}",
     drive: Annotated[
         bool, typer.Option("--drive", help="Drive from the beginning; else the service drive must be called.")
     ] = False,
@@ -48,7 +85,7 @@ def ros2(
     open_graph: Annotated[
         bool,
         typer.Option(
-            "--open-graph", help="Start although others reach the router without certificates: they can drive."
+            "--open-graph", help="Start although others reach the graph without certificates: they can drive."
         ),
     ] = False,
     tf: Annotated[
@@ -59,15 +96,15 @@ def ros2(
     zenoh_config: ZenohConfigOption = None,
     timeout: TimeoutOption = 2.0,
 ) -> None:
-    """Put the robot into a ROS 2 graph (rmw_zenoh), without ROS on this machine.
+    """Put the robot into a ROS 2 graph: over Zenoh (rmw_zenoh) without ROS on this machine, or as a node of rclpy.
 
     It publishes joint_states, robot_description and diagnostics. It takes joint_commands, joint_trajectory, cmd_vel
     (cmd_vel_stamped), cmd_base_height, roll_setpoint, pitch_setpoint and cmd_gait_type, once somebody has called its
     service drive; it holds the lease then, until release. The service estop is for everybody, always. reset leaves an
     emergency stop that came through ROS alone while the bridge drove.
 
-    Exit codes: 0 ended on request, 2 the extra \\[ros2] is missing, or an argument or a file is wrong, 4 no gateway
-    answers, or no ROS 2 router.
+    Exit codes: 0 ended on request, 2 the extra \\[ros2] or rclpy is missing, or an argument or a file is wrong, 4 no
+    gateway answers, or no ROS 2 router.
     """
     from gateway.people.bridge import run
     from gateway.people.tools import reach
@@ -75,6 +112,8 @@ def ros2(
     sys.exit(
         run.serve(
             partial(reach.connection, connect, zenoh_config, timeout),
+            via=via or Via.usual(),
+            ros_args=ros_args or [],
             router=router,
             router_config=router_config,
             allow_reset=allow_reset,
@@ -82,6 +121,7 @@ def ros2(
             domain=domain,
             namespace=namespace,
             distribution=distribution,
+            joint_names=joint_names,
             drives=drive,
             with_tf=tf,
             geometry=geometry,

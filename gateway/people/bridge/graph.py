@@ -1,68 +1,105 @@
-"""Who reaches ROS 2's router: they all have the bridge's rights. Asked once, before the bridge serves anything.
+"""What the bridge needs of a ROS 2 graph: one node's publishers, subscriptions and services. Messages are bytes (CDR).
 
-rmw_zenohd listens on every address, without authentication, unless it is told otherwise. So three things are looked at:
-the endpoint that is dialled; the kernel's table, for a router on this machine; and what the router publishes of itself.
+Two implementations: `zenoh_graph` speaks rmw_zenoh's wire itself, `rclpy_graph` is a node of an installed ROS 2.
 """
 
-import json
-import socket
-from collections.abc import Iterator
-from contextlib import suppress
-from typing import Any, Final
+import logging
+from collections.abc import Callable, Iterable, Set
+from typing import Any, Final, NamedTuple, Protocol
 
-import zenoh
+from gateway.errors import GatewayError
+from gateway.people.client.blocking import Client
+from gateway.people.ros2.cdr import Message
+from gateway.people.ros2.messages import TriggerResponse
 
-from gateway.endpoints import host_and_port, is_local
-from gateway.errors import ConfigError
-from gateway.host.sockets import listening
-from gateway.people.client.diagnosis import demands_certificate
-from gateway.people.client.requests import Identity
+JOIN_S: Final = 1.0
 
-_ANSWER_S: Final = 1.0
-_MOST_BYTES: Final = 1_000_000
-"""Of what a router publishes of itself: some 200 bytes for each session."""
+_log: Final = logging.getLogger(__name__)
 
 
-def check_closed(endpoint: str, router: zenoh.Session, identity: Identity) -> None:
-    """Raises ConfigError where others reach the router without certificates, or where that is unknown."""
-    found = sorted({*_open_here(endpoint, identity), *_open_elsewhere(router, identity)})
-    if found:
-        raise ConfigError(
-            f"the ROS 2 router is open to the network without certificates ({', '.join(found)}), and whoever "
-            "reaches it could drive the robot: start it with "
-            "ZENOH_CONFIG_OVERRIDE='listen/endpoints=[\"tcp/localhost:7447\"]', or with certificates "
-            "(docs/ros2.md), or accept that with --open-graph"
-        )
+class Arrived(NamedTuple):
+    """One message, as it was received."""
+
+    data: bytes
+    sender: bytes
+    """The publisher's GID, 16 bytes; empty where the graph does not report it."""
+    time_ns: int
+    """When it was sent: since 1970, by the sender's clock."""
 
 
-def _open_here(endpoint: str, identity: Identity) -> Iterator[str]:
-    link, (host, port) = endpoint.partition("/")[0], host_and_port(endpoint)
-    if is_local(endpoint) and not port.isdecimal():  # a Unix socket
-        return
-    addresses = {where for where, _ in listening(int(port), socket.SOCK_STREAM)} if is_local(endpoint) else {host}
-    shown = [f"{link}/{f'[{each}]' if each.count(':') > 1 and '[' not in each else each}:{port}" for each in addresses]
-    if not shown:  # behind a forwarded port, or on a system that shows nobody who listens
-        yield f"{endpoint}: nobody sees who listens there"
-    exposed = [each for each in shown if not is_local(each)]
-    if exposed and not demands_certificate(endpoint, identity):
-        yield from exposed
+Take = Callable[[type[Message], Arrived], None]
+Present = Callable[[], Set[bytes]]
+"""Returns the GIDs of those who publish on a topic now."""
 
 
-def _open_elsewhere(router: zenoh.Session, identity: Identity) -> Iterator[str]:
-    """What the router says of itself: its other endpoints, and links to other routers."""
-    for zid in router.info.routers_zid():
-        replies: Any = router.get(f"@/{zid}/router", timeout=_ANSWER_S)
-        for reply in replies:
-            if reply.ok and len(reply.ok.payload) <= _MOST_BYTES:
-                with suppress(ValueError, TypeError, KeyError, RecursionError):  # another version's, or a peer's joke
-                    yield from _open_of(json.loads(reply.ok.payload.to_bytes()), identity)
+class Publisher(Protocol):
+    """Publishes on one topic; for one thread."""
+
+    def publish(self, message: Message) -> None:
+        """Fire and forget: without a connection the message is lost. Raises CdrError."""
 
 
-def _open_of(published: dict[str, Any], identity: Identity) -> Iterator[str]:
-    for each in published["locators"]:
-        if not is_local(each) and not demands_certificate(each, identity):
-            yield str(each)
-    for session in published["sessions"]:
-        for link in session["links"]:
-            if session["whatami"] == "router" and not is_local(link["dst"]) and not link["dst"].startswith("tls/"):
-                yield f"{link['dst']}, another router"
+class Graph(Protocol):
+    """One node, until `close`. Each subscription and service has a thread, so a slow one delays no other."""
+
+    where: str
+    """Which graph this is, for people."""
+
+    def check_closed(self) -> None:
+        """Raises ConfigError where others on the network reach the node without certificates, or may reach it."""
+
+    def check_apart(self, client: Client) -> None:
+        """Raises ConfigError where ROS peers reach the gateway itself."""
+
+    def publisher(self, topic: str, kind: type[Message], *, latched: bool = False) -> Publisher:
+        """Announce a topic; with `latched`, later subscribers receive the last message."""
+
+    def subscribe(
+        self, topic: str, kinds: tuple[type[Message], ...], most_bytes: int, take: Take, reject: Callable[[str], None]
+    ) -> None:
+        """Call `take` with the newest message, or `reject` with the reason why it cannot be read.
+
+        The graph shows the first of `kinds`; the others are taken where the graph lets one topic have several types.
+        """
+
+    def serve(self, service: str, call: Callable[[], str], *, always: bool = False) -> None:
+        """Serve a std_srvs/Trigger. `call` returns what it did, or raises GatewayError.
+
+        `always`: a message on a topic of that name calls it, too, and so does a malformed request where it arrives.
+        """
+
+    def senders(self, topic: str) -> Present:
+        """Follow who publishes on a topic, from now on."""
+
+    def close(self) -> None:
+        """Leave the graph and wait for the threads; a second call does nothing."""
+
+
+def presence(sender: bytes, present: Present) -> Callable[[], bool]:
+    """Returns whether this sender is still there; of one whose GID is not shown, whether all others are."""
+    before = frozenset(present())
+    if sender in before:
+        return lambda: sender in present()
+    return lambda: bool(before) and before <= present()
+
+
+def too_long(size: int, most: int) -> str:
+    """Why a message of `size` bytes is rejected."""
+    return f"it has {size} bytes, and at most {most} are taken"
+
+
+def attempt(call: Callable[[], str]) -> TriggerResponse:
+    """The response of a service that has done `call`."""
+    try:
+        return TriggerResponse(True, call())
+    except GatewayError as error:
+        return TriggerResponse(False, str(error).replace("\0", "�"))
+
+
+def read_each(received: Iterable[Any], take: Callable[[Any], object]) -> None:
+    """Until `received` ends. An error in one message is logged and does not end the topic, least of all a Stop's."""
+    for each in received:
+        try:
+            take(each)
+        except Exception:
+            _log.exception("a message could not be handled")

@@ -13,9 +13,10 @@ from zenoh.handlers import RingChannel
 
 from gateway.geometry import Geometry
 from gateway.people.bridge.driving import Driving
-from gateway.people.bridge.node import Node
+from gateway.people.bridge.graph import Graph
 from gateway.people.bridge.topics import Topics
 from gateway.people.recordings.commanded import CommandedJoints
+from gateway.people.ros2.joints import JointNames
 from gateway.people.ros2.messages import DiagnosticArray, DiagnosticStatus, JointState, String, TFMessage
 from gateway.people.ros2.robot import description, diagnostic_array, diagnostics, frames, joint_state, status
 from schemas import keys
@@ -29,7 +30,7 @@ SILENT_S: Final = 1.0
 DIAGNOSTICS_S: Final = 1.0
 CHANGED_S: Final = 0.1
 """Where the mode has changed, or what the bridge does: sooner."""
-OPEN: Final = "; the graph is open: whoever reaches its router can drive the robot"
+OPEN: Final = "; the graph is open: all who reach it can drive the robot"
 CHANNELS: Final[dict[str, Any]] = {
     keys.CALIBRATION: RingChannel(1),
     keys.STATE: RingChannel(1),
@@ -46,8 +47,9 @@ class Reports:
     def __init__(
         self,
         received: Mapping[str, Any],
-        node: Node,
+        graph: Graph,
         geometry: Geometry,
+        joint_names: JointNames,
         driving: Driving,
         topics: Topics,
         *,
@@ -58,16 +60,17 @@ class Reports:
         self._is_open = is_open
         self._received = received
         self._geometry = geometry
+        self._joint_names = joint_names
         self._driving = driving
         self._topics = topics
         self._joints = CommandedJoints(geometry)
         self._state: GatewayState | None = None
         self._received_s = self._diagnosed_s = 0.0
         self._diagnosed: object = None
-        self._joint_states = node.publisher("joint_states", JointState)
-        self._diagnostics = node.publisher("diagnostics", DiagnosticArray)
-        self._tf = node.publisher("/tf", TFMessage) if with_tf else None
-        node.publisher("robot_description", String, latched=True).publish(description(geometry))
+        self._joint_states = graph.publisher("joint_states", JointState)
+        self._diagnostics = graph.publisher("diagnostics", DiagnosticArray)
+        self._tf = graph.publisher("/tf", TFMessage) if with_tf else None
+        graph.publisher("robot_description", String, latched=True).publish(description(geometry, joint_names.of))
 
     def begin(self, calibration: Calibration) -> None:
         """The calibration that is in force; changes of it are published."""
@@ -85,7 +88,7 @@ class Reports:
             moved = True
         time_ns = time.time_ns()
         if moved:
-            self._joint_states.publish(joint_state(self._joints.rad, time_ns))
+            self._joint_states.publish(joint_state(self._joints.rad, time_ns, self._joint_names.of))
             if self._tf is not None:
                 self._tf.publish(frames(self._geometry, self._joints.rad, time_ns))
         sign = (self._state and self._state.mode, self._driving.does, self._topics.latest_rejection)

@@ -1,37 +1,36 @@
-"""`ros2`: the two sessions, what is between them, and the end."""
+"""`ros2`: a session to the gateway, a node in ROS 2's graph, and the way from one to the other until the end."""
 
 import threading
 import time
 from collections.abc import Callable
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack, closing, suppress
 from pathlib import Path
 from typing import Final
 
-import zenoh
-
 from gateway.errors import ConfigError, RejectedError, UnansweredError
 from gateway.geometry import load
+from gateway.people.bridge.command import Via
 from gateway.people.bridge.driving import Driving
-from gateway.people.client.requests import Identity
+from gateway.people.bridge.graph import Graph
 from gateway.people.client.subscriptions import subscribed
+from gateway.people.ros2.joints import JointNames, JointsError
 from gateway.people.ros2.messages import DISTRIBUTIONS
 from gateway.people.terminal import hint, on_end_signals, say
 from gateway.people.tools.reach import Connection
 from gateway.text import visible
-from gateway.zenoh_config import client_config, connect_endpoints
+from gateway.zenoh_config import client_config
 
 try:
-    from gateway.people.bridge.graph import check_closed
-    from gateway.people.bridge.node import Node, Senders, check_apart, open_router
     from gateway.people.bridge.reports import CHANNELS, PERIOD_S, Reports
     from gateway.people.bridge.topics import Topics
+    from gateway.people.bridge.zenoh_graph import ZenohGraph, open_router
     from gateway.people.ros2.wire import Names, WireError
 except ImportError as error:
     raise ConfigError("the ROS 2 bridge needs: pip install 'hexapod-gateway[ros2]'") from error
 
 NAME: Final = "ros2"
 OPEN_NAME: Final = "ros2 (open graph)"
-"""Where others reach the router without certificates: so the gateway's state and events name whoever drives by it."""
+"""Where others reach the graph without certificates: the gateway's state and events show it by this name."""
 ROUTER: Final = "tcp/localhost:7447"
 NODE: Final = "hexapod_gateway"
 WITHOUT_HASHES: Final = ("humble",)
@@ -41,11 +40,14 @@ WATCH_S: Final = 0.05
 def serve(
     connect: Callable[..., Connection],
     *,
+    via: Via,
+    ros_args: list[str],
     router: str | None,
     router_config: Path | None,
     domain: int,
     namespace: str,
     distribution: str,
+    joint_names: str,
     drives: bool,
     allow_reset: bool,
     open_graph: bool,
@@ -60,33 +62,32 @@ def serve(
         raise ConfigError(f"--distro {distribution} is not known; the message types are those of {_all(DISTRIBUTIONS)}")
     try:
         names = Names(domain, namespace, NODE, hashes=distribution not in WITHOUT_HASHES)
+        joints = JointNames(joint_names)
     except WireError as error:
         raise ConfigError(f"--ros-namespace: {error}") from error
+    except JointsError as error:
+        raise ConfigError(f"--joint-names: {error}") from error
     shape = load(geometry)
-    config = client_config(router or (None if router_config else ROUTER), router_config)
     ended = threading.Event()
-    with open_router(config) as session:
-        is_open = _is_open(config, session, accepted=open_graph)
+    opened = _open_rclpy if via is Via.RCLPY else _open_zenoh
+    with closing(opened(names, router, router_config, ros_args)) as graph:
+        is_open = _is_open(graph, accepted=open_graph)
         name = OPEN_NAME if is_open else NAME
         with connect(source=name)() as client, on_end_signals(ended.set), ExitStack() as at_the_end:
-            check_apart(session, client)
+            graph.check_apart(client)
             driving = Driving(client, name, shape, _show)
-            senders = Senders(session, names, "joint_trajectory")
-            at_the_end.callback(senders.close)
-            topics = Topics(driving, shape, names, senders, _show)
-            node = Node(session, names)
-            at_the_end.callback(node.close)
-            node.serve("estop", lambda: _estop(driving), always=True)
+            at_the_end.callback(graph.close)
+            topics = Topics(driving, shape, joints, graph.senders("joint_trajectory"), _show)
+            graph.serve("estop", lambda: _estop(driving), always=True)
             received = at_the_end.enter_context(subscribed(client.session, CHANNELS))
             channels = dict(zip(CHANNELS, received, strict=True))
-            reports = Reports(channels, node, shape, driving, topics, with_tf=with_tf, is_open=is_open)
+            reports = Reports(channels, graph, shape, joints, driving, topics, with_tf=with_tf, is_open=is_open)
             with suppress(UnansweredError):  # an older gateway has none
                 reports.begin(client.calibration())
-            for topic, (kind, take) in topics.table().items():
-                node.subscribe(topic, kind, take)
-            node.serve("reset", lambda: _reset(driving, of_anybody=allow_reset))
-            node.serve("drive", driving.drive)
-            node.serve("release", driving.release)
+            topics.subscribe(graph)
+            graph.serve("reset", lambda: _reset(driving, of_anybody=allow_reset))
+            graph.serve("drive", driving.drive)
+            graph.serve("release", driving.release)
             watch = threading.Thread(target=_watch, args=(ended, driving), name="watch the motion", daemon=True)
             watch.start()
             at_the_end.callback(watch.join)
@@ -94,12 +95,30 @@ def serve(
             at_the_end.callback(driving.close)  # first: what it moves is stopped before anything is waited for
             if drives:
                 _drive(driving)
-            where = ", ".join(connect_endpoints(config))
-            say(f"{names.full(NODE)} is in ROS 2's graph of {where}, domain {domain}, as {distribution}; Ctrl-C ends")
+            say(f"{names.full(NODE)} is in ROS 2's graph of {graph.where}, domain {domain}; Ctrl-C ends")
             while not ended.wait(PERIOD_S):
                 topics.turned()
                 reports.tick(time.monotonic())
     return 0
+
+
+def _open_zenoh(names: Names, router: str | None, router_config: Path | None, ros_args: list[str]) -> Graph:
+    if ros_args:
+        raise ConfigError(f"{' '.join(ros_args)}: ROS 2's own arguments are for --via rclpy")
+    config = client_config(router or (None if router_config else ROUTER), router_config)
+    return ZenohGraph(config, open_router(config), names)
+
+
+def _open_rclpy(names: Names, router: str | None, router_config: Path | None, ros_args: list[str]) -> Graph:
+    if router is not None or router_config is not None:
+        raise ConfigError("--router and --router-config are for --via zenoh")
+    try:
+        from gateway.people.bridge.rclpy_graph import RclpyGraph
+    except ImportError as error:
+        raise ConfigError(
+            f"--via rclpy needs ROS 2 for this Python: source its setup.bash, or see docs/ros2.md ({error})"
+        ) from error
+    return RclpyGraph(names, ros_args)
 
 
 def _watch(ended: threading.Event, driving: Driving) -> None:
@@ -114,11 +133,10 @@ def _drive(driving: Driving) -> None:
         hint(visible(f"--drive: {error}; the service drive tries again"))
 
 
-def _is_open(config: zenoh.Config, session: zenoh.Session, *, accepted: bool) -> bool:
-    """Whether others reach the router without certificates. Raises ConfigError unless that is accepted."""
+def _is_open(graph: Graph, *, accepted: bool) -> bool:
+    """Whether others reach the graph without certificates. Raises ConfigError unless that is accepted."""
     try:
-        for endpoint in connect_endpoints(config):
-            check_closed(endpoint, session, Identity.of(config))
+        graph.check_closed()
     except ConfigError as error:
         if not accepted:
             raise

@@ -4,20 +4,18 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable
-from typing import Final, TypeVar
-
-import zenoh
+from functools import partial
+from typing import Any, Final
 
 from gateway.geometry import Geometry
 from gateway.model.staleness import Staleness
 from gateway.people.bridge.driving import Driving, NotTakenError
+from gateway.people.bridge.graph import Arrived, Graph, Present, presence
 from gateway.people.bridge.motions import GAIT_NUMBERS
-from gateway.people.bridge.node import Senders
 from gateway.people.ros2.cdr import Message, decode
-from gateway.people.ros2.joints import check_reach, positions, servos_of
+from gateway.people.ros2.joints import JointNames, check_reach, positions
 from gateway.people.ros2.messages import Float64, Int32, JointState, JointTrajectory, Twist, TwistStamped
 from gateway.people.ros2.trajectory import Trajectory
-from gateway.people.ros2.wire import Attachment, Names, WireError
 from gateway.people.walking import Velocity
 
 MAX_BYTES: Final = 4096
@@ -27,21 +25,21 @@ MAX_TRAJECTORY_BYTES: Final = 1_000_000
 MAX_AGE_MS: Final = 500.0
 """As `limits.max_age_ms`: what a link held back for longer is not taken."""
 
-M = TypeVar("M", bound=Message)
-N = TypeVar("N", bound=Message)
+Taken = Callable[[Any, Arrived], None]
+"""Takes a message of the topic's types."""
 
 
 class Topics:
     """The topics that come in, and how many of their messages were taken, or were not."""
 
     def __init__(
-        self, driving: Driving, geometry: Geometry, names: Names, senders: Senders, show: Callable[[str], None]
+        self, driving: Driving, geometry: Geometry, joints: JointNames, present: Present, show: Callable[[str], None]
     ) -> None:
-        """`senders`: of trajectories. `show` takes lines for a person, each reason once."""
+        """`present`: who sends trajectories. `show` takes lines for a person, each reason once."""
         self._driving = driving
         self._geometry = geometry
-        self._names = names
-        self._senders = senders
+        self._joints = joints
+        self._present = present
         self._show = show
         self._lock = threading.Lock()
         self._ages = Staleness(MAX_AGE_MS)
@@ -50,24 +48,22 @@ class Topics:
         self.rejected: Counter[str] = Counter()
         self.latest_rejection = ""
 
-    def table(self) -> dict[str, tuple[type[Message], Callable[[zenoh.Sample], None]]]:
-        """Topic → its type, and what takes its samples."""
-        return {
-            "joint_commands": self._entry("joint_commands", JointState, self._joint_commands),
-            "joint_trajectory": self._entry("joint_trajectory", JointTrajectory, self._joint_trajectory),
-            "cmd_vel": self._entry("cmd_vel", Twist, self._go, TwistStamped),
-            "cmd_vel_stamped": self._entry("cmd_vel_stamped", TwistStamped, self._go, Twist),
-            "cmd_base_height": self._entry(
-                "cmd_base_height", Float64, lambda found, _: self._driving.stand(height_m=found.data)
-            ),
-            "roll_setpoint": self._entry(
-                "roll_setpoint", Float64, lambda found, _: self._driving.stand(roll_rad=found.data)
-            ),
-            "pitch_setpoint": self._entry(
-                "pitch_setpoint", Float64, lambda found, _: self._driving.stand(pitch_rad=found.data)
-            ),
-            "cmd_gait_type": self._entry("cmd_gait_type", Int32, self._gait),
+    def subscribe(self, graph: Graph) -> None:
+        """Take messages from now on; they move nothing before the bridge drives."""
+        stand = self._driving.stand
+        table: dict[str, tuple[Taken, tuple[type[Message], ...]]] = {
+            "joint_commands": (self._joint_commands, (JointState,)),
+            "joint_trajectory": (self._joint_trajectory, (JointTrajectory,)),
+            "cmd_vel": (self._go, (Twist, TwistStamped)),
+            "cmd_vel_stamped": (self._go, (TwistStamped, Twist)),
+            "cmd_base_height": (lambda found, _: stand(height_m=found.data), (Float64,)),
+            "roll_setpoint": (lambda found, _: stand(roll_rad=found.data), (Float64,)),
+            "pitch_setpoint": (lambda found, _: stand(pitch_rad=found.data), (Float64,)),
+            "cmd_gait_type": (self._gait, (Int32,)),
         }
+        for topic, (take, kinds) in table.items():
+            most = MAX_TRAJECTORY_BYTES if JointTrajectory in kinds else MAX_BYTES
+            graph.subscribe(topic, kinds, most, partial(self._take, topic, take), partial(self._reject, topic))
 
     def turned(self) -> None:
         """Ten times a second and more: else what comes after a pause of this process is held for old."""
@@ -76,23 +72,23 @@ class Topics:
 
     # ---- one for each topic
 
-    def _joint_commands(self, message: JointState, _: Attachment) -> None:
-        at_rad = positions(servos_of(message.name), message.position)
+    def _joint_commands(self, message: JointState, _: Arrived) -> None:
+        at_rad = positions(self._joints.servos(message.name), message.position)
         check_reach(self._geometry, at_rad)
         self._driving.joints(at_rad)
 
-    def _joint_trajectory(self, message: JointTrajectory, sender: Attachment) -> None:
-        is_there = self._senders.watch(sender.gid)
+    def _joint_trajectory(self, message: JointTrajectory, arrived: Arrived) -> None:
+        is_there = presence(arrived.sender, self._present)
         if not is_there():
             raise NotTakenError("its sender is not seen in the graph (any more), and could not take it back")
-        plan = Trajectory.read(message, self._geometry, time.monotonic(), time.time_ns())
+        plan = Trajectory.read(message, self._joints, self._geometry, time.monotonic(), time.time_ns())
         self._driving.follow(plan, is_there)
 
-    def _go(self, message: Twist | TwistStamped, _: Attachment) -> None:
+    def _go(self, message: Twist | TwistStamped, _: Arrived) -> None:
         twist = message.twist if isinstance(message, TwistStamped) else message
         self._driving.go(Velocity.checked(twist.linear.x, twist.linear.y, twist.angular.z))
 
-    def _gait(self, message: Int32, _: Attachment) -> None:
+    def _gait(self, message: Int32, _: Arrived) -> None:
         gait = GAIT_NUMBERS.get(message.data)
         if gait is None:
             known = ", ".join(f"{number} {name}" for number, name in GAIT_NUMBERS.items())
@@ -101,48 +97,22 @@ class Topics:
 
     # ---- all of them
 
-    def _entry(
-        self, topic: str, kind: type[M], take: Callable[[M | N, Attachment], None], also: type[N] | None = None
-    ) -> tuple[type[Message], Callable[[zenoh.Sample], None]]:
-        """The graph shows the topic as of `kind`; `also`: of this type a message is taken, too."""
+    def _take(self, topic: str, take: Taken, kind: type[Message], arrived: Arrived) -> None:
+        try:
+            self._check_age(arrived)
+            take(decode(kind, arrived.data), arrived)
+        except (NotTakenError, ValueError) as error:
+            self._reject(topic, str(error))
+        else:
+            self.taken[topic] += 1
 
-        def took(sample: zenoh.Sample) -> None:
-            try:
-                if also is not None and str(sample.key_expr) == self._names.topic_key(topic, also):
-                    take(*self._read(topic, also, sample))
-                else:
-                    take(*self._read(topic, kind, sample))
-            except (NotTakenError, ValueError) as error:
-                self._reject(topic, str(error))
-            else:
-                self.taken[topic] += 1
-
-        return kind, took
-
-    def _read(self, topic: str, kind: type[M], sample: zenoh.Sample) -> tuple[M, Attachment]:
-        """Raises WireError, CdrError, NotTakenError."""
-        key = str(sample.key_expr)
-        if key != self._names.topic_key(topic, kind):
-            raise WireError(self._other_type(key, kind))
-        size = len(sample.payload)
-        most = MAX_TRAJECTORY_BYTES if kind is JointTrajectory else MAX_BYTES
-        if size > most:
-            raise WireError(f"it has {size} bytes, and at most {most} are taken")
-        found = sample.attachment
-        attachment = Attachment.from_bytes(None if found is None else found.to_bytes())
+    def _check_age(self, arrived: Arrived) -> None:
+        """Raises NotTakenError where a link held it back."""
         with self._lock:
             now_ns = time.monotonic_ns()
-            old = self._ages.too_old(attachment.gid.hex(), attachment.time_ns / 1e6, now_ns, now_ns)
+            old = self._ages.too_old(arrived.sender.hex(), arrived.time_ns / 1e6, now_ns, now_ns)
         if old is not None:
             raise NotTakenError(old.replace("the gateway itself", "the bridge itself"))
-        return decode(kind, sample.payload.to_bytes()), attachment
-
-    def _other_type(self, key: str, kind: type[Message]) -> str:
-        *_, type_name, type_hash = key.split("/")
-        wanted = self._names.topic_key("", kind).split("/")[-2:]
-        if type_name != wanted[0]:
-            return f"it is a {type_name[:80]}, and this topic has {kind.TYPE}"
-        return f"its {kind.TYPE} has the hash {type_hash[:20]}…, and ours {wanted[1][:20]}…: another distribution?"
 
     def _reject(self, topic: str, why: str) -> None:
         self.rejected[topic] += 1

@@ -1,8 +1,9 @@
 """Joint names and radians, as controllers of ROS 2 send them, to the degrees of whole legs. Pure."""
 
 import math
+import re
 from collections.abc import Mapping, Sequence
-from typing import Final
+from typing import ClassVar, Final
 
 from gateway.geometry import Geometry, joint_name
 from schemas.robot import JOINTS, SERVO_IDS
@@ -10,32 +11,54 @@ from schemas.robot import JOINTS, SERVO_IDS
 Degrees = tuple[float, float, float]
 """Of a leg's joints 1, 2 and 3."""
 MAX_DEG: Final = 180.0
-_SERVOS: Final = {joint_name(servo_id): servo_id for servo_id in SERVO_IDS}
+_PATTERN: Final = re.compile(r"(\{leg\}|\{joint\}|[\w./-]){1,64}", re.ASCII)
 
 
 class JointsError(ValueError):
     """What a controller asks for is not possible; one sentence."""
 
 
-def servos_of(names: Sequence[str]) -> tuple[int, ...]:
-    """The servos of these joints, in any order, but of whole legs. Raises JointsError."""
-    servos = []
-    for name in names:
-        if name not in _SERVOS:
-            raise JointsError(f"there is no joint {name[:64]!r}; they are joint_11 to joint_63, leg and then joint")
-        servos.append(_SERVOS[name])
-    if not servos:
-        raise JointsError("it names no joint")
-    for servo_id in servos:
-        if servos.count(servo_id) > 1:
-            raise JointsError(f"it names {joint_name(servo_id)} twice")
-        missing = [joint for joint in JOINTS if servo_id // 10 * 10 + joint not in servos]
-        if missing:
-            leg = servo_id // 10
-            raise JointsError(
-                f"of leg {leg} it lacks {joint_name(leg * 10 + missing[0])}; a leg is commanded as a whole"
-            )
-    return tuple(servos)
+class JointNames:
+    """The joints' names in ROS messages, from a pattern: `leg{leg}_J{joint}` names the Elkapod's leg1_J1 to leg6_J3."""
+
+    OURS: ClassVar = "joint_{leg}{joint}"
+    """As in the URDF."""
+
+    def __init__(self, pattern: str = OURS) -> None:
+        """Raises JointsError where the pattern does not give each joint a name of its own."""
+        if not _PATTERN.fullmatch(pattern):
+            raise JointsError(f"{pattern[:80]!r} is no pattern of joint names, such as leg{{leg}}_J{{joint}}")
+        self._names = {
+            servo_id: pattern.replace("{leg}", str(servo_id // 10)).replace("{joint}", str(servo_id % 10))
+            for servo_id in SERVO_IDS
+        }
+        self._servos = {name: servo_id for servo_id, name in self._names.items()}
+        if len(self._servos) < len(SERVO_IDS):
+            raise JointsError(f"{pattern!r} gives two joints one name: it needs {{leg}} and {{joint}}")
+
+    def of(self, servo_id: int) -> str:
+        """The name of a servo's joint."""
+        return self._names[servo_id]
+
+    def servos(self, names: Sequence[str]) -> tuple[int, ...]:
+        """The servos of these joints, in any order, but of whole legs. Raises JointsError."""
+        servos = []
+        for name in names:
+            if name not in self._servos:
+                first, *_, last = self._servos
+                raise JointsError(f"there is no joint {name[:64]!r}; they are {first} to {last}, leg and then joint")
+            servos.append(self._servos[name])
+        if not servos:
+            raise JointsError("it names no joint")
+        for servo_id in servos:
+            if servos.count(servo_id) > 1:
+                raise JointsError(f"it names {self.of(servo_id)} twice")
+            missing = [joint for joint in JOINTS if servo_id // 10 * 10 + joint not in servos]
+            if missing:
+                leg = servo_id // 10
+                lacks = self.of(leg * 10 + missing[0])
+                raise JointsError(f"of leg {leg} it lacks {lacks}; a leg is commanded as a whole")
+        return tuple(servos)
 
 
 def positions(servos: Sequence[int], positions_rad: Sequence[float]) -> dict[int, float]:

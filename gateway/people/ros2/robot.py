@@ -1,6 +1,6 @@
 """This robot in ROS 2's messages: what it publishes of itself."""
 
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from typing import Final
 
 from gateway.geometry import Geometry, joint_name, transforms, urdf
@@ -43,12 +43,14 @@ def stamp(time_ns: int) -> Time:
     return Time(min(sec, 2**31 - 1), nanosec)
 
 
-def joint_state(joints_rad: Mapping[int, float], time_ns: int) -> JointState:
+def joint_state(
+    joints_rad: Mapping[int, float], time_ns: int, name_of: Callable[[int], str] = joint_name
+) -> JointState:
     """The joints that are known, by their servos' numbers."""
     known = [servo_id for servo_id in SERVO_IDS if servo_id in joints_rad]
     return JointState(
         Header(stamp(time_ns)),
-        tuple(map(joint_name, known)),
+        tuple(map(name_of, known)),
         tuple(joints_rad[servo_id] for servo_id in known),
     )
 
@@ -94,9 +96,12 @@ def servos_off(servos: Collection[int], time_ns: int) -> MarkerArray:
     return MarkerArray(tuple(marks))
 
 
-def description(geometry: Geometry) -> String:
+def description(geometry: Geometry, name_of: Callable[[int], str] = joint_name) -> String:
     """The URDF, whose joints are those of `joint_state`."""
-    return String(urdf(geometry))
+    text = urdf(geometry)
+    for servo_id in SERVO_IDS:
+        text = text.replace(f'name="{joint_name(servo_id)}"', f'name="{name_of(servo_id)}"')
+    return String(text)
 
 
 def diagnostics(state: GatewayState) -> tuple[DiagnosticStatus, ...]:

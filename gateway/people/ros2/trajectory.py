@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping
 from typing import Final, NamedTuple, Self
 
 from gateway.geometry import MAX_SPEED_DEG_S, Geometry, joint_name
-from gateway.people.ros2.joints import JointsError, check_reach, of_joints, positions, servos_of
+from gateway.people.ros2.joints import JointNames, JointsError, check_reach, of_joints, positions
 from gateway.people.ros2.messages import Duration, JointTrajectory
 
 MAX_POINTS: Final = 2000
@@ -49,9 +49,11 @@ class Trajectory:
         self._from = points[0]
 
     @classmethod
-    def read(cls, message: JointTrajectory, geometry: Geometry, now_s: float, since_1970_ns: int) -> Self:
+    def read(
+        cls, message: JointTrajectory, names: JointNames, geometry: Geometry, now_s: float, since_1970_ns: int
+    ) -> Self:
         """`now_s` is now by the clock of `at`, `since_1970_ns` by that of stamps. Raises JointsError."""
-        servos = servos_of(message.joint_names)
+        servos = names.servos(message.joint_names)
         if not message.points:
             raise JointsError("it has no points")
         if len(message.points) > MAX_POINTS:

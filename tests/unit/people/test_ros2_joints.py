@@ -10,12 +10,13 @@ from hypothesis import event, given
 from hypothesis import strategies as st
 
 from gateway.geometry import joint_name, load
-from gateway.people.ros2.joints import JointsError, check_reach, legs_deg, positions, servos_of
+from gateway.people.ros2.joints import JointNames, JointsError, check_reach, legs_deg, positions
 from gateway.people.ros2.messages import Duration, Header, JointTrajectory, JointTrajectoryPoint, Time
 from gateway.people.ros2.trajectory import MAX_POINTS, MAX_RAD_S, Trajectory
 from schemas.robot import SERVO_IDS
 
 GEOMETRY = load()
+NAMES = JointNames()
 NOW_NS = 1_000_000 * 10**9
 NOW_S = 50.0
 LEG = ("joint_11", "joint_12", "joint_13")
@@ -40,7 +41,7 @@ def trajectory(*points: JointTrajectoryPoint, begins_s: float | None = None) -> 
 
 
 def read(message: JointTrajectory) -> Trajectory:
-    return Trajectory.read(message, GEOMETRY, NOW_S, NOW_NS)
+    return Trajectory.read(message, NAMES, GEOMETRY, NOW_S, NOW_NS)
 
 
 # ---- joints
@@ -50,7 +51,7 @@ def read(message: JointTrajectory) -> Trajectory:
 def test_joints_in_any_order_are_the_same_legs(order: list[int], away: int) -> None:
     order = [servo_id for servo_id in order if servo_id // 10 > away]
     at_rad = {servo_id: GEOMETRY.joint_rad(servo_id, 90 + servo_id / 10) for servo_id in order}
-    read_rad = positions(servos_of([joint_name(servo_id) for servo_id in order]), [at_rad[each] for each in order])
+    read_rad = positions(NAMES.servos([joint_name(servo_id) for servo_id in order]), [at_rad[each] for each in order])
     assert read_rad == at_rad
     for leg, angles in legs_deg(GEOMETRY, read_rad).items():
         assert angles == pytest.approx(tuple(90 + (10 * leg + joint) / 10 for joint in (1, 2, 3)))
@@ -69,7 +70,23 @@ def test_joints_in_any_order_are_the_same_legs(order: list[int], away: int) -> N
 )
 def test_names_that_are_not_taken(names: tuple[str, ...], why: str) -> None:
     with pytest.raises(JointsError, match=why):
-        servos_of(names)
+        NAMES.servos(names)
+
+
+def test_another_stacks_joint_names_are_taken_alone() -> None:
+    names = JointNames("leg{leg}_J{joint}")
+    assert names.servos(["leg6_J3", "leg6_J1", "leg6_J2"]) == (63, 61, 62)
+    assert [names.of(servo_id) for servo_id in (11, 63)] == ["leg1_J1", "leg6_J3"]
+    with pytest.raises(JointsError, match="no joint 'joint_61'; they are leg1_J1 to leg6_J3"):
+        names.servos(["joint_61", "joint_62", "joint_63"])
+
+
+@pytest.mark.parametrize(
+    "pattern", ["", "joint", "leg{leg}", "{joint}", "{leg}{joint}{}", "{leg.__class__}{joint}", "a<b"]
+)
+def test_patterns_that_do_not_name_each_joint(pattern: str) -> None:
+    with pytest.raises(JointsError, match=r"no pattern of joint names|gives two joints one name"):
+        JointNames(pattern)
 
 
 @pytest.mark.parametrize(

@@ -8,6 +8,7 @@ import pytest
 from gateway.geometry import foot_m, load
 from gateway.geometry.kinematics import Quaternion, Vector, plus, rotated, times
 from gateway.people.ros2.cdr import decode, encode
+from gateway.people.ros2.joints import JointNames
 from gateway.people.ros2.messages import DiagnosticArray, DiagnosticStatus, JointState, Time
 from gateway.people.ros2.robot import description, diagnostic_array, diagnostics, frames, joint_state, stamp, status
 from schemas.robot import SERVO_IDS
@@ -53,6 +54,14 @@ def test_joint_states_are_in_the_order_of_the_urdf_and_leave_out_what_is_not_kno
     places = [text.index(f'<joint name="joint_{servo_id}"') for servo_id in SERVO_IDS]
     assert places == sorted(places)
     assert joint_state({}, NOW_NS) == JointState(found.header)
+
+
+def test_other_joint_names_are_those_of_the_urdf_too() -> None:
+    names = JointNames("leg{leg}_J{joint}")
+    assert joint_state({11: 0.25}, NOW_NS, names.of).name == ("leg1_J1",)
+    text = description(GEOMETRY, names.of).data
+    assert all(f'<joint name="{names.of(servo_id)}"' in text for servo_id in SERVO_IDS)
+    assert "joint_11" not in text
 
 
 def test_frames_lead_to_the_feet() -> None:

@@ -1,14 +1,13 @@
-"""The ROS side: one node of the graph over one Zenoh session, its publishers, subscribers and services.
+"""A ROS 2 graph over one Zenoh session, as rmw_zenoh speaks, without ROS.
 
-What comes in waits in rings that keep the newest, and a thread for each reads them: a flood on one topic costs what it
-overwrites, and nobody else anything.
+Received messages wait in rings that keep the newest, and each ring has a thread that reads it: so a flood on one topic
+delays no other.
 """
 
 import itertools
-import logging
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Set
 from contextlib import suppress
 from typing import Any, Final
 
@@ -16,10 +15,13 @@ import zenoh
 from zenoh import ext
 from zenoh.handlers import RingChannel
 
-from gateway.errors import ConfigError, GatewayError, ZenohError
+from gateway.errors import ConfigError, ZenohError
+from gateway.people.bridge.graph import JOIN_S, Arrived, Present, Take, attempt, read_each, too_long
+from gateway.people.bridge.router_access import check_closed
 from gateway.people.client.blocking import Client
+from gateway.people.client.requests import Identity
 from gateway.people.ros2.cdr import Message, encode
-from gateway.people.ros2.messages import TRIGGER_HASH, TRIGGER_TYPE, TriggerResponse
+from gateway.people.ros2.messages import TRIGGER_HASH, TRIGGER_TYPE
 from gateway.people.ros2.wire import (
     PUBLISHES,
     QOS,
@@ -34,7 +36,6 @@ from gateway.people.ros2.wire import (
 from gateway.zenoh_config import connect_endpoints, one_line
 from schemas.keys import STATE
 
-JOIN_S: Final = 1.0
 _QUERIES: Final = 16
 """Calls of one service that wait; of more, the oldest have no answer. An emergency stop is engaged all the same."""
 _APART_S: Final = 1.0
@@ -43,8 +44,6 @@ _NO_ROS_PEER: Final = (
     'needs another port, such as zenoh.listen = ["tcp/127.0.0.1:7448"]'
 )
 _NOBODY: Final = bytes(16)
-
-_log: Final = logging.getLogger(__name__)
 
 
 def open_router(config: zenoh.Config) -> zenoh.Session:
@@ -63,20 +62,6 @@ def open_router(config: zenoh.Config) -> zenoh.Session:
     return session
 
 
-def check_apart(router: zenoh.Session, client: Client) -> None:
-    """Raises ConfigError where ROS peers reach the gateway itself.
-
-    Its Zenoh id decides, which no ROS peer knows: anybody can declare the token of a gateway.
-    """
-    client.state()
-    gateway = client.answerers(STATE)
-    replies: Any = router.get(f"**/{STATE}", timeout=_APART_S, target=zenoh.QueryTarget.ALL)
-    there = {str(reply.replier_id.zid) for reply in replies if reply.replier_id is not None}
-    same = {str(zid) for zid in router.info.routers_zid()} & {str(zid) for zid in client.session.info.routers_zid()}
-    if same or gateway & there:
-        raise ConfigError(f"--router leads to the gateway{_NO_ROS_PEER}")
-
-
 class Publisher:
     """Puts messages of one topic; for one thread."""
 
@@ -92,21 +77,38 @@ class Publisher:
             self._publisher.put(encode(message), attachment=attachment.to_bytes())
 
 
-class Node:
-    """One node, until `close`."""
+class ZenohGraph:
+    """See Graph. Closes the session, too."""
 
-    def __init__(self, session: zenoh.Session, names: Names) -> None:
-        self.names = names
+    def __init__(self, config: zenoh.Config, session: zenoh.Session, names: Names) -> None:
+        self.where = ", ".join(connect_endpoints(config))
+        self._names = names
+        self._config = config
         self._session = session
         self._zid = str(session.info.zid())
         self._numbers = itertools.count(1)
         self._declared: list[Any] = [session.liveliness().declare_token(names.node_token(self._zid))]
         self._threads: list[threading.Thread] = []
 
+    def check_closed(self) -> None:
+        """See Graph: who reaches ROS 2's router."""
+        for endpoint in connect_endpoints(self._config):
+            check_closed(endpoint, self._session, Identity.of(self._config))
+
+    def check_apart(self, client: Client) -> None:
+        """See Graph. The gateway's Zenoh id decides, which no ROS peer knows: anybody can declare its token."""
+        client.state()
+        gateway = client.answerers(STATE)
+        replies: Any = self._session.get(f"**/{STATE}", timeout=_APART_S, target=zenoh.QueryTarget.ALL)
+        there = {str(reply.replier_id.zid) for reply in replies if reply.replier_id is not None}
+        ours, theirs = self._session.info.routers_zid(), client.session.info.routers_zid()
+        if {str(zid) for zid in ours} & {str(zid) for zid in theirs} or gateway & there:
+            raise ConfigError(f"--router leads to the gateway{_NO_ROS_PEER}")
+
     def publisher(self, topic: str, kind: type[Message], *, latched: bool = False) -> Publisher:
-        """A topic of ours; `latched`: who comes later is given the last message."""
+        """See Graph."""
         token = self._show(PUBLISHES, topic, kind.TYPE, kind.HASH, QOS_LATCHED if latched else QOS)
-        key = self.names.topic_key(topic, kind)
+        key = self._names.topic_key(topic, kind)
         drop = zenoh.CongestionControl.DROP
         if latched:
             found: Any = ext.declare_advanced_publisher(
@@ -121,33 +123,64 @@ class Node:
         self._declared.append(found)
         return Publisher(found, gid_of(token))
 
-    def subscribe(self, topic: str, kind: type[Message], take: Callable[[zenoh.Sample], None]) -> None:
-        """A topic that comes in, whichever type its publishers take it for: `take` gets the newest, on a thread."""
-        self._show(SUBSCRIBES, topic, kind.TYPE, kind.HASH, QOS)
-        self._listen(self.names.any_type(topic), topic, take)
+    def subscribe(
+        self, topic: str, kinds: tuple[type[Message], ...], most_bytes: int, take: Take, reject: Callable[[str], None]
+    ) -> None:
+        """See Graph. Messages of any type arrive, so that one of another type, or hash, is rejected in words."""
+        by_key = {self._names.topic_key(topic, kind): kind for kind in kinds}
+
+        def received(sample: zenoh.Sample) -> None:
+            key, attachment = str(sample.key_expr), sample.attachment
+            try:
+                if key not in by_key:
+                    raise WireError(self._other_type(key, kinds[0]))
+                if len(sample.payload) > most_bytes:
+                    raise WireError(too_long(len(sample.payload), most_bytes))
+                sent = Attachment.from_bytes(None if attachment is None else attachment.to_bytes())
+            except WireError as error:
+                reject(str(error))
+            else:
+                take(by_key[key], Arrived(sample.payload.to_bytes(), sent.gid, sent.time_ns))
+
+        self._show(SUBSCRIBES, topic, kinds[0].TYPE, kinds[0].HASH, QOS)
+        self._listen(self._names.any_type(topic), topic, received)
 
     def serve(self, service: str, call: Callable[[], str], *, always: bool = False) -> None:
-        """A std_srvs/Trigger; `call` returns what it did, or raises GatewayError, on a thread.
-
-        `always`: any call is taken, whatever its type and hash and without an attachment, and any message on a topic of
-        that name, too.
-        """
+        """See Graph. `always`: any request is taken, whatever its type and hash and without an attachment."""
         self._show(SERVES, service, TRIGGER_TYPE, TRIGGER_HASH, QOS)
-        exact = self.names.key(service, TRIGGER_TYPE, TRIGGER_HASH)
-        key = self.names.any_type(service) if always else exact
+        exact = self._names.key(service, TRIGGER_TYPE, TRIGGER_HASH)
+        key = self._names.any_type(service) if always else exact
         queryable: Any = self._session.declare_queryable(key, RingChannel(_QUERIES), complete=True)
         self._declared.append(queryable)
         self._start(f"serve {service}", queryable.handler, lambda query: _answer(query, call, always=always))
         if always:
-            self._listen(key, service, lambda _: _try(call))
+            self._listen(key, service, lambda _: attempt(call))
+
+    def senders(self, topic: str) -> Present:
+        """See Graph: by the tokens of the graph."""
+        senders = _Senders()
+        found: Any = self._session.liveliness().declare_subscriber(
+            self._names.publishers(topic), senders.change, history=True
+        )
+        self._declared.append(found)
+        return senders.present
 
     def close(self) -> None:
-        """Undeclare all, and wait for the threads."""
-        for each in self._declared:
+        """See Graph."""
+        declared, self._declared = self._declared, []
+        for each in declared:
             with suppress(zenoh.ZError):
                 each.undeclare()
         for thread in self._threads:
             thread.join(JOIN_S)
+        self._session.close()
+
+    def _other_type(self, key: str, kind: type[Message]) -> str:
+        *_, type_name, type_hash = key.split("/")
+        *_, wanted_name, wanted_hash = self._names.topic_key("", kind).split("/")
+        if type_name != wanted_name:
+            return f"it is a {type_name[:80]}, and this topic has {kind.TYPE}"
+        return f"its {kind.TYPE} has the hash {type_hash[:20]}…, and ours {wanted_hash[:20]}…: another distribution?"
 
     def _listen(self, key: str, name: str, take: Callable[[zenoh.Sample], object]) -> None:
         subscriber: Any = self._session.declare_subscriber(key, RingChannel(1))
@@ -155,51 +188,33 @@ class Node:
         self._start(f"receive {name}", subscriber.handler, take)
 
     def _start(self, name: str, handler: Any, take: Callable[[Any], object]) -> None:
-        thread = threading.Thread(target=_read, args=(handler, take), name=name, daemon=True)
+        thread = threading.Thread(target=read_each, args=(handler, take), name=name, daemon=True)
         self._threads.append(thread)
         thread.start()
 
     def _show(self, kind: str, name: str, type_name: str, type_hash: str, qos: str) -> str:
-        token = self.names.token(self._zid, next(self._numbers), kind, name, type_name, type_hash, qos)
+        token = self._names.token(self._zid, next(self._numbers), kind, name, type_name, type_hash, qos)
         self._declared.append(self._session.liveliness().declare_token(token))
         return token
 
 
-class Senders:
-    """Who publishes on a topic now, by the tokens of the graph."""
+class _Senders:
+    """Who publishes on a topic now."""
 
-    def __init__(self, session: zenoh.Session, names: Names, topic: str) -> None:
+    def __init__(self) -> None:
         self._tokens: dict[str, bytes] = {}
-        self._subscriber: Any = session.liveliness().declare_subscriber(
-            names.publishers(topic), self._change, history=True
-        )
 
-    def watch(self, gid: bytes) -> Callable[[], bool]:
-        """Tells whether this sender is still there; of one that shows no token of its own, whether all are."""
-        if gid in self._tokens.values():
-            return lambda: gid in self._tokens.values()
-        present = self._tokens.keys()
-        return lambda: bool(present) and present <= self._tokens.keys()
+    def present(self) -> Set[bytes]:
+        """The GIDs of their tokens."""
+        return frozenset(self._tokens.values())
 
-    def close(self) -> None:
-        """End the subscriptions and the thread."""
-        with suppress(zenoh.ZError):
-            self._subscriber.undeclare()
-
-    def _change(self, sample: zenoh.Sample) -> None:
+    def change(self, sample: zenoh.Sample) -> None:
+        """A token came, or went."""
         token = str(sample.key_expr)
         tokens = {**self._tokens, token: gid_of(token)}
         if sample.kind == zenoh.SampleKind.DELETE:
             del tokens[token]
         self._tokens = tokens  # replaced, never changed: others read it
-
-
-def _read(handler: Any, take: Callable[[Any], object]) -> None:
-    for each in handler:
-        try:
-            take(each)
-        except Exception:
-            _log.exception("a message could not be handled")
 
 
 def _answer(query: zenoh.Query, call: Callable[[], str], *, always: bool) -> None:
@@ -215,14 +230,7 @@ def _answer(query: zenoh.Query, call: Callable[[], str], *, always: bool) -> Non
                 query.reply_err(str(error))
             return
         asked = Attachment(0, time.time_ns(), _NOBODY)
-    response = _try(call)
+    response = attempt(call)
     answer = Attachment(asked.number, time.time_ns(), asked.gid)
     with suppress(zenoh.ZError), query:
         query.reply(query.key_expr, encode(response), attachment=answer.to_bytes())
-
-
-def _try(call: Callable[[], str]) -> TriggerResponse:
-    try:
-        return TriggerResponse(True, call())
-    except GatewayError as error:
-        return TriggerResponse(False, str(error).replace("\0", "�"))

@@ -1,0 +1,245 @@
+"""A ROS 2 graph by an installed ROS 2: a node of rclpy, over whatever RMW is set (FastDDS, CycloneDDS, …).
+
+Messages stay bytes: rclpy passes them on as they are serialised. Its executor only hands over what it receives. So a
+flood on one topic delays no other, and a service that waits delays no emergency stop.
+"""
+
+import logging
+import os
+import socket
+import threading
+from collections import deque
+from collections.abc import Callable, Iterator, Set
+from contextlib import suppress
+from importlib import import_module
+from pathlib import Path
+from typing import Any, Final
+
+import rclpy
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+from rclpy.executors import MultiThreadedExecutor
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.signals import SignalHandlerOptions
+
+from gateway.endpoints import is_local
+from gateway.errors import ConfigError
+from gateway.people.bridge.graph import JOIN_S, Arrived, Present, Publisher, Take, attempt, read_each, too_long
+from gateway.people.client.blocking import Client
+from gateway.people.ros2.cdr import Message, encode
+from gateway.people.ros2.messages import TRIGGER_TYPE, JointState, Twist, TwistStamped
+from gateway.people.ros2.wire import Names
+
+_GID_BYTES: Final = 16
+"""Of the GID's bytes that have a meaning; before Jazzy there are 24."""
+_THREADS: Final = 6
+"""One for each service, and two that hand over messages."""
+_SPIN_S: Final = 0.5
+_ANY_MESSAGE: Final = "std_msgs/msg/Empty"
+_STREAMS: Final = (JointState, Twist, TwistStamped)
+"""Sensor data: received best effort, which matches every publisher, and repeats nothing that a link has lost."""
+
+_log: Final = logging.getLogger(__name__)
+
+
+class RclpyGraph:
+    """See Graph."""
+
+    def __init__(self, names: Names, ros_args: list[str]) -> None:
+        """`ros_args` are ROS's own, such as `--ros-args -r cmd_vel:=/cmd_vel_out`. Raises ConfigError."""
+        self._context = rclpy.Context()
+        self._closed = threading.Event()
+        self._rings: list[_Newest] = []
+        self._threads: list[threading.Thread] = []
+        try:
+            rclpy.init(
+                args=["hexapod-gateway", *ros_args],
+                context=self._context,
+                domain_id=names.domain,
+                signal_handler_options=SignalHandlerOptions.NO,
+            )
+            rmw = rclpy.get_rmw_implementation_identifier()
+            if "zenoh" in rmw:
+                raise ConfigError(f"with {rmw}, take --via zenoh: it looks who reaches ROS 2's router")
+            self._node = rclpy.create_node(
+                names.node,
+                namespace=names.namespace,
+                context=self._context,
+                enable_rosout=False,
+                start_parameter_services=False,
+            )
+        except RuntimeError as error:  # an argument that rcl does not know, or no such RMW
+            raise ConfigError(f"ROS 2 does not start: {str(error).partition(', at ')[0]}") from error
+        self.where = rmw
+        self._executor = MultiThreadedExecutor(_THREADS, context=self._context)
+        self._executor.add_node(self._node)
+        self._start("ROS 2", self._spin)
+
+    def check_closed(self) -> None:
+        """See Graph: which addresses the sockets of this process have, and so whether DDS leaves this machine.
+
+        Neither ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST nor a firewall counts: with the former, FastDDS's sockets are
+        still open to who knows their port.
+        """
+        found = sorted({address for address in _own_addresses() if not is_local(f"udp/{address}:1")})
+        if found:
+            raise ConfigError(
+                f"ROS 2's graph is open to the network ({self.where} has sockets on {', '.join(found)}), and all who "
+                "reach it could drive the robot: keep it on this machine by "
+                "FASTDDS_DEFAULT_PROFILES_FILE=examples/ros2/this_machine.xml (docs/ros2.md), or accept that with "
+                "--open-graph"
+            )
+
+    def check_apart(self, client: Client) -> None:
+        """See Graph. The gateway speaks no DDS."""
+
+    def publisher(self, topic: str, kind: type[Message], *, latched: bool = False) -> Publisher:
+        """See Graph."""
+        qos = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL) if latched else QoSProfile(depth=10)
+        return _RclpyPublisher(self._node.create_publisher(_ros_type(kind.TYPE), topic, qos))
+
+    def subscribe(
+        self, topic: str, kinds: tuple[type[Message], ...], most_bytes: int, take: Take, reject: Callable[[str], None]
+    ) -> None:
+        """See Graph. DDS lets a topic have one type: the first."""
+
+        def received(message: tuple[bytes, dict[str, Any]]) -> None:
+            data, info = message
+            if len(data) > most_bytes:
+                reject(too_long(len(data), most_bytes))
+            else:
+                take(kinds[0], Arrived(data, _gid(info), info["source_timestamp"]))
+
+        self._listen(topic, kinds[0].TYPE, received, is_stream=kinds[0] in _STREAMS)
+
+    def serve(self, service: str, call: Callable[[], str], *, always: bool = False) -> None:
+        """See Graph. `always`: a message on a topic of that name is a std_msgs/Empty."""
+
+        def answer(_: Any, response: Any) -> Any:
+            found = attempt(call)
+            response.success, response.message = found.success, found.message
+            return response
+
+        group = MutuallyExclusiveCallbackGroup()
+        self._node.create_service(_ros_type(TRIGGER_TYPE), service, answer, callback_group=group)
+        if always:
+            self._listen(service, _ANY_MESSAGE, lambda _: attempt(call))
+
+    def senders(self, topic: str) -> Present:
+        """See Graph."""
+
+        def present() -> Set[bytes]:
+            try:
+                found = self._node.get_publishers_info_by_topic(topic)
+            except RuntimeError:  # the context is shut down: then nobody is seen
+                return frozenset()
+            return frozenset(bytes(each.endpoint_gid[:_GID_BYTES]) for each in found)
+
+        return present
+
+    def close(self) -> None:
+        """See Graph."""
+        if self._closed.is_set():
+            return
+        self._closed.set()
+        self._executor.wake()
+        for ring in self._rings:
+            ring.close()
+        for thread in self._threads:
+            thread.join(JOIN_S)
+        self._executor.shutdown(JOIN_S)
+        self._node.destroy_node()
+        self._context.try_shutdown()
+
+    def _listen(self, topic: str, type_name: str, take: Callable[[Any], object], *, is_stream: bool = False) -> None:
+        ring = _Newest()
+        self._rings.append(ring)
+
+        def hand_over(data: bytes, info: dict[str, Any]) -> None:
+            ring.put((data, info))
+
+        reliability = ReliabilityPolicy.BEST_EFFORT if is_stream else ReliabilityPolicy.RELIABLE
+        qos = QoSProfile(depth=1, reliability=reliability)
+        group = MutuallyExclusiveCallbackGroup()
+        self._node.create_subscription(_ros_type(type_name), topic, hand_over, qos, callback_group=group, raw=True)
+        self._start(f"receive {topic}", lambda: read_each(ring, take))
+
+    def _start(self, name: str, work: Callable[[], None]) -> None:
+        thread = threading.Thread(target=work, name=name, daemon=True)
+        self._threads.append(thread)
+        thread.start()
+
+    def _spin(self) -> None:
+        while not self._closed.is_set():
+            try:
+                self._executor.spin_once(_SPIN_S)
+            except Exception:  # of one callback: the others go on, least of all does the emergency stop end
+                _log.exception("a call could not be handled")
+
+
+class _RclpyPublisher:
+    def __init__(self, publisher: Any) -> None:
+        self._publisher = publisher
+
+    def publish(self, message: Message) -> None:
+        data = encode(message)
+        with suppress(RuntimeError):
+            self._publisher.publish(data)
+
+
+class _Newest:
+    """Keeps the newest message; iterating waits for the next one, until `close`."""
+
+    def __init__(self) -> None:
+        self._kept: deque[Any] = deque(maxlen=1)
+        self._changed = threading.Condition()
+        self._closed = False
+
+    def put(self, message: Any) -> None:
+        with self._changed:
+            self._kept.append(message)
+            self._changed.notify()
+
+    def close(self) -> None:
+        with self._changed:
+            self._closed = True
+            self._changed.notify()
+
+    def __iter__(self) -> Iterator[Any]:
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._kept or self._closed)
+                if self._closed:
+                    return
+                message = self._kept.pop()
+            yield message
+
+
+def _ros_type(type_name: str) -> Any:
+    """`std_msgs/msg/String` → rclpy's class. Raises ConfigError where its package is not installed."""
+    package, kind, name = type_name.split("/")
+    try:
+        return getattr(import_module(f"{package}.{kind}"), name)
+    except ImportError as error:
+        raise ConfigError(f"this ROS 2 has no {package}: {error}") from error
+
+
+def _gid(info: dict[str, Any]) -> bytes:
+    """The sender's; rclpy before Kilted does not report it."""
+    found = info.get("publisher_gid")
+    return bytes(found["data"][:_GID_BYTES]) if found else b""
+
+
+def _own_addresses() -> Iterator[str]:
+    """The addresses of this process's sockets. Raises ConfigError where the system does not show its sockets."""
+    try:
+        names = os.listdir("/proc/self/fd")
+    except OSError as error:
+        raise ConfigError(f"this system does not show which sockets are open: {error}") from error
+    for name in names:
+        with suppress(OSError):  # closed meanwhile
+            if Path("/proc/self/fd", name).readlink().name.startswith("socket:"):
+                with socket.socket(fileno=os.dup(int(name))) as found:
+                    if found.family in (socket.AF_INET, socket.AF_INET6):
+                        host, port, *_ = found.getsockname()
+                        if port:  # else it is bound to none, and nothing reaches it
+                            yield f"[{host}]" if found.family == socket.AF_INET6 else host

@@ -1,0 +1,270 @@
+"""The bridge as a node of rclpy, with a real ROS 2 peer over FastDDS. How it moves: test_motion, by the other way."""
+
+import itertools
+import math
+import sys
+import threading
+from collections.abc import Iterator
+
+import pytest
+
+from gateway.client import Client
+from gateway.people.ros2.messages import (
+    DiagnosticArray,
+    JointState,
+    JointTrajectory,
+    String,
+    Twist,
+    Vector3,
+)
+from schemas.telemetry import Kind, Mode
+from tests.ros2.test_motion import plan
+from tests.support.bridged import GEOMETRY, LONG_S, RESTS_DEG, clean, commanded, keeps, resting
+from tests.support.child import Child
+from tests.support.gateway_process import COMMAND, Gateway
+from tests.support.heard import events, frames, running, states
+from tests.support.rclpy_peer import DOMAIN, ENV, PROFILE, RclpyBridge, RclpyPeer, needs_rclpy
+
+pytestmark = needs_rclpy
+COMMANDS = "/hexapod/joint_commands"
+DIAGNOSTICS = "/hexapod/diagnostics"
+WALKING = Twist(Vector3(0.05))
+
+
+@pytest.fixture(scope="module")
+def rclpy_bridge(gateway: Gateway) -> Iterator[RclpyBridge]:
+    """RMW_IMPLEMENTATION names FastDDS, so this way is the default."""
+    with RclpyBridge(gateway) as running_one:
+        assert "graph of rmw_fastrtps_cpp" in running_one.child.stdout
+        yield running_one
+
+
+@pytest.fixture(scope="module")
+def one_peer(rclpy_bridge: RclpyBridge) -> Iterator[RclpyPeer]:
+    del rclpy_bridge
+    with RclpyPeer() as running_one:
+        running_one.subscribe(DIAGNOSTICS, DiagnosticArray)
+        running_one.advertise(COMMANDS, JointState)
+        yield running_one
+
+
+@pytest.fixture
+def peer(one_peer: RclpyPeer, watcher: Client) -> Iterator[RclpyPeer]:
+    """Beside a bridge that does not drive, whatever the test before has left."""
+    yield one_peer
+    watcher.reset()
+    one_peer.call("/hexapod/release")
+
+
+@pytest.fixture
+def driven(peer: RclpyPeer) -> RclpyPeer:
+    assert peer.call("/hexapod/drive") == (True, "drives as ros2")
+    return peer
+
+
+def rejections(array: DiagnosticArray) -> str:
+    return next((each.value for each in array.status[-1].values if each.key == "latest_rejection"), "")
+
+
+def test_ros_itself_sees_its_topics_and_services(peer: RclpyPeer) -> None:
+    graph = peer.graph()
+    found = {name: types for name, types in graph.items() if name.startswith("/hexapod/") and "parameter" not in name}
+    assert {name.rpartition("/")[2]: kind for name, [kind] in found.items() if "type_description" not in name} == {
+        "joint_states": "sensor_msgs/msg/JointState",
+        "robot_description": "std_msgs/msg/String",
+        "diagnostics": "diagnostic_msgs/msg/DiagnosticArray",
+        "joint_commands": "sensor_msgs/msg/JointState",
+        "joint_trajectory": "trajectory_msgs/msg/JointTrajectory",
+        "cmd_vel": "geometry_msgs/msg/Twist",
+        "cmd_vel_stamped": "geometry_msgs/msg/TwistStamped",
+        "cmd_base_height": "std_msgs/msg/Float64",
+        "roll_setpoint": "std_msgs/msg/Float64",
+        "pitch_setpoint": "std_msgs/msg/Float64",
+        "cmd_gait_type": "std_msgs/msg/Int32",
+        "estop": "std_srvs/srv/Trigger",
+        "reset": "std_srvs/srv/Trigger",
+        "drive": "std_srvs/srv/Trigger",
+        "release": "std_srvs/srv/Trigger",
+    }
+    peer.subscribe("/hexapod/robot_description", String, latched=True)
+    assert '<robot name="elkapod"' in peer.next_where("/hexapod/robot_description", lambda _: True).data
+
+
+def test_nothing_is_taken_before_somebody_drives(peer: RclpyPeer, watcher: Client) -> None:
+    peer.publish(COMMANDS, resting())
+    peer.next_where(DIAGNOSTICS, lambda each: "joint_commands: nobody has called drive" in rejections(each))
+    assert not running(watcher)
+    assert watcher.state().lease.holder is None
+
+
+@pytest.mark.parametrize("serialized", [False, True], ids=["as messages", "as serialised bytes"])
+def test_joint_commands_become_frames_and_their_silence_stops_the_legs(
+    serialized: bool, driven: RclpyPeer, watcher: Client
+) -> None:
+    happened, written, steps = events(watcher), frames(watcher), itertools.count()
+    driven.subscribe("/hexapod/joint_states", JointState)
+    publish = driven.publish_serialized if serialized else driven.publish
+    keeps(
+        lambda: publish(COMMANDS, resting(joint_11=next(steps) / 1000)),
+        lambda: len(running(watcher)) == 6,
+    )
+    sent = next(steps)
+    happened.wait(lambda event: event.kind == Kind.WATCHDOG_EXPIRED)
+    angles = commanded(written.all, 11)
+    assert len(set(angles)) == len(angles) > 5, "each angle was sent once, so it is written once at most"
+    assert len(angles) <= sent
+    states(watcher).wait(lambda state: state.lease.holder is None)
+    last = GEOMETRY.joint_rad(11, angles[-1])
+    driven.next_where("/hexapod/joint_states", lambda each: abs(each.position[0] - last) < 1e-3)
+
+
+@pytest.mark.parametrize(
+    ("message", "why"),
+    [
+        (resting(joint_32=math.nan), "the position of joint_32 is nan"),
+        (resting(joint_32=7.0), "joint_32 at"),
+        (JointState(name=("leg1_J1",), position=(0.0,)), "there is no joint 'leg1_J1'"),
+        (JointState(name=("joint_11",) * 1000), "and at most 4096 are taken"),
+    ],
+)
+def test_bad_input_moves_nothing_and_is_explained(
+    message: JointState, why: str, driven: RclpyPeer, watcher: Client
+) -> None:
+    before = watcher.state().commands
+    driven.publish(COMMANDS, message)
+    driven.next_where(DIAGNOSTICS, lambda each: why in rejections(each))
+    assert watcher.state().commands == before
+
+
+# ---- the emergency stop
+
+
+def test_a_flood_keeps_no_emergency_stop_waiting_and_ros_leaves_its_own_alone(
+    driven: RclpyPeer, watcher: Client
+) -> None:
+    with RclpyPeer() as flooding:
+        flooding.advertise(COMMANDS, JointState)
+        ended = threading.Event()
+
+        def flood() -> None:
+            while not ended.is_set():
+                flooding.publish(COMMANDS, resting())
+
+        thread = threading.Thread(target=flood)
+        thread.start()
+        try:
+            keeps(lambda: None, lambda: len(running(watcher)) == 6)
+            first = watcher.state().estop
+            for number in (1, 2):
+                assert driven.call("/hexapod/estop")[0]
+                assert watcher.state().estop == first + number
+        finally:
+            ended.set()
+            thread.join()
+    states(watcher).wait(lambda state: state.lease.holder is None)
+    assert driven.call("/hexapod/reset")[0]
+    assert watcher.state().mode == Mode.IDLE
+    watcher.estop()
+    left, why = driven.call("/hexapod/reset")
+    assert not left
+    assert "leave it at the robot" in why
+
+
+def test_an_emergency_stop_waits_for_no_other_service(driven: RclpyPeer, watcher: Client) -> None:
+    """`release` sits down for some seconds before it answers."""
+    happened = events(watcher)
+    driven.advertise("/hexapod/cmd_vel", Twist)
+    keeps(lambda: driven.publish("/hexapod/cmd_vel", WALKING), lambda: len(running(watcher)) == 6, hz=20)
+    driven.next_where(DIAGNOSTICS, lambda each: each.status[-1].message == "drives by cmd_vel")
+    with RclpyPeer() as other:
+        releasing = threading.Thread(target=other.call, args=("/hexapod/release",))
+        releasing.start()
+        driven.next_where(DIAGNOSTICS, lambda each: each.status[-1].message == "drives; nothing moves")
+        assert driven.call("/hexapod/estop")[0]
+        releasing.join()
+    both = [each.kind for each in happened.all if each.kind in (Kind.ESTOP_ENGAGED, Kind.LEASE_RELEASED)]
+    assert both == [Kind.ESTOP_ENGAGED, Kind.LEASE_RELEASED]
+
+
+# ---- trajectories
+
+
+@pytest.mark.parametrize("dies", [False, True], ids=["it withdraws", "it is killed"])
+def test_a_peer_that_vanishes_in_mid_trajectory_has_the_robot_sit_down(
+    dies: bool, driven: RclpyPeer, watcher: Client
+) -> None:
+    """DDS notices a killed process after 20 s, where nobody has set another lease."""
+    del driven
+    written = frames(watcher)
+    with RclpyPeer() as vanishing:
+        vanishing.advertise("/hexapod/joint_trajectory", JointTrajectory)
+        vanishing.publish("/hexapod/joint_trajectory", plan((0.5, 0.0), (55.0, 1.0)))
+        keeps(lambda: None, lambda: len(set(commanded(written.all, 11))) > 5)
+        if dies:
+            vanishing.child.kill()
+        else:
+            vanishing.withdraw("/hexapod/joint_trajectory")
+        states(watcher).wait(lambda state: state.mode == Mode.IDLE, timeout_s=LONG_S)
+    assert max(commanded(written.all, 11)) < RESTS_DEG[1] + 57, "it did not follow it to its end"
+    assert watcher.state().lease.holder == "ros2", "another may go on"
+
+
+# ---- as another stack has it
+
+
+def test_the_example_walks_by_the_elkapods_own_topic_and_joint_names(gateway: Gateway, watcher: Client) -> None:
+    remap = ("--ros-args", "-r", "cmd_vel:=/cmd_vel_out")
+    domain = DOMAIN % 100 + 1
+    written = frames(watcher)
+    arguments = ("--via", "rclpy", "--joint-names", "leg{leg}_J{joint}", "--", *remap)
+    with RclpyBridge(gateway, *arguments, domain=domain), RclpyPeer(domain) as peer:
+        peer.subscribe("/hexapod/robot_description", String, latched=True)
+        assert 'name="leg6_J3"' in peer.next_where("/hexapod/robot_description", lambda _: True).data
+        example = Child(
+            [sys.executable, str(PROFILE.parent / "walk.py"), *remap, "-r", "__ns:=/hexapod"],
+            clean() | ENV | {"ROS_DOMAIN_ID": str(domain)},
+        )
+        assert example.wait(LONG_S) == 0, example
+        example.close()
+        peer.subscribe("/hexapod/joint_states", JointState)
+        names = peer.next_where("/hexapod/joint_states", lambda each: len(each.name) == 18).name
+    assert example.stdout == "drive: drives as ros2\nrelease: released\n"
+    assert (names[0], names[-1]) == ("leg1_J1", "leg6_J3")
+    assert len(set(commanded(written.all, 11))) > 20
+    assert watcher.state().mode == Mode.IDLE
+
+
+# ---- who reaches the graph
+
+
+def test_a_graph_that_others_reach_is_rejected_unless_that_is_accepted(gateway: Gateway, watcher: Client) -> None:
+    """Also with ROS's own range LOCALHOST, which leaves the sockets open."""
+    command = ("ros2", "--via", "rclpy", "--connect", gateway.endpoint, "--domain", str(DOMAIN % 100 + 1))
+    env = clean() | {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+    tried = Child([*COMMAND, *command], env)
+    assert tried.wait() == 2, tried
+    tried.close()
+    assert "ROS 2's graph is open to the network (rmw_fastrtps_cpp has sockets on 0.0.0.0" in tried.stderr
+    accepted = Child([*COMMAND, *command, "--open-graph", "--drive"], env)
+    accepted.wait_for_output("is in ROS 2's graph", timeout_s=20)
+    assert watcher.state().lease.holder == "ros2 (open graph)"
+    accepted.terminate()
+    assert accepted.wait() == 0
+    accepted.close()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "why"),
+    [
+        (("--via", "rclpy", "--router", "tcp/127.0.0.1:1"), "--router and --router-config are for --via zenoh"),
+        (("--via", "rclpy", "--", "--ros-args", "-r", "nonsense"), "ROS 2 does not start"),
+        (("--via", "rclpy", "--tf"), "this ROS 2 has no tf2_msgs"),
+        (("--via", "zenoh", "--", "--ros-args"), "ROS 2's own arguments are for --via rclpy"),
+        (("--joint-names", "J{joint}"), "gives two joints one name"),
+    ],
+)
+def test_what_it_cannot_begin_with(arguments: tuple[str, ...], why: str, gateway: Gateway) -> None:
+    tried = Child([*COMMAND, "ros2", "--connect", gateway.endpoint, *arguments], clean() | ENV)
+    assert tried.wait() == 2, tried
+    tried.close()
+    assert why in tried.stderr

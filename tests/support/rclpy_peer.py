@@ -1,0 +1,149 @@
+"""A ROS 2 peer that is ROS 2: rclpy over FastDDS in a process of its own, told what to do as `ros2_peer`'s.
+
+Nothing of it leaves this machine, and each run of the tests has a domain of its own.
+"""
+
+import os
+import queue
+import sys
+import threading
+from collections import defaultdict
+from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any, Final
+
+import pytest
+
+from gateway.people.ros2.cdr import Message, decode, encode
+from gateway.people.ros2.messages import TRIGGER_TYPE
+from tests.support.bridged import READY, clean
+from tests.support.child import Child
+from tests.support.gateway_process import COMMAND, Gateway
+from tests.support.ros2_peer import ANSWER_S, Peer, act, kind_of
+
+needs_rclpy: Final = pytest.mark.skipif(
+    find_spec("rclpy") is None, reason="rclpy is not installed: its wheels in the extra are for CPython 3.11 on x86-64"
+)
+PROFILE: Final = Path(__file__).parents[2] / "examples" / "ros2" / "this_machine.xml"
+DOMAIN: Final = os.getpid() % 100 + 1
+"""The first hundred have ports that no other program is given."""
+ENV: Final = {"FASTDDS_DEFAULT_PROFILES_FILE": str(PROFILE), "RMW_IMPLEMENTATION": "rmw_fastrtps_cpp"}
+
+
+class RclpyPeer(Peer):
+    """The end that a test holds."""
+
+    def __init__(self, domain: int = DOMAIN) -> None:
+        self._begin("tests.support.rclpy_peer", str(domain), ENV)
+
+    def publish_serialized(self, topic: str, message: Message) -> None:
+        """What `serialize_message` returns: bytes behind the last field, too."""
+        self._ask("publish", topic, type(message).__name__, encode(message).hex(), True)
+
+    def withdraw(self, topic: str) -> None:
+        """Publish there no more."""
+        self._ask("withdraw", topic)
+
+    def next_where(self, topic: str, condition: Any) -> Any:
+        """The next message of a topic for which it holds."""
+        while True:
+            name, data = self.next(topic)
+            message = decode(kind_of(name), bytes.fromhex(data))
+            if condition(message):
+                return message
+
+
+class RclpyBridge:
+    """A running bridge by rclpy."""
+
+    def __init__(self, gateway: Gateway, *arguments: str, domain: int = DOMAIN) -> None:
+        """With `--via`, an option."""
+        link = ("--connect", gateway.endpoint, "--domain", str(domain))
+        self.child = Child([*COMMAND, "ros2", *link, *arguments], clean() | ENV)
+        self.child.wait_for_output(READY, timeout_s=20)
+
+    def __enter__(self) -> "RclpyBridge":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.child.terminate()
+        self.child.wait()
+        self.child.close()
+
+
+class Actor:
+    """The end inside the process; each public method is a command."""
+
+    def __init__(self, domain: int) -> None:
+        self._rclpy: Any = import_module("rclpy")
+        self._rclpy.init(domain_id=domain)
+        self._node = self._rclpy.create_node("peer")
+        self._serialization = import_module("rclpy.serialization")
+        self._publishers: dict[str, Any] = {}
+        self._received: defaultdict[str, queue.SimpleQueue[Any]] = defaultdict(queue.SimpleQueue)
+        executor = import_module("rclpy.executors").SingleThreadedExecutor()
+        executor.add_node(self._node)
+        threading.Thread(target=executor.spin, daemon=True).start()
+
+    def advertise(self, topic: str, kind_name: str) -> None:
+        publisher = self._node.create_publisher(_ros_type(kind_of(kind_name).TYPE), topic, 10)
+        self._publishers[topic] = publisher
+        _wait(lambda: publisher.get_subscription_count() > 0)
+
+    def withdraw(self, topic: str) -> None:
+        self._node.destroy_publisher(self._publishers.pop(topic))
+
+    def publish(self, topic: str, kind_name: str, cdr: str, serialized: bool = False) -> None:
+        """ROS 2 reads our bytes, and writes its own."""
+        message = self._serialization.deserialize_message(bytes.fromhex(cdr), _ros_type(kind_of(kind_name).TYPE))
+        if serialized:
+            message = self._serialization.serialize_message(message)
+        self._publishers[topic].publish(message)
+
+    def subscribe(self, topic: str, kind_name: str, latched: bool) -> None:
+        qos = import_module("rclpy.qos")
+        profile = qos.QoSProfile(depth=1000)
+        if latched:
+            profile.durability = qos.DurabilityPolicy.TRANSIENT_LOCAL
+        received = self._received[topic]
+
+        def take(message: Any) -> None:
+            received.put((kind_name, self._serialization.serialize_message(message).hex()))
+
+        self._node.create_subscription(_ros_type(kind_of(kind_name).TYPE), topic, take, profile)
+
+    def next(self, topic: str) -> Any:
+        return self._received[topic].get(timeout=ANSWER_S / 2)
+
+    def call(self, service: str) -> tuple[bool, str]:
+        trigger = _ros_type(TRIGGER_TYPE)
+        client = self._node.create_client(trigger, service)
+        if not client.wait_for_service(ANSWER_S / 2):
+            raise TimeoutError(f"nobody serves {service}")
+        response = client.call(trigger.Request(), ANSWER_S)
+        self._node.destroy_client(client)
+        return bool(response.success), str(response.message)
+
+    def graph(self) -> dict[str, list[str]]:
+        node = self._node
+        return dict(node.get_topic_names_and_types()) | dict(node.get_service_names_and_types())
+
+
+def _wait(condition: Any) -> None:
+    """DDS reports no event of discovery to Python."""
+    ended = threading.Event()
+    for _ in range(int(ANSWER_S / 0.02)):
+        if condition():
+            return
+        ended.wait(0.02)
+    raise TimeoutError("nobody subscribes there")
+
+
+def _ros_type(type_name: str) -> Any:
+    package, kind, name = type_name.split("/")
+    return getattr(import_module(f"{package}.{kind}"), name)
+
+
+if __name__ == "__main__":
+    act(Actor(int(sys.argv[1])))
