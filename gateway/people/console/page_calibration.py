@@ -9,14 +9,14 @@ from collections.abc import Callable
 from typing import Any, Final
 
 from gateway.errors import GatewayError
+from gateway.model.calibration import CalibrationError, calibration_of
+from gateway.model.framing import avoided_by
 from gateway.people.client.payloads import calibration_payload
 from gateway.people.console.guide import Guide
 from gateway.people.console.link import GatewayLink
 from gateway.people.console.messages import CalibrateRequest, CalibrationMessage, Draft
 from gateway.people.console.page_tasks import PageTasks
 from gateway.people.tools.calibration import change_of, standing
-from gateway.robot.core.calibration import CalibrationError, calibration_of
-from gateway.robot.protocol.framing import avoided_by
 from schemas import keys
 from schemas.telemetry import GatewayState
 

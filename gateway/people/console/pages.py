@@ -24,6 +24,7 @@ from pydantic import ValidationError
 
 from gateway.errors import GatewayError
 from gateway.geometry import Geometry
+from gateway.model.staleness import Staleness
 from gateway.people.client.confirmed_stop import Press
 from gateway.people.console import messages
 from gateway.people.console.link import GatewayLink, LinkReceiver
@@ -35,7 +36,6 @@ from gateway.people.console.page_walk import SILENT_S, PageWalks
 from gateway.people.console.stop_button import StopButton
 from gateway.people.console.stops import Stops, now_ns
 from gateway.people.walking import robot_now
-from gateway.robot.core.staleness import Staleness
 from schemas import keys
 from schemas.telemetry import Ack, BodyReport, Event, GatewayState, Kind, LimitsReport, Reason
 

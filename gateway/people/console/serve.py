@@ -18,6 +18,7 @@ import segno
 
 from gateway import certs
 from gateway.geometry import Geometry, load
+from gateway.host import descriptors, logs, realtime
 from gateway.people.console import sessions
 from gateway.people.console.app import MAX_CLOSING, MAX_PAGES, Console
 from gateway.people.console.auth import Auth
@@ -32,7 +33,6 @@ from gateway.people.console.sockets import listening
 from gateway.people.console.stops import Stops, send_stopping
 from gateway.people.console.tls import server_context
 from gateway.people.terminal import hint, say, this_command
-from gateway.robot.host import descriptors, logs, realtime
 from gateway.robot.settings import LogSettings
 from gateway.zenoh_config import client_config, get
 
