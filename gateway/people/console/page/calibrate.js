@@ -1,18 +1,20 @@
 // @ts-check
 /**
- * Calibration: one servo is started alone, jogged, and told what it is; the console keeps the draft, until it is written.
+ * Calibration: the person starts one servo alone, jogs it and states what is seen; the console keeps the draft until it is
+ * written.
  *
- * The servo under test runs only while this page is seen: its angle is sent 20 times a second, as long as nothing is
- * amiss (the same conditions as for hold to run), and by nobody else. Whatever ends that stops its leg.
+ * The servo under test runs only while this page is seen: this page alone sends its angle, 20 times a second, while there
+ * is no obstacle (as for hold to run). Whatever ends that stops its leg.
  */
 
 import { attribute, byId, confirmed, element, enable, show, text } from "./dom.js";
 import { obstacle, PERIOD_MS, whenLost, whyNot } from "./hold.js";
 import { JOINTS, LEGS } from "./kinematics.js";
+import { NETWORK_FULL } from "./link.js";
 
 /** @typedef {import("./types.js").CalibrationMessage} CalibrationMessage */
 
-/** So long after the last click or key the servo is stopped: nobody may be there any more. */
+/** So long after the last click or key the servo is stopped: the person may have left. */
 const UNTOUCHED_MS = 120_000;
 const STEPS = ["wrong_way", "lowest_here", "highest_here", "full_range", "as_drawn"];
 
@@ -25,21 +27,21 @@ export class Calibrate {
     this.link = link;
     this.model = model;
     this.callbacks = callbacks;
-    /** What the console knows. @type {CalibrationMessage | null} */
+    /** The console's guide, as of its newest answer. @type {CalibrationMessage | null} */
     this.view = null;
-    /** What was asked, by its number. @type {Map<number, string>} */
+    /** Requests that are not answered, by their numbers. @type {Map<number, string>} */
     this.asked = new Map();
-    /** The servo that runs, or is about to. @type {number | null} */
+    /** The servo under test. @type {number | null} */
     this.servo = null;
     /** The start whose answer is awaited. @type {number | null} */
     this.starting = null;
-    /** Starts that were let go of before their answer came: a Stop may have overtaken them. @type {Map<number, number>} */
+    /** Starts that were let go of before their answers: a Stop may have overtaken them. @type {Map<number, number>} */
     this.abandoned = new Map();
     /** The set whose acknowledgement is awaited. @type {number | null} */
     this.setting = null;
     this.lastTickMs = 0;
     this.touchedMs = 0;
-    /** Where each servo stood when its test ended, so that the next one begins there. @type {Map<number, number>} */
+    /** Where each servo stood when its test ended: the next test suggests that angle. @type {Map<number, number>} */
     this.stood = new Map();
     /** @type {ReturnType<typeof setInterval> | undefined} */
     this.timer = undefined;
@@ -79,12 +81,12 @@ export class Calibrate {
     whenLost(this, (why) => this.stop(why));
   }
 
-  /** Whether a servo runs by it, or is about to. */
+  /** Whether a servo is under test: it runs, or is about to. */
   get active() {
     return this.servo !== null;
   }
 
-  /** End the test: its leg is stopped, and the watchdog does it where that does not arrive. @param {string} why */
+  /** End the test: stop its leg, which the watchdog does if no Stop arrives. @param {string} why */
   stop(why) {
     const { servo } = this;
     if (servo === null) return;
@@ -126,9 +128,9 @@ export class Calibrate {
     }
   }
 
-  /** The connection to the console ended, and with it the guide that the console kept. */
-  closed() {
-    this.stop("the connection to the console is lost");
+  /** The connection to the console ended, and with it the console's guide. @param {string} why */
+  closed(why) {
+    this.stop(why);
     this.asked.clear();
     this.view = null;
     const details = /** @type {HTMLDetailsElement} */ (byId("cal"));
@@ -168,7 +170,7 @@ export class Calibrate {
     }
   }
 
-  /** Suggest where the chosen servo begins: where its last test ended, else its middle, or what is nearest to that. */
+  /** Suggest the angle at which the chosen servo begins: where its last test ended, else the nearest to its middle. */
   #suggest() {
     const servo = Number(/** @type {HTMLSelectElement} */ (byId("cal-servo")).value);
     const draft = this.view?.servos[servo];
@@ -207,7 +209,7 @@ export class Calibrate {
     }
     this.starting = this.link.nextId();
     if (!this.#command("start", this.starting)) {
-      this.stop("the network takes nothing");
+      this.stop(NETWORK_FULL);
       return;
     }
     this.timer = setInterval(() => this.#tick(), PERIOD_MS);
@@ -247,7 +249,7 @@ export class Calibrate {
     const step = { ArrowRight: 1, ArrowLeft: -1, ArrowUp: 0.1, ArrowDown: -0.1 }[event.key];
     if (step === undefined || event.target instanceof HTMLInputElement) return;
     event.preventDefault();
-    if (![...this.asked.values()].includes("jog")) this.#ask("jog", { deg: step }); // none waits once the key is let go
+    if (![...this.asked.values()].includes("jog")) this.#ask("jog", { deg: step }); // so no step is left once the key is let go
   }
 
   async #write() {

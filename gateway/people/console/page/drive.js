@@ -1,5 +1,5 @@
 // @ts-check
-/** What is operated: choice of legs, sliders and typed angles, hold to run, Stops, poses. */
+/** The controls of single legs: their choice, sliders and typed angles, hold to run, Stops, poses. */
 
 import { attribute, byId, element, enable, show, text, typesText } from "./dom.js";
 import { JOINTS, LEGS } from "./kinematics.js";
@@ -45,7 +45,7 @@ export class Drive {
     return [...legs];
   }
 
-  /** Another leg is selected. */
+  /** Show another leg as selected. */
   selected() {
     const leg = this.model.selectedLeg;
     for (const [each, input] of this.selectors) input.checked = each === leg;

@@ -1,27 +1,27 @@
 // @ts-check
 /**
- * Hold to run: while something is held (the button, the key H, a gamepad's trigger), this page sends the setpoints of
- * the legs that it runs, 20 times a second. Nobody else repeats them. When anything is amiss it sends nothing any more,
- * and goes on only when it is held anew; the gateway's watchdog stops the legs.
+ * Hold to run: while the button, the key H or a gamepad's trigger is held, this page sends the setpoints of the legs that
+ * it runs, 20 times a second. Nothing else repeats them. At any obstacle it sends nothing more until something is held
+ * anew, and the gateway's watchdog stops the legs.
  *
- * A leg begins with a `start` that is acknowledged; only then is it set. So nothing here starts a leg again that
- * somebody stopped.
+ * A leg is set only after its `start` was acknowledged, so nothing here starts again a leg that somebody stopped.
  */
 
 import { legs as legsInWords } from "./dom.js";
+import { GATEWAY_LOST, LOST, NETWORK_FULL } from "./link.js";
 
 /** @typedef {import("./model.js").Model} Model @typedef {import("./types.js").AckMessage} AckMessage */
 
 export const PERIOD_MS = 50;
-/** How fast a hand's slider moves a servo; a servo alone goes ten times as fast. */
+/** How fast a slider moves a servo at most; a servo by itself is ten times as fast. */
 const SPEED_DEG_S = 60;
-/** With an older state than this, nothing is sent: who drives has to see. */
+/** With an older state nothing is sent: the driver has to see the robot's state. */
 const FRESH_MS = 500;
-/** A tick that comes later than this tells of a page that was frozen. */
+/** A later tick shows that the page was frozen. */
 const FROZEN_MS = 250;
 
 /**
- * Why nothing may be sent, in words; "" where it may.
+ * Why nothing may be sent, in words; "" if it may.
  * @param {{link: import("./link.js").Link, model: Model, callbacks: {mine: () => boolean}, lastTickMs: number}} driver
  * @param {number} nowMs
  */
@@ -30,8 +30,8 @@ export function obstacle({ link, model, callbacks, lastTickMs }, nowMs) {
   if (sinceTickMs > FROZEN_MS) return `this page was frozen for ${(sinceTickMs / 1000).toFixed(1)} s`;
   if (document.visibilityState !== "visible") return "this page is hidden";
   if (!document.hasFocus()) return "this window has lost the focus";
-  if (!link.open) return "the connection to the console is lost";
-  if (model.linkStatus === "gone") return "the console has lost the gateway";
+  if (!link.open) return LOST;
+  if (model.linkStatus === "gone") return GATEWAY_LOST;
   const stateAgeMs = model.ageMs(nowMs);
   if (stateAgeMs > FRESH_MS) return `the newest state is ${(stateAgeMs / 1000).toFixed(1)} s old`;
   if (!model.hello || model.looks) return "this page may only look";
@@ -43,8 +43,8 @@ export function obstacle({ link, model, callbacks, lastTickMs }, nowMs) {
 }
 
 /**
- * Call `lose`, with why, as soon as this page is one that must not drive: hidden, without the focus, left or frozen;
- * also while nothing moves: a thumb that lies on a pad counts no more.
+ * Call `lose`, with why, as soon as this page must not drive: hidden, without the focus, left or frozen; also while
+ * nothing moves, so a thumb that lies on a pad does not count afterwards.
  * @param {Parameters<typeof obstacle>[0]} driver @param {(why: string) => void} lose
  */
 export function whenLost(driver, lose) {
@@ -61,7 +61,7 @@ export function whenLost(driver, lose) {
   document.addEventListener("freeze", () => lose("this page was frozen"));
 }
 
-/** Why a command was not accepted, in words; "" where it was. @param {AckMessage} message */
+/** Why a command was not accepted, in words; "" if it was. @param {AckMessage} message */
 export function whyNot({ ack, error }) {
   if (ack?.accepted) return "";
   return ack ? `${ack.reason}: ${ack.detail ?? ""}` : (error ?? "no answer");
@@ -83,16 +83,16 @@ export class Hold {
     this.running = new Set();
     /** Legs whose start is under way, by the number of the question. @type {Map<number, number>} */
     this.starting = new Map();
-    /** Starts that were let go of before their answer came: a Stop may have overtaken them. @type {Map<number, number>} */
+    /** Starts that were let go of before their answers: a Stop may have overtaken them. @type {Map<number, number>} */
     this.abandoned = new Map();
-    /** Legs that were stopped here while something is held: this hold starts them no more. @type {Set<number>} */
+    /** Legs that were stopped here while something is held: this hold does not start them again. @type {Set<number>} */
     this.stopped = new Set();
     /** The set whose acknowledgement is awaited. @type {number | null} */
     this.asked = null;
     this.lastTickMs = 0;
     /** @type {ReturnType<typeof setInterval> | undefined} */
     this.timer = undefined;
-    /** What it was cut off from, until the watchdog is seen to have stopped it. @type {number[]} */
+    /** Legs that were left to the watchdog, until a state shows them stopped. @type {number[]} */
     this.left = [];
     this.why = "";
     whenLost(this, (why) => this.drop(why));
@@ -134,7 +134,7 @@ export class Hold {
     this.callbacks.say(sent ? `Let go: ${legsInWords(legs)} stopped.` : "Let go, but not connected: the watchdog stops them.");
   }
 
-  /** Nothing is sent from now on, until it is held anew. @param {string} why */
+  /** Send nothing more until something is held anew. @param {string} why */
   drop(why) {
     if (!this.active) return;
     this.left = this.#end();
@@ -144,7 +144,7 @@ export class Hold {
     this.why = why;
   }
 
-  /** Stop legs, whoever runs them; that needs no lease. @param {number[]} legs @returns {boolean} whether it was sent */
+  /** Stop legs, also of other clients; that needs no lease. @param {number[]} legs @returns {boolean} whether it was sent */
   stop(legs) {
     for (const leg of legs) this.stopped.add(leg);
     return this.#stop(legs);
@@ -182,7 +182,7 @@ export class Hold {
     }
   }
 
-  /** A new state: what the watchdog did of that which was left to it. */
+  /** A new state may show that the legs left to the watchdog have stopped. */
   receivedState() {
     if (!this.left.length) return;
     const legs = this.left.map((leg) => this.model.leg(leg));
@@ -193,7 +193,7 @@ export class Hold {
     this.left = [];
   }
 
-  /** The gateway rejected something of this page, or stopped a leg that it runs. @param {import("./types.js").GatewayEvent} event */
+  /** The gateway rejected a command of this page, or stopped a leg that it runs. @param {import("./types.js").GatewayEvent} event */
   receivedEvent(event) {
     const stopped = event.kind === "overflow" && event.legs?.some((leg) => this.running.has(leg));
     const rejected = event.kind === "command_rejected" && event.source === this.model.hello?.source;
@@ -229,12 +229,12 @@ export class Hold {
       return;
     }
     this.callbacks.steer(elapsedMs);
-    if (!this.active) return; // the gamepad has gone
+    if (!this.active) return; // the gamepad is disconnected
     this.#startNew();
     this.#set(nowMs);
   }
 
-  /** Start the legs that were chosen, and stop those that are not any more. */
+  /** Start the legs that were chosen, and stop those that are no longer. */
   #startNew() {
     const chosen = new Set(this.callbacks.chosen(this.held));
     const known = new Set([...this.running, ...this.starting.values()]);
@@ -248,7 +248,7 @@ export class Hold {
       this.starting.set(id, leg);
       const sent = this.link.sendNow({ type: "command", key: `hexapod/leg/${leg}/cmd`, payload, sent_ms, id });
       if (!sent) {
-        this.drop("the network takes nothing");
+        this.drop(NETWORK_FULL);
         return;
       }
     }

@@ -1,5 +1,5 @@
 // @ts-check
-/** The last minute as lines; told apart by dashes and by the number at their end. */
+/** The last minute as lines, each with its own dashes and a number at its end. */
 
 import { byId, text } from "./dom.js";
 import { HISTORY_MS } from "./model.js";
