@@ -88,7 +88,7 @@ class _PageFile:
 
 
 class Auth:
-    """For one thread."""
+    """Knows the page's files and the site; its sessions are in a file. For one thread."""
 
     def __init__(self, site: Site, sessions: Sessions, role: Role) -> None:
         """`role`: what a page may do at most."""

@@ -157,7 +157,7 @@ export class StopButton {
     else if (message.type === "state") {
       this.mode = message.state.mode;
       const newer = performance.now() - message.age_ms > this.stoppedAtMs;
-      if (this.mode !== "estopped" && newer) this.stopLine = ""; // somebody has reset it
+      if (this.mode !== "estopped" && newer) this.stopLine = ""; // it was reset
     } else if (message.type === "stop" && message.id === this.stopping?.id) {
       if (message.answered) {
         this.stopping = null;
@@ -215,7 +215,7 @@ export class StopButton {
     text(byId("word"), words[tone]);
     const lines = {
       off: this.looks ? "this page may only look" : "then a tap anywhere stops the robot",
-      unheard: `the gateway does not hear this button: use the switch. ${this.trouble}`,
+      unheard: `the gateway receives nothing from this button: use the switch. ${this.trouble}`,
       stopped: "",
       watches: this.#hint(),
     };

@@ -160,7 +160,7 @@ export class Calibrate {
     enable(button("cal-write"), mine && !tested && changed);
     enable(button("cal-landing"), mine);
     if (view?.servo != null && view.shown_deg != null && view.command_deg != null) {
-      const apart = view.shown_deg === view.command_deg ? "" : `, ${degrees(view.command_deg)} by what is in force`;
+      const apart = view.shown_deg === view.command_deg ? "" : `, ${degrees(view.command_deg)} by the calibration in force`;
       text(byId("cal-now"), `Servo ${view.servo} runs at ${degrees(view.shown_deg)}${apart}`);
     }
     for (const [servo, cell] of this.cells) {

@@ -3,7 +3,7 @@
 
 import { subprotocols } from "./key.js";
 
-/** Why the page is cut off, for `closed`, what ends a drive, and what is shown. */
+/** Why the page is cut off: the sentences for what ends a drive, and for what is shown. */
 export const LOST = "the connection to the console is lost";
 export const SILENT = "the console sends nothing";
 export const ENDED = "the console ended the connection";

@@ -111,7 +111,7 @@ export class StopAll {
     const { model } = this;
     if (this.asked && nowMs - this.asked.atMs > DEAF_MS) this.link.renewIfDeaf(DEAF_MS);
     const latched = model.state?.mode === "estopped";
-    if (!latched && model.stateAtMs > this.answeredAtMs) this.answer = null; // somebody has reset it
+    if (!latched && model.stateAtMs > this.answeredAtMs) this.answer = null; // it was reset
     const known = inWords({
       looks: this.#looks,
       touch: matchMedia("(pointer: coarse)").matches,
