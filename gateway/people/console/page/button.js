@@ -29,15 +29,7 @@ const DEAF_MS = 1000;
  *            name: string | null, timeout_ms: number | null, alive: number | null, required: number | null}} Answer
  */
 
-/**
- * Whether a tick of the timer may check in: the page is seen, and the tick before it was in time.
- * @param {{visible: boolean, sinceTickMs: number, timeoutMs: number}} now
- */
-export function mayCheckIn({ visible, sinceTickMs, timeoutMs }) {
-  return visible && sinceTickMs < timeoutMs / 2;
-}
-
-export class StopButton {
+class StopButton {
   constructor() {
     this.link = new Link({ opened: () => this.#opened(), closed: (why) => this.#closed(why), received: (message) => this.#received(message) });
     this.watches = false;
@@ -125,13 +117,9 @@ export class StopButton {
 
   #tick() {
     const now = performance.now();
-    const inTime = mayCheckIn({
-      visible: document.visibilityState === "visible",
-      sinceTickMs: now - this.lastTickMs,
-      timeoutMs: this.timeoutMs,
-    });
+    const inTime = now - this.lastTickMs < this.timeoutMs / 2;
     this.lastTickMs = now;
-    if (this.watches && inTime) {
+    if (this.watches && inTime && document.visibilityState === "visible") {
       this.#ask(this.registered && now < this.endsMs ? "alive" : "register");
     }
     clearTimeout(this.timer);

@@ -8,7 +8,7 @@
  */
 
 import { attribute, byId, confirmed, element, enable, show, text } from "./dom.js";
-import { obstacle, PERIOD_MS, whenLost, whyNot } from "./hold.js";
+import { obstacle, PERIOD_MS, Starts, whenLost, whyNot } from "./hold.js";
 import { JOINTS, LEGS } from "./kinematics.js";
 import { NETWORK_FULL } from "./link.js";
 
@@ -33,10 +33,7 @@ export class Calibrate {
     this.asked = new Map();
     /** The servo under test. @type {number | null} */
     this.servo = null;
-    /** The start whose answer is awaited. @type {number | null} */
-    this.starting = null;
-    /** Starts that were let go of before their answers: a Stop may have overtaken them. @type {Map<number, number>} */
-    this.abandoned = new Map();
+    this.starts = new Starts((servo) => this.#sendStop(servo));
     /** The set whose acknowledgement is awaited. @type {number | null} */
     this.setting = null;
     this.lastTickMs = 0;
@@ -92,8 +89,8 @@ export class Calibrate {
     if (servo === null) return;
     clearInterval(this.timer);
     this.timer = undefined;
-    if (this.starting !== null) this.abandoned.set(this.starting, servo);
-    this.servo = this.starting = this.setting = null;
+    this.starts.abandon();
+    this.servo = this.setting = null;
     if (this.view?.shown_deg != null) this.stood.set(servo, this.view.shown_deg);
     this.#suggest();
     const sent = this.#sendStop(servo);
@@ -115,12 +112,7 @@ export class Calibrate {
   /** @param {import("./types.js").AckMessage} message */
   receivedAck(message) {
     const said = whyNot(message);
-    const abandoned = this.abandoned.get(message.id);
-    if (abandoned !== undefined) {
-      this.abandoned.delete(message.id);
-      if (!said) this.#sendStop(abandoned);
-    } else if (message.id === this.starting) {
-      this.starting = null;
+    if (this.starts.answered(message) !== undefined) {
       if (said) this.stop(`it was not started (${said})`);
     } else if (message.id === this.setting) {
       this.setting = null;
@@ -207,8 +199,9 @@ export class Calibrate {
       this.stop(`it was not started (${why})`);
       return;
     }
-    this.starting = this.link.nextId();
-    if (!this.#command("start", this.starting)) {
+    const id = this.link.nextId();
+    this.starts.waiting.set(id, servo);
+    if (!this.#command("start", id)) {
       this.stop(NETWORK_FULL);
       return;
     }
@@ -225,7 +218,7 @@ export class Calibrate {
       this.stop(why);
       return;
     }
-    if (this.starting !== null) return;
+    if (this.starts.waiting.size) return;
     const id = this.setting === null ? (this.setting = this.link.nextId()) : undefined;
     this.#command("set", id);
   }

@@ -67,6 +67,39 @@ export function whyNot({ ack, error }) {
   return ack ? `${ack.reason}: ${ack.detail ?? ""}` : (error ?? "no answer");
 }
 
+/**
+ * Starts whose answers are awaited. One that was abandoned before its answer, and is accepted all the same, is stopped
+ * again: the Stop may have overtaken it.
+ */
+export class Starts {
+  /** @param {(what: number) => void} stop a leg or servo */
+  constructor(stop) {
+    this.stop = stop;
+    /** What each starts, by the request's number. @type {Map<number, number>} */
+    this.waiting = new Map();
+    /** @type {Map<number, number>} */
+    this.abandoned = new Map();
+  }
+
+  /** Abandon the starts of this leg or servo; by default all. @param {number} [what] */
+  abandon(what) {
+    for (const [id, each] of this.waiting) {
+      if (what !== undefined && each !== what) continue;
+      this.waiting.delete(id);
+      this.abandoned.set(id, each);
+    }
+  }
+
+  /** @param {AckMessage} message @returns {number | undefined} what it answers the start of, if that was not abandoned */
+  answered({ id, ack }) {
+    const [waiting, abandoned] = [this.waiting.get(id), this.abandoned.get(id)];
+    this.waiting.delete(id);
+    this.abandoned.delete(id);
+    if (abandoned !== undefined && ack?.accepted) this.stop(abandoned);
+    return waiting;
+  }
+}
+
 export class Hold {
   /**
    * @param {import("./link.js").Link} link @param {Model} model
@@ -81,10 +114,7 @@ export class Hold {
     this.held = new Set();
     /** Legs whose start was acknowledged. @type {Set<number>} */
     this.running = new Set();
-    /** Legs whose start is under way, by the number of the question. @type {Map<number, number>} */
-    this.starting = new Map();
-    /** Starts that were let go of before their answers: a Stop may have overtaken them. @type {Map<number, number>} */
-    this.abandoned = new Map();
+    this.starts = new Starts((leg) => this.#stop([leg]));
     /** Legs that were stopped here while something is held: this hold does not start them again. @type {Set<number>} */
     this.stopped = new Set();
     /** The set whose acknowledgement is awaited. @type {number | null} */
@@ -154,7 +184,7 @@ export class Hold {
   #stop(legs) {
     for (const leg of legs) {
       this.running.delete(leg);
-      for (const [id, starting] of this.starting) if (starting === leg) this.#abandon(id, leg);
+      this.starts.abandon(leg);
     }
     const stop = { servos: [{ op: "stop" }, { op: "stop" }, { op: "stop" }] };
     const payload = { legs: Object.fromEntries(legs.map((leg) => [leg, stop])) };
@@ -165,15 +195,8 @@ export class Hold {
   /** @param {AckMessage} message */
   receivedAck(message) {
     const said = whyNot(message);
-    const abandoned = this.abandoned.get(message.id);
-    if (abandoned !== undefined) {
-      this.abandoned.delete(message.id);
-      if (!said) this.#stop([abandoned]);
-      return;
-    }
-    const leg = this.starting.get(message.id);
+    const leg = this.starts.answered(message);
     if (leg !== undefined) {
-      this.starting.delete(message.id);
       if (!said) this.running.add(leg);
       else this.drop(`leg ${leg} did not start: ${said}`);
     } else if (message.id === this.asked) {
@@ -205,18 +228,17 @@ export class Hold {
     clearInterval(this.timer);
     this.timer = undefined;
     this.held.clear();
-    const legs = [...new Set([...this.running, ...this.starting.values()])];
+    const legs = [...this.#known];
     this.running.clear();
-    for (const [id, leg] of this.starting) this.#abandon(id, leg);
+    this.starts.abandon();
     this.asked = null;
     this.callbacks.changed();
     return legs;
   }
 
-  /** @param {number} id @param {number} leg */
-  #abandon(id, leg) {
-    this.starting.delete(id);
-    this.abandoned.set(id, leg);
+  /** The legs that run or are about to. */
+  get #known() {
+    return new Set([...this.running, ...this.starts.waiting.values()]);
   }
 
   #tick() {
@@ -237,7 +259,7 @@ export class Hold {
   /** Start the legs that were chosen, and stop those that are no longer. */
   #startNew() {
     const chosen = new Set(this.callbacks.chosen(this.held));
-    const known = new Set([...this.running, ...this.starting.values()]);
+    const known = this.#known;
     const dismissed = [...known].filter((leg) => !chosen.has(leg));
     if (dismissed.length) this.#stop(dismissed);
     for (const leg of chosen) {
@@ -245,7 +267,7 @@ export class Hold {
       const id = this.link.nextId();
       const sent_ms = performance.now();
       const payload = this.#payload(leg, "start");
-      this.starting.set(id, leg);
+      this.starts.waiting.set(id, leg);
       const sent = this.link.sendNow({ type: "command", key: `hexapod/leg/${leg}/cmd`, payload, sent_ms, id });
       if (!sent) {
         this.drop(NETWORK_FULL);

@@ -135,7 +135,7 @@ export class Numbers {
 }
 
 /** @param {string} mode */
-export function modeInWords(mode) {
+function modeInWords(mode) {
   return { estopped: "stopped, latched", bus_fault: "bus fault" }[mode] ?? mode;
 }
 

@@ -3,7 +3,7 @@
 
 import { LEGS, NEUTRAL_DEG } from "./kinematics.js";
 
-export const SERVOS = LEGS.flatMap((leg) => [leg * 10 + 1, leg * 10 + 2, leg * 10 + 3]);
+const SERVOS = LEGS.flatMap((leg) => [leg * 10 + 1, leg * 10 + 2, leg * 10 + 3]);
 const STORE = "hexapod-console-poses";
 const MOST_POSES = 100;
 
