@@ -49,7 +49,7 @@ export class Calibrate {
         byId("cal-servo").append(element("option", { value: servo }, `${servo}: leg ${leg}, joint ${joint}`));
       }
     }
-    const details = /** @type {HTMLDetailsElement} */ (byId("cal"));
+    const details = byId("cal", HTMLDetailsElement);
     details.addEventListener("toggle", () => (details.open ? this.#ask("open") : this.stop("the calibration was closed")));
     for (const event of ["keydown", "pointerdown"]) window.addEventListener(event, () => (this.touchedMs = performance.now()), true);
     byId("cal-servo").addEventListener("change", () => this.#suggest());
@@ -66,7 +66,7 @@ export class Calibrate {
     byId("cal-jog").addEventListener("keydown", (event) => this.#key(event));
     byId("cal-measured-form").addEventListener("submit", (event) => {
       event.preventDefault();
-      const field = /** @type {HTMLInputElement} */ (byId("cal-measured"));
+      const field = byId("cal-measured", HTMLInputElement);
       if (field.value !== "") this.#ask("stands_at", { deg: field.valueAsNumber });
       field.value = "";
     });
@@ -125,7 +125,7 @@ export class Calibrate {
     this.stop(why);
     this.asked.clear();
     this.view = null;
-    const details = /** @type {HTMLDetailsElement} */ (byId("cal"));
+    const details = byId("cal", HTMLDetailsElement);
     details.open = false;
   }
 
@@ -134,7 +134,7 @@ export class Calibrate {
     if (location.hash === "#cal" && this.link.open) {
       history.replaceState(null, "", "/");
       if (byId("cal").getClientRects().length === 0) byId("more").click();
-      const details = /** @type {HTMLDetailsElement} */ (byId("cal"));
+      const details = byId("cal", HTMLDetailsElement);
       details.open = true;
       details.scrollIntoView();
     }
@@ -147,10 +147,10 @@ export class Calibrate {
     text(byId("cal-revision"), view?.revision == null ? "" : `revision ${view.revision}`);
     show(byId("cal-choose"), !tested);
     show(byId("cal-test"), tested);
-    for (const id of ["cal-start", "cal-accept"]) enable(button(id), mine);
+    for (const id of ["cal-start", "cal-accept"]) enable(byId(id, HTMLButtonElement), mine);
     const changed = Object.values(view?.servos ?? {}).some((draft) => draft.changed);
-    enable(button("cal-write"), mine && !tested && changed);
-    enable(button("cal-landing"), mine);
+    enable(byId("cal-write", HTMLButtonElement), mine && !tested && changed);
+    enable(byId("cal-landing", HTMLButtonElement), mine);
     if (view?.servo != null && view.shown_deg != null && view.command_deg != null) {
       const apart = view.shown_deg === view.command_deg ? "" : `, ${degrees(view.command_deg)} by the calibration in force`;
       text(byId("cal-now"), `Servo ${view.servo} runs at ${degrees(view.shown_deg)}${apart}`);
@@ -164,15 +164,15 @@ export class Calibrate {
 
   /** Suggest the angle at which the chosen servo begins: where its last test ended, else the nearest to its middle. */
   #suggest() {
-    const servo = Number(/** @type {HTMLSelectElement} */ (byId("cal-servo")).value);
+    const servo = Number(byId("cal-servo", HTMLSelectElement).value);
     const draft = this.view?.servos[servo];
     const middle = draft ? Math.min(Math.max(90, draft.min_deg), draft.max_deg) : 90;
-    /** @type {HTMLInputElement} */ (byId("cal-begin")).value = String(this.stood.get(servo) ?? middle);
+    byId("cal-begin", HTMLInputElement).value = String(this.stood.get(servo) ?? middle);
   }
 
   async #start() {
-    const servo = Number(/** @type {HTMLSelectElement} */ (byId("cal-servo")).value);
-    const deg = /** @type {HTMLInputElement} */ (byId("cal-begin")).valueAsNumber;
+    const servo = Number(byId("cal-servo", HTMLSelectElement).value);
+    const deg = byId("cal-begin", HTMLInputElement).valueAsNumber;
     if (!Number.isFinite(deg)) {
       this.callbacks.say("Calibration: type the angle at which it starts, such as 90.");
       return;
@@ -297,11 +297,6 @@ export class Calibrate {
     }
     return cells;
   }
-}
-
-/** @param {string} id */
-function button(id) {
-  return /** @type {HTMLButtonElement} */ (byId(id));
 }
 
 /** @param {number} deg */

@@ -14,7 +14,7 @@ export class Device {
     this.link = link;
     this.say = say;
     this.asked = 0;
-    const details = /** @type {HTMLDetailsElement} */ (byId("device"));
+    const details = byId("device", HTMLDetailsElement);
     details.addEventListener("toggle", () => (details.open ? this.#ask() : this.#forget()));
     byId("device-again").addEventListener("click", () => this.#ask());
     show(byId("device-loopback"), LOOPBACK.test(location.hostname));

@@ -25,7 +25,7 @@ export class Keys {
       const modified = event.ctrlKey || event.altKey || event.metaKey;
       const elsewhere = typesText(event.target) || event.target instanceof HTMLSelectElement;
       if (!(key in DIRECTIONS) || event.repeat || modified || elsewhere) return;
-      if (/** @type {HTMLDialogElement} */ (byId("question")).open) return;
+      if (byId("question", HTMLDialogElement).open) return;
       this.down.add(key);
       changed();
     });

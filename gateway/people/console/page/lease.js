@@ -93,7 +93,7 @@ export class Lease {
     const short = asker && asker.length > LONGEST_NAME ? `${asker.slice(0, LONGEST_NAME - 1)}…` : asker;
     text(byId("lease-hand-over"), `Hand over to ${short ?? ""}`);
     for (const id of ["lease-acquire", "lease-ask", "lease-take"]) {
-      enable(/** @type {HTMLButtonElement} */ (byId(id)), connected);
+      enable(byId(id, HTMLButtonElement), connected);
     }
     show(byId("lease-acquire"), (!mine && holder === null && !looks) || handed);
     const taking = this.wanted && handed;

@@ -33,7 +33,7 @@ const stop = new StopAll(link, model, {
   pressed: () => {
     const why = "STOP ALL was pressed";
     shake(TAP_MS);
-    /** @type {HTMLDialogElement} */ (byId("question")).close("no");
+    byId("question", HTMLDialogElement).close("no");
     walk.end(why);
     hold.drop(why);
     calibrate.stop(why);

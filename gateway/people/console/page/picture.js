@@ -36,7 +36,7 @@ export class Picture {
         return [leg, label];
       }),
     );
-    this.solid = /** @type {HTMLInputElement} */ (byId("view-solid"));
+    this.solid = byId("view-solid", HTMLInputElement);
     for (const id of ["view-solid", "view-above"]) byId(id).addEventListener("change", () => this.#build());
     this.solid.addEventListener("change", () => (this.insists = true));
     this.insists = false;
@@ -96,7 +96,7 @@ export class Picture {
   #judge(tookMs) {
     this.slow = tookMs > SLOW_MS ? this.slow + 1 : 0;
     if (this.slow < MOST_SLOW || !this.solid.checked || this.insists) return;
-    /** @type {HTMLInputElement} */ (byId("view-above")).checked = true;
+    byId("view-above", HTMLInputElement).checked = true;
     this.say("3D is too slow in this browser, so the robot is drawn from above.");
     void this.#build();
   }
@@ -149,7 +149,7 @@ export class Picture {
   #cannot() {
     this.solid.checked = false;
     this.solid.disabled = true;
-    /** @type {HTMLInputElement} */ (byId("view-above")).checked = true;
+    byId("view-above", HTMLInputElement).checked = true;
     show(byId("no-webgl"), true);
   }
 }

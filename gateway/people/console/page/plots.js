@@ -18,8 +18,8 @@ export class Plots {
   /** @param {Model} model */
   constructor(model) {
     this.model = model;
-    this.angles = /** @type {HTMLCanvasElement} */ (byId("plot-angles"));
-    this.ages = /** @type {HTMLCanvasElement} */ (byId("plot-ages"));
+    this.angles = byId("plot-angles", HTMLCanvasElement);
+    this.ages = byId("plot-ages", HTMLCanvasElement);
     this.drawnMs = 0;
   }
 

@@ -125,7 +125,7 @@ export class StopAll {
     text(byId("stop-known"), known.line);
     attribute(byId("stop"), "data-tone", known.tone);
     show(byId("reset"), latched && !model.looks && model.live(nowMs));
-    enable(/** @type {HTMLButtonElement} */ (byId("stop-all")), !this.#looks);
+    enable(byId("stop-all", HTMLButtonElement), !this.#looks);
     const aloud = known.tone === "plain" ? "" : known.line.replace(/asked [\d.]+ s ago/, "asked");
     if (aloud !== this.spoken) {
       this.spoken = aloud;

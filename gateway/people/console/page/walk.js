@@ -159,7 +159,7 @@ export class Walk {
     const mine = this.callbacks.mine();
     show(byId("walk-controls"), !this.model.looks);
     attribute(byId("walk-controls"), "data-mine", mine ? "yes" : "no");
-    for (const id of ["stand", "sit", "lower", "higher"]) enable(/** @type {HTMLButtonElement} */ (byId(id)), mine);
+    for (const id of ["stand", "sit", "lower", "higher"]) enable(byId(id, HTMLButtonElement), mine);
     for (const id of ["pad", "turn"]) attribute(byId(id), "aria-disabled", mine ? "false" : "true");
     attribute(byId("pad"), "data-held", x || y ? "yes" : "no");
     attribute(byId("turn"), "data-held", turn ? "yes" : "no");
