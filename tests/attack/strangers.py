@@ -1,4 +1,4 @@
-"""Somebody who has no session and no certificate, at a console's door, again and again until killed.
+"""Connections without a session or certificate to a console's listener, again and again until killed.
 
     python -m tests.attack.strangers KIND HOST PORT COUNT [plain]
 

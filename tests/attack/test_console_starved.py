@@ -11,7 +11,7 @@ import pytest
 from gateway.people.client.confirmed_stop import REQUESTS_AT_ONCE
 from gateway.people.console.link import QUESTIONS_AT_ONCE, STOPS_AT_ONCE
 from gateway.people.console.sessions import Sessions
-from tests.attack.console_door import strangers
+from tests.attack.console_listener import strangers
 from tests.benchmarks.processes import threads
 from tests.support.closing import Closing
 from tests.support.console_process import Page, sign_in

@@ -1,6 +1,6 @@
-"""Strangers at the console's door, over TLS from another network namespace: STOP ALL comes as at rest.
+"""Connections without a session to the console, over TLS from another network namespace: STOP ALL comes as at rest.
 
-`python -m tests.attack.console_door` measures it; here the bounds are wide, for machines that are busy. Before the
+`python -m tests.attack.console_listener` measures it; here the bounds are wide, for machines that are busy. Before the
 console had a thread for strangers, each of these took it from 0.3 to 4.9 s.
 """
 
@@ -10,7 +10,7 @@ import pytest
 
 from gateway.people.console.app import MAX_CLOSING, MAX_PAGES
 from gateway.people.console.listener import MAX_SIGNED_IN, MAX_UNKNOWN
-from tests.attack.console_door import CASES, FLOODS, DoorStand, spread
+from tests.attack.console_listener import CASES, FLOODS, ListenerStand, spread
 from tests.benchmarks.processes import fds, rss_kb, threads
 
 pytestmark = pytest.mark.net
@@ -27,14 +27,14 @@ MEMORY_MB = 150
 
 
 @pytest.fixture(scope="module")
-def stand(tmp_path_factory: pytest.TempPathFactory) -> Iterator[DoorStand]:
-    with DoorStand(tmp_path_factory.mktemp("door"), ["prlimit", "--nofile=512", "--"]) as running:
+def stand(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ListenerStand]:
+    with ListenerStand(tmp_path_factory.mktemp("listener"), ["prlimit", "--nofile=512", "--"]) as running:
         running.press(3)
         yield running
 
 
 @pytest.mark.parametrize(("kind", "count"), dict(CASES).items())
-def test_stop_all_beside_strangers(stand: DoorStand, kind: str, count: int) -> None:
+def test_stop_all_beside_strangers(stand: ListenerStand, kind: str, count: int) -> None:
     with stand.attacked(kind, count):
         took_ms = stand.press(PRESSES)
         pid = stand.console.pid
@@ -49,7 +49,7 @@ def test_stop_all_beside_strangers(stand: DoorStand, kind: str, count: int) -> N
 
 
 @pytest.mark.parametrize(("kind", "count"), dict(FLOODS).items())
-def test_stop_all_beside_pages_that_flood(stand: DoorStand, kind: str, count: int) -> None:
+def test_stop_all_beside_pages_that_flood(stand: ListenerStand, kind: str, count: int) -> None:
     """Below the limit of bytes: their frames are counted, control frames too."""
     with stand.flooded(kind, count):
         usual_ms, worst_ms = spread(stand.press(PRESSES))

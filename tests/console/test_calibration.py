@@ -60,7 +60,7 @@ def test_a_servo_is_started_alone_jogged_trimmed_turned_round_and_written(visito
         assert running(robot) == {32: 93}
         page["cal-measured"].fill("90")
         page["cal-measured"].press("Enter")
-        expect(page["cal-now"]).to_have_text("Servo 32 runs at 90°, 93° by what is in force")
+        expect(page["cal-now"]).to_have_text("Servo 32 runs at 90°, 93° by the calibration in force")
         page["cal-highest_here"].click()
         page["cal-wrong_way"].click()
         expect(page["cal-rows"]).to_contain_text("* +3° inverted 90–180°")

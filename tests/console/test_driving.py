@@ -247,7 +247,7 @@ def test_a_gamepad_runs_one_leg_while_its_trigger_is_pulled_and_may_vanish(pages
     robot.bed.wait_for(lambda all_: any(_moved(each, 21, 9500) for each in all_[since:]), LATE_MS / 1000)
     page.page.evaluate("navigator.getGamepads = () => [null]")
     robot.expect_stopped(2, since=since)
-    expect(page.said).to_contain_text("the gamepad has gone")
+    expect(page.said).to_contain_text("the gamepad is disconnected")
 
 
 def _moved(transfer: Transfer, servo: int, beyond_cdeg: int) -> bool:

@@ -144,3 +144,19 @@ def test_a_links_quality_is_its_worst_of_two_seconds(page: Opened) -> None:
         [[0, 100, 20], [100, 250, 20], [200, 60, 450], [300, 600, 20], [2250, 100, 50], [2350, 100, 50]],
     )
     assert seen == [3, 2, 1, 0, 0, 3]
+
+
+def test_an_abandoned_start_that_is_accepted_is_stopped_again(page: Opened) -> None:
+    """A Stop may overtake the start that it follows. Starts of other legs go on."""
+    known = page.module(
+        "hold",
+        "(m, accepted) => {"
+        " const stopped = [], ack = { accepted }, starts = new m.Starts((leg) => stopped.push(leg));"
+        " [[7, 1], [8, 2], [9, 3]].forEach(([id, leg]) => starts.waiting.set(id, leg));"
+        " starts.abandon(2);"
+        " const answered = [7, 8, 8].map((id) => starts.answered({ id, ack }) ?? null);"
+        " starts.abandon();"
+        " return { stopped, answered, left: [starts.answered({ id: 9, ack }) ?? null, starts.waiting.size] }; }",
+        True,
+    )
+    assert known == {"stopped": [2, 3], "answered": [1, None, None], "left": [None, 0]}

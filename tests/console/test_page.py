@@ -197,7 +197,7 @@ def test_an_observer_is_sent_to_the_switch_and_whose_session_was_ended_is_told_h
         Visitor(browser, console.url, console.sign_in()) as visitor,
     ):
         page = visitor.open()
-        expect(page["stop-known"]).to_have_text("This page may only look: use the switch")
+        expect(page["stop-known"]).to_have_text("View only: use the power switch")
         expect(page["stop-all"]).to_be_disabled()
         expect(page["controls"]).not_to_be_visible()
         expect(page["walk-controls"]).not_to_be_visible()

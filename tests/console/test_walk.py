@@ -117,7 +117,7 @@ def test_a_gamepads_sticks_walk_and_its_b_button_is_stop_all(visitor: Visitor, r
     drive(page)
     walks(page, push_stick)
     page.page.evaluate("window.muted = true")
-    expect(page.said).to_have_text("It stands still: the console did not hear this page for a moment.")
+    expect(page.said).to_have_text("It stands still: the console received nothing of this page for a moment.")
     page.page.evaluate("window.muted = false; window.wishes = []")
     page.page.wait_for_function("() => window.wishes.length > 20")
     assert not page.page.evaluate("window.wishes.some((wish) => wish.forward_m_s)")
@@ -156,7 +156,9 @@ def test_a_frozen_page_leaves_a_robot_that_stands_and_goes_on_with_a_new_press_o
     finally:
         for renderer in renderers:
             os.kill(renderer, signal.SIGCONT)
-    expect(page.said).to_contain_text(re.compile("It stands still: (this page was frozen|the console did not hear)"))
+    expect(page.said).to_contain_text(
+        re.compile("It stands still: (this page was frozen|the console received nothing)")
+    )
     assert robot.state().mode == "active"
     page.expect_live()
     expect(page["walk-known"]).to_contain_text("It stands")

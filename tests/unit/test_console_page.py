@@ -38,7 +38,7 @@ def test_nothing_in_the_page_is_inline_or_from_elsewhere() -> None:
 
 @pytest.mark.parametrize("module", MODULES, ids=lambda module: module.name)
 def test_every_element_that_a_module_wants_is_on_the_page(module: Path) -> None:
-    for name in re.findall(r'byId\("([^"]+)"\)', module.read_text()):
+    for name in re.findall(r'byId\("([^"]+)"', module.read_text()):
         assert f'id="{name}"' in (BUTTON if module.name == "button.js" else HTML), name
 
 

@@ -45,7 +45,7 @@ class Console:
         self._loop.call_soon_threadsafe(self._admit, admitted)
 
     async def close(self) -> None:
-        """Close all pages."""
+        """Close all pages, and wait for them up to CLOSE_PAGES_S."""
         tasks = list(self._open.values())
         for websocket in self._open:
             websocket.close(SERVICE_RESTART, "the console ends")

@@ -41,7 +41,7 @@ WebSocket's request."""
 NONCE_S: Final = 10.0
 """How long a nonce may be used, once: a page opens its WebSocket as soon as it receives it."""
 MAX_NONCES: Final = 256
-"""Issued in five seconds at most, by the bound on connections; beyond it the oldest are dropped."""
+"""As many as the bound on connections allows in five seconds; beyond these the oldest are dropped."""
 PUBLIC: Final = ("/enter.html", "/enter.js", "/key.js", "/refused.css")
 """The first three move the key of a new session from the address into the browser's storage."""
 
@@ -88,7 +88,7 @@ class _PageFile:
 
 
 class Auth:
-    """For one thread."""
+    """Knows the page's files and the site; its sessions are in a file. For one thread."""
 
     def __init__(self, site: Site, sessions: Sessions, role: Role) -> None:
         """`role`: what a page may do at most."""

@@ -14,8 +14,8 @@ if TYPE_CHECKING:
 app = typer.Typer(
     invoke_without_command=True,
     help="Trim, direction and limits of each servo, and the landing pose.\n\n"
-    "Without a command it leads to the guide, a card of the console's page: choose a servo, see it start alone, move "
-    "it, say what you see on the robot, and write that. Where a console of yours runs it prints a link into it; "
+    "Without a command it opens the guide, a card of the console's page: choose a servo, see it start alone, move "
+    "it, enter what you see on the robot, and write that. If a console of yours runs, it prints a link to it; "
     "else (or with --connect or --zenoh-config) it starts one and opens the browser. The commands below "
     "are for scripts.\n\n"
     "Exit codes: 0 done, 1 rejected (the reason is printed), 2 an argument or a file is wrong, 4 no gateway answers.",
@@ -68,7 +68,7 @@ def set_servo(
     zenoh_config: ZenohConfigOption = None,
     timeout: TimeoutOption = 2.0,
 ) -> None:
-    """Change one servo; what is not named stays. The servo must not run."""
+    """Change one servo, in the values that are given. The servo must not run."""
     from gateway.people.tools import calibration
 
     wanted = {"trim_deg": trim, "inverted": inverted, "min_deg": lowest, "max_deg": highest}
@@ -91,7 +91,7 @@ def import_file(
     zenoh_config: ZenohConfigOption = None,
     timeout: TimeoutOption = 2.0,
 ) -> None:
-    """Make the calibration that of a file, whole: a servo that it does not name is as drawn."""
+    """Replace the whole calibration by a file's: a servo that the file does not name is as drawn."""
     from gateway.people.tools import calibration
 
     sys.exit(calibration.import_file(_reach(connect, zenoh_config, timeout), file, agreed=yes))
@@ -118,7 +118,7 @@ def accept_default(
     zenoh_config: ZenohConfigOption = None,
     timeout: TimeoutOption = 2.0,
 ) -> None:
-    """Where the robot's calibration file is broken or foreign: go on with the default, all servos as drawn."""
+    """Replace a broken or foreign calibration file by the default: all servos as drawn."""
     from gateway.people.tools import calibration
 
     sys.exit(calibration.accept_default(_reach(connect, zenoh_config, timeout), agreed=yes))

@@ -24,7 +24,7 @@ CALIBRATION_CARD: Final = "cal"
 
 @dataclass(frozen=True)
 class Options:
-    """The command's arguments."""
+    """The command's arguments, as `hexapod-gateway console --help` explains them."""
 
     connect: str | None
     zenoh_config: Path | None

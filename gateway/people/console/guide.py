@@ -42,7 +42,7 @@ class Guide:
         self.servo_id, self.wire_cdeg = servo_id, wire_cdeg
 
     def leave(self) -> None:
-        """End the test."""
+        """Put no servo under test."""
         self.servo_id = None
 
     def jog(self, by_cdeg: int) -> None:

@@ -99,7 +99,7 @@ class GatewayLink(Receiver):
         return await threads.run(lambda: client.ask(key, payload, again=again))
 
     async def set_upright(self) -> Ack:
-        """Put a robot that is simulated with physics on its feet. Raises GatewayError."""
+        """Set a robot that is simulated with physics upright. Raises GatewayError."""
         return await asyncio.to_thread(partial(set_upright, self.client()))
 
     async def estop(self, source: str | None) -> Ack:

@@ -133,7 +133,7 @@ class HttpListener:
         self._allowance = Allowance(CONNECTIONS_A_SECOND, CONNECTIONS_AT_ONCE)
 
     def start(self) -> None:
-        """Begin to accept connections."""
+        """Begin to accept connections, on the new thread."""
         sys.setswitchinterval(SWITCH_INTERVAL_S)
         threading.Thread(target=self._run, name="listener", daemon=True).start()
 
@@ -145,7 +145,7 @@ class HttpListener:
                 _log.exception("new connections cannot be served; trying again")
 
     async def serve(self) -> None:
-        """Accept connections, for ever."""
+        """Accept connections until it is cancelled."""
         loop = asyncio.get_running_loop()
         loop.set_exception_handler(report)
         await asyncio.gather(*(self._serve(loop, each) for each in self._listening))

@@ -306,7 +306,7 @@ class AckMessage(Report):
 class Stopping(Report):
     """The progress of a `StopAllRequest`: sent at once, after each unanswered attempt, and when it is confirmed.
 
-    While `answered` is false the console goes on asking.
+    While `answered` is false the console goes on requesting it.
     """
 
     type: Literal["stop"] = "stop"

@@ -101,7 +101,7 @@ class PageCalibration:
         if guide.in_force.revision != revision and step.do != "accept_default":
             also = f" (servo {', '.join(map(str, both))} by both of you)" if both else ""
             raise CalibrationError(
-                f"somebody else has changed the calibration meanwhile{also}; look at it, then write yours onto theirs"
+                f"another person changed the calibration meanwhile{also}; check it, then write your changes again"
             )
         raise CalibrationError(f"rejected: {ack.reason}: {ack.detail}")
 

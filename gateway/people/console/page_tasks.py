@@ -11,7 +11,7 @@ class EndError(Exception):
 
 
 class PageTasks:
-    """On the event loop."""
+    """A bound on what one page may have under way. On the event loop."""
 
     def __init__(self, most: int, what: str, *, in_turn: bool = False) -> None:
         """`what` the page waits for, in words. `in_turn`: one task runs at a time, in the order of their starts."""

@@ -3,11 +3,11 @@
 The thread uses `gateway.client.Walk` over a session of its own, with the page's lease. The pages' loop only stores the
 wish and never waits for the thread, so no STOP ALL does either.
 
-- Each wish is used once. When a page has sent none for `SILENT_S` (frozen, locked, without Wi-Fi, closed), the robot
-  finishes its step and stands; after another `SIT_S` it sits down, and its servos are stopped.
+- Each wish is used once. When a page has sent none for `WISH_SILENT_S` (frozen, locked, without Wi-Fi, closed), the
+  robot finishes its step and stands; after another `SIT_S` it sits down, and its servos are stopped.
 - Each wish carries the number of its press. What ends a walk (silence, an error, a Stop) uses up the newest press: only
   a newer one moves the robot again.
-- Without a press for `IDLE_S` the robot sits down although wishes come: standing heats the servos.
+- Without a press for `PRESSLESS_S` the robot sits down although wishes come: standing heats the servos.
 - Setpoints carry the page's lease until the legs are stopped; only then is it released.
 - If this process dies, the gateway's watchdog stops the legs.
 """
@@ -31,11 +31,11 @@ from gateway.people.client.walk import Walk
 from gateway.people.console.messages import WalkMessage, WalkWish
 from gateway.people.walking import Ride, Silences, Velocity, Wish
 
-SILENT_S: Final = 0.25
+WISH_SILENT_S: Final = 0.25
 """Five wishes in a row are missing."""
 SIT_S: Final = 5.0
-IDLE_S: Final = 60.0
-SILENCES: Final = Silences(hold_s=SILENT_S, rest_s=SIT_S, idle_s=IDLE_S, halted_s=SILENT_S + SIT_S)
+PRESSLESS_S: Final = 60.0
+SILENCES: Final = Silences(hold_s=WISH_SILENT_S, rest_s=SIT_S, idle_s=PRESSLESS_S, halted_s=WISH_SILENT_S + SIT_S)
 SETPOINTS_HZ: Final = 50.0
 WISH_WAIT_S: Final = 0.05
 """How long the thread waits for a wish before it looks at the silence."""

@@ -32,7 +32,7 @@ from gateway.people.console.outgoing import Outgoing
 from gateway.people.console.page_calibration import PageCalibration
 from gateway.people.console.page_lease import PageLease
 from gateway.people.console.page_tasks import EndError, PageTasks
-from gateway.people.console.page_walk import SILENT_S, PageWalks
+from gateway.people.console.page_walk import WISH_SILENT_S, PageWalks
 from gateway.people.console.stop_button import StopButton
 from gateway.people.console.stops import Stops, now_ns
 from gateway.people.walking import robot_now
@@ -44,7 +44,7 @@ MAX_COMMANDS: Final = 16
 MAX_STOPS: Final = 32
 """Kinds of Stops of legs and servos, of one page, that wait for theirs."""
 STOP_LASTS_S: Final = 2.0
-"""How long such a Stop is requested again: later, somebody else may drive that leg."""
+"""How long such a Stop is requested again: later, another client may drive that leg."""
 PAST_EVENTS: Final = 50
 """What a page that opens receives of the past."""
 
@@ -88,7 +88,7 @@ class Pages(LinkReceiver):
         return len(self._pages)
 
     def add(self, page: "Page") -> None:
-        """Send it what is known, and from now on what is received."""
+        """Send it the newest link, events and state, and from now on all that are received."""
         self._pages.add(page)
         for message in (self._link, *self._events):
             page.outgoing.put(message)
@@ -97,7 +97,7 @@ class Pages(LinkReceiver):
         page.allow_age(self._max_age_ms)
 
     def remove(self, page: "Page") -> None:
-        """Send it nothing more."""
+        """Send it nothing more; it is closed."""
         self._pages.discard(page)
 
     def next_number(self) -> int:
@@ -155,7 +155,7 @@ class Page:
         self._button = StopButton(link.client, f"{person}/page {number}", self.outgoing.put)
         self._max_age_ms = LimitsReport().max_age_ms
         self._staleness = Staleness(self._max_age_ms)
-        self._wishes = Staleness(SILENT_S * 1000)
+        self._wishes = Staleness(WISH_SILENT_S * 1000)
         """Of wishes for the walk: a later one counts as silence."""
         self._tasks = PageTasks(MAX_COMMANDS, "commands")
         self._leg_stops: dict[tuple[str, str], Stops[dict[str, Any]]] = {}

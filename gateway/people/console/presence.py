@@ -28,7 +28,7 @@ class GatewayPresence:
         """Whether its liveliness token is gone."""
 
     def opened(self, now_ns: int) -> None:
-        """A session is open."""
+        """A session is open; its gateway has a second to send a state."""
         self._silence.opened(now_ns)
 
     def not_opened(self, why: str) -> None:

@@ -28,7 +28,7 @@ LINK_S: Final = 600
 """Of a link that is not used: others may see the terminal in which it stands."""
 MAX_ENTRIES: Final = 256
 """Of sessions, and of links; beyond these the oldest are dropped."""
-MAX_FILE_BYTES: Final = 1_000_000
+MAX_SESSIONS_BYTES: Final = 1_000_000
 STATE_DIRECTORY: Final = Path("/var/lib/hexapod-console")
 """Of the service hexapod-console, also for root's commands."""
 _LOCK_FLAGS: Final = os.O_RDWR | os.O_CREAT | os.O_CLOEXEC
@@ -168,7 +168,7 @@ class Sessions:
     def _load(self) -> _Entries:
         """Raises OSError, also if there is no file."""
         with self.path.open("rb") as file:
-            content = file.read(MAX_FILE_BYTES)
+            content = file.read(MAX_SESSIONS_BYTES)
         try:
             return _Entries.model_validate_json(content)
         except ValidationError:

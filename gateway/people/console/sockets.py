@@ -22,7 +22,7 @@ SOCKET_BUFFER_BYTES: Final = 8192
 """Of the kernel's buffer for each connection."""
 FIRST_DESCRIPTOR: Final = 3
 """The first socket of systemd's (SD_LISTEN_FDS_START)."""
-UNIT: Final = "hexapod-console.socket"
+SOCKET_UNIT: Final = "hexapod-console.socket"
 
 
 def inherited(environment: MutableMapping[str, str] = os.environ, first: int = FIRST_DESCRIPTOR) -> list[socket.socket]:
@@ -34,7 +34,7 @@ def inherited(environment: MutableMapping[str, str] = os.environ, first: int = F
     if process != str(os.getpid()):
         return []  # passed to a parent process
     if number not in map(str, range(1, len(LOCALHOST) + 1)):
-        raise ConfigError(f"LISTEN_FDS={number}: systemd passes one socket, or localhost's two; see {UNIT}")
+        raise ConfigError(f"LISTEN_FDS={number}: systemd passes one socket, or localhost's two; see {SOCKET_UNIT}")
     descriptors = range(first, first + int(number))
     return [_checked(each) for each in descriptors]
 
@@ -45,11 +45,12 @@ def _checked(descriptor: int) -> socket.socket:
         found = socket.socket(fileno=descriptor)
         listens = found.getsockopt(socket.SOL_SOCKET, socket.SO_ACCEPTCONN)
     except OSError as error:
-        raise ConfigError(f"LISTEN_FDS: descriptor {descriptor} is no socket: {error.strerror}; see {UNIT}") from error
+        why = f"descriptor {descriptor} is no socket: {error.strerror}"
+        raise ConfigError(f"LISTEN_FDS: {why}; see {SOCKET_UNIT}") from error
     if found.family not in (socket.AF_INET, socket.AF_INET6) or found.type != socket.SOCK_STREAM or not listens:
         found.detach()
         raise ConfigError(
-            f"LISTEN_FDS: descriptor {descriptor} is no TCP socket that listens (ListenStream=; see {UNIT})"
+            f"LISTEN_FDS: descriptor {descriptor} is no TCP socket that listens (ListenStream=; see {SOCKET_UNIT})"
         )
     return found
 
@@ -62,12 +63,12 @@ def address_in(passed: Sequence[socket.socket], listen: str | None) -> str:
     places = [each.getsockname()[:2] for each in passed]
     hosts, ports = [str(host) for host, _ in places], {int(port) for _, port in places}
     if len(hosts) == len(LOCALHOST) and (set(hosts) != set(LOCALHOST) or len(ports) != 1):
-        raise ConfigError(f"{UNIT} has two addresses; only 127.0.0.1 and [::1] with one port belong together")
+        raise ConfigError(f"{SOCKET_UNIT} has two addresses; only 127.0.0.1 and [::1] with one port belong together")
     host, port = "localhost" if len(hosts) > 1 else hosts[0], ports.pop()
     if listen is not None and address_of(listen) != (host, port):
         raise ConfigError(
-            f"--listen {listen} is not where {UNIT} listens ({with_port(host, port)}): remove --listen from "
-            f"/etc/hexapod-console/console.conf, and name the address there: sudo systemctl edit {UNIT}"
+            f"--listen {listen} is not where {SOCKET_UNIT} listens ({with_port(host, port)}): remove --listen from "
+            f"/etc/hexapod-console/console.conf, and name the address there: sudo systemctl edit {SOCKET_UNIT}"
         )
     return with_port(host, port)
 

@@ -29,7 +29,7 @@ class Layer:
 
 
 class Tls(Layer):
-    """The server's side."""
+    """The server's side of one TLS connection."""
 
     def __init__(self, context: ssl.SSLContext) -> None:
         self._incoming, self._outgoing = ssl.MemoryBIO(), ssl.MemoryBIO()

@@ -43,7 +43,7 @@ REASON_BYTES: Final = 123
 
 
 class ClosedError(Exception):
-    """The WebSocket is closed."""
+    """The WebSocket is closed, or closing."""
 
 
 class Quiet:
@@ -65,7 +65,7 @@ class Quiet:
 
     @property
     def due_s(self) -> float:
-        """When to check again."""
+        """When to ping, or to give up, in the time of `now_s`."""
         return self._received_s + PING_S * (2 if self._asked else 1)
 
     def must_ask(self, now_s: float) -> bool:

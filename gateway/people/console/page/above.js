@@ -1,5 +1,5 @@
 // @ts-check
-/** The robot from above, forward up, as SVG: for browsers without WebGL, and for whoever likes it better. */
+/** The robot from above, forward up, as SVG: for browsers without WebGL, and by choice. */
 
 import { LEGS, legPoints } from "./kinematics.js";
 

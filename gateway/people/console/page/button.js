@@ -2,26 +2,26 @@
 /**
  * This page is a stop button: a tap anywhere stops the robot, and so does this page's silence.
  *
- * It checks in from a timer of its own, and only while a person can see it. A page that is hidden, or whose timer comes
- * late (frozen, or throttled to once a second in the background), checks in no more: that is a stop, and no flutter.
+ * It checks in by its own timer, and only while it is visible. A page that is hidden, or whose timer is late (frozen, or
+ * throttled to once a second in the background), does not check in: that is a stop, and no flutter.
  */
 
 import { attribute, byId, text } from "./dom.js";
-import { Link } from "./link.js";
+import { LOST, Link } from "./link.js";
 import { Awake, TAP_MS, fillScreen, shake } from "./phone.js";
 
-/** Check-ins within the time that one of them counts. */
+/** Check-ins within the time for which one counts. */
 const SHARE = 4;
-/** Of the time that a check-in counts: an answer that takes longer comes late, as the person should know. */
+/** Of that time: the person is shown an answer that takes longer. */
 const LATE = 0.25;
-/** Of that time: how late check-ins are is judged by the registration's delay, so one that took longer does not count. */
+/** Of that time: a registration that takes longer does not count, since its delay is the measure of later ones. */
 const REGISTERED_WITHIN = 0.5;
-/** Times that time: then it registers anew, since the gateway lets a registration's clock fall behind by little. */
+/** Times that time: then it registers anew, since the gateway allows a registration's clock little drift. */
 const LIFE = 600;
 const REFRESH_MS = 100;
 const BUZZ_MS = [200, 100, 200];
 const BUZZ_EVERY_MS = 1500;
-/** Where nothing at all is heard for so long after a tap, a new connection is tried. */
+/** If the console is silent for so long after a tap, the page connects again. */
 const DEAF_MS = 1000;
 
 /**
@@ -29,15 +29,7 @@ const DEAF_MS = 1000;
  *            name: string | null, timeout_ms: number | null, alive: number | null, required: number | null}} Answer
  */
 
-/**
- * Whether a tick of the timer may check in: the page is seen, and the tick before it was in time.
- * @param {{visible: boolean, sinceTickMs: number, timeoutMs: number}} now
- */
-export function mayCheckIn({ visible, sinceTickMs, timeoutMs }) {
-  return visible && sinceTickMs < timeoutMs / 2;
-}
-
-export class StopButton {
+class StopButton {
   constructor() {
     this.link = new Link({ opened: () => this.#opened(), closed: (why) => this.#closed(why), received: (message) => this.#received(message) });
     this.watches = false;
@@ -80,8 +72,8 @@ export class StopButton {
     this.#tick();
   }
 
-  /** The gateway counts this button, as far as it has answered. */
-  get heard() {
+  /** Whether the gateway counts this button, by its answers. */
+  get counts() {
     return this.registered && performance.now() - this.confirmedMs < this.timeoutMs;
   }
 
@@ -125,13 +117,9 @@ export class StopButton {
 
   #tick() {
     const now = performance.now();
-    const inTime = mayCheckIn({
-      visible: document.visibilityState === "visible",
-      sinceTickMs: now - this.lastTickMs,
-      timeoutMs: this.timeoutMs,
-    });
+    const inTime = now - this.lastTickMs < this.timeoutMs / 2;
     this.lastTickMs = now;
-    if (this.watches && inTime) {
+    if (this.watches && inTime && document.visibilityState === "visible") {
       this.#ask(this.registered && now < this.endsMs ? "alive" : "register");
     }
     clearTimeout(this.timer);
@@ -148,7 +136,7 @@ export class StopButton {
   #closed(why) {
     this.registered = false;
     this.asked = null;
-    this.trouble = why || "the connection to the console is lost";
+    this.trouble = why || LOST;
   }
 
   /** @param {any} message of the console */
@@ -157,7 +145,7 @@ export class StopButton {
     else if (message.type === "state") {
       this.mode = message.state.mode;
       const newer = performance.now() - message.age_ms > this.stoppedAtMs;
-      if (this.mode !== "estopped" && newer) this.stopLine = ""; // somebody has reset it
+      if (this.mode !== "estopped" && newer) this.stopLine = ""; // it was reset
     } else if (message.type === "stop" && message.id === this.stopping?.id) {
       if (message.answered) {
         this.stopping = null;
@@ -208,14 +196,14 @@ export class StopButton {
   }
 
   #refresh() {
-    const { heard } = this;
-    const tone = !this.watches ? "off" : !heard ? "unheard" : this.mode === "estopped" ? "stopped" : "watches";
+    const { counts } = this;
+    const tone = !this.watches ? "off" : !counts ? "unheard" : this.mode === "estopped" ? "stopped" : "watches";
     attribute(document.body, "data-tone", tone);
     const words = { off: this.looks ? "NO BUTTON" : "TAP TO WATCH", unheard: "NOT HEARD", stopped: "STOPPED", watches: "STOP" };
     text(byId("word"), words[tone]);
     const lines = {
       off: this.looks ? "this page may only look" : "then a tap anywhere stops the robot",
-      unheard: `the gateway does not hear this button: use the switch. ${this.trouble}`,
+      unheard: `the gateway receives nothing from this button: use the switch. ${this.trouble}`,
       stopped: "",
       watches: this.#hint(),
     };

@@ -1,18 +1,20 @@
 // @ts-check
 /**
- * Calibration: one servo is started alone, jogged, and told what it is; the console keeps the draft, until it is written.
+ * Calibration: the person starts one servo alone, jogs it and states what is seen; the console keeps the draft until it is
+ * written.
  *
- * The servo under test runs only while this page is seen: its angle is sent 20 times a second, as long as nothing is
- * amiss (the same conditions as for hold to run), and by nobody else. Whatever ends that stops its leg.
+ * The servo under test runs only while this page is seen: this page alone sends its angle, 20 times a second, while there
+ * is no obstacle (as for hold to run). Whatever ends that stops its leg.
  */
 
 import { attribute, byId, confirmed, element, enable, show, text } from "./dom.js";
-import { obstacle, PERIOD_MS, whenLost, whyNot } from "./hold.js";
+import { obstacle, PERIOD_MS, Starts, whenLost, whyNot } from "./hold.js";
 import { JOINTS, LEGS } from "./kinematics.js";
+import { NETWORK_FULL } from "./link.js";
 
 /** @typedef {import("./types.js").CalibrationMessage} CalibrationMessage */
 
-/** So long after the last click or key the servo is stopped: nobody may be there any more. */
+/** So long after the last click or key the servo is stopped: the person may have left. */
 const UNTOUCHED_MS = 120_000;
 const STEPS = ["wrong_way", "lowest_here", "highest_here", "full_range", "as_drawn"];
 
@@ -25,21 +27,18 @@ export class Calibrate {
     this.link = link;
     this.model = model;
     this.callbacks = callbacks;
-    /** What the console knows. @type {CalibrationMessage | null} */
+    /** The console's guide, as of its newest answer. @type {CalibrationMessage | null} */
     this.view = null;
-    /** What was asked, by its number. @type {Map<number, string>} */
+    /** Requests that are not answered, by their numbers. @type {Map<number, string>} */
     this.asked = new Map();
-    /** The servo that runs, or is about to. @type {number | null} */
+    /** The servo under test. @type {number | null} */
     this.servo = null;
-    /** The start whose answer is awaited. @type {number | null} */
-    this.starting = null;
-    /** Starts that were let go of before their answer came: a Stop may have overtaken them. @type {Map<number, number>} */
-    this.abandoned = new Map();
+    this.starts = new Starts((servo) => this.#sendStop(servo));
     /** The set whose acknowledgement is awaited. @type {number | null} */
     this.setting = null;
     this.lastTickMs = 0;
     this.touchedMs = 0;
-    /** Where each servo stood when its test ended, so that the next one begins there. @type {Map<number, number>} */
+    /** Where each servo stood when its test ended: the next test suggests that angle. @type {Map<number, number>} */
     this.stood = new Map();
     /** @type {ReturnType<typeof setInterval> | undefined} */
     this.timer = undefined;
@@ -50,7 +49,7 @@ export class Calibrate {
         byId("cal-servo").append(element("option", { value: servo }, `${servo}: leg ${leg}, joint ${joint}`));
       }
     }
-    const details = /** @type {HTMLDetailsElement} */ (byId("cal"));
+    const details = byId("cal", HTMLDetailsElement);
     details.addEventListener("toggle", () => (details.open ? this.#ask("open") : this.stop("the calibration was closed")));
     for (const event of ["keydown", "pointerdown"]) window.addEventListener(event, () => (this.touchedMs = performance.now()), true);
     byId("cal-servo").addEventListener("change", () => this.#suggest());
@@ -67,7 +66,7 @@ export class Calibrate {
     byId("cal-jog").addEventListener("keydown", (event) => this.#key(event));
     byId("cal-measured-form").addEventListener("submit", (event) => {
       event.preventDefault();
-      const field = /** @type {HTMLInputElement} */ (byId("cal-measured"));
+      const field = byId("cal-measured", HTMLInputElement);
       if (field.value !== "") this.#ask("stands_at", { deg: field.valueAsNumber });
       field.value = "";
     });
@@ -79,19 +78,19 @@ export class Calibrate {
     whenLost(this, (why) => this.stop(why));
   }
 
-  /** Whether a servo runs by it, or is about to. */
+  /** Whether a servo is under test: it runs, or is about to. */
   get active() {
     return this.servo !== null;
   }
 
-  /** End the test: its leg is stopped, and the watchdog does it where that does not arrive. @param {string} why */
+  /** End the test: stop its leg, which the watchdog does if no Stop arrives. @param {string} why */
   stop(why) {
     const { servo } = this;
     if (servo === null) return;
     clearInterval(this.timer);
     this.timer = undefined;
-    if (this.starting !== null) this.abandoned.set(this.starting, servo);
-    this.servo = this.starting = this.setting = null;
+    this.starts.abandon();
+    this.servo = this.setting = null;
     if (this.view?.shown_deg != null) this.stood.set(servo, this.view.shown_deg);
     this.#suggest();
     const sent = this.#sendStop(servo);
@@ -113,12 +112,7 @@ export class Calibrate {
   /** @param {import("./types.js").AckMessage} message */
   receivedAck(message) {
     const said = whyNot(message);
-    const abandoned = this.abandoned.get(message.id);
-    if (abandoned !== undefined) {
-      this.abandoned.delete(message.id);
-      if (!said) this.#sendStop(abandoned);
-    } else if (message.id === this.starting) {
-      this.starting = null;
+    if (this.starts.answered(message) !== undefined) {
       if (said) this.stop(`it was not started (${said})`);
     } else if (message.id === this.setting) {
       this.setting = null;
@@ -126,12 +120,12 @@ export class Calibrate {
     }
   }
 
-  /** The connection to the console ended, and with it the guide that the console kept. */
-  closed() {
-    this.stop("the connection to the console is lost");
+  /** The connection to the console ended, and with it the console's guide. @param {string} why */
+  closed(why) {
+    this.stop(why);
     this.asked.clear();
     this.view = null;
-    const details = /** @type {HTMLDetailsElement} */ (byId("cal"));
+    const details = byId("cal", HTMLDetailsElement);
     details.open = false;
   }
 
@@ -140,7 +134,7 @@ export class Calibrate {
     if (location.hash === "#cal" && this.link.open) {
       history.replaceState(null, "", "/");
       if (byId("cal").getClientRects().length === 0) byId("more").click();
-      const details = /** @type {HTMLDetailsElement} */ (byId("cal"));
+      const details = byId("cal", HTMLDetailsElement);
       details.open = true;
       details.scrollIntoView();
     }
@@ -153,12 +147,12 @@ export class Calibrate {
     text(byId("cal-revision"), view?.revision == null ? "" : `revision ${view.revision}`);
     show(byId("cal-choose"), !tested);
     show(byId("cal-test"), tested);
-    for (const id of ["cal-start", "cal-accept"]) enable(button(id), mine);
+    for (const id of ["cal-start", "cal-accept"]) enable(byId(id, HTMLButtonElement), mine);
     const changed = Object.values(view?.servos ?? {}).some((draft) => draft.changed);
-    enable(button("cal-write"), mine && !tested && changed);
-    enable(button("cal-landing"), mine);
+    enable(byId("cal-write", HTMLButtonElement), mine && !tested && changed);
+    enable(byId("cal-landing", HTMLButtonElement), mine);
     if (view?.servo != null && view.shown_deg != null && view.command_deg != null) {
-      const apart = view.shown_deg === view.command_deg ? "" : `, ${degrees(view.command_deg)} by what is in force`;
+      const apart = view.shown_deg === view.command_deg ? "" : `, ${degrees(view.command_deg)} by the calibration in force`;
       text(byId("cal-now"), `Servo ${view.servo} runs at ${degrees(view.shown_deg)}${apart}`);
     }
     for (const [servo, cell] of this.cells) {
@@ -168,17 +162,17 @@ export class Calibrate {
     }
   }
 
-  /** Suggest where the chosen servo begins: where its last test ended, else its middle, or what is nearest to that. */
+  /** Suggest the angle at which the chosen servo begins: where its last test ended, else the nearest to its middle. */
   #suggest() {
-    const servo = Number(/** @type {HTMLSelectElement} */ (byId("cal-servo")).value);
+    const servo = Number(byId("cal-servo", HTMLSelectElement).value);
     const draft = this.view?.servos[servo];
     const middle = draft ? Math.min(Math.max(90, draft.min_deg), draft.max_deg) : 90;
-    /** @type {HTMLInputElement} */ (byId("cal-begin")).value = String(this.stood.get(servo) ?? middle);
+    byId("cal-begin", HTMLInputElement).value = String(this.stood.get(servo) ?? middle);
   }
 
   async #start() {
-    const servo = Number(/** @type {HTMLSelectElement} */ (byId("cal-servo")).value);
-    const deg = /** @type {HTMLInputElement} */ (byId("cal-begin")).valueAsNumber;
+    const servo = Number(byId("cal-servo", HTMLSelectElement).value);
+    const deg = byId("cal-begin", HTMLInputElement).valueAsNumber;
     if (!Number.isFinite(deg)) {
       this.callbacks.say("Calibration: type the angle at which it starts, such as 90.");
       return;
@@ -205,9 +199,10 @@ export class Calibrate {
       this.stop(`it was not started (${why})`);
       return;
     }
-    this.starting = this.link.nextId();
-    if (!this.#command("start", this.starting)) {
-      this.stop("the network takes nothing");
+    const id = this.link.nextId();
+    this.starts.waiting.set(id, servo);
+    if (!this.#command("start", id)) {
+      this.stop(NETWORK_FULL);
       return;
     }
     this.timer = setInterval(() => this.#tick(), PERIOD_MS);
@@ -223,7 +218,7 @@ export class Calibrate {
       this.stop(why);
       return;
     }
-    if (this.starting !== null) return;
+    if (this.starts.waiting.size) return;
     const id = this.setting === null ? (this.setting = this.link.nextId()) : undefined;
     this.#command("set", id);
   }
@@ -247,7 +242,7 @@ export class Calibrate {
     const step = { ArrowRight: 1, ArrowLeft: -1, ArrowUp: 0.1, ArrowDown: -0.1 }[event.key];
     if (step === undefined || event.target instanceof HTMLInputElement) return;
     event.preventDefault();
-    if (![...this.asked.values()].includes("jog")) this.#ask("jog", { deg: step }); // none waits once the key is let go
+    if (![...this.asked.values()].includes("jog")) this.#ask("jog", { deg: step }); // so no step is left once the key is let go
   }
 
   async #write() {
@@ -302,11 +297,6 @@ export class Calibrate {
     }
     return cells;
   }
-}
-
-/** @param {string} id */
-function button(id) {
-  return /** @type {HTMLButtonElement} */ (byId(id));
 }
 
 /** @param {number} deg */

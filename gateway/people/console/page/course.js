@@ -1,5 +1,5 @@
 // @ts-check
-/** Which way it goes and turns: the way of its front in the next seconds, as an arrow. */
+/** The path of the robot's front in the next seconds, as an arrow. */
 
 const SECONDS = 4;
 const STEPS = 24;
@@ -7,7 +7,7 @@ const STEPS = 24;
 const FRONT_M = 0.3;
 const HALF_M = 0.012;
 const HEAD_M = 0.045;
-/** Slower than this it stands, in metres and radians a second. */
+/** A slower robot counts as standing, in m/s and rad/s. */
 const LEAST = 0.002;
 
 /**

@@ -1,5 +1,5 @@
 // @ts-check
-/** Another device: a link that works once, as a QR code, for whoever stands beside this page. */
+/** A link for another device, which works once, as a QR code. */
 
 import { byId, show, text } from "./dom.js";
 
@@ -14,7 +14,7 @@ export class Device {
     this.link = link;
     this.say = say;
     this.asked = 0;
-    const details = /** @type {HTMLDetailsElement} */ (byId("device"));
+    const details = byId("device", HTMLDetailsElement);
     details.addEventListener("toggle", () => (details.open ? this.#ask() : this.#forget()));
     byId("device-again").addEventListener("click", () => this.#ask());
     show(byId("device-loopback"), LOOPBACK.test(location.hostname));
@@ -33,7 +33,7 @@ export class Device {
     if (!this.link.sendNow({ type: "link_for", id: this.asked })) this.say("No link: not connected.");
   }
 
-  /** Whoever looks at this screen later needs no link. */
+  /** Show no link to people who come later. */
   #forget() {
     this.asked = 0;
     byId("device-code").replaceChildren();

@@ -1,10 +1,14 @@
 // @ts-check
 /** Small helpers. Nothing here touches the page where it would look the same: so nothing flickers at 10 Hz. */
 
-/** The element with this id, which the page has. @param {string} id @returns {HTMLElement} */
-export function byId(id) {
+/**
+ * The element with this id, which the page has, and of this class.
+ * @template {HTMLElement} [E=HTMLElement]
+ * @param {string} id @param {{new (): E}} [kind] @returns {E}
+ */
+export function byId(id, kind = /** @type {any} */ (HTMLElement)) {
   const found = document.getElementById(id);
-  if (!found) throw new Error(`the page has no #${id}`);
+  if (!(found instanceof kind)) throw new Error(`the page has no ${kind.name} #${id}`);
   return found;
 }
 
@@ -80,7 +84,7 @@ export function worded(sentence) {
  * @returns {Promise<boolean>}
  */
 export function confirmed(question, explanation, yes, no) {
-  const dialog = /** @type {HTMLDialogElement} */ (byId("question"));
+  const dialog = byId("question", HTMLDialogElement);
   if (dialog.open) return Promise.resolve(false); // one question at a time
   const before = document.activeElement;
   text(byId("question-title"), question);

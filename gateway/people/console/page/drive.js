@@ -1,5 +1,5 @@
 // @ts-check
-/** What is operated: choice of legs, sliders and typed angles, hold to run, Stops, poses. */
+/** The controls of single legs: their choice, sliders and typed angles, hold to run, Stops, poses. */
 
 import { attribute, byId, element, enable, show, text, typesText } from "./dom.js";
 import { JOINTS, LEGS } from "./kinematics.js";
@@ -45,7 +45,7 @@ export class Drive {
     return [...legs];
   }
 
-  /** Another leg is selected. */
+  /** Show another leg as selected. */
   selected() {
     const leg = this.model.selectedLeg;
     for (const [each, input] of this.selectors) input.checked = each === leg;
@@ -163,7 +163,7 @@ export class Drive {
     window.addEventListener("keydown", (event) => {
       const modified = event.ctrlKey || event.altKey || event.metaKey;
       if (event.key.toLowerCase() !== HOLD_KEY || event.repeat || modified || typesText(event.target)) return;
-      if (/** @type {HTMLDialogElement} */ (byId("question")).open) return;
+      if (byId("question", HTMLDialogElement).open) return;
       this.hold.press("key");
     });
     window.addEventListener("keyup", (event) => {
@@ -172,13 +172,13 @@ export class Drive {
   }
 
   #poseForm() {
-    const name = /** @type {HTMLInputElement} */ (byId("pose-name"));
+    const name = byId("pose-name", HTMLInputElement);
     const list = () => {
       const names = Object.keys(this.poses.all()).sort();
       byId("pose-names").replaceChildren(...names.map((each) => element("option", { value: each })));
       const known = names.includes(name.value.trim());
-      enable(/** @type {HTMLButtonElement} */ (byId("pose-load")), known);
-      enable(/** @type {HTMLButtonElement} */ (byId("pose-remove")), known);
+      enable(byId("pose-load", HTMLButtonElement), known);
+      enable(byId("pose-remove", HTMLButtonElement), known);
     };
     name.addEventListener("input", list);
     byId("pose-form").addEventListener("submit", (event) => {

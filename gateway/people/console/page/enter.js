@@ -1,5 +1,5 @@
 // @ts-check
-/** After a link was exchanged for a session: keeps its key, which came behind the # of the address, and goes on. */
+/** After a link was exchanged for a session: stores its key, from behind the # of the address, and opens the page. */
 
 import { keep } from "./key.js";
 
@@ -9,5 +9,5 @@ try {
   location.replace(`/${location.search.replace("?", "#")}`); // to a card of the page, where the link names one
 } catch {
   const line = document.getElementById("enter");
-  if (line) line.textContent = "This browser keeps nothing for this page, so nobody can be signed in. Allow it, and open another link.";
+  if (line) line.textContent = "This browser stores nothing for this page, so you cannot be signed in. Allow it, and open another link.";
 }

@@ -29,7 +29,7 @@ export class Pad {
     this.targets = targets;
     this.callbacks = callbacks;
     this.held = false;
-    /** The trigger was seen released, so that its next pull is meant. */
+    /** The trigger was released, so its next pull is intended. */
     this.ready = false;
     this.stopping = true;
     this.pressing = true;
@@ -37,7 +37,7 @@ export class Pad {
     setInterval(() => this.#look(), WATCH_MS);
   }
 
-  /** Move the selected leg's targets by what the sticks say. @param {number} elapsedMs */
+  /** Move the selected leg's targets by the sticks. @param {number} elapsedMs */
   steer(elapsedMs) {
     if (!this.held) return;
     const pad = connected();
@@ -62,7 +62,7 @@ export class Pad {
       this.walk.pad.release();
       if (this.held) {
         this.held = false;
-        this.hold.drop("the gamepad has gone");
+        this.hold.drop("the gamepad is disconnected");
       }
       return;
     }

@@ -1,27 +1,27 @@
 // @ts-check
 /**
- * Hold to run: while something is held (the button, the key H, a gamepad's trigger), this page sends the setpoints of
- * the legs that it runs, 20 times a second. Nobody else repeats them. When anything is amiss it sends nothing any more,
- * and goes on only when it is held anew; the gateway's watchdog stops the legs.
+ * Hold to run: while the button, the key H or a gamepad's trigger is held, this page sends the setpoints of the legs that
+ * it runs, 20 times a second. Nothing else repeats them. At any obstacle it sends nothing more until something is held
+ * anew, and the gateway's watchdog stops the legs.
  *
- * A leg begins with a `start` that is acknowledged; only then is it set. So nothing here starts a leg again that
- * somebody stopped.
+ * A leg is set only after its `start` was acknowledged, so nothing here starts again a leg that somebody stopped.
  */
 
 import { legs as legsInWords } from "./dom.js";
+import { GATEWAY_LOST, LOST, NETWORK_FULL } from "./link.js";
 
 /** @typedef {import("./model.js").Model} Model @typedef {import("./types.js").AckMessage} AckMessage */
 
 export const PERIOD_MS = 50;
-/** How fast a hand's slider moves a servo; a servo alone goes ten times as fast. */
+/** How fast a slider moves a servo at most; a servo by itself is ten times as fast. */
 const SPEED_DEG_S = 60;
-/** With an older state than this, nothing is sent: who drives has to see. */
+/** With an older state nothing is sent: the driver has to see the robot's state. */
 const FRESH_MS = 500;
-/** A tick that comes later than this tells of a page that was frozen. */
+/** A later tick shows that the page was frozen. */
 const FROZEN_MS = 250;
 
 /**
- * Why nothing may be sent, in words; "" where it may.
+ * Why nothing may be sent, in words; "" if it may.
  * @param {{link: import("./link.js").Link, model: Model, callbacks: {mine: () => boolean}, lastTickMs: number}} driver
  * @param {number} nowMs
  */
@@ -30,8 +30,8 @@ export function obstacle({ link, model, callbacks, lastTickMs }, nowMs) {
   if (sinceTickMs > FROZEN_MS) return `this page was frozen for ${(sinceTickMs / 1000).toFixed(1)} s`;
   if (document.visibilityState !== "visible") return "this page is hidden";
   if (!document.hasFocus()) return "this window has lost the focus";
-  if (!link.open) return "the connection to the console is lost";
-  if (model.linkStatus === "gone") return "the console has lost the gateway";
+  if (!link.open) return LOST;
+  if (model.linkStatus === "gone") return GATEWAY_LOST;
   const stateAgeMs = model.ageMs(nowMs);
   if (stateAgeMs > FRESH_MS) return `the newest state is ${(stateAgeMs / 1000).toFixed(1)} s old`;
   if (!model.hello || model.looks) return "this page may only look";
@@ -43,8 +43,8 @@ export function obstacle({ link, model, callbacks, lastTickMs }, nowMs) {
 }
 
 /**
- * Call `lose`, with why, as soon as this page is one that must not drive: hidden, without the focus, left or frozen;
- * also while nothing moves: a thumb that lies on a pad counts no more.
+ * Call `lose`, with why, as soon as this page must not drive: hidden, without the focus, left or frozen; also while
+ * nothing moves, so a thumb that lies on a pad does not count afterwards.
  * @param {Parameters<typeof obstacle>[0]} driver @param {(why: string) => void} lose
  */
 export function whenLost(driver, lose) {
@@ -61,10 +61,43 @@ export function whenLost(driver, lose) {
   document.addEventListener("freeze", () => lose("this page was frozen"));
 }
 
-/** Why a command was not accepted, in words; "" where it was. @param {AckMessage} message */
+/** Why a command was not accepted, in words; "" if it was. @param {AckMessage} message */
 export function whyNot({ ack, error }) {
   if (ack?.accepted) return "";
   return ack ? `${ack.reason}: ${ack.detail ?? ""}` : (error ?? "no answer");
+}
+
+/**
+ * Starts whose answers are awaited. One that was abandoned before its answer, and is accepted all the same, is stopped
+ * again: the Stop may have overtaken it.
+ */
+export class Starts {
+  /** @param {(what: number) => void} stop a leg or servo */
+  constructor(stop) {
+    this.stop = stop;
+    /** What each starts, by the request's number. @type {Map<number, number>} */
+    this.waiting = new Map();
+    /** @type {Map<number, number>} */
+    this.abandoned = new Map();
+  }
+
+  /** Abandon the starts of this leg or servo; by default all. @param {number} [what] */
+  abandon(what) {
+    for (const [id, each] of this.waiting) {
+      if (what !== undefined && each !== what) continue;
+      this.waiting.delete(id);
+      this.abandoned.set(id, each);
+    }
+  }
+
+  /** @param {AckMessage} message @returns {number | undefined} what it answers the start of, if that was not abandoned */
+  answered({ id, ack }) {
+    const [waiting, abandoned] = [this.waiting.get(id), this.abandoned.get(id)];
+    this.waiting.delete(id);
+    this.abandoned.delete(id);
+    if (abandoned !== undefined && ack?.accepted) this.stop(abandoned);
+    return waiting;
+  }
 }
 
 export class Hold {
@@ -81,18 +114,15 @@ export class Hold {
     this.held = new Set();
     /** Legs whose start was acknowledged. @type {Set<number>} */
     this.running = new Set();
-    /** Legs whose start is under way, by the number of the question. @type {Map<number, number>} */
-    this.starting = new Map();
-    /** Starts that were let go of before their answer came: a Stop may have overtaken them. @type {Map<number, number>} */
-    this.abandoned = new Map();
-    /** Legs that were stopped here while something is held: this hold starts them no more. @type {Set<number>} */
+    this.starts = new Starts((leg) => this.#stop([leg]));
+    /** Legs that were stopped here while something is held: this hold does not start them again. @type {Set<number>} */
     this.stopped = new Set();
     /** The set whose acknowledgement is awaited. @type {number | null} */
     this.asked = null;
     this.lastTickMs = 0;
     /** @type {ReturnType<typeof setInterval> | undefined} */
     this.timer = undefined;
-    /** What it was cut off from, until the watchdog is seen to have stopped it. @type {number[]} */
+    /** Legs that were left to the watchdog, until a state shows them stopped. @type {number[]} */
     this.left = [];
     this.why = "";
     whenLost(this, (why) => this.drop(why));
@@ -134,7 +164,7 @@ export class Hold {
     this.callbacks.say(sent ? `Let go: ${legsInWords(legs)} stopped.` : "Let go, but not connected: the watchdog stops them.");
   }
 
-  /** Nothing is sent from now on, until it is held anew. @param {string} why */
+  /** Send nothing more until something is held anew. @param {string} why */
   drop(why) {
     if (!this.active) return;
     this.left = this.#end();
@@ -144,7 +174,7 @@ export class Hold {
     this.why = why;
   }
 
-  /** Stop legs, whoever runs them; that needs no lease. @param {number[]} legs @returns {boolean} whether it was sent */
+  /** Stop legs, also of other clients; that needs no lease. @param {number[]} legs @returns {boolean} whether it was sent */
   stop(legs) {
     for (const leg of legs) this.stopped.add(leg);
     return this.#stop(legs);
@@ -154,7 +184,7 @@ export class Hold {
   #stop(legs) {
     for (const leg of legs) {
       this.running.delete(leg);
-      for (const [id, starting] of this.starting) if (starting === leg) this.#abandon(id, leg);
+      this.starts.abandon(leg);
     }
     const stop = { servos: [{ op: "stop" }, { op: "stop" }, { op: "stop" }] };
     const payload = { legs: Object.fromEntries(legs.map((leg) => [leg, stop])) };
@@ -165,15 +195,8 @@ export class Hold {
   /** @param {AckMessage} message */
   receivedAck(message) {
     const said = whyNot(message);
-    const abandoned = this.abandoned.get(message.id);
-    if (abandoned !== undefined) {
-      this.abandoned.delete(message.id);
-      if (!said) this.#stop([abandoned]);
-      return;
-    }
-    const leg = this.starting.get(message.id);
+    const leg = this.starts.answered(message);
     if (leg !== undefined) {
-      this.starting.delete(message.id);
       if (!said) this.running.add(leg);
       else this.drop(`leg ${leg} did not start: ${said}`);
     } else if (message.id === this.asked) {
@@ -182,7 +205,7 @@ export class Hold {
     }
   }
 
-  /** A new state: what the watchdog did of that which was left to it. */
+  /** A new state may show that the legs left to the watchdog have stopped. */
   receivedState() {
     if (!this.left.length) return;
     const legs = this.left.map((leg) => this.model.leg(leg));
@@ -193,7 +216,7 @@ export class Hold {
     this.left = [];
   }
 
-  /** The gateway rejected something of this page, or stopped a leg that it runs. @param {import("./types.js").GatewayEvent} event */
+  /** The gateway rejected a command of this page, or stopped a leg that it runs. @param {import("./types.js").GatewayEvent} event */
   receivedEvent(event) {
     const stopped = event.kind === "overflow" && event.legs?.some((leg) => this.running.has(leg));
     const rejected = event.kind === "command_rejected" && event.source === this.model.hello?.source;
@@ -205,18 +228,17 @@ export class Hold {
     clearInterval(this.timer);
     this.timer = undefined;
     this.held.clear();
-    const legs = [...new Set([...this.running, ...this.starting.values()])];
+    const legs = [...this.#known];
     this.running.clear();
-    for (const [id, leg] of this.starting) this.#abandon(id, leg);
+    this.starts.abandon();
     this.asked = null;
     this.callbacks.changed();
     return legs;
   }
 
-  /** @param {number} id @param {number} leg */
-  #abandon(id, leg) {
-    this.starting.delete(id);
-    this.abandoned.set(id, leg);
+  /** The legs that run or are about to. */
+  get #known() {
+    return new Set([...this.running, ...this.starts.waiting.values()]);
   }
 
   #tick() {
@@ -229,15 +251,15 @@ export class Hold {
       return;
     }
     this.callbacks.steer(elapsedMs);
-    if (!this.active) return; // the gamepad has gone
+    if (!this.active) return; // the gamepad is disconnected
     this.#startNew();
     this.#set(nowMs);
   }
 
-  /** Start the legs that were chosen, and stop those that are not any more. */
+  /** Start the legs that were chosen, and stop those that are no longer. */
   #startNew() {
     const chosen = new Set(this.callbacks.chosen(this.held));
-    const known = new Set([...this.running, ...this.starting.values()]);
+    const known = this.#known;
     const dismissed = [...known].filter((leg) => !chosen.has(leg));
     if (dismissed.length) this.#stop(dismissed);
     for (const leg of chosen) {
@@ -245,10 +267,10 @@ export class Hold {
       const id = this.link.nextId();
       const sent_ms = performance.now();
       const payload = this.#payload(leg, "start");
-      this.starting.set(id, leg);
+      this.starts.waiting.set(id, leg);
       const sent = this.link.sendNow({ type: "command", key: `hexapod/leg/${leg}/cmd`, payload, sent_ms, id });
       if (!sent) {
-        this.drop("the network takes nothing");
+        this.drop(NETWORK_FULL);
         return;
       }
     }

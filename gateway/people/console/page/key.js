@@ -1,10 +1,10 @@
 // @ts-check
 /**
- * The session's key, which the browser keeps for this origin: this scheme, host and port. The cookie alone opens
- * nothing: it also goes to other ports of this host, where somebody else may listen.
+ * The session's key, which the browser stores for this origin: this scheme, host and port. The cookie alone is not
+ * enough, since browsers send it to other ports of this host, where another program may listen.
  *
- * The key is sent to nobody, since somebody else may listen at this port, too, while the console is started again. Page
- * and console show each other that they know it, the console first (`auth.py`).
+ * The key is never sent, since another program may listen at this port too while the console is started again. Page and
+ * console prove to each other that they know it, the console first (`auth.py`).
  */
 
 const NAME = "hexapod-console-key";
@@ -12,13 +12,14 @@ const PREFIX = "proof.";
 const SUBPROTOCOL = "hexapod-console";
 const bytes = new TextEncoder();
 
-/** Keep the key of a new session. @param {string} key */
+/** Store the key of a new session. @param {string} key */
 export function keep(key) {
   localStorage.setItem(NAME, key);
 }
 
 /**
- * What a WebSocket offers, once the console has shown that it knows the key. Throws an Error that says why it may not.
+ * The subprotocols that a WebSocket offers, once the console has proved that it knows the key. Throws an Error with the
+ * reason if it has not.
  * @param {number} timeoutMs
  */
 export async function subprotocols(timeoutMs) {

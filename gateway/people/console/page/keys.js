@@ -12,7 +12,7 @@ const DIRECTIONS = {
   q: { x: 0, y: 0, turn: -1 },
   e: { x: 0, y: 0, turn: 1 },
 };
-/** Of the fastest: a key has no way in between. */
+/** Part of a full push: a key cannot be pushed half. */
 const PART = 0.6;
 
 export class Keys {
@@ -25,7 +25,7 @@ export class Keys {
       const modified = event.ctrlKey || event.altKey || event.metaKey;
       const elsewhere = typesText(event.target) || event.target instanceof HTMLSelectElement;
       if (!(key in DIRECTIONS) || event.repeat || modified || elsewhere) return;
-      if (/** @type {HTMLDialogElement} */ (byId("question")).open) return;
+      if (byId("question", HTMLDialogElement).open) return;
       this.down.add(key);
       changed();
     });
@@ -44,7 +44,7 @@ export class Keys {
     return this.#sum("turn");
   }
 
-  /** What is held counts no more; it has to be pressed anew. */
+  /** What is held no longer counts; it has to be pressed anew. */
   release() {
     this.down.clear();
   }

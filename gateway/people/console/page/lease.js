@@ -1,5 +1,5 @@
 // @ts-check
-/** Who drives: this page acquires the lease, asks for it, takes it after a question, hands it over, gives it up. */
+/** The lease: this page acquires it, asks for it, takes it after a question, hands it over, and releases it. */
 
 import { attribute, byId, confirmed, enable, show, text } from "./dom.js";
 
@@ -7,7 +7,7 @@ import { attribute, byId, confirmed, enable, show, text } from "./dom.js";
 
 const RENEWALS_PER_TTL = 3;
 const USUAL_TTL_MS = 1000;
-/** On a button, in letters: it may not grow. What was said has the whole name. */
+/** Letters on a button, which must not grow; the line of what happened has the whole name. */
 const LONGEST_NAME = 14;
 const HANDED = "The lease is handed over to you: press Drive.";
 const FREE = "The lease is free: press Drive.";
@@ -22,12 +22,12 @@ export class Lease {
     this.model = model;
     this.callbacks = callbacks;
     this.mine = false;
-    /** @type {Map<number, string>} what was asked, by its number */
+    /** @type {Map<number, string>} requests that are not answered, by their numbers */
     this.asked = new Map();
     /** @type {ReturnType<typeof setInterval> | undefined} */
     this.renewing = undefined;
     this.announced = "";
-    /** Whether this page has asked its holder for it, who may still hand it over. */
+    /** Whether this page has asked the holder for it, and may still get it. */
     this.wanted = false;
     byId("lease-acquire").addEventListener("click", () => this.#ask("acquire"));
     byId("lease-ask").addEventListener("click", () => this.#ask("ask"));
@@ -93,11 +93,11 @@ export class Lease {
     const short = asker && asker.length > LONGEST_NAME ? `${asker.slice(0, LONGEST_NAME - 1)}…` : asker;
     text(byId("lease-hand-over"), `Hand over to ${short ?? ""}`);
     for (const id of ["lease-acquire", "lease-ask", "lease-take"]) {
-      enable(/** @type {HTMLButtonElement} */ (byId(id)), connected);
+      enable(byId(id, HTMLButtonElement), connected);
     }
     show(byId("lease-acquire"), (!mine && holder === null && !looks) || handed);
     const taking = this.wanted && handed;
-    // Nothing moves by it. Who cannot see the robot does not begin to drive: a hidden page leaves it to others.
+    // Nothing moves by it. A hidden page leaves the lease to others: a driver has to see the robot.
     if (taking && document.visibilityState === "visible" && ![...this.asked.values()].includes("acquire")) this.#ask("acquire");
     const over = (this.wanted && holder === null) || (this.announced === HANDED && !handed);
     if (over && !mine) this.callbacks.say(holder === null ? FREE : `${holder} drives.`);
@@ -118,7 +118,7 @@ export class Lease {
   #renewEvery(everyMs) {
     clearInterval(this.renewing);
     this.renewing = setInterval(() => {
-      // Who cannot see the robot does not go on driving: a hidden page lets its lease run out.
+      // A hidden page does not renew: a driver has to see the robot.
       const waits = [...this.asked.values()].includes("renew");
       if (document.visibilityState === "visible" && !waits) this.#ask("renew");
     }, everyMs);

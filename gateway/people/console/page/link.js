@@ -1,15 +1,22 @@
 // @ts-check
-/** The WebSocket to the console: messages in, messages out, and a new one wherever it ends. */
+/** The WebSocket to the console: receives and sends messages, and connects again whenever it ends. */
 
 import { subprotocols } from "./key.js";
+
+/** Why the page is cut off: the sentences for what ends a drive, and for what is shown. */
+export const LOST = "the connection to the console is lost";
+export const SILENT = "the console sends nothing";
+export const ENDED = "the console ended the connection";
+export const GATEWAY_LOST = "the console has lost the gateway";
+export const NETWORK_FULL = "the network takes nothing";
 
 const FIRST_PAUSE_MS = 250;
 const LONGEST_PAUSE_MS = 2000;
 const ALIVE_EVERY_MS = 1000;
-/** What the browser keeps unsent beyond this waits for a network that is gone. */
+/** More unsent bytes than these show that the network is gone. */
 const MOST_UNSENT_BYTES = 4096;
 const REJECTED = 1008;
-/** A connection on which nothing comes for so long is given up: a phone that changed its network waits for minutes. */
+/** A connection that is silent for so long is closed: after a change of a phone's network it would stay open for minutes. */
 const DEAF_MS = 5000;
 
 export class Link {
@@ -27,7 +34,7 @@ export class Link {
     this.socket = null;
     this.pauseMs = FIRST_PAUSE_MS;
     this.lastId = 0;
-    /** When something was heard, or a connection was begun. */
+    /** When the newest message was received, or a connection was begun. */
     this.receivedMs = performance.now();
     setInterval(() => {
       this.sendNow({ type: "alive", now_ms: performance.now() });
@@ -36,15 +43,15 @@ export class Link {
     void this.#connect();
   }
 
-  /** A number of this page's own, which the answer repeats. */
+  /** A new number, which the answer repeats. */
   nextId() {
     this.lastId += 1;
     return this.lastId;
   }
 
   /**
-   * Send it now or never: nothing that moves a servo may wait for a network that comes back.
-   * @param {object} message @returns {boolean} whether it was given to the network
+   * Send it now or never: nothing that moves a servo may wait until a network is back.
+   * @param {object} message @returns {boolean} whether it is on its way
    */
   sendNow(message) {
     if (!this.open || !this.socket || this.socket.bufferedAmount > MOST_UNSENT_BYTES) return false;
@@ -52,21 +59,21 @@ export class Link {
     return true;
   }
 
-  /** Send a Stop, behind whatever waits: it does no harm however late it comes. @param {object} message */
+  /** Send a Stop, also if others wait to be sent: a late one does no harm. @param {object} message */
   sendStop(message) {
     if (!this.open || !this.socket) return false;
     this.socket.send(JSON.stringify(message));
     return true;
   }
 
-  /** Try a new connection, if there is one on which nothing was heard for so long. @param {number} ms */
+  /** Connect again if the connection has been silent for so long. @param {number} ms */
   renewIfDeaf(ms) {
     const { socket } = this;
     if (!socket || performance.now() - this.receivedMs < ms) return;
     this.open = false;
     this.socket = null;
-    socket.close(); // whatever it still says is not heard
-    this.callbacks.closed("nothing is heard from the console");
+    socket.close(); // what it still sends is ignored
+    this.callbacks.closed(SILENT);
     void this.#connect();
   }
 
@@ -106,7 +113,7 @@ export class Link {
   #ended(event) {
     this.open = false;
     this.socket = null;
-    this.callbacks.closed(event.code === REJECTED || event.reason ? event.reason || "the console ended the connection" : "");
+    this.callbacks.closed(event.reason || (event.code === REJECTED ? ENDED : ""));
     this.#again();
   }
 

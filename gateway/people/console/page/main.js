@@ -1,5 +1,5 @@
 // @ts-check
-/** Puts the page together. STOP ALL comes first: it works whatever fails after it. */
+/** Puts the page together. STOP ALL is made first, so it works even if something after it fails. */
 
 import { Calibrate } from "./calibrate.js";
 import { Device } from "./device.js";
@@ -8,7 +8,7 @@ import { Drive } from "./drive.js";
 import { Pad } from "./gamepad.js";
 import { Hold } from "./hold.js";
 import { Lease } from "./lease.js";
-import { Link } from "./link.js";
+import { LOST, Link } from "./link.js";
 import { Model } from "./model.js";
 import { Numbers } from "./numbers.js";
 import { Awake, TAP_MS, offerFullScreen, shake } from "./phone.js";
@@ -31,11 +31,12 @@ const model = new Model();
 const link = new Link({ opened, closed, received });
 const stop = new StopAll(link, model, {
   pressed: () => {
+    const why = "STOP ALL was pressed";
     shake(TAP_MS);
-    /** @type {HTMLDialogElement} */ (byId("question")).close("no");
-    walk.end("STOP ALL was pressed");
-    hold.drop("STOP ALL was pressed");
-    calibrate.stop("STOP ALL was pressed");
+    byId("question", HTMLDialogElement).close("no");
+    walk.end(why);
+    hold.drop(why);
+    calibrate.stop(why);
   },
   say,
 });
@@ -100,10 +101,10 @@ function opened() {
 function closed(why) {
   model.connected = false;
   model.linkStatus = "gone";
-  if (why || !model.trouble) model.trouble = why || "the connection to the console is lost";
-  walk.end("the connection to the console is lost");
-  hold.drop("the connection to the console is lost");
-  calibrate.closed();
+  if (why || !model.trouble) model.trouble = why || LOST;
+  walk.end(LOST);
+  hold.drop(LOST);
+  calibrate.closed(LOST);
   lease.closed();
   refresh();
 }

@@ -1,5 +1,5 @@
 // @ts-check
-/** What the page knows: the newest state and how old it is, what happened, and the last minute. */
+/** The page's data: the newest state and its age, the events, and the last minute. */
 
 import { NEUTRAL_DEG } from "./kinematics.js";
 
@@ -18,7 +18,7 @@ export const SILENT_MS = 1000;
 const MOST_EVENTS = 40;
 const MOST_SOURCES = 50;
 const RATE_MS = 2000;
-/** The window in which the quickest state tells how far the gateway's clock is from this page's. */
+/** The window whose quickest state gives the difference between the gateway's clock and this page's. */
 const WINDOW_MS = 30_000;
 
 /** Two states of one gateway agree on its start to within this. */
@@ -27,7 +27,7 @@ const SAME_START_MS = 100;
 /** When its gateway began, by that one's clock. @param {GatewayState} state */
 const beganMs = (state) => Date.parse(state.time) - state.uptime_s * 1000;
 
-/** How a leg stands; told apart by its mark and word, and only then by colour. @param {Leg} leg @returns {Status} */
+/** A leg's status, shown by a mark and a word, and only then by colour. @param {Leg} leg @returns {Status} */
 export function statusOf(leg) {
   const running = leg.servos.some((servo) => servo.running);
   if (leg.watchdog === "expired") return { key: "stopped", mark: "✕", word: "stopped by the watchdog" };
@@ -37,7 +37,7 @@ export function statusOf(leg) {
   return { key: "other", mark: "?", word: leg.watchdog };
 }
 
-/** How much later than the quickest one a state came: what waited in a network, or in a page that was frozen. */
+/** How much later than the quickest one a state came: it waited in a network, or in a frozen page. */
 export class Lateness {
   constructor() {
     this.uptimeMs = 0;
@@ -46,7 +46,7 @@ export class Lateness {
     this.leastBefore = Infinity;
   }
 
-  /** @param {number} uptimeMs the gateway's clock @param {number} atMs this page's, when it heard it */
+  /** @param {number} uptimeMs the gateway's clock @param {number} atMs this page's, when it received the state */
   received(uptimeMs, atMs) {
     if (uptimeMs < this.uptimeMs || this.least === Infinity) {
       this.least = this.leastBefore = Infinity; // another run of the gateway
@@ -69,7 +69,7 @@ export class Model {
     this.hello = null;
     /** @type {GatewayState | null} */
     this.state = null;
-    /** What the robot does by it, in one sentence of the console's. */
+    /** What the robot does according to it, in one sentence of the console's. */
     this.now = "";
     /** When the state was true, by this page's clock. */
     this.stateAtMs = -Infinity;
@@ -109,12 +109,12 @@ export class Model {
     return nowMs - this.stateAtMs;
   }
 
-  /** Whether what is shown is now. @param {number} nowMs */
+  /** Whether what is shown is the present. @param {number} nowMs */
   live(nowMs) {
     return this.connected && this.linkStatus === "connected" && this.ageMs(nowMs) < SILENT_MS;
   }
 
-  /** It moves nothing; as a button it stops. */
+  /** Whether this page may move nothing; a button's page can stop. */
   get looks() {
     return this.hello !== null && this.hello.role !== "operator";
   }
@@ -128,7 +128,7 @@ export class Model {
     return this.state?.legs.find((each) => each.leg === leg) ?? null;
   }
 
-  /** A leg's three angles as last commanded, or where a servo is drawn that never was. @param {number} leg */
+  /** A leg's three angles as last commanded; a servo without a command is drawn at its neutral angle. @param {number} leg */
   degrees(leg) {
     return [1, 2, 3].map((joint) => this.lastDeg.get(leg * 10 + joint) ?? NEUTRAL_DEG);
   }
@@ -151,7 +151,7 @@ export class Model {
     while (this.frames.length > 2 && this.frames[1].atMs < nowMs - RATE_MS) this.frames.shift();
   }
 
-  /** What the console tells anew to each connection. */
+  /** Forget what the console sends again on each connection. */
   forgetEvents() {
     this.events = [];
     this.rejections.clear();

@@ -1,5 +1,5 @@
 // @ts-check
-/** The legs' table, the numbers and the events: text nodes that change only where a number has. */
+/** The legs' table, the numbers and the events: text nodes that change only with their values. */
 
 import { ago, attribute, byId, element, show, text, worded } from "./dom.js";
 import { LEGS } from "./kinematics.js";
@@ -68,7 +68,7 @@ export class Numbers {
     this.#set("uptime", `${ago(state.uptime_s * 1000)}, version ${state.version}`);
   }
 
-  /** Anew, when an event has come. */
+  /** Show the events again, if there is a new one. */
   refreshEvents() {
     const { model } = this;
     if (model.events[0] === this.newest) return;
@@ -97,7 +97,7 @@ export class Numbers {
     text(row.by, leg.source ?? "–");
   }
 
-  /** Who watches; nothing where nobody has to, and nobody does. @param {GatewayState["buttons"]} buttons @param {boolean} live */
+  /** The stop buttons; nothing if none is required or alive. @param {GatewayState["buttons"]} buttons @param {boolean} live */
   #buttons(buttons, live) {
     const { alive, required, names } = buttons ?? { alive: 0, required: 0, names: [] };
     show(byId("buttons-fact"), alive + required > 0);
@@ -114,7 +114,7 @@ export class Numbers {
 
   /** @param {number} leg @param {(leg: number) => void} select @returns {Row} */
   #row(leg, select) {
-    const status = element("td", { class: "status" }, "○ not heard yet");
+    const status = element("td", { class: "status" }, "○ no state yet");
     const angles = [1, 2, 3].map(() => element("td", { class: "number" }, "–"));
     const bar = element("span", { class: "bar" });
     const age = element("span", {}, "never");
@@ -135,7 +135,7 @@ export class Numbers {
 }
 
 /** @param {string} mode */
-export function modeInWords(mode) {
+function modeInWords(mode) {
   return { estopped: "stopped, latched", bus_fault: "bus fault" }[mode] ?? mode;
 }
 

@@ -1,11 +1,11 @@
 // @ts-check
-/** How the floor moves under the robot: as the feet that stand move in the body's frame. */
+/** How the floor moves under the robot: like the standing feet in the body's frame. */
 
 /** @typedef {import("./types.js").Vector} Vector */
 
-/** A foot that is no higher than this above the lowest stands. */
+/** A foot at most so high above the lowest one stands, in metres. */
 const ON_GROUND_M = 0.008;
-/** What stands does not move so far between two states; it was set down elsewhere. */
+/** A foot that moved further between two states was set down elsewhere, in metres. */
 const FARTHEST_M = 0.08;
 const FEWEST = 3;
 
@@ -44,7 +44,7 @@ export class Odometry {
     this.turned += angle;
   }
 
-  /** Where a simulated body is: nothing has to be reckoned. @param {import("./types.js").Body} body */
+  /** Take a simulated body's own pose. @param {import("./types.js").Body} body */
   see({ position_m: [x, y], orientation_xyzw: [i, j, k, w] }) {
     this.before = new Map();
     const heading = Math.atan2(2 * (i * j + w * k), 1 - 2 * (j * j + k * k));

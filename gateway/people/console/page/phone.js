@@ -1,18 +1,18 @@
 // @ts-check
-/** A phone keeps its screen on, shakes, and fills its screen with the page. */
+/** A phone's screen lock, vibration and full screen. */
 
 import { attribute, show } from "./dom.js";
 
 export const TAP_MS = [60];
-/** Something that the person wanted does not go on. */
+/** What the person holds no longer counts. */
 export const LOST_MS = [80, 60, 80];
 
-/** iPhones do not shake for a page. @param {number[]} pattern of shaking and pauses, in ms */
+/** Vibrate, which iPhones do for no page. @param {number[]} pattern of vibrations and pauses, in ms */
 export function shake(pattern) {
   navigator.vibrate?.(pattern);
 }
 
-/** A screen that stays on while that is wanted, and the page is seen: a browser lets go of it when the page is hidden. */
+/** Keeps the screen on while that is wanted and the page is visible: a browser ends it for a hidden page. */
 export class Awake {
   constructor() {
     this.wanted = false;
@@ -53,8 +53,8 @@ export function fillScreen() {
 }
 
 /**
- * A button for the full screen, where there is one and no mouse: Escape is STOP ALL, and in a full screen the browser
- * keeps that key for itself. So where a keyboard has been used, leaving it without the button counts as Escape.
+ * A button for the full screen, if the browser has one and there is no mouse. Escape is STOP ALL, but leaves the full
+ * screen instead; so once a keyboard has been used, leaving it without the button counts as Escape.
  * @param {HTMLElement} button @param {() => void} escaped
  */
 export function offerFullScreen(button, escaped) {

@@ -8,9 +8,9 @@ import { LEGS, legPoints } from "./kinematics.js";
 import { statusOf } from "./model.js";
 import { Odometry } from "./odometry.js";
 
-/** A picture that takes longer would delay what is sent 20 times a second. */
+/** A picture that takes longer delays the messages that are sent 20 times a second. */
 const SLOW_MS = 60;
-/** So many of them in a row, and it is drawn from above. */
+/** After so many of them in a row it is drawn from above. */
 const MOST_SLOW = 2;
 
 export class Picture {
@@ -36,7 +36,7 @@ export class Picture {
         return [leg, label];
       }),
     );
-    this.solid = /** @type {HTMLInputElement} */ (byId("view-solid"));
+    this.solid = byId("view-solid", HTMLInputElement);
     for (const id of ["view-solid", "view-above"]) byId(id).addEventListener("change", () => this.#build());
     this.solid.addEventListener("change", () => (this.insists = true));
     this.insists = false;
@@ -59,7 +59,7 @@ export class Picture {
     const poses = new Map(
       LEGS.map((number) => {
         const leg = model.leg(number);
-        const status = leg ? statusOf(leg) : { key: "rests", mark: "○", word: "not heard yet" };
+        const status = leg ? statusOf(leg) : { key: "rests", mark: "○", word: "no state yet" };
         const label = this.labels.get(number);
         if (label) {
           const [mark, word] = label.childNodes;
@@ -92,11 +92,11 @@ export class Picture {
     return new Map(running.map(({ leg }) => [leg, legPoints(geometry, leg, this.model.degrees(leg))[4]]));
   }
 
-  /** Nobody's hold waits for a picture. @param {number} tookMs */
+  /** Draw from above if drawing delays what is sent. @param {number} tookMs */
   #judge(tookMs) {
     this.slow = tookMs > SLOW_MS ? this.slow + 1 : 0;
     if (this.slow < MOST_SLOW || !this.solid.checked || this.insists) return;
-    /** @type {HTMLInputElement} */ (byId("view-above")).checked = true;
+    byId("view-above", HTMLInputElement).checked = true;
     this.say("3D is too slow in this browser, so the robot is drawn from above.");
     void this.#build();
   }
@@ -114,11 +114,11 @@ export class Picture {
     }
   }
 
-  /** In words, for who does not see it; only when a leg's status changes. @param {boolean} isThere not only commanded */
+  /** Describe it in words, for screen readers. @param {boolean} isThere not only commanded */
   #describe(isThere) {
     const legs = this.model.state?.legs ?? [];
     const words = legs.map((leg) => `leg ${leg.leg} ${statusOf(leg).word}`).join(", ");
-    if (this.view) attribute(this.view.canvas, "aria-label", `The robot ${isThere ? "where it is" : "as commanded"}: ${words || "not heard yet"}`);
+    if (this.view) attribute(this.view.canvas, "aria-label", `The robot ${isThere ? "where it is" : "as commanded"}: ${words || "no state yet"}`);
   }
 
   async #build() {
@@ -145,11 +145,11 @@ export class Picture {
     this.refresh(performance.now());
   }
 
-  /** There is no WebGL, or no more. */
+  /** There is no WebGL, or it was lost. */
   #cannot() {
     this.solid.checked = false;
     this.solid.disabled = true;
-    /** @type {HTMLInputElement} */ (byId("view-above")).checked = true;
+    byId("view-above", HTMLInputElement).checked = true;
     show(byId("no-webgl"), true);
   }
 }

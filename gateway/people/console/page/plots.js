@@ -1,5 +1,5 @@
 // @ts-check
-/** The last minute as lines; told apart by dashes and by the number at their end. */
+/** The last minute as lines, each with its own dashes and a number at its end. */
 
 import { byId, text } from "./dom.js";
 import { HISTORY_MS } from "./model.js";
@@ -18,8 +18,8 @@ export class Plots {
   /** @param {Model} model */
   constructor(model) {
     this.model = model;
-    this.angles = /** @type {HTMLCanvasElement} */ (byId("plot-angles"));
-    this.ages = /** @type {HTMLCanvasElement} */ (byId("plot-ages"));
+    this.angles = byId("plot-angles", HTMLCanvasElement);
+    this.ages = byId("plot-ages", HTMLCanvasElement);
     this.drawnMs = 0;
   }
 

@@ -1,5 +1,5 @@
 // @ts-check
-/** The link's quality beside the pads: the worst of the last two seconds, in milliseconds and bars. */
+/** The link's quality: the worst delay of the last two seconds, in milliseconds and bars. */
 
 const WINDOW_MS = 2000;
 /** States come every 100 ms; wishes that take 250 ms are silence, and at a state of 500 ms nothing is sent (`hold.js`). */

@@ -160,7 +160,7 @@ export class Scene {
     this.robot.quaternion.copy(turned);
   }
 
-  /** Legs that run, as they are commanded, beside where they are. @param {Map<number, LegPose>} poses */
+  /** Legs that run, as they are commanded, next to where they are. @param {Map<number, LegPose>} poses */
   #drawGhost(poses) {
     const points = [];
     for (const [leg, pose] of poses) {

@@ -1,7 +1,7 @@
 // @ts-check
 /**
- * A pad for a thumb or a mouse: how far it is pushed from where it landed, -1 to 1, while it is held; 0 once it is let go.
- * So a pad that moves under a thumb changes no direction; it is let go all the same, since nobody meant that.
+ * A pad for a thumb or a mouse: how far it is pushed from where it landed, -1 to 1, while it is held, else 0. So a pad
+ * that moves under a thumb changes no direction; it is let go all the same, since the person did not intend that.
  */
 
 import { byId } from "./dom.js";
@@ -11,7 +11,7 @@ const DEAD_ZONE = 0.12;
 export class Stick {
   /**
    * @param {string} id @param {boolean} plane whether it goes in both directions, or turns
-   * @param {() => void} changed @param {(why: string) => void} lost what is held shall count no more
+   * @param {() => void} changed @param {(why: string) => void} lost what is held no longer counts
    */
   constructor(id, plane, changed, lost) {
     this.place = byId(id);
@@ -57,14 +57,14 @@ export class Stick {
     this.place.addEventListener("contextmenu", (event) => event.preventDefault()); // a long touch
   }
 
-  /** What is held counts no more; it has to be pressed anew. */
+  /** What is held no longer counts; it has to be pressed anew. */
   release() {
     this.pointer = null;
     this.x = this.y = this.turn = 0;
     this.knob.style.transform = "";
   }
 
-  /** Where the pad is not where it was when the thumb landed, what is held is lost. */
+  /** If the pad has moved since the thumb landed, what is held no longer counts. */
   check() {
     if (this.pointer !== null && this.box !== this.#box()) this.lost("the page moved under the thumb");
   }
@@ -96,11 +96,11 @@ export class Stick {
   }
 }
 
-/** What a gamepad's sticks say. */
+/** A gamepad's sticks, -1 to 1. */
 export class Sticks {
   constructor() {
     this.x = this.y = this.turn = 0;
-    /** They were seen in the middle, so that their next push is meant. */
+    /** They were in the middle, so their next push is intended. */
     this.centred = false;
   }
 
@@ -110,7 +110,7 @@ export class Sticks {
     if (this.centred) [this.x, this.y, this.turn] = [x, y, turn];
   }
 
-  /** What is held counts no more; it has to be pushed anew. */
+  /** What is held no longer counts; it has to be pushed anew. */
   release() {
     this.centred = false;
     this.x = this.y = this.turn = 0;

@@ -1,18 +1,18 @@
 // @ts-check
-/** STOP ALL: one tap, Escape or space, from any place of the page; and in words what is known of it. */
+/** STOP ALL: one tap, Escape or space, from any place of the page; and its progress in words. */
 
 import { attribute, byId, confirmed, enable, show, text, typesText, worded } from "./dom.js";
 
 /** @typedef {import("./types.js").StopMessage} StopMessage */
 
 const LEGS = 6;
-/** A click that comes so soon after a pointer's press is the end of it. */
+/** A click so soon after a pointer's press belongs to it. */
 const SAME_TAP_MS = 1000;
-/** Where nothing at all is heard for so long after a press, a new connection is tried. */
+/** If the console is silent for so long after a press, the page connects again. */
 const DEAF_MS = 1000;
 
 /**
- * What is known of a STOP ALL, in one line.
+ * The progress of a STOP ALL, in one line.
  * @param {{looks: boolean, touch: boolean, connected: boolean, why: string, askedMsAgo: number | null, answer: StopMessage | null,
  *          latched: boolean, now: string}} known   `now`: what the robot does, by the console
  * @returns {{tone: "bad" | "good" | "asked" | "plain", line: string}}
@@ -23,7 +23,7 @@ export function inWords({ looks, touch, connected, why, askedMsAgo, answer, latc
     const waits = asked ? `${asked}and asked again once connected` : why;
     return { tone: "bad", line: `NOT CONNECTED: use the switch${waits ? ` (${waits})` : ""}` };
   }
-  if (looks) return { tone: "plain", line: "This page may only look: use the switch" };
+  if (looks) return { tone: "plain", line: "View only: use the power switch" };
   if (askedMsAgo !== null) {
     const error = answer?.error ? ` (${answer.error})` : "";
     if (askedMsAgo > 500) return { tone: "bad", line: `${asked}no answer yet: use the switch${error}` };
@@ -81,7 +81,7 @@ export class StopAll {
     this.refresh(performance.now());
   }
 
-  /** The connection is back: what nobody confirmed is asked again. */
+  /** The connection is back: request again what is not confirmed. */
   opened() {
     if (this.asked) this.link.sendStop({ type: "stop_all", id: this.asked.id });
   }
@@ -111,7 +111,7 @@ export class StopAll {
     const { model } = this;
     if (this.asked && nowMs - this.asked.atMs > DEAF_MS) this.link.renewIfDeaf(DEAF_MS);
     const latched = model.state?.mode === "estopped";
-    if (!latched && model.stateAtMs > this.answeredAtMs) this.answer = null; // somebody has reset it
+    if (!latched && model.stateAtMs > this.answeredAtMs) this.answer = null; // it was reset
     const known = inWords({
       looks: this.#looks,
       touch: matchMedia("(pointer: coarse)").matches,
@@ -125,7 +125,7 @@ export class StopAll {
     text(byId("stop-known"), known.line);
     attribute(byId("stop"), "data-tone", known.tone);
     show(byId("reset"), latched && !model.looks && model.live(nowMs));
-    enable(/** @type {HTMLButtonElement} */ (byId("stop-all")), !this.#looks);
+    enable(byId("stop-all", HTMLButtonElement), !this.#looks);
     const aloud = known.tone === "plain" ? "" : known.line.replace(/asked [\d.]+ s ago/, "asked");
     if (aloud !== this.spoken) {
       this.spoken = aloud;
@@ -133,7 +133,7 @@ export class StopAll {
     }
   }
 
-  /** An observer does not even stop. */
+  /** An observer cannot stop the robot either. */
   get #looks() {
     return this.model.hello?.role === "observer";
   }
@@ -143,7 +143,7 @@ export class StopAll {
     const stops = event.key === "Escape" || (event.key === " " && !typesText(event.target));
     if (!stops || event.isComposing) return;
     event.preventDefault();
-    if (event.key === " ") event.stopPropagation(); // it presses no button besides
+    if (event.key === " ") event.stopPropagation(); // it presses no other button
     if (!event.repeat) this.press();
   }
 
@@ -151,7 +151,7 @@ export class StopAll {
     const estop = Math.max(this.model.state?.estop ?? 0, this.answer?.estop ?? 0); // the one that is shown now
     const agreed = await confirmed(
       "Leave STOP ALL?",
-      "Look whether everybody is clear of the robot. Nothing moves until it is started again.",
+      "Check that everybody is clear of the robot. Nothing moves until it is started again.",
       "Reset",
       "Stay stopped",
     );

@@ -1,13 +1,13 @@
 // @ts-check
-/** Where each servo shall be: what sliders, fields, poses and the gamepad set, and what is sent while something is held. */
+/** Each servo's target: set by sliders, fields, poses and the gamepad, and sent while something is held. */
 
 import { LEGS, NEUTRAL_DEG } from "./kinematics.js";
 
-export const SERVOS = LEGS.flatMap((leg) => [leg * 10 + 1, leg * 10 + 2, leg * 10 + 3]);
+const SERVOS = LEGS.flatMap((leg) => [leg * 10 + 1, leg * 10 + 2, leg * 10 + 3]);
 const STORE = "hexapod-console-poses";
 const MOST_POSES = 100;
 
-/** Degrees as the gateway takes them. @param {number} deg */
+/** Degrees that the gateway accepts. @param {number} deg */
 export function clamped(deg) {
   return Math.round(Math.min(180, Math.max(0, deg)) * 100) / 100;
 }
@@ -17,15 +17,15 @@ export class Targets extends EventTarget {
     super();
     /** @type {Map<number, number>} */
     this.degrees = new Map(SERVOS.map((servo) => [servo, NEUTRAL_DEG]));
-    /** Servos that somebody has set here; others follow what was commanded. @type {Set<number>} */
+    /** Servos that were set here; others follow what was commanded. @type {Set<number>} */
     this.own = new Set();
-    /** What was sent last, on the way to these. @type {Map<number, number>} */
+    /** What was sent last, on the way to the targets. @type {Map<number, number>} */
     this.sent = new Map();
   }
 
   /**
    * What to send next: the target, or at most `mostDeg` nearer to it than where the servo is commanded to.
-   * @param {number} servo @param {number} mostDeg @param {number | undefined} commanded undefined: nobody knows
+   * @param {number} servo @param {number} mostDeg @param {number | undefined} commanded undefined: unknown
    */
   approach(servo, mostDeg, commanded) {
     const target = this.get(servo);
@@ -35,7 +35,7 @@ export class Targets extends EventTarget {
     return next;
   }
 
-  /** Others may have moved it meanwhile: what was sent counts no more. */
+  /** Forget what was sent: others may move the servos meanwhile. */
   forget() {
     this.sent.clear();
   }
@@ -78,7 +78,7 @@ export class Poses {
     }
   }
 
-  /** @param {string} name @param {Targets} targets @returns {string} why not; "" where it is kept */
+  /** @param {string} name @param {Targets} targets @returns {string} why it is not kept; "" if it is */
   keep(name, targets) {
     const poses = this.all();
     if (!(name in poses) && Object.keys(poses).length >= MOST_POSES) return "there are a hundred already";

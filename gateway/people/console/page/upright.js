@@ -1,5 +1,5 @@
 // @ts-check
-/** A robot that is simulated with physics: where it really is, in words, and how somebody picks it up. */
+/** A robot that is simulated with physics: its pose in words, and the button that sets it upright. */
 
 import { byId, show, text } from "./dom.js";
 import { heightAbove, upAgainst } from "./terrain.js";
@@ -7,7 +7,7 @@ import { heightAbove, upAgainst } from "./terrain.js";
 const SLOW = 0.95;
 
 /**
- * How it lies or stands, in one line.
+ * Its pose, in one line.
  * @param {import("./types.js").Body} body
  */
 export function inWords(body) {

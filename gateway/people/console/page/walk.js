@@ -1,10 +1,9 @@
 // @ts-check
 /**
- * Walking: while the pad, a key or a stick is held, this page says 20 times a second how the robot shall go. The console
- * uses each wish once; when this page falls silent, the robot finishes its step and stands, and later sits down.
+ * Walking: while the pad, a key or a stick is held, this page sends a wish 20 times a second. The console uses each wish
+ * once; when this page falls silent, the robot finishes its step and stands, and later sits down.
  *
- * Each wish carries the number of the press that it belongs to. What ends a walk uses that press up: then something has
- * to be pressed anew.
+ * Each wish carries the number of its press. What ends a walk uses up that press: then something has to be pressed anew.
  */
 
 import { attribute, byId, enable, show, text, worded } from "./dom.js";
@@ -17,11 +16,11 @@ import { Stick, Sticks } from "./stick.js";
 
 const SPEED_M_S = 0.1;
 const TURN_RAD_S = 0.4;
-/** Of the fastest: what a pad, a stick or a key that is pushed to its end asks for. @type {Record<string, number>} */
+/** Parts of the fastest: the velocity of a pad, stick or key that is pushed to its end. @type {Record<string, number>} */
 const PARTS = { slow: 0.4, fast: 1 };
 const STEP_M = 0.01;
 const USUAL_M = 0.15;
-/** After a press, how long it is waited for the console's first word of a walk. */
+/** How long after a press the console may take to report the walk. */
 const BEGINS_MS = 6000;
 
 export class Walk {
@@ -38,7 +37,7 @@ export class Walk {
     this.press = 0;
     this.sits = true;
     this.gait = "tripod";
-    /** A page begins slowly, however the last one ended. */
+    /** A page always begins with the slow speed. */
     this.speed = "slow";
     /** @type {number | null} */
     this.heightM = null;
@@ -48,11 +47,11 @@ export class Walk {
     this.pressedMs = -Infinity;
     /** Whether something was held at the last tick. */
     this.moved = false;
-    /** Whether it was said why what is held counts no more. */
+    /** Whether the page has shown why what is held no longer counts. */
     this.dropped = false;
     /** @type {ReturnType<typeof setInterval> | undefined} */
     this.timer = undefined;
-    /** When the wishes were sent whose use is not reported yet. @type {Map<number, number>} */
+    /** When each wish was sent whose use is not reported yet. @type {Map<number, number>} */
     this.sentMs = new Map();
     this.answerMs = NaN;
     this.pad = new Sticks();
@@ -74,12 +73,12 @@ export class Walk {
     whenLost(this, (why) => this.drop(why));
   }
 
-  /** Whether the robot stands or walks by this page, or is about to. */
+  /** Whether this page makes the robot stand or walk, or is about to. */
   get active() {
     return this.timer !== undefined;
   }
 
-  /** How it goes: forward and left in m/s, and the turn in rad/s. @returns {number[]} */
+  /** Its velocity: forward and left in m/s, and the turn in rad/s. @returns {number[]} */
   get going() {
     return this.report?.posture === "walking" ? this.report.scaled : [0, 0, 0];
   }
@@ -98,13 +97,13 @@ export class Walk {
     this.#press(sits);
   }
 
-  /** A gamepad's sticks are there. @param {number} x @param {number} y @param {number} turn */
+  /** Take a gamepad's sticks, -1 to 1. @param {number} x @param {number} y @param {number} turn */
   steer(x, y, turn) {
     this.pad.take(x, y, turn);
     this.#held();
   }
 
-  /** Nothing that is held counts any more; something has to be pressed anew. @param {string} why */
+  /** What is held no longer counts; something has to be pressed anew. @param {string} why */
   drop(why) {
     const moved = moves(this.deflection);
     this.#letGo();
@@ -143,7 +142,7 @@ export class Walk {
     }
     if (message.waits && message.press === this.press && message.posture !== null && !this.sits) {
       if (message.detail) this.#letGo();
-      else this.drop("the console did not hear this page for a moment");
+      else this.drop("the console received nothing of this page for a moment");
     }
     if (message.posture === null && message.press >= this.press) {
       this.#letGo();
@@ -160,7 +159,7 @@ export class Walk {
     const mine = this.callbacks.mine();
     show(byId("walk-controls"), !this.model.looks);
     attribute(byId("walk-controls"), "data-mine", mine ? "yes" : "no");
-    for (const id of ["stand", "sit", "lower", "higher"]) enable(/** @type {HTMLButtonElement} */ (byId(id)), mine);
+    for (const id of ["stand", "sit", "lower", "higher"]) enable(byId(id, HTMLButtonElement), mine);
     for (const id of ["pad", "turn"]) attribute(byId(id), "aria-disabled", mine ? "false" : "true");
     attribute(byId("pad"), "data-held", x || y ? "yes" : "no");
     attribute(byId("turn"), "data-held", turn ? "yes" : "no");
@@ -223,11 +222,11 @@ export class Walk {
     const why = obstacle(this, nowMs);
     this.lastTickMs = nowMs;
     if (this.report === null && nowMs - this.pressedMs > BEGINS_MS) {
-      this.end("the console does not say that it walks");
+      this.end("the console has not confirmed the walk");
       return;
     }
     if (why) {
-      this.drop(why); // and nothing is sent, which the console takes for what it is
+      this.drop(why); // nothing is sent, so the console makes the robot stand
       return;
     }
     this.thumb.check();

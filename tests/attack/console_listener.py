@@ -1,6 +1,6 @@
 """A console on TLS on a robot, a page on one laptop, strangers on another: how soon is STOP ALL confirmed?
 
-`python -m tests.attack.console_door` prints the table of docs/security.md. It needs root, for network namespaces.
+`python -m tests.attack.console_listener` prints the table of docs/security.md. It needs root, for network namespaces.
 """
 
 import json
@@ -69,7 +69,7 @@ class PagePresses(Closing):
 
 @contextmanager
 def strangers(kind: str, host: str, port: int, count: int, *plain: str, prefix: Sequence[str] = ()) -> Iterator[Child]:
-    """Somebody without a session is at that door; `prefix` goes before the command."""
+    """Connections without a session, so many at once; `prefix` goes before the command."""
     program = [sys.executable, "-m", "tests.attack.strangers", kind, host, str(port), str(count), *plain]
     child = Child([*prefix, *program], os.environ)
     try:
@@ -80,7 +80,7 @@ def strangers(kind: str, host: str, port: int, count: int, *plain: str, prefix: 
         child.close()
 
 
-class DoorStand(Closing):
+class ListenerStand(Closing):
     """The robot with gateway and console, and a page that is signed in."""
 
     def __init__(self, folder: Path, prefix: Sequence[str] = ()) -> None:
@@ -155,7 +155,7 @@ def spread(took_ms: Sequence[float]) -> tuple[float, float]:
 def main() -> None:
     """Print the table: of all, or of the kinds that are named."""
     wanted = sys.argv[1:]
-    with tempfile.TemporaryDirectory() as folder, DoorStand(Path(folder)) as stand:
+    with tempfile.TemporaryDirectory() as folder, ListenerStand(Path(folder)) as stand:
         stand.press(10)
         for cases, attack in ((CASES, stand.attacked), (FLOODS, stand.flooded)):
             for kind, count in cases:
