@@ -12,7 +12,7 @@ import pytest
 from gateway.client import Client
 from gateway.people.tools.check import move as module
 from gateway.robot.protocol.frames import OneServo, Op, ServoOp, decode
-from schemas.telemetry import Cause, FrameRecord, Mode
+from schemas.telemetry import Cause, FrameRecord, Mode, Reason
 from tests.support.child import Child
 from tests.support.command import Ended
 from tests.support.fixtures import gateway_fixture
@@ -88,8 +88,8 @@ def test_one_servo_is_started_moved_and_stopped(
     end = move(*answers)
     assert end.returncode == 0, str(end)
     assert until_stopped(heard, expected[0].servo_id) == expected
-    assert "will go to " in end.stdout
-    assert "is stopped." in end.stdout
+    assert "will go to " in end.stderr
+    assert "is stopped." in end.stderr
     assert ("do it once more with a servo of leg 6" in end.stdout) is leg_1
     assert client.state().mode is Mode.IDLE
 
@@ -132,7 +132,7 @@ def test_ctrl_c_stops_the_servo(gateway: Gateway, client: Client, after: Op) -> 
         child.send_signal(signal.SIGINT)
         assert child.wait() == 130, str(child)
     assert until_stopped(heard, 61)[-1] == OneServo(61, ServoOp(Op.STOP)), "by command, not by the watchdog"
-    assert "Servo 61 is stopped." in child.stdout
+    assert "Servo 61 is stopped." in child.stderr
     assert client.state().mode is Mode.IDLE
 
 
@@ -166,5 +166,24 @@ def test_a_robot_that_is_not_at_rest_is_left_alone(move: Callable[..., Ended], c
     end = move(options=("--yes",))
     assert end.returncode == 2, str(end)
     assert "leave the emergency stop first" in end.stderr
-    assert servo_frames(heard) == []
     assert client.reset().accepted
+    with client.lease():
+        end = move(options=("--yes",))
+    assert end.returncode == 2, str(end)
+    assert "drives, and nothing is moved" in end.stderr
+    assert servo_frames(heard) == []
+
+
+def test_it_moves_under_the_lease(tmp_path: Path) -> None:
+    """So that nobody else moves the robot meanwhile, and a robot that requires a lease can be tried."""
+    settings: dict[str, dict[str, object]] = {
+        "telemetry": {"frames": True},
+        "watchdog": {"timeout_ms": 9000},
+        "lease": {"required": True},
+    }
+    with Gateway(tmp_path, settings) as gateway, gateway.client() as client:
+        heard = frames(client)
+        with moving(gateway, heard) as child:
+            assert client.servo(12, "start", 90).reason == Reason.NOT_HOLDER
+            assert child.wait() == 0, str(child)
+        assert client.state().lease.holder is None

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 from gateway.errors import GatewayError, UnansweredError
 from gateway.people.client.blocking import Client
 from gateway.people.client.live import reports, subscribed
+from gateway.people.tools.moving import Motion
 from gateway.robot.core.calibration import Calibration, calibration_of
 from gateway.robot.protocol.frames import Frame, FrameError, OneLeg, OneServo, Op, ServoOp, centidegrees, decode
 from schemas import keys
-from schemas.robot import JOINTS
 from schemas.telemetry import Ack, Cause, Event, FrameRecord, GatewayState
 
 if TYPE_CHECKING:
@@ -67,14 +67,10 @@ class WrittenFrame(NamedTuple):
 
 @dataclass(slots=True)
 class Bench:
-    """One leg of one robot. With one servo, only its joint 1 moves."""
+    """One leg of one robot."""
 
     client: Client
-    leg: int
-    servos: int
-    """1 or 3."""
-    start_deg: float
-    end_deg: float
+    motion: Motion
     reaches: dict[str, Any]
     """How `Client` reaches the gateway."""
     late_ms: float
@@ -104,22 +100,37 @@ class Bench:
     @property
     def servo_ids(self) -> list[int]:
         """The servos that move."""
-        return [10 * self.leg + joint for joint in JOINTS][: self.servos]
+        return self.motion.servo_ids
+
+    @property
+    def leg(self) -> int:
+        """Whose servos these are, 1 to 6."""
+        return self.servo_ids[0] // 10
+
+    @property
+    def start_deg(self) -> float:
+        """Where they are started."""
+        return self.motion.start_deg
+
+    @property
+    def end_deg(self) -> float:
+        """Where they are set."""
+        return self.motion.end_deg
 
     @property
     def key(self) -> str:
         """Where commands for them go."""
-        return keys.leg_command(self.leg) if self.servos > 1 else keys.servo_command(self.servo_ids[0])
+        return keys.leg_command(self.leg) if len(self.servo_ids) > 1 else keys.servo_command(self.servo_ids[0])
 
     def payload(self, op: str, angle_deg: float) -> dict[str, Any]:
         """A start or a set."""
         servo = {"op": op, "angle_deg": angle_deg}
-        return {**({"servos": [servo] * self.servos} if self.servos > 1 else servo), **self.lease}
+        return {**({"servos": [servo] * len(self.servo_ids)} if len(self.servo_ids) > 1 else servo), **self.lease}
 
     def frame(self, op: Op, angle_deg: float) -> Frame:
         """The frame that such a command is to cause, in the servos' own angles."""
         command = ServoOp(op, centidegrees(angle_deg))
-        if self.servos > 1:
+        if len(self.servo_ids) > 1:
             return self.calibration.frame(OneLeg(self.leg, (command, command, command)))
         return self.calibration.frame(OneServo(self.servo_ids[0], command))
 
