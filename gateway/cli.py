@@ -272,8 +272,8 @@ def check(
     looks with the rights of the service's user.
 
     Exit codes: 0 it can (--move: it moved, and its Stop arrived; with --yes: every frame was written), 1 it cannot,
-    2 spi.framing is not set, the configuration may not be read, or the robot is not at rest, 4 with --move: no gateway
-    answers.
+    2 spi.framing is not set, the configuration may not be read, the robot is not at rest, or somebody else drives,
+    4 with --move: no gateway answers.
     """
     if move:
         from gateway.people.tools import reach

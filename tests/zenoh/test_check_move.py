@@ -4,12 +4,13 @@ import io
 import signal
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import pytest
 
 from gateway.client import Client
+from gateway.people.tools import kept_lease
 from gateway.people.tools.check import move as module
 from gateway.robot.protocol.frames import OneServo, Op, ServoOp, decode
 from schemas.telemetry import Cause, FrameRecord, Mode, Reason
@@ -174,16 +175,22 @@ def test_a_robot_that_is_not_at_rest_is_left_alone(move: Callable[..., Ended], c
     assert servo_frames(heard) == []
 
 
-def test_it_moves_under_the_lease(tmp_path: Path) -> None:
+@pytest.mark.parametrize("kept", [False, True], ids=["its own", "of `lease acquire`"])
+def test_it_moves_under_the_lease(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kept: bool) -> None:
     """So that nobody else moves the robot meanwhile, and a robot that requires a lease can be tried."""
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     settings: dict[str, dict[str, object]] = {
         "telemetry": {"frames": True},
         "watchdog": {"timeout_ms": 9000},
         "lease": {"required": True},
     }
-    with Gateway(tmp_path, settings) as gateway, gateway.client() as client:
+    with ExitStack() as stack:
+        gateway = stack.enter_context(Gateway(tmp_path, settings))
+        client = stack.enter_context(gateway.client())
+        if kept:
+            stack.enter_context(kept_lease.acquired(stack.enter_context(gateway.client())))
         heard = frames(client)
         with moving(gateway, heard) as child:
             assert client.servo(12, "start", 90).reason == Reason.NOT_HOLDER
             assert child.wait() == 0, str(child)
-        assert client.state().lease.holder is None
+        assert (client.state().lease.holder is None) is not kept
