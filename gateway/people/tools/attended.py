@@ -1,4 +1,4 @@
-"""The command lines of what a person does beside the robot: `drill`, `walk`, `button`."""
+"""The command lines of programs for a person next to the robot: `drill`, `walk`, `button`."""
 
 import sys
 from enum import StrEnum
@@ -163,7 +163,7 @@ def button(
     Ctrl-C leaves on purpose; the robot stops then, too, if too few buttons remain. A certificate for this alone, which
     moves nothing: `hexapod-gateway certs issue NAME --role button`.
 
-    Exit codes: 0 left on purpose, 1 refused (or no terminal), 4 no gateway.
+    Exit codes: 0 left on purpose, 1 rejected (or no terminal), 4 no gateway.
     """
     from gateway.people.tools import kept_lease, reach
     from gateway.people.tools.button import screen

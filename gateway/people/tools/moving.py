@@ -1,7 +1,7 @@
 """Moving one servo by a few degrees, with consent: what `drill` and `check --move` have in common.
 
 People stand next to the robot. Nothing moves unless it is at rest and nobody else drives; a person agrees to which
-servo goes where; and however it ends, somebody says whether all is stopped.
+servo goes where; and however it ends, a sentence reports whether all is stopped.
 """
 
 from collections.abc import Callable, Iterator
@@ -38,9 +38,14 @@ class Motion(NamedTuple):
         return self.start_deg + (by_deg if self.start_deg + by_deg <= MOST_DEG else -by_deg)
 
     @property
+    def leg(self) -> int:
+        """1 to 6."""
+        return self.servo_ids[0] // 10
+
+    @property
     def which(self) -> str:
         """`servo 61`, or `leg 3`."""
-        return f"servo {self.servo_ids[0]}" if len(self.servo_ids) == 1 else f"leg {self.servo_ids[0] // 10}"
+        return f"servo {self.servo_ids[0]}" if len(self.servo_ids) == 1 else f"leg {self.leg}"
 
 
 def of_leg(leg: int, start_deg: float, *, whole: bool) -> Motion:
@@ -62,7 +67,7 @@ def ready(client: Client) -> GatewayState:
 
 
 def consents(motion: Motion, state: GatewayState, *, agreed: bool) -> bool:
-    """Say what will move; whether a person agrees, here or beforehand."""
+    """Announce the motion. Returns whether a person agrees, here or beforehand."""
     hint(
         f"{motion.which.capitalize()} will go to {motion.start_deg:g}° at once, wherever it stands, move between that "
         f"and {motion.end_deg:g}°, and be stopped. Keep people, hands and cables away, and the switch of its power at "
@@ -75,7 +80,7 @@ def consents(motion: Motion, state: GatewayState, *, agreed: bool) -> bool:
 
 @contextmanager
 def stopped_after(which: str, stop: Callable[[], str]) -> Iterator[None]:
-    """However it ends, `stop` stops it, and returns the sentence that says so. `which`: `servo 61 is`."""
+    """However it ends, `stop` stops it and returns the sentence that reports it. `which`: `servo 61 is`."""
     try:
         yield
     finally:

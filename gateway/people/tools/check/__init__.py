@@ -117,7 +117,7 @@ def run(config: Path | None, seen: installation.Installation | None = None) -> I
         yield from _of_settings(settings)
     yield machine.clock()
     unit = machine.unit()
-    if seen is None or not machine.is_no_unit(unit):  # the installation's line says so, and how to get it back
+    if seen is None or not machine.is_no_unit(unit):  # the installation's row has it, and the fix
         yield unit
     yield machine.running_realtime() or machine.realtime()
 

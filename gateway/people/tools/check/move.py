@@ -5,7 +5,7 @@ the gateway's watchdog does.
 
 The servo is stopped as an emergency stop would do it: six Stops in one call. Some SPI drivers do not release chip
 select between the transfers of a call, and a controller that needs it then obeys the first of them alone. Nothing of
-that comes back to the gateway, so whoever looks on is asked whether the servo is loose.
+that comes back to the gateway, so a person is asked whether the servo is loose.
 """
 
 import time
@@ -49,7 +49,7 @@ def causes(state: GatewayState) -> tuple[str, ...]:
         f"Framing: the gateway speaks {state.spi.framing}. The published STM32 firmware needs length-prefixed, a "
         "controller that follows the protocol's document plain. Know which one is there before you change it: nothing "
         "here tries the other one by itself, for plain makes the published firmware deaf.",
-        "Reset: has the controller ever heard the wrong framing? Then it hears nothing, whatever is set now: set the "
+        "Reset: has the controller ever received the wrong framing? Then it is deaf, whatever is set now: set the "
         "right one, restart the gateway, and reset the controller (its reset button, or power).",
         "Wiring: do MOSI, SCLK and GND lead from the Pi to the controller, and have the servos the same ground?",
         f"Chip select: the gateway writes to {state.spi.device}; CE0 is /dev/spidev0.0, CE1 is /dev/spidev0.1.",

@@ -28,7 +28,7 @@ _STYLES: Final = {True: rows.GOOD, False: rows.BAD, None: rows.NOTE}
 
 @dataclass(slots=True)
 class StepResult:
-    """What became of one step: `passed` is None where it was skipped."""
+    """The result of one step. `passed` is None where it was skipped."""
 
     name: str
     does: str
@@ -42,13 +42,13 @@ class StepResult:
 
     @property
     def word(self) -> str:
-        """PASS, FAIL or SKIPPED."""
+        """PASS, FAIL or SKIPPED, as printed."""
         return "SKIPPED" if self.passed is None else "PASS" if self.passed else "FAIL"
 
 
 @dataclass(slots=True)
 class Drill:
-    """All of it, for the report."""
+    """The whole drill, for the report."""
 
     state: GatewayState
     leg: int
@@ -80,7 +80,7 @@ def drill(
 ) -> Drill:
     """Do the steps. Raises ConfigError where nothing is to be moved, ZenohError where no gateway answers.
 
-    A gateway that is lost on the way is part of what was found: `Drill.lost`.
+    Where the gateway is lost on the way, `Drill.lost` is set.
     """
     found: Drill | None = None
     steps = [step for step in STEPS if not only or step.name in only]
@@ -100,7 +100,7 @@ def drill(
             if not state.simulated:
                 _agree(bench, state, agreed=agreed)
             with bench.receives(), watching(bench, state):
-                bench.measure()  # stops and asks only: whoever may not command is told so, and nothing was moved
+                bench.measure()  # no motion yet: without the right to command it ends here
                 found = Drill(state, leg, bench.frames_published)
                 if not bench.frames_published:
                     hint(
@@ -120,7 +120,7 @@ def drill(
 def _do(bench: Bench, step: DrillStep, place: str) -> StepResult:
     end_of_silence = "land the robot, then stop it" if bench.lands else "stop it"
     does = step.does.format(
-        servos=bench.motion.which, start=bench.start_deg, end=bench.end_deg, end_of_silence=end_of_silence
+        servos=bench.motion.which, start=bench.motion.start_deg, end=bench.motion.end_deg, end_of_silence=end_of_silence
     )
     hint(f"{place} {step.name}: {does} …")
     mark, begun_s = bench.mark(), time.monotonic()
@@ -159,7 +159,7 @@ def _rest(bench: Bench, *, keep_estop: bool = False) -> None:
 
 @contextmanager
 def _ended_stopped(bench: Bench) -> Iterator[None]:
-    """However it ends, also by a signal, all legs are stopped, and somebody says so."""
+    """However it ends, also by a signal, all legs are stopped, and a sentence reports it."""
     stopping = False
 
     def end() -> None:
@@ -178,7 +178,7 @@ def _ended_stopped(bench: Bench) -> Iterator[None]:
 
 
 def _all_stopped(bench: Bench) -> str:
-    """Stop all legs, and say what is known of it."""
+    """Stop all legs. Returns the sentence that reports it."""
     _rest(bench)
     if running := bench.running():
         return f"Servos still run: {', '.join(map(str, running))}: switch their power off."
