@@ -14,7 +14,7 @@ from gateway.zenoh_config import DEFAULT_ENDPOINT, listen_endpoints
 
 
 def run(settings: Settings, *, simulated: bool, body: BodyProcess | None = None, faults: Faults | None = None) -> None:
-    """Run the service and, once it is ready, say where it is and what to try next.
+    """Run the service and, once it is ready, print its address and what to try next.
 
     `body`: what the servos of a simulated controller move. `faults`: which of its transfers fail.
     """
