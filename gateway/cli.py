@@ -86,7 +86,7 @@ def _options(
 
 
 class Sim(StrEnum):
-    """What is simulated."""
+    """The part of the robot that is simulated."""
 
     CONTROLLER = "controller"
     PHYSICS = "physics"
@@ -182,7 +182,7 @@ def stop_servos(config: ConfigOption = None) -> None:
     """Stop all six legs straight over SPI, without Zenoh and without a running gateway.
 
     Use it when the service has died, or may have. systemd runs it after every end of the service. It uses what the
-    service uses, and says where the file differs.
+    service uses, and reports where the file differs.
 
     Exit codes: 0 stopped, 2 a wrong configuration, 3 the SPI device fails.
     """
@@ -240,17 +240,17 @@ def check(
     ] = False,
     yes: Annotated[bool, typer.Option("--yes", help="With --move: servo 61 at 90°, without any question.")] = False,
 ) -> None:
-    """Say whether this machine can run the service, line by line, and how to fix what it lacks.
+    """Show whether this machine can run the service, line by line, and how to fix what it lacks.
 
-    With --zenoh-config or --connect: whether this laptop reaches the gateway, and what it may do there. Beside a
-    simulated gateway (`make run`) it looks at that, unless --config names a file.
+    With --zenoh-config or --connect: whether this laptop reaches the gateway, and what it may do there. Where a
+    simulated gateway runs (`make run`) it looks at that, unless --config names a file.
 
     Without --move it changes nothing: no byte reaches the servos, and a running gateway is not disturbed. As root it
     looks with the rights of the service's user.
 
     Exit codes: 0 it can (--move: it moved, and its Stop arrived; with --yes: every frame was written), 1 it cannot,
-    2 spi.framing is not set, the configuration may not be read, or the robot is not at rest, 4 with --move: no gateway
-    answers.
+    2 spi.framing is not set, the configuration may not be read, the robot is not at rest, or somebody else drives,
+    4 with --move: no gateway answers.
     """
     if move:
         from gateway.onboard.check.move import move as move_servo
@@ -378,7 +378,7 @@ def install_service(context: typer.Context) -> None:
 def decode(
     hex_bytes: Annotated[list[str], typer.Argument(metavar="HEX…", help="A frame's bytes, such as 06 02 20 02 00 00")],
 ) -> None:
-    """Explain a frame, or say exactly what is wrong with it.
+    """Explain a frame, or name exactly its fault.
 
     Several frames may follow one another; each begins with its length.
 
@@ -399,7 +399,7 @@ app.add_typer(bridge.app)
 
 send_app = typer.Typer(
     help="Send one acknowledged command through a running gateway.\n\n"
-    "The watchdog stops a leg that hears no further command (after watchdog.timeout_ms); --hold repeats the command "
+    "The watchdog stops a leg that receives no further command (after watchdog.timeout_ms); --hold repeats the command "
     "every 50 ms, and drives meanwhile (see `lease`), if nobody else does.\n\n"
     "Exit codes: 0 accepted, 1 rejected (the reason is printed), 4 no gateway answers.",
     no_args_is_help=True,

@@ -82,7 +82,7 @@ class BodyProcess:
             self._process.wait()
 
     def _wait(self) -> None:
-        """Until it simulates, or says why it cannot."""
+        """Wait until it simulates. Raises ConfigError with its reason where it cannot."""
         readable, _, _ = select.select([self._words], [], [], START_S)
         said = os.read(self._words, 4096).decode().strip() if readable else ""
         os.close(self._words)

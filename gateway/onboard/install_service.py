@@ -1,4 +1,4 @@
-"""`install-service`: the installer that comes with this package, for whoever has no repository.
+"""`install-service`: the installer that comes with this package, for a machine without the repository.
 
 It installs this very release: a wheel made of the files that are installed here, and its dependencies with the hashes
 of the lock; or, with --bundle or --wheels, what these have.

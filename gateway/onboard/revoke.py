@@ -44,7 +44,7 @@ def _restart(found: RevocationList) -> int:
         say("It takes effect when the gateway starts.")
         return 0
     if subprocess.run(["systemctl", "restart", UNIT], check=False).returncode != 0:
-        hint(f"The list is kept, but the service does not restart: journalctl -u {UNIT} says why.")
+        hint(f"The list is kept, but the service does not restart: see journalctl -u {UNIT}.")
         return 1
     say(f"The service was restarted, all legs stopped; list {found.number} is in force.")
     return 0

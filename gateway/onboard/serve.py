@@ -32,7 +32,7 @@ def serve(
 
 
 def _run(settings: Settings, *, simulated: bool, body: BodyProcess | None, faults: Faults | None) -> None:
-    """Once it is ready, print where it is and what to try next."""
+    """Once it is ready, print its address and what to try next."""
     controller = "a simulated controller" if simulated else settings.spi.device
     robot = controller if body is None else "a simulated robot"
 

@@ -130,5 +130,5 @@ def _say(*lines: str) -> None:
 
 _NOTICED: Final = "The running gateway counts all servos as stopped; they move again when somebody starts them."
 _NOT_NOTICED: Final = (
-    "The gateway that holds the device has not noticed: it may hang, and its state may say that servos run."
+    "The gateway that holds the device has not noticed: it may hang, and its state may show running servos."
 )

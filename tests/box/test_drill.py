@@ -20,7 +20,7 @@ def test_the_service_is_killed_and_its_stops_are_counted(robot: InstalledGateway
     robot.box.run(f"/opt/{NAME}/venv/bin/python", "-c", CALIBRATE)
     before = robot.bed.transfers[-1].opening
     said = robot.gateway("drill", "--restart", "--yes", "--only", "restart", "--late", "70")
-    assert "PASS    restart" in said
+    assert "PASS     restart" in said
     assert "stops_of_stop_servos 24" in said, said
     assert robot.unit.properties("ActiveState", "NRestarts") == ["active", "1"]
     assert any(has_started(transfer) for transfer in robot.bed.transfers if transfer.opening == before)

@@ -76,7 +76,7 @@ def test_a_gateway_that_is_gone_is_said_loudly_and_one_that_is_back_is_registere
     with button(tmp_path / "t", gateway) as terminal:
         terminal.wait(READY)
         gateway.child.close()
-        terminal.wait("THE GATEWAY DOES NOT HEAR THIS BUTTON")
+        terminal.wait("THE GATEWAY DOES NOT RECEIVE THIS BUTTON")
         settings = {**SETTINGS, "zenoh": {"listen": [gateway.endpoint]}}
         with Gateway(tmp_path, settings) as second, second.client() as watcher:
             terminal.wait(READY)

@@ -56,7 +56,7 @@ def test_the_landing_pose_is_where_the_running_servos_stand(gateway: Gateway, an
     unasked = gateway.run("calibrate", "landing")
     assert (unasked.returncode, unasked.stdout.splitlines()[-1]) == (
         1,
-        "nothing is written: nobody can be asked here, since there is no terminal; --yes agrees",
+        "nothing is written: this is no terminal, so nobody can be asked; --yes agrees",
     )
     end = gateway.run("calibrate", "landing", "--leg", "2", "--yes")
     assert end.returncode == 0, str(end)
@@ -152,7 +152,7 @@ def test_what_was_exported_comes_back_whole(gateway: Gateway, anna: Client, tmp_
     assert anna.calibrate({}, {52: 20}).accepted
     unasked = gateway.run("calibrate", "import", str(file))
     assert unasked.returncode == 1
-    assert "nobody can be asked here" in unasked.stdout
+    assert "nobody can be asked" in unasked.stdout
     end = gateway.run("calibrate", "import", str(file), "--yes")
     assert end.returncode == 0, str(end)
     after = anna.calibration()

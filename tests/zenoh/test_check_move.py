@@ -4,7 +4,7 @@ import io
 import signal
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import pytest
@@ -12,7 +12,8 @@ import pytest
 from gateway.client import Client
 from gateway.model.frames import OneServo, Op, ServoOp, decode
 from gateway.onboard.check import move as module
-from schemas.telemetry import Cause, FrameRecord, Mode
+from gateway.people.tools import kept_lease
+from schemas.telemetry import Cause, FrameRecord, Mode, Reason
 from tests.support.child import Child
 from tests.support.command import Ended
 from tests.support.fixtures import gateway_fixture
@@ -88,8 +89,8 @@ def test_one_servo_is_started_moved_and_stopped(
     end = move(*answers)
     assert end.returncode == 0, str(end)
     assert until_stopped(heard, expected[0].servo_id) == expected
-    assert "will go to " in end.stdout
-    assert "is stopped." in end.stdout
+    assert "will go to " in end.stderr
+    assert "is stopped." in end.stderr
     assert ("do it once more with a servo of leg 6" in end.stdout) is leg_1
     assert client.state().mode is Mode.IDLE
 
@@ -132,7 +133,7 @@ def test_ctrl_c_stops_the_servo(gateway: Gateway, client: Client, after: Op) -> 
         child.send_signal(signal.SIGINT)
         assert child.wait() == 130, str(child)
     assert until_stopped(heard, 61)[-1] == OneServo(61, ServoOp(Op.STOP)), "by command, not by the watchdog"
-    assert "Servo 61 is stopped." in child.stdout
+    assert "Servo 61 is stopped." in child.stderr
     assert client.state().mode is Mode.IDLE
 
 
@@ -166,5 +167,30 @@ def test_a_robot_that_is_not_at_rest_is_left_alone(move: Callable[..., Ended], c
     end = move(options=("--yes",))
     assert end.returncode == 2, str(end)
     assert "leave the emergency stop first" in end.stderr
-    assert servo_frames(heard) == []
     assert client.reset().accepted
+    with client.lease():
+        end = move(options=("--yes",))
+    assert end.returncode == 2, str(end)
+    assert "drives, and nothing is moved" in end.stderr
+    assert servo_frames(heard) == []
+
+
+@pytest.mark.parametrize("kept", [False, True], ids=["its own", "of `lease acquire`"])
+def test_it_moves_under_the_lease(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kept: bool) -> None:
+    """So that nobody else moves the robot meanwhile, and a robot that requires a lease can be tried."""
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    settings: dict[str, dict[str, object]] = {
+        "telemetry": {"frames": True},
+        "watchdog": {"timeout_ms": 9000},
+        "lease": {"required": True},
+    }
+    with ExitStack() as stack:
+        gateway = stack.enter_context(Gateway(tmp_path, settings))
+        client = stack.enter_context(gateway.client())
+        if kept:
+            stack.enter_context(kept_lease.acquired(stack.enter_context(gateway.client())))
+        heard = frames(client)
+        with moving(gateway, heard) as child:
+            assert client.servo(12, "start", 90).reason == Reason.NOT_HOLDER
+            assert child.wait() == 0, str(child)
+        assert (client.state().lease.holder is None) is not kept

@@ -42,7 +42,7 @@ def test_it_passes_on_a_robot_that_works_and_reports_it(tmp_path: Path) -> None:
         with robot.client("anna") as client:
             assert client.state().mode == "idle"
     assert done.stdout.count("PASS ") == len(STEPS) - 3, "three need a button, a device, or systemd"
-    assert "PASS    cut-link" in done.stdout
+    assert "PASS     cut-link" in done.stdout
     assert "all passed" in done.stdout
     text = report.read_text()
     assert "<h1>Drill: passed</h1>" in text
@@ -96,7 +96,7 @@ def test_it_is_a_stop_button_itself_where_one_more_is_required(tmp_path: Path, r
         assert "keep 1 alive meanwhile" in done.stderr
         return
     assert done.returncode == 0, str(done)
-    assert re.search(r"PASS    button: timeout_ms 300.0, check_in_to_sixth_stop_ms \d+", done.stdout)
+    assert re.search(r"PASS     button         timeout_ms 300.0, check_in_to_sixth_stop_ms \d+", done.stdout)
 
 
 def test_where_enough_others_watch_its_own_silence_would_stop_nobody(tmp_path: Path) -> None:
@@ -109,21 +109,21 @@ def test_where_enough_others_watch_its_own_silence_would_stop_nobody(tmp_path: P
         kitchen.alive()
         done = running.run("drill", "--late", str(LATE_MS), "--only", "button", "--only", "set-while-stopped")
     assert done.returncode == 0, str(done)
-    assert "SKIPPED button: 1 stop buttons of other people are alive" in done.stdout
-    assert "PASS    set-while-stopped" in done.stdout
+    assert "SKIPPED  button         1 stop buttons of other people are alive" in done.stdout
+    assert "PASS     set-while-stopped" in done.stdout
 
 
 @pytest.mark.parametrize("mistake", MISTAKES)
 def test_a_planted_mistake_fails_its_step(mistake: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for module in (steps, watching):
-        monkeypatch.setattr(module, "ANSWER_S", 1.5)  # what does not come is waited for
+        monkeypatch.setattr(module, "EVIDENCE_S", 1.5)  # what does not come is waited for
     step = MISTAKES[mistake][1]
     program = (sys.executable, "-m", "tests.support.planted_gateway", mistake)
     settings = {**FRAMES, "buttons": {"required": int(step == "button"), "timeout_ms": 300}}
     with Gateway(tmp_path, settings, program=program) as planted:
         done = planted.run("drill", "--late", str(LATE_MS), "--only", step)
     assert done.returncode == 1, str(done)
-    assert done.stdout.startswith(f"FAIL    {step}: "), str(done)
+    assert done.stdout.startswith(f"FAIL     {step:14} "), str(done)
 
 
 ENDS: Final = {"command": signal.SIGINT, "after-reset": signal.SIGTERM, "cut-link": signal.SIGHUP}
@@ -155,7 +155,7 @@ def test_where_the_gateway_is_gone_it_says_that_nobody_has_confirmed(tmp_path: P
             heard.wait(lambda record: record.bytes == STARTED)
             running.child.kill()
             assert child.wait() == 4, str(child)
-        assert "FAIL    silence" in child.stdout
+        assert "FAIL     silence" in child.stdout
         assert "Nobody has confirmed that all legs are stopped" in child.stderr
         found = json.loads(file.read_text())
         assert not found["passed"]
@@ -170,7 +170,7 @@ def test_where_the_lease_is_taken_from_it_all_legs_are_stopped(gateway: Gateway)
             heard.wait(lambda record: record.bytes == STARTED)
             with client.lease(take=True):
                 assert child.wait() == 1, str(child)
-        assert "FAIL    estop" in child.stdout, str(child)
+        assert "FAIL     estop" in child.stdout, str(child)
         assert "All legs are stopped." in child.stderr
         state = client.state()
         assert not any(servo.running for leg in state.legs for servo in leg.servos)
@@ -248,7 +248,7 @@ def systemctl(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., 
 @pytest.mark.parametrize(
     ("load", "ago", "says"),
     [
-        ("", 0, "no systemd on this machine tells of a service"),
+        ("", 0, "systemd on this machine reports no service"),
         ("not-found", 0, "this machine has no hexapod-gateway.service"),
         ("loaded", -1000, "hexapod-gateway.service of this machine is not the gateway that answers"),
     ],
@@ -260,7 +260,7 @@ def test_a_laptop_skips_the_step_that_kills_the_service(
     systemctl(gateway.child.pid, load, ago)
     done = gateway.run("drill", "--yes", "--restart", "--only", "restart")
     assert done.returncode == 0, str(done)
-    assert f"SKIPPED restart: {says}" in done.stdout
+    assert f"SKIPPED  restart        {says}" in done.stdout
     with gateway.client() as client:
         assert client.state().mode == "idle"
 
@@ -283,5 +283,5 @@ def test_a_stop_servos_that_did_not_stop_after_the_end_fails(
         systemd.start()
         done = first.run("drill", "--restart", "--only", "restart", timeout_s=60)
         systemd.join()
-        assert done.stdout.startswith("FAIL    restart: stop-servos did not stop the servos"), str(done)
+        assert done.stdout.startswith("FAIL     restart        stop-servos did not stop the servos"), str(done)
     assert "kill --signal=KILL hexapod-gateway.service" in (tmp_path / "asked").read_text()

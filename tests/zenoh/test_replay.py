@@ -172,7 +172,7 @@ def test_on_another_calibration_it_makes_the_same_motion(tmp_path: Path, recorde
         assert now[0].startswith("0e010b0146000c012d")  # 70 and 45
         unknown = other.run("replay", str(recorded))
         assert unknown.returncode == 2, str(unknown)
-        assert "does not say by which calibration" in unknown.stderr
+        assert "does not contain the calibration" in unknown.stderr
 
 
 def test_the_last_setpoint_is_not_rejected_for_the_stops_at_the_end(gateway: Gateway, tmp_path: Path) -> None:

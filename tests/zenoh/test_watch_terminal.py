@@ -66,7 +66,7 @@ def test_it_shows_a_running_leg_rejections_and_events(gateway: Gateway, terminal
     assert terminal.screen.startswith(" IDLE   0 legs running")
     with gateway.client(source="anna") as client:
         assert client.start_leg(3, 90, 45, 120).accepted
-        shown = terminal.wait("ACTIVE", "3 ● 90.00°", "● 45.00°", "● 120.00°", "last heard / 10000 ms")
+        shown = terminal.wait("ACTIVE", "3 ● 90.00°", "● 45.00°", "● 120.00°", "command / 10000 ms")
         assert "1 leg running" in shown
         assert not client.set_leg(4, 1, 2, 3).accepted
         assert not client.set_leg(4, 1, 2, 3).accepted
@@ -116,7 +116,7 @@ def test_the_reset_asks_first(gateway: Gateway, terminal: Terminal) -> None:
         terminal.press("r")
         terminal.wait("Leave the emergency stop?")
         terminal.press("n")
-        terminal.wait("no reset: the emergency stop stays as it is")
+        terminal.wait("no reset: the emergency stop stays engaged")
         terminal.press("y")
         terminal.press("r")
         terminal.wait("Leave the emergency stop?")
@@ -203,7 +203,7 @@ def test_a_gateway_that_hangs_and_one_that_dies_are_called_silent_and_come_back(
             assert client.start_leg(3, 90, 45, 120).accepted
             terminal.wait("ACTIVE")
         gateway.child.kill()
-        terminal.wait("SILENT for", "was ACTIVE", "No word from the gateway", "the gateway fell silent")
+        terminal.wait("SILENT for", "was ACTIVE", "The gateway is silent: below is the past", "the gateway fell silent")
         terminal.press("r")
         terminal.wait("Leave the emergency stop?")
         terminal.press("y")
@@ -211,7 +211,7 @@ def test_a_gateway_that_hangs_and_one_that_dies_are_called_silent_and_come_back(
         terminal.press("Space")
         terminal.wait("NOT STOPPED, NO ANSWER", "switch the servos' power off", "trying again")
         with Gateway(tmp_path, {**PATIENT, **listen}) as again:  # what nobody received is sent again
-            shown = terminal.wait("ESTOPPED", "the gateway is heard again", "the gateway was started again")
+            shown = terminal.wait("ESTOPPED", "the gateway publishes again", "the gateway was started again")
             assert "SILENT for" not in shown
             assert "NOT STOPPED" not in terminal.wait("STOPPED: 6 Stop frames")
             with again.client() as client:

@@ -5,13 +5,11 @@ It changes nothing: no byte reaches the robot, and a running gateway is not dist
 
 import datetime as dt
 import os
+from collections import Counter
 from collections.abc import Iterable, Iterator
 from itertools import chain
 from pathlib import Path
 from typing import Final
-
-from rich.console import Console
-from rich.text import Text
 
 from gateway.errors import ConfigError
 from gateway.host import effective
@@ -33,13 +31,12 @@ from gateway.onboard.check import (
     trust,
 )
 from gateway.onboard.check.result import Result, Verdict, failure, ok, warning
-from gateway.people.terminal import clear_line, show_line
+from gateway.people.terminal import clear_line, rows, show_line
 from gateway.robot import settings as settings_file
 from gateway.robot.settings import FramingNotSetError, Settings, SpiSettings
-from gateway.text import visible
 from gateway.zenoh_config import listen_endpoints
 
-_STYLES: Final = {Verdict.OK: "green", Verdict.WARNING: "yellow", Verdict.FAILURE: "bold red"}
+_STYLES: Final = {Verdict.OK: rows.GOOD, Verdict.WARNING: rows.NOTE, Verdict.FAILURE: rows.BAD}
 
 
 def check(config: Path | None) -> int:
@@ -73,19 +70,15 @@ def check_laptop(connect: str | None, zenoh_config: Path | None, timeout_s: floa
 
 
 def _report(found: Iterable[Result], well: str, unwell: str) -> int:
-    console = Console(highlight=False, soft_wrap=True)
-    results = []
+    count = Counter[Verdict]()
     for result in found:
-        results.append(result)
-        console.print(line(result))
-    failures = sum(result.verdict is Verdict.FAILURE for result in results)
-    warnings = sum(result.verdict is Verdict.WARNING for result in results)
+        count[result.verdict] += 1
+        rows.show(rows.row(result.verdict, _STYLES[result.verdict], result.name, result.sentence, result.fix))
+    failures, warnings = count[Verdict.FAILURE], count[Verdict.WARNING]
     if failures:
-        console.print(Text(f"{unwell}: {_count(failures, 'failure')}.", "bold red"))
-        return 1
+        return rows.conclude(f"{unwell}: {_count(failures, 'failure')}.", well=False)
     remark = f", with {_count(warnings, 'warning')}" if warnings else ""
-    console.print(Text(f"{well}{remark}.", "bold green"))
-    return 0
+    return rows.conclude(f"{well}{remark}.", well=True)
 
 
 def run(config: Path | None, seen: installation.Installation | None = None) -> Iterator[Result]:
@@ -124,7 +117,7 @@ def run(config: Path | None, seen: installation.Installation | None = None) -> I
         yield from _of_settings(settings)
     yield machine.clock()
     unit = machine.unit()
-    if seen is None or not machine.is_no_unit(unit):  # the installation's line says so, and how to get it back
+    if seen is None or not machine.is_no_unit(unit):  # the installation's row has it, and the fix
         yield unit
     yield machine.running_realtime() or machine.realtime()
 
@@ -198,13 +191,6 @@ def _of_settings(settings: Settings) -> Iterator[Result]:
         yield from network.routers(zenoh_config)
     if settings.telemetry.metrics:
         yield network.metrics_port(settings.telemetry.metrics, gateway_runs=gateway_runs)
-
-
-def line(result: Result) -> Text:
-    """`verdict  what  sentence → fix`, in columns."""
-    text = Text().append(f"{result.verdict:8}", _STYLES[result.verdict]).append(f" {result.name:14} ", "bold")
-    text.append(visible(result.sentence))
-    return text.append(f" → {visible(result.fix)}", "cyan") if result.fix else text
 
 
 def _count(number: int, word: str) -> str:

@@ -34,7 +34,7 @@ def passes(config: zenoh.Config, file: str) -> list[Result]:
     more = f" and {len(keys) - _SHOWN} more" if len(keys) > _SHOWN else ""
     messages = list(dict.fromkeys(message for key in keys for message in dropped[key]))
     sentence = (
-        f"{file} does not let {', '.join(keys[:_SHOWN])}{more} through ({', '.join(messages)}): what is said there is "
+        f"{file} does not let {', '.join(keys[:_SHOWN])}{more} through ({', '.join(messages)}): messages there are "
         "lost without a word"
     )
     return [warning(_NAME, sentence, _fix(config, file, keys)), *buttons]
@@ -54,9 +54,9 @@ def _buttons(config: zenoh.Config, file: str, known: dict[str, list[str]]) -> li
 
 
 def _dropped(config: zenoh.Config, role: str = "") -> dict[str, list[str]]:
-    """The keys that something is dropped on, each with the messages: of what this role says and reads, or the others.
+    """The keys that something is dropped on, each with the messages that this role sends and receives, or the others.
 
-    What only a button may say is little, and an operator's rules must let all of it through.
+    A button may send little, and an operator's rules must let all of it through.
     """
     namespace = get(config, "namespace") or ""
     policies = get(config, "access_control/policies") or []
@@ -103,7 +103,7 @@ def _fix(config: zenoh.Config, file: str, keys: list[str]) -> str:
     if {key.removeprefix(before) for key in keys} <= set(PUBLISHED):
         by_hand = ", ".join(f'"{key}"' for key in keys)
         anew = _anew(config, file)
-        return f'in its rules, write {by_hand} beside each "{before}{STATE}", and restart; or make it anew: {anew}'
+        return f'in its rules, write {by_hand} next to each "{before}{STATE}", and restart; or make it anew: {anew}'
     return f"make it anew: {_anew(config, file)}"
 
 

@@ -32,7 +32,7 @@ def kept(settings: Settings) -> Result:
     begun_s = _begun_s(path)
     if begun_s is not None and time.time() - begun_s > SLOW_S:
         at = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(begun_s))
-        fix = "if the gateway runs, its disk hangs (dmesg): restart it once that is mended; else nothing is wrong"
+        fix = "if the gateway runs, its disk hangs (dmesg): restart it once that is fixed; else nothing is wrong"
         return warning(_NAME, f"a change of {at} was not kept, and revision {found.revision} is ({path})", fix)
     if not (found.servos or found.landing_cdeg):
         return ok(_NAME, f"none: every servo is as drawn ({path})")

@@ -46,7 +46,7 @@ def device(spi: SpiSettings) -> Result:
     except SpiError as error:
         if isinstance(error.__cause__, BlockingIOError):
             return ok(_NAME, f"{path} {_HELD}; a second one would be rejected")
-        return failure(_NAME, str(error), f"is {path} a SPI device? dmesg may tell more")
+        return failure(_NAME, str(error), f"is {path} a SPI device? see dmesg")
     by = f"; {ioctls.USED}" if ioctls.are_used() else ""
     return ok(_NAME, f"{path} opens, as {_user()}{by}")
 
@@ -165,7 +165,7 @@ def framing(spi: SpiSettings) -> Result:
     if spi.framing is Framing.PLAIN:
         return warning(
             "framing",
-            "plain, as the protocol's document says; the published STM32 firmware jams in it until it is reset",
+            "plain, as in the protocol's document; the published STM32 firmware jams in it until it is reset",
             'set spi.framing = "length-prefixed" for that firmware, and reset it',
         )
     deadly = Framing.LENGTH_PREFIXED.avoid_cdeg or (0, 0)

@@ -47,7 +47,7 @@ def _of_two_cas(config: zenoh.Config) -> Iterator[Result]:
     try:
         if not isinstance(ca, str) or len(certs.files.read_certificates(Path(ca))) == 1:
             return
-    except ConfigError:  # another line says it
+    except ConfigError:  # another row reports it
         return
     try:
         still = revoked.of_older_ca()
@@ -115,7 +115,7 @@ def on_the_laptop(identity: Identity) -> Iterator[Result]:
         return
     try:
         own, cas = certs.folder.describe(identity.certificate), certs.files.read_certificates(identity.ca)
-    except ConfigError:  # another line says it
+    except ConfigError:  # another row reports it
         return
     fix = f"hexapod-gateway certs reissue {own.path.stem}, where ca.key is, and bring its files here"
     if own.role.partition(".")[0] in certs.LAPTOP_ROLES and pool.holder(own.common_name).number is None:

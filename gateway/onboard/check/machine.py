@@ -47,7 +47,7 @@ def clock_result(adjtimex: int) -> Result:
     if adjtimex == _UNSYNCHRONISED:
         return warning("clock", "is not synchronised", fix)
     if adjtimex < 0:
-        return warning("clock", "does not say whether it is synchronised", fix)
+        return warning("clock", "does not report whether it is synchronised", fix)
     return ok("clock", "is synchronised")
 
 
@@ -62,7 +62,7 @@ def unit(*, booted: Path = Path("/run/systemd/system"), systemctl: str = "system
     try:
         return unit_result(_shown("LoadState,ActiveState,UnitFileState,Result", systemctl))
     except (OSError, subprocess.SubprocessError) as error:
-        return warning("systemd unit", f"systemctl does not tell ({error})", f"try: systemctl status {UNIT}")
+        return warning("systemd unit", f"systemctl fails ({error})", f"try: systemctl status {UNIT}")
 
 
 def unit_result(properties: Mapping[str, str]) -> Result:
@@ -73,12 +73,12 @@ def unit_result(properties: Mapping[str, str]) -> Result:
     if load == "not-found":
         return warning(name, "is not installed: nothing stops the servos if the gateway dies", "sudo deploy/install.sh")
     if load != "loaded":
-        return failure(name, f"cannot be loaded ({load})", f"systemctl status {UNIT} says why")
+        return failure(name, f"cannot be loaded ({load})", f"see systemctl status {UNIT}")
     if active == "failed":
         return failure(
             name,
             f"has failed ({properties.get('Result', '?')})",
-            f"journalctl -u {UNIT} says why; then: {RESTART}",
+            f"see journalctl -u {UNIT}; then: {RESTART}",
         )
     if not enabled.startswith("enabled"):
         return warning(name, f"is {active}, but does not start with the machine", f"sudo systemctl enable --now {UNIT}")
@@ -110,7 +110,7 @@ def running_realtime() -> Result | None:
     return warning(
         "real-time",
         "the service that runs was granted none: on a busy machine a Stop may be late",
-        "its journal says why; a kernel with CONFIG_RT_GROUP_SCHED may reject it",
+        "see its journal; a kernel with CONFIG_RT_GROUP_SCHED may reject it",
     )
 
 

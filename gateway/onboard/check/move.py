@@ -5,26 +5,26 @@ the gateway's watchdog does.
 
 The servo is stopped as an emergency stop would do it: six Stops in one call. Some SPI drivers do not release chip
 select between the transfers of a call, and a controller that needs it then obeys the first of them alone. Nothing of
-that comes back to the gateway, so whoever looks on is asked whether the servo is loose.
+that comes back to the gateway, so a person is asked whether the servo is loose.
 """
 
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
+from functools import partial
 from typing import Final
 
-from gateway.errors import ConfigError, ZenohError
+from gateway.errors import ConfigError
 from gateway.people.client.blocking import Client
-from gateway.people.terminal import ask, hint, say
-from gateway.people.tools.reach import Connection, check_at_rest, show_differences
+from gateway.people.terminal import ask, say
+from gateway.people.tools.driving import drives
+from gateway.people.tools.moving import MOST_DEG, Motion, consents, ready, stopped_after
+from gateway.people.tools.reach import Connection, show_differences
+from schemas import keys
 from schemas.robot import LEGS, SERVO_IDS
 from schemas.telemetry import Ack, GatewayState, Reason, WatchdogState
 
 DEFAULT_SERVO: Final = 61
 """Of the leg whose Stop is the last of six in a call."""
 DEFAULT_ANGLE_DEG: Final = 90.0
-STEP_DEG: Final = 5.0
-_MOST_DEG: Final = 180.0
 _HOLD_S: Final = 1.5
 """At each angle: long enough to reach it from anywhere, and to be seen."""
 _PERIOD_S: Final = 0.05
@@ -49,7 +49,7 @@ def causes(state: GatewayState) -> tuple[str, ...]:
         f"Framing: the gateway speaks {state.spi.framing}. The published STM32 firmware needs length-prefixed, a "
         "controller that follows the protocol's document plain. Know which one is there before you change it: nothing "
         "here tries the other one by itself, for plain makes the published firmware deaf.",
-        "Reset: has the controller ever heard the wrong framing? Then it hears nothing, whatever is set now: set the "
+        "Reset: has the controller ever received the wrong framing? Then it is deaf, whatever is set now: set the "
         "right one, restart the gateway, and reset the controller (its reset button, or power).",
         "Wiring: do MOSI, SCLK and GND lead from the Pi to the controller, and have the servos the same ground?",
         f"Chip select: the gateway writes to {state.spi.device}; CE0 is /dev/spidev0.0, CE1 is /dev/spidev0.1.",
@@ -63,23 +63,19 @@ def move(connect: Connection, *, agreed: bool) -> int:
     0: somebody saw it move; 1: nobody did, or it was not to be. Raises ZenohError.
     """
     with connect() as client:
-        check_at_rest(client.state())
+        state = ready(client)
         show_differences()
-        servo_id = DEFAULT_SERVO if agreed else _servo(ask(f"Which servo, 11 to 63? [{DEFAULT_SERVO}] "))
-        angle_deg = DEFAULT_ANGLE_DEG if agreed else _angle(ask(f"Start it at which angle? [{DEFAULT_ANGLE_DEG:g}] "))
-        end_deg = angle_deg + (STEP_DEG if angle_deg + STEP_DEG <= _MOST_DEG else -STEP_DEG)
-        say(
-            f"Servo {servo_id} will go to {angle_deg:g}° at once, wherever it stands, then to {end_deg:g}°, and be "
-            "stopped. Keep hands and cables away, and the switch of its power at hand."
-        )
-        if not agreed and ask("Type yes to move it: ") != "yes":
+        motion = Motion([DEFAULT_SERVO], DEFAULT_ANGLE_DEG) if agreed else _asked()
+        servo_id = motion.servo_ids[0]
+        if not consents(motion, state, agreed=agreed):
             say("Nothing was moved.")
             return 1
-        state = client.state()  # the questions took their time
-        check_at_rest(state)
-        with _stopped_after(client, servo_id):
-            moved = _moved(client, servo_id, (angle_deg, end_deg), state.watchdog.timeout_ms)
-            if not (moved and _accepted(client.stop())):
+        state = ready(client)  # the questions took their time
+        with (
+            drives(client, _HOLD_S, moves=True) as lease,
+            stopped_after(f"servo {servo_id} is", partial(_stop, client, servo_id)),
+        ):
+            if not (_moved(client, motion, state.watchdog.timeout_ms, lease) and _accepted(client.stop())):
                 return 1
             if state.simulated:
                 say("A simulated controller took it: no servo is there to move.")
@@ -103,34 +99,36 @@ def move(connect: Connection, *, agreed: bool) -> int:
     return 0
 
 
-def _moved(client: Client, servo_id: int, angles_deg: tuple[float, float], timeout_ms: float) -> bool:
+def _asked() -> Motion:
+    servo_id = _servo(ask(f"Which servo, 11 to 63? [{DEFAULT_SERVO}] "))
+    return Motion([servo_id], _angle(ask(f"Start it at which angle? [{DEFAULT_ANGLE_DEG:g}] ")))
+
+
+def _moved(client: Client, motion: Motion, timeout_ms: float, lease: dict[str, str]) -> bool:
     """Whether all that was asked for was accepted."""
-    if not _accepted(client.servo(servo_id, "start", angles_deg[0])):
+    if not _accepted(_command(client, motion.servo_ids[0], "start", motion.start_deg, lease)):
         return False
     # Only `set` from here on: it is rejected for what somebody else has stopped.
+    angles_deg = motion.start_deg, motion.end_deg
+    return all(_held(client, motion.servo_ids[0], angle_deg, timeout_ms, lease) for angle_deg in angles_deg)
+
+
+def _command(client: Client, servo_id: int, op: str, angle_deg: float, lease: dict[str, str]) -> Ack:
+    return client.ask(keys.servo_command(servo_id), {"op": op, "angle_deg": angle_deg, **lease})
+
+
+def _stop(client: Client, servo_id: int) -> str:
+    """By a Stop that is alone in its call."""
+    ack = client.servo(servo_id, "stop")
+    return f"Servo {servo_id} is stopped." if ack.accepted else f"Servo {servo_id}: {ack.reason}: {ack.detail}"
+
+
+def _held(client: Client, servo_id: int, angle_deg: float, timeout_ms: float, lease: dict[str, str]) -> bool:
+    """Set it again and again for a while; whether each was accepted."""
     period_s = min(_PERIOD_S, timeout_ms / 5000)
-    return all(_held(client, servo_id, angle_deg, period_s, timeout_ms) for angle_deg in angles_deg)
-
-
-@contextmanager
-def _stopped_after(client: Client, servo_id: int) -> Iterator[None]:
-    """However it ends, the servo is stopped, by a Stop that is alone in its call."""
-    try:
-        yield
-    finally:
-        try:
-            stopped = client.servo(servo_id, "stop")
-        except ZenohError:
-            hint(f"Nobody has confirmed that servo {servo_id} is stopped: if it holds, switch its power off.")
-            raise
-        if _accepted(stopped):
-            say(f"Servo {servo_id} is stopped.")
-
-
-def _held(client: Client, servo_id: int, angle_deg: float, period_s: float, timeout_ms: float) -> bool:
     begun_s = before_s = time.monotonic()
     while before_s < begun_s + _HOLD_S:
-        ack = client.servo(servo_id, "set", angle_deg)
+        ack = _command(client, servo_id, "set", angle_deg, lease)
         apart_ms = (time.monotonic() - before_s) * 1000
         if ack.reason == Reason.SERVO_STOPPED and _is_expired(client.state(), servo_id):
             say(
@@ -172,6 +170,6 @@ def _angle(text: str) -> float:
         angle_deg = float(text)
     except ValueError:
         angle_deg = -1.0
-    if 0 <= angle_deg <= _MOST_DEG:
+    if 0 <= angle_deg <= MOST_DEG:
         return angle_deg
     raise ConfigError(f"{text!r} is no angle: 0 to 180 degrees")

@@ -52,7 +52,7 @@ def zenoh_configuration(settings: ZenohSettings) -> tuple[zenoh.Config | None, l
         except ConfigError as error:
             lines = str(error).splitlines()
             return None, [failure("Zenoh", line, LET_READ if DENIED in line else "fix it there") for line in lines]
-    found = [warning("Zenoh", line, "docs/security.md says what each link needs") for line in warnings]
+    found = [warning("Zenoh", line, "see docs/security.md for what each link needs") for line in warnings]
     return config, found or [ok("Zenoh", settings.config or "its configuration is these settings alone")]
 
 

@@ -1,4 +1,4 @@
-"""What every check returns."""
+"""The result of a check: one row of `check`."""
 
 from dataclasses import dataclass
 from enum import StrEnum
@@ -23,7 +23,7 @@ class Result:
 
 
 def ok(name: str, sentence: str) -> Result:
-    """Nothing to fix."""
+    """It passed, and needs no fix."""
     return Result(name, Verdict.OK, sentence)
 
 

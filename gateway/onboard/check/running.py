@@ -33,7 +33,7 @@ def simulated() -> tuple[Settings, GatewayState] | None:
 
 
 def results(settings: Settings, state: GatewayState) -> Iterator[Result]:
-    """What there is to say about it."""
+    """The rows about a gateway that runs here on a simulated controller."""
     yield machine.python()
     yield _gateway(state)
     yield ok("SPI device", "none: its controller is simulated. For a real robot, end it and check again")

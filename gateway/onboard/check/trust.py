@@ -32,7 +32,7 @@ def results(settings: ZenohSettings, *, state: Path = SERVICE_STATE) -> list[Res
         config = load_config(Path(settings.config))
         cas = certs.files.read_certificates(Path(_named(config, _CA))) if _named(config, _CA) else []
         return [*_pairs(config, cas), *_lists(Path(settings.config).absolute().parent, state, cas)] if cas else []
-    except ConfigError:  # another line says it
+    except ConfigError:  # another row reports it
         return []
 
 
@@ -80,5 +80,5 @@ def _lists(beside: Path, state: Path, cas: list[x509.Certificate]) -> Iterator[R
             yield warning("revoked", f"{path} is of another authority, so nobody is shut out by it", fix)
         except ConfigError as error:
             yield failure("revoked", f"{error}; the service does not start", fix)
-        except PermissionError:  # the line of the state directory says it
+        except PermissionError:  # the row of the state directory reports it
             continue

@@ -1,6 +1,6 @@
 """What a command prints (results on stdout, remarks on stderr), what it asks, and how it is asked to end.
 
-Beside this: programs that fill the terminal (`screen`, `keyboard`).
+`screen` is the frame of programs that fill the terminal.
 """
 
 import importlib.util
@@ -19,11 +19,11 @@ from gateway.text import visible
 
 _REDRAW_S: Final = 0.2
 """How often a line of progress changes."""
-NOBODY: Final = "nobody can be asked here, since there is no terminal; --yes agrees"
+NOBODY: Final = "this is no terminal, so nobody can be asked; --yes agrees"
 
 
 def this_command() -> str:
-    """How this program was called, so that a line that names it can be copied: `.venv/bin/…` after `make run`."""
+    """The name by which this program was called, to be copied from messages: `.venv/bin/…` after `make run`."""
     called, found = sys.argv[0], shutil.which("hexapod-gateway")
     if called.endswith("__main__.py") or (found is not None and Path(called).absolute() == Path(found).absolute()):
         return "hexapod-gateway"
@@ -31,7 +31,7 @@ def this_command() -> str:
 
 
 def say(text: str) -> None:
-    """A line of result, on stdout. What strangers have written may be in it."""
+    """A line of result, on stdout. It may contain foreign text."""
     sys.stdout.write(f"{visible(text)}\n")
     sys.stdout.flush()
 
@@ -46,7 +46,7 @@ class Progress:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """The line is empty again."""
+        """Clear the line."""
         clear_line()
 
     def show(self, text: str) -> None:
@@ -58,7 +58,7 @@ class Progress:
 
 
 def show_line(text: str) -> None:
-    """In place of the line of progress; nothing where stderr is no terminal."""
+    """Replace the line of progress; do nothing where stderr is no terminal."""
     if sys.stderr.isatty():
         columns = shutil.get_terminal_size().columns  # a line that wraps would be written below itself each time
         sys.stderr.write(f"\r\x1b[K{text[: columns - 1]}")
@@ -66,12 +66,12 @@ def show_line(text: str) -> None:
 
 
 def clear_line() -> None:
-    """No progress is shown any more: what comes next is a line of its own."""
+    """End the progress, so that the next output has a line of its own."""
     show_line("")
 
 
 def hint(text: str) -> None:
-    """A line for the person, on stderr, so that pipes carry results only. What strangers have written may be in it."""
+    """A line for the person, on stderr, so that pipes carry results only. It may contain foreign text."""
     sys.stderr.write(f"{visible(text)}\n")
     sys.stderr.flush()
 
@@ -79,7 +79,10 @@ def hint(text: str) -> None:
 def check_terminal(
     program: str, otherwise: str, *, on_windows: str = "", error: type[GatewayError] = GatewayError
 ) -> None:
-    """Raises `error` where the program cannot fill this terminal; `otherwise` goes on with what to do without one."""
+    """Raises `error` where the program cannot fill this terminal.
+
+    `otherwise` continues the sentence with what to do instead.
+    """
     if importlib.util.find_spec("termios") is None:
         raise error(f"{program} needs a Unix terminal; on Windows, run it in WSL{on_windows}")
     if not (sys.stdin.isatty() and sys.stdout.isatty()):
@@ -87,14 +90,14 @@ def check_terminal(
 
 
 def ask(question: str) -> str:
-    """One line of what somebody types, in lower case; "" where nobody does."""
+    """One typed line, in lower case; "" at the end of the input."""
     sys.stderr.write(question)
     sys.stderr.flush()
     return sys.stdin.readline().strip().lower()
 
 
 def agrees(question: str, *, nobody: str = NOBODY) -> bool:
-    """Whether somebody says yes. Raises ConfigError, with the sentence `nobody`, where nobody can be asked."""
+    """Whether a person answers yes. Raises ConfigError, with the sentence `nobody`, where stdin is no terminal."""
     if not sys.stdin.isatty():
         raise ConfigError(nobody)
     return ask(f"{question} [y/N] ") in ("y", "yes")
@@ -102,7 +105,7 @@ def agrees(question: str, *, nobody: str = NOBODY) -> bool:
 
 @contextmanager
 def on_end_signals(end: Callable[[], object]) -> Iterator[None]:
-    """Call `end`, which must wait for nothing, on Ctrl-C, SIGTERM and the end of the terminal."""
+    """Call `end`, which must not wait, on Ctrl-C, SIGTERM and the end of the terminal."""
 
     def handle(_number: int, _frame: FrameType | None) -> None:
         end()

@@ -1,4 +1,4 @@
-"""A terminal that gives each key as it is pressed, and signals that end such a program in order. Unix only."""
+"""A terminal that delivers each key when it is pressed, and signals as a readable descriptor. Unix only."""
 
 import contextlib
 import os
@@ -16,7 +16,7 @@ _ARROWS: Final = {"A": "up", "B": "down", "C": "right", "D": "left"}
 
 @contextlib.contextmanager
 def keys_at_once(terminal: int) -> Iterator[None]:
-    """Keys come one by one and unseen, Ctrl-C as a key, and Ctrl-S stops nothing; afterwards all is as before."""
+    """Keys arrive one by one without echo, Ctrl-C as a key, and Ctrl-S has no effect. Restores the terminal."""
     import termios  # only where there is a terminal: a module that can draw one loads on Windows, too
 
     before = termios.tcgetattr(terminal)
@@ -44,10 +44,10 @@ def wake_on_signals() -> Iterator[tuple[int, int]]:
 
 
 class Keyboard:
-    """What the bytes of a terminal mean: "a", "left", "enter", "escape"; keys that have no name here are left out.
+    """Translates a terminal's bytes into keys: "a", "left", "enter", "escape"; others are left out.
 
-    Escape may be what stops a servo, so it counts at once, though an arrow key begins with the same byte. Where the
-    rest of the arrow then follows, it is part of that and no key of its own.
+    Escape counts at once, though an arrow key begins with the same byte. If the rest of the arrow follows, it is
+    dropped.
     """
 
     def __init__(self) -> None:

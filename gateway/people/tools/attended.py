@@ -1,4 +1,4 @@
-"""The command lines of what a person does beside the robot: `drill`, `walk`, `button`."""
+"""The command lines of programs for a person next to the robot: `drill`, `walk`, `button`."""
 
 import sys
 from enum import StrEnum
@@ -67,7 +67,7 @@ def drill(
     Exit codes: 0 all passed, 1 not all, or not finished, 2 the robot is not at rest, somebody else drives, nobody
     agreed, or the report cannot be written, 4 no gateway answers.
     """
-    from gateway.people.terminal import say
+    from gateway.people.terminal import rows, say
     from gateway.people.tools import reach
     from gateway.people.tools.drill import report as reports
     from gateway.people.tools.drill.run import DRILL_SOURCE, drill
@@ -93,8 +93,8 @@ def drill(
     if found.lost is not None:
         raise found.lost
     failed = [outcome.name for outcome in found.outcomes if outcome.passed is False]
-    say("all passed" if found.passed else f"NOT passed: {', '.join(failed) or 'not finished'}")
-    sys.exit(0 if found.passed else 1)
+    sentence = "all passed" if found.passed else f"NOT passed: {', '.join(failed) or 'not finished'}"
+    sys.exit(rows.conclude(sentence, well=found.passed))
 
 
 @app.command()
@@ -118,7 +118,7 @@ def walk(
 ) -> None:
     """Make the robot walk: from the keyboard, or with --seconds without a person.
 
-    W S and the arrows walk and turn while you hold them, A D step sideways, space or x is the emergency stop; the
+    W S and the arrows walk and turn while you hold them, A D step sideways, space or e is the emergency stop; the
     screen shows the other keys. It holds the lease meanwhile (see `lease`). Lay the robot on its belly first: its legs
     go to their first pose as fast as they can, one after the other.
 
@@ -163,7 +163,7 @@ def button(
     Ctrl-C leaves on purpose; the robot stops then, too, if too few buttons remain. A certificate for this alone, which
     moves nothing: `hexapod-gateway certs issue NAME --role button`.
 
-    Exit codes: 0 left on purpose, 1 refused (or no terminal), 4 no gateway.
+    Exit codes: 0 left on purpose, 1 rejected (or no terminal), 4 no gateway.
     """
     from gateway.people.tools import kept_lease, reach
     from gateway.people.tools.button import screen

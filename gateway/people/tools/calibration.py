@@ -21,14 +21,14 @@ from schemas.robot import SERVO_IDS
 from schemas.telemetry import Ack, CalibrationReport, GatewayState, Reason
 
 WAIT_S: Final = 60.0
-"""How long whoever drives is given to hand over, or to end."""
+"""How long to wait for the driver to hand over, or to end."""
 MOST_BYTES: Final = 64 * 1024
 """Of a file that is imported; a whole calibration takes 2 kB."""
 _HEAD: Final = "servo      trim  direction     lowest   highest    landing"
 
 
 def show(connect: Connection) -> int:
-    """Print what is in force."""
+    """Print the calibration in force. Returns the exit code."""
     with connect() as client:
         report, calibration = client.state().calibration, calibration_of(client.calibration())
     hint(f"{_about(report, calibration)}; the angles are those of commands, in degrees")
@@ -100,7 +100,7 @@ def _read(file: Path) -> str:
 
 
 def change_of(servo: ServoCalibration) -> wire.ServoChange:
-    """What is sent to make a servo's calibration this one."""
+    """The change that makes a servo's calibration this one."""
     return wire.ServoChange(**servo.report.model_dump())
 
 
@@ -197,7 +197,7 @@ def standing(state: GatewayState, legs: Sequence[int] = ()) -> dict[int, float]:
 
 
 def _change(client: Client, done: str, state: GatewayState, payload: Mapping[str, Any]) -> int:
-    """Change the calibration, at once where nobody else drives, else once they have let go of the lease.
+    """Change the calibration, at once where nobody else drives, else once the lease is free.
 
     Without a lease where that will do: acquiring it would end what somebody holds up without one, and the robot would
     fall.
@@ -219,7 +219,7 @@ def _change(client: Client, done: str, state: GatewayState, payload: Mapping[str
 
 
 def _when_free(client: Client, payload: Mapping[str, Any]) -> Ack:
-    """Wait until whoever drives has handed over, or ended. Raises LeaseError."""
+    """Wait until the driver has handed over, or ended. Raises LeaseError."""
     holder = client.state().lease.holder
     if holder is not None:
         hint(f"{holder} drives, and is asked for the lease: it is written as soon as that is free, and the")

@@ -1,4 +1,4 @@
-"""`hexapod-gateway certs`: arguments in, one call of gateway.certs, a few lines out that say what to do next."""
+"""`hexapod-gateway certs`: arguments in, one call of gateway.certs, and a few lines that state what to do next."""
 
 import datetime as dt
 from pathlib import Path
@@ -20,7 +20,7 @@ app = typer.Typer(
     "changes nothing on the robot. "
     "An operator commands and watches, an observer only watches, a button stops, watches and moves nothing, anyone "
     "else gets nothing.\n\n"
-    "Keep the folder on a machine you trust, not on the robot: whoever has its ca.key can let anyone in.\n\n"
+    "Keep the folder on a machine you trust, not on the robot: anyone with its ca.key can admit anyone.\n\n"
     "Exit codes: 0 done, 2 an argument or the folder is wrong, and nothing was changed.",
 )
 
@@ -222,7 +222,7 @@ def console(
     """Make a TLS certificate for a web console that other machines reach, of at most 459 days.
 
     Browsers trust it once NAME-ca.pem is among their authorities, which is good for these hosts and nothing else. Keep
-    NAME-ca.key beside ca.key. On Zenoh neither is good for anything.
+    NAME-ca.key next to ca.key. On Zenoh neither is good for anything.
     """
     certs.folder.console(directory, name, host, days=days)
     typer.echo(f"Made {name}.pem and {name}.key in {directory}: copy both to the machine of the console, and there:")
@@ -258,7 +258,7 @@ def renew(
     if host and name == "gateway":
         typer.echo(
             "Laptops that are issued from now on dial it, too; an older NAME.json5 stays good: add the address to its "
-            f"connect.endpoints, or give --connect tls/{host[0]}:PORT beside --zenoh-config"
+            f"connect.endpoints, or give --connect tls/{host[0]}:PORT with --zenoh-config"
         )
 
 
@@ -393,7 +393,7 @@ def set_pool(
 
 @app.command("replace-ca", epilog="Example: hexapod-gateway certs replace-ca --dir ~/hexapod-certs")
 def replace_ca(directory: Directory) -> None:
-    """Make a new CA beside the old one; both are good until `drop-ca`. Laptops move over one by one (`reissue`)."""
+    """Make a new CA next to the old one; both are good until `drop-ca`. Laptops move over one by one (`reissue`)."""
     paths = certs.moving.replace_ca(directory)
     here = this_command()
     typer.echo("Made a new CA; the old one stays good. Keep a copy of ca.key somewhere safe. Then, in this order:")

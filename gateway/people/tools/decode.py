@@ -1,4 +1,4 @@
-"""`decode`: explains a frame's bytes, or names what is wrong with them."""
+"""`decode`: explains a frame's bytes, or names their fault."""
 
 import re
 from collections.abc import Iterator, Sequence
@@ -56,7 +56,7 @@ def _short(word: str) -> str:
 
 
 def _frames(data: bytes) -> Iterator[bytes]:
-    """Split off whole frames from the front; the rest is one piece, explained as it is."""
+    """Split off whole frames from the front; the rest is one piece, explained whole."""
     while data[:2] in _FRAME_HEADERS and len(data) > data[0]:
         yield data[: data[0]]
         data = data[data[0] :]

@@ -1,4 +1,4 @@
-"""Who is driving, from a shell: what `lease` and `send --hold` do with the lease."""
+"""The lease from a shell: `lease`, `send --hold`, and other commands that drive."""
 
 import shlex
 import sys
@@ -23,7 +23,7 @@ _UNVERIFIED: Final = " (a name that nobody has verified)"
 
 
 def status(connect: Connection) -> int:
-    """Say who drives."""
+    """Print who drives. Returns the exit code."""
     with connect() as client:
         lease = client.state().lease
     say(_who(lease))
@@ -33,7 +33,7 @@ def status(connect: Connection) -> int:
 
 
 def take(connect: Connection, *, agreed: bool, for_s: float) -> int:
-    """Take it by force, after asking whether that is meant."""
+    """Take the lease by force, after a question. Returns the exit code."""
     with connect() as client:
         state = client.state()
     if not agreed and state.lease.holder is not None and not _agree(state):
@@ -68,14 +68,14 @@ def hold(connect: Connection, *, for_s: float, take: bool = False, wait_s: float
 
 
 def release(connect: Connection, to: str | None) -> int:
-    """Release what this user holds on this machine."""
+    """Release the lease that this user holds on this machine. Returns the exit code."""
     with connect() as client:
         token = kept_lease.token_of(client)
         if token is None:
             say("rejected: no_lease: this user holds no lease of that robot on this machine")
             return 1
         if to is None:
-            kept_lease.forget(client, token)  # first, so that whoever holds it knows why it has ended
+            kept_lease.forget(client, token)  # first, so that the command that holds it knows why it ended
         ack = client.lease_requests.release(token, to)
         if not ack.accepted:
             return rejected(LeaseError(ack.reason or "", ack.detail or "", ack.holder))
@@ -86,9 +86,9 @@ def release(connect: Connection, to: str | None) -> int:
 
 @contextmanager
 def drives(client: Client, hold_s: float, *, moves: bool) -> Iterator[dict[str, str]]:
-    """What a command of `send` adds to its payload to drive: the token that this user keeps, or nothing (a Stop).
+    """Yields what a command adds to its payload: the token that this user keeps, or nothing (a Stop).
 
-    One that is held for a time acquires the lease for that time, where it is free. Raises LeaseError where it is not.
+    With `hold_s` it acquires the lease meanwhile, where this user keeps none. Raises LeaseError where it is held.
     """
     if not moves:
         yield {}
@@ -107,7 +107,7 @@ def drives(client: Client, hold_s: float, *, moves: bool) -> Iterator[dict[str, 
     except LeaseError as error:
         if error.reason == Reason.LEASE_HELD:
             raise
-        if error.reason == Reason.LEASE_DENIED:  # and not by an older gateway, which does not know what is asked
+        if error.reason == Reason.LEASE_DENIED:  # and not by an older gateway, which does not know the request
             hint(f"It is sent without the lease: {error.detail}")
     try:
         yield {}
@@ -116,7 +116,7 @@ def drives(client: Client, hold_s: float, *, moves: bool) -> Iterator[dict[str, 
 
 
 def not_acquired(client: Client, error: LeaseError) -> int:
-    """Say why the lease is not to be had, and what can be done. Returns the exit code."""
+    """Print why the lease was not acquired, and what can be done. Returns the exit code."""
     if error.reason == Reason.LEASE_HELD and kept_lease.token_of(client) is not None:
         say("rejected: lease_held: this user holds it already, in another terminal")
         hint(f"`{this_command()} lease release` ends that.")
@@ -125,14 +125,14 @@ def not_acquired(client: Client, error: LeaseError) -> int:
 
 
 def rejected(error: LeaseError | LeaseLostError) -> int:
-    """Say why, and what can be done. Returns the exit code."""
+    """Print why it was rejected, and what can be done. Returns the exit code."""
     say(f"rejected: {error.reason}: {error.detail}")
     advise(error.reason)
     return 1
 
 
 def advise(reason: str | None) -> None:
-    """What a person can do whose command was rejected because of the lease."""
+    """Print what a person can do after a rejection because of the lease."""
     if reason in (Reason.NOT_HOLDER, Reason.LEASE_HELD):
         hint(
             f"`{this_command()} lease ask` asks for it; `lease take` takes it by force, and stops all legs first; "

@@ -32,7 +32,7 @@ except ImportError as error:
 HOST: Final = "127.0.0.1"
 """This machine only. From elsewhere, `ssh -L` leads here."""
 _NAME: Final = "viewers.invalid"
-"""Of the server behind the door."""
+"""Of the server behind `ViewerAccess`."""
 _SILENT_S: Final = 1.0
 """A gateway publishes its state ten times a second."""
 _MOST_WAITING: Final = 10_000
@@ -44,20 +44,20 @@ def serve(connect: Connection, *, port: int, geometry: Path | None, origins: Col
     with connect() as client:
         reports = ReportQueue(REPORTS, _MOST_WAITING, client.state().physics)
         try:
-            door = ViewerAccess(HOST, port, origins)
+            access = ViewerAccess(HOST, port, origins)
         except OSError as error:
             raise AddressTakenError(f"port {port} is taken; name another with --port") from error
         pair = Pair(_NAME)
         server = _Server(Drawing(shape), reports, pair)
-        door.open(server.port, _NAME, pair.certificate)
-        with closing(server), closing(door), reports.receives(client.session), on_end_signals(reports.end):
-            say(f"In Foxglove or Lichtblick, open the Foxglove WebSocket ws://{HOST}:{door.port}; Ctrl-C ends")
+        access.open(server.port, _NAME, pair.certificate)
+        with closing(server), closing(access), reports.receives(client.session), on_end_signals(reports.end):
+            say(f"In Foxglove or Lichtblick, open the Foxglove WebSocket ws://{HOST}:{access.port}; Ctrl-C ends")
             server.run()
     return 0
 
 
 class _Server(ServerListener):
-    """The calling thread draws what is received, and hands it to the viewers' server."""
+    """Draws reports on the calling thread, and passes them to the viewers' server."""
 
     def __init__(self, drawing: Drawing, reports: ReportQueue, pair: Pair) -> None:
         self._drawing = drawing
@@ -89,11 +89,11 @@ class _Server(ServerListener):
 
     @property
     def port(self) -> int:
-        """Where it listens."""
+        """The TCP port on which the server listens."""
         return self._server.port
 
     def run(self) -> None:
-        """Until the reports end."""
+        """Draw until the reports end."""
         while True:
             try:
                 received = self._reports.get(_SILENT_S)
@@ -113,15 +113,15 @@ class _Server(ServerListener):
                 self._draw(topic, message, time_ns)
 
     def close(self) -> None:
-        """It listens no more."""
+        """Stop the server."""
         self._server.stop()
 
     def _is_silent(self) -> None:
-        """What the viewer shows stands still from now on, and shows why."""
+        """Warn once: the viewer shows old data from now on."""
         if not self._silent:
             self._silent = True
             self._warn(
-                "nothing is received from the gateway: what is shown is the last that it published",
+                "the gateway is silent: this is the last that it published",
                 self._reports.now_ns(),
             )
 
@@ -130,7 +130,7 @@ class _Server(ServerListener):
         if self._starts.look(began, state["uptime_s"], time_ns) is Order.RESTARTED:
             self._warn("the gateway was started again: all legs are stopped", time_ns)
         elif self._silent:
-            self._warn("the gateway is received again", time_ns)
+            self._warn("the gateway publishes again", time_ns)
         self._silent = False
 
     def _warn(self, sentence: str, time_ns: int) -> None:
@@ -138,7 +138,7 @@ class _Server(ServerListener):
         self._draw(LOG, warning(sentence, time_ns), time_ns)
 
     def on_subscribe(self, client: Viewer, channel: ChannelView) -> None:
-        """The server's: who opens the 3D panel is sent the robot's description, which comes only once."""
+        """Send the robot's description, which is published only once, to a viewer that opens the 3D panel."""
         del client
         if channel.topic == DESCRIPTION:
             self._reports.put(DESCRIPTION)

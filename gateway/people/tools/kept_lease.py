@@ -24,7 +24,7 @@ _MAX_SOURCE: Final = 64
 
 
 def me() -> str:
-    """Who drives, where no certificate names them."""
+    """`user@host`, 64 characters at most: the driver's name where no certificate has one."""
     try:
         user = getpass.getuser()
     except (KeyError, OSError):  # a container's user without a name
@@ -77,12 +77,12 @@ def acquired(
 
 
 def is_kept(client: Client, token: str) -> bool:
-    """Whether it is still kept: `lease release` forgets it."""
+    """Whether the token is still kept; `lease release` forgets it."""
     return _read(_file(client)) == token
 
 
 def forget(client: Client, token: str) -> None:
-    """It is over."""
+    """Delete the token, unless a newer one replaced it."""
     file = _file(client)
     if _read(file) == token:  # and not that of a newer one
         with suppress(OSError):

@@ -24,7 +24,7 @@ ForOption = Annotated[
 
 @app.command()
 def status(connect: ConnectOption = None, zenoh_config: ZenohConfigOption = None, timeout: TimeoutOption = 2.0) -> None:
-    """Say who drives, and who asks for it."""
+    """Show who drives, and who asks for the lease."""
     from gateway.people.tools import driving
 
     sys.exit(driving.status(driving.connection(connect, zenoh_config, timeout)))
@@ -53,7 +53,7 @@ def ask(
     zenoh_config: ZenohConfigOption = None,
     timeout: TimeoutOption = 2.0,
 ) -> None:
-    """Ask whoever drives, wait to be handed the lease, and hold it until Ctrl-C. The robot goes on moving meanwhile."""
+    """Ask the driver, wait to be handed the lease, and hold it until Ctrl-C. The robot goes on moving meanwhile."""
     from gateway.people.tools import driving
 
     sys.exit(driving.hold(driving.connection(connect, zenoh_config, timeout), for_s=hold, wait_s=wait))
@@ -67,7 +67,7 @@ def take(
     zenoh_config: ZenohConfigOption = None,
     timeout: TimeoutOption = 2.0,
 ) -> None:
-    """Take the lease from whoever drives, by force: all six legs stop first. Asks before it does."""
+    """Take the lease from the driver, by force: all six legs stop first. Asks before it does."""
     from gateway.people.tools import driving
 
     sys.exit(driving.take(driving.connection(connect, zenoh_config, timeout), agreed=yes, for_s=hold))

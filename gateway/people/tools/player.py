@@ -1,4 +1,4 @@
-"""What `replay` sends, in its time."""
+"""Sends the commands of `replay` at their times."""
 
 import gc
 import threading
@@ -20,7 +20,7 @@ from schemas.telemetry import Event, Kind
 BEGIN_S: Final = 0.1
 """From the last preparation to the first command."""
 SLIP_NS: Final = 2 * NS_PER_MS
-"""What is later than this (a busy laptop) delays all that follows: setpoints in a burst would replace one another."""
+"""A command that is later (a busy laptop) delays all that follow: setpoints in a burst would replace one another."""
 LATE_NS: Final = 200 * NS_PER_MS
 """A replay that falls so far behind at once (a laptop that slept) ends: the watchdog's default is 250 ms."""
 LAST_NS: Final = 100 * NS_PER_MS
@@ -36,7 +36,7 @@ _ENDS: Final = (Kind.ESTOP_ENGAGED, Kind.BUS_FAULT, Kind.STOPPED_OUTSIDE, Kind.S
 
 
 class Player:
-    """Sends the steps in their time, watches what comes of it, and leaves all legs stopped."""
+    """Sends the steps in their time, ends at a rejection or a Stop, and leaves all legs stopped."""
 
     def __init__(
         self,
@@ -138,7 +138,7 @@ class Player:
     @contextmanager
     def _receives(self) -> Iterator[None]:
         with subscribed(self._client.session, {EVENT: reports(Event, self._take_event)}):
-            self._client.state()  # it has answered, so it knows of the subscription, which was declared before
+            self._client.state()  # its reply shows that it knows the subscription, which was declared before
             try:
                 yield
             finally:
@@ -146,7 +146,7 @@ class Player:
 
     def _take_event(self, event: Event) -> None:
         if event.kind == Kind.COMMAND_REJECTED and event.source == self._client.name:
-            legs = "whoever drives has the legs now" if event.reason in NOT_OURS else "all legs are stopped"
+            legs = "the new driver has the legs now" if event.reason in NOT_OURS else "all legs are stopped"
             self._end(RejectedError(str(event.reason), f"{event.detail} ({event.key}); {legs}"))
         elif event.kind in _ENDS:
             self._end(StoppedError(f"the replay ends: {event.kind}: {event.detail}", ()))

@@ -18,7 +18,7 @@ from schemas.keys import CALIBRATION, EVENT, FRAME, STATE
 
 _PROGRESS_S: Final = 0.5
 _SILENT_S: Final = 3.0
-"""Without a word from the gateway for so long, the progress says so."""
+"""The progress reports a longer silence of the gateway."""
 _MOST_WAITING: Final = 100_000
 """Reports that wait for the disk: minutes of frames. More are dropped and counted, before memory runs out."""
 
@@ -103,13 +103,13 @@ class _Recorder:
 
     def _show_progress(self) -> None:
         silent_s = time.monotonic() - self._received_s
-        silence = f"nothing heard for {silent_s:.0f} s; " if silent_s > _SILENT_S else ""
+        silence = f"nothing received for {silent_s:.0f} s; " if silent_s > _SILENT_S else ""
         show_line(f"{silence}{self._summary()}")
 
     def _report(self) -> None:
         say(f"{self._recording.path}: {self._summary()}")
         if (silent_s := time.monotonic() - self._received_s) > _SILENT_S:
-            hint(f"Nothing was heard of the gateway in the last {silent_s:.0f} s.")
+            hint(f"Nothing was received from the gateway in the last {silent_s:.0f} s.")
         if not self._counts[FRAME] and self._frames_written > self._frames_before:
             hint("The gateway publishes no frames (telemetry.frames = false), so there is nothing for `replay`.")
         if self._reports.dropped:

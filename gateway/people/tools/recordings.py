@@ -48,7 +48,7 @@ def record(
     sys.exit(record(connection, file, geometry=geometry, overwrite=force, seconds=seconds))
 
 
-files = typer.Typer(help="What is in a recording, and pieces of one.", no_args_is_help=True)
+files = typer.Typer(help="Show a recording's contents, and cut pieces of it.", no_args_is_help=True)
 app.add_typer(files, name="recordings")
 
 
@@ -57,9 +57,9 @@ def info(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="A recording, or an incident that was exported")],
     as_json: JsonOption = False,
 ) -> None:
-    """Say when it was recorded, with which versions and settings, and how many messages it has of what.
+    """Show when it was recorded, with which versions and settings, and how many messages it has of what.
 
-    Exit codes: 0 said, 2 it is no such file or cannot be read.
+    Exit codes: 0 shown, 2 it is no such file or cannot be read.
     """
     from gateway.people.recordings.contents import contents
 

@@ -69,7 +69,7 @@ class _Recording:
 
 
 def _same_angles(path: Path, angles: UserAngles, target: Calibration) -> None:
-    """Raises ConfigError where what is sent could be other angles than those that were meant.
+    """Raises ConfigError where the angles sent could differ from those recorded.
 
     A servo that is trimmed by 20 degrees would be sent 40 away from where it stood. Without any calibration here, what
     is sent is what is written, and each servo goes to where it went.
@@ -77,8 +77,7 @@ def _same_angles(path: Path, angles: UserAngles, target: Calibration) -> None:
     if angles.known or not (angles.translated or target.servos):
         return
     raise ConfigError(
-        f"{path}: does not say by which calibration its frames were written, so their angles are not known here; "
-        "nothing is sent"
+        f"{path}: does not contain the calibration of its frames, so their angles are not known here; nothing is sent"
     )
 
 

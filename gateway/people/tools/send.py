@@ -23,7 +23,7 @@ HOLD_PERIOD_S = 0.05
 """A fifth of the default watchdog timeout."""
 
 OTHERS_S = 0.2
-"""How long a command goes on listening after the answer, but only where somebody has yet to answer or decline."""
+"""How long a command waits for other replies, only where somebody has yet to reply or decline."""
 
 _MOST_PERSON: Final = 40
 """Of the 64 characters that a source may have."""
@@ -71,15 +71,15 @@ def send_servo(connect: Connection, servo_id: int, op: str, angle_deg: float | N
 
 
 def send_stop(connect: Connection) -> int:
-    """Stop all six legs."""
+    """Stop all six legs. Returns the exit code."""
     with connect() as client:
         code = _report(client.stop(), "all six legs are stopped")
-        _tell_of_others(client, keys.LEGS_COMMAND)
+        _warn_of_others(client, keys.LEGS_COMMAND)
         return code
 
 
 def _send(connect: Connection, key: str, payload: dict[str, object], *, moves: bool, hold_s: float) -> int:
-    """Send an acknowledged command, repeat it for `hold_s`, and say what became of it. Returns the exit code."""
+    """Send an acknowledged command, repeat it for `hold_s`, and print the result. Returns the exit code."""
     from gateway.people.tools import driving  # a Stop does not wait for what this loads
 
     with connect() as client:
@@ -88,7 +88,7 @@ def _send(connect: Connection, key: str, payload: dict[str, object], *, moves: b
                 code = _send_for(client, key, {**payload, **lease}, moves=moves, hold_s=hold_s)
         except LeaseError as error:
             code = driving.rejected(error)
-        _tell_of_others(client, key)
+        _warn_of_others(client, key)
         return code
 
 
@@ -122,7 +122,7 @@ def _set_instead_of_start(payload: dict[str, object]) -> dict[str, object]:
 
 
 def estop(connect: Connection) -> int:
-    """Engage the emergency stop."""
+    """Engage the emergency stop. Returns 0 if all six Stops were written."""
     with connect() as client:
         ack = client.estop()
         stopped = ack.stop_frames is not None and ack.stop_frames >= len(LEGS)
@@ -132,24 +132,24 @@ def estop(connect: Connection) -> int:
         else:
             written = f"only {ack.stop_frames} of {len(LEGS)} Stop frames were written"
             say(f"latched, but {written}: switch the servos' power off")
-        _tell_of_others(client, keys.ESTOP)
+        _warn_of_others(client, keys.ESTOP)
     return 0 if stopped else 1
 
 
 def reset(connect: Connection) -> int:
-    """Leave the emergency stop."""
+    """Leave the latest emergency stop. Returns the exit code."""
     from gateway.people.tools import driving
 
     with connect() as client:
         with driving.drives(client, 0, moves=True) as lease:
             ack = client.ask(keys.RESET, {"estop": client.state().estop, **lease})
         code = _report(ack, "reset; nothing moves until it is started again")
-        _tell_of_others(client, keys.RESET)
+        _warn_of_others(client, keys.RESET)
         return code
 
 
-def _tell_of_others(client: Client, key: str) -> None:
-    """After the result, since nobody is to wait for that: say that not only the gateway answers."""
+def _warn_of_others(client: Client, key: str) -> None:
+    """Warn where other programs answer, too; after the result, which must not wait for it."""
     count = len(client.answerers(key, OTHERS_S))
     if count > 1:
         hint(several_answer(count, key))

@@ -1,7 +1,7 @@
-"""In front of the viewers' server: lets in viewers, and no other web page.
+"""Admits viewers to the viewers' server, and no other web page.
 
 The server of the Foxglove SDK asks nobody for `Origin`, and a page reaches every port of the machine. So it speaks TLS
-with a certificate that no browser knows, and what is let in here is handed to it.
+with a certificate that no browser knows, and admitted connections are forwarded to it.
 """
 
 import asyncio
@@ -33,7 +33,7 @@ class Pair:
     """A certificate and its key in PEM, for this process alone."""
 
     def __init__(self, host: str) -> None:
-        """`host`: its name."""
+        """`host`: the server's name in the certificate."""
         key, now = ec.generate_private_key(ec.SECP256R1()), dt.datetime.now(dt.UTC)
         name = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, host)])
         made = (
@@ -66,7 +66,7 @@ class ViewerAccess:
         self._thread = threading.Thread(target=self._loop.run_forever, name="viewers", daemon=True)
 
     def open(self, behind: int, name: str, certificate: bytes) -> None:
-        """Begin: whoever is let in is handed to the server at this port, which has that certificate."""
+        """Begin to forward admitted connections to the server at this port, which has that certificate."""
         self._behind, self._name = behind, name
         self._trust = ssl.create_default_context(cadata=certificate.decode())
         self._thread.start()

@@ -1,4 +1,4 @@
-"""Why the gateway is not reached, or does not answer: what is looked at after a command has failed, and by `check`."""
+"""Finds why the gateway is not reached or does not answer, after a command has failed and for `check`."""
 
 import time
 from pathlib import Path
@@ -17,7 +17,7 @@ from schemas import keys
 from schemas.telemetry import GatewayState
 
 _DIAGNOSIS_S: Final = 1.0
-"""What a command that failed may go on to find out why."""
+"""How long a failed command may look for the reason."""
 _ANSWER_S: Final = 0.5
 _MATCHING_S: Final = 0.3
 _PAUSE_S: Final = 0.01
@@ -42,7 +42,7 @@ def unanswered(client: Client, connect: str | None, zenoh_config: Path | None) -
 
 
 def allowed(client: Client, identity: Identity) -> tuple[GatewayState | None, list[Finding]]:
-    """What an open session may do: the steps of role and gateway, and the state if that came. Takes 1 s at most."""
+    """The state, if it came, and the diagnosis of role and gateway in an open session. Takes 1 s at most."""
     role = "" if identity.certificate is None else diagnosis.role(identity.certificate)
     try:
         state = client.state(_ANSWER_S)
@@ -60,7 +60,7 @@ def allowed(client: Client, identity: Identity) -> tuple[GatewayState | None, li
 
 
 def _nobody(role: str, *, ended: bool) -> Finding:
-    """`ended`: the connection that was open is not any more, as the robot does with the revoked."""
+    """`ended`: the open connection has ended, as after a revocation."""
     if role and role.partition(".")[0] not in LAPTOP_ROLES:
         fix = "get a laptop's from the robot's owner: hexapod-gateway certs issue NAME --role operator"
         return Finding(Stage.ROLE, f"the connection is open, but your certificate is of {role}, which is no role", fix)

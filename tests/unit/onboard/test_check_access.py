@@ -43,7 +43,7 @@ def test_a_key_that_came_later_is_named_with_what_fixes_it(tmp_path: Path, befor
     assert f"does not let {before}{CALIBRATION} through" in result.sentence
     for message in ("declare_subscriber", "put", "query", "reply", "declare_queryable"):
         assert message in result.sentence
-    assert f'write "{before}{CALIBRATION}" beside each "{before}{STATE}"' in result.fix
+    assert f'write "{before}{CALIBRATION}" next to each "{before}{STATE}"' in result.fix
     assert "--port 7448" in result.fix
     assert (f"--namespace {namespace}" in result.fix) is bool(namespace)
 

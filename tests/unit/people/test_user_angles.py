@@ -71,7 +71,7 @@ def test_where_it_does_not_say_frames_go_only_where_the_same_bytes_are_written(m
     assert not angles.known
     assert found[-1] == MIRRORED.frame(USERS)
     _same_angles(PATH, angles, Calibration(7, {}, {11: 90_00}))
-    with pytest.raises(ConfigError, match="does not say by which calibration"):
+    with pytest.raises(ConfigError, match="does not contain the calibration"):
         _same_angles(PATH, angles, OTHER)
 
 

@@ -46,7 +46,7 @@ def test_silence_begins_after_its_time_and_ends_with_the_first_word() -> None:
     model.received_state(state(14), 4 * NS_PER_S, WALL)
     assert model.presence(4 * NS_PER_S) is GatewayPresence.LIVE
     assert kinds(model) == ["back", "silent"]
-    assert model.lines[0].text == "the gateway is heard again, after 4.0 s"
+    assert model.lines[0].text == "the gateway publishes again, after 4.0 s"
     model.received_event(event(Kind.WATCHDOG_EXPIRED), 5 * NS_PER_S, WALL)
     assert model.presence(SILENT_AFTER_NS + 5 * NS_PER_S) is GatewayPresence.LIVE, "an event alone is a word, too"
 
@@ -295,7 +295,7 @@ def test_the_top_line_says_who_drives_and_how_many_watch(part: LeaseReport | But
 QUESTIONS = {
     Confirmation.RESET: (
         "Leave the emergency stop? Nothing moves until it is started again. y: yes n: no",
-        "no reset: the emergency stop stays as it is",
+        "no reset: the emergency stop stays engaged",
     ),
     Confirmation.TAKE: ("Take it from anna? All six legs stop first. y: yes n: no", "not taken"),
 }

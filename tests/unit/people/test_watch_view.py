@@ -40,7 +40,7 @@ def test_80_by_24_holds_everything_important() -> None:
         "1 leg running",
         "tcp/robot:7447",
         "up 1:02:03",
-        "last heard / 250 ms",
+        "command / 250 ms",
         " 6  ○",
         "1234",
         "5000",

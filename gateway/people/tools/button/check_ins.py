@@ -11,7 +11,7 @@ from schemas.telemetry import Reason
 
 
 class CheckIns(Known):
-    """Checks in, on a thread of its own, as long as the person's end of the program lives."""
+    """Checks in on a thread of its own, while the person can see and press."""
 
     def __init__(self, button: Button, lives: Callable[[], bool], uptime_s: Callable[[], float]) -> None:
         """`lives`: whether the person can see and press now. `uptime_s`: of the gateway; may raise GatewayError."""
@@ -23,11 +23,11 @@ class CheckIns(Known):
         self._thread = threading.Thread(target=self._run, name="check in", daemon=True)
 
     def start(self) -> None:
-        """Begin."""
+        """Begin to check in."""
         self._thread.start()
 
     def end(self) -> None:
-        """Check in no more, and leave."""
+        """End the check-ins, and leave. Raises ZenohError."""
         self._ended.set()
         self._thread.join(self.timeout_ms / 1000 or None)
         if not self._thread.is_alive():
@@ -35,7 +35,7 @@ class CheckIns(Known):
 
     @property
     def timeout_ms(self) -> float:
-        """For so long one counts."""
+        """How long a check-in counts."""
         return self._button.timeout_ms
 
     @property
@@ -44,7 +44,7 @@ class CheckIns(Known):
         return self.silence_s(time.monotonic()) * 1000
 
     @property
-    def heard(self) -> bool:
+    def is_counted(self) -> bool:
         """Whether the gateway counts this button, as far as it has answered."""
         return self.counts(time.monotonic(), self.timeout_ms / 1000)
 

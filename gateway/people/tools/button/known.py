@@ -1,4 +1,4 @@
-"""What is known of a button's check-ins, and when the next is due. `now_s` is monotonic; nothing here reads a clock."""
+"""The state of a button's check-ins, and when the next is due. Pure: `now_s` is monotonic."""
 
 from typing import Final
 
@@ -13,14 +13,14 @@ LATE_SHARE: Final = 0.25
 
 
 class Known:
-    """By the answers that have come."""
+    """The state of check-ins, by the replies received."""
 
     def __init__(self, now_s: float) -> None:
-        """It is registered now."""
+        """The button is registered at `now_s`."""
         self.count = (0, 0)
         """How many are alive, and how many are required, by the latest answer."""
         self.detail = ""
-        """What the latest answer has besides."""
+        """The latest reply's own sentence."""
         self.trouble = ""
         """Why the latest was not accepted."""
         self.refused = ""

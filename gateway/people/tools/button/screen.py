@@ -1,4 +1,4 @@
-"""The terminal of `button`: one thing, as large as the terminal is."""
+"""The terminal of `button`: the whole of it shows whether it works."""
 
 import textwrap
 import time
@@ -19,15 +19,15 @@ from schemas import keys as wire
 from schemas.telemetry import GatewayState, Mode
 
 SEEN_S: Final = 0.5
-"""A picture that is older than this is not drawn any more: the terminal is stuck, and its button checks in no more."""
+"""If the last picture is older, the terminal is stuck, and its button no longer checks in."""
 BELL_S: Final = 1.0
 
 
 class ButtonScreen(Screen):
-    """Shown until Ctrl-C; each other key stops, whatever is shown: what is shown may be wrong."""
+    """Shown until Ctrl-C; each other key stops the robot, whatever is shown, since that may be wrong."""
 
     def __init__(self, client: Client, button: Button) -> None:
-        """`button` is registered."""
+        """`button`: already registered."""
         super().__init__(button.press)
         self._client = client
         self._button = button
@@ -36,7 +36,7 @@ class ButtonScreen(Screen):
         self._bell_s = 0.0
 
     def run(self) -> int:
-        """Returns the exit code."""
+        """Show it until Ctrl-C. Returns the exit code."""
         with subscribed(self._client.session, {wire.STATE: reports(GatewayState, self._receive_state)}):
             return self.show()
 
@@ -52,7 +52,7 @@ class ButtonScreen(Screen):
         """Each key, also one that has no name here; Ctrl-C alone leaves."""
         return keys != ["ctrl-c"]
 
-    # ---- what is known
+    # ---- received
 
     def _receive_state(self, state: GatewayState) -> None:
         with self.changes():
@@ -73,7 +73,7 @@ class ButtonScreen(Screen):
         return Text("\n".join(filled[:rows]), style=style, no_wrap=True)
 
     def _lines(self) -> tuple[list[str], str]:
-        """From the most important one to the least, and their style."""
+        """The most important line first, and their style."""
         check_ins, name = self._check_ins, visible(self._button.name)
         alive, required = check_ins.count
         counted = f"{name} · {alive} alive, {required} required"
@@ -83,11 +83,11 @@ class ButtonScreen(Screen):
             why = visible(check_ins.refused)
             lines = ["ITS SILENCE STOPS NOTHING", "", why, "", pressed or "any key still stops the robot"]
             return [*lines, "Ctrl-C leaves"], ALARM
-        if not check_ins.heard:
+        if not check_ins.is_counted:
             self._ring()
             silent = f"for {check_ins.silent_ms / 1000:.1f} s"
             why = visible(check_ins.trouble)
-            lines = ["THE GATEWAY DOES NOT HEAR THIS BUTTON", silent, "", why, "", pressed or counted]
+            lines = ["THE GATEWAY DOES NOT RECEIVE THIS BUTTON", silent, "", why, "", pressed or counted]
             return lines, ALARM
         if stop is not None and stop.tone is Tone.BAD:
             return [pressed, "", counted, "Ctrl-C leaves"], ALARM

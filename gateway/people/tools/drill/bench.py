@@ -1,4 +1,4 @@
-"""What a step works with: one leg, a client, and everything that the gateway writes and publishes meanwhile."""
+"""The means of a step: one leg, a client, and all that the gateway writes and publishes meanwhile."""
 
 import threading
 import time
@@ -12,8 +12,8 @@ from gateway.model.calibration import Calibration, calibration_of
 from gateway.model.frames import Frame, FrameError, OneLeg, OneServo, Op, ServoOp, centidegrees, decode
 from gateway.people.client.blocking import Client
 from gateway.people.client.subscriptions import reports, subscribed
+from gateway.people.tools.moving import Motion
 from schemas import keys
-from schemas.robot import JOINTS
 from schemas.telemetry import Ack, Cause, Event, FrameRecord, GatewayState
 
 if TYPE_CHECKING:
@@ -23,12 +23,12 @@ SETPOINT_PERIOD_S: Final = 0.02
 STREAM_S: Final = 0.3
 """How long setpoints stream before the step acts."""
 QUIET_S: Final = 0.15
-"""What was to be sent has been by then: a leg's rate slot comes every 20 ms."""
+"""After this time all pending frames are sent: a leg's rate slot comes every 20 ms."""
 POLL_S: Final = 0.01
 EVIDENCE_S: Final = 5.0
 
 Figures = dict[str, float | int | str]
-"""What a step has measured."""
+"""Measured by a step; names carry the units."""
 
 
 class FailedError(Exception):
@@ -67,14 +67,10 @@ class WrittenFrame(NamedTuple):
 
 @dataclass(slots=True)
 class Bench:
-    """One leg of one robot. With one servo, only its joint 1 moves."""
+    """One leg of one robot."""
 
     client: Client
-    leg: int
-    servos: int
-    """1 or 3."""
-    start_deg: float
-    end_deg: float
+    motion: Motion
     reaches: dict[str, Any]
     """How `Client` reaches the gateway."""
     late_ms: float
@@ -86,7 +82,7 @@ class Bench:
     config: Sequence[str] = ()
     """Arguments of `stop-servos`."""
     calibration: Calibration = field(default_factory=Calibration)
-    """What is in force."""
+    """In force on the robot."""
     frames_published: bool = False
     answer_ms: float = 0.0
     """How long the gateway takes to answer at rest."""
@@ -95,33 +91,35 @@ class Bench:
     watches: "Watching | None" = None
     """The drill's own stop button, where the robot wants one."""
     lease: dict[str, str] = field(default_factory=dict)
-    """What commands carry, where this user has acquired the lease beforehand."""
+    """Added to commands, where this user has acquired the lease beforehand."""
     frames: list[WrittenFrame] = field(default_factory=list)
     events: list[Event] = field(default_factory=list)
 
     # ---- commands
 
     @property
-    def servo_ids(self) -> list[int]:
-        """The servos that move."""
-        return [10 * self.leg + joint for joint in JOINTS][: self.servos]
-
-    @property
     def key(self) -> str:
         """Where commands for them go."""
-        return keys.leg_command(self.leg) if self.servos > 1 else keys.servo_command(self.servo_ids[0])
+        return (
+            keys.leg_command(self.motion.leg)
+            if len(self.motion.servo_ids) > 1
+            else keys.servo_command(self.motion.servo_ids[0])
+        )
 
     def payload(self, op: str, angle_deg: float) -> dict[str, Any]:
         """A start or a set."""
         servo = {"op": op, "angle_deg": angle_deg}
-        return {**({"servos": [servo] * self.servos} if self.servos > 1 else servo), **self.lease}
+        return {
+            **({"servos": [servo] * len(self.motion.servo_ids)} if len(self.motion.servo_ids) > 1 else servo),
+            **self.lease,
+        }
 
     def frame(self, op: Op, angle_deg: float) -> Frame:
         """The frame that such a command is to cause, in the servos' own angles."""
         command = ServoOp(op, centidegrees(angle_deg))
-        if self.servos > 1:
-            return self.calibration.frame(OneLeg(self.leg, (command, command, command)))
-        return self.calibration.frame(OneServo(self.servo_ids[0], command))
+        if len(self.motion.servo_ids) > 1:
+            return self.calibration.frame(OneLeg(self.motion.leg, (command, command, command)))
+        return self.calibration.frame(OneServo(self.motion.servo_ids[0], command))
 
     def ask(self, op: str, angle_deg: float) -> Ack:
         """An acknowledged start or set."""
@@ -129,27 +127,27 @@ class Bench:
 
     def start(self) -> None:
         """Start the leg. Fails the step where that is rejected."""
-        ack = self.ask("start", self.start_deg)
+        ack = self.ask("start", self.motion.start_deg)
         demand(ack.accepted, f"a start was rejected: {ack.reason}: {ack.detail}")
 
     def reset(self, estop: int) -> Ack:
-        """Leave that emergency stop."""
+        """Ask to leave the emergency stop of this number."""
         return self.client.ask(keys.RESET, {"estop": estop, **self.lease})
 
     def stop(self) -> None:
-        """Stop all legs."""
+        """Stop all legs. Fails the step where that is rejected."""
         demand(self.client.stop().accepted, "a Stop was rejected")
 
     @contextmanager
     def streaming(self, client: Client | None = None, op: str = "set") -> Iterator[None]:
-        """Somebody publishes setpoints at 50 Hz meanwhile, and looks at no answer."""
+        """Publish setpoints at 50 Hz meanwhile, whatever the gateway answers."""
         ended = threading.Event()
         sender = client or self.client
 
         def stream() -> None:
             with suppress(GatewayError):
                 while not ended.wait(SETPOINT_PERIOD_S):
-                    sender.publish(self.key, self.payload(op, self.start_deg))
+                    sender.publish(self.key, self.payload(op, self.motion.start_deg))
 
         thread = threading.Thread(target=stream, name="stream")
         thread.start()
@@ -159,10 +157,10 @@ class Bench:
             ended.set()
             thread.join()
 
-    # ---- what comes of them
+    # ---- their effect
 
     def mark(self) -> int:
-        """`since` this moment."""
+        """The present, for `since`."""
         return len(self.frames)
 
     def since(self, mark: int) -> list[WrittenFrame]:
@@ -170,7 +168,7 @@ class Bench:
         return self.frames[mark:]
 
     def wait(self, condition: Callable[[], object], timeout_s: float) -> bool:
-        """Wait until it holds; False where it does not in time."""
+        """Wait until it holds. Returns False after `timeout_s`."""
         end_s = time.monotonic() + timeout_s
         while not condition():
             if time.monotonic() >= end_s:
@@ -191,14 +189,14 @@ class Bench:
         running = self.running()
         demand(not running, f"{when}, servos run: {', '.join(map(str, running))}")
 
-    # ---- what is received
+    # ---- received
 
     @contextmanager
     def receives(self) -> Iterator[None]:
         """Frames and events are kept meanwhile."""
         taken = {keys.FRAME: reports(FrameRecord, self._take_frame), keys.EVENT: reports(Event, self.events.append)}
         with subscribed(self.client.session, taken):
-            self.client.state()  # it has answered, so it knows of the subscriptions, which were declared before
+            self.client.state()  # its reply shows that it knows the subscriptions, which were declared before
             yield
 
     def measure(self) -> None:

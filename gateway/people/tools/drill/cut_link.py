@@ -1,6 +1,6 @@
-"""A link to the gateway that the drill can cut: what is on its way waits, as behind a Wi-Fi that is gone.
+"""A link to the gateway that the drill can cut: bytes on their way wait, as in a Wi-Fi without reception.
 
-It forwards bytes, so TLS passes through it as it is, and both ends still verify each other's certificate.
+It forwards bytes and not TLS, so both ends verify each other's certificate.
 """
 
 import select
@@ -14,7 +14,7 @@ _CHUNK: Final = 65536
 
 
 class CutLink:
-    """Forwards between a client, which connects to `endpoint`, and the gateway, as long as it is not cut."""
+    """Forwards between a client, which connects to `endpoint`, and the gateway, while it is not cut."""
 
     def __init__(self, gateway: str) -> None:
         """`gateway` is its endpoint over TCP, such as "tcp/127.0.0.1:7447" or "tls/192.0.2.7:7447"."""

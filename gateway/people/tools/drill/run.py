@@ -5,32 +5,30 @@ import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Final
 
 from gateway.errors import ConfigError, GatewayError
-from gateway.people.client.blocking import Client
-from gateway.people.terminal import NOBODY, ask, hint, on_end_signals, say, this_command
-from gateway.people.tools import kept_lease
+from gateway.people.terminal import NOBODY, hint, on_end_signals, rows
 from gateway.people.tools.drill.bench import Bench, FailedError, Figures, Skipped, WrittenFrame
 from gateway.people.tools.drill.steps import STEPS, DrillStep
 from gateway.people.tools.drill.watching import watching
 from gateway.people.tools.driving import drives
-from gateway.people.tools.reach import Connection, check_at_rest, show_differences
-from gateway.text import visible
+from gateway.people.tools.moving import consents, of_leg, ready, stopped_after
+from gateway.people.tools.reach import Connection, show_differences
 from schemas.telemetry import GatewayState, Mode
 
 DRILL_SOURCE: Final = "hexapod-gateway drill"
-STEP_DEG: Final = 5.0
-MOVE_DEG: Final = 15.0
 _IDLE_S: Final = 2.0
 LEASE_S: Final = 1.0
 """Any time: a step holds the lease until it ends."""
+_STYLES: Final = {True: rows.GOOD, False: rows.BAD, None: rows.NOTE}
 
 
 @dataclass(slots=True)
 class StepResult:
-    """What became of one step: `passed` is None where it was skipped."""
+    """The result of one step. `passed` is None where it was skipped."""
 
     name: str
     does: str
@@ -44,13 +42,13 @@ class StepResult:
 
     @property
     def word(self) -> str:
-        """PASS, FAIL or SKIPPED."""
+        """PASS, FAIL or SKIPPED, as printed."""
         return "SKIPPED" if self.passed is None else "PASS" if self.passed else "FAIL"
 
 
 @dataclass(slots=True)
 class Drill:
-    """All of it, for the report."""
+    """The whole drill, for the report."""
 
     state: GatewayState
     leg: int
@@ -82,32 +80,27 @@ def drill(
 ) -> Drill:
     """Do the steps. Raises ConfigError where nothing is to be moved, ZenohError where no gateway answers.
 
-    A gateway that is lost on the way is part of what was found: `Drill.lost`.
+    Where the gateway is lost on the way, `Drill.lost` is set.
     """
     found: Drill | None = None
     steps = [step for step in STEPS if not only or step.name in only]
     try:
         with connect() as client:
-            state = client.state()
-            check_at_rest(state)
+            state = ready(client)
             show_differences(config)
-            _may_drive(client, state)
-            delta_deg = MOVE_DEG if whole_leg else STEP_DEG
             bench = Bench(
                 client,
-                leg,
-                servos=3 if whole_leg else 1,
-                start_deg=angle_deg,
-                end_deg=angle_deg + (delta_deg if angle_deg + delta_deg <= 180 else -delta_deg),
+                of_leg(leg, angle_deg, whole=whole_leg),
                 reaches={"endpoint": endpoint, "zenoh_config": zenoh_config},
                 late_ms=late_ms,
                 lands=bool(state.watchdog.landing_ms),
                 restart=restart,
                 config=() if config is None else ("--config", str(config)),
             )
-            _agree(bench, state, agreed=agreed)
+            if not state.simulated:
+                _agree(bench, state, agreed=agreed)
             with bench.receives(), watching(bench, state):
-                bench.measure()  # stops and asks only: whoever may not command is told so, and nothing was moved
+                bench.measure()  # no motion yet: without the right to command it ends here
                 found = Drill(state, leg, bench.frames_published)
                 if not bench.frames_published:
                     hint(
@@ -125,9 +118,10 @@ def drill(
 
 
 def _do(bench: Bench, step: DrillStep, place: str) -> StepResult:
-    which = f"servo {bench.servo_ids[0]}" if bench.servos == 1 else f"leg {bench.leg}"
     end_of_silence = "land the robot, then stop it" if bench.lands else "stop it"
-    does = step.does.format(servos=which, start=bench.start_deg, end=bench.end_deg, end_of_silence=end_of_silence)
+    does = step.does.format(
+        servos=bench.motion.which, start=bench.motion.start_deg, end=bench.motion.end_deg, end_of_silence=end_of_silence
+    )
     hint(f"{place} {step.name}: {does} …")
     mark, begun_s = bench.mark(), time.monotonic()
     passed: bool | None = True
@@ -145,7 +139,7 @@ def _do(bench: Bench, step: DrillStep, place: str) -> StepResult:
     outcome = StepResult(
         step.name, does, step.shows, passed, detail, figures, time.monotonic() - begun_s, bench.since(mark)
     )
-    say(f"{outcome.word:8}{step.name}: {detail}")
+    rows.show(rows.row(outcome.word, _STYLES[passed], step.name, detail))
     with suppress(GatewayError):  # the end tries again, and reports it
         _rest(bench, keep_estop=step.name == "estop")
     return outcome
@@ -165,7 +159,7 @@ def _rest(bench: Bench, *, keep_estop: bool = False) -> None:
 
 @contextmanager
 def _ended_stopped(bench: Bench) -> Iterator[None]:
-    """However it ends, also by a signal, all legs are stopped, and somebody says so."""
+    """However it ends, also by a signal, all legs are stopped, and a sentence reports it."""
     stopping = False
 
     def end() -> None:
@@ -174,7 +168,7 @@ def _ended_stopped(bench: Bench) -> Iterator[None]:
             stopping = True
             raise KeyboardInterrupt
 
-    with on_end_signals(end), _stopped(bench):
+    with on_end_signals(end), stopped_after("all legs are", partial(_all_stopped, bench)):
         try:
             yield
         except KeyboardInterrupt:
@@ -183,48 +177,17 @@ def _ended_stopped(bench: Bench) -> Iterator[None]:
             stopping = True
 
 
-@contextmanager
-def _stopped(bench: Bench) -> Iterator[None]:
-    """All legs are stopped at the end, and somebody says so."""
-    try:
-        yield
-    finally:
-        try:
-            _rest(bench)
-            running = bench.running()
-        except GatewayError:
-            hint("Nobody has confirmed that all legs are stopped: if one holds, switch the servos' power off.")
-            raise
-        if running:
-            hint(f"Servos still run: {', '.join(map(str, running))}: switch their power off.")
-        else:
-            hint("All legs are stopped.")
-
-
-def _may_drive(client: Client, state: GatewayState) -> None:
-    """Raises ConfigError while somebody else holds the lease: nothing would be proved."""
-    holder = state.lease.holder
-    if holder is not None and kept_lease.token_of(client) is None:
-        raise ConfigError(
-            f"{visible(holder)} drives, and nothing is moved: wait until the lease is released, or ask for it "
-            f"({this_command()} lease ask)"
-        )
+def _all_stopped(bench: Bench) -> str:
+    """Stop all legs. Returns the sentence that reports it."""
+    _rest(bench)
+    if running := bench.running():
+        return f"Servos still run: {', '.join(map(str, running))}: switch their power off."
+    return "All legs are stopped."
 
 
 def _agree(bench: Bench, state: GatewayState, *, agreed: bool) -> None:
-    if state.simulated:
-        return
-    which = f"Servo {bench.servo_ids[0]}" if bench.servos == 1 else f"Leg {bench.leg}"
-    hint(
-        f"{which} will go to {bench.start_deg:g}° at once, wherever it stands, and move by up to "
-        f"{abs(bench.end_deg - bench.start_deg):g}°, several times. Keep people away, and the switch of its power at "
-        "hand."
-    )
-    if state.watchdog.landing_ms:
-        hint(f"Whenever it falls silent, it goes to its landing angle in {state.watchdog.landing_ms:g} ms.")
-    if agreed:
-        return
-    if not sys.stdin.isatty():
+    """Raises ConfigError where nobody agrees."""
+    if not agreed and not sys.stdin.isatty():
         raise ConfigError(NOBODY)
-    if ask("Type yes to begin: ") != "yes":
+    if not consents(bench.motion, state, agreed=agreed):
         raise ConfigError("nothing was moved")

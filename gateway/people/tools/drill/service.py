@@ -80,7 +80,7 @@ def _unit_of(state: GatewayState) -> _Unit:
     try:
         unit = _unit()
     except FailedError as failed:
-        raise Skipped(f"no systemd on this machine tells of a service ({failed}); run it on the robot") from failed
+        raise Skipped(f"systemd on this machine reports no service ({failed}); run it on the robot") from failed
     if not unit.loaded:
         raise Skipped(f"this machine has no {_UNIT}; run it on the robot")
     if abs(time.monotonic() - state.uptime_s - unit.begun_s) > _SAME_START_S:

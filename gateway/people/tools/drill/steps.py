@@ -1,4 +1,4 @@
-"""The steps: what each does, and what must come of it. Each returns its figures, or raises FailedError or Skipped."""
+"""The steps of the drill. Each returns its figures, or raises FailedError or Skipped."""
 
 import subprocess
 import sys
@@ -57,42 +57,42 @@ class DrillStep(NamedTuple):
 
 
 def command(bench: Bench) -> Figures:
-    """Start, set and stop, and look for the very bytes."""
+    """Start, set and stop; exactly their frames are written."""
     mark = bench.mark()
     begun_s = time.monotonic()
     bench.start()
     start_ms = (time.monotonic() - begun_s) * 1000
-    ack = bench.ask("set", bench.end_deg)
+    ack = bench.ask("set", bench.motion.end_deg)
     demand(ack.accepted, f"a set was rejected: {ack.reason}: {ack.detail}")
     on_the_way = _arrive(bench)
     bench.stop()
-    wanted = [bench.frame(Op.START, bench.start_deg), bench.frame(Op.SET, bench.end_deg)]
+    wanted = [bench.frame(Op.START, bench.motion.start_deg), bench.frame(Op.SET, bench.motion.end_deg)]
     _demand_frames(bench, mark, wanted, on_the_way=on_the_way)
     bench.demand_no_motion(len(bench.frames), "after the Stop")
     return {"start_to_answer_ms": start_ms, "frame": wanted[0].to_bytes().hex()}
 
 
 def _arrive(bench: Bench) -> bool:
-    """Whether the servos are set there step by step: they have a max_speed_deg_s, and are commanded on meanwhile."""
+    """Set the servos until they arrive. Returns whether they took several steps, by their max_speed_deg_s."""
     end_s = time.monotonic() + TRAVEL_S
-    low_deg, high_deg = sorted((bench.start_deg, bench.end_deg))
+    low_deg, high_deg = sorted((bench.motion.start_deg, bench.motion.end_deg))
     on_the_way = False
     while True:
         state = bench.client.state()
         demand(
-            bench.running(state) == bench.servo_ids,
-            f"these servos were started: {bench.servo_ids}; these run: {bench.running(state)}",
+            bench.running(state) == bench.motion.servo_ids,
+            f"these servos were started: {bench.motion.servo_ids}; these run: {bench.running(state)}",
         )
         running = [servo for leg in state.legs for servo in leg.servos if servo.running]
         angles = [servo.angle_deg for servo in running]
-        if set(angles) == {bench.end_deg}:
+        if set(angles) == {bench.motion.end_deg}:
             return on_the_way
-        on_the_way = {servo.target_deg for servo in running} == {bench.end_deg} and all(
+        on_the_way = {servo.target_deg for servo in running} == {bench.motion.end_deg} and all(
             angle is not None and low_deg <= angle <= high_deg for angle in angles
         )
         shown = ", ".join(map(str, angles))
-        demand(on_the_way and time.monotonic() < end_s, f"set to {bench.end_deg:g}°, and the state says {shown}")
-        ack = bench.ask("set", bench.end_deg)
+        demand(on_the_way and time.monotonic() < end_s, f"set to {bench.motion.end_deg:g}°, and the state has {shown}")
+        ack = bench.ask("set", bench.motion.end_deg)
         demand(ack.accepted, f"a set was rejected: {ack.reason}: {ack.detail}")
         time.sleep(SETPOINT_PERIOD_S)
 
@@ -101,7 +101,7 @@ def _demand_frames(bench: Bench, mark: int, wanted: list[Frame], *, on_the_way: 
     if not bench.frames_published:
         return
     stopped = bench.wait(
-        lambda: any(not seen.moves and seen.leg == bench.leg for seen in bench.since(mark)), EVIDENCE_S
+        lambda: any(not seen.moves and seen.leg == bench.motion.leg for seen in bench.since(mark)), EVIDENCE_S
     )
     found = [seen.frame for seen in bench.since(mark) if seen.moves]
     shown = ", ".join(frame.to_bytes().hex() for frame in found) or "none"
@@ -123,9 +123,9 @@ def _never_back(frames: list[Frame]) -> bool:
 
 
 def set_while_stopped(bench: Bench) -> Figures:
-    """Only a start energises."""
+    """A set for a stopped servo is rejected, and moves nothing."""
     mark = bench.mark()
-    ack = bench.ask("set", bench.end_deg)
+    ack = bench.ask("set", bench.motion.end_deg)
     demand(not ack.accepted, "a set was accepted for a servo that does not run")
     demand(ack.reason == Reason.SERVO_STOPPED, f"it was rejected for another reason: {ack.reason}: {ack.detail}")
     bench.demand_no_motion(mark, "after the rejected set")
@@ -133,7 +133,7 @@ def set_while_stopped(bench: Bench) -> Figures:
 
 
 def silence(bench: Bench) -> Figures:
-    """Start, and say nothing more."""
+    """Start, and send nothing more."""
     state = bench.client.state()
     timeout_ms, before = state.watchdog.stops_after_ms, state.watchdog.expirations
     silent, figures = f"{state.watchdog.timeout_ms:g} ms of silence", {"timeout_ms": state.watchdog.timeout_ms}
@@ -157,7 +157,7 @@ def silence(bench: Bench) -> Figures:
 
     def watchdog_stops() -> list[WrittenFrame]:
         ours = caused(bench.since(mark), Cause.WATCHDOG)  # and those of a landing
-        return [seen for seen in ours if seen.leg == bench.leg and not seen.moves]
+        return [seen for seen in ours if seen.leg == bench.motion.leg and not seen.moves]
 
     bench.wait(watchdog_stops, EVIDENCE_S)
     started = [seen for seen in caused(bench.since(mark), Cause.COMMAND) if seen.moves]
@@ -167,13 +167,13 @@ def silence(bench: Bench) -> Figures:
     demand(late_us <= bench.late_ms * 1000, f"the Stop came {late_us / 1000:.1f} ms after {silent}")
     demand(late_us >= -bench.late_ms * 1000, f"the Stop came {-late_us / 1000:.1f} ms before the end of {silent}")
     time.sleep(QUIET_S)
-    later = [seen for seen in bench.since(mark) if seen.at_ns > stops[0].at_ns and seen.leg == bench.leg]
+    later = [seen for seen in bench.since(mark) if seen.at_ns > stops[0].at_ns and seen.leg == bench.motion.leg]
     repeats = caused(later, Cause.REPEAT)
     return {**figures, "later_us": late_us, "repeats": len(repeats)}
 
 
 def estop_in_stream(bench: Bench) -> Figures:
-    """An emergency stop, while somebody goes on sending setpoints and does not notice."""
+    """An emergency stop, while setpoints go on streaming."""
     bench.start()
     with bench.streaming():
         time.sleep(STREAM_S)
@@ -206,11 +206,11 @@ def _demand_six_stops(frames: list[WrittenFrame]) -> None:
 
 
 def rejected_until_reset(bench: Bench) -> Figures:
-    """Nothing is taken, and only a reset of the latest emergency stop leaves it."""
+    """Starts are rejected, and only a reset of the latest emergency stop leaves it."""
     mark = bench.mark()
     if bench.client.state().mode != Mode.ESTOPPED:
         bench.estop = bench.client.estop().estop or 0
-    ack = bench.ask("start", bench.start_deg)
+    ack = bench.ask("start", bench.motion.start_deg)
     demand(not ack.accepted, "a start was accepted while the emergency stop is engaged")
     demand(ack.reason == Reason.ESTOPPED, f"it was rejected for another reason: {ack.reason}")
     older = bench.reset(bench.estop - 1)
@@ -234,7 +234,7 @@ def nothing_after_reset(bench: Bench) -> Figures:
     demand(ack.accepted, f"the reset was rejected: {ack.reason}: {ack.detail}")
     with bench.streaming():
         time.sleep(STREAM_S)
-        ack = bench.ask("set", bench.start_deg)
+        ack = bench.ask("set", bench.motion.start_deg)
         demand(ack.reason == Reason.SERVO_STOPPED, f"a set after the reset was answered: {ack.reason or 'accepted'}")
         bench.demand_no_motion(mark, "after the reset")
     return {"setpoints_without_effect": round(STREAM_S * 50)}
@@ -244,9 +244,9 @@ def queue_of_a_cut_link(bench: Bench) -> Figures:
     """Starts that a cut link holds back do not move the leg when it is there again."""
     source = f"{bench.client.name} (cut link)"
     with CutLink(_dialled(bench)) as link, _through(bench, link, source) as far, link.dropped_on_error():
-        ack = far.ask(bench.key, bench.payload("start", bench.start_deg))
+        ack = far.ask(bench.key, bench.payload("start", bench.motion.start_deg))
         if ack.reason == Reason.NO_LEASE:
-            raise Skipped("lease.required is set, and the lease of whoever is behind a cut link ends anyway")
+            raise Skipped("lease.required is set, and a lease ends behind a cut link anyway")
         demand(ack.accepted, f"a start was rejected: {ack.reason}: {ack.detail}")
         with bench.streaming(far):
             time.sleep(LEARN_S)
@@ -255,7 +255,7 @@ def queue_of_a_cut_link(bench: Bench) -> Figures:
             time.sleep(STREAM_S)
         timeout_s = bench.client.state().watchdog.stops_after_ms / 1000
         if timeout_s > HELD_S:
-            bench.stop()  # the leg need not be waited for: what is old is old
+            bench.stop()  # the link holds the commands for long enough anyway
         demand(bench.wait(lambda: not bench.running(), timeout_s + 1), "the leg runs on behind the cut link")
         time.sleep(HELD_S)
         mark, events = bench.mark(), len(bench.events)
@@ -304,7 +304,9 @@ def lease_keeps_others_out(bench: Bench) -> Figures:
         raise Skipped("this gateway knows no lease, or gives the drill none")
     with Client(**bench.reaches, source=f"{bench.client.name} (somebody else)", timeout_s=EVIDENCE_S) as other:
         mark = bench.mark()
-        payload = {name: value for name, value in bench.payload("start", bench.start_deg).items() if name != "lease"}
+        payload = {
+            name: value for name, value in bench.payload("start", bench.motion.start_deg).items() if name != "lease"
+        }
         ack = other.ask(bench.key, payload)
         demand(not ack.accepted, "somebody else's start was accepted")
         demand(ack.reason == Reason.NOT_HOLDER, f"it was rejected for another reason: {ack.reason}: {ack.detail}")
@@ -317,7 +319,7 @@ def lease_keeps_others_out(bench: Bench) -> Figures:
 
 
 def stop_servos(bench: Bench) -> Figures:
-    """The last resort, beside the gateway that runs."""
+    """`stop-servos`, while the gateway runs."""
     state = bench.client.state()
     if state.simulated:
         raise Skipped("a simulated controller has no other way in")
@@ -392,7 +394,9 @@ STEPS: Final = (
         falls_silent,
         "somebody-watches",
     ),
-    DrillStep("stop-servos", "runs stop-servos beside the gateway while setpoints stream", stop_servos, "death-stops"),
+    DrillStep(
+        "stop-servos", "runs stop-servos while the gateway runs and setpoints stream", stop_servos, "death-stops"
+    ),
     DrillStep(
         "restart",
         "kills the service while setpoints stream: stopped at once, and again at its new start",

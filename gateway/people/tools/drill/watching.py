@@ -28,7 +28,7 @@ class Watching:
     """A button of the drill's own, which can fall silent."""
 
     def __init__(self, client: Client) -> None:
-        """Beside a button that the same person holds: it has a name of its own. Raises ConfigError where denied."""
+        """Its own name lets the same person hold another button. Raises ConfigError where denied."""
         button = client.button(f"{client.button_requests.person(kept_lease.me())}/drill")
         try:
             button.register()
@@ -94,7 +94,7 @@ def falls_silent(bench: Bench) -> Figures:
         mark, events = bench.mark(), len(bench.events)
         with button.silent():
             figures = _stopped_in_time(bench, button, mark)
-            ack = bench.ask("start", bench.start_deg)
+            ack = bench.ask("start", bench.motion.start_deg)
             demand(not ack.accepted, "a start was accepted while too few buttons are alive")
             demand(ack.reason == Reason.NO_BUTTON, f"it was rejected for another reason: {ack.reason}: {ack.detail}")
             bench.demand_no_motion(bench.mark(), "while the button is silent")
@@ -102,8 +102,8 @@ def falls_silent(bench: Bench) -> Figures:
         back = bench.wait(lambda: bench.client.state().buttons.alive >= buttons.required, EVIDENCE_S)
         demand(back, f"the button {button.name} checks in again, and does not count")
         bench.demand_no_motion(mark, "once the button was back")
-    told = [event.kind for event in bench.events[events:] if event.source == button.name]
-    demand(Kind.BUTTON_SILENT in told, f"no event states that the button {button.name} was silent")
+    reported = [event.kind for event in bench.events[events:] if event.source == button.name]
+    demand(Kind.BUTTON_SILENT in reported, f"no event states that the button {button.name} was silent")
     return figures
 
 

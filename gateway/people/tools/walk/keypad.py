@@ -1,4 +1,4 @@
-"""What held keys mean: a terminal reports that a key is pressed and repeated, never that it is released. Pure."""
+"""The velocity of held keys: a terminal reports presses and repetitions of a key, never its release. Pure."""
 
 from typing import Final
 
@@ -25,7 +25,7 @@ _DIRECTIONS: Final = {
 
 
 class Keypad:
-    """Which velocity is commanded: that of the key that was pressed last, for as long as it counts."""
+    """The velocity of the key that was pressed last, for as long as it counts."""
 
     def __init__(self) -> None:
         self._key = ""
@@ -38,7 +38,7 @@ class Keypad:
         return SPEEDS[self._speed]
 
     def press(self, key: str, now_s: float) -> bool:
-        """Whether it is a key of the pad."""
+        """Take a key. Returns whether it belongs to the pad; any other key releases the held one."""
         key = key.lower()
         if key in ("+", "=", "-"):
             self._speed = max(0, min(len(SPEEDS) - 1, self._speed + (-1 if key == "-" else 1)))
@@ -52,7 +52,7 @@ class Keypad:
         return True
 
     def release(self) -> None:
-        """Nothing is held: any other key ends it, too."""
+        """From now on no key is held."""
         self._key = ""
 
     def velocity(self, now_s: float) -> Velocity:

@@ -25,9 +25,9 @@ from schemas.telemetry import Mode
 
 _TICK_S: Final = 0.02
 KEYS_HOLD_S: Final = 0.25
-"""Should this program freeze, the robot stands after it: its other thread commands 50 times a second."""
+"""If the drive thread freezes, the robot stands after this time. The thread commands 50 times a second."""
 KEYS_REST_S: Final = 60.0
-"""Without a key: then it sits down, and its servos are stopped."""
+"""After so long without a key the robot sits down, and its servos are stopped."""
 HEIGHT_STEP_M: Final = 0.01
 _GAITS: Final = {"1": "tripod", "2": "ripple", "3": "wave"}
 _KEYS: Final = """
@@ -41,10 +41,10 @@ _UNCONFIRMED: Final = "Nobody has confirmed that the legs are stopped: if they h
 
 
 class WalkScreen(Screen):
-    """One person's drive; `run` shows it until q."""
+    """Drives the robot from the keyboard until q."""
 
     def __init__(self, client: Client, holder: str, gait: str, geometry: Path | None, height_m: float | None) -> None:
-        """`holder`: by which name we hold the lease."""
+        """`holder`: our name as the lease has it."""
         super().__init__(client.estop)
         self._client = client
         self._holder = holder
@@ -53,11 +53,11 @@ class WalkScreen(Screen):
         self._pad = Keypad()
         self._todo: queue.SimpleQueue[Callable[[], object]] = queue.SimpleQueue()
         self._driven = threading.Event()
-        """It is over: no key moves it any more."""
+        """Set at the end: keys move nothing any more."""
         self._message = "Nothing moves before you press a key."
         self._sits = False
         self._legs_stopped = True
-        """Whether somebody has confirmed the Stops at the end, or none was needed."""
+        """Whether the Stops at the end are confirmed, or none was needed."""
 
     def run(self) -> int:
         """Until q (it sits down first), Ctrl-C or a signal (it is stopped at once). Returns the exit code."""

@@ -1,6 +1,6 @@
 """`walk --seconds S`: without a person, with progress on one line.
 
-Whoever ends it early has it finish its step and sit down; who asks again has it stopped where it is.
+The first request to end it makes the robot finish its step and sit down; the second stops it where it is.
 """
 
 import math
@@ -16,29 +16,29 @@ from gateway.people.tools.reach import Connection
 from gateway.people.walking import Posture, Velocity, WalkState
 
 _ENDED_EARLY: Final = 130
-"""As a shell reports a program that Ctrl-C has ended."""
+"""As a shell reports a program that Ctrl-C ended."""
 
 
-class AtOnce(BaseException):  # no error, but what KeyboardInterrupt is elsewhere: a walk sits at that
+class AtOnce(BaseException):  # not KeyboardInterrupt, at which a walk sits down
     """The second request to end."""
 
 
 class EndRequests:
-    """How it is ended early: by Ctrl-C, SIGTERM or the end of its terminal."""
+    """Requests to end it early: Ctrl-C, SIGTERM or the end of its terminal."""
 
     def __init__(self) -> None:
         self.asked = False
         self._may_cut = True
 
     def ask(self) -> None:
-        """In the handler of a signal: the second one raises AtOnce."""
+        """For a signal handler. The second call raises AtOnce."""
         if self.asked and self._may_cut:
             self.stops()
             raise AtOnce
         self.asked = True
 
     def stops(self) -> None:
-        """The Stops are sent now: nothing may come between them."""
+        """The Stops are being sent: from now on nothing interrupts them."""
         self._may_cut = False
 
 
@@ -70,7 +70,7 @@ def walk(
 
 
 class Walks(Protocol):
-    """What it needs of a `Walk`."""
+    """The methods of `Walk` that `go` calls."""
 
     @property
     def state(self) -> WalkState:
@@ -94,7 +94,7 @@ def go(
     end: EndRequests,
     clock: Callable[[], float] = time.monotonic,
 ) -> bool:
-    """Whether it walked for so long, and nobody ended it before."""
+    """Walk, then sit. Returns whether it walked for all of `seconds`."""
     remarks: set[str] = set()
 
     def remark(text: str) -> None:
@@ -129,7 +129,7 @@ def go(
 
 
 def went(state: WalkState) -> str:
-    """`0.48 m ahead, 0.00 m to the left, turned by 0°`, from where it stood up."""
+    """`0.48 m ahead, 0.00 m to the left, turned by 0°`, since it stood up."""
     x_m, y_m, heading_rad = state.odometry
     return f"{x_m:.2f} m ahead, {y_m:.2f} m to the left, turned by {math.degrees(heading_rad):.0f}°".replace(
         "-0.00", "0.00"

@@ -21,7 +21,7 @@ _OTHERWISE: Final = "; a program reads hexapod/state and hexapod/event instead"
 
 
 def watch(connect: str | None, zenoh_config: Path | None, timeout_s: float) -> NoReturn:
-    """Show the gateway until somebody presses q, then end the process. Waits for a gateway that is not there yet.
+    """Show the gateway until q, then end the process. Waits for a gateway that is not there yet.
 
     Raises ConfigError before it begins.
     """
@@ -43,5 +43,5 @@ def watch(connect: str | None, zenoh_config: Path | None, timeout_s: float) -> N
     )
     code = view.show()
     # Not by the interpreter's own end: it aborts while a thread is inside Zenoh, and one may be for ten seconds (a
-    # frozen gateway), or for ever in a stuck terminal. What had to be let go of has been.
+    # frozen gateway), or for ever in a stuck terminal. The lease and the session are closed by then.
     os._exit(code)

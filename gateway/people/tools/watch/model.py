@@ -1,7 +1,7 @@
-"""What `watch` shows, as data: pure, with the time as an argument. It neither draws nor speaks Zenoh.
+"""The data that `watch` shows. Pure: the time is an argument.
 
-People stand beside the robot, so it must always be right about three things: how old the picture is, whether the
-gateway is there, and whether the emergency stop was taken.
+People stand next to the robot, so three things must always be right: how old the picture is, whether the gateway is
+there, and whether the emergency stop was confirmed.
 """
 
 from collections import Counter, deque
@@ -33,7 +33,7 @@ NAMELESS: Final = "no name"
 
 
 class GatewayPresence(Enum):
-    """Whether a gateway publishes."""
+    """Whether a gateway publishes, as far as this laptop receives."""
 
     WAITING = auto()  # nothing has been received yet
     LIVE = auto()
@@ -42,7 +42,7 @@ class GatewayPresence(Enum):
 
 @dataclass(frozen=True, slots=True)
 class EventLine:
-    """One event, or a remark of `watch` about the gateway (`kind` is then none of the gateway's)."""
+    """One event, or an observation of `watch` itself, with a `kind` that no gateway publishes."""
 
     time: datetime
     kind: str
@@ -51,7 +51,7 @@ class EventLine:
 
 
 class Confirmation(Enum):
-    """What a key asks back, one at a time; y is yes, any other key no."""
+    """A question about the key that was pressed, one at a time; y is yes, any other key no."""
 
     RESET = auto()
     TAKE = auto()
@@ -67,7 +67,7 @@ class Counts(NamedTuple):
 
     @classmethod
     def of(cls, state: GatewayState) -> "Counts":
-        """In all, as this state has them."""
+        """The totals of a state."""
         commands = state.commands
         return cls(commands.accepted, commands.rejected, commands.coalesced, state.spi.frames)
 
@@ -78,14 +78,14 @@ class Model:
 
     state: GatewayState | None = None
     own_expiry: str | None = None
-    """That this laptop's certificate expires soon."""
+    """A sentence, where this laptop's certificate expires soon."""
     trouble: str = ""
     """Why there is no connection: a line for each host."""
     stop: StopStatus = field(default_factory=StopStatus)
     remark: Remark | None = None
-    """What became of another key."""
+    """The result of another key."""
     rejected: Counter[str] = field(default_factory=Counter)
-    """Commands rejected since we watch, by source, with those that the gateway left out of its events."""
+    """Commands rejected since `watch` began, by source, including those that the events leave out."""
     reasons: dict[str, str] = field(default_factory=dict)
     """The latest reason, by source."""
     lines: deque[EventLine] = field(default_factory=lambda: deque(maxlen=SHOWN_EVENTS))
@@ -99,11 +99,11 @@ class Model:
     _starts: Starts = field(default_factory=Starts)
     _warned: set[str] = field(default_factory=set)
     drives: bool = False
-    """We hold the lease."""
+    """Whether `watch` holds the lease."""
     _question: Confirmation | None = None
     _asked_ns: int = 0
 
-    # ---- what is received
+    # ---- received
 
     def received_state(self, state: GatewayState, now_ns: int, wall: datetime) -> None:
         """A state came, published or as an answer."""
@@ -150,13 +150,13 @@ class Model:
             self.look(now_ns, wall)
 
     def note_others(self, warning: str, wall: datetime) -> None:
-        """Other programs answer, too; each warning is shown once."""
+        """Warn that other programs answer, too; each warning is shown once."""
         if warning not in self._warned:
             self._warned.add(warning)
             self._note(wall, "others_answer", warning, bad=True)
 
     def look(self, now_ns: int, wall: datetime) -> None:
-        """Notice what time alone changes: silence, and a question that nobody answered."""
+        """Notice silence, and withdraw what was shown for long enough."""
         presence = self.presence(now_ns)
         if presence is GatewayPresence.SILENT and self._noted is not GatewayPresence.SILENT:
             self._noted = presence
@@ -168,16 +168,16 @@ class Model:
     def _receive(self, now_ns: int, wall: datetime) -> None:
         if self._noted is GatewayPresence.SILENT and self._received_ns is not None:
             away_s = (now_ns - self._received_ns) / NS_PER_S
-            self._note(wall, "back", f"the gateway is heard again, after {away_s:.1f} s", bad=False)
+            self._note(wall, "back", f"the gateway publishes again, after {away_s:.1f} s", bad=False)
         self._received_ns, self._gone, self._noted, self.trouble = now_ns, False, GatewayPresence.LIVE, ""
 
     def _note(self, wall: datetime, kind: str, text: str, *, bad: bool) -> None:
         self.lines.appendleft(EventLine(wall, kind, text, bad))
 
-    # ---- what it means
+    # ---- derived
 
     def presence(self, now_ns: int) -> GatewayPresence:
-        """Whether the gateway is there."""
+        """Whether the gateway publishes, as far as is known."""
         if self._received_ns is None:
             return GatewayPresence.WAITING
         return (
@@ -211,10 +211,10 @@ class Model:
         span_s = last_s - first_s
         return Counts(*((now - then) / span_s for then, now in zip(first, last, strict=True))) if span_s > 0 else None
 
-    # ---- what is asked back
+    # ---- questions
 
     def ask(self, question: Confirmation, now_ns: int) -> None:
-        """Its key was pressed: ask whether it is meant; the reset only where an emergency stop is engaged."""
+        """Ask whether the key is meant; the reset only while an emergency stop is engaged."""
         estopped = self.state is not None and self.state.mode is Mode.ESTOPPED
         nothing = self.presence(now_ns) is GatewayPresence.LIVE and not estopped and self.stop.wanted_ns is None
         if question is Confirmation.RESET and nothing:
@@ -240,20 +240,20 @@ class Model:
         return f"{asked}  y: yes  n: no"
 
     def declined(self, now_ns: int) -> None:
-        """The question was answered with anything but yes."""
+        """The answer was no."""
         taken = self._question is Confirmation.TAKE
         self._question = None
-        text = "not taken" if taken else "no reset: the emergency stop stays as it is"
+        text = "not taken" if taken else "no reset: the emergency stop stays engaged"
         self.answered(Tone.NOTE, text, now_ns)
 
     # ---- emergency stop and reset
 
     def stop_pressed(self) -> None:
-        """A Stop key was pressed: it answers no question, and what became of earlier keys is no news."""
+        """A Stop key withdraws the question, and the result of earlier keys."""
         self._question = self.remark = None
 
     def reset_confirmed(self, now_ns: int) -> None:
-        """The question was answered with yes."""
+        """The answer was yes."""
         self._question = None
         self.answered(Tone.NOTE, "reset: sent, waiting for the answer", now_ns)
 
@@ -265,12 +265,12 @@ class Model:
         return None if self.state is None else self.state.lease.holder
 
     def take_confirmed(self, now_ns: int) -> None:
-        """The question was answered with yes."""
+        """The answer was yes."""
         self._question = None
         self.answered(Tone.NOTE, "lease: sent, waiting for the answer", now_ns)
 
     def answered(self, tone: Tone, text: str, now_ns: int) -> None:
-        """What became of a reset, or of a key about the lease."""
+        """The result of a reset, or of a key about the lease."""
         self.stop.outcome = None
         self.remark = Remark(tone, visible(text), now_ns)
 

@@ -1,7 +1,4 @@
-"""What `watch` does with each key, what it receives, and what it draws.
-
-No key waits: a Stop, a reset and what is asked about the lease are requested on threads of their own.
-"""
+"""The terminal of `watch`. No key waits: a reset and the lease are requested on threads of their own."""
 
 import threading
 import time
@@ -27,12 +24,12 @@ from schemas.lease import LeaseAck
 from schemas.telemetry import Ack, Event, GatewayState
 
 OTHERS_S: Final = 0.2
-"""How long others that answer besides the gateway are waited for."""
+"""How long to wait for replies of other programs than the gateway."""
 _NO_KEYS: Final = frozenset({"escape", "up", "down", "left", "right"})
 
 
 class WatchScreen(Screen, Receiver):
-    """One view; shown until q. While it holds the lease, `send` of the same user drives under it."""
+    """Shown until q. While it holds the lease, `send` of the same user drives under it."""
 
     def __init__(
         self,
@@ -41,11 +38,11 @@ class WatchScreen(Screen, Receiver):
         why: Callable[[], list[str]] = list,
         own_expiry: str | None = None,
     ) -> None:
-        """`why` returns a line for each host, why no connection comes about; it may take a second."""
+        """`why` returns a line for each host: why connecting fails. It may take a second."""
         super().__init__(lambda: self._client().estop())
         self.model = Model(own_expiry=own_expiry, stop=self.stop)
         self._where = where
-        # A link that is there has a gateway at its end that is frozen, or nobody behind a router.
+        # With a link, the gateway at its end is frozen, or none is behind the router.
         self._link = Live(connect, self, lambda client: [] if client is not None and client.connected else why())
         self._lease = ExitStack()
 
@@ -53,7 +50,7 @@ class WatchScreen(Screen, Receiver):
         self._link.start()
 
     def end(self) -> None:
-        """Let go of the lease, and close the session; gives up after a second where the gateway is frozen.
+        """Release the lease and close the session; gives up after a second where the gateway is frozen.
 
         The robot goes on: nothing here moves it.
         """
@@ -97,7 +94,7 @@ class WatchScreen(Screen, Receiver):
                     self._begin(partial(self._ask, holder=holder))
 
     def _begin(self, do: Callable[[Client], str], failed: str = "NOT DONE", may_not: str = "drive") -> None:
-        """Ask the gateway for what a key wants, on a thread, and show what came of it."""
+        """Request it on a thread, and show the result."""
 
         def run() -> None:
             tone, text = Tone.BAD, f"{failed}: there is no connection"
@@ -140,14 +137,14 @@ class WatchScreen(Screen, Receiver):
             raise ZenohError("there is no connection")
         return self._link.client
 
-    # ---- the reset and the lease: what is asked, and the sentence for what came of it
+    # ---- the reset and the lease: each returns the sentence for its success
 
     def _reset(self, client: Client, estop: int | None) -> str:
         _check_accepted(client.reset(estop))
         return "reset; nothing moves until it is started again"
 
     def _ask(self, client: Client, holder: str | None) -> str:
-        """Tell the holder that we would like to drive."""
+        """Ask the holder for the lease."""
         if holder is None:
             return "nobody drives, so there is nobody to ask"
         _check_accepted(client.ask_for_lease(kept_lease.me()))
@@ -174,7 +171,7 @@ class WatchScreen(Screen, Receiver):
         with self.lock:
             self.model.drives = drives
 
-    # ---- what is received
+    # ---- received
 
     def not_opened(self, error: Exception) -> None:
         with self.changes():

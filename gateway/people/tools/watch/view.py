@@ -78,7 +78,7 @@ def _header(model: Model, now_ns: int, where: str) -> Text:
 
 
 def _driver(lease: LeaseReport) -> Text:
-    """Who drives, and who asks for it."""
+    """The holder of the lease, and who asks for it."""
     if lease.holder is None:
         return Text()
     holder = _clipped(lease.holder, _SOURCE_COLUMNS) + ("" if lease.verified else "?")
@@ -97,14 +97,14 @@ def _watchers(buttons: ButtonsReport) -> Text:
 
 
 def _banner(model: Model, stop: Remark | None, now_ns: int, width: int) -> list[Text]:
-    """Two rows for what has to be read now; one message may have both."""
+    """Two rows for the most urgent messages; a single message may fill both."""
     messages: list[tuple[str, str]] = []
     if stop is not None and stop.tone is Tone.BAD:
         messages.append((stop.text, ALARM))
     if (question := model.question(now_ns)) is not None:
         messages.append((question, _ASK))
     if model.presence(now_ns) is GatewayPresence.SILENT:
-        messages.append(("No word from the gateway: below is the past. If the robot moves, cut power.", ALARM))
+        messages.append(("The gateway is silent: below is the past. If the robot moves, cut power.", ALARM))
     if stop is not None and stop.tone is not Tone.BAD:
         messages.append((stop.text, STYLES[stop.tone]))
     if model.remark is not None:
@@ -161,7 +161,7 @@ def _head(state: GatewayState, width: int) -> Text:
     line = Text("leg ", "dim")
     for joint in (1, 2, 3):
         line.append(f"joint {joint}".ljust(column))
-    line.append(f"last heard / {state.watchdog.timeout_ms:g} ms".ljust(_AGE_COLUMNS))
+    line.append(f"command / {state.watchdog.timeout_ms:g} ms".ljust(_AGE_COLUMNS))
     return line.append("commanded by")
 
 

@@ -1,0 +1,92 @@
+"""Moving one servo by a few degrees, with consent: what `drill` and `check --move` have in common.
+
+People stand next to the robot. Nothing moves unless it is at rest and nobody else drives; a person agrees to which
+servo goes where; and however it ends, a sentence reports whether all is stopped.
+"""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Final, NamedTuple
+
+from gateway.errors import ConfigError, GatewayError
+from gateway.people.client.blocking import Client
+from gateway.people.terminal import ask, hint, this_command
+from gateway.people.tools import kept_lease
+from gateway.people.tools.reach import check_at_rest
+from gateway.text import visible
+from schemas.robot import JOINTS
+from schemas.telemetry import GatewayState
+
+STEP_DEG: Final = 5.0
+"""How far one servo moves: enough to be seen, too little to do harm."""
+LEG_STEP_DEG: Final = 15.0
+"""How far a whole leg moves."""
+MOST_DEG: Final = 180.0
+
+
+class Motion(NamedTuple):
+    """What moves: servos of one leg, from `start_deg` to `end_deg` and back."""
+
+    servo_ids: list[int]
+    start_deg: float
+    """0 to 180. A start sends a servo there at once, wherever it stands."""
+
+    @property
+    def end_deg(self) -> float:
+        """The other angle, within 0 to 180."""
+        by_deg = STEP_DEG if len(self.servo_ids) == 1 else LEG_STEP_DEG
+        return self.start_deg + (by_deg if self.start_deg + by_deg <= MOST_DEG else -by_deg)
+
+    @property
+    def leg(self) -> int:
+        """1 to 6."""
+        return self.servo_ids[0] // 10
+
+    @property
+    def which(self) -> str:
+        """`servo 61`, or `leg 3`."""
+        return f"servo {self.servo_ids[0]}" if len(self.servo_ids) == 1 else f"leg {self.leg}"
+
+
+def of_leg(leg: int, start_deg: float, *, whole: bool) -> Motion:
+    """The leg's three servos, or its first one."""
+    return Motion([10 * leg + joint for joint in JOINTS][: 3 if whole else 1], start_deg)
+
+
+def ready(client: Client) -> GatewayState:
+    """The state of a robot that may be moved now. Raises ConfigError where it may not, ZenohError."""
+    state = client.state()
+    check_at_rest(state)
+    holder = state.lease.holder
+    if holder is not None and kept_lease.token_of(client) is None:
+        raise ConfigError(
+            f"{visible(holder)} drives, and nothing is moved: wait until the lease is released, or ask for it "
+            f"({this_command()} lease ask)"
+        )
+    return state
+
+
+def consents(motion: Motion, state: GatewayState, *, agreed: bool) -> bool:
+    """Announce the motion. Returns whether a person agrees, here or beforehand."""
+    hint(
+        f"{motion.which.capitalize()} will go to {motion.start_deg:g}° at once, wherever it stands, move between that "
+        f"and {motion.end_deg:g}°, and be stopped. Keep people, hands and cables away, and the switch of its power at "
+        "hand."
+    )
+    if state.watchdog.landing_ms:
+        hint(f"Whenever it falls silent, it goes to its landing angle in {state.watchdog.landing_ms:g} ms.")
+    return agreed or ask("Type yes to move it: ") == "yes"
+
+
+@contextmanager
+def stopped_after(which: str, stop: Callable[[], str]) -> Iterator[None]:
+    """However it ends, `stop` stops it and returns the sentence that reports it. `which`: `servo 61 is`."""
+    try:
+        yield
+    finally:
+        try:
+            stopped = stop()
+        except GatewayError:
+            hint(f"Nobody has confirmed that {which} stopped: if one holds, switch the servos' power off.")
+            raise
+        hint(stopped)
