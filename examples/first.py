@@ -11,7 +11,7 @@ def main(endpoint: str) -> None:
         print("state:", robot.state().mode)
         print("set before start:", robot.set_leg(3, 90, 90, 90).detail)
         print("start:", robot.start_leg(3, 90, 90, 90).accepted)
-        for step in range(25):  # half a second: a running leg must hear something at least every 250 ms
+        for step in range(25):  # half a second: a running leg needs a command at least every 250 ms
             robot.set_leg(3, 90, 90 + step, 90 - step)
             time.sleep(0.02)
         print("stop:", robot.stop(3).accepted)

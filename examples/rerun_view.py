@@ -1,6 +1,6 @@
 """Opens a recording or an incident in Rerun: the robot in 3D with its servos that are off, its joints, its log.
 
-It needs `pip install rerun-sdk` besides hexapod-gateway. `--save FILE.rrd` makes a file of it, for `rerun FILE.rrd`.
+It needs `pip install rerun-sdk` as well as hexapod-gateway. `--save FILE.rrd` makes a file of it, for `rerun FILE.rrd`.
 """
 
 import argparse

@@ -13,21 +13,21 @@ robot = Client(endpoint, source="session")
 state = robot.state()
 print(state.mode, state.spi.framing, f"watchdog {state.watchdog.timeout_ms:g} ms")
 
-# %% Hear what happens from now on.
+# %% Print the events from now on.
 events = robot.on_event(lambda event: print("event:", event.kind, event.detail))
 
-# %% Start a leg. Nothing follows, so the watchdog stops it after 250 ms, and an event says so.
+# %% Start a leg. Without further commands the watchdog stops it after 250 ms, and publishes an event.
 print(robot.start_leg(1, 90, 45, 120))
 time.sleep(0.5)
 
-# %% A command that cannot be carried out says why.
+# %% The answer to a rejected command has the reason.
 print(robot.set_leg(1, 90, 45, 120).detail)
 
 # %% The emergency stop, and how soon its Stops were written.
 stopped = robot.estop()
 print(f"{stopped.stop_frames} Stop frames within {stopped.latency_us:.0f} µs")
 
-# %% It holds until somebody resets it; that wants a deliberate act two seconds later, or the emergency stop's number.
+# %% It holds until somebody resets it, by its number or at least two seconds later.
 print(robot.start_leg(1, 90, 45, 120).reason)
 print(robot.reset())
 

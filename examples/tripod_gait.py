@@ -1,7 +1,7 @@
 """It walks: a tripod gait, all 18 servos 50 times a second; velocities go in, and angles come out.
 
-Everything that may go wrong has its own name: StoppedError (somebody, or the watchdog, stopped a leg: going on is a
-person's decision, `--start-again`), LeaseError (somebody else drives), WalkError (these legs cannot do that).
+Each failure has its own error: StoppedError (somebody, or the watchdog, stopped a leg; a person decides whether to go
+on, `--start-again`), LeaseError (somebody else drives), WalkError (these legs cannot do that).
 At the end of its `with` it sits down, and its servos are stopped.
 """
 

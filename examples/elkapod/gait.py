@@ -1,7 +1,7 @@
 """The Elkapod walks ahead, and sits down: velocities go in, and joint angles come out, the same on both sides.
 
-Which servos are mounted the other way round is the calibration's affair, how fast they may go and what happens when
-this program falls silent the gateway's: see the files beside this one.
+The calibration has the inverted servos; the gateway's settings limit the speed and decide what happens when this
+program stalls. See the files in this folder.
 """
 
 import argparse

@@ -2,6 +2,7 @@
 
 import asyncio
 import inspect
+import re
 import subprocess
 import sys
 import threading
@@ -54,12 +55,13 @@ async def running(client: AsyncClient) -> list[int]:
 
 
 def public(kind: type) -> dict[str, list[str]]:
-    """The methods and properties that programs use, with the names of what they take; "value" where one can be set."""
+    """The methods and properties of programs: each parameter with its type and default; "value" for a setter."""
 
     def taken(member: Any) -> list[str]:
         if isinstance(member, property):
             return ["value"] if member.fset else []
-        return list(inspect.signature(member).parameters)
+        parameters = inspect.signature(member).parameters
+        return [re.sub(r"""["']|\b(\w+\.)+""", "", str(parameter)) for parameter in parameters.values()]
 
     return {
         name: taken(member)

@@ -1,6 +1,6 @@
-"""So many metres ahead, or so many radians round: which velocity comes next. Pure: time is an argument.
+"""A walk of some metres, or a turn of some radians: the next velocity. Pure: time is an argument.
 
-It needs to be asked at each tick. Who falls silent has the robot stand, as after any other velocity.
+`next` is called at each tick. If the calls stop, the robot stands, as after any other velocity.
 """
 
 import math
@@ -12,20 +12,20 @@ from gateway.people.walking.motion import Velocity
 from gateway.people.walking.walker import LONGEST_S, WalkState
 
 MOST_M: Final = 20.0
-"""Four minutes of walking. More is taken for millimetres."""
+"""Four minutes of walking. More is probably millimetres."""
 MOST_RAD: Final = 4 * math.pi
-"""Twice round. More is taken for degrees."""
+"""Two turns. More is probably degrees."""
 _M_S: Final = 0.08
 _RAD_S: Final = 0.25
-"""What `make walk` judges for a tripod gait; where strides reach less far, the engine scales it down."""
+"""The speeds that `make walk` judges for a tripod gait; the engine scales them down for shorter strides."""
 _GENTLY: Final = 0.5
-"""Of the engine's own slowing down: a velocity has an effect a tick or two after it was computed."""
+"""Of the engine's own deceleration: a velocity has an effect a tick or two after it was computed."""
 _NEAR: Final = 0.0005
 """Metres or radians at which it has arrived."""
 
 
 class Distance:
-    """One of them, from where the robot is when the first velocity is asked for."""
+    """A distance or a turn, which begins with the first call of `next`."""
 
     def __init__(self, amount: float, *, turns: bool) -> None:
         """Metres, forward above 0; `turns`: radians, counter-clockwise above 0. Raises WalkError."""
@@ -40,7 +40,7 @@ class Distance:
         self._nearest, self._nearer_s = math.inf, 0.0
 
     def next(self, state: WalkState, now_s: float) -> Velocity | None:
-        """The velocity now, or None once it is there. Raises WalkError where the robot comes no nearer."""
+        """The velocity now; None: it has arrived. Raises WalkError if the robot comes no nearer."""
         if self._begin is None:
             self._begin, self._nearer_s = state.odometry, now_s
         left = math.copysign(1.0, self._amount) * (self._amount - self._gone(state.odometry))
@@ -55,7 +55,7 @@ class Distance:
         return Velocity(turn_rad_s=speed) if self._turns else Velocity(forward_m_s=speed)
 
     def _gone(self, odometry: Odometry) -> float:
-        """Of it, so far."""
+        """The metres or radians so far."""
         begin = self._begin or odometry
         if self._turns:
             return odometry.heading_rad - begin.heading_rad

@@ -3,9 +3,9 @@
 **Stance.** All feet that stand move as one rigid body against the robot's motion, so none scrapes.
 **Swing.** A foot leaves the ground with the ground's velocity, and lands with it where the middle of its next stance is
 the foot's resting place. So a stride needs no memory of the one before, and a change of velocity no special case.
-**What cannot be done.** Each foot stays in a disc around its resting place (robot.py). A velocity that would carry a
-standing foot out of it is scaled down, as a whole vector. What a servo's speed does not allow slows time itself down
-for that tick: all feet and the body, so their motion stays the same, only slower.
+**Limits.** Each foot stays in a disc around its resting place (robot.py). A velocity that would carry a standing foot
+out of it is scaled down, as a whole vector. Where a servo is too slow, time itself is slowed down for that tick: feet
+and body move the same way, only slower.
 """
 
 import math
@@ -26,27 +26,27 @@ from gateway.people.walking.ways import ON_GROUND_M, Figure, Shift, across, betw
 from schemas.robot import LEGS
 
 SLEW_M_S2: Final = 0.25
-"""How fast the velocity over the ground changes."""
+"""The acceleration over the ground."""
 SLEW_RAD_S2: Final = 1.2
-"""How fast the turning changes."""
+"""The angular acceleration."""
 STOPS_WITHIN: Final = 0.35
 """Of a stride: the velocity is 0 by then, so that the last swing ends within the stride."""
 _HALT_S: Final = 0.15
-"""The same where a leg was lost."""
+"""The time in which it stops after the loss of a leg."""
 _LATE_M: Final = 0.002
 """A foot is lifted at a tick, so up to a tick too late."""
 _SPEED_SPARE: Final = 0.95
-"""Of a servo's speed: the gateway counts from its own last frame, which may come a little early or late."""
+"""Of a servo's speed: the gateway measures from its own last frame, which may be a little early or late."""
 _LEAST_FEET: Final = 3
 _HALVINGS: Final = 7
 _ALMOST: Final = 1e-9
 _TRIES: Final = 8
 _LONGEST_S: Final = 0.1
-"""A tick that comes later moves no further than this one would."""
+"""The longest time that one tick accounts for: after a late tick nothing moves further."""
 
 
 class Posture(StrEnum):
-    """What the robot is doing."""
+    """The robot's posture."""
 
     LYING = "lying"
     SITTING = "sitting"
@@ -57,7 +57,7 @@ class Posture(StrEnum):
 
 
 class Odometry(NamedTuple):
-    """Where the body is, as its steps have carried it since the beginning; feet that slip are not noticed."""
+    """Where its steps have carried the body since the beginning; slipping feet are not noticed."""
 
     x_m: float = 0.0
     y_m: float = 0.0
@@ -86,17 +86,17 @@ class Swing(NamedTuple):
 
 @dataclass(slots=True)
 class _State(Figure):
-    """All that changes. A tick that comes out too fast is taken back: so it is copied, and its values are immutable."""
+    """All that a tick changes. A tick that is too fast is undone, so it works on a copy; the values are immutable."""
 
     swings: dict[int, Swing] = field(default_factory=dict)
     velocity: Velocity = STILL
     clock: float = 0.0
-    """In strides."""
+    """The time in strides."""
     odometry: Odometry = ORIGIN
     part: float = 0.0
-    """Of the first of its moves."""
+    """How much of the first of its moves is done, 0 to 1."""
     brake_s: float = 0.0
-    """How long the velocity still takes to become 0."""
+    """Seconds until the velocity is 0, while it slows down."""
 
     def copy(self) -> Self:
         new = Figure.copy(self)
@@ -110,9 +110,9 @@ class Engine:
     def __init__(
         self, robot: Robot, gait: str = "tripod", angles_deg: Pose | None = None, odometry: Odometry = ORIGIN
     ) -> None:
-        """`angles_deg`: of the legs that run, as they were last commanded; the others are slack and may be anywhere.
+        """`angles_deg`: the last commanded angles of the legs that run; the others are slack and may be anywhere.
 
-        Raises WalkError where the robot can neither stand nor sit, and for a gait that there is not.
+        Raises WalkError if the robot can neither stand nor sit, and for an unknown gait.
         """
         self.robot = robot
         self.gait_name, self._gait = gait, gaits.gait(gait)
@@ -122,9 +122,9 @@ class Engine:
         self.commanded = STILL
         self.scaled = STILL
         self.limit = ""
-        """Why the velocity is scaled down, in a sentence; "" where it is not."""
+        """Why the velocity is scaled down, in a sentence; "" if it is not."""
         self.lost: frozenset[int] = frozenset()
-        """Legs that somebody else has stopped: they are left out of what `step` returns."""
+        """Legs that somebody else has stopped: `step` leaves them out."""
         self._stuck = False
         self._pace = 1.0
         self._cap: tuple[object, float] = (None, 1.0)
@@ -132,7 +132,7 @@ class Engine:
         self._state = _State(BodyPose(0.0), {}, {}, odometry=odometry)
         self.find(angles_deg or {})
 
-    # ---- what it is asked for
+    # ---- commands
 
     def step(self, velocity: Velocity, seconds: float) -> Pose:
         """The angles (degrees) of all legs after `seconds` (0.1 at most) towards this velocity."""
@@ -166,23 +166,23 @@ class Engine:
         self._wanted.append(None)
 
     def walk_as(self, gait: str) -> None:
-        """Another gait; a walk pauses for the change. Raises WalkError for one that there is not."""
+        """Change the gait; a walk pauses meanwhile. Raises WalkError for an unknown one."""
         gaits.gait(gait)
         self._next_gait = gait
 
     def find(self, angles_deg: Pose) -> None:
-        """Begin from where the legs are that run, as in `__init__`; what it was asked for, and its odometry, stay."""
+        """Begin from the angles of the running legs, as in `__init__`; keeps the commands and the odometry."""
         found = self._planner.found(angles_deg)
         self._state = _State(found.body, found.feet, found.pose, found.moves, found.sits, odometry=self._state.odometry)
 
     def halt(self, legs: Iterable[int], sent: Pose | None = None) -> None:
-        """These legs were stopped by somebody else: put the others down, and stand still until `resume`.
+        """Somebody else has stopped these legs: put the others down, and stand still until `resume`.
 
-        `sent`: where they were sent last, unless that was by the latest step.
+        `sent`: their last angles, if they differ from the latest step's.
         """
         lost = frozenset(legs)
         if not self.lost <= lost:
-            self.resume()  # where those are that run again
+            self.resume()  # for those that run again
         self._wanted.clear()
         state = self._state
         state.pose |= {leg: angles for leg, angles in (sent or {}).items() if leg in lost - self.lost}
@@ -196,34 +196,34 @@ class Engine:
         self._lower(hanging)
 
     def resume(self) -> None:
-        """The lost legs run again, at their angles of before; they are put down, and the walk can go on."""
+        """The lost legs run again, at their former angles: put them down, so that the walk can go on."""
         legs, self.lost = self.lost, frozenset()
         body = self._state.body
         turn = body.turn
         for leg in legs:
             self._state.feet[leg] = body.grounded(self.robot.foot_m(leg, self._state.pose[leg]), turn)
-        self._lower(leg for leg in LEGS if leg not in self._state.swings)  # others may be on their way down as well
+        self._lower(leg for leg in LEGS if leg not in self._state.swings)  # others may still be moving down
 
     @property
     def carries(self) -> bool:
-        """Whether the legs that are not lost keep the body where it is: else it has sunk, and angles of before lift it.
+        """Whether the other legs carry the body. If not, it has sunk, and the lost legs' former angles would lift it.
 
-        A lowered foot counts; a body that lies needs none.
+        A lowered foot counts; a lying body needs none.
         """
         left = [leg for leg in LEGS if leg not in self.lost]
         return self.is_down or balanced(self.robot, self._state, left)
 
     def copy(self) -> "Engine":
-        """Another one that goes on by itself from here."""
+        """An independent engine in the same state."""
         new = copy(self)
         new._state, new._wanted = self._state.copy(), self._wanted.copy()
         return new
 
-    # ---- what it is doing
+    # ---- its state
 
     @property
     def posture(self) -> Posture:
-        """Which posture the robot is in, or is changing to."""
+        """The robot's posture; MOVING while it changes."""
         state = self._state
         if self.lost:
             return Posture.HALTED
@@ -237,18 +237,18 @@ class Engine:
 
     @property
     def walks_at_once(self) -> bool:
-        """Whether a velocity has an effect now: it stands or walks, and nothing else is asked for."""
+        """Whether a velocity has an effect now: it stands or walks, and no other command waits."""
         state = self._state
         return not (state.sits or state.moves or self._wanted or self._next_gait or self.lost)
 
     @property
     def pose(self) -> Pose:
-        """The angles of all legs that are not lost, as the latest step has left them."""
+        """The angles of all legs that are not lost, after the latest step."""
         return {leg: angles for leg, angles in self._state.pose.items() if leg not in self.lost}
 
     @property
     def whole_pose(self) -> Pose:
-        """The same of all six; of a lost leg as it was commanded last."""
+        """The angles of all six legs; of a lost leg the last commanded."""
         return dict(self._state.pose)
 
     @property
@@ -263,12 +263,12 @@ class Engine:
 
     @property
     def velocity(self) -> Velocity:
-        """At which it moves now."""
+        """Its present velocity over the ground."""
         return self._state.velocity
 
     @property
     def stance(self) -> Stance:
-        """In which it stands and walks."""
+        """The stance in which it stands and walks."""
         return self._stance
 
     @property
@@ -278,12 +278,12 @@ class Engine:
 
     @property
     def feet(self) -> Mapping[int, Vector]:
-        """Where they are, in the ground frame."""
+        """The positions of the feet, in the ground frame."""
         return self._state.feet
 
     @property
     def standing(self) -> frozenset[int]:
-        """The legs whose feet carry: on the ground, and not about to leave it."""
+        """The legs that carry: their feet are on the ground, and not about to leave it."""
         state = self._state
         move = state.moves[0] if state.moves else None
         away = set(state.swings) | (set() if move is None or isinstance(move, Shift) else set(move.paths))
@@ -292,7 +292,7 @@ class Engine:
     # ---- postures
 
     def _begin_what_is_wanted(self) -> None:
-        """Once it stands still: another gait, then the way to another posture."""
+        """Once it stands still, change the gait, then begin the way to another posture."""
         state = self._state
         if state.swings or state.velocity.moves or state.moves or self.lost:
             return
@@ -307,7 +307,7 @@ class Engine:
             state.sits, state.part = wanted is None, 0.0
 
     def _step_within_reach(self) -> None:
-        """A foot that the gait before left outside this one's disc is stepped back: no velocity would ever lift it."""
+        """Step feet back that the former gait left outside this one's discs: no velocity would ever lift them."""
         state = self._state
         outside = any(math.dist(state.feet[leg], rest) > self._within_m for leg, rest in self._stance.feet.items())
         if outside and not state.sits:
@@ -321,7 +321,7 @@ class Engine:
             state.moves, state.part = (lowered(state.feet, hanging),), 0.0
 
     def _stand_still(self, why: str) -> None:
-        """Nothing moves any more than it has."""
+        """End all motion, for the reason `why`."""
         state = self._state
         state.velocity, state.moves, state.part = STILL, (), 0.0
         self.limit, self._stuck = why, True
@@ -336,7 +336,7 @@ class Engine:
             return
         move = state.moves[0]
         state.part = min(1.0, state.part + seconds / move.seconds)
-        state.follow(self.robot, move, state.part)  # what lost legs were to do was left out by `halt`
+        state.follow(self.robot, move, state.part)  # `halt` has left out the lost legs
         if state.part == 1.0:
             state.moves, state.part = state.moves[1:], 0.0
 
@@ -365,7 +365,7 @@ class Engine:
         gait, velocity = self._gait, state.velocity
         left = carried(swing.left, velocity, seconds)
         part = min(swing.part + seconds / gait.swing_s, 1.0)
-        if across(swing.part) == 1.0:  # whatever the velocity becomes, it comes down where it is
+        if across(swing.part) == 1.0:  # above its landing place: it comes straight down
             x, y, _ = carried(state.feet[leg], velocity, seconds)
         else:
             landing = carried(self._stance.feet[leg], velocity, -gait.stance_s / 2)
@@ -379,7 +379,7 @@ class Engine:
         state.swings[leg] = Swing(left, part)
 
     def _lift(self, state: _State) -> None:
-        """The feet whose time has come, if the others carry the robot; else they wait."""
+        """Lift the feet that are due, if the others carry the robot; else they wait."""
         due = [leg for leg in LEGS if leg not in state.swings and self._is_due(leg, state.clock)]
         if not due:
             return
@@ -440,7 +440,7 @@ class Engine:
         return True
 
     def _fastest(self, before: Pose, after: Pose, seconds: float) -> float:
-        """The fastest servo's speed, as a part of what it may do."""
+        """The fastest servo's speed, as a part of its limit."""
         most = 0.0
         for leg, angles in after.items():
             for joint, (old, new) in enumerate(zip(before[leg], angles, strict=True), start=1):
@@ -450,7 +450,7 @@ class Engine:
         return most
 
     def _report(self, target: Velocity, cap: float, pace: float, seconds: float) -> None:
-        """Servos are too slow at some moments of a stride only: the slowest of them counts for a stride."""
+        """Servos are too slow in a few moments of a stride only: the slowest moment counts for a stride."""
         self._pace = min(pace, self._pace + (1 - self._pace) * seconds / self._gait.period_s)
         self.scaled = target.times(cap * self._pace)
         if not target.moves:
@@ -464,7 +464,7 @@ class Engine:
 
 
 def _needs_s(change: Velocity) -> float:
-    """How long a change takes."""
+    """How many seconds a change of velocity takes."""
     return max(math.hypot(change.forward_m_s, change.left_m_s) / SLEW_M_S2, abs(change.turn_rad_s) / SLEW_RAD_S2)
 
 

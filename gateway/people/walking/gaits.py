@@ -1,7 +1,7 @@
 """The gaits: when each leg swings. Pure.
 
-A further one is a line in the table, and has to be offered: `console/page/index.html` has a choice for each,
-`tools/walk/screen.py` a key, `bridge/motions.py` a number.
+Another gait is a line in the table, a choice in `console/page/index.html`, a key in `tools/walk/screen.py` and a number
+in `bridge/motions.py`.
 """
 
 from typing import Final, NamedTuple
@@ -16,18 +16,18 @@ class Gait(NamedTuple):
     period_s: float
     """Of a stride: one swing and one stance of each leg."""
     duty: float
-    """The part of it for which a leg stands."""
+    """The part of a stride in which a leg stands."""
     lifts: tuple[float, float, float, float, float, float]
     """When legs 1 to 6 lift off."""
 
     @property
     def swing_s(self) -> float:
-        """How long a foot is in the air."""
+        """How long a foot is in the air in a stride, in seconds."""
         return (1 - self.duty) * self.period_s
 
     @property
     def stance_s(self) -> float:
-        """For how long of a stride a foot stands, in seconds."""
+        """How long a foot stands in a stride, in seconds."""
         return self.duty * self.period_s
 
 
@@ -37,14 +37,14 @@ GAITS: Final = {
     "ripple": Gait(1.80, 0.70, (4 / 6, 1 / 6, 2 / 6, 5 / 6, 0 / 6, 3 / 6)),
     "wave": Gait(3.20, 0.85, (2 / 6, 5 / 6, 1 / 6, 4 / 6, 0 / 6, 3 / 6)),
 }
-"""A duty a little above 1/2, 2/3 or 5/6 leaves a moment in which the load passes from foot to foot."""
+"""A duty slightly above 1/2, 2/3 or 5/6 leaves time for the load to pass from foot to foot."""
 
 TRIPODS: Final = ((1, 4, 5), (2, 3, 6))
-"""Two halves of the robot, each of which stands by itself: front and rear leg of one side, middle one of the other."""
+"""The robot can stand on each: front and rear leg of one side, middle leg of the other."""
 
 
 def gait(name: str) -> Gait:
-    """Raises WalkError for a name that is none."""
+    """The gait of this name. Raises WalkError if there is none."""
     try:
         return GAITS[name]
     except (KeyError, TypeError):

@@ -32,7 +32,7 @@ Angles = tuple[float, float, float]
 """Of a leg's joints 1, 2 and 3; in radians here, in degrees where servos are meant."""
 
 _OFF: Final = 0.02
-"""Radians by which an axis may differ from the shape that has a closed form; Newton's method makes up for it."""
+"""Radians by which an axis may differ from the closed form's shape; Newton's method corrects it."""
 _CLOSE_M: Final = 1e-9
 _ITERATIONS: Final = 8
 _PARALLEL: Final = 1e-12
@@ -52,7 +52,7 @@ class Limb:
     """One leg's chain of three joints."""
 
     def __init__(self, geometry: Geometry, leg: int) -> None:
-        """Raises WalkError for a chain that has not the shape above."""
+        """Raises WalkError for a chain without the shape above."""
         self.leg = leg
         mount = geometry.leg_mounts[leg]
         self._mount_m = mount.xyz_m
@@ -65,7 +65,7 @@ class Limb:
         self._plan()
 
     def forward(self, joints_rad: Angles) -> Reach:
-        """Where its joints and its foot are, in the body's frame."""
+        """The positions of its joints and its foot, in the body's frame."""
         turn, at_m = self._mount_turn, self._mount_m
         joints_m, axes = [], []
         for origin_m, fixed, axis, angle in zip(self._origins_m, self._turns, self._axes, joints_rad, strict=True):

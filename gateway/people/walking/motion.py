@@ -12,12 +12,12 @@ from gateway.geometry.kinematics import Vector, from_rpy
 from gateway.people.walking.vectors import Matrix, apply, back, matrix
 
 ABSURD: Final = 10.0
-"""m/s or rad/s: no walking robot does that, so it is a mistake in units and is not scaled down."""
+"""m/s or rad/s: no walking robot is so fast, so it is a mistake in units, which is rejected."""
 _STRAIGHT: Final = 1e-9
 
 
 class Velocity(NamedTuple):
-    """Of the body over the ground."""
+    """The body's velocity over the ground."""
 
     forward_m_s: float = 0.0
     left_m_s: float = 0.0
@@ -26,7 +26,7 @@ class Velocity(NamedTuple):
 
     @classmethod
     def checked(cls, forward_m_s: float, left_m_s: float, turn_rad_s: float) -> Self:
-        """Raises WalkError where one is no number, not finite or absurd."""
+        """A velocity from a program. Raises WalkError unless all are finite numbers up to ABSURD."""
         for name, value in (("forward_m_s", forward_m_s), ("left_m_s", left_m_s), ("turn_rad_s", turn_rad_s)):
             if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
                 raise WalkError(f"{name} is {value!r}; a velocity is a finite number")
@@ -36,7 +36,7 @@ class Velocity(NamedTuple):
 
     @property
     def moves(self) -> bool:
-        """Whether it is any motion at all."""
+        """Whether it is not zero."""
         return any(self)
 
     def times(self, factor: float) -> "Velocity":
@@ -48,7 +48,7 @@ STILL: Final = Velocity()
 
 
 def travelled(velocity: Velocity, seconds: float) -> tuple[float, float, float]:
-    """Where the body is after so long, in its first ground frame: x and y in metres, heading in radians."""
+    """Where the body is after this time, in its first ground frame: x and y in metres, heading in radians."""
     forward, left, turn = velocity
     heading = turn * seconds
     if abs(heading) < _STRAIGHT:
@@ -58,7 +58,7 @@ def travelled(velocity: Velocity, seconds: float) -> tuple[float, float, float]:
 
 
 def carried(point: Vector, velocity: Velocity, seconds: float) -> Vector:
-    """Where a point that rests on the ground is in the ground frame so much later (or earlier: seconds below 0)."""
+    """Where a point that rests on the ground is in the ground frame after this time (before it: seconds below 0)."""
     x, y, heading = travelled(velocity, seconds)
     cosine, sine = math.cos(heading), math.sin(heading)
     ahead, aside = point[0] - x, point[1] - y

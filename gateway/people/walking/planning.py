@@ -1,4 +1,4 @@
-"""Which way a robot takes from one posture to another: the first of several plans that its legs can follow. Pure."""
+"""The way from one posture to another: the first of several plans that the legs can follow. Pure."""
 
 import math
 from collections.abc import Iterable, Iterator, Sequence
@@ -14,18 +14,18 @@ from gateway.people.walking.ways import ON_GROUND_M, Bend, Figure, Move, Shift, 
 from schemas.robot import LEGS
 
 RAISED_M: Final = 0.02
-"""How high the feet of a lying robot are when its legs are started: they push against nothing."""
+"""The height of a lying robot's feet at the start of its legs, so that they push against nothing."""
 _SAMPLES: Final = 8
-"""Of a move, when a plan is tried."""
+"""The samples of a move in the check of a plan."""
 _SAME_DEG: Final = 2.0
-"""By which a plan's first pose may differ from the present one: more, and the leg is bent the other way."""
+"""How far a plan's first pose may differ from the present one; beyond it the leg is bent the other way."""
 
 
 class Planner:
     """Plans motions for one robot's geometry and limits."""
 
     def __init__(self, robot: Robot) -> None:
-        """Raises WalkError where it cannot sit."""
+        """Raises WalkError if the robot cannot sit."""
         self._robot = robot
         self._seat = robot.stance(BodyPose(robot.lying_m), walks=False)
         feet = {leg: (x, y, RAISED_M) for leg, (x, y, _) in self._seat.feet.items()}
@@ -33,11 +33,9 @@ class Planner:
         self._rest.place(robot, LEGS)
 
     def found(self, pose: Pose) -> Figure:
-        """How it is found, with the moves that bring its legs in order.
+        """The figure of a robot whose running legs have this `pose`, with the moves that bring its legs in order.
 
-        `pose`: of the legs that run; the others are slack, and may be anywhere.
-
-        The ground is where the lowest feet are, if they carry the robot. Else it lies on it.
+        Its other legs are slack and may be anywhere. If its lowest feet carry it, they are on the ground; else it lies.
         """
         if not pose:
             return self._rest.copy()
@@ -56,7 +54,7 @@ class Planner:
         return Figure(body, feet, whole, tuple(self._folded(whole)), sits=True)
 
     def way(self, begin: Figure, stance: Stance | None) -> tuple[Move, ...]:
-        """From there to a stance; None: to the seat."""
+        """The moves from `begin` to a stance; None: to the seat. Raises WalkError if there is no way."""
         goal = stance or self._seat
         for plan in self._plans(begin, goal):
             if self._works(begin, plan):
@@ -70,7 +68,7 @@ class Planner:
     # ---- the plans
 
     def _plans(self, figure: Figure, goal: Stance) -> Iterator[list[Move]]:
-        """Feet that hang are lowered; then up or down to a height at which all can step, the steps, and the pose."""
+        """Lower hanging feet; then go to a height at which all feet can step, step, and take the pose."""
         body, feet = figure.body, figure.feet
         hanging = [leg for leg in LEGS if feet[leg][2] > 0.0]
         begin = [lowered(feet, hanging)] if hanging else []
@@ -91,7 +89,7 @@ class Planner:
             yield [*bent, *shift(near.body, level), *further, *shift(level, goal.body)]
 
     def _bent(self, pose: Pose, stance: Stance) -> Iterator[Move]:
-        """Three legs at a time to a place above their feet's, joint by joint, and down."""
+        """Three legs at a time: joint by joint to above their places, and down."""
         above = {leg: (x, y, LIFT_M) for leg, (x, y, _) in stance.feet.items()}
         wanted = Figure(stance.body, above, {})
         wanted.place(self._robot, LEGS)
@@ -100,7 +98,7 @@ class Planner:
             yield lowered(above, tripod)
 
     def _folded(self, pose: Pose) -> Iterator[Move]:
-        """Three legs at a time to where a lying robot has them."""
+        """Three legs at a time to the pose of a lying robot."""
         rest = self._rest.pose
         first, second = TRIPODS
         yield Bend({leg: (pose[leg], rest[leg]) for leg in first})

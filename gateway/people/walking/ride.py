@@ -1,22 +1,22 @@
-"""One ride, from a driver's first word until nothing runs by it. Pure: time is an argument.
+"""One ride, from a driver's first command until all its legs are stopped. Pure: time is an argument.
 
 A shell (a program's walk, the console's, the bridge's) has the thread, the connection and the clock. It calls `next`,
-does what that returns, and reports what became of it: `sent`, `found`, `stopped`, `failed` or `ended`.
+carries out the result, and reports the outcome: `sent`, `found`, `stopped`, `failed` or `ended`.
 
 | phase | what runs | leaves it by |
 |---|---|---|
-| RESTS | nothing | a word: STARTS |
+| RESTS | nothing | a command: STARTS |
 | STARTS | legs that ran already, and one more each `START_PAUSE_S`; no leg that runs moves | the sixth: RUNS |
-| RUNS | all six, by the walker | silence, and it lies: ENDS |
-| HALTED | some; somebody has stopped the others. Feet in the air are put down, and nothing moves | `start_again` |
+| RUNS | all six, by the walker | silence, after it has sat down: ENDS |
+| HALTED | some; somebody stopped the others. Feet in the air are put down, and nothing moves | `start_again` |
 | FAILED | nothing is sent; the gateway's watchdog stops what runs | `start_again` |
 | ENDS | nothing is sent; the shell stops what runs | `ended`: RESTS |
 
-- A leg starts where it was stopped only while exactly the others run by the gateway's newest state and carry the body.
-  Else it has sunk: all is stopped, and begins anew from lying.
-- No word is used twice. `hold_s` after the newest one the robot finishes its step and stands, `rest_s` after it sits
-  down, and is stopped. What ended a walk (silence, an error, a seat) uses up the newest press: only a newer one moves
-  the robot. A program has no presses; its are `start_again` and its next call.
+- A leg starts where it was stopped only if, by the gateway's newest state, exactly the others run, and they carry the
+  body. Otherwise the body has sunk: all legs are stopped, and it begins anew from lying.
+- No command is used twice. `hold_s` after the newest one the robot finishes its step and stands, `rest_s` after it the
+  robot sits down and is stopped. The end of a walk (silence, an error, sitting down) uses up the newest press: only a
+  newer one moves the robot. Programs have `start_again` and their next call in place of presses.
 """
 
 import math
@@ -38,26 +38,26 @@ _ALL: Final = frozenset(LEGS)
 
 
 class Silences(NamedTuple):
-    """How many seconds each kind of silence may last before it has an effect."""
+    """How many seconds each kind of silence may last."""
 
     hold_s: float = HOLD_S
-    """After a word: then the robot stands, and the word's press is used up."""
+    """After a command: then the robot stands, and the command's press is used up."""
     rest_s: float = REST_S
-    """After a word, and while it stands: then it sits down, and is stopped."""
+    """After a command, while the robot stands: then it sits down and is stopped."""
     idle_s: float = math.inf
-    """After a press, or a wish that moves, while a driver goes on wishing: then it sits down, too."""
+    """After a press, or a wish that moves, although wishes continue: then it sits down as well."""
     halted_s: float = math.inf
-    """After a word, where it cannot sit, since a leg is lost: then it is stopped as it stands."""
+    """After a command, if it cannot sit because a leg is lost: then it is stopped as it stands."""
 
 
 class Wish(NamedTuple):
-    """What a driver wants who says so again and again; each is complete. `press` grows with each push of a button."""
+    """A driver's complete wish, which it repeats. `press` counts the pushes of buttons."""
 
     press: int
     velocity: Velocity = STILL
     gait: str = "tripod"
     height_m: float | None = None
-    """None: the usual one."""
+    """The body's height; None: the usual one."""
     sits: bool = False
 
 
@@ -65,7 +65,7 @@ USUAL_SILENCES: Final = Silences()
 
 
 class Phase(Enum):
-    """See the module."""
+    """The phases of a ride: see the module's table."""
 
     RESTS = auto()
     STARTS = auto()
@@ -76,23 +76,23 @@ class Phase(Enum):
 
 
 class RideTask(Enum):
-    """What the shell does next."""
+    """What the shell does next; see `RideStep`."""
 
     WAIT = auto()
-    """Until `look_s`, or until it has something to report."""
+    """Wait until `look_s`, or until there is something to report."""
     FIND = auto()
     """Ask the gateway for its state, and call `found`."""
     SEND = auto()
-    """The pose. A leg in it that has not run is started, and acknowledged; then call `sent`."""
+    """Send the pose, start its legs that do not run yet (acknowledged), and call `sent`."""
     STOP = auto()
-    """Stop the legs that run by it, and call `ended`."""
+    """Stop the ride's legs, and call `ended`."""
 
 
 _NO_LEGS: Final[Pose] = {}
 
 
 class RideStep(NamedTuple):
-    """What to do, and when to look again."""
+    """What to do, and when to call `next` again at the latest (monotonic seconds)."""
 
     do: RideTask
     pose: Pose = _NO_LEGS
@@ -112,32 +112,32 @@ class Ride:
         once: bool = False,
         now_s: float = 0.0,
     ) -> None:
-        """`running`: legs that run already, in degrees; all six are held at once, since their watchdog waits.
+        """`running`: legs that run already, in degrees; if all six do, they are held at once for their watchdog.
 
-        `once`: over for good when it has sat down, or failed. Raises WalkError.
+        `once`: over for good after it has sat down or failed. Raises WalkError.
         """
         self._once = once
         self._silences = silences
         self.phase = Phase.RESTS
         self.error: GatewayError | None = None
-        """What has ended it, until `start_again` has succeeded."""
+        """The error that ended it, until `start_again` has succeeded."""
         self.over = False
-        """Its driver is silent, or wants no more, and nothing runs by it. A word goes on, unless it was for once."""
+        """Its driver is silent or has left, and its legs are stopped. A command continues, unless `once`."""
         self.detail = ""
-        """Why the newest press moves nothing; for people."""
+        """Why the newest press moves nothing: a sentence for people."""
         self.spent = -1
         """The newest press that is used up."""
         self._press = -1
         self._obeyed: Wish | None = None
-        """The newest that moved something; None: whatever comes next is new."""
+        """The newest wish that was obeyed; None: the next counts as changed."""
         self._leaving = False
         self._wants_again = False
         self._takes_over = running is not None and running.keys() == _ALL
-        """Nobody has said a word: it begins only if all six still run."""
+        """Without a command so far it begins only if all six still run."""
         self._found = False
         """Whether the gateway was asked who runs, since the legs were last at rest."""
         self._ours = False
-        """Whether legs may run by it."""
+        """Whether legs that it started may run."""
         self._running: frozenset[int] = frozenset()
         self._sent: dict[int, Angles] = {}
         """Where each leg was sent last."""
@@ -147,7 +147,7 @@ class Ride:
         if self._takes_over:
             self.phase = Phase.STARTS
 
-    # ---- words of its driver; each raises `error`, or WalkError for what these legs cannot do
+    # ---- its driver's commands; each raises `error`, or WalkError for what these legs cannot do
 
     def go(self, velocity: Velocity, now_s: float) -> None:
         """Walk at this velocity for `hold_s`; a robot that lies stands up first."""
@@ -156,7 +156,7 @@ class Ride:
         self._wanted(now_s)
 
     def stand(self, body: BodyPose | None, now_s: float) -> None:
-        """End the walk, and stand so (None: as before)."""
+        """End the walk, and stand at this pose (None: as before)."""
         self._check()
         engine = self._walker.engine
         self._walker.stand(None if body is None else engine.robot.stance(body), now_s)
@@ -169,11 +169,11 @@ class Ride:
         self._wanted(now_s)
 
     def walk_as(self, gait: str, now_s: float) -> None:
-        """Another gait; a walk pauses for the change."""
+        """Change the gait; a walk pauses meanwhile."""
         self._walker.walk_as(gait, now_s)
 
     def wish(self, wish: Wish, now_s: float) -> None:
-        """Do what has changed. A wish whose press is used up only shows that its driver is there. Raises nothing."""
+        """Carry out what has changed. With a used press it only shows that the driver is there. Raises nothing."""
         self.look(now_s)
         self._said_s = now_s
         if wish.press > self._press:
@@ -192,26 +192,26 @@ class Ride:
             self._spend(str(error))
 
     def leave(self, now_s: float) -> None:
-        """Its driver wants no more: sit down now, and move nothing after that."""
+        """The driver leaves: sit down now, and move nothing after that."""
         if not self._leaving:
             self._leaving = True
             self._sit_down(now_s)
 
     def start_again(self) -> None:
-        """A person says that it may go on after an error. Nothing starts by it but legs that were lost."""
+        """Go on after an error, by a person's decision. Only lost legs are started."""
         self._wants_again = self.error is not None and not (self._once and self.over)
 
     # ---- what the shell does
 
     def next(self, now_s: float) -> RideStep:
-        """What to do now. A step that moves is taken by the walker."""
+        """What to do now. The walker makes each step that moves."""
         self.look(now_s)
         if self._wants_again:
             return RideStep(RideTask.STOP if self.phase is Phase.FAILED and self._ours else RideTask.FIND)
         pose = _NO_LEGS
         if self.phase in (Phase.RUNS, Phase.HALTED):
             pose = self._walker.tick(now_s)
-            self.look(now_s)  # it may have sat down by this
+            self.look(now_s)  # it may have sat down by this tick
         elif self.phase is Phase.STARTS and not self._found:
             return RideStep(RideTask.FIND)
         elif self.phase is Phase.STARTS:
@@ -226,7 +226,7 @@ class Ride:
         return RideStep(RideTask.SEND, pose)
 
     def look(self, now_s: float) -> None:
-        """Notice a silence. Once it is over its legs are to be stopped, if any run."""
+        """Apply the silences. When the ride is over, its running legs are to be stopped."""
         silent_s = now_s - self._said_s
         if silent_s > self._silences.hold_s:
             self.spent = max(self.spent, self._press)
@@ -243,7 +243,7 @@ class Ride:
                 self.over = True
 
     def found(self, robot: Robot, running: Pose, now_s: float) -> None:
-        """The gateway's newest state: these legs run, at these angles. Asked for by `next`. Raises WalkError."""
+        """By the gateway's newest state these legs run, at these angles; the answer to FIND. Raises WalkError."""
         engine = self._walker.engine
         if not self._wants_again:
             if running or engine.posture not in DOWN:
@@ -271,9 +271,9 @@ class Ride:
                 self._walker.engine.resume()
 
     def stopped(self, error: StoppedError, running: Iterable[int]) -> frozenset[int]:
-        """`error` states that legs were stopped; `running`: which run by the gateway's state, asked after it.
+        """Legs were stopped. `running`: those that run by the gateway's state, asked for after `error`.
 
-        Returns the legs that stand still from now on; none: it has failed.
+        Returns the legs that stand still from now on; none: the ride has failed.
         """
         engine = self._walker.engine
         left = (self._running & frozenset(running)) - frozenset(error.legs)
@@ -290,32 +290,32 @@ class Ride:
         return left
 
     def failed(self, error: GatewayError) -> None:
-        """Nothing is sent any more: what runs is stopped by the gateway, or was."""
+        """Send nothing more: the gateway stops what still runs."""
         self._ends_by(error)
         self.phase = Phase.FAILED
         self.over = self._once
 
     def not_again(self, error: Exception) -> None:
-        """It could not start again, and remains as it was."""
+        """`start_again` has failed; the ride stays as it was."""
         self._wants_again = False
         self._spend(str(error))
 
     def ended(self) -> None:
-        """The legs that ran by it are stopped. A word that came meanwhile goes on."""
+        """Its legs are stopped. A command that came meanwhile starts it again."""
         self._ours, self._found, self._running = False, False, frozenset()
         if self.phase is Phase.ENDS:
             self.phase = Phase.RESTS if self.over else Phase.STARTS
 
-    # ---- what it does
+    # ---- its state
 
     @property
     def wants_again(self) -> bool:
-        """Whether `start_again` was called, and what came of it is not known yet."""
+        """Whether `start_again` was called, and its outcome is not known yet."""
         return self._wants_again
 
     @property
     def silences(self) -> Silences:
-        """As they are; may be changed at any time."""
+        """Its times; may be changed at any time."""
         return self._silences
 
     @silences.setter
@@ -325,7 +325,7 @@ class Ride:
 
     @property
     def posture(self) -> Posture:
-        """What the robot is doing; never that it stands or moves while nothing runs, or is about to start."""
+        """The robot's posture; standing or moving only while legs run or are being started."""
         posture = self._walker.engine.posture
         if self.phase is Phase.FAILED:
             return Posture.HALTED
@@ -333,17 +333,17 @@ class Ride:
 
     @property
     def robot(self) -> Robot:
-        """Within the limits that were in force when it began."""
+        """The robot, with the limits that were in force when it began."""
         return self._walker.engine.robot
 
     @property
     def body(self) -> BodyPose:
-        """In which it stands and walks."""
+        """The pose in which it stands and walks."""
         return self._walker.engine.stance.body
 
     @property
     def state(self) -> WalkState:
-        """What it is doing."""
+        """See `WalkState`; after a StoppedError with its legs as `lost`."""
         state = self._walker.state._replace(posture=self.posture)
         if isinstance(self.error, StoppedError):
             return state._replace(lost=self.error.legs)
@@ -387,7 +387,7 @@ class Ride:
         return {leg: pose[leg] for leg in sorted(legs)}
 
     def _sit_down(self, now_s: float) -> None:
-        """The newest press is used up. What has not stood up yet, or cannot sit, is stopped."""
+        """Use up the newest press. A robot that has not stood up yet, or cannot sit, is stopped."""
         self._spend("")
         stood = self.phase is Phase.STARTS and (self._running == _ALL or bool(self._walker.engine.lost))
         if self.phase is Phase.RUNS or stood:

@@ -1,4 +1,4 @@
-"""A robot as its walker knows it: the geometry, each servo's range and speed, and where its feet can be. Pure."""
+"""The robot for its walker: geometry, range and speed of each servo, and where its feet can be. Pure."""
 
 import math
 from collections.abc import Mapping
@@ -18,14 +18,14 @@ from schemas.telemetry import LimitsReport, ServoLimitsReport
 
 
 class Range(NamedTuple):
-    """One servo, in degrees as commands name them."""
+    """The range of one servo, in the degrees of commands."""
 
     min_deg: float = 0.0
     max_deg: float = 180.0
     max_speed_deg_s: float = math.inf
 
     def within(self, other: "Range") -> "Range":
-        """The limits that both allow."""
+        """The range that both allow."""
         return Range(
             max(self.min_deg, other.min_deg),
             min(self.max_deg, other.max_deg),
@@ -38,31 +38,31 @@ class Stance(NamedTuple):
 
     body: BodyPose
     feet: Mapping[int, Vector]
-    """In the ground frame."""
+    """Where they rest, in the ground frame."""
     radius_m: float
-    """Of the disc around each foot's place in which it stays, on the ground and while it is lifted."""
+    """Of the disc around its resting place in which each foot stays, on the ground and lifted."""
     why: str = ""
-    """What keeps the discs from being larger."""
+    """The limit that keeps the discs from being larger."""
 
     def check_walks(self) -> None:
-        """Raises WalkError where its feet have no room for a stride."""
+        """Raises WalkError if its feet have no room for a stride."""
         if self.radius_m < LEAST_RADIUS_M:
             raise WalkError(f"its limits leave it no stride {_pose(self.body)}: {self.why}")
 
 
 Pose = Mapping[int, Angles]
-"""Angles of legs in degrees, as commands name them."""
+"""Angles of legs, in the degrees of commands."""
 
 LIFT_M: Final = 0.035
 STRIDE_RADIUS_M: Final = 0.055
-"""A foot goes at most so far from where it rests; longer strides make the legs of the Elkapod touch."""
+"""How far a foot goes from where it rests; with longer strides the legs of the Elkapod touch."""
 LEAST_RADIUS_M: Final = 0.008
 """With less it would only shuffle."""
 _SPARE_DEG: Final = 0.5
 """Of a joint's limits, kept free in the disc."""
 _REACH_STEP_M: Final = 0.01
 _HEIGHT: Final = 0.7
-"""Of the height at which the femur is level and the tibia upright: the one at which it stands if no other is named."""
+"""The usual height, as a part of that at which the femur is level and the tibia upright."""
 _DIRECTIONS: Final = tuple((math.cos(angle), math.sin(angle)) for angle in (math.tau * k / 12 for k in range(12)))
 _HALVINGS: Final = 6
 _CLEARANCE_M: Final = 0.003
@@ -86,11 +86,11 @@ class Robot:
         """How far from its mount a foot may rest: below the knee or further out. A short one needs the least force."""
         shoulder_m = (max(heights_m) + min(heights_m)) / 2 + geometry.joints[0].origin_xyz_m[2]
         self.usual_m = round(max(_HEIGHT * (tibia_m - shoulder_m), self.lying_m), 3)
-        """The height at which it stands if no other is named."""
+        """The height at which it stands by default."""
         self.stance = lru_cache(maxsize=16)(self._stance)
 
     def angles_deg(self, leg: int, foot_m: Vector, spare_deg: float = 0.0) -> Angles:
-        """The servos' angles that put a foot there (body's frame). Raises WalkError, which names the limit."""
+        """The servos' angles for this foot position (body's frame). Raises WalkError, which names the limit."""
         joints_rad = self.limbs[leg].inverse(foot_m)
         first, second, third = (
             self._angle_deg(10 * leg + joint, angle_rad, spare_deg)
@@ -110,9 +110,9 @@ class Robot:
         return self.limbs[leg].forward(self.joints_rad(leg, angles_deg)).foot_m
 
     def _stance(self, body: BodyPose, *, walks: bool = True) -> Stance:
-        """Where its feet rest at this pose, so that they reach far around. Raises WalkError where they cannot.
+        """Where its feet rest at this pose with the largest discs. Raises WalkError if they cannot.
 
-        With `walks` they need room for a stride; without, they need only stand.
+        With `walks` they need room for a stride; without, they only stand.
         """
         if not all(map(math.isfinite, body)):
             raise WalkError("a height and a leaning are finite numbers")
@@ -128,7 +128,7 @@ class Robot:
                 fits.append((reach_m, feet))
                 self._check(body, feet, wanted_m)
             except WalkError as error:
-                why = why or error  # the first belongs to the place that needs the least force
+                why = why or error  # the first is of the place that needs the least force
             else:
                 return Stance(body, MappingProxyType(feet), wanted_m)
         if not fits:
@@ -169,7 +169,7 @@ class Robot:
                     self.angles_deg(leg, body.seen(point, turn), _SPARE_DEG)
 
     def _range(self, servo_id: int, ranges: Mapping[int, Range]) -> Range:
-        """The servo's own, and what the joint allows."""
+        """The range that the servo and the joint allow."""
         servo = self.geometry.servos[servo_id]
         ends = [servo.servo_deg(limit) for limit in self.geometry.joints[servo_id % 10 - 1].limits_rad]
         joint = Range(min(ends), max(ends), MAX_SPEED_DEG_S)
@@ -201,14 +201,14 @@ _FULL_DEG = 180.0
 
 
 def ranges(limits: LimitsReport, calibration: Calibration | None) -> dict[int, Range]:
-    """Of each servo, in degrees as commands name them; a speed that is not limited is that of a usual servo."""
+    """The range of each servo, in the degrees of commands; without a limit the speed is that of a usual servo."""
     return {servo_id: _range(str(servo_id), limits, calibration) for servo_id in SERVO_IDS}
 
 
 def check_mirrored_once(geometry: Geometry, calibration: Calibration | None) -> None:
-    """Raises WalkError where both turn the same joint round on some legs: those would go the wrong way.
+    """Raises WalkError if both invert the same joint of some legs, which would then move the wrong way.
 
-    A zero that is wrong cannot be noticed: nothing but the file states where it is.
+    A wrong zero cannot be noticed: only the file states it.
     """
     if calibration is None:
         return

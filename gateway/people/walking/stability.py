@@ -1,6 +1,6 @@
-"""Whether a robot on some feet falls: its centre of mass above the polygon of the feet that stand. Pure.
+"""Whether a robot falls: its centre of mass and the polygon of its standing feet. Pure.
 
-The masses are assumptions (geometry/masses.py): each part's is taken in its middle.
+The masses are assumptions (geometry/masses.py), each in the middle of its part.
 """
 
 import math
@@ -22,7 +22,7 @@ MARGIN_M: Final = 0.010
 
 
 def centre_of_mass(robot: Robot, body: BodyPose, joints_rad: Mapping[int, Angles], masses: Masses = MASSES) -> Vector:
-    """In the ground frame, in metres."""
+    """The centre of mass in the ground frame, in metres."""
     mounts = [mount.xyz_m for mount in robot.geometry.leg_mounts.values()]
     low, high = (tuple(limit(axis) for axis in zip(*mounts, strict=True)) for limit in (min, max))
     moment = scaled(((low[0] + high[0]) / 2, (low[1] + high[1]) / 2, (low[2] + high[2]) / 2), masses.body_kg)

@@ -12,7 +12,7 @@ Matrix = tuple[Vector, Vector, Vector]
 
 
 def scaled(vector: Vector, factor: float) -> Vector:
-    """`vector`, `factor` times as long."""
+    """`vector` times `factor`."""
     return vector[0] * factor, vector[1] * factor, vector[2] * factor
 
 
@@ -41,14 +41,14 @@ def apply(matrix: Matrix, vector: Vector) -> Vector:
 
 
 def back(matrix: Matrix, vector: Vector) -> Vector:
-    """`vector` before the rotation: by its inverse, which is the transpose."""
+    """`vector` before the rotation: apply its inverse, the transpose."""
     (a, b, c), (d, e, f), (g, h, i) = matrix
     x, y, z = vector
     return a * x + d * y + g * z, b * x + e * y + h * z, c * x + f * y + i * z
 
 
 def product(first: Matrix, second: Matrix) -> Matrix:
-    """The rotation that is `second` in the frame that `first` has turned."""
+    """The matrix product: `second` in the frame that `first` has rotated."""
     (a, b, c), (d, e, f), (g, h, i) = second
     rows = [(x * a + y * d + z * g, x * b + y * e + z * h, x * c + y * f + z * i) for x, y, z in first]
     return rows[0], rows[1], rows[2]
@@ -69,14 +69,14 @@ def turned(axis: Vector, angle: float) -> Matrix:
 
 
 def perpendicular(axis: Vector) -> Vector:
-    """A unit vector across `axis`."""
+    """A unit vector perpendicular to `axis`."""
     other = (1.0, 0.0, 0.0) if abs(axis[0]) < 0.9 else (0.0, 1.0, 0.0)
     found = minus(other, scaled(axis, dot(other, axis)))
     return scaled(found, 1 / math.sqrt(dot(found, found)))
 
 
 def angle_about(axis: Vector, begin: Vector, end: Vector) -> float:
-    """By which angle `begin` turns about `axis` to `end`; both are across it."""
+    """The angle in radians by which `begin` turns about `axis` to `end`; both are perpendicular to it."""
     return math.atan2(dot(axis, cross(begin, end)), dot(begin, end))
 
 

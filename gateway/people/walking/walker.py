@@ -1,6 +1,6 @@
-"""What drives the engine by the clock, and stops by itself when its own driver falls silent. Pure: time is an argument.
+"""Drives the engine by the clock, and stops by itself when its driver is silent. Pure: time is an argument.
 
-It takes for granted that all six legs run; `Ride` decides about those.
+It assumes that all six legs run; `Ride` starts and stops them.
 
 - A velocity holds for `hold_s`. Then the robot finishes its step and stands.
 - Without any command for `rest_s` the robot sits down; after that `is_over`, and the servos may be stopped.
@@ -13,23 +13,23 @@ from gateway.people.walking.motion import STILL, Velocity
 from gateway.people.walking.robot import Pose, Robot, Stance
 
 HOLD_S: Final = 0.5
-"""As diff_drive_controller and twist_mux have it."""
+"""As in diff_drive_controller and twist_mux."""
 REST_S: Final = 10.0
 """Servos that hold a robot up get hot."""
 LONGEST_S: Final = 30.0
-"""No way to a posture takes so long, with servos ten times slower than usual ones."""
+"""Longer than any way to a posture, even with servos ten times slower than usual."""
 
 
 class WalkState(NamedTuple):
-    """What a walk is doing."""
+    """The state of a walk."""
 
     posture: Posture
     gait: str
     height_m: float
     commanded: Velocity
-    """What was asked for; 0 once it is no longer held."""
+    """The requested velocity; 0 after `hold_s`."""
     scaled: Velocity
-    """What of it the legs can do: the same direction, and slower where `limit` states why."""
+    """The velocity that the legs can reach: the same direction, slower for the reason in `limit`."""
     limit: str
     odometry: Odometry
     """Where its steps have carried it since the walk began."""
@@ -53,7 +53,7 @@ class Walker:
         rest_s: float = REST_S,
         odometry: Odometry = ORIGIN,
     ) -> None:
-        """`angles_deg`: of legs that run already. `odometry`: so far. Raises WalkError."""
+        """`angles_deg`: of legs that run already. `odometry`: where it begins. Raises WalkError."""
         self.engine = Engine(robot, gait, angles_deg, odometry)
         self.hold_s = hold_s
         self.rest_s = rest_s
@@ -61,9 +61,9 @@ class Walker:
         self._said_s: float | None = None
         self._ticked_s: float | None = None
         self._busy_s: float | None = None
-        """When it last was on a way that it was sent on."""
+        """When it last moved to another posture."""
         self.sits = True
-        """Whether it is to lie; false from the first command to stand or walk."""
+        """Whether it is to lie; false after a command to stand or walk."""
 
     def go(self, velocity: Velocity, now_s: float) -> None:
         """Walk at this velocity for `hold_s`; a robot that lies or sits stands up first. Raises WalkError."""
@@ -76,7 +76,7 @@ class Walker:
             self.engine.stand()
 
     def stand(self, stance: Stance | None, now_s: float) -> None:
-        """End the walk, and stand so (None: as before)."""
+        """End the walk, and stand at this stance (None: as before)."""
         self._said_s = now_s
         self._velocity = STILL
         self.sits = False
@@ -90,7 +90,7 @@ class Walker:
         self.engine.sit()
 
     def halt(self, legs: frozenset[int], sent: Pose) -> None:
-        """Somebody else has stopped these: what was commanded is over, and the others stand still."""
+        """Somebody else has stopped these legs: the command ends, and the others stand still."""
         self._velocity = STILL
         self.engine.halt(legs, sent)
 
@@ -100,7 +100,7 @@ class Walker:
         self._said_s = now_s
 
     def tick(self, now_s: float) -> Pose:
-        """Where each leg is to be now, in degrees."""
+        """The angles of all legs now, in degrees."""
         if self._said_s is None:
             self._said_s = now_s
         if now_s - self._said_s > self.hold_s:
@@ -117,7 +117,7 @@ class Walker:
 
     @property
     def is_over(self) -> bool:
-        """Whether its driver is silent and the robot down: nothing falls when the servos are stopped."""
+        """Whether its driver is silent and the robot down, so that it does not fall when its servos are stopped."""
         silent = self._ticked_s is not None and self._is_silent(self._ticked_s)
         return silent and self.engine.posture in DOWN
 
@@ -127,7 +127,7 @@ class Walker:
 
     @property
     def state(self) -> WalkState:
-        """What the walker is doing now."""
+        """See `WalkState`."""
         engine = self.engine
         return WalkState(
             posture=engine.posture,

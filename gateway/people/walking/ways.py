@@ -1,4 +1,4 @@
-"""The ways between postures: a few moves one after the other, each smooth and with feet that do not scrape. Pure."""
+"""The ways between postures: a sequence of moves, each smooth and without scraping feet. Pure."""
 
 import math
 from collections.abc import Iterable, Iterator, Mapping
@@ -14,9 +14,9 @@ from gateway.people.walking.robot import LIFT_M, Robot
 from schemas.robot import LEGS
 
 STEP_S: Final = 0.5
-"""For a foot's step to another place."""
+"""The time of a foot's step to another place."""
 _SINK_M_S: Final = 0.08
-"""How fast the body rises and sinks, at most on average."""
+"""The body's highest mean speed up and down."""
 _LEAN_RAD_S: Final = 0.4
 _BEND_DEG_S: Final = 90.0
 _LEAST_S: Final = 0.2
@@ -24,13 +24,13 @@ _UPRIGHT: Final = 0.15
 _CLIMB: Final = 0.4
 _TURNING: Final = 0.05
 ON_GROUND_M: Final = 0.004
-"""A foot that is lower than this stands."""
+"""A foot below this height stands."""
 _THERE_M: Final = 0.005
-"""A foot that is so near to its place need not step."""
+"""A foot this near to its place need not step."""
 
 
 class Shift(NamedTuple):
-    """The body goes to another pose above feet that stand."""
+    """The body moves to another pose above standing feet."""
 
     begin: BodyPose
     end: BodyPose
@@ -45,7 +45,7 @@ class Shift(NamedTuple):
 
 
 class Footsteps(NamedTuple):
-    """Some feet go to other places at the same time: at most three, unless the body lies on the ground."""
+    """Some feet step to other places together: at most three, unless the body lies on the ground."""
 
     paths: Mapping[int, tuple[Vector, Vector]]
     lift_m: float = LIFT_M
@@ -58,11 +58,11 @@ class Footsteps(NamedTuple):
 
 
 class Bend(NamedTuple):
-    """Some legs go from one pose to another, each servo straight to its angle."""
+    """Some legs move from one pose to another, each servo straight to its angle."""
 
     paths: Mapping[int, tuple[Angles, Angles]]
     then: BodyPose | None = None
-    """The body's pose from its end on, where that is known only then."""
+    """The body's pose after the move, if it is known only then."""
 
     @property
     def seconds(self) -> float:
@@ -78,24 +78,24 @@ Move = Shift | Footsteps | Bend
 
 @dataclass(slots=True)
 class Figure:
-    """Where a robot's body, feet (in the ground frame) and joints (in degrees) are, and which way it is on."""
+    """A robot's body, feet (in the ground frame) and joints (in degrees), and its moves to come."""
 
     body: BodyPose
     feet: dict[int, Vector]
     pose: dict[int, Angles]
     moves: tuple[Move, ...] = ()
-    """The way to another posture."""
+    """The rest of the way to another posture."""
     sits: bool = False
-    """Or lies; at the end of its way, if it is on one."""
+    """Whether it sits or lies, at the end of its way if it is on one."""
 
     def copy(self) -> Self:
-        """Another one, that can be changed by itself."""
+        """An independent copy."""
         new = copy(self)
         new.feet, new.pose = dict(self.feet), dict(self.pose)
         return new
 
     def follow(self, robot: Robot, move: Move, part: float) -> None:
-        """Go to this part of a move. Raises WalkError where a leg does not reach."""
+        """Go to this part (0 to 1) of a move. Raises WalkError if a leg does not reach."""
         if isinstance(move, Shift):
             self.body = move.at(part)
             self.place(robot, LEGS)
@@ -111,7 +111,7 @@ class Figure:
                 self.feet[leg] = self.body.grounded(robot.foot_m(leg, angles), turn)
 
     def place(self, robot: Robot, legs: Iterable[int]) -> None:
-        """Bend their joints so that their feet are where they are to be. Raises WalkError."""
+        """Set the joints for the positions of these feet. Raises WalkError."""
         turn = self.body.turn
         for leg in legs:
             self.pose[leg] = robot.angles_deg(leg, self.body.seen(self.feet[leg], turn))
@@ -130,7 +130,7 @@ def steps(feet: Mapping[int, Vector], places: Mapping[int, Vector]) -> Iterator[
 
 
 def shift(begin: BodyPose, end: BodyPose) -> Iterator[Shift]:
-    """Nothing, where the body is there already."""
+    """The shift of the body; none if it is there already."""
     if begin != end:
         yield Shift(begin, end)
 
@@ -144,11 +144,11 @@ def smooth(part: float) -> float:
 
 
 def across(part: float) -> float:
-    """How far a stride's swing is from where it left the ground to where it lands.
+    """How far a swing is from its lift-off to its landing, 0 to 1.
 
-    At its ends it stays above one place of the ground: servos give way under load, and a foot that moves on while it is
-    low would push the robot back. With 15 % of the swing at each end, the simulated robot (tests/walking) goes as far
-    as its steps are long, with none 7 to 13 % less.
+    At both ends it stays above one place of the ground: servos give way under load, and a low foot that moves would
+    push the robot back. With 15 % of the swing at each end the simulated robot (tests/walking) goes as far as its
+    steps, without them 7 to 13 % less.
     """
     return ease((part - _UPRIGHT) / (1.0 - 2.0 * _UPRIGHT))
 
@@ -170,7 +170,7 @@ def bump(part: float) -> float:
 
 
 def outward(swing_s: float, stance_s: float) -> float:
-    """By which factor a swing goes further out than a stance: at its ends it goes on with the ground."""
+    """By which factor a swing is wider than a stance: at its ends the foot moves with the ground."""
     return 1.0 + 2.0 * _UPRIGHT * swing_s / stance_s + _TURNING
 
 
@@ -182,7 +182,7 @@ def between(begin: Vector, end: Vector, part: float) -> Vector:
 
 
 def lowered(feet: Mapping[int, Vector], legs: Iterable[int]) -> Footsteps:
-    """Those feet straight down to the ground."""
+    """Move those feet straight down to the ground."""
     return Footsteps(
         {leg: (feet[leg], (feet[leg][0], feet[leg][1], 0.0)) for leg in legs}, lift_m=0.0, seconds=STEP_S / 2
     )

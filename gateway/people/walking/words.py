@@ -14,7 +14,7 @@ from schemas.robot import LEGS
 from schemas.telemetry import GatewayState, Mode
 
 NEWS_S: Final = 1.0
-"""An older state is the past: by default the gateway publishes ten a second."""
+"""The oldest state that counts as current: by default the gateway publishes ten a second."""
 _MODES: Final = {
     Mode.STARTING: "The gateway starts",
     Mode.BUS_FAULT: "Bus fault: what was written may not have arrived",
@@ -32,8 +32,8 @@ _POSTURES: Final = {
 def robot_now(state: GatewayState | None, age_s: float = 0.0, walk: WalkState | None = None) -> str:
     """What the robot does, in one sentence without its full stop.
 
-    `age_s`: how long ago the state came. `walk`: of a driver who has not ended yet; a leg that the state shows stopped
-    counts for more than the posture.
+    `age_s`: how long ago the state was received. `walk`: of a walk that has not ended; a leg that is stopped in the
+    state outweighs its posture.
     """
     if state is None:
         return "What it does is not known: the gateway has published no state yet"
@@ -43,14 +43,14 @@ def robot_now(state: GatewayState | None, age_s: float = 0.0, walk: WalkState | 
 
 
 class Newest:
-    """The gateway's newest state, of those that it publishes and those that it answers."""
+    """The gateway's newest state, published or as an answer."""
 
     def __init__(self) -> None:
         self._newest: tuple[GatewayState | None, float] = (None, 0.0)
-        """And when it came; one object, since reports come on a thread of their own."""
+        """The state and when it was received: one object, since reports arrive on another thread."""
 
     def take(self, state: GatewayState, now_s: float) -> None:
-        """Reports and answers come on ways of their own: an older state may come later, by less than `NEWS_S`."""
+        """Reports and answers may overtake each other: an older state may come later, by less than `NEWS_S`."""
         newest, _ = self._newest
         late_s = 0.0 if newest is None else newest.uptime_s - state.uptime_s
         if not 0 < late_s < NEWS_S:  # by more than that: the gateway was started anew
@@ -63,7 +63,7 @@ class Newest:
 
 
 def lease_lost(silent_s: float, ttl_s: float, holder: str | None) -> str:
-    """Why a page has lost its lease. `silent_s`: how long it sent nothing that keeps it; `holder`: who has it now."""
+    """Why a page has lost its lease. `silent_s`: since it last prolonged it; `holder`: who has it now."""
     if silent_s > ttl_s:
         drives = "" if holder is None else f"; {holder} drives now"
         silence = f"this page sent nothing for {silent_s:.0f} s (hidden, locked or without network)"
