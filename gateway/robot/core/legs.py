@@ -107,9 +107,7 @@ class Legs:
             if armed and leg.heard_ns is not None:
                 due_ns = leg.heard_ns + self._rules.timeout_ns
             if self.landing is not None and runs:
-                due_ns = self.landing.ends_ns
-                if self.landing.moves(leg.servos):
-                    due_ns = min(due_ns, max(self.land_ns, leg.slots.next_ns))
+                due_ns = self._land_due_ns(self.landing, leg)
             if waits:
                 slot_ns = self._queue.due_ns(leg.number, leg.slots.next_ns)
                 if slot_ns is not None and slot_ns < due_ns:
@@ -132,6 +130,10 @@ class Legs:
         self.due_ns = None if due_ns == NEVER else due_ns
         self.repeat_ns = None if repeat_ns == NEVER else repeat_ns
         self.at_rest = at_rest
+
+    def _land_due_ns(self, landing: Landing, leg: Leg) -> int:
+        """When a leg that lands gets its next frame; if it moves no more, when the landing ends."""
+        return min(landing.ends_ns, max(self.land_ns, leg.slots.next_ns) if landing.moves(leg.servos) else NEVER)
 
     def repeat_stops(self, now_ns: int) -> list[Effect]:
         """The repeated Stops that are due."""
@@ -244,17 +246,10 @@ class Legs:
             if servo.waiting is not None:
                 waiting += [(servo, servo.waiting)]
         limited = self._rules.max_speed_cdeg_s
-        starts = self._rules.start_pause_ns > 0 and leg.waits_to_start
-        if starts:
-            self._queue.join(leg.number)
-        elif self._queue.legs:
-            self._queue.leave(leg.number)
+        if self._rules.start_pause_ns and not self._passes_queue(leg, now_ns):
+            return []
         if not (waiting or (limited and leg.is_bound)) or now_ns < leg.slots.next_ns:
             return []
-        if starts:
-            if not self._queue.admits(leg.number, now_ns):
-                return []
-            self._queue.started(leg.number, now_ns)
         leg.slots.take(now_ns)
         if limited:
             waiting = self._in_steps(leg, now_ns)
@@ -282,6 +277,17 @@ class Legs:
                 command.left -= 1
                 done += () if command.left else (command,)
         return [Transmit(frame if wire is None else wire.frame(frame), cause, None, commands, done)]
+
+    def _passes_queue(self, leg: Leg, now_ns: int) -> bool:
+        """Whether the queue of the legs that wait to be energised lets this one's frame go now."""
+        if not leg.waits_to_start:
+            self._queue.leave(leg.number)
+            return True
+        self._queue.join(leg.number)
+        if now_ns < leg.slots.next_ns or not self._queue.admits(leg.number, now_ns):
+            return False
+        self._queue.started(leg.number, now_ns)
+        return True
 
     def _in_steps(self, leg: Leg, now_ns: int) -> list[tuple[Servo, ServoOp]]:
         """What the frame that goes out now says, where speeds are limited: for each servo a step towards its target."""

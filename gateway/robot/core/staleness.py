@@ -130,12 +130,9 @@ class Staleness:
             if not near:
                 return self._after_a_pause(self._new_clock(clocks, sent_ms, now_ms).since_ms, now_ms)
             clock = max(near, key=_heard_last)
-        if sent_ms > clock.newest_sent_ms:
-            clock.newest_sent_ms = sent_ms
-        if difference_ms < clock.baseline_ms:
-            clock.baseline_ms = difference_ms
-        if clock.baseline_ms > clock.highest_ms:
-            clock.highest_ms = clock.baseline_ms
+        clock.newest_sent_ms = sent_ms if sent_ms > clock.newest_sent_ms else clock.newest_sent_ms
+        clock.baseline_ms = difference_ms if difference_ms < clock.baseline_ms else clock.baseline_ms
+        clock.highest_ms = clock.baseline_ms if clock.baseline_ms > clock.highest_ms else clock.highest_ms
         delay_ms = difference_ms - clock.baseline_ms
         if delay_ms > self._max_age_ms:
             if not self._is_steady(clock, difference_ms, now_ms, overtaken=not in_order):

@@ -65,22 +65,7 @@ class Executor:
         No answer, no record and no event stands before a frame of the same step.
         """
         outcome = Outcome()
-        # What leaves together. A repeated run of Stops has a preamble, for which no first Stop waits; legs at rest are
-        # stopped in the first call, behind the Stops that it is for.
-        first: list[Transmit] = []
-        repeated: list[Transmit] = []
-        moves: list[Transmit] = []
-        for effect in effects:
-            if type(effect) is Transmit:
-                if not effect.frame.is_stop:
-                    moves += [effect]
-                elif effect.cause is _REPEAT and not effect.joins:
-                    repeated += [effect]
-                else:
-                    first += [effect]
-        for batch in first, repeated, moves:
-            if batch and outcome.fault is None:
-                self._write(batch, outcome, preamble=batch is repeated)
+        self._write(effects, outcome)
         self._recorder.step(heard, outcome.written, self._answers.decided(effects, outcome.fault))
         if outcome.unbatched is not None:
             self._events.announce(Announce(Kind.BUS_UNBATCHED, outcome.unbatched))
@@ -110,17 +95,35 @@ class Executor:
             self._events.frames(outcome.written)
         return outcome
 
-    def _write(self, batch: list[Transmit], outcome: Outcome, *, preamble: bool) -> None:
-        """Write the frames that leave together, and count them."""
-        report = self._bus.write([effect.frame for effect in batch], preamble=preamble)
-        for sent in report.sent:
-            effect = batch[sent.place]
-            outcome.written += [(effect, sent)]
-            self._metrics.frames[effect.cause] += 1
-            for command in effect.commands:
-                command.written += (effect.frame.leg,)
-            if effect.deadline_ns is not None and sent.heard:
-                self._metrics.watchdog_stops.record(self._bus.ended_ns - effect.deadline_ns)
-        outcome.unbatched = report.rejection or outcome.unbatched
-        outcome.meddled = report.meddled or outcome.meddled
-        outcome.fault = report.fault
+    def _write(self, effects: Sequence[Effect], outcome: Outcome) -> None:
+        """Write a step's frames: first Stops in one batch, repeated ones in one, then what moves, unless one failed.
+
+        A repeated run of Stops has a preamble, for which no first Stop waits. Legs at rest are stopped in the first
+        call, behind the Stops that it is for.
+        """
+        first: list[Transmit] = []
+        repeated: list[Transmit] = []
+        moves: list[Transmit] = []
+        for effect in effects:
+            if type(effect) is Transmit:
+                if not effect.frame.is_stop:
+                    moves += [effect]
+                elif effect.cause is _REPEAT and not effect.joins:
+                    repeated += [effect]
+                else:
+                    first += [effect]
+        for batch in first, repeated, moves:
+            if not batch or outcome.fault is not None:
+                continue
+            report = self._bus.write([transmit.frame for transmit in batch], preamble=batch is repeated)
+            for sent in report.sent:
+                transmit = batch[sent.place]
+                outcome.written += [(transmit, sent)]
+                self._metrics.frames[transmit.cause] += 1
+                for command in transmit.commands:
+                    command.written += (transmit.frame.leg,)
+                if transmit.deadline_ns is not None and sent.heard:
+                    self._metrics.watchdog_stops.record(self._bus.ended_ns - transmit.deadline_ns)
+            outcome.unbatched = report.rejection or outcome.unbatched
+            outcome.meddled = report.meddled or outcome.meddled
+            outcome.fault = report.fault

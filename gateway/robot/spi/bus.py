@@ -363,7 +363,9 @@ class Bus:
         written = {sent.place for sent in report.sent}
         # What precedes the transfer that failed has most likely arrived, so the last Stops come first.
         left = [place for place in reversed(range(len(frames))) if place not in written]
-        left.sort(key=lambda place: frames[place].data in self._received)  # those that got none in an earlier call come first
+        left.sort(
+            key=lambda place: frames[place].data in self._received
+        )  # those that got none in an earlier call come first
         self._failures, give_up_ns = 0, self._clock() + INSIST_NS
         for _ in range(MOST_CALLS):
             if not left:

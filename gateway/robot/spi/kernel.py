@@ -77,7 +77,7 @@ class KernelDevice(SpiDevice):
                 self._listener = Listener(self._spi.fileno())
             # All flags are cleared: one that another program has set, such as "no chip select", outlives that program,
             # and spidev's own `mode` changes two bits only.
-            fcntl.ioctl(self._spi.fileno(), _WRITE_MODE, b"\0")
+            fcntl.ioctl(self._spi, _WRITE_MODE, b"\0")
             self._spi.bits_per_word = _BITS
             self._spi.max_speed_hz = speed_hz
             # Not 0 where chip select is a GPIO: some kernels then add SPI_CS_HIGH of their own accord.
@@ -124,12 +124,12 @@ class KernelDevice(SpiDevice):
         """Hand the list to the kernel; how many bytes were written."""
         segments = _segments(sizes, pauses_us, self._data_at, self._received_at, self._speed_hz)
         try:
-            return int(fcntl.ioctl(self._spi.fileno(), *segments))
+            return int(fcntl.ioctl(self._spi, *segments))
         except OSError as error:
             if error.errno != errno.EINVAL or not self._received_at:
                 raise
         # A controller that does not receive while it sends rejects lists with receive buffers. Nothing was written.
-        written = int(fcntl.ioctl(self._spi.fileno(), *_segments(sizes, pauses_us, self._data_at, 0, self._speed_hz)))
+        written = int(fcntl.ioctl(self._spi, *_segments(sizes, pauses_us, self._data_at, 0, self._speed_hz)))
         self._received_at = 0  # they were what it rejects
         return written
 
@@ -154,14 +154,14 @@ class KernelDevice(SpiDevice):
             return None
         found = f"{self._path}: another program had set SPI mode 0x{mode:02x} instead of 0x{self._mode:02x}"
         with suppress(OSError):
-            fcntl.ioctl(self._spi.fileno(), _WRITE_MODE, b"\0")
+            fcntl.ioctl(self._spi, _WRITE_MODE, b"\0")
             found += f", {self._read(_READ_SPEED)} Hz and {self._read(_READ_BITS)} bits"
         return found
 
     def _read(self, request: int) -> int:
         """A setting of the device, as it is now."""
         value = bytearray(request >> 16 & 0x3FFF)
-        fcntl.ioctl(self._spi.fileno(), request, value)
+        fcntl.ioctl(self._spi, request, value)
         return int.from_bytes(value, sys.byteorder)
 
     def close(self) -> None:
@@ -177,7 +177,7 @@ class KernelDevice(SpiDevice):
 def _segments(
     sizes: tuple[int, ...], pauses_us: tuple[int, ...], data_at: int, received_at: int, speed_hz: int
 ) -> tuple[int, bytearray]:
-    """The request for a batch whose transfers have these sizes, and its list: the same for each setpoint of a stream."""
+    """The request and the list of a batch with these sizes and pauses: made once for all setpoints of a stream."""
     segments = bytearray()
     for number, (size, pause_us) in enumerate(zip(sizes, pauses_us, strict=True), 1):
         # With cs_change chip select is released behind a transfer; behind the last it would be kept.
