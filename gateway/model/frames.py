@@ -100,7 +100,8 @@ class OneServo:
     command: Final[ServoOp]
     is_stop: bool = field(compare=False, repr=False)
     """Whether the frame only de-energises."""
-    _data: bytes = field(compare=False, repr=False)
+    data: bytes = field(compare=False, repr=False)
+    """What `to_bytes` returns, without a call: the bus asks for it with each setpoint."""
 
     def __init__(self, servo_id: int, command: ServoOp) -> None:
         if type(servo_id) is not int or servo_id not in _SERVO_ID_SET:
@@ -110,7 +111,7 @@ class OneServo:
         self.servo_id = servo_id
         self.command = command
         self.is_stop = command.op is OP_STOP
-        self._data = _ONE_SERVO + _IDS[servo_id] + command.data
+        self.data = _ONE_SERVO + _IDS[servo_id] + command.data
 
     @property
     def leg(self) -> int:
@@ -124,7 +125,7 @@ class OneServo:
 
     def to_bytes(self) -> bytes:
         """The 6 bytes of the frame."""
-        return self._data
+        return self.data
 
 
 @dataclass(slots=True, init=False, unsafe_hash=True)
@@ -135,7 +136,7 @@ class OneLeg:
     commands: Final[tuple[ServoOp, ServoOp, ServoOp]]
     is_stop: bool = field(compare=False, repr=False)
     """Whether the frame only de-energises."""
-    _data: bytes = field(compare=False, repr=False)
+    data: bytes = field(compare=False, repr=False)
 
     def __init__(self, leg: int, commands: tuple[ServoOp, ServoOp, ServoOp]) -> None:
         if type(leg) is not int or leg not in LEGS:
@@ -149,7 +150,7 @@ class OneLeg:
         self.commands = commands
         self.is_stop = first.op is second.op is third.op is OP_STOP
         one, two, three = _IDS_OF_LEG[leg]
-        self._data = _ONE_LEG + one + first.data + two + second.data + three + third.data
+        self.data = _ONE_LEG + one + first.data + two + second.data + three + third.data
 
     @property
     def servos(self) -> tuple[tuple[int, ServoOp], ...]:
@@ -158,7 +159,7 @@ class OneLeg:
 
     def to_bytes(self) -> bytes:
         """The 14 bytes of the frame."""
-        return self._data
+        return self.data
 
 
 Frame = OneLeg | OneServo

@@ -30,7 +30,6 @@ Memory is bounded. A source is forgotten only after a minute of silence, when an
 A new source that finds no place is rejected, since its burst could not be told from fresh commands.
 """
 
-from collections import OrderedDict
 from dataclasses import dataclass
 from typing import Final
 
@@ -88,7 +87,8 @@ class Staleness:
     def __init__(self, max_age_ms: float) -> None:
         self._max_age_ms = max_age_ms
         self._pause_ms = max(max_age_ms, LEAST_PAUSE_MS)
-        self._sources: OrderedDict[str | None, tuple[list[_Clock], list[float]]] = OrderedDict()
+        self._sources: dict[str | None, tuple[list[_Clock], list[float]]] = {}
+        """The one that was silent for longest comes first."""
         self._turned_ms: float | None = None
         self._woke_ms: float | None = None
         self._paused_ms = 0.0
@@ -116,18 +116,23 @@ class Staleness:
                 "apart by their clocks; wait, or leave out sent_ms"
             )
         difference_ms = now_ms - sent_ms
-        fitting = [clock for clock in clocks if difference_ms >= clock.highest_ms - FALL * self._max_age_ms]
-        in_order = [clock for clock in fitting if sent_ms >= clock.newest_before_ms]
+        fitting: list[_Clock] = []
+        in_order: list[_Clock] = []
+        for clock in clocks:
+            if difference_ms >= clock.highest_ms - FALL * self._max_age_ms:
+                fitting += [clock]
+                if sent_ms >= clock.newest_before_ms:
+                    in_order += [clock]
         if in_order:
-            clock = in_order[0] if len(in_order) == 1 else self._believed(in_order, difference_ms)
+            clock = self._believed(in_order, difference_ms) if in_order[1:] else in_order[0]
         else:
             near = [clock for clock in fitting if difference_ms - clock.baseline_ms <= HORIZON_MS]
             if not near:
                 return self._after_a_pause(self._new_clock(clocks, sent_ms, now_ms).since_ms, now_ms)
             clock = max(near, key=_heard_last)
-        clock.newest_sent_ms = max(clock.newest_sent_ms, sent_ms)
-        clock.baseline_ms = min(clock.baseline_ms, difference_ms)
-        clock.highest_ms = max(clock.highest_ms, clock.baseline_ms)
+        clock.newest_sent_ms = sent_ms if sent_ms > clock.newest_sent_ms else clock.newest_sent_ms
+        clock.baseline_ms = difference_ms if difference_ms < clock.baseline_ms else clock.baseline_ms
+        clock.highest_ms = clock.baseline_ms if clock.baseline_ms > clock.highest_ms else clock.highest_ms
         delay_ms = difference_ms - clock.baseline_ms
         if delay_ms > self._max_age_ms:
             if not self._is_steady(clock, difference_ms, now_ms, overtaken=not in_order):
@@ -137,7 +142,7 @@ class Staleness:
             clock.fresh_ms = now_ms
             if clock.stretch is not None and not clock.stretch.overtaken:
                 clock.stretch = None
-        return self._after_a_pause(clock.since_ms, now_ms)
+        return None if self._woke_ms is None else self._after_a_pause(clock.since_ms, now_ms)
 
     def _after_a_pause(self, known_since_ms: float, now_ms: float) -> str | None:
         """Why a command is rejected soon after a pause of the gateway, unless its clock is known from before."""
@@ -150,15 +155,17 @@ class Staleness:
 
     def _clocks_of(self, name: str | None, instant_ms: float) -> list[_Clock] | None:
         """The known clocks of a source, as of this instant; None if a new source finds no place."""
-        source = self._sources.get(name)
-        if source is None:
+        if name in self._sources:
+            source = self._sources[name]
+            del self._sources[name]  # and put back at the end
+        else:
             if len(self._sources) >= SOURCES:
                 oldest = next(iter(self._sources))
                 if instant_ms - self._sources[oldest][1][0] < FORGET_MS:
                     return None
                 del self._sources[oldest]
-            source = self._sources[name] = ([], [instant_ms])
-        self._sources.move_to_end(name)
+            source = ([], [instant_ms])
+        self._sources[name] = source
         clocks, heard = source
         if instant_ms > heard[0]:
             rise_ms, heard[0] = DRIFT * (instant_ms - heard[0]), instant_ms

@@ -5,11 +5,11 @@ from pathlib import Path
 from tests.support.calls import Cost, costs
 
 HELD = {
-    "a stream's six legs": Cost(199, 307),
-    "an acked leg": Cost(116, 160),
-    "a leg": Cost(111, 143),
-    "a walk's six legs": Cost(208, 316),
-    "an emergency stop": Cost(249, 361),
+    "a stream's six legs": Cost(140, 248),
+    "an acked leg": Cost(85, 129),
+    "a leg": Cost(80, 112),
+    "a walk's six legs": Cost(149, 257),
+    "an emergency stop": Cost(144, 256),
 }
 """What Python 3.11 takes, to the call; later ones take fewer, since they inline comprehensions."""
 

@@ -11,7 +11,6 @@ from gateway.model.frames import OneLeg, Op, ServoOp, stop_leg
 from gateway.model.framing import PREAMBLE_ZEROS, ZERO
 from gateway.robot.core.events import Transmit
 from gateway.robot.core.intake import MAX_KEY
-from gateway.robot.runtime.executor import _batches
 from gateway.robot.spi import Transfer
 from schemas import keys
 from schemas.telemetry import Cause, Kind, Mode, Reason
@@ -99,11 +98,13 @@ async def test_after_a_stop_that_failed_nothing_of_its_command_moves() -> None:
     assert not robot.controller.energised & {21, 22, 23}
 
 
-def test_stops_leave_before_repeated_ones_and_these_before_what_moves() -> None:
+async def test_stops_leave_before_repeated_ones_and_these_before_what_moves() -> None:
+    robot = await started_and_quiet()
     move = OneLeg(2, (ServoOp(Op.START, 90_00),) * 3)
     effects = [Transmit(stop_leg(1), Cause.COMMAND), Transmit(stop_leg(3), Cause.REPEAT), Transmit(move, Cause.COMMAND)]
     for order in itertools.permutations(effects):
-        assert _batches(list(order)) == [[effect] for effect in effects]
+        written = robot.conductor._executor.carry_out(order).written
+        assert [transmit for transmit, _ in written] == effects
 
 
 async def test_a_device_that_takes_no_lists_is_published_once(monkeypatch: pytest.MonkeyPatch) -> None:

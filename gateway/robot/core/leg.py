@@ -111,12 +111,7 @@ class Leg:
     @property
     def waits_to_start(self) -> bool:
         """Whether its next frame would energise a servo."""
-        first, second, third = self.servos
-        return (
-            (first.angle_cdeg is None and first.will_run)
-            or (second.angle_cdeg is None and second.will_run)
-            or (third.angle_cdeg is None and third.will_run)
-        )
+        return any(servo.will_run and not servo.running for servo in self.servos)
 
     @property
     def is_bound(self) -> bool:

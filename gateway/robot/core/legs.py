@@ -9,7 +9,7 @@ from collections.abc import Collection, Iterator, Mapping
 from typing import Final
 
 from gateway.model.angle_limits import AngleLimits
-from gateway.model.frames import OP_START, OP_STOP, SETS, STOP, OneLeg, OneServo, ServoOp, stop_leg
+from gateway.model.frames import OP_STOP, SETS, STOP, OneLeg, OneServo, ServoOp, stop_leg
 from gateway.robot.core.events import Announce, Command, Completed, Effect, Rejected, Targets, Transmit
 from gateway.robot.core.landing import Landing, landing
 from gateway.robot.core.leg import NO_COMMAND, Leg, Rules, Servo, servos_of
@@ -19,15 +19,6 @@ from schemas.robot import LEGS
 from schemas.telemetry import Cause, Kind, Reason
 
 _LOST: Final = "messages of the same key were lost, and a stop may be among them"
-
-
-def _whole_leg(leg: Leg) -> OneLeg:
-    """All three servos in one frame; one that nothing waits for is told what it does already."""
-    first, second, third = leg.servos
-    return OneLeg(
-        leg.number,
-        (first.waiting or _as_it_is(first), second.waiting or _as_it_is(second), third.waiting or _as_it_is(third)),
-    )
 
 
 def _as_it_is(servo: Servo) -> ServoOp:
@@ -103,7 +94,26 @@ class Legs:
         A command that only moves its own legs has changed nothing of the others, so these are not looked at.
         """
         for leg in self._all if self._moved is None else self._moved:
-            self._look_at(leg)
+            due_ns = repeat_ns = NEVER
+            runs = waits = armed = False
+            for servo in leg.servos:
+                if servo.angle_cdeg is not None:
+                    runs = armed = True
+                if servo.waiting is not None or servo.target_cdeg is not None:
+                    waits = True
+                    armed = armed or servo.will_run
+                if servo.repeats_left and servo.repeat_ns < repeat_ns:
+                    repeat_ns = servo.repeat_ns
+            if armed and leg.heard_ns is not None:
+                due_ns = leg.heard_ns + self._rules.timeout_ns
+            if self.landing is not None and runs:
+                due_ns = self._land_due_ns(self.landing, leg)
+            if waits:
+                slot_ns = self._queue.due_ns(leg.number, leg.slots.next_ns)
+                if slot_ns is not None and slot_ns < due_ns:
+                    due_ns = slot_ns
+            leg.due_ns, leg.repeat_ns = due_ns if due_ns < repeat_ns else repeat_ns, repeat_ns
+            leg.runs, leg.rests = runs, not armed
         self._moved = None
         due_ns = repeat_ns = NEVER
         at_rest, rests = True, False
@@ -121,29 +131,9 @@ class Legs:
         self.repeat_ns = None if repeat_ns == NEVER else repeat_ns
         self.at_rest = at_rest
 
-    def _look_at(self, leg: Leg) -> None:
-        due_ns = repeat_ns = NEVER
-        runs = waits = armed = False
-        for servo in leg.servos:
-            if servo.angle_cdeg is not None:
-                runs = armed = True
-            if servo.waiting is not None or servo.target_cdeg is not None:
-                waits = True
-                armed = armed or servo.will_run
-            if servo.repeats_left and servo.repeat_ns < repeat_ns:
-                repeat_ns = servo.repeat_ns
-        if armed and leg.heard_ns is not None:
-            due_ns = leg.heard_ns + self._rules.timeout_ns
-        if self.landing is not None and runs:
-            due_ns = self.landing.ends_ns
-            if self.landing.moves(leg.servos):
-                due_ns = min(due_ns, max(self.land_ns, leg.slots.next_ns))
-        if waits:
-            slot_ns = self._queue.due_ns(leg.number, leg.slots.next_ns)
-            if slot_ns is not None and slot_ns < due_ns:
-                due_ns = slot_ns
-        leg.due_ns, leg.repeat_ns = due_ns if due_ns < repeat_ns else repeat_ns, repeat_ns
-        leg.runs, leg.rests = runs, not armed
+    def _land_due_ns(self, landing: Landing, leg: Leg) -> int:
+        """When a leg that lands gets its next frame; if it moves no more, when the landing ends."""
+        return min(landing.ends_ns, max(self.land_ns, leg.slots.next_ns) if landing.moves(leg.servos) else NEVER)
 
     def repeat_stops(self, now_ns: int) -> list[Effect]:
         """The repeated Stops that are due."""
@@ -252,27 +242,24 @@ class Legs:
     def _send(self, leg: Leg, now_ns: int, cause: Cause = Cause.COMMAND) -> list[Effect]:
         """Send what waits for this leg, if it may go now."""
         waiting: list[tuple[Servo, ServoOp]] = []
-        energises = False
         for servo in leg.servos:
-            op = servo.waiting
-            if op is not None:
-                waiting += [(servo, op)]
-                energises = energises or (servo.angle_cdeg is None and op.op is OP_START)
+            if servo.waiting is not None:
+                waiting += [(servo, servo.waiting)]
         limited = self._rules.max_speed_cdeg_s
-        if energises:
-            self._queue.join(leg.number)
-        elif self._queue.legs:
-            self._queue.leave(leg.number)
+        if self._rules.start_pause_ns and not self._passes_queue(leg, now_ns):
+            return []
         if not (waiting or (limited and leg.is_bound)) or now_ns < leg.slots.next_ns:
             return []
-        if energises:
-            if not self._queue.admits(leg.number, now_ns):
-                return []
-            self._queue.started(leg.number, now_ns)
         leg.slots.take(now_ns)
         if limited:
             waiting = self._in_steps(leg, now_ns)
-        frame = _whole_leg(leg) if waiting[1:] else OneServo(waiting[0][0].servo_id, waiting[0][1])
+        frame: OneLeg | OneServo
+        if waiting[1:]:  # a servo that nothing waits for is sent what it does already
+            first, second, third = leg.servos
+            one, two = first.waiting or _as_it_is(first), second.waiting or _as_it_is(second)
+            frame = OneLeg(leg.number, (one, two, third.waiting or _as_it_is(third)))
+        else:
+            frame = OneServo(waiting[0][0].servo_id, waiting[0][1])
         wire = self._reach.wire  # the one place where users' angles become the servos' own; a Stop has none
         commands: tuple[Command, ...] = ()
         done: tuple[Command, ...] = ()
@@ -290,6 +277,17 @@ class Legs:
                 command.left -= 1
                 done += () if command.left else (command,)
         return [Transmit(frame if wire is None else wire.frame(frame), cause, None, commands, done)]
+
+    def _passes_queue(self, leg: Leg, now_ns: int) -> bool:
+        """Whether the queue of the legs that wait to be energised lets this one's frame go now."""
+        if not leg.waits_to_start:
+            self._queue.leave(leg.number)
+            return True
+        self._queue.join(leg.number)
+        if now_ns < leg.slots.next_ns or not self._queue.admits(leg.number, now_ns):
+            return False
+        self._queue.started(leg.number, now_ns)
+        return True
 
     def _in_steps(self, leg: Leg, now_ns: int) -> list[tuple[Servo, ServoOp]]:
         """What the frame that goes out now says, where speeds are limited: for each servo a step towards its target."""
@@ -422,9 +420,9 @@ class Legs:
         for servo in self.servos.values():  # what is rejected here must not take effect on another leg
             if servo.waiting is not None and servo.waiting_for in rejected:
                 servo.waiting = None
-        for leg in self:
-            if not leg.waits_to_start:
-                self._queue.leave(leg.number)
+        for number in tuple(self._queue.legs):
+            if not self.by_number[number].waits_to_start:
+                self._queue.leave(number)
         return [Rejected(command, reason, detail) for command in rejected]
 
     def _repeat(self, leg: Leg, now_ns: int) -> list[Effect]:

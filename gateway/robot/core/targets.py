@@ -20,8 +20,8 @@ from schemas.robot import JOINTS, LEGS, SERVO_IDS
 
 _MOVES: Final = {"start": STARTS, "set": SETS}
 _IDS_OF_LEG: Final = {leg: servo_ids_of(leg) for leg in LEGS}
-_LEG_COMMAND: Final = LegCommand.__pydantic_validator__
-"""Called at once, without the wrapper around it: it reads each setpoint of a gait."""
+_LEG_COMMAND, _LEGS_COMMAND = LegCommand.__pydantic_validator__, LegsCommand.__pydantic_validator__
+"""Called without the wrapper around them: they read each setpoint of a gait."""
 
 
 def _read_servo(servo_id: int, payload: bytes) -> Command:
@@ -37,7 +37,7 @@ def _read_leg(leg: int, payload: bytes) -> Command:
 
 
 def _read_legs(_: int, payload: bytes) -> Command:
-    command = LegsCommand.model_validate_json(payload)
+    command: LegsCommand = _LEGS_COMMAND.validate_json(payload)
     targets: Targets = ()
     for leg, setpoint in sorted(command.legs.items()):
         targets += _targets(_IDS_OF_LEG[int(leg)], setpoint.servos)

@@ -159,7 +159,7 @@ class Conductor:
         """
         if self._closed:
             return
-        now_ns = self.turned()
+        now_ns = self._clock()
         instant_ns = self._instant_ns = self._instant_ns if self._messages.instant_open else now_ns
         looked = False
         for received in self._messages.take() if only is None else only:
@@ -231,7 +231,8 @@ class Conductor:
             self.answers.reject(unread, command.reason, command.detail)
             return
         now_ns = self._clock()
-        too_old = self.too_old(command, now_ns, instant_ns)
+        judge = self._staleness
+        too_old = None if judge is None else judge.too_old(command.source, command.sent_ms, now_ns, instant_ns)
         if too_old is not None and not command.only_stops:  # to stop once too often harms nobody
             self.answers.reject(command, Reason.STALE, too_old, command)
             return

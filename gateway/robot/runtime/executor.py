@@ -23,6 +23,8 @@ class Outcome:
     written: list[Written] = field(default_factory=list)
     fault: SpiError | None = None
     """Why not all frames were written; commands that were completed are rejected for it."""
+    unbatched: str | None = None
+    """Why each transfer is a call of its own from now on, if that is new."""
     meddled: str | None = None
     """What another program had set on the device, until just before these frames were written."""
     rejected: list[Request] = field(default_factory=list)
@@ -63,11 +65,10 @@ class Executor:
         No answer, no record and no event stands before a frame of the same step.
         """
         outcome = Outcome()
-        transmits = [effect for effect in effects if type(effect) is Transmit]
-        unbatched = self._write(transmits, outcome) if transmits else None
+        self._write(effects, outcome)
         self._recorder.step(heard, outcome.written, self._answers.decided(effects, outcome.fault))
-        if unbatched is not None:
-            self._events.announce(Announce(Kind.BUS_UNBATCHED, unbatched))
+        if outcome.unbatched is not None:
+            self._events.announce(Announce(Kind.BUS_UNBATCHED, outcome.unbatched))
         if outcome.meddled is not None:
             self._events.announce(Announce(Kind.BUS_MEDDLED, outcome.meddled))
         for effect in effects:
@@ -94,44 +95,35 @@ class Executor:
             self._events.frames(outcome.written)
         return outcome
 
-    def _write(self, transmits: list[Transmit], outcome: Outcome) -> str | None:
+    def _write(self, effects: Sequence[Effect], outcome: Outcome) -> None:
         """Write a step's frames: first Stops in one batch, repeated ones in one, then what moves, unless one failed.
 
-        Returns why each transfer is a call of its own from now on, if that is new.
+        A repeated run of Stops has a preamble, for which no first Stop waits. Legs at rest are stopped in the first
+        call, behind the Stops that it is for.
         """
-        unbatched = None
-        for batch in _batches(transmits) if transmits[1:] else (transmits,):
-            report = self._bus.write([effect.frame for effect in batch], preamble=_is_repeated(batch[0]))
+        first: list[Transmit] = []
+        repeated: list[Transmit] = []
+        moves: list[Transmit] = []
+        for effect in effects:
+            if type(effect) is Transmit:
+                if not effect.frame.is_stop:
+                    moves += [effect]
+                elif effect.cause is _REPEAT and not effect.joins:
+                    repeated += [effect]
+                else:
+                    first += [effect]
+        for batch in first, repeated, moves:
+            if not batch or outcome.fault is not None:
+                continue
+            report = self._bus.write([transmit.frame for transmit in batch], preamble=batch is repeated)
             for sent in report.sent:
-                effect = batch[sent.place]
-                outcome.written += [(effect, sent)]
-                self._metrics.frames[effect.cause] += 1
-                for command in effect.commands:
-                    command.written += (effect.frame.leg,)
-                if effect.deadline_ns is not None and sent.heard:
-                    self._metrics.watchdog_stops.record(self._bus.ended_ns - effect.deadline_ns)
-            unbatched = report.rejection or unbatched
+                transmit = batch[sent.place]
+                outcome.written += [(transmit, sent)]
+                self._metrics.frames[transmit.cause] += 1
+                for command in transmit.commands:
+                    command.written += (transmit.frame.leg,)
+                if transmit.deadline_ns is not None and sent.heard:
+                    self._metrics.watchdog_stops.record(self._bus.ended_ns - transmit.deadline_ns)
+            outcome.unbatched = report.rejection or outcome.unbatched
             outcome.meddled = report.meddled or outcome.meddled
-            if report.fault is not None:
-                outcome.fault = report.fault
-                break
-        return unbatched
-
-
-def _is_repeated(effect: Transmit) -> bool:
-    """Whether it is part of a repeated run of Stops."""
-    return effect.cause is _REPEAT and not effect.joins
-
-
-def _batches(transmits: list[Transmit]) -> list[list[Transmit]]:
-    """What leaves together, in order. A repeated run of Stops has a preamble, for which no first Stop waits.
-
-    Legs at rest are stopped in the first call, behind the Stops that it is for.
-    """
-    first: list[Transmit] = []
-    repeated: list[Transmit] = []
-    moves: list[Transmit] = []
-    for effect in transmits:
-        batch = moves if not effect.frame.is_stop else repeated if _is_repeated(effect) else first
-        batch += [effect]
-    return [batch for batch in (first, repeated, moves) if batch]
+            outcome.fault = report.fault

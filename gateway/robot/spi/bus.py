@@ -143,8 +143,8 @@ class Bus:
         self._guard: Guard | None = None
         self._most = PREAMBLE_ZEROS
         """The most transfers of a call."""
-        self._moves_at_once = 1
-        """The most frames of a call that move."""
+        self._stops_at_once = self._moves_at_once = 1
+        """The most frames of a call."""
         self.ended_ns = 0
         """When the last call ended."""
         self._awaited = ANYTHING if self.announces else NOTHING
@@ -174,7 +174,8 @@ class Bus:
         self._most = self._device.most_transfers
         longest_ns = self._byte_ns * ONE_LEG_LEN + self._announced_ns
         most_moves = (LONGEST_NS + self._gap_ns) // (longest_ns + self._gap_ns)
-        self._moves_at_once = max(1, min(self._most // self._size, most_moves))
+        self._stops_at_once = max(1, self._most // self._size)
+        self._moves_at_once = max(1, min(self._stops_at_once, most_moves))
 
     def write(self, frames: Sequence[Frame], *, preamble: bool = False) -> Report:
         """Write frames that all stop, or that all move. `preamble`: these Stops are a repeated run.
@@ -182,24 +183,31 @@ class Bus:
         After a fault the device stays open. Stops that failed are then tried one by one, in this same call. Where calls
         fail slowly, so are the Stops that follow, since a batch behind a preamble would hardly ever pass.
         """
-        report, stops = Report(), frames[0].is_stop
-        if not preamble and self._clock() - self.ended_ns >= PAUSE_NS:
+        report, stops, now_ns = Report(), frames[0].is_stop, self._clock()
+        if not preamble and now_ns - self.ended_ns >= PAUSE_NS:
             report.meddled = self.put_right()
             if report.meddled is not None and not stops:
                 report.fault = SpiError(report.meddled)
                 return report
-        data = [frame.to_bytes() for frame in frames]
         one_by_one = stops and self._slow and self._device is not None
         try:
             if one_by_one:
-                self._insist(data, report)
+                self._insist(frames, report)
                 self._write_preamble(report)
             else:
-                self._write_at_once(data, report, stops=stops, preamble=preamble)
+                zeros = self._zeros_ahead(now_ns, stops=stops, preamble=preamble) if self.announces else 0
+                while zeros and (not stops or zeros + self._size * len(frames) > self._most):
+                    part = min(zeros, ZEROS_AT_ONCE, self._most)
+                    self._call(report, part)
+                    zeros -= part
+                at_once = self._stops_at_once if stops else self._moves_at_once
+                for first in range(0, len(frames), at_once):
+                    self._call(report, zeros, frames[first : first + at_once], first)
+                    zeros = 0
         except SpiError as fault:
             report.fault = report.fault or fault
             if stops and not one_by_one and self._device is not None:
-                self._insist(data, report)
+                self._insist(frames, report)
         if report.fault is not None:
             self.errors += 1
         elif stops and (self._slow or self._received):
@@ -211,17 +219,6 @@ class Bus:
             and self.ended_ns - self._synchronised_ns >= self._resync_ns - self._resync_ns // EARLY_SHARE
         )
         return report
-
-    def _write_at_once(self, data: Sequence[bytes], report: Report, *, stops: bool, preamble: bool) -> None:
-        zeros = self._zeros_ahead(stops=stops, preamble=preamble) if self.announces else 0
-        while zeros and (not stops or zeros + self._size * len(data) > self._most):
-            part = min(zeros, ZEROS_AT_ONCE, self._most)
-            self._call(report, part)
-            zeros -= part
-        at_once = max(1, self._most // self._size) if stops else self._moves_at_once
-        for first in range(0, len(data), at_once):
-            self._call(report, zeros, data[first : first + at_once], first)
-            zeros = 0
 
     def _write_preamble(self, report: Report) -> None:
         """Behind Stops that were written one by one, where all have passed. Raises SpiError."""
@@ -266,11 +263,10 @@ class Bus:
 
     # ---- what precedes a batch, and how it is split
 
-    def _zeros_ahead(self, *, stops: bool, preamble: bool) -> int:
+    def _zeros_ahead(self, now_ns: int, *, stops: bool, preamble: bool) -> int:
         """How many zeros have to come first."""
         wanted = preamble or self._suspect or self._awaited is not NOTHING
         if not wanted:
-            now_ns = self._clock()
             if now_ns - self.ended_ns >= IDLE_NS:
                 self._synchronised_ns = now_ns
             overdue = self._resync_ns > 0 and now_ns - self._synchronised_ns >= self._resync_ns
@@ -280,17 +276,17 @@ class Bus:
 
     # ---- one call
 
-    def _call(self, report: Report, zeros: int, data: Sequence[bytes] = (), first: int = 0) -> None:
+    def _call(self, report: Report, zeros: int, frames: Sequence[Frame] = (), first: int = 0) -> None:
         """Write zeros, then these frames, of which the first has this place, in one call. Raises SpiError."""
         if self._guard is None:
             raise SpiError("the SPI device is closed")
         batch = [self._zero] * zeros
-        for each in data:
+        for frame in frames:
             if self.announces:
-                batch += [(each[:1], self._gap_us)]
-            batch += [(each, self._gap_us)]
+                batch += [(frame.data[:1], self._gap_us)]
+            batch += [(frame.data, self._gap_us)]
         zeros_before = self._zeros + zeros
-        self._zeros = 0 if data else self._zeros  # a zero that failed may have arrived: one more does no harm
+        self._zeros = 0 if frames else self._zeros  # a zero that failed may have arrived: one more does no harm
         self._failures += 1
         begun_ns = self._clock()
         try:
@@ -299,7 +295,7 @@ class Bus:
             except BatchRejectedError as rejection:
                 report.rejection = self._go_one_by_one(batch, rejection)
         except SpiError:
-            self._failed(batch, self._clock() - begun_ns, zeros_only=not data)
+            self._failed(batch, self._clock() - begun_ns, zeros_only=not frames)
             raise
         finally:
             ended_ns = self.ended_ns = self._clock()
@@ -317,13 +313,13 @@ class Bus:
             self._zeros_failed = self._zeros_failed_ns = 0
             if zeros_before >= PREAMBLE_ZEROS:
                 self._synchronised_ns, self.resync_due, self._suspect = ended_ns, False, False
-        if not data:
+        if not frames:
             self._zeros = zeros_before
         wire_ns = begun_ns + zeros * self._zero_ns
-        for each in data:
-            wire_ns += self._byte_ns * each[0] + self._announced_ns  # a frame's first byte is its length
+        for frame in frames:
+            wire_ns += self._byte_ns * frame.data[0] + self._announced_ns  # a frame's first byte is its length
             left_ns = wire_ns if wire_ns < ended_ns else ended_ns
-            report.sent += [Sent(first, each, left_ns, ended_ns - begun_ns, heard)]
+            report.sent += [Sent(first, frame.data, left_ns, ended_ns - begun_ns, heard)]
             wire_ns += self._gap_ns
             first += 1
             self.frames += 1
@@ -359,47 +355,49 @@ class Bus:
             awaited = lost(self._awaited, [data for data, _ in batch])
             self._awaited = NOTHING if awaited == NOTHING else awaited
 
-    def _insist(self, data: Sequence[bytes], report: Report) -> None:
+    def _insist(self, frames: Sequence[Frame], report: Report) -> None:
         """Write each Stop in a call of its own until the controller has received it, or time is up.
 
         Its first failure is noted in the report.
         """
         written = {sent.place for sent in report.sent}
         # What precedes the transfer that failed has most likely arrived, so the last Stops come first.
-        left = [place for place in reversed(range(len(data))) if place not in written]
-        left.sort(key=lambda place: data[place] in self._received)  # those that got none in an earlier call come first
+        left = [place for place in reversed(range(len(frames))) if place not in written]
+        left.sort(
+            key=lambda place: frames[place].data in self._received
+        )  # those that got none in an earlier call come first
         self._failures, give_up_ns = 0, self._clock() + INSIST_NS
         for _ in range(MOST_CALLS):
             if not left:
                 return
             if self._failures >= GIVEN_UP or self._clock() >= give_up_ns:
                 break
-            place = self._next(data, left)
+            place = self._next(frames, left)
             try:
                 if place is None:
-                    self._call_zero(report, data)
+                    self._call_zero(report, frames)
                     continue
                 if place in left:  # one that fails, or may not have been received, is tried again after the others
                     left = [*(each for each in left if each != place), place]
-                self._call(report, 0, (data[place],), place)
+                self._call(report, 0, (frames[place],), place)
                 if report.sent[-1].heard:
                     left = [each for each in left if each != place]
-                    self._received.add(data[place])
+                    self._received.add(frames[place].data)
             except SpiError as fault:
                 report.fault = report.fault or fault
         report.fault = report.fault or SpiError("the SPI device took too long to take all Stops")
 
-    def _next(self, data: Sequence[bytes], left: Sequence[int]) -> int | None:
+    def _next(self, frames: Sequence[Frame], left: Sequence[int]) -> int | None:
         """Which of these Stops to write next; None: a zero, since no few Stops would bring the controller back."""
         if not self.announces:
             return left[0]
-        others = [place for place in range(len(data)) if place != left[0]]
+        others = [place for place in range(len(frames)) if place != left[0]]
         candidates = [*left[:LOOKED_AT], *others][:LOOKED_AT]
-        stops = tuple(dict.fromkeys(data[place] for place in candidates))
+        stops = tuple(dict.fromkeys(frames[place].data for place in candidates))
         found = next_on_the_way_back(self._awaited, stops)
-        return None if found == ZERO else next(place for place in candidates if data[place] == found)
+        return None if found == ZERO else next(place for place in candidates if frames[place].data == found)
 
-    def _call_zero(self, report: Report, data: Sequence[bytes]) -> None:
+    def _call_zero(self, report: Report, frames: Sequence[Frame]) -> None:
         """Write zeros, a few; or, where none has passed for long, these Stops all the same. Raises SpiError."""
         # Of a controller that nobody has lost anything to, most likely nothing is lost.
         untouched = self._slow and self._awaited == ANYTHING
@@ -407,4 +405,4 @@ class Bus:
             self._call(report, 1 if self._slow else min(ZEROS_ON_A_BAD_BUS, max(self._awaited)))
         else:
             self._zeros_failed = self._zeros_failed_ns = 0
-            self._call(report, 0, data[: max(1, self._most // self._size)])
+            self._call(report, 0, frames[: self._stops_at_once])

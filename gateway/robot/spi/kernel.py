@@ -6,6 +6,7 @@ import fcntl
 import struct
 import sys
 from contextlib import suppress
+from functools import lru_cache
 from pathlib import Path
 from typing import Final
 
@@ -67,7 +68,6 @@ class KernelDevice(SpiDevice):
         # Transfers without a receive buffer lost clock edges on a Raspberry Pi 5. Nobody reads what comes back.
         self._received = array.array("B", bytes(_LONGEST))
         self._received_at = self._received.buffer_info()[0]
-        self._list = bytearray(MOST_TRANSFERS * _SEGMENT.size)
         # Any exception counts as a fault of the device: spidev has raised SystemError and TypeError when a kernel
         # behaved unexpectedly, and the gateway must go on to its Stops.
         try:
@@ -77,7 +77,7 @@ class KernelDevice(SpiDevice):
                 self._listener = Listener(self._spi.fileno())
             # All flags are cleared: one that another program has set, such as "no chip select", outlives that program,
             # and spidev's own `mode` changes two bits only.
-            fcntl.ioctl(self._spi.fileno(), _WRITE_MODE, b"\0")
+            fcntl.ioctl(self._spi, _WRITE_MODE, b"\0")
             self._spi.bits_per_word = _BITS
             self._spi.max_speed_hz = speed_hz
             # Not 0 where chip select is a GPIO: some kernels then add SPI_CS_HIGH of their own accord.
@@ -106,8 +106,11 @@ class KernelDevice(SpiDevice):
         Raises BatchRejectedError where the kernel rejects the list: it looks at all of it before the first bit leaves.
         """
         try:
-            size = self._fill(batch)
-            sent = self._send(batch)
+            parts, pauses_us = zip(*batch, strict=True)
+            data = b"".join(parts)
+            size = len(data)
+            self._bytes[:size] = data
+            sent = self._send(tuple(map(len, parts)), pauses_us)
         except Exception as error:
             if isinstance(error, OSError) and error.errno in _NO_LISTS:
                 raise BatchRejectedError(
@@ -117,37 +120,18 @@ class KernelDevice(SpiDevice):
         if sent != size:
             raise SpiError(f"{self._path}: the transfer failed: {sent} of {size} bytes were written")
 
-    def _send(self, batch: Batch) -> int:
+    def _send(self, sizes: tuple[int, ...], pauses_us: tuple[int, ...]) -> int:
         """Hand the list to the kernel; how many bytes were written."""
-        request = _MESSAGES[len(batch)]
+        segments = _segments(sizes, pauses_us, self._data_at, self._received_at, self._speed_hz)
         try:
-            return int(fcntl.ioctl(self._spi.fileno(), request, self._list))
+            return int(fcntl.ioctl(self._spi, *segments))
         except OSError as error:
             if error.errno != errno.EINVAL or not self._received_at:
                 raise
         # A controller that does not receive while it sends rejects lists with receive buffers. Nothing was written.
-        received_at, self._received_at = self._received_at, 0
-        self._fill(batch)
-        try:
-            return int(fcntl.ioctl(self._spi.fileno(), request, self._list))
-        except OSError:
-            self._received_at = received_at  # they were not what it rejects
-            raise
-
-    def _fill(self, batch: Batch) -> int:
-        """Describe the batch to the kernel; its size in bytes."""
-        size, last = 0, len(batch) - 1
-        for place, (data, pause_us) in enumerate(batch):
-            end = size + len(data)
-            self._bytes[size:end] = data
-            # With cs_change chip select is released behind a transfer; behind the last it would be kept.
-            _SEGMENT.pack_into(
-                self._list, place * _SEGMENT.size,
-                self._data_at + size, self._received_at, end - size, self._speed_hz, pause_us, _BITS, place != last,
-                0, 0, 0, 0,
-            )  # fmt: skip
-            size = end
-        return size
+        written = int(fcntl.ioctl(self._spi, *_segments(sizes, pauses_us, self._data_at, 0, self._speed_hz)))
+        self._received_at = 0  # they were what it rejects
+        return written
 
     def fileno(self) -> int | None:
         """The device's file."""
@@ -170,14 +154,14 @@ class KernelDevice(SpiDevice):
             return None
         found = f"{self._path}: another program had set SPI mode 0x{mode:02x} instead of 0x{self._mode:02x}"
         with suppress(OSError):
-            fcntl.ioctl(self._spi.fileno(), _WRITE_MODE, b"\0")
+            fcntl.ioctl(self._spi, _WRITE_MODE, b"\0")
             found += f", {self._read(_READ_SPEED)} Hz and {self._read(_READ_BITS)} bits"
         return found
 
     def _read(self, request: int) -> int:
         """A setting of the device, as it is now."""
         value = bytearray(request >> 16 & 0x3FFF)
-        fcntl.ioctl(self._spi.fileno(), request, value)
+        fcntl.ioctl(self._spi, request, value)
         return int.from_bytes(value, sys.byteorder)
 
     def close(self) -> None:
@@ -187,6 +171,20 @@ class KernelDevice(SpiDevice):
             self._spi.close()
         if self._spare is not None:
             self._spare.fill()
+
+
+@lru_cache(maxsize=256)
+def _segments(
+    sizes: tuple[int, ...], pauses_us: tuple[int, ...], data_at: int, received_at: int, speed_hz: int
+) -> tuple[int, bytearray]:
+    """The request and the list of a batch with these sizes and pauses: made once for all setpoints of a stream."""
+    segments = bytearray()
+    for number, (size, pause_us) in enumerate(zip(sizes, pauses_us, strict=True), 1):
+        # With cs_change chip select is released behind a transfer; behind the last it would be kept.
+        behind = number < len(sizes)
+        segments += _SEGMENT.pack(data_at, received_at, size, speed_hz, pause_us, _BITS, behind, 0, 0, 0, 0)
+        data_at += size
+    return _MESSAGES[len(sizes)], segments
 
 
 def most_transfers(bufsiz: Path = BUFSIZ) -> int:

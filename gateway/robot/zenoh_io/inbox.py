@@ -150,8 +150,19 @@ class Inbox:
         newer than all of them, and belongs to a later instant. Only the emergency stop is asked for before every
         message (its thread notes it by itself, and waits for the state), so that nothing that waits comes before it.
         """
+        # Those whose wakeup came. All, where wakeups may have been lost, and where a timer woke the loop: a Stop whose
+        # wakeup has not been noted yet goes before a frame whose rate slot has come. To look into all takes 4 µs.
+        keys = () if self._read_all else {*self._heard, *self._look_at}
+        try:
+            found = self._rings.read(keys)
+        except zenoh.ZError:  # while the inbox closes, a tick may find its rings gone
+            found = []
+        self.instant_open = self._rings.instant_open
+        if self._others:
+            found += [(other.key, other) for other in self._others]
+            self._others.clear()
         taken: dict[str, int] = {}
-        for key, each in self._take_commands():
+        for key, each in found:
             received = _lost(key, self._passed_over) if each is None else each
             while self._estops:
                 yield self._estops.popleft()
@@ -221,26 +232,24 @@ class Inbox:
             self._engage(self._estops.popleft())
 
     def _on_wakeup(self, item: _Item, received_ns: int) -> float | None:
-        # Empty the wakeups before the rings are read: a message that comes in between then rings again.
         self._note(item, received_ns)
         del item
-        self._note_all(received_ns)
-        flooded = self._read_all
-        self._wake()
-        return FLOOD_PAUSE_S if flooded else None
-
-    def _note_all(self, received_ns: int) -> None:
-        """Note what waits in the wakeups; what comes meanwhile is left for the next time."""
+        # The wakeups are emptied before the rings are read: a message that comes in between wakes again. What comes
+        # while they are emptied is left for the next time.
         for wakeup in self._wakeups:
             count = 0
             try:
-                while count < OTHER_DEPTH and (item := wakeup.try_recv()) is not None:
-                    self._note(item, received_ns)
+                while count < OTHER_DEPTH and (another := wakeup.try_recv()) is not None:
+                    self._note(another, received_ns)
+                    del another
                     count += 1
             except zenoh.ZError:  # while the inbox closes, a tick may find its rings gone
                 pass
             # Of a full wakeup two may have been taken out after another was lost: this one, and its thread's.
             self._read_all = self._read_all or count >= OTHER_DEPTH - 2
+        flooded = self._read_all
+        self._wake()
+        return FLOOD_PAUSE_S if flooded else None
 
     def _note(self, item: _Item, received_ns: int) -> None:
         """A key of ours is read from its own ring; what names none of ours is rejected from here."""
@@ -255,23 +264,9 @@ class Inbox:
             if not named and not (wild and isinstance(item, zenoh.Query) and _named(item, self._read_elsewhere)):
                 self._others.append(_received(self._replies, key, item, received_ns))
                 return
-        if isinstance(item, zenoh.Query):
+        if type(item) is zenoh.Query:
             # Its asker may wait for the end of all that it reached, so an emergency stop's is not sent behind others.
             (self._estop_replies if key == ESTOP else self._replies).let_go(item)
-
-    def _take_commands(self) -> list[tuple[str, Received | None]]:
-        # Those whose wakeup came. All, where wakeups may have been lost, and where a timer woke the loop: a Stop whose
-        # wakeup has not been noted yet goes before a frame whose rate slot has come. To look into all takes 4 µs.
-        keys = () if self._read_all else {*self._heard, *self._look_at}
-        try:
-            found = self._rings.read(keys)
-        except zenoh.ZError:  # while the inbox closes, a tick may find its rings gone
-            found = []
-        self.instant_open = self._rings.instant_open
-        if self._others:
-            found += [(other.key, other) for other in self._others]
-            self._others.clear()
-        return found
 
     def _compare(self, taken: dict[str, int]) -> None:
         """Look again, if more messages were heard of than taken: one of them has not reached its key's ring yet.
@@ -340,7 +335,7 @@ def _received(answers: ReplySender, key: str, item: _Item, received_ns: int | No
     """What was said on `key`, and when it came, where that is known better than by now."""
     payload = item.payload
     size = len(payload) if payload is not None else 0
-    if isinstance(item, zenoh.Query):
+    if type(item) is zenoh.Query:
         verb, reply = Verb.GET, answers.to(item, key)
     else:
         verb, reply = (_DELETE if item.kind == _KIND_DELETE else _PUT), None

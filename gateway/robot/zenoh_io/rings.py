@@ -107,9 +107,11 @@ class Rings(Generic[Item, Message]):
         `legs` first, then `leg`, then `servo`, then resets; of one ring in its order. None: a Stop may
         have been lost before what follows of this key.
         """
-        due: Collection[Ring[Item]] = self._all
+        due: list[Ring[Item]] | set[Ring[Item]] = self._all
         if keys and not self.instant_open:
-            due = [ring for key in keys for ring in self._of[key]]
+            due = []
+            for key in keys:
+                due += self._of[key]
         taken: list[tuple[Ring[Item], Sequence[Message | None]]] = []
         stops = False
         for _ in range(PASSES):
@@ -125,26 +127,23 @@ class Rings(Generic[Item, Message]):
                         [self._make(ring.key, first)] if second is None else self._made(ring, ring.rest(first, second))
                     )
                     taken += [(ring, items)]
-                    if self._may_stop(ring, items):
-                        stops = True
-                        again |= ring.others
-                    else:
-                        again |= ring.before
+                    older = ring.before
+                    for item in items if ring.servos else ():
+                        if item is None or self._words_of_stop(item) is not None:
+                            stops, older = True, ring.others
+                            break
+                    again |= older
             due = again
             if not due:
                 break
         self.instant_open = bool(due) and stops
-        if len(taken) > 1:
+        if taken[1:]:
             taken.sort(key=_place)
-        return [(ring.key, item) for ring, items in taken for item in items]
-
-    def _may_stop(self, ring: Ring[Item], items: Sequence[Message | None]) -> bool:
-        """Whether a Stop may be among them."""
-        if ring.servos:
+        found: list[tuple[str, Message | None]] = []
+        for ring, items in taken:
             for item in items:
-                if item is None or self._words_of_stop(item) is not None:
-                    return True
-        return False
+                found += [(ring.key, item)]
+        return found
 
     def _made(self, ring: Ring[Item], found: list[Item]) -> Sequence[Message | None]:
         """The newest, and before them the older Stops, or None where some may have been lost."""

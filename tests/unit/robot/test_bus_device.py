@@ -368,7 +368,7 @@ def test_what_it_opens_is_guarded() -> None:
         devices = Devices()
         bus = devices.bus(Framing.PLAIN, batch=batch)
         illegal = OneServo(11, ServoOp(Op.START, 90_00))
-        illegal._data = bytes((6, 2, 99, 1, 90, 0))  # a bug that nobody has made yet
+        illegal.data = bytes((6, 2, 99, 1, 90, 0))  # a bug that nobody has made yet
         with pytest.raises(IllegalTransferError):
             bus.write([START, illegal])
         assert devices.calls == [], "nothing of it"
