@@ -10,6 +10,7 @@ import re
 import shutil
 import subprocess
 import sys
+from collections.abc import Iterator
 from copy import copy
 from html.parser import HTMLParser
 from importlib import import_module
@@ -51,7 +52,16 @@ def main() -> None:
     """Builds the site; ends with 1, and the list of what is broken, unless every link leads somewhere."""
     collect(PAGES)
     shutil.rmtree(SITE, ignore_errors=True)
-    builder = [sys.executable, "-m", "zensical", "build", "--strict", "--clean", "--config-file", str(ROOT / "mkdocs.yml")]
+    builder = [
+        sys.executable,
+        "-m",
+        "zensical",
+        "build",
+        "--strict",
+        "--clean",
+        "--config-file",
+        str(ROOT / "mkdocs.yml"),
+    ]
     if subprocess.run(builder, cwd=ROOT, check=False).returncode:
         sys.exit(1)
     if broken := broken_links(SITE):
@@ -73,7 +83,7 @@ def collect(pages: Path) -> None:
 
 
 def relinked(text: str, origin: str, place: str) -> tuple[str, set[str]]:
-    """A page of the repository with its links as they are in the site, and the files outside docs/ that they lead to."""
+    """A page with its links as they are in the site, and the files outside docs/ that they lead to."""
     files: set[str] = set()
 
     def relink(found: re.Match[str]) -> str:
@@ -130,7 +140,7 @@ class _Page(HTMLParser):
         self.anchors: set[str] = set()
         self.feed(path.read_text(encoding="utf-8"))
 
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+    def handle_starttag(self, _tag: str, attrs: list[tuple[str, str | None]]) -> None:
         for name, value in attrs:
             if name == "id" and value:
                 self.anchors.add(value)
@@ -143,24 +153,35 @@ class PublicApi(griffe.Extension):
 
     def on_package(self, *, pkg: griffe.Module, **_: Any) -> None:
         """Called once for each package that was read."""
-        for module in _modules(pkg):
-            if module.path.startswith("gateway.people.client."):
-                _complete(pkg, module)
-            _fix(module)
+        for module in pkg.modules["people"].modules["client"].modules.values() if pkg.path == "gateway" else ():
+            _complete(pkg, module)
+        owners = list(_owners(pkg))
+        private = [(owner, name) for owner in owners for name in owner.members if _is_private(owner, name)]
+        for owner, name in private:
+            owner.del_member(name)
+        for owner in owners:
+            if owner.docstring:
+                owner.docstring.value = DOCTEST.sub(r"```pycon\n\g<0>\n```", owner.docstring.value)
 
 
-def _modules(module: griffe.Module) -> list[griffe.Module]:
-    return [module, *(inner for child in module.modules.values() if not child.is_alias for inner in _modules(child))]
+def _owners(owner: griffe.Object) -> Iterator[griffe.Object]:
+    """This module or class, and all modules, classes and functions in it."""
+    yield owner
+    for member in owner.members.values():
+        if isinstance(member, griffe.Object):
+            yield from _owners(member)
 
 
 def _complete(package: griffe.Module, module: griffe.Module) -> None:
-    """Methods that are made as the module is loaded (`go = waits(Walk.go)`) are shown as what they wait for, with `async`."""
+    """Methods made at import (`go = waits(Walk.go)`) are shown as the method that they wait for, with `async`."""
     made = [
         (owner, name)
         for owner in module.classes.values()
         if not owner.is_alias
         for name, member in owner.members.items()
-        if not name.startswith("_") and member.is_attribute and isinstance(member.value, griffe.ExprCall)
+        if not name.startswith("_")
+        and isinstance(member, griffe.Attribute)
+        and isinstance(member.value, griffe.ExprCall)
     ]
     for owner, name in made:
         method = getattr(getattr(import_module(module.path), owner.name), name, None)
@@ -170,21 +191,11 @@ def _complete(package: griffe.Module, module: griffe.Module) -> None:
             owner.set_member(name, function)
 
 
-def _fix(owner: griffe.Object) -> None:
-    private = {name for name, member in owner.members.items() if not member.is_alias and _is_private(owner, name)}
-    for name in private:
-        owner.del_member(name)
-    for member in owner.members.values():
-        if not member.is_alias and member.docstring:
-            member.docstring.value = DOCTEST.sub(r"```pycon\n\g<0>\n```", member.docstring.value)
-        if isinstance(member, griffe.Class):
-            _fix(member)
-
-
 def _is_private(owner: griffe.Object, name: str) -> bool:
     """Marked by itself or, if it has no docstring, by what it overrides."""
-    if name in owner.members and (docstring := owner.members[name].docstring):
-        return "@private" in docstring.value
+    member = owner.members.get(name)
+    if isinstance(member, griffe.Object) and member.docstring:
+        return "@private" in member.docstring.value
     return isinstance(owner, griffe.Class) and any(_is_private(base, name) for base in owner.resolved_bases)
 
 

@@ -1,4 +1,4 @@
-"""The docs site: it builds without a broken link, and its API pages show what a program uses and nothing that only we use."""
+"""The docs site: no link is broken, and its API pages show what a program uses, and nothing that only we use."""
 
 import re
 import subprocess
@@ -70,7 +70,9 @@ def test_each_page_is_in_the_menu_and_in_the_search() -> None:
 
 
 def test_a_broken_link_is_found(tmp_path: Path) -> None:
-    (tmp_path / "a.html").write_text('<h1 id="here"></h1><a href="#here"></a><a href="b.html#there"></a><img src="c.png">')
+    (tmp_path / "a.html").write_text(
+        '<h1 id="here"></h1><a href="#here"></a><a href="b.html#there"></a><img src="c.png">'
+    )
     (tmp_path / "b.html").write_text('<a href="a.html#here"></a><a href="https://example.com"></a><a href="#gone"></a>')
     assert broken_links(tmp_path) == ["a.html: b.html#there", "a.html: c.png", "b.html: #gone"]
 

@@ -1,4 +1,4 @@
-"""docs/certificates.md to the letter: five robots and a router are set up, and somebody leaves. Machines are folders."""
+"""docs/certificates.md to the letter: five robots and a router, and somebody leaves. Machines are folders."""
 
 import os
 import subprocess
