@@ -30,7 +30,7 @@ help:
 	@echo "make soak     an hour of mixed traffic at ten times the real rate: does anything drift?"
 	@echo "make mutants  small faults in the files that keep the robot safe, one at a time: does a test fail for each?"
 	@echo "              (MUTANTS=\"spi zenoh_io\": only files whose name has one of these in it)"
-	@echo "make docs     the Python API as HTML, in build/docs"
+	@echo "make docs     all pages and the Python API as one searchable site, in build/docs; fails on a broken link"
 	@echo "make schemas  write schemas/json/ anew"
 	@echo "make format   let ruff format"
 	@echo "make wheels   fill $(WHEELS) for deploy/install.sh --wheels, which needs no network"
@@ -86,7 +86,7 @@ mutants: $(VENV)/dev
 	$(BIN)/python -m tests.mutants $(MUTANTS)
 
 docs: $(VENV)/dev
-	$(BIN)/pdoc --output-directory build/docs --no-show-source gateway.client schemas
+	@$(BIN)/python -m release.docs_site
 	@echo "open build/docs/index.html"
 
 schemas: $(VENV)/dev

@@ -1,6 +1,6 @@
 """A byte is lost, or the machine stalls: the controller is out of sync, and nothing comes back that could say so.
 
-A sample of a minute's faults on the simulated controller; `python -m tests.deaf` tries all of them (docs/deaf.md).
+A sample of a minute's faults on the simulated controller; `python -m tests.deaf` tries all of them (docs/protocol.md).
 """
 
 import logging
@@ -47,7 +47,7 @@ def test_a_byte_lost_anywhere(tick_phase_ns: int) -> None:
 
 
 def test_what_a_doubled_byte_does_is_known() -> None:
-    """It may push out hundredths of 69 to 99, which are then a length; docs/deaf.md has the figures."""
+    """It may push out hundredths of 69 to 99, which are then a length; docs/protocol.md has the figures."""
     tally = lose_bytes(recorded(), every=499, doubled=True)
     assert tally.dead.keys() == {"a buffer of 64 overwrote its SPI handle"}, "never of an id"
     assert 0.3 < tally.dead.total() / tally.faults < 0.7
@@ -67,7 +67,7 @@ def test_an_announcement_or_a_zero_lost_costs_no_controller_and_a_body_does() ->
 
 @pytest.mark.parametrize(("run", "least", "most"), [(1, 0, 0), (2, 0.01, 0.2), (3, 0.3, 0.7), (5, 0.5, 0.9)])
 def test_what_more_than_one_lost_byte_does_is_known(run: int, least: float, most: float) -> None:
-    """It may kill the firmware, with servos on that no Stop reaches; docs/deaf.md has the figures."""
+    """It may kill the firmware, with servos on that no Stop reaches; docs/protocol.md has the figures."""
     walked, stopped = lose_bytes(recorded(), every=499, run=run), lose_before_stop(run, every=47)
     for tally in (walked, stopped):
         assert tally.faults > 100

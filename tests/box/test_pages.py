@@ -1,4 +1,4 @@
-"""docs/backup.md and docs/security.md to the letter, on an installed robot, which is the machine with the CA, too."""
+"""docs/certificates.md to the letter, on an installed robot, which is the machine with the CA, too."""
 
 import subprocess
 from collections.abc import Iterable
@@ -74,10 +74,10 @@ def test_a_restored_backup_lets_nobody_in_once_the_page_is_followed_to_its_end(s
     box = scene.machine.box
     assert scene.lets_in("anna", "lena")
     assert "there is no list: nobody is shut out" in box.run(NAME, "check", check=False).stdout
-    (revoke,) = commands("backup.md", "## A laptop is lost, or was stolen")
+    (revoke,) = commands("certificates.md", "## A laptop is lost, or was stolen")
     scene.follow([revoke.replace("anna", "lena")])
     assert scene.lets_in("anna")
-    keep, restore = commands("backup.md", "## What to keep")[:2], commands("backup.md", "**A new card")
+    keep, restore = commands("certificates.md", "## What to keep")[:2], commands("certificates.md", "**A new card")
     scene.follow(keep)
     assert "robot.local: list 2 is in force (brought as bert)." in scene.follow([revoke])
     assert scene.lets_in()
@@ -99,7 +99,7 @@ def test_a_restored_backup_lets_nobody_in_once_the_page_is_followed_to_its_end(s
 
 
 def test_another_ca_takes_the_firsts_place(scene: Scene) -> None:
-    lines = commands("security.md", "### Another CA")
+    lines = commands("certificates.md", "## Another CA")
     begun, moved, ended = lines[:3], lines[3], lines[4:]
     scene.follow(begun)
     assert scene.lets_in("anna", "lena"), "both are good"

@@ -95,7 +95,7 @@ def walking(visitor: Visitor) -> None:
         taken = page.page.screenshot()
         page.page.keyboard.up("w")
         page.page.keyboard.up("e")
-        if page["said"].text_content() == "It walks.":
+        if page["said"].text_content() == "It walks." and (page["age"].text_content() or "").endswith("ms old"):
             PICTURE.write_bytes(taken)
             break
     page.close()

@@ -16,7 +16,7 @@ RUNS = (2, 3, 5, 14, 30, 100)
 def main() -> int:
     """Print the figures; 1 where one lost byte or a stall cost a Stop with its first repeat, or the controller.
 
-    A doubled byte and more than one lost byte may cost both (docs/deaf.md).
+    A doubled byte and more than one lost byte may cost both (docs/protocol.md).
     """
     parser = argparse.ArgumentParser(description="Lost bytes and stalls, on the simulated controller.")
     parser.add_argument("--every", type=int, default=1, help="one fault in so many (default: all)")

@@ -30,7 +30,7 @@ MOST_TILT_DEG: Final = 10.0
 STUCK_M_S: Final = 0.8
 STUCK: Final = {("servos of 1.4 N·m", "tripod"), ("3.5 kg", "tripod")}
 """Servos too weak for their robot to push a loaded foot outward over rubber: from some phases of a tripod walk two feet
-hold it up like a trestle, and let go at once (docs/stopping.md)."""
+hold it up like a trestle, and let go at once (docs/stops.md)."""
 
 
 class Row(NamedTuple):

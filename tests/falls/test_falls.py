@@ -56,7 +56,7 @@ def test_a_landing_from_any_phase_is_gentle(world: str, stance: str) -> None:
 
 @pytest.mark.parametrize(("friction", "gentle"), [(0.65, True), (0.8, False)])
 def test_a_landing_with_weak_servos_is_gentle_only_where_feet_slide(friction: float, gentle: bool) -> None:
-    """The exact limit, as docs/stopping.md states it."""
+    """The exact limit, as docs/stops.md states it."""
     found = worst("tripod", LANDING, Assumed(torque_nm=1.4, friction=friction))
     assert (found.speed_m_s < MOST_SPEED_M_S) is gentle
 

@@ -1,4 +1,4 @@
-"""The picture in docs/landing.md, from a real run: `python -m tests.support.landing_picture docs/landing.svg`.
+"""The picture in docs/stops.md, from a real run: `python -m tests.support.landing_picture docs/landing.svg`.
 
 A gateway on the simulated controller, and a program that walks with all six legs and then says no more. What is drawn
 is every frame that was written: the angle that each servo was told, and when.

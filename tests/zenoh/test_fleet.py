@@ -42,7 +42,7 @@ BUFFER_BYTES = 16_384
 
 
 class Fleet:
-    """The router and the gateways, started as docs/fleet.md says."""
+    """The router and the gateways, started as docs/certificates.md says."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder / "D"

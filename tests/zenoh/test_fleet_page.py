@@ -1,4 +1,4 @@
-"""docs/fleet.md to the letter: five robots and a router are set up, and somebody leaves. Machines are folders."""
+"""docs/certificates.md to the letter: five robots and a router, and somebody leaves. Machines are folders."""
 
 import os
 import subprocess
@@ -71,7 +71,7 @@ def may_drive(laptop: Path, robot: str) -> bool:
 
 
 def test_five_robots_are_set_up_by_five_commands_and_somebody_leaves(tmp_path: Path) -> None:
-    machines, five = Machines(tmp_path), commands("fleet.md", "## Set up")
+    machines, five = Machines(tmp_path), commands("certificates.md", "### Set up")
     five, another = five[:5], five[5:]
     machines.follow(*five)
     machines.follow(*another)
@@ -86,7 +86,7 @@ def test_five_robots_are_set_up_by_five_commands_and_somebody_leaves(tmp_path: P
         assert all(may_drive(bert, robot) for robot in ("robot-1", "robot-4"))
         assert [path.name for path in sorted(bert.glob("*.json5"))] == ["bert.robot-1.json5", "bert.robot-4.json5"]
 
-        revoke, copy, show = commands("fleet.md", "## Somebody leaves")
+        revoke, copy, show = commands("certificates.md", "### Somebody leaves")
         said = machines.follow(revoke)
         assert said[0].endswith("list 1 shuts out operator-00.robot-1.robot-4.")
         assert said[1:6] == [f"{robot}: list 1 is in force (brought as anna)." for robot in ROBOTS]

@@ -68,7 +68,7 @@ class Robot:
         self.copy()
 
     def copy(self) -> None:
-        """To the robot: what docs/backup.md names, and no list."""
+        """To the robot: what docs/certificates.md names, and no list."""
         self.own.mkdir(exist_ok=True)
         for name in ("ca.pem", "gateway.pem", "gateway.key", "gateway.json5"):
             shutil.copy(self.folder / name, self.own)

@@ -26,7 +26,7 @@ What it leaves out, so that the firmware may do worse:
   in a fault, depending on the build, some leave it deaf, and many others start a real servo.
 * There is no time between bytes, and to handle a frame or a length of 0 takes none. The firmware misses bytes that come
   meanwhile, such as zeros within one transfer. So a stream that is out of sync loses more bytes there, and kills it
-  more often (docs/deaf.md has both figures).
+  more often (docs/protocol.md has both figures).
 * There are no bits: a clock edge that is lost or added would misalign everything after it, until a reset.
 """
 

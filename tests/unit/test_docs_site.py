@@ -1,0 +1,85 @@
+"""The docs site: no link is broken, and its API pages show what a program uses, and nothing that only we use."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+from typing import Final
+
+import pytest
+
+import gateway.client
+from release.docs_site import PAGES, ROOT, SITE, broken_links, relinked
+
+RETURNED: Final = {"Ack", "Event", "GatewayState", "Kind", "Odometry", "Posture", "Reason", "WalkState"}
+OURS: Final = {
+    "Button.leave",
+    "Client.carry",
+    "Client.lease_requests",
+    "Lease.token",
+    "Odometry.after",
+    "Stream.send",
+    "Walk.close",
+    "Walk.end_now",
+    "Walk.use",
+}
+PROGRAMS: Final = {
+    "AsyncWalk.ahead",
+    "AsyncWalk.go",
+    "AsyncWalk.turn",
+    "Ack.or_raise",
+    "Client.walk",
+    "Event.kind",
+    "GatewayState.limits",
+    "Odometry.heading_rad",
+    "Walk.ahead",
+    "Walk.turn",
+    "WalkState.odometry",
+}
+
+
+@pytest.fixture(scope="module")
+def shown() -> set[str]:
+    """The names on the page of `gateway.client`, of the site as `make docs` builds it."""
+    built = subprocess.run(
+        [sys.executable, "-m", "release.docs_site"], cwd=ROOT, capture_output=True, text=True, check=False
+    )
+    assert built.returncode == 0, built.stdout + built.stderr
+    page = (SITE / "api" / "client.html").read_text(encoding="utf-8")
+    return {name.removeprefix("gateway.client.") for name in re.findall(r'<h\d id="([\w.]+)"', page)}
+
+
+def test_what_methods_return_is_exported_and_shown(shown: set[str]) -> None:
+    assert set(gateway.client.__all__) <= shown
+    assert shown >= RETURNED
+
+
+def test_methods_of_our_own_are_not_shown_and_those_of_programs_are(shown: set[str]) -> None:
+    assert not OURS & shown
+    assert shown >= PROGRAMS
+    assert not {name for name in shown if name.endswith("exit_code")}
+
+
+@pytest.mark.usefixtures("shown")
+def test_each_page_is_in_the_menu_and_in_the_search() -> None:
+    pages = {path.relative_to(PAGES).as_posix() for path in PAGES.rglob("*.md")}
+    menu = re.findall(r": (\S+\.md)$", (ROOT / "mkdocs.yml").read_text(encoding="utf-8"), re.MULTILINE)
+    search = (SITE / "search.json").read_text(encoding="utf-8")
+    assert set(menu) == pages
+    assert {page for page in pages if f'"{page.removesuffix(".md")}.html' not in search} == set()
+
+
+def test_a_broken_link_is_found(tmp_path: Path) -> None:
+    (tmp_path / "a.html").write_text(
+        '<h1 id="here"></h1><a href="#here"></a><a href="b.html#there"></a><img src="c.png">'
+    )
+    (tmp_path / "b.html").write_text('<a href="a.html#here"></a><a href="https://example.com"></a><a href="#gone"></a>')
+    assert broken_links(tmp_path) == ["a.html: b.html#there", "a.html: c.png", "b.html: #gone"]
+
+
+def test_links_are_those_of_the_site() -> None:
+    text = "[a](docs/stops.md#x) [b](https://zenoh.io) [c](#here) [d](deploy/gateway.toml) [e](examples)"
+    assert relinked(text, "README.md", "index.md") == (
+        "[a](stops.md#x) [b](https://zenoh.io) [c](#here) [d](deploy/gateway.toml.txt) [e](examples/index.md)",
+        {"deploy/gateway.toml"},
+    )
