@@ -153,12 +153,11 @@ class Lease:
         self._subscriber = self._client.on_event(self._receive)
         try:
             ack = self._acquired()
+            if not _TOKEN.fullmatch(ack.lease or ""):
+                raise LeaseError(Reason.LEASE_DENIED, "the reply has no token; is it a gateway's?", ack.holder)
         except BaseException:
             self._unsubscribe()
             raise
-        if not _TOKEN.fullmatch(ack.lease or ""):
-            self._unsubscribe()
-            raise LeaseError(Reason.LEASE_DENIED, "the reply has no token; is it a gateway's?", ack.holder)
         self.holder, self.verified = ack.holder or self._client.name, bool(ack.verified)
         with self._lock:
             self._token = ack.lease
@@ -255,20 +254,15 @@ class Lease:
 
     def _acquired(self) -> "LeaseAck":
         ack = self._request("take" if self._take else "acquire")
-        if not self._take and ack.reason == Reason.LEASE_HELD and self._wait_s > 0:
-            ack = self._waited(ack)
-        if not ack.accepted:
-            raise _error(ack)
-        return ack
-
-    def _waited(self, ack: "LeaseAck") -> "LeaseAck":
-        waiting = Waiting(time.monotonic() + self._wait_s)
+        waiting = Waiting(time.monotonic() + (0.0 if self._take else self._wait_s))
         while ack.reason == Reason.LEASE_HELD and waiting.pause_s(time.monotonic()) > 0:
             if waiting.asks(ack.holder):
                 self._request("ask")
             self._news.wait(waiting.pause_s(time.monotonic()))
             self._news.clear()
             ack = self._request("acquire")
+        if not ack.accepted:
+            raise _error(ack)
         return ack
 
     def _request(self, do: str) -> "LeaseAck":

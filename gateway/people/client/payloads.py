@@ -140,8 +140,6 @@ def number(angle_deg: object) -> float:
     """
     if type(angle_deg) is float or type(angle_deg) is int:  # a stream's, usually
         return _within_limits(angle_deg)
-    if isinstance(angle_deg, int | float) and not isinstance(angle_deg, bool):
-        return _within_limits(angle_deg)
     if type(angle_deg).__name__ not in ("bool", "bool_"):  # Python's, numpy's
         if isinstance(angle_deg, SupportsFloat):
             return _within_limits(float(angle_deg))

@@ -293,7 +293,7 @@ class Stream:
 
     def _receive_state(self, state: GatewayState) -> None:
         self._doubt.received(time.monotonic())
-        if not self._runs(state):
+        if self._stopped_legs(state):
             self._doubt.raise_it()
 
     def _receive_event(self, event: Event) -> None:
@@ -364,7 +364,7 @@ class Stream:
         self._doubt.received(time.monotonic())
         self.answer = state
         self._to_stop -= self._not_ours(state)
-        if not self._runs(state):
+        if self._stopped_legs(state):
             raise self._stopped(state)
         return state
 
@@ -384,9 +384,6 @@ class Stream:
     def _stopped_legs(self, state: GatewayState) -> frozenset[int]:
         stopped = {each.leg for each in state.legs if not all(servo.running for servo in each.servos)}
         return self._started & stopped
-
-    def _runs(self, state: GatewayState) -> bool:
-        return not self._stopped_legs(state)
 
     def _stopped(self, state: GatewayState) -> StoppedError:
         legs = self._stopped_legs(state)
