@@ -7,7 +7,7 @@ person says is about the servo itself, and so about its angle on the wire; only 
 import math
 from dataclasses import dataclass, field
 
-from gateway.model.calibration import AS_DRAWN, Calibration, CalibrationError, ServoCalibration, changed_servos
+from gateway.model.calibration import AS_DRAWN, CalibrationError, RobotCalibration, ServoMapping, changed_servos
 from gateway.model.frames import MAX_ANGLE_CDEG, centidegrees
 from schemas.robot import SERVO_IDS
 
@@ -16,14 +16,14 @@ from schemas.robot import SERVO_IDS
 class Guide:
     """One walk through some servos. Each method that changes the draft can be undone."""
 
-    in_force: Calibration
+    in_force: RobotCalibration
     avoid_cdeg: tuple[int, int] | None = None
     """A servo's own angles that the gateway never sends, from the first up to, not including, the second."""
-    draft: dict[int, ServoCalibration] = field(init=False)
+    draft: dict[int, ServoMapping] = field(init=False)
     servo_id: int | None = None
     wire_cdeg: int = 0
     """Where the servo under test was commanded to stand: its own angle."""
-    _before: list[tuple[int, ServoCalibration]] = field(default_factory=list)
+    _before: list[tuple[int, ServoMapping]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         self.draft = {servo_id: self.in_force.of(servo_id) for servo_id in SERVO_IDS}
@@ -121,19 +121,19 @@ class Guide:
     @property
     def changed(self) -> list[int]:
         """The servos whose calibration the draft changes."""
-        return sorted(changed_servos(self.in_force, Calibration(servos=self.draft)))
+        return sorted(changed_servos(self.in_force, RobotCalibration(servos=self.draft)))
 
     @property
     def landing_left_out(self) -> list[int]:
         """The servos whose angle in the landing pose the draft does not reach: they cannot stay in it."""
-        drafted = Calibration(servos=self.draft)
+        drafted = RobotCalibration(servos=self.draft)
         return [
             servo_id
             for servo_id, angle_cdeg in sorted(self.in_force.landing_cdeg.items())
             if drafted.why_not(servo_id, angle_cdeg) is not None
         ]
 
-    def now_in_force(self, calibration: Calibration) -> list[int]:
+    def now_in_force(self, calibration: RobotCalibration) -> list[int]:
         """Another calibration is in force, by this draft or by somebody else's change.
 
         The draft stands on it: a servo that it changed is as the person left it, any other one as it is now in force.
@@ -147,7 +147,7 @@ class Guide:
 
     # ---- inside
 
-    def _under_test(self) -> tuple[int, ServoCalibration]:
+    def _under_test(self) -> tuple[int, ServoMapping]:
         if self.servo_id is None:
             raise CalibrationError("choose a servo first")
         return self.servo_id, self.draft[self.servo_id]
@@ -162,8 +162,8 @@ class Guide:
         if why_not is not None:
             raise CalibrationError(why_not)
 
-    def _change(self, servo_id: int, servo: ServoCalibration) -> None:
-        Calibration(servos={servo_id: servo})  # raises CalibrationError
+    def _change(self, servo_id: int, servo: ServoMapping) -> None:
+        RobotCalibration(servos={servo_id: servo})  # raises CalibrationError
         if servo != self.draft[servo_id]:
             self._before.append((servo_id, self.draft[servo_id]))
             self.draft[servo_id] = servo

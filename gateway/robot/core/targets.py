@@ -1,9 +1,9 @@
 """What a command key addresses, and what follows from that: one row for each target, which all who ask read. Pure.
 
-A new key needs its row here. Which rings are read again (`zenoh_io/rings.py`), what may be a Stop, what a delete and what
-lost messages mean (`intake`, `losses`), and how a payload is read follow from it. Only the emergency stop is known by
-its key elsewhere, since it has rings and threads of its own, and nothing of its payload is read (`zenoh_io/inbox.py`,
-`runtime/conductor.py`).
+A new key needs its row here. Which rings are read again (`zenoh_io/rings.py`), what may be a Stop, what a delete and
+what lost messages mean (`intake`, `losses`), and how a payload is read follow from it. Only the emergency stop is known
+by its key elsewhere, since it has rings and threads of its own, and nothing of its payload is read
+(`zenoh_io/inbox.py`, `runtime/conductor.py`).
 """
 
 from collections.abc import Callable
