@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Final
 
-from gateway.model.calibration import Calibration
+from gateway.model.calibration import RobotCalibration
 
 _WHY_AVOIDED: Final = (
     "are never sent (spi.avoid_deg): where one byte is lost, the published firmware dies of whole degrees 1 to 3, with "
@@ -31,9 +31,9 @@ class AngleLimits:
         self._limits_cdeg = limits_cdeg
         self._landing_cdeg = landing_cdeg
         self._avoid_cdeg = avoid_cdeg
-        self.use(Calibration())
+        self.use(RobotCalibration())
 
-    def use(self, calibration: Calibration) -> None:
+    def use(self, calibration: RobotCalibration) -> None:
         """From now on this calibration is in force. No servo may run whose frames it changes."""
         self.calibration = calibration
         self.wire = calibration if calibration.servos else None
@@ -50,7 +50,7 @@ class AngleLimits:
         calibration = self.calibration
         return calibration.why_not(servo_id, angle_cdeg) or self.why_avoided(calibration, servo_id, angle_cdeg)
 
-    def why_avoided(self, calibration: Calibration, servo_id: int, angle_cdeg: int) -> str | None:
+    def why_avoided(self, calibration: RobotCalibration, servo_id: int, angle_cdeg: int) -> str | None:
         """Why this angle is not sent with that calibration; None: it may be."""
         if self._avoid_cdeg is None:
             return None

@@ -31,8 +31,11 @@ class CalibrationError(ValueError):
     """No calibration: the message names the servo and what is wrong with it."""
 
 
-class ServoCalibration(NamedTuple):
-    """One servo. The limits are users' angles, both ends included."""
+class ServoMapping(NamedTuple):
+    """How one servo's angle on the wire follows from the user's, in hundredths of a degree.
+
+    The limits are users' angles, both ends included.
+    """
 
     trim_cdeg: int = 0
     inverted: bool = False
@@ -65,11 +68,11 @@ class ServoCalibration(NamedTuple):
         return cls(trim_cdeg, report.inverted, min_cdeg, max_cdeg)
 
 
-AS_DRAWN: Final = ServoCalibration()
+AS_DRAWN: Final = ServoMapping()
 
 
 @dataclass(frozen=True, slots=True)
-class Calibration:
+class RobotCalibration:
     """All servos, and the landing pose in users' angles. `revision` counts the changes; 0 is the default's.
 
     Raises CalibrationError for an unknown servo, a trim beyond 90 degrees, and limits the wrong way round. Servos that
@@ -77,7 +80,7 @@ class Calibration:
     """
 
     revision: int = 0
-    servos: Mapping[int, ServoCalibration] = field(default_factory=dict)
+    servos: Mapping[int, ServoMapping] = field(default_factory=dict)
     landing_cdeg: Mapping[int, int] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -92,7 +95,7 @@ class Calibration:
                 raise CalibrationError(f"the landing pose cannot be reached: {why_not}")
         object.__setattr__(self, "servos", {name: servo for name, servo in self.servos.items() if servo != AS_DRAWN})
 
-    def of(self, servo_id: int) -> ServoCalibration:
+    def of(self, servo_id: int) -> ServoMapping:
         """One servo's."""
         return self.servos.get(servo_id, AS_DRAWN)
 
@@ -136,7 +139,7 @@ def _mapped(frame: Frame, op_of: Callable[[int, ServoOp], ServoOp]) -> Frame:
     return OneLeg(frame.leg, (first, second, third))
 
 
-class ServoChange(NamedTuple):
+class MappingChange(NamedTuple):
     """What changes of one servo; None: it stays as it is."""
 
     trim_cdeg: int | None = None
@@ -145,13 +148,13 @@ class ServoChange(NamedTuple):
     max_cdeg: int | None = None
 
 
-class Change(NamedTuple):
+class CalibrationChange(NamedTuple):
     """What changes of a calibration. `landing_cdeg` of None takes a servo out of the landing pose."""
 
-    servos: Mapping[int, ServoChange]
+    servos: Mapping[int, MappingChange]
     landing_cdeg: Mapping[int, int | None]
 
-    def applied_to(self, before: Calibration) -> Calibration:
+    def applied_to(self, before: RobotCalibration) -> RobotCalibration:
         """The calibration after it, with the next revision. Raises CalibrationError: all of it, or nothing."""
         servos = dict(before.servos)
         for servo_id, change in self.servos.items():
@@ -166,12 +169,12 @@ class Change(NamedTuple):
         )
 
 
-def changed_servos(before: Calibration, after: Calibration) -> frozenset[int]:
+def changed_servos(before: RobotCalibration, after: RobotCalibration) -> frozenset[int]:
     """The servos whose frames or limits differ; the landing pose alone changes none."""
     return frozenset(servo_id for servo_id in SERVO_IDS if before.of(servo_id) != after.of(servo_id))
 
 
-def report_of(calibration: Calibration) -> wire.Calibration:
+def report_of(calibration: RobotCalibration) -> wire.Calibration:
     """What is published: all servos by name, so that it can be sent back whole."""
     return wire.Calibration(
         revision=calibration.revision,
@@ -180,17 +183,17 @@ def report_of(calibration: Calibration) -> wire.Calibration:
     )
 
 
-def calibration_of(report: wire.Calibration) -> Calibration:
+def calibration_of(report: wire.Calibration) -> RobotCalibration:
     """What was published. Raises CalibrationError, or another ValueError, for what no gateway publishes."""
     try:
-        servos = {int(name): ServoCalibration.of_report(servo) for name, servo in report.servos.items()}
+        servos = {int(name): ServoMapping.of_report(servo) for name, servo in report.servos.items()}
         landing_cdeg = {int(name): centidegrees(angle_deg) for name, angle_deg in report.landing.items()}
     except OverflowError as error:
         raise CalibrationError("an angle is infinite") from error
-    return Calibration(report.revision, servos, landing_cdeg)
+    return RobotCalibration(report.revision, servos, landing_cdeg)
 
 
-def _check(servo_id: int, servo: ServoCalibration) -> None:
+def _check(servo_id: int, servo: ServoMapping) -> None:
     if abs(servo.trim_cdeg) > MAX_TRIM_CDEG:
         raise CalibrationError(f"servo {servo_id}: trim_deg is {servo.trim_cdeg / 100:g}; it is -90 to 90")
     for name, angle_cdeg in (("min_deg", servo.min_cdeg), ("max_deg", servo.max_cdeg)):

@@ -9,7 +9,7 @@ from dataclasses import replace
 from typing import Any
 
 from gateway.model.angle_limits import AngleLimits
-from gateway.model.calibration import Calibration
+from gateway.model.calibration import RobotCalibration
 from gateway.model.frames import MAX_ANGLE_CDEG
 from gateway.robot.core.calibrating import Calibrating
 from gateway.robot.core.events import Calibrate, Command, Effect, Event, TimePassed, Transmit
@@ -226,7 +226,7 @@ class CrossesAtOnce(AngleLimits):
 class FramesAsCommanded(AngleLimits):
     """Users' angles go on the wire."""
 
-    def use(self, calibration: Calibration) -> None:
+    def use(self, calibration: RobotCalibration) -> None:
         super().use(calibration)
         self.wire = None
 
@@ -234,7 +234,7 @@ class FramesAsCommanded(AngleLimits):
 class AnyAngle(AngleLimits):
     """The calibration's limits are not looked at."""
 
-    def use(self, calibration: Calibration) -> None:
+    def use(self, calibration: RobotCalibration) -> None:
         super().use(calibration)
         self.limited = False
 
@@ -256,6 +256,6 @@ class ChangesWhatRuns(Calibrating):
 class StartsUntrusted(Calibrating):
     """A robot whose calibration cannot be read starts by whatever is left of it."""
 
-    def load(self, calibration: Calibration, fault: str | None = None) -> None:
+    def load(self, calibration: RobotCalibration, fault: str | None = None) -> None:
         super().load(calibration, fault)
         self.guards = False

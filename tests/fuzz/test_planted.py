@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from gateway.model.calibration import Calibration
+from gateway.model.calibration import RobotCalibration
 from gateway.model.frames import STOP, OneServo, Op, ServoOp
 from gateway.robot.core.events import (
     Announce,
@@ -224,8 +224,8 @@ BROKEN: list[tuple[str, Configuration, Make]] = [
     ("what is rejected is not kept", CALIBRATED, taking(Calibrate, lambda _, event: replace(event, revision=None))),
     ("what is rejected is not kept", CALIBRATED, planted.AnybodyCalibrates),
     ("what is rejected is not kept", CALIBRATING_DRIVER, planted.AnybodyCalibrates),
-    ("the change is kept as it was asked for", CALIBRATED, answering(Keep, calibration=Calibration(9))),
-    ("only a change of the calibration is kept", CALIBRATED, making_up(Keep(7, Calibration(2)))),
+    ("the change is kept as it was asked for", CALIBRATED, answering(Keep, calibration=RobotCalibration(9))),
+    ("only a change of the calibration is kept", CALIBRATED, making_up(Keep(7, RobotCalibration(2)))),
     ("a calibration is in force once it is kept", CALIBRATED, making_up(Announce(Kind.CALIBRATED, ""))),
     ("a new calibration is told", CALIBRATED, losing(kind=Kind.CALIBRATED)),
     ("a new calibration is told|rejected for", CALIBRATED, taking(Kept, lambda _, kept: replace(kept, fault=None))),

@@ -8,7 +8,7 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple, Self
 
-from gateway.model.calibration import Calibration, ServoChange
+from gateway.model.calibration import MappingChange, RobotCalibration
 from gateway.model.frames import Frame, OneLeg, OneServo, Op, ServoOp
 from gateway.robot.core.events import Calibrate, Effect, Keep, Kept, Transmit
 from gateway.robot.core.leg import Rules
@@ -36,7 +36,7 @@ class OneServos(NamedTuple):
         """Whether it may be asked for."""
         return self.low_cdeg <= angle_cdeg <= self.high_cdeg and 0 <= self.wire_cdeg(angle_cdeg) <= 180_00
 
-    def with_change(self, change: ServoChange) -> Self:
+    def with_change(self, change: MappingChange) -> Self:
         """What it becomes, if that can be."""
         trim, inverted, low, high = change
         return type(self)(
@@ -63,7 +63,7 @@ class Whole(NamedTuple):
     landing_cdeg: Mapping[int, int]
 
     @classmethod
-    def of(cls, calibration: Calibration) -> Self:
+    def of(cls, calibration: RobotCalibration) -> Self:
         """The same, as `gateway/robot/core` has it."""
         servos = {servo_id: OneServos(*servo) for servo_id, servo in calibration.servos.items()}
         return cls(calibration.revision, _not_as_drawn(servos), dict(calibration.landing_cdeg))
@@ -99,7 +99,7 @@ class _OnItsWay(NamedTuple):
 class CalibrationHistory:
     """The calibration in force, whether it is trusted, and the change that is on its way to the disk."""
 
-    def __init__(self, rules: Rules, calibration: Calibration, fault: str | None) -> None:
+    def __init__(self, rules: Rules, calibration: RobotCalibration, fault: str | None) -> None:
         self._rules = rules
         self.whole = Whole.of(calibration)
         self.trusted = fault is None

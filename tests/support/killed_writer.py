@@ -10,7 +10,7 @@ import sys
 import time
 from pathlib import Path
 
-from gateway.model.calibration import Calibration, ServoCalibration
+from gateway.model.calibration import RobotCalibration, ServoMapping
 from gateway.robot.host import calibration_file
 
 LONGEST_S = 0.02
@@ -20,7 +20,7 @@ LONGEST_S = 0.02
 def write_without_end(path: Path, after: int, told: int) -> None:
     """Keep one revision after the other, and say each once it is kept."""
     for revision in range(after + 1, after + 100_000):
-        calibration_file.write(path, Calibration(revision, {11: ServoCalibration(revision % 9000)}))
+        calibration_file.write(path, RobotCalibration(revision, {11: ServoMapping(revision % 9000)}))
         os.write(told, f"{revision}\n".encode())
 
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass, fields, replace
 from operator import attrgetter
 from typing import Any, Final
 
-from gateway.model.calibration import Calibration
+from gateway.model.calibration import RobotCalibration
 from gateway.robot.core.buttons import Button
 from gateway.robot.core.events import (
     BusFailed,
@@ -272,7 +272,7 @@ Key = tuple[tuple[object, ...], tuple[object, ...]]
 def start(configuration: Configuration, make: Callable[[Rules], Supervisor] = Supervisor) -> State:
     """A robot that has just been made."""
     supervisor = small(make(configuration.rules), configuration.legs)
-    kept, fault = configuration.calibration or Calibration(), configuration.fault
+    kept, fault = configuration.calibration or RobotCalibration(), configuration.fault
     supervisor.calibrating.load(kept, fault)
     return State(supervisor, Oracle(configuration.rules, configuration.legs, kept, fault))
 

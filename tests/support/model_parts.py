@@ -4,7 +4,7 @@ what of them tells states apart."""
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
-from gateway.model.calibration import Calibration, Change
+from gateway.model.calibration import CalibrationChange, RobotCalibration
 from gateway.robot.core.buttons import Buttons
 from gateway.robot.core.events import ButtonDo, ButtonRequest, Calibrate, Do, Event, Kept, LeaseRequest
 from gateway.robot.core.lease import Lease
@@ -102,7 +102,7 @@ def copy_calibrating(supervisor: Supervisor, other: Supervisor) -> None:
     other.calibrating = cloned(supervisor.calibrating, _reach=other._reach)
 
 
-def _key(calibration: Calibration) -> tuple[object, ...]:
+def _key(calibration: RobotCalibration) -> tuple[object, ...]:
     """One revision is as good as another."""
     return tuple(sorted(calibration.servos.items())), tuple(sorted(calibration.landing_cdeg.items()))
 
@@ -121,7 +121,9 @@ def calibrating_key(supervisor: Supervisor) -> tuple[object, ...]:
     )
 
 
-def changes(wanted: Sequence[Change], number: int, history: CalibrationHistory) -> Iterator[tuple[str, Event]]:
+def changes(
+    wanted: Sequence[CalibrationChange], number: int, history: CalibrationHistory
+) -> Iterator[tuple[str, Event]]:
     """Everything that may be asked of the calibration, and what the disk may answer."""
     revision = history.whole.revision
     for which, change in enumerate(wanted):
@@ -133,7 +135,7 @@ def changes(wanted: Sequence[Change], number: int, history: CalibrationHistory) 
         yield "calibration of an older one", Calibrate(number=number, change=wanted[0], revision=revision - 1)
         yield (
             "another default accepted",
-            Calibrate(number=number, change=Change({}, {}), accept_default=history.trusted),
+            Calibrate(number=number, change=CalibrationChange({}, {}), accept_default=history.trusted),
         )
     if history.on_its_way is not None:
         yield "calibration kept", Kept(history.on_its_way.number)

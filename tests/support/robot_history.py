@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Sequence
 from typing import Self
 
-from gateway.model.calibration import Calibration
+from gateway.model.calibration import RobotCalibration
 from gateway.model.frames import Frame, Op, servo_ids_of, stop_leg
 from gateway.robot.core.events import Command, Effect, Transmit
 from gateway.robot.core.leg import Rules
@@ -23,7 +23,7 @@ class RobotHistory:
         self,
         rules: Rules,
         legs: Iterable[int] = LEGS,
-        calibration: Calibration | None = None,
+        calibration: RobotCalibration | None = None,
         fault: str | None = None,
     ) -> None:
         self.rules = rules
@@ -38,7 +38,7 @@ class RobotHistory:
         """When the present instant began: that of all that was collected together."""
         self.lease = LeaseHistory(rules)
         self.buttons = ButtonsHistory(rules)
-        self.calibration = CalibrationHistory(rules, calibration or Calibration(), fault)
+        self.calibration = CalibrationHistory(rules, calibration or RobotCalibration(), fault)
         self.landing: LandingHistory | None = None
         self.energised_leg: int | None = None
         self.energised_ns = 0

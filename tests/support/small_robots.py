@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Any, Final
 
-from gateway.model.calibration import Calibration, Change, ServoCalibration, ServoChange
+from gateway.model.calibration import CalibrationChange, MappingChange, RobotCalibration, ServoMapping
 from gateway.model.frames import STOP, Op, ServoOp
 from gateway.robot.core.leg import Rules
 from gateway.robot.core.pacing import NS_PER_S
@@ -34,11 +34,11 @@ class Configuration:
     """Who wants to be a button."""
     delays_ns: tuple[int, ...] = ()
     """How long a button's message may have been on its way, where it says when it was sent."""
-    calibration: Calibration | None = None
+    calibration: RobotCalibration | None = None
     """What is in force at first."""
     fault: str | None = None
     """Why that cannot be trusted."""
-    changes: tuple[Change, ...] = ()
+    changes: tuple[CalibrationChange, ...] = ()
     """What may be changed of the calibration."""
     calm: bool = False
     """Whether the bus answers, and nobody wants an emergency stop or stops servos past the gateway."""
@@ -82,12 +82,12 @@ _TWO_LEGS = (
     ("legs", ((11, START), (21, STOP))),
 )
 _WAITS = (0, TICK, 5 * TICK)
-_MIRRORED = Calibration(1, {11: ServoCalibration(-10_00, inverted=True)}, {11: HIGH})
-_AS_DRAWN = {11: ServoChange(trim_cdeg=0, inverted=False, max_cdeg=180_00)}
+_MIRRORED = RobotCalibration(1, {11: ServoMapping(-10_00, inverted=True)}, {11: HIGH})
+_AS_DRAWN = {11: MappingChange(trim_cdeg=0, inverted=False, max_cdeg=180_00)}
 _RECALIBRATED = (
-    Change(_AS_DRAWN, {}),
-    Change({11: ServoChange(-10_00, inverted=True, max_cdeg=15_00)}, {11: None}),
-    Change({11: ServoChange(90_01)}, {}),
+    CalibrationChange(_AS_DRAWN, {}),
+    CalibrationChange({11: MappingChange(-10_00, inverted=True, max_cdeg=15_00)}, {11: None}),
+    CalibrationChange({11: MappingChange(90_01)}, {}),
 )
 """What it then is: as drawn, so that any angle goes; with a limit below HIGH; and impossible."""
 

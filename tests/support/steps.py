@@ -2,7 +2,7 @@
 
 from typing import TypeVar
 
-from gateway.model.calibration import Calibration, Change
+from gateway.model.calibration import CalibrationChange, RobotCalibration
 from gateway.model.frames import STOP, OneServo, Op, ServoOp, servo_ids_of
 from gateway.robot.core.events import (
     Announce,
@@ -104,13 +104,13 @@ class Steps:
         rules: Rules | None = None,
         *,
         opened: bool = True,
-        calibration: Calibration | None = None,
+        calibration: RobotCalibration | None = None,
         fault: str | None = None,
     ) -> None:
         self.rules = rules or Rules(repeats=0)
         self.supervisor = Supervisor(self.rules)
         if calibration is not None or fault is not None:
-            self.supervisor.calibrating.load(calibration or Calibration(), fault)
+            self.supervisor.calibrating.load(calibration or RobotCalibration(), fault)
         self.oracle = Oracle(self.rules, calibration=calibration, fault=fault)
         self.number = 0
         self.effects: list[Effect] = []
@@ -189,7 +189,7 @@ class Steps:
     def calibrate(
         self,
         at_ms: float,
-        change: Change,
+        change: CalibrationChange,
         *,
         revision: int | None = None,
         accept_default: bool = False,

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from gateway.client import AsyncClient, Client
-from gateway.model.calibration import ServoCalibration
+from gateway.model.calibration import ServoMapping
 from gateway.model.frames import OneLeg, decode
 from gateway.robot.host import calibration_file
 from schemas import keys
@@ -58,7 +58,7 @@ def test_the_wire_has_the_servos_angles_the_state_the_users_and_the_disk_the_cal
     kept = calibration_file.read(path)
     assert kept is not None
     assert (kept.revision, kept.landing_cdeg) == (revision + 1, {11: 45_00})
-    assert kept.of(32) == ServoCalibration(-10_00, inverted=True)
+    assert kept.of(32) == ServoMapping(-10_00, inverted=True)
     assert news.wait(lambda each: each.revision == kept.revision) == client.calibration()
     assert told.wait(lambda event: event.kind == "calibrated").source == "anna"
     assert client.start_leg(3, 90, 45, 120).accepted

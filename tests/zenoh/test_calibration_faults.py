@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from gateway.client import Client
-from gateway.model.calibration import Calibration, ServoCalibration
+from gateway.model.calibration import RobotCalibration, ServoMapping
 from gateway.people.tools.calibration import NotKeptYetError, once_kept
 from gateway.robot.host import calibration_file
 from schemas.calibration import ServoChange
@@ -21,7 +21,7 @@ from tests.support.gateway_process import Gateway
 from tests.support.heard import events
 
 TRIM = {31: ServoChange(trim_deg=7.5)}
-OWN = Calibration(4, {32: ServoCalibration(7_50, inverted=True)})
+OWN = RobotCalibration(4, {32: ServoMapping(7_50, inverted=True)})
 
 
 def settings(path: Path, **more: dict[str, Any]) -> dict[str, dict[str, Any]]:
@@ -124,7 +124,7 @@ def test_no_stop_waits_for_a_disk_that_hangs(tmp_path: Path, path: Path) -> None
 
 def test_a_broken_file_starts_nothing_until_a_person_takes_the_default(tmp_path: Path, path: Path) -> None:
     text = calibration_file.to_toml(OWN)[:700]
-    calibration_file.write(path, Calibration(3))
+    calibration_file.write(path, RobotCalibration(3))
     calibration_file.write(path, OWN)
     path.write_text(text)
     with Gateway(tmp_path, settings(path)) as gateway, gateway.client() as client:

@@ -8,7 +8,7 @@ from typing import Final
 
 from gateway.durable import staged_for
 from gateway.model.angle_limits import AngleLimits
-from gateway.model.calibration import Calibration
+from gateway.model.calibration import RobotCalibration
 from gateway.model.frames import centidegrees
 from gateway.onboard.check.result import Result, failure, ok, warning
 from gateway.robot.core.calibrating import ACCEPT_DEFAULT
@@ -43,7 +43,7 @@ def kept(settings: Settings) -> Result:
 def landing_pose(settings: Settings) -> Iterator[Result]:
     """Whether each angle of the landing pose may be sent, where there is one and the calibration can be used."""
     path = path_to_read(settings)
-    found, fault = (Calibration(), None) if path is None else load(path)
+    found, fault = (RobotCalibration(), None) if path is None else load(path)
     if fault is not None or not settings.watchdog.landing_ms:
         return
     pose = {int(servo): centidegrees(angle) for servo, angle in settings.watchdog.landing.items()}

@@ -7,7 +7,7 @@ concerns the servo itself, so it is kept as its angle on the wire; only the draf
 import math
 from dataclasses import dataclass, field
 
-from gateway.model.calibration import AS_DRAWN, Calibration, CalibrationError, ServoCalibration, changed_servos
+from gateway.model.calibration import AS_DRAWN, CalibrationError, RobotCalibration, ServoMapping, changed_servos
 from gateway.model.frames import MAX_ANGLE_CDEG, centidegrees
 from schemas.robot import SERVO_IDS
 
@@ -16,14 +16,14 @@ from schemas.robot import SERVO_IDS
 class Guide:
     """Angles are in degrees (`_deg`) or hundredths of a degree (`_cdeg`). Each change of the draft can be undone."""
 
-    in_force: Calibration
+    in_force: RobotCalibration
     avoid_cdeg: tuple[int, int] | None = None
     """Angles on the wire that the gateway never sends: from the first up to, not including, the second."""
-    draft: dict[int, ServoCalibration] = field(init=False)
+    draft: dict[int, ServoMapping] = field(init=False)
     servo_id: int | None = None
     wire_cdeg: int = 0
     """The commanded angle of the servo under test, on the wire."""
-    _before: list[tuple[int, ServoCalibration]] = field(default_factory=list)
+    _before: list[tuple[int, ServoMapping]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         self.draft = {servo_id: self.in_force.of(servo_id) for servo_id in SERVO_IDS}
@@ -119,19 +119,19 @@ class Guide:
     @property
     def changed(self) -> list[int]:
         """The servos whose calibration the draft changes."""
-        return sorted(changed_servos(self.in_force, Calibration(servos=self.draft)))
+        return sorted(changed_servos(self.in_force, RobotCalibration(servos=self.draft)))
 
     @property
     def landing_left_out(self) -> list[int]:
         """The servos whose angle in the landing pose is outside the draft's limits: they leave the pose."""
-        drafted = Calibration(servos=self.draft)
+        drafted = RobotCalibration(servos=self.draft)
         return [
             servo_id
             for servo_id, angle_cdeg in sorted(self.in_force.landing_cdeg.items())
             if drafted.why_not(servo_id, angle_cdeg) is not None
         ]
 
-    def now_in_force(self, calibration: Calibration) -> list[int]:
+    def now_in_force(self, calibration: RobotCalibration) -> list[int]:
         """Another calibration is in force, by this draft or by another person's change.
 
         The draft keeps its changed servos, and takes all others from the new calibration. Returns the servos that both
@@ -145,7 +145,7 @@ class Guide:
 
     # ---- inside
 
-    def _under_test(self) -> tuple[int, ServoCalibration]:
+    def _under_test(self) -> tuple[int, ServoMapping]:
         if self.servo_id is None:
             raise CalibrationError("choose a servo first")
         return self.servo_id, self.draft[self.servo_id]
@@ -160,8 +160,8 @@ class Guide:
         if why_not is not None:
             raise CalibrationError(why_not)
 
-    def _change(self, servo_id: int, servo: ServoCalibration) -> None:
-        Calibration(servos={servo_id: servo})  # raises CalibrationError
+    def _change(self, servo_id: int, servo: ServoMapping) -> None:
+        RobotCalibration(servos={servo_id: servo})  # raises CalibrationError
         if servo != self.draft[servo_id]:
             self._before.append((servo_id, self.draft[servo_id]))
             self.draft[servo_id] = servo

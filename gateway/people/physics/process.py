@@ -23,7 +23,7 @@ import zenoh
 from gateway.errors import GatewayError
 from gateway.geometry import Geometry, load
 from gateway.host.servo_page import ServoPage
-from gateway.model.calibration import Calibration, calibration_of
+from gateway.model.calibration import RobotCalibration, calibration_of
 from gateway.people.physics.assumed import Assumed, assumed
 from gateway.people.physics.model import TIMESTEP_S
 from gateway.people.physics.pace import Pace
@@ -53,10 +53,10 @@ class Simulated:
         self.world = World(geometry, assumed)
         self._geometry = geometry
         self._terrain = str(assumed.terrain)
-        self._calibration = Calibration()
+        self._calibration = RobotCalibration()
         self._driven: dict[int, float | None] = dict.fromkeys(SERVO_IDS)
 
-    def calibrate(self, calibration: Calibration) -> None:
+    def calibrate(self, calibration: RobotCalibration) -> None:
         """By this one, users' angles follow from the wire's."""
         self._calibration = calibration
         for servo_id, wire_deg in self._driven.items():
@@ -106,7 +106,7 @@ class Link:
     def __init__(self) -> None:
         self.ended = threading.Event()
         """The gateway has ended."""
-        self.calibrations: SimpleQueue[Calibration] = SimpleQueue()
+        self.calibrations: SimpleQueue[RobotCalibration] = SimpleQueue()
         self.upright: SimpleQueue[zenoh.Query] = SimpleQueue()
         self._session: zenoh.Session | None = None
         self._declared: list[Any] = []

@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
-from gateway.model.calibration import Calibration, calibration_of
+from gateway.model.calibration import RobotCalibration, calibration_of
 from gateway.model.frames import Frame, FrameError, decode
 from gateway.people.recordings.reading import Message
 from schemas import calibration as wire
@@ -18,7 +18,7 @@ class UserAngles:
         """Whether any frame has other angles on the wire than its users have."""
         self.consistent = True
         """Whether the calibration that was recorded last is the one that is in force."""
-        self._calibration = Calibration()
+        self._calibration = RobotCalibration()
         self._said = self._contradicted = False
 
     @property
@@ -84,7 +84,7 @@ def frame_of(record: Mapping[str, Any]) -> Frame | None:
         return None
 
 
-def user_bytes(calibration: Calibration, data: bytes) -> bytes:
+def user_bytes(calibration: RobotCalibration, data: bytes) -> bytes:
     """A frame's bytes in users' angles; as they are where no user could have meant them."""
     if not calibration.servos:
         return data

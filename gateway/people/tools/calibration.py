@@ -8,7 +8,7 @@ from typing import Any, Final
 from pydantic import ValidationError
 
 from gateway.errors import ConfigError, GatewayError, LeaseError, UnansweredError
-from gateway.model.calibration import AS_DRAWN, Calibration, ServoCalibration, calibration_of, changed_servos
+from gateway.model.calibration import AS_DRAWN, RobotCalibration, ServoMapping, calibration_of, changed_servos
 from gateway.model.frames import centidegrees
 from gateway.people.client.blocking import Client
 from gateway.people.client.payloads import calibration_payload
@@ -99,7 +99,7 @@ def _read(file: Path) -> str:
         raise ConfigError(f"{file} cannot be read: {error}") from error
 
 
-def change_of(servo: ServoCalibration) -> wire.ServoChange:
+def change_of(servo: ServoMapping) -> wire.ServoChange:
     """The change that makes a servo's calibration this one."""
     return wire.ServoChange(**servo.report.model_dump())
 
@@ -110,7 +110,7 @@ def _faults(error: ValidationError) -> str:
     return "; ".join(": ".join((*map(str, each["loc"]), each["msg"])) for each in faults)
 
 
-def _row(servo: ServoCalibration) -> str:
+def _row(servo: ServoMapping) -> str:
     """One servo's trim, direction and limits, in columns."""
     trim = f"{servo.trim_cdeg / 100:+.2f}" if servo != AS_DRAWN else "0.00"
     way = "inverted" if servo.inverted else "as drawn"
@@ -228,7 +228,7 @@ def _when_free(client: Client, payload: Mapping[str, Any]) -> Ack:
         return once_kept(client, lambda: client.ask(keys.CALIBRATION_CMD, payload))
 
 
-def _about(report: CalibrationReport, calibration: Calibration) -> str:
+def _about(report: CalibrationReport, calibration: RobotCalibration) -> str:
     if report.fault is not None:
         return f"NOT TRUSTED ({report.fault}), so nothing can be started"
     kept = "kept on the robot" if report.kept else "in memory only"

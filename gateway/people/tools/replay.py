@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from gateway.errors import ConfigError, LeaseError
-from gateway.model.calibration import Calibration, calibration_of
+from gateway.model.calibration import RobotCalibration, calibration_of
 from gateway.people.recordings import Losses, read
 from gateway.people.recordings.replaying import NS_PER_MS, Plan, Step, steps_of, survey
 from gateway.people.recordings.user_angles import UserAngles
@@ -27,7 +27,7 @@ def replay(connect: Connection, path: Path, *, speed: float, agreed: bool) -> in
     with connect() as client:
         state = client.state()
         _fit(state, recorded, speed)
-        target = calibration_of(client.calibration()) if state.calibration.revision else Calibration()
+        target = calibration_of(client.calibration()) if state.calibration.revision else RobotCalibration()
         _same_angles(path, angles, target)
         if losses and not state.simulated:
             raise ConfigError(f"{path}: {losses}. A real robot would leap over them, so nothing is sent")
@@ -68,7 +68,7 @@ class _Recording:
         return angles.frames(read(self._path, losses, (STATE, CALIBRATION, FRAME)))
 
 
-def _same_angles(path: Path, angles: UserAngles, target: Calibration) -> None:
+def _same_angles(path: Path, angles: UserAngles, target: RobotCalibration) -> None:
     """Raises ConfigError where the angles sent could differ from those recorded.
 
     A servo that is trimmed by 20 degrees would be sent 40 away from where it stood. Without any calibration here, what

@@ -17,7 +17,7 @@ from gateway.errors import GatewayError
 from gateway.model.black_box import format as form
 from gateway.model.black_box.format import ACCEPTED
 from gateway.model.black_box.incidents import INCIDENT_NAMES, LONGEST_INCIDENT_NS, MISTAKE, follow_ns, incident_id
-from gateway.model.calibration import Calibration, report_of
+from gateway.model.calibration import RobotCalibration, report_of
 from gateway.model.frames import PROTOCOL_VERSION
 from gateway.robot.blackbox import paths
 from gateway.robot.blackbox.ring import RecordRing
@@ -177,7 +177,7 @@ class Recorder:
         self._append(form.EVENT, now_ns, form.event(MISTAKE, None, None, None, detail, 0))
         self._happened(MISTAKE, now_ns)
 
-    def calibration(self, calibration: Calibration) -> None:
+    def calibration(self, calibration: RobotCalibration) -> None:
         """What is in force from now on; to be called at the start, and at each change."""
         if self._ring is None:
             return

@@ -15,7 +15,7 @@ from collections.abc import Iterable, Mapping
 from typing import Final, NamedTuple
 
 from gateway.model.angle_limits import AngleLimits
-from gateway.model.calibration import Calibration, CalibrationError, changed_servos
+from gateway.model.calibration import CalibrationError, RobotCalibration, changed_servos
 from gateway.model.frames import ServoOp
 from gateway.robot.core.events import Announce, Calibrate, Completed, Effect, Keep, Kept, Rejected
 from gateway.robot.core.leg import Servo
@@ -28,7 +28,7 @@ ACCEPT_DEFAULT: Final = "hexapod-gateway calibrate accept-default"
 class _OnItsWay(NamedTuple):
     """A change that is accepted, and not yet on the disk."""
 
-    calibration: Calibration
+    calibration: RobotCalibration
     servos: frozenset[int]
     """Those whose frames or limits it changes."""
     event: Calibrate
@@ -48,11 +48,11 @@ class Calibrating:
         """Why the change that is on its way takes so long; "": it does not."""
 
     @property
-    def in_force(self) -> Calibration:
+    def in_force(self) -> RobotCalibration:
         """By which frames are written now."""
         return self._reach.calibration
 
-    def load(self, calibration: Calibration, fault: str | None = None) -> None:
+    def load(self, calibration: RobotCalibration, fault: str | None = None) -> None:
         """What was kept, and why it cannot be trusted, if so. To be called once, before the bus is opened."""
         self._reach.use(calibration)
         self.fault = fault
@@ -83,7 +83,7 @@ class Calibrating:
         rejection = self._why_not_now(event)
         if rejection is not None:
             return [Rejected(event, *rejection)]
-        before = Calibration(self.in_force.revision) if event.accept_default else self.in_force
+        before = RobotCalibration(self.in_force.revision) if event.accept_default else self.in_force
         try:
             calibration = event.change.applied_to(before)
         except CalibrationError as error:

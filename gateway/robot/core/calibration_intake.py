@@ -4,7 +4,7 @@ from typing import Final
 
 from pydantic import ValidationError
 
-from gateway.model.calibration import Change, ServoChange
+from gateway.model.calibration import CalibrationChange, MappingChange
 from gateway.model.frames import centidegrees
 from gateway.robot.core.intake import Rejection, explain, given_twice, name_given_twice, too_many_fields
 from schemas.calibration import CalibrationCommand
@@ -27,13 +27,13 @@ def read(payload: bytes) -> CalibrationCommand | Rejection:
     return command if twice is None else given_twice(twice)
 
 
-def change_of(command: CalibrationCommand) -> Change:
+def change_of(command: CalibrationCommand) -> CalibrationChange:
     """What it changes; nothing of it has been compared with the calibration in force."""
     servos = {
-        int(name): ServoChange(_cdeg(servo.trim_deg), servo.inverted, _cdeg(servo.min_deg), _cdeg(servo.max_deg))
+        int(name): MappingChange(_cdeg(servo.trim_deg), servo.inverted, _cdeg(servo.min_deg), _cdeg(servo.max_deg))
         for name, servo in command.servos.items()
     }
-    return Change(servos, {int(name): _cdeg(angle_deg) for name, angle_deg in command.landing.items()})
+    return CalibrationChange(servos, {int(name): _cdeg(angle_deg) for name, angle_deg in command.landing.items()})
 
 
 def _cdeg(angle_deg: float | None) -> int | None:

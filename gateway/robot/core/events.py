@@ -5,7 +5,7 @@ from dataclasses import KW_ONLY, dataclass, field
 from enum import StrEnum
 from typing import Final, final
 
-from gateway.model.calibration import Calibration, Change
+from gateway.model.calibration import CalibrationChange, RobotCalibration
 from gateway.model.frames import OP_STOP, Frame, ServoOp
 from gateway.robot.core.message import Reply, Verb
 from gateway.robot.core.value import value
@@ -102,7 +102,7 @@ class Calibrate(Request):
     file that kept its own cannot be read.
     """
 
-    change: Change
+    change: CalibrationChange
     revision: int | None = None
     accept_default: bool = False
 
@@ -298,7 +298,7 @@ class Keep:
     """
 
     number: int
-    calibration: Calibration
+    calibration: RobotCalibration
 
 
 Effect = Transmit | Completed | Rejected | Announce | Answer | Keep

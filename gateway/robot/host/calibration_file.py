@@ -19,7 +19,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from gateway import durable, nesting
 from gateway.errors import ConfigError
 from gateway.host.directories import state_directory, state_to_read
-from gateway.model.calibration import Calibration, CalibrationError, ServoCalibration, report_of
+from gateway.model.calibration import CalibrationError, RobotCalibration, ServoMapping, report_of
 from gateway.model.frames import centidegrees
 from gateway.robot.settings import MISSING, Settings, dotted, faults_of
 from schemas import calibration as wire
@@ -62,7 +62,7 @@ def _path(settings: Settings, folder: Path | None) -> Path | None:
     return None if folder is None else folder / CALIBRATION_FILE
 
 
-def load(path: Path) -> tuple[Calibration, str | None]:
+def load(path: Path) -> tuple[RobotCalibration, str | None]:
     """What a gateway starts with, and why nothing may be started with it, if so.
 
     Where the file cannot be used, that is the default with a revision which none of those beside the file has, so that
@@ -80,12 +80,12 @@ def load(path: Path) -> tuple[Calibration, str | None]:
             newest = 1 + _number(path, earlier[0]) if earlier else 0
             return replace(found, revision=max(found.revision, newest)), None
         if not earlier:
-            return Calibration(), None
+            return RobotCalibration(), None
         fault = f"{path}: is missing, and {earlier[0].name} stands beside it"
-    return Calibration(1 + _number(path, earlier[0]) if earlier else 0), fault
+    return RobotCalibration(1 + _number(path, earlier[0]) if earlier else 0), fault
 
 
-def read(path: Path) -> Calibration | None:
+def read(path: Path) -> RobotCalibration | None:
     """The calibration kept there; None: there is none yet. Raises ConfigError with one sentence.
 
     It waits for the disk, and for nothing else: not for somebody who writes into a pipe of that name.
@@ -108,7 +108,7 @@ def read(path: Path) -> Calibration | None:
         raise ConfigError(f"{path}: {error}") from error
 
 
-def write(path: Path, calibration: Calibration) -> None:
+def write(path: Path, calibration: RobotCalibration) -> None:
     """Keep it: on disk when this returns, or the old one stays. Raises ConfigError. Takes as long as the disk does."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -150,7 +150,7 @@ def _keep_previous(path: Path) -> None:
 # ---- as text
 
 
-def to_toml(calibration: Calibration) -> str:
+def to_toml(calibration: RobotCalibration) -> str:
     """The file's text. Its last line names the revision again, so that a file that was cut off can be told."""
     report = report_of(calibration)
     lines = [f"{_HEAD}version = {CALIBRATION_VERSION}", f"revision = {report.revision}", "", "[landing]"]
@@ -185,7 +185,7 @@ class _File(BaseModel):
 _WHOLE: Final = "a whole calibration names every servo and all of its numbers"
 
 
-def from_toml(data: bytes) -> Calibration:
+def from_toml(data: bytes) -> RobotCalibration:
     """The calibration in a file. Raises ValueError with one sentence."""
     values = nesting.read_toml(data)
     version = values.get("version")
@@ -203,9 +203,9 @@ def from_toml(data: bytes) -> Calibration:
     missing = [servo_id for servo_id in SERVO_IDS if str(servo_id) not in found.servos]
     if missing:
         raise ValueError(f"servos has no {missing[0]}; {_WHOLE}")
-    return Calibration(
+    return RobotCalibration(
         found.revision,
-        {_servo_id(name): ServoCalibration.of_report(servo) for name, servo in found.servos.items()},
+        {_servo_id(name): ServoMapping.of_report(servo) for name, servo in found.servos.items()},
         {_servo_id(name): centidegrees(angle_deg) for name, angle_deg in found.landing.items()},
     )
 

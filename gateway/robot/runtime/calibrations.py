@@ -6,7 +6,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import Final
 
-from gateway.model.calibration import Calibration, Change, report_of
+from gateway.model.calibration import CalibrationChange, RobotCalibration, report_of
 from gateway.robot.core import calibration_intake
 from gateway.robot.core.events import Calibrate, Keep, Kept
 from gateway.robot.core.intake import Rejection
@@ -20,7 +20,7 @@ from schemas import keys
 from schemas.calibration import CalibrationCommand
 from schemas.telemetry import Ack, Reason
 
-WriteAndThen = Callable[[Calibration, Callable[[str | None], None]], None]
+WriteAndThen = Callable[[RobotCalibration, Callable[[str | None], None]], None]
 """Returns at once; calls back, as owner of the state, once the calibration is on the disk, or why it is not."""
 
 
@@ -45,7 +45,7 @@ class Calibrations(RequestAnswers):
         self._slow = OwnersTimer(loop, conductor.owner, self._note_delay)
         self._keep = keep
         self._written = b""
-        self._written_of: Calibration | None = None
+        self._written_of: RobotCalibration | None = None
 
     def announce_start(self) -> None:
         """Publish what is in force from the start on, and log that it will be forgotten, if so."""
@@ -71,7 +71,7 @@ class Calibrations(RequestAnswers):
             return partial(self.reject, source, command.reason, command.detail, reply)
         return partial(self.change, command, calibration_intake.change_of(command), command.source or source, reply)
 
-    def change(self, command: CalibrationCommand, change: Change, source: str | None, reply: Reply) -> None:
+    def change(self, command: CalibrationCommand, change: CalibrationChange, source: str | None, reply: Reply) -> None:
         """Decide about a change, and answer once it is on the disk, or rejected."""
         conductor, answers = self._conductor, self._conductor.answers
         now_ns = conductor.turned()
@@ -110,5 +110,5 @@ class Calibrations(RequestAnswers):
             self._conductor.publish_state()
 
     @property
-    def _in_force(self) -> Calibration:
+    def _in_force(self) -> RobotCalibration:
         return self._conductor.supervisor.calibrating.in_force

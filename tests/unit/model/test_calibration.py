@@ -9,11 +9,11 @@ from hypothesis import strategies as st
 from gateway.model.angle_limits import AngleLimits
 from gateway.model.calibration import (
     AS_DRAWN,
-    Calibration,
+    CalibrationChange,
     CalibrationError,
-    Change,
-    ServoCalibration,
-    ServoChange,
+    MappingChange,
+    RobotCalibration,
+    ServoMapping,
     calibration_of,
     changed_servos,
     report_of,
@@ -36,12 +36,14 @@ trims = st.integers(-90_00, 90_00)
 
 
 @st.composite
-def servo_calibrations(draw: st.DrawFn) -> ServoCalibration:
+def servo_calibrations(draw: st.DrawFn) -> ServoMapping:
     low, high = sorted((draw(angles), draw(angles)))
-    return ServoCalibration(draw(trims), draw(st.booleans()), low, high)
+    return ServoMapping(draw(trims), draw(st.booleans()), low, high)
 
 
-calibrations = st.builds(Calibration, st.just(1), st.dictionaries(st.sampled_from(SERVO_IDS), servo_calibrations()))
+calibrations = st.builds(
+    RobotCalibration, st.just(1), st.dictionaries(st.sampled_from(SERVO_IDS), servo_calibrations())
+)
 ops = st.builds(ServoOp, st.sampled_from((Op.START, Op.SET)), angles) | st.just(STOP)
 frames: st.SearchStrategy[Frame] = st.builds(OneServo, st.sampled_from(SERVO_IDS), ops) | st.builds(
     OneLeg, st.sampled_from(LEGS), st.tuples(ops, ops, ops)
@@ -50,7 +52,7 @@ frames: st.SearchStrategy[Frame] = st.builds(OneServo, st.sampled_from(SERVO_IDS
 
 @given(calibrations, frames)
 def test_what_is_accepted_has_a_legal_wire_angle_and_reads_back_as_the_user_said_it(
-    calibration: Calibration, frame: Frame
+    calibration: RobotCalibration, frame: Frame
 ) -> None:
     if any(op is not STOP and calibration.why_not(servo_id, op.angle_cdeg) for servo_id, op in frame.servos):
         return
@@ -60,7 +62,7 @@ def test_what_is_accepted_has_a_legal_wire_angle_and_reads_back_as_the_user_said
 
 
 @given(calibrations, st.sampled_from(SERVO_IDS), angles)
-def test_only_what_breaks_a_rule_is_rejected(calibration: Calibration, servo_id: int, angle_cdeg: int) -> None:
+def test_only_what_breaks_a_rule_is_rejected(calibration: RobotCalibration, servo_id: int, angle_cdeg: int) -> None:
     servo = calibration.of(servo_id)
     user = 18000 - angle_cdeg if servo.inverted else angle_cdeg
     allowed = servo.min_cdeg <= angle_cdeg <= servo.max_cdeg and 0 <= user + servo.trim_cdeg <= 18000
@@ -69,16 +71,16 @@ def test_only_what_breaks_a_rule_is_rejected(calibration: Calibration, servo_id:
 
 @given(frames)
 def test_the_default_changes_no_byte(frame: Frame) -> None:
-    assert Calibration().frame(frame) is frame
+    assert RobotCalibration().frame(frame) is frame
 
 
 @given(calibrations, st.sampled_from(LEGS))
-def test_a_stop_is_the_same_in_every_calibration(calibration: Calibration, leg: int) -> None:
+def test_a_stop_is_the_same_in_every_calibration(calibration: RobotCalibration, leg: int) -> None:
     assert calibration.frame(stop_leg(leg)).to_bytes() == stop_leg(leg).to_bytes()
 
 
 @given(calibrations)
-def test_what_is_published_is_in_degrees_and_reads_back_as_it_was(calibration: Calibration) -> None:
+def test_what_is_published_is_in_degrees_and_reads_back_as_it_was(calibration: RobotCalibration) -> None:
     report = report_of(calibration)
     assert report.revision == calibration.revision
     for servo_id in SERVO_IDS:
@@ -90,7 +92,7 @@ def test_what_is_published_is_in_degrees_and_reads_back_as_it_was(calibration: C
 
 
 def test_the_landing_pose_is_published_in_degrees_and_an_infinite_angle_is_none() -> None:
-    report = report_of(Calibration(1, {}, {32: 45_50}))
+    report = report_of(RobotCalibration(1, {}, {32: 45_50}))
     assert report.landing == {"32": 45.5}
     assert calibration_of(report).landing_cdeg == {32: 45_50}
     with pytest.raises(CalibrationError, match="an angle is infinite"):
@@ -119,7 +121,7 @@ def test_a_way_across_angles_that_are_never_sent(
     """From 1 up to 4 degrees on the wire. An end among them is where the way is now, and not where it leads."""
     reach = AngleLimits(avoid_cdeg=(1_00, 4_00))
     if inverted:
-        reach.use(Calibration(1, {32: ServoCalibration(inverted=True)}))
+        reach.use(RobotCalibration(1, {32: ServoMapping(inverted=True)}))
     from_cdeg, to_cdeg, sent_cdeg = (
         round(18000 - deg * 100 if inverted else deg * 100) for deg in (from_deg, to_deg, sent_deg)
     )
@@ -134,21 +136,21 @@ def test_a_way_across_angles_that_are_never_sent(
 
 
 def test_the_formula() -> None:
-    assert Calibration(1, {11: ServoCalibration(-1)}).why_not(11, 0) is not None, "by a hundredth"
+    assert RobotCalibration(1, {11: ServoMapping(-1)}).why_not(11, 0) is not None, "by a hundredth"
     for inverted, user_cdeg, wire_cdeg in ((False, 90_00, 97_00), (True, 45_00, 142_00)):
-        servo = ServoCalibration(7_00, inverted=inverted)
+        servo = ServoMapping(7_00, inverted=inverted)
         assert (servo.wire_cdeg(user_cdeg), servo.user_cdeg(wire_cdeg)) == (wire_cdeg, user_cdeg)
 
 
 def test_a_rejection_names_both_angles() -> None:
-    calibration = Calibration(servos={32: ServoCalibration(20_00), 33: ServoCalibration(max_cdeg=140_00)})
+    calibration = RobotCalibration(servos={32: ServoMapping(20_00), 33: ServoMapping(max_cdeg=140_00)})
     assert calibration.why_not(32, 170_00) == (
         "170 degrees of servo 32 are its own 190, with its trim; a servo has 0 to 180"
     )
     assert calibration.why_not(33, 140_01) == ("servo 33 is calibrated to go from 0 to 140 degrees; 140.01 is outside")
     assert calibration.why_not(33, 140_00) is None
     for trim_cdeg, last_cdeg, beyond_cdeg in ((20_00, 160_00, 160_01), (-20_00, 20_00, 19_99)):
-        calibration = Calibration(servos={32: ServoCalibration(trim_cdeg)})
+        calibration = RobotCalibration(servos={32: ServoMapping(trim_cdeg)})
         assert calibration.why_not(32, last_cdeg) is None
         assert calibration.why_not(32, beyond_cdeg) is not None
 
@@ -156,39 +158,41 @@ def test_a_rejection_names_both_angles() -> None:
 @pytest.mark.parametrize(
     ("servos", "landing", "fault"),
     [
-        ({32: ServoCalibration(90_01)}, {}, "servo 32: trim_deg is 90.01; it is -90 to 90"),
-        ({32: ServoCalibration(-400_00)}, {}, "servo 32: trim_deg is -400; it is -90 to 90"),
-        ({32: ServoCalibration(min_cdeg=-1)}, {}, "servo 32: min_deg is -0.01; it is 0 to 180"),
-        ({32: ServoCalibration(max_cdeg=180_01)}, {}, "servo 32: max_deg is 180.01; it is 0 to 180"),
+        ({32: ServoMapping(90_01)}, {}, "servo 32: trim_deg is 90.01; it is -90 to 90"),
+        ({32: ServoMapping(-400_00)}, {}, "servo 32: trim_deg is -400; it is -90 to 90"),
+        ({32: ServoMapping(min_cdeg=-1)}, {}, "servo 32: min_deg is -0.01; it is 0 to 180"),
+        ({32: ServoMapping(max_cdeg=180_01)}, {}, "servo 32: max_deg is 180.01; it is 0 to 180"),
         (
-            {32: ServoCalibration(min_cdeg=91_00, max_cdeg=90_00)},
+            {32: ServoMapping(min_cdeg=91_00, max_cdeg=90_00)},
             {},
             "servo 32: min_deg is 91 and max_deg 90; min_deg must not be larger",
         ),
         ({34: AS_DRAWN}, {}, "servo 34 does not exist; an id is the leg and the joint, such as 32"),
         ({}, {70: 90_00}, "servo 70 does not exist; an id is the leg and the joint, such as 32"),
         (
-            {32: ServoCalibration(max_cdeg=100_00)},
+            {32: ServoMapping(max_cdeg=100_00)},
             {32: 101_00},
             "the landing pose cannot be reached: servo 32 is calibrated to go from 0 to 100 degrees; 101 is outside",
         ),
     ],
 )
-def test_what_is_no_calibration(servos: Mapping[int, ServoCalibration], landing: Mapping[int, int], fault: str) -> None:
+def test_what_is_no_calibration(servos: Mapping[int, ServoMapping], landing: Mapping[int, int], fault: str) -> None:
     with pytest.raises(CalibrationError) as raised:
-        Calibration(1, servos, landing)
+        RobotCalibration(1, servos, landing)
     assert str(raised.value) == fault
 
 
 def test_a_change_changes_what_it_names() -> None:
-    before = Calibration(4, {32: ServoCalibration(7_00, inverted=True)}, {32: 80_00, 33: 90_00})
-    after = Change({32: ServoChange(max_cdeg=150_00), 11: ServoChange(trim_cdeg=-1)}, {33: None}).applied_to(before)
-    assert after == Calibration(
-        5, {32: ServoCalibration(7_00, inverted=True, max_cdeg=150_00), 11: ServoCalibration(-1)}, {32: 80_00}
+    before = RobotCalibration(4, {32: ServoMapping(7_00, inverted=True)}, {32: 80_00, 33: 90_00})
+    after = CalibrationChange(
+        {32: MappingChange(max_cdeg=150_00), 11: MappingChange(trim_cdeg=-1)}, {33: None}
+    ).applied_to(before)
+    assert after == RobotCalibration(
+        5, {32: ServoMapping(7_00, inverted=True, max_cdeg=150_00), 11: ServoMapping(-1)}, {32: 80_00}
     )
     assert changed_servos(before, after) == {11, 32}
 
 
 def test_a_change_back_to_the_drawing_leaves_the_default() -> None:
-    before = Calibration(1, {32: ServoCalibration(7_00)})
-    assert not Change({32: ServoChange(trim_cdeg=0)}, {}).applied_to(before).servos
+    before = RobotCalibration(1, {32: ServoMapping(7_00)})
+    assert not CalibrationChange({32: MappingChange(trim_cdeg=0)}, {}).applied_to(before).servos

@@ -8,7 +8,7 @@ import pytest
 
 from gateway import durable
 from gateway.host import directories
-from gateway.model.calibration import Calibration, ServoCalibration
+from gateway.model.calibration import RobotCalibration, ServoMapping
 from gateway.onboard.check.calibration import kept, landing_pose
 from gateway.onboard.check.result import Verdict
 from gateway.robot.host import calibration_file
@@ -24,7 +24,7 @@ def checked(path: Path) -> tuple[Verdict, str, str]:
 def test_which_one_it_is(tmp_path: Path) -> None:
     path = tmp_path / "calibration.toml"
     assert checked(path) == (Verdict.OK, f"none: every servo is as drawn ({path})", "")
-    calibration_file.write(path, Calibration(3, {11: ServoCalibration(5_00)}))
+    calibration_file.write(path, RobotCalibration(3, {11: ServoMapping(5_00)}))
     assert checked(path) == (Verdict.OK, f"revision 3, 1 servo ({path})", "")
 
 
@@ -39,7 +39,7 @@ def test_one_that_cannot_be_used_is_a_failure_with_its_fix(tmp_path: Path) -> No
 
 def test_a_change_that_is_not_on_the_disk_after_seconds_is_reported(tmp_path: Path) -> None:
     path = tmp_path / "calibration.toml"
-    calibration_file.write(path, Calibration(3))
+    calibration_file.write(path, RobotCalibration(3))
     staged = durable.staged_for(path)
     staged.touch()
     assert checked(path)[0] is Verdict.OK, "it may be written just now"
@@ -49,7 +49,7 @@ def test_a_change_that_is_not_on_the_disk_after_seconds_is_reported(tmp_path: Pa
     assert verdict is Verdict.WARNING
     assert "was not kept, and revision 3 is" in sentence
     assert "restart it" in fix
-    calibration_file.write(path, Calibration(4))
+    calibration_file.write(path, RobotCalibration(4))
     assert checked(path)[0] is Verdict.OK
 
 
@@ -68,7 +68,7 @@ def test_in_memory_only(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None
 def test_a_landing_pose_that_is_never_sent_is_reported(tmp_path: Path) -> None:
     """By the settings or by the calibration, whose trims count."""
     path = tmp_path / "calibration.toml"
-    calibration_file.write(path, Calibration(3, {12: ServoCalibration(-3_00)}, {21: 2_50}))
+    calibration_file.write(path, RobotCalibration(3, {12: ServoMapping(-3_00)}, {21: 2_50}))
     sections = {
         "calibration": {"path": str(path)},
         "spi": {"framing": "length-prefixed"},

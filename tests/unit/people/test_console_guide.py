@@ -4,15 +4,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.model.calibration import Calibration, CalibrationError, ServoCalibration
+from gateway.model.calibration import CalibrationError, RobotCalibration, ServoMapping
 from gateway.people.console.guide import Guide
 
 COARSE_CDEG = 100
 FINE_CDEG = 10
 
 
-def guide(servo: ServoCalibration | None = None, start_deg: float = 90.0) -> Guide:
-    made = Guide(Calibration(servos={} if servo is None else {32: servo}))
+def guide(servo: ServoMapping | None = None, start_deg: float = 90.0) -> Guide:
+    made = Guide(RobotCalibration(servos={} if servo is None else {32: servo}))
     made.choose(32, start_deg)
     return made
 
@@ -20,7 +20,7 @@ def guide(servo: ServoCalibration | None = None, start_deg: float = 90.0) -> Gui
 @pytest.mark.parametrize(("trim_cdeg", "inverted"), [(0, False), (-2_00, False), (-2_00, True)])
 def test_keys_move_over_angles_that_are_never_sent(trim_cdeg: int, inverted: bool) -> None:
     """It is the servo's own angle that is never sent; both ways, and by each key."""
-    made = Guide(Calibration(servos={32: ServoCalibration(trim_cdeg, inverted)}), (1_00, 4_00))
+    made = Guide(RobotCalibration(servos={32: ServoMapping(trim_cdeg, inverted)}), (1_00, 4_00))
     made.choose(32, 90)
     down = -1 if not inverted else 1
     made.wire_cdeg = 5_50
@@ -44,7 +44,7 @@ def test_a_servo_that_turns_the_other_way() -> None:
     assert made.shown_deg == 101.0
     assert made.command_deg == 79.0
     made.stands_at(100.0)
-    assert made.draft[32] == ServoCalibration(-1_00, inverted=True, min_cdeg=100_00, max_cdeg=180_00)
+    assert made.draft[32] == ServoMapping(-1_00, inverted=True, min_cdeg=100_00, max_cdeg=180_00)
 
 
 def test_both_ends() -> None:
@@ -53,11 +53,11 @@ def test_both_ends() -> None:
     made.highest_here()
     made.jog(-40 * COARSE_CDEG)
     made.lowest_here()
-    assert made.draft[32] == ServoCalibration(min_cdeg=50_10, max_cdeg=90_10)
+    assert made.draft[32] == ServoMapping(min_cdeg=50_10, max_cdeg=90_10)
     made.jog(41 * COARSE_CDEG)
     with pytest.raises(CalibrationError, match="min_deg must not be larger"):
         made.lowest_here()
-    assert made.draft[32] == ServoCalibration(min_cdeg=50_10, max_cdeg=90_10)
+    assert made.draft[32] == ServoMapping(min_cdeg=50_10, max_cdeg=90_10)
 
 
 def test_undo_goes_back_to_the_beginning_and_as_drawn_to_no_calibration() -> None:
@@ -66,23 +66,23 @@ def test_undo_goes_back_to_the_beginning_and_as_drawn_to_no_calibration() -> Non
     made.wrong_way()
     assert made.changed == [32]
     assert made.undo() == 32
-    assert made.draft[32] == ServoCalibration(trim_cdeg=-5_00)
+    assert made.draft[32] == ServoMapping(trim_cdeg=-5_00)
     assert made.undo() == 32
     assert made.undo() is None
     assert made.changed == []
-    made = guide(ServoCalibration(7_00, inverted=True))
+    made = guide(ServoMapping(7_00, inverted=True))
     made.as_drawn()
-    assert (made.draft[32], made.changed) == (ServoCalibration(), [32])
+    assert (made.draft[32], made.changed) == (ServoMapping(), [32])
 
 
 def test_it_never_leaves_what_the_gateway_accepts() -> None:
-    made = guide(ServoCalibration(max_cdeg=92_00))
+    made = guide(ServoMapping(max_cdeg=92_00))
     made.jog(2 * COARSE_CDEG)
     with pytest.raises(CalibrationError, match="calibrated to go from 0 to 92 degrees"):
         made.jog(FINE_CDEG)
     assert made.command_deg == 92.0
     with pytest.raises(CalibrationError, match="has no command for it"):
-        guide(ServoCalibration(20_00), 0.0).jog(-COARSE_CDEG)
+        guide(ServoMapping(20_00), 0.0).jog(-COARSE_CDEG)
     with pytest.raises(CalibrationError, match="cannot go further"):
         guide(start_deg=180.0).jog(FINE_CDEG)
 

@@ -10,7 +10,7 @@ import pytest
 
 from examples.elkapod import gait
 from gateway.geometry import Geometry, foot_m, load
-from gateway.model.calibration import Calibration
+from gateway.model.calibration import RobotCalibration
 from gateway.model.frames import centidegrees
 from gateway.people.walking import Pose, Posture, Robot, Velocity, Walker
 from gateway.people.walking.robot import ranges
@@ -64,20 +64,22 @@ def servos_cdeg(pose: Pose) -> dict[int, int]:
 
 
 @pytest.fixture(scope="module")
-def calibration() -> Calibration:
+def calibration() -> RobotCalibration:
     read = calibration_file.read(FOLDER / "calibration.toml")
     assert read is not None
     return read
 
 
-def test_joints_2_and_3_of_the_right_legs_are_mirrored_and_nothing_else(calibration: Calibration) -> None:
+def test_joints_2_and_3_of_the_right_legs_are_mirrored_and_nothing_else(calibration: RobotCalibration) -> None:
     for servo_id in SERVO_IDS:
         leg, joint = divmod(servo_id, 10)
         assert calibration.of(servo_id).inverted == (leg in (2, 4, 6) and joint in (2, 3))
         assert calibration.of(servo_id).trim_cdeg == 0
 
 
-def test_with_the_calibration_each_servo_stands_where_the_robots_own_software_puts_it(calibration: Calibration) -> None:
+def test_with_the_calibration_each_servo_stands_where_the_robots_own_software_puts_it(
+    calibration: RobotCalibration,
+) -> None:
     servos, users = load(), load(FOLDER / "geometry.json")
     assert servos.model_copy(update={"servos": users.servos}) == users
     for servo_id in SERVO_IDS:
@@ -110,7 +112,7 @@ def feet_m(geometry: Geometry, pose: Pose) -> dict[int, tuple[float, float, floa
     return {leg: foot_m(geometry, leg, joints_rad) for leg in LEGS}
 
 
-def test_the_walk_and_the_landing_pose_are_within_the_limits(calibration: Calibration) -> None:
+def test_the_walk_and_the_landing_pose_are_within_the_limits(calibration: RobotCalibration) -> None:
     limits = SETTINGS.limits.servos
     assert set(limits) == set(SETTINGS.watchdog.landing) == set(map(str, SERVO_IDS))
     for _, pose in walked():

@@ -16,7 +16,7 @@ from gateway.geometry import load
 from gateway.model.black_box import format as form
 from gateway.model.black_box.files import INCIDENTS_FOLDER, RING_FILE
 from gateway.model.black_box.incidents import INCIDENT_NAMES, MISTAKE
-from gateway.model.calibration import Calibration, ServoCalibration
+from gateway.model.calibration import RobotCalibration, ServoMapping
 from gateway.model.frames import decode
 from gateway.people.incidents import archive, ring_reader
 from gateway.people.incidents.incidents import CRASH, Incident, find
@@ -204,7 +204,7 @@ async def test_the_story_of_a_landing(folder: Path) -> None:
     ]
 
 
-TRIMMED = Calibration(1, {32: ServoCalibration(10_00, inverted=True)}, {})
+TRIMMED = RobotCalibration(1, {32: ServoMapping(10_00, inverted=True)}, {})
 
 
 async def test_a_calibrated_robots_story_and_picture_have_its_users_angles(folder: Path) -> None:
@@ -213,7 +213,7 @@ async def test_a_calibrated_robots_story_and_picture_have_its_users_angles(folde
     Calibrations(robot.conductor, None, asyncio.get_running_loop()).tell()
     robot.put(LEG_3, START)
     await asyncio.sleep(2)
-    robot.conductor.recorder.calibration(Calibration(2))  # of later frames
+    robot.conductor.recorder.calibration(RobotCalibration(2))  # of later frames
     await asyncio.sleep(10)
     (incident,), content = incidents(folder, robot.now_ns())
     path = archive.keep(folder / INCIDENTS_FOLDER, incident, content.records)

@@ -12,7 +12,7 @@ from gateway.errors import ConfigError
 from gateway.geometry import load
 from gateway.geometry.kinematics import about, rotated
 from gateway.geometry.masses import MASSES
-from gateway.model.calibration import Calibration, ServoCalibration
+from gateway.model.calibration import RobotCalibration, ServoMapping
 from gateway.people.physics.assumed import FRICTION, MASS_KG, TORQUE_NM, Assumed, Terrain, assumed
 from gateway.people.physics.pace import MOST_BEHIND_S, WINDOW_S, Pace
 from gateway.people.physics.process import Simulated
@@ -202,7 +202,7 @@ def test_where_it_is_counts_as_commands_do() -> None:
     mounted = Simulated(GEOMETRY, Assumed())
     as_drawn.drive({servo_id: 60.0 if servo_id == 11 else None for servo_id in SERVO_IDS})
     mounted.drive({servo_id: 180 - 60.0 + 10 if servo_id == 11 else None for servo_id in SERVO_IDS})
-    mounted.calibrate(Calibration(1, {11: ServoCalibration(trim_cdeg=1000, inverted=True)}))
+    mounted.calibrate(RobotCalibration(1, {11: ServoMapping(trim_cdeg=1000, inverted=True)}))
     for each in (as_drawn, mounted):
         run(each.world, 1.0)
         report = each.report(1.0)

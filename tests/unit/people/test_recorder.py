@@ -14,7 +14,7 @@ from gateway.errors import SpiError
 from gateway.model.black_box import format as form
 from gateway.model.black_box.files import RING_FILE
 from gateway.model.black_box.incidents import incident_id
-from gateway.model.calibration import Calibration, ServoCalibration
+from gateway.model.calibration import RobotCalibration, ServoMapping
 from gateway.model.frames import Op, ServoOp, decode, stop_leg
 from gateway.model.framing import Framing
 from gateway.people.incidents import ring_reader
@@ -50,8 +50,8 @@ async def test_what_was_in_force_is_known_after_any_time_and_across_runs(folder:
     robot = recorded(folder)
     revisions = {}
     for revision in (1, 2):
-        robot.conductor.recorder.calibration(Calibration(revision, {31: ServoCalibration(revision)}))
-        robot.conductor.recorder.calibration(Calibration(revision, {31: ServoCalibration(revision)}))
+        robot.conductor.recorder.calibration(RobotCalibration(revision, {31: ServoMapping(revision)}))
+        robot.conductor.recorder.calibration(RobotCalibration(revision, {31: ServoMapping(revision)}))
         await asyncio.sleep(1)
         revisions[robot.now_ns()] = revision
         await asyncio.sleep(1)
@@ -64,7 +64,7 @@ async def test_what_was_in_force_is_known_after_any_time_and_across_runs(folder:
     after = recorded(folder)
     before_ns = after.now_ns()
     await asyncio.sleep(1)
-    after.conductor.recorder.calibration(Calibration())
+    after.conductor.recorder.calibration(RobotCalibration())
     records = ring_reader.read(folder / RING_FILE).records
     assert [in_force(records, ns) for ns in (min(revisions), before_ns, after.now_ns())] == [2, 2, 0]
 

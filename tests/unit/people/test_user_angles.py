@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from gateway.errors import ConfigError
-from gateway.model.calibration import Calibration, ServoCalibration, report_of
+from gateway.model.calibration import RobotCalibration, ServoMapping, report_of
 from gateway.model.frames import OneLeg, OneServo, Op, ServoOp, decode, stop_leg
 from gateway.people.recordings.reading import Message
 from gateway.people.recordings.user_angles import UserAngles, user_bytes
@@ -14,12 +14,12 @@ from gateway.people.tools.replay import _same_angles
 from schemas.keys import CALIBRATION, FRAME, STATE
 
 PATH = Path("ride.mcap")
-MIRRORED = Calibration(1, {31: ServoCalibration(7_50), 32: ServoCalibration(-10_00, inverted=True)})
-OTHER = Calibration(2, {31: ServoCalibration(-20_00)})
+MIRRORED = RobotCalibration(1, {31: ServoMapping(7_50), 32: ServoMapping(-10_00, inverted=True)})
+OTHER = RobotCalibration(2, {31: ServoMapping(-20_00)})
 USERS = OneLeg(3, (ServoOp(Op.SET, 90_00), ServoOp(Op.SET, 45_00), ServoOp(Op.START, 120_00)))
 
 
-def frame(calibration: Calibration, users: OneLeg | OneServo = USERS) -> Message:
+def frame(calibration: RobotCalibration, users: OneLeg | OneServo = USERS) -> Message:
     """As it was written with this calibration in force."""
     return Message(FRAME, {"bytes": calibration.frame(users).to_bytes().hex(), "cause": "command"}, 0, 0)
 
@@ -29,7 +29,7 @@ def state(revision: int | None) -> Message:
     return Message(STATE, content, 0, 0)
 
 
-def told(calibration: Calibration) -> Message:
+def told(calibration: RobotCalibration) -> Message:
     return Message(CALIBRATION, report_of(calibration).model_dump(mode="json"), 0, 0)
 
 
@@ -41,7 +41,7 @@ def read(*messages: Message) -> tuple[UserAngles, list[OneLeg | OneServo]]:
 def test_each_frame_is_read_by_the_calibration_before_it() -> None:
     stop = stop_leg(3)
     angles, found = read(
-        state(0), frame(Calibration()), told(MIRRORED), state(1), frame(MIRRORED), told(OTHER), frame(OTHER),
+        state(0), frame(RobotCalibration()), told(MIRRORED), state(1), frame(MIRRORED), told(OTHER), frame(OTHER),
         frame(OTHER, stop), frame(OTHER, OneServo(31, ServoOp(Op.SET, 30_00))),
     )  # fmt: skip
     assert found == [USERS, USERS, USERS, stop, OneServo(31, ServoOp(Op.SET, 30_00))]
@@ -50,7 +50,7 @@ def test_each_frame_is_read_by_the_calibration_before_it() -> None:
 
 
 def test_an_older_gateway_had_no_calibration() -> None:
-    angles, found = read(state(None), frame(Calibration()))
+    angles, found = read(state(None), frame(RobotCalibration()))
     assert (found, angles.known, angles.translated) == ([USERS], True, False)
     _same_angles(PATH, angles, MIRRORED)
 
@@ -60,7 +60,7 @@ def test_an_older_gateway_had_no_calibration() -> None:
     [
         (frame(MIRRORED),),
         (state(1), frame(MIRRORED)),
-        (state(0), frame(Calibration()), state(1), frame(MIRRORED)),
+        (state(0), frame(RobotCalibration()), state(1), frame(MIRRORED)),
         (Message(CALIBRATION, {"revision": "x"}, 0, 0), frame(MIRRORED)),
         (Message(CALIBRATION, {"revision": 1, "servos": {"99": {}}, "landing": {}}, 0, 0), frame(MIRRORED)),
     ],
@@ -70,7 +70,7 @@ def test_where_it_does_not_say_frames_go_only_where_the_same_bytes_are_written(m
     angles, found = read(*messages)
     assert not angles.known
     assert found[-1] == MIRRORED.frame(USERS)
-    _same_angles(PATH, angles, Calibration(7, {}, {11: 90_00}))
+    _same_angles(PATH, angles, RobotCalibration(7, {}, {11: 90_00}))
     with pytest.raises(ConfigError, match="does not contain the calibration"):
         _same_angles(PATH, angles, OTHER)
 
@@ -79,7 +79,7 @@ def test_where_it_says_so_of_a_part_only_nothing_is_sent() -> None:
     angles, _ = read(told(MIRRORED), frame(MIRRORED), state(5), frame(OTHER))
     assert not angles.known
     with pytest.raises(ConfigError, match="nothing is sent"):
-        _same_angles(PATH, angles, Calibration())
+        _same_angles(PATH, angles, RobotCalibration())
 
 
 def test_bytes_that_no_user_meant_stay_as_they_are() -> None:

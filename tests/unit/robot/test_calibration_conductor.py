@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from gateway.model.calibration import Calibration
+from gateway.model.calibration import RobotCalibration
 from gateway.model.frames import OneLeg, Op
 from gateway.robot.host.calibration_file import SLOW_S
 from gateway.robot.runtime.calibrations import HANGS
@@ -28,9 +28,9 @@ class Disk:
     """Keeps what it is told when it is told to."""
 
     def __init__(self) -> None:
-        self.waiting: list[tuple[Calibration, Callable[[str | None], None]]] = []
+        self.waiting: list[tuple[RobotCalibration, Callable[[str | None], None]]] = []
 
-    def __call__(self, calibration: Calibration, then: Callable[[str | None], None]) -> None:
+    def __call__(self, calibration: RobotCalibration, then: Callable[[str | None], None]) -> None:
         self.waiting.append((calibration, then))
 
     def write(self, fault: str | None = None) -> None:
@@ -73,7 +73,7 @@ async def test_frames_carry_the_servos_own_angles_and_all_else_the_users() -> No
 
 async def test_it_is_told_when_it_changes_and_when_somebody_asks(monkeypatch: pytest.MonkeyPatch) -> None:
     robot = await started_and_quiet()
-    recorded: list[Calibration] = []
+    recorded: list[RobotCalibration] = []
     monkeypatch.setattr(robot.conductor.recorder, "calibration", recorded.append)
     robot.calibrations.announce_start()
     first = told(robot)
@@ -179,7 +179,7 @@ async def test_what_comes_after_the_end_changes_nothing() -> None:
 
 async def test_one_that_cannot_be_trusted_starts_nothing_until_a_person_takes_the_default() -> None:
     robot = Robot({}, keep=(disk := Disk()))
-    robot.conductor.supervisor.calibrating.load(Calibration(7), "calibration.toml: is not TOML")
+    robot.conductor.supervisor.calibrating.load(RobotCalibration(7), "calibration.toml: is not TOML")
     robot.conductor.start()
     robot.conductor.announce_start()
     assert robot.conductor.state().calibration.fault == "calibration.toml: is not TOML"

@@ -9,7 +9,7 @@ from hypothesis import given
 
 from gateway.errors import ConfigError
 from gateway.host import directories
-from gateway.model.calibration import Calibration, ServoCalibration
+from gateway.model.calibration import RobotCalibration, ServoMapping
 from gateway.robot.host import calibration_file
 from gateway.robot.host.calibration_file import (
     EARLIER_KEPT,
@@ -25,11 +25,11 @@ from gateway.robot.host.calibration_file import (
 from gateway.robot.settings import Settings
 from tests.unit.model.test_calibration import calibrations
 
-OWN = Calibration(3, {32: ServoCalibration(7_50, inverted=True, max_cdeg=140_00)}, {31: 90_00, 32: 45_25})
+OWN = RobotCalibration(3, {32: ServoMapping(7_50, inverted=True, max_cdeg=140_00)}, {31: 90_00, 32: 45_25})
 
 
 @given(calibrations)
-def test_what_is_written_is_read(calibration: Calibration) -> None:
+def test_what_is_written_is_read(calibration: RobotCalibration) -> None:
     assert from_toml(to_toml(calibration).encode()) == calibration
 
 
@@ -94,10 +94,10 @@ def test_a_foreign_file_is_an_error(tmp_path: Path, content: bytes) -> None:
 def test_the_previous_ten_are_kept(tmp_path: Path) -> None:
     path = tmp_path / "state" / "calibration.toml"
     for revision in range(1, 15):
-        write(path, Calibration(revision, {32: ServoCalibration(revision)}))
+        write(path, RobotCalibration(revision, {32: ServoMapping(revision)}))
     kept = [read(found) for found in previous(path)]
     assert [calibration.revision for calibration in kept if calibration] == list(range(13, 13 - EARLIER_KEPT, -1))
-    assert read(path) == Calibration(14, {32: ServoCalibration(14)})
+    assert read(path) == RobotCalibration(14, {32: ServoMapping(14)})
 
 
 def test_a_broken_one_is_set_aside(tmp_path: Path) -> None:
@@ -112,7 +112,7 @@ def test_a_broken_one_is_set_aside(tmp_path: Path) -> None:
 
 
 def test_a_gateway_starts_with_the_default_where_there_never_was_another(tmp_path: Path) -> None:
-    assert load(tmp_path / "calibration.toml") == (Calibration(), None)
+    assert load(tmp_path / "calibration.toml") == (RobotCalibration(), None)
 
 
 def test_a_gateway_starts_with_what_was_kept(tmp_path: Path) -> None:
@@ -126,15 +126,15 @@ def test_a_file_that_cannot_be_used_is_a_fault_and_the_next_revision_is_newer_th
 ) -> None:
     path = tmp_path / "calibration.toml"
     for revision in range(1, 16):
-        write(path, Calibration(revision))
+        write(path, RobotCalibration(revision))
     path.unlink()
     if text is not None:
         path.write_text(text)
     found, fault = load(path)
-    assert found == Calibration(15)
+    assert found == RobotCalibration(15)
     assert str(path) in str(fault)
-    write(path, Calibration(16))
-    write(path, Calibration(17))
+    write(path, RobotCalibration(16))
+    write(path, RobotCalibration(17))
     assert [each.name for each in previous(path)][:2] == ["calibration.16.toml", "calibration.14.toml"]
 
 
@@ -144,7 +144,7 @@ def test_what_is_no_file_is_a_fault_and_nobody_waits_for_it(tmp_path: Path) -> N
     folder.mkdir()
     for path in (pipe, folder, Path("/dev/zero")):
         found, fault = load(path)
-        assert found == Calibration()
+        assert found == RobotCalibration()
         assert "is no file" in str(fault) or "Is a directory" in str(fault)
 
 

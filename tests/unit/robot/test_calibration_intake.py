@@ -7,7 +7,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.model.calibration import Calibration, CalibrationError, Change, ServoChange, calibration_of, report_of
+from gateway.model.calibration import (
+    CalibrationChange,
+    CalibrationError,
+    MappingChange,
+    RobotCalibration,
+    calibration_of,
+    report_of,
+)
 from gateway.robot.core.calibration_intake import change_of, read
 from gateway.robot.core.intake import Rejection
 from schemas import calibration as wire
@@ -28,7 +35,7 @@ def read_whole(payload: object) -> CalibrationCommand:
 
 def test_a_part_of_it_names_only_what_changes() -> None:
     command = read_whole({"servos": {"32": {"trim_deg": -7.25, "inverted": True}}, "landing": {"11": 90, "12": None}})
-    assert change_of(command) == Change({32: ServoChange(-7_25, inverted=True)}, {11: 9000, 12: None})
+    assert change_of(command) == CalibrationChange({32: MappingChange(-7_25, inverted=True)}, {11: 9000, 12: None})
     assert (command.revision, command.accept_default, command.source, command.lease) == (None, None, None, None)
 
 
@@ -110,11 +117,11 @@ def test_whatever_comes_is_read_or_rejected_and_never_raises(payload: bytes) -> 
 
 
 @given(calibrations)
-def test_what_goes_out_can_be_sent_back_and_changes_nothing(calibration: Calibration) -> None:
+def test_what_goes_out_can_be_sent_back_and_changes_nothing(calibration: RobotCalibration) -> None:
     out: dict[str, Any] = json.loads(report_of(calibration).model_dump_json())
     command = read_whole(out)
     assert command.revision == calibration.revision
-    assert change_of(command).applied_to(Calibration()).servos == calibration.servos
+    assert change_of(command).applied_to(RobotCalibration()).servos == calibration.servos
     assert calibration_of(report_of(calibration)) == calibration
 
 

@@ -5,7 +5,7 @@ Each step is judged by the oracle.
 
 import pytest
 
-from gateway.model.calibration import Calibration, Change, ServoCalibration, ServoChange
+from gateway.model.calibration import CalibrationChange, MappingChange, RobotCalibration, ServoMapping
 from gateway.robot.core.events import Announce, Kept, Transmit
 from gateway.robot.core.leg import Rules
 from gateway.robot.core.pacing import NS_PER_MS
@@ -13,10 +13,10 @@ from gateway.robot.core.supervisor import IllegalEvent
 from schemas.telemetry import Kind, Mode
 from tests.support.steps import Steps, all_stopped, leg_to, servo_to
 
-MIRRORED = Calibration(3, {32: ServoCalibration(7_00, inverted=True, min_cdeg=10_00, max_cdeg=170_00)})
+MIRRORED = RobotCalibration(3, {32: ServoMapping(7_00, inverted=True, min_cdeg=10_00, max_cdeg=170_00)})
 """90 is 97 on its wire, and 10 is 177."""
-TURN_32 = Change({32: ServoChange(trim_cdeg=-5_00, inverted=True)}, {})
-NOTHING = Change({}, {})
+TURN_32 = CalibrationChange({32: MappingChange(trim_cdeg=-5_00, inverted=True)}, {})
+NOTHING = CalibrationChange({}, {})
 
 
 # ---- angles
@@ -57,7 +57,7 @@ def test_a_limited_speed_counts_as_users_do_and_goes_the_servos_way() -> None:
 
 
 def test_it_is_the_servos_own_angle_that_is_never_sent() -> None:
-    calibration = Calibration(1, {32: ServoCalibration(-3_00)})
+    calibration = RobotCalibration(1, {32: ServoMapping(-3_00)})
     steps = Steps(Rules(repeats=0, avoid_cdeg=(1_00, 4_00)), calibration=calibration)
     assert steps.command(0.5, servo_to(32, "start 5")) == ["rejected 1 joint_limit"]
     assert steps.detail == (
@@ -70,14 +70,14 @@ def test_it_is_the_servos_own_angle_that_is_never_sent() -> None:
 
 def test_a_landing_pose_of_angles_that_are_never_sent_is_rejected() -> None:
     """Also where it becomes one by a new trim."""
-    steps = Steps(Rules(repeats=0, avoid_cdeg=(1_00, 4_00)), calibration=Calibration(1, {}, {32: 5_00}))
-    assert steps.calibrate(1, Change({}, {31: 3_00})) == ["rejected 1 joint_limit"]
-    assert steps.calibrate(2, Change({32: ServoChange(trim_cdeg=-3_00)}, {})) == ["rejected 2 joint_limit"]
+    steps = Steps(Rules(repeats=0, avoid_cdeg=(1_00, 4_00)), calibration=RobotCalibration(1, {}, {32: 5_00}))
+    assert steps.calibrate(1, CalibrationChange({}, {31: 3_00})) == ["rejected 1 joint_limit"]
+    assert steps.calibrate(2, CalibrationChange({32: MappingChange(trim_cdeg=-3_00)}, {})) == ["rejected 2 joint_limit"]
     assert steps.detail.startswith("the landing pose cannot be sent: 5 degrees of servo 32 are its own 2, ")
 
 
 def test_a_landing_goes_to_the_calibrations_pose_on_the_servos_way() -> None:
-    calibration = Calibration(3, MIRRORED.servos, {32: 100_00})
+    calibration = RobotCalibration(3, MIRRORED.servos, {32: 100_00})
     rules = Rules(repeats=0, landing_ns=1000 * NS_PER_MS, landing_cdeg={32: 20_00, 31: 50_00})
     steps = Steps(rules, calibration=calibration)
     steps.command(0.5, leg_to(3, "start 90"))
@@ -94,11 +94,11 @@ def test_a_landing_goes_to_the_calibrations_pose_on_the_servos_way() -> None:
 def test_a_change_is_in_force_once_it_is_kept() -> None:
     steps = Steps()
     assert steps.calibrate(0, TURN_32) == ["keep 1"]
-    assert steps.supervisor.calibrating.in_force == Calibration()
+    assert steps.supervisor.calibrating.in_force == RobotCalibration()
     assert steps.kept(50) == ["announce calibrated", "completed 1"]
     told = "calibration 1 is in force; it changes servo 32"
     assert steps.announced == [Announce(Kind.CALIBRATED, told, "anna", "hexapod/calibration/cmd")]
-    assert steps.supervisor.calibrating.in_force == Calibration(1, {32: ServoCalibration(-5_00, inverted=True)})
+    assert steps.supervisor.calibrating.in_force == RobotCalibration(1, {32: ServoMapping(-5_00, inverted=True)})
     assert steps.command(51, servo_to(32, "start 90")) == ["command 32 start 85", "completed 2"]
 
 
@@ -116,16 +116,18 @@ def test_a_servo_that_runs_or_waits_to_be_started_is_not_changed() -> None:
     steps.command(0.5, servo_to(32, "start 90"))
     steps.command(1, servo_to(11, "start 90"))  # waits
     for at_ms, servo_id in ((2, 32), (3, 11)):
-        assert steps.calibrate(at_ms, Change({servo_id: ServoChange(trim_cdeg=1)}, {}))[0].endswith("invalid")
+        assert steps.calibrate(at_ms, CalibrationChange({servo_id: MappingChange(trim_cdeg=1)}, {}))[0].endswith(
+            "invalid"
+        )
         expected = f"servo {servo_id} runs or waits to be started; stop it before its calibration is changed"
         assert steps.detail == expected
-    assert steps.calibrate(4, Change({31: ServoChange(trim_cdeg=1)}, {32: 90_00})) == ["keep 5"]
+    assert steps.calibrate(4, CalibrationChange({31: MappingChange(trim_cdeg=1)}, {32: 90_00})) == ["keep 5"]
 
 
 def test_what_is_named_but_stays_as_it_is_may_run() -> None:
     steps = Steps(calibration=MIRRORED)
     steps.command(0.5, servo_to(32, "start 90"))
-    assert steps.calibrate(1, Change({32: ServoChange(trim_cdeg=7_00)}, {})) == ["keep 2"]
+    assert steps.calibrate(1, CalibrationChange({32: MappingChange(trim_cdeg=7_00)}, {})) == ["keep 2"]
     assert steps.command(2, servo_to(32, "set 91")) == []  # it waits for its rate slot, for nothing else
     assert steps.kept(3) == ["announce calibrated", "completed 2"]
     assert steps.announced[0].detail == "calibration 4 is in force; it changes nothing"
@@ -134,7 +136,7 @@ def test_what_is_named_but_stays_as_it_is_may_run() -> None:
 def test_the_landing_pose_is_changed_while_the_robot_stands() -> None:
     steps = Steps()
     steps.command(0.5, leg_to(3, "start 90"))
-    assert steps.calibrate(1, Change({}, {32: 90_00})) == ["keep 2"]
+    assert steps.calibrate(1, CalibrationChange({}, {32: 90_00})) == ["keep 2"]
     steps.kept(2)
     assert steps.announced[0].detail == "calibration 1 is in force; it changes the landing pose"
 
@@ -160,7 +162,7 @@ def test_one_change_at_a_time() -> None:
 
 def test_what_is_no_calibration_is_rejected_as_a_whole() -> None:
     steps = Steps()
-    change = Change({32: ServoChange(trim_cdeg=1), 33: ServoChange(trim_cdeg=90_01)}, {})
+    change = CalibrationChange({32: MappingChange(trim_cdeg=1), 33: MappingChange(trim_cdeg=90_01)}, {})
     assert steps.calibrate(0, change) == ["rejected 1 invalid"]
     assert steps.detail == "servo 33: trim_deg is 90.01; it is -90 to 90"
     assert steps.calibrate(1, NOTHING, accept_default=True) == ["rejected 2 invalid"]
@@ -240,7 +242,7 @@ def test_nothing_starts_by_a_calibration_that_cannot_be_read() -> None:
 
 
 def test_the_default_is_accepted_once_it_is_kept() -> None:
-    steps = Steps(calibration=Calibration(6), fault=BROKEN)
+    steps = Steps(calibration=RobotCalibration(6), fault=BROKEN)
     assert steps.calibrate(0, NOTHING, accept_default=True) == ["keep 1"]
     assert steps.command(1, servo_to(11, "start 90")) == ["rejected 2 servo_stopped"]
     assert steps.kept(2, "the disk is full") == ["rejected 1 invalid"]
@@ -256,6 +258,6 @@ def test_the_default_is_accepted_once_it_is_kept() -> None:
 
 def test_the_default_is_what_is_accepted_and_not_what_was_loaded() -> None:
     steps = Steps(calibration=MIRRORED, fault=BROKEN)
-    steps.calibrate(0, Change({11: ServoChange(trim_cdeg=1_00)}, {}), accept_default=True)
+    steps.calibrate(0, CalibrationChange({11: MappingChange(trim_cdeg=1_00)}, {}), accept_default=True)
     steps.kept(1)
-    assert steps.supervisor.calibrating.in_force == Calibration(4, {11: ServoCalibration(1_00)})
+    assert steps.supervisor.calibrating.in_force == RobotCalibration(4, {11: ServoMapping(1_00)})

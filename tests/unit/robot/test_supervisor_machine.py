@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
 from gateway.errors import SpiError
-from gateway.model.calibration import Calibration, Change, ServoCalibration, ServoChange
+from gateway.model.calibration import CalibrationChange, MappingChange, RobotCalibration, ServoMapping
 from gateway.model.frames import STOP, Op, ServoOp, decode, servo_ids_of
 from gateway.model.framing import Framing
 from gateway.robot.core.events import (
@@ -75,19 +75,17 @@ RULES = st.builds(
 )
 CALIBRATIONS = st.sampled_from(
     [
-        Calibration(),
-        Calibration(),
-        Calibration(
-            5, {11: ServoCalibration(-10_00, inverted=True), 21: ServoCalibration(max_cdeg=90_00)}, {11: 30_00}
-        ),
+        RobotCalibration(),
+        RobotCalibration(),
+        RobotCalibration(5, {11: ServoMapping(-10_00, inverted=True), 21: ServoMapping(max_cdeg=90_00)}, {11: 30_00}),
     ]
 )
 CHANGES = st.builds(
-    Change,
+    CalibrationChange,
     st.dictionaries(
         st.sampled_from([11, 12, 21, 33]),
         st.builds(
-            ServoChange,
+            MappingChange,
             st.sampled_from([None, 0, 5_00, -90_00, 90_01]),
             st.sampled_from([None, True, False]),
             st.sampled_from([None, 0, 0, 45_00]),
@@ -128,7 +126,7 @@ class SupervisorMachine(RuleBasedStateMachine):
         calibration=CALIBRATIONS,
         fault=st.sampled_from([None] * 9 + ["it cannot be read"]),
     )
-    def make(self, rules: Rules, now_ns: int, calibration: Calibration, fault: str | None) -> None:
+    def make(self, rules: Rules, now_ns: int, calibration: RobotCalibration, fault: str | None) -> None:
         self.now_ns = now_ns
         self.supervisor = Supervisor(rules)
         self.nameless = Supervisor(rules)
@@ -224,7 +222,7 @@ class SupervisorMachine(RuleBasedStateMachine):
         default=st.sampled_from([False] * 9 + [True]),
         wait_ns=WAITS_NS,
     )
-    def calibrate(self, change: Change, older: int | None, default: bool, wait_ns: int) -> None:
+    def calibrate(self, change: CalibrationChange, older: int | None, default: bool, wait_ns: int) -> None:
         self.number += 1
         revision = None if older is None else self.supervisor.calibrating.in_force.revision - older
         lease = self.token(self.carries)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from gateway.errors import GatewayError, UnansweredError
-from gateway.model.calibration import Calibration, calibration_of
+from gateway.model.calibration import RobotCalibration, calibration_of
 from gateway.model.frames import Frame, FrameError, OneLeg, OneServo, Op, ServoOp, centidegrees, decode
 from gateway.people.client.blocking import Client
 from gateway.people.client.subscriptions import reports, subscribed
@@ -81,7 +81,7 @@ class Bench:
     """Whether the service may be killed."""
     config: Sequence[str] = ()
     """Arguments of `stop-servos`."""
-    calibration: Calibration = field(default_factory=Calibration)
+    calibration: RobotCalibration = field(default_factory=RobotCalibration)
     """In force on the robot."""
     frames_published: bool = False
     answer_ms: float = 0.0
