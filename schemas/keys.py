@@ -21,10 +21,10 @@ CALIBRATION_CMD: Final = f"{ROOT}/calibration/cmd"
 REVOCATION: Final = f"{ROOT}/revocation/cmd"
 BUTTON: Final = f"{ROOT}/button/cmd"
 GET_ONLY: Final = {
-    LEASE: "its answer is for one alone",
-    CALIBRATION_CMD: "whoever changes it has to know what became of it",
-    REVOCATION: "whoever shuts somebody out has to know what became of it",
-    BUTTON: "a check-in that is not answered is none",
+    LEASE: "only its sender may receive the answer",
+    CALIBRATION_CMD: "its sender needs the result",
+    REVOCATION: "its sender needs the result",
+    BUTTON: "a check-in without an answer does not count",
 }
 """Keys that take `get` only, and why. They move nothing, so COMMAND_KEYS has none of them."""
 STATE: Final = f"{ROOT}/state"

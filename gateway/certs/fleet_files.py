@@ -29,10 +29,10 @@ _ROUTER = """\
     shared_memory: { enabled: false },
     link: {
       protocols: ["tls"],
-      // A client that asks and does not read loses its link after 20 ms. With Zenoh's own 5 s, one such laptop delayed
-      // everything that the router receives, and all robots' links with it.
+      // A client that does not read its replies loses its link after 20 ms. With Zenoh's own 5 s, one such laptop
+      // delayed everything that the router receives, and all robots' links with it.
       tx: { lease: 1000, queue: { congestion_control: { block: { wait_before_close: 20000 } } } },
-      // No message is assembled from fragments to more than this many bytes, whoever sends it.
+      // Limit in bytes of a message that is assembled from fragments.
       rx: { max_message_size: @MAX_MESSAGE_SIZE@ },
       tls: {
         root_ca_certificate: "ca.pem",

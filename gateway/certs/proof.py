@@ -59,7 +59,7 @@ class ProofChecker:
             return None
         first = min(ca.not_valid_before_utc for ca in self._cas)
         return (
-            f"this robot's clock is wrong: it says {_minute(now)} UTC, before its CA was made ({_minute(first)}); "
+            f"this robot's clock is wrong: it shows {_minute(now)} UTC, before its CA was made ({_minute(first)}); "
             "until it is set, no certificate can be checked"
         )
 
@@ -95,7 +95,7 @@ class ProofChecker:
 
     def _holders_fault(self, certificate: x509.Certificate, common_name: str, roles: Sequence[str]) -> str | None:
         if self._revoked is not None and self._revoked.holds(common_name, certificate.serial_number):
-            return f"proof.certificate is revoked ({common_name}); whoever keeps the CA issues another"
+            return f"proof.certificate is revoked ({common_name}); get another from the person with the CA's key"
         found = pool.holder(common_name)
         if found.role not in roles or not found.is_for(self._robot):
             wanted = [f"{each}.{self._robot}" if self._robot else each for each in roles]

@@ -16,8 +16,8 @@ DEFAULT_PORT = 7447
 _GATEWAY = """\
 // The gateway's Zenoh configuration, made by `hexapod-gateway certs init` for @HOSTS@.
 // In gateway.toml:  [zenoh]  config = "/etc/hexapod-gateway/zenoh/gateway.json5"
-// The robot needs this file, ca.pem, gateway.pem and gateway.key. Keep ca.key off the robot: whoever has it can let
-// anyone in. Paths are relative to this file's folder.
+// The robot needs this file, ca.pem, gateway.pem and gateway.key. Keep ca.key off the robot: with it,
+// anyone can be let in. Paths are relative to this file's folder.
 {
   mode: "peer",@NAMESPACE@
   // All addresses, IPv4 and IPv6. On a kernel without IPv6: tls/0.0.0.0:@PORT@
@@ -35,7 +35,7 @@ _GATEWAY = """\
       protocols: ["tls"],
       // A link that is silent for this long (ms) is dead, and what waited on it is dropped with it.
       tx: { lease: 1000 },
-      // No message is assembled from fragments to more than this many bytes, whoever sends it.
+      // Limit in bytes of a message that is assembled from fragments.
       rx: { max_message_size: @MAX_MESSAGE_SIZE@ },
       tls: {
         root_ca_certificate: "ca.pem",
@@ -117,7 +117,7 @@ _COMMANDS = {OPERATOR: ("walk", "estop"), OBSERVER: (), BUTTON: ("button", "esto
 _README = """\
 The files of @NAME@, @ROLE@ of the hexapod at @HOSTS@. Valid until @EXPIRY@.
 
-Unzip them anywhere, together, and keep @NAME@.key to yourself: whoever has it is @NAME@.
+Unzip them anywhere, together, and keep @NAME@.key secret: it proves to be @NAME@.
 
   hexapod-gateway watch --zenoh-config path/to/@FILE@@COMMANDS@
 @OTHERS@

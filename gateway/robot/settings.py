@@ -302,7 +302,7 @@ def load(path: Path | None = None, *, simulated: bool = False, for_stops: bool =
 
 
 _WHICH_FRAMING: Final = (
-    'is not set; the published STM32 firmware needs "length-prefixed" (once it has heard "plain", it needs a reset)',
+    'is not set; the published STM32 firmware needs "length-prefixed" (after any "plain" frame it needs a reset)',
     'a controller that reads frames as the protocol\'s document says needs "plain"; without a controller: run --sim',
 )
 

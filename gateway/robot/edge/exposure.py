@@ -40,14 +40,14 @@ def check(config: zenoh.Config, *, allow_insecure: bool) -> None:
     for endpoint in connect_endpoints(config):
         if not is_local(endpoint) and not _knows_whom_it_dials(endpoint, config):
             logger.warning(
-                "%s is dialled without TLS, or without checking the name in its certificate: anyone on the way to it, "
-                "and behind it, can move the robot",
+                "%s is dialled without TLS, or without checking the name in its certificate: anyone on the way to it "
+                "or behind it can move the robot",
                 endpoint,
             )
     if _dials_whom_it_finds(config):
         logger.warning(
-            "the Zenoh file turns scouting on, and not only for TLS: the gateway dials whoever it finds on the "
-            "network, and they can move the robot"
+            "the Zenoh file turns scouting on, and not only for TLS: the gateway dials every Zenoh program that it "
+            "finds on the network, and these can move the robot"
         )
     if get(config, "access_control/rules") and get(config, "access_control/enabled") is not True:
         logger.warning("access_control has rules, but is not enabled; Zenoh ignores them")
@@ -61,8 +61,8 @@ def _check_links(endpoints: list[str], config: zenoh.Config) -> None:
     by_certificate = get(config, "transport/link/tls/root_ca_certificate") or get(config, "access_control/enabled")
     if quic and by_certificate:
         raise ConfigError(
-            f"{', '.join(quic)}: over QUIC nobody who is revoked can be shut out, and no place be kept for operators; "
-            "with certificates, write tls/ in place of quic/"
+            f"{', '.join(quic)}: over QUIC, revoked clients cannot be disconnected, and no places be kept for "
+            "operators; with certificates, write tls/ in place of quic/"
         )
 
 

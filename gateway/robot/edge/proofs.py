@@ -19,7 +19,7 @@ from gateway.zenoh_config import get
 from schemas.lease import Proof
 
 if TYPE_CHECKING:
-    from gateway.certs.proof import CertificateHolder, ProofChecker, Purpose
+    from gateway.certs.proof import CertificateHolder, ProofChecker
     from gateway.certs.revocation import RevocationList
 
 CHECKS_PER_S: Final = 20
@@ -39,13 +39,14 @@ class Proofs:
         checker: "ProofChecker | None",
         wall_clock: Callable[[], dt.datetime],
         fresh: Callable[[], str] = fresh_token,
-        purpose: "Purpose | None" = None,
+        *,
+        watching: bool = False,
     ) -> None:
-        """Without a `checker`, names are accepted unproved. `purpose` defaults to driving."""
+        """Without a `checker`, names are accepted unproved. `watching`: the proofs are buttons', not drivers'."""
         self._checker = checker
         self._wall_clock = wall_clock
         self.fresh = fresh
-        self._purpose = purpose
+        self._watching = watching
         self._nonces = Nonces()
         self._checks = Allowance(CHECKS_PER_S, CHECKS_PER_S)
 
@@ -68,9 +69,8 @@ class Proofs:
             return "proof.nonce is none of this gateway's, is older than 5 s, or has been used; get another (challenge)"
         if not self._checks.take(now_ns):
             return "too many proofs have come within a second; try again"
-        if self._purpose is None:
-            return self._checker.fault(proof, do, source, self._wall_clock())
-        return self._checker.fault(proof, do, source, self._wall_clock(), self._purpose)
+        purpose = certs.proof.WATCHING if self._watching else certs.proof.DRIVING
+        return self._checker.fault(proof, do, source, self._wall_clock(), purpose)
 
     def holder(self, proof: Proof | None) -> "CertificateHolder | None":
         """The holder of the certificate behind an accepted proof; None: no proof is needed."""
