@@ -262,7 +262,7 @@ def newest(buffer: Any, slots: int) -> tuple[int, int]:
     return 0, len(in_place)
 
 
-# ---- content, by type
+# ---- content, by type: structures, and functions that return the bytes of a record's content
 
 WALL: Final = struct.Struct("<q")
 COMMAND_HEAD: Final = struct.Struct("<IdB")
@@ -310,7 +310,7 @@ def _encoded(texts: Sequence[str | None]) -> bytes:
 
 
 def start(wall_ns: int, facts: dict[str, Any]) -> bytes:
-    """Of a Start."""
+    """Bytes of a Start; `facts` as JSON."""
     return WALL.pack(wall_ns) + json.dumps(facts).encode()
 
 
@@ -322,7 +322,7 @@ def command(
     sent_ms: float | None,
     targets: Sequence[tuple[int, ServoOp]],
 ) -> bytes:
-    """Of a CommandRecord."""
+    """Bytes of a CommandRecord; `sent_ms` None is stored as NaN."""
     flat: list[int] = []
     for servo_id, op in targets:
         flat += (servo_id, _OF_OP[op.op] + op.angle_cdeg)
@@ -333,12 +333,12 @@ def command(
 
 
 def decision(number: int, verdict: str, key: str, source: str | None) -> bytes:
-    """Of a Decision."""
+    """Bytes of a Decision; of `number` the lower 32 bits."""
     return DECISION_HEAD.pack(number & _UINT32) + _texts(verdict, key, source)
 
 
 def frame(data: bytes, cause: str, transfer_ns: int, late_ns: int = 0, number: int = 0) -> bytes:
-    """Of a FrameWritten."""
+    """Bytes of a FrameWritten; of each number the lower 32 bits."""
     return (
         FRAME_HEAD.pack(transfer_ns & _UINT32, late_ns & _UINT32, number & _UINT32, len(data))
         + data
@@ -388,31 +388,31 @@ def carried_out(
 
 
 def event(kind: str, source: str | None, key: str | None, reason: str | None, detail: str, left_out: int) -> bytes:
-    """Of an EventPublished."""
+    """Bytes of an EventPublished; the sentence is cut at MAX_TEXT."""
     fixed = EVENT_HEAD.pack(min(left_out, _UINT32)) + _texts(kind, source, key, reason)
     return (fixed + detail.encode("utf-8", "replace"))[:MAX_TEXT]
 
 
 def mode(name: str) -> bytes:
-    """Of a ModeChange; of an End as well."""
+    """Bytes of a ModeChange or an End, cut at MAX_TEXT."""
     return name.encode("utf-8", "replace")[:MAX_TEXT]
 
 
 def number(value: int) -> bytes:
-    """Of a Lag or a Clock."""
+    """Bytes of a Lag or a Clock."""
     return WALL.pack(value)
 
 
 def incident(wall_ns: int, name: str) -> bytes:
-    """Of an IncidentBegun."""
+    """Bytes of an IncidentBegun; `name` is its id."""
     return WALL.pack(wall_ns) + name.encode()
 
 
 def calibration(report: Calibration) -> bytes:
-    """Of a Calibrated: 1800 bytes at most."""
+    """Bytes of a Calibrated, 1800 at most."""
     return report.model_dump_json().encode()
 
 
 def about(facts: dict[str, Any]) -> bytes:
-    """Of an About: 2000 bytes at most."""
+    """Bytes of an About, 2000 at most."""
     return json.dumps(facts).encode()

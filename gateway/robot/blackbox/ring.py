@@ -130,4 +130,4 @@ def _check_owner(fd: int, path: Path) -> None:
     """Raises PermissionError for a file of another user, which in a folder such as /dev/shm may be planted."""
     found = os.fstat(fd)
     if not stat.S_ISREG(found.st_mode) or found.st_uid != os.geteuid() or found.st_nlink != 1:
-        raise PermissionError(f"{path} belongs to somebody else")
+        raise PermissionError(f"{path} belongs to another user")

@@ -73,7 +73,7 @@ class Ring(Generic[Item]):
         """Those of them whose commands apply before its own: they are read after anything else, too."""
 
     def rest(self, *first: Item) -> list[Item]:
-        """`first`, and what came after it, at most the ring's depth: what comes meanwhile is left for the next time."""
+        """`first` and the messages after it, at most the ring's depth; further ones wait for the next read."""
         found = [*first]
         while len(found) < self.depth and (item := self.receive()) is not None:
             found.append(item)

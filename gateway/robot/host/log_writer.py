@@ -101,7 +101,7 @@ class LogWriter:
 
 
 def _left_out(lines: int) -> logging.LogRecord:
-    detail = f"{lines} lines were left out here, since nobody read them in time"
+    detail = f"{lines} lines were dropped here, since they were not read in time"
     return logging.LogRecord(__name__, logging.WARNING, __file__, 0, detail, None, None)
 
 

@@ -81,7 +81,7 @@ class Revocations(RequestAnswers):
         if text is None:
             return partial(self.answer, reply)
         if self._kept is None:
-            detail = "this gateway's Zenoh file names no CA, so it knows nobody by a certificate"
+            detail = "this gateway's Zenoh file names no CA, so there are no certificates to revoke"
             return partial(self.reject, source, Reason.REVOCATION_DENIED, detail, reply)
         try:
             found = certs.revocation.parse(text.encode(), self._kept.cas)
