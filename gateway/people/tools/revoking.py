@@ -147,7 +147,7 @@ def take(file: Path, config: Path | None) -> int:
     settings = settings_file.load(config, simulated=True).zenoh
     kept = revoked.revocation_state(service_config(settings), settings, started_by_systemd=False)
     if kept is None:
-        raise ConfigError("this robot's Zenoh file names no CA, so it knows nobody by a certificate")
+        raise ConfigError("this robot's Zenoh file names no CA, so there are no certificates to revoke")
     try:
         found = parse(data, kept.cas)
     except ConfigError as error:

@@ -1,9 +1,9 @@
-"""What the gateway tells its black box.
+"""Writes the gateway's records into the black box.
 
-Nothing here is on the way of a Stop: it is told of a step once all frames of it are written, and before anybody is
-answered. A command that is carried out at once is one record with its frame.
+Recording delays no Stop: a step is recorded after all its frames are written, and before its commands are answered. A
+command that is carried out at once shares a record with its frame.
 
-Who calls owns the gateway's state, as with the supervisor.
+Called by the owner of the state, like the supervisor.
 """
 
 import logging
@@ -26,18 +26,18 @@ from gateway.robot.spi.bus import Sent
 from schemas.telemetry import Kind, Mode
 
 LAG_NS: Final = 10_000_000
-"""A timer that is later than this is recorded: a Stop would have been late by it."""
+"""A timer later than this is recorded: it would have delayed a Stop as much."""
 CLOCK_NS: Final = 1_000_000_000
 ABOUT_NS: Final = 10_000_000_000
-"""How often versions and settings are recorded: an incident reaches back as far, and has them among its records."""
+"""Period of records of version and settings: an incident reaches back as far, so it has them."""
 FOLLOW_NS: Final = 5_000_000_000
-"""An incident takes in what happens up to 5 s after it; what happens meanwhile prolongs it …"""
+"""Further events within 5 s belong to an incident, and prolong it …"""
 LONGEST_INCIDENT_NS: Final = 30_000_000_000
 """… up to this."""
 LANDING_NS: Final = 5_000_000_000
-"""What `watchdog.landing_ms` allows at most: the Stops at its end belong to the silence that began it."""
+"""The maximum of `watchdog.landing_ms`: the Stops at its end belong to the silence that began it."""
 KEPT_BEFORE_OPEN: Final = 200
-"""Records of the start, which come before the ring is open: the first Stops do not wait for it."""
+"""Records before the ring is open: the first Stops do not wait for it."""
 
 INCIDENT_NAMES: Final = {
     Kind.WATCHDOG_EXPIRED: "watchdog",
@@ -50,42 +50,41 @@ INCIDENT_NAMES: Final = {
     Kind.BUTTON_SILENT: "button",
     Kind.BUTTON_LEFT: "button",
 }
-"""Events that are kept as incidents, and how their ids end."""
+"""Events that begin an incident, and the last part of its id."""
 _IF_LEGS_STOP: Final = frozenset({Kind.BUTTON_SILENT, Kind.BUTTON_LEFT})
-"""These are incidents only where legs are stopped for them."""
+"""These begin an incident only if they stop legs."""
 MISTAKE: Final = "mistake"
 ACCEPTED: Final = "accepted"
 COALESCED: Final = "coalesced"
 
 logger = logging.getLogger(__name__)
 
-
 Written = tuple[Transmit, Sent]
-"""A frame that was written: why, and what the bus says of it."""
+"""A written frame: the effect behind it, and the bus's data."""
 Decided = tuple[Request, str]
-"""What became of a request (of number 0: it got no further than this), and the verdict."""
+"""A request and its outcome; number 0: it was rejected before the supervisor."""
 
 
 class Recorder:
-    """The black box, and what it is told. It keeps nothing without a folder, or once that could not be used."""
+    """The black box. Records nothing without a folder, or if the ring cannot be opened."""
 
     def __init__(
         self, settings: Settings, facts: dict[str, Any], clock: Callable[[], int], wall_ns: Callable[[], int]
     ) -> None:
-        """`facts` of the start, for whoever reads it."""
+        """`facts` go into the start's record."""
         self.incident: str | None = None
         """The id of the latest incident of this run."""
         self.incidents = 0
-        """How many this run has begun."""
+        """Incidents that this run has begun."""
         self._settings = settings
         self._clock = clock
         self._wall_ns = wall_ns
         self._ring: RecordRing | None = None
         self._waiting: list[tuple[int, int, bytes]] = []
         self._append: Callable[[int, int, bytes], None] = self._wait
-        self._clock_ns = 0  # when the time that people read was recorded last
+        self._clock_ns = 0  # of the latest record of the wall clock
         self._about_ns = -ABOUT_NS
-        self._first_ns = self._until_ns = 0  # what belongs to the latest incident
+        self._first_ns = self._until_ns = 0  # of the latest incident
         self._on = place.folder_of(settings) is not None
         if self._on:
             self._about = form.about(_about(settings, facts))
@@ -99,13 +98,13 @@ class Recorder:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """An error with a sentence is an end in order; any other is for `incidents` to find."""
+        """Record a GatewayError as the end; after any other error `incidents` finds none."""
         if isinstance(error, GatewayError):
             self.ended(str(error))
         self.close()
 
     def open(self) -> None:
-        """Open the ring. Until then, what comes waits. Never raises."""
+        """Open the ring and write the records that have waited for it. Never raises."""
         folder = place.folder_of(self._settings)
         if folder is None:
             return
@@ -121,17 +120,17 @@ class Recorder:
         self._append = self._ring.append
         for kind, ns, rest in waiting:
             self._append(kind, ns, rest)
-        self._ring.announce()  # a gateway that is killed between two looks of the watcher is not missed
+        self._ring.announce()  # so that the watcher sees this start even if the gateway is killed at once
 
     def close(self) -> None:
-        """No more records."""
+        """Close the ring; later records are discarded."""
         self._append = _forget
         if self._ring is not None:
             self._ring.close()
             self._ring = None
 
-    def step(self, heard: Request | None, written: Sequence[Written], decided: Sequence[Decided]) -> None:
-        """A step: the command that it took, if it took one, the frames that it wrote, and what became of commands."""
+    def step(self, received: Request | None, written: Sequence[Written], decided: Sequence[Decided]) -> None:
+        """Record a step: the command that it took, if any, its frames, and the outcomes of commands."""
         if not self._on:
             return
         accepted = 0  # with the only frame of this step: it then needs no Decision
@@ -140,11 +139,11 @@ class Recorder:
             for request, verdict in decided:
                 if verdict == ACCEPTED and commands == (request,):
                     accepted = request.number
-        if heard is not None:
-            if accepted == heard.number != 0 and len(decided) == 1 and self._carried_out(heard, written[0][1]):
+        if (one := received) is not None:
+            if accepted == one.number != 0 and len(decided) == 1 and self._carried_out(one, written[0][1]):
                 return
-            fields = form.command(heard.number, heard.verb, heard.key, heard.source, heard.sent_ms, heard.targets)
-            self._append(form.COMMAND, heard.received_ns, fields)
+            fields = form.command(one.number, one.verb, one.key, one.source, one.sent_ms, one.targets)
+            self._append(form.COMMAND, one.received_ns, fields)
         for transmit, sent in written:
             late_ns = 0 if transmit.deadline_ns is None else sent.ns - transmit.deadline_ns
             self._append(form.FRAME, sent.ns, form.frame(sent.data, transmit.cause, sent.call_ns, late_ns, accepted))
@@ -153,13 +152,13 @@ class Recorder:
             if not number or number != accepted:
                 self._append(form.DECISION, self._clock(), form.decision(number, verdict, request.key, request.source))
 
-    def _carried_out(self, heard: Request, sent: Sent) -> bool:
-        """Record a command and its frame as one; False: that does not fit, or there is no ring yet."""
+    def _carried_out(self, command: Request, sent: Sent) -> bool:
+        """Record a command and its frame in one record; False: it does not fit, or the ring is not open."""
         if self._ring is None:
             return False
         body = form.carried_out(
-            self._ring.sequence, heard.received_ns, heard.number, heard.verb, heard.key, heard.source, heard.sent_ms,
-            heard.targets, sent.data, sent.ns, sent.call_ns,
+            self._ring.sequence, command.received_ns, command.number, command.verb, command.key, command.source,
+            command.sent_ms, command.targets, sent.data, sent.ns, sent.call_ns,
         )  # fmt: skip
         if body is None:
             return False
@@ -167,11 +166,11 @@ class Recorder:
         return True
 
     def mode(self, mode: Mode) -> None:
-        """The gateway's mode changes."""
+        """Record a change of the gateway's mode."""
         self._append(form.MODE, self._clock(), form.mode(mode))
 
     def event(self, event: Announce, source: str | None, left_out: int) -> str | None:
-        """An event is published; returns the id of the incident that it begins or belongs to, if it does."""
+        """Record a published event; returns the id of the incident that it begins or belongs to, else None."""
         now_ns = self._clock()
         fields = form.event(event.kind, source, event.key, event.reason, event.detail, left_out)
         self._append(form.EVENT, now_ns, fields)
@@ -179,7 +178,7 @@ class Recorder:
         return None if what is None else self._happened(what, now_ns)
 
     def beat(self, lag_ns: int) -> None:
-        """The loop turns, ten times a second; its timer was so late."""
+        """Record a late timer, and what is due by time. Called ten times a second."""
         if not self._on:
             return
         now_ns = self._clock()
@@ -193,13 +192,13 @@ class Recorder:
             self._append(form.ABOUT, now_ns, self._about)
 
     def mistake(self, detail: str) -> None:
-        """An exception that nobody expected ends the service."""
+        """Record an unexpected exception, which ends the service."""
         now_ns = self._clock()
         self._append(form.EVENT, now_ns, form.event(MISTAKE, None, None, None, detail, 0))
         self._happened(MISTAKE, now_ns)
 
     def calibration(self, calibration: Calibration) -> None:
-        """What is in force from now on; to be called at the start, and at each change."""
+        """Record what is in force. Call it at the start and at each change."""
         if self._ring is None:
             return
         before, now = self._ring.calibration, form.calibration(report_of(calibration))
@@ -209,14 +208,14 @@ class Recorder:
             ns = self._clock()
             self._append(form.CALIBRATION, ns, before)
             self._append(form.CALIBRATION, ns, now)
-        self._ring.calibration = now  # last: who is killed before has it among the records
+        self._ring.calibration = now  # last: if killed before, the records have it
 
     def ended(self, why: str) -> None:
-        """The last Stops are written."""
+        """Record the end, after the last Stops."""
         self._append(form.END, self._clock(), form.mode(why))
 
     def _happened(self, what: str, now_ns: int) -> str | None:
-        """What happens within the time that an incident takes in belongs to it, and prolongs it."""
+        """Begin an incident, or prolong the one whose time this falls in; returns its id."""
         if not self._on:
             return None
         if self.incident is None or now_ns > min(self._until_ns, self._first_ns + LONGEST_INCIDENT_NS):
@@ -236,18 +235,18 @@ class Recorder:
 
 
 def follow_ns(what: str) -> int:
-    """How long what happens belongs to an incident: `what` is the end of its id, or the kind of a later event."""
+    """How long further events belong to an incident; `what`: the last part of its id, or the kind of a later event."""
     return FOLLOW_NS + LANDING_NS if what == Kind.LANDING else FOLLOW_NS
 
 
 def incident_id(wall_ns: int, what: str) -> str:
-    """Such as 20261122-001233-123-watchdog: the time in UTC to the millisecond, and what happened."""
+    """`20261122-001233-123-watchdog`: UTC to the millisecond, and what happened."""
     seconds, ns = divmod(wall_ns, 1_000_000_000)
     return f"{datetime.fromtimestamp(seconds, UTC):%Y%m%d-%H%M%S}-{ns // 1_000_000:03d}-{what}"
 
 
 def _about(settings: Settings, facts: dict[str, Any]) -> dict[str, Any]:
-    """What a recording has of a gateway, too, under the same names as in its state."""
+    """Version and settings, under the same names as in a recording."""
     return {
         "version": __version__,
         "protocol": VERSION,
@@ -259,4 +258,4 @@ def _about(settings: Settings, facts: dict[str, Any]) -> dict[str, Any]:
 
 
 def _forget(_kind: int, _ns: int, _rest: bytes) -> None:
-    """Where there is no ring."""
+    """Discards a record: there is no ring."""

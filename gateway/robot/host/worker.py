@@ -1,4 +1,4 @@
-"""Work that may take long, on threads of their own: nobody waits for it, and least of all whoever owns the state."""
+"""Background threads for work that may take long; callers never block."""
 
 import asyncio
 import threading
@@ -12,18 +12,18 @@ from gateway.robot.host.ownership import Ownership
 
 
 class Worker:
-    """A thread that does what it is given, one after the other.
+    """A thread that runs queued functions in order.
 
-    `do` never waits: `SimpleQueue` has no lock that a thread could hold while it waits for a processor, and a thread
-    that is started for each piece of work would have to be waited for.
+    `do` never blocks: `SimpleQueue` has no lock that a descheduled thread could hold. Starting a thread for each
+    function would block the caller.
     """
 
     def __init__(
         self, name: str, priority: int | None = PAGE_PRIORITY, look: Callable[[], float | None] = lambda: None
     ) -> None:
-        """By its `priority` it is not put aside while it holds the interpreter's lock: see realtime.py.
+        """`priority`: so that it is not preempted while it holds the interpreter's lock (realtime.py); None: normal.
 
-        `look` is called on the thread each time before it waits: in how many seconds to call it again at the latest.
+        `look` is called on the thread before each wait; it returns the maximum wait in seconds, None for no limit.
         """
         self._priority = priority
         self._look = look
@@ -32,16 +32,16 @@ class Worker:
         self.thread.start()
 
     def do(self, work: Callable[[], object]) -> None:
-        """Do this once all else is done. It must not raise."""
+        """Queue `work`, which must not raise."""
         self._waiting.put(work)
 
     @property
     def waiting(self) -> int:
-        """How much is to be done yet."""
+        """The number of queued functions."""
         return self._waiting.qsize()
 
     def close(self, timeout_s: float | None = None) -> None:
-        """Do what waits, and end the thread. Blocks, for `timeout_s` at most; not for the loop's thread."""
+        """Run the queue and end the thread. Blocks for `timeout_s` at most; not for the loop's thread."""
         self._waiting.put(None)
         self.thread.join(timeout_s)
 
@@ -56,11 +56,11 @@ class Worker:
             if work is None:
                 return
             work()
-            del work  # and with it what it refers to, such as a query whose asker waits
+            del work  # releases what it refers to, such as a query whose sender waits
 
 
 class DiskWriter:
-    """A worker that writes to a disk. A write that never ends keeps its own caller waiting and nobody else."""
+    """A background thread that writes to a disk. A write that hangs delays only further writes."""
 
     def __init__(self, name: str, loop: asyncio.AbstractEventLoop, owner: Ownership) -> None:
         self._loop = loop
@@ -68,10 +68,7 @@ class DiskWriter:
         self._worker = Worker(name)
 
     def write(self, write: Callable[[], None], then: Callable[[str | None], object]) -> None:
-        """Call `write`, and then, as owner of the state, `then`: with a sentence where it raised ConfigError.
-
-        Returns at once.
-        """
+        """Queue `write`; afterwards call `then` as owner of the state, with the text of a ConfigError, else None."""
         self._worker.do(lambda: self._write(write, then))
 
     def _write(self, write: Callable[[], None], then: Callable[[str | None], object]) -> None:
@@ -88,6 +85,6 @@ class DiskWriter:
 
 
 def report_mistake(loop: asyncio.AbstractEventLoop, what: str, error: Exception) -> None:
-    """As if it had happened on the loop, which ends the service after a mistake of our own. From any thread."""
+    """Pass an unexpected exception to the loop's handler, which ends the service. From any thread."""
     with suppress(RuntimeError):  # the loop is closed: the service has ended
         loop.call_soon_threadsafe(loop.call_exception_handler, {"message": what, "exception": error})
