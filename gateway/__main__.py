@@ -5,11 +5,11 @@ import sys
 
 
 def main() -> None:
-    """The console script. `stop-servos` first: it must not wait for what only the other commands use."""
+    """The console script. `stop-servos` runs first, without the imports of other commands."""
     for name in ("stdin", "stdout", "stderr"):
         if getattr(sys, name) is None:
-            # It is closed, so the next file would get its number; the SPI device must never become stderr, even once
-            # something else takes the place of this object. So the number stays taken.
+            # The stream is closed, and the next file would get its number: the SPI device must never become stderr. So
+            # the number stays taken, even if this object is replaced.
             setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_RDWR), "r+", closefd=False))
     if sys.argv[1:2] == ["stop-servos"]:
         from gateway.onboard import stop
@@ -20,7 +20,7 @@ def main() -> None:
     try:
         try:
             from gateway import cli
-        except KeyboardInterrupt:  # on a Raspberry Pi it takes seconds, in which somebody may have changed their mind
+        except KeyboardInterrupt:  # on a Raspberry Pi the import takes seconds
             sys.exit(130)
         cli.main()
     except Exception:

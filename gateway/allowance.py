@@ -1,4 +1,4 @@
-"""How often something may happen: so many times a second on average, and a number of times without a pause. Pure."""
+"""A rate limit with bursts. Pure."""
 
 from math import ceil
 from typing import Final
@@ -7,18 +7,18 @@ NS_PER_S: Final = 1_000_000_000
 
 
 class Allowance:
-    """A token bucket, full at first. `now_ns` is monotonic; memory and time are constant."""
+    """A token bucket, full at first. `now_ns` is monotonic; constant memory and time."""
 
     __slots__ = ("_all_ns", "_each_ns", "_full_ns")
 
     def __init__(self, a_second: float, at_once: int) -> None:
-        """Within any time T at most `at_once` + T * `a_second` are taken. `a_second` may be a fraction."""
+        """At most `at_once` + T * `a_second` are taken in any T seconds. `a_second` may be a fraction."""
         self._each_ns = ceil(NS_PER_S / a_second)
         self._all_ns = at_once * self._each_ns
         self._full_ns = 0
 
     def take(self, now_ns: int, count: int = 1) -> bool:
-        """Use so many; False: fewer are left, and none is used."""
+        """Take `count` tokens; False: fewer are left, and none is taken."""
         full_ns = max(self._full_ns, now_ns) + count * self._each_ns
         if full_ns > now_ns + self._all_ns:
             return False
@@ -26,9 +26,9 @@ class Allowance:
         return True
 
     def wait_ns(self, now_ns: int) -> int:
-        """How long until one may be taken."""
+        """Time until one token may be taken."""
         return max(0, self._full_ns + self._each_ns - self._all_ns - now_ns)
 
     def is_full(self, now_ns: int) -> bool:
-        """Whether it is as if nothing had ever been taken."""
+        """Whether the bucket is full."""
         return self._full_ns <= now_ns

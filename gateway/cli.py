@@ -1,6 +1,6 @@
-"""The command line: arguments in, one function call each, and errors as one line with their exit code.
+"""The command line: each command calls one function; an error is one line and an exit code.
 
-Each command loads only what it needs, when it runs: an emergency stop must not wait for what only the service uses.
+Each command imports its modules when it runs, so that an emergency stop does not wait for those of other commands.
 """
 
 import os
@@ -30,11 +30,11 @@ _PANELS = {
     "People": ("certs", "revoke"),
     "Files": ("record", "recordings", "replay", "decode"),
 }
-"""Commands as `--help` groups them, what a person may need in a hurry first."""
+"""Commands as `--help` groups them, the urgent ones first."""
 
 
 class _Commands(TyperGroup):
-    """All commands in their panels, with Typer's words for a mistake in the arguments, but for those of pydantic."""
+    """All commands in their panels. Removes pydantic's prefix from Typer's error messages."""
 
     def list_commands(self, ctx: Any) -> list[str]:
         del ctx
@@ -86,7 +86,7 @@ def _options(
 
 
 class Sim(StrEnum):
-    """The part of the robot that is simulated."""
+    """Values of `--sim`."""
 
     CONTROLLER = "controller"
     PHYSICS = "physics"
@@ -399,8 +399,8 @@ app.add_typer(bridge.app)
 
 send_app = typer.Typer(
     help="Send one acknowledged command through a running gateway.\n\n"
-    "The watchdog stops a leg that receives no further command (after watchdog.timeout_ms); --hold repeats the command "
-    "every 50 ms, and drives meanwhile (see `lease`), if nobody else does.\n\n"
+    "Without a further command the watchdog stops the leg (after watchdog.timeout_ms); --hold repeats the command "
+    "every 50 ms, and holds the lease meanwhile (see `lease`), if it is free.\n\n"
     "Exit codes: 0 accepted, 1 rejected (the reason is printed), 4 no gateway answers.",
     no_args_is_help=True,
 )

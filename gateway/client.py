@@ -1,4 +1,4 @@
-"""What a laptop's own program uses to talk to a gateway; needs neither SPI nor a compiler.
+"""The Python client for programs on a laptop; needs neither SPI nor a compiler.
 
 >>> from gateway.client import Client
 >>> with Client(endpoint) as robot:                 # such as "tcp/192.0.2.7:7447"

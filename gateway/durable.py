@@ -1,4 +1,4 @@
-"""Files that a power cut leaves whole, as they were or as they are to be: robots and laptops lose power."""
+"""Writes files atomically: after a power cut a file is the old or the new one, complete."""
 
 import os
 import secrets
@@ -13,15 +13,15 @@ def _nothing(_descriptor: int) -> None:
 
 
 def staged_for(path: Path) -> Path:
-    """The file that is written, and then takes the other's place. It stays only while, or where, that did not end."""
+    """The temporary file that replaces `path`; it remains only if the process was interrupted."""
     return path.with_name(f".{path.name}.new")
 
 
 @contextmanager
 def replacing(path: Path, staged: Path | None = None) -> Iterator[Path]:
-    """For a block that writes another file, and syncs it: at the end that takes the place of the one at `path`.
+    """Context for writing and syncing a temporary file, which then replaces `path`.
 
-    Where the block raises, the old one stays, and the other is removed. Raises OSError.
+    If the block raises, the old file stays, and the temporary one is removed. Raises OSError.
     """
     staged = staged or staged_for(path)
     try:
@@ -41,10 +41,10 @@ def write(
     prepare: Callable[[int], None] = _nothing,
     before: Callable[[], None] = lambda: None,
 ) -> None:
-    """Write a file: it is on the disk when this returns, or the old one stays. Raises OSError. As slow as the disk is.
+    """Write a file atomically; it is on the disk when this returns. Raises OSError. Blocks on the disk.
 
-    `prepare` is given the new file's descriptor, while it is empty; `before` is called before it takes its place.
-    Only one process may write it at a time.
+    `prepare` gets the descriptor of the new, empty file; `before` is called before it replaces the old one. Only one
+    process may write the file at a time.
     """
     with replacing(path) as staged:
         with staged.open("wb") as file:
@@ -53,15 +53,15 @@ def write(
 
 
 def write_with_mode(path: Path, data: bytes, mode: int, *, prepare: Callable[[int], None] = _nothing) -> None:
-    """The same for a file with exactly this mode, which several processes may write at a time: the last one wins."""
+    """Like `write`, with exactly this mode; of several concurrent processes, the last wins."""
     with replacing(path, path.with_name(f".{path.name}.{secrets.token_hex(4)}")) as staged:
         create(staged, data, mode, prepare=prepare)
 
 
 def create(path: Path, data: bytes, mode: int, *, prepare: Callable[[int], None] = _nothing) -> None:
-    """Write a new file with exactly this mode, whatever the umask. Raises OSError, FileExistsError.
+    """Write a new file with exactly this mode, regardless of the umask. Raises OSError, FileExistsError.
 
-    It has its mode before its content, so that a key is never readable by others.
+    The mode is set before the content is written, so that a key is never readable by others.
     """
     descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
     with os.fdopen(descriptor, "wb") as file:
@@ -70,14 +70,14 @@ def create(path: Path, data: bytes, mode: int, *, prepare: Callable[[int], None]
 
 
 def like_the_folder(path: Path, descriptor: int) -> None:
-    """What root writes belongs to the folder's owner: the service must be able to write it later."""
+    """As root, give the file to the folder's owner, so that the service can write it later."""
     if os.geteuid() == 0:
         folder = path.parent.stat()
         os.fchown(descriptor, folder.st_uid, folder.st_gid)
 
 
 def sync(path: Path) -> None:
-    """Have what is in a file, or which files are in a folder, on the disk when this returns. Raises OSError."""
+    """Sync a file's content, or a folder's entries, to the disk. Raises OSError."""
     descriptor = os.open(path, os.O_RDONLY)
     try:
         os.fsync(descriptor)

@@ -1,4 +1,4 @@
-"""The errors that end a command: each knows its exit code and says in one sentence what to do."""
+"""The errors that end a command: each has an exit code, and one sentence with the remedy."""
 
 from collections.abc import Iterable
 from typing import ClassVar
@@ -8,7 +8,7 @@ class GatewayError(Exception):
     """Ends the program with `exit_code`; its text is one sentence (or one line per fault) for a person."""
 
     exit_code: ClassVar[int] = 1
-    """Of a command that ends by it. @private"""
+    """Exit code of a command that ends with it. @private"""
 
 
 class ConfigError(GatewayError):
@@ -24,7 +24,7 @@ class SpiError(GatewayError):
 
 
 class BatchRejectedError(SpiError):
-    """The kernel takes no list of transfers, or none as long as this one. Nothing of it was written."""
+    """The kernel rejected a list of transfers, or one of this length. Nothing of it was written."""
 
 
 class ZenohError(GatewayError):
@@ -34,7 +34,7 @@ class ZenohError(GatewayError):
 
 
 class UnreachedError(ZenohError):
-    """No connection comes about."""
+    """Connecting failed."""
 
 
 class DisconnectedError(ZenohError):
@@ -42,21 +42,21 @@ class DisconnectedError(ZenohError):
 
 
 class UnansweredError(DisconnectedError):
-    """Nobody who may answer has answered."""
+    """No authorised gateway has answered."""
 
 
 class RejectedError(GatewayError):
-    """The gateway rejected a command: `reason` is its word for why, `detail` its sentence."""
+    """The gateway rejected a command: `reason` (docs/interface.md), and `detail`, a sentence."""
 
     def __init__(self, reason: str, detail: str) -> None:
-        """See docs/interface.md for the reasons."""
+        """From the gateway's answer."""
         super().__init__(f"rejected: {reason}: {detail}")
         self.reason = reason
         self.detail = detail
 
 
 class LeaseError(RejectedError):
-    """The gateway rejected what was asked about its lease: `holder` drives, as far as it said."""
+    """The gateway rejected a request for its lease; `holder` drives; None: unknown."""
 
     def __init__(self, reason: str, detail: str, holder: str | None = None) -> None:
         """As RejectedError."""
@@ -65,25 +65,25 @@ class LeaseError(RejectedError):
 
 
 class LeaseLostError(LeaseError):
-    """The lease that a program held is no longer its own."""
+    """The program has lost its lease."""
 
 
 class StoppedError(GatewayError):
-    """What a program moved was stopped, by the watchdog, by somebody else or by a fault: `legs` names the legs."""
+    """`legs` that a program moved were stopped: by the watchdog, another client or a fault."""
 
     def __init__(self, detail: str, legs: Iterable[int]) -> None:
-        """Make it of a sentence and the legs' numbers."""
+        """A sentence, and the legs' numbers."""
         super().__init__(detail)
         self.legs = tuple(sorted(legs))
 
 
 class AddressTakenError(GatewayError):
-    """Another program listens there."""
+    """Another program listens on the address."""
 
     exit_code = 5
 
 
 class WalkError(GatewayError, ValueError):
-    """What a robot of this geometry cannot do on its legs, with the limit; or what is no velocity, height or gait."""
+    """A walk that this robot's geometry does not allow, with the limit; or an invalid velocity, height or gait."""
 
     exit_code = 2

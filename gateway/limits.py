@@ -1,4 +1,4 @@
-"""What Zenoh clients may take of the gateway's memory and places: in the files of `certs`, and set at every start."""
+"""Limits of Zenoh clients' memory and sessions: in the files of `certs`, and applied at every start."""
 
 from typing import Final
 
@@ -9,12 +9,12 @@ MAX_MESSAGE_SIZE: Final = 65_536
 """Bytes of a message that is assembled from fragments, which precedes access control and the size limit. With
 Zenoh's own limit of 1 GiB, one put of 400 MB from anyone with a certificate took the service from 70 to 482 MB."""
 MAX_SESSIONS: Final = 64
-"""How many may be connected at once. With Zenoh's 1000, an observer took 999 places in 4.3 s, and as many of the
-service's file descriptors; no operator could connect."""
+"""Concurrent sessions. With Zenoh's 1000, an observer took 999 in 4.3 s, and as many of the service's file descriptors;
+no operator could connect."""
 OPERATORS_PLACES: Final = 8
-"""Of these, how many are kept for operators (zenoh_io/connection_limiter.py)."""
+"""Of these, reserved for operators (zenoh_io/connection_limiter.py)."""
 ACCEPT_PENDING: Final = 100
-"""How many connections may be in their handshake; Zenoh's own default."""
+"""Connections in their handshake; Zenoh's own default."""
 ACCEPT_TIMEOUT_MS: Final = 2000
-"""How long a handshake may take; a laptop's file gives up after 1000. With Zenoh's 10 s, 100 silent connections on a
-`tcp/` port kept everybody out for 10 s."""
+"""Limit of a handshake; a laptop gives up after 1000. With Zenoh's 10 s, 100 silent connections on a `tcp/` port
+blocked all clients for 10 s."""

@@ -1,7 +1,7 @@
-"""Files are looked at before they are parsed: how large they are, and how deep they nest.
+"""Checks the size and nesting of files before they are parsed.
 
-Zenoh's reader of JSON5 ends the process by SIGSEGV for 100 000 brackets, and Python's of TOML takes 29 s for a key of
-20 000 parts, whose value then overflows whoever walks through it.
+Zenoh's parser of JSON5 ends the process by SIGSEGV for 100 000 brackets. Python's of TOML takes 29 s for a key of
+20 000 parts, whose value then exceeds the recursion limit.
 """
 
 import re
@@ -13,10 +13,10 @@ MOST_LEVELS: Final = 100
 MOST_BYTES: Final = 1_000_000
 """The router.json5 of a hundred robots has some 200 000."""
 MOST_DOTS: Final = 1000
-"""In a line of TOML: a key of so many parts takes 50 ms."""
+"""In a line of TOML; a key with so many parts takes 50 ms."""
 
 _APART: Final = re.compile(
-    rb'"(?:[^"\\]|\\.?)*+(?:"|\Z)'  # text and comments, of which the last may have no end: brackets there open nothing
+    rb'"(?:[^"\\]|\\.?)*+(?:"|\Z)'  # text and comments, perhaps without an end: brackets in them do not count
     rb"|'(?:[^'\\]|\\.?)*+(?:'|\Z)"
     rb"|//[^\n]*+"
     rb"|/\*.*?(?:\*/|\Z)"
@@ -27,7 +27,7 @@ _APART: Final = re.compile(
 
 
 def check(data: bytes) -> None:
-    """Raises ValueError with one sentence, for JSON5 (or JSON) that nests deeper than any file of ours."""
+    """Raises ValueError with one sentence for JSON5 (or JSON) that is too large or too deep."""
     _check_size(data)
     level = 0
     for found in _APART.finditer(data):
@@ -40,7 +40,7 @@ def check(data: bytes) -> None:
 
 
 def read_toml(data: bytes) -> dict[str, Any]:
-    """Raises ValueError with one sentence."""
+    """Parse TOML. Raises ValueError with one sentence."""
     _check_size(data)
     if any(line.count(b".") > MOST_DOTS for line in data.splitlines()):
         raise ValueError(f"has a line with more than {MOST_DOTS} dots")

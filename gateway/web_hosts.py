@@ -1,7 +1,7 @@
-"""Which requests of browsers are meant for one of our ports on this machine.
+"""Checks which browser requests are meant for one of our ports.
 
-A page of another site reaches every port of the machine on which its browser runs: as itself, which `Origin` tells, or
-under a name of its own that points here (DNS rebinding), which `Host` tells. Nothing is taken from either.
+A page of another site reaches every port of its browser's machine: under its own origin, which `Origin` shows, or by a
+name of its own that resolves to this machine (DNS rebinding), which `Host` shows. Both are rejected.
 """
 
 from collections.abc import Collection
@@ -13,7 +13,7 @@ LOOPBACK: Final = frozenset({"localhost", "127.0.0.1", "::1"})
 def is_one_of(host: str | None, ours: Collection[str]) -> bool:
     """Whether a Host header (`robot.local:9464`, `[::1]:9464`) names one of these hosts, which are in lower case.
 
-    Its port is not compared: that of a tunnel is another, and no page can choose under which host it is asked for.
+    The port is not compared: a tunnel has another, and no page can choose the host that its browser sends.
     """
     name = (host or "").lower()
     if name.startswith("["):

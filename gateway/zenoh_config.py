@@ -1,8 +1,7 @@
-"""Zenoh configurations and sessions, for the service and for clients: read from a file, changed, opened.
+"""Zenoh configurations and sessions of the service and of clients.
 
-A file's paths are made absolute. Zenoh itself resolves them from the folder in which the program was started: `/` for
-a service, any folder on a laptop. Here they are relative to the file's own folder, so that folder can be unzipped,
-copied and mounted anywhere.
+A file's paths are relative to its own folder, so that the folder can be copied anywhere, and are made absolute here.
+Zenoh itself would resolve them from the working directory: `/` for a service, any folder on a laptop.
 """
 
 import datetime as dt
@@ -30,13 +29,13 @@ _FILES = (
 
 DEFAULT_ENDPOINT: Final = "tcp/127.0.0.1:7447"
 RETRY: Final = {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 1.5}
-"""A client that lost the gateway was back after 0.35 s with this, after 1 to 2 s with Zenoh's own pauses."""
+"""With these, a client reconnected after 0.35 s; with Zenoh's own pauses after 1 to 2 s."""
 
 
 def load_config(path: Path) -> zenoh.Config:
     """The configuration at `path` (.json5 .json .yaml .toml) with absolute paths, ready for `zenoh.open`.
 
-    Raises ConfigError, one line, for a typo, and a file it names that is missing or unreadable.
+    Raises ConfigError, one line, for a typo, or a named file that is missing or unreadable.
     """
     path = path.absolute()
     try:
@@ -57,8 +56,8 @@ def load_config(path: Path) -> zenoh.Config:
 
 
 def load_client_config(path: Path) -> zenoh.Config:
-    """A laptop's configuration (`--zenoh-config`). Raises as `load_config`, for the gateway's own file, and for a
-    certificate that has expired: `zenoh.open` would only say that it cannot connect."""
+    """A laptop's configuration (`--zenoh-config`). Raises ConfigError as `load_config` does, and for the gateway's own
+    file and an expired certificate, for which `zenoh.open` would only report that it cannot connect."""
     config = load_config(path)
     if config.get_json(f"{_TLS}/listen_private_key") != "null":
         raise ConfigError(f"{path} is the gateway's own: give the NAME.json5 that `hexapod-gateway certs issue` made")
@@ -72,9 +71,8 @@ def load_client_config(path: Path) -> zenoh.Config:
 
 
 def client_config(endpoint: str | None, file: Path | None = None) -> zenoh.Config:
-    """A client's configuration: the file (certificates); `endpoint` overrides the file's.
-
-    With neither it is this machine's gateway. Raises ConfigError.
+    """A client's configuration: the file's, with `endpoint` in place of its endpoints; by default, for this machine's
+    gateway. Raises ConfigError.
     """
     if endpoint is None and file is None:
         endpoint = DEFAULT_ENDPOINT
@@ -93,22 +91,22 @@ def client_config(endpoint: str | None, file: Path | None = None) -> zenoh.Confi
 
 
 def certificate_files(config: zenoh.Config) -> list[Path]:
-    """The certificates that a configuration of `load_config` names, the CA first."""
+    """The certificates named in a configuration of `load_config`, the CA first."""
     named = (get(config, setting) for setting in _CERTIFICATES)
     return [Path(file) for file in dict.fromkeys(named) if isinstance(file, str)]
 
 
 class Expiry(NamedTuple):
-    """The end of a certificate's time."""
+    """When the certificate in `file` expires."""
 
     file: Path
     end: dt.datetime
 
 
 def first_expiry(config: zenoh.Config) -> Expiry | None:
-    """Of the certificates that a configuration of `load_config` names, the first that expires; None: it names none.
+    """The first certificate to expire of a configuration of `load_config`; None: it names none. Raises ConfigError.
 
-    In a chain the first certificate is the owner's; of several CAs, any may be the one in use. Raises ConfigError.
+    Of a chain, the first certificate counts, the owner's; of several CAs, the last to expire.
     """
     ca = get(config, _CA)
     found = []
@@ -124,7 +122,7 @@ def _named_files(config: zenoh.Config, folder: Path) -> dict[str, Path]:
 
 
 def get(config: zenoh.Config, key: str) -> Any:
-    """One value of a configuration, None where it is unset."""
+    """One value of a configuration; None: unset."""
     try:
         return json.loads(config.get_json(key))
     except zenoh.ZError:
@@ -154,7 +152,7 @@ def one_line(error: BaseException) -> str:
 
 
 def insert(config: zenoh.Config, key: str, value: object, setting: str) -> None:
-    """Set one value; `setting` names it in the ConfigError."""
+    """Set one value. Raises ConfigError, which calls it `setting`."""
     try:
         config.insert_json5(key, json.dumps(value))
     except zenoh.ZError as error:
@@ -165,7 +163,7 @@ _SCOUTING: Final = ("scouting/multicast/enabled", "scouting/gossip/enabled")
 
 
 def scouting_off(config: zenoh.Config) -> None:
-    """Switch scouting off, unless the file turned it on: nobody finds the gateway by accident, and it finds nobody."""
+    """Switch scouting off unless the file turns it on, so that no peers connect by accident."""
     for key in _SCOUTING:
         if get(config, key) is not True:
             config.insert_json5(key, "false")
@@ -184,7 +182,7 @@ CANNOT_CONNECT: Final = "Unable to connect"
 
 
 def why_not_opened(text: str, endpoints: object) -> str:
-    """Zenoh's `text` as a sentence that says what to do."""
+    """Zenoh's `text` as a sentence with a remedy."""
     where = ", ".join(endpoints) if isinstance(endpoints, list) else str(endpoints)
     if "Address already in use" in text:
         return f"{where} is taken by another program (perhaps another gateway); stop it, or set another zenoh.listen"

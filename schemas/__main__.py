@@ -1,4 +1,4 @@
-"""`python -m schemas [--check]`: write the JSON Schemas of all payloads, or say which ones are out of date."""
+"""`python -m schemas [--check]`: write the JSON Schemas of all payloads, or list those that are out of date."""
 
 import json
 import sys
@@ -33,7 +33,7 @@ def documents() -> dict[str, str]:
 
 
 def main(arguments: list[str]) -> int:
-    """Write the files; with `--check` only compare, and return 1 where one differs."""
+    """Write the files; with `--check` only compare, and return 1 if one differs."""
     wanted = documents()
     present = {path.name: path.read_text() for path in FOLDER.glob("*.json")}
     if arguments == ["--check"]:

@@ -1,4 +1,4 @@
-"""Who watches with a hand on a stop: what is asked on `hexapod/button/cmd`, and the answer."""
+"""Stop buttons: requests on `hexapod/button/cmd`, and the answer."""
 
 from typing import Annotated, Final, Literal
 
@@ -9,11 +9,11 @@ from schemas.lease import Challenge, Proof
 from schemas.telemetry import Answer, Count
 
 ButtonToken = Annotated[str, hex_digits(": the token of the registration, from the answer that gave it")]
-"""A secret: it stands in no report, log line or repr."""
+"""A secret: in no report, log line or repr."""
 
 
 class Register(Closed):
-    """Registers a button; an older one of that name is none any more."""
+    """Registers a button, replacing an older one of that name."""
 
     do: Literal["register"]
     source: Source
@@ -22,7 +22,7 @@ class Register(Closed):
 
 
 class Alive(Closed):
-    """Checks in: somebody is there, and can press."""
+    """Checks in: a person is there, and can press."""
 
     do: Literal["alive"]
     button: Annotated[ButtonToken, Field(repr=False)]
@@ -31,7 +31,7 @@ class Alive(Closed):
 
 
 class Leave(Closed):
-    """Watches no more, on purpose."""
+    """Ends the registration on purpose."""
 
     do: Literal["leave"]
     button: Annotated[ButtonToken, Field(repr=False)]
@@ -45,7 +45,7 @@ BUTTON_REQUEST: Final[TypeAdapter[Challenge | Register | Alive | Leave]] = TypeA
 
 
 class ButtonAck(Answer):
-    """The answer to a ButtonRequest; fields that say nothing are left out of the JSON."""
+    """The answer to a ButtonRequest; null fields are left out of the JSON."""
 
     nonce: str | None = None
     button: Annotated[str | None, Field(repr=False, description="the token that check-ins carry")] = None

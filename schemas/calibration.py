@@ -1,7 +1,7 @@
 """How this robot differs from the drawing: trim, direction and limits of each servo, and the landing pose.
 
-The same names go in and out: what `hexapod/calibration` says can be sent to `hexapod/calibration/cmd`, whole or in
-part.
+Both directions use the same names: the payload of `hexapod/calibration` can be sent to `hexapod/calibration/cmd`,
+whole or in part.
 """
 
 from typing import Annotated, Final, Literal, get_args
@@ -13,7 +13,7 @@ from schemas.robot import SERVO_IDS
 from schemas.telemetry import Count, Report
 
 MAX_TRIM_DEG: Final = 90.0
-"""A horn that sits further off is on the wrong tooth by a quarter of a turn, and should be moved by hand."""
+"""A horn further off is mounted a quarter of a turn wrong, and should be moved by hand."""
 
 TrimDeg = Annotated[
     float,
@@ -44,7 +44,7 @@ class ServoCalibration(Report):
 
 
 class Calibration(Report):
-    """The payload of `hexapod/calibration`: what is in force. A servo that is not named has no trim and full range."""
+    """The payload of `hexapod/calibration`: what is in force. An unnamed servo has no trim and the full range."""
 
     revision: Count
     servos: dict[str, ServoCalibration]
@@ -52,7 +52,7 @@ class Calibration(Report):
 
 
 class ServoChange(Closed):
-    """What changes of one servo; what is not named stays."""
+    """Changes of one servo; an unnamed value stays."""
 
     trim_deg: TrimDeg | None = None
     inverted: bool | None = None
@@ -63,9 +63,9 @@ class ServoChange(Closed):
 class CalibrationCommand(Sender):
     """The payload of `hexapod/calibration/cmd`: a whole Calibration, or the part of it that changes.
 
-    `revision` is that of the calibration which it changes: another one means that somebody else changed it meanwhile.
-    Left out, nothing is compared. A landing angle of null takes the servo out of the landing pose. `accept_default`
-    takes the calibration without any trim as this robot's, where the file that kept its own cannot be read.
+    `revision`: of the calibration that it changes; another one in force means that it was changed meanwhile. Without
+    it, nothing is compared. A landing angle of null removes the servo from the landing pose. `accept_default` accepts
+    the calibration without any trim as this robot's, if its own file cannot be read.
     """
 
     revision: Count | None = None

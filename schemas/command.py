@@ -1,4 +1,4 @@
-"""What comes in: the payloads of the command keys, strict and closed (no unknown fields, no strings for numbers)."""
+"""Payloads of the command keys, strict and closed: no unknown fields, no strings for numbers."""
 
 from typing import Annotated, Final, Literal
 
@@ -8,10 +8,10 @@ from pydantic.fields import FieldInfo
 from schemas.keys import MAX_SOURCE
 
 MAX_PAYLOAD_BYTES: Final = 4096
-"""A LegsCommand with every optional field at full length needs some 1200 bytes; more than this is rejected unread."""
+"""A LegsCommand with all optional fields at full length has some 1200 bytes; a longer payload is rejected unread."""
 
 MAX_SENT_MS: Final = 2**53
-"""285 000 years; beyond it a double cannot hold whole milliseconds. A larger value is a clock in other units."""
+"""285 000 years; above it a double cannot hold whole milliseconds. A larger value is a clock in other units."""
 
 MAX_NUMBER: Final = 2**53
 """Larger whole numbers are not exact in every JSON reader."""
@@ -32,13 +32,13 @@ SentMs = Annotated[
 
 
 def hex_digits(what: str) -> FieldInfo:
-    """Of a text that the gateway made at random."""
+    """For 128 random bits that the gateway made."""
     field: FieldInfo = Field(min_length=32, max_length=32, pattern="^[0-9a-f]{32}$", description=f"32 hex digits{what}")
     return field
 
 
 LeaseToken = Annotated[str, hex_digits(": the token of the lease, from the answer that gave it")]
-"""A secret: it stands in no report, log line or repr."""
+"""A secret: in no report, log line or repr."""
 
 EstopNumber = Annotated[
     int, Field(ge=0, le=MAX_NUMBER, description="the number of the latest emergency stop, from the state or its Ack")
@@ -46,13 +46,13 @@ EstopNumber = Annotated[
 
 
 class Closed(BaseModel):
-    """Strict and frozen, and rejects fields it does not know."""
+    """Strict and frozen; rejects unknown fields."""
 
     model_config = ConfigDict(strict=True, frozen=True, extra="forbid", hide_input_in_errors=True)
 
 
 class Sender(Closed):
-    """The optional fields at the top level of a command: who sent it, when by its own clock, and the lease's token."""
+    """The optional top-level fields of a command: its sender, the time by the sender's clock, and the lease's token."""
 
     source: Source | None = None
     sent_ms: SentMs | None = None
@@ -60,7 +60,7 @@ class Sender(Closed):
 
 
 class AnySender(BaseModel):
-    """Who sent something that may have any other field as well."""
+    """The sender of a payload with any other fields."""
 
     model_config = ConfigDict(strict=True, frozen=True, extra="ignore")
     source: Source | None = None

@@ -1,4 +1,4 @@
-"""The Zenoh keys of one robot: build them, and tell what a key addresses.
+"""The Zenoh keys of one robot: building and parsing them.
 
 A fleet's prefix is Zenoh's own `namespace` setting; it never appears here.
 """
@@ -11,46 +11,41 @@ from schemas.robot import LEGS, SERVO_IDS
 
 ROOT: Final = "hexapod"
 MAX_SOURCE: Final = 64
-"""Characters of the name by which somebody commands. A longer one is rejected, and all that carries it."""
+"""Characters of `source`. A message with a longer one is rejected."""
 ALL_COMMANDS: Final = f"{ROOT}/**/cmd"
 LEGS_COMMAND: Final = f"{ROOT}/legs/cmd"
 ESTOP: Final = f"{ROOT}/estop/cmd"
 RESET: Final = f"{ROOT}/reset/cmd"
 LEASE: Final = f"{ROOT}/lease/cmd"
-"""Who is driving."""
 CALIBRATION_CMD: Final = f"{ROOT}/calibration/cmd"
-"""Changes the calibration."""
 REVOCATION: Final = f"{ROOT}/revocation/cmd"
-"""Shuts certificates out."""
 BUTTON: Final = f"{ROOT}/button/cmd"
-"""Who watches with a hand on a stop."""
 GET_ONLY: Final = {
-    LEASE: "its answer is for one alone",
-    CALIBRATION_CMD: "whoever changes it has to know what became of it",
-    REVOCATION: "whoever shuts somebody out has to know what became of it",
-    BUTTON: "a check-in that is not answered is none",
+    LEASE: "only its sender may receive the answer",
+    CALIBRATION_CMD: "its sender needs the result",
+    REVOCATION: "its sender needs the result",
+    BUTTON: "a check-in without an answer does not count",
 }
-"""They take `get` only, and why; they command nothing that moves, so they are none of COMMAND_KEYS."""
+"""Keys that take `get` only, and why. They move nothing, so COMMAND_KEYS has none of them."""
 STATE: Final = f"{ROOT}/state"
 EVENT: Final = f"{ROOT}/event"
 FRAME: Final = f"{ROOT}/frame"
 CALIBRATION: Final = f"{ROOT}/calibration"
 ALIVE: Final = f"{ROOT}/alive"
 SIM_BODY: Final = f"{ROOT}/sim/body"
-"""Where a simulated robot's body is."""
 SIM_UPRIGHT: Final = f"{ROOT}/sim/upright"
-"""Puts it on its feet; takes `get` only."""
+"""Puts a simulated robot on its feet; takes `get` only."""
 
 GATEWAYS: Final = (STATE, EVENT, FRAME, CALIBRATION)
-"""What the gateway itself publishes."""
+"""Published by the gateway itself."""
 PUBLISHED: Final = (*GATEWAYS, SIM_BODY)
-"""What is published for all who may watch."""
+"""Published for all roles."""
 ASKABLE: Final = (STATE, CALIBRATION)
-"""Of these, what a watcher may also `get`."""
+"""Of these, also answered to `get`."""
 
 
 class Target(StrEnum):
-    """What a command key addresses."""
+    """The kind of object that a command key addresses."""
 
     LEG = "leg"
     SERVO = "servo"
@@ -99,7 +94,7 @@ COMMAND_KEYS: Final = {
 
 
 def parse(key: str) -> CommandKey:
-    """What `key` addresses. Raises ValueError with a sentence that says what a right key looks like."""
+    """Parse a command key. Raises ValueError with a sentence that describes valid keys."""
     found = COMMAND_KEYS.get(key)
     if found is not None:
         return found
@@ -118,6 +113,6 @@ _MAX_ECHO: Final = 60
 
 
 def _short(text: str) -> str:
-    """The sender's own text on one line, and not much of it."""
+    """The sender's text on one line, cut to `_MAX_ECHO` characters."""
     quoted = text if text and text.isprintable() else json.dumps(text)
     return quoted if len(quoted) <= _MAX_ECHO else quoted[:_MAX_ECHO] + "…"

@@ -1,4 +1,4 @@
-"""Who is driving: what is asked on `hexapod/lease/cmd`, and the answer."""
+"""The lease: requests on `hexapod/lease/cmd`, and the answer."""
 
 from typing import Annotated, Final, Literal
 
@@ -11,7 +11,7 @@ Nonce = Annotated[str, hex_digits(", from a challenge")]
 
 
 class Proof(Closed):
-    """Shows that whoever asks has the key of a certificate in which `source` is the person."""
+    """Shows that the sender has the key of a certificate whose person is `source`."""
 
     nonce: Nonce
     certificate: Annotated[str, Field(description="the person's certificate as PEM")]
@@ -40,7 +40,7 @@ class Renew(Closed):
 
 
 class Release(Closed):
-    """Gives the lease up, or hands it over to one who has asked for it."""
+    """Releases the lease, or hands it over to a client that has asked for it."""
 
     do: Literal["release"]
     lease: Annotated[LeaseToken, Field(repr=False)]
@@ -55,7 +55,7 @@ LEASE_REQUEST: Final[TypeAdapter[Challenge | Claim | Renew | Release]] = TypeAda
 
 
 class LeaseAck(Answer):
-    """The answer to a LeaseRequest; fields that say nothing are left out of the JSON."""
+    """The answer to a LeaseRequest; null fields are left out of the JSON."""
 
     nonce: str | None = None
     lease: Annotated[str | None, Field(repr=False, description="the token that commands carry from now on")] = None

@@ -1,4 +1,4 @@
-"""What goes out: acknowledgements, state, events and frame records."""
+"""Payloads that go out: acknowledgements, state, events and frame records."""
 
 from collections.abc import Iterator
 from enum import StrEnum
@@ -10,9 +10,9 @@ Count = Annotated[int, Field(ge=0)]
 
 
 class Report(BaseModel):
-    """Frozen, and open: fields are only ever added, and a reader ignores those that it does not know.
+    """Frozen and open: fields are only ever added, and readers ignore unknown ones.
 
-    An older reader that rejected them would show NOT STOPPED after a stop that worked.
+    An older reader that rejected them would show NOT STOPPED after a successful stop.
     """
 
     model_config = ConfigDict(frozen=True, extra="ignore")
@@ -96,7 +96,7 @@ class Cause(StrEnum):
 
 
 class WatchdogState(StrEnum):
-    """A leg's watchdog: nothing runs, it is armed, or it has stopped the leg."""
+    """State of a leg's watchdog: no servo runs, it is armed, or it has stopped the leg."""
 
     IDLE = "idle"
     ARMED = "armed"
@@ -104,7 +104,7 @@ class WatchdogState(StrEnum):
 
 
 OrText = Field(union_mode="left_to_right")
-"""For a set of values that later versions may extend: an unknown one is read as text and is no error."""
+"""For values that later versions may extend: an unknown one is read as text."""
 AnyReason = Annotated[Reason | str, OrText]
 AnyMode = Annotated[Mode | str, OrText]
 AnyKind = Annotated[Kind | str, OrText]
@@ -113,7 +113,7 @@ AnyWatchdogState = Annotated[WatchdogState | str, OrText]
 
 
 class Answer(Report):
-    """Fields that say nothing are left out of its JSON, and of what `print` shows."""
+    """Null fields are left out of its JSON and its repr."""
 
     accepted: bool
     reason: AnyReason | None = None
@@ -128,7 +128,7 @@ class Answer(Report):
 
 
 class Ack(Answer):
-    """The reply to an acknowledged command; fields that say nothing are left out of the JSON."""
+    """The reply to an acknowledged command; null fields are left out of the JSON."""
 
     coalesced: Literal[True] | None = None
     written: list[int] | None = None
@@ -141,9 +141,9 @@ class Ack(Answer):
         return self.accepted
 
     def or_raise(self) -> Self:
-        """Itself. Raises gateway.errors.RejectedError, with the gateway's reason, if the command was rejected."""
+        """Return itself. Raises gateway.errors.RejectedError with the gateway's reason if the command was rejected."""
         if not self.accepted:
-            from gateway.errors import RejectedError  # noqa: PLC0415  # a reader of payloads alone needs no gateway
+            from gateway.errors import RejectedError  # noqa: PLC0415  # schemas alone need no gateway
 
             raise RejectedError(str(self.reason or ""), self.detail or "no reason was given")
         return self
@@ -161,9 +161,9 @@ class ServoReport(Report):
 
 
 class LegReport(Report):
-    """One leg; `age_ms` is the time since an accepted command started or set a servo of it, null before.
+    """One leg; `age_ms`: since an accepted command started or set one of its servos, null before the first.
 
-    `source` gave the command that is in force; null where it gave no name, and once the gateway stopped the leg itself.
+    `source`: of the command in force; null if it has none, and once the gateway itself has stopped the leg.
     """
 
     leg: int
@@ -174,7 +174,7 @@ class LegReport(Report):
 
 
 class CommandCounts(Report):
-    """Commands since the start; a coalesced one was accepted, then replaced by a newer one while it waited."""
+    """Commands since the start; a coalesced one was accepted, then replaced by a newer one before it was written."""
 
     accepted: Count
     rejected: Count
@@ -184,7 +184,7 @@ class CommandCounts(Report):
 
 
 class SpiReport(Report):
-    """The SPI device, and how many frames and faults it has seen."""
+    """The SPI device, its frames and faults since the start."""
 
     device: str
     framing: str
@@ -201,7 +201,7 @@ class StopLatency(Report):
 
 
 class LoopLag(Report):
-    """Microseconds by which the gateway's timers were late, since the start; percentiles are upper ends of buckets."""
+    """Lateness of the gateway's timers in microseconds, since the start; percentiles are upper ends of buckets."""
 
     p50: float | None = None
     p99: float | None = None
@@ -209,7 +209,7 @@ class LoopLag(Report):
 
 
 class WatchdogReport(Report):
-    """The watchdog's setting and record."""
+    """The watchdog's settings and counters."""
 
     timeout_ms: float
     landing_ms: float = 0.0
@@ -218,12 +218,12 @@ class WatchdogReport(Report):
 
     @property
     def stops_after_ms(self) -> float:
-        """From a leg's last command to its Stop, at the latest, if nobody stops it before."""
+        """Longest time from a leg's last command to its Stop."""
         return self.timeout_ms + self.landing_ms
 
 
 class LeaseReport(Report):
-    """Who is driving. While the lease is handed over, `holder` is who may acquire it, and `held_s` is null."""
+    """The lease. While it is handed over, `holder` is who may acquire it, and `held_s` is null."""
 
     holder: str | None = None
     verified: bool = False
@@ -233,7 +233,7 @@ class LeaseReport(Report):
 
 
 class ButtonsReport(Report):
-    """The buttons that watch; nothing moves while fewer are alive than are required."""
+    """Stop buttons; nothing moves while fewer are alive than required."""
 
     required: Count = 0
     alive: Annotated[Count, Field(description="certificates; names where nothing is proved")] = 0
@@ -251,7 +251,7 @@ class CalibrationReport(Report):
 
 
 class TelemetryReport(Report):
-    """What else the gateway publishes."""
+    """What the gateway publishes besides the state."""
 
     frames: Annotated[
         bool | None, Field(description="whether `hexapod/frame` is published; null: an older gateway does not say")
@@ -259,7 +259,7 @@ class TelemetryReport(Report):
 
 
 class CertificateReport(Report):
-    """Of the certificates that the gateway uses, the one that expires first."""
+    """The first of the gateway's certificates to expire."""
 
     file: str
     expires: AwareDatetime
@@ -273,7 +273,7 @@ class RevocationsReport(Report):
 
 
 class ServoLimitsReport(Report):
-    """What the settings allow one servo, in degrees as commands name them; a speed of 0 is not limited."""
+    """The settings' limits of one servo, in degrees as in commands; a speed of 0 is unlimited."""
 
     min_deg: float = 0.0
     max_deg: float = 180.0
@@ -281,7 +281,7 @@ class ServoLimitsReport(Report):
 
 
 class LimitsReport(Report):
-    """What the settings allow a leg and its servos. The calibration's own limits are on `hexapod/calibration`."""
+    """The settings' limits of legs and servos. The calibration's limits are on `hexapod/calibration`."""
 
     leg_rate_hz: float = 50.0
     max_age_ms: Annotated[float, Field(description="0: any age; an older gateway does not say")] = 500.0
@@ -347,16 +347,16 @@ class FrameRecord(Report):
 
 
 class SimulatedServo(Report):
-    """Where a simulated servo is, and what it does against its load; the angle as commands name it."""
+    """Angle of a simulated servo, as in commands, and its torque against the load."""
 
     angle_deg: float
     torque_nm: float
 
 
 class BodyReport(Report):
-    """The payload of `hexapod/sim/body`: where the body of a simulated robot is, 30 times a second.
+    """The payload of `hexapod/sim/body`: the pose of a simulated robot, 30 times a second.
 
-    In the ground's frame: x forward and y left as it was put down, z up. `feet`: which of legs 1 to 6 touch the ground.
+    In the ground's frame: x forward and y left at the start, z up. `feet`: which of legs 1 to 6 touch the ground.
     """
 
     time: AwareDatetime

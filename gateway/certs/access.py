@@ -1,9 +1,9 @@
 """The access control of the Zenoh files: one table of the messages that people and a robot may exchange.
 
-Where others declare, keys are exact: Zenoh keeps each declaration that it accepts and compares it with all others. An
-observer who may declare `hexapod/*` could declare 20 000 keys, and Stops would wait meanwhile. For messages, and for
-what the gateway itself declares, a wildcard costs nothing, and docs/interface.md promises it: a put on
-`hexapod/leg/*/cmd` means every leg.
+For declarations of clients, keys are exact: Zenoh keeps each accepted declaration and compares it with all others. An
+observer who may declare `hexapod/*` could declare 20 000 keys, which would delay Stops. For messages, and for the
+gateway's own declarations, a wildcard is cheap, and docs/interface.md promises it: a put on `hexapod/leg/*/cmd` means
+every leg.
 
 Zenoh compares a rule's keys with those on the wire, which begin with the robot's namespace.
 """
@@ -29,7 +29,7 @@ from schemas.keys import (
 
 INDENT: Final = 16
 IN_A_LINE: Final = 4
-"""How the lists stand in the file."""
+"""Layout of lists in the file: indentation, and elements in a line."""
 
 
 class Traffic(NamedTuple):
@@ -40,10 +40,10 @@ class Traffic(NamedTuple):
     messages: tuple[str, ...]
     keys: tuple[str, ...]
     roles: tuple[str, ...] = LAPTOP_ROLES
-    """Between whom and the robot."""
+    """The people's roles."""
     robots_keys: tuple[str, ...] = ()
-    """The keys at a router's end of the link to the robot, if they differ: a router takes only exact declarations, even
-    from a robot that was taken over."""
+    """The keys at a router's end of the link to the robot, if they differ: a router accepts only exact declarations,
+    even from a compromised robot."""
 
 
 TRAFFIC: Final = (
@@ -84,9 +84,9 @@ BODY: Final = (
 
 
 def rules(prefix: str = "", namespace: str = "", *, robots_side: bool = False) -> str:
-    """The rules as JSON5, their names behind `prefix`: at the robot's or router's end of the links to people.
+    """The rules as JSON5, their names after `prefix`, for the robot's or router's end of the links to people.
 
-    With `robots_side`, at a router's end of the link to the robot: what comes in from people goes out there.
+    With `robots_side`, for a router's end of the link to the robot, where the directions are reversed.
     """
     return "".join(
         str(_rule(each, prefix, namespace, robots_side=robots_side)) for each in _on(robots_side=robots_side)
@@ -94,12 +94,12 @@ def rules(prefix: str = "", namespace: str = "", *, robots_side: bool = False) -
 
 
 def body_rules(namespace: str = "") -> list[dict[str, Any]]:
-    """The rules of BODY, at the gateway's end."""
+    """The rules of BODY for the gateway's end."""
     return [_rule(each, "", namespace, robots_side=False)._asdict() for each in BODY]
 
 
 def names(prefix: str = "", *, roles: tuple[str, ...]) -> str:
-    """The names of those rules that are for exactly these roles, as a JSON5 list."""
+    """The names of the rules for exactly these roles, as a JSON5 list."""
     return listed([f"{prefix}{each.what}" for each in TRAFFIC if each.roles == roles])
 
 
@@ -109,12 +109,12 @@ def robots_names(prefix: str) -> str:
 
 
 def _on(*, robots_side: bool) -> list[Traffic]:
-    """What passes there. An operator's commands are all that a robot takes, a button's presses among them."""
+    """The traffic at this end. The rule for commands covers a button's presses at the robot's side."""
     return [each for each in TRAFFIC if not (robots_side and each.roles == (BUTTON,))]
 
 
 def subject(name: str, common_names: list[str]) -> str:
-    """A subject of that name as JSON5: whoever has a certificate with one of these common names."""
+    """A subject as JSON5: the certificates with these common names."""
     return f'      {{ id: "{name}",\n        cert_common_names: {listed(common_names)} }},\n'
 
 
@@ -125,7 +125,7 @@ def listed(texts: Sequence[str]) -> str:
 
 
 class _Rule(NamedTuple):
-    """As Zenoh names its parts."""
+    """Fields as in Zenoh's configuration."""
 
     id: str
     permission: str

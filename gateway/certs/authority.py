@@ -1,7 +1,7 @@
-"""X.509 only, no files: a private CA, the gateway's certificate, a laptop's certificate, and reading them back.
+"""X.509 without files: a private CA, the gateway's and laptops' certificates, and reading them back.
 
-Zenoh's access control knows a laptop by one thing: the first common name of its certificate, which is one of a pool
-(pool.py). The laptop's own name, or its person's, stands in the organizational unit.
+Zenoh's access control identifies a laptop by the first common name of its certificate, one of a pool (pool.py). The
+laptop's own name, or its person's, is in the organizational unit.
 """
 
 import datetime as dt
@@ -24,9 +24,8 @@ GATEWAY = "gateway"
 CA = "ca"
 CONSOLE = "console"
 
-# A robot without a network and a battery-backed clock starts with the time of its last shutdown, or of its image. A
-# certificate made today would not be valid yet for it. A private CA gains nothing by a late start, so all certificates
-# start a year early.
+# A robot without a network and a battery-backed clock starts with the time of its last shutdown, or of its image, when
+# a certificate of today is not valid yet. So all certificates start a year early.
 BACKDATE = dt.timedelta(days=365)
 
 _ORGANIZATION = "hexapod-gateway"
@@ -36,7 +35,7 @@ _LABEL = re.compile(r"[a-z0-9]([a-z0-9-]{0,61}[a-z0-9])?")
 
 @dataclass(frozen=True)
 class KeyPair:
-    """A certificate and the key that belongs to it."""
+    """A certificate and its private key."""
 
     certificate: x509.Certificate
     key: ec.EllipticCurvePrivateKey
@@ -45,35 +44,32 @@ class KeyPair:
         return self.certificate.public_bytes(serialization.Encoding.PEM)
 
     def key_pem(self) -> bytes:
-        """PKCS #8, not encrypted: a service that starts at boot has nobody to type a passphrase."""
+        """PKCS #8, not encrypted: a service that starts at boot cannot be given a passphrase."""
         return self.key.private_bytes(
             serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
         )
 
 
 def make_ca(now: dt.datetime, first: int = 0) -> KeyPair:
-    """A CA that signs leaf certificates only; its name has a random part, so that two CAs are never confused.
+    """A CA for leaf certificates only; its name has a random part, so that two CAs are never confused.
 
-    `first`: the first number of the pool that is its own. A CA that takes another's place has numbers of its own, so
-    that a robot can tell by a common name who still has a certificate of the older one.
+    `first`: the first number of its part of the pool. A replacement CA has numbers of its own, so that a common name
+    shows which CA issued a certificate.
     """
     return _make_ca(now, f"{CA}{_FROM}{first}" if first else CA, [])
 
 
 def first_number(ca: x509.Certificate) -> int:
-    """The first number of the pool that is this CA's own."""
+    """The first number of this CA's part of the pool."""
     number = _attribute(ca.subject, NameOID.ORGANIZATIONAL_UNIT_NAME).partition(_FROM)[2]
     return int(number) if number.isdecimal() else 0
 
 
 def make_web_ca(hosts: Sequence[str], now: dt.datetime) -> KeyPair:
-    """A CA that people import into a browser: good for these hosts, as servers, and for nothing else in the web.
-
-    Whoever gets its key can pose as one of these hosts, and not as a bank.
-    """
+    """A CA for browsers, valid only for these hosts as servers: with its key nobody can pose as another site."""
     names = [_general_name(host) for host in hosts]
     networks = [ipaddress.ip_network(name.value) for name in names if isinstance(name, x509.IPAddress)]
-    # A kind of name without an entry would not be constrained: .invalid and 255.255.255.255 are nobody's.
+    # A kind of name without an entry is not constrained, so each gets an unused one.
     permitted: list[x509.GeneralName] = [
         *([name for name in names if isinstance(name, x509.DNSName)] or [x509.DNSName("invalid")]),
         *map(x509.IPAddress, networks or [ipaddress.ip_network("255.255.255.255")]),
@@ -84,7 +80,7 @@ def make_web_ca(hosts: Sequence[str], now: dt.datetime) -> KeyPair:
 
 
 def permits(ca: x509.Certificate, hosts: Sequence[str]) -> bool:
-    """Whether a CA of `make_web_ca` was made for these hosts, or has no constraints."""
+    """Whether a CA of `make_web_ca` is valid for these hosts, or unconstrained."""
     try:
         constraints = ca.extensions.get_extension_for_class(x509.NameConstraints).value
     except x509.ExtensionNotFound:
@@ -116,18 +112,18 @@ def _make_ca(now: dt.datetime, unit: str, more: Sequence[tuple[x509.ExtensionTyp
 
 
 def make_gateway(ca: KeyPair, hosts: Sequence[str], days: int, now: dt.datetime) -> KeyPair:
-    """The gateway's certificate: good as a server for `hosts`, and as a client when it dials a fleet's router."""
+    """The gateway's certificate: a server for `hosts`, and a client when it dials a fleet's router."""
     usages = [ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH]
     return _make_leaf(ca, _name(GATEWAY, GATEWAY), usages, hosts, days, now)
 
 
 def make_laptop(ca: KeyPair, name: str, common_name: str, days: int, now: dt.datetime) -> KeyPair:
-    """A laptop's certificate: good as a client only, so that no laptop can pose as the robot to another one."""
+    """A laptop's certificate: a client only, so that no laptop can pose as the robot."""
     return _make_leaf(ca, _name(common_name, name), [ExtendedKeyUsageOID.CLIENT_AUTH], (), days, now)
 
 
 def make_console(ca: KeyPair, name: str, hosts: Sequence[str], days: int, now: dt.datetime) -> KeyPair:
-    """A web console's certificate: good as a server for `hosts` only; Zenoh's access control gives it no role."""
+    """A web console's certificate: a server for `hosts` only, without a role in Zenoh's access control."""
     return _make_leaf(ca, _name(CONSOLE, name), [ExtendedKeyUsageOID.SERVER_AUTH], hosts, days, now)
 
 
@@ -146,13 +142,13 @@ def _make_leaf(
 def renew(
     ca: KeyPair, old: x509.Certificate, days: int, now: dt.datetime, hosts: Sequence[str] = ()
 ) -> x509.Certificate:
-    """`old` renewed: same holder, same key, a new serial number and expiry; good as a server for `hosts`."""
+    """`old` with a new serial number and expiry, same holder and key, valid as a server for `hosts`."""
     usage = next((item.value for item in old.extensions if isinstance(item.value, x509.ExtendedKeyUsage)), None)
     return _sign(ca, old.subject, old.public_key(), usage, hosts, days, now)
 
 
 def is_issued(certificate: x509.Certificate, ca: x509.Certificate) -> bool:
-    """Whether this CA has signed it."""
+    """Whether this CA signed the certificate."""
     try:
         certificate.verify_directly_issued_by(ca)
     except (ValueError, TypeError, InvalidSignature):
@@ -161,7 +157,7 @@ def is_issued(certificate: x509.Certificate, ca: x509.Certificate) -> bool:
 
 
 def is_ca(certificate: x509.Certificate) -> bool:
-    """Whether it may sign others."""
+    """Whether the certificate may sign others."""
     try:
         return certificate.extensions.get_extension_for_class(x509.BasicConstraints).value.ca
     except x509.ExtensionNotFound:
@@ -201,10 +197,7 @@ def hosts_of(certificate: x509.Certificate) -> list[str]:
 
 
 def common_name_and_name(certificate: x509.Certificate) -> tuple[str, str]:
-    """Who holds it: ("ca", its name), ("gateway", its first host), or a laptop's (common name, name).
-
-    What is absent is "".
-    """
+    """The holder: ("ca", its name), ("gateway", its first host), or a laptop's (common name, name); "" if absent."""
     common = _attribute(certificate.subject, NameOID.COMMON_NAME)
     unit = _attribute(certificate.subject, NameOID.ORGANIZATIONAL_UNIT_NAME)
     if is_ca(certificate):
@@ -233,7 +226,7 @@ def _sign(
         .public_key(key)
         .serial_number(x509.random_serial_number())
         .not_valid_before(max(now - BACKDATE, issuer.not_valid_before_utc))
-        # A leaf that outlives its CA would be rejected while the list still calls it good.
+        # A leaf that outlives its CA would be rejected while `certs list` still shows it as good.
         .not_valid_after(min(now + dt.timedelta(days=days), issuer.not_valid_after_utc))
         .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
         .add_extension(_key_usage(ca=False), critical=True)

@@ -1,4 +1,4 @@
-"""Which list of revoked certificates each robot has confirmed: kept in the folder with the CA, for people to see."""
+"""Which list of revoked certificates each robot has confirmed, recorded in the CA's folder."""
 
 import json
 from pathlib import Path
@@ -15,7 +15,7 @@ _NUMBERS: Final = TypeAdapter(dict[str, NonNegativeInt])
 
 
 def numbers(directory: Path) -> dict[str, int]:
-    """The number of the list that each robot has confirmed, of those that have. Raises ConfigError."""
+    """By robot, the number of the list that it has confirmed. Raises ConfigError."""
     path = directory / CONFIRMED_FILE
     if not path.exists():
         return {}
@@ -26,13 +26,13 @@ def numbers(directory: Path) -> dict[str, int]:
 
 
 def note(directory: Path, robot: str, number: int) -> None:
-    """This robot has this list in force."""
+    """Record that `robot` has this list in force."""
     known = {**numbers(directory), robot: number}
     replace(directory / CONFIRMED_FILE, FileContent(f"{json.dumps(known, indent=1, sort_keys=True)}\n".encode()))
 
 
 def shown(directory: Path) -> dict[str, str]:
-    """The same for a table, by the name of each robot's files: `3`; `2, not 3`; `not 3`. Empty without a list."""
+    """For a table, by each robot's file name: `3`; `2, not 3`; `not 3`. Empty without a list."""
     newest = folder.revoked(directory)
     if newest is None or not (directory / "ca.key").exists():
         return {}

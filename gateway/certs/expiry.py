@@ -1,10 +1,10 @@
-"""How soon a certificate expires, in the words in which the log, systemd, `check` and `watch` say it."""
+"""Sentences about a certificate that expires, for the log, systemd, `check` and `watch`."""
 
 import datetime as dt
 from typing import Final
 
 WARN_DAYS: Final = 60
-"""Long enough for whoever keeps the CA to be found."""
+"""Long enough to find the person who has the CA's key."""
 
 
 def soon(name: str, end: dt.datetime, now: dt.datetime) -> str | None:
@@ -18,7 +18,7 @@ def soon(name: str, end: dt.datetime, now: dt.datetime) -> str | None:
 
 
 def remedy(file: str, role: str, name: str) -> str:
-    """What to do about a certificate of a gateway, a robot of a fleet or a person, as `describe` says it."""
+    """How to renew the certificate in `file`; `role` and `name` as `folder.describe` returns them."""
     if role == "ca":
         return "make a new CA (hexapod-gateway certs init, in another folder) and issue all certificates again"
     holder = name if role != "gateway" else role

@@ -1,6 +1,6 @@
-"""Reads certificates and keys from files, and writes several files together: all of them appear, complete, or none.
+"""Reads certificates and keys, and writes several files together: either all of them appear, complete, or none.
 
-Never changes a file that exists. Each error is one sentence that says what to do.
+Each error is one sentence with the remedy.
 """
 
 import contextlib
@@ -33,22 +33,21 @@ UNREADABLE: Final = (
     x509.InvalidVersion,
     x509.UnsupportedGeneralNameType,
 )
-"""What `cryptography` raises for a certificate or a list that it cannot parse; for some parts only when they are read.
-"""
+"""What `cryptography` raises for a malformed certificate or list; for some parts only when they are read."""
 
 
 def read_certificate(path: Path) -> x509.Certificate:
-    """The first certificate of a PEM file; in a chain that is the owner's."""
+    """The first certificate of a PEM file; of a chain, the owner's. Raises ConfigError."""
     return read_certificates(path)[0]
 
 
 def read_certificates(path: Path) -> list[x509.Certificate]:
-    """All certificates of a PEM file, at least one; ConfigError if it is missing, unreadable or none."""
+    """All certificates of a PEM file, at least one. Raises ConfigError."""
     data = read_file(path, "certificate")
     try:
         found = x509.load_pem_x509_certificates(data)
         for each in found:
-            _ = each.subject, each.issuer, each.extensions  # which are parsed only now
+            _ = each.subject, each.issuer, each.extensions  # parsed at first access
     except UNREADABLE as error:
         raise ConfigError(
             f"{path} holds no certificate in PEM form: restore it from a copy, or issue a new one"
@@ -57,7 +56,7 @@ def read_certificates(path: Path) -> list[x509.Certificate]:
 
 
 def read_key(path: Path) -> ec.EllipticCurvePrivateKey:
-    """A private key that is not encrypted; ConfigError if the file is missing, unreadable or no such key."""
+    """An unencrypted elliptic-curve key of a PEM file. Raises ConfigError."""
     data = read_file(path, "key")
     try:
         key = serialization.load_pem_private_key(data, password=None)
@@ -69,7 +68,7 @@ def read_key(path: Path) -> ec.EllipticCurvePrivateKey:
 
 
 def read_file(path: Path, what: str) -> bytes:
-    """The content of a regular file; ConfigError otherwise. `what` says what it should have been."""
+    """The content of a regular file. Raises ConfigError, which calls the file `what`."""
     try:
         if not stat.S_ISREG(path.stat().st_mode):  # a FIFO would block for ever
             raise ConfigError(f"{path} is not a file: the {what} should be there")
@@ -89,14 +88,14 @@ class FileContent:
 
 
 def publish(files: Mapping[Path, FileContent]) -> None:
-    """Writes `files` in their order. Raises ConfigError if one exists or cannot be written, and then leaves none.
+    """Write `files` in order. Raises ConfigError if one exists or cannot be written, and then leaves none.
 
-    Each file is first written under a temporary name in the same folder, then hard-linked to its own. Unlike a rename,
-    a hard link fails when the name exists, so two runs at once cannot overwrite each other's keys.
+    Each file is written under a temporary name in the same folder, then hard-linked to its own. Unlike a rename, a
+    hard link fails if the name exists, so concurrent runs cannot overwrite each other's keys.
     """
     token = secrets.token_hex(4)
     staged = {path: path.with_name(f".{path.name}.{token}") for path in files}
-    undo = contextlib.ExitStack()  # undoes everything on failure
+    undo = contextlib.ExitStack()
     with undo, contextlib.ExitStack() as passing:  # temporary names go first: only an empty directory can be removed
         for path, content in files.items():
             with _explained(path):
@@ -115,7 +114,7 @@ def publish(files: Mapping[Path, FileContent]) -> None:
 
 
 def replace(path: Path, content: FileContent) -> None:
-    """Replaces the content of the file at `path` in one step. Raises ConfigError."""
+    """Replace the file at `path` atomically. Raises ConfigError."""
     with _explained(path):
         durable.write_with_mode(path, content.data, content.mode, prepare=partial(_check_mode, path, content.mode))
 
@@ -126,7 +125,7 @@ def _check_mode(path: Path, mode: int, descriptor: int) -> None:
 
 
 def _make_directory(directory: Path, undo: contextlib.ExitStack) -> None:
-    """Makes what is missing of `directory`, each level readable by its owner only."""
+    """Make `directory` and its missing parents with mode 0700."""
     missing = [parent for parent in (directory, *directory.parents) if not parent.exists()]
     for parent in reversed(missing):
         parent.mkdir(mode=0o700)
@@ -134,7 +133,7 @@ def _make_directory(directory: Path, undo: contextlib.ExitStack) -> None:
 
 
 def _discard(path: Path) -> None:
-    # A failure here must not hide the one that led here.
+    # Must not hide the error that led here.
     with contextlib.suppress(OSError):
         path.unlink()
 

@@ -1,10 +1,10 @@
-"""The Zenoh files of a fleet: router.json5 for the router all robots dial, NAME.json5 for a robot's gateway.
+"""The Zenoh files of a fleet: router.json5 for the router that all robots dial, NAME.json5 for a robot's gateway.
 
-Zenoh's access control compares a certificate's common name whole and cannot put it into a key expression, so the
-router's file has one block for each robot, and is rewritten when a robot is added. Common names: `robot.NAME` of a
-robot's gateway, `operator-07.NAME`, `observer-07.NAME` and `button-07.NAME` of its people, `gateway` of the routers. Of
-people with several robots, `operator-07.NAME.NAME` or `operator-07.robots.all` (pool.py).
-tests/zenoh/test_fleet.py has the gateways, a router and people as processes of their own.
+Zenoh's access control compares a whole common name and cannot put it into a key expression, so the router's file has a
+block for each robot, and is rewritten when a robot is added. Common names: `robot.NAME` of a robot's gateway,
+`operator-07.NAME`, `observer-07.NAME` and `button-07.NAME` of its people, `gateway` of the routers; of people with
+several robots, `operator-07.NAME.NAME` or `operator-07.robots.all` (pool.py). tests/zenoh/test_fleet.py runs gateways,
+a router and people as separate processes.
 """
 
 import json
@@ -29,10 +29,10 @@ _ROUTER = """\
     shared_memory: { enabled: false },
     link: {
       protocols: ["tls"],
-      // A client that asks and does not read loses its link after 20 ms. With Zenoh's own 5 s, one such laptop delayed
-      // everything that the router receives, and all robots' links with it.
+      // A client that does not read its replies loses its link after 20 ms. With Zenoh's own 5 s, one such laptop
+      // delayed everything that the router receives, and all robots' links with it.
       tx: { lease: 1000, queue: { congestion_control: { block: { wait_before_close: 20000 } } } },
-      // No message is assembled from fragments to more than this many bytes, whoever sends it.
+      // Limit in bytes of a message that is assembled from fragments.
       rx: { max_message_size: @MAX_MESSAGE_SIZE@ },
       tls: {
         root_ca_certificate: "ca.pem",
@@ -133,10 +133,10 @@ def router_json5(
     revoked: Container[str] = (),
     groups: Iterable[str] = (),
 ) -> bytes:
-    """The router's configuration: mTLS on all addresses, and one block of access control for each robot.
+    """The router's configuration: mTLS on all addresses, and a block of access control for each robot.
 
-    `numbers`: of the pool of common names that each role has. `revoked`: those that are not listed. `groups`: of
-    several robots, for which there are certificates; that of all robots always has a pool.
+    `numbers`: of each role's pool of common names. `revoked`: common names to leave out. `groups`: of several robots,
+    for which there are certificates; the group of all robots always has a pool.
     """
     groups = sorted({*groups, pool.ALL})
     return fill(
@@ -154,13 +154,13 @@ def robot_json5(name: str, host: str, port: int) -> bytes:
 
 
 def _rules(robot: str) -> str:
-    """The robot's side and the people's side of the same traffic: what comes in at one goes out at the other."""
+    """The rules for the people's and the robot's side of the same traffic."""
     peoples, robots = access.rules(f"{robot}: ", robot), access.rules(f"{robot}'s end: ", robot, robots_side=True)
     return f"      // ---- {robot}\n{peoples}{robots}"
 
 
 def _subjects(robot: str, numbers: Iterable[int], revoked: Container[str], groups: Sequence[str]) -> str:
-    """Who has which common names. A role of which all are revoked keeps its subject: none would mean anybody."""
+    """The subjects of a robot. If all names of a role are revoked, a placeholder: none would match everyone."""
     subjects = access.subject(f"robot.{robot}", [f"robot.{robot}"])
     for role in LAPTOP_ROLES:
         of = [robot, *(group for group in groups if pool.Holder(role, None, group).is_for(robot))]

@@ -1,6 +1,6 @@
-"""A folder of certificates on one machine: `init` once, `issue` for each laptop, `expiries` lists them.
+"""A folder of certificates: `init` once, `issue` for each laptop, `expiries` lists them.
 
-Everything is made in memory, then written together (files.py), so nothing is left half made.
+Everything is made in memory, then written together (files.py), so that no incomplete set remains.
 """
 
 import datetime as dt
@@ -51,15 +51,13 @@ _GROUP_LENGTH = 50
 _WEB_CA = "-ca"  # behind a console's name in the names of its CA's files
 ROUTER_FILE = "router.json5"
 EARLIER = "earlier"
-"""The folder for files that others have taken the place of: their certificates may still be good."""
+"""Folder of replaced files, whose certificates may still be valid."""
 
 
 @dataclass(frozen=True)
 class Certificate:
-    """One certificate of a folder. `role` is ca, gateway, operator, observer or button.
-
-    In a fleet: robot.NAME, operator.NAME or observer.NAME, NAME being the robot's. The common name has a laptop's
-    number besides.
+    """One certificate of a folder. `role`: ca, gateway, operator, observer or button; in a fleet with the robot's name,
+    such as robot.NAME or operator.NAME. The common name also has a laptop's number.
     """
 
     path: Path
@@ -85,11 +83,10 @@ def init(
     size: int = pool.SIZE,
     now: dt.datetime | None = None,
 ) -> list[Path]:
-    """Makes a CA, the gateway's certificate for `hosts` and gateway.json5 in `directory`; returns what it made.
+    """Make a CA, the gateway's certificate for `hosts` and gateway.json5 in `directory`; returns the paths.
 
-    `namespace` goes before all keys of this robot. `size`: how many laptops of each role the rules know in advance.
-    `directory` is made (0700) if missing.
-    Raises ConfigError if it has a CA already, or any file of the same name.
+    `namespace` precedes all keys of this robot. `size`: laptops of each role that the rules list in advance.
+    `directory` is made (0700) if missing. Raises ConfigError if it has a CA, or a file of the same name.
     """
     now = now or now_utc()
     names = _dialled_hosts(hosts)
@@ -126,11 +123,11 @@ def issue(
     now: dt.datetime | None = None,
     absolute: bool = False,
 ) -> list[Path]:
-    """Makes NAME.pem, NAME.key and NAME.json5 for a laptop, and `bundle`, a zip of all it needs; returns the paths.
+    """Make NAME.pem, NAME.key and NAME.json5 for a laptop, and `bundle`, a zip of all it needs; returns the paths.
 
-    `robots`: of a fleet, those that it is for, as `add_robots` named them; `pool.ALL` alone: all. For several there is
-    a NAME.ROBOT.json5 for each. router.json5 is made anew, and returned, where it does not list the common name yet.
-    `absolute`: NAME.json5 names the files by their full paths; in the zip it never does.
+    `robots`: of a fleet, by the names of `add_robots`; `pool.ALL` alone: all. For several there is a NAME.ROBOT.json5
+    for each. router.json5 is rewritten, and returned, if it does not list the common name. `absolute`: NAME.json5 has
+    absolute paths; in the zip, never.
     """
     now = now or now_utc()
     _check_name(name)
@@ -190,9 +187,9 @@ def config_files(directory: Path, name: str, holder: pool.Holder) -> dict[str, P
 def console(
     directory: Path, name: str, hosts: Sequence[str], *, days: int = CONSOLE_DAYS, now: dt.datetime | None = None
 ) -> list[Path]:
-    """Makes NAME.pem and NAME.key for a web console that browsers reach by `hosts`, and its own CA; returns the paths.
+    """Make NAME.pem and NAME.key for a web console that browsers reach by `hosts`, and its own CA; returns the paths.
 
-    NAME-ca.pem is what people import into a browser: it is good for these hosts and nothing else, as ca.pem is not.
+    People import NAME-ca.pem into a browser: unlike ca.pem, it is valid for these hosts only.
     """
     now = now or now_utc()
     _check_name(name)
@@ -211,11 +208,10 @@ def console(
 def add_robots(
     directory: Path, names: Sequence[str], *, days: int = LEAF_DAYS, now: dt.datetime | None = None
 ) -> list[Path]:
-    """Makes NAME.pem, NAME.key and NAME.json5 for each robot of a fleet, and router.json5 anew; returns the paths.
+    """Make NAME.pem, NAME.key and NAME.json5 for each robot of a fleet, and rewrite router.json5; returns the paths.
 
-    A person with a certificate for all robots gets a configuration for each new one.
-    The router's certificate is the one that `init` made: its hosts are the router's,
-    and robots dial the first of them.
+    People with a certificate for all robots get a configuration for each new one. The router's certificate is the one
+    of `init`: its hosts are the router's, and robots dial the first.
     """
     now = now or now_utc()
     ca = load_ca(directory, now)
@@ -243,7 +239,7 @@ def add_robots(
 
 
 def write_router(directory: Path) -> Path:
-    """Makes router.json5 anew: all robots of the folder, its pool, and nobody who is revoked; returns its path."""
+    """Rewrite router.json5 with all robots of the folder and its pool, without revoked names; returns its path."""
     path, config = directory / ROUTER_FILE, directory / "gateway.json5"
     port, listed = _port_and_namespace(config)[0], listed_names(config)
     numbers = sorted({number for name in listed if (number := pool.holder(name).number) is not None})
@@ -258,9 +254,9 @@ def write_router(directory: Path) -> Path:
 def renew(
     directory: Path, name: str, *, hosts: Sequence[str] = (), days: int = LEAF_DAYS, now: dt.datetime | None = None
 ) -> Path:
-    """Gives the certificate of a laptop, or "gateway", a new expiry; its key stays as it is.
+    """Renew the certificate of a laptop, or "gateway", with the same key; returns its path.
 
-    `hosts`: further names and addresses for the robot's, or a console's.
+    `hosts`: further names and addresses of the robot, or a console.
     """
     now = now or now_utc()
     if name != authority.GATEWAY:
@@ -284,7 +280,7 @@ def renew(
 
 
 def _dialled_hosts(hosts: Sequence[str]) -> list[str]:
-    """Each once, as laptops dial them."""
+    """The hosts in normal form, each once. Raises ConfigError for an IPv6 address."""
     names = list(dict.fromkeys(authority.parse_host(host) for host in hosts))
     for name in names:
         if ":" in name:  # an IPv6 address: parse_host lets no port through
@@ -298,7 +294,7 @@ def _dialled_hosts(hosts: Sequence[str]) -> list[str]:
 def expiries(directory: Path) -> list[Certificate]:
     """All certificates (*.pem) of a folder, the CA first, then the gateway's, then by name; ConfigError if none.
 
-    Works on a robot and on a laptop too, which have only their own.
+    A robot's and a laptop's folder have only their own.
     """
     try:
         paths = sorted(path for path in directory.iterdir() if path.suffix == ".pem" and not path.name.startswith("."))
@@ -314,7 +310,7 @@ def expiries(directory: Path) -> list[Certificate]:
 
 
 def describe(path: Path) -> Certificate:
-    """Whose certificate the PEM file at `path` is, and until when; raises ConfigError if it cannot be read."""
+    """The certificate in the PEM file at `path`. Raises ConfigError."""
     certificate = read_certificate(path)
     common_name, name = authority.common_name_and_name(certificate)
     return Certificate(
@@ -329,19 +325,19 @@ def describe(path: Path) -> Certificate:
 
 
 def earlier(directory: Path) -> list[Certificate]:
-    """The laptops' certificates that others have taken the place of; those that are revoked among them."""
+    """The laptops' replaced certificates, also revoked ones."""
     found = sorted((directory / EARLIER).glob("*.pem"))
     return [certificate for path in found if (certificate := describe(path)).role != authority.CA]
 
 
 def revoked(directory: Path) -> revocation.RevocationList | None:
-    """Who is shut out, by the list in this folder; None: nobody was yet."""
+    """The list of revoked certificates in this folder; None: there is none."""
     path = directory / revocation.REVOCATION_FILE
     return revocation.read(path, read_certificates(directory / "ca.pem")) if path.exists() else None
 
 
 def listed_names(config: Path) -> set[str]:
-    """The common names that the rules of a gateway.json5 list."""
+    """The common names in the rules of a gateway.json5."""
     subjects = json.loads(_read_config(config).get_json("access_control/subjects")) or []
     return {name for each in subjects for name in each.get("cert_common_names") or []}
 
@@ -352,7 +348,7 @@ def port_of(directory: Path) -> int:
 
 
 def _free_common_name(directory: Path, ca: KeyPair, role: str, group: str) -> str:
-    """The first of the pool that nobody has, or had; the role alone where the rules list no pool."""
+    """The first unused common name of the pool; the role alone if the rules list no pool."""
     config = directory / "gateway.json5"
     listed = [pool.holder(name) for name in listed_names(config)]
     if listed and role not in {each.role for each in listed}:
@@ -379,7 +375,7 @@ def _free_common_name(directory: Path, ca: KeyPair, role: str, group: str) -> st
 
 
 def _check_renewable(directory: Path, path: Path, old: x509.Certificate, ca: KeyPair, own: str) -> None:
-    """Raises ConfigError for a certificate that is not to be signed again under its common name."""
+    """Raises ConfigError for a certificate that is revoked or of another CA."""
     common_name = authority.common_name_and_name(old)[0]
     known = revoked(directory)
     if known is not None and known.holds(common_name, old.serial_number):
@@ -395,7 +391,7 @@ def _check_renewable(directory: Path, path: Path, old: x509.Certificate, ca: Key
 
 
 def load_ca(directory: Path, now: dt.datetime, name: str = authority.CA) -> KeyPair:
-    """A CA of the folder with its key, the newest one; raises ConfigError where it is missing or has expired."""
+    """The folder's newest CA with its key. Raises ConfigError if it is missing or has expired."""
     try:
         (directory / f"{name}.key").lstat()
     except (FileNotFoundError, NotADirectoryError) as error:
@@ -403,10 +399,10 @@ def load_ca(directory: Path, now: dt.datetime, name: str = authority.CA) -> KeyP
             f"{directory} has no ca.key: give the folder that `hexapod-gateway certs init` made, with --dir"
         ) from error
     except OSError:
-        pass  # it may be there: reading it says what is wrong
+        pass  # read_key reports it
     key = read_key(directory / f"{name}.key")
     found = read_certificates(directory / f"{name}.pem")
-    # Of several CAs, the one that the key belongs to: while one takes another's place, its certificate comes first.
+    # Of several CAs, the one of this key: while one replaces another, the new certificate comes first.
     certificate = next((each for each in found if each.public_key() == key.public_key()), None)
     if certificate is None:
         raise ConfigError(
@@ -421,7 +417,7 @@ def load_ca(directory: Path, now: dt.datetime, name: str = authority.CA) -> KeyP
 
 
 def _port_and_namespace(config: Path) -> tuple[int, str]:
-    """Both from gateway.json5, so that a laptop's file follows changes that were made there by hand."""
+    """Both from gateway.json5, so that a laptop's file follows manual changes there."""
     read = _read_config(config)
     found = re.search(r'"tls/[^"]*:(\d+)', read.get_json("listen/endpoints"))
     if found is None:
@@ -441,12 +437,12 @@ def _read_config(config: Path) -> zenoh.Config:
 
 
 def robots(directory: Path) -> list[str]:
-    """All robots of a folder: those of a fleet, or the one, which its first host names."""
+    """All robots of a folder: those of a fleet, or the single one, by its first host."""
     return robots_of(directory) or authority.hosts_of(read_certificate(directory / "gateway.pem"))[:1]
 
 
 def robots_of(directory: Path) -> list[str]:
-    """The robots of a fleet, in order; none in a folder of one robot."""
+    """The robots of a fleet, sorted; none in the folder of a single robot."""
     roles = [item.role for item in expiries(directory)]
     return sorted(role.removeprefix(_ROBOT) for role in roles if role.startswith(_ROBOT))
 
@@ -459,7 +455,7 @@ def _check_free(directory: Path, name: str) -> None:
 
 
 def _pair(stem: Path, pair: KeyPair) -> dict[Path, FileContent]:
-    """Its two files: the key, for its owner only, and the certificate."""
+    """The two files of a pair: the key (0600) and the certificate."""
     return {
         stem.with_name(f"{stem.name}.key"): FileContent(pair.key_pem(), SECRET_MODE),
         stem.with_name(f"{stem.name}.pem"): FileContent(pair.certificate_pem()),
@@ -486,5 +482,5 @@ def _check_name(name: str) -> None:
 
 
 def now_utc() -> dt.datetime:
-    """The time that new certificates begin at."""
+    """Now, in UTC."""
     return dt.datetime.now(dt.UTC)

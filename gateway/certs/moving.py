@@ -1,6 +1,6 @@
-"""What changes in a folder of certificates over the years: who is shut out, who gets another certificate, another CA.
+"""Changes of a folder of certificates over the years: revoking, reissuing, a larger pool, another CA.
 
-Nothing here is ever deleted: what another file takes the place of goes to the folder `earlier`.
+No file is deleted: replaced files go to the folder `earlier`.
 """
 
 import datetime as dt
@@ -26,11 +26,11 @@ def revoke(
     known_there: RevocationList | None = None,
     now: dt.datetime | None = None,
 ) -> RevocationList:
-    """Shuts out all certificates of a laptop, or the one with the common name `name`; returns the new list.
+    """Revoke all certificates of a laptop, or the one with the common name `name`; returns the new list.
 
-    `known_there`: the list that a robot has, which another copy of this folder may have made; it is kept. The
-    laptop's files go to `earlier`, so that its name can be issued anew.
-    `others_too`: also where others share the common name, as in the layout before.
+    `known_there`: the list that a robot has, possibly of another copy of this folder; its entries are kept. The
+    laptop's files go to `earlier`, so that its name can be issued again. `others_too`: also if others share the common
+    name, as in the old layout.
     """
     now = now or folder.now_utc()
     ca, known = folder.load_ca(directory, now), folder.revoked(directory)
@@ -61,11 +61,11 @@ def revoke(
 
 
 _NO_SERIAL = 1
-"""Of a certificate whose files are gone. Serial numbers of ours are random, so nobody has it."""
+"""For a certificate whose files are gone. Our serial numbers are random, so none has it."""
 
 
 def merge(directory: Path, known_there: RevocationList, *, now: dt.datetime | None = None) -> RevocationList:
-    """The folder's list, made newer than the one that a robot has, with everybody whom either shuts out."""
+    """Sign a list with the entries of the folder's and a robot's list, newer than both."""
     now = now or folder.now_utc()
     known = folder.revoked(directory)
     entries = _entries(known, known_there).values()
@@ -73,7 +73,7 @@ def merge(directory: Path, known_there: RevocationList, *, now: dt.datetime | No
 
 
 def _entries(*lists: RevocationList | None) -> dict[str, Revoked]:
-    """All that are shut out by any of these, by their common names."""
+    """The entries of all lists, by common name."""
     return {entry.common_name: entry for each in lists if each is not None for entry in each.entries}
 
 
@@ -85,9 +85,9 @@ def reissue(
     days: int = LEAF_DAYS,
     now: dt.datetime | None = None,
 ) -> list[Path]:
-    """Gives a laptop another certificate: a new key, a common name of its own, of the newest CA; returns the paths.
+    """Issue a laptop another certificate: a new key and common name, of the newest CA; returns the paths.
 
-    The one before goes on working until it expires or is revoked.
+    The previous one works until it expires or is revoked.
     """
     found = next((each for each in folder.expiries(directory) if each.path.stem == name and _is_laptop(each)), None)
     if found is None:
@@ -104,9 +104,9 @@ def reissue(
 
 
 def set_pool(directory: Path, size: int = pool.SIZE) -> list[Path]:
-    """Makes the rules in gateway.json5 (and router.json5) list so many common names of each role; returns the paths.
+    """List `size` common names of each role in gateway.json5 (and router.json5); returns the paths.
 
-    What else is written there stays. Names that are listed are never taken away.
+    The rest of the file stays, and no listed name is removed.
     """
     if size > pool.MAX_POOL:
         raise ConfigError(f"a pool of {size} common names will not do: {pool.MAX_POOL} at most")
@@ -124,7 +124,7 @@ def set_pool(directory: Path, size: int = pool.SIZE) -> list[Path]:
 
 
 def replace_ca(directory: Path, *, now: dt.datetime | None = None) -> list[Path]:
-    """Makes a new CA beside the old one, which stays good until `drop_ca`; returns what has to go to the robot."""
+    """Add a new CA; the old one stays valid until `drop_ca`. Returns the files to copy to the robot."""
     now = now or folder.now_utc()
     old, pem = folder.load_ca(directory, now), directory / "ca.pem"
     if len(read_certificates(pem)) > 1:
@@ -140,9 +140,7 @@ def replace_ca(directory: Path, *, now: dt.datetime | None = None) -> list[Path]
     replace(kept.with_suffix(".key"), FileContent(old.key_pem(), SECRET_MODE))
     replace(kept.with_suffix(".pem"), FileContent(old.certificate_pem()))
     replace(pem, FileContent(new.certificate_pem() + old.certificate_pem()))
-    replace(
-        directory / "ca.key", FileContent(new.key_pem(), SECRET_MODE)
-    )  # last: the old key fits what was there before
+    replace(directory / "ca.key", FileContent(new.key_pem(), SECRET_MODE))  # last: until now the old key fits
     known = folder.revoked(directory)
     if known is not None:
         _sign(directory, new, known.entries, (known,), now)
@@ -150,7 +148,7 @@ def replace_ca(directory: Path, *, now: dt.datetime | None = None) -> list[Path]
 
 
 def drop_ca(directory: Path, *, others_too: bool = False, now: dt.datetime | None = None) -> Path:
-    """Ends the time of two CAs: only the new one stays. Raises ConfigError while somebody needs the old one."""
+    """Remove the old of two CAs. Raises ConfigError while a certificate of it is in use, unless `others_too`."""
     ca, pem = folder.load_ca(directory, now or folder.now_utc()), directory / "ca.pem"
     if len(read_certificates(pem)) == 1:
         raise ConfigError(f"{pem} has one CA only")
@@ -165,7 +163,7 @@ def drop_ca(directory: Path, *, others_too: bool = False, now: dt.datetime | Non
 
 
 def of_older_ca(directory: Path) -> list[Certificate]:
-    """The certificates in use that an older CA has issued: not yet moved."""
+    """The certificates in use that an older CA issued."""
     if not (directory / "ca.pem").exists():
         return []
     newest = read_certificates(directory / "ca.pem")[0]
@@ -174,9 +172,9 @@ def of_older_ca(directory: Path) -> list[Certificate]:
 
 
 def states(directory: Path, now: dt.datetime) -> list[tuple[Certificate, str]]:
-    """All certificates of a folder, and how it stands with each; last those that others have taken the place of.
+    """All certificates of a folder with their states; replaced ones follow, then revoked ones without a file.
 
-    Also of those that are revoked and whose files are gone. Works on a robot and a laptop, too.
+    Works on a robot and a laptop, too.
     """
     known, older = folder.revoked(directory), of_older_ca(directory)
     gone = [] if known is None else [*known.entries]
@@ -194,7 +192,7 @@ def states(directory: Path, now: dt.datetime) -> list[tuple[Certificate, str]]:
 
 
 def _lost(entry: Revoked) -> Certificate:
-    """What a list says of a certificate whose file is not here; nobody knows until when it was good."""
+    """The entry of a revoked certificate without a file; its expiry is unknown."""
     role = pool.holder(entry.common_name).of
     return Certificate(Path(), entry.name, role, entry.common_name, f"{entry.serial:x}", entry.since, entry.since)
 
@@ -206,7 +204,7 @@ def _sign(
     before: Iterable[RevocationList | None],
     now: dt.datetime,
 ) -> RevocationList:
-    """A newer list than those before, kept in the folder."""
+    """Sign a list newer than `before`, and write it to the folder."""
     number = 1 + max((each.number for each in before if each is not None), default=0)
     made = revocation.sign(ca, number, entries, now)
     replace(directory / revocation.REVOCATION_FILE, FileContent(made.pem))
@@ -216,7 +214,7 @@ def _sign(
 
 
 def _with_pool(found: re.Match[str], size: int) -> str:
-    """One list of common names, made longer, if it is that of a role."""
+    """One list of common names, extended if it is of a role."""
     holders = [pool.holder(name) for name in _QUOTED.findall(found[1])]
     roles = {each.role for each in holders}
     if len(roles) != 1 or not roles <= {*LAPTOP_ROLES}:
@@ -229,7 +227,7 @@ def _is_laptop(certificate: Certificate) -> bool:
 
 
 def _put_away(directory: Path, certificate: Certificate) -> None:
-    """Its files go to `earlier`, under a name that nothing else has."""
+    """Move its files to `earlier`, with part of the serial number in their names."""
     target = directory / EARLIER
     target.mkdir(mode=0o700, exist_ok=True)
     stem = certificate.path.stem

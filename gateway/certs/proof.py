@@ -1,7 +1,7 @@
-"""Proofs of who asks for the lease, or is a button: signed with the key of a certificate; the gateway checks them.
+"""Proofs of the sender of a request for the lease or of a button: signed with a certificate's key.
 
-The person's name stands in the certificate beside the role (see `authority`). Zenoh has checked the certificate of the
-link, but behind a router that is the router's; so the gateway checks the person's here, once for each lease or button.
+The certificate has the person's name and role (see `authority`). Zenoh checks the certificate of the link, but behind a
+router that is the router's; so the gateway checks the person's, once for each lease or button.
 """
 
 import base64
@@ -24,47 +24,47 @@ from schemas.lease import Proof
 
 
 class Purpose(NamedTuple):
-    """What a proof is good for: whose certificate may make it, and what it signs (do, source and nonce)."""
+    """The use of a proof: the roles that may make it, and the text that it signs, from (do, source, nonce)."""
 
     roles: tuple[str, ...]
     signed: Callable[[str, str, str], bytes]
     own_names: bool = False
-    """Whether a person may have several, each with a name of its own: `anna/phone`."""
+    """Whether a person may use several names: `anna/phone`."""
 
 
 DRIVING: Final = Purpose((OPERATOR,), lease.signed_text)
 WATCHING: Final = Purpose((OPERATOR, BUTTON), button.signed_text, own_names=True)
-"""Whoever may drive may also be a button."""
+"""An operator may also be a button."""
 
 
 class ProofChecker:
-    """Checks proofs against the CAs of one gateway. Holds nothing that changes."""
+    """Checks proofs against the CAs of one gateway. Immutable."""
 
     def __init__(self, cas: Sequence[x509.Certificate], robot: str = "", revoked: RevocationList | None = None) -> None:
-        """`robot`: its name in a fleet, whose people have certificates for one robot each."""
+        """`robot`: its name in a fleet, where certificates are valid for certain robots; else ""."""
         self._revoked = revoked
         self._cas = [ca for ca in cas if is_ca(ca)]
         self._robot = robot
 
     @classmethod
     def of(cls, ca_file: Path, own_certificate: Path | None, revoked: RevocationList | None = None) -> "ProofChecker":
-        """From the gateway's own files. Raises ConfigError where one cannot be read."""
+        """A checker with the gateway's own files. Raises ConfigError."""
         common_name = common_name_and_name(read_certificate(own_certificate))[0] if own_certificate is not None else ""
         kind, _, robot = common_name.partition(".")
         return cls(read_certificates(ca_file), robot if kind == "robot" else "", revoked)
 
     def clock_fault(self, now: dt.datetime) -> str | None:
-        """Why this robot's clock must be wrong; None: it may be right."""
+        """A sentence if this robot's clock must be wrong; None: it may be right."""
         if any(now >= ca.not_valid_before_utc for ca in self._cas) or not self._cas:
             return None
         first = min(ca.not_valid_before_utc for ca in self._cas)
         return (
-            f"this robot's clock is wrong: it says {_minute(now)} UTC, before its CA was made ({_minute(first)}); "
+            f"this robot's clock is wrong: it shows {_minute(now)} UTC, before its CA was made ({_minute(first)}); "
             "until it is set, no certificate can be checked"
         )
 
     def fault(self, proof: Proof, do: str, source: str, now: dt.datetime, purpose: Purpose = DRIVING) -> str | None:
-        """Why the proof does not show that `source` wants this; None: it does. The nonce is not looked at."""
+        """Why the proof does not show that `source` sent this request; None: it does. The nonce is not checked."""
         wrong_clock = self.clock_fault(now)
         if wrong_clock is not None:
             return wrong_clock
@@ -73,7 +73,7 @@ class ProofChecker:
             fault = self._certificate_fault(certificate, source, now, purpose.roles, own_names=purpose.own_names)
             if fault is None and not _signed(certificate, proof.signature, purpose.signed(do, source, proof.nonce)):
                 fault = "proof.signature is not made with the certificate's key, for this do, source and nonce"
-        except Exception:  # a stranger chose these bytes, and no exception of their parser may end the service
+        except Exception:  # untrusted bytes: no exception of their parser may end the service
             return "proof.certificate is no X.509 certificate in PEM form that can be read"
         return fault
 
@@ -95,7 +95,7 @@ class ProofChecker:
 
     def _holders_fault(self, certificate: x509.Certificate, common_name: str, roles: Sequence[str]) -> str | None:
         if self._revoked is not None and self._revoked.holds(common_name, certificate.serial_number):
-            return f"proof.certificate is revoked ({common_name}); whoever keeps the CA issues another"
+            return f"proof.certificate is revoked ({common_name}); get another from the person with the CA's key"
         found = pool.holder(common_name)
         if found.role not in roles or not found.is_for(self._robot):
             wanted = [f"{each}.{self._robot}" if self._robot else each for each in roles]
@@ -107,19 +107,19 @@ class ProofChecker:
 
 
 class CertificateHolder(NamedTuple):
-    """Whose certificate it is: two of the layout before the pool share a common name, and two of a person do not."""
+    """Both, since in the old layout people share a common name, and one person may have several certificates."""
 
     common_name: str
     person: str
 
     @property
     def role(self) -> str:
-        """Without the number, and without the robot of a fleet."""
+        """The role without number and robot."""
         return pool.holder(self.common_name).role
 
 
 def holder(proof: Proof) -> CertificateHolder:
-    """Of a proof in which `ProofChecker.fault` has found none."""
+    """The holder of the certificate in an accepted proof."""
     return CertificateHolder(*common_name_and_name(x509.load_pem_x509_certificates(proof.certificate.encode())[0]))
 
 

@@ -1,10 +1,9 @@
-"""The list of who is shut out: a certificate revocation list (X.509 CRL) that the CA signs, with a number that grows.
+"""The list of revoked certificates: an X.509 CRL, signed by the CA, with a number that grows.
 
-A CRL, since `openssl crl -in revoked.crl -text` shows it, and since Zenoh would read one, if it read any. It names
-certificates by serial number. Zenoh's rules go by common names, so each entry has its certificate's common name and
-its holder in an extension of our own, which other readers pass over.
+`openssl crl -in revoked.crl -text` shows it. A CRL identifies certificates by serial number, Zenoh's rules by common
+name, so each entry has its certificate's common name and holder in a private extension, which other readers ignore.
 
-Nothing here is judged by the clock: a list does not expire, and a robot that believes to be in 1970 takes it.
+No decision depends on the clock: a list does not expire, and a robot whose clock is in 1970 accepts it.
 """
 
 import datetime as dt
@@ -27,23 +26,23 @@ MAX_LIST_BYTES: Final = 1_000_000
 """Of a file: one entry takes some 125 bytes."""
 
 _HOLDER: Final = x509.ObjectIdentifier("2.25.304287190233465927514019364182720945113")
-"""`operator-07/alice` as UTF8String. An identifier made from a UUID (ITU-T X.667), which nobody has to grant."""
+"""`operator-07/alice` as UTF8String. The identifier is made from a UUID (ITU-T X.667), which needs no registration."""
 _UTF8_STRING: Final = 0x0C
 _HOLDER_TEXT: Final = re.compile(r"([A-Za-z0-9._-]{1,64})/([A-Za-z0-9_-]{0,63})")
 _SHORT: Final = 128  # DER lengths below this take one byte; common name and person take at most 64 + 1 + 63
 
 
 class ForeignListError(ConfigError):
-    """A list that none of the CAs has signed."""
+    """None of the CAs has signed the list."""
 
 
 @dataclass(frozen=True)
 class Revoked:
-    """One certificate that is shut out."""
+    """One revoked certificate."""
 
     common_name: str
     name: str
-    """Its person or laptop."""
+    """The person or laptop."""
     serial: int
     since: dt.datetime
 
@@ -60,16 +59,16 @@ class RevocationList:
 
     @property
     def common_names(self) -> frozenset[str]:
-        """Those that no rule may list any more."""
+        """The common names that no rule may list."""
         return frozenset(entry.common_name for entry in self.entries)
 
     def holds(self, common_name: str, serial: int) -> bool:
-        """Whether this certificate is shut out: by its common name, whatever its serial number, or by that."""
+        """Whether a certificate with this common name, or this serial number, is revoked."""
         return any(common_name == entry.common_name or serial == entry.serial for entry in self.entries)
 
 
 def sign(ca: KeyPair, number: int, entries: Iterable[Revoked], now: dt.datetime) -> RevocationList:
-    """The list of these certificates, signed by the CA."""
+    """Sign a list of these certificates."""
     kept = tuple(entries)
     builder = (
         x509.CertificateRevocationListBuilder()
@@ -92,7 +91,7 @@ def sign(ca: KeyPair, number: int, entries: Iterable[Revoked], now: dt.datetime)
 
 
 def parse(data: bytes, cas: Sequence[x509.Certificate]) -> RevocationList:
-    """The list in `data`, PEM, if one of these CAs has signed it. Raises ConfigError with one sentence."""
+    """Parse PEM `data`, signed by one of these CAs. Raises ConfigError with one sentence."""
     try:
         found = x509.load_pem_x509_crl(data)
         number = found.extensions.get_extension_for_class(x509.CRLNumber).value.crl_number
@@ -106,7 +105,7 @@ def parse(data: bytes, cas: Sequence[x509.Certificate]) -> RevocationList:
 
 
 def read(path: Path, cas: Sequence[x509.Certificate]) -> RevocationList | None:
-    """The list that is kept there; None: there is none. Raises ConfigError, naming the file."""
+    """Read the list at `path`; None: there is no file. Raises ConfigError, naming the file."""
     try:
         if not path.exists():
             return None

@@ -1,8 +1,7 @@
-"""The Zenoh files that go with the certificates: gateway.json5 for the robot, NAME.json5 for a laptop.
+"""The Zenoh files for the certificates: gateway.json5 for the robot, NAME.json5 for a laptop.
 
-Paths in them are relative to the file's own folder (gateway/zenoh_config.py), so the folder can be made on a
-laptop, copied to a robot, zipped and unzipped elsewhere. Every rule below has a test with real sessions
-(tests/zenoh/test_certs_zenoh.py).
+Their paths are relative to the file's own folder (gateway/zenoh_config.py), so the folder can be copied and unzipped
+anywhere. Every rule has a test with real sessions (tests/zenoh/test_certs_zenoh.py).
 """
 
 import ipaddress
@@ -17,8 +16,8 @@ DEFAULT_PORT = 7447
 _GATEWAY = """\
 // The gateway's Zenoh configuration, made by `hexapod-gateway certs init` for @HOSTS@.
 // In gateway.toml:  [zenoh]  config = "/etc/hexapod-gateway/zenoh/gateway.json5"
-// The robot needs this file, ca.pem, gateway.pem and gateway.key. Keep ca.key off the robot: whoever has it can let
-// anyone in. Paths are relative to this file's folder.
+// The robot needs this file, ca.pem, gateway.pem and gateway.key. Keep ca.key off the robot: with it,
+// anyone can be let in. Paths are relative to this file's folder.
 {
   mode: "peer",@NAMESPACE@
   // All addresses, IPv4 and IPv6. On a kernel without IPv6: tls/0.0.0.0:@PORT@
@@ -36,7 +35,7 @@ _GATEWAY = """\
       protocols: ["tls"],
       // A link that is silent for this long (ms) is dead, and what waited on it is dropped with it.
       tx: { lease: 1000 },
-      // No message is assembled from fragments to more than this many bytes, whoever sends it.
+      // Limit in bytes of a message that is assembled from fragments.
       rx: { max_message_size: @MAX_MESSAGE_SIZE@ },
       tls: {
         root_ca_certificate: "ca.pem",
@@ -113,12 +112,12 @@ _LAPTOP = """\
 """
 
 _COMMANDS = {OPERATOR: ("walk", "estop"), OBSERVER: (), BUTTON: ("button", "estop")}
-"""What a bundle's README suggests besides `watch`."""
+"""Commands in a bundle's README, besides `watch`."""
 
 _README = """\
 The files of @NAME@, @ROLE@ of the hexapod at @HOSTS@. Valid until @EXPIRY@.
 
-Unzip them anywhere, together, and keep @NAME@.key to yourself: whoever has it is @NAME@.
+Unzip them anywhere, together, and keep @NAME@.key secret: it proves to be @NAME@.
 
   hexapod-gateway watch --zenoh-config path/to/@FILE@@COMMANDS@
 @OTHERS@
@@ -135,7 +134,7 @@ Other Zenoh programs read the paths in @FILE@ from the folder they are started i
 def gateway_json5(hosts: Sequence[str], port: int, namespace: str = "", size: int = pool.SIZE) -> bytes:
     """The robot's Zenoh configuration: mTLS on all addresses, access control by role, size limit, no scouting.
 
-    `size`: of the pool of common names that each role has.
+    `size`: of each role's pool of common names.
     """
     return fill(
         _GATEWAY,
@@ -151,16 +150,16 @@ def gateway_json5(hosts: Sequence[str], port: int, namespace: str = "", size: in
 
 
 def command_for_new_rules(file: str, port: int, namespace: str = "", program: str = "hexapod-gateway") -> str:
-    """For a shell: makes a gateway.json5 anew, with this release's rules; certificates and keys stay what they are."""
+    """A shell command that rewrites gateway.json5 with this release's rules; certificates and keys stay."""
     named = f" --namespace {namespace}" if namespace else ""
     made = f"d=$(mktemp -d) && {program} certs init --dir $d --host $(hostname) --port {port}{named}"
     return f"{made} && sudo cp $d/gateway.json5 {file} && rm -r $d"
 
 
 def laptop_json5(name: str, role: str, hosts: Sequence[str], port: int, namespace: str = "", file: str = "") -> bytes:
-    """A laptop's Zenoh configuration: one endpoint for each host; `namespace` is its robot's, if that has one.
+    """A laptop's Zenoh configuration, with an endpoint for each host and its robot's `namespace`.
 
-    `file`: what it is called, if not NAME.json5.
+    `file`: its name, if not NAME.json5.
     """
     endpoints = json.dumps([endpoint(host, port) for host in hosts])
     file = file or f"{name}.json5"
@@ -176,7 +175,7 @@ def _namespace(namespace: str) -> str:
 
 
 def laptop_readme(name: str, role: str, hosts: Sequence[str], expiry: str, files: Sequence[str]) -> bytes:
-    """What a bundle says to the person who unzips it. `files`: a Zenoh configuration for each robot."""
+    """A bundle's README. `files`: a Zenoh configuration for each robot."""
     file = files[0]
     commands = "".join(f"\n  hexapod-gateway {each} --zenoh-config path/to/{file}" for each in _COMMANDS[role])
     others = f"\nEach robot has a file of its own: {', '.join(files)}.\n" if len(files) > 1 else ""
@@ -193,7 +192,7 @@ def laptop_readme(name: str, role: str, hosts: Sequence[str], expiry: str, files
 
 
 def endpoint(host: str, port: int) -> str:
-    """Zenoh's locator, an IPv6 address in brackets."""
+    """Zenoh's endpoint, with brackets for an IPv6 address."""
     try:
         bracketed = f"[{host}]" if ipaddress.ip_address(host).version == 6 else host
     except ValueError:
@@ -202,7 +201,7 @@ def endpoint(host: str, port: int) -> str:
 
 
 def fill(template: str, **values: str) -> bytes:
-    """The file, with each @NAME@ replaced by its value, and the limits that all files share."""
+    """The template with each @NAME@ replaced by its value, and the limits of all files filled in."""
     limits = {"SIZE_LIMIT": str(SIZE_LIMIT), "MAX_MESSAGE_SIZE": str(MAX_MESSAGE_SIZE)}
     limits |= {"MAX_SESSIONS": str(MAX_SESSIONS), "ACCEPT_TIMEOUT_MS": str(ACCEPT_TIMEOUT_MS)}
     for key, value in (values | limits).items():

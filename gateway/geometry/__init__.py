@@ -1,6 +1,6 @@
-"""The shape of a robot: where its joints are, which servo angle is which joint angle, and a URDF of it all.
+"""The shape of a robot: its joints, the relation of servo and joint angles, and a URDF.
 
-One file has the numbers (elkapod.json is the default); the console, recordings and examples read it here.
+The numbers come from one file (default: elkapod.json), for the console, recordings and examples.
 """
 
 from gateway.geometry.kinematics import Transform, foot_m, joint_name, transforms

@@ -1,4 +1,4 @@
-"""Forward kinematics: where each part of each leg is, for given joint angles. Pure.
+"""Forward kinematics: the pose of each part of each leg for given joint angles. Pure.
 
 Frames are named `base`, and for each leg `leg_1_coxa`, `leg_1_femur`, `leg_1_tibia` and `leg_1_foot`; the URDF's links
 have the same names. A frame's x points along its part.
@@ -13,7 +13,7 @@ from schemas.robot import JOINTS, LEGS
 
 BASE: Final = "base"
 LINKS: Final = ("coxa", "femur", "tibia")
-"""What the joints 1, 2 and 3 of a leg move."""
+"""Moved by joints 1, 2 and 3 of a leg."""
 
 Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
@@ -21,7 +21,7 @@ Quaternion = tuple[float, float, float, float]
 
 
 class Transform(NamedTuple):
-    """Where a frame is in its parent's, in metres and as a unit quaternion (x, y, z, w)."""
+    """A frame's pose in its parent's frame: metres, and a unit quaternion (x, y, z, w)."""
 
     parent: str
     child: str
@@ -40,7 +40,7 @@ def link_name(leg: int, link: str) -> str:
 
 
 def transforms(geometry: Geometry, joints_rad: Mapping[int, float]) -> Iterator[Transform]:
-    """Each frame in its parent's, from the body outward; a joint that is not in `joints_rad` stands at 0."""
+    """Each frame in its parent's, from the body outward; a joint missing in `joints_rad` is at 0."""
     for leg in LEGS:
         mount = geometry.leg_mounts[leg]
         at_m, turned = mount.xyz_m, from_rpy((0.0, 0.0, mount.yaw_rad))
@@ -56,7 +56,7 @@ def transforms(geometry: Geometry, joints_rad: Mapping[int, float]) -> Iterator[
 
 
 def foot_m(geometry: Geometry, leg: int, joints_rad: Mapping[int, float]) -> Vector:
-    """Where a leg's foot is, in the body's frame."""
+    """The position of a leg's foot in the body's frame."""
     at_m, turned = _ORIGIN, _UNTURNED
     for step in transforms(geometry, joints_rad):
         if step.child.startswith(f"leg_{leg}_"):
@@ -72,12 +72,11 @@ _UNTURNED: Final[Quaternion] = (0.0, 0.0, 0.0, 1.0)
 
 
 def plus(first: Vector, second: Vector) -> Vector:
-    """The sum of two vectors."""
     return first[0] + second[0], first[1] + second[1], first[2] + second[2]
 
 
 def times(first: Quaternion, second: Quaternion) -> Quaternion:
-    """The rotation that is `second` in the frame that `first` has turned."""
+    """The product of two rotations: `second` in the frame rotated by `first`."""
     x1, y1, z1, w1 = first
     x2, y2, z2, w2 = second
     return (
@@ -89,19 +88,19 @@ def times(first: Quaternion, second: Quaternion) -> Quaternion:
 
 
 def rotated(rotation: Quaternion, vector: Vector) -> Vector:
-    """Apply a rotation matrix to `vector`."""
+    """`vector`, rotated."""
     x, y, z, w = rotation
     turned = times(times(rotation, (*vector, 0.0)), (-x, -y, -z, w))
     return turned[:3]
 
 
 def about(axis: Vector, angle_rad: float) -> Quaternion:
-    """The rotation by an angle about an axis of length 1."""
+    """The rotation about a unit axis."""
     sine = math.sin(angle_rad / 2)
     return axis[0] * sine, axis[1] * sine, axis[2] * sine, math.cos(angle_rad / 2)
 
 
 def from_rpy(rpy_rad: Vector) -> Quaternion:
-    """Roll, pitch and yaw as in a URDF: about the parent's x, then its y, then its z."""
+    """Roll, pitch and yaw as in a URDF: about the parent's x, then y, then z."""
     roll, pitch, yaw = rpy_rad
     return times(times(about((0, 0, 1), yaw), about((0, 1, 0), pitch)), about((1, 0, 0), roll))

@@ -1,4 +1,4 @@
-"""What a robot of this geometry weighs: assumptions, for its balance and for simulations. Pure.
+"""Assumed masses of a robot of this geometry, for its balance and for simulations. Pure.
 
 Nobody has weighed the Elkapod. A hobby servo with its horn and screws has about 60 g; a leg carries three, of which the
 first is in the body. The rest are plates, a computer and a battery.
@@ -13,7 +13,7 @@ from typing import Final, NamedTuple
 
 
 class Masses(NamedTuple):
-    """Kilograms; each part's mass is spread evenly over its box in the URDF."""
+    """Each part's mass is spread evenly over its box in the URDF."""
 
     body_kg: float = 1.30
     coxa_kg: float = 0.09
@@ -22,7 +22,7 @@ class Masses(NamedTuple):
 
     @property
     def links_kg(self) -> tuple[float, float, float]:
-        """Of a leg's links, from the body outward."""
+        """The links of one leg, from the body outward."""
         return self.coxa_kg, self.femur_kg, self.tibia_kg
 
     @property

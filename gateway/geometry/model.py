@@ -1,4 +1,4 @@
-"""A geometry file, checked: mounts and joints in metres and radians, servos in degrees."""
+"""A validated geometry file: mounts and joints in metres and radians, servos in degrees."""
 
 import json
 import math
@@ -11,16 +11,16 @@ from gateway.errors import ConfigError
 from schemas.robot import LEGS, SERVO_IDS
 
 ELKAPOD: Final = Path(__file__).with_name("elkapod.json")
-"""The robot that is taken where no other file is named."""
+"""The default robot."""
 
 MAX_FILE_BYTES: Final = 1_000_000
-"""The robot's own file has 4000. A recording that was named by mistake is not read whole."""
+"""The default file has 4000. A recording given by mistake is not read whole."""
 
 MAX_SPEED_DEG_S: Final = 300.0
-"""Of a servo whose settings name no speed: an MG996R without load does 353."""
+"""Of a servo without a speed in the settings; an MG996R without load reaches 353."""
 
 MAX_M: Final = 100.0
-"""Longer than any robot: such a number is in other units."""
+"""Longer than any robot: a larger number is in other units."""
 
 Metres = Annotated[float, Field(ge=-MAX_M, le=MAX_M, allow_inf_nan=False)]
 Radians = Annotated[float, Field(ge=-2 * math.pi, le=2 * math.pi, allow_inf_nan=False)]
@@ -28,20 +28,20 @@ Vector = tuple[Metres, Metres, Metres]
 
 
 class Part(BaseModel):
-    """Frozen; other fields of the file, such as remarks, are ignored."""
+    """Frozen; unknown fields of the file, such as remarks, are ignored."""
 
     model_config = ConfigDict(frozen=True, extra="ignore")
 
 
 class Mount(Part):
-    """Where a leg begins, in the body's frame: x forward, y left, z up. The leg's own x points outward."""
+    """Origin of a leg in the body's frame: x forward, y left, z up. The leg's own x points outward."""
 
     xyz_m: Vector
     yaw_rad: Radians
 
 
 class Joint(Part):
-    """A joint in the frame of the joint before it (the first: of the mount)."""
+    """A joint in the previous joint's frame (the first: in the mount's)."""
 
     origin_xyz_m: Vector
     origin_rpy_rad: tuple[Radians, Radians, Radians]
@@ -58,23 +58,23 @@ class Joint(Part):
 
 
 class Foot(Part):
-    """Where a leg touches the ground, in the frame of its third joint."""
+    """The point that touches the ground, in the frame of the third joint."""
 
     origin_xyz_m: Vector
 
 
 class JointServo(Part):
-    """How a servo's angle follows from its joint's: `zero_deg` where the joint's angle is 0, and which way it turns."""
+    """Relation of a servo's angle to its joint's: `zero_deg` at joint angle 0, and the direction."""
 
     zero_deg: Annotated[float, Field(ge=-360, le=360, allow_inf_nan=False)]
     direction: Literal[1, -1]
 
     def joint_rad(self, servo_deg: float) -> float:
-        """The joint's angle, where the servo stands at `servo_deg`."""
+        """The joint's angle with the servo at `servo_deg`."""
         return math.radians(servo_deg - self.zero_deg) * self.direction
 
     def servo_deg(self, joint_rad: float) -> float:
-        """Degrees of the servo, where the joint's angle is `joint_rad`; 0 to 180 only where the servo reaches it."""
+        """The servo's angle for the joint at `joint_rad`; outside 0 to 180 the servo cannot reach it."""
         return self.zero_deg + self.direction * math.degrees(joint_rad)
 
 
@@ -111,16 +111,16 @@ class Geometry(Part):
 
     @property
     def foot(self) -> Foot:
-        """The end of each leg."""
+        """The foot, the same for each leg."""
         return self.chain[3]
 
     def joint_rad(self, servo_id: int, servo_deg: float) -> float:
-        """The angle of a servo's joint in radians, where the servo stands at `servo_deg`."""
+        """The angle of a servo's joint with the servo at `servo_deg`."""
         return self.servos[servo_id].joint_rad(servo_deg)
 
 
 def load(path: Path | None = None) -> Geometry:
-    """The geometry in `path`; without one, the Elkapod's. Raises ConfigError with a line for each fault."""
+    """The geometry in `path` (default: ELKAPOD). Raises ConfigError with a line for each fault."""
     found = path or ELKAPOD
     try:
         with found.open("rb") as file:

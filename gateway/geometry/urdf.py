@@ -1,4 +1,4 @@
-"""The robot as a URDF: links and joints of the geometry, as boxes and spheres that have the masses of masses.py."""
+"""The robot as a URDF: links and joints as boxes and spheres with the masses of masses.py."""
 
 import math
 from typing import Final
@@ -12,10 +12,10 @@ from schemas.robot import JOINTS, LEGS
 _LIMB_M: Final = 0.025
 _FOOT_M: Final = 0.012
 _TIP_M: Final = 0.005
-"""What touches the ground is less than what is drawn; a foot as round as that would roll 4 mm further each step."""
+"""Radius for collisions, smaller than the drawn one, with which the foot would roll 4 mm further each step."""
 BODY_HEIGHT_M: Final = 0.05
 _EFFORT_NM: Final = 1.0
-"""A URDF demands one; nothing here reads it."""
+"""Required by URDF, not used here."""
 _COLOURS: Final = {
     "body": "0.25 0.27 0.30 1",
     "coxa": "0.55 0.57 0.60 1",
@@ -26,7 +26,7 @@ _COLOURS: Final = {
 
 
 def urdf(geometry: Geometry) -> str:
-    """The text of the URDF. Its joints are named as in joint states, its links as the frames of `transforms`."""
+    """The URDF as text. Joints are named as in joint states, links as the frames of `transforms`."""
     robot = Xml.Element("robot", name=geometry.name)
     for name, rgba in _COLOURS.items():
         Xml.SubElement(Xml.SubElement(robot, "material", name=name), "color", rgba=rgba)
@@ -67,7 +67,7 @@ def _leg(robot: Xml.Element, geometry: Geometry, leg: int) -> None:
 
 
 def _limb(link: Xml.Element, material: str, end_m: Vector, mass_kg: float) -> None:
-    """A box from a frame's origin to the next joint, or to the foot."""
+    """Add a box from the frame's origin to the next joint, or the foot."""
     length_m = math.hypot(*end_m)
     rpy_rad = 0.0, -math.atan2(end_m[2], math.hypot(end_m[0], end_m[1])), math.atan2(end_m[1], end_m[0])
     middle_m = end_m[0] / 2, end_m[1] / 2, end_m[2] / 2
@@ -75,7 +75,7 @@ def _limb(link: Xml.Element, material: str, end_m: Vector, mass_kg: float) -> No
 
 
 def _box(link: Xml.Element, material: str, size_m: Vector, middle_m: Vector, rpy_rad: Vector, mass_kg: float) -> None:
-    """Drawn, solid, and of even weight."""
+    """Add a box to draw, for collisions, and of homogeneous mass."""
     for kind in ("visual", "collision"):
         Xml.SubElement(_shape(link, kind, material, middle_m, rpy_rad), "box", size=_numbers(*size_m))
     inertial = Xml.SubElement(link, "inertial")

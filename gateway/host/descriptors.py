@@ -1,8 +1,7 @@
-"""File descriptors: enough for all clients, and some that are kept for the SPI device.
+"""File descriptors: enough for all clients, and a reserve for the SPI device.
 
-Each link takes one. So does each connection that is opened on the TLS port and left silent, for at least 10 s, and
-Zenoh does not limit those. Without a free descriptor, a device that failed could not be opened again, and no Stop would
-reach the robot.
+Each link takes one, and so does each silent connection to the TLS port, for at least 10 s, of which Zenoh limits
+neither. Without a free descriptor, a failed SPI device could not be reopened, and no Stop would reach the robot.
 """
 
 import errno
@@ -16,18 +15,18 @@ from gateway.errors import ConfigError
 from gateway.limits import ACCEPT_PENDING, MAX_SESSIONS
 
 OWN: Final = 48
-"""What the service itself takes: 22 with TLS, metrics and a real device, and room for files open for a moment."""
+"""Of the service itself: 22 with TLS, metrics and a real device, and room for files opened briefly."""
 NEEDED: Final = OWN + MAX_SESSIONS + ACCEPT_PENDING
 SPARES_PER_OPENING: Final = 2
-"""How many are closed for one try to open the device: a real one takes one, an emulated one (umockdev) two."""
+"""Closed for each attempt to open the device: a real one needs one, an emulated one (umockdev) two."""
 SPARES: Final = 3 * SPARES_PER_OPENING
-"""Enough for three tries: Zenoh may take descriptors between their closing and the opening of the device."""
+"""Enough for three attempts: Zenoh may take the released descriptors before the device is opened."""
 
 
 def ensure(needed: int = NEEDED, program: str = "the gateway") -> None:
-    """Raise the soft limit as far as needed. Raises ConfigError where the hard limit is too low.
+    """Raise the soft limit by as much as needed. Raises ConfigError if the hard limit is too low.
 
-    With too few, Zenoh would open, but accept no clients, or no more of them.
+    With too few, Zenoh would open, but reject clients.
     """
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     wanted = _taken() + needed
@@ -45,31 +44,31 @@ def ensure(needed: int = NEEDED, program: str = "the gateway") -> None:
 def _taken() -> int:
     try:
         return len(list(Path("/proc/self/fd").iterdir()))
-    except OSError:  # no /proc, or not even one descriptor left to look
+    except OSError:  # no /proc, or no descriptor left to list it
         return 0
 
 
 class Spare:
-    """Descriptors that are kept open, and closed for the SPI device when no other is left."""
+    """A reserve of open descriptors, released for the SPI device when no other is left."""
 
     def __init__(self) -> None:
         self._kept: list[int] = []
         self.fill()
 
     def give_up(self) -> bool:
-        """Close some for the file that is opened next; False if none were left."""
+        """Close SPARES_PER_OPENING for the file opened next; False if none were left."""
         given_up, self._kept = self._kept[:SPARES_PER_OPENING], self._kept[SPARES_PER_OPENING:]
         for number in given_up:
             os.close(number)
         return bool(given_up)
 
     def fill(self) -> None:
-        """Open those that are missing, as far as possible. Call it as soon as a device is opened or closed."""
+        """Refill the reserve as far as possible. Call it after a device was opened or closed."""
         with suppress(OSError):
             while len(self._kept) < SPARES:
                 self._kept.append(os.open(os.devnull, os.O_RDONLY | os.O_CLOEXEC))
 
 
 def ran_out(error: BaseException) -> bool:
-    """Whether something could not be opened because no descriptor was left."""
+    """Whether opening failed because the process has no descriptor left."""
     return isinstance(error, OSError) and error.errno == errno.EMFILE

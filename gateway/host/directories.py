@@ -1,17 +1,17 @@
-"""The service's directories, as systemd makes and names them. Imports little: `stop-servos` needs it, too."""
+"""The service's directories, which systemd creates. Imports little, since `stop-servos` uses it."""
 
 import os
 from pathlib import Path
 from typing import Final
 
 SERVICE_STATE: Final = Path("/var/lib/hexapod-gateway")
-"""The service's state directory (deploy/systemd), for commands that systemd did not start."""
+"""The service's state directory (deploy/systemd), as a command finds it that systemd did not start."""
 SERVICE_RUNTIME: Final = Path("/run/hexapod-gateway")
-"""The same for its runtime directory."""
+"""The service's runtime directory, likewise."""
 
 
 def state_directory() -> Path | None:
-    """The folder that systemd has made for what this process keeps; None: systemd did not start it, or made none."""
+    """The state directory that systemd made for this process; None: systemd did not start it, or made none."""
     return _named("STATE_DIRECTORY")
 
 
@@ -21,7 +21,7 @@ def state_to_read() -> Path | None:
 
 
 def runtime_directory() -> Path | None:
-    """The same for what a reboot ends: it is in memory."""
+    """The runtime directory, likewise; it is in memory, and a reboot empties it."""
     return _named("RUNTIME_DIRECTORY")
 
 

@@ -1,11 +1,11 @@
-"""Fewer lines where a person reads them, in the journal. Pure: log records, and times in seconds of a monotonic clock.
+"""Fewer log lines for people who read the journal. Pure: records, and times in seconds of a monotonic clock.
 
 * Repeats are counted: of warnings and rejected commands that differ only in numbers, the first in `REPEATS_WINDOW_S`
   is written at once, and the others as one line at its end. Other records, such as an emergency stop, are never
   delayed by this.
-* One stop is one line: where all legs fall silent, each has its own event within some milliseconds. What is logged in
-  the `GATHER_S` after the first waits with it, so that the order stays. A kill in this time loses these lines; the
-  black box has the events.
+* One stop is one line: when all legs fall silent, each has its own event within milliseconds. Records of the
+  `GATHER_S` after the first are held back with it, in order. A kill in this time loses these lines; the black box has
+  the events.
 """
 
 import copy
@@ -18,13 +18,13 @@ from typing import Final
 from schemas.telemetry import Kind
 
 REPEATS_WINDOW_S: Final = 10.0
-"""A client that sends on a wrong key again and again causes ten events a second."""
+"""A client that keeps sending on a wrong key causes ten events a second."""
 GATHER_S: Final = 0.1
-"""Six legs that a client commands one after the other, 50 times a second, fall silent within 20 ms."""
+"""Six legs commanded in turn, 50 times a second, fall silent within 20 ms."""
 MOST_KINDS: Final = 64
-"""Kinds of repeats that are counted at a time; others are written one by one."""
+"""Kinds of repeats counted at a time; further ones are written one by one."""
 MOST_HELD: Final = 100
-"""Lines that wait for the end of a stop."""
+"""Lines held back until a stop is complete."""
 
 
 @dataclass
@@ -35,17 +35,17 @@ class _Repeats:
 
 
 class Condenser:
-    """Takes records as they come, and gives those that are to be written."""
+    """Takes each record when it is logged, and returns those to write."""
 
     def __init__(self) -> None:
         self._repeats: dict[Hashable, _Repeats] = {}
         self._held: list[logging.LogRecord] = []
         self._legs: list[int] = []
-        """Of the stop that is the first of those that are held, besides its own."""
+        """Further legs of the stop that the first held record reports."""
         self._gathered_s = 0.0
 
     def take(self, record: logging.LogRecord, now_s: float) -> list[logging.LogRecord]:
-        """What is to be written now, in this order."""
+        """The records to write now, in order."""
         found = self.due(now_s)
         if self._is_repeated(record, now_s):
             return found
@@ -62,7 +62,7 @@ class Condenser:
         return found
 
     def due(self, now_s: float) -> list[logging.LogRecord]:
-        """What is to be written without another record: a stop that is complete, and counted repeats."""
+        """The records due by time alone: a complete stop, and counted repeats."""
         found = self._gathered() if self._held and now_s >= self._gathered_s else []
         for kind, repeats in list(self._repeats.items()):
             if now_s >= repeats.ends_s:
@@ -74,12 +74,12 @@ class Condenser:
         return found
 
     def due_at_s(self) -> float | None:
-        """When to look again; None: not before the next record."""
+        """When to call `due` next; None: not before the next record."""
         times = [repeats.ends_s for repeats in self._repeats.values()]
         return min([*times, self._gathered_s] if self._held else times, default=None)
 
     def rest(self) -> list[logging.LogRecord]:
-        """What has not been written yet, for the end."""
+        """All unwritten records, for the end of the process."""
         return [*self._gathered(), *(_counted(repeats) for repeats in self._repeats.values() if repeats.more)]
 
     def _is_repeated(self, record: logging.LogRecord, now_s: float) -> bool:

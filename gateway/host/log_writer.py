@@ -1,7 +1,7 @@
-"""Writes to stdout or stderr from a thread of its own, so that nobody else waits.
+"""Writes to stdout or stderr from a background thread.
 
-Whatever reads stdout or stderr may stop reading: a full pipe, a paused terminal, a stuck journal. Then the writer
-blocks, and on the loop every Stop would wait with it.
+The reader of stdout or stderr may stop reading: a full pipe, a paused terminal, a stuck journal. Then a write blocks;
+on the loop it would delay every Stop.
 """
 
 import io
@@ -18,13 +18,13 @@ from gateway.host.log_condenser import Condenser
 from gateway.host.worker import Worker
 
 MAX_LINES_WAITING: Final = 1000
-"""Most lines that wait, some 1 MB. Beyond that, lines are dropped until half of these are written."""
+"""Some 1 MB. Above it, lines are dropped until half of the queue is written."""
 
 
 class LogWriter:
     """One descriptor, and the thread that writes to it.
 
-    `put` never waits. When several threads put lines at the same moment, a few more than `MAX_LINES_WAITING` may wait.
+    `put` never blocks. With concurrent callers the queue may exceed `MAX_LINES_WAITING` by a few lines.
     """
 
     def __init__(
@@ -35,16 +35,15 @@ class LogWriter:
     ) -> None:
         self.descriptor = descriptor
         self.dropped = 0
-        """Lines that were not written: nobody read what came before them, or writing failed."""
+        """Lines that were not written: the queue was full, or writing failed."""
         self._render = render
-        self._told = 0
-        """Of these, as it has been written."""
+        self._dropped_logged = 0
         self._full = False
         self._condenser = condenser
         self._worker = Worker(f"log_writer-{descriptor}", look=self._look)
 
     def put(self, item: logging.LogRecord | str) -> None:
-        """Queue this to be written: a record as one line, a text as it is."""
+        """Queue a record, written as one line, or a text, written unchanged."""
         waiting = self._worker.waiting
         if waiting >= MAX_LINES_WAITING or (self._full and waiting > MAX_LINES_WAITING // 2):
             self._full = True
@@ -54,7 +53,7 @@ class LogWriter:
         self._worker.do(partial(self._write, item))
 
     def close(self, timeout_s: float) -> None:
-        """Write the lines that wait, for at most this long."""
+        """Write the queued lines and end the thread; gives up after `timeout_s`."""
         self._worker.do(self._write_rest)
         self._worker.close(timeout_s)
 
@@ -79,30 +78,30 @@ class LogWriter:
         )
         written = all([*map(self._write_item, items)])
         dropped = self.dropped
-        if written and dropped != self._told and self._worker.waiting <= MAX_LINES_WAITING // 2:
-            self._write_item(_left_out(dropped - self._told))
-            self._told = dropped
+        if written and dropped != self._dropped_logged and self._worker.waiting <= MAX_LINES_WAITING // 2:
+            self._write_item(_left_out(dropped - self._dropped_logged))
+            self._dropped_logged = dropped
 
     def _write_item(self, item: logging.LogRecord | str) -> bool:
         try:
             text = item if isinstance(item, str) else f"{self._render(item)}\n"
             self._write_bytes(text.encode(errors="backslashreplace"))
-        except Exception:  # a full disk, a reader that ended, a line that cannot be rendered: go on with the next
+        except Exception:  # a full disk, a reader that ended, a line that cannot be rendered: continue with the next
             self.dropped += 1
             return False
         return True
 
     def _write_bytes(self, data: bytes) -> None:
-        # Not through Python's buffers: if a blocked thread held their lock, the interpreter would abort at its end.
+        # Unbuffered: if a blocked thread held a buffer's lock, the interpreter would abort at its end.
         while data:
             try:
                 data = data[os.write(self.descriptor, data) :]
-            except BlockingIOError:  # somebody who shares the terminal has made it non-blocking
+            except BlockingIOError:  # another program has made the shared terminal non-blocking
                 select.select([], [self.descriptor], [])
 
 
 def _left_out(lines: int) -> logging.LogRecord:
-    detail = f"{lines} lines were left out here, since nobody read them in time"
+    detail = f"{lines} lines were dropped here, since they were not read in time"
     return logging.LogRecord(__name__, logging.WARNING, __file__, 0, detail, None, None)
 
 

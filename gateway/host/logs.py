@@ -1,7 +1,7 @@
-"""How the service logs: readable on a terminal and in the journal, JSON lines else; and no Stop waits for it.
+"""The service's logging: text on a terminal and in the journal, else JSON lines. Callers never block.
 
-By the standard library: structlog loads rich, and the service's modules took 470 ms of processor time to load. Without
-them it is 290, and a service that starts anew writes its Stops so much earlier.
+By the standard library: structlog loads rich, and with them the service's modules took 470 ms of processor time to
+load, without them 290. A service that starts anew writes its first Stops that much earlier.
 """
 
 import atexit
@@ -23,15 +23,15 @@ from gateway.host.log_writer import LogStream, LogWriter
 from gateway.text import visible, visible_json
 
 FLUSH_S: Final = 0.3
-"""How long the end waits for unwritten lines: what the Stops leave of its second (docs/interface.md, Behaviour 7)."""
+"""How long the end waits for unwritten lines, of the second that it may take (docs/interface.md, Behaviour 7)."""
 
 _log_writers: list[LogWriter] = []
 
 
 def set_up(level: str, layout: str) -> None:
-    """Write to stderr what `logging` gets, from this level on, as auto, console or json (as the settings `log` say).
+    """Log to stderr from this level on; the format is auto, console or json, as in the settings `log`.
 
-    From now on two threads of this module write to stdout and stderr; nobody else waits for these.
+    From now on two background threads write to stdout and stderr.
     """
     journal = _is_journal(2)
     render = _formatter(layout, os.isatty(2), journal).format
@@ -46,13 +46,13 @@ def set_up(level: str, layout: str) -> None:
 
 
 def _is_journal(descriptor: int) -> bool:
-    """Whether systemd has connected it to the journal, by its own word (systemd.exec(5), JOURNAL_STREAM)."""
+    """Whether the descriptor is the journal, by JOURNAL_STREAM (systemd.exec(5))."""
     found = os.fstat(descriptor)
     return os.environ.get("JOURNAL_STREAM") == f"{found.st_dev}:{found.st_ino}"
 
 
 def _with_priority(render: Callable[[logging.LogRecord], str]) -> Callable[[logging.LogRecord], str]:
-    """Begin each line with its syslog priority, so that `journalctl -p warning` finds it; the journal takes it off."""
+    """Prefix each line with its syslog priority, for `journalctl -p warning`; the journal removes it."""
 
     def rendered(record: logging.LogRecord) -> str:
         levels = ((logging.CRITICAL, 2), (logging.ERROR, 3), (logging.WARNING, 4), (logging.INFO, 6))
@@ -63,7 +63,7 @@ def _with_priority(render: Callable[[logging.LogRecord], str]) -> Callable[[logg
 
 
 def close(timeout_s: float = FLUSH_S) -> None:
-    """Write the lines that wait, for at most this long."""
+    """Write the queued lines; gives up after `timeout_s`."""
     end = time.monotonic() + timeout_s
     for log_writer in reversed(_log_writers):
         log_writer.close(max(0.0, end - time.monotonic()))
@@ -71,15 +71,15 @@ def close(timeout_s: float = FLUSH_S) -> None:
 
 
 def dropped() -> int:
-    """How many lines were not written, because nobody read what came before them."""
+    """Lines that were not written, because stdout or stderr was not read in time."""
     return sum(log_writer.dropped for log_writer in _log_writers)
 
 
 def keep_stacks() -> None:
-    """Under systemd: after a crash or a hang, the stacks of all threads are in a file in the service's folder.
+    """Under systemd, write the stacks of all threads to a file after a crash or a hang.
 
-    Not on stderr: the handler writes from within the signal. With a stuck stderr the process would not die, and
-    `stop-servos` would not run. The folder is in memory, so writing never blocks. The unit logs the file afterwards.
+    Not to stderr: the signal handler writes directly, and with a stuck stderr the process would not die, and
+    `stop-servos` would not run. The file is in memory, so writing never blocks. The unit logs it afterwards.
     """
     folder = runtime_directory()
     if folder is not None:
@@ -92,10 +92,10 @@ def keep_stacks() -> None:
 
 
 class _Handler(logging.Handler):
-    """Puts records into the log_writer's queue.
+    """Puts records into the LogWriter's queue.
 
-    `logging.handlers.QueueHandler` would render exceptions here, which reads files. It would also take a lock, which
-    another thread may hold while it waits for a processor.
+    `logging.handlers.QueueHandler` would render exceptions here, which reads files, and take a lock, which a
+    descheduled thread may hold.
     """
 
     def __init__(self, log_writer: LogWriter) -> None:
@@ -103,7 +103,7 @@ class _Handler(logging.Handler):
         self._log_writer = log_writer
 
     def handle(self, record: logging.LogRecord) -> bool:
-        """Format the message now: its arguments may change later."""
+        """Formats the message at once, since its arguments may change later."""
         try:
             record.msg, record.args = record.getMessage(), None
         except Exception:
@@ -122,7 +122,7 @@ def _formatter(layout: str, terminal: bool, journal: bool) -> logging.Formatter:
 
 
 class _JsonLines(logging.Formatter):
-    """One line for each record, of which every character can be printed."""
+    """One JSON line per record, of printable characters only."""
 
     def format(self, record: logging.LogRecord) -> str:
         line: dict[str, object] = {
@@ -138,7 +138,7 @@ class _JsonLines(logging.Formatter):
 
 
 class _LinesForPeople(logging.Formatter):
-    """A sender's text must neither control the terminal nor look like lines of the log."""
+    """Text for a terminal. Escaped, so that a sender's text can neither control the terminal nor fake log lines."""
 
     def __init__(self, *, colours: bool) -> None:
         super().__init__()
@@ -162,7 +162,7 @@ class _LinesForPeople(logging.Formatter):
 
 
 class _LinesForJournal(_LinesForPeople):
-    """The message first; the journal itself has the time and the priority."""
+    """The message first; the journal adds time and priority."""
 
     def _head(self, record: logging.LogRecord) -> list[str]:
         return [visible(record.getMessage())]
@@ -171,23 +171,23 @@ class _LinesForJournal(_LinesForPeople):
 _BOLD, _DIM, _RED, _BLUE, _CYAN, _MAGENTA = "1", "2", "31;1", "34;1", "36", "35"
 _COLOURS: Final = {logging.DEBUG: "32;1", logging.INFO: "32;1", logging.WARNING: "33;1"}
 _BARE: Final = re.compile(r"[\w./:@+-]+")
-"""What needs no quotes."""
+"""A value without quotes."""
 _MOST_CAUSES: Final = 10
 _OF_EACH_RECORD: Final = {*vars(logging.makeLogRecord({})), "taskName"}
 
 
 def _fields(record: logging.LogRecord) -> dict[str, object]:
-    """What a log call has given as `extra`, but for what is None."""
+    """The `extra` values of a log call that are not None."""
     return {name: value for name, value in vars(record).items() if name not in _OF_EACH_RECORD and value is not None}
 
 
 def _time(record: logging.LogRecord) -> str:
-    """Of the log call, which may be long before the line is written."""
+    """Time of the log call; the line may be written much later."""
     return datetime.fromtimestamp(record.created, UTC).isoformat().replace("+00:00", "Z")
 
 
 def _exceptions(error: BaseException | None) -> list[dict[str, object]]:
-    """An exception and those that it came from. Without local variables, which may hold passwords, and are long."""
+    """An exception and its causes, without local variables, which may hold passwords."""
     found: list[dict[str, object]] = []
     while error is not None and len(found) < _MOST_CAUSES:
         trace = traceback.extract_tb(error.__traceback__)

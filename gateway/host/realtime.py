@@ -1,8 +1,8 @@
 """Priorities, garbage collection and memory: what keeps Stops on time on a busy machine.
 
-The service runs without any of these. Each is tried by itself, and where the right to it is missing (RLIMIT_RTPRIO,
-RLIMIT_NICE or root), it changes nothing. Measured on two cores with fifty clients, a flood, 100 questions a second and
-a spinning process on each core; worst lateness of 25 watchdog Stops, two runs each (tests/hil/load.py):
+All of these are optional: each is tried by itself, and changes nothing where the right to it (RLIMIT_RTPRIO,
+RLIMIT_NICE or root) is missing. Measured on two cores with fifty clients, a flood, 100 queries a second and a spinning
+process on each core; worst lateness of 25 watchdog Stops, two runs each (tests/hil/load.py):
 
 | variant                                                                     | ms           |
 |-----------------------------------------------------------------------------|--------------|
@@ -25,23 +25,23 @@ from contextlib import suppress
 from typing import Final
 
 LOOP_PRIORITY: Final = 20
-"""Of the loop, which runs the watchdog, and of the emergency stop's threads. The most that the service unit allows."""
+"""Of the loop, which runs the watchdog, and of the emergency stop's threads: the service unit's maximum."""
 RECEIVER_PRIORITY: Final = 10
-"""Of the other receiver threads. They write the frames of commands, and own the state meanwhile. Without priority they
-could be preempted there, and whoever writes a Stop would wait for them. (So it is for the interpreter's lock.)"""
+"""Of the other receiver threads. They write commands' frames as owners of the state; preempted there, they would delay
+a Stop. The same holds for the interpreter's lock."""
 PAGE_PRIORITY: Final = 1
-"""Of the metrics page and the log: below the others, but not preempted while they hold the interpreter's lock."""
+"""Of the metrics page and the log: lower, but not preempted while they hold the interpreter's lock."""
 ZENOH_NICE: Final = -10
-"""Of Zenoh's own threads: ahead of other programs, but a flood of messages does not starve these."""
+"""Of Zenoh's own threads: ahead of other programs, but low enough that a flood does not starve those."""
 SWITCH_INTERVAL_S: Final = 0.0005
-"""How long another thread may keep the interpreter's lock while the loop waits for it. Python's own 5 ms would be half
+"""How long another thread may hold the interpreter's lock while the loop waits for it. Python's default of 5 ms is half
 of what an emergency stop may take."""
 
 TIMER_SLACK_NS: Final = 1
 """By how much Linux may delay the timers of a thread without real-time priority, to bundle them (50 µs by default).
 
-With that, a pause of 50 µs between two transfers took 104 µs at the median. With 1 ns it takes 53, for the same 4 µs of
-CPU time. To wait for it in a loop would take 50, and keep the interpreter's lock all the while.
+By default, a pause of 50 µs between two transfers took 104 µs in the median; with 1 ns it takes 53, for the same 4 µs
+of CPU time. Busy waiting would use 50, and hold the interpreter's lock.
 """
 _PR_SET_TIMERSLACK: Final = 29  # as linux/prctl.h has it
 
@@ -53,7 +53,7 @@ _M_ARENA_MAX: Final = -8  # as glibc's malloc.h has it
 
 
 def prefer_process() -> None:
-    """Schedule this thread, and those that it starts (Zenoh's), ahead of other programs, and wake them on time."""
+    """Schedule this thread, and the threads that it starts (Zenoh's), ahead of other programs, with precise timers."""
     sys.setswitchinterval(SWITCH_INTERVAL_S)
     with suppress(OSError, AttributeError):  # only Linux knows this
         ctypes.CDLL(None).prctl(_PR_SET_TIMERSLACK, TIMER_SLACK_NS, 0, 0, 0)
@@ -63,13 +63,13 @@ def prefer_process() -> None:
 
 
 def limit_malloc_arenas() -> None:
-    """Make all threads allocate from the same few arenas. Call it before the first thread starts. Only glibc has it."""
+    """Make all threads allocate from the same few arenas. Call it before the first thread starts. Needs glibc."""
     with suppress(OSError, AttributeError):
         ctypes.CDLL(None).mallopt(_M_ARENA_MAX, MALLOC_ARENAS)
 
 
 def prefer_thread(priority: int) -> bool:
-    """Give the calling thread real-time priority; returns whether it was granted. Threads that it starts have none."""
+    """Give the calling thread, not those that it starts, real-time priority; returns whether it was granted."""
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(priority))
     except (AttributeError, OSError):  # not Linux; not allowed
@@ -78,7 +78,7 @@ def prefer_thread(priority: int) -> bool:
 
 
 def freeze_gc() -> None:
-    """Exempt all present objects from garbage collection. Call it once everything is built, which lives until the end.
+    """Exempt all present objects from garbage collection. Call it once, after the service is built.
 
     A full collection took 64 ms before, and less than 0.01 ms after (48 900 objects, most of them pydantic's).
     """

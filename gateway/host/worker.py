@@ -1,4 +1,4 @@
-"""Work that may take long, on threads of their own: nobody waits for it, and least of all whoever owns the state."""
+"""Background threads for work that may take long; callers never block."""
 
 import threading
 from collections.abc import Callable
@@ -8,18 +8,18 @@ from gateway.host.realtime import PAGE_PRIORITY, prefer_thread
 
 
 class Worker:
-    """A thread that does what it is given, one after the other.
+    """A thread that runs queued functions in order.
 
-    `do` never waits: `SimpleQueue` has no lock that a thread could hold while it waits for a processor, and a thread
-    that is started for each piece of work would have to be waited for.
+    `do` never blocks: `SimpleQueue` has no lock that a descheduled thread could hold. Starting a thread for each
+    function would block the caller.
     """
 
     def __init__(
         self, name: str, priority: int | None = PAGE_PRIORITY, look: Callable[[], float | None] = lambda: None
     ) -> None:
-        """By its `priority` it is not put aside while it holds the interpreter's lock: see realtime.py.
+        """`priority`: so that it is not preempted while it holds the interpreter's lock (realtime.py); None: normal.
 
-        `look` is called on the thread each time before it waits: in how many seconds to call it again at the latest.
+        `look` is called on the thread before each wait; it returns the maximum wait in seconds, None for no limit.
         """
         self._priority = priority
         self._look = look
@@ -28,16 +28,16 @@ class Worker:
         self.thread.start()
 
     def do(self, work: Callable[[], object]) -> None:
-        """Do this once all else is done. It must not raise."""
+        """Queue `work`, which must not raise."""
         self._waiting.put(work)
 
     @property
     def waiting(self) -> int:
-        """How much is to be done yet."""
+        """The number of queued functions."""
         return self._waiting.qsize()
 
     def close(self, timeout_s: float | None = None) -> None:
-        """Do what waits, and end the thread. Blocks, for `timeout_s` at most; not for the loop's thread."""
+        """Run the queue and end the thread. Blocks for `timeout_s` at most; not for the loop's thread."""
         self._waiting.put(None)
         self.thread.join(timeout_s)
 
@@ -52,4 +52,4 @@ class Worker:
             if work is None:
                 return
             work()
-            del work  # and with it what it refers to, such as a query whose asker waits
+            del work  # releases what it refers to, such as a query whose sender waits

@@ -1,4 +1,4 @@
-"""The one place that wires the parts: start and end, in order."""
+"""Builds and connects the service's parts, and runs them from start to end."""
 
 import asyncio
 import logging
@@ -63,7 +63,7 @@ if TYPE_CHECKING:
     from gateway.certs.proof import ProofChecker
 
 BEAT_S = 0.1
-"""How often the loop's lag is measured, and the service manager told, unless it wants to hear more often."""
+"""Period of measuring the loop's lag and notifying systemd, unless systemd's watchdog needs a shorter one."""
 
 T = TypeVar("T")
 
@@ -71,18 +71,17 @@ logger = logging.getLogger(__name__)
 
 
 class Physics(NamedTuple):
-    """Another process that simulates the robot's body."""
+    """The process that simulates the robot's body."""
 
     page: ServoPage
-    """Where it reads what the servos are sent to."""
+    """Shared memory in which it reads the servos' commanded angles."""
     zenoh_id: str
-    """By which it publishes."""
     folder: Path
-    """Private; in it is the socket by which it reaches the gateway."""
+    """Private folder of the socket through which it reaches the gateway."""
 
 
 def rules(settings: Settings) -> Rules:
-    """The supervisor's rules, in its units."""
+    """The supervisor's rules: the settings in ns and hundredths of a degree."""
     return Rules(
         timeout_ns=round(settings.watchdog.timeout_ms * NS_PER_MS),
         whole_robot=settings.watchdog.scope == "robot",
@@ -113,7 +112,7 @@ def rules(settings: Settings) -> Rules:
 def device_opener(
     settings: Settings, *, simulated: bool, page: ServoPage | None = None, faults: Faults | None = None
 ) -> Callable[[], SpiDevice]:
-    """How the bus opens its device; a simulated controller lives on while the bus opens and closes it."""
+    """A function that opens the bus's device; a simulated controller keeps its state when it is reopened."""
     if not simulated:
         spare = Spare()
         return lambda: KernelDevice(settings.spi.device, settings.spi.speed_hz, spare=spare)
@@ -127,20 +126,20 @@ def device_opener(
 
 
 def _warn_of_driver(spi: SpiSettings, *, simulated: bool) -> None:
-    """A controller of the protocol's document needs chip select released between the transfers of a call."""
+    """Log a driver that may not release chip select between the transfers of a call, as `plain` framing needs."""
     if not simulated and ioctls.are_used():
         logger.info("%s", ioctls.USED)
     needed = spi.batch and spi.framing is Framing.PLAIN and not simulated
     if needed and not gpio_selects(spi.device):
         logger.warning(
-            "nobody has seen whether %s releases chip select between the transfers of one call; where it does not, "
-            "an emergency stop stops one leg. hexapod-gateway check --move shows it",
+            "it is not known whether %s releases chip select between the transfers of one call; if it does not, an "
+            "emergency stop stops only one leg. Test it: hexapod-gateway check --move",
             driver_of(spi.device) or "the driver of this SPI bus",
         )
 
 
 def _recorder(settings: Settings, *, simulated: bool) -> Recorder:
-    """The black box, which keeps nothing without a folder."""
+    """The black box, with the facts of this start."""
     facts: dict[str, Any] = {
         "version": __version__,
         "simulated": simulated,
@@ -169,7 +168,7 @@ def run(
     logs.keep_stacks()
     if not simulated:
         _show_settings(settings)  # before the first frame
-    # epoll and poll round a timer up to the next millisecond; select takes microseconds, and so a Stop is not late.
+    # epoll and poll round a timer up to the next millisecond, which would delay Stops; select takes microseconds.
     with (
         _recorder(settings, simulated=simulated) as recorder,
         asyncio.Runner(loop_factory=lambda: asyncio.SelectorEventLoop(selectors.SelectSelector())) as runner,
@@ -179,16 +178,13 @@ def run(
         )
         if end.failure is not None:
             recorder.ended(end.failure)
-    end.leave()  # not by the interpreter's own end, which aborts the process while a thread is inside Zenoh
+    end.leave()  # without the interpreter's own end, which aborts while a thread is inside Zenoh
 
 
 def _configured(
     settings: ZenohSettings, physics: Physics | None
 ) -> tuple[zenoh.Config, "ProofChecker | None", RevocationState | None]:
-    """Zenoh's configuration, what checks who asks for the lease, and who is shut out, where it names a CA.
-
-    Raises ConfigError.
-    """
+    """Zenoh's configuration, and if it names a CA, the checker of proofs and the revocations. Raises ConfigError."""
     config = service_config(settings)
     shut_out = revocation_state(config, settings)
     revoked = None if shut_out is None else shut_out.known
@@ -199,7 +195,7 @@ def _configured(
         names = ", ".join(sorted(revoked.common_names)) or "nobody"
         logger.info("list %d shuts out %s; it was signed on %s", revoked.number, names, f"{revoked.date:%Y-%m-%d}")
     elif shut_out is not None:
-        logger.info("there is no list of revoked certificates: nobody is shut out")
+        logger.info("there is no list of revoked certificates")
     checker = checker_of(config, revoked)
     fault = None if checker is None else checker.clock_fault(wall_clock())
     if fault is not None:
@@ -211,7 +207,7 @@ def _show_settings(settings: Settings) -> None:
     try:
         effective.write(settings.spi.model_dump(mode="json"), settings.watchdog)
     except (OSError, ValueError) as error:
-        logger.warning("stop-servos by hand cannot see what the service uses: %s", error)
+        logger.warning("stop-servos by hand cannot read which settings the service uses: %s", error)
 
 
 async def _run(
@@ -223,7 +219,7 @@ async def _run(
     faults: Faults | None,
     on_ready: Callable[[zenoh.Config], None],
 ) -> ServiceEnd:
-    # The file before systemd counts the service as active: the installer looks for it then.
+    # The servos file exists before systemd counts the service as active, when the installer reads it.
     loop, owner, servos = asyncio.get_running_loop(), Ownership(), ServosFile(runtime_directory())
     end = ServiceEnd(loop, owner, recorder)
     notifier = SystemdNotifier()
@@ -246,7 +242,7 @@ async def _run(
     calibrations = _calibrations(settings, conductor, loop)
     revocations = Revocations(conductor, shut_out, loop, end.begin_again)
     try:
-        # Stops before Zenoh: whatever moves when the service starts is stopped before anyone can ask for more.
+        # Stops before Zenoh: servos that move at the start are stopped before any command can arrive.
         with owner:
             conductor.start()
             recorder.open()
@@ -262,10 +258,10 @@ async def _run(
         ended.cancel()
         session = opening.result()
         outbox.open(session)
-        with owner:  # its threads hear at once, and have to wait until it is connected
+        with owner:  # its threads receive at once, and have to wait until the conductor is connected
             inbox = _inbox(session, loop, conductor, checker, settings, calibrations, revocations)
         realtime.freeze_gc()
-        # Only now: Zenoh's threads are not to have it, and they have what the thread has that starts them.
+        # Only now: Zenoh's threads inherit the priority of the thread that starts them, and must not have this one.
         logger.info(
             "real-time priority %s", "granted" if realtime.prefer_thread(realtime.LOOP_PRIORITY) else "not allowed"
         )
@@ -308,8 +304,8 @@ async def _run(
 
 
 def _calibrations(settings: Settings, conductor: Conductor, loop: asyncio.AbstractEventLoop) -> Calibrations:
-    """The calibration as it was kept. One that cannot be trusted keeps the service from starting anything, not itself:
-    the Stops at the start, and those that follow, need none."""
+    """With the calibration from the file. If that cannot be used, no servo can be started; the service runs, since
+    Stops need no calibration."""
     path = calibration_file.path_of(settings)
     if path is None:
         return Calibrations(conductor, None, loop)
@@ -322,7 +318,7 @@ def _calibrations(settings: Settings, conductor: Conductor, loop: asyncio.Abstra
 
 
 def _open(settings: Settings, config: zenoh.Config, conductor: Conductor) -> zenoh.Session:
-    """All that is opened on the network. Waits for name servers, and for routers where the Zenoh file says so."""
+    """Open the metrics page and Zenoh. Waits for name servers, and for routers if the Zenoh file demands it."""
     if settings.telemetry.metrics:
         exposition.serve(settings.telemetry.metrics, settings.telemetry.metrics_hosts, conductor)
     return open_session(config)
@@ -337,7 +333,7 @@ def _inbox(
     calibrations: Calibrations,
     revocations: Revocations,
 ) -> Inbox:
-    """What comes in, connected with the conductor."""
+    """The inbox, connected with the conductor."""
     lease = LeaseAnswers(conductor, settings.lease.ttl_ms, checker)
     button = ButtonAnswers(conductor, settings.buttons, checker)
     inbox = Inbox(
@@ -365,7 +361,7 @@ def _attendants(
     notifier: SystemdNotifier,
     shut_out: RevocationState | None,
 ) -> tuple[ConnectionLimiter, Upkeep]:
-    """The threads that look after the session."""
+    """The threads that watch the session."""
     upkeep = Upkeep(session, config, notifier.status, wall_clock)
     conductor.reports.certificate = upkeep.certificate
     revoked = frozenset() if shut_out is None or shut_out.known is None else shut_out.known.common_names
@@ -378,7 +374,7 @@ async def _report_state(settings: Settings, conductor: Conductor, outbox: ZenohO
     while settings.telemetry.state_hz:
         await asyncio.sleep(1 / settings.telemetry.state_hz)
         if outbox.anyone_listens(STATE):
-            with conductor.owner:  # also for the order of reports: an older state must not follow a newer one
+            with conductor.owner:  # it also orders reports: an older state must not follow a newer one
                 conductor.publish_state()
 
 
@@ -390,9 +386,9 @@ async def _beat(
     servos: ServosFile,
     end: ServiceEnd,
 ) -> None:
-    """Measure how late the loop is, look for `stop-servos`, and tell systemd that the loop turns and hears.
+    """Measure the loop's lag, detect `stop-servos`, and notify systemd that the loop and the receiver threads run.
 
-    While somebody keeps the state, this waits, so that systemd hears nothing either.
+    It needs the state: while another thread keeps that, systemd gets no notification.
     """
     loop = asyncio.get_running_loop()
     period_s = min(BEAT_S, notifier.ping_period_s or BEAT_S)
@@ -419,17 +415,17 @@ async def _beat(
 
 
 def _in_thread(call: Callable[[], T]) -> "asyncio.Future[T]":
-    """Call it in a thread that does not keep the process from ending, unlike those of `asyncio.to_thread`."""
+    """Call it in a daemon thread: those of `asyncio.to_thread` would keep the process from ending."""
     loop = asyncio.get_running_loop()
     result: asyncio.Future[T] = loop.create_future()
 
     def run_call() -> None:
         try:
-            tell = partial(result.set_result, call())
+            finish = partial(result.set_result, call())
         except Exception as error:
-            tell = partial(result.set_exception, error)
-        with suppress(RuntimeError):  # the loop is closed, and nobody asks any more
-            loop.call_soon_threadsafe(tell)
+            finish = partial(result.set_exception, error)
+        with suppress(RuntimeError):  # the loop is closed: the service has ended
+            loop.call_soon_threadsafe(finish)
 
     threading.Thread(target=run_call, name="open", daemon=True).start()
     return result

@@ -1,4 +1,4 @@
-"""The service's settings: frozen, checked, with units in their names; each fault is one line that names the place.
+"""The service's settings: frozen, validated, with units in their names; each fault is one line naming its place.
 
 A TOML file gives them and environment variables override it (`HEXAPOD_SPI__DEVICE`). docs/interface.md lists them.
 """
@@ -33,7 +33,7 @@ from schemas.robot import SERVO_IDS
 DEFAULT_PATH: Final = Path("/etc/hexapod-gateway/gateway.toml")
 ENV_PREFIX: Final = "HEXAPOD_"
 FOR_STOPS: Final = {"for": "stop-servos"}
-"""A validation's context: a clock that is too fast for the framing, or a pause that is too short, is no fault."""
+"""Validation context in which too fast a clock or too short a pause for the framing is accepted."""
 _SERVOS: Final = frozenset(map(str, SERVO_IDS))
 
 
@@ -48,7 +48,7 @@ AngleDeg = Annotated[float, Finite, Field(ge=0, le=180)]
 
 
 class ZenohSettings(Section):
-    """Where clients reach the gateway, and what it dials."""
+    """The gateway's Zenoh endpoints."""
 
     listen: tuple[str, ...] = ("tcp/127.0.0.1:7447",)
     connect: tuple[str, ...] = ()
@@ -61,20 +61,20 @@ class SpiSettings(Section):
 
     device: str = "/dev/spidev0.0"
     speed_hz: Annotated[int, Field(ge=1, le=20_000_000)] = 2_500_000
-    # The default is for --sim only: `load` demands the framing of a real device.
+    # The default is for --sim only: `load` requires it for a real device.
     framing: Framing = Framing.PLAIN
     batch: bool = True
-    # The published firmware needed 6 (measured), and 20 if its loop costs twice the estimate. At most a millisecond:
-    # the loop waits for the pause, six times for six legs.
+    # The published firmware needed 6 (measured), or 20 if its loop takes twice the estimate. At most 1 ms: the gateway
+    # waits for the pause, six times for six legs.
     frame_gap_us: Annotated[float, Finite, Field(ge=0, le=1000)] = 50.0
-    # At most ten seconds: until then a controller that is out of sync hears no Set and no first Stop.
+    # At most 10 s: until then a controller that is out of sync ignores each Set and first Stop.
     resync_ms: Annotated[float, Finite, Field(ge=0, le=10_000)] = 1000.0
-    # None: what the framing says.
+    # None: the framing's own.
     avoid_deg: tuple[AngleDeg, ...] | None = None
 
     @property
     def avoid_cdeg(self) -> tuple[int, int] | None:
-        """Wire angles that are never sent, in hundredths of a degree: from the first up to, without, the second."""
+        """Wire angles that are never sent, in hundredths of a degree: first <= angle < second; None: all are sent."""
         if self.avoid_deg is None:
             return self.framing.avoid_cdeg
         return (centidegrees(self.avoid_deg[0]), centidegrees(self.avoid_deg[1])) if self.avoid_deg else None
@@ -102,11 +102,11 @@ class SpiSettings(Section):
 
 
 class ServoLimits(Section):
-    """How far one servo may go, in degrees, both ends included."""
+    """Range of one servo, in degrees, both ends included, and its speed; 0: unlimited."""
 
     min_deg: AngleDeg = 0.0
     max_deg: AngleDeg = 180.0
-    # The slowest is a hundredth of a degree a second, since frames carry hundredths.
+    # The slowest is 0.01°/s, the resolution of frames.
     max_speed_deg_s: Annotated[float, Finite, Field(ge=0, le=1000)] = 0.0
 
     @model_validator(mode="after")
@@ -129,7 +129,7 @@ def _known_servos(servos: dict[str, Named]) -> dict[str, Named]:
 
 
 class LimitSettings(Section):
-    """What a publisher may ask of a leg. The controller's PWM runs at 50 Hz, so a higher rate changes nothing."""
+    """Limits for commands of a leg. The controller's PWM runs at 50 Hz, so a higher rate changes nothing."""
 
     leg_rate_hz: Annotated[float, Finite, Field(ge=1, le=1000)] = 50.0
     max_age_ms: Annotated[float, Finite, Field(ge=0, le=60_000)] = 500.0
@@ -149,22 +149,22 @@ class WatchdogSettings(Section):
 
 
 class LeaseSettings(Section):
-    """Who is driving: whether anybody must hold the lease, how long it lasts unrenewed, and whether it can be taken."""
+    """Whether driving requires the lease, how long that lasts unrenewed, and whether it can be taken over."""
 
     required: bool = False
-    # Clients renew at a third of it; less than 200 would not outlast a hiccup of a wireless network.
+    # Clients renew at a third of it; below 200 a hiccup of a wireless network would end it.
     ttl_ms: Annotated[float, Finite, Field(ge=200, le=10_000)] = 1000.0
     takeover: Literal["stop", "never"] = "stop"
 
 
 class ButtonSettings(Section):
-    """How many stop buttons must be alive for anything to move, and for how long a check-in counts."""
+    """How many stop buttons must be alive for the robot to move, and for how long a check-in counts."""
 
-    # More people with a hand on a stop than eight watch no robot of this size.
+    # More than eight people watch no robot of this size.
     required: Annotated[int, Field(ge=0, le=8)] = 0
-    # A browser wakes a page in the background once a second, which is a stop by this default (docs/buttons.md).
+    # A browser runs a background page once a second, which by this default means a stop (docs/buttons.md).
     timeout_ms: Annotated[float, Finite, Field(ge=200, le=10_000)] = 1000.0
-    # A robot has no more people around it; each name is as long as a command's `source` may be.
+    # At most 64 people; each name as long as a command's `source` may be.
     names: Annotated[tuple[Annotated[str, Field(min_length=1, max_length=MAX_SOURCE)], ...], Field(max_length=64)] = ()
 
 
@@ -178,20 +178,20 @@ AbsolutePath = Annotated[str, AfterValidator(_absolute)]
 
 
 class CalibrationSettings(Section):
-    """The file in which the calibration is kept."""
+    """The calibration's file; "": in the state directory, or in memory only."""
 
     path: AbsolutePath = ""
 
 
 class RecorderSettings(Section):
-    """The black box. At least the ten seconds before an incident; more than ten minutes is for recordings."""
+    """The black box: at least the 10 s before an incident; for more than ten minutes there are recordings."""
 
     path: AbsolutePath = ""
     seconds: Annotated[float, Finite, Field(ge=10, le=600)] = 60.0
 
 
 class TelemetrySettings(Section):
-    """What the gateway publishes."""
+    """Rate of the state, whether frames are published, and the metrics page."""
 
     state_hz: Annotated[float, Finite, Field(ge=0, le=1000)] = 10.0
     frames: bool = False
@@ -208,7 +208,7 @@ class TelemetrySettings(Section):
 
 
 class LogSettings(Section):
-    """How much is logged, and how it looks."""
+    """Level and format of the log."""
 
     level: Literal["debug", "info", "warning", "error"] = "info"
     format: Literal["auto", "console", "json"] = "auto"
@@ -242,12 +242,12 @@ class Settings(Section):
 
 
 Place = tuple[int | str, ...]
-"""Where a value stands: ("spi", "speed_hz"), ("zenoh", "listen", 0), ("limits", "servos", "11", "min_deg")."""
+"""Path to a value: ("spi", "speed_hz"), ("zenoh", "listen", 0), ("limits", "servos", "11", "min_deg")."""
 Fault = tuple[Place, str]
 
 
 class _PlacedError(ValueError):
-    """A fault that only the settings as a whole show; pydantic knows no place of it."""
+    """A fault found in the settings as a whole, with the place that pydantic does not give it."""
 
     def __init__(self, place: Place, sentence: str) -> None:
         super().__init__(sentence)
@@ -259,16 +259,16 @@ Context = Mapping[str, str] | None
 
 
 class FramingNotSetError(ConfigError):
-    """spi.framing is not set; its text also names all other faults."""
+    """spi.framing is not set; the text lists all other faults as well."""
 
 
 def load(path: Path | None = None, *, simulated: bool = False, for_stops: bool = False) -> Settings:
     """Settings from `path` (else the default file, if there is one) and the environment.
 
-    Raises ConfigError with one line per fault; each names the file's entry or the environment variable. Unless the
-    controller is `simulated`, spi.framing must be set: plain frames overrun the published firmware's buffer, and
-    no Stop reaches its servos until somebody resets it. `for_stops`: spi.speed_hz and spi.frame_gap_us may be beyond
-    what the framing allows, since `stop-servos` takes the nearest that it does (`plain_settings.within_limits`).
+    Raises ConfigError with one line per fault, naming the file's entry or the environment variable. Unless the
+    controller is `simulated`, spi.framing must be set: plain frames overrun the published firmware's buffer, and no
+    Stop reaches its servos until its reset. `for_stops`: spi.speed_hz and spi.frame_gap_us may exceed the framing's
+    limits, since `stop-servos` uses the nearest allowed value (`plain_settings.within_limits`).
     """
     context = FOR_STOPS if for_stops else None
     from_file: dict[str, Any] = {}
@@ -302,7 +302,7 @@ def load(path: Path | None = None, *, simulated: bool = False, for_stops: bool =
 
 
 _WHICH_FRAMING: Final = (
-    'is not set; the published STM32 firmware needs "length-prefixed" (once it has heard "plain", it needs a reset)',
+    'is not set; the published STM32 firmware needs "length-prefixed" (after any "plain" frame it needs a reset)',
     'a controller that reads frames as the protocol\'s document says needs "plain"; without a controller: run --sim',
 )
 
@@ -326,9 +326,9 @@ def _read(path: Path | None) -> dict[str, Any]:
 
 
 def _faults_of_file(values: dict[str, Any], context: Context) -> list[Fault]:
-    """A file says what type a value has, so nothing is converted: "50" is no number there."""
-    # Checked as JSON, because strict Python types reject TOML's arrays and strings for tuples and enumerations. Checked
-    # again as it is, because JSON turns TOML's dates into strings.
+    """Strict, since a TOML value has a type: "50" is no number."""
+    # Validated as JSON, since strict Python types reject TOML's arrays and strings for tuples and enumerations; and
+    # again unchanged, since JSON turns TOML's dates into strings.
     faults = _faults(json.dumps(values, default=str), context)
     places = {place for place, _ in faults}
     return faults + [fault for fault in _faults(values, context) if fault[0] not in places]
@@ -338,10 +338,10 @@ def _faults_of_file(values: dict[str, Any], context: Context) -> list[Fault]:
 
 
 def _environment() -> tuple[dict[Place, tuple[str, Any]], list[str]]:
-    """Variables that begin with ENV_PREFIX: by place the variable and its value as in a file, and the others' faults.
+    """Variables that begin with ENV_PREFIX: by place, the variable and its value as in a file; and faults.
 
-    One that names no setting is a fault, since it was meant to set something. pydantic-settings would pass over it,
-    take it in lower case, and name no variable where a list is no JSON; and each start would take 0.1 s longer.
+    A variable that names no setting is a fault. pydantic-settings would ignore it, accept lower case, name no variable
+    for a list that is no JSON, and take 0.1 s at each start.
     """
     found: dict[Place, tuple[str, Any]] = {}
     faults: list[str] = []
@@ -361,7 +361,7 @@ def _environment() -> tuple[dict[Place, tuple[str, Any]], list[str]]:
 
 
 def _put(table: Mapping[str, Any], place: Place, value: Any) -> dict[str, Any]:
-    """The table with this value at its place, whatever stood there."""
+    """A copy of the table with the value at this place."""
     name, *rest = place
     below = table.get(str(name))
     return {
@@ -397,7 +397,7 @@ _TABLES: Final = (("limits", "servos"), ("watchdog", "landing"))
 
 
 def _variables_at(place: Place, variables: Mapping[Place, tuple[str, Any]]) -> list[str]:
-    """The variables that set the value at `place`, a part of it, or a table that holds it."""
+    """The variables that set the value at `place`, a part of it, or a table that contains it."""
     return [
         variable
         for set_place, (variable, _) in variables.items()
@@ -409,7 +409,7 @@ def _variables_at(place: Place, variables: Mapping[Place, tuple[str, Any]]) -> l
 
 
 def _faults(values: dict[str, Any] | str, context: Context) -> list[Fault]:
-    """Faults of a table, with text converted to other types, as the environment has only text; of JSON, strictly."""
+    """Faults of a table, in which text is converted (the environment has only text), or of JSON, strictly."""
     try:
         if isinstance(values, str):
             Settings.model_validate_json(values, strict=True, context=context)
@@ -421,7 +421,7 @@ def _faults(values: dict[str, Any] | str, context: Context) -> list[Fault]:
 
 
 def faults_of(error: ValidationError) -> list[Fault]:
-    """A sentence for each fault of a file that people write."""
+    """Place and sentence of each fault."""
     return [(_place(fault), _sentence(fault)) for fault in error.errors(include_url=False)]
 
 
@@ -441,7 +441,7 @@ def _sentence(fault: ErrorDetails) -> str:
 
 
 def dotted(place: Place) -> str:
-    """`spi.speed_hz`, `zenoh.listen[0]`; names that are no bare keys of TOML in quotes."""
+    """`spi.speed_hz`, `zenoh.listen[0]`; a name that is no bare TOML key is quoted."""
     text = "".join(f"[{part}]" if isinstance(part, int) else f".{_name(part)}" for part in place)
     return text.removeprefix(".")
 

@@ -41,7 +41,7 @@ def wait_until(holds: Callable[[], bool], timeout_s: float = 10.0) -> None:
 
 @pytest.mark.parametrize("limit", [20, 64, NEEDED - 1])
 def test_too_few_descriptors_end_it_with_a_sentence(tmp_path: Path, limit: int) -> None:
-    """With 20 it came up, said that it was ready, and heard nobody."""
+    """With 20 it started, reported that it was ready, and received nothing."""
     with Gateway(tmp_path, prefix=limited(limit, limit), wait=False) as gateway:
         assert gateway.child.wait() == 2
         (line,) = gateway.child.stderr.splitlines()

@@ -23,7 +23,7 @@ def test_neither_the_service_nor_check_takes_it(tmp_path: Path, direction: str) 
     ended = service.wait(20)
     service.close()
     assert ended == 2, str(service)
-    assert "over QUIC nobody who is revoked can be shut out" in service.stderr
+    assert "over QUIC, revoked clients cannot be disconnected" in service.stderr
     checked = run_here("check", "--config", str(settings))
     assert checked.returncode == 1
     assert "write tls/ in place of quic/" in checked.stdout + checked.stderr

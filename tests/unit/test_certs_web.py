@@ -23,7 +23,7 @@ WEB_HOSTS: Final = ("robot.local", "192.0.2.7")
 def test_what_people_import_into_a_browser_is_good_for_the_console_only(
     folder: Path, hosts: Sequence[str], other: str
 ) -> None:
-    """Whoever steals its key can pose as nobody else; judged by OpenSSL, in a real handshake."""
+    """With a stolen key, no other site can be impersonated; judged by OpenSSL, in a real handshake."""
     certs.folder.console(folder, "web", hosts)
     ca = authority.KeyPair(certs.files.read_certificate(folder / "web-ca.pem"), read_key(folder / "web-ca.key"))
     for host in hosts:

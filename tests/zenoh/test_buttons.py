@@ -97,7 +97,7 @@ def test_a_put_is_rejected_with_a_sentence(robot: Client) -> None:
     heard = events(robot)
     robot.session.put(keys.BUTTON, json.dumps({"do": "register", "source": "kitchen"}))
     rejected = heard.wait(lambda event: event.kind == Kind.COMMAND_REJECTED)
-    assert rejected.detail == "hexapod/button/cmd takes get only: a check-in that is not answered is none"
+    assert rejected.detail == "hexapod/button/cmd takes get only: a check-in without an answer does not count"
 
 
 def test_after_a_restart_all_register_anew_and_nothing_moves_before(tmp_path: Path) -> None:

@@ -184,7 +184,7 @@ def test_a_button_stops_checks_in_and_watches_and_moves_nothing(robot: SecuredRo
 
 
 def test_an_observer_sees_telemetry_only_and_takes_no_wildcard(robot: SecuredRobot, alice: Remote) -> None:
-    """Whoever may declare a wildcard may declare 20 000 keys that it contains, each to be compared with all others."""
+    """A client that may declare a wildcard may declare 20 000 keys below it, each to be compared with all others."""
     with Remote() as watcher, Remote() as wild:
         robot.join(watcher, "carol")
         robot.join(wild, "carol")
@@ -214,7 +214,7 @@ def test_an_observer_commands_nothing(robot: SecuredRobot, carol: Remote) -> Non
 
 @pytest.mark.parametrize("role", ["stranger", "gateway", "Operator", "operator*"])
 def test_a_certificate_without_a_role_commands_nothing(robot: SecuredRobot, role: str) -> None:
-    """It takes one of our own CA: the session opens, and that is all. An operator who does the same is heard."""
+    """It takes one of our own CA: the session opens, and that is all. An operator's message is received."""
     outcome = []
     for name, common_name in (("someone", role), ("someone-else", "operator")):
         forge(robot.folder, name, common_name)

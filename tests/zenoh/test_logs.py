@@ -69,7 +69,7 @@ def spoken_on_a_terminal(form: str) -> str:
 
 
 def read(terminal: int) -> bytes:
-    """The next bytes, none at the end (which Linux tells with an error)."""
+    """The next bytes, none at the end (which Linux reports as an error)."""
     try:
         return os.read(terminal, 65536)
     except OSError:

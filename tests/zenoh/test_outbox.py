@@ -85,13 +85,13 @@ def test_what_is_published_while_too_much_waits_is_dropped_and_counted() -> None
 
 
 class Numbered(BaseModel):
-    """A report that is told apart from others."""
+    """A report that differs from others."""
 
     number: int
 
 
 class HeldServo(BaseModel):
-    """A report that takes until it is told to go on."""
+    """A report whose sending blocks until the test lets it go on."""
 
     _begun: threading.Event = PrivateAttr(default_factory=threading.Event)
     _go_on: threading.Event = PrivateAttr(default_factory=threading.Event)

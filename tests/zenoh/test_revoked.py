@@ -152,7 +152,7 @@ def test_with_a_clock_in_1970_the_list_is_kept_nobody_gets_in_and_the_log_says_w
     certs.moving.revoke(robot.folder, "anna")
     with robot.start(LD_PRELOAD=in_1970) as gateway:
         shut_out(robot, robot.folder / "bert.json5")
-        assert "this robot's clock is wrong: it says 1970-01-01" in gateway.child.stdout + gateway.child.stderr
+        assert "this robot's clock is wrong: it shows 1970-01-01" in gateway.child.stdout + gateway.child.stderr
         command = [*COMMAND, "revoke", str(robot.folder / "revoked.crl"), "--config", str(gateway.config)]
         kept = Child(command, {**os.environ, "STATE_DIRECTORY": str(robot.state), "LD_PRELOAD": in_1970})
         assert kept.wait() == 0, str(kept)

@@ -1,10 +1,10 @@
-"""The black box's records: what is in them, where each byte is, and how they are written.
+"""The black box's records: their content, their bytes, and how they are written.
 
 The readers are in `people/incidents/ring_decoding.py`.
 
 A file is a header and slots of SLOT bytes. The record with sequence number n is in slot n modulo the number of slots:
 
-| bytes  | what                                                                                           |
+| bytes  | content                                                                                        |
 |--------|------------------------------------------------------------------------------------------------|
 | 0-3    | CRC-32 of the next `length` bytes                                                              |
 | 4-5    | length: of all that follows the checksum                                                       |
@@ -12,13 +12,13 @@ A file is a header and slots of SLOT bytes. The record with sequence number n is
 | 7      | 1: the next record (type MORE) continues this one, which did not fit                           |
 | 8-15   | sequence number, from 1                                                                        |
 | 16-23  | when, ns of the monotonic clock                                                                |
-| 24-127 | what the type says, padded with zeros                                                          |
+| 24-127 | by type, padded with zeros                                                                     |
 
-A process that is killed while it writes leaves a slot whose checksum is wrong. Numbers are little-endian. Texts are
-UTF-8, preceded by their length, so that a kind, reason or cause that is added later needs no new version.
+A process that is killed while it writes leaves a slot with a wrong checksum. Numbers are little-endian. Texts are
+UTF-8, preceded by their length, so that a new kind, reason or cause needs no new version.
 
-Records are packed by hand, since they are written beside a gait: of a frame 0.3 µs, by a declarative table 3.5 µs, by
-`construct` 20.9 µs (10.2 compiled), measured in one run.
+Records are packed by hand, since they are written during a gait: a frame takes 0.3 µs, by a declarative table 3.5 µs,
+by `construct` 20.9 µs (10.2 compiled), measured in one run.
 """
 
 import json
@@ -33,26 +33,26 @@ from schemas.calibration import Calibration
 from schemas.robot import JOINTS
 
 HEADER_BYTES: Final = 4096
-"""A page of its own, so that slots begin on a page; `header` says what is in it."""
+"""One page, so that slots begin on a page boundary; its content: `header`."""
 SLOT: Final = 128
 """Room for a command of one leg with a source of 60 characters; one of all legs with a long name takes two slots."""
 ROOM: Final = SLOT - 24
 MAX_NS: Final = 2**62
 """Later than any time of a record: the year 2116, or a machine that runs for 146 years."""
 MAX_SEQUENCE: Final = 2**63
-"""A gateway that continues a ring goes on from its newest record: it never runs out of numbers."""
+"""Sequence numbers continue across restarts, and never reach this."""
 MAX_TEXT: Final = 4000
-"""Bytes of a record's continued content: the longest sentence of an event has some 400."""
+"""Bytes of content of a continued record: the longest sentence of an event has some 400."""
 
 _HEAD: Final = struct.Struct("<HBBQq")
 _SLOT: Final = struct.Struct(f"<I{SLOT - 4}s")
 _CRC: Final = struct.Struct("<I")
 _SEQUENCE_BYTES: Final = 8
-"""Of a sequence number, and where it begins in its slot."""
+"""Size of a sequence number, and its offset in a slot."""
 HEAD_BYTES: Final = _HEAD.size
 pack_head: Final = _HEAD.pack
 pack_slot_into: Final = _SLOT.pack_into
-"""The two halves of `put`: a head before a record's content, and both with their checksum into a slot."""
+"""The two halves of `put`: pack a head; pack checksum and body into a slot."""
 
 # ---- types
 
@@ -65,12 +65,12 @@ COALESCED: Final = "coalesced"
 """Verdicts of a decision, beside the reasons of rejections."""
 
 STOP_FACTS: Final = ("stop_servos_first_ns", "stop_servos_last_ns")
-"""Among the facts of a start: when `stop-servos` wrote before it, as in `gateway.robot.host.stop_note`."""
+"""Facts of a start: the times of `gateway.robot.host.stop_note`, if `stop-servos` ran before it."""
 
 
 @dataclass(frozen=True, slots=True)
 class Start:
-    """A gateway starts. `wall_ns` is the time that people read at this moment."""
+    """A gateway starts. `wall_ns`: wall-clock time at this moment."""
 
     wall_ns: int
     facts: dict[str, Any]
@@ -78,14 +78,14 @@ class Start:
 
 @dataclass(frozen=True, slots=True)
 class End:
-    """A gateway ends in order, after its last Stops."""
+    """A gateway ends, after its last Stops."""
 
     why: str
 
 
 @dataclass(frozen=True, slots=True)
 class CommandRecord:
-    """A command as decoded; the record's time is its arrival. A Decision with its number follows (0: it has none)."""
+    """A decoded command; the record's time is its arrival. A Decision with its number follows (0: none does)."""
 
     number: int
     verb: str
@@ -97,7 +97,7 @@ class CommandRecord:
 
 @dataclass(frozen=True, slots=True)
 class Decision:
-    """What became of a command: "accepted", "coalesced", or the reason of its rejection."""
+    """The outcome of a command: "accepted", "coalesced", or the reason of its rejection."""
 
     number: int
     verdict: str
@@ -107,9 +107,9 @@ class Decision:
 
 @dataclass(frozen=True, slots=True)
 class FrameWritten:
-    """A frame on the wire; the record's time is when its transfer had ended. `late_ns`: of a watchdog's, how late.
+    """A written frame; the record's time is the end of its transfer. `late_ns`: a watchdog's Stop after its deadline.
 
-    `number`: the command that was accepted with it, which then needs no Decision; 0: none.
+    `number`: the command accepted with it, which then has no Decision; 0: none.
     """
 
     data: bytes
@@ -121,9 +121,9 @@ class FrameWritten:
 
 @dataclass(frozen=True, slots=True)
 class CarriedOut:
-    """A command and the frame that it was accepted with, whose transfer had ended at `frame_ns`, in one record.
+    """A command and the frame that it was accepted with, in one record; the transfer ended at `frame_ns`.
 
-    Its time is the command's arrival. Readers are given it as two records, the command's and the frame's.
+    The record's time is the command's arrival. Readers get two records, the command's and the frame's.
     """
 
     command: CommandRecord
@@ -140,7 +140,7 @@ class ModeChange:
 
 @dataclass(frozen=True, slots=True)
 class EventPublished:
-    """An event as it was published."""
+    """A published event."""
 
     kind: str
     source: str | None
@@ -159,14 +159,14 @@ class Lag:
 
 @dataclass(frozen=True, slots=True)
 class Clock:
-    """The time that people read at this moment, once a second."""
+    """Wall-clock time at this moment, recorded once a second."""
 
     wall_ns: int
 
 
 @dataclass(frozen=True, slots=True)
 class IncidentBegun:
-    """Something happened that is to be kept. `wall_ns` is the time that people read at this moment."""
+    """An incident begins. `wall_ns`: wall-clock time at this moment."""
 
     wall_ns: int
     incident: str
@@ -174,14 +174,14 @@ class IncidentBegun:
 
 @dataclass(frozen=True, slots=True)
 class Calibrated:
-    """What is in force from now on; where it changes, what was in force until now is recorded before it."""
+    """The calibration in force from now on; before a change, the previous one is recorded as well."""
 
     calibration: Calibration
 
 
 @dataclass(frozen=True, slots=True)
 class About:
-    """Which version runs, and by which settings, every ten seconds: so each incident's file can have them."""
+    """Version and settings, recorded every ten seconds, so that each incident's file has them."""
 
     facts: dict[str, Any]
 
@@ -204,7 +204,7 @@ Content = (
 
 @dataclass(frozen=True, slots=True)
 class Record:
-    """One record: its sequence number, when (ns of the monotonic clock), and what."""
+    """One record; `ns` is of the monotonic clock."""
 
     sequence: int
     ns: int
@@ -212,7 +212,7 @@ class Record:
 
 
 class DamagedRingError(ValueError):
-    """Bytes that are no record of this format."""
+    """The bytes are not a record of this format."""
 
 
 # ---- a slot
@@ -226,7 +226,7 @@ def put(buffer: Any, offset: int, kind: int, sequence: int, ns: int, rest: bytes
 
 @dataclass(frozen=True, slots=True)
 class Slot:
-    """A slot with a good checksum."""
+    """A slot with a valid checksum."""
 
     kind: int
     more: bool
@@ -236,13 +236,13 @@ class Slot:
 
 
 def slot_bytes(data: bytes, index: int) -> bytes:
-    """A slot of a file, by its place in it."""
+    """The bytes of slot `index` of a file."""
     begin = HEADER_BYTES + index * SLOT
     return data[begin : begin + SLOT]
 
 
 def read_slot(data: bytes) -> Slot | None:
-    """What a slot of SLOT bytes holds; None: no whole record."""
+    """Decode a slot of SLOT bytes; None: it holds no valid record."""
     (checksum,) = _CRC.unpack_from(data)
     length, kind, more, sequence, ns = _HEAD.unpack_from(data, _CRC.size)
     if (
@@ -256,7 +256,7 @@ def read_slot(data: bytes) -> Slot | None:
 
 
 def newest(buffer: Any, slots: int) -> tuple[int, int]:
-    """The highest sequence number of a whole record in a file (0: none), and how many above it are not whole."""
+    """The highest sequence number of a valid record (0: none), and the number of damaged records above it."""
     with memoryview(buffer) as whole, whole[HEADER_BYTES:].cast("Q") as words:
         numbers = words[1 :: SLOT // _SEQUENCE_BYTES].tolist()
     in_place = [number for slot, number in enumerate(numbers) if number and number % slots == slot]
@@ -267,17 +267,17 @@ def newest(buffer: Any, slots: int) -> tuple[int, int]:
     return 0, len(in_place)
 
 
-# ---- what the types say
+# ---- content, by type: structures, and functions that return the bytes of a record's content
 
 WALL: Final = struct.Struct("<q")
 COMMAND_HEAD: Final = struct.Struct("<IdB")
 DECISION_HEAD: Final = struct.Struct("<I")
 FRAME_HEAD: Final = struct.Struct("<IIIB")
 _MOST_FRAME: Final = 14
-"""Bytes of a frame in a CarriedOut; a longer one is a record of its own, since evidence is never cut."""
+"""Bytes of a frame in a CarriedOut; a longer one gets a record of its own, since evidence is never cut."""
 CARRIED_OUT_HEAD: Final = struct.Struct(f"<IIB{_MOST_FRAME}s")
-"""Of a CarriedOut: from the arrival to the end of the frame's transfer, and how long that took, in ns; the frame's
-length, and the frame. The command follows, as in a record of its own."""
+"""Of a CarriedOut: time from the arrival to the end of the transfer, duration of the transfer, both in ns; the frame's
+length, and the frame. The command follows, as in a CommandRecord."""
 _UINT32: Final = 0xFFFFFFFF
 EVENT_HEAD: Final = struct.Struct("<I")
 TARGET_STRUCTS: Final = tuple(struct.Struct("<" + "BH" * count) for count in range(19))
@@ -295,7 +295,7 @@ MAX_KNOWN: Final = 200
 
 
 def _texts(*texts: str | None) -> bytes:
-    """Texts of at most 255 bytes, each behind its length; None is written as an empty one. The same come again."""
+    """Texts of at most 255 bytes, each after its length; None becomes "". Cached, since the same texts recur."""
     made = _known.get(texts)
     if made is None:
         if len(_known) >= MAX_KNOWN:
@@ -315,7 +315,7 @@ def _encoded(texts: Sequence[str | None]) -> bytes:
 
 
 def start(wall_ns: int, facts: dict[str, Any]) -> bytes:
-    """Of a Start."""
+    """Bytes of a Start; `facts` as JSON."""
     return WALL.pack(wall_ns) + json.dumps(facts).encode()
 
 
@@ -327,7 +327,7 @@ def command(
     sent_ms: float | None,
     targets: Sequence[tuple[int, ServoOp]],
 ) -> bytes:
-    """Of a CommandRecord."""
+    """Bytes of a CommandRecord; `sent_ms` None is stored as NaN."""
     flat: list[int] = []
     for servo_id, op in targets:
         flat += (servo_id, _OF_OP[op.op] + op.angle_cdeg)
@@ -338,12 +338,12 @@ def command(
 
 
 def decision(number: int, verdict: str, key: str, source: str | None) -> bytes:
-    """Of a Decision."""
+    """Bytes of a Decision; of `number` the lower 32 bits."""
     return DECISION_HEAD.pack(number & _UINT32) + _texts(verdict, key, source)
 
 
 def frame(data: bytes, cause: str, transfer_ns: int, late_ns: int = 0, number: int = 0) -> bytes:
-    """Of a FrameWritten."""
+    """Bytes of a FrameWritten; of each number the lower 32 bits."""
     return (
         FRAME_HEAD.pack(transfer_ns & _UINT32, late_ns & _UINT32, number & _UINT32, len(data))
         + data
@@ -369,9 +369,9 @@ def carried_out(
     frame_ns: int,
     transfer_ns: int,
 ) -> bytes | None:
-    """The body of a CarriedOut, for `Ring.put`; None where it needs records of its own, as it does not fit.
+    """The body of a CarriedOut, for `RecordRing.put`; None if it does not fit, and needs separate records.
 
-    Written out for a leg's three servos: a gait sends nothing else, six times fifty a second.
+    Unrolled for a leg's three servos: a gait sends only these, six times fifty a second.
     """
     after_ns = frame_ns - ns
     texts = _known.get((verb, key, source)) or _texts(verb, key, source)
@@ -393,31 +393,31 @@ def carried_out(
 
 
 def event(kind: str, source: str | None, key: str | None, reason: str | None, detail: str, left_out: int) -> bytes:
-    """Of an EventPublished."""
+    """Bytes of an EventPublished; the sentence is cut at MAX_TEXT."""
     fixed = EVENT_HEAD.pack(min(left_out, _UINT32)) + _texts(kind, source, key, reason)
     return (fixed + detail.encode("utf-8", "replace"))[:MAX_TEXT]
 
 
 def mode(name: str) -> bytes:
-    """Of a ModeChange; of an End as well."""
+    """Bytes of a ModeChange or an End, cut at MAX_TEXT."""
     return name.encode("utf-8", "replace")[:MAX_TEXT]
 
 
 def number(value: int) -> bytes:
-    """Of a Lag or a Clock."""
+    """Bytes of a Lag or a Clock."""
     return WALL.pack(value)
 
 
 def incident(wall_ns: int, name: str) -> bytes:
-    """Of an IncidentBegun."""
+    """Bytes of an IncidentBegun; `name` is its id."""
     return WALL.pack(wall_ns) + name.encode()
 
 
 def calibration(report: Calibration) -> bytes:
-    """Of a Calibrated. With all that a calibration may say it has some 1800 bytes."""
+    """Bytes of a Calibrated, 1800 at most."""
     return report.model_dump_json().encode()
 
 
 def about(facts: dict[str, Any]) -> bytes:
-    """Of an About. With all that settings may state it has some 2000 bytes."""
+    """Bytes of an About, 2000 at most."""
     return json.dumps(facts).encode()

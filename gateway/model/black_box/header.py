@@ -1,11 +1,11 @@
-"""The first page of a ring's file: what the file is, and what is quicker to find there than among the records.
+"""The first page of a ring's file: its format, and what readers need without searching the records.
 
-| bytes   | what                                                                                          |
+| bytes   | content                                                                                       |
 |---------|-----------------------------------------------------------------------------------------------|
 | 0-27    | magic, version, the size of a slot, and how many there are                                    |
 | 64-71   | the sequence number of the newest start or incident                                           |
-| 128-133 | CRC-32 and length of what follows; 0: nothing                                                 |
-| 134-    | the calibration in force: it is changed far less often than the ring comes round              |
+| 128-133 | CRC-32 and length of the calibration; 0: none                                                 |
+| 134-    | the calibration in force, whose record the ring overwrites sooner than it changes             |
 """
 
 import struct
@@ -26,17 +26,17 @@ _CALIBRATION_BEGIN: Final = _CALIBRATION_AT + _CALIBRATION.size
 
 
 def new(slots: int) -> bytes:
-    """The header of a new file with so many slots."""
+    """The header of a new file."""
     return _BEGIN.pack(MAGIC, VERSION, SLOT, slots).ljust(HEADER_BYTES, b"\0")
 
 
 def file_bytes(slots: int) -> int:
-    """The size of a file with so many slots."""
+    """The size of a file, header included."""
     return HEADER_BYTES + slots * SLOT
 
 
 def slots_of(head: bytes, size: int) -> int:
-    """The slots of a file that begins with `head` and has `size` bytes. Raises DamagedRingError."""
+    """The number of slots of a file that begins with `head` and has `size` bytes. Raises DamagedRingError."""
     if len(head) < _BEGIN.size:
         raise DamagedRingError("it has no header")
     magic, version, slot, slots = _BEGIN.unpack_from(head)
@@ -50,19 +50,19 @@ def slots_of(head: bytes, size: int) -> int:
 
 
 def announce(buffer: Any, sequence: int) -> None:
-    """Put the sequence number of the newest start or incident where a watcher looks at little cost."""
+    """Write the sequence number of the newest start or incident, for a watcher that polls the file."""
     _ANNOUNCED.pack_into(buffer, _ANNOUNCED_AT, sequence)
 
 
 def announced(head: bytes) -> int:
-    """What `announce` has put there; 0 in a header that is cut off."""
+    """The number written by `announce`; 0 if the header is truncated."""
     if len(head) < HEADER_BYTES:
         return 0
     return int(_ANNOUNCED.unpack_from(head, _ANNOUNCED_AT)[0])
 
 
 def put_calibration(buffer: Any, data: bytes) -> None:
-    """Put what is in force (as `format.calibration` writes it) there. What does not fit counts as unknown."""
+    """Write the calibration in force, in the bytes of `format.calibration`. One that does not fit counts as unknown."""
     if len(data) > HEADER_BYTES - _CALIBRATION_BEGIN:
         data = b""
     _CALIBRATION.pack_into(buffer, _CALIBRATION_AT, zlib.crc32(data), len(data))
@@ -70,7 +70,7 @@ def put_calibration(buffer: Any, data: bytes) -> None:
 
 
 def calibration(head: bytes) -> bytes:
-    """What `put_calibration` has put there; empty: nothing, or not all of it."""
+    """The bytes written by `put_calibration`; empty if there are none, or they are damaged."""
     if len(head) < HEADER_BYTES:
         return b""
     checksum, length = _CALIBRATION.unpack_from(head, _CALIBRATION_AT)

@@ -1,1 +1,1 @@
-"""The black box: what the gateway heard, decided and wrote, in a ring that is still there after SIGKILL."""
+"""The black box: what the gateway received, decided and wrote, in a ring that outlives SIGKILL."""

@@ -1,4 +1,4 @@
-"""Where the black box is: a folder on the disk for incidents, with a link to the ring, which is in memory."""
+"""Paths of the black box: a folder on the disk for incidents, with a link to the ring, which is in memory."""
 
 import os
 import zlib
@@ -11,19 +11,19 @@ from gateway.robot.settings import Settings
 from schemas.robot import LEGS
 
 RECORDS_PER_FRAME: Final = 4
-"""A setpoint makes one record, or two, where a frame is two transfers: the command, and the frame that it was accepted
-with. Twice as many come in a stream above the limit, for commands that are replaced and what becomes of them."""
+"""A setpoint makes one record; two where a frame is two transfers. A stream above the rate limit makes twice as many,
+for coalesced commands and their Decisions."""
 OTHER_RECORDS_PER_S: Final = 100
 
 
 def slots_for(settings: Settings) -> int:
-    """How many records reach back `recorder.seconds` while all legs are commanded at their rate."""
+    """The number of records of `recorder.seconds` with all legs commanded at their rate."""
     per_s = RECORDS_PER_FRAME * len(LEGS) * settings.limits.leg_rate_hz + OTHER_RECORDS_PER_S
     return min(MAX_SLOTS, round(settings.recorder.seconds * per_s))
 
 
 def folder_of(settings: Settings) -> Path | None:
-    """The black box's folder for the gateway itself; None: it is off."""
+    """The folder that the gateway itself uses; None: the black box is off."""
     if settings.recorder.path:
         return Path(settings.recorder.path)
     return state_directory()
@@ -35,13 +35,13 @@ def folder_to_read(settings: Settings) -> Path | None:
 
 
 def tried() -> Path:
-    """The black box of `make run`, this user's own; it is found without a file of settings."""
+    """The folder of this user's `make run`, which readers find without a settings file."""
     state = os.environ.get("XDG_STATE_HOME")
     return (Path(state) if state else Path("~/.local/state").expanduser()) / "hexapod-gateway" / "tried"
 
 
 def prepare(folder: Path) -> Path:
-    """Make the folder, and in it a link to where the ring is to be; returns that place. Raises OSError."""
+    """Make the folder and a link in it to the ring; returns the ring's path. Raises OSError."""
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     place, link = in_memory(folder), folder / RING_FILE
     if place == link:
@@ -55,7 +55,7 @@ def prepare(folder: Path) -> Path:
 
 
 def in_memory(folder: Path) -> Path:
-    """A place in memory for the ring of this folder; where a system has none, the folder itself."""
+    """A path in memory for this folder's ring; in the folder itself if the system has none."""
     runtime = runtime_directory()
     if runtime is not None:
         return runtime / RING_FILE

@@ -1,9 +1,9 @@
-"""What the gateway tells its black box.
+"""Writes the gateway's records into the black box.
 
-Nothing here is on the way of a Stop: it is told of a step once all frames of it are written, and before anybody is
-answered. A command that is carried out at once is one record with its frame.
+Recording delays no Stop: a step is recorded after all its frames are written, and before its commands are answered. A
+command that is carried out at once shares a record with its frame.
 
-Who calls owns the gateway's state, as with the supervisor.
+Called by the owner of the state, like the supervisor.
 """
 
 import logging
@@ -27,42 +27,41 @@ from gateway.robot.spi.bus import Sent
 from schemas.telemetry import Kind, Mode
 
 LAG_NS: Final = 10_000_000
-"""A timer that is later than this is recorded: a Stop would have been late by it."""
+"""A timer later than this is recorded: it would have delayed a Stop as much."""
 CLOCK_NS: Final = 1_000_000_000
 ABOUT_NS: Final = 10_000_000_000
 """How often versions and settings are recorded: an incident reaches back as far, and has them among its records."""
 KEPT_BEFORE_OPEN: Final = 200
-"""Records of the start, which come before the ring is open: the first Stops do not wait for it."""
+"""Records before the ring is open: the first Stops do not wait for it."""
 
 _IF_LEGS_STOP: Final = frozenset({Kind.BUTTON_SILENT, Kind.BUTTON_LEFT})
 """These are incidents only where legs are stopped for them."""
 logger = logging.getLogger(__name__)
 
-
 Written = tuple[Transmit, Sent]
-"""A frame that was written: why, and what the bus says of it."""
+"""A written frame: the effect behind it, and the bus's data."""
 Decided = tuple[Request, str]
-"""What became of a request (of number 0: it got no further than this), and the verdict."""
+"""A request and its outcome; number 0: it was rejected before the supervisor."""
 
 
 class Recorder:
-    """The black box, and what it is told. It keeps nothing without a folder, or once that could not be used."""
+    """The black box. Records nothing without a folder, or if the ring cannot be opened."""
 
     def __init__(
         self, settings: Settings, facts: dict[str, Any], clock: Callable[[], int], wall_ns: Callable[[], int]
     ) -> None:
-        """`facts` of the start, for whoever reads it."""
+        """`facts` go into the start's record."""
         self.incident: str | None = None
         """The id of the latest incident of this run."""
         self.incidents = 0
-        """How many this run has begun."""
+        """Incidents that this run has begun."""
         self._settings = settings
         self._clock = clock
         self._wall_ns = wall_ns
         self._ring: RecordRing | None = None
         self._waiting: list[tuple[int, int, bytes]] = []
         self._append: Callable[[int, int, bytes], None] = self._wait
-        self._clock_ns = 0  # when the time that people read was recorded last
+        self._clock_ns = 0  # of the latest record of the wall clock
         self._about_ns = -ABOUT_NS
         self._first_ns = self._until_ns = 0  # what belongs to the latest incident
         self._on = paths.folder_of(settings) is not None
@@ -78,7 +77,7 @@ class Recorder:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """An error with a sentence is an end in order; any other is for `incidents` to find."""
+        """Record a GatewayError as the end; after any other error `incidents` finds none."""
         if isinstance(error, GatewayError):
             self.ended(str(error))
         self.close()
@@ -100,17 +99,17 @@ class Recorder:
         self._append = self._ring.append
         for kind, ns, rest in waiting:
             self._append(kind, ns, rest)
-        self._ring.announce()  # a gateway that is killed between two looks of the watcher is not missed
+        self._ring.announce()  # so that the watcher sees this start even if the gateway is killed at once
 
     def close(self) -> None:
-        """No more records."""
+        """Close the ring; later records are discarded."""
         self._append = _forget
         if self._ring is not None:
             self._ring.close()
             self._ring = None
 
-    def step(self, heard: Request | None, written: Sequence[Written], decided: Sequence[Decided]) -> None:
-        """A step: the command that it took, if it took one, the frames that it wrote, and what became of commands."""
+    def step(self, received: Request | None, written: Sequence[Written], decided: Sequence[Decided]) -> None:
+        """Record a step: the command that it took, if any, its frames, and the outcomes of commands."""
         if not self._on:
             return
         accepted = 0  # with the only frame of this step: it then needs no Decision
@@ -119,11 +118,11 @@ class Recorder:
             for request, verdict in decided:
                 if verdict == ACCEPTED and commands == (request,):
                     accepted = request.number
-        if heard is not None:
-            if accepted == heard.number != 0 and len(decided) == 1 and self._carried_out(heard, written[0][1]):
+        if (one := received) is not None:
+            if accepted == one.number != 0 and len(decided) == 1 and self._carried_out(one, written[0][1]):
                 return
-            fields = form.command(heard.number, heard.verb, heard.key, heard.source, heard.sent_ms, heard.targets)
-            self._append(form.COMMAND, heard.received_ns, fields)
+            fields = form.command(one.number, one.verb, one.key, one.source, one.sent_ms, one.targets)
+            self._append(form.COMMAND, one.received_ns, fields)
         for transmit, sent in written:
             late_ns = 0 if transmit.deadline_ns is None else sent.ns - transmit.deadline_ns
             self._append(form.FRAME, sent.ns, form.frame(sent.data, transmit.cause, sent.call_ns, late_ns, accepted))
@@ -132,13 +131,13 @@ class Recorder:
             if not number or number != accepted:
                 self._append(form.DECISION, self._clock(), form.decision(number, verdict, request.key, request.source))
 
-    def _carried_out(self, heard: Request, sent: Sent) -> bool:
-        """Record a command and its frame as one; False: that does not fit, or there is no ring yet."""
+    def _carried_out(self, command: Request, sent: Sent) -> bool:
+        """Record a command and its frame in one record; False: it does not fit, or the ring is not open."""
         if self._ring is None:
             return False
         body = form.carried_out(
-            self._ring.sequence, heard.received_ns, heard.number, heard.verb, heard.key, heard.source, heard.sent_ms,
-            heard.targets, sent.data, sent.ns, sent.call_ns,
+            self._ring.sequence, command.received_ns, command.number, command.verb, command.key, command.source,
+            command.sent_ms, command.targets, sent.data, sent.ns, sent.call_ns,
         )  # fmt: skip
         if body is None:
             return False
@@ -146,11 +145,11 @@ class Recorder:
         return True
 
     def mode(self, mode: Mode) -> None:
-        """The gateway's mode changes."""
+        """Record a change of the gateway's mode."""
         self._append(form.MODE, self._clock(), form.mode(mode))
 
     def event(self, event: Announce, source: str | None, left_out: int) -> str | None:
-        """An event is published; returns the id of the incident that it begins or belongs to, if it does."""
+        """Record a published event; returns the id of the incident that it begins or belongs to, else None."""
         now_ns = self._clock()
         fields = form.event(event.kind, source, event.key, event.reason, event.detail, left_out)
         self._append(form.EVENT, now_ns, fields)
@@ -158,7 +157,7 @@ class Recorder:
         return None if what is None else self._happened(what, now_ns)
 
     def beat(self, lag_ns: int) -> None:
-        """The loop turns, ten times a second; its timer was so late."""
+        """Record a late timer, and what is due by time. Called ten times a second."""
         if not self._on:
             return
         now_ns = self._clock()
@@ -172,7 +171,7 @@ class Recorder:
             self._append(form.ABOUT, now_ns, self._about)
 
     def mistake(self, detail: str) -> None:
-        """An exception that nobody expected ends the service."""
+        """Record an unexpected exception, which ends the service."""
         now_ns = self._clock()
         self._append(form.EVENT, now_ns, form.event(MISTAKE, None, None, None, detail, 0))
         self._happened(MISTAKE, now_ns)
@@ -188,14 +187,14 @@ class Recorder:
             ns = self._clock()
             self._append(form.CALIBRATION, ns, before)
             self._append(form.CALIBRATION, ns, now)
-        self._ring.calibration = now  # last: who is killed before has it among the records
+        self._ring.calibration = now  # last: if killed before, the records have it
 
     def ended(self, why: str) -> None:
-        """The last Stops are written."""
+        """Record the end, after the last Stops."""
         self._append(form.END, self._clock(), form.mode(why))
 
     def _happened(self, what: str, now_ns: int) -> str | None:
-        """What happens within the time that an incident takes in belongs to it, and prolongs it."""
+        """Begin an incident, or prolong the one whose time this falls in; returns its id."""
         if not self._on:
             return None
         if self.incident is None or now_ns > min(self._until_ns, self._first_ns + LONGEST_INCIDENT_NS):
@@ -215,7 +214,7 @@ class Recorder:
 
 
 def _about(settings: Settings, facts: dict[str, Any]) -> dict[str, Any]:
-    """What a recording has of a gateway, too, under the same names as in its state."""
+    """Version and settings, under the same names as in a recording."""
     return {
         "version": __version__,
         "protocol": PROTOCOL_VERSION,
@@ -227,4 +226,4 @@ def _about(settings: Settings, facts: dict[str, Any]) -> dict[str, Any]:
 
 
 def _forget(_kind: int, _ns: int, _rest: bytes) -> None:
-    """Where there is no ring."""
+    """Discards a record: there is no ring."""

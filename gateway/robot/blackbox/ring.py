@@ -1,10 +1,10 @@
-"""The ring that the records are written to: a memory-mapped file that outlives its process.
+"""The ring of records: a memory-mapped file that outlives its process.
 
-The pages of a shared mapping belong to the file and not to the process, so they are still there after SIGKILL. Writing
-a record is a copy into memory: no system call, and no page fault, since all pages are mapped at the opening.
+The pages of a shared mapping belong to the file, not to the process, so they survive SIGKILL. Writing a record copies
+it into memory: no system call, and no page fault, since all pages are mapped at opening.
 
-The file must be in memory (tmpfs). The kernel makes a page of a file on a disk wait at its first write after each
-write-back, for as long as the disk is busy, and a Stop would wait with it (docs/blackbox.md has the measurement).
+The file must be in memory (tmpfs). On a disk, the first write to a page after each write-back blocks while the disk is
+busy, which would delay a Stop (measured: docs/blackbox.md).
 """
 
 import mmap
@@ -22,12 +22,12 @@ _HEADER, _SLOT, _ROOM = form.HEADER_BYTES, form.SLOT, form.ROOM
 
 
 class RecordRing:
-    """The writer's side. One owner."""
+    """The writer's side. Not thread-safe."""
 
     def __init__(self, path: Path, slots: int) -> None:
-        """Open the file, or begin it anew if it is not one of this version and size. Raises OSError.
+        """Open the file, or begin it anew if it has another version or size. Raises OSError.
 
-        `note` then says in one sentence what was found, if people want to know it.
+        `note` is then a sentence about a file begun anew or damaged, else empty.
         """
         self.note = ""
         flags = os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW
@@ -39,7 +39,7 @@ class RecordRing:
             whole = self._is_whole(slots)
             if not whole:
                 os.ftruncate(self._fd, 0)
-            # All blocks now: with a hole, a full disk would be met as SIGBUS in the middle of a write.
+            # Allocate all blocks: with a hole and a full disk, a later write would end in SIGBUS.
             os.posix_fallocate(self._fd, 0, size)
             self._map = mmap.mmap(self._fd, size, flags=mmap.MAP_SHARED | getattr(mmap, "MAP_POPULATE", 0))
         except BaseException:
@@ -49,10 +49,10 @@ class RecordRing:
         if not whole:
             self._map[: form.HEADER_BYTES] = header.new(slots)
         self.sequence = self._newest() + 1
-        """Of the next record."""
+        """Number of the next record."""
 
     def append(self, kind: int, ns: int, rest: bytes) -> None:
-        """Write a record. One that does not fit is continued in further slots."""
+        """Write a record, in several slots if it does not fit in one."""
         sequence = self.sequence
         offset = _HEADER + sequence % self._slots * _SLOT
         if len(rest) <= _ROOM:
@@ -65,18 +65,18 @@ class RecordRing:
         self.append(form.MORE, ns, rest[form.ROOM :])
 
     def put(self, body: bytes) -> None:
-        """Write a record whose `body` has its head already, with the number `sequence`, and fits."""
+        """Write a record of one slot whose `body` begins with its head, with the number `sequence`."""
         sequence = self.sequence
         pack_slot_into(self._map, _HEADER + sequence % self._slots * _SLOT, crc32(body), body)
         self.sequence = sequence + 1
 
     def announce(self) -> None:
-        """Whoever watches the file shall look: the record written last is a start or an incident."""
+        """Notify watchers of the file: the latest record is a start or an incident."""
         header.announce(self._map, self.sequence - 1)
 
     @property
     def calibration(self) -> bytes:
-        """What the header says is in force, as `format.calibration` writes it; empty: nothing."""
+        """The header's calibration, in the bytes of `format.calibration`; empty: none."""
         return header.calibration(self._map[: form.HEADER_BYTES])
 
     @calibration.setter
@@ -84,7 +84,7 @@ class RecordRing:
         header.put_calibration(self._map, data)
 
     def close(self) -> None:
-        """Release the file; its content stays."""
+        """Unmap and close the file; its content stays."""
         self._map.close()
         os.close(self._fd)
 
@@ -102,7 +102,7 @@ class RecordRing:
         return found == slots
 
     def _newest(self) -> int:
-        """The highest sequence number of a whole record; 0: there is none."""
+        """The highest sequence number of a valid record; 0: none."""
         number, torn = form.newest(self._map, self._slots)
         if number and torn:
             self.note = f"the black box is continued; {torn} of its newest records are not whole"
@@ -110,7 +110,7 @@ class RecordRing:
 
 
 def _check_owner(fd: int, path: Path) -> None:
-    """A folder such as /dev/shm is everybody's: nobody else may have put the file there."""
+    """Raises PermissionError for a file of another user, which in a folder such as /dev/shm may be planted."""
     found = os.fstat(fd)
     if not stat.S_ISREG(found.st_mode) or found.st_uid != os.geteuid() or found.st_nlink != 1:
-        raise PermissionError(f"{path} belongs to somebody else")
+        raise PermissionError(f"{path} belongs to another user")

@@ -1,7 +1,7 @@
-"""The calibration on disk: TOML that a person can read, written whole or not at all, with the ten before it.
+"""The calibration on disk: TOML for people, written atomically, with the ten earlier versions kept.
 
-A file that is broken, cut off or of another version is an error and not a default: with the wrong direction or trim a
-servo would go where nobody sent it.
+A damaged, truncated or foreign file is an error, never replaced by a default: with the wrong direction or trim a servo
+would move to an angle that was not commanded.
 """
 
 import glob
@@ -26,18 +26,18 @@ from schemas import calibration as wire
 from schemas.robot import SERVO_IDS
 
 CALIBRATION_FILE: Final = "calibration.toml"
-"""In the service's state directory."""
+"""File name in the service's state directory."""
 CALIBRATION_VERSION: Final = 1
 EARLIER_KEPT: Final = 10
-"""How many earlier calibrations are kept beside the file."""
+"""Earlier calibrations kept in the same folder."""
 MAX_CALIBRATION_BYTES: Final = 64 * 1024
-"""A whole calibration takes 2 kB; what is larger is no calibration, and is not read."""
+"""A whole calibration takes 2 kB; a larger file is rejected unread."""
 
 SLOW_S: Final = 5.0
-"""A write takes some milliseconds, on a worn card a second: one that takes longer hangs, and people are told."""
+"""A write takes milliseconds, on a worn card a second: a longer one counts as hanging, and is reported."""
 
 MOST_DIGITS: Final = 18
-"""Of a revision: more is none of ours, and takes long to read."""
+"""Of a revision; the gateway writes none longer, and parsing one would take long."""
 
 _HEAD: Final = """\
 # How this robot's servos differ from the drawing (docs/calibration.md). The gateway writes this file; restart it after
@@ -63,10 +63,10 @@ def _path(settings: Settings, folder: Path | None) -> Path | None:
 
 
 def load(path: Path) -> tuple[RobotCalibration, str | None]:
-    """What a gateway starts with, and why nothing may be started with it, if so.
+    """The calibration to start with, and why no servo may be started with it (None: it may).
 
-    Where the file cannot be used, that is the default with a revision which none of those beside the file has, so that
-    what is kept next is newer than them.
+    If the file cannot be used, it is the default, with a revision above those of all earlier files, so that the next
+    one written is newer.
     """
     earlier: list[Path] = []
     with suppress(OSError):
@@ -76,7 +76,7 @@ def load(path: Path) -> tuple[RobotCalibration, str | None]:
     except ConfigError as error:
         fault = str(error)
     else:
-        if found is not None:  # one of the earlier, put back by hand, is newer than all of them
+        if found is not None:  # an earlier file that was put back by hand gets a newer revision
             newest = 1 + _number(path, earlier[0]) if earlier else 0
             return replace(found, revision=max(found.revision, newest)), None
         if not earlier:
@@ -86,9 +86,9 @@ def load(path: Path) -> tuple[RobotCalibration, str | None]:
 
 
 def read(path: Path) -> RobotCalibration | None:
-    """The calibration kept there; None: there is none yet. Raises ConfigError with one sentence.
+    """The calibration in the file at `path`; None: there is no file. Raises ConfigError with one sentence.
 
-    It waits for the disk, and for nothing else: not for somebody who writes into a pipe of that name.
+    Waits only for the disk: a FIFO at `path` is rejected without blocking.
     """
     try:
         descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
@@ -109,7 +109,7 @@ def read(path: Path) -> RobotCalibration | None:
 
 
 def write(path: Path, calibration: RobotCalibration) -> None:
-    """Keep it: on disk when this returns, or the old one stays. Raises ConfigError. Takes as long as the disk does."""
+    """Write atomically; on disk when this returns. Raises ConfigError, and the old file stays. Blocks on the disk."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         durable.write(path, to_toml(calibration).encode(), before=partial(_keep_previous, path))
@@ -118,20 +118,20 @@ def write(path: Path, calibration: RobotCalibration) -> None:
 
 
 def previous(path: Path) -> list[Path]:
-    """The earlier calibrations beside it, newest first."""
+    """The earlier calibrations in the same folder, newest first."""
     beside = path.parent.glob(f"{glob.escape(path.stem)}.*{glob.escape(path.suffix)}")
     numbered = [(number, found) for found in beside if (number := _number(path, found)) >= 0]
     return [found for _, found in sorted(numbered, reverse=True)]
 
 
 def _number(path: Path, found: Path) -> int:
-    """The revision in an earlier calibration's name; -1: it has none."""
+    """The revision in the name of an earlier calibration's file; -1: it has none."""
     text = found.name[len(path.stem) + 1 : len(found.name) - len(path.suffix)]
     return int(text) if text.isascii() and text.isdecimal() and len(text) <= MOST_DIGITS else -1
 
 
 def _keep_previous(path: Path) -> None:
-    """A second name for the file as it is; only then is it replaced, so that there is a whole one at any time."""
+    """Hard-link the current file under its revision; a complete file exists at any time."""
     try:
         before = read(path)
     except ConfigError:
@@ -151,7 +151,7 @@ def _keep_previous(path: Path) -> None:
 
 
 def to_toml(calibration: RobotCalibration) -> str:
-    """The file's text. Its last line names the revision again, so that a file that was cut off can be told."""
+    """The file's text. The last line repeats the revision, so that a truncated file is recognised."""
     report = report_of(calibration)
     lines = [f"{_HEAD}version = {CALIBRATION_VERSION}", f"revision = {report.revision}", "", "[landing]"]
     lines += [f"{name} = {angle!r}" for name, angle in report.landing.items()]
@@ -186,7 +186,7 @@ _WHOLE: Final = "a whole calibration names every servo and all of its numbers"
 
 
 def from_toml(data: bytes) -> RobotCalibration:
-    """The calibration in a file. Raises ValueError with one sentence."""
+    """Parse a file's bytes. Raises ValueError with one sentence."""
     values = nesting.read_toml(data)
     version = values.get("version")
     if version != CALIBRATION_VERSION:

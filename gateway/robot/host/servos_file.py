@@ -1,8 +1,7 @@
-"""Whether a servo runs, for deploy/install.sh, which may not ask over the network where that needs a certificate.
+"""Whether a servo runs, for deploy/install.sh, which has no certificate to ask over the network.
 
-One line in a file of the service's folder, which is in memory: `MONOTONIC_NS 0` or `MONOTONIC_NS 1`, ten times a
-second. The file is mapped, so writing it is a copy into memory, without a system call. A line older than a second says
-nothing: the service hangs.
+One line in the service's runtime directory: `MONOTONIC_NS 0` or `MONOTONIC_NS 1`, written ten times a second. The file
+is memory-mapped, so a write needs no system call. A line older than a second means that the service hangs.
 """
 
 import logging
@@ -19,7 +18,7 @@ logger = logging.getLogger(__name__)
 
 
 class ServosFile:
-    """The file in the service's runtime directory; nothing without one."""
+    """The file in `folder`, the service's runtime directory; None: no file is written."""
 
     def __init__(self, folder: Path | None) -> None:
         self._map: mmap.mmap | None = None
@@ -36,6 +35,6 @@ class ServosFile:
             logger.warning("the installer cannot see whether a servo runs: %s", error)
 
     def write(self, now_ns: int, *, any_runs: bool) -> None:
-        """Whether any runs, at this time of the monotonic clock."""
+        """Record whether any servo runs, at `now_ns` of the monotonic clock."""
         if self._map is not None:
             self._map[:] = (_LINE % (now_ns, any_runs)).encode()

@@ -1,7 +1,7 @@
-"""When `stop-servos` wrote its Stops: a note that it leaves for the black box of the gateway that starts next.
+"""When `stop-servos` wrote its Stops: a note for the black box of the gateway that starts next.
 
-It lies in the service's runtime directory, in memory: a reboot ends both the note and the clock that its times are of.
-Only people read it, so whatever is wrong with it is no reason for anything.
+It is in the service's runtime directory, in memory: a reboot resets both the note and the monotonic clock of its times.
+Only people use it, so every error is ignored.
 """
 
 from contextlib import suppress
@@ -12,7 +12,7 @@ from gateway.host.directories import runtime_directory
 
 _NAME: Final = "stop-servos"
 _MOST_BYTES: Final = 50
-"""It has some 30."""
+"""The note has some 30."""
 
 
 class StopNote(NamedTuple):
@@ -23,7 +23,7 @@ class StopNote(NamedTuple):
 
 
 def leave(note: StopNote) -> None:
-    """Leave it; without a runtime directory nothing is left. Called once the Stops are written. Never raises."""
+    """Write the note, after the Stops; nothing without a runtime directory. Never raises."""
     path = _path()
     if path is not None:
         with suppress(OSError):
@@ -31,7 +31,7 @@ def leave(note: StopNote) -> None:
 
 
 def take() -> StopNote | None:
-    """The note that was left, and remove it; None: there is none, or none that can be read. Never raises."""
+    """Read and remove the note; None: there is none that can be read. Never raises."""
     path = _path()
     if path is None:
         return None

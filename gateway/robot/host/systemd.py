@@ -1,4 +1,4 @@
-"""Tells systemd that the service is ready, alive or stopping (sd_notify); does nothing without systemd."""
+"""Notifies systemd that the service is ready, alive or stopping (sd_notify); does nothing without systemd."""
 
 import os
 import signal
@@ -7,16 +7,15 @@ from collections.abc import Mapping
 from typing import Final
 
 PINGS_PER_TIMEOUT = 4
-"""More than one, so that a late or lost ping does not kill a service that works."""
-
+"""More than one, so that a late or lost ping does not kill a working service."""
 
 HANGS_AFTER: Final = 3
-"""After so many of the watchdog's periods without `alive` the kernel ends the process. systemd does so after one. But
-systemd stops looking once it has asked the service to end, and would then wait for all of TimeoutStopSec=, which is as
-long as `stop-servos` may take on a busy machine."""
+"""The kernel ends the process after so many of the watchdog's periods without `alive`; systemd does so after one. But
+systemd's watchdog ends with the stop request: then it waits for TimeoutStopSec=, which is as long as `stop-servos` may
+take on a busy machine."""
 
 ANEW_S: Final = 20.0
-"""From the last sign of the old program to the first of the new one. TimeoutStartSec= is 30 s."""
+"""From the old program's last notification to the new one's first. TimeoutStartSec= is 30 s."""
 
 
 class SystemdNotifier:
@@ -28,42 +27,42 @@ class SystemdNotifier:
         self._socket: socket.socket | None = None
         if path:
             self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC)
-            self._socket.setblocking(False)  # if systemd does not read, the loop must not wait
+            self._socket.setblocking(False)  # the loop must not wait for systemd to read
         self.ping_period_s: Final = _ping_period_s(environment) if path else None
-        """How often to call `alive`, a quarter of systemd's watchdog period; None: there is no such watchdog."""
+        """How often to call `alive`: a quarter of systemd's watchdog period; None: it has no watchdog for us."""
 
     def ready(self, status: str) -> None:
-        """Commands are taken from now on, and systemd's watchdog has the period of the unit."""
+        """Commands are accepted from now on; resets systemd's watchdog to the unit's period."""
         period = (
             ""
             if self.ping_period_s is None
             else f"\nWATCHDOG_USEC={round(self.ping_period_s * PINGS_PER_TIMEOUT * 1e6)}"
         )
-        self._tell(f"READY=1\nSTATUS={status}{period}")
+        self._send(f"READY=1\nSTATUS={status}{period}")
 
     def status(self, status: str) -> None:
-        """A sentence for `systemctl status`; from any thread."""
-        self._tell(f"STATUS={status}")
+        """Set the sentence in `systemctl status`. From any thread."""
+        self._send(f"STATUS={status}")
 
     def alive(self) -> None:
-        """The loop turns and can own the state. Without this for WATCHDOG_USEC, systemd kills the service."""
-        self._tell("WATCHDOG=1")
+        """The loop runs and can own the state. Without this for WATCHDOG_USEC, systemd kills the service."""
+        self._send("WATCHDOG=1")
         self._end_unless_alive()
 
     def stopping(self, *, anew: bool = False) -> None:
-        """The service ends, or (`anew`) its program is about to be replaced by itself, in the same process.
+        """The service ends, or (`anew`) the process is about to execute its program again.
 
-        Then nobody has to hear of it for ANEW_S; after that the kernel ends it, or else systemd's watchdog.
+        Then no notification is needed for ANEW_S; after that the kernel ends the process, or else systemd's watchdog.
         """
         if not anew:
-            self._tell("STOPPING=1")
+            self._send("STOPPING=1")
             self._end_unless_alive()
         elif self.ping_period_s is not None:
-            self._tell(f"RELOADING=1\nSTATUS=starts anew\nWATCHDOG_USEC={round(ANEW_S * 1e6)}\nWATCHDOG=1")
+            self._send(f"RELOADING=1\nSTATUS=starts anew\nWATCHDOG_USEC={round(ANEW_S * 1e6)}\nWATCHDOG=1")
             signal.setitimer(signal.ITIMER_REAL, ANEW_S)  # a new program in this process keeps it
 
     def _end_unless_alive(self) -> None:
-        """Let the kernel end this process if it is not called again in time: no thread of it has to go on for that."""
+        """Have the kernel end this process unless this is called again in time, even if all threads hang."""
         if self.ping_period_s is not None:
             signal.setitimer(signal.ITIMER_REAL, self.ping_period_s * PINGS_PER_TIMEOUT * HANGS_AFTER)
 
@@ -73,14 +72,13 @@ class SystemdNotifier:
             self._socket.close()
             self._socket = None
 
-    def _tell(self, text: str) -> None:
+    def _send(self, text: str) -> None:
         if self._socket is None:
             return
         try:
             self._socket.sendto(text.encode(), self._address)
         except OSError:
-            # systemd acts by itself when it hears nothing.
-            return
+            return  # systemd acts by itself when notifications stop
 
 
 def _ping_period_s(environment: Mapping[str, str]) -> float | None:

@@ -1,4 +1,4 @@
-"""What becomes of commands: counted, recorded, answered, and published where they are rejected."""
+"""Outcomes of commands: counted, recorded and answered; rejections are published as well."""
 
 from collections.abc import Iterable, Sequence
 
@@ -14,7 +14,7 @@ from schemas.telemetry import Ack, Kind, Reason
 
 
 class PendingCommands:
-    """Numbers commands, and answers them once. Called by the owner of the state."""
+    """Numbers commands and answers each once. Called by the owner of the state."""
 
     def __init__(self, metrics: Metrics, recorder: Recorder, events: EventPublisher) -> None:
         self._number = 0
@@ -23,12 +23,12 @@ class PendingCommands:
         self._events = events
 
     def next_number(self) -> int:
-        """For a request that the supervisor is asked now."""
+        """The number of the next request to the supervisor."""
         self._number += 1
         return self._number
 
     def decided(self, effects: Sequence[Effect], fault: SpiError | None) -> Sequence[Decided]:
-        """What the black box has of the requests that end with this step, in which the bus may have failed."""
+        """The outcomes of this step's requests for the black box; `fault`: the bus failed in it."""
         found: list[Decided] = []
         for effect in effects:
             match effect:
@@ -41,7 +41,7 @@ class PendingCommands:
         return found
 
     def complete(self, effect: Transmit | Completed, fault: SpiError | None) -> None:
-        """Answer what the supervisor has completed with this effect; all is rejected where its step's frames failed."""
+        """Answer the requests that this effect completes; `fault`: the step's frames failed, so all are rejected."""
         for request in effect.done:
             if fault is not None:
                 self.end(request, Reason.BUS_FAULT, f"the frame could not be written: {fault}")
@@ -54,16 +54,16 @@ class PendingCommands:
                 request.reply(ack.model_dump_json().encode())
 
     def reject_unread(self, key: str, source: str | None, detail: str, reason: Reason = Reason.INVALID) -> None:
-        """Publish that a message is rejected without being taken: on a key that nothing reads, or about the lease."""
+        """Reject a message without a command: on a key that nothing reads, or on a key for `get` only."""
         self.reject(Request(key=echo_of(key), source=source), reason, detail)
 
-    def reject(self, request: Request, reason: Reason, detail: str, heard: Request | None = None) -> None:
-        """A message gets no further than this; `heard`: a command that was read."""
-        self._recorder.step(heard, (), ((request, reason),))
+    def reject(self, request: Request, reason: Reason, detail: str, received: Request | None = None) -> None:
+        """Reject a message before the supervisor decides; `received`: the command, if it was read."""
+        self._recorder.step(received, (), ((request, reason),))
         self.end(request, reason, detail)
 
     def end(self, request: Request, reason: Reason, detail: str) -> None:
-        """Answer what is rejected, and publish that."""
+        """Answer a rejected request and publish the rejection."""
         written = sorted(set(request.written))
         if written:
             legs = f"leg{'s' if len(written) > 1 else ''} {', '.join(map(str, written))}"
@@ -81,5 +81,5 @@ def _is_coalesced(request: Request) -> bool:
 
 
 def legs_of(servo_ids: Iterable[int]) -> tuple[int, ...]:
-    """Whose servos these are, ascending."""
+    """The legs of these servos, ascending."""
     return tuple(sorted({leg_of(servo_id) for servo_id in servo_ids}))

@@ -1,4 +1,4 @@
-"""The calibration's two keys: what is in force is told, and a change is decided, kept, and only then acknowledged."""
+"""The calibration's two keys: publishes what is in force; a change is decided, written, and then acknowledged."""
 
 import asyncio
 import logging
@@ -21,8 +21,7 @@ from schemas.calibration import CalibrationCommand
 from schemas.telemetry import Ack, Reason
 
 WriteAndThen = Callable[[RobotCalibration, Callable[[str | None], None]], None]
-"""Returns at once; calls back, as owner of the state, once the calibration is on the disk, or why it is not."""
-
+"""Returns at once; calls back as owner of the state: None once the calibration is on the disk, else why it is not."""
 
 HANGS: Final = (
     f"the disk has not answered for {SLOW_S:g} s; if it does not come back, restart the gateway, and look at the "
@@ -33,7 +32,7 @@ logger = logging.getLogger(__name__)
 
 
 class Calibrations(RequestAnswers):
-    """Answers requests for a change, and tells what is in force."""
+    """Answers requests for a change, and publishes what is in force."""
 
     key = keys.CALIBRATION_CMD
     ack = Ack
@@ -48,19 +47,19 @@ class Calibrations(RequestAnswers):
         self._written_of: RobotCalibration | None = None
 
     def announce_start(self) -> None:
-        """Publish what is in force from the start on, and log that it will be forgotten, if so."""
+        """Publish what is in force at the start; log if it is in memory only."""
         if self._keep is None:
             logger.info("the calibration is kept in memory only, until this process ends (calibration.path)")
-        self.tell()
+        self.publish()
 
-    def tell(self) -> None:
-        """Publish what is in force, and have the black box know it."""
+    def publish(self) -> None:
+        """Publish and record what is in force."""
         self._conductor.recorder.calibration(self._in_force)
         self._conductor.publish(keys.CALIBRATION, report_of(self._in_force))
 
     def answer(self, reply: Reply) -> None:
         """Answer a `get` on what is in force."""
-        if self._written_of is not self._in_force:  # anybody may ask as often as they like
+        if self._written_of is not self._in_force:  # cached, since anyone may ask at any rate
             self._written_of = self._in_force
             self._written = report_of(self._in_force).model_dump_json().encode()
         reply(self._written)
@@ -72,7 +71,7 @@ class Calibrations(RequestAnswers):
         return partial(self.change, command, calibration_intake.change_of(command), command.source or source, reply)
 
     def change(self, command: CalibrationCommand, change: CalibrationChange, source: str | None, reply: Reply) -> None:
-        """Decide about a change, and answer once it is on the disk, or rejected."""
+        """Have the supervisor decide; answer after the write, or the rejection."""
         conductor, answers = self._conductor, self._conductor.answers
         now_ns = conductor.turned()
         event = Calibrate(
@@ -97,7 +96,7 @@ class Calibrations(RequestAnswers):
             self._keep(keep.calibration, kept)
 
     def _note_delay(self) -> None:
-        """Not answered yet: nobody knows whether it is kept, and until that is known nothing else can be."""
+        """The write takes too long: until its result is known, no other change can be accepted."""
         self._conductor.supervisor.calibrating.note_delay(HANGS)
         logger.warning("a change of the calibration is not kept yet: %s; what runs goes on", HANGS)
 
@@ -106,7 +105,7 @@ class Calibrations(RequestAnswers):
         before = self._in_force
         self._conductor.ask(Kept(number, fault))
         if self._in_force is not before:
-            self.tell()
+            self.publish()
             self._conductor.publish_state()
 
     @property

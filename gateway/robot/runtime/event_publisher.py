@@ -1,7 +1,4 @@
-"""What happens goes out through here: to the log, to whoever listens on Zenoh, and to the black box.
-
-It names the source, and limits how often each source is reported for each kind. Nothing here decides what is sent.
-"""
+"""Publishes events to the log, to Zenoh and to the black box, with a rate limit for each source and kind."""
 
 import logging
 from collections.abc import Callable, Sequence
@@ -29,8 +26,8 @@ LIMITED: Final = (
     Kind.BUTTON_LEFT,
     Kind.BUTTON_RETURNED,
 )
-"""What others can bring about as often as they like. Each kind has a limit of its own, so that none is left out for
-another's sake: two people who fight for a leg hide no takeover."""
+"""Events that clients can cause at any rate. Each kind has a limit of its own, so that a flood of one hides no other:
+two people who fight for a leg hide no takeover."""
 
 logger: Final = logging.getLogger(__name__)
 
@@ -47,19 +44,19 @@ class EventPublisher:
         self._estop_source: str | None = None
 
     def note_estop(self, received: Received) -> None:
-        """An emergency stop is requested. Its payload is left unread: its Stops come first."""
+        """Note an emergency stop request. Its payload is parsed later: its Stops come first."""
         self._unread = received
 
     @property
     def estop_source(self) -> str | None:
-        """Who requested the latest emergency stop; to be asked after its Stops are written."""
+        """The source of the latest emergency stop; read it after its Stops are written."""
         if self._unread is not None:
             self._estop_source = named_source(self._unread.payload) or self._unread.source
             self._unread = None
         return self._estop_source
 
     def announce(self, what: Announce) -> None:
-        """Publish an event, unless too many of its kind and source were published."""
+        """Publish an event, unless its kind and source exceed their rate limit."""
         kind = what.kind
         source = self.estop_source if kind is Kind.ESTOP_ENGAGED else what.source
         limit = self._limits.get(kind)
@@ -79,7 +76,7 @@ class EventPublisher:
         self._outbox.publish(keys.EVENT, event)
 
     def frames(self, written: Sequence[Written]) -> None:
-        """Publish the frames of a step, after the last of them was written."""
+        """Publish a step's frames, after the last was written."""
         for transmit, sent in written:
             record = telemetry.FrameRecord(
                 time=wall_clock(), monotonic_ns=sent.ns, bytes=sent.data.hex(), cause=transmit.cause

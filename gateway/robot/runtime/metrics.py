@@ -1,4 +1,4 @@
-"""What the service counts and times. Plain numbers, written by the state's owner; `prometheus` shows them."""
+"""The service's counters and latencies: plain numbers, written by the state's owner, exposed by `prometheus`."""
 
 from collections import Counter
 from dataclasses import dataclass, field
@@ -14,28 +14,28 @@ class Metrics:
     accepted: int = 0
     coalesced: int = 0
     overflows: int = 0
-    """How often messages of a key were lost, as more came at once than are kept."""
+    """Times that a ring overflowed, so that messages of its key were lost."""
     lost: int = 0
-    """Messages that were then passed over without being decoded: at least so many were lost."""
+    """Messages skipped undecoded after an overflow: at least so many were lost."""
     rejected: Counter[Reason] = field(default_factory=Counter)
     frames: Counter[Cause] = field(default_factory=Counter)
     events: Counter[Kind] = field(default_factory=Counter)
-    """What the supervisor has announced, published or not."""
+    """Events of the supervisor, published or left out."""
     watchdog_stops: Latency = field(default_factory=Latency)
-    """Deadline → its Stop written."""
+    """From a deadline to its Stop written."""
     emergency_stops: Latency = field(default_factory=Latency)
-    """Request received → sixth Stop written; requests whose Stops could not be written are not in it."""
+    """From the request received to the sixth Stop written, of requests whose Stops were written."""
     sessions: int = 0
-    """Zenoh sessions that are open: laptops, routers, programs on this machine."""
+    """Open Zenoh sessions: laptops, routers, programs on this machine."""
     older_ca: int = 0
-    """Laptops that came with a certificate of the older of two CAs."""
+    """Laptops that connected with a certificate of the older of two CAs."""
     loop_lag: Latency = field(default_factory=Latency)
     """How late the loop's timers run."""
 
     def count_older_ca(self, number: int) -> None:
-        """Called by a thread that owns nothing."""
+        """Without owning the state: no decision depends on it."""
         self.older_ca = number
 
     def count_sessions(self, number: int) -> None:
-        """Called by a thread that owns nothing."""
+        """Without owning the state: no decision depends on it."""
         self.sessions = number

@@ -1,7 +1,7 @@
-"""Writes the bus's preamble in the pauses of a stream: part by part, with the loop turning between them.
+"""Writes the bus's preamble in the pauses of a stream, in parts, with the loop running between them.
 
-The bus would write it ahead of a frame. Here it delays no Stop that comes meanwhile by more than one part, and a
-repeated run of Stops finds it written.
+Otherwise the bus writes it ahead of a frame. In parts it delays no Stop by more than one part, and is complete before
+Stops are repeated.
 """
 
 import asyncio
@@ -13,7 +13,7 @@ from gateway.robot.spi.bus import Bus
 
 
 class PreambleInPauses:
-    """Watches what is due; `arm` is to be called after each frame, and `failed` takes a part's fault."""
+    """Schedules the parts. Call `arm` after each frame; `failed` gets the fault of a part."""
 
     def __init__(
         self,
@@ -30,19 +30,18 @@ class PreambleInPauses:
         self._repeat_ns: int | None = None
 
     def arm(self, due_ns: int | None, repeat_ns: int | None) -> int | None:
-        """Begin, if a preamble is wanted now, for a stream or for the Stops that are repeated at `repeat_ns`.
+        """Begin if a preamble is due, for a stream or for the Stops repeated at `repeat_ns`.
 
-        Returns when to call again at the latest: for the preamble ahead of those, or at `due_ns`.
+        Returns the time of the next call: when that preamble has to begin, or else `due_ns`.
         """
         self._repeat_ns = repeat_ns
         if not self._timer.armed and self._wanted():
-            self._timer.set_in(0)  # on the loop, whose turns leave the state to others between two parts
+            self._timer.set_in(0)  # on the loop, so that other owners get the state between two parts
         if repeat_ns is None or due_ns is None or self._timer.armed or self._bus.just_resynchronised:
             return due_ns
         return min(due_ns, repeat_ns - self._bus.preamble_ns)
 
     def cancel(self) -> None:
-        """No more zeros."""
         self._timer.cancel()
 
     def _wanted(self) -> bool:
@@ -54,7 +53,7 @@ class PreambleInPauses:
 
     def _write_part(self) -> None:
         if not self._wanted():
-            return  # a frame that had to come behind it has written it
+            return  # a frame has been written since, with its preamble
         try:
             more = self._bus.write_zeros()
         except SpiError as fault:

@@ -1,4 +1,4 @@
-"""What the gateway knows, as `hexapod/state` tells it."""
+"""Makes the payload of `hexapod/state`."""
 
 from datetime import UTC, datetime
 from typing import Final
@@ -48,16 +48,16 @@ WARNINGS: Final = frozenset(
         Kind.BUTTON_LEFT,
     }
 )
-"""Events that somebody should look at; the others are the normal course."""
+"""Kinds that are logged as warnings; the others are informational."""
 
 
 def wall_clock() -> datetime:
-    """The time that people read; no decision depends on it."""
+    """Now in UTC, for people; no decision depends on it."""
     return datetime.now(UTC)
 
 
 class StateReports:
-    """Makes the states of one run of the gateway."""
+    """Makes the states of one run of the service."""
 
     def __init__(
         self, settings: Settings, *, simulated: bool, physics: str | None, calibration_kept: bool, started_ns: int
@@ -68,11 +68,11 @@ class StateReports:
         self._calibration_kept = calibration_kept
         """Whether the calibration outlasts this process."""
         self._started_ns = started_ns
-        self._limits = limits_of(settings)  # made once: no report has to wait for it
+        self._limits = limits_of(settings)
         self.certificate: CertificateReport | None = None
-        """Of those in use, the first that expires."""
+        """The first certificate in use to expire; None: none is in use."""
         self.revocations: RevocationsReport | None = None
-        """The list in force."""
+        """The list in force; None: there is none."""
 
     def state(
         self,
@@ -136,7 +136,7 @@ class StateReports:
 
 
 def limits_of(settings: Settings) -> LimitsReport:
-    """The settings' limits, as the state has them."""
+    """The settings' limits, as in the state."""
     servos = {name: ServoLimitsReport(**each.model_dump()) for name, each in settings.limits.servos.items()}
     limits = settings.limits
     return LimitsReport(leg_rate_hz=limits.leg_rate_hz, max_age_ms=limits.max_age_ms, servos=servos)

@@ -1,7 +1,7 @@
-"""What is asked on the keys that take `get` only: read, and its proof checked, before anybody owns the robot's state.
+"""Requests on the keys that take `get` only: parsed, and their proof checked, without owning the robot's state.
 
-Each key has its own `RequestAnswers`, and one thread, which reads them one by one; an owner of the state decides and
-answers.
+Each key has a `RequestAnswers` and a receiver thread, which parses one request after the other; then an owner of the
+state decides and answers.
 """
 
 import datetime as dt
@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, ClassVar, Final
 import zenoh
 from pydantic import BaseModel, ValidationError
 
-from gateway import certs
 from gateway.robot.core.events import ButtonDo, ButtonRequest, Do, LeaseRequest
 from gateway.robot.core.intake import ENCODINGS, Rejection, too_large
 from gateway.robot.core.message import Reply
@@ -32,7 +31,7 @@ if TYPE_CHECKING:
     from gateway.certs.proof import CertificateHolder, ProofChecker
 
 PAUSE_S: Final = 0.05
-"""Between two that change a file: twenty a second, each of which may take a millisecond. A person writes one."""
+"""Between two requests that may write a file: 20/s, each of which may take a millisecond."""
 BY_WILDCARD: Final = Rejection(Reason.INVALID, "this key is not asked by wildcard: name it")
 BAD_ENCODING: Final = Rejection(Reason.BAD_ENCODING, "the encoding must be application/json, or left out")
 
@@ -41,11 +40,11 @@ _BUTTON_DOES: Final = '"challenge", "register", "alive" or "leave"'
 
 
 def why_unread(error: ValidationError, does: str) -> tuple[Reason, str]:
-    """Why a request cannot be read, which may `do` these. Nothing of what was sent is repeated: it may be a secret."""
+    """Reason and sentence for an invalid request; `does` lists the valid verbs. Repeats no value: it may be secret."""
     first = error.errors()[0]
     if first["type"] == "json_invalid":
         return Reason.MALFORMED, "the payload is not JSON"
-    # The names in it are ours, but for one that is not known; the first is the verb's, which pydantic adds.
+    # All names in `loc` are the schema's, except an unknown field's; the first is the verb, which pydantic adds.
     known = [str(part) for part in first["loc"][1:]]
     if first["type"].startswith("union_tag") or not known:
         return Reason.INVALID, f"do must be {does}"
@@ -55,9 +54,9 @@ def why_unread(error: ValidationError, does: str) -> tuple[Reason, str]:
 
 
 def payload_of(query: zenoh.Query, most: int) -> bytes | Rejection:
-    """The payload, of `most` bytes at most, or why it is not read."""
+    """The payload of at most `most` bytes, or why it is rejected unread."""
     payload = query.payload
-    if "*" in str(query.key_expr):  # whoever lists what there is wants to see, and asks for nothing
+    if "*" in str(query.key_expr):  # from a program that lists keys
         return BY_WILDCARD
     if payload is not None and len(payload) > most:
         return too_large(len(payload), most)
@@ -67,19 +66,19 @@ def payload_of(query: zenoh.Query, most: int) -> bytes | Rejection:
 
 
 class RequestAnswers(ABC):
-    """One key's. A thread that owns nothing calls `note` and `read`, an owner of the robot's state all else."""
+    """One key. Its receiver thread calls `note` and `read`; an owner of the robot's state calls the other methods."""
 
     key: ClassVar[str]
     ack: ClassVar[type[BaseModel]]
     most_bytes: ClassVar[int] = MAX_PAYLOAD_BYTES
     pause_s: ClassVar[float | None] = None
-    """After each of them."""
+    """Pause after each request; None: no pause."""
 
     def __init__(self, conductor: Conductor) -> None:
         self._conductor = conductor
 
     def note(self, query: zenoh.Query, now_ns: int, reply: Reply) -> Deal:
-        """Read one query, which came at this time; what is then to be done with it."""
+        """Parse a query received at `now_ns`; returns what the owner of the state is to do."""
         source = str(query.source_info.source_id.zid) if query.source_info is not None else None
         payload = payload_of(query, self.most_bytes)
         if isinstance(payload, Rejection):
@@ -90,14 +89,14 @@ class RequestAnswers(ABC):
 
     @abstractmethod
     def read(self, payload: bytes, now_ns: int, reply: Reply, source: str | None = None, /) -> Deal:
-        """Read one payload, which came at this time; `source`: who asks, where it names nobody."""
+        """Parse a payload received at `now_ns`; `source`: the sender, if the payload names none."""
 
     def accepted(self, **fields: object) -> bytes:
-        """The answer to what is accepted."""
+        """The JSON of an accepting answer."""
         return self.ack(accepted=True, **fields).model_dump_json().encode()
 
     def reject(self, source: str | None, reason: Reason, detail: str, reply: Reply, **more: object) -> None:
-        """Answer what changes nothing, and publish that."""
+        """Reject a request and publish the rejection."""
         self._conductor.answers.reject_unread(self.key, source, detail, reason)
         reply(self.ack(accepted=False, reason=reason, detail=detail, **more).model_dump_json().encode())
 
@@ -107,11 +106,11 @@ def _with_pause(deal: Deal, pause_s: float) -> float:
     return pause_s
 
 
-# ---- lease and buttons: who asks is proved
+# ---- lease and buttons: the sender is proved
 
 
 class LeaseAnswers(RequestAnswers):
-    """To those for the lease."""
+    """Answers requests for the lease."""
 
     key = keys.LEASE
     ack = LeaseAck
@@ -125,7 +124,7 @@ class LeaseAnswers(RequestAnswers):
         wall_clock: Callable[[], dt.datetime] = wall_clock,
         fresh: Callable[[], str] = fresh_token,
     ) -> None:
-        """Without a `checker` names are taken as they are."""
+        """Without a `checker`, names are accepted unproved."""
         super().__init__(conductor)
         self._ttl_ms = ttl_ms
         self._proofs = Proofs(checker, wall_clock, fresh)
@@ -151,7 +150,7 @@ class LeaseAnswers(RequestAnswers):
         return partial(self.ask, asked, reply)
 
     def ask(self, request: LeaseRequest, reply: Reply) -> None:
-        """Have the supervisor decide, and answer after the frames."""
+        """Have the supervisor decide; answer after its frames are written."""
         answer = self._conductor.ask(request).answer
         if answer is None:  # the service has ended
             return
@@ -164,7 +163,7 @@ class LeaseAnswers(RequestAnswers):
 
 
 class ButtonAnswers(RequestAnswers):
-    """To those of buttons."""
+    """Answers requests of stop buttons."""
 
     key = keys.BUTTON
     ack = ButtonAck
@@ -177,11 +176,10 @@ class ButtonAnswers(RequestAnswers):
         *,
         fresh: Callable[[], str] = fresh_token,
     ) -> None:
-        """Without a `checker` names are taken as they are."""
+        """Without a `checker`, names are accepted unproved."""
         super().__init__(conductor)
         self._settings = settings
-        # `cryptography` is loaded for a gateway with certificates only.
-        self._proofs = Proofs(checker, wall_clock, fresh, None if checker is None else certs.proof.WATCHING)
+        self._proofs = Proofs(checker, wall_clock, fresh, watching=True)
 
     def read(self, payload: bytes, now_ns: int, reply: Reply, source: str | None = None, /) -> Deal:
         try:
@@ -214,7 +212,7 @@ class ButtonAnswers(RequestAnswers):
         return partial(self.ask, asked, reply)
 
     def ask(self, request: ButtonRequest, reply: Reply) -> None:
-        """Have the supervisor decide, and answer after the frames."""
+        """Have the supervisor decide; answer after its frames are written."""
         answer = self._conductor.ask(request).answer
         if answer is None:  # the service has ended
             return
@@ -227,7 +225,7 @@ class ButtonAnswers(RequestAnswers):
         reply(self.accepted(detail=detail, button=answer.token, timeout_ms=timeout_ms, alive=alive, required=required))
 
     def _counts(self, source: str, holder: "CertificateHolder | None") -> bool:
-        """Whether the settings want this one: its person (`anna` of `anna/phone`), or its certificate's role."""
+        """Whether `buttons.names` admits its person (`anna` of `anna/phone`) or its certificate's role."""
         person = source.partition("/")[0] if holder is None else holder.person
         names = self._settings.names
         return not names or person in names or (holder is not None and holder.role in names)

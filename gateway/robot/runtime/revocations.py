@@ -1,4 +1,4 @@
-"""The list of who is shut out: kept, and then put in force by a service that starts anew, legs stopped first."""
+"""The list of revoked certificates: written, then put in force by a restart of the service, legs stopped first."""
 
 import asyncio
 import logging
@@ -30,7 +30,7 @@ logger = logging.getLogger(__name__)
 
 
 class Revocations(RequestAnswers):
-    """Nothing here is judged by the clock."""
+    """Answers requests with a newer list. No decision depends on the clock."""
 
     key = keys.REVOCATION
     ack = RevocationAck
@@ -44,23 +44,20 @@ class Revocations(RequestAnswers):
         loop: asyncio.AbstractEventLoop,
         begin_again: Callable[[], None],
     ) -> None:
-        """`kept`: None where there is no CA, and so nobody to shut out.
-
-        `begin_again` ends the service, so that it starts anew; it is called on the loop.
-        """
+        """`kept`: None without a CA. `begin_again`, called on the loop, restarts the service."""
         super().__init__(conductor)
         self._kept = kept
         self._loop = loop
         self._begin_again = begin_again
         self._disk = DiskWriter("keep list", loop, conductor.owner)
         self._keeps = False
-        """A list is being written; the service starts anew once it is."""
+        """A list is being written; the service restarts afterwards."""
         known = None if kept is None else kept.known
         if known is not None:
             conductor.reports.revocations = RevocationsReport(number=known.number, date=known.date)
 
     def announce_start(self) -> None:
-        """Have the robot remember the list in force, and publish where an older one lies in its place."""
+        """Write the list in force to the state directory; publish if an older one was found in its place."""
         kept = self._kept
         if kept is None or kept.known is None:
             return
@@ -84,7 +81,7 @@ class Revocations(RequestAnswers):
         if text is None:
             return partial(self.answer, reply)
         if self._kept is None:
-            detail = "this gateway's Zenoh file names no CA, so it knows nobody by a certificate"
+            detail = "this gateway's Zenoh file names no CA, so there are no certificates to revoke"
             return partial(self.reject, source, Reason.REVOCATION_DENIED, detail, reply)
         try:
             found = certs.revocation.parse(text.encode(), self._kept.cas)
@@ -93,7 +90,7 @@ class Revocations(RequestAnswers):
         return partial(self.change, found, reply)
 
     def answer(self, reply: Reply) -> None:
-        """Say which list is in force."""
+        """Answer with the list in force."""
         known = None if self._kept is None else self._kept.known
         if known is None:
             reply(self.accepted(number=0))
@@ -101,7 +98,7 @@ class Revocations(RequestAnswers):
             reply(self.accepted(number=known.number, revoked=known.pem.decode()))
 
     def change(self, found: "RevocationList", reply: Reply) -> None:
-        """Keep this list, if it is newer, and start anew with it. The one that is in force is accepted again."""
+        """Write the list if it is newer, then restart. The list already in force is accepted without a restart."""
         kept = self._kept
         known = None if kept is None else kept.known
         if known is not None and found.pem == known.pem:
@@ -112,7 +109,7 @@ class Revocations(RequestAnswers):
             self.reject(None, Reason.REVOCATION_DENIED, fault or "this gateway keeps no list", reply)
             return
         self._keeps = True
-        # A disk may take seconds, and no Stop waits for one.
+        # On a background thread, since a disk may take seconds.
         self._disk.write(partial(revoked.keep, kept.path, found), partial(self._put_in_force, kept, found, reply))
 
     def _put_in_force(self, kept: RevocationState, found: "RevocationList", reply: Reply, fault: str | None) -> None:
@@ -121,7 +118,7 @@ class Revocations(RequestAnswers):
             self.reject(None, Reason.REVOCATION_DENIED, fault, reply)
             return
         known = frozenset() if kept.known is None else kept.known.common_names
-        self._kept = kept._replace(known=found)  # or an older list could still take its place before the service ends
+        self._kept = kept._replace(known=found)  # so that no older list is accepted before the service ends
         names = ", ".join(sorted(found.common_names - known)) or "nobody else"
         detail = f"list {found.number} shuts out {names}: all legs stop, and the service starts anew"
         self._conductor.announce(Kind.REVOKED, detail, self.key)

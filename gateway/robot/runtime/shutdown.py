@@ -1,4 +1,4 @@
-"""The end of the service: what asks for it, the last Stops, and a process that goes in time."""
+"""The end of the service: what causes it, the last Stops, and an exit in bounded time."""
 
 import asyncio
 import logging
@@ -24,24 +24,22 @@ from gateway.robot.spi.stop_all import MOST_PAUSE_MS, stop_once
 from schemas.robot import LEGS
 
 SHUTDOWN_S = 0.8
-"""What the end may take: the second of docs/interface.md, Behaviour 7, less what the process needs to go."""
+"""Duration of the end: the second of docs/interface.md, Behaviour 7, less the process's own exit."""
 REPEATS_S = 0.3
-"""Of that, what the repeats of the last Stops may take."""
-
+"""Of that, for repeats of the last Stops."""
 LAST_WORDS_S = 0.1
-"""Beyond that, what the log may take where nothing else waits for the end."""
-
+"""Beyond that, for the log."""
 EXEC_S = 5.0
-"""How long the kernel may take to replace the program; it takes milliseconds."""
+"""Limit for the kernel to execute the program again; it takes milliseconds."""
 
 logger = logging.getLogger(__name__)
 
 
 class ServiceEnd:
-    """What ends the service: a signal, or a mistake of our own.
+    """Ends the service on a signal or an unexpected exception.
 
-    After an exception that nobody expected, nobody knows what state is left; so the robot is stopped and the service
-    ends, to be started afresh by systemd.
+    After an unexpected exception the state may be inconsistent, so the robot is stopped and the service ends; systemd
+    starts it again.
     """
 
     def __init__(self, loop: asyncio.AbstractEventLoop, owner: Ownership, recorder: Recorder) -> None:
@@ -53,34 +51,34 @@ class ServiceEnd:
         for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
             if number is signal.SIGHUP and signal.getsignal(number) is signal.SIG_IGN:
                 continue  # nohup
-            loop.add_signal_handler(number, self._event.set)  # SIGHUP: its terminal, or the link to it, is gone
+            loop.add_signal_handler(number, self._event.set)  # SIGHUP: its terminal is gone
         for number in (signal.SIGTSTP, signal.SIGTTOU):
-            signal.signal(number, signal.SIG_IGN)  # a gateway that its terminal suspends would stop no leg
+            signal.signal(number, signal.SIG_IGN)  # suspended by its terminal, a gateway would stop no leg
         loop.set_exception_handler(self._failed)
 
     async def wait(self) -> None:
-        """Until something ends it."""
+        """Return when the service has to end."""
         await self._event.wait()
 
     def because(self, failure: str) -> None:
-        """End, and report `failure`."""
+        """End the service and report `failure`."""
         with self._owner:
             self._recorder.mistake(failure)
         self.failure = self.failure or failure
         self._event.set()
 
     def begin_again(self) -> None:
-        """End, and start anew in the same process, with the configuration as it is then."""
+        """End the service and restart it in the same process, with its files read again."""
         self._starts_anew = True
         self._event.set()
 
     @property
     def starts_anew(self) -> bool:
-        """Whether the process goes on with a service that starts anew, and nothing has failed."""
+        """Whether the process restarts the service; not after a failure."""
         return self._starts_anew and self.failure is None
 
     def leave(self) -> NoReturn:
-        """Leave the process, or let it start anew."""
+        """Exit, or restart in the same process."""
         if self.starts_anew:
             start_anew()
         if self.failure is None:
@@ -89,7 +87,7 @@ class ServiceEnd:
         leave(GatewayError.exit_code)
 
     def task_done(self, task: "asyncio.Task[None]") -> None:
-        """A task of the service may be cancelled, but must not fail."""
+        """Done callback of the service's tasks: ends the service if one failed."""
         if not task.cancelled() and task.exception() is not None:
             self._failed(task.get_loop(), {"message": "a task failed", "exception": task.exception()})
 
@@ -100,13 +98,13 @@ class ServiceEnd:
 
 
 async def stop_the_robot(conductor: Conductor, bus: Bus, watchdog: WatchdogSettings) -> None:
-    """Stop all six legs and repeat it for REPEATS_S at most; past the conductor where that did not write all six."""
+    """Stop all six legs, and repeat it for REPEATS_S at most; directly on the bus if the conductor fails to."""
     deadline = asyncio.get_running_loop().time() + REPEATS_S
     with conductor.owner:
         try:
             stopped = conductor.shut_down()
         except Exception:
-            logger.exception("the orderly end failed; writing the Stops past it")
+            logger.exception("the orderly end failed; writing the Stops directly")
             stopped = False
         if not stopped:
             _last_attempt(bus, watchdog, deadline)
@@ -119,9 +117,9 @@ async def stop_the_robot(conductor: Conductor, bus: Bus, watchdog: WatchdogSetti
 
 
 def _last_attempt(bus: Bus, watchdog: WatchdogSettings, deadline: float) -> None:
-    """All six legs again and again: a fault of a moment, or of one leg's frame, must not leave the others moving.
+    """Stop all six legs repeatedly, so that a transient fault, or one of a single leg's frame, leaves no other moving.
 
-    It keeps the state, and the loop: nobody knows what else would be done, and these Stops are the last to be written.
+    It blocks the loop and keeps the state: after an exception nothing else may write to the bus.
     """
     unstopped, rounds_left, opened = set(LEGS), 1 + watchdog.repeats, True
     while True:
@@ -139,9 +137,9 @@ def _last_attempt(bus: Bus, watchdog: WatchdogSettings, deadline: float) -> None
 
 
 async def close_within(timeout_s: float, leave: Callable[[], NoReturn], *closes: Callable[[], object]) -> None:
-    """Close in a thread that nobody has to wait for: a frozen peer can hold Zenoh's close for ten seconds.
+    """Call `closes` on a background thread; after `timeout_s`, call `leave` without waiting for them.
 
-    The servos are safe by then, so after `timeout_s` the process goes without it, by `leave`.
+    A frozen peer can delay Zenoh's close by ten seconds, and the servos are stopped by then.
     """
     closed = asyncio.Event()
     loop = asyncio.get_running_loop()
@@ -157,22 +155,21 @@ async def close_within(timeout_s: float, leave: Callable[[], NoReturn], *closes:
     try:
         await asyncio.wait_for(closed.wait(), max(0.0, timeout_s))
     except TimeoutError:
-        logger.warning("a peer does not let go of its connection; ending without waiting for it")
+        logger.warning("a peer does not close its connection; ending without waiting for it")
         leave()
 
 
 def leave(exit_code: int) -> NoReturn:
-    """End at once: a thread inside Zenoh would keep the interpreter from ending."""
+    """Exit at once: a thread inside Zenoh would keep the interpreter from ending."""
     logs.close(LAST_WORDS_S)
     os._exit(exit_code)
 
 
 def start_anew() -> NoReturn:
-    """Replace this program by itself, as it was called, in the same process: every thread of it ends, whatever it does.
+    """Execute this program again, with the same arguments, in the same process; this ends all of its threads.
 
-    So systemd sees no end, and waits for none of what it does between two starts: the service is back after what Python
-    takes to start. On a thread of its own, since the new program has the scheduling class of the thread that calls
-    this, and ours may not give up its own (SCHED_RESET_ON_FORK).
+    systemd sees no end of the service, so the restart takes only as long as Python's start. On a new thread, since the
+    program inherits its thread's scheduling class, and ours may not give up its own (SCHED_RESET_ON_FORK).
     """
     logs.close(LAST_WORDS_S)
     threading.Thread(target=os.execv, args=(sys.executable, sys.orig_argv), daemon=True).start()

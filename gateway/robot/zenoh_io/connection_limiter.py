@@ -1,13 +1,11 @@
-"""Keeps sessions free for operators: clients without that role (visitors) get only a share of those that Zenoh allows,
-and whoever is revoked gets none.
+"""Keeps sessions free for operators: other clients (visitors) get a share of Zenoh's sessions, revoked ones none.
 
-Nothing simpler does: Zenoh limits all sessions together, not those of a role or a listener, and its API cannot close
-one. So the newest visitors beyond their share lose their connection: their socket is shut down, and Zenoh drops the
-session within a millisecond. Older sessions stay. Without client certificates nobody can be told apart, and nothing is
-done.
+Zenoh limits all sessions together, not those of a role or a listener, and its API cannot close one. So the newest
+visitors beyond their share lose their connection: their socket is shut down, and Zenoh drops the session within a
+millisecond. Older sessions stay. Without client certificates, clients cannot be distinguished, and none is shut down.
 
-TLS lets in whoever has a certificate of the CA. Access control lets nothing of the revoked through; their sockets are
-shut down besides, so that they take no place.
+TLS accepts any certificate of the CA, also a revoked one. Access control drops its messages; shutting down its socket
+frees its place as well.
 """
 
 import ipaddress
@@ -32,13 +30,13 @@ from gateway.limits import MAX_SESSIONS, OPERATORS_PLACES
 
 VISITORS: Final = MAX_SESSIONS - OPERATORS_PLACES
 SAY_AGAIN_S: Final = 10.0
-"""Shortest time between two warnings: clients that were turned away try again several times a second."""
+"""Shortest time between two warnings: rejected clients try again several times a second."""
 
 logger = logging.getLogger(__name__)
 
 
 class ConnectionLimiter:
-    """Counts the visitors whenever a link opens or closes, on a thread of its own."""
+    """Counts the visitors each time a link opens or closes, on a thread of its own."""
 
     def __init__(
         self,
@@ -47,9 +45,9 @@ class ConnectionLimiter:
         revoked: Collection[str] = frozenset(),
         note: Callable[[Collection[str]], None] = lambda _: None,
     ) -> None:
-        """`count` is called with the number of sessions whenever it may have changed.
+        """After each change of the links, `count` gets the number of sessions, `note` the connected common names.
 
-        `revoked`: the common names that are shut out. `note` is called with those that are connected.
+        `revoked`: common names that are shut out.
         """
         self._revoked = revoked
         self._note = note
@@ -58,7 +56,7 @@ class ConnectionLimiter:
         self._since: dict[str, int] = {}
         self._visits = 0
         self._warnings = Allowance(1 / SAY_AGAIN_S, 1)
-        # One event in the ring is enough: each look reads all links.
+        # A ring for one event is enough: each look reads all links.
         self._listener = session.info.declare_link_events_listener(RingChannel(1), history=True)
         self.thread = threading.Thread(target=self._run, name="connection_limiter", daemon=True)
         self.thread.start()
@@ -91,17 +89,17 @@ class ConnectionLimiter:
         surplus = sorted(visitors, key=lambda link: self._since[str(link.zid)])[VISITORS:]
         if not surplus and not shut_out:
             return
-        with suppress(OSError):  # no descriptor left to look
+        with suppress(OSError):  # no descriptor is left to list them
             shut_down({address for link in surplus + shut_out if (address := _address(str(link.dst))) is not None})
         if not self._warnings.take(time.monotonic_ns()):
             return
         if shut_out:
             names = sorted({str(link.auth_identifier) for link in shut_out})
-            logger.warning("%s is revoked, tries to connect, and is turned away", ", ".join(names))
+            logger.warning("rejected connections with revoked certificates: %s", ", ".join(names))
         if surplus:
             logger.warning(
-                "%d clients that are no operators are connected; those beyond %d are turned away, so that an operator "
-                "finds a place",
+                "%d clients without the operator role are connected; those beyond %d are disconnected, to keep places "
+                "for operators",
                 len(visitors),
                 VISITORS,
             )
@@ -112,18 +110,15 @@ class ConnectionLimiter:
 
 
 def is_operator(identity: str) -> bool:
-    """Whether a certificate's common name is that of somebody who may stop: `operator-07`, `button-07`.
-
-    In a fleet `operator-07.ROBOT`.
-    """
+    """Whether this common name may stop the robot: `operator-07`, `button-07`, in a fleet `operator-07.ROBOT`."""
     return pool.holder(identity).role in (OPERATOR, BUTTON)
 
 
 def shut_down(addresses: Collection[Any]) -> None:
-    """Shut down this process's connections to these addresses, as Zenoh's own descriptors hold them."""
+    """Shut down this process's connections to these peers. Zenoh owns the descriptors, so they are searched for."""
     for number in map(int, os.listdir("/proc/self/fd")):
-        # Zenoh may close the descriptor meanwhile, and its number be used again; a duplicate keeps the connection.
-        # With no descriptor left for a duplicate, nothing is done; then no new client can connect either.
+        # A duplicate, since Zenoh may close the descriptor meanwhile, and its number may be reused. If no descriptor is
+        # left for one, no new client can connect either.
         with suppress(OSError), _duplicate(number) as connection:
             if _peer(connection) in addresses:
                 connection.shutdown(socket.SHUT_RDWR)

@@ -1,7 +1,7 @@
-"""Rejects configurations with which a stranger on the network could move the robot; the gateway then does not start.
+"""Rejects configurations with which anyone on the network could move the robot: the gateway then does not start.
 
-A listen endpoint that is not loopback needs TLS with client certificates, or user and password, or the deliberate
-`zenoh.allow_insecure = true`. An endpoint that is not understood here counts as exposed.
+A listen endpoint that is not loopback needs TLS with client certificates, or user and password, or the explicit
+`zenoh.allow_insecure = true`. An endpoint of an unknown kind counts as exposed.
 """
 
 import logging
@@ -20,7 +20,7 @@ logger = logging.getLogger(__name__)
 
 
 def check(config: zenoh.Config, *, allow_insecure: bool) -> None:
-    """Reject, or with `allow_insecure` warn of, endpoints on which anyone may command. Raises ConfigError."""
+    """Raises ConfigError for an endpoint on which anyone may command; with `allow_insecure` it only warns."""
     listen = listen_endpoints(config)
     if not listen and not connect_endpoints(config):
         raise ConfigError("zenoh.listen and zenoh.connect are both empty, so nobody could reach the gateway")
@@ -37,34 +37,34 @@ def check(config: zenoh.Config, *, allow_insecure: bool) -> None:
     for endpoint in connect_endpoints(config):
         if not is_local(endpoint) and not _knows_whom_it_dials(endpoint, config):
             logger.warning(
-                "%s is dialled without TLS, or without checking the name in its certificate: anyone on the way to it, "
-                "and behind it, can move the robot",
+                "%s is dialled without TLS, or without checking the name in its certificate: anyone on the way to it "
+                "or behind it can move the robot",
                 endpoint,
             )
     if _dials_whom_it_finds(config):
         logger.warning(
-            "the Zenoh file turns scouting on, and not only for TLS: the gateway dials whoever it finds on the "
-            "network, and they can move the robot"
+            "the Zenoh file turns scouting on, and not only for TLS: the gateway dials every Zenoh program that it "
+            "finds on the network, and these can move the robot"
         )
     if get(config, "access_control/rules") and get(config, "access_control/enabled") is not True:
         logger.warning("access_control has rules, but is not enabled; Zenoh ignores them")
 
 
 def _check_links(endpoints: list[str], config: zenoh.Config) -> None:
-    """With certificates, a session that must not be there is ended by shutting down its socket, which QUIC's one UDP
-    socket for all sessions does not allow: the revoked would stay, and take the operators' places. Raises ConfigError.
+    """Raises ConfigError for QUIC with certificates: all its sessions share one UDP socket, so a revoked client's could
+    not be shut down, and would keep an operator's place.
     """
     quic = [endpoint for endpoint in endpoints if endpoint.startswith("quic")]
     by_certificate = get(config, "transport/link/tls/root_ca_certificate") or get(config, "access_control/enabled")
     if quic and by_certificate:
         raise ConfigError(
-            f"{', '.join(quic)}: over QUIC nobody who is revoked can be shut out, and no place be kept for operators; "
-            "with certificates, write tls/ in place of quic/"
+            f"{', '.join(quic)}: over QUIC, revoked clients cannot be disconnected, and no places be kept for "
+            "operators; with certificates, write tls/ in place of quic/"
         )
 
 
 def _check_namespace(config: zenoh.Config) -> None:
-    """Access control without the robot's namespace blocks everybody, even the emergency stop. Raises ConfigError."""
+    """Raises ConfigError if the rules lack the robot's namespace: they would block even the emergency stop."""
     namespace, rules = get(config, "namespace"), get(config, "access_control/rules")
     if not namespace or not rules or get(config, "access_control/enabled") is not True:
         return
@@ -77,7 +77,7 @@ def _check_namespace(config: zenoh.Config) -> None:
 
 
 def is_open_to_anyone(endpoint: str, config: zenoh.Config) -> bool:
-    """Whether somebody on another machine needs neither certificate nor password to use `endpoint`."""
+    """Whether `endpoint` is reachable from another machine without a certificate or password."""
     return not (
         is_local(endpoint)
         or _demands_certificate(endpoint, config)
@@ -96,7 +96,7 @@ def _is_tls(endpoint: str) -> bool:
 
 
 def _demands_certificate(endpoint: str, config: zenoh.Config) -> bool:
-    # An endpoint can carry settings of its own behind a "#", which override the file's.
+    # Settings behind an endpoint's "#" override the file's.
     overrides = endpoint.partition("#")[2]
     return (
         _is_tls(endpoint)
@@ -128,7 +128,7 @@ def _way_on(config: zenoh.Config) -> str:
 
 
 def _demands_password(config: zenoh.Config) -> bool:
-    # Zenoh switches authentication off if the dictionary is empty, so it must hold at least one user.
+    # With an empty dictionary Zenoh switches authentication off.
     file = get(config, "transport/auth/usrpwd/dictionary_file")
     if not isinstance(file, str):
         return False

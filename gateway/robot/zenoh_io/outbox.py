@@ -1,7 +1,7 @@
-"""The right edge: state, events and frame records to Zenoh, and the token that says that the gateway lives.
+"""Publishes state, events and frame records on Zenoh, and the gateway's liveliness token.
 
-A thread of its own publishes. A put waits for each listener whose link is full, a millisecond and more, and for the
-routing tables while somebody declares much; on the loop, Stops would wait with it.
+A background thread publishes. A put waits for each subscriber whose link is full (a millisecond and more), and for
+Zenoh's tables while a client declares many keys; on the loop, Stops would be delayed as well.
 """
 
 import logging
@@ -16,26 +16,25 @@ from gateway.host.worker import Worker
 from schemas.keys import ALIVE, GATEWAYS
 
 MAX_REPORTS_WAITING: Final = 1000
-"""Reports: some seconds of frames. What comes when so many wait is dropped, since it tells of what is over."""
+"""Some seconds of frame records. Further reports are dropped: older ones would delay current ones."""
 
 logger = logging.getLogger(__name__)
 
 
 class ZenohOutbox:
-    """Publishes in the order in which reports come, with congestion control DROP. Silent until it is opened."""
+    """Publishes reports in order, with congestion control DROP. Before `open`, reports are discarded."""
 
     def __init__(self) -> None:
         self._publishers: dict[str, zenoh.Publisher] = {}
         self._matching: dict[str, zenoh.MatchingListener[Handler[zenoh.MatchingStatus]]] = {}
         self._listened_to: dict[str, bool] = {}
         self.dropped = 0
-        """Reports that nobody got, since too many waited."""
-        self._told = 0
-        """Of these, as the log has them."""
+        """Reports that were dropped because too many waited."""
+        self._dropped_logged = 0
         self._worker = Worker("outbox")
 
     def open(self, session: zenoh.Session) -> None:
-        """From now on, publish here; and say that the gateway lives."""
+        """Publish on this session from now on, and declare the liveliness token."""
         self._publishers = {
             key: session.declare_publisher(
                 key,
@@ -45,14 +44,14 @@ class ZenohOutbox:
             )
             for key in GATEWAYS
         }
-        # Zenoh puts each change into a ring: to look there costs nothing, and waits for none of its tables.
+        # Zenoh puts each change of matching into a ring: reading it is cheap, and waits for no table.
         self._matching = {
             key: publisher.declare_matching_listener(RingChannel(1)) for key, publisher in self._publishers.items()
         }
         self._token = session.liveliness().declare_token(ALIVE)
 
     def anyone_listens(self, key: str) -> bool:
-        """Whether a report would reach anybody. Without this, an idle gateway worked half as much again."""
+        """Whether `key` has a subscriber. Unchecked, an idle gateway took half as much processor time again."""
         listener = self._matching.get(key)
         change = None if listener is None else listener.handler.try_recv()
         if change is not None:
@@ -60,7 +59,7 @@ class ZenohOutbox:
         return self._listened_to.get(key, False)
 
     def publish(self, key: str, report: BaseModel) -> None:
-        """Send a report to whoever listens. It must not change any more."""
+        """Queue a report, which must not change afterwards. Does not block."""
         if key not in self._publishers:
             return
         if self._worker.waiting < MAX_REPORTS_WAITING:
@@ -69,7 +68,7 @@ class ZenohOutbox:
             self.dropped += 1
 
     def close(self) -> None:
-        """Publish what waits, and end the thread. Blocks; not for the loop's thread."""
+        """Publish the queued reports and end the thread. Blocks; not for the loop's thread."""
         self._worker.close()
 
     def _send(self, key: str, report: BaseModel) -> None:
@@ -77,6 +76,6 @@ class ZenohOutbox:
             self._publishers[key].put(report.model_dump_json())
         except Exception as error:
             logger.warning("nothing could be published on %s: %s", key, error)
-        if self.dropped > self._told and not self._worker.waiting:
-            logger.warning("%d reports were not published: too many waited", self.dropped - self._told)
-            self._told = self.dropped
+        if self.dropped > self._dropped_logged and not self._worker.waiting:
+            logger.warning("%d reports were not published: too many waited", self.dropped - self._dropped_logged)
+            self._dropped_logged = self.dropped

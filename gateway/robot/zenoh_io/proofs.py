@@ -1,7 +1,7 @@
-"""Who asks for the lease, or registers a button: proved by certificate, before anybody owns the robot's state for it.
+"""Checks the certificate of a client that asks for the lease or registers a button.
 
-To check a proof takes 0.3 ms. It is done on the thread that hears, so that no command and no Stop waits for it, and at
-most `CHECKS_PER_S` times a second, since `cryptography` keeps the interpreter's lock meanwhile.
+A check takes 0.3 ms. It runs on the receiver thread, without the robot's state, so that no command and no Stop waits
+for it, and at most `CHECKS_PER_S` times a second, since `cryptography` holds the interpreter's lock meanwhile.
 """
 
 import datetime as dt
@@ -19,11 +19,11 @@ from gateway.zenoh_config import get
 from schemas.lease import Proof
 
 if TYPE_CHECKING:
-    from gateway.certs.proof import CertificateHolder, ProofChecker, Purpose
+    from gateway.certs.proof import CertificateHolder, ProofChecker
     from gateway.certs.revocation import RevocationList
 
 CHECKS_PER_S: Final = 20
-"""6 ms a second of the interpreter's lock. A person asks once, and a program once for each lease."""
+"""6 ms a second of the interpreter's lock. A person or program needs one check for each lease."""
 
 
 def fresh_token() -> str:
@@ -32,34 +32,35 @@ def fresh_token() -> str:
 
 
 class Proofs:
-    """Nonces given out on one key, and proofs checked there. One thread."""
+    """Nonces and proofs of one key. Not thread-safe."""
 
     def __init__(
         self,
         checker: "ProofChecker | None",
         wall_clock: Callable[[], dt.datetime],
         fresh: Callable[[], str] = fresh_token,
-        purpose: "Purpose | None" = None,
+        *,
+        watching: bool = False,
     ) -> None:
-        """Without a `checker` names are taken as they are. `purpose`: by default, to drive."""
+        """Without a `checker`, names are accepted unproved. `watching`: the proofs are buttons', not drivers'."""
         self._checker = checker
         self._wall_clock = wall_clock
         self.fresh = fresh
-        self._purpose = purpose
+        self._watching = watching
         self._nonces = Nonces()
         self._checks = Allowance(CHECKS_PER_S, CHECKS_PER_S)
 
     @property
     def wanted(self) -> bool:
-        """Whether names have to be proved."""
+        """Whether names must be proved."""
         return self._checker is not None
 
     def challenge(self, now_ns: int) -> str | None:
-        """A nonce that a proof may name; None where none is wanted."""
+        """A new nonce for a proof; None if none is needed."""
         return None if self._checker is None else self._nonces.issue(self.fresh(), now_ns)
 
     def why_denied(self, proof: Proof | None, do: str, source: str, now_ns: int) -> str | None:
-        """Why it is not shown that `source` wants this; None: it is, or need not be."""
+        """Why `proof` does not show that `source` sent this request; None: it does, or no proof is needed."""
         if self._checker is None:
             return None
         if proof is None:
@@ -68,17 +69,16 @@ class Proofs:
             return "proof.nonce is none of this gateway's, is older than 5 s, or has been used; get another (challenge)"
         if not self._checks.take(now_ns):
             return "too many proofs have come within a second; try again"
-        if self._purpose is None:
-            return self._checker.fault(proof, do, source, self._wall_clock())
-        return self._checker.fault(proof, do, source, self._wall_clock(), self._purpose)
+        purpose = certs.proof.WATCHING if self._watching else certs.proof.DRIVING
+        return self._checker.fault(proof, do, source, self._wall_clock(), purpose)
 
     def holder(self, proof: Proof | None) -> "CertificateHolder | None":
-        """Whose certificate has made this proof, which was not denied; None: names are taken as they are."""
+        """The holder of the certificate behind an accepted proof; None: no proof is needed."""
         return None if self._checker is None or proof is None else certs.proof.holder(proof)
 
 
 def checker_of(config: zenoh.Config, revoked: "RevocationList | None" = None) -> "ProofChecker | None":
-    """Checks proofs against the CA that the Zenoh file names; None where it names none. Raises ConfigError."""
+    """A checker with the CA of the Zenoh file; None if that names no CA. Raises ConfigError."""
     ca = _path(config, "root_ca_certificate")
     if ca is None:
         return None

@@ -1,10 +1,9 @@
-"""Which question on a key is read next: that of the driver, or of a button that checks in, before everybody else's.
+"""Chooses which query on a key is read next: those with a valid token (of the lease or a button) come first.
 
-Such a question carries a token that is good. If it waited in one ring with all others, three programs that ask ten
-thousand times a second would push it out, and the lease would expire, or the button fall silent. So the ring is emptied
-each time that a question is wanted, and those with a good token go first: of each token a few may wait, so that none
-keeps another out. Of all others, each source has so many a second. What is let go has no answer, which its sender
-notices.
+In one ring with all others, three programs with ten thousand queries a second would push a renewal out, and the lease
+would expire, or a button count as silent. So the ring is emptied before each read, and valid tokens come first; a few
+of each token may wait, so that none displaces another. Without a token, each source has a rate limit. A query that is
+dropped gets no answer, which its sender notices.
 """
 
 import re
@@ -20,29 +19,28 @@ from gateway.host.worker import Worker
 from schemas.command import MAX_PAYLOAD_BYTES
 
 Knows = Callable[[str], bool]
-"""Whether a token is good. From any thread."""
+"""Whether a token is valid. From any thread."""
 Item = TypeVar("Item")
 
 QUESTIONS_DEPTH: Final = 1024
-"""Questions that wait in the ring: 40 000 a second fill it in 25 ms. More would cost memory: while this thread waits, a
-question may keep the 64 KiB that Zenoh received it in."""
+"""Queries in the ring: 40 000 a second fill it in 25 ms. Each may keep the 64 KiB in which Zenoh received it."""
 MOST_OF_TOKEN: Final = 4
-"""That wait to be read; their sender waits for the answer before the next one, as a rule."""
+"""Queries of one token that wait: a sender normally waits for the answer before the next one."""
 QUESTIONS_PER_S: Final = 20
-"""Of each source without a good token: no more proofs are checked, and to drive takes two questions."""
+"""For each source without a valid token: as many as proofs are checked; acquiring the lease takes two."""
 QUESTIONS_AT_ONCE: Final = 40
-"""The same without a pause: the pages of a console that all come back."""
+"""The same in a burst: all pages of a console that reconnect."""
 MOST_SOURCES: Final = 64
-"""As many as there may be sessions. Further ones share one place: a source is only what somebody writes."""
+"""As many as there may be sessions. Further ones share one limit, since a sender may claim any source."""
 MAX_WITHOUT_TOKEN: Final = 32
-"""Of those without a good token."""
+"""Waiting queries without a valid token."""
 MOST_ENDING: Final = 4096
-"""Whose end has not been sent yet."""
+"""Dropped queries whose end is not sent yet."""
 _TOKEN: Final = re.compile(rb'"(?:lease|button)"\s*:\s*"([0-9a-f]{32})"')
 
 
 class Questions(Generic[Item]):
-    """Those on one key that wait to be read. Pure: the time is an argument."""
+    """The waiting queries of one key. Pure: time is an argument."""
 
     def __init__(self, knows: Knows) -> None:
         self._knows = knows
@@ -50,10 +48,10 @@ class Questions(Generic[Item]):
         self._of_token: Counter[str] = Counter()
         self._others: deque[Item] = deque()
         self._allowances: dict[str | None, Allowance] = {}
-        """Of each source; None: of all further ones."""
+        """By source; None: all further sources together."""
 
     def add(self, item: Item, payload: bytes, source: str | None, now_ns: int) -> bool:
-        """Whether this question will be read; else it is to be let go."""
+        """Whether the query will be read; otherwise the caller drops it."""
         found = _TOKEN.search(payload)
         token = None if found is None else found[1].decode()
         if token is not None and self._knows(token):
@@ -68,7 +66,7 @@ class Questions(Generic[Item]):
         return True
 
     def next(self) -> Item | None:
-        """The one that is read next."""
+        """The query to read next; None: none waits."""
         if not self._first:
             return self._others.popleft() if self._others else None
         token, item = self._first.popleft()
@@ -86,7 +84,7 @@ class Questions(Generic[Item]):
 
 
 class QuestionRing:
-    """A ring of queries that gives them in that order. For one thread."""
+    """A ring of queries, read in that order. Not thread-safe."""
 
     def __init__(self, ring: Handler[zenoh.Query], knows: Knows, now_ns: Callable[[], int]) -> None:
         self._ring = ring
@@ -95,7 +93,7 @@ class QuestionRing:
         self._endings = Worker("end questions", priority=None)
 
     def recv(self) -> zenoh.Query:
-        """The next one. Waits for it; raises ZError once the ring is closed."""
+        """The next query. Blocks until there is one; raises ZError once the ring is closed."""
         while True:
             for _ in range(QUESTIONS_DEPTH):
                 item = self._ring.try_recv()
@@ -108,7 +106,7 @@ class QuestionRing:
             self._sort(self._ring.recv())
 
     def close(self) -> None:
-        """End the thread of its own, once the ring is closed. Blocks."""
+        """End the background thread, after the ring is closed. Blocks."""
         self._endings.close()
 
     def _sort(self, query: zenoh.Query) -> None:
@@ -116,5 +114,5 @@ class QuestionRing:
         read = b"" if payload is None or len(payload) > MAX_PAYLOAD_BYTES else payload.to_bytes()
         source = None if info is None else str(info.source_id.zid)
         if not self._questions.add(query, read, source, self._now_ns()) and self._endings.waiting < MOST_ENDING:
-            # Its asker's link may be full, and the end then waits: not here, where others' questions are read.
+            # Sending a query's end blocks while its sender's link is full, so another thread does it.
             self._endings.do(query.drop)

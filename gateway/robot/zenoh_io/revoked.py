@@ -1,6 +1,6 @@
-"""Who is shut out: the signed list that the robot keeps, and a configuration that lists none of those any more.
+"""The signed list of revoked certificates that the robot keeps, and the Zenoh rules without them.
 
-Zenoh's access control is read when a session opens, so a newer list takes effect with the next start.
+Zenoh reads its rules when a session opens, so a newer list takes effect at the next start.
 """
 
 import json
@@ -28,34 +28,34 @@ _CA: Final = "transport/link/tls/root_ca_certificate"
 _SUBJECTS: Final = "access_control/subjects"
 
 OLDER_CA: Final = "older-ca"
-"""In the service's runtime directory: the common names since the start, a line each."""
+"""File in the service's runtime directory: the common names seen since the start, one a line."""
 
 logger = logging.getLogger(__name__)
 
 
 class RevocationState(NamedTuple):
-    """What a robot needs to judge a list, and where it keeps the one in force."""
+    """The CAs that may sign a list, and the list in force."""
 
     cas: "tuple[x509.Certificate, ...]"
     path: Path
     known: "RevocationList | None"
-    """The list in force."""
+    """The list in force; None: there is none."""
     stale: int | None = None
-    """Number of the list in its place (0: none is there), where this robot has seen a newer one, which is in force."""
+    """Number of an older list found at `path` (0: none was there), although this robot has seen the one in force."""
 
     @property
     def first_number(self) -> int | None:
-        """Of two CAs, the first number of the newer one's common names; None while there is one."""
+        """The first number of the newer CA's common names; None unless there are two CAs."""
         return max(map(certs.authority.first_number, self.cas)) if len(self.cas) > 1 else None
 
 
 def revocation_state(
     config: zenoh.Config, settings: ZenohSettings, *, started_by_systemd: bool = True
 ) -> RevocationState | None:
-    """What is in force; None where the Zenoh file names no CA. Raises ConfigError for a list that cannot be read.
+    """What is in force; None if the Zenoh file names no CA. Raises ConfigError for a list that cannot be read.
 
-    `started_by_systemd`: this process is the service itself, or none is installed; else the service's folder is looked
-    at. A list beside the Zenoh file counts as well: whoever copies a folder of certificates brings it along.
+    Without `started_by_systemd`, the service's folder is searched as well. A list in the Zenoh file's folder counts
+    too: it is copied along with a folder of certificates.
     """
     ca = get(config, _CA)
     if not isinstance(ca, str) or not settings.config:
@@ -74,7 +74,7 @@ def revocation_state(
 
 
 def leave_out(config: zenoh.Config, known: "RevocationList | None") -> None:
-    """Take those who are revoked out of the rules. A subject without names would be everybody to Zenoh."""
+    """Remove revoked common names from the rules. Zenoh takes a subject without names as everyone."""
     subjects = get(config, _SUBJECTS)
     if known is None or not subjects:
         return
@@ -88,11 +88,10 @@ def leave_out(config: zenoh.Config, known: "RevocationList | None") -> None:
 
 
 def keep(path: Path, found: "RevocationList") -> None:
-    """Write the list: it is on the disk when this returns, or the one before is. Raises ConfigError.
+    """Write the list atomically; it is on the disk when this returns. Raises ConfigError, and the old one stays.
 
-    It is written under its number, too. An older backup that is unpacked over this folder has no such file, so the
-    robot still knows the newest list that it has seen. Written by root, it belongs to the folder's owner, which is the
-    service.
+    A second copy has the list's number in its name. An older backup unpacked over this folder does not contain that
+    file, so the robot still finds the newest list that it has seen. Written by root, both belong to the folder's owner.
     """
     numbered = path.with_name(f"{path.stem}-{found.number}{path.suffix}")
     try:
@@ -107,7 +106,7 @@ def keep(path: Path, found: "RevocationList") -> None:
 
 
 def _seen(folder: Path, above: int, cas: "Sequence[x509.Certificate]") -> "RevocationList | None":
-    """The newest list that this robot has kept under a number above this one."""
+    """The newest numbered copy with a number greater than `above`."""
     newer = sorted(((number, path) for number, path in _numbered(folder).items() if number > above), reverse=True)
     lists = (_read(path, cas) for _, path in newer)
     return next((each for each in lists if each is not None and each.number > above), None)
@@ -123,19 +122,19 @@ def _read(path: Path, cas: "Sequence[x509.Certificate]") -> "RevocationList | No
     try:
         return certs.revocation.read(path, cas)
     except certs.revocation.ForeignListError as error:
-        # Those whom it shuts out have certificates of a CA that this robot does not know either.
+        # The certificates on it are of a CA that this robot does not accept anyway.
         logger.warning("%s; nobody is shut out by it", error)
         return None
 
 
 class OlderCa:
-    """Who still comes with a certificate of the older of two CAs: counted for the metrics, and in a file for `check`.
+    """Records which clients still use a certificate of the older of two CAs, for the metrics and `check`.
 
-    A CA that takes another's place has common names of its own, so the name alone says it. On one thread.
+    Each CA has its own range of common names, so the name alone shows it. Not thread-safe.
     """
 
     def __init__(self, shut_out: RevocationState | None, count: Callable[[int], None]) -> None:
-        """`count` is called with how many they are, since the start."""
+        """`count` gets their number since the start."""
         self._first = None if shut_out is None else shut_out.first_number
         self._count = count
         self._names: set[str] = set()
@@ -144,7 +143,7 @@ class OlderCa:
         self._write()
 
     def note(self, common_names: Collection[str]) -> None:
-        """These are connected now."""
+        """Record the common names that are connected now."""
         first = self._first
         if first is None:
             return
@@ -164,5 +163,5 @@ class OlderCa:
 
 
 def of_older_ca() -> list[str]:
-    """Who has come with one since the start of the service, as it has noted them. Raises OSError."""
+    """The common names that the running service has recorded. Raises OSError."""
     return ((runtime_directory() or SERVICE_RUNTIME) / OLDER_CA).read_text().split()

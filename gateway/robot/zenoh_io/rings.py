@@ -1,21 +1,21 @@
-"""Which rings are read when, so that no older Start overtakes a newer Stop. Plain Python: no Zenoh, no clock.
+"""The order in which rings are read, so that no older Start overtakes a newer Stop. Pure: no Zenoh, no clock.
 
-Zenoh delivers the messages of one session one after another, each into its key's ring. So when a Stop has been taken
-from one ring, every older message of its session has been taken as well, or waits in its own ring. All rings that may
-hold a command for one of the same servos (`core/targets.py`) are therefore read again after it, until nothing new is
-found. What was found in one go is one instant, in which a Stop wins over a Start or Set of another ring (supervisor).
+Zenoh delivers the messages of one session in order, each into its key's ring. So after a Stop was taken from one ring,
+each older message of its session was taken as well, or waits in its own ring. All rings that may hold a command for
+one of the same servos (`core/targets.py`) are therefore read again, until nothing new is found. All that was found is
+one instant, in which a Stop wins over a Start or Set of another ring (supervisor).
 
-After a Start or Set, only the rings are read again whose commands apply before it (`legs` before `leg` before `servo`):
-an older one of these must not come later. What waits in the others applies after it, now or in a later instant.
+After a Start or Set, only the rings whose commands apply before it are read again (`legs` before `leg` before `servo`):
+an older one of these must not apply later. Commands in the other rings apply after it, now or in a later instant.
 
-A flood of several keys could go on like this for ever, so the passes are limited. If the last one leaves rings to be
-read, and a Stop may be among what was taken, then the instant stays open: what is read next still belongs to it. Mere
-setpoints close it all the same, since a servo that was stopped once could not be started again while they come.
+During a flood of several keys this would never end, so the passes are limited. If rings are left after the last pass,
+and a Stop may have been taken, the instant stays open: the next `read` still belongs to it. Setpoints alone close it,
+since otherwise a stopped servo could not be started again while they keep coming.
 
-A ring keeps its newest messages, so a flood of one key pushes a Stop on the same key out of it. Where a ring was full,
-a Stop may have been lost, and the reader is told. (A get that is pushed out is never answered, which its sender
-notices.) A stream whose messages were held back on the way, and arrive at once, is no flood: a ring of puts has room
-for all of them (`put_depth`). Only the newest few are dealt with, and of the older ones those that may be Stops.
+A ring keeps its newest messages, so a flood of one key pushes out a Stop on the same key. A full ring is reported to
+the reader: a Stop may have been lost. (A get that is pushed out gets no answer, which its sender notices.) A stream
+that was delayed on the way and arrives at once is no flood: a ring of puts has room for it (`put_depth`). Only the
+newest few are processed, and of the older ones those that may be Stops.
 """
 
 import math
@@ -73,7 +73,7 @@ class Ring(Generic[Item]):
         """Those of them whose commands apply before its own: they are read after anything else, too."""
 
     def rest(self, *first: Item) -> list[Item]:
-        """`first`, and what came after it, at most the ring's depth: what comes meanwhile is left for the next time."""
+        """`first` and the messages after it, at most the ring's depth; further ones wait for the next read."""
         found = [*first]
         while len(found) < self.depth and (item := self.receive()) is not None:
             found.append(item)

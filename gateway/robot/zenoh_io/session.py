@@ -11,13 +11,13 @@ from gateway.robot.zenoh_io import exposure
 from gateway.zenoh_config import get, insert, load_config, scouting_off
 
 UNREAD_US: Final = 20_000
-"""For how long an answer may wait for a laptop that does not read, before that laptop loses its link.
+"""How long a reply may wait for a client that does not read, before Zenoh closes that client's link.
 
-When a flood pushes a query out of its ring, or nothing answers it, Zenoh sends the query's end from a receiving thread
-that holds the ring's lock, and the loop waits for that lock. With 500 ms, watchdog Stops were 546 ms late beside a
-laptop that asked 18 000 times a second and read nothing. With 20 ms none of 147 was later than 1.5 ms; one that falls
-due in these 20 ms would wait for their end. A client that asks as often and does read may lose its link (twice in
-32 s). One that asks 50 times a second does not, down to 300 kbit/s.
+When a flood pushes a query out of its ring, Zenoh sends the query's end from a receiving thread that holds the ring's
+lock, and the loop waits for that lock. With 500 ms, watchdog Stops were 546 ms late during 18 000 queries a second of a
+client that read no reply. With 20 ms none of 147 was later than 1.5 ms; one that is due in these 20 ms would wait for
+their end. A client that reads may lose its link at that rate (twice in 32 s). At 50 queries a second it does not, down
+to 300 kbit/s.
 """
 _UNREAD_US_KEY: Final = "transport/link/tx/queue/congestion_control/block/wait_before_close"
 
@@ -31,7 +31,7 @@ _MOST: Final = {
 
 
 def service_config(settings: ZenohSettings) -> zenoh.Config:
-    """The service's configuration: its Zenoh file, and what the settings add to it. Raises ConfigError."""
+    """The Zenoh file's configuration with the settings and limits applied. Raises ConfigError."""
     config = load_config(Path(settings.config)) if settings.config else zenoh.Config()
     if get(config, "mode") is None:
         config.insert_json5("mode", '"peer"')
@@ -41,9 +41,9 @@ def service_config(settings: ZenohSettings) -> zenoh.Config:
     if settings.connect or not settings.config:
         insert(config, "connect/endpoints", list(settings.connect), "zenoh.connect")
     scouting_off(config)
-    # Without its listener a gateway would open without an error and hear nobody.
+    # Otherwise a gateway without its listener would start without an error, unreachable.
     config.insert_json5("listen/exit_on_failure", "true")
-    # Shared memory bypasses every size limit, and for such small messages local clients gain nothing by it.
+    # Shared memory bypasses every size limit, and gains nothing for messages as small as these.
     config.insert_json5("transport/shared_memory/enabled", "false")
     config.insert_json5(_UNREAD_US_KEY, str(UNREAD_US))
     config.insert_json5(_MAX_MESSAGE_SIZE_KEY, str(MAX_MESSAGE_SIZE))
@@ -54,5 +54,5 @@ def service_config(settings: ZenohSettings) -> zenoh.Config:
 
 
 def _file_sets(path: str, section: str) -> bool:
-    """Whether the file sets endpoints (Zenoh's default is not an empty list)."""
+    """Whether the file sets endpoints. Compared with Zenoh's default, which is not an empty list."""
     return bool(get(load_config(Path(path)), f"{section}/endpoints") != get(zenoh.Config(), f"{section}/endpoints"))

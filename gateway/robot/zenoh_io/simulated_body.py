@@ -1,7 +1,7 @@
-"""The way in for the process that simulates the robot's body: a Unix socket of its own, and its own keys only.
+"""Zenoh access for the process that simulates the robot's body: a Unix socket, and its own keys only.
 
-Only this user can enter the folder that the socket is in, so it needs no certificate, whatever people need. The rules
-below are added while a simulated robot runs; they stand in no robot's Zenoh file.
+Only this user can enter the socket's folder, so the process needs no certificate. These rules are added only while a
+simulated robot runs; no robot's Zenoh file has them.
 """
 
 import secrets
@@ -21,12 +21,12 @@ _USERS: Final = "transport/auth/usrpwd/dictionary_file"
 
 
 def endpoint(folder: Path) -> str:
-    """Where the gateway listens for it."""
+    """The gateway's endpoint for the simulation, a Unix socket in `folder`."""
     return f"{_LINK}/{folder / 'socket'}"
 
 
 def admit(config: zenoh.Config, folder: Path) -> None:
-    """Let whoever can enter `folder` publish the body. Raises ConfigError in a mode in which nobody can be let in."""
+    """Allow processes that can enter `folder` to publish the body. Raises ConfigError in Zenoh's client mode."""
     if get(config, "mode") == "client":
         raise ConfigError('--sim=physics needs mode: "peer" in the Zenoh file: a client cannot be reached')
     insert(config, "listen/endpoints", [*listen_endpoints(config), endpoint(folder)], "zenoh.listen")
@@ -45,7 +45,7 @@ def admit(config: zenoh.Config, folder: Path) -> None:
 
 
 def client_config(gateway: zenoh.Config, folder: Path, zenoh_id: str) -> zenoh.Config:
-    """What that process opens, to reach the gateway that `admit` has configured."""
+    """The simulation's configuration, for a gateway that `admit` has configured."""
     config = zenoh.Config()
     values = {
         "mode": "client",

@@ -1,7 +1,7 @@
-"""What is put where nobody reads it: beside the gateway's keys, or below a misspelt `hexapod`.
+"""Finds messages on keys that nothing reads, such as a misspelt command key.
 
-Whoever misspells a key hears nothing, and nothing moves. So a small ring keeps the newest of what comes below
-`hexapod/`, and ten times a second somebody looks into it. A flood costs no Python: what it overwrites is gone.
+A sender that misspells a key gets no error, and nothing moves. So a small ring keeps the newest messages below
+`hexapod/`, and the gateway reads it ten times a second. A flood costs no Python: Zenoh overwrites the oldest.
 """
 
 import difflib
@@ -14,17 +14,17 @@ from zenoh.handlers import RingChannel
 from schemas.keys import ALIVE, COMMAND_KEYS, GATEWAYS, ROOT, SIM_BODY, leg_command, servo_command
 
 UNKNOWN_KEYS_DEPTH: Final = 36
-"""Messages between two looks. Six legs at 50 Hz are thirty, a simulated body three; to look at thirty takes 40 µs, at
-none 1.3 (measured)."""
+"""Messages between two looks. Six legs at 50 Hz are thirty, a simulated body three; thirty take 40 µs to read, none
+1.3 (measured)."""
 MISSPELT: Final = ("Hexapod/**", "HEXAPOD/**")
-"""Spelt out, and no wildcard in their first part: that would have a router send what is none of ours."""
+"""Without a wildcard in the first part, with which a router would forward unrelated keys."""
 OURS: Final = frozenset({*COMMAND_KEYS, *GATEWAYS, ALIVE})
 MAX_COMPARED: Final = 30
-"""Characters that are compared; the gateway's keys have at most 20."""
+"""Compared characters; the gateway's keys have at most 20."""
 
 
 class UnknownKey(NamedTuple):
-    """A message on a key that nobody reads."""
+    """A message on a key that nothing reads."""
 
     key: str
     source: str | None
@@ -32,10 +32,10 @@ class UnknownKey(NamedTuple):
 
 
 class UnknownKeys:
-    """Looks for messages that no part of the gateway reads. Where access control lets none in, there are none."""
+    """Receives messages on all keys and finds those that no part of the gateway reads."""
 
     def __init__(self, session: zenoh.Session, physics: str | None = None) -> None:
-        """`physics`: the Zenoh id of the only one who may publish SIM_BODY."""
+        """`physics`: Zenoh id of the only process that may publish SIM_BODY; None: none may."""
         self._physics = physics
         self._subscribers: list[Any] = [
             session.declare_subscriber(key, RingChannel(depth), allowed_origin=zenoh.Locality.REMOTE)
@@ -43,7 +43,7 @@ class UnknownKeys:
         ]
 
     def look(self) -> UnknownKey | None:
-        """The newest stranger since the last look. One at a time: ten a second are told at most."""
+        """The newest unknown key since the last look; at ten looks a second, at most ten events a second."""
         found = None
         for subscriber in self._subscribers:
             for _ in range(UNKNOWN_KEYS_DEPTH):
@@ -71,12 +71,12 @@ def _source(sample: zenoh.Sample) -> str | None:
 
 
 def is_strange(key: str) -> bool:
-    """Whether nothing reads this key. What ends in /cmd is rejected by the inbox; a wildcard may name keys of ours."""
+    """Whether nothing reads this key. The inbox rejects keys that end in /cmd; a wildcard may match the gateway's."""
     return key not in OURS and "*" not in key and not (key.startswith(f"{ROOT}/") and key.endswith("/cmd"))
 
 
 def nearest(key: str) -> str:
-    """The command key that `key` was most likely meant to be. Takes some 0.1 ms at most: few are compared."""
+    """The command key most similar to `key`. Takes 0.1 ms at most, since few are compared."""
     small = key[:MAX_COMPARED].lower()
     for guess in (small, f"{small}/cmd", f"{small.rpartition('/')[0]}/cmd"):
         if guess in COMMAND_KEYS:

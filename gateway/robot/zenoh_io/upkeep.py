@@ -1,6 +1,6 @@
-"""What goes wrong slowly or out of sight: certificates that expire, and routers that the gateway does not reach.
+"""Watches for certificates that expire and routers that cannot be reached, and reports them to the log and systemd.
 
-Neither stops the service, and Zenoh is silent about both. A thread of its own looks, and tells the log and systemd.
+Neither stops the service, and Zenoh reports neither. A background thread looks.
 """
 
 import datetime as dt
@@ -23,15 +23,15 @@ from schemas.telemetry import CertificateReport
 
 LINKS_PERIOD_S: Final = 1.0
 GRACE_S: Final = 3.0
-"""How long a router may take at the start before it counts as not reached; Zenoh tries again every second at least."""
+"""How long connecting to a router may take at the start; Zenoh retries at least once a second."""
 CLOCK_S: Final = 3600.0
-"""How often the certificates' time is compared with the clock, which may be set after the start."""
+"""Period at which expiry is compared with the clock, which may be set after the start."""
 
 logger = logging.getLogger(__name__)
 
 
 class Upkeep:
-    """Looks from the constructor on until `close`."""
+    """Runs from construction until `close`."""
 
     def __init__(
         self,
@@ -40,7 +40,7 @@ class Upkeep:
         status: Callable[[str], None],
         wall_clock: Callable[[], dt.datetime],
     ) -> None:
-        """`status` shows people a sentence, which replaces the one before."""
+        """`status` shows a sentence in `systemctl status`, replacing the previous one."""
         self._session = session
         self._dials = connect_endpoints(config)
         self._dialled_ports = _ports(self._dials) - _ports(listen_endpoints(config))
@@ -52,14 +52,14 @@ class Upkeep:
         self._reached: bool | None = None if self._dials else True
         self._fault: str | None = None
         self.first_expiry = first_expiry(config)
-        """Of the certificates in use: those of the start. A renewed one is used from the next start on."""
+        """Of the certificates loaded at the start; a renewed one is used from the next start on."""
         self._closed = threading.Event()
         self._thread = threading.Thread(target=self._run, name="upkeep", daemon=True)
         self._thread.start()
 
     @property
     def certificate(self) -> CertificateReport | None:
-        """The same as the state has it."""
+        """`first_expiry` as the state reports it."""
         first = self.first_expiry
         return None if first is None else CertificateReport(file=first.file.name, expires=first.end)
 
@@ -70,7 +70,7 @@ class Upkeep:
 
     def _run(self) -> None:
         prefer_thread(PAGE_PRIORITY)
-        with suppress(zenoh.ZError):  # the session is closed
+        with suppress(zenoh.ZError):  # the session was closed
             while True:
                 self._look(time.monotonic())
                 if self._closed.wait(
@@ -88,7 +88,7 @@ class Upkeep:
             self._status(f"takes commands{unreached}{f'; {self._fault}' if self._fault else ''}")
 
     def _look_at_links(self, now_s: float) -> bool:
-        """Whether it has changed that a program that is dialled is reached."""
+        """Whether reachability of the dialled endpoints has changed."""
         if not self._dials:
             return False
         reached = any(_ports([str(link.dst)]) & self._dialled_ports for link in self._session.info.links())
@@ -100,14 +100,14 @@ class Upkeep:
             logger.info("%s is reached", where)
         else:
             logger.warning(
-                "%s is not reached: until it is, nobody behind it can command this robot or watch it. It is tried "
-                "again and again; `hexapod-gateway check` says what is wrong",
+                "%s is not reached: until it is, nobody behind it can command this robot or watch it. The gateway "
+                "keeps trying; `hexapod-gateway check` finds the cause",
                 where,
             )
         return True
 
     def _look_at_clock(self) -> bool:
-        """Whether what is to be said about the certificates has changed: once a day, from WARN_DAYS before on."""
+        """Whether the warning about expiry has changed: once a day, starting WARN_DAYS before it."""
         fault = self._expiry_fault()
         if fault == self._fault:
             return False

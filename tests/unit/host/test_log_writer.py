@@ -49,7 +49,7 @@ def test_nobody_waits_and_what_was_dropped_is_said_once(pipe: Pipe) -> None:
     assert MAX_LINES_WAITING - 1 <= dropped <= MAX_LINES_WAITING, "the thread may have taken one before the others came"
     lines = pipe.lines()
     kept = [next(lines) for _ in range(2 * MAX_LINES_WAITING - dropped + 1)]
-    said = f"{dropped} lines were left out here, since nobody read them in time"
+    said = f"{dropped} lines were dropped here, since they were not read in time"
     assert kept.count(said) == 1
     kept.remove(said)
     assert kept == [str(number) for number in range(2 * MAX_LINES_WAITING - dropped)]
@@ -93,7 +93,7 @@ def test_a_line_that_cannot_be_rendered_is_dropped_and_the_next_is_written() -> 
     log_writer.close(10)
     os.close(theirs)
     with os.fdopen(ours) as reader:
-        assert reader.read() == "next\n1 lines were left out here, since nobody read them in time\n"
+        assert reader.read() == "next\n1 lines were dropped here, since they were not read in time\n"
 
 
 def test_what_is_printed_goes_the_same_way(pipe: Pipe) -> None:

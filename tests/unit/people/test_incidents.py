@@ -210,7 +210,7 @@ TRIMMED = RobotCalibration(1, {32: ServoMapping(10_00, inverted=True)}, {})
 async def test_a_calibrated_robots_story_and_picture_have_its_users_angles(folder: Path) -> None:
     robot = recorded(folder, **LANDING)
     robot.conductor.supervisor.calibrating.load(TRIMMED)
-    Calibrations(robot.conductor, None, asyncio.get_running_loop()).tell()
+    Calibrations(robot.conductor, None, asyncio.get_running_loop()).publish()
     robot.put(LEG_3, START)
     await asyncio.sleep(2)
     robot.conductor.recorder.calibration(RobotCalibration(2))  # of later frames

@@ -230,7 +230,7 @@ def test_a_ca_that_is_over_vouches_for_nobody() -> None:
 def test_a_robot_whose_clock_is_plainly_wrong_says_so() -> None:
     fault = CHECKER.fault(proof(), "acquire", "anna", dt.datetime(1970, 1, 1, 0, 2, tzinfo=dt.UTC))
     assert fault == CHECKER.clock_fault(dt.datetime(1970, 1, 1, 0, 2, tzinfo=dt.UTC))
-    assert "this robot's clock is wrong: it says 1970-01-01 00:02 UTC" in str(fault)
+    assert "this robot's clock is wrong: it shows 1970-01-01 00:02 UTC" in str(fault)
     assert CHECKER.clock_fault(NOW) is None
 
 

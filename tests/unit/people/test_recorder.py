@@ -1,4 +1,4 @@
-"""What the gateway tells its black box, and what it does where there is none."""
+"""What the gateway records in its black box, and without one."""
 
 import asyncio
 import logging
@@ -19,6 +19,7 @@ from gateway.model.frames import Op, ServoOp, decode, stop_leg
 from gateway.model.framing import Framing
 from gateway.people.incidents import ring_reader
 from gateway.robot.blackbox import paths
+from gateway.robot.core.events import Announce
 from gateway.robot.settings import Settings
 from schemas import keys
 from schemas.robot import LEGS
@@ -67,6 +68,13 @@ async def test_what_was_in_force_is_known_after_any_time_and_across_runs(folder:
     after.conductor.recorder.calibration(RobotCalibration())
     records = ring_reader.read(folder / RING_FILE).records
     assert [in_force(records, ns) for ns in (min(revisions), before_ns, after.now_ns())] == [2, 2, 0]
+
+
+async def test_a_button_that_leaves_is_an_incident_only_if_legs_stop_for_it(folder: Path) -> None:
+    recorder = recorded(folder).conductor.recorder
+    assert recorder.event(Announce(Kind.BUTTON_LEFT, "kitchen has left"), "kitchen", 0) is None
+    incident = recorder.event(Announce(Kind.BUTTON_LEFT, "kitchen has left", legs=(3,)), "kitchen", 0)
+    assert (incident or "").endswith("-button")
 
 
 def in_force(records: ring_reader.Records, ns: int) -> int | None:

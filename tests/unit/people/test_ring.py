@@ -168,7 +168,7 @@ def test_nobody_else_may_have_put_the_file_there(path: Path, tmp_path: Path) -> 
         RecordRing(path, 50)
     path.unlink()
     os.link(elsewhere, path)
-    with pytest.raises(PermissionError, match="belongs to somebody else"):
+    with pytest.raises(PermissionError, match="belongs to another user"):
         RecordRing(path, 50)
     assert elsewhere.read_text() == "mine"
 

@@ -34,7 +34,7 @@ def begun(number: int) -> tuple[int, bytes]:
 
 
 def drive(number: int) -> tuple[int, bytes]:
-    """What six legs are told, and their frames; a gateway starts, and there is an incident near the end."""
+    """Commands of six legs, and their frames; a gateway starts, and there is an incident near the end."""
     if number == 1:
         return form.START, form.start(WALL_NS, {"pid": 1})
     if number == 3_500:
@@ -160,7 +160,7 @@ def test_a_start_with_facts_that_no_file_takes_is_damaged(fact: object) -> None:
 
 
 def test_an_incident_of_a_machine_whose_clock_begins_in_1970_is_kept(tmp_path: Path) -> None:
-    """Ten seconds before it, there was no time that a file can tell."""
+    """Ten seconds before it is earlier than any time in a file."""
     ring = image(
         (form.START, 8 * SECOND, form.start(SECOND, {"pid": 1})),
         (form.MODE, 6 * SECOND, form.mode("idle")),

@@ -25,7 +25,7 @@ pytestmark = pytest.mark.virtual_time
 
 
 class Disk:
-    """Keeps what it is told when it is told to."""
+    """Writes a calibration when the test lets it."""
 
     def __init__(self) -> None:
         self.waiting: list[tuple[RobotCalibration, Callable[[str | None], None]]] = []

@@ -115,9 +115,9 @@ CONTROLLED = {**MTLS, "access_control/enabled": True, "access_control/default_pe
         ("udp/127.0.0.1:7447", None),
         ("unixsock-stream//run/gateway.sock", None),
         ("unixpipe//run/gateway.pipe", None),
-        ("quic/127.0.0.1:7447", "over QUIC nobody who is revoked can be shut out"),
-        ("quic/0.0.0.0:7447", "over QUIC nobody who is revoked can be shut out"),
-        ("quic_datagram/127.0.0.1:7447", "over QUIC nobody who is revoked can be shut out"),
+        ("quic/127.0.0.1:7447", "over QUIC, revoked clients cannot be disconnected"),
+        ("quic/0.0.0.0:7447", "over QUIC, revoked clients cannot be disconnected"),
+        ("quic_datagram/127.0.0.1:7447", "over QUIC, revoked clients cannot be disconnected"),
         ("tcp/0.0.0.0:7447", "would let anyone on the network"),
         ("ws/0.0.0.0:7447", "would let anyone on the network"),
         ("udp/0.0.0.0:7447", "would let anyone on the network"),
@@ -254,7 +254,7 @@ def test_dialling_whom_it_finds_is_said(
 ) -> None:
     found = {"listen/endpoints": ["tcp/127.0.0.1:7447"], f"scouting/{way}/enabled": True}
     exposure.check(config(**found, **{"transport/link/protocols": links}), allow_insecure=False)
-    assert ("dials whoever it finds" in caplog.text) is expected
+    assert ("dials every Zenoh program" in caplog.text) is expected
 
 
 def test_defaults_listen_on_this_machine_only_and_find_nobody() -> None:
@@ -270,7 +270,7 @@ def test_scouting_is_what_the_zenoh_file_says(tmp_path: Path, caplog: pytest.Log
     made = service_config(ZenohSettings(config=str(path)))
     assert json.loads(made.get_json("scouting/multicast/enabled")) is True
     assert json.loads(made.get_json("scouting/gossip/enabled")) is False
-    assert "dials whoever it finds" in caplog.text
+    assert "dials every Zenoh program" in caplog.text
 
 
 def test_rules_without_the_robots_namespace_are_rejected() -> None:

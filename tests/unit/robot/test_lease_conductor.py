@@ -192,7 +192,7 @@ async def test_a_put_is_no_request() -> None:
     (event,) = robot.events()
     assert (event.reason, event.detail) == (
         Reason.INVALID,
-        "hexapod/lease/cmd takes get only: its answer is for one alone",
+        "hexapod/lease/cmd takes get only: only its sender may receive the answer",
     )
 
 

@@ -75,7 +75,7 @@ class Gateway:
         self.settings = Settings.model_validate({"spi": {"frame_gap_us": 0}})
         self.answers: list[bytes] = []
         self.noted: list[int] = []
-        """How many frames had been written when an emergency stop's own thread heard it."""
+        """How many frames had been written when an emergency stop's own thread received it."""
 
     def now_ns(self) -> int:
         self._looks += 1  # no two instants are the same by accident
@@ -334,7 +334,7 @@ def test_a_timer_that_is_set_from_its_own_call_calls_again() -> None:
 def receiver(
     note: Callable[[object, int], Callable[[], float | None]],
 ) -> tuple[ReceiverThread, Stage, SteppedLoop, Ring]:
-    """One whose ring has a message, which is heard at the stage's first point."""
+    """One whose ring has a message, which is received at the stage's first point."""
     stage = Stage(lambda names: names[0])
     loop, ring = SteppedLoop(stage), Ring(stage)
     ring.items += [b"", b""]
@@ -403,7 +403,7 @@ def test_a_receiver_thread_that_never_comes_back_from_a_message_is_noticed() -> 
 
 
 def test_a_receiver_thread_keeps_nothing_of_a_message_while_it_waits_for_the_next() -> None:
-    """Whoever asks waits as long as anybody holds the query."""
+    """A client waits as long as a reference to its query exists."""
 
     class Query:
         pass

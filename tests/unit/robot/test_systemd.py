@@ -1,4 +1,4 @@
-"""What the service manager hears, on a socket of the test's own."""
+"""The notifications to systemd, on the test's own socket."""
 
 import os
 import socket
