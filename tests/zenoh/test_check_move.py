@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 
 from gateway.client import Client
+from gateway.model.frames import OneServo, Op, ServoOp, decode
+from gateway.onboard.check import move as module
 from gateway.people.tools import kept_lease
-from gateway.people.tools.check import move as module
-from gateway.robot.protocol.frames import OneServo, Op, ServoOp, decode
 from schemas.telemetry import Cause, FrameRecord, Mode, Reason
 from tests.support.child import Child
 from tests.support.command import Ended

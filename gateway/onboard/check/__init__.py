@@ -11,6 +11,8 @@ from itertools import chain
 from pathlib import Path
 from typing import Final
 
+from gateway.people.tools.check.result import Result, Verdict, failure, ok, warning
+
 from gateway.errors import ConfigError
 from gateway.people.terminal import clear_line, rows, show_line
 from gateway.people.tools import stop
@@ -30,7 +32,6 @@ from gateway.people.tools.check import (
     spi_bus,
     trust,
 )
-from gateway.people.tools.check.result import Result, Verdict, failure, ok, warning
 from gateway.robot import settings as settings_file
 from gateway.robot.settings import FramingNotSetError, Settings, SpiSettings
 from gateway.robot.spi import effective
