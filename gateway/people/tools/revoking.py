@@ -16,7 +16,7 @@ from gateway.robot.zenoh_io import revoked
 from gateway.robot.zenoh_io.session import service_config
 from schemas.revocation import MAX_REVOCATION_BYTES
 
-UNIT: Final = "hexapod-gateway"
+_SERVICE: Final = "hexapod-gateway"
 ANSWER_S: Final = 5.0
 
 
@@ -88,7 +88,7 @@ def _bring(directory: Path, ways: list[_Way]) -> list[str]:
 def _bring_to(directory: Path, way: _Way) -> int:
     """Its number, once it is in force there and the folder has noted so."""
     config, person = (way.config, way.config.stem) if way.config else _operators_file(directory, way.robot)
-    with Client(way.endpoint, zenoh_config=config, source=f"{UNIT} certs revoke", timeout_s=ANSWER_S) as client:
+    with Client(way.endpoint, zenoh_config=config, source=f"{_SERVICE} certs revoke", timeout_s=ANSWER_S) as client:
         client.state()  # a robot that starts anew is awaited
         number = _send(client, directory, way.robot)
     confirmed.note(directory, way.robot, number)
@@ -165,11 +165,11 @@ def take(file: Path, config: Path | None) -> int:
 
 def _restart(found: RevocationList) -> int:
     """As root, where the service runs under systemd; else somebody has to."""
-    if not _systemd() or subprocess.run(["systemctl", "is-active", "--quiet", UNIT], check=False).returncode != 0:
+    if not _systemd() or subprocess.run(["systemctl", "is-active", "--quiet", _SERVICE], check=False).returncode != 0:
         say("It takes effect when the gateway starts.")
         return 0
-    if subprocess.run(["systemctl", "restart", UNIT], check=False).returncode != 0:
-        hint(f"The list is kept, but the service does not restart: see journalctl -u {UNIT}.")
+    if subprocess.run(["systemctl", "restart", _SERVICE], check=False).returncode != 0:
+        hint(f"The list is kept, but the service does not restart: see journalctl -u {_SERVICE}.")
         return 1
     say(f"The service was restarted, all legs stopped; list {found.number} is in force.")
     return 0
