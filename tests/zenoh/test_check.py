@@ -369,7 +369,7 @@ def test_no_systemd_and_one_that_does_not_answer(systemctl: Path, tmp_path: Path
     none = machine.unit(booted=tmp_path / "absent", systemctl=str(systemctl))
     assert (none.verdict, "does not run systemd" in none.sentence) == (WARNING, True)
     mute = machine.unit(booted=tmp_path, systemctl=str(systemctl))  # there is no `said`: it fails
-    assert (mute.verdict, "does not tell" in mute.sentence) == (WARNING, True)
+    assert (mute.verdict, "systemctl fails" in mute.sentence) == (WARNING, True)
 
 
 REALTIME = (

@@ -14,10 +14,9 @@ from typing import Final
 
 from gateway.host.realtime import LOOP_PRIORITY
 from gateway.onboard.check import service_user
-from gateway.onboard.check.installation import RESTART
+from gateway.onboard.check.installation import RESTART, SERVICE
 from gateway.onboard.check.result import Result, failure, ok, warning
 
-UNIT: Final = "hexapod-gateway"
 _UNSYNCHRONISED: Final = 5  # TIME_ERROR of adjtimex(2)
 _TIMEX_BYTES: Final = 512  # larger than struct timex on any system; all zeros, it only asks
 
@@ -62,7 +61,7 @@ def unit(*, booted: Path = Path("/run/systemd/system"), systemctl: str = "system
     try:
         return unit_result(_shown("LoadState,ActiveState,UnitFileState,Result", systemctl))
     except (OSError, subprocess.SubprocessError) as error:
-        return warning("systemd unit", f"systemctl fails ({error})", f"try: systemctl status {UNIT}")
+        return warning("systemd unit", f"systemctl fails ({error})", f"try: systemctl status {SERVICE}")
 
 
 def unit_result(properties: Mapping[str, str]) -> Result:
@@ -73,17 +72,19 @@ def unit_result(properties: Mapping[str, str]) -> Result:
     if load == "not-found":
         return warning(name, "is not installed: nothing stops the servos if the gateway dies", "sudo deploy/install.sh")
     if load != "loaded":
-        return failure(name, f"cannot be loaded ({load})", f"see systemctl status {UNIT}")
+        return failure(name, f"cannot be loaded ({load})", f"systemctl status {SERVICE} shows why")
     if active == "failed":
         return failure(
             name,
             f"has failed ({properties.get('Result', '?')})",
-            f"see journalctl -u {UNIT}; then: {RESTART}",
+            f"journalctl -u {SERVICE} shows why; then: {RESTART}",
         )
     if not enabled.startswith("enabled"):
-        return warning(name, f"is {active}, but does not start with the machine", f"sudo systemctl enable --now {UNIT}")
+        return warning(
+            name, f"is {active}, but does not start with the machine", f"sudo systemctl enable --now {SERVICE}"
+        )
     if active != "active":
-        return warning(name, f"is enabled, but {active}", f"sudo systemctl start {UNIT}")
+        return warning(name, f"is enabled, but {active}", f"sudo systemctl start {SERVICE}")
     return ok(name, "is enabled and active")
 
 
@@ -127,7 +128,7 @@ def _show(properties: str) -> dict[str, str]:
 
 
 def _shown(properties: str, systemctl: str = "systemctl") -> dict[str, str]:
-    command = [systemctl, "show", UNIT, f"--property={properties}"]
+    command = [systemctl, "show", SERVICE, f"--property={properties}"]
     said = subprocess.run(command, capture_output=True, text=True, check=True, timeout=5).stdout
     return dict(line.split("=", 1) for line in said.splitlines() if "=" in line)
 

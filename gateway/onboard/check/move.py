@@ -9,16 +9,16 @@ that comes back to the gateway, so a person is asked whether the servo is loose.
 """
 
 import time
+from collections.abc import Callable
 from functools import partial
 from typing import Final
 
 from gateway.errors import ConfigError
 from gateway.people.client.blocking import Client
 from gateway.people.terminal import ask, say
-from gateway.people.tools.driving import drives
+from gateway.people.tools.driving import drives, rejected
 from gateway.people.tools.moving import MOST_DEG, Motion, consents, ready, stopped_after
 from gateway.people.tools.reach import Connection, show_differences
-from schemas import keys
 from schemas.robot import LEGS, SERVO_IDS
 from schemas.telemetry import Ack, GatewayState, Reason, WatchdogState
 
@@ -106,15 +106,15 @@ def _asked() -> Motion:
 
 def _moved(client: Client, motion: Motion, timeout_ms: float, lease: dict[str, str]) -> bool:
     """Whether all that was asked for was accepted."""
-    if not _accepted(_command(client, motion.servo_ids[0], "start", motion.start_deg, lease)):
-        return False
-    # Only `set` from here on: it is rejected for what somebody else has stopped.
-    angles_deg = motion.start_deg, motion.end_deg
-    return all(_held(client, motion.servo_ids[0], angle_deg, timeout_ms, lease) for angle_deg in angles_deg)
 
+    def ask(op: str, angle_deg: float) -> Ack:
+        return client.ask(motion.key, {**motion.payload(op, angle_deg), **lease})
 
-def _command(client: Client, servo_id: int, op: str, angle_deg: float, lease: dict[str, str]) -> Ack:
-    return client.ask(keys.servo_command(servo_id), {"op": op, "angle_deg": angle_deg, **lease})
+    # Only one start: a set is rejected for what somebody else has stopped.
+    return _accepted(ask("start", motion.start_deg)) and all(
+        _held(client, motion.servo_ids[0], partial(ask, "set", angle_deg), timeout_ms)
+        for angle_deg in (motion.start_deg, motion.end_deg)
+    )
 
 
 def _stop(client: Client, servo_id: int) -> str:
@@ -123,12 +123,12 @@ def _stop(client: Client, servo_id: int) -> str:
     return f"Servo {servo_id} is stopped." if ack.accepted else f"Servo {servo_id}: {ack.reason}: {ack.detail}"
 
 
-def _held(client: Client, servo_id: int, angle_deg: float, timeout_ms: float, lease: dict[str, str]) -> bool:
+def _held(client: Client, servo_id: int, again: Callable[[], Ack], timeout_ms: float) -> bool:
     """Set it again and again for a while; whether each was accepted."""
     period_s = min(_PERIOD_S, timeout_ms / 5000)
     begun_s = before_s = time.monotonic()
     while before_s < begun_s + _HOLD_S:
-        ack = _command(client, servo_id, "set", angle_deg, lease)
+        ack = again()
         apart_ms = (time.monotonic() - before_s) * 1000
         if ack.reason == Reason.SERVO_STOPPED and _is_expired(client.state(), servo_id):
             say(
@@ -151,7 +151,7 @@ def _is_expired(state: GatewayState, servo_id: int) -> bool:
 
 def _accepted(ack: Ack) -> bool:
     if not ack.accepted:
-        say(f"rejected: {ack.reason}: {ack.detail}")
+        rejected(ack)
     return ack.accepted
 
 

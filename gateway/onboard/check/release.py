@@ -5,10 +5,10 @@ import re
 from pathlib import Path
 from typing import Final
 
-from gateway.onboard.check.machine import UNIT
+from gateway.onboard.check.installation import SERVICE
 from gateway.onboard.check.result import Result, warning
+from gateway.onboard.whole import INSTALLED
 
-INSTALLED: Final = Path("/opt/hexapod-gateway/venv")
 SYSTEM_PYTHON: Final = Path("/usr/bin/python3")
 _FOLDER: Final = re.compile(rf"{INSTALLED}-[^/ \n]+")
 _AGAIN: Final = "sudo deploy/install.sh"
@@ -38,7 +38,7 @@ def release(found: Path | None, *, installed: Path = INSTALLED) -> Result | None
     return warning(
         "release",
         f"the service that runs is another release than the one installed: {found}, not {installed.resolve()}",
-        f"stop the robot, then: sudo systemctl restart {UNIT}",
+        f"stop the robot, then: sudo systemctl restart {SERVICE}",
     )
 
 

@@ -210,8 +210,7 @@ def _change(client: Client, done: str, state: GatewayState, payload: Mapping[str
     except LeaseError as error:
         return driving.rejected(error)
     if not ack.accepted:
-        say(f"rejected: {ack.reason}: {ack.detail}")
-        return 1
+        return driving.rejected(ack)
     say(f"{done}: revision {client.calibration().revision}")
     if not state.calibration.kept:
         hint("The calibration is in memory only, and lost at a restart (calibration.path).")

@@ -8,13 +8,14 @@ from contextlib import contextmanager, suppress
 from functools import partial
 from typing import Final
 
-from gateway.errors import LeaseError, LeaseLostError, UnansweredError
+from gateway.errors import LeaseError, UnansweredError
 from gateway.people.client.blocking import Client
 from gateway.people.terminal import agrees, hint, on_end_signals, say, this_command
 from gateway.people.tools import kept_lease, reach
 from gateway.people.tools.reach import Connection
 from gateway.text import visible
-from schemas.telemetry import GatewayState, LeaseReport, Reason
+from schemas.lease import LeaseAck
+from schemas.telemetry import Ack, GatewayState, LeaseReport, Reason
 
 connection = partial(reach.connection, source="hexapod-gateway lease")
 
@@ -78,7 +79,7 @@ def release(connect: Connection, to: str | None) -> int:
             kept_lease.forget(client, token)  # first, so that the command that holds it knows why it ended
         ack = client.lease_requests.release(token, to)
         if not ack.accepted:
-            return rejected(LeaseError(ack.reason or "", ack.detail or "", ack.holder))
+            return rejected(ack)
         kept_lease.forget(client, token)
         say("released" if to is None else f"handed over to {to}")
         return 0
@@ -124,22 +125,17 @@ def not_acquired(client: Client, error: LeaseError) -> int:
     return rejected(error)
 
 
-def rejected(error: LeaseError | LeaseLostError) -> int:
+def rejected(error: LeaseError | Ack | LeaseAck) -> int:
     """Print why it was rejected, and what can be done. Returns the exit code."""
     say(f"rejected: {error.reason}: {error.detail}")
-    advise(error.reason)
-    return 1
-
-
-def advise(reason: str | None) -> None:
-    """Print what a person can do after a rejection because of the lease."""
-    if reason in (Reason.NOT_HOLDER, Reason.LEASE_HELD):
+    if error.reason in (Reason.NOT_HOLDER, Reason.LEASE_HELD):
         hint(
             f"`{this_command()} lease ask` asks for it; `lease take` takes it by force, and stops all legs first; "
             "`stop` and `estop` work for everybody."
         )
-    elif reason == Reason.NO_LEASE:
+    elif error.reason == Reason.NO_LEASE:
         hint(f"This robot wants to know who drives: `{this_command()} lease acquire`, or `send … --hold S`.")
+    return 1
 
 
 def _who(lease: LeaseReport) -> str:

@@ -6,7 +6,7 @@ servo goes where; and however it ends, a sentence reports whether all is stopped
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from gateway.errors import ConfigError, GatewayError
 from gateway.people.client.blocking import Client
@@ -14,6 +14,7 @@ from gateway.people.terminal import ask, hint, this_command
 from gateway.people.tools import kept_lease
 from gateway.people.tools.reach import check_at_rest
 from gateway.text import visible
+from schemas import keys
 from schemas.robot import JOINTS
 from schemas.telemetry import GatewayState
 
@@ -41,6 +42,16 @@ class Motion(NamedTuple):
     def leg(self) -> int:
         """1 to 6."""
         return self.servo_ids[0] // 10
+
+    @property
+    def key(self) -> str:
+        """Where commands for them go."""
+        return keys.leg_command(self.leg) if len(self.servo_ids) > 1 else keys.servo_command(self.servo_ids[0])
+
+    def payload(self, op: str, angle_deg: float) -> dict[str, Any]:
+        """A start or a set of all of them."""
+        servo = {"op": op, "angle_deg": angle_deg}
+        return {"servos": [servo] * len(self.servo_ids)} if len(self.servo_ids) > 1 else servo
 
     @property
     def which(self) -> str:

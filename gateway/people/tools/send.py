@@ -161,6 +161,4 @@ def _report(ack: Ack, accepted: str) -> int:
         return 0
     from gateway.people.tools import driving
 
-    say(f"rejected: {ack.reason}: {ack.detail}")
-    driving.advise(ack.reason)
-    return 1
+    return driving.rejected(ack)

@@ -14,7 +14,7 @@ from gateway.people.client.blocking import Client
 from gateway.people.client.subscriptions import reports, subscribed
 from gateway.people.tools.moving import Motion
 from schemas import keys
-from schemas.telemetry import Ack, Cause, Event, FrameRecord, GatewayState
+from schemas.telemetry import Ack, Cause, Event, FrameRecord, GatewayState, Reason
 
 if TYPE_CHECKING:
     from gateway.people.tools.drill.watching import Watching
@@ -43,6 +43,17 @@ def demand(true: object, sentence: str) -> None:
     """Fail the step with this sentence, unless it is true."""
     if not true:
         raise FailedError(sentence)
+
+
+def demand_accepted(ack: Ack, what: str) -> None:
+    """Fail the step unless the command was accepted. `what`: `a start`."""
+    demand(ack.accepted, f"{what} was rejected: {ack.reason}: {ack.detail}")
+
+
+def demand_rejected(ack: Ack, reason: Reason, what: str) -> None:
+    """Fail the step unless the command was rejected for this reason. `what`: `a start, although …`."""
+    demand(not ack.accepted, f"{what} was accepted")
+    demand(ack.reason == reason, f"{what} was rejected for another reason: {ack.reason}: {ack.detail}")
 
 
 class WrittenFrame(NamedTuple):
@@ -97,22 +108,9 @@ class Bench:
 
     # ---- commands
 
-    @property
-    def key(self) -> str:
-        """Where commands for them go."""
-        return (
-            keys.leg_command(self.motion.leg)
-            if len(self.motion.servo_ids) > 1
-            else keys.servo_command(self.motion.servo_ids[0])
-        )
-
     def payload(self, op: str, angle_deg: float) -> dict[str, Any]:
-        """A start or a set."""
-        servo = {"op": op, "angle_deg": angle_deg}
-        return {
-            **({"servos": [servo] * len(self.motion.servo_ids)} if len(self.motion.servo_ids) > 1 else servo),
-            **self.lease,
-        }
+        """A start or a set, under the lease."""
+        return {**self.motion.payload(op, angle_deg), **self.lease}
 
     def frame(self, op: Op, angle_deg: float) -> Frame:
         """The frame that such a command is to cause, in the servos' own angles."""
@@ -123,12 +121,11 @@ class Bench:
 
     def ask(self, op: str, angle_deg: float) -> Ack:
         """An acknowledged start or set."""
-        return self.client.ask(self.key, self.payload(op, angle_deg))
+        return self.client.ask(self.motion.key, self.payload(op, angle_deg))
 
     def start(self) -> None:
         """Start the leg. Fails the step where that is rejected."""
-        ack = self.ask("start", self.motion.start_deg)
-        demand(ack.accepted, f"a start was rejected: {ack.reason}: {ack.detail}")
+        demand_accepted(self.ask("start", self.motion.start_deg), "a start")
 
     def reset(self, estop: int) -> Ack:
         """Ask to leave the emergency stop of this number."""
@@ -147,7 +144,7 @@ class Bench:
         def stream() -> None:
             with suppress(GatewayError):
                 while not ended.wait(SETPOINT_PERIOD_S):
-                    sender.publish(self.key, self.payload(op, self.motion.start_deg))
+                    sender.publish(self.motion.key, self.payload(op, self.motion.start_deg))
 
         thread = threading.Thread(target=stream, name="stream")
         thread.start()

@@ -23,6 +23,8 @@ from gateway.people.tools.drill.bench import (
     WrittenFrame,
     caused,
     demand,
+    demand_accepted,
+    demand_rejected,
 )
 from gateway.people.tools.drill.cut_link import CutLink
 from gateway.people.tools.drill.service import killed
@@ -62,8 +64,7 @@ def command(bench: Bench) -> Figures:
     begun_s = time.monotonic()
     bench.start()
     start_ms = (time.monotonic() - begun_s) * 1000
-    ack = bench.ask("set", bench.motion.end_deg)
-    demand(ack.accepted, f"a set was rejected: {ack.reason}: {ack.detail}")
+    demand_accepted(bench.ask("set", bench.motion.end_deg), "a set")
     on_the_way = _arrive(bench)
     bench.stop()
     wanted = [bench.frame(Op.START, bench.motion.start_deg), bench.frame(Op.SET, bench.motion.end_deg)]
@@ -92,8 +93,7 @@ def _arrive(bench: Bench) -> bool:
         )
         shown = ", ".join(map(str, angles))
         demand(on_the_way and time.monotonic() < end_s, f"set to {bench.motion.end_deg:g}°, and the state has {shown}")
-        ack = bench.ask("set", bench.motion.end_deg)
-        demand(ack.accepted, f"a set was rejected: {ack.reason}: {ack.detail}")
+        demand_accepted(bench.ask("set", bench.motion.end_deg), "a set")
         time.sleep(SETPOINT_PERIOD_S)
 
 
@@ -126,8 +126,7 @@ def set_while_stopped(bench: Bench) -> Figures:
     """A set for a stopped servo is rejected, and moves nothing."""
     mark = bench.mark()
     ack = bench.ask("set", bench.motion.end_deg)
-    demand(not ack.accepted, "a set was accepted for a servo that does not run")
-    demand(ack.reason == Reason.SERVO_STOPPED, f"it was rejected for another reason: {ack.reason}: {ack.detail}")
+    demand_rejected(ack, Reason.SERVO_STOPPED, "a set for a servo that does not run")
     bench.demand_no_motion(mark, "after the rejected set")
     return {"reason": str(ack.reason)}
 
@@ -211,15 +210,13 @@ def rejected_until_reset(bench: Bench) -> Figures:
     if bench.client.state().mode != Mode.ESTOPPED:
         bench.estop = bench.client.estop().estop or 0
     ack = bench.ask("start", bench.motion.start_deg)
-    demand(not ack.accepted, "a start was accepted while the emergency stop is engaged")
-    demand(ack.reason == Reason.ESTOPPED, f"it was rejected for another reason: {ack.reason}")
+    demand_rejected(ack, Reason.ESTOPPED, "a start while the emergency stop is engaged")
     older = bench.reset(bench.estop - 1)
     demand(
         not older.accepted, f"a reset for the emergency stop {bench.estop - 1} left the emergency stop {bench.estop}"
     )
     bench.demand_no_motion(mark, "while the emergency stop is engaged")
-    ack = bench.reset(bench.estop)
-    demand(ack.accepted, f"the reset was rejected: {ack.reason}: {ack.detail}")
+    demand_accepted(bench.reset(bench.estop), "the reset")
     return {"estop": bench.estop}
 
 
@@ -230,8 +227,7 @@ def nothing_after_reset(bench: Bench) -> Figures:
         bench.estop = bench.client.estop().estop or 0
         time.sleep(QUIET_S)  # its frames are here, so that what comes from now on comes after the reset
     mark = bench.mark()
-    ack = bench.reset(bench.estop)
-    demand(ack.accepted, f"the reset was rejected: {ack.reason}: {ack.detail}")
+    demand_accepted(bench.reset(bench.estop), "the reset")
     with bench.streaming():
         time.sleep(STREAM_S)
         ack = bench.ask("set", bench.motion.start_deg)
@@ -244,10 +240,10 @@ def queue_of_a_cut_link(bench: Bench) -> Figures:
     """Starts that a cut link holds back do not move the leg when it is there again."""
     source = f"{bench.client.name} (cut link)"
     with CutLink(_dialled(bench)) as link, _through(bench, link, source) as far, link.dropped_on_error():
-        ack = far.ask(bench.key, bench.payload("start", bench.motion.start_deg))
+        ack = far.ask(bench.motion.key, bench.payload("start", bench.motion.start_deg))
         if ack.reason == Reason.NO_LEASE:
             raise Skipped("lease.required is set, and a lease ends behind a cut link anyway")
-        demand(ack.accepted, f"a start was rejected: {ack.reason}: {ack.detail}")
+        demand_accepted(ack, "a start")
         with bench.streaming(far):
             time.sleep(LEARN_S)
         link.hold()
@@ -307,13 +303,11 @@ def lease_keeps_others_out(bench: Bench) -> Figures:
         payload = {
             name: value for name, value in bench.payload("start", bench.motion.start_deg).items() if name != "lease"
         }
-        ack = other.ask(bench.key, payload)
-        demand(not ack.accepted, "somebody else's start was accepted")
-        demand(ack.reason == Reason.NOT_HOLDER, f"it was rejected for another reason: {ack.reason}: {ack.detail}")
+        ack = other.ask(bench.motion.key, payload)
+        demand_rejected(ack, Reason.NOT_HOLDER, "somebody else's start")
         bench.demand_no_motion(mark, "after somebody else's start")
         bench.start()
-        ack = other.stop()
-        demand(ack.accepted, f"somebody else's Stop was rejected: {ack.reason}: {ack.detail}")
+        demand_accepted(other.stop(), "somebody else's Stop")
         bench.demand_no_motion(bench.mark(), "after somebody else's Stop")
     return {"holder": holder}
 

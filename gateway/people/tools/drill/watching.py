@@ -19,6 +19,7 @@ from gateway.people.tools.drill.bench import (
     WrittenFrame,
     caused,
     demand,
+    demand_rejected,
 )
 from schemas.robot import LEGS
 from schemas.telemetry import Cause, GatewayState, Kind, Reason
@@ -95,8 +96,7 @@ def falls_silent(bench: Bench) -> Figures:
         with button.silent():
             figures = _stopped_in_time(bench, button, mark)
             ack = bench.ask("start", bench.motion.start_deg)
-            demand(not ack.accepted, "a start was accepted while too few buttons are alive")
-            demand(ack.reason == Reason.NO_BUTTON, f"it was rejected for another reason: {ack.reason}: {ack.detail}")
+            demand_rejected(ack, Reason.NO_BUTTON, "a start while too few buttons are alive")
             bench.demand_no_motion(bench.mark(), "while the button is silent")
             mark = bench.mark()
         back = bench.wait(lambda: bench.client.state().buttons.alive >= buttons.required, EVIDENCE_S)
