@@ -27,7 +27,7 @@ from gateway.people.client.blocking import Client
 from gateway.people.ros2.cdr import Message, encode
 from gateway.people.ros2.messages import TRIGGER_TYPE, JointState, Twist, TwistStamped
 from gateway.people.ros2.wire import Names
-from gateway.robot.edge.exposure import is_local
+from gateway.robot.zenoh_io.exposure import is_local
 
 _GID_BYTES: Final = 16
 """Of the GID's bytes that have a meaning; before Jazzy there are 24."""

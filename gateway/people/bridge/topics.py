@@ -8,6 +8,7 @@ from functools import partial
 from typing import Any, Final
 
 from gateway.geometry import Geometry
+from gateway.model.staleness import Staleness
 from gateway.people.bridge.driving import Driving, NotTakenError
 from gateway.people.bridge.graph import Arrived, Graph, Present, presence
 from gateway.people.bridge.motions import GAIT_NUMBERS
@@ -16,7 +17,6 @@ from gateway.people.ros2.joints import JointNames, check_reach, positions
 from gateway.people.ros2.messages import Float64, Int32, JointState, JointTrajectory, Twist, TwistStamped
 from gateway.people.ros2.trajectory import Trajectory
 from gateway.people.walking import Velocity
-from gateway.robot.core.staleness import Staleness
 
 MAX_BYTES: Final = 4096
 """As a command to the gateway; 18 joints with velocity and effort have 1000."""
