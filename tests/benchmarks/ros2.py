@@ -1,8 +1,8 @@
 """`python -m tests.benchmarks.ros2`: what the ROS 2 bridge adds to a command, and what it uses.
 
-The same 18 joints at 50 Hz, by a plain client of the gateway and by a ROS peer through its router and the bridge, in
-turn; each to a simulated gateway, until its FrameRecord's own time. Router and peer are processes as with ROS 2. The
-router is a Zenoh session in Python in router mode.
+The same 18 joints at 50 Hz, by a plain client of the gateway and by a ROS peer through the bridge, in turn; each to a
+simulated gateway, until its FrameRecord's own time. Over Zenoh, router and peer are processes as with ROS 2; the router
+is a Zenoh session in Python in router mode. Where rclpy is installed, FastDDS follows.
 """
 
 import itertools
@@ -11,6 +11,8 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
+from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Final
 
@@ -29,6 +31,7 @@ from tests.support.bridged import GEOMETRY, Bridge, resting
 from tests.support.child import Child
 from tests.support.gateway_process import Gateway, free_port
 from tests.support.heard import frames
+from tests.support.rclpy_peer import DOMAIN, ENV, RclpyBridge, RclpyPeer
 
 ROUNDS: Final = 3
 ROUND_S: Final = 8.0
@@ -52,42 +55,77 @@ FIRST_SERVO: Final = 11
 
 
 def main() -> None:
-    """Measure, and print a table."""
+    """Measure, and print a table for each way."""
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        Gateway(Path(folder), SETTINGS) as gateway,
+        gateway.client() as client,
+    ):
+        _over_zenoh(gateway, client)
+        if find_spec("rclpy") is not None:
+            _over_fastdds(gateway, client)
+
+
+def _over_zenoh(gateway: Gateway, client: Client) -> None:
     endpoint = f"tcp/127.0.0.1:{free_port()}"
-    with tempfile.TemporaryDirectory() as folder, Gateway(Path(folder), SETTINGS) as gateway:
-        router = Child([sys.executable, "-c", ROUTER, endpoint], os.environ)
-        try:
-            router.wait_for_output("ready", timeout_s=20)
-            with _peer(endpoint) as session, Bridge(gateway, endpoint, session) as bridge, gateway.client() as client:
-                _measure(bridge, client)
-        finally:
-            router.close()
+    router = Child([sys.executable, "-c", ROUTER, endpoint], os.environ)
+    try:
+        router.wait_for_output("ready", timeout_s=20)
+        with _peer(endpoint) as session, Bridge(gateway, endpoint, session) as bridge:
+
+            def call(service: str) -> None:
+                bridge.call(service, bridge.names.key(service, TRIGGER_TYPE, TRIGGER_HASH), **_request())
+
+            publisher = bridge.publisher("joint_commands", JointState)
+            _measure("ROS peer, router, bridge", bridge.child.pid, client, publisher.publish, call)
+    finally:
+        router.close()
 
 
-def _measure(bridge: Bridge, client: Client) -> None:
-    publisher = bridge.publisher("joint_commands", JointState)
+def _over_fastdds(gateway: Gateway, client: Client) -> None:
+    os.environ.update(ENV)
+    rclpy: Any = import_module("rclpy")
+    rclpy.init(domain_id=DOMAIN)
+    node = rclpy.create_node("peer")
+    publisher = node.create_publisher(import_module("sensor_msgs.msg").JointState, "/hexapod/joint_commands", 1)
+
+    def publish(message: JointState) -> None:
+        publisher.publish(encode(message))
+
+    with RclpyBridge(gateway) as bridge, RclpyPeer() as peer:
+        call = peer.call
+        _measure(
+            "ROS peer, FastDDS, bridge", bridge.child.pid, client, publish, lambda service: call(f"/hexapod/{service}")
+        )
+    node.destroy_node()
+    rclpy.shutdown()
+
+
+def _measure(
+    way: str, pid: int, client: Client, publish: Callable[[JointState], object], call: Callable[[str], object]
+) -> None:
     plain_ns: list[int] = []
     bridged_ns: list[int] = []
     used: list[float] = []
-    idle = _share(bridge.child.pid, lambda: time.sleep(ROUND_S))
+    idle = _share(pid, lambda: time.sleep(ROUND_S))
     for _ in range(ROUNDS):
         with client.lease():
             client.start_legs(legs_deg(GEOMETRY, _at_rad(resting())))
             plain_ns += _round(client, lambda message: client.publish(keys.LEGS_COMMAND, _legs(message)))
             client.stop()
-        bridge.call("drive", bridge.names.key("drive", TRIGGER_TYPE, TRIGGER_HASH), **_request())
+        call("drive")
         for _ in range(12):
-            publisher.publish(resting())
+            publish(resting())
             time.sleep(1 / HZ)
-        used.append(_share(bridge.child.pid, lambda: bridged_ns.extend(_round(client, publisher.publish))))
-        bridge.call("release", bridge.names.key("release", TRIGGER_TYPE, TRIGGER_HASH), **_request())
+        used.append(_share(pid, lambda: bridged_ns.extend(_round(client, publish))))
+        call("release")
     plain, bridged = Figures.of(plain_ns), Figures.of(bridged_ns)
     say(f"message → frame of joint 11, {len(plain_ns)} and {len(bridged_ns)} messages of 18 joints at {HZ:g} Hz")
     say(f"  plain client of the gateway: {_shown(plain)}")
-    say(f"  ROS peer, router, bridge:    {_shown(bridged)}")
+    say(f"  {way}: {_shown(bridged)}")
     say(f"  added: {(bridged.p50_us - plain.p50_us) / 1000:.2f} ms in the median")
     say(f"CPU of the bridge: {idle:.1%} of a core idle, {min(used):.1%} to {max(used):.1%} at {HZ:g} Hz each way")
-    say(f"  {rss_kb(bridge.child.pid) / 1000:.0f} MB resident, {threads(bridge.child.pid)} threads")
+    say(f"  {rss_kb(pid) / 1000:.0f} MB resident, {threads(pid)} threads")
 
 
 def _round(client: Client, publish: Callable[[JointState], object]) -> list[int]:

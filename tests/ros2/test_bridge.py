@@ -7,6 +7,8 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 from gateway.client import Client
 from gateway.people.ros2.cdr import decode, encode
 from gateway.people.ros2.messages import (
@@ -275,12 +277,17 @@ def test_a_router_that_was_away_finds_it_again(gateway: Gateway) -> None:
             assert peer.call("/hexapod/reset")[0]
 
 
-def test_without_its_extra_it_names_what_to_install() -> None:
-    program = "import sys; sys.modules['xxhash'] = None; from gateway.cli import main; sys.argv[1:] = ['ros2']; main()"
+@pytest.mark.parametrize(
+    ("lacks", "via", "why"),
+    [("xxhash", "zenoh", "pip install 'hexapod-gateway[ros2]'"), ("rclpy", "rclpy", "needs ROS 2 for this Python")],
+)
+def test_without_what_it_needs_it_names_what_to_install(lacks: str, via: str, why: str) -> None:
+    words = ["ros2", "--via", via]
+    program = f"import sys; sys.modules['{lacks}'] = None; from gateway.cli import main; sys.argv[1:] = {words}; main()"
     child = Child([sys.executable, "-c", program], clean())
     assert child.wait(20) == 2
     child.close()
-    assert "pip install 'hexapod-gateway[ros2]'" in child.stderr
+    assert why in child.stderr
 
 
 def test_what_it_cannot_begin_with(gateway: Gateway) -> None:

@@ -7,6 +7,7 @@ import os
 import queue
 import sys
 import threading
+import time
 from collections import defaultdict
 from importlib import import_module
 from importlib.util import find_spec
@@ -47,11 +48,13 @@ class RclpyPeer(Peer):
 
     def next_where(self, topic: str, condition: Any) -> Any:
         """The next message of a topic for which it holds."""
-        while True:
+        end_s = time.monotonic() + ANSWER_S
+        while time.monotonic() < end_s:
             name, data = self.next(topic)
             message = decode(kind_of(name), bytes.fromhex(data))
             if condition(message):
                 return message
+        raise TimeoutError(f"no such message on {topic}")
 
 
 class RclpyBridge:
