@@ -24,7 +24,8 @@ the baseline.
   baseline.
 - Pauses of the gateway itself (a debugger, a frozen virtual machine): what waited in its rings and sockets looks as if
   it had just arrived. For `max_age_ms` after such a pause, only commands that a clock known from before finds fresh are
-  accepted. Whoever owns the state calls `turned` first, and ten times a second somebody does, which shows pauses.
+  accepted. Each judgement looks at the clock first, and so does the owner of the state ten times a second: a longer
+  gap between two looks is a pause.
 
 Memory is bounded. A source is forgotten only after a minute of silence, when any burst of it has arrived or is lost.
 A new source that finds no place is rejected, since its burst could not be told from fresh commands.

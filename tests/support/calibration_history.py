@@ -10,7 +10,7 @@ from typing import NamedTuple, Self
 
 from gateway.model.calibration import MappingChange, RobotCalibration
 from gateway.model.frames import Frame, OneLeg, OneServo, Op, ServoOp
-from gateway.robot.core.events import Calibrate, Effect, Keep, Kept, Transmit
+from gateway.robot.core.events import Calibrate, CalibrationSaved, Effect, SaveCalibration, Transmit
 from gateway.robot.core.leg import Rules
 from schemas.telemetry import Kind, Reason
 from tests.support.history import demand, spelled_out, told
@@ -170,7 +170,7 @@ class CalibrationHistory:
 
         `closed` is why no start would be taken at all; `alive` are the servos that run or wait to be started.
         """
-        keeps = [effect for effect in effects if isinstance(effect, Keep)]
+        keeps = [effect for effect in effects if isinstance(effect, SaveCalibration)]
         before = self.whole if self.trusted else Whole(self.whole.revision, {}, {})
         after = before.changed(event)
         reason = closed or self._reason(event)
@@ -198,7 +198,7 @@ class CalibrationHistory:
             return Reason.SERVO_STOPPED
         return Reason.INVALID if self.trusted and event.accept_default else None
 
-    def kept(self, event: Kept, effects: Sequence[Effect], alive: Collection[int]) -> Reason | None:
+    def kept(self, event: CalibrationSaved, effects: Sequence[Effect], alive: Collection[int]) -> Reason | None:
         """The disk has answered: why the change is rejected; None: it is in force from here on."""
         way, self.on_its_way = self.on_its_way, None
         demand(way is not None and way.number == event.number, "what is kept was on its way")

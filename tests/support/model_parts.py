@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from gateway.model.calibration import CalibrationChange, RobotCalibration
 from gateway.robot.core.buttons import Buttons
-from gateway.robot.core.events import ButtonDo, ButtonRequest, Calibrate, Do, Event, Kept, LeaseRequest
+from gateway.robot.core.events import ButtonDo, ButtonRequest, Calibrate, CalibrationSaved, Do, Event, LeaseRequest
 from gateway.robot.core.lease import Lease
 from gateway.robot.core.pacing import NS_PER_MS
 from gateway.robot.core.supervisor import Supervisor
@@ -138,5 +138,5 @@ def changes(
             Calibrate(number=number, change=CalibrationChange({}, {}), accept_default=history.trusted),
         )
     if history.on_its_way is not None:
-        yield "calibration kept", Kept(history.on_its_way.number)
-        yield "calibration not kept", Kept(history.on_its_way.number, "the disk is full")
+        yield "calibration kept", CalibrationSaved(history.on_its_way.number)
+        yield "calibration not kept", CalibrationSaved(history.on_its_way.number, "the disk is full")

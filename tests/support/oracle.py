@@ -13,16 +13,16 @@ from gateway.robot.core.events import (
     BusOpened,
     ButtonRequest,
     Calibrate,
+    CalibrationSaved,
     Command,
     Completed,
     Effect,
     EmergencyStop,
     Event,
-    Keep,
-    Kept,
     LeaseRequest,
     Rejected,
     Reset,
+    SaveCalibration,
     ShutDown,
     StoppedOutside,
     TimePassed,
@@ -63,7 +63,7 @@ class Oracle(RobotHistory):
         What came belongs to the instant that began at `instant_ns`, to one of its own if that is not given.
         """
         self.instant_ns = now_ns if instant_ns is None else instant_ns
-        kept = self.calibration.kept(event, effects, self.alive) if isinstance(event, Kept) else None
+        kept = self.calibration.kept(event, effects, self.alive) if isinstance(event, CalibrationSaved) else None
         effects = self.calibration.read(effects)
         self._lost = frozenset()
         stops = [isinstance(effect, Transmit) and effect.frame.is_stop for effect in effects]
@@ -73,7 +73,7 @@ class Oracle(RobotHistory):
         match event:
             case Command() | Reset() | TimePassed() | Calibrate() | ButtonRequest():
                 self._in_time(event, now_ns, effects)
-            case Kept():
+            case CalibrationSaved():
                 self._must_be_rejected(event, effects, kept)
                 self._in_time(event, now_ns, effects)
             case LeaseRequest() if self.lease.judge(event, now_ns, effects, ended=self.ended):
@@ -107,10 +107,10 @@ class Oracle(RobotHistory):
                 self._all_stopped(effects, Cause.COMMAND, Reason.BUS_FAULT, now_ns)
                 for servo in self.servos.values():
                     servo.owed = 0  # the bus that opens again is told to stop everything
-        keeps = any(isinstance(effect, Keep) for effect in effects)
+        keeps = any(isinstance(effect, SaveCalibration) for effect in effects)
         demand(isinstance(event, Calibrate) or not keeps, "only a change of the calibration is kept")
         calibrated = told(effects, Kind.CALIBRATED)
-        demand(isinstance(event, Kept) or not calibrated, "a calibration is in force once it is kept")
+        demand(isinstance(event, CalibrationSaved) or not calibrated, "a calibration is in force once it is kept")
         demand(after.mode is self.mode, f"the mode is {self.mode}, not {after.mode}")
         demand(after.estops == self.estops, f"{self.estops} emergency stops were requested, not {after.estops}")
         holder, alive = after.lease.holder, after.buttons.alive
@@ -139,7 +139,14 @@ class Oracle(RobotHistory):
 
     def _in_time(
         self,
-        event: Command | Reset | LeaseRequest | ButtonRequest | TimePassed | StoppedOutside | Calibrate | Kept,
+        event: Command
+        | Reset
+        | LeaseRequest
+        | ButtonRequest
+        | TimePassed
+        | StoppedOutside
+        | Calibrate
+        | CalibrationSaved,
         now_ns: int,
         effects: Sequence[Effect],
     ) -> None:
@@ -298,7 +305,7 @@ class Oracle(RobotHistory):
         return frozenset(servo_id for servo_id, op in command.targets if op.op is Op.STOP)
 
     def _must_be_rejected(
-        self, event: Command | Reset | Calibrate | Kept, effects: Sequence[Effect], reason: Reason | None
+        self, event: Command | Reset | Calibrate | CalibrationSaved, effects: Sequence[Effect], reason: Reason | None
     ) -> None:
         """For this reason; None: it must not be."""
         reasons = rejections_of(event.number, effects)

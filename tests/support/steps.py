@@ -12,17 +12,17 @@ from gateway.robot.core.events import (
     ButtonDo,
     ButtonRequest,
     Calibrate,
+    CalibrationSaved,
     Command,
     Completed,
     Do,
     Effect,
     EmergencyStop,
     Event,
-    Keep,
-    Kept,
     LeaseRequest,
     Rejected,
     Reset,
+    SaveCalibration,
     ShutDown,
     StoppedOutside,
     TimePassed,
@@ -74,7 +74,7 @@ def said(effect: Effect) -> str:
             return f"announce {effect.kind}"
         case Answer():
             return effect.reason or "granted"
-        case Keep():
+        case SaveCalibration():
             return f"keep {effect.number}"
 
 
@@ -206,7 +206,7 @@ class Steps:
     def kept(self, at_ms: float, fault: str | None = None) -> list[str]:
         """The disk has answered for the latest change."""
         way = self.supervisor.calibrating._on_its_way
-        return self.take(at_ms, Kept(0 if way is None else way.event.number, fault))
+        return self.take(at_ms, CalibrationSaved(0 if way is None else way.event.number, fault))
 
     def time(self, at_ms: float) -> list[str]:
         return self.take(at_ms, TimePassed())

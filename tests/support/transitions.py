@@ -11,10 +11,10 @@ from gateway.robot.core.events import (
     BusOpened,
     ButtonRequest,
     Calibrate,
+    CalibrationSaved,
     Command,
     EmergencyStop,
     Event,
-    Kept,
     LeaseRequest,
     Reset,
     ShutDown,
@@ -25,7 +25,7 @@ from schemas.telemetry import Mode
 
 _QUIET: Final = frozenset({Mode.IDLE, Mode.ACTIVE})
 _FAULT: Final = frozenset({Mode.BUS_FAULT})
-_TAKEN: Final = (Command, Reset, LeaseRequest, ButtonRequest, Calibrate, Kept, StoppedOutside, TimePassed)
+_TAKEN: Final = (Command, Reset, LeaseRequest, ButtonRequest, Calibrate, CalibrationSaved, StoppedOutside, TimePassed)
 
 
 def _opened(

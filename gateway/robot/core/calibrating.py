@@ -1,7 +1,8 @@
 """How the calibration in force is changed: checked, kept on the disk, and only then in force. Pure.
 
 A change takes two steps, since no Stop may wait for a disk. `Calibrate` is checked, and the new calibration goes to the
-disk (`Keep`) while the old one stays in force; `Kept` says how that went, and puts it in force or leaves the old one.
+disk (`SaveCalibration`) while the old one stays in force; `CalibrationSaved` then puts it in force, or leaves the old
+one where the disk failed.
 
 What a frame says of a servo must never change while the servo runs: it would jump at the next frame, and nobody asked
 for that. So no servo that is changed may run or wait to be started when the change comes, and until it is in force none
@@ -17,7 +18,15 @@ from typing import Final, NamedTuple
 from gateway.model.angle_limits import AngleLimits
 from gateway.model.calibration import CalibrationError, RobotCalibration, changed_servos
 from gateway.model.frames import ServoOp
-from gateway.robot.core.events import Announce, Calibrate, Completed, Effect, Keep, Kept, Rejected
+from gateway.robot.core.events import (
+    Announce,
+    Calibrate,
+    CalibrationSaved,
+    Completed,
+    Effect,
+    Rejected,
+    SaveCalibration,
+)
 from gateway.robot.core.leg import Servo
 from schemas.telemetry import Kind, Reason
 
@@ -99,7 +108,7 @@ class Calibrating:
                 return [Rejected(event, Reason.INVALID, detail)]
         self._on_its_way = _OnItsWay(calibration, changed, event)
         self.guards = True
-        return [Keep(event.number, calibration)]
+        return [SaveCalibration(event.number, calibration)]
 
     def _why_not_now(self, event: Calibrate) -> tuple[Reason, str] | None:
         if self._on_its_way is not None:
@@ -119,7 +128,7 @@ class Calibrating:
             f"{self.fault}; nothing is started until `{ACCEPT_DEFAULT}` takes the default calibration as this robot's"
         )
 
-    def kept(self, event: Kept) -> list[Effect]:
+    def kept(self, event: CalibrationSaved) -> list[Effect]:
         """The change that is on its way is kept, and from now on in force; or it is not, and the old one stays."""
         if self._on_its_way is None:
             return []

@@ -21,7 +21,7 @@ _GET: Final = Verb.GET  # see `frames.OP_STOP`
 
 @dataclass(slots=True, eq=False)
 class Request:
-    """What somebody asked for: one object from its payload to its answer, which the owner of the state changes.
+    """A request: one object from its payload to its answer, which the owner of the state changes.
 
     The reader of its payload makes it, and adds how it came.
     """
@@ -89,17 +89,17 @@ class Command(Request):
 @final
 @dataclass(slots=True, eq=False, kw_only=True)
 class Reset(Request):
-    """Somebody wants to leave the emergency stop with number `estop`; None: they did not say which one."""
+    """Leaves the emergency stop with number `estop`; None: the sender did not say which one."""
 
     estop: int | None = None
 
 
 @dataclass(slots=True, eq=False, kw_only=True)
 class Calibrate(Request):
-    """Somebody wants the calibration changed: the one with this `revision`, or whichever is in force (None).
+    """Changes the calibration with this `revision`; None: the one in force.
 
-    `accept_default` takes the default calibration (with `change`, if that says anything) as this robot's, where the
-    file that kept its own cannot be read.
+    `accept_default` takes the default calibration (with `change`, if that has anything) as this robot's, where the
+    file with its own cannot be read.
     """
 
     change: CalibrationChange
@@ -128,14 +128,14 @@ class BusFailed:
 
 @value
 class EmergencyStop:
-    """Somebody wants everything stopped."""
+    """Stops all six legs, and latches."""
 
     source: str | None = None
     key: str | None = None
 
 
 class Do(StrEnum):
-    """What somebody wants of the lease."""
+    """What a request about the lease asks for."""
 
     ACQUIRE = "acquire"
     ASK = "ask"
@@ -146,7 +146,7 @@ class Do(StrEnum):
 
 @value
 class LeaseRequest:
-    """Somebody wants something of the lease; where names have to be proved, `source` is.
+    """A request about the lease; where names have to be proved, `source` is.
 
     `fresh_token` is 128 random bits, for a lease that it may give.
     """
@@ -160,7 +160,7 @@ class LeaseRequest:
 
 
 class ButtonDo(StrEnum):
-    """What a button wants."""
+    """What a button's request asks for."""
 
     REGISTER = "register"
     ALIVE = "alive"
@@ -187,8 +187,8 @@ class ButtonRequest:
 
 
 @value
-class Kept:
-    """The calibration of the Keep with this number is on the disk; with a `fault`, the old one still is."""
+class CalibrationSaved:
+    """The calibration of the SaveCalibration with this number is on the disk; with a `fault`, the old one still is."""
 
     number: int
     fault: str | None = None
@@ -203,7 +203,7 @@ class StoppedOutside:
 
 @value
 class TimePassed:
-    """Nothing but time; send it when `due_ns` has come."""
+    """Only time has passed; send it when `due_ns` has come."""
 
 
 @value
@@ -220,7 +220,7 @@ Event = (
     | LeaseRequest
     | ButtonRequest
     | Calibrate
-    | Kept
+    | CalibrationSaved
     | StoppedOutside
     | TimePassed
     | ShutDown
@@ -267,7 +267,7 @@ class Rejected:
 
 @value
 class Announce:
-    """Something happened that people want to know. `legs`, ascending, are those that it is about."""
+    """An event to publish. `legs`, ascending, are those that it is about."""
 
     kind: Kind
     detail: str
@@ -291,8 +291,8 @@ class Answer:
 
 
 @value
-class Keep:
-    """Write this calibration to the disk, without making anything wait for it, and answer with Kept in any case.
+class SaveCalibration:
+    """Write this calibration to the disk, without making anything wait for it; answer with CalibrationSaved, always.
 
     Until then the old calibration is in force, and command `number` has no answer.
     """
@@ -301,6 +301,6 @@ class Keep:
     calibration: RobotCalibration
 
 
-Effect = Transmit | Completed | Rejected | Announce | Answer | Keep
+Effect = Transmit | Completed | Rejected | Announce | Answer | SaveCalibration
 Decision = tuple[list[Effect], Answer]
-"""What comes of a request: what is told of it, and its answer."""
+"""A request's events, and its answer."""

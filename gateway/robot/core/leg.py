@@ -68,7 +68,7 @@ class Servo:
     repeat_ns: int = 0
     stopped_ns: int | None = None
     stopped_by: frozenset[str] = frozenset()
-    """All who stopped it at `stopped_ns`: the channels of commands, or the gateway's own causes."""
+    """The channels of the commands, or the gateway's own causes, that stopped it at `stopped_ns`."""
 
     @property
     def running(self) -> bool:

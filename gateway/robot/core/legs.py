@@ -34,9 +34,9 @@ def _stops(leg: Leg, servos: list[Servo], cause: Cause, commands: tuple[Command,
 
 
 def _taken_over(leg: Leg, source: str | None, moves: bool) -> list[Effect]:
-    """Another source's command is in force from now on. A leg that nothing runs on is taken from nobody.
+    """Another source's command is in force from now on. A stopped leg has no previous source.
 
-    A Stop without a name (a delete has none) may well be that of whoever moved the leg.
+    A Stop without a name (a delete has none) may be from the leg's previous source.
     """
     before, leg.source = leg.source, source
     if not leg.armed or (source is None and not moves):
@@ -259,7 +259,8 @@ class Legs:
             one, two = first.waiting or _as_it_is(first), second.waiting or _as_it_is(second)
             frame = OneLeg(leg.number, (one, two, third.waiting or _as_it_is(third)))
         else:
-            frame = OneServo(waiting[0][0].servo_id, waiting[0][1])
+            only, op = waiting[0]
+            frame = OneServo(only.servo_id, op)
         wire = self._reach.wire  # the one place where users' angles become the servos' own; a Stop has none
         commands: tuple[Command, ...] = ()
         done: tuple[Command, ...] = ()

@@ -55,12 +55,12 @@ from gateway.robot.core.events import (
     BusOpened,
     ButtonRequest,
     Calibrate,
+    CalibrationSaved,
     Command,
     Completed,
     Effect,
     EmergencyStop,
     Event,
-    Kept,
     LeaseRequest,
     Rejected,
     Reset,
@@ -142,7 +142,7 @@ class Supervisor:
         """
         if type(event) not in LEGAL[self.mode]:
             raise IllegalEvent(f"{type(event).__name__} while {self.mode}")
-        if type(event) is Kept and not self.calibrating.awaits(event.number):
+        if type(event) is CalibrationSaved and not self.calibrating.awaits(event.number):
             raise IllegalEvent(f"calibration {event.number} is not on its way to the disk")
         self.legs.begin(now_ns if instant_ns is None else instant_ns)
         lease_ns, button_ns = self.lease.due_ns, self.buttons.due_ns
@@ -191,7 +191,7 @@ class Supervisor:
                 effects = self._outside(event, now_ns)
             case ButtonRequest():
                 effects = self._button_request(event, now_ns)
-            case Calibrate() | Kept():
+            case Calibrate() | CalibrationSaved():
                 effects = self._calibration(event, now_ns)
             case BusOpened():
                 effects = self._bus_opened(now_ns)
@@ -268,8 +268,8 @@ class Supervisor:
         """Why too few watch for a start, a set or a reset; None: enough do."""
         return self.buttons.rejection() if self.buttons.closed else None
 
-    def _calibration(self, event: Calibrate | Kept, now_ns: int) -> list[Effect]:
-        return self.calibrating.kept(event) if isinstance(event, Kept) else self._calibrate(event, now_ns)
+    def _calibration(self, event: Calibrate | CalibrationSaved, now_ns: int) -> list[Effect]:
+        return self.calibrating.kept(event) if isinstance(event, CalibrationSaved) else self._calibrate(event, now_ns)
 
     def _calibrate(self, event: Calibrate, now_ns: int) -> list[Effect]:
         rejection = _REJECTING.get(self.mode) or self._why_closed(event.lease)

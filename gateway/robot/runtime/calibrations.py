@@ -8,7 +8,7 @@ from typing import Final
 
 from gateway.model.calibration import CalibrationChange, RobotCalibration, report_of
 from gateway.robot.core import calibration_intake
-from gateway.robot.core.events import Calibrate, Keep, Kept
+from gateway.robot.core.events import Calibrate, CalibrationSaved, SaveCalibration
 from gateway.robot.core.intake import Rejection
 from gateway.robot.core.message import Reply
 from gateway.robot.host.calibration_file import SLOW_S
@@ -87,7 +87,7 @@ class Calibrations(RequestAnswers):
         if keep is not None:
             self._hand_on(keep)
 
-    def _hand_on(self, keep: Keep) -> None:
+    def _hand_on(self, keep: SaveCalibration) -> None:
         kept = partial(self._kept, keep.number)
         if self._keep is None:
             kept(None)
@@ -103,7 +103,7 @@ class Calibrations(RequestAnswers):
     def _kept(self, number: int, fault: str | None) -> None:
         self._slow.cancel()
         before = self._in_force
-        self._conductor.ask(Kept(number, fault))
+        self._conductor.ask(CalibrationSaved(number, fault))
         if self._in_force is not before:
             self.publish()
             self._conductor.publish_state()

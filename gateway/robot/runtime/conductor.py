@@ -21,10 +21,10 @@ from gateway.robot.core.events import (
     BusOpened,
     ButtonRequest,
     Calibrate,
+    CalibrationSaved,
     Command,
     EmergencyStop,
     Event,
-    Kept,
     LeaseRequest,
     Request,
     ShutDown,
@@ -80,7 +80,7 @@ class Conductor:
         self.supervisor = supervisor
         self.bus = bus
         self.owner = owner or Ownership()
-        """Whoever calls anything here holds it."""
+        """Callers hold it."""
         self.metrics = Metrics()
         self.recorder = recorder
         self._outbox = outbox
@@ -132,7 +132,7 @@ class Conductor:
         self._publish_mode()
 
     def announce(self, kind: Kind, detail: str, key: str | None = None) -> None:
-        """Publish what happened beside the robot's own state."""
+        """Publish an event that the supervisor does not know of."""
         self._events.announce(Announce(kind, detail, None, key))
 
     def shut_down(self) -> bool:
@@ -174,16 +174,16 @@ class Conductor:
         self._arm()
 
     def turned(self) -> int:
-        """To be called by each owner before it takes a message, and ten times a second at least. What time it is.
+        """Returns now, and records that the process is alive; to be called at least ten times a second.
 
-        Whichever thread is the first to go on after the whole process was stopped thus notices it.
+        So the first thread to go on after the whole process was stopped notices that.
         """
         now_ns = self._clock()
         if self._staleness is not None:
             self._staleness.turned(now_ns)
         return now_ns
 
-    def ask(self, event: LeaseRequest | ButtonRequest | Calibrate | Kept) -> Outcome:
+    def ask(self, event: LeaseRequest | ButtonRequest | Calibrate | CalibrationSaved) -> Outcome:
         """Let the supervisor take what commands nothing that moves."""
         if self._closed:
             return Outcome()

@@ -6,7 +6,7 @@ from typing import Final, assert_never
 
 from gateway.errors import SpiError
 from gateway.robot.blackbox.recorder import Recorder, Written
-from gateway.robot.core.events import Announce, Answer, Completed, Effect, Keep, Rejected, Request, Transmit
+from gateway.robot.core.events import Announce, Answer, Completed, Effect, Rejected, Request, SaveCalibration, Transmit
 from gateway.robot.runtime.answers import PendingCommands
 from gateway.robot.runtime.event_publisher import EventPublisher
 from gateway.robot.runtime.metrics import Metrics
@@ -18,7 +18,7 @@ _REPEAT: Final = Cause.REPEAT  # see `frames.OP_STOP`
 
 @dataclass(slots=True)
 class Outcome:
-    """What a step came to: what was written, who was rejected, and what is left for whoever asked."""
+    """A step's result: its frames, the requests that it rejected, and what its caller has to do."""
 
     written: list[Written] = field(default_factory=list)
     fault: SpiError | None = None
@@ -30,9 +30,9 @@ class Outcome:
     rejected: list[Request] = field(default_factory=list)
     """What the supervisor rejected."""
     answer: Answer | None = None
-    """To be sent to whoever asked."""
-    keep: Keep | None = None
-    """To be written to the disk by whoever asked."""
+    """For the caller to send."""
+    keep: SaveCalibration | None = None
+    """For the caller to write to the disk."""
 
     def stop_frames(self, cause: Cause) -> int:
         """How many frames with this cause a controller is known to have been sent."""
@@ -40,7 +40,7 @@ class Outcome:
 
 
 class Executor:
-    """The hands of the conductor."""
+    """Carries out effects."""
 
     def __init__(
         self,
@@ -87,7 +87,7 @@ class Executor:
                     self._events.announce(effect)
                 case Answer():
                     outcome.answer = effect
-                case Keep():
+                case SaveCalibration():
                     outcome.keep = effect
                 case _:
                     assert_never(effect)

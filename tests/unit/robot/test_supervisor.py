@@ -292,6 +292,16 @@ def test_a_leg_whose_start_was_dropped_keeps_nobody_off() -> None:
     assert robot.command(200, leg_to(3, "start 90"))[0] == "command 3 start 90"
 
 
+def test_a_leg_whose_rate_slot_has_not_come_keeps_its_place() -> None:
+    robot = staggered(1)
+    robot.command(100, leg_to(1, "start 90"))
+    robot.command(101, leg_to(1, "stop"))
+    assert robot.command(103, leg_to(1, "start 80")) == []
+    assert robot.command(104, leg_to(2, "start 90")) == []
+    assert robot.time(105) == ["command 1 start 80", "completed 3"]
+    assert robot.time(106) == ["command 2 start 90", "completed 4"]
+
+
 # ---- the watchdog, as the state shows it
 
 

@@ -6,7 +6,7 @@ Each step is judged by the oracle.
 import pytest
 
 from gateway.model.calibration import CalibrationChange, MappingChange, RobotCalibration, ServoMapping
-from gateway.robot.core.events import Announce, Kept, Transmit
+from gateway.robot.core.events import Announce, CalibrationSaved, Transmit
 from gateway.robot.core.leg import Rules
 from gateway.robot.core.pacing import NS_PER_MS
 from gateway.robot.core.supervisor import IllegalEvent
@@ -216,10 +216,10 @@ def test_an_answer_that_nobody_waits_for_changes_nothing(number: int) -> None:
     steps = Steps()
     steps.calibrate(0, TURN_32)
     with pytest.raises(IllegalEvent, match="is not on its way"):
-        steps.supervisor.step(Kept(number), 10**12)
+        steps.supervisor.step(CalibrationSaved(number), 10**12)
     assert steps.kept(1)[-1] == "completed 1"
     with pytest.raises(IllegalEvent, match="is not on its way"):
-        steps.supervisor.step(Kept(1), 10**12)
+        steps.supervisor.step(CalibrationSaved(1), 10**12)
 
 
 # ---- a calibration that cannot be trusted

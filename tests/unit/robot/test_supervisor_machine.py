@@ -19,13 +19,13 @@ from gateway.robot.core.events import (
     BusFailed,
     BusOpened,
     Calibrate,
+    CalibrationSaved,
     Command,
     Completed,
     Do,
     Effect,
     EmergencyStop,
     Event,
-    Kept,
     LeaseRequest,
     Rejected,
     Reset,
@@ -235,7 +235,7 @@ class SupervisorMachine(RuleBasedStateMachine):
     @rule(fault=st.sampled_from([None, None, "the disk is full"]), wait_ns=WAITS_NS)
     def the_disk_answers(self, fault: str | None, wait_ns: int) -> None:
         way = self.oracle.calibration.on_its_way
-        self.step(Kept(0 if way is None else way.number, fault), wait_ns)
+        self.step(CalibrationSaved(0 if way is None else way.number, fault), wait_ns)
 
     @rule(wait_ns=WAITS_NS)
     def time_passes(self, wait_ns: int) -> None:
