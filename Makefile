@@ -87,7 +87,7 @@ mutants: $(VENV)/dev
 
 docs: $(VENV)/dev
 	@$(BIN)/python -m release.docs_site
-	@echo "open build/docs/index.html"
+	@echo "open build/docs/index.html; with its search: $(BIN)/python -m http.server --bind 127.0.0.1 --directory build/docs"
 
 schemas: $(VENV)/dev
 	$(BIN)/python -m schemas

@@ -65,7 +65,7 @@ def main() -> None:
     if subprocess.run(builder, cwd=ROOT, check=False).returncode:
         sys.exit(1)
     if broken := broken_links(SITE):
-        sys.exit("These links lead nowhere:\n" + "\n".join(broken))
+        sys.exit("These lead nowhere, or load from another host:\n" + "\n".join(broken))
 
 
 def collect(pages: Path) -> None:
@@ -118,7 +118,7 @@ def _write(path: Path, text: str) -> None:
 
 
 def broken_links(site: Path) -> list[str]:
-    """`page: link` for each link and picture of the built pages whose file or anchor does not exist."""
+    """`page: link` for each link, picture and script that does not exist, or that another host would serve."""
     pages = {path: _Page(path) for path in site.rglob("*.html") if path.name != "404.html"}
     broken = []
     for path, page in sorted(pages.items()):
@@ -140,11 +140,11 @@ class _Page(HTMLParser):
         self.anchors: set[str] = set()
         self.feed(path.read_text(encoding="utf-8"))
 
-    def handle_starttag(self, _tag: str, attrs: list[tuple[str, str | None]]) -> None:
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
         for name, value in attrs:
             if name == "id" and value:
                 self.anchors.add(value)
-            elif name in {"href", "src"} and value and not urlsplit(value).scheme and not value.startswith("//"):
+            elif name in {"href", "src"} and value and (tag != "a" or not urlsplit(value).netloc):
                 self.links.add(value)
 
 

@@ -61,6 +61,15 @@ def test_methods_of_our_own_are_not_shown_and_those_of_programs_are(shown: set[s
 
 
 @pytest.mark.usefixtures("shown")
+def test_methods_made_at_import_have_their_signature_and_are_async() -> None:
+    page = (SITE / "api" / "client.html").read_text(encoding="utf-8")
+    _, _, method = page.partition('id="gateway.client.AsyncWalk.go"')
+    shown, _, _ = method.partition("<h")
+    assert "doc-label-async" in shown
+    assert "forward_m_s" in shown
+
+
+@pytest.mark.usefixtures("shown")
 def test_each_page_is_in_the_menu_and_in_the_search() -> None:
     pages = {path.relative_to(PAGES).as_posix() for path in PAGES.rglob("*.md")}
     menu = re.findall(r": (\S+\.md)$", (ROOT / "mkdocs.yml").read_text(encoding="utf-8"), re.MULTILINE)
@@ -74,7 +83,13 @@ def test_a_broken_link_is_found(tmp_path: Path) -> None:
         '<h1 id="here"></h1><a href="#here"></a><a href="b.html#there"></a><img src="c.png">'
     )
     (tmp_path / "b.html").write_text('<a href="a.html#here"></a><a href="https://example.com"></a><a href="#gone"></a>')
-    assert broken_links(tmp_path) == ["a.html: b.html#there", "a.html: c.png", "b.html: #gone"]
+    (tmp_path / "c.html").write_text('<script src="https://example.com/a.js"></script>')
+    assert broken_links(tmp_path) == [
+        "a.html: b.html#there",
+        "a.html: c.png",
+        "b.html: #gone",
+        "c.html: https://example.com/a.js",
+    ]
 
 
 def test_links_are_those_of_the_site() -> None:
