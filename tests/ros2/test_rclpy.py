@@ -2,7 +2,6 @@
 
 import itertools
 import math
-import sys
 import threading
 from collections.abc import Iterator
 
@@ -21,9 +20,9 @@ from schemas.telemetry import Kind, Mode
 from tests.ros2.test_motion import plan
 from tests.support.bridged import GEOMETRY, LONG_S, RESTS_DEG, clean, commanded, keeps, resting
 from tests.support.child import Child
-from tests.support.gateway_process import COMMAND, Gateway
+from tests.support.gateway_process import Gateway
 from tests.support.heard import events, frames, running, states
-from tests.support.rclpy_peer import DOMAIN, ENV, PROFILE, RclpyBridge, RclpyPeer, needs_rclpy
+from tests.support.rclpy_peer import DOMAIN, ENV, PROFILE, PYTHON, RCLPY_COMMAND, RclpyBridge, RclpyPeer, needs_rclpy
 
 pytestmark = needs_rclpy
 COMMANDS = "/hexapod/joint_commands"
@@ -221,7 +220,7 @@ def test_the_example_walks_by_the_elkapods_own_topic_and_joint_names(gateway: Ga
         peer.subscribe("/hexapod/robot_description", String, latched=True)
         assert 'name="leg6_J3"' in peer.next_where("/hexapod/robot_description", lambda _: True).data
         example = Child(
-            [sys.executable, str(PROFILE.parent / "walk.py"), *remap, "-r", "__ns:=/hexapod"],
+            [PYTHON, str(PROFILE.parent / "walk.py"), *remap, "-r", "__ns:=/hexapod"],
             clean() | ENV | {"ROS_DOMAIN_ID": str(domain)},
         )
         assert example.wait(LONG_S) == 0, example
@@ -241,11 +240,11 @@ def test_a_graph_that_others_reach_is_rejected_unless_that_is_accepted(gateway: 
     """Also with ROS's own range LOCALHOST, which leaves the sockets open."""
     command = ("ros2", "--via", "rclpy", "--connect", gateway.endpoint, "--domain", str(DOMAIN % 100 + 1))
     env = clean() | {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
-    tried = Child([*COMMAND, *command], env)
+    tried = Child([*RCLPY_COMMAND, *command], env)
     assert tried.wait() == 2, tried
     tried.close()
     assert "ROS 2's graph is open to the network (rmw_fastrtps_cpp has sockets on 0.0.0.0" in tried.stderr
-    accepted = Child([*COMMAND, *command, "--open-graph", "--drive"], env)
+    accepted = Child([*RCLPY_COMMAND, *command, "--open-graph", "--drive"], env)
     accepted.wait_for_output("is in ROS 2's graph", timeout_s=20)
     assert watcher.state().lease.holder == "ros2 (open graph)"
     accepted.terminate()
@@ -264,7 +263,7 @@ def test_a_graph_that_others_reach_is_rejected_unless_that_is_accepted(gateway: 
     ],
 )
 def test_what_it_cannot_begin_with(arguments: tuple[str, ...], why: str, gateway: Gateway) -> None:
-    tried = Child([*COMMAND, "ros2", "--connect", gateway.endpoint, *arguments], clean() | ENV)
+    tried = Child([*RCLPY_COMMAND, "ros2", "--connect", gateway.endpoint, *arguments], clean() | ENV)
     assert tried.wait() == 2, tried
     tried.close()
     assert why in tried.stderr

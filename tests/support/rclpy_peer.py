@@ -10,7 +10,6 @@ import threading
 import time
 from collections import defaultdict
 from importlib import import_module
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Final
 
@@ -23,10 +22,14 @@ from tests.support.child import Child
 from tests.support.gateway_process import COMMAND, Gateway
 from tests.support.ros2_peer import ANSWER_S, Peer, act, kind_of
 
+ROOT: Final = Path(__file__).parents[2]
+PYTHON: Final = str(ROOT / ".venv/rclpy/bin/python")
+"""`make .venv/rclpy` installs it. ROS 2's wheels have each Python beside them start twice, with other libraries."""
 needs_rclpy: Final = pytest.mark.skipif(
-    find_spec("rclpy") is None, reason="rclpy is not installed: its wheels in the extra are for CPython 3.11 on x86-64"
+    not Path(PYTHON).exists(), reason="rclpy is not installed: its wheels are for CPython 3.11 on x86-64"
 )
-PROFILE: Final = Path(__file__).parents[2] / "examples" / "ros2" / "this_machine.xml"
+RCLPY_COMMAND: Final = (PYTHON, *COMMAND[1:])
+PROFILE: Final = ROOT / "examples" / "ros2" / "this_machine.xml"
 DOMAIN: Final = os.getpid() % 100 + 1
 """The first hundred have ports that no other program is given."""
 ENV: Final = {"FASTDDS_DEFAULT_PROFILES_FILE": str(PROFILE), "RMW_IMPLEMENTATION": "rmw_fastrtps_cpp"}
@@ -36,7 +39,7 @@ class RclpyPeer(Peer):
     """The end that a test holds."""
 
     def __init__(self, domain: int = DOMAIN) -> None:
-        self._begin("tests.support.rclpy_peer", str(domain), ENV)
+        self._begin("tests.support.rclpy_peer", str(domain), ENV, PYTHON)
 
     def publish_serialized(self, topic: str, message: Message) -> None:
         """What `serialize_message` returns: bytes behind the last field, too."""
@@ -63,7 +66,7 @@ class RclpyBridge:
     def __init__(self, gateway: Gateway, *arguments: str, domain: int = DOMAIN) -> None:
         """With `--via`, an option."""
         link = ("--connect", gateway.endpoint, "--domain", str(domain))
-        self.child = Child([*COMMAND, "ros2", *link, *arguments], clean() | ENV)
+        self.child = Child([*RCLPY_COMMAND, "ros2", *link, *arguments], clean() | ENV)
         self.child.wait_for_output(READY, timeout_s=20)
 
     def __enter__(self) -> "RclpyBridge":

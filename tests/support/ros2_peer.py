@@ -33,9 +33,9 @@ class Peer:
     def __init__(self, endpoint: str) -> None:
         self._begin("tests.support.ros2_peer", endpoint.rpartition(":")[2], {"GIT_PYTHON_REFRESH": "quiet"})
 
-    def _begin(self, module: str, argument: str, env: dict[str, str]) -> None:
+    def _begin(self, module: str, argument: str, env: dict[str, str], python: str = sys.executable) -> None:
         env = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2]), **env}
-        self.child = Child([sys.executable, "-m", module, argument], env)
+        self.child = Child([python, "-m", module, argument], env)
         self.child.wait_for_output(READY, timeout_s=30)
 
     def __enter__(self) -> Self:
