@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Final
 from wsgiref.simple_server import WSGIRequestHandler, WSGIServer
 
 from gateway.errors import ConfigError
-from gateway.robot.host.realtime import PAGE_PRIORITY, prefer_thread
+from gateway.host.realtime import PAGE_PRIORITY, prefer_thread
 
 if TYPE_CHECKING:
     from _typeshed.wsgi import WSGIApplication

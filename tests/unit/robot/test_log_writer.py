@@ -8,8 +8,8 @@ from typing import IO
 
 import pytest
 
-from gateway.robot.host.log_condenser import Condenser
-from gateway.robot.host.log_writer import KEPT, LogWriter, Stream
+from gateway.host.log_condenser import Condenser
+from gateway.host.log_writer import KEPT, LogWriter, Stream
 from schemas.telemetry import Kind
 
 

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from gateway.robot.core.pacing import NS_PER_S
-from gateway.robot.edge.questions import AT_ONCE, MOST_OF_TOKEN, MOST_SOURCES, MOST_WAITING, PER_S, Questions
+from gateway.robot.zenoh_io.questions import AT_ONCE, MOST_OF_TOKEN, MOST_SOURCES, MOST_WAITING, PER_S, Questions
 
 DRIVER, KITCHEN, STRANGER = "d" * 32, "b" * 32, "0" * 32
 CHALLENGE = {"do": "challenge"}
