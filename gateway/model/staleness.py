@@ -14,8 +14,8 @@ the baseline.
   commands. A command whose difference is below a clock's baseline was not sent by that clock. Commands of one clock
   arrive in order, so a command older than a clock's newest belongs to another clock if one fits. A command that fits
   no clock is the first of a new clock, and fresh.
-- Two clocks close together may both fit a command. Then two of them are asked: the one heard last and the one heard for
-  longest. The command is fresh if either finds it fresh. A clock heard only once, forged or delayed at first, thus
+- Two clocks close together may both fit a command. Then two of them judge: the latest one and the one known for
+  longest. The command is fresh if either finds it fresh. A clock with one command, forged or delayed at first, thus
   neither keeps out another's commands nor lets old ones in.
 - An out-of-order command that is within `HORIZON_MS` of a clock may be an old one of that clock (two programs on one
   machine, one of which lost its link). It is judged as that.
@@ -28,7 +28,7 @@ the baseline.
   gap between two looks is a pause.
 
 Memory is bounded. A source is forgotten only after a minute of silence, when any burst of it has arrived or is lost.
-A new source that finds no place is rejected, since its burst could not be told from fresh commands.
+A new source that finds no place is rejected, since its burst would look like fresh commands.
 """
 
 from dataclasses import dataclass
@@ -130,7 +130,7 @@ class Staleness:
             near = [clock for clock in fitting if difference_ms - clock.baseline_ms <= HORIZON_MS]
             if not near:
                 return self._after_a_pause(self._new_clock(clocks, sent_ms, now_ms).since_ms, now_ms)
-            clock = max(near, key=_heard_last)
+            clock = max(near, key=_latest)
         clock.newest_sent_ms = sent_ms if sent_ms > clock.newest_sent_ms else clock.newest_sent_ms
         clock.baseline_ms = difference_ms if difference_ms < clock.baseline_ms else clock.baseline_ms
         clock.highest_ms = clock.baseline_ms if clock.baseline_ms > clock.highest_ms else clock.highest_ms
@@ -176,7 +176,7 @@ class Staleness:
         return clocks
 
     def _believed(self, clocks: list[_Clock], difference_ms: float) -> _Clock:
-        last = max(clocks, key=_heard_last)
+        last = max(clocks, key=_latest)
         if difference_ms - last.baseline_ms <= self._max_age_ms:
             return last
         longest = max(clocks, key=lambda clock: (clock.proven_ms, clock.fresh_ms))
@@ -214,5 +214,5 @@ class Staleness:
         return now_ms - stretch.begun_ms >= STEADY_MS
 
 
-def _heard_last(clock: _Clock) -> float:
+def _latest(clock: _Clock) -> float:
     return clock.fresh_ms

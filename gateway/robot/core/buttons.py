@@ -131,7 +131,7 @@ class Buttons:
     # ---- requests
 
     def grant(self, request: ButtonRequest, now_ns: int, then: str = "") -> Decision:
-        """Answer one request; what is told of it, and the answer."""
+        """The events of one request, and its answer."""
         match request.do:
             case ButtonDo.REGISTER:
                 return self._register(request, now_ns)

@@ -311,7 +311,7 @@ class Legs:
         if len(said) > 1:
             for servo in leg.servos:
                 if servo.waiting is None:
-                    servo.since_ns = now_ns  # the frame tells it its angle again, and the next step counts from here
+                    servo.since_ns = now_ns  # the frame repeats its angle, and the next step counts from here
         return said
 
     def _step(self, servo: Servo, stands_cdeg: int, target_cdeg: int, speed_cdeg_s: int, now_ns: int) -> int:
@@ -389,7 +389,7 @@ class Legs:
         servo.repeat_ns = now_ns + self._rules.repeat_interval_ns
 
     def _empty_start_queue(self, own: Command | None = None) -> list[Effect]:
-        """A Stop anywhere ends what waits to be energised: whoever stops one leg does not want another to start now.
+        """A Stop anywhere ends what waits to be energised: who stops one leg does not want another to start now.
 
         Unless the Stop's own command wants it.
         """

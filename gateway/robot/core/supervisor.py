@@ -34,7 +34,7 @@ The rules, by their numbers in docs/interface.md, *Behaviour*:
 14. While fewer buttons are alive than are required, starts, sets and resets are rejected, and what runs is stopped, or
     lands, when they have become too few (`buttons`). Stops need no button.
 
-`StoppedOutside` tells of `stop-servos` at work on the same device. All legs count as stopped and get a Stop from here
+`StoppedOutside` reports `stop-servos` at work on the same device. All legs count as stopped and get a Stop from here
 too, since one may have been started after its Stop from outside. Until that program is known to have ended, no Start or
 Set is taken: one of its Stops may still come, and would undo it unseen.
 
@@ -392,7 +392,7 @@ class Supervisor:
         return self.legs.stop(due, Cause.WATCHDOG, now_ns, *self.buttons.rejection())
 
     def _without_buttons(self) -> str:
-        """What is told if buttons become too few in this step; "": nothing is to be stopped."""
+        """What the event says if buttons become too few in this step; "": nothing is to be stopped."""
         if self._at_rest_without_buttons():
             return ""
         lands = self._rules.landing_ns and not self.legs.at_rest
@@ -458,7 +458,7 @@ class Supervisor:
         return [*effects, Announce(Kind.WATCHDOG_EXPIRED, detail, legs=_ALL)]
 
     def _stop_all(self, cause: Cause, now_ns: int, reason: Reason, detail: str) -> list[Effect]:
-        self.legs.landing = None  # no landing goes on beside or after a Stop of all legs
+        self.legs.landing = None  # a Stop of all legs ends a landing
         if not self._bus_ok:
             return self.legs.drop(self.legs.servos.values(), reason, detail)
         return self.legs.stop({leg.number: None for leg in self.legs}, cause, now_ns, reason, detail)

@@ -1,4 +1,4 @@
-"""How many bytes the controller may still await, as far as transfers that may have been lost tell. Pure.
+"""How many bytes the controller may still await, where transfers may have been lost. Pure.
 
 With LENGTH_PREFIXED framing the controller reads a length, then awaits that many bytes. A call that failed may have
 ended behind any of its transfers, so afterwards there are several possibilities. Each later byte moves all of them, and
