@@ -40,7 +40,7 @@ help:
 
 # Ctrl-C, and SIGTERM to make, end all; the console's end does not end the gateway.
 run: $(VENV)/run
-	@$(BIN)/python -m gateway.people.tools.try_out $(CONSOLE)
+	@$(BIN)/python -m gateway.onboard.try_out $(CONSOLE)
 
 quick: $(VENV)/dev
 	@$(BIN)/python -m tests --quick

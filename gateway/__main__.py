@@ -12,7 +12,7 @@ def main() -> None:
             # the number stays taken, even if this object is replaced.
             setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_RDWR), "r+", closefd=False))
     if sys.argv[1:2] == ["stop-servos"]:
-        from gateway.people.tools import stop
+        from gateway.onboard import stop
 
         code = stop.at_once(sys.argv[2:])
         if code is not None:
@@ -26,7 +26,7 @@ def main() -> None:
     except Exception:
         if sys.argv[1:2] != ["check"]:
             raise
-        from gateway.people.tools import whole
+        from gateway.onboard import whole
 
         damage = whole.why_nothing_loads()
         if not damage:

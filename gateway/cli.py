@@ -14,10 +14,11 @@ from typer.core import TyperCommand, TyperGroup
 
 from gateway import __version__
 from gateway.errors import ConfigError, GatewayError
+from gateway.onboard import incidents
 from gateway.people.bridge import command as bridge
 from gateway.people.console import calibrate_command
 from gateway.people.terminal import hint
-from gateway.people.tools import attended, certs, incidents, lease, recordings
+from gateway.people.tools import attended, certs, lease, recordings
 from gateway.people.tools.options import ConfigOption, ConnectOption, OtherShapeOption, TimeoutOption, ZenohConfigOption
 from gateway.robot import protocol
 
@@ -161,7 +162,7 @@ def run(
 
     Exit codes: 0 stopped on request, 2 a wrong configuration, 3 the SPI device fails, 4 Zenoh cannot be opened.
     """
-    from gateway.people.tools import serve
+    from gateway.onboard import serve
     from gateway.robot import settings
     from gateway.robot.spi import unreliable
 
@@ -173,8 +174,8 @@ def run(
     faults = None if fault is None else unreliable.read(fault)
     found = settings.load(config, simulated=sim is not None)
     if sim is Sim.PHYSICS:
+        from gateway.onboard.body_process import BodyProcess
         from gateway.people.physics.assumed import assumed
-        from gateway.people.tools.body_process import BodyProcess
 
         with BodyProcess(geometry, assumed(mass_kg, servo_torque_nm, friction, terrain)) as body:
             serve.run(found, simulated=True, body=body, faults=faults)
@@ -191,7 +192,7 @@ def stop_servos(config: ConfigOption = None) -> None:
 
     Exit codes: 0 stopped, 2 a wrong configuration, 3 the SPI device fails.
     """
-    from gateway.people.tools import stop
+    from gateway.onboard import stop
 
     stop.run(config)
 
@@ -258,12 +259,12 @@ def check(
     answers.
     """
     if move:
+        from gateway.onboard.check.move import move as move_servo
         from gateway.people.tools import reach
-        from gateway.people.tools.check.move import move as move_servo
 
         connection = reach.connection(connect, zenoh_config, timeout, source="hexapod-gateway check")
         sys.exit(move_servo(connection, agreed=yes))
-    from gateway.people.tools.check import check, check_laptop
+    from gateway.onboard.check import check, check_laptop
 
     if connect is not None or zenoh_config is not None:
         sys.exit(check_laptop(connect, zenoh_config, timeout))
@@ -383,7 +384,7 @@ def install_service(context: typer.Context) -> None:
 
     Exit codes: 0 done, 1 rejected or failed, with one sentence, and the service that ran goes on.
     """
-    from gateway.people.tools import install_service
+    from gateway.onboard import install_service
 
     sys.exit(install_service.install(context.args))
 

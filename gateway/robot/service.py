@@ -15,31 +15,23 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 import zenoh
 
 from gateway import __version__
-from gateway.robot.blackbox.format import STOP_FACTS
+from gateway.host import descriptors, effective, logs, realtime
+from gateway.host.descriptors import Spare
+from gateway.host.directories import runtime_directory
+from gateway.host.servo_page import ServoPage
+from gateway.model.black_box.format import STOP_FACTS
+from gateway.model.frames import centidegrees
+from gateway.model.framing import Framing
 from gateway.robot.blackbox.recorder import Recorder
 from gateway.robot.core.calibrating import ACCEPT_DEFAULT
 from gateway.robot.core.leg import Rules
 from gateway.robot.core.pacing import NS_PER_MS, NS_PER_S
 from gateway.robot.core.supervisor import Supervisor
-from gateway.robot.edge import simulated_body
-from gateway.robot.edge.connection_limiter import ConnectionLimiter
-from gateway.robot.edge.inbox import Inbox
-from gateway.robot.edge.outbox import ZenohOutbox
-from gateway.robot.edge.proofs import checker_of
-from gateway.robot.edge.revoked import OlderCa, RevocationState, leave_out, revocation_state
-from gateway.robot.edge.rings import put_depth
-from gateway.robot.edge.session import service_config
-from gateway.robot.edge.unknown_keys import UnknownKeys
-from gateway.robot.edge.upkeep import Upkeep
-from gateway.robot.host import calibration_file, descriptors, logs, realtime, stop_note
-from gateway.robot.host.descriptors import Spare
-from gateway.robot.host.directories import runtime_directory
+from gateway.robot.host import calibration_file, stop_note
 from gateway.robot.host.ownership import Ownership
 from gateway.robot.host.servos_file import ServosFile
 from gateway.robot.host.systemd import SystemdNotifier
 from gateway.robot.host.worker import DiskWriter
-from gateway.robot.protocol.frames import centidegrees
-from gateway.robot.protocol.framing import Framing
 from gateway.robot.runtime import prometheus as exposition
 from gateway.robot.runtime.calibrations import Calibrations
 from gateway.robot.runtime.conductor import Conductor
@@ -48,13 +40,22 @@ from gateway.robot.runtime.request_answers import ButtonAnswers, LeaseAnswers
 from gateway.robot.runtime.revocations import Revocations
 from gateway.robot.runtime.shutdown import SHUTDOWN_S, ServiceEnd, close_within, stop_the_robot
 from gateway.robot.settings import Settings, SpiSettings, ZenohSettings
-from gateway.robot.spi import SpiDevice, effective, ioctls
+from gateway.robot.spi import SpiDevice, ioctls
 from gateway.robot.spi.bus import Bus
 from gateway.robot.spi.kernel import KernelDevice
 from gateway.robot.spi.machine import driver_of, gpio_selects
-from gateway.robot.spi.servo_page import ServoPage
 from gateway.robot.spi.simulator import SimulatedController
 from gateway.robot.spi.unreliable import Faults, UnreliableDevice
+from gateway.robot.zenoh_io import simulated_body
+from gateway.robot.zenoh_io.connection_limiter import ConnectionLimiter
+from gateway.robot.zenoh_io.inbox import Inbox
+from gateway.robot.zenoh_io.outbox import ZenohOutbox
+from gateway.robot.zenoh_io.proofs import checker_of
+from gateway.robot.zenoh_io.revoked import OlderCa, RevocationState, leave_out, revocation_state
+from gateway.robot.zenoh_io.rings import put_depth
+from gateway.robot.zenoh_io.session import service_config
+from gateway.robot.zenoh_io.unknown_keys import UnknownKeys
+from gateway.robot.zenoh_io.upkeep import Upkeep
 from gateway.zenoh_config import open_session
 from schemas.keys import CALIBRATION, STATE
 

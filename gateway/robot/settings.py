@@ -24,8 +24,8 @@ from pydantic_core import ErrorDetails
 
 from gateway import nesting
 from gateway.errors import ConfigError
-from gateway.robot.protocol.frames import centidegrees
-from gateway.robot.protocol.framing import Framing
+from gateway.model.frames import centidegrees
+from gateway.model.framing import Framing
 from gateway.text import visible_json
 from schemas.keys import MAX_SOURCE
 from schemas.robot import SERVO_IDS

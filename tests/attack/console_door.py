@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Final
 
 from gateway import certs
-from gateway.people.console.register import Register
+from gateway.people.console.sessions import Register
 from tests.benchmarks.processes import rss_kb, threads
 from tests.net.namespaces import Network
 from tests.support.child import Child

@@ -12,7 +12,7 @@ from pathlib import Path
 import httpx
 import pytest
 
-from gateway.people.console.door import proof
+from gateway.people.console.auth import proof
 from tests.support.console_process import Console
 from tests.support.gateway_process import COMMAND, free_port
 

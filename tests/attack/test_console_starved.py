@@ -10,7 +10,7 @@ import pytest
 
 from gateway.people.client.confirmed_stop import AT_ONCE
 from gateway.people.console.link import QUESTIONS_AT_ONCE, STOPS_AT_ONCE
-from gateway.people.console.register import Register
+from gateway.people.console.sessions import Register
 from tests.attack.console_door import strangers
 from tests.benchmarks.processes import threads
 from tests.support.closing import Closing

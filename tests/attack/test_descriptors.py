@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 import zenoh
 
+from gateway.host.descriptors import NEEDED
 from gateway.limits import MAX_SESSIONS
-from gateway.robot.edge.connection_limiter import VISITORS
-from gateway.robot.host.descriptors import NEEDED
+from gateway.robot.zenoh_io.connection_limiter import VISITORS
 from schemas.telemetry import Mode
 from tests.benchmarks.processes import fds
 from tests.hil.bed import SpiTestbed

@@ -4,8 +4,8 @@ from itertools import product
 
 import pytest
 
-from gateway.robot.protocol.frames import OneLeg, OneServo, Op, ServoOp
-from gateway.robot.protocol.framing import Framing
+from gateway.model.frames import OneLeg, OneServo, Op, ServoOp
+from gateway.model.framing import Framing
 from gateway.robot.spi.simulator import SimulatedController
 from tests.deaf.shifts import HARMLESS_LEN, KILLS, OPERATIONS, commands, faults, lost_and_doubled, neighbours, worst
 from tests.support.transfers import on_wire

@@ -16,7 +16,7 @@ from typing import Any, Self
 import pytest
 
 from gateway.client import Client
-from gateway.robot.host.log_writer import MAX_LINES_WAITING
+from gateway.host.log_writer import MAX_LINES_WAITING
 from schemas import keys
 from schemas.telemetry import Ack, Cause
 from tests.support.closing import Closing

@@ -8,7 +8,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
-from gateway.robot.protocol.framing import Framing
+from gateway.model.framing import Framing
 from schemas.keys import ESTOP, LEGS_COMMAND, leg_command
 from schemas.robot import LEGS
 from tests.benchmarks.processes import Figures, Written, now_ns, say

@@ -19,7 +19,7 @@ from statistics import median
 from typing import Any
 
 from gateway.client import Client
-from gateway.robot.protocol.frames import Frame, FrameError, Op, decode
+from gateway.model.frames import Frame, FrameError, Op, decode
 from tests.benchmarks.processes import Written, now_ns, say
 from tests.benchmarks.subjects import Subject
 from tests.benchmarks.table import Row, microseconds, ratio_row

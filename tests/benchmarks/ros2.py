@@ -17,11 +17,11 @@ from typing import Any, Final
 import zenoh
 
 from gateway.client import Client
+from gateway.model.frames import decode
 from gateway.people.ros2.cdr import encode
 from gateway.people.ros2.joints import legs_deg
 from gateway.people.ros2.messages import TRIGGER_HASH, TRIGGER_TYPE, JointState, TriggerRequest
 from gateway.people.ros2.wire import Attachment
-from gateway.robot.protocol.frames import decode
 from schemas import keys
 from schemas.robot import SERVO_IDS
 from tests.benchmarks.processes import Figures, cpu_ns, now_ns, rss_kb, say, threads

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from gateway.client import Client
-from gateway.robot.protocol.framing import Framing
+from gateway.model.framing import Framing
 from tests.benchmarks.processes import OnDevice, Written
 from tests.benchmarks.publisher import number_of, read_log
 from tests.support.child import Child

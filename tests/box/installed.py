@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from gateway.robot.protocol.frames import stop_leg
+from gateway.model.frames import stop_leg
 from schemas.robot import LEGS
 from tests.box.box import SHARED_INSIDE, Box, Unit
 from tests.hil.bed import SpiTestbed

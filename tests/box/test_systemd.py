@@ -9,11 +9,11 @@ from pathlib import Path
 
 import pytest
 
+from gateway.model.frames import ONE_LEG_LEN, Op, decode, stop_leg
+from gateway.model.framing import Framing
 from gateway.people.incidents.incidents import kind_of
 from gateway.people.incidents.story import story
 from gateway.people.recordings import read
-from gateway.robot.protocol.frames import ONE_LEG_LEN, Op, decode, stop_leg
-from gateway.robot.protocol.framing import Framing
 from tests.box.box import Box, Unit
 from tests.box.installed import CONFIGURATION, DROP_IN, NAME, REPOSITORY, STOPS, InstalledGateway
 from tests.hil.bed import SYSTEM_PYTHON, Transfer

@@ -11,8 +11,8 @@ import pytest
 from playwright.sync_api import Browser, Playwright, expect
 from playwright.sync_api import TimeoutError as PlaywrightTimeoutError
 
+from gateway.model.frames import Frame, OneLeg, Op, decode, stop_leg
 from gateway.people.tools.drill.cut_link import CutLink
-from gateway.robot.protocol.frames import Frame, OneLeg, Op, decode, stop_leg
 from tests.console.browser import ARGUMENTS, CHROMIUM, GAMEPAD, HIDE, LATE_MS, Opened, Visitor
 from tests.hil.bed import SpiTestbed, Transfer
 from tests.support.child import Child, frozen

@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 from itertools import islice
 from typing import NamedTuple
 
-from gateway.robot.protocol.frames import ONE_LEG_LEN, ONE_SERVO_LEN
-from gateway.robot.protocol.framing import ZERO, Framing
+from gateway.model.frames import ONE_LEG_LEN, ONE_SERVO_LEN
+from gateway.model.framing import ZERO, Framing
 from gateway.robot.spi.simulator import SimulatedController
 from tests.deaf.minute import Message, minute, stopped_walk
 from tests.deaf.scene import BEGIN_NS, MS, Scene, Written

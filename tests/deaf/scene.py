@@ -11,11 +11,11 @@ from typing import Any, NamedTuple, Self, cast
 
 from pydantic import BaseModel
 
+from gateway.model.frames import Frame
+from gateway.model.framing import Framing
 from gateway.robot.blackbox.recorder import Recorder
 from gateway.robot.core.message import Received, Verb
 from gateway.robot.core.supervisor import Supervisor
-from gateway.robot.protocol.frames import Frame
-from gateway.robot.protocol.framing import Framing
 from gateway.robot.runtime.conductor import Conductor
 from gateway.robot.service import BEAT_S, rules
 from gateway.robot.settings import Settings

@@ -10,8 +10,8 @@ from functools import cache
 from itertools import pairwise, product
 from typing import Final, NamedTuple
 
-from gateway.robot.protocol.frames import ONE_LEG_LEN, ONE_SERVO_LEN, OneLeg, OneServo, Op, ServoOp, servo_ids_of
-from gateway.robot.protocol.framing import Framing
+from gateway.model.frames import ONE_LEG_LEN, ONE_SERVO_LEN, OneLeg, OneServo, Op, ServoOp, servo_ids_of
+from gateway.model.framing import Framing
 from schemas.robot import LEGS, SERVO_IDS
 from tests.support.transfers import on_wire
 

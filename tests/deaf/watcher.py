@@ -3,7 +3,7 @@
 import functools
 from dataclasses import dataclass, field
 
-from gateway.robot.protocol.frames import Op, decode
+from gateway.model.frames import Op, decode
 from gateway.robot.spi.simulator import SimulatedController, pulse_us
 from schemas.robot import SERVO_IDS
 

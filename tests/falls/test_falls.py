@@ -10,10 +10,10 @@ from typing import Any, Final
 import pytest
 
 from gateway.geometry import load
+from gateway.model.frames import decode
 from gateway.people.physics.assumed import Assumed
 from gateway.people.physics.world import World
 from gateway.people.walking import GAITS
-from gateway.robot.protocol.frames import decode
 from gateway.robot.settings import Settings
 from schemas.robot import LEGS
 from schemas.telemetry import Cause, FrameRecord

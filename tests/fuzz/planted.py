@@ -8,15 +8,15 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
+from gateway.model.angle_limits import Reach
+from gateway.model.calibration import Calibration
+from gateway.model.frames import MAX_ANGLE_CDEG
 from gateway.robot.core.calibrating import Calibrating
-from gateway.robot.core.calibration import Calibration
 from gateway.robot.core.events import Calibrate, Command, Effect, Event, TimePassed, Transmit
-from gateway.robot.core.joint_limits import Reach
 from gateway.robot.core.leg import Leg, Rules, Servo
 from gateway.robot.core.legs import Legs
 from gateway.robot.core.pacing import RateSlots
 from gateway.robot.core.supervisor import Supervisor
-from gateway.robot.protocol.frames import MAX_ANGLE_CDEG
 from schemas.telemetry import Reason
 
 Make = Callable[[Rules], Supervisor]

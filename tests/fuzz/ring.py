@@ -17,13 +17,13 @@ from zlib import crc32
 
 from mcap.reader import make_reader
 
+from gateway.model.black_box import format as form
+from gateway.model.black_box import header
 from gateway.people.incidents import archive, ring_reader
 from gateway.people.incidents.incidents import CRASH, MOST, Incident, find, is_id, kind_of, time_of
 from gateway.people.incidents.messages import COMMAND_TOPICS, RECORDER, messages
 from gateway.people.incidents.story import story
 from gateway.people.recordings import REPORTS, Message, read
-from gateway.robot.blackbox import format as form
-from gateway.robot.blackbox import header
 from gateway.robot.blackbox.ring import RecordRing, written_by_anyone
 from tests.fuzz import ring_reference
 from tests.fuzz.ring_image import image_of

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from typing import Final
 from zlib import crc32
 
-from gateway.robot.blackbox import format as form
+from gateway.model.black_box import format as form
 
 HEAD: Final = 32
 """Bytes of the header that say something; the fuzzer need not find out that the rest is padding."""

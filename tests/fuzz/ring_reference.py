@@ -7,9 +7,9 @@ import struct
 from typing import Final
 from zlib import crc32
 
+from gateway.model.black_box import format as form
+from gateway.model.black_box import header
 from gateway.people.incidents.ring_decoding import decode
-from gateway.robot.blackbox import format as form
-from gateway.robot.blackbox import header
 
 _Slot = tuple[int, int, bool, bytes]
 """Type, time, whether it is continued, and content."""

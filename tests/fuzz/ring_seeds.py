@@ -12,10 +12,11 @@ from typing import Final
 import async_solipsism
 
 from gateway.errors import SpiError
-from gateway.robot.blackbox import format as form
-from gateway.robot.blackbox import header, place
+from gateway.model.black_box import format as form
+from gateway.model.black_box import header
+from gateway.model.frames import stop_leg
+from gateway.robot.blackbox import paths
 from gateway.robot.blackbox.ring import RecordRing
-from gateway.robot.protocol.frames import stop_leg
 from schemas import keys
 from tests.fuzz.ring_image import BODY, MAX_SLOTS, input_of
 from tests.support.robot import WALL_NS, Robot, leg

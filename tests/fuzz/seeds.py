@@ -4,7 +4,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from gateway.robot.blackbox import format as form
+from gateway.model.black_box import format as form
 from schemas import keys
 from schemas.command import MAX_PAYLOAD_BYTES
 from tests.fuzz import ring_image, ring_seeds

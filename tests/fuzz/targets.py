@@ -10,12 +10,12 @@ import math
 from collections.abc import Callable
 from typing import Any, Final
 
+from gateway.model import frames
+from gateway.model.frames import Frame, FrameError, OneLeg, OneServo, Op, ServoOp, servo_ids_of
+from gateway.model.framing import Framing
 from gateway.people.tools import decode as decode_command
 from gateway.robot.core import intake
 from gateway.robot.core.events import Targets
-from gateway.robot.protocol import frames
-from gateway.robot.protocol.frames import Frame, FrameError, OneLeg, OneServo, Op, ServoOp, servo_ids_of
-from gateway.robot.protocol.framing import Framing
 from gateway.robot.spi.simulator import SimulatedController
 from schemas.command import MAX_SENT_MS
 from schemas.keys import COMMAND_KEYS, CommandKey, Target

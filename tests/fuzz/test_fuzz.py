@@ -13,7 +13,7 @@ from zlib import crc32
 
 import pytest
 
-from gateway.robot.protocol.framing import Framing
+from gateway.model.framing import Framing
 from gateway.robot.spi.simulator import KEPT_TRANSFERS, SimulatedController
 from tests.fuzz.ring import COUNTED, MEASURED, READING, bounded
 from tests.fuzz.run import MAX_GROWTH_MB, fuzz
@@ -60,11 +60,11 @@ WANTED = {
 
 @pytest.mark.usefixtures("_atheris")
 @pytest.mark.parametrize(("target", "module", "right", "wrong"), [
-    ("decode", "robot/protocol/frames.py", "if hundredths > _MAX_FLOAT:", "if hundredths > 250:"),
+    ("decode", "model/frames.py", "if hundredths > _MAX_FLOAT:", "if hundredths > 250:"),
     ("intake", "robot/core/intake.py", "if name in seen:", "if name in ():"),
     ("simulator", "robot/spi/simulator.py", "< self._give_up_ns", "<= self._give_up_ns"),
     # Of these, the fuzzer finds the first by a change that knows the format, and the others with its seeds.
-    ("ring", "robot/blackbox/format.py", "_HEAD.size <= length <= SLOT - _CRC.size", "_HEAD.size <= length"),
+    ("ring", "model/black_box/format.py", "_HEAD.size <= length <= SLOT - _CRC.size", "_HEAD.size <= length"),
     ("incidents", "people/incidents/ring_decoding.py", "in facts.items()).encode()", "in facts.items())"),
     ("export", "people/incidents/incidents.py", "return max(0, ns + self", "return (ns + self"),
     ("ring-file", "robot/blackbox/ring.py", "                os.ftruncate(self._fd, 0)", "                pass"),

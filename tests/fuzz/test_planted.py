@@ -5,7 +5,8 @@ from dataclasses import replace
 
 import pytest
 
-from gateway.robot.core.calibration import Calibration
+from gateway.model.calibration import Calibration
+from gateway.model.frames import STOP, OneServo, Op, ServoOp
 from gateway.robot.core.events import (
     Announce,
     Answer,
@@ -25,7 +26,6 @@ from gateway.robot.core.events import (
     Transmit,
 )
 from gateway.robot.core.supervisor import Supervisor
-from gateway.robot.protocol.frames import STOP, OneServo, Op, ServoOp
 from schemas.telemetry import Cause, Kind
 from tests.fuzz import planted
 from tests.fuzz.planted import (

@@ -17,7 +17,7 @@ from collections.abc import Sequence
 
 import gateway
 from gateway import cli
-from gateway.robot.host import logs
+from gateway.host import logs
 from tests.hil.bed import SpiTestbed
 from tests.support.child import Child
 

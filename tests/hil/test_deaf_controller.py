@@ -12,8 +12,8 @@ from pathlib import Path
 import pytest
 
 from gateway.client import Client, leg_payload
-from gateway.robot.protocol.frames import stop_leg
-from gateway.robot.protocol.framing import ZERO, Framing
+from gateway.model.frames import stop_leg
+from gateway.model.framing import ZERO, Framing
 from schemas import keys
 from schemas.robot import LEGS
 from tests.hil.bed import SpiTestbed

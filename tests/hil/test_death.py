@@ -19,12 +19,12 @@ from typing import Any
 
 import pytest
 
+from gateway.model.black_box import format as form
+from gateway.model.frames import Frame, OneLeg, OneServo, Op, ServoOp, decode
+from gateway.model.framing import Framing
 from gateway.people.incidents import ring_reader
-from gateway.robot.blackbox import format as form
-from gateway.robot.blackbox.place import RING
+from gateway.robot.blackbox.paths import RING
 from gateway.robot.host.systemd import HANGS_AFTER
-from gateway.robot.protocol.frames import Frame, OneLeg, OneServo, Op, ServoOp, decode
-from gateway.robot.protocol.framing import Framing
 from schemas.robot import LEGS
 from schemas.telemetry import Cause
 from tests.hil.bed import SpiTestbed, Transfer

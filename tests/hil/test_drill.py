@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 
+from gateway.model.frames import OneServo, Op, ServoOp
+from gateway.model.framing import Framing
 from gateway.people.tools.drill.steps import STEPS
-from gateway.robot.protocol.frames import OneServo, Op, ServoOp
-from gateway.robot.protocol.framing import Framing
 from tests.hil.bed import SpiTestbed
 from tests.hil.wire import Replay, Wire, settings_for, start
 from tests.support.gateway_process import COMMAND, write_settings

@@ -17,7 +17,7 @@ from typing import Any
 import pytest
 
 from gateway.client import Client
-from gateway.robot.protocol.framing import Framing
+from gateway.model.framing import Framing
 from schemas import keys
 from schemas.telemetry import Ack, Event, Kind, Mode, Reason, WatchdogState
 from tests.hil.bed import Opened, SpiTestbed, Transfer

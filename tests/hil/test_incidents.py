@@ -12,8 +12,8 @@ from pathlib import Path
 import pytest
 
 from gateway.client import Client
+from gateway.model.framing import Framing
 from gateway.people.incidents.archive import SUFFIX
-from gateway.robot.protocol.framing import Framing
 from schemas import keys
 from tests.hil.bed import SpiTestbed, Transfer
 from tests.hil.wire import LATE_S, START_3

@@ -12,8 +12,8 @@ from typing import Any
 import pytest
 
 from gateway.client import Client
-from gateway.robot.protocol.frames import Op
-from gateway.robot.protocol.framing import Framing
+from gateway.model.frames import Op
+from gateway.model.framing import Framing
 from schemas.robot import LEGS
 from schemas.telemetry import Kind, Mode, Reason
 from tests.hil.bed import SpiTestbed

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from gateway.client import leg_payload
-from gateway.robot.protocol.frames import OneServo, Op, ServoOp
-from gateway.robot.protocol.framing import Framing
+from gateway.model.frames import OneServo, Op, ServoOp
+from gateway.model.framing import Framing
 from gateway.robot.spi.bus import CS_CHANGE_NS
 from schemas import keys
 from schemas.robot import LEGS

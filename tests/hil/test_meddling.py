@@ -36,7 +36,7 @@ for line in sys.stdin:
 BUS = """
 import json, sys
 from gateway.errors import SpiError
-from gateway.robot.protocol.frames import stop_leg
+from gateway.model.frames import stop_leg
 from gateway.robot.settings import SpiSettings
 from gateway.robot.spi.bus import PAUSE_NS, Bus
 from gateway.robot.spi.kernel import KernelDevice

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from gateway.client import leg_payload
-from gateway.robot.protocol.frames import OneLeg, Op, ServoOp
+from gateway.model.frames import OneLeg, Op, ServoOp
 from schemas import keys
 from schemas.robot import LEGS
 from schemas.telemetry import GatewayState, Kind, Mode, Reason

@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 
 from gateway.client import leg_payload
-from gateway.robot.protocol.framing import Framing
+from gateway.model.framing import Framing
 from schemas import keys
 from schemas.telemetry import Kind, Mode, Reason
 from tests.hil.bed import DEVICE, Opened, Setting, SpiTestbed, Transfer

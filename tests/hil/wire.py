@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
-from gateway.robot.protocol.frames import Op, decode, stop_leg
-from gateway.robot.protocol.framing import Framing
+from gateway.model.frames import Op, decode, stop_leg
+from gateway.model.framing import Framing
 from gateway.robot.spi.simulator import SimulatedController
 from schemas.robot import LEGS
 from tests.hil.bed import SpiTestbed, Transfer

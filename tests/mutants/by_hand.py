@@ -57,7 +57,7 @@ MADE: Final[Mapping[str, tuple[ByHand, ...]]] = {
             "ip_address(host).version == 4 else host",
         ),
     ),
-    "gateway/robot/edge/inbox.py": (
+    "gateway/robot/zenoh_io/inbox.py": (
         ByHand(
             "an emergency stop's answer waits behind an asker who does not read",
             'self._estop_replies = ReplySender("estop-answers")',
@@ -69,7 +69,7 @@ MADE: Final[Mapping[str, tuple[ByHand, ...]]] = {
             "        self._estops.append(_received(self._replies, ESTOP, item, received_ns))",
         ),
     ),
-    "gateway/robot/edge/receiver.py": (
+    "gateway/robot/zenoh_io/receiver.py": (
         ByHand(
             "two threads write frames at once",
             "                    with self._owner:\n                        pause_s = deal()\n",
@@ -93,7 +93,7 @@ MADE: Final[Mapping[str, tuple[ByHand, ...]]] = {
             "                self._callback()\n                self._due_s = self._wakes_s = math.inf\n",
         ),
     ),
-    "gateway/robot/edge/rings.py": (
+    "gateway/robot/zenoh_io/rings.py": (
         ByHand(
             "an older start overtakes a newer Stop of a wider key",
             "                        again |= ring.others\n",
@@ -124,7 +124,7 @@ MADE: Final[Mapping[str, tuple[ByHand, ...]]] = {
             "        self.estops += first\n",
         ),
     ),
-    "gateway/robot/core/calibration.py": (
+    "gateway/model/calibration.py": (
         ByHand(
             "two joints get each other's angles",
             "    first, second, third = (op_of(servo_id, op) for servo_id, op in frame.servos)\n",

@@ -68,8 +68,8 @@ _PEOPLE: Final = "tests/unit/people/"
 _TIMES: Final = f"{_PEOPLE}test_times.py"
 
 JUDGES: Final = {
-    "gateway/robot/protocol/frames.py": (f"{_UNIT}test_frames.py", "tests/unit/test_decode.py"),
-    "gateway/robot/protocol/framing.py": (f"{_UNIT}test_framing.py",),
+    "gateway/model/frames.py": (f"{_UNIT}test_frames.py", "tests/unit/test_decode.py"),
+    "gateway/model/framing.py": (f"{_UNIT}test_framing.py",),
     "gateway/robot/spi/guard.py": (
         f"{_UNIT}test_guard.py",
         f"{_UNIT}test_bus_device.py",
@@ -77,7 +77,7 @@ JUDGES: Final = {
     "gateway/robot/spi/awaited.py": _BUS,
     "gateway/robot/spi/bus.py": _BUS,
     "gateway/robot/spi/stop_all.py": (f"{_UNIT}test_stop.py",),
-    "gateway/robot/edge/exposure.py": (f"{_UNIT}test_exposure.py",),
+    "gateway/robot/zenoh_io/exposure.py": (f"{_UNIT}test_exposure.py",),
     "gateway/certs/access.py": ("tests/unit/test_access.py",),
     "gateway/certs/zenoh_files.py": (
         "tests/unit/test_access.py",
@@ -85,9 +85,9 @@ JUDGES: Final = {
         "tests/unit/people/test_check_access.py",
     ),
     "gateway/certs/proof.py": _CHECKER,
-    "gateway/robot/edge/inbox.py": _INBOX,
-    "gateway/robot/edge/rings.py": ("tests/zenoh/test_rings.py", *_INBOX),
-    "gateway/robot/edge/receiver.py": (f"{_UNIT}test_ownership.py", "tests/zenoh/test_inbox_parts.py"),
+    "gateway/robot/zenoh_io/inbox.py": _INBOX,
+    "gateway/robot/zenoh_io/rings.py": ("tests/zenoh/test_rings.py", *_INBOX),
+    "gateway/robot/zenoh_io/receiver.py": (f"{_UNIT}test_ownership.py", "tests/zenoh/test_inbox_parts.py"),
     "gateway/robot/runtime/request_answers.py": (
         *_CHECKER,
         f"{_UNIT}test_buttons_conductor.py",
@@ -102,7 +102,7 @@ JUDGES: Final = {
         f"{_UNIT}test_conductor.py",
         f"{_UNIT}test_conductor_safety.py",
     ),
-    "gateway/robot/core/staleness.py": (f"{_UNIT}test_staleness.py", f"{_UNIT}test_staleness_clocks.py"),
+    "gateway/model/staleness.py": (f"{_UNIT}test_staleness.py", f"{_UNIT}test_staleness_clocks.py"),
     "gateway/robot/core/pacing.py": (
         f"{_UNIT}test_pacing.py",
         f"{_UNIT}test_supervisor.py",
@@ -116,9 +116,9 @@ JUDGES: Final = {
     "gateway/robot/core/lease.py": _LEASE,
     "gateway/robot/core/buttons.py": (f"{_UNIT}test_buttons.py", f"{_UNIT}test_buttons_conductor.py"),
     "gateway/robot/core/nonces.py": ("tests/unit/people/test_lease_checker.py",),
-    "gateway/robot/core/joint_limits.py": (*_CALIBRATION, f"{_UNIT}test_supervisor_speed.py"),
+    "gateway/model/angle_limits.py": (*_CALIBRATION, f"{_UNIT}test_supervisor_speed.py"),
     "gateway/robot/core/calibrating.py": _CALIBRATION,
-    "gateway/robot/core/calibration.py": (*_CALIBRATION, f"{_UNIT}test_calibration_intake.py"),
+    "gateway/model/calibration.py": (*_CALIBRATION, f"{_UNIT}test_calibration_intake.py"),
     "gateway/robot/core/calibration_intake.py": _CALIBRATION_REQUESTS,
     "gateway/robot/core/targets.py": (f"{_UNIT}test_targets.py", f"{_UNIT}test_intake.py"),
     "gateway/robot/core/losses.py": _CONDUCTOR,

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from gateway.robot.protocol.frames import decode
+from gateway.model.frames import decode
 from schemas.robot import LEGS
 from schemas.telemetry import Cause, Event, FrameRecord, Kind, Reason
 from tests.net.conftest import Hosts

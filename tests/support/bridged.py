@@ -13,11 +13,11 @@ from typing import Any, Final, Self
 import zenoh
 
 from gateway.geometry import joint_name, load
+from gateway.model.frames import Op
+from gateway.model.frames import decode as decode_frame
 from gateway.people.ros2.cdr import Message, decode, encode
 from gateway.people.ros2.messages import DiagnosticArray, JointState
 from gateway.people.ros2.wire import PUBLISHES, QOS, Attachment, Names, gid_of
-from gateway.robot.protocol.frames import Op
-from gateway.robot.protocol.frames import decode as decode_frame
 from schemas.robot import SERVO_IDS
 from schemas.telemetry import Cause, FrameRecord
 from tests.support.child import Child

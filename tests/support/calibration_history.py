@@ -8,10 +8,10 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple, Self
 
-from gateway.robot.core.calibration import Calibration, ServoChange
+from gateway.model.calibration import Calibration, ServoChange
+from gateway.model.frames import Frame, OneLeg, OneServo, Op, ServoOp
 from gateway.robot.core.events import Calibrate, Effect, Keep, Kept, Transmit
 from gateway.robot.core.leg import Rules
-from gateway.robot.protocol.frames import Frame, OneLeg, OneServo, Op, ServoOp
 from schemas.telemetry import Kind, Reason
 from tests.support.history import demand, spelled_out, told
 

@@ -25,12 +25,12 @@ from gateway.robot.blackbox.recorder import Recorder
 from gateway.robot.core.events import Do, LeaseRequest
 from gateway.robot.core.message import Received, Verb
 from gateway.robot.core.supervisor import Supervisor
-from gateway.robot.edge.inbox import Inbox
 from gateway.robot.runtime.conductor import Conductor
 from gateway.robot.service import rules
 from gateway.robot.settings import Settings
 from gateway.robot.spi.bus import Bus
 from gateway.robot.spi.kernel import KernelDevice
+from gateway.robot.zenoh_io.inbox import Inbox
 from gateway.zenoh_config import scouting_off
 from schemas import keys
 from schemas.robot import LEGS

@@ -2,7 +2,7 @@
 
 import re
 
-from gateway.robot.core.staleness import Staleness
+from gateway.model.staleness import Staleness
 
 MAX_AGE_MS = 200.0
 MS = 1_000_000

@@ -5,7 +5,7 @@ import time
 from collections.abc import Callable
 
 from gateway.errors import SpiError
-from gateway.robot.protocol.framing import Framing
+from gateway.model.framing import Framing
 from gateway.robot.spi.simulator import SimulatedController
 
 

@@ -10,7 +10,7 @@ from typing import Any, Generic, TypeVar
 from pydantic import BaseModel
 
 from gateway.client import Client
-from gateway.robot.protocol.frames import decode
+from gateway.model.frames import decode
 from schemas import keys
 from schemas.telemetry import BodyReport, Event, FrameRecord, GatewayState
 

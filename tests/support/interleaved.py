@@ -14,7 +14,7 @@ from typing import Any, Final
 
 import zenoh
 
-from gateway.robot.protocol.framing import Framing
+from gateway.model.framing import Framing
 from gateway.robot.spi import Batch
 from gateway.robot.spi.simulator import SimulatedController
 

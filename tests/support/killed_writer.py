@@ -10,7 +10,7 @@ import sys
 import time
 from pathlib import Path
 
-from gateway.robot.core.calibration import Calibration, ServoCalibration
+from gateway.model.calibration import Calibration, ServoCalibration
 from gateway.robot.host import calibration_file
 
 LONGEST_S = 0.02

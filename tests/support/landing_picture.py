@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from gateway.robot.protocol.frames import Op
+from gateway.model.frames import Op
 from schemas.robot import LEGS
 from schemas.telemetry import Cause, Kind
 from tests.support.gateway_process import Gateway

@@ -15,8 +15,8 @@ from dataclasses import dataclass, fields, replace
 from operator import attrgetter
 from typing import Any, Final
 
+from gateway.model.calibration import Calibration
 from gateway.robot.core.buttons import Button
-from gateway.robot.core.calibration import Calibration
 from gateway.robot.core.events import (
     BusFailed,
     BusOpened,

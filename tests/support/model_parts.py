@@ -4,8 +4,8 @@ what of them tells states apart."""
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
+from gateway.model.calibration import Calibration, Change
 from gateway.robot.core.buttons import Buttons
-from gateway.robot.core.calibration import Calibration, Change
 from gateway.robot.core.events import ButtonDo, ButtonRequest, Calibrate, Do, Event, Kept, LeaseRequest
 from gateway.robot.core.lease import Lease
 from gateway.robot.core.pacing import NS_PER_MS

@@ -4,9 +4,9 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+from gateway.model.frames import OneLeg, Op, ServoOp
 from gateway.robot.blackbox.recorder import ACCEPTED, Recorder
 from gateway.robot.core.events import Command, Transmit
-from gateway.robot.protocol.frames import OneLeg, Op, ServoOp
 from gateway.robot.settings import Settings
 from gateway.robot.spi.bus import Sent
 from schemas.keys import leg_command

@@ -7,6 +7,7 @@ else does. It shares no state and no rules with `gateway/robot/core`, only the v
 
 from collections.abc import Sequence
 
+from gateway.model.frames import Op, leg_of, stop_leg
 from gateway.robot.core.events import (
     BusFailed,
     BusOpened,
@@ -28,7 +29,6 @@ from gateway.robot.core.events import (
     Transmit,
 )
 from gateway.robot.core.supervisor import Supervisor
-from gateway.robot.protocol.frames import Op, leg_of, stop_leg
 from schemas.telemetry import Cause, Kind, Reason
 from tests.support.history import (
     CLOSED,

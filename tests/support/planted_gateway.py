@@ -10,12 +10,12 @@ from dataclasses import replace
 from typing import Final
 
 from gateway import cli
+from gateway.model.frames import STOP, Frame, OneLeg, OneServo, Op, ServoOp
+from gateway.model.staleness import Staleness
 from gateway.robot import service
 from gateway.robot.core.events import Announce, Command, Effect, EmergencyStop, Event, Reset, Transmit
 from gateway.robot.core.lease import Lease
-from gateway.robot.core.staleness import Staleness
 from gateway.robot.core.supervisor import Supervisor
-from gateway.robot.protocol.frames import STOP, Frame, OneLeg, OneServo, Op, ServoOp
 from schemas.telemetry import Cause, Kind, Reason
 from tests.fuzz.planted import Make, losing, taking, wanting
 

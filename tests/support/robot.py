@@ -12,11 +12,11 @@ from typing import Any
 
 from pydantic import BaseModel
 
+from gateway.model.frames import Frame, decode
+from gateway.model.framing import Framing
 from gateway.robot.blackbox.recorder import Recorder
 from gateway.robot.core.message import Received, Reply, Verb
 from gateway.robot.core.supervisor import Supervisor
-from gateway.robot.protocol.frames import Frame, decode
-from gateway.robot.protocol.framing import Framing
 from gateway.robot.runtime.calibrations import Calibrations, WriteAndThen
 from gateway.robot.runtime.conductor import Conductor
 from gateway.robot.runtime.request_answers import ButtonAnswers, LeaseAnswers, RequestAnswers

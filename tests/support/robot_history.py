@@ -3,10 +3,10 @@
 from collections.abc import Iterable, Sequence
 from typing import Self
 
-from gateway.robot.core.calibration import Calibration
+from gateway.model.calibration import Calibration
+from gateway.model.frames import Frame, Op, servo_ids_of, stop_leg
 from gateway.robot.core.events import Command, Effect, Transmit
 from gateway.robot.core.leg import Rules
-from gateway.robot.protocol.frames import Frame, Op, servo_ids_of, stop_leg
 from schemas.robot import LEGS
 from schemas.telemetry import Mode, Reason
 from tests.support.buttons_history import ButtonsHistory

@@ -2,7 +2,8 @@
 
 from typing import TypeVar
 
-from gateway.robot.core.calibration import Calibration, Change
+from gateway.model.calibration import Calibration, Change
+from gateway.model.frames import STOP, OneServo, Op, ServoOp, servo_ids_of
 from gateway.robot.core.events import (
     Announce,
     Answer,
@@ -30,7 +31,6 @@ from gateway.robot.core.events import (
 from gateway.robot.core.leg import Rules
 from gateway.robot.core.pacing import NS_PER_MS
 from gateway.robot.core.supervisor import Supervisor
-from gateway.robot.protocol.frames import STOP, OneServo, Op, ServoOp, servo_ids_of
 from tests.support.history import is_coalesced, spelled_out
 from tests.support.oracle import Oracle
 

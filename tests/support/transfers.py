@@ -1,7 +1,7 @@
 """What is to be seen on the wire, written apart from the bus that brings it there."""
 
-from gateway.robot.protocol.frames import Frame
-from gateway.robot.protocol.framing import Framing
+from gateway.model.frames import Frame
+from gateway.model.framing import Framing
 
 
 def on_wire(framing: Framing, *frames: Frame | bytes) -> list[bytes]:

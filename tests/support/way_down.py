@@ -4,7 +4,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple, Self
 
-from gateway.robot.protocol.frames import Frame, Op, decode
+from gateway.model.frames import Frame, Op, decode
 from schemas.telemetry import FrameRecord
 from tests.hil.bed import Transfer
 

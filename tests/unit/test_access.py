@@ -13,7 +13,7 @@ import zenoh
 from gateway.certs.fleet_files import robot_json5, router_json5
 from gateway.certs.zenoh_files import gateway_json5, laptop_json5
 from gateway.errors import ConfigError
-from gateway.robot.edge import simulated_body
+from gateway.robot.zenoh_io import simulated_body
 from schemas.keys import (
     ALIVE,
     BUTTON,

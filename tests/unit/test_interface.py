@@ -14,7 +14,7 @@ from pydantic.fields import FieldInfo
 
 from gateway.cli import app
 from gateway.errors import ConfigError
-from gateway.robot.protocol.framing import Framing
+from gateway.model.framing import Framing
 from gateway.robot.settings import ServoLimits, Settings, SpiSettings, load
 from schemas import keys
 from schemas.button import Alive, ButtonAck, Leave, Register

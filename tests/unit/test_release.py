@@ -7,7 +7,7 @@ import tarfile
 import tomllib
 from pathlib import Path
 
-from gateway.people.tools import install_service
+from gateway.onboard import install_service
 from release.build import ROOT, plain_tar
 from release.sums import sums
 

@@ -102,5 +102,5 @@ def test_the_conductor_knows_no_zenoh() -> None:
     assert not {
         name
         for name in imported(GATEWAY / "robot/runtime/conductor.py")
-        if name.startswith(("zenoh", "gateway.robot.edge"))
+        if name.startswith(("zenoh", "gateway.robot.zenoh_io"))
     }

@@ -13,9 +13,9 @@ from typing import Any
 import pytest
 from pydantic import BaseModel
 
+from gateway.model.frames import OneServo, Op, ServoOp, stop_leg
+from gateway.model.framing import Framing
 from gateway.robot.core.leg import Rules
-from gateway.robot.protocol.frames import OneServo, Op, ServoOp, stop_leg
-from gateway.robot.protocol.framing import Framing
 from gateway.robot.service import rules
 from gateway.robot.settings import Settings
 from gateway.robot.spi import Batch

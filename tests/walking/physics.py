@@ -13,12 +13,12 @@ import numpy as np
 
 from gateway.geometry import Geometry, load
 from gateway.geometry.masses import MASSES
+from gateway.model.frames import Op, decode
 from gateway.people.physics.assumed import FRICTION, TORQUE_NM
 from gateway.people.physics.assumed import Assumed as Assumptions
 from gateway.people.physics.model import TIMESTEP_S
 from gateway.people.physics.world import World as Simulated
 from gateway.people.walking import STILL, Engine, Posture, Velocity
-from gateway.robot.protocol.frames import Op, decode
 from schemas.robot import JOINTS
 from schemas.telemetry import FrameRecord
 

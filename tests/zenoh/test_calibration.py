@@ -8,9 +8,9 @@ from typing import Any
 import pytest
 
 from gateway.client import AsyncClient, Client
-from gateway.robot.core.calibration import ServoCalibration
+from gateway.model.calibration import ServoCalibration
+from gateway.model.frames import OneLeg, decode
 from gateway.robot.host import calibration_file
-from gateway.robot.protocol.frames import OneLeg, decode
 from schemas import keys
 from schemas.calibration import Calibration, ServoChange
 from schemas.telemetry import Ack, FrameRecord, Reason

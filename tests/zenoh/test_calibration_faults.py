@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 
 from gateway.client import Client
+from gateway.model.calibration import Calibration, ServoCalibration
 from gateway.people.tools.calibration import NotKeptYetError, once_kept
-from gateway.robot.core.calibration import Calibration, ServoCalibration
 from gateway.robot.host import calibration_file
 from schemas.calibration import ServoChange
 from schemas.telemetry import Ack, Mode, Reason

@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 from gateway import certs
-from gateway.people.tools.check import device, machine, network
-from gateway.people.tools.check.result import Verdict
+from gateway.onboard.check import device, machine, network
+from gateway.onboard.check.result import Verdict
 from gateway.robot.settings import SpiSettings, ZenohSettings
 from tests.support.certs_folder import DAY, NOW
 from tests.support.command import Ended, run_here
@@ -373,7 +373,7 @@ def test_no_systemd_and_one_that_does_not_answer(systemctl: Path, tmp_path: Path
 
 
 REALTIME = (
-    "import os, gateway.people.tools.check.machine as m; r = m.realtime(); print(r.verdict, r.sentence, r.fix);"
+    "import os, gateway.onboard.check.machine as m; r = m.realtime(); print(r.verdict, r.sentence, r.fix);"
     "print(os.sched_getscheduler(0))"
 )
 
@@ -393,7 +393,7 @@ def test_without_real_time_rights_it_says_which_limit() -> None:
 
 
 def test_a_port_that_this_user_may_not_have() -> None:
-    code = "import gateway.people.tools.check.network as n; r = n.port('tcp/127.0.0.1:1'); print(r.verdict, r.sentence)"
+    code = "import gateway.onboard.check.network as n; r = n.port('tcp/127.0.0.1:1'); print(r.verdict, r.sentence)"
     everyones = int(Path("/proc/sys/net/ipv4/ip_unprivileged_port_start").read_text()) <= 1
     (said,) = _run(_without("net_bind_service"), code)
     sentence = (

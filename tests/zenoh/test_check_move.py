@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from gateway.client import Client
-from gateway.people.tools.check import move as module
-from gateway.robot.protocol.frames import OneServo, Op, ServoOp, decode
+from gateway.model.frames import OneServo, Op, ServoOp, decode
+from gateway.onboard.check import move as module
 from schemas.telemetry import Cause, FrameRecord, Mode
 from tests.support.child import Child
 from tests.support.command import Ended

@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 
 from gateway.client import Client, DisconnectedError, RejectedError, StoppedError, Stream
+from gateway.model.frames import decode
 from gateway.people.tools.drill.cut_link import CutLink
-from gateway.robot.protocol.frames import decode
 from schemas.robot import LEGS
 from schemas.telemetry import Cause, Event, FrameRecord, Kind, Mode, Reason
 from tests.support.fixtures import client_fixture, gateway_fixture, patient

@@ -12,8 +12,8 @@ import pytest
 from gateway.client import Client, Walk
 from gateway.errors import LeaseError, LeaseLostError, RejectedError, StoppedError, WalkError
 from gateway.geometry import load
+from gateway.model.frames import Op, decode
 from gateway.people.walking import LONGEST_S, Engine, Posture, Robot
-from gateway.robot.protocol.frames import Op, decode
 from schemas.calibration import ServoChange
 from schemas.robot import JOINTS, LEGS
 from schemas.telemetry import Ack, FrameRecord, GatewayState, Mode, Reason

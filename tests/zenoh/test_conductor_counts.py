@@ -7,10 +7,10 @@ from collections.abc import Sequence
 import pytest
 
 from gateway.errors import BatchRejectedError, SpiError
+from gateway.model.frames import OneLeg, Op, ServoOp, stop_leg
+from gateway.model.framing import PREAMBLE_ZEROS, ZERO
 from gateway.robot.core.events import Transmit
 from gateway.robot.core.intake import MAX_KEY
-from gateway.robot.protocol.frames import OneLeg, Op, ServoOp, stop_leg
-from gateway.robot.protocol.framing import PREAMBLE_ZEROS, ZERO
 from gateway.robot.runtime.executor import _batches
 from gateway.robot.spi import Transfer
 from schemas import keys

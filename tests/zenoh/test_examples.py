@@ -13,7 +13,7 @@ from typing import Final
 import pytest
 
 from gateway.client import Client
-from gateway.robot.protocol.frames import OneLeg, Op, centidegrees, decode
+from gateway.model.frames import OneLeg, Op, centidegrees, decode
 from schemas.telemetry import Cause, FrameRecord
 from tests.support.child import Child
 from tests.support.fixtures import gateway_fixture

@@ -9,8 +9,8 @@ import pytest
 import zenoh
 
 from gateway.client import Client, leg_payload, servo_payload
+from gateway.model.frames import OneLeg, OneServo, decode, stop_leg
 from gateway.robot.core.pacing import BUCKET, NS_PER_S
-from gateway.robot.protocol.frames import OneLeg, OneServo, decode, stop_leg
 from schemas import keys
 from schemas.robot import LEGS, SERVO_IDS
 from schemas.telemetry import Ack, FrameRecord, Kind, Mode, Reason

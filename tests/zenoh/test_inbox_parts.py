@@ -11,13 +11,13 @@ from typing import Any
 import pytest
 import zenoh
 
+from gateway.host.realtime import LOOP_PRIORITY
 from gateway.robot.core.events import Command
 from gateway.robot.core.intake import words_of_stop
 from gateway.robot.core.message import Received, Verb
-from gateway.robot.edge.inbox import FLOOD_PAUSE_S, OTHER_DEPTH, Inbox, _received
-from gateway.robot.edge.rings import RING_DEPTH, Ring
 from gateway.robot.host.ownership import Ownership
-from gateway.robot.host.realtime import LOOP_PRIORITY
+from gateway.robot.zenoh_io.inbox import FLOOD_PAUSE_S, OTHER_DEPTH, Inbox, _received
+from gateway.robot.zenoh_io.rings import RING_DEPTH, Ring
 from schemas.command import MAX_PAYLOAD_BYTES
 from schemas.keys import COMMAND_KEYS, ESTOP, LEASE, LEGS_COMMAND, RESET, STATE, leg_command, servo_command
 from tests.zenoh.test_inbox_wakeups import Taker

@@ -17,9 +17,9 @@ import pytest
 import zenoh
 
 from gateway.robot.core.message import Received, Reply, Verb
-from gateway.robot.edge.inbox import LOOK_AFTER_FLOOD, LOOK_AGAIN_S, OTHER_DEPTH, Inbox
-from gateway.robot.edge.rings import LEAST_PUT_DEPTH, RING_DEPTH
 from gateway.robot.host.ownership import Ownership
+from gateway.robot.zenoh_io.inbox import LOOK_AFTER_FLOOD, LOOK_AGAIN_S, OTHER_DEPTH, Inbox
+from gateway.robot.zenoh_io.rings import LEAST_PUT_DEPTH, RING_DEPTH
 from schemas.keys import ALL_COMMANDS, COMMAND_KEYS, ESTOP, leg_command, servo_command
 
 KEYS = [key for key in COMMAND_KEYS if key != ESTOP]

@@ -11,7 +11,7 @@ import zenoh
 
 from gateway.client import AsyncClient, Client, Lease, LeaseLostError, RejectedError, Stream, leg_payload
 from gateway.errors import GatewayError
-from gateway.robot.protocol.frames import decode
+from gateway.model.frames import decode
 from schemas import keys
 from schemas.lease import LeaseAck
 from schemas.robot import LEGS

@@ -16,7 +16,7 @@ from tests.support.gateway_process import Gateway
 
 SPEAKER = """
 import logging, sys, threading, warnings
-from gateway.robot.host import logs
+from gateway.host import logs
 from gateway.robot.settings import LogSettings
 from schemas.telemetry import Kind, Reason
 logs.set_up(LogSettings(format=sys.argv[1], level=sys.argv[2]))

@@ -10,10 +10,10 @@ import zenoh
 from pydantic import BaseModel, PrivateAttr, model_serializer
 from zenoh.handlers import RingChannel
 
-from gateway.robot.edge.outbox import MAX_REPORTS_WAITING, ZenohOutbox
-from gateway.robot.edge.session import service_config
-from gateway.robot.edge.unknown_keys import UnknownKeys
 from gateway.robot.settings import ZenohSettings
+from gateway.robot.zenoh_io.outbox import MAX_REPORTS_WAITING, ZenohOutbox
+from gateway.robot.zenoh_io.session import service_config
+from gateway.robot.zenoh_io.unknown_keys import UnknownKeys
 from gateway.zenoh_config import client_config, open_session
 from schemas.keys import EVENT, STATE
 from tests.support.gateway_process import free_port

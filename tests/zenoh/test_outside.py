@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from gateway.robot.protocol.frames import stop_leg
+from gateway.model.frames import stop_leg
 from gateway.robot.spi import outside
 from gateway.robot.spi.outside import Listener, Notice
 from schemas import keys

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from gateway.robot.host.realtime import (
+from gateway.host.realtime import (
     LOOP_PRIORITY,
     MALLOC_ARENAS,
     PAGE_PRIORITY,
@@ -27,7 +27,7 @@ def run(program: str, *prefix: str, stderr: int | None = None) -> str:
         *prefix,
         sys.executable,
         "-c",
-        f"from gateway.robot.host.realtime import *\nimport gc, os, sys, threading\n{program}",
+        f"from gateway.host.realtime import *\nimport gc, os, sys, threading\n{program}",
     ]
     return subprocess.run(command, stdout=subprocess.PIPE, stderr=stderr, text=True, check=True).stdout.strip()
 

@@ -155,7 +155,7 @@ def test_schemas_needs_neither_zenoh_nor_spidev(python: Path, tmp_path: Path) ->
 OWN_WHEEL = """
 import sys
 from pathlib import Path
-from gateway.people.tools.install_service import own_wheel
+from gateway.onboard.install_service import own_wheel
 print(own_wheel(Path(sys.argv[1])))
 """
 

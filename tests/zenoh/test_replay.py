@@ -11,10 +11,10 @@ import pytest
 
 from gateway.client import Client
 from gateway.geometry import load
+from gateway.model.frames import OneServo, Op, ServoOp, decode, stop_leg
 from gateway.people.recordings import Recording, read
 from gateway.people.walking import STILL, Engine
 from gateway.people.walking import Robot as GeometryRobot
-from gateway.robot.protocol.frames import OneServo, Op, ServoOp, decode, stop_leg
 from schemas.calibration import ServoChange
 from schemas.keys import FRAME
 from schemas.telemetry import Cause, FrameRecord

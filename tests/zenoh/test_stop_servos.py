@@ -34,7 +34,7 @@ def test_nothing_slow_is_loaded_before_the_stops(tmp_path: Path) -> None:
 
 def test_the_service_loads_nothing_that_draws() -> None:
     """Its Stops at the start would come that much later, after a crash as well."""
-    loaded = "import sys, gateway.cli, gateway.people.tools.serve, gateway.robot.service"
+    loaded = "import sys, gateway.cli, gateway.onboard.serve, gateway.robot.service"
     program = f"{loaded}\nprint(*{{'rich', 'textual'}} & sys.modules.keys())"
     ran = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=60)
     assert ran.stdout.split() == []

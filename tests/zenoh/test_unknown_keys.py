@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 import zenoh
 
-from gateway.robot.edge.unknown_keys import nearest
+from gateway.robot.zenoh_io.unknown_keys import nearest
 from schemas.keys import COMMAND_KEYS
 from schemas.telemetry import Kind, Reason
 from tests.support.gateway_process import Gateway

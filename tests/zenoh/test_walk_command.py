@@ -8,8 +8,8 @@ import pytest
 
 from gateway.client import Client
 from gateway.geometry import load
+from gateway.model.frames import Op, decode
 from gateway.people.walking import STILL, Engine, Robot
-from gateway.robot.protocol.frames import Op, decode
 from schemas.robot import JOINTS, LEGS
 from schemas.telemetry import Cause, FrameRecord, GatewayState, Mode
 from tests.support.child import Child

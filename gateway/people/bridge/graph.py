@@ -13,10 +13,10 @@ from typing import Any, Final
 import zenoh
 
 from gateway.errors import ConfigError
+from gateway.onboard.check.network import listening
 from gateway.people.client.diagnosis import demands_certificate
 from gateway.people.client.requests import Identity
-from gateway.people.tools.check.network import listening
-from gateway.robot.edge.exposure import is_local
+from gateway.robot.zenoh_io.exposure import is_local
 
 _ANSWER_S: Final = 1.0
 _MOST_BYTES: Final = 1_000_000

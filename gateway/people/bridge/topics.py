@@ -9,6 +9,7 @@ from typing import Final, TypeVar
 import zenoh
 
 from gateway.geometry import Geometry
+from gateway.model.staleness import Staleness
 from gateway.people.bridge.driving import Driving, NotTakenError
 from gateway.people.bridge.motions import GAIT_NUMBERS
 from gateway.people.bridge.node import Senders
@@ -18,7 +19,6 @@ from gateway.people.ros2.messages import Float64, Int32, JointState, JointTrajec
 from gateway.people.ros2.trajectory import Trajectory
 from gateway.people.ros2.wire import Attachment, Names, WireError
 from gateway.people.walking import Velocity
-from gateway.robot.core.staleness import Staleness
 
 MAX_BYTES: Final = 4096
 """As a command to the gateway; 18 joints with velocity and effort have 1000."""

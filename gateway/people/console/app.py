@@ -6,12 +6,12 @@ from typing import Final
 
 from gateway import __version__
 from gateway.geometry import Geometry
-from gateway.people.console.door import SignedIn
-from gateway.people.console.front import Admitted
+from gateway.people.console.auth import SignedIn
 from gateway.people.console.link import GatewayLink
+from gateway.people.console.listener import Admitted
 from gateway.people.console.messages import Hello
 from gateway.people.console.pages import EndError, Page, Pages
-from gateway.people.console.register import Register
+from gateway.people.console.sessions import Register
 from gateway.people.console.stops import Stops
 from gateway.people.console.websocket import POLICY_VIOLATION, ClosedError, WebSocket
 

@@ -8,11 +8,11 @@ from typing import Final, NoReturn
 from urllib.parse import urlsplit
 
 from gateway.errors import ConfigError, UnreachedError
-from gateway.people.console import register
-from gateway.people.console.listening import address_in, inherited
+from gateway.people.console import sessions
 from gateway.people.console.messages import ROLES
-from gateway.people.console.register import Register
+from gateway.people.console.sessions import Register
 from gateway.people.console.site import DEFAULT_ADDRESS, DEFAULT_PORT, address_of, free_address, site
+from gateway.people.console.sockets import address_in, inherited
 from gateway.people.terminal import hint, say
 
 NEEDS: Final = ("websockets", "segno")

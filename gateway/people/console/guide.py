@@ -7,8 +7,8 @@ person says is about the servo itself, and so about its angle on the wire; only 
 import math
 from dataclasses import dataclass, field
 
-from gateway.robot.core.calibration import AS_DRAWN, Calibration, CalibrationError, ServoCalibration, changed_servos
-from gateway.robot.protocol.frames import MAX_ANGLE_CDEG, centidegrees
+from gateway.model.calibration import AS_DRAWN, Calibration, CalibrationError, ServoCalibration, changed_servos
+from gateway.model.frames import MAX_ANGLE_CDEG, centidegrees
 from schemas.robot import SERVO_IDS
 
 

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, Final, TypeVar
 
 from gateway.errors import UnreachedError, ZenohError
+from gateway.host.descriptors import Spare
 from gateway.people.client.blocking import Client
 from gateway.people.client.confirmed_stop import AT_ONCE
 from gateway.people.client.live import Live, OnLoop, Receiver, set_upright
@@ -21,7 +22,6 @@ from gateway.people.client.silence import LOOK_S
 from gateway.people.console.messages import LinkMessage
 from gateway.people.console.presence import Presence
 from gateway.people.tools import why
-from gateway.robot.host.descriptors import Spare
 from schemas.telemetry import Ack, BodyReport, Event, GatewayState
 
 T = TypeVar("T")

@@ -23,8 +23,8 @@ from pydantic import ValidationError
 
 from gateway.errors import GatewayError
 from gateway.geometry import Geometry
+from gateway.model.staleness import Staleness
 from gateway.people.client.confirmed_stop import Press
-from gateway.people.console.calibrating import Calibrating
 from gateway.people.console.driving import Driving
 from gateway.people.console.link import GatewayLink, Listener
 from gateway.people.console.messages import (
@@ -47,11 +47,11 @@ from gateway.people.console.messages import (
     WalkWish,
 )
 from gateway.people.console.outgoing import Outgoing
+from gateway.people.console.page_calibration import Calibrating
+from gateway.people.console.page_walk import Walking
 from gateway.people.console.pressing import Pressing
 from gateway.people.console.stops import Stops, now_ns
-from gateway.people.console.walking import Walking
 from gateway.people.walking import robot_now
-from gateway.robot.core.staleness import Staleness
 from schemas import keys
 from schemas.telemetry import Ack, BodyReport, Event, GatewayState, Kind, LimitsReport, Reason
 

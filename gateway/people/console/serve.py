@@ -19,20 +19,20 @@ import segno
 
 from gateway import certs
 from gateway.geometry import Geometry, load
-from gateway.people.console import register
+from gateway.host import descriptors, logs, realtime
+from gateway.people.console import sessions
 from gateway.people.console.app import MAX_CLOSING, MAX_PAGES, Console
-from gateway.people.console.door import Door
-from gateway.people.console.front import MAX_SIGNED_IN, MAX_UNKNOWN, Front, report
+from gateway.people.console.auth import Door
 from gateway.people.console.link import STACK_BYTES, GatewayLink
-from gateway.people.console.listening import listening
+from gateway.people.console.listener import MAX_SIGNED_IN, MAX_UNKNOWN, Front, report
 from gateway.people.console.messages import ROLES, Role, least
 from gateway.people.console.pages import Pages
-from gateway.people.console.register import LINK_S, Register
+from gateway.people.console.sessions import LINK_S, Register
 from gateway.people.console.site import DEFAULT_PORT, Site
+from gateway.people.console.sockets import listening
 from gateway.people.console.stops import Stops, send_stopping
 from gateway.people.console.tls import server_context
 from gateway.people.terminal import hint, say, this_command
-from gateway.robot.host import descriptors, logs, realtime
 from gateway.robot.settings import LogSettings
 from gateway.zenoh_config import client_config, get
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from typing import Final
 
+from gateway.model.black_box import format as form
 from gateway.people.incidents.ring_reader import Records
-from gateway.robot.blackbox import format as form
 from gateway.robot.blackbox.recorder import (
     FOLLOW_NS,
     INCIDENT_NAMES,

@@ -9,12 +9,12 @@ from typing import Annotated, Final
 
 from pydantic import AwareDatetime, Field
 
+from gateway.model.black_box import format as form
+from gateway.model.frames import Op
 from gateway.people.incidents.incidents import Incident
 from gateway.people.incidents.ring_reader import Records
 from gateway.people.recordings import Message
-from gateway.robot.blackbox import format as form
 from gateway.robot.blackbox.recorder import ACCEPTED
-from gateway.robot.protocol.frames import Op
 from schemas import keys
 from schemas.telemetry import Event, FrameRecord, Report
 

@@ -5,10 +5,10 @@ from collections.abc import Sequence
 from html import escape
 from typing import Final
 
+from gateway.model.frames import Op
 from gateway.people.incidents.messages import incident_of
 from gateway.people.recordings import Message
 from gateway.people.recordings.user_angles import frames_in
-from gateway.robot.protocol.frames import Op
 from schemas.robot import LEGS
 
 _WIDTH: Final = 900

@@ -8,9 +8,9 @@ from typing import Final
 
 from pydantic_core import from_json
 
-from gateway.robot.blackbox import format as form
-from gateway.robot.core.calibration import calibration_of
-from gateway.robot.protocol.frames import MAX_ANGLE_CDEG, Op, ServoOp
+from gateway.model.black_box import format as form
+from gateway.model.calibration import calibration_of
+from gateway.model.frames import MAX_ANGLE_CDEG, Op, ServoOp
 from schemas.calibration import Calibration
 from schemas.telemetry import Cause
 

@@ -16,10 +16,10 @@ from pathlib import Path
 from typing import Any, Final, overload
 
 from gateway.errors import GatewayError
+from gateway.model.black_box import format as form
+from gateway.model.black_box import header
 from gateway.people.incidents.ring_decoding import decode
-from gateway.robot.blackbox import format as form
-from gateway.robot.blackbox import header
-from gateway.robot.blackbox.place import MAX_SLOTS
+from gateway.robot.blackbox.paths import MAX_SLOTS
 from gateway.robot.blackbox.ring import written_by_anyone
 from schemas.calibration import Calibration
 

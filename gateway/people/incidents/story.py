@@ -6,12 +6,12 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Any, Final, NamedTuple
 
+from gateway.model.frames import Op
 from gateway.people.incidents.incidents import kind_of
 from gateway.people.incidents.messages import COMMAND_TOPICS, INCIDENT, RECORDER, incident_of
 from gateway.people.recordings import Message
 from gateway.people.recordings.user_angles import FrameIn, frames_in
 from gateway.robot.blackbox.recorder import INCIDENT_NAMES, MISTAKE
-from gateway.robot.protocol.frames import Op
 from gateway.text import visible
 from schemas import keys
 from schemas.robot import LEGS

@@ -7,10 +7,11 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Final
 
+from gateway.model.black_box import format as form
+from gateway.model.black_box import header
 from gateway.people.incidents import archive, ring_reader
 from gateway.people.incidents.incidents import Incident, find
-from gateway.robot.blackbox import format as form
-from gateway.robot.blackbox import header, place
+from gateway.robot.blackbox import paths
 from gateway.robot.blackbox.ring import written_by_anyone
 
 LOOK_S: Final = 0.5

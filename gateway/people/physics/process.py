@@ -22,12 +22,12 @@ import zenoh
 
 from gateway.errors import GatewayError
 from gateway.geometry import Geometry, load
+from gateway.host.servo_page import ServoPage
+from gateway.model.calibration import Calibration, calibration_of
 from gateway.people.physics.assumed import Assumed, assumed
 from gateway.people.physics.model import TIMESTEP_S
 from gateway.people.physics.pace import Pace
 from gateway.people.physics.world import World
-from gateway.robot.core.calibration import Calibration, calibration_of
-from gateway.robot.spi.servo_page import ServoPage
 from schemas import calibration as wire
 from schemas.keys import CALIBRATION, SIM_BODY, SIM_UPRIGHT
 from schemas.robot import SERVO_IDS

@@ -4,8 +4,8 @@ from collections.abc import Mapping
 from typing import Any
 
 from gateway.geometry import Geometry
+from gateway.model.frames import Op
 from gateway.people.recordings.user_angles import UserAngles, frame_of
-from gateway.robot.protocol.frames import Op
 from schemas.keys import FRAME, STATE
 
 

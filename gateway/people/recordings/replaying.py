@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final, NamedTuple
 
-from gateway.robot.protocol.frames import Frame, FrameError, OneLeg, OneServo, Op, ServoOp, decode, servo_ids_of
+from gateway.model.frames import Frame, FrameError, OneLeg, OneServo, Op, ServoOp, decode, servo_ids_of
 from schemas import keys
 from schemas.telemetry import Cause
 

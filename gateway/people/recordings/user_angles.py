@@ -3,9 +3,9 @@
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
+from gateway.model.calibration import Calibration, calibration_of
+from gateway.model.frames import Frame, FrameError, decode
 from gateway.people.recordings.reading import Message
-from gateway.robot.core.calibration import Calibration, calibration_of
-from gateway.robot.protocol.frames import Frame, FrameError, decode
 from schemas import calibration as wire
 from schemas.keys import CALIBRATION, FRAME, STATE
 

@@ -8,13 +8,13 @@ from typing import Any, Final
 from pydantic import ValidationError
 
 from gateway.errors import ConfigError, GatewayError, LeaseError, UnansweredError
+from gateway.model.calibration import AS_DRAWN, Calibration, ServoCalibration, calibration_of, changed_servos
+from gateway.model.frames import centidegrees
 from gateway.people.client.blocking import Client
 from gateway.people.client.payloads import calibration_payload
 from gateway.people.terminal import agrees, hint, say, this_command
 from gateway.people.tools import driving, kept_lease
 from gateway.people.tools.reach import Connection
-from gateway.robot.core.calibration import AS_DRAWN, Calibration, ServoCalibration, calibration_of, changed_servos
-from gateway.robot.protocol.frames import centidegrees
 from schemas import calibration as wire
 from schemas import keys
 from schemas.robot import SERVO_IDS

@@ -3,8 +3,7 @@
 import re
 from collections.abc import Iterator, Sequence
 
-from gateway.people.terminal import say
-from gateway.robot.protocol.frames import (
+from gateway.model.frames import (
     ONE_LEG_LEN,
     ONE_LEG_TYPE,
     ONE_SERVO_LEN,
@@ -13,7 +12,8 @@ from gateway.robot.protocol.frames import (
     OneLeg,
     Op,
 )
-from gateway.robot.protocol.frames import decode as decode_frame
+from gateway.model.frames import decode as decode_frame
+from gateway.people.terminal import say
 
 _FRAME_HEADERS = frozenset((bytes((ONE_LEG_LEN, ONE_LEG_TYPE)), bytes((ONE_SERVO_LEN, ONE_SERVO_TYPE))))
 """FRAME LEN and FRAME TYPE of the two kinds of frames."""

@@ -19,7 +19,7 @@ from gateway.people.recordings.writing import REPORTS, ROS_ENCODING, ROS_SCHEMA_
 from gateway.people.ros2.cdr import Message, definition, encode
 from gateway.people.terminal import hint, on_end_signals, say
 from gateway.people.tools.reach import Connection
-from gateway.people.tools.viewers_door import Door, Pair
+from gateway.people.tools.viewer_access import Door, Pair
 from schemas.keys import STATE
 
 try:

@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Final
 
 from gateway.errors import ConfigError, UnansweredError, ZenohError
+from gateway.host import effective, plain_settings
 from gateway.people.client.blocking import Client
 from gateway.people.terminal import hint, this_command
-from gateway.robot.spi import effective, plain_settings
 from schemas.telemetry import GatewayState, Mode
 
 _WAIT: Final = "wait until it is idle"

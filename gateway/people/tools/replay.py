@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from gateway.errors import ConfigError, LeaseError
+from gateway.model.calibration import Calibration, calibration_of
 from gateway.people.recordings import Losses, read
 from gateway.people.recordings.replaying import NS_PER_MS, Plan, Step, steps_of, survey
 from gateway.people.recordings.user_angles import UserAngles
@@ -12,7 +13,6 @@ from gateway.people.terminal import Progress, agrees, hint, say
 from gateway.people.tools.driving import drives, rejected
 from gateway.people.tools.player import Player, without_pauses
 from gateway.people.tools.reach import Connection, check_at_rest
-from gateway.robot.core.calibration import Calibration, calibration_of
 from schemas.keys import CALIBRATION, FRAME, STATE
 from schemas.telemetry import GatewayState
 

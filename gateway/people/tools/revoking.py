@@ -12,8 +12,8 @@ from gateway.errors import ConfigError, GatewayError, RejectedError
 from gateway.people.client.blocking import Client
 from gateway.people.terminal import hint, say, this_command
 from gateway.robot import settings as settings_file
-from gateway.robot.edge import revoked
-from gateway.robot.edge.session import service_config
+from gateway.robot.zenoh_io import revoked
+from gateway.robot.zenoh_io.session import service_config
 from schemas.revocation import MAX_REVOCATION_BYTES
 
 UNIT: Final = "hexapod-gateway"

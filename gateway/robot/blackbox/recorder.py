@@ -15,10 +15,10 @@ from typing import Any, Final, Self
 
 from gateway import __version__
 from gateway.errors import GatewayError
-from gateway.robot.blackbox import format as form
-from gateway.robot.blackbox import place
+from gateway.model.black_box import format as form
+from gateway.model.calibration import Calibration, report_of
+from gateway.robot.blackbox import paths
 from gateway.robot.blackbox.ring import RecordRing
-from gateway.robot.core.calibration import Calibration, report_of
 from gateway.robot.core.events import Announce, Request, Transmit
 from gateway.robot.protocol import VERSION
 from gateway.robot.settings import Settings

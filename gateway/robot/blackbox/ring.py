@@ -16,9 +16,9 @@ from pathlib import Path
 from typing import Final
 from zlib import crc32
 
-from gateway.robot.blackbox import format as form
-from gateway.robot.blackbox import header
-from gateway.robot.blackbox.format import HEAD_BYTES, pack_head, pack_slot_into
+from gateway.model.black_box import format as form
+from gateway.model.black_box import header
+from gateway.model.black_box.format import HEAD_BYTES, pack_head, pack_slot_into
 
 _FLOCK: Final = struct.Struct("hhqqi4x")  # struct flock: type, whence, start, length, process
 _HEADER, _SLOT, _ROOM = form.HEADER_BYTES, form.SLOT, form.ROOM

@@ -14,11 +14,11 @@ calibration as this robot's: with a wrong trim or direction, a leg goes where no
 from collections.abc import Iterable, Mapping
 from typing import Final, NamedTuple
 
-from gateway.robot.core.calibration import Calibration, CalibrationError, changed_servos
+from gateway.model.angle_limits import Reach
+from gateway.model.calibration import Calibration, CalibrationError, changed_servos
+from gateway.model.frames import ServoOp
 from gateway.robot.core.events import Announce, Calibrate, Completed, Effect, Keep, Kept, Rejected
-from gateway.robot.core.joint_limits import Reach
 from gateway.robot.core.leg import Servo
-from gateway.robot.protocol.frames import ServoOp
 from schemas.telemetry import Kind, Reason
 
 ACCEPT_DEFAULT: Final = "hexapod-gateway calibrate accept-default"

@@ -4,9 +4,9 @@ from typing import Final
 
 from pydantic import ValidationError
 
-from gateway.robot.core.calibration import Change, ServoChange
+from gateway.model.calibration import Change, ServoChange
+from gateway.model.frames import centidegrees
 from gateway.robot.core.intake import Rejection, explain, given_twice, name_given_twice, too_many_fields
-from gateway.robot.protocol.frames import centidegrees
 from schemas.calibration import CalibrationCommand
 from schemas.robot import SERVO_IDS
 

@@ -5,10 +5,10 @@ from dataclasses import KW_ONLY, dataclass, field
 from enum import StrEnum
 from typing import Final, final
 
-from gateway.robot.core.calibration import Calibration, Change
+from gateway.model.calibration import Calibration, Change
+from gateway.model.frames import OP_STOP, Frame, ServoOp
 from gateway.robot.core.message import Reply, Verb
 from gateway.robot.core.value import value
-from gateway.robot.protocol.frames import OP_STOP, Frame, ServoOp
 from schemas.telemetry import Cause, Kind, Reason
 
 Targets = tuple[tuple[int, ServoOp], ...]

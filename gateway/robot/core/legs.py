@@ -8,13 +8,13 @@ commands are thereby done.
 from collections.abc import Collection, Iterator, Mapping
 from typing import Final
 
+from gateway.model.angle_limits import Reach
+from gateway.model.frames import OP_START, OP_STOP, SETS, STOP, OneLeg, OneServo, ServoOp, stop_leg
 from gateway.robot.core.events import Announce, Command, Completed, Effect, Rejected, Targets, Transmit
-from gateway.robot.core.joint_limits import Reach
 from gateway.robot.core.landing import Landing, landing
 from gateway.robot.core.leg import NO_COMMAND, Leg, Rules, Servo, servos_of
 from gateway.robot.core.pacing import NEVER, RateSlots, StartQueue, merged
 from gateway.robot.core.speed import step
-from gateway.robot.protocol.frames import OP_START, OP_STOP, SETS, STOP, OneLeg, OneServo, ServoOp, stop_leg
 from schemas.robot import LEGS
 from schemas.telemetry import Cause, Kind, Reason
 

@@ -7,9 +7,9 @@ that were left starts.
 
 from typing import Final
 
+from gateway.model.frames import OP_START
 from gateway.robot.core.events import Targets
 from gateway.robot.core.targets import stops_of
-from gateway.robot.protocol.frames import OP_START
 from schemas.keys import COMMAND_KEYS
 
 DETAIL: Final = (

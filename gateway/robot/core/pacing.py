@@ -14,7 +14,7 @@ Stop frames need no slot and never pass through here.
 from dataclasses import dataclass, field
 from typing import Final
 
-from gateway.robot.protocol.frames import OP_SET, OP_START, STARTS, ServoOp
+from gateway.model.frames import OP_SET, OP_START, STARTS, ServoOp
 
 NS_PER_S: Final = 1_000_000_000
 NS_PER_MS: Final = 1_000_000

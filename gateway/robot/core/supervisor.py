@@ -44,6 +44,8 @@ or Set that came by another channel, and the emergency stop wins over a reset.
 
 from typing import Final, assert_never, get_args
 
+from gateway.model.angle_limits import Reach
+from gateway.model.frames import OP_SET
 from gateway.robot.core.buttons import Buttons
 from gateway.robot.core.calibrating import Calibrating
 from gateway.robot.core.events import (
@@ -67,12 +69,10 @@ from gateway.robot.core.events import (
     TimePassed,
     Transmit,
 )
-from gateway.robot.core.joint_limits import Reach
 from gateway.robot.core.lease import Lease
 from gateway.robot.core.leg import Rules
 from gateway.robot.core.legs import Legs
 from gateway.robot.core.pacing import NS_PER_MS, NS_PER_S
-from gateway.robot.protocol.frames import OP_SET
 from schemas.robot import LEGS
 from schemas.telemetry import Cause, Kind, Mode, Reason
 

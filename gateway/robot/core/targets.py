@@ -9,8 +9,8 @@ its key elsewhere, since it has rings and threads of its own, and nothing of its
 from collections.abc import Callable
 from typing import Final, NamedTuple
 
+from gateway.model.frames import SETS, STARTS, STOP, servo_ids_of
 from gateway.robot.core.events import Command, Reset, Targets
-from gateway.robot.protocol.frames import SETS, STARTS, STOP, servo_ids_of
 from schemas import keys
 from schemas.command import SERVO_COMMAND, LegCommand, LegsCommand, Move, ResetCommand, Stop
 from schemas.keys import CommandKey, Target

@@ -18,9 +18,9 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from gateway import durable, nesting
 from gateway.errors import ConfigError
-from gateway.robot.core.calibration import Calibration, CalibrationError, ServoCalibration, report_of
-from gateway.robot.host.directories import state_directory, state_to_read
-from gateway.robot.protocol.frames import centidegrees
+from gateway.host.directories import state_directory, state_to_read
+from gateway.model.calibration import Calibration, CalibrationError, ServoCalibration, report_of
+from gateway.model.frames import centidegrees
 from gateway.robot.settings import MISSING, Settings, dotted, faults_of
 from schemas import calibration as wire
 from schemas.robot import SERVO_IDS

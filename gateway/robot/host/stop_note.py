@@ -8,7 +8,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from gateway.robot.host.directories import runtime_directory
+from gateway.host.directories import runtime_directory
 
 _NAME: Final = "stop-servos"
 _MOST_BYTES: Final = 50

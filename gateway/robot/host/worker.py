@@ -7,8 +7,8 @@ from contextlib import suppress
 from queue import Empty, SimpleQueue
 
 from gateway.errors import ConfigError
+from gateway.host.realtime import PAGE_PRIORITY, prefer_thread
 from gateway.robot.host.ownership import Ownership
-from gateway.robot.host.realtime import PAGE_PRIORITY, prefer_thread
 
 
 class Worker:

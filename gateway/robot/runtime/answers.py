@@ -3,10 +3,10 @@
 from collections.abc import Iterable, Sequence
 
 from gateway.errors import SpiError
+from gateway.model.frames import leg_of
 from gateway.robot.blackbox.recorder import ACCEPTED, COALESCED, Decided, Recorder
 from gateway.robot.core.events import Announce, Command, Completed, Effect, Rejected, Request, Transmit
 from gateway.robot.core.intake import echo_of
-from gateway.robot.protocol.frames import leg_of
 from gateway.robot.runtime.event_publisher import EventPublisher
 from gateway.robot.runtime.metrics import Metrics
 from schemas.telemetry import Ack, Kind, Reason

@@ -6,16 +6,16 @@ from collections.abc import Callable
 from functools import partial
 from typing import Final
 
+from gateway.model.calibration import Calibration, Change, report_of
 from gateway.robot.core import calibration_intake
-from gateway.robot.core.calibration import Calibration, Change, report_of
 from gateway.robot.core.events import Calibrate, Keep, Kept
 from gateway.robot.core.intake import Rejection
 from gateway.robot.core.message import Reply
-from gateway.robot.edge.receiver import Deal
 from gateway.robot.host.calibration_file import SLOW_S
 from gateway.robot.host.ownership import OwnersTimer
 from gateway.robot.runtime.conductor import Conductor
 from gateway.robot.runtime.request_answers import PAUSE_S, RequestAnswers
+from gateway.robot.zenoh_io.receiver import Deal
 from schemas import keys
 from schemas.calibration import CalibrationCommand
 from schemas.telemetry import Ack, Reason

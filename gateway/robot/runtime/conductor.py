@@ -13,6 +13,7 @@ from pydantic import BaseModel
 
 from gateway import __version__
 from gateway.errors import SpiError
+from gateway.model.staleness import Staleness
 from gateway.robot.blackbox.recorder import Recorder
 from gateway.robot.core.events import (
     Announce,
@@ -33,7 +34,6 @@ from gateway.robot.core.events import (
 from gateway.robot.core.intake import Rejection, echo_of, read
 from gateway.robot.core.losses import DETAIL, Losses
 from gateway.robot.core.message import Messages, NoMessages, Outbox, Received, Reply, Verb
-from gateway.robot.core.staleness import Staleness
 from gateway.robot.core.supervisor import Supervisor
 from gateway.robot.host.ownership import Ownership, OwnersTimer
 from gateway.robot.runtime.answers import PendingCommands, legs_of

@@ -15,7 +15,7 @@ from threading import Thread
 from typing import TYPE_CHECKING, Any, Final
 
 from gateway.errors import ConfigError
-from gateway.robot.host.realtime import PAGE_PRIORITY, prefer_thread
+from gateway.host.realtime import PAGE_PRIORITY, prefer_thread
 
 if TYPE_CHECKING:
     from _typeshed.wsgi import WSGIApplication

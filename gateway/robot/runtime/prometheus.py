@@ -16,12 +16,12 @@ from prometheus_client.metrics_core import (
 from prometheus_client.registry import Collector
 
 from gateway import __version__
+from gateway.host import logs
 from gateway.robot.core.latency import BOUNDS_US, Latency
-from gateway.robot.edge.exposure import is_local
-from gateway.robot.host import logs
 from gateway.robot.protocol import VERSION
 from gateway.robot.runtime.conductor import Conductor
 from gateway.robot.runtime.metrics_page import MetricsPage
+from gateway.robot.zenoh_io.exposure import is_local
 from gateway.web_hosts import LOOPBACK, may_ask
 from schemas.telemetry import Cause, Kind, Mode, Reason
 

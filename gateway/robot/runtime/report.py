@@ -4,12 +4,12 @@ from datetime import UTC, datetime
 from typing import Final
 
 from gateway import __version__
+from gateway.model.frames import Op
 from gateway.robot.core.buttons import Buttons
 from gateway.robot.core.lease import Lease
 from gateway.robot.core.leg import Leg, Servo
 from gateway.robot.core.supervisor import Supervisor
 from gateway.robot.protocol import VERSION
-from gateway.robot.protocol.frames import Op
 from gateway.robot.runtime.metrics import Metrics
 from gateway.robot.settings import Settings
 from gateway.robot.spi.bus import Bus

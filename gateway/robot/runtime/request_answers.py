@@ -16,11 +16,11 @@ from pydantic import BaseModel, ValidationError
 from gateway.robot.core.events import ButtonDo, ButtonRequest, Do, LeaseRequest
 from gateway.robot.core.intake import ENCODINGS, Rejection, too_large
 from gateway.robot.core.message import Reply
-from gateway.robot.edge.proofs import Proofs, fresh_token
-from gateway.robot.edge.receiver import Deal
 from gateway.robot.runtime.conductor import Conductor
 from gateway.robot.runtime.report import wall_clock
 from gateway.robot.settings import ButtonSettings
+from gateway.robot.zenoh_io.proofs import Proofs, fresh_token
+from gateway.robot.zenoh_io.receiver import Deal
 from schemas import keys
 from schemas.button import BUTTON_REQUEST, Alive, ButtonAck, Leave, Register
 from schemas.command import MAX_PAYLOAD_BYTES

@@ -11,14 +11,14 @@ from pydantic import ValidationError
 
 from gateway import certs
 from gateway.errors import ConfigError
+from gateway.host.directories import state_directory
 from gateway.robot.core.message import Reply
-from gateway.robot.edge import revoked
-from gateway.robot.edge.receiver import Deal
-from gateway.robot.edge.revoked import RevocationState
-from gateway.robot.host.directories import state_directory
 from gateway.robot.host.worker import DiskWriter
 from gateway.robot.runtime.conductor import Conductor
 from gateway.robot.runtime.request_answers import PAUSE_S, RequestAnswers
+from gateway.robot.zenoh_io import revoked
+from gateway.robot.zenoh_io.receiver import Deal
+from gateway.robot.zenoh_io.revoked import RevocationState
 from schemas import keys
 from schemas.revocation import MAX_REVOCATION_BYTES, RevocationAck, RevocationRequest
 from schemas.telemetry import Kind, Reason, RevocationsReport

@@ -14,8 +14,8 @@ from typing import Any, NoReturn
 import zenoh
 
 from gateway.errors import GatewayError
+from gateway.host import logs
 from gateway.robot.blackbox.recorder import Recorder
-from gateway.robot.host import logs
 from gateway.robot.host.ownership import Ownership
 from gateway.robot.runtime.conductor import Conductor
 from gateway.robot.settings import WatchdogSettings

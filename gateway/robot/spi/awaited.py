@@ -15,8 +15,8 @@ from collections.abc import Iterable, Sequence
 from functools import lru_cache
 from typing import Final
 
-from gateway.robot.protocol.frames import ONE_LEG_LEN
-from gateway.robot.protocol.framing import ZERO
+from gateway.model.frames import ONE_LEG_LEN
+from gateway.model.framing import ZERO
 
 NOTHING: Final = frozenset({0})
 """The controller is synchronised: it awaits a length."""

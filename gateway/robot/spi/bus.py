@@ -26,14 +26,14 @@ from math import ceil
 from typing import Final
 
 from gateway.errors import BatchRejectedError, SpiError
+from gateway.host.plain_settings import SpiValues
+from gateway.model.frames import ONE_LEG_LEN, Frame
+from gateway.model.framing import PREAMBLE_ZEROS, ZERO, Framing
 from gateway.robot.core.latency import Latency
-from gateway.robot.protocol.frames import ONE_LEG_LEN, Frame
-from gateway.robot.protocol.framing import PREAMBLE_ZEROS, ZERO, Framing
 from gateway.robot.spi import SpiDevice, Transfer
 from gateway.robot.spi.awaited import ANYTHING, NOTHING, after, after_failure, after_stall, next_on_the_way_back
 from gateway.robot.spi.guard import Guard
 from gateway.robot.spi.one_by_one import OneByOne
-from gateway.robot.spi.plain_settings import SpiValues
 from schemas.robot import LEGS
 
 LONGEST_NS: Final = 1_000_000

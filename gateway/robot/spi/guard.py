@@ -6,7 +6,7 @@ nor lengths and would corrupt its memory, which is why the bytes are checked a s
 
 from typing import Final
 
-from gateway.robot.protocol.frames import (
+from gateway.model.frames import (
     ONE_LEG_LEN,
     ONE_LEG_TYPE,
     ONE_SERVO_LEN,
@@ -16,7 +16,7 @@ from gateway.robot.protocol.frames import (
     decode,
     servo_ids_of,
 )
-from gateway.robot.protocol.framing import Framing
+from gateway.model.framing import Framing
 from gateway.robot.spi import Batch, SpiDevice
 from gateway.robot.spi.one_by_one import OneByOne
 from schemas.robot import LEGS, SERVO_IDS

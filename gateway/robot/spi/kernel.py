@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Final
 
 from gateway.errors import BatchRejectedError, SpiError
-from gateway.robot.host.descriptors import Spare, ran_out
+from gateway.host.descriptors import Spare, ran_out
 from gateway.robot.spi import Batch, SpiDevice
 from gateway.robot.spi.outside import Listener
 

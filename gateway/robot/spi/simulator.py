@@ -38,10 +38,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
-from gateway.robot.protocol.frames import ONE_LEG_LEN, ONE_LEG_TYPE, ONE_SERVO_LEN, ONE_SERVO_TYPE, Op
-from gateway.robot.protocol.framing import Framing
+from gateway.host.servo_page import ServoPage
+from gateway.model.frames import ONE_LEG_LEN, ONE_LEG_TYPE, ONE_SERVO_LEN, ONE_SERVO_TYPE, Op
+from gateway.model.framing import Framing
 from gateway.robot.spi import ByteDevice
-from gateway.robot.spi.servo_page import ServoPage
 from schemas.robot import SERVO_IDS
 
 TICK_NS: Final = 1_000_000

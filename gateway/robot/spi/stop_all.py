@@ -3,12 +3,12 @@
 import time
 from typing import Final
 
+from gateway.host.plain_settings import RepeatValues, SpiValues
+from gateway.model.frames import stop_leg
 from gateway.robot.host import stop_note
-from gateway.robot.protocol.frames import stop_leg
 from gateway.robot.spi.bus import Bus
 from gateway.robot.spi.kernel import KernelDevice
 from gateway.robot.spi.outside import Notice
-from gateway.robot.spi.plain_settings import RepeatValues, SpiValues
 from schemas.robot import LEGS
 
 MORE_ROUNDS: Final = 10

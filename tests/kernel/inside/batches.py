@@ -4,8 +4,8 @@ import os
 import signal
 from itertools import pairwise
 
-from gateway.robot.protocol.frames import OP_SET, OneLeg, ServoOp, stop_leg
-from gateway.robot.protocol.framing import Framing
+from gateway.model.frames import OP_SET, OneLeg, ServoOp, stop_leg
+from gateway.model.framing import Framing
 from gateway.robot.spi.kernel import BUFSIZ
 from tests.kernel.inside import wire
 from tests.kernel.inside.device import GAP_US, OURS, bus, program

@@ -4,10 +4,10 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from gateway.robot.protocol.framing import Framing
+from gateway.host.plain_settings import PlainSpi
+from gateway.model.framing import Framing
 from gateway.robot.spi.bus import Bus
 from gateway.robot.spi.kernel import KernelDevice
-from gateway.robot.spi.plain_settings import PlainSpi
 from tests.kernel.inside import wire
 from tests.support.child import Child
 

@@ -5,7 +5,7 @@ import os
 import signal
 import time
 
-from gateway.robot.protocol.framing import Framing
+from gateway.model.framing import Framing
 from tests.kernel.inside import wire
 from tests.kernel.inside.batches import BATCH, STOPS
 from tests.kernel.inside.device import bus, program

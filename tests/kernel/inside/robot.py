@@ -8,7 +8,7 @@ from threading import Lock
 from typing import Any
 
 from gateway.client import Client
-from gateway.robot.protocol.framing import Framing
+from gateway.model.framing import Framing
 from schemas.telemetry import Event
 from tests.kernel.inside import wire
 from tests.kernel.inside.device import SPEED_HZ

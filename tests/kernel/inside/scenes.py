@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from typing import Final, NamedTuple
 
-from gateway.robot.protocol.framing import Framing
+from gateway.model.framing import Framing
 from tests.kernel.inside import batches, failures, service
 
 

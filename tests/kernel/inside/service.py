@@ -7,8 +7,8 @@ import time
 from pathlib import Path
 from typing import Any, Final
 
+from gateway.model.framing import Framing
 from gateway.people.client.payloads import legs_payload
-from gateway.robot.protocol.framing import Framing
 from schemas import keys
 from tests.kernel.inside import wire
 from tests.kernel.inside.device import OURS

@@ -11,11 +11,11 @@ from pathlib import Path
 import pytest
 
 from gateway.errors import ConfigError
+from gateway.model.black_box import format as form
+from gateway.onboard import black_box
 from gateway.people.incidents.watcher import IncidentWatcher
 from gateway.people.recordings.contents import cut
-from gateway.people.tools import black_box
-from gateway.robot.blackbox import format as form
-from gateway.robot.blackbox import place
+from gateway.robot.blackbox import paths
 from gateway.robot.blackbox.ring import RecordRing
 from gateway.robot.settings import Settings
 from tests.support.robot import WALL_NS

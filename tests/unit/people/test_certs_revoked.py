@@ -19,9 +19,9 @@ from gateway.certs import authority, moving, pool, revocation
 from gateway.certs.folder import load_ca
 from gateway.certs.revocation import RevocationList, Revoked
 from gateway.errors import ConfigError
-from gateway.robot.edge import revoked
 from gateway.robot.runtime.revocations import Revocations
 from gateway.robot.settings import ZenohSettings
+from gateway.robot.zenoh_io import revoked
 from gateway.zenoh_config import get, load_config
 from schemas.revocation import RevocationAck
 from tests.support.certs_folder import NOW, contents, fault, make_folder, mode, with_one_bit_changed

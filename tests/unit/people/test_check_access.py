@@ -8,8 +8,8 @@ import zenoh
 
 from gateway.certs.fleet_files import robot_json5
 from gateway.certs.zenoh_files import gateway_json5
-from gateway.people.tools.check.access import passes
-from gateway.people.tools.check.result import Result, Verdict
+from gateway.onboard.check.access import passes
+from gateway.onboard.check.result import Result, Verdict
 from schemas.keys import CALIBRATION, COMMAND_KEYS, ESTOP, GET_ONLY, STATE
 
 

@@ -7,10 +7,11 @@ from pathlib import Path
 import pytest
 
 from gateway import durable
-from gateway.people.tools.check.calibration import kept, landing_pose
-from gateway.people.tools.check.result import Verdict
-from gateway.robot.core.calibration import Calibration, ServoCalibration
-from gateway.robot.host import calibration_file, directories
+from gateway.host import directories
+from gateway.model.calibration import Calibration, ServoCalibration
+from gateway.onboard.check.calibration import kept, landing_pose
+from gateway.onboard.check.result import Verdict
+from gateway.robot.host import calibration_file
 from gateway.robot.host.calibration_file import SLOW_S
 from gateway.robot.settings import Settings
 

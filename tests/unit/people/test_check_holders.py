@@ -6,12 +6,12 @@ from pathlib import Path
 import pytest
 
 from gateway import certs
+from gateway.onboard.check import holders
+from gateway.onboard.check.result import Result, Verdict
 from gateway.people.client.requests import Identity
-from gateway.people.tools.check import holders
-from gateway.people.tools.check.result import Result, Verdict
-from gateway.robot.edge import revoked
-from gateway.robot.edge.revoked import OlderCa
 from gateway.robot.settings import ZenohSettings
+from gateway.robot.zenoh_io import revoked
+from gateway.robot.zenoh_io.revoked import OlderCa
 from gateway.zenoh_config import load_config
 from schemas.telemetry import RevocationsReport
 from tests.support.certs_folder import NOW, make_folder

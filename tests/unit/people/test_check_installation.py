@@ -8,11 +8,11 @@ from pathlib import Path
 import pytest
 
 from gateway import certs
-from gateway.people.tools import whole
-from gateway.people.tools.check import trust
-from gateway.people.tools.check.installation import FAULTS, SHIPPED, DropIn, Folder, Seen, results
-from gateway.people.tools.check.result import Verdict
-from gateway.people.tools.whole import Whole
+from gateway.onboard import whole
+from gateway.onboard.check import trust
+from gateway.onboard.check.installation import FAULTS, SHIPPED, DropIn, Folder, Seen, results
+from gateway.onboard.check.result import Verdict
+from gateway.onboard.whole import Whole
 from gateway.robot.settings import ZenohSettings
 
 UNITS = {

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from gateway.people.tools.check import release
-from gateway.people.tools.check.result import Verdict
+from gateway.onboard.check import release
+from gateway.onboard.check.result import Verdict
 
 
 @pytest.mark.parametrize(

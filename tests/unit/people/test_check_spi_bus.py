@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from gateway.people.tools.check import spi_bus
-from gateway.people.tools.check.result import Verdict
+from gateway.onboard.check import spi_bus
+from gateway.onboard.check.result import Verdict
 from tests.support.machine_tree import PI_4, MachineTree
 
 SPIDEV = "/dev/spidev0.0"

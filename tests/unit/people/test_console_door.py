@@ -9,8 +9,8 @@ import pytest
 from websockets.datastructures import Headers
 from websockets.http11 import Request
 
-from gateway.people.console.door import MOST_NONCES, NONCE_S, Answer, Door, SignedIn, proof
-from gateway.people.console.register import Register, SignIn
+from gateway.people.console.auth import MOST_NONCES, NONCE_S, Answer, Door, SignedIn, proof
+from gateway.people.console.sessions import Register, SignIn
 from gateway.people.console.site import site
 
 URL = "http://127.0.0.1:8080"
@@ -21,7 +21,7 @@ class Visitor:
 
     def __init__(self, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         self.now_s = 100.0
-        monkeypatch.setattr("gateway.people.console.door.time.monotonic", lambda: self.now_s)
+        monkeypatch.setattr("gateway.people.console.auth.time.monotonic", lambda: self.now_s)
         self._register = Register(folder, 8080)
         self._register.begin(URL, "operator")
         self._site = site("127.0.0.1:8080", None, None)

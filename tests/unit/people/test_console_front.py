@@ -10,10 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from gateway.people.console import front
-from gateway.people.console.door import Door, SignedIn, proof
-from gateway.people.console.front import MAX_UNKNOWN, READS, Admitted, Front
-from gateway.people.console.register import Register, SignIn
+from gateway.people.console import listener
+from gateway.people.console.auth import Door, SignedIn, proof
+from gateway.people.console.listener import MAX_UNKNOWN, READS, Admitted, Front
+from gateway.people.console.sessions import Register, SignIn
 from gateway.people.console.site import Site
 
 URL = "http://127.0.0.1:8080"

@@ -4,8 +4,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from gateway.model.calibration import Calibration, CalibrationError, ServoCalibration
 from gateway.people.console.guide import Guide
-from gateway.robot.core.calibration import Calibration, CalibrationError, ServoCalibration
 
 COARSE_CDEG = 100
 FINE_CDEG = 10

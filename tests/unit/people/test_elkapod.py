@@ -10,13 +10,13 @@ import pytest
 
 from examples.elkapod import gait
 from gateway.geometry import Geometry, foot_m, load
+from gateway.model.calibration import Calibration
+from gateway.model.frames import centidegrees
 from gateway.people.walking import Pose, Posture, Robot, Velocity, Walker
 from gateway.people.walking.robot import ranges
-from gateway.robot.core.calibration import Calibration
 from gateway.robot.core.pacing import NS_PER_MS
 from gateway.robot.core.speed import step
 from gateway.robot.host import calibration_file
-from gateway.robot.protocol.frames import centidegrees
 from gateway.robot.runtime.report import limits_of
 from gateway.robot.settings import Settings
 from gateway.robot.settings import load as load_settings

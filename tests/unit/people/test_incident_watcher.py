@@ -9,13 +9,13 @@ from pathlib import Path
 
 import pytest
 
+from gateway.model.black_box import format as form
+from gateway.onboard import black_box
 from gateway.people.incidents import archive, ring_reader, watcher
 from gateway.people.incidents.incidents import Incident, is_id
 from gateway.people.incidents.watcher import IncidentWatcher
 from gateway.people.recordings import read
-from gateway.people.tools import black_box
-from gateway.robot.blackbox import format as form
-from gateway.robot.blackbox import place
+from gateway.robot.blackbox import paths
 from gateway.robot.blackbox.ring import RecordRing
 from gateway.robot.settings import Settings
 from schemas import keys

@@ -13,6 +13,9 @@ from mcap.reader import make_reader
 from gateway import __version__
 from gateway.errors import SpiError
 from gateway.geometry import load
+from gateway.model.black_box import format as form
+from gateway.model.calibration import Calibration, ServoCalibration
+from gateway.model.frames import decode
 from gateway.people.incidents import archive, ring_reader
 from gateway.people.incidents.incidents import CRASH, Incident, find
 from gateway.people.incidents.messages import messages
@@ -23,14 +26,11 @@ from gateway.people.recordings.contents import contents
 from gateway.people.recordings.drawing import JOINT_STATES
 from gateway.people.recordings.replaying import steps_of
 from gateway.people.recordings.user_angles import UserAngles
-from gateway.robot.blackbox import format as form
-from gateway.robot.blackbox import place
+from gateway.robot.blackbox import paths
 from gateway.robot.blackbox.recorder import INCIDENT_NAMES, MISTAKE
 from gateway.robot.blackbox.ring import RecordRing
-from gateway.robot.core.calibration import Calibration, ServoCalibration
 from gateway.robot.core.events import StoppedOutside
 from gateway.robot.core.message import Verb
-from gateway.robot.protocol.frames import decode
 from gateway.robot.runtime.calibrations import Calibrations
 from schemas import keys
 from schemas.telemetry import Kind

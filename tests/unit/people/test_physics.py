@@ -12,12 +12,12 @@ from gateway.errors import ConfigError
 from gateway.geometry import load
 from gateway.geometry.kinematics import about, rotated
 from gateway.geometry.masses import MASSES
+from gateway.model.calibration import Calibration, ServoCalibration
 from gateway.people.physics.assumed import FRICTION, MASS_KG, TORQUE_NM, Assumed, Terrain, assumed
 from gateway.people.physics.pace import MOST_BEHIND_S, WINDOW_S, Pace
 from gateway.people.physics.process import Simulated
 from gateway.people.physics.world import World
 from gateway.people.walking import Engine, Robot, Velocity
-from gateway.robot.core.calibration import Calibration, ServoCalibration
 from schemas.robot import SERVO_IDS
 from tests.walking.physics import SINKS_S, SUNK_M, run, stand_up, walk
 

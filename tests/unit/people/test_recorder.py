@@ -11,14 +11,14 @@ from typing import Any
 import pytest
 
 from gateway.errors import SpiError
+from gateway.model.black_box import format as form
+from gateway.model.calibration import Calibration, ServoCalibration
+from gateway.model.frames import Op, ServoOp, decode, stop_leg
+from gateway.model.framing import Framing
 from gateway.people.incidents import ring_reader
-from gateway.robot.blackbox import format as form
-from gateway.robot.blackbox import place
+from gateway.robot.blackbox import paths
 from gateway.robot.blackbox.recorder import incident_id
-from gateway.robot.core.calibration import Calibration, ServoCalibration
 from gateway.robot.core.events import Announce
-from gateway.robot.protocol.frames import Op, ServoOp, decode, stop_leg
-from gateway.robot.protocol.framing import Framing
 from gateway.robot.settings import Settings
 from schemas import keys
 from schemas.robot import LEGS

@@ -16,6 +16,7 @@ from pydantic import BaseModel, TypeAdapter
 
 from gateway.errors import ConfigError
 from gateway.geometry import joint_name, load, urdf
+from gateway.model.frames import OneServo, Op, ServoOp, stop_leg
 from gateway.people.recordings import REPORTS, Drawing, Recording, read
 from gateway.people.recordings.contents import contents, cut
 from gateway.people.recordings.drawing import (
@@ -34,7 +35,6 @@ from gateway.people.recordings.writing import about
 from gateway.people.ros2.cdr import Message, decode, definition
 from gateway.people.ros2.messages import JointState, Marker, MarkerArray, String, TFMessage, TransformStamped
 from gateway.people.tools.recordings import info
-from gateway.robot.protocol.frames import OneServo, Op, ServoOp, stop_leg
 from schemas import keys
 from schemas.command import SERVO_COMMAND, LegCommand, LegsCommand, ResetCommand
 from schemas.robot import SERVO_IDS

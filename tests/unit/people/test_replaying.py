@@ -7,10 +7,10 @@ from typing import Any, Final, NamedTuple
 import pytest
 
 from gateway.errors import ConfigError
+from gateway.model.frames import OneLeg, OneServo, Op, ServoOp, stop_leg
 from gateway.people.recordings.replaying import APART_NS, NS_PER_MS, Plan, Step, steps_of, survey
 from gateway.people.recordings.user_angles import UserAngles
 from gateway.people.tools.replay import _ask, _fit
-from gateway.robot.protocol.frames import OneLeg, OneServo, Op, ServoOp, stop_leg
 from schemas.command import SERVO_COMMAND, LegCommand, LegsCommand
 from schemas.keys import CALIBRATION, STATE
 from schemas.robot import LEGS

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gateway.people.console.walking import SILENCES as PAGE
+from gateway.people.console.page_walk import SILENCES as PAGE
 from gateway.people.tools.walk import screen
 from gateway.people.walking import STILL, USUAL, Do, Phase, Posture, Ride, Silences, Velocity, Wish
 from gateway.people.walking.motion import Body

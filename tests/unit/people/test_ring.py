@@ -5,12 +5,12 @@ from pathlib import Path
 
 import pytest
 
+from gateway.model.black_box import format as form
+from gateway.model.black_box import header
+from gateway.model.frames import STOP, Op, ServoOp, stop_leg
 from gateway.people.incidents import ring_reader
 from gateway.people.incidents.ring_reader import NoRingError
-from gateway.robot.blackbox import format as form
-from gateway.robot.blackbox import header
 from gateway.robot.blackbox.ring import RecordRing
-from gateway.robot.protocol.frames import STOP, Op, ServoOp, stop_leg
 from schemas.robot import SERVO_IDS
 
 ALL_LEGS = tuple((servo_id, ServoOp(Op.SET, 180_00)) for servo_id in SERVO_IDS)

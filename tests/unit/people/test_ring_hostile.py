@@ -6,14 +6,14 @@ from pathlib import Path
 
 import pytest
 
+from gateway.model.black_box import format as form
+from gateway.model.black_box import header
+from gateway.model.frames import Op, ServoOp
 from gateway.people.incidents import archive, ring_reader
 from gateway.people.incidents.incidents import MOST, find, is_id
 from gateway.people.incidents.messages import RECORDER, messages
 from gateway.people.recordings import read
-from gateway.robot.blackbox import format as form
-from gateway.robot.blackbox import header
 from gateway.robot.blackbox.ring import RecordRing
-from gateway.robot.protocol.frames import Op, ServoOp
 from tests.support.robot import WALL_NS
 
 SECOND = 1_000_000_000

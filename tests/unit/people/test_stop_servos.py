@@ -5,12 +5,12 @@ from pathlib import Path
 import pytest
 
 from gateway.errors import ConfigError
-from gateway.people.tools import stop
+from gateway.host import effective
+from gateway.host.plain_settings import RepeatValues, SpiValues
+from gateway.model.framing import Framing
+from gateway.onboard import stop
 from gateway.robot import settings as settings_file
-from gateway.robot.protocol.framing import Framing
 from gateway.robot.settings import Settings
-from gateway.robot.spi import effective
-from gateway.robot.spi.plain_settings import RepeatValues, SpiValues
 
 PLAIN = 'spi.framing = "plain"\n'
 ANOTHER = f'{PLAIN}spi.device = "/dev/spidev1.0"\n'

@@ -6,11 +6,11 @@ from typing import Any
 import pytest
 
 from gateway.errors import ConfigError
+from gateway.model.calibration import Calibration, ServoCalibration, report_of
+from gateway.model.frames import OneLeg, OneServo, Op, ServoOp, decode, stop_leg
 from gateway.people.recordings.reading import Message
 from gateway.people.recordings.user_angles import UserAngles, user_bytes
 from gateway.people.tools.replay import _same_angles
-from gateway.robot.core.calibration import Calibration, ServoCalibration, report_of
-from gateway.robot.protocol.frames import OneLeg, OneServo, Op, ServoOp, decode, stop_leg
 from schemas.keys import CALIBRATION, FRAME, STATE
 
 PATH = Path("ride.mcap")

@@ -4,8 +4,8 @@ import itertools
 
 import pytest
 
-from gateway.robot.protocol.frames import STOP, OneServo, stop_leg
-from gateway.robot.protocol.framing import ZERO, Framing
+from gateway.model.frames import STOP, OneServo, stop_leg
+from gateway.model.framing import ZERO, Framing
 from gateway.robot.spi.awaited import ANYTHING, NOTHING, after, after_failure, after_stall, next_on_the_way_back
 from gateway.robot.spi.simulator import SimulatedController
 from schemas.robot import LEGS, SERVO_IDS

@@ -10,8 +10,8 @@ from collections.abc import Iterable, Iterator, Sequence
 import pytest
 
 from gateway.errors import SpiError
-from gateway.robot.protocol.frames import Frame, OneLeg, OneServo, Op, ServoOp, stop_leg
-from gateway.robot.protocol.framing import ZERO, Framing
+from gateway.model.frames import Frame, OneLeg, OneServo, Op, ServoOp, stop_leg
+from gateway.model.framing import ZERO, Framing
 from gateway.robot.settings import SpiSettings
 from gateway.robot.spi import ByteDevice
 from gateway.robot.spi.bus import IDLE_NS, Bus

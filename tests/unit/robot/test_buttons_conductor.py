@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from gateway.errors import SpiError
-from gateway.robot.edge.proofs import Proofs
+from gateway.robot.zenoh_io.proofs import Proofs
 from schemas import keys
 from schemas.button import ButtonAck
 from schemas.robot import LEGS

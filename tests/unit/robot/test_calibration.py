@@ -6,7 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.robot.core.calibration import (
+from gateway.model.angle_limits import Reach
+from gateway.model.calibration import (
     AS_DRAWN,
     Calibration,
     CalibrationError,
@@ -17,9 +18,7 @@ from gateway.robot.core.calibration import (
     changed_servos,
     report_of,
 )
-from gateway.robot.core.joint_limits import Reach
-from gateway.robot.core.leg import Rules
-from gateway.robot.protocol.frames import (
+from gateway.model.frames import (
     MAX_ANGLE_CDEG,
     STOP,
     Frame,
@@ -30,6 +29,7 @@ from gateway.robot.protocol.frames import (
     decode,
     stop_leg,
 )
+from gateway.robot.core.leg import Rules
 from schemas.robot import LEGS, SERVO_IDS
 
 angles = st.integers(0, MAX_ANGLE_CDEG)

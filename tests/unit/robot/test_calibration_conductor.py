@@ -8,9 +8,9 @@ from typing import Any
 
 import pytest
 
-from gateway.robot.core.calibration import Calibration
+from gateway.model.calibration import Calibration
+from gateway.model.frames import OneLeg, Op
 from gateway.robot.host.calibration_file import SLOW_S
-from gateway.robot.protocol.frames import OneLeg, Op
 from gateway.robot.runtime.calibrations import HANGS
 from gateway.robot.runtime.request_answers import PAUSE_S
 from schemas import calibration, keys

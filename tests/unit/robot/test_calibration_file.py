@@ -8,8 +8,9 @@ import pytest
 from hypothesis import given
 
 from gateway.errors import ConfigError
-from gateway.robot.core.calibration import Calibration, ServoCalibration
-from gateway.robot.host import calibration_file, directories
+from gateway.host import directories
+from gateway.model.calibration import Calibration, ServoCalibration
+from gateway.robot.host import calibration_file
 from gateway.robot.host.calibration_file import (
     EARLIER_KEPT,
     from_toml,

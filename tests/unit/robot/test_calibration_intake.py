@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.robot.core.calibration import Calibration, CalibrationError, Change, ServoChange, calibration_of, report_of
+from gateway.model.calibration import Calibration, CalibrationError, Change, ServoChange, calibration_of, report_of
 from gateway.robot.core.calibration_intake import change_of, read
 from gateway.robot.core.intake import Rejection
 from schemas import calibration as wire

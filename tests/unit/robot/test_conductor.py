@@ -4,8 +4,8 @@ import asyncio
 
 import pytest
 
+from gateway.model.frames import OneLeg, Op, ServoOp, stop_leg
 from gateway.robot.core.message import Verb
-from gateway.robot.protocol.frames import OneLeg, Op, ServoOp, stop_leg
 from schemas import keys
 from schemas.robot import LEGS
 from schemas.telemetry import Cause, Kind, Mode, Reason, WatchdogState

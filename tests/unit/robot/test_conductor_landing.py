@@ -4,8 +4,8 @@ import asyncio
 
 import pytest
 
+from gateway.model.frames import Op
 from gateway.robot.core.message import Verb
-from gateway.robot.protocol.frames import Op
 from schemas import keys
 from schemas.robot import LEGS
 from schemas.telemetry import Kind, Mode, Reason

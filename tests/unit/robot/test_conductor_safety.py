@@ -6,9 +6,9 @@ from itertools import pairwise
 import pytest
 
 from gateway.errors import SpiError
+from gateway.model.frames import STOP, OneServo, stop_leg
+from gateway.model.framing import Framing
 from gateway.robot.core.message import Verb
-from gateway.robot.protocol.frames import STOP, OneServo, stop_leg
-from gateway.robot.protocol.framing import Framing
 from schemas import keys
 from schemas.robot import LEGS
 from schemas.telemetry import Kind, Mode, Reason

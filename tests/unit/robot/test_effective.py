@@ -5,10 +5,10 @@ from pathlib import Path
 
 import pytest
 
-from gateway.robot.protocol.framing import Framing
+from gateway.host import effective
+from gateway.host.plain_settings import PlainRepeats, PlainSpi
+from gateway.model.framing import Framing
 from gateway.robot.settings import Settings
-from gateway.robot.spi import effective
-from gateway.robot.spi.plain_settings import PlainRepeats, PlainSpi
 
 USED = Settings.model_validate(
     {

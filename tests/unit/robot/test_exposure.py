@@ -9,9 +9,9 @@ import pytest
 import zenoh
 
 from gateway.errors import ConfigError
-from gateway.robot.edge import exposure
-from gateway.robot.edge.session import service_config
 from gateway.robot.settings import ZenohSettings
+from gateway.robot.zenoh_io import exposure
+from gateway.robot.zenoh_io.session import service_config
 from gateway.zenoh_config import listen_endpoints
 
 MTLS = {"transport/link/tls/enable_mtls": True, "transport/link/tls/root_ca_certificate": "/ca.pem"}

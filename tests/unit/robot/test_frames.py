@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.robot.protocol.frames import (
+from gateway.model.frames import (
     STOP,
     Frame,
     FrameError,

@@ -2,7 +2,7 @@
 
 import pytest
 
-from gateway.robot.protocol.framing import PREAMBLE_ZEROS, ZERO, Framing, avoided_by
+from gateway.model.framing import PREAMBLE_ZEROS, ZERO, Framing, avoided_by
 from tests.support.transfers import preamble_of
 
 

@@ -7,12 +7,12 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
+from gateway.model.frames import STOP as STOP_OP
+from gateway.model.frames import Op, ServoOp
 from gateway.robot.core import intake
 from gateway.robot.core.events import Command, Reset
 from gateway.robot.core.intake import Rejection, echo_of, read, too_large, words_of_stop
 from gateway.robot.core.message import Received, Verb
-from gateway.robot.protocol.frames import STOP as STOP_OP
-from gateway.robot.protocol.frames import Op, ServoOp
 from schemas.command import MAX_PAYLOAD_BYTES
 from schemas.keys import COMMAND_KEYS, ESTOP, CommandKey, servo_command
 from schemas.telemetry import Reason

@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from gateway.robot.host.log_condenser import GATHER_S, MOST_HELD, MOST_KINDS, REPEATS_WINDOW_S, Condenser
+from gateway.host.log_condenser import GATHER_S, MOST_HELD, MOST_KINDS, REPEATS_WINDOW_S, Condenser
 from schemas.telemetry import Kind
 
 

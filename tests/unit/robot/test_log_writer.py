@@ -8,8 +8,8 @@ from typing import IO
 
 import pytest
 
-from gateway.robot.host.log_condenser import Condenser
-from gateway.robot.host.log_writer import MAX_LINES_WAITING, LogStream, LogWriter
+from gateway.host.log_condenser import Condenser
+from gateway.host.log_writer import MAX_LINES_WAITING, LogStream, LogWriter
 from schemas.telemetry import Kind
 
 

@@ -5,7 +5,7 @@ import asyncio
 import pytest
 
 from gateway.errors import SpiError
-from gateway.robot.protocol.frames import stop_leg
+from gateway.model.frames import stop_leg
 from gateway.robot.spi import SpiDevice
 from schemas import keys
 from schemas.robot import LEGS

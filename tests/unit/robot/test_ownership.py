@@ -10,18 +10,18 @@ from typing import Any, cast
 
 import pytest
 
+from gateway.host.realtime import RECEIVER_PRIORITY
+from gateway.model.frames import decode
 from gateway.robot.blackbox.recorder import Recorder
 from gateway.robot.core.message import Reply
 from gateway.robot.core.supervisor import Supervisor
-from gateway.robot.edge.inbox import Inbox
-from gateway.robot.edge.receiver import MOST_LOOKS, ReceiverThread
 from gateway.robot.host.ownership import Ownership, OwnersTimer
-from gateway.robot.host.realtime import RECEIVER_PRIORITY
-from gateway.robot.protocol.frames import decode
 from gateway.robot.runtime.conductor import Conductor
 from gateway.robot.service import BEAT_S, rules
 from gateway.robot.settings import Settings
 from gateway.robot.spi.bus import Bus
+from gateway.robot.zenoh_io.inbox import Inbox
+from gateway.robot.zenoh_io.receiver import MOST_LOOKS, ReceiverThread
 from schemas import keys
 from schemas.telemetry import GatewayState, Mode
 from tests.support.interleaved import (
@@ -371,8 +371,8 @@ def test_a_mistake_on_a_receiver_thread_is_one_of_the_services_and_it_hears_on(w
 def test_a_receiver_thread_has_its_priority_and_pauses_where_it_is_asked_to(monkeypatch: pytest.MonkeyPatch) -> None:
     priorities: list[int] = []
     slept_s: list[float] = []
-    monkeypatch.setattr("gateway.robot.edge.receiver.prefer_thread", priorities.append)
-    monkeypatch.setattr("gateway.robot.edge.receiver.time.sleep", slept_s.append)
+    monkeypatch.setattr("gateway.robot.zenoh_io.receiver.prefer_thread", priorities.append)
+    monkeypatch.setattr("gateway.robot.zenoh_io.receiver.time.sleep", slept_s.append)
     pauses_s = [None, 0.25]
     made, stage, _, _ = receiver(lambda *_: pauses_s.pop)
     stage.run(1)

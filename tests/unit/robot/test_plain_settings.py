@@ -6,10 +6,10 @@ from pathlib import Path
 import pytest
 
 from gateway.errors import ConfigError
+from gateway.host import plain_settings
+from gateway.host.plain_settings import LIMITS, NOT_FOR_STOPS, PlainRepeats, PlainSpi
+from gateway.model.framing import Framing
 from gateway.robot import settings
-from gateway.robot.protocol.framing import Framing
-from gateway.robot.spi import plain_settings
-from gateway.robot.spi.plain_settings import LIMITS, NOT_FOR_STOPS, PlainRepeats, PlainSpi
 
 WHOLE = """
 [spi]

@@ -5,8 +5,8 @@ from itertools import pairwise
 
 import pytest
 
-from gateway.robot.protocol.frames import stop_leg
-from gateway.robot.protocol.framing import PREAMBLE_ZEROS, ZERO, Framing
+from gateway.model.frames import stop_leg
+from gateway.model.framing import PREAMBLE_ZEROS, ZERO, Framing
 from schemas import keys
 from schemas.robot import LEGS
 from schemas.telemetry import Kind, Mode

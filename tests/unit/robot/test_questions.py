@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from gateway.robot.core.pacing import NS_PER_S
-from gateway.robot.edge.questions import (
+from gateway.robot.zenoh_io.questions import (
     MAX_WITHOUT_TOKEN,
     MOST_OF_TOKEN,
     MOST_SOURCES,

@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 from pydantic import BaseModel, ValidationError
 
 from gateway.errors import ConfigError
+from gateway.model.framing import Framing
 from gateway.robot import settings
-from gateway.robot.protocol.framing import Framing
 from gateway.robot.settings import (
     FramingNotSetError,
     LimitSettings,

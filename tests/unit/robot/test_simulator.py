@@ -7,8 +7,8 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from gateway.robot.protocol.frames import Frame, OneLeg, OneServo, Op, ServoOp, centidegrees, decode
-from gateway.robot.protocol.framing import Framing
+from gateway.model.frames import Frame, OneLeg, OneServo, Op, ServoOp, centidegrees, decode
+from gateway.model.framing import Framing
 from gateway.robot.spi.simulator import ServoState, SimulatedController, pulse_us
 from schemas.robot import SERVO_IDS
 from tests.fuzz.targets import PAUSES_NS, fuzz_simulator

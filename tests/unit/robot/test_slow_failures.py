@@ -11,8 +11,8 @@ from collections.abc import Callable, Iterable
 
 import pytest
 
-from gateway.robot.protocol.frames import OneLeg, Op, ServoOp, stop_leg
-from gateway.robot.protocol.framing import ZERO, Framing
+from gateway.model.frames import OneLeg, Op, ServoOp, stop_leg
+from gateway.model.framing import ZERO, Framing
 from gateway.robot.settings import SpiSettings
 from gateway.robot.spi.bus import Bus
 from schemas import keys

@@ -6,7 +6,7 @@ import tracemalloc
 
 import pytest
 
-from gateway.robot.core.staleness import CLOCKS, FORGET_MS, SOURCES, STEADY_MS, Staleness
+from gateway.model.staleness import CLOCKS, FORGET_MS, SOURCES, STEADY_MS, Staleness
 from schemas import keys
 from schemas.telemetry import Kind, Reason
 from tests.support.delayed import MAX_AGE_MS, MS, NeverStopped, Publisher

@@ -2,7 +2,7 @@
 
 import pytest
 
-from gateway.robot.core.staleness import CLOCKS, STEADY_MS, Staleness
+from gateway.model.staleness import CLOCKS, STEADY_MS, Staleness
 from tests.support.delayed import MAX_AGE_MS, MS, NeverStopped, Publisher
 
 

@@ -7,13 +7,13 @@ from pathlib import Path
 import pytest
 
 from gateway.errors import SpiError
+from gateway.host.plain_settings import PlainRepeats, PlainSpi
+from gateway.model.frames import stop_leg
+from gateway.model.framing import PREAMBLE_ZEROS, ZERO, Framing
 from gateway.robot.host import stop_note
-from gateway.robot.protocol.frames import stop_leg
-from gateway.robot.protocol.framing import PREAMBLE_ZEROS, ZERO, Framing
 from gateway.robot.settings import SpiSettings
 from gateway.robot.spi import ByteDevice, stop_all
 from gateway.robot.spi.bus import Bus
-from gateway.robot.spi.plain_settings import PlainRepeats, PlainSpi
 from gateway.robot.spi.stop_all import stop_once, stop_servos
 from schemas.robot import LEGS
 

@@ -5,7 +5,7 @@ Each step is judged by the oracle.
 
 import pytest
 
-from gateway.robot.core.calibration import Calibration, Change, ServoCalibration, ServoChange
+from gateway.model.calibration import Calibration, Change, ServoCalibration, ServoChange
 from gateway.robot.core.events import Announce, Kept, Transmit
 from gateway.robot.core.leg import Rules
 from gateway.robot.core.pacing import NS_PER_MS

@@ -5,10 +5,10 @@ from typing import Any
 
 import pytest
 
+from gateway.model.frames import Op
 from gateway.robot.core.events import Announce, Transmit
 from gateway.robot.core.leg import Rules
 from gateway.robot.core.pacing import NS_PER_MS
-from gateway.robot.protocol.frames import Op
 from schemas.telemetry import Kind, Mode, WatchdogState
 from tests.support.steps import Steps, all_stopped, leg_to, legs_to, servo_to
 

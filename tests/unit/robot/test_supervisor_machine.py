@@ -11,7 +11,9 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
 from gateway.errors import SpiError
-from gateway.robot.core.calibration import Calibration, Change, ServoCalibration, ServoChange
+from gateway.model.calibration import Calibration, Change, ServoCalibration, ServoChange
+from gateway.model.frames import STOP, Op, ServoOp, decode, servo_ids_of
+from gateway.model.framing import Framing
 from gateway.robot.core.events import (
     Announce,
     BusFailed,
@@ -35,8 +37,6 @@ from gateway.robot.core.events import (
 from gateway.robot.core.leg import Rules
 from gateway.robot.core.pacing import NS_PER_MS
 from gateway.robot.core.supervisor import Supervisor
-from gateway.robot.protocol.frames import STOP, Op, ServoOp, decode, servo_ids_of
-from gateway.robot.protocol.framing import Framing
 from schemas.robot import LEGS, SERVO_IDS
 from schemas.telemetry import Kind, Mode
 from tests.support.faulty_controller import FaultyController

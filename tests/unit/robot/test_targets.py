@@ -6,14 +6,14 @@ from typing import cast
 
 import pytest
 
+from gateway.model.frames import STOP
 from gateway.robot.core import targets
 from gateway.robot.core.events import Command
 from gateway.robot.core.intake import Rejection, deleted, read
 from gateway.robot.core.losses import Losses
 from gateway.robot.core.message import Received, Verb
 from gateway.robot.core.targets import TARGETS, follows, servos_of, stops_of
-from gateway.robot.edge.rings import Rings
-from gateway.robot.protocol.frames import STOP
+from gateway.robot.zenoh_io.rings import Rings
 from schemas import keys
 from schemas.keys import COMMAND_KEYS, CommandKey, Target, leg_command, servo_command
 from schemas.robot import SERVO_IDS

@@ -5,7 +5,7 @@ import time
 import pytest
 
 from gateway.errors import ConfigError, SpiError
-from gateway.robot.protocol.framing import Framing
+from gateway.model.framing import Framing
 from gateway.robot.spi.simulator import SimulatedController
 from gateway.robot.spi.unreliable import Faults, UnreliableDevice, read
 

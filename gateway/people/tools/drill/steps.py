@@ -9,6 +9,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Final, NamedTuple
 
+from gateway.model.frames import Frame, Op
 from gateway.people.client.blocking import Client
 from gateway.people.tools.drill.bench import (
     ANSWER_S,
@@ -25,7 +26,6 @@ from gateway.people.tools.drill.bench import (
 from gateway.people.tools.drill.cut_link import CutLink
 from gateway.people.tools.drill.service import killed
 from gateway.people.tools.drill.watching import falls_silent
-from gateway.robot.protocol.frames import Frame, Op
 from gateway.zenoh_config import client_config
 from schemas.robot import LEGS
 from schemas.telemetry import Cause, Kind, Mode, Reason

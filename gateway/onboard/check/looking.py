@@ -10,11 +10,12 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
+from gateway.people.tools.check.installation import ETC, SERVICE, SHIPPED, STATE, UNITS, DropIn, Folder, Seen
+
 from gateway import certs
 from gateway.errors import ConfigError
 from gateway.people.tools import whole
 from gateway.people.tools.check import service_user
-from gateway.people.tools.check.installation import ETC, SERVICE, SHIPPED, STATE, UNITS, DropIn, Folder, Seen
 
 _GROUPS: Final = ("spi", SERVICE)
 _PROPERTIES: Final = "LoadState,ActiveState,SubState,UnitFileState,NeedDaemonReload,DropInPaths"

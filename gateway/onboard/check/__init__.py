@@ -10,6 +10,7 @@ from itertools import chain
 from pathlib import Path
 from typing import Final
 
+from gateway.people.tools.check.result import Result, Verdict, failure, ok, warning
 from rich.console import Console
 from rich.text import Text
 
@@ -32,7 +33,6 @@ from gateway.people.tools.check import (
     spi_bus,
     trust,
 )
-from gateway.people.tools.check.result import Result, Verdict, failure, ok, warning
 from gateway.robot import settings as settings_file
 from gateway.robot.settings import FramingNotSetError, Settings, SpiSettings
 from gateway.robot.spi import effective

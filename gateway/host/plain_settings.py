@@ -10,8 +10,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, Union
 
-from gateway import nesting
 from gateway.robot.protocol.framing import Framing
+
+from gateway import nesting
 
 if TYPE_CHECKING:
     from gateway.robot.settings import SpiSettings, WatchdogSettings

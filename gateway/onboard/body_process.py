@@ -15,12 +15,12 @@ from pathlib import Path
 from typing import Final, Self
 
 import zenoh
+from gateway.robot.spi.servo_page import ServoPage
 
 from gateway.errors import ConfigError
 from gateway.people.physics.assumed import Assumed
 from gateway.people.terminal import hint
 from gateway.robot.edge import simulated_body
-from gateway.robot.spi.servo_page import ServoPage
 
 START_S: Final = 30.0
 """It loads MuJoCo in less than one."""

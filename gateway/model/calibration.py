@@ -21,6 +21,7 @@ from gateway.robot.protocol.frames import (
     ServoOp,
     centidegrees,
 )
+
 from schemas import calibration as wire
 from schemas.robot import SERVO_IDS
 

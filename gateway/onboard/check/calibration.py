@@ -6,14 +6,15 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
-from gateway.durable import staged_for
 from gateway.people.tools.check.result import Result, failure, ok, warning
-from gateway.robot.core.calibrating import ACCEPT_DEFAULT
 from gateway.robot.core.calibration import Calibration
 from gateway.robot.core.joint_limits import Reach
+from gateway.robot.protocol.frames import centidegrees
+
+from gateway.durable import staged_for
+from gateway.robot.core.calibrating import ACCEPT_DEFAULT
 from gateway.robot.core.leg import Rules
 from gateway.robot.host.calibration_file import SLOW_S, load, path_to_read
-from gateway.robot.protocol.frames import centidegrees
 from gateway.robot.settings import Settings
 
 _NAME: Final = "calibration"

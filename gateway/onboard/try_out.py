@@ -14,8 +14,9 @@ from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Final
 
-from gateway.people.terminal import on_end_signals, say
 from gateway.robot.blackbox.place import tried
+
+from gateway.people.terminal import on_end_signals, say
 
 NO_CONSOLE: Final = "no"
 _COMMAND: Final = Path(sys.executable).with_name("hexapod-gateway")

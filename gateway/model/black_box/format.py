@@ -29,6 +29,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from gateway.robot.protocol.frames import ServoOp
+
 from schemas.calibration import Calibration
 from schemas.robot import JOINTS
 

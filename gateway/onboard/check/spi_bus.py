@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Final
 
 from gateway.people.tools.check.result import Result, ok, warning
+
 from gateway.robot.spi.machine import (
     ROOT,
     RP1_FIXED,

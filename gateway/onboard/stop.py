@@ -6,11 +6,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final, NamedTuple
 
+from gateway.robot.spi.effective import Effective
+from gateway.robot.spi.plain_settings import DEFAULT_PATH, RepeatValues, SpiValues
+
 from gateway.errors import ConfigError, GatewayError
 from gateway.robot.host import realtime
 from gateway.robot.spi import effective, plain_settings
-from gateway.robot.spi.effective import Effective
-from gateway.robot.spi.plain_settings import DEFAULT_PATH, RepeatValues, SpiValues
 from gateway.robot.spi.stop_all import stop_servos as stop
 
 _UNIT: Final = "hexapod-gateway.service"

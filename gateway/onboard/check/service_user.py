@@ -13,8 +13,9 @@ from contextlib import suppress
 from importlib import import_module
 from typing import Final
 
-from gateway.errors import GatewayError
 from gateway.people.tools.check.result import Result, ok, warning
+
+from gateway.errors import GatewayError
 
 SERVICE_USER: Final = "hexapod-gateway"
 _GROUP_OF_THE_UNIT: Final = "spi"

@@ -5,6 +5,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
+from gateway.people.tools.check.result import Result, Verdict, failure, ok, warning
+
 from gateway.certs import expiry
 from gateway.errors import ConfigError, ZenohError
 from gateway.people.client import diagnosis
@@ -13,7 +15,6 @@ from gateway.people.client.diagnosis import Finding, Step
 from gateway.people.client.requests import Identity
 from gateway.people.tools import why
 from gateway.people.tools.check import holders, machine
-from gateway.people.tools.check.result import Result, Verdict, failure, ok, warning
 from gateway.zenoh_config import client_config, connect_endpoints
 from schemas.telemetry import CertificateReport
 

@@ -15,6 +15,9 @@ from pathlib import Path
 from typing import Any, Final
 
 import zenoh
+from gateway.people.tools.check.result import Result, failure, ok, warning
+from gateway.people.tools.check.trust import LET_READ
+from gateway.robot.edge.session import service_config
 from pydantic import ValidationError
 
 from gateway import certs
@@ -25,9 +28,6 @@ from gateway.people.client.blocking import Client
 from gateway.people.client.diagnosis import Step
 from gateway.people.client.requests import Identity
 from gateway.people.tools.check import service_user
-from gateway.people.tools.check.result import Result, failure, ok, warning
-from gateway.people.tools.check.trust import LET_READ
-from gateway.robot.edge.session import service_config
 from gateway.robot.settings import ZenohSettings
 from gateway.zenoh_config import certificate_files, connect_endpoints, load_config, one_line, open_session
 from schemas.telemetry import GatewayState

@@ -13,10 +13,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
-from gateway import nesting
 from gateway.robot.host.directories import SERVICE_RUNTIME, runtime_directory
-from gateway.robot.spi import plain_settings
 from gateway.robot.spi.plain_settings import PlainRepeats, PlainSpi
+
+from gateway import nesting
+from gateway.robot.spi import plain_settings
 
 if TYPE_CHECKING:
     from gateway.robot.settings import Settings

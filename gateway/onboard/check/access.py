@@ -8,12 +8,12 @@ from collections.abc import Iterator
 from typing import Any, Final
 
 import zenoh
+from gateway.people.tools.check.result import Result, ok, warning
 
 from gateway.certs import BUTTON
 from gateway.certs.access import TRAFFIC, Traffic
 from gateway.certs.zenoh_files import command_for_new_rules
 from gateway.people.terminal import this_command
-from gateway.people.tools.check.result import Result, ok, warning
 from gateway.zenoh_config import get, listen_endpoints
 from schemas.keys import ALL_COMMANDS, COMMAND_KEYS, GET_ONLY, PUBLISHED, STATE
 

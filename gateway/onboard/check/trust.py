@@ -6,13 +6,13 @@ from typing import Final
 
 import zenoh
 from cryptography import x509
+from gateway.people.tools.check.installation import RESTART, SERVICE
+from gateway.people.tools.check.result import Result, failure, warning
+from gateway.robot.host.directories import SERVICE_STATE
 
 from gateway import certs
 from gateway.certs import revocation
 from gateway.errors import ConfigError
-from gateway.people.tools.check.installation import RESTART, SERVICE
-from gateway.people.tools.check.result import Result, failure, warning
-from gateway.robot.host.directories import SERVICE_STATE
 from gateway.robot.settings import ZenohSettings
 from gateway.zenoh_config import get, load_config
 

@@ -15,6 +15,7 @@ from functools import partial
 from typing import Final
 
 from gateway.robot.host.log_condenser import Condenser
+
 from gateway.robot.host.worker import Worker
 
 MAX_LINES_WAITING: Final = 1000

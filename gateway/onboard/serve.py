@@ -3,11 +3,11 @@
 from collections.abc import Sequence
 
 import zenoh
+from gateway.people.tools.body_process import BodyProcess
+from gateway.robot.edge.simulated_body import endpoint
 
 from gateway.people.terminal import say, this_command
-from gateway.people.tools.body_process import BodyProcess
 from gateway.robot import service
-from gateway.robot.edge.simulated_body import endpoint
 from gateway.robot.settings import Settings
 from gateway.robot.spi.unreliable import Faults
 from gateway.zenoh_config import DEFAULT_ENDPOINT, listen_endpoints

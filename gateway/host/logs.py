@@ -20,6 +20,7 @@ from typing import Final
 from gateway.robot.host.directories import runtime_directory
 from gateway.robot.host.log_condenser import Condenser
 from gateway.robot.host.log_writer import LogStream, LogWriter
+
 from gateway.robot.settings import LogSettings
 from gateway.text import visible, visible_json
 

@@ -6,13 +6,14 @@ What the machine would need for a real robot shows nothing about it, and it need
 import datetime as dt
 from collections.abc import Iterator
 
+from gateway.people.tools.check.result import Result, ok, warning
+from gateway.robot.edge.session import service_config
+
 from gateway import __version__
 from gateway.errors import ConfigError
 from gateway.people.tools.check import calibration, machine, network
-from gateway.people.tools.check.result import Result, ok, warning
 from gateway.robot import settings as settings_file
 from gateway.robot.blackbox import place
-from gateway.robot.edge.session import service_config
 from gateway.robot.settings import Settings
 from gateway.zenoh_config import listen_endpoints
 from schemas.telemetry import GatewayState, Mode

@@ -6,13 +6,13 @@ from pathlib import Path
 from typing import Final
 
 import zenoh
+from gateway.people.tools.check.result import Result, failure, ok, warning
 
 from gateway import certs
 from gateway.certs import pool
 from gateway.errors import ConfigError
 from gateway.people.client.requests import Identity
 from gateway.people.terminal import this_command
-from gateway.people.tools.check.result import Result, failure, ok, warning
 from gateway.robot.edge import revoked
 from gateway.robot.settings import ZenohSettings
 from gateway.zenoh_config import get

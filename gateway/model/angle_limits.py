@@ -8,6 +8,7 @@ never sent (`spi.avoid_deg`): a way that leads across it waits at its near end u
 from typing import Final
 
 from gateway.robot.core.calibration import Calibration
+
 from gateway.robot.core.leg import Rules
 
 _WHY_AVOIDED: Final = (

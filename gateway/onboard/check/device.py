@@ -9,12 +9,13 @@ import sys
 from pathlib import Path
 from typing import Final
 
-from gateway.errors import SpiError
-from gateway.people.tools.check import service_user
 from gateway.people.tools.check.installation import RESTART
 from gateway.people.tools.check.result import Result, failure, ok, warning
 from gateway.robot.protocol.frames import ONE_LEG_LEN
 from gateway.robot.protocol.framing import Framing
+
+from gateway.errors import SpiError
+from gateway.people.tools.check import service_user
 from gateway.robot.settings import SpiSettings
 from gateway.robot.spi import ioctls
 from gateway.robot.spi.bus import CS_CHANGE_NS

@@ -12,10 +12,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
 
-from gateway.people.tools.check import service_user
 from gateway.people.tools.check.installation import RESTART
 from gateway.people.tools.check.result import Result, failure, ok, warning
 from gateway.robot.host.realtime import LOOP_PRIORITY
+
+from gateway.people.tools.check import service_user
 
 UNIT: Final = "hexapod-gateway"
 _UNSYNCHRONISED: Final = 5  # TIME_ERROR of adjtimex(2)
