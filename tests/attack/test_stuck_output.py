@@ -136,7 +136,7 @@ def test_what_nobody_read_is_counted_in_the_log_and_in_the_metrics(tmp_path: Pat
             dropped = value(read(address), "hexapod_log_lines_dropped_total")
             assert dropped > 0
             lines = stuck.lines()
-            said = next(json.loads(line)["message"] for line in lines if "left out" in line)
+            said = next(json.loads(line)["message"] for line in lines if "dropped here" in line)
             assert said == f"{dropped:.0f} lines were dropped here, since they were not read in time"
             assert not rejected(client).accepted
             assert "command_rejected" in next(line for line in lines if "rejected" in line), "it flows again"
