@@ -48,7 +48,7 @@ ATTENDED: Final = (
 )
 """Pages and terminals with a person at them, who is slow, but not stalled: two at a time, between the others."""
 THOROUGH: Final = (
-    "unit/people/test_console_front.py",
+    "unit/people/test_console_listener.py",
     "unit/people/test_recordings.py",
     "unit/people/test_recordings_damaged.py",
     "unit/people/test_walking_gait.py",
@@ -171,6 +171,9 @@ EXTENDED: Final = (
     "zenoh/test_walk_interrupted.py::test_the_first_sits_and_the_second_stops[twice-by hand-Ctrl-C]",
     "zenoh/test_watch_terminal.py::test_a_gateway_that_hangs_and_one_that_dies_are_called_silent_and_come_back",
     "zenoh/test_watch_terminal.py::test_it_waits_for_a_gateway_that_is_not_there_yet_and_asks_one_that_publishes_no_state",
+    "ros2/test_rclpy.py::test_a_peer_that_vanishes_in_mid_trajectory_has_the_robot_sit_down[it is killed]",
+    "ros2/test_rclpy.py::test_the_example_walks_by_the_elkapods_own_topic_and_joint_names",
+    "ros2/test_rclpy.py::test_a_flood_keeps_no_emergency_stop_waiting_and_ros_leaves_its_own_alone",
 )
 """What only `make test-all` runs: folders, files, tests, or tests with some of their parameters."""
 APART: Final = ("hil", "fuzz", "zenoh/test_service.py")
@@ -186,7 +189,7 @@ SECONDS: Final = {
     "hil": 140,
     "attack": 150,
     "zenoh": 330,
-    "ros2": 70,
+    "ros2": 120,
     "box": 130,
     "console": 170,
     "net": 80,
