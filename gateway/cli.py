@@ -19,7 +19,7 @@ from gateway.onboard import incidents
 from gateway.people.bridge import command as bridge
 from gateway.people.console import calibrate_command
 from gateway.people.terminal import hint
-from gateway.people.tools import attended, certs, lease, recordings
+from gateway.people.tools import certs, lease, recordings, robot_side
 from gateway.people.tools.options import ConfigOption, ConnectOption, OtherShapeOption, TimeoutOption, ZenohConfigOption
 
 _PANELS = {
@@ -394,7 +394,7 @@ app.add_typer(certs.app, name="certs")
 app.add_typer(lease.app, name="lease")
 app.add_typer(recordings.app)
 app.add_typer(incidents.app, name="incidents")
-app.add_typer(attended.app)
+app.add_typer(robot_side.app)
 app.add_typer(bridge.app)
 
 send_app = typer.Typer(

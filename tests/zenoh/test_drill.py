@@ -14,9 +14,9 @@ from typing import Any, Final
 import pytest
 
 from gateway.errors import ConfigError
-from gateway.people.tools.attended import StepName
 from gateway.people.tools.drill import report, steps, watching
 from gateway.people.tools.drill.steps import STEPS
+from gateway.people.tools.robot_side import StepName
 from schemas.calibration import ServoChange
 from tests.support.fixtures import gateway_fixture
 from tests.support.gateway_process import Gateway, free_port
