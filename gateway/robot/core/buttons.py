@@ -1,4 +1,4 @@
-"""Who watches the robot with a hand on a stop: buttons that check in. Pure: the time and the tokens are arguments.
+"""Stop buttons, which are enabling devices: servos run only while enough of them check in. Pure: time is an argument.
 
 The rules (docs/interface.md, *Behaviour 14*), for each button:
 
