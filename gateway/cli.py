@@ -332,10 +332,11 @@ def console(
     (--link: no console answers), 5 the address is taken.
     """
     from gateway.people.console import command
+    from gateway.people.console.options import Options
 
     if revoke or link:
         sys.exit(command.revoke() if revoke else command.link(listen))
-    options = command.Options(connect, zenoh_config, timeout, listen, cert, key, role, geometry, open_browser)
+    options = Options(connect, zenoh_config, timeout, listen, cert, key, role, geometry, open_browser)
     command.console(options)
 
 

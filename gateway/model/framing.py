@@ -3,6 +3,8 @@
 import enum
 from typing import Final
 
+from gateway.model.frames import PROTOCOL_VERSION
+
 ZERO: Final = b"\0"
 PREAMBLE_ZEROS: Final = 16
 """Zeros that synchronise a controller which still awaits an announced body: the longest (14), and some.
@@ -18,6 +20,23 @@ class Framing(enum.StrEnum):
 
     PLAIN = "plain"
     LENGTH_PREFIXED = "length-prefixed"
+
+    @property
+    def protocol(self) -> str:
+        """The version of HexapodProtocol whose frames it carries, as the gateway reports it."""
+        return PROTOCOL_VERSION
+
+    @property
+    def controller(self) -> str:
+        """Which controllers need it."""
+        if self is Framing.LENGTH_PREFIXED:
+            return "the published STM32 firmware"
+        return "a controller that reads frames as the protocol's document says"
+
+    @property
+    def needs_chip_select(self) -> bool:
+        """Whether chip select has to be released between transfers: there a frame begins."""
+        return self is Framing.PLAIN
 
     @property
     def avoid_cdeg(self) -> tuple[int, int] | None:

@@ -21,7 +21,6 @@ from gateway.host.directories import runtime_directory
 from gateway.host.servo_page import ServoPage
 from gateway.model.black_box.format import STOP_FACTS
 from gateway.model.frames import centidegrees
-from gateway.model.framing import Framing
 from gateway.robot.blackbox.recorder import Recorder
 from gateway.robot.core.calibrating import ACCEPT_DEFAULT
 from gateway.robot.core.leg import Rules
@@ -129,7 +128,7 @@ def _warn_of_driver(spi: SpiSettings, *, simulated: bool) -> None:
     """Log a driver that may not release chip select between the transfers of a call, as `plain` framing needs."""
     if not simulated and ioctls.are_used():
         logger.info("%s", ioctls.USED)
-    needed = spi.batch and spi.framing is Framing.PLAIN and not simulated
+    needed = spi.batch and spi.framing.needs_chip_select and not simulated
     if needed and not gpio_selects(spi.device):
         logger.warning(
             "it is not known whether %s releases chip select between the transfers of one call; if it does not, an "

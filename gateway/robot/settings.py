@@ -302,8 +302,8 @@ def load(path: Path | None = None, *, simulated: bool = False, for_stops: bool =
 
 
 _WHICH_FRAMING: Final = (
-    'is not set; the published STM32 firmware needs "length-prefixed" (after any "plain" frame it needs a reset)',
-    'a controller that reads frames as the protocol\'s document says needs "plain"; without a controller: run --sim',
+    'is not set (after any "plain" frame the published STM32 firmware needs a reset); without a controller: run --sim',
+    *(f'{each.controller} needs "{each}"' for each in Framing),
 )
 
 

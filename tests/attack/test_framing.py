@@ -20,7 +20,8 @@ def test_no_device_is_touched_before_somebody_has_said_the_framing(tmp_path: Pat
         [*COMMAND, command, "--config", str(config)], capture_output=True, text=True, check=False, timeout=30, env=env
     )
     assert end.returncode == 2
-    published, document = end.stderr.splitlines()
+    unset, document, published = end.stderr.splitlines()
+    assert "spi.framing: is not set" in unset
     assert 'published STM32 firmware needs "length-prefixed"' in published
     assert 'document says needs "plain"' in document
     assert end.stdout == ""

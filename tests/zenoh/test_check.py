@@ -63,7 +63,7 @@ def test_a_framing_that_nobody_has_said_comes_before_everything(tmp_path: Path) 
     (tmp_path / "gateway.toml").write_text("[wings]\n")
     said = check(tmp_path / "gateway.toml")
     assert (said.returncode, said.stdout) == (2, "")
-    assert [line.split(": ")[2] for line in said.stderr.splitlines()] == ["wings", "spi.framing", "spi.framing"]
+    assert [line.split(": ")[2] for line in said.stderr.splitlines()] == ["wings", *3 * ["spi.framing"]]
 
 
 # ---- the device, as far as it needs none (the rest: tests/hil/test_check_device.py)

@@ -9,7 +9,7 @@ import pytest
 from gateway.client import Client
 from gateway.geometry import load
 from gateway.model.frames import Op, decode
-from gateway.people.walking import STILL, Engine, Robot
+from gateway.people.walking import GAITS, STILL, Engine, Robot
 from schemas.robot import JOINTS, LEGS
 from schemas.telemetry import Cause, FrameRecord, GatewayState, Mode
 from tests.support.child import Child
@@ -80,7 +80,7 @@ def test_a_second_signal_stops_a_script_at_once(gateway: Gateway, watcher: Clien
 def test_what_it_cannot_do_ends_it_with_a_sentence(gateway: Gateway, watcher: Client) -> None:
     for arguments, sentence, code in (
         (("--seconds", "1", "--height", "0.6"), "it cannot stand 0.6 m high: leg 1 does not reach", 2),
-        (("--seconds", "1", "--gait", "gallop"), "there is no gait 'gallop'; there are tripod, ripple, wave", 2),
+        (("--seconds", "1", "--gait", "gallop"), f"there is no gait 'gallop'; there are {', '.join(GAITS)}", 2),
         (("--seconds", "1", "--forward", "99"), "forward_m_s is 99; no walking robot does more than 10", 2),
         (("--seconds", "1", "--geometry", "/nowhere.json"), "/nowhere.json: cannot be read", 2),
         (("--forward", "0.1"), "go with --seconds; without it you drive from the keyboard", 2),

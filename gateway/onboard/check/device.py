@@ -168,7 +168,7 @@ def framing(spi: SpiSettings) -> Result:
             "plain, as in the protocol's document; the published STM32 firmware jams in it until it is reset",
             'set spi.framing = "length-prefixed" for that firmware, and reset it',
         )
-    deadly = Framing.LENGTH_PREFIXED.avoid_cdeg or (0, 0)
+    deadly = spi.framing.avoid_cdeg or (0, 0)
     low, high = spi.avoid_cdeg or (0, 0)
     if low > deadly[0] or high < deadly[1]:
         return warning(
@@ -178,7 +178,7 @@ def framing(spi: SpiSettings) -> Result:
             "leave spi.avoid_deg out, unless the controller's firmware is another",
         )
     avoided = f"{low / 100:g} up to {high / 100:g} degrees are never sent"
-    return ok("framing", f"{spi.framing}, as the published STM32 firmware wants it; wire angles from {avoided}")
+    return ok("framing", f"{spi.framing}, as {spi.framing.controller} wants it; wire angles from {avoided}")
 
 
 def lists(spi: SpiSettings, *, root: Path = ROOT) -> Result:
@@ -189,9 +189,9 @@ def lists(spi: SpiSettings, *, root: Path = ROOT) -> Result:
     driver = driver_of(spi.device, root)
     if gpio_selects(spi.device, root):
         return ok(name, "chip select is a GPIO, which Linux releases between the transfers of a call")
-    if spi.framing is not Framing.PLAIN:
+    if not spi.framing.needs_chip_select:
         return ok(
-            name, f"{driver or 'the driver'} may keep chip select within a call; the published firmware ignores it"
+            name, f"{driver or 'the driver'} may keep chip select within a call; {spi.framing.controller} ignores it"
         )
     return warning(
         name,

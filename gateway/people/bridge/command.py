@@ -112,7 +112,7 @@ def ros2(
     sys.exit(
         run.serve(
             partial(reach.connection, connect, zenoh_config, timeout),
-            via=via or Via.usual(),
+            by_rclpy=(via or Via.usual()) is Via.RCLPY,
             ros_args=ros_args or [],
             router=router,
             router_config=router_config,

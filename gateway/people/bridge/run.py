@@ -9,7 +9,6 @@ from typing import Final
 
 from gateway.errors import ConfigError, RejectedError, UnansweredError
 from gateway.geometry import load
-from gateway.people.bridge.command import Via
 from gateway.people.bridge.driving import Driving
 from gateway.people.bridge.graph import Graph
 from gateway.people.client.subscriptions import subscribed
@@ -40,7 +39,7 @@ WATCH_S: Final = 0.05
 def serve(
     connect: Callable[..., Connection],
     *,
-    via: Via,
+    by_rclpy: bool,
     ros_args: list[str],
     router: str | None,
     router_config: Path | None,
@@ -69,7 +68,7 @@ def serve(
         raise ConfigError(f"--joint-names: {error}") from error
     shape = load(geometry)
     ended = threading.Event()
-    opened = _open_rclpy if via is Via.RCLPY else _open_zenoh
+    opened = _open_rclpy if by_rclpy else _open_zenoh
     with closing(opened(names, router, router_config, ros_args)) as graph:
         is_open = _is_open(graph, accepted=open_graph)
         name = OPEN_NAME if is_open else NAME

@@ -3,7 +3,6 @@
 import importlib.util
 import socket
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, NoReturn
 from urllib.parse import urlsplit
@@ -11,6 +10,7 @@ from urllib.parse import urlsplit
 from gateway.errors import ConfigError, UnreachedError
 from gateway.people.console import sessions
 from gateway.people.console.messages import ROLES
+from gateway.people.console.options import Options
 from gateway.people.console.sessions import Sessions
 from gateway.people.console.site import DEFAULT_ADDRESS, DEFAULT_PORT, address_of, free_address, site
 from gateway.people.console.sockets import address_in, inherited
@@ -20,23 +20,6 @@ NEEDS: Final = ("websockets", "segno")
 ANSWERS_S: Final = 1.0
 """How long a console that runs may take to accept a connection."""
 CALIBRATION_CARD: Final = "cal"
-
-
-@dataclass(frozen=True)
-class Options:
-    """The command's arguments, as `hexapod-gateway console --help` explains them."""
-
-    connect: str | None
-    zenoh_config: Path | None
-    timeout_s: float
-    listen: str | None = None
-    cert: Path | None = None
-    key: Path | None = None
-    role: str = "operator"
-    geometry: Path | None = None
-    open_browser: bool = False
-    card: str = ""
-    """Of the page, to which the first link leads; empty: to its beginning."""
 
 
 def console(options: Options) -> NoReturn:

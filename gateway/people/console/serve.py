@@ -22,10 +22,10 @@ from gateway.host import descriptors, logs, realtime
 from gateway.people.console import sessions
 from gateway.people.console.app import MAX_CLOSING, MAX_PAGES, Console
 from gateway.people.console.auth import Auth
-from gateway.people.console.command import Options
 from gateway.people.console.link import STACK_BYTES, GatewayLink
 from gateway.people.console.listener import MAX_SIGNED_IN, MAX_UNKNOWN, HttpListener, report
 from gateway.people.console.messages import ROLES, Role, least
+from gateway.people.console.options import Options
 from gateway.people.console.pages import Pages, Shared
 from gateway.people.console.sessions import LINK_S, Sessions
 from gateway.people.console.site import DEFAULT_PORT, Site

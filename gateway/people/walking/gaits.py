@@ -1,7 +1,7 @@
 """The gaits: when each leg swings. Pure.
 
-Another gait is a line in the table, a choice in `console/page/index.html`, a key in `tools/walk/screen.py` and a number
-in `bridge/motions.py`.
+Another gait is a line in the table, a choice in `console/page/index.html` and a number in `bridge/motions.py`. `walk`
+numbers its keys by the table.
 """
 
 from typing import Final, NamedTuple

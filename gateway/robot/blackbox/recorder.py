@@ -18,7 +18,6 @@ from gateway.model.black_box import format as form
 from gateway.model.black_box.format import ACCEPTED
 from gateway.model.black_box.incidents import INCIDENT_NAMES, LONGEST_INCIDENT_NS, MISTAKE, follow_ns, incident_id
 from gateway.model.calibration import RobotCalibration, report_of
-from gateway.model.frames import PROTOCOL_VERSION
 from gateway.robot.blackbox import paths
 from gateway.robot.blackbox.ring import RecordRing
 from gateway.robot.core.events import Announce, Request, Transmit
@@ -217,7 +216,7 @@ def _about(settings: Settings, facts: dict[str, Any]) -> dict[str, Any]:
     """Version and settings, under the same names as in a recording."""
     return {
         "version": __version__,
-        "protocol": PROTOCOL_VERSION,
+        "protocol": settings.spi.framing.protocol,
         "simulated": facts.get("simulated"),
         "spi": settings.spi.model_dump(mode="json"),
         "watchdog": settings.watchdog.model_dump(mode="json"),

@@ -18,7 +18,6 @@ from prometheus_client.registry import Collector
 from gateway import __version__
 from gateway.endpoints import is_local
 from gateway.host import logs
-from gateway.model.frames import PROTOCOL_VERSION
 from gateway.robot.core.latency import BOUNDS_US, Latency
 from gateway.robot.runtime.conductor import Conductor
 from gateway.robot.runtime.metrics_page import MetricsPage
@@ -43,9 +42,10 @@ class _Numbers(Collector):
 
     def collect(self) -> Iterator[Metric]:
         metrics, bus, recorder = self._conductor.metrics, self._conductor.bus, self._conductor.recorder
-        supervisor, certificate = self._conductor.supervisor, self._conductor.reports.certificate
+        supervisor, reports = self._conductor.supervisor, self._conductor.reports
+        certificate = reports.certificate
         lease, buttons, calibrating = supervisor.lease, supervisor.buttons, supervisor.calibrating
-        yield InfoMetricFamily(f"{_PREFIX}_build", "What runs", {"version": __version__, "protocol": PROTOCOL_VERSION})
+        yield InfoMetricFamily(f"{_PREFIX}_build", "What runs", {"version": __version__, "protocol": reports.protocol})
         yield _gauge("sessions", "Zenoh sessions that are open", metrics.sessions)
         yield _gauge(
             "older_ca_laptops",

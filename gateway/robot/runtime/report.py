@@ -4,7 +4,7 @@ from datetime import UTC, datetime
 from typing import Final
 
 from gateway import __version__
-from gateway.model.frames import PROTOCOL_VERSION, Op
+from gateway.model.frames import Op
 from gateway.robot.core.buttons import Buttons
 from gateway.robot.core.lease import Lease
 from gateway.robot.core.leg import Leg, Servo
@@ -69,6 +69,7 @@ class StateReports:
         """Whether the calibration outlasts this process."""
         self._started_ns = started_ns
         self._limits = limits_of(settings)
+        self.protocol = settings.spi.framing.protocol
         self.certificate: CertificateReport | None = None
         """The first certificate in use to expire; None: none is in use."""
         self.revocations: RevocationsReport | None = None
@@ -92,7 +93,7 @@ class StateReports:
             time=wall_clock(),
             uptime_s=(now_ns - self._started_ns) / 1e9,
             version=__version__,
-            protocol=PROTOCOL_VERSION,
+            protocol=self.protocol,
             simulated=self._simulated,
             physics=self._physics,
             legs=tuple(_leg(leg, now_ns) for leg in supervisor.legs),

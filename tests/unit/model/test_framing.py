@@ -2,6 +2,7 @@
 
 import pytest
 
+from gateway.model.frames import PROTOCOL_VERSION
 from gateway.model.framing import PREAMBLE_ZEROS, ZERO, Framing, avoided_by
 from tests.support.transfers import preamble_of
 
@@ -31,3 +32,15 @@ def test_how_fast_each_takes_its_bytes() -> None:
     assert "5000001" in prefixed.too_fast(5_000_001, 20.0)
     assert "19.9" in prefixed.too_fast(5_000_000, 19.9)
     assert plain.too_fast(20_000_000, 0.0) == ""
+
+
+@pytest.mark.parametrize(
+    ("framing", "controller", "needs_chip_select"),
+    [(Framing.PLAIN, "a controller that reads frames", True), (Framing.LENGTH_PREFIXED, "the published STM32", False)],
+)
+def test_what_is_said_of_a_controller_follows_from_its_framing(
+    framing: Framing, controller: str, needs_chip_select: bool
+) -> None:
+    assert framing.controller.startswith(controller)
+    assert framing.needs_chip_select is needs_chip_select
+    assert framing.protocol == PROTOCOL_VERSION

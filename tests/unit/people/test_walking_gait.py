@@ -166,7 +166,7 @@ def test_what_is_no_velocity_is_rejected(numbers: tuple[float, float, float]) ->
 
 
 def test_a_gait_that_there_is_not_is_rejected() -> None:
-    with pytest.raises(WalkError, match="there is no gait 'gallop'; there are tripod, ripple, wave"):
+    with pytest.raises(WalkError, match=f"there is no gait 'gallop'; there are {', '.join(GAITS)}"):
         Engine(robot("default"), "gallop")
 
 

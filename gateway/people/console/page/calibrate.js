@@ -132,7 +132,7 @@ export class Calibrate {
   refresh() {
     const { view } = this;
     if (location.hash === "#cal" && this.link.open) {
-      history.replaceState(null, "", "/");
+      history.replaceState(null, "", location.pathname);
       if (byId("cal").getClientRects().length === 0) byId("more").click();
       const details = byId("cal", HTMLDetailsElement);
       details.open = true;

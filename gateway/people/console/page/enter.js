@@ -6,7 +6,7 @@ import { keep } from "./key.js";
 try {
   const key = location.hash.slice(1);
   if (key) keep(key);
-  location.replace(`/${location.search.replace("?", "#")}`); // to a card of the page, where the link names one
+  location.replace(`./${location.search.replace("?", "#")}`); // to a card of the page, where the link names one
 } catch {
   const line = document.getElementById("enter");
   if (line) line.textContent = "This browser stores nothing for this page, so you cannot be signed in. Allow it, and open another link.";

@@ -1,23 +1,22 @@
-"""The means of a step: one leg, a client, and all that the gateway writes and publishes meanwhile."""
+"""The means of a step: one leg, a client, a stop button, and all that the gateway writes and publishes meanwhile."""
 
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
-from gateway.errors import GatewayError, UnansweredError
+from gateway.errors import ConfigError, GatewayError, RejectedError, UnansweredError
 from gateway.model.calibration import RobotCalibration, calibration_of
 from gateway.model.frames import Frame, FrameError, OneLeg, OneServo, Op, ServoOp, centidegrees, decode
 from gateway.people.client.blocking import Client
 from gateway.people.client.subscriptions import reports, subscribed
+from gateway.people.tools import kept_lease
+from gateway.people.tools.button.check_ins import CheckIns
 from gateway.people.tools.moving import Motion
 from schemas import keys
 from schemas.telemetry import Ack, Cause, Event, FrameRecord, GatewayState, Reason
-
-if TYPE_CHECKING:
-    from gateway.people.tools.drill.watching import Watching
 
 SETPOINT_PERIOD_S: Final = 0.02
 STREAM_S: Final = 0.3
@@ -76,6 +75,30 @@ class WrittenFrame(NamedTuple):
         return any(command.op is not Op.STOP for _, command in self.frame.servos)
 
 
+class Watching:
+    """A button of the drill's own, which can fall silent."""
+
+    def __init__(self, client: Client) -> None:
+        """Its own name lets the same person hold another button. Raises ConfigError where denied."""
+        button = client.button(f"{client.button_requests.person(kept_lease.me())}/drill")
+        try:
+            button.register()
+        except RejectedError as error:
+            raise ConfigError(f"the drill cannot be a stop button: {error}") from error
+        self.name = button.name
+        self._silent = False
+        self.check_ins = CheckIns(button, lambda: not self._silent, lambda: client.state().uptime_s)
+
+    @contextmanager
+    def silent(self) -> Iterator[None]:
+        """It checks in no more meanwhile."""
+        self._silent = True
+        try:
+            yield
+        finally:
+            self._silent = False
+
+
 @dataclass(slots=True)
 class Bench:
     """One leg of one robot."""
@@ -99,7 +122,7 @@ class Bench:
     """How long the gateway takes to answer at rest."""
     estop: int = 0
     """The number of the drill's own emergency stop."""
-    watches: "Watching | None" = None
+    watches: Watching | None = None
     """The drill's own stop button, where the robot wants one."""
     lease: dict[str, str] = field(default_factory=dict)
     """Added to commands, where this user has acquired the lease beforehand."""

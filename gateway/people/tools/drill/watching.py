@@ -4,11 +4,8 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from gateway.errors import ConfigError, RejectedError
-from gateway.people.client.blocking import Client
+from gateway.errors import ConfigError
 from gateway.people.terminal import hint, this_command
-from gateway.people.tools import kept_lease
-from gateway.people.tools.button.check_ins import CheckIns
 from gateway.people.tools.drill.bench import (
     EVIDENCE_S,
     QUIET_S,
@@ -16,6 +13,7 @@ from gateway.people.tools.drill.bench import (
     Bench,
     Figures,
     Skipped,
+    Watching,
     WrittenFrame,
     caused,
     demand,
@@ -23,30 +21,6 @@ from gateway.people.tools.drill.bench import (
 )
 from schemas.robot import LEGS
 from schemas.telemetry import Cause, GatewayState, Kind, Reason
-
-
-class Watching:
-    """A button of the drill's own, which can fall silent."""
-
-    def __init__(self, client: Client) -> None:
-        """Its own name lets the same person hold another button. Raises ConfigError where denied."""
-        button = client.button(f"{client.button_requests.person(kept_lease.me())}/drill")
-        try:
-            button.register()
-        except RejectedError as error:
-            raise ConfigError(f"the drill cannot be a stop button: {error}") from error
-        self.name = button.name
-        self._silent = False
-        self.check_ins = CheckIns(button, lambda: not self._silent, lambda: client.state().uptime_s)
-
-    @contextmanager
-    def silent(self) -> Iterator[None]:
-        """It checks in no more meanwhile."""
-        self._silent = True
-        try:
-            yield
-        finally:
-            self._silent = False
 
 
 @contextmanager

@@ -19,7 +19,7 @@ from gateway.people.tools import driving, kept_lease
 from gateway.people.tools.reach import Connection
 from gateway.people.tools.walk.keypad import Keypad
 from gateway.people.tools.walk.script import went
-from gateway.people.walking import Velocity
+from gateway.people.walking import GAITS, Velocity
 from gateway.text import visible
 from schemas.telemetry import Mode
 
@@ -29,9 +29,9 @@ KEYS_HOLD_S: Final = 0.25
 KEYS_REST_S: Final = 60.0
 """After so long without a key the robot sits down, and its servos are stopped."""
 HEIGHT_STEP_M: Final = 0.01
-_GAITS: Final = {"1": "tripod", "2": "ripple", "3": "wave"}
-_KEYS: Final = """
-  W S ↑ ↓   forward, backward          1 2 3   tripod, ripple, wave
+_GAITS: Final = {str(number): name for number, name in enumerate(GAITS, 1)}
+_KEYS: Final = f"""
+  W S ↑ ↓   forward, backward          {" ".join(_GAITS)}   {", ".join(GAITS)}
   ← →       turn                       + -     faster, slower
   A D       step sideways              r f     higher, lower
   t         stand     c  sit down      q       sit down, stop and leave

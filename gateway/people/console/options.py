@@ -1,0 +1,21 @@
+"""The arguments of `console`, which its command takes and its server reads."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+
+@dataclass(frozen=True)
+class Options:
+    """The command's arguments, as `hexapod-gateway console --help` explains them."""
+
+    connect: str | None
+    zenoh_config: Path | None
+    timeout_s: float
+    listen: str | None = None
+    cert: Path | None = None
+    key: Path | None = None
+    role: str = "operator"
+    geometry: Path | None = None
+    open_browser: bool = False
+    card: str = ""
+    """Of the page, to which the first link leads; empty: to its beginning."""
