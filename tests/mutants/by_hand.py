@@ -36,8 +36,8 @@ MADE: Final[Mapping[str, tuple[ByHand, ...]]] = {
         ),
         ByHand(
             "a dead link holds what waits on it for 10 s",
-            "tx: { lease: 1000 },\n      // No message",
-            "tx: { lease: 10000 },\n      // No message",
+            "tx: { lease: 1000 },\n      // Limit",
+            "tx: { lease: 10000 },\n      // Limit",
         ),
         ByHand(
             "robots share their keys",
@@ -96,8 +96,8 @@ MADE: Final[Mapping[str, tuple[ByHand, ...]]] = {
     "gateway/robot/zenoh_io/rings.py": (
         ByHand(
             "an older start overtakes a newer Stop of a wider key",
-            "                        again |= ring.others\n",
-            "                        again |= ring.before\n",
+            "stops, older = True, ring.others\n",
+            "stops, older = True, ring.before\n",
         ),
         ByHand(
             "several keys apply in the wrong order",

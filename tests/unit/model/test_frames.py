@@ -165,7 +165,9 @@ def test_a_frame_is_a_stop_only_if_all_of_it_is() -> None:
     assert stop_leg(3).servos == ((31, STOP), (32, STOP), (33, STOP))
     assert OneServo(32, STOP).is_stop
     assert not OneServo(32, START_90).is_stop
+    assert OneLeg(1, (STOP, STOP, STOP)).is_stop
     assert not OneLeg(1, (STOP, STOP, START_90)).is_stop
+    assert not OneLeg(1, (START_90, START_90, START_90)).is_stop
     assert not OneLeg(1, (ServoOp(Op.SET, 0), STOP, STOP)).is_stop
     assert OneServo(32, START_90).servos == ((32, START_90),)
 
