@@ -72,7 +72,7 @@ def scene(folder: Path, framing: Framing, *, batch: bool) -> tuple[list[str], in
     """Starts, a silence, an emergency stop whose Stops meet a fault, the end: the bytes that arrived, and the calls."""
     folder.mkdir()
     # Pauses that have room for all the zeros.
-    watchdog = {"repeats": 2, "repeat_interval_ms": 60, "timeout_ms": 2000}
+    watchdog = {"repeats": 2, "repeat_interval_ms": 60, "timeout_ms": 750}
     with SpiTestbed() as bed:
         wire = Wire(bed, framing)
         with start(folder, wire, spi={"batch": batch}, watchdog=watchdog) as gateway, gateway.client() as client:
