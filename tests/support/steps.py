@@ -6,7 +6,6 @@ from gateway.model.calibration import CalibrationChange, RobotCalibration
 from gateway.model.frames import STOP, OneServo, Op, ServoOp, servo_ids_of
 from gateway.robot.core.events import (
     Announce,
-    Answer,
     BusFailed,
     BusOpened,
     ButtonDo,
@@ -21,6 +20,7 @@ from gateway.robot.core.events import (
     Event,
     LeaseRequest,
     Rejected,
+    RequestAnswer,
     Reset,
     SaveCalibration,
     ShutDown,
@@ -72,7 +72,7 @@ def said(effect: Effect) -> str:
             return f"rejected {effect.request.number} {effect.reason}"
         case Announce():
             return f"announce {effect.kind}"
-        case Answer():
+        case RequestAnswer():
             return effect.reason or "granted"
         case SaveCalibration():
             return f"keep {effect.number}"

@@ -17,7 +17,7 @@ from gateway.people.incidents.incidents import Incident, is_id
 from gateway.people.incidents.messages import COMMAND_TOPICS, RECORDER, CommandInBox, FrameInBox, Note, messages
 from gateway.people.incidents.ring_reader import Records
 from gateway.people.incidents.story import headline
-from gateway.people.recordings import REPORTS, Message, Recording
+from gateway.people.recordings import REPORTS, RecordedMessage, Recording
 from gateway.people.recordings.plain_schema import Schema, plain_schema
 from schemas.calibration import Calibration
 from schemas.keys import CALIBRATION, EVENT, FRAME
@@ -81,7 +81,7 @@ def write(path: Path, incident: Incident, records: Records) -> str:
         return headline(_written(messages(incident, records), recording))
 
 
-def _written(those: Iterator[Message], recording: Recording) -> Iterator[Message]:
+def _written(those: Iterator[RecordedMessage], recording: Recording) -> Iterator[RecordedMessage]:
     undeclared = dict(_CHANNELS)
     for message in those:
         if model := undeclared.pop(message.topic, None):  # viewers list a channel even if it is empty

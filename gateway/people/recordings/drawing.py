@@ -17,7 +17,7 @@ from typing import Any, Final
 from pydantic import ValidationError
 
 from gateway.geometry import Geometry, transforms
-from gateway.geometry.kinematics import BASE, Transform
+from gateway.geometry.kinematics import BASE, FramePose
 from gateway.people.recordings.commanded import CommandedJoints
 from gateway.people.ros2 import robot
 from gateway.people.ros2.cdr import Message
@@ -134,9 +134,9 @@ class Drawing:
             }
             yield SIM_JOINT_STATES, robot.joint_state(true_rad, time_ns)
             steps = [
-                Transform(WORLD, BASE, body.position_m, body.orientation_xyzw),
+                FramePose(WORLD, BASE, body.position_m, body.orientation_xyzw),
                 *transforms(self._geometry, true_rad),
-                Transform(BASE, COMMANDED + BASE, (0, 0, 0), (0, 0, 0, 1)),
+                FramePose(BASE, COMMANDED + BASE, (0, 0, 0), (0, 0, 0, 1)),
                 *(
                     step._replace(parent=COMMANDED + step.parent, child=COMMANDED + step.child)
                     for step in transforms(self._geometry, commanded_rad)

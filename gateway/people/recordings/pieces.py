@@ -52,7 +52,7 @@ def opened(path: Path) -> BinaryIO:
 
 
 @dataclass(slots=True)
-class Losses:
+class ReadLosses:
     """What could not be read of a recording, counted while it is read."""
 
     places: int = 0
@@ -87,12 +87,12 @@ class Losses:
         self.places += 1
 
 
-def pieces(file: BinaryIO, losses: Losses) -> Iterator[McapRecord]:
+def pieces(file: BinaryIO, losses: ReadLosses) -> Iterator[McapRecord]:
     """All records before the file's index that can be read, also those within chunks. Raises OSError.
 
     The index repeats what chunks declare. It is read where one is damaged.
     """
-    found = _File(file)
+    found = _RecordFile(file)
     at = len(MAGIC)
     while True:
         following: int | None = None
@@ -125,7 +125,7 @@ class _CutOffError(DamagedError):
     """The file ends within a record that is as it should be until there."""
 
 
-class _File:
+class _RecordFile:
     """A file of records that follow one another."""
 
     def __init__(self, file: BinaryIO) -> None:

@@ -25,7 +25,7 @@ LEG_STEP_DEG: Final = 15.0
 MOST_DEG: Final = 180.0
 
 
-class Motion(NamedTuple):
+class ServoMotion(NamedTuple):
     """What moves: servos of one leg, from `start_deg` to `end_deg` and back."""
 
     servo_ids: list[int]
@@ -59,9 +59,9 @@ class Motion(NamedTuple):
         return f"servo {self.servo_ids[0]}" if len(self.servo_ids) == 1 else f"leg {self.leg}"
 
 
-def of_leg(leg: int, start_deg: float, *, whole: bool) -> Motion:
+def of_leg(leg: int, start_deg: float, *, whole: bool) -> ServoMotion:
     """The leg's three servos, or its first one."""
-    return Motion([10 * leg + joint for joint in JOINTS][: 3 if whole else 1], start_deg)
+    return ServoMotion([10 * leg + joint for joint in JOINTS][: 3 if whole else 1], start_deg)
 
 
 def ready(client: Client) -> GatewayState:
@@ -77,7 +77,7 @@ def ready(client: Client) -> GatewayState:
     return state
 
 
-def consents(motion: Motion, state: GatewayState, *, agreed: bool) -> bool:
+def consents(motion: ServoMotion, state: GatewayState, *, agreed: bool) -> bool:
     """Announce the motion. Returns whether a person agrees, here or beforehand."""
     hint(
         f"{motion.which.capitalize()} will go to {motion.start_deg:g}° at once, wherever it stands, move between that "

@@ -16,7 +16,7 @@ from gateway.people.client.live import CLOSE_S, ERRORS, Live, Receiver
 from gateway.people.terminal.screen import Screen
 from gateway.people.terminal.stop_status import Tone
 from gateway.people.tools import kept_lease
-from gateway.people.tools.watch.model import Confirmation, GatewayPresence, Model
+from gateway.people.tools.watch.model import Confirmation, Model, WatchedPresence
 from gateway.people.tools.watch.view import picture
 from gateway.text import visible
 from schemas import keys as wire
@@ -198,7 +198,7 @@ class WatchScreen(Screen, Receiver):
 
     def looked(self, reasons: list[str]) -> None:
         with self.changes():
-            if self.model.presence(time.monotonic_ns()) is not GatewayPresence.LIVE:
+            if self.model.presence(time.monotonic_ns()) is not WatchedPresence.LIVE:
                 self.model.trouble = "\n".join(visible(line) for line in reasons)
 
     def _note_others(self, client: Client, key: str) -> None:
