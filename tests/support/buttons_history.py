@@ -4,9 +4,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Self
 
+from gateway.allowance import NS_PER_MS
 from gateway.robot.core.events import Announce, ButtonDo, ButtonRequest, Effect, RequestAnswer
 from gateway.robot.core.leg import Rules
-from gateway.robot.core.pacing import NS_PER_MS
 from schemas.telemetry import Kind, Reason
 from tests.support.history import cloned, demand
 

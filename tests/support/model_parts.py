@@ -4,11 +4,11 @@ what of them tells states apart."""
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
+from gateway.allowance import NS_PER_MS
 from gateway.model.calibration import CalibrationChange, RobotCalibration
 from gateway.robot.core.buttons import Buttons
 from gateway.robot.core.events import ButtonDo, ButtonRequest, Calibrate, CalibrationSaved, Do, Event, LeaseRequest
 from gateway.robot.core.lease import RobotLease
-from gateway.robot.core.pacing import NS_PER_MS
 from gateway.robot.core.supervisor import Supervisor
 from tests.support.buttons_history import ButtonsHistory
 from tests.support.calibration_history import CalibrationHistory

@@ -2,6 +2,7 @@
 
 from typing import TypeVar
 
+from gateway.allowance import NS_PER_MS
 from gateway.model.calibration import CalibrationChange, RobotCalibration
 from gateway.model.frames import STOP, OneServo, Op, ServoOp, servo_ids_of
 from gateway.robot.core.events import (
@@ -29,7 +30,6 @@ from gateway.robot.core.events import (
     Transmit,
 )
 from gateway.robot.core.leg import Rules
-from gateway.robot.core.pacing import NS_PER_MS
 from gateway.robot.core.supervisor import Supervisor
 from tests.support.history import is_coalesced, spelled_out
 from tests.support.oracle import Oracle

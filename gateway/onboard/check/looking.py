@@ -14,7 +14,7 @@ from gateway import certs
 from gateway.errors import ConfigError
 from gateway.onboard import whole
 from gateway.onboard.check import service_user
-from gateway.onboard.check.installation import ETC, SERVICE, SHIPPED, STATE, UNITS, DropIn, Folder, Installation
+from gateway.onboard.check.installation import ETC, SERVICE, SHIPPED, STATE_FOLDER, UNITS, DropIn, Folder, Installation
 
 _GROUPS: Final = ("spi", SERVICE)
 _PROPERTIES: Final = "LoadState,ActiveState,SubState,UnitFileState,NeedDaemonReload,DropInPaths"
@@ -39,7 +39,7 @@ def look() -> Installation | None:
         differ=dict(_differing(deploy)),
         units=units,
         drop_ins=tuple(_drop_ins(units[SERVICE].get("DropInPaths", ""))),
-        state=Folder() if own is None else _state(Path(STATE), own),
+        state=Folder() if own is None else _state(Path(STATE_FOLDER), own),
         user=own is not None,
         groups=tuple(each for each in _GROUPS if not _is_group(each)) if own is not None else (),
         exposed=tuple(_exposed(Path(ETC))),

@@ -17,9 +17,9 @@ from gateway.errors import ConfigError
 from gateway.people.client.blocking import Client
 from gateway.people.terminal import ask, say
 from gateway.people.tools.driving import drives, rejected
-from gateway.people.tools.moving import MOST_DEG, ServoMotion, consents, ready, stopped_after
+from gateway.people.tools.moving import ServoMotion, consents, ready, stopped_after
 from gateway.people.tools.reach import Connection, show_differences
-from schemas.robot import LEGS, SERVO_IDS
+from schemas.robot import LEGS, MAX_DEG, SERVO_IDS
 from schemas.telemetry import Ack, GatewayState, Reason, WatchdogState
 
 DEFAULT_SERVO: Final = 61
@@ -170,6 +170,6 @@ def _angle(text: str) -> float:
         angle_deg = float(text)
     except ValueError:
         angle_deg = -1.0
-    if 0 <= angle_deg <= MOST_DEG:
+    if 0 <= angle_deg <= MAX_DEG:
         return angle_deg
     raise ConfigError(f"{text!r} is no angle: 0 to 180 degrees")

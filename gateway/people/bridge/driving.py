@@ -21,7 +21,7 @@ from gateway.people.walking import Velocity
 from schemas.telemetry import Ack, GatewayState, Mode, Reason
 
 NOBODY_DRIVES: Final = "nobody has called drive"
-NOT_OURS: Final = (
+_NOT_OURS: Final = (
     "this emergency stop did not come through ROS alone, or not while the bridge drove; leave it at the robot, or "
     "start the bridge with --allow-reset"
 )
@@ -114,7 +114,7 @@ class Driving:
         state = self._client.state()
         number = state.estop if of_anybody else self._own.may_leave(state, time.monotonic())
         if number is None:
-            raise RejectedError(Reason.ESTOPPED, NOT_OURS)
+            raise RejectedError(Reason.ESTOPPED, _NOT_OURS)
         ack = self._client.reset(number)
         if not ack.accepted:
             raise RejectedError(str(ack.reason), ack.detail or "")

@@ -24,7 +24,7 @@ from schemas.keys import CALIBRATION, EVENT, FRAME
 from schemas.telemetry import Event
 
 MAX_FILES: Final = 100
-MAX_BYTES: Final = 200_000_000
+_MAX_BYTES: Final = 200_000_000
 SUFFIX: Final = ".mcap"
 _ORDER: Final = "order"
 """A line for each incident, oldest first: its id, whether its file was written after the incident's end, and what
@@ -125,7 +125,7 @@ def prune(folder: Path) -> None:
     files, size = 0, 0
     for each in reversed(kept(folder)):
         files, size = files + 1, size + each.size
-        if files > MAX_FILES or size > MAX_BYTES:
+        if files > MAX_FILES or size > _MAX_BYTES:
             each.path.unlink()
 
 

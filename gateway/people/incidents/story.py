@@ -17,7 +17,7 @@ from schemas import keys
 from schemas.robot import LEGS
 from schemas.telemetry import Cause, Kind
 
-TOGETHER_NS: Final = 15_000_000
+_TOGETHER_NS: Final = 15_000_000
 """Frames of one cause that follow each other within this are one line. Repeats come 20 ms apart by default."""
 FINE_MS: Final = 100.0
 """Times nearer than this to the incident are reported in milliseconds."""
@@ -284,7 +284,7 @@ def _events(messages: list[RecordedMessage], name: str) -> Iterator[Line]:
         if message.topic != keys.EVENT or kind == Kind.COMMAND_REJECTED:
             continue
         at_ns = message.time_ns
-        if kind == _AT_ZERO.get(kind_of(name)) and 0 <= at_ns < TOGETHER_NS:
+        if kind == _AT_ZERO.get(kind_of(name)) and 0 <= at_ns < _TOGETHER_NS:
             at_ns = 0
         source = message.content.get("source")
         by = f" ({source})" if source else ""
@@ -300,7 +300,7 @@ def _stops(frames: Iterable[FrameIn]) -> Iterator[Line]:
             continue
         if group and (
             message.content.get("cause") != group[-1][0].content.get("cause")
-            or message.time_ns - group[-1][0].time_ns > TOGETHER_NS
+            or message.time_ns - group[-1][0].time_ns > _TOGETHER_NS
         ):
             yield _stops_in_one_line(group)
             group = []

@@ -50,7 +50,7 @@ DRAWN: Final[Mapping[str, type[Message]]] = {
 DRAWN_FROM: Final[Mapping[str, str]] = {DIAGNOSTICS: STATE, SIM_JOINT_STATES: SIM_BODY}
 """Those that only one key's reports are drawn on."""
 
-UNKNOWN_DEG: Final = robot.UNKNOWN_DEG
+_UNKNOWN_DEG: Final = robot.UNKNOWN_DEG
 WORLD: Final = "world"
 COMMANDED: Final = "commanded/"
 BODY_NS: Final = 1_000_000_000
@@ -121,7 +121,7 @@ class Drawing:
         self._drawn[FRAMES] = time_ns, None
         body = self._body if time_ns - self._body_ns < BODY_NS else None
         commanded_rad = {
-            servo_id: self._joints.rad.get(servo_id, self._geometry.joint_rad(servo_id, UNKNOWN_DEG))
+            servo_id: self._joints.rad.get(servo_id, self._geometry.joint_rad(servo_id, _UNKNOWN_DEG))
             for servo_id in SERVO_IDS
         }
         yield JOINT_STATES, robot.joint_state(self._joints.rad, time_ns)

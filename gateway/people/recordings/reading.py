@@ -9,7 +9,7 @@ from mcap.records import Message as McapMessage
 from pydantic_core import from_json
 
 from gateway.errors import ConfigError
-from gateway.people.recordings.pieces import MAGIC, ReadLosses, opened, pieces
+from gateway.people.recordings.pieces import MCAP_MAGIC, ReadLosses, opened, pieces
 
 LIBRARY_NAME = "hexapod-gateway"
 """How a file's header names this program, which numbers the messages of a channel without gaps."""
@@ -34,7 +34,7 @@ def records(path: Path, losses: ReadLosses | None = None) -> Iterator[McapRecord
     numbered = False
     try:
         with opened(path) as file:
-            if file.read(len(MAGIC)) != MAGIC:
+            if file.read(len(MCAP_MAGIC)) != MCAP_MAGIC:
                 raise ConfigError(f"{path}: is no MCAP file")
             for record in pieces(file, losses):
                 if isinstance(record, Header):

@@ -12,12 +12,12 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final, NamedTuple
 
+from gateway.allowance import NS_PER_MS
 from gateway.model.frames import Frame, FrameError, OneLeg, OneServo, Op, ServoOp, decode, servo_ids_of
 from schemas import keys
 from schemas.telemetry import Cause
 
-NS_PER_MS: Final = 1_000_000
-TOGETHER_NS: Final = 2 * NS_PER_MS
+_TOGETHER_NS: Final = 2 * NS_PER_MS
 """Six frames of one message are on the wire within a millisecond; two messages of a gait are 20 ms apart."""
 APART_NS: Final = NS_PER_MS
 """Messages on different keys are sent at least so far apart, so that the gateway sees them in this order."""
@@ -104,7 +104,7 @@ def steps_of(records: Iterable[Mapping[str, Any]], *, watchdog_too: bool = False
         frame = legs.follow(frame, at_ns)
         if cause in own:
             continue
-        if together and not (at_ns - together_ns <= TOGETHER_NS and _one_message(together[-1], frame)):
+        if together and not (at_ns - together_ns <= _TOGETHER_NS and _one_message(together[-1], frame)):
             yield (before := _step(before, together_ns, together))
             together = []
         if not together:

@@ -15,14 +15,13 @@ from gateway.people.tools import kept_lease
 from gateway.people.tools.reach import check_at_rest
 from gateway.text import visible
 from schemas import keys
-from schemas.robot import JOINTS
+from schemas.robot import JOINTS, MAX_DEG
 from schemas.telemetry import GatewayState
 
 STEP_DEG: Final = 5.0
 """How far one servo moves: enough to be seen, too little to do harm."""
 LEG_STEP_DEG: Final = 15.0
 """How far a whole leg moves."""
-MOST_DEG: Final = 180.0
 
 
 class ServoMotion(NamedTuple):
@@ -36,7 +35,7 @@ class ServoMotion(NamedTuple):
     def end_deg(self) -> float:
         """The other angle, within 0 to 180."""
         by_deg = STEP_DEG if len(self.servo_ids) == 1 else LEG_STEP_DEG
-        return self.start_deg + (by_deg if self.start_deg + by_deg <= MOST_DEG else -by_deg)
+        return self.start_deg + (by_deg if self.start_deg + by_deg <= MAX_DEG else -by_deg)
 
     @property
     def leg(self) -> int:

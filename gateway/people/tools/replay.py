@@ -4,10 +4,11 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final
 
+from gateway.allowance import NS_PER_MS
 from gateway.errors import ConfigError, LeaseError
 from gateway.model.calibration import RobotCalibration, calibration_of
 from gateway.people.recordings import ReadLosses, read
-from gateway.people.recordings.replaying import NS_PER_MS, Plan, ReplayStep, steps_of, survey
+from gateway.people.recordings.replaying import Plan, ReplayStep, steps_of, survey
 from gateway.people.recordings.user_angles import UserAngles
 from gateway.people.terminal import Progress, agrees, hint, say
 from gateway.people.tools.driving import drives, rejected

@@ -23,9 +23,9 @@ from dataclasses import dataclass
 from operator import itemgetter
 from typing import Final
 
+from gateway.allowance import NS_PER_MS
 from gateway.robot.core.events import Announce, ButtonDo, ButtonRequest, Decision, Effect, RequestAnswer
 from gateway.robot.core.leg import Rules
-from gateway.robot.core.pacing import NS_PER_MS
 from schemas import keys
 from schemas.robot import LEGS
 from schemas.telemetry import Kind, Reason

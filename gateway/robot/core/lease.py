@@ -16,9 +16,9 @@ their way. Stops, deletes and emergency stops are not asked for a token.
 import hmac
 from typing import Final
 
+from gateway.allowance import NS_PER_MS
 from gateway.robot.core.events import Announce, Decision, Do, Effect, LeaseRequest, RequestAnswer
 from gateway.robot.core.leg import Rules
-from gateway.robot.core.pacing import NS_PER_MS
 from schemas import keys
 from schemas.telemetry import Kind, Reason
 

@@ -44,6 +44,7 @@ or Set that came by another channel, and the emergency stop wins over a reset.
 
 from typing import Final, assert_never, get_args
 
+from gateway.allowance import NS_PER_MS, NS_PER_S
 from gateway.model.angle_limits import AngleLimits
 from gateway.model.frames import OP_SET
 from gateway.robot.core.buttons import Buttons
@@ -72,7 +73,6 @@ from gateway.robot.core.events import (
 from gateway.robot.core.lease import RobotLease
 from gateway.robot.core.leg import Rules
 from gateway.robot.core.legs import Legs
-from gateway.robot.core.pacing import NS_PER_MS, NS_PER_S
 from schemas.robot import LEGS
 from schemas.telemetry import Cause, Kind, Mode, Reason
 

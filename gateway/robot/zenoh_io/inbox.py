@@ -43,7 +43,7 @@ LOOK_AGAIN_S: Final = (0.0002, 0.001, 0.004, 0.016, 0.064)
 thread that may be interrupted in between). So a wakeup whose key had nothing is followed by some more looks."""
 LOOK_AFTER_FLOOD: Final = 2
 """The first of these looks after wakeups were lost: later than the next tick of a flood, which looks anyway."""
-EARLY_S: Final = sum(LOOK_AGAIN_S)
+_EARLY_S: Final = sum(LOOK_AGAIN_S)
 """For how long a message's wakeup is expected after the message itself was taken."""
 
 FLOOD_PAUSE_S: Final = 0.001
@@ -287,7 +287,7 @@ class Inbox:
             missed_more = any(count > self._missed.get(key, 0) for key, count in left.items())
             self._missed = {key: count for key, count in left.items() if count > 0}
             if not self._early:
-                self._early_until_s = self._loop.time() + EARLY_S
+                self._early_until_s = self._loop.time() + _EARLY_S
             # No message may be forgotten for ever, because another was counted once too often.
             late = self._loop.time() > self._early_until_s
             self._early = {} if late else {key: -count for key, count in left.items() if count < 0}

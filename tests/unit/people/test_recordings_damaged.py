@@ -22,7 +22,7 @@ from mcap.writer import CompressionType, Writer
 from gateway.errors import ConfigError
 from gateway.people.recordings import ReadLosses, Recording, read
 from gateway.people.recordings.contents import cut
-from gateway.people.recordings.pieces import MAGIC
+from gateway.people.recordings.pieces import MCAP_MAGIC
 from gateway.people.recordings.reading import records
 from gateway.people.recordings.unpacking import MAX_UNPACKED_BYTES
 from schemas import keys
@@ -145,7 +145,7 @@ def test_whatever_is_damaged_reading_ends_and_finds_no_more_than_there_was(path:
     for _ in range(40):
         data = bytearray(ride[: chance.randrange(len(ride) // 2, len(ride) + 1)])
         for _ in range(chance.randrange(1, 20)):
-            begin = chance.randrange(len(MAGIC), len(data))
+            begin = chance.randrange(len(MCAP_MAGIC), len(data))
             data[begin : begin + chance.choice([1, 1, 1, 1000])] = chance.randbytes(chance.choice([0, 1, 1, 50]))
         path.write_bytes(data)
         losses = ReadLosses()
@@ -256,7 +256,7 @@ def test_a_file_of_nothing_but_beginnings_takes_no_longer_than_its_size(path: Pa
 
 
 def test_of_one_that_has_no_message_left_no_piece_is_made(path: Path, ride: bytes) -> None:
-    path.write_bytes(ride[: len(MAGIC) + 30] + b"\xff" * 1000)
+    path.write_bytes(ride[: len(MCAP_MAGIC) + 30] + b"\xff" * 1000)
     with pytest.raises(ConfigError, match="no message in it can be read"):
         cut(path, path.with_name("whole.mcap"), from_s=0, to_s=1e9)
     assert list(path.parent.iterdir()) == [path]

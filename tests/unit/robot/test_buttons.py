@@ -2,10 +2,10 @@
 
 import pytest
 
+from gateway.allowance import NS_PER_MS
 from gateway.robot.core.buttons import DRIFT_PPM, MOST_OF_ONE, MOST_UNPROVED, RISE, Buttons
 from gateway.robot.core.events import ButtonDo, ButtonRequest, RequestAnswer
 from gateway.robot.core.leg import Rules
-from gateway.robot.core.pacing import NS_PER_MS
 from schemas.telemetry import Reason
 from tests.support.steps import Steps, all_stopped, leg_to
 

@@ -23,7 +23,7 @@ from schemas import keys as wire
 from schemas.lease import LeaseAck
 from schemas.telemetry import Ack, Event, GatewayState
 
-OTHERS_S: Final = 0.2
+_OTHERS_S: Final = 0.2
 """How long to wait for replies of other programs than the gateway."""
 _NO_KEYS: Final = frozenset({"escape", "up", "down", "left", "right"})
 
@@ -202,7 +202,7 @@ class WatchScreen(Screen, Receiver):
                 self.model.trouble = "\n".join(visible(line) for line in reasons)
 
     def _note_others(self, client: Client, key: str) -> None:
-        count = len(client.answerers(key, OTHERS_S))
+        count = len(client.answerers(key, _OTHERS_S))
         if count > 1:
             with self.changes():
                 self.model.note_others(several_answer(count, key), _wall())
