@@ -88,7 +88,7 @@ def times(first: Quaternion, second: Quaternion) -> Quaternion:
 
 
 def rotated(rotation: Quaternion, vector: Vector) -> Vector:
-    """`vector`, rotated."""
+    """`vector`, turned by the unit quaternion."""
     x, y, z, w = rotation
     turned = times(times(rotation, (*vector, 0.0)), (-x, -y, -z, w))
     return turned[:3]

@@ -150,7 +150,7 @@ def _owned_by_others(key: Path) -> bool:
 
 
 def _authority_keys(folder: Path) -> Iterator[str]:
-    """Private keys of an authority, by their names as `certs` gives them, or by the certificate beside them."""
+    """Private keys of an authority, by their names as `certs` gives them, or by the certificate next to them."""
     for key in _keys(folder):
         if key.stem == "ca" or key.stem.endswith("-ca") or _is_of(key, key.with_name("ca.pem")):
             yield str(key)

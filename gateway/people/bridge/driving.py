@@ -108,7 +108,7 @@ class Driving:
     def reset(self, *, of_anybody: bool) -> None:
         """Leave the emergency stop, unless a person may have engaged it too (`of_anybody`: even so).
 
-        Whoever reaches ROS 2's graph may call this, and a person who has pressed a button relies on it.
+        Anybody who reaches ROS 2's graph may call this, and a person who has pressed a button relies on it.
         Raises GatewayError.
         """
         state = self._client.state()
@@ -177,7 +177,7 @@ class Driving:
                 if self._motion is None and self._lease is not None and state is not None:
                     self._check_estop(state)
                 if self._lease is None and state is not None and state.lease.holder not in (None, self._held_as):
-                    self._own.forget()  # whoever drives now has taken the robot over, with its emergency stop
+                    self._own.forget()  # who drives now has taken the robot over, with its emergency stop
             except GatewayError as error:
                 self._fail(error)
 

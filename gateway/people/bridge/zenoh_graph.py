@@ -218,7 +218,7 @@ class _Senders:
 
 
 def _answer(query: zenoh.Query, call: Callable[[], str], *, always: bool) -> None:
-    if "*" in str(query.key_expr):  # whoever lists what there is calls nothing
+    if "*" in str(query.key_expr):  # a listing of all keys calls nothing
         query.drop()
         return
     attachment = query.attachment

@@ -18,7 +18,7 @@ _ROW: Final = 70
 _JOINTS: Final = {1: "#4878a8", 2: "#c07820", 3: "#609060"}
 _STOP: Final = "#b03030"
 _MOST_POINTS: Final = 4000
-"""Of one servo; more could not be told apart."""
+"""Of one servo; more could not be distinguished."""
 
 
 def as_page(name: str, reported: Sequence[RecordedMessage], lines: Sequence[str]) -> str:

@@ -57,7 +57,7 @@ class UserAngles:
         self.translated = True
         try:
             data = bytes.fromhex(record["bytes"])
-        except (KeyError, TypeError, ValueError):  # no frame; whoever reads it looks for himself
+        except (KeyError, TypeError, ValueError):  # no frame; left as it is
             return record
         return {**record, "bytes": user_bytes(self._calibration, data).hex()}
 

@@ -17,7 +17,7 @@ from gateway.people.ros2.messages import Duration, JointTrajectory
 MAX_POINTS: Final = 2000
 """Forty seconds at 50 Hz; a longer plan is better sent in pieces."""
 MAX_S: Final = 60.0
-"""Nobody plans further ahead beside a robot that people stand at; and a plan in milliseconds is noticed."""
+"""Nobody plans further ahead for a robot that people stand next to; and a plan in milliseconds is noticed."""
 
 MAX_RAD_S: Final = math.radians(MAX_SPEED_DEG_S)
 SETPOINT_S: Final = 0.02

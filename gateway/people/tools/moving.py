@@ -39,7 +39,7 @@ class ServoMotion(NamedTuple):
 
     @property
     def leg(self) -> int:
-        """1 to 6."""
+        """The leg of its servos, 1 to 6."""
         return self.servo_ids[0] // 10
 
     @property

@@ -62,7 +62,6 @@ class _Recording:
         return plan, angles, losses
 
     def steps(self) -> Iterator[ReplayStep]:
-        """The steps to send."""
         return steps_of(self._frames(UserAngles(), ReadLosses()), watchdog_too=self._watchdog_too)
 
     def _frames(self, angles: UserAngles, losses: ReadLosses) -> Iterator[Mapping[str, Any]]:

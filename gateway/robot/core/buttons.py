@@ -39,7 +39,7 @@ DRIFT_PPM: Final = 200
 """How much slower a button's clock may run than the gateway's: twice the error of a bad crystal (as in `staleness`)."""
 RISE: Final = 4
 """A registration's clock may fall behind by the timeout divided by this, and no more: somebody on the way who delays
-check-ins a little longer each second cannot be told from a slow clock. That one registers anew before."""
+check-ins a little longer each second looks like a slow clock. That one registers anew before."""
 _ALL: Final = tuple(LEGS)
 
 

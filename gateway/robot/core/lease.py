@@ -8,7 +8,7 @@ The rules (docs/interface.md, *Behaviour 9*), by state:
 - Asked: held, and others have asked for it. The latest `MOST_ASKERS` are known: the holder may hand over to each.
 - Handed over: for `ttl_ns` it waits for one of them. Nobody else acquires it, and no token is good.
 
-Whoever takes the lease gets it in any state, if takeovers are allowed; the supervisor stops all legs before. A token is
+Who takes the lease gets it in any state, if takeovers are allowed; the supervisor stops all legs before. A token is
 good as long as its lease lasts. After that it is rejected in every state, for commands of its holder may still be on
 their way. Stops, deletes and emergency stops are not asked for a token.
 """

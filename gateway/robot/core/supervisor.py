@@ -24,7 +24,7 @@ The rules, by their numbers in docs/interface.md, *Behaviour*:
  7. `ShutDown` stops six legs and rejects everything from then on, except an emergency stop. A bus that answers again
     only then gets its Stops too.
 
- 9. While somebody holds the lease, what moves and resets needs its token (`lease`). Whoever takes the lease from its
+ 9. While somebody holds the lease, what moves and resets needs its token (`lease`). To take the lease from its
     holder stops six legs first, and what waited of others when somebody acquires it is dropped. Stops need no token.
 10. Angles here are users'; only a frame that goes out has the servo's own (`Legs`, by the calibration in force). The
     calibration changes for no servo that runs or waits to be started, and nothing starts one meanwhile (`calibrating`).
@@ -392,7 +392,7 @@ class Supervisor:
         return self.legs.stop(due, Cause.WATCHDOG, now_ns, *self.buttons.rejection())
 
     def _without_buttons(self) -> str:
-        """What is told if buttons become too few in this step; "": nothing is to be stopped."""
+        """What the event says if buttons become too few in this step; "": nothing is to be stopped."""
         if self._at_rest_without_buttons():
             return ""
         lands = self._rules.landing_ns and not self.legs.at_rest
@@ -458,7 +458,7 @@ class Supervisor:
         return [*effects, Announce(Kind.WATCHDOG_EXPIRED, detail, legs=_ALL)]
 
     def _stop_all(self, cause: Cause, now_ns: int, reason: Reason, detail: str) -> list[Effect]:
-        self.legs.landing = None  # no landing goes on beside or after a Stop of all legs
+        self.legs.landing = None  # no landing goes on during or after a Stop of all legs
         if not self._bus_ok:
             return self.legs.drop(self.legs.servos.values(), reason, detail)
         return self.legs.stop({leg.number: None for leg in self.legs}, cause, now_ns, reason, detail)
