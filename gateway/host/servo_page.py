@@ -1,4 +1,4 @@
-"""A page of memory in which a simulated controller writes where its servos are sent, for whoever simulates the rest.
+"""A page of memory in which a simulated controller writes where its servos are sent, for the simulation of the rest.
 
 It goes one way, and the writer never waits: it does not notice whether anybody reads, or is too slow. An aligned number
 of eight bytes is written whole.

@@ -55,7 +55,7 @@ OP_SET: Final = Op.SET
 
 @dataclass(slots=True, init=False, unsafe_hash=True)
 class ServoOp:
-    """What one servo is told: the operation and the angle in hundredths of a degree, 0 to 18000 (0 for STOP)."""
+    """The command of one servo: the operation and the angle in hundredths of a degree, 0 to 18000 (0 for STOP)."""
 
     op: Final[Op]
     angle_cdeg: Final[int]

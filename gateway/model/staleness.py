@@ -14,9 +14,9 @@ the baseline.
   commands. A command whose difference is below a clock's baseline was not sent by that clock. Commands of one clock
   arrive in order, so a command older than a clock's newest belongs to another clock if one fits. A command that fits
   no clock is the first of a new clock, and fresh.
-- Two clocks close together may both fit a command. Then two of them are asked: the one heard last and the one heard for
-  longest. The command is fresh if either finds it fresh. A clock heard only once, forged or delayed at first, thus
-  neither keeps out another's commands nor lets old ones in.
+- Two clocks close together may both fit a command. Then two of them are asked: the one that sent last and the one
+  known for longest. The command is fresh if either finds it fresh. A clock that sent only once, forged or delayed at
+  first, thus neither keeps out another's commands nor lets old ones in.
 - An out-of-order command that is within `HORIZON_MS` of a clock may be an old one of that clock (two programs on one
   machine, one of which lost its link). It is judged as that.
 - Steady delay: a clock may fall behind (the laptop slept, or restarted), or transit may become slower for good. Then
@@ -28,7 +28,7 @@ the baseline.
   gap between two looks is a pause.
 
 Memory is bounded. A source is forgotten only after a minute of silence, when any burst of it has arrived or is lost.
-A new source that finds no place is rejected, since its burst could not be told from fresh commands.
+A new source that finds no place is rejected, since its burst would look like fresh commands.
 """
 
 from dataclasses import dataclass

@@ -72,7 +72,7 @@ class Calibrating:
         return self._on_its_way is not None and self._on_its_way.event.number == number
 
     def note_delay(self, why: str) -> None:
-        """The disk takes long, for this reason: whoever is rejected because of that learns it."""
+        """The disk takes long, for this reason, which the rejections because of it give."""
         if self._on_its_way is not None:
             self._delay = f"; {why}"
 

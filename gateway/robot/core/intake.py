@@ -32,7 +32,7 @@ _SERVO_OPS: Final = ("start", "set", "stop")
 @final
 @value
 class Rejection:
-    """Why a command is rejected, and a sentence that helps whoever sent it."""
+    """Why a command is rejected, and a sentence that helps its sender."""
 
     reason: Reason
     detail: str

@@ -389,7 +389,7 @@ class Legs:
         servo.repeat_ns = now_ns + self._rules.repeat_interval_ns
 
     def _empty_start_queue(self, own: Command | None = None) -> list[Effect]:
-        """A Stop anywhere ends what waits to be energised: whoever stops one leg does not want another to start now.
+        """A Stop anywhere ends what waits to be energised: who stops one leg does not want another to start now.
 
         Unless the Stop's own command wants it.
         """

@@ -69,4 +69,4 @@ class Outbox(Protocol):
     """What the conductor needs of the outbox."""
 
     def publish(self, key: str, report: BaseModel) -> None:
-        """Send a report to whoever listens. Never raises, never waits."""
+        """Send a report to all who listen. Never raises, never waits."""

@@ -110,7 +110,7 @@ class Row(NamedTuple):
     fields_around: tuple[int, int] = (0, 0)
     """The fields that stand around setpoints: once, and for each leg."""
     only_meant: str | None = None
-    """What a delete and a wildcard do not do, since whoever sends them may not have meant this key; None: they do."""
+    """What a delete and a wildcard do not do, since their sender may not have meant this key; None: they do."""
 
 
 _SENDER, _SETPOINT, _LEG = 3, 2, 2 * len(JOINTS)
