@@ -482,5 +482,4 @@ def _check_name(name: str) -> None:
 
 
 def now_utc() -> dt.datetime:
-    """Now, in UTC."""
     return dt.datetime.now(dt.UTC)

@@ -3,16 +3,16 @@
 The numbers come from one file (default: elkapod.json), for the console, recordings and examples.
 """
 
-from gateway.geometry.kinematics import Transform, foot_m, joint_name, transforms
+from gateway.geometry.kinematics import FramePose, foot_m, joint_name, transforms
 from gateway.geometry.model import ELKAPOD, MAX_SPEED_DEG_S, Geometry, JointServo, load
 from gateway.geometry.urdf import urdf
 
 __all__ = [
     "ELKAPOD",
     "MAX_SPEED_DEG_S",
+    "FramePose",
     "Geometry",
     "JointServo",
-    "Transform",
     "foot_m",
     "joint_name",
     "load",

@@ -20,7 +20,7 @@ Quaternion = tuple[float, float, float, float]
 """x, y, z, w."""
 
 
-class Transform(NamedTuple):
+class FramePose(NamedTuple):
     """A frame's pose in its parent's frame: metres, and a unit quaternion (x, y, z, w)."""
 
     parent: str
@@ -39,7 +39,7 @@ def link_name(leg: int, link: str) -> str:
     return f"leg_{leg}_{link}"
 
 
-def transforms(geometry: Geometry, joints_rad: Mapping[int, float]) -> Iterator[Transform]:
+def transforms(geometry: Geometry, joints_rad: Mapping[int, float]) -> Iterator[FramePose]:
     """Each frame in its parent's, from the body outward; a joint missing in `joints_rad` is at 0."""
     for leg in LEGS:
         mount = geometry.leg_mounts[leg]
@@ -50,9 +50,9 @@ def transforms(geometry: Geometry, joints_rad: Mapping[int, float]) -> Iterator[
             origin_m = plus(at_m, rotated(turned, joint.origin_xyz_m))
             rotation = times(times(turned, from_rpy(joint.origin_rpy_rad)), moved)
             child = link_name(leg, link)
-            yield Transform(parent, child, origin_m, rotation)
+            yield FramePose(parent, child, origin_m, rotation)
             parent, at_m, turned = child, _ORIGIN, _UNTURNED
-        yield Transform(parent, link_name(leg, "foot"), geometry.foot.origin_xyz_m, _UNTURNED)
+        yield FramePose(parent, link_name(leg, "foot"), geometry.foot.origin_xyz_m, _UNTURNED)
 
 
 def foot_m(geometry: Geometry, leg: int, joints_rad: Mapping[int, float]) -> Vector:
@@ -88,7 +88,7 @@ def times(first: Quaternion, second: Quaternion) -> Quaternion:
 
 
 def rotated(rotation: Quaternion, vector: Vector) -> Vector:
-    """`vector`, rotated."""
+    """`vector`, turned by the unit quaternion."""
     x, y, z, w = rotation
     turned = times(times(rotation, (*vector, 0.0)), (-x, -y, -z, w))
     return turned[:3]

@@ -18,7 +18,7 @@ from gateway.people.incidents.messages import RECORDER, incident_of, messages
 from gateway.people.incidents.page import as_page
 from gateway.people.incidents.story import NoStoryError, headline, story, what
 from gateway.people.incidents.watcher import LOOK_S, IncidentWatcher
-from gateway.people.recordings import Losses, Message, read
+from gateway.people.recordings import ReadLosses, RecordedMessage, read
 from gateway.people.recordings.writing import making
 from gateway.people.terminal import hint, say, this_command
 from gateway.robot.blackbox import paths
@@ -95,15 +95,15 @@ def report(settings: Settings, name: str, file: Path) -> int:
     return 0
 
 
-def _told(found: _Found) -> tuple[list[Message], list[str]]:
+def _told(found: _Found) -> tuple[list[RecordedMessage], list[str]]:
     """What is in it, and its story."""
-    losses = Losses()
+    losses = ReadLosses()
     if found.ring is not None:
         reported = list(messages(*found.ring))
     elif incident_of(read(found.path, losses, (RECORDER,))) is None:  # it may be a ride of hours
         raise ConfigError(f"{found.path}: has no incident in it{_lost(losses)}; `recordings info` shows what it has")
     else:
-        losses = Losses()
+        losses = ReadLosses()
         reported = list(read(found.path, losses))
     try:
         lines = story(reported)
@@ -114,7 +114,7 @@ def _told(found: _Found) -> tuple[list[Message], list[str]]:
     return reported, lines
 
 
-def _lost(losses: Losses) -> str:
+def _lost(losses: ReadLosses) -> str:
     return f" ({losses})" if losses else ""
 
 

@@ -59,7 +59,7 @@ def show(
 ) -> None:
     """Tell what happened: commands, decisions and frames, with times relative to the stop.
 
-    Exit codes: 0 told, 1 no such incident, 2 the black box is off, or may not be read.
+    Exit codes: 0 shown, 1 no such incident, 2 the black box is off, or may not be read.
     """
     from gateway.onboard import black_box
 

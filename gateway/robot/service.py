@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 import zenoh
 
 from gateway import __version__
+from gateway.allowance import NS_PER_MS, NS_PER_S
 from gateway.host import descriptors, effective, logs, realtime
 from gateway.host.descriptors import Spare
 from gateway.host.directories import runtime_directory
@@ -24,7 +25,6 @@ from gateway.model.frames import centidegrees
 from gateway.robot.blackbox.recorder import Recorder
 from gateway.robot.core.calibrating import ACCEPT_DEFAULT
 from gateway.robot.core.leg import Rules
-from gateway.robot.core.pacing import NS_PER_MS, NS_PER_S
 from gateway.robot.core.supervisor import Supervisor
 from gateway.robot.host import calibration_file, stop_note
 from gateway.robot.host.disk_writer import DiskWriter

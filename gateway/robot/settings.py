@@ -24,13 +24,14 @@ from pydantic_core import ErrorDetails
 
 from gateway import nesting
 from gateway.errors import ConfigError
+from gateway.host import plain_settings
 from gateway.model.frames import centidegrees
 from gateway.model.framing import Framing
 from gateway.text import visible_json
 from schemas.keys import MAX_SOURCE
 from schemas.robot import SERVO_IDS
 
-DEFAULT_PATH: Final = Path("/etc/hexapod-gateway/gateway.toml")
+DEFAULT_PATH: Final = plain_settings.DEFAULT_PATH
 ENV_PREFIX: Final = "HEXAPOD_"
 FOR_STOPS: Final = {"for": "stop-servos"}
 """Validation context in which too fast a clock or too short a pause for the framing is accepted."""

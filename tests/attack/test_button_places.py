@@ -10,12 +10,12 @@ from pathlib import Path
 import pytest
 
 from gateway import certs
+from gateway.allowance import NS_PER_MS
 from gateway.client import Client, RejectedError
 from gateway.people.client.button import Button
 from gateway.robot.core.buttons import Buttons
 from gateway.robot.core.events import ButtonDo, ButtonRequest
 from gateway.robot.core.leg import Rules
-from gateway.robot.core.pacing import NS_PER_MS
 from schemas.telemetry import Kind, Reason
 from tests.support.heard import events
 from tests.support.secured import Secured

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from gateway.people.client.confirmed_stop import REQUESTS_AT_ONCE
-from gateway.people.console.link import QUESTIONS_AT_ONCE, STOPS_AT_ONCE
+from gateway.people.console.link import PAGE_QUESTIONS_AT_ONCE, STOPS_AT_ONCE
 from gateway.people.console.sessions import Sessions
 from tests.attack.console_listener import strangers
 from tests.benchmarks.processes import threads
@@ -117,7 +117,7 @@ def test_a_press_while_other_stops_wait(tmp_path: Path) -> None:
     """With the memory that the service unit allows, fifteen Stops of each page, and no gateway."""
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     listens = {"zenoh": {"listen": [endpoint]}}
-    own = QUESTIONS_AT_ONCE + STOPS_AT_ONCE + REQUESTS_AT_ONCE
+    own = PAGE_QUESTIONS_AT_ONCE + STOPS_AT_ONCE + REQUESTS_AT_ONCE
     with BareConsole(tmp_path, endpoint, f"--data={512 * 2**20}") as console:
         opened = [console.page() for _ in range(PAGES)]
         with Gateway(tmp_path, listens) as gateway:

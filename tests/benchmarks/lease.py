@@ -9,11 +9,11 @@ from contextlib import ExitStack, closing
 from pathlib import Path
 from statistics import median
 
+from gateway.allowance import NS_PER_S
 from gateway.robot.core.events import BusOpened, Command, Do, LeaseRequest, Rejected
 from gateway.robot.core.intake import read
 from gateway.robot.core.leg import Rules
 from gateway.robot.core.message import Received, Verb
-from gateway.robot.core.pacing import NS_PER_S
 from gateway.robot.core.supervisor import Supervisor
 from schemas import keys
 from tests.benchmarks.processes import Figures, cpu_ns, now_ns, say

@@ -20,7 +20,7 @@ from gateway.robot.runtime.conductor import Conductor
 from gateway.robot.service import BEAT_S, rules
 from gateway.robot.settings import Settings
 from gateway.robot.spi import Batch, SpiDevice
-from gateway.robot.spi.bus import CS_CHANGE_NS, Bus, Report
+from gateway.robot.spi.bus import CS_CHANGE_NS, BatchReport, Bus
 from gateway.robot.spi.simulator import SimulatedController
 from schemas import keys
 from tests.deaf.minute import Message
@@ -105,7 +105,7 @@ class MarkedBus(Bus):
 
     repeating = False
 
-    def write(self, frames: Sequence[Frame], *, preamble: bool = False) -> Report:
+    def write(self, frames: Sequence[Frame], *, preamble: bool = False) -> BatchReport:
         self.repeating = preamble
         return super().write(frames, preamble=preamble)
 

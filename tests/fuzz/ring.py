@@ -24,7 +24,7 @@ from gateway.people.incidents import archive, ring_reader
 from gateway.people.incidents.incidents import CRASH, MOST, Incident, find, is_id, kind_of, time_of
 from gateway.people.incidents.messages import COMMAND_TOPICS, RECORDER, messages
 from gateway.people.incidents.story import story
-from gateway.people.recordings import REPORTS, Message, read
+from gateway.people.recordings import REPORTS, RecordedMessage, read
 from gateway.robot.blackbox.ring import RecordRing
 from tests.fuzz import ring_reference
 from tests.fuzz.ring_image import image_of
@@ -138,7 +138,7 @@ class _Told(NamedTuple):
 
     records: ring_reader.Records
     incidents: list[Incident]
-    messages: list[list[Message]]
+    messages: list[list[RecordedMessage]]
     stories: list[list[str]]
 
 

@@ -9,7 +9,6 @@ from gateway.model.calibration import RobotCalibration
 from gateway.model.frames import STOP, OneServo, Op, ServoOp
 from gateway.robot.core.events import (
     Announce,
-    Answer,
     ButtonDo,
     ButtonRequest,
     Calibrate,
@@ -20,6 +19,7 @@ from gateway.robot.core.events import (
     Event,
     LeaseRequest,
     Rejected,
+    RequestAnswer,
     Reset,
     SaveCalibration,
     StoppedOutside,
@@ -177,7 +177,7 @@ BROKEN: list[tuple[str, Configuration, Make]] = [
         DRIVERS,
         taking(Command, lambda robot, command: replace(command, lease=robot.lease._token)),
     ),
-    ("ask is answered with no_lease", DRIVERS, answering(Answer, reason=None)),
+    ("ask is answered with no_lease", DRIVERS, answering(RequestAnswer, reason=None)),
     ("rejected for None", DRIVERS, planted.StopsNeedPermission),
     (
         "what waited of others moves under no new holder",
@@ -188,7 +188,7 @@ BROKEN: list[tuple[str, Configuration, Make]] = [
             ]
         ),
     ),
-    ("who acquires it hears the token", DRIVERS, answering(Answer, token=None)),
+    ("who acquires it hears the token", DRIVERS, answering(RequestAnswer, token=None)),
     ("holds the lease, not nobody", DRIVERS, showing("lease", holder="nobody")),
     ("a change of the lease is told once", DRIVERS, losing(kind=Kind.LEASE_ACQUIRED)),
     ("no time but the lease's|wakes up in time", LEASE_REQUIRED, planted.WakesUpForLegsOnly),
@@ -209,9 +209,9 @@ BROKEN: list[tuple[str, Configuration, Make]] = [
             lambda _, asked: replace(asked, do=ButtonDo.ALIVE, count=99) if asked.do is ButtonDo.LEAVE else asked,
         ),
     ),
-    ("alive is answered with", BUTTONS, answering(Answer, reason=None)),
+    ("alive is answered with", BUTTONS, answering(RequestAnswer, reason=None)),
     ("are alive, not 7", BUTTONS, showing("buttons", alive=7)),
-    ("who registers gets the token", BUTTONS, answering(Answer, token=None)),
+    ("who registers gets the token", BUTTONS, answering(RequestAnswer, token=None)),
     ("those that too few buttons watch", ANY_BUTTON, losing(cause=Cause.WATCHDOG)),
     ("rejected for landing|are stopped", BUTTON_LANDING, ignoring(landing_ns=0)),
     ("rejected for None", ANY_BUTTON, planted.StopsNeedPermission),

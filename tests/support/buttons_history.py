@@ -4,9 +4,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Self
 
-from gateway.robot.core.events import Announce, Answer, ButtonDo, ButtonRequest, Effect
+from gateway.allowance import NS_PER_MS
+from gateway.robot.core.events import Announce, ButtonDo, ButtonRequest, Effect, RequestAnswer
 from gateway.robot.core.leg import Rules
-from gateway.robot.core.pacing import NS_PER_MS
 from schemas.telemetry import Kind, Reason
 from tests.support.history import cloned, demand
 
@@ -109,7 +109,7 @@ class ButtonsHistory:
     def judge(self, request: ButtonRequest, now_ns: int, effects: Sequence[Effect], *, ended: bool) -> None:
         """Judge the answer to a request, and what is told of it."""
         reason, told = (Reason.STOPPING, None) if ended else self._outcome(request, now_ns)
-        answers = [effect for effect in effects if isinstance(effect, Answer)]
+        answers = [effect for effect in effects if isinstance(effect, RequestAnswer)]
         demand([each.reason for each in answers] == [reason], f"{request.do} is answered with {reason}, not {answers}")
         kinds = [(each.kind, each.source) for each in _told(effects) if each.kind is not Kind.BUTTON_SILENT]
         demand(kinds == ([] if told is None else [told]), f"{request.do}: {told} is told, not {kinds}")

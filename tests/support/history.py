@@ -5,6 +5,7 @@ from dataclasses import dataclass, fields
 from operator import attrgetter
 from typing import Any, NamedTuple, Self, TypeVar
 
+from gateway.allowance import NS_PER_S
 from gateway.model.frames import Op, leg_of
 from gateway.robot.core.events import (
     Announce,
@@ -18,7 +19,6 @@ from gateway.robot.core.events import (
     Transmit,
 )
 from gateway.robot.core.leg import Rules
-from gateway.robot.core.pacing import NS_PER_S
 from schemas.telemetry import Kind, Mode, Reason
 
 CLOSED = {Mode.STOPPING: Reason.STOPPING, Mode.BUS_FAULT: Reason.BUS_FAULT, Mode.ESTOPPED: Reason.ESTOPPED}

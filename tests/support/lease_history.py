@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from gateway.robot.core.events import Announce, Answer, Do, Effect, LeaseRequest
+from gateway.robot.core.events import Announce, Do, Effect, LeaseRequest, RequestAnswer
 from gateway.robot.core.leg import Rules
 from schemas.telemetry import Kind, Reason
 from tests.support.history import demand
@@ -69,7 +69,7 @@ class LeaseHistory:
     def judge(self, request: LeaseRequest, now_ns: int, effects: Sequence[Effect], *, ended: bool) -> bool:
         """Judge the answer to a request, and what is told of it. Whether all legs must be stopped by it."""
         reason, kind = (Reason.STOPPING, None) if ended else self._outcome(request)
-        answers = [effect for effect in effects if isinstance(effect, Answer)]
+        answers = [effect for effect in effects if isinstance(effect, RequestAnswer)]
         reasons = [answer.reason for answer in answers]
         demand(reasons == [reason], f"{request.do} is answered with {reason}, not {reasons}")
         by = self.holder if request.do is Do.RELEASE else request.source

@@ -16,7 +16,7 @@ from operator import attrgetter
 from typing import Any, Final
 
 from gateway.model.calibration import RobotCalibration
-from gateway.robot.core.buttons import Button
+from gateway.robot.core.buttons import Registration
 from gateway.robot.core.events import (
     BusFailed,
     BusOpened,
@@ -71,7 +71,7 @@ _KNOWN: Final = (
     (_ROBOT, "expirations mode due_ns"),
     (_ROBOT.lease, "_rules holder verified since_ns due_ns guards _token _askers"),
     (_ROBOT.buttons, "required _timeout_ns _rise_ns _by_token closed fell_ns alive due_ns"),
-    (Button, "name holder counts count until_ns silent offset_ns heard_ns least_ns"),
+    (Registration, "name holder counts count until_ns silent offset_ns heard_ns least_ns"),
     (_ROBOT._reach, "_limits_cdeg _landing_cdeg _avoid_cdeg calibration wire limited"),
     (_ROBOT.calibrating, "_reach fault guards _on_its_way"),
     (_ROBOT.calibrating, "_delay"),  # words for people, which decide nothing

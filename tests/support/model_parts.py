@@ -4,11 +4,11 @@ what of them tells states apart."""
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
+from gateway.allowance import NS_PER_MS
 from gateway.model.calibration import CalibrationChange, RobotCalibration
 from gateway.robot.core.buttons import Buttons
 from gateway.robot.core.events import ButtonDo, ButtonRequest, Calibrate, CalibrationSaved, Do, Event, LeaseRequest
-from gateway.robot.core.lease import Lease
-from gateway.robot.core.pacing import NS_PER_MS
+from gateway.robot.core.lease import RobotLease
 from gateway.robot.core.supervisor import Supervisor
 from tests.support.buttons_history import ButtonsHistory
 from tests.support.calibration_history import CalibrationHistory
@@ -18,12 +18,12 @@ from tests.support.lease_history import LeaseHistory
 # ---- the lease
 
 
-def copied_lease(lease: Lease) -> Lease:
+def copied_lease(lease: RobotLease) -> RobotLease:
     """A copy that shares nothing that changes."""
     return cloned(lease, _askers=dict(lease._askers))
 
 
-def lease_key(lease: Lease, now_ns: int) -> tuple[object, ...]:
+def lease_key(lease: RobotLease, now_ns: int) -> tuple[object, ...]:
     """What of it can still matter; one token is as good as another."""
     left_ns = None if lease.due_ns is None else lease.due_ns - now_ns
     return lease.holder, lease._token is not None, left_ns, lease.guards, tuple(lease._askers)

@@ -4,11 +4,11 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Self
 
+from gateway.allowance import NS_PER_S
 from gateway.model.frames import Op
 from gateway.robot.core.events import Transmit
 from gateway.robot.core.landing import Landing
 from gateway.robot.core.leg import Rules
-from gateway.robot.core.pacing import NS_PER_S
 from tests.support.history import ServoHistory, demand
 
 Gap = Callable[[int, int, int], tuple[int, int] | None]

@@ -14,7 +14,7 @@ from gateway.model.frames import STOP, Frame, OneLeg, OneServo, Op, ServoOp
 from gateway.model.staleness import Staleness
 from gateway.robot import service
 from gateway.robot.core.events import Announce, Command, Effect, EmergencyStop, Event, Reset, Transmit
-from gateway.robot.core.lease import Lease
+from gateway.robot.core.lease import RobotLease
 from gateway.robot.core.supervisor import Supervisor
 from schemas.telemetry import Cause, Kind, Reason
 from tests.fuzz.planted import Make, losing, taking, wanting
@@ -105,7 +105,7 @@ def _old_is_fresh() -> None:
 
 def _anybody_drives() -> None:
     """The lease keeps nobody out."""
-    Lease.rejection = lambda *_, **__: None  # type: ignore[method-assign]
+    RobotLease.rejection = lambda *_, **__: None  # type: ignore[method-assign]
 
 
 def _supervisor(planted: Make) -> Callable[[], None]:

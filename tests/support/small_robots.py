@@ -3,10 +3,10 @@
 from dataclasses import dataclass
 from typing import Any, Final
 
+from gateway.allowance import NS_PER_S
 from gateway.model.calibration import CalibrationChange, MappingChange, RobotCalibration, ServoMapping
 from gateway.model.frames import STOP, Op, ServoOp
 from gateway.robot.core.leg import Rules
-from gateway.robot.core.pacing import NS_PER_S
 
 TICK: Final = 10
 """Nanoseconds, in a world where a leg's period is two ticks, or four, of which a quarter is one."""

@@ -2,11 +2,11 @@
 
 from typing import TypeVar
 
+from gateway.allowance import NS_PER_MS
 from gateway.model.calibration import CalibrationChange, RobotCalibration
 from gateway.model.frames import STOP, OneServo, Op, ServoOp, servo_ids_of
 from gateway.robot.core.events import (
     Announce,
-    Answer,
     BusFailed,
     BusOpened,
     ButtonDo,
@@ -21,6 +21,7 @@ from gateway.robot.core.events import (
     Event,
     LeaseRequest,
     Rejected,
+    RequestAnswer,
     Reset,
     SaveCalibration,
     ShutDown,
@@ -29,7 +30,6 @@ from gateway.robot.core.events import (
     Transmit,
 )
 from gateway.robot.core.leg import Rules
-from gateway.robot.core.pacing import NS_PER_MS
 from gateway.robot.core.supervisor import Supervisor
 from tests.support.history import is_coalesced, spelled_out
 from tests.support.oracle import Oracle
@@ -72,7 +72,7 @@ def said(effect: Effect) -> str:
             return f"rejected {effect.request.number} {effect.reason}"
         case Announce():
             return f"announce {effect.kind}"
-        case Answer():
+        case RequestAnswer():
             return effect.reason or "granted"
         case SaveCalibration():
             return f"keep {effect.number}"

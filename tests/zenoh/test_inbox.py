@@ -8,9 +8,10 @@ from collections.abc import Iterator
 import pytest
 import zenoh
 
+from gateway.allowance import NS_PER_S
 from gateway.client import Client, leg_payload, servo_payload
 from gateway.model.frames import OneLeg, OneServo, decode, stop_leg
-from gateway.robot.core.pacing import BUCKET, NS_PER_S
+from gateway.robot.core.pacing import BUCKET
 from schemas import keys
 from schemas.robot import LEGS, SERVO_IDS
 from schemas.telemetry import Ack, FrameRecord, Kind, Mode, Reason

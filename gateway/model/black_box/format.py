@@ -62,7 +62,7 @@ ABOUT: Final = 14
 
 ACCEPTED: Final = "accepted"
 COALESCED: Final = "coalesced"
-"""Verdicts of a decision, beside the reasons of rejections."""
+"""Verdicts of a decision, next to the reasons of rejections."""
 
 STOP_FACTS: Final = ("stop_servos_first_ns", "stop_servos_last_ns")
 """Facts of a start: the times of `gateway.robot.host.stop_note`, if `stop-servos` ran before it."""

@@ -19,7 +19,7 @@ from gateway.robot.settings import SpiSettings
 from gateway.robot.spi import ioctls
 from gateway.robot.spi.bus import CS_CHANGE_NS
 from gateway.robot.spi.kernel import KernelDevice
-from gateway.robot.spi.machine import ROOT, driver_of, gpio_selects
+from gateway.robot.spi.machine import ROOT_DIR, driver_of, gpio_selects
 from schemas.robot import LEGS
 
 MEASURED_HZ: Final = 2_500_000
@@ -113,7 +113,9 @@ def stops_ms(spi: SpiSettings, speed_hz: int) -> float:
     return len(LEGS) * (bits / speed_hz * 1e3 + (1 + announced) * each_ns / 1e6)
 
 
-def speed(spi: SpiSettings, *, kernel_hz: int | None = None, gateway_runs: bool = False, root: Path = ROOT) -> Result:
+def speed(
+    spi: SpiSettings, *, kernel_hz: int | None = None, gateway_runs: bool = False, root: Path = ROOT_DIR
+) -> Result:
     """The clock, compared with what was measured, what device tree and kernel allow, and how long a Stop may take.
 
     `kernel_hz`: what the function of that name found, while a gateway had the device open or not (`gateway_runs`).
@@ -181,7 +183,7 @@ def framing(spi: SpiSettings) -> Result:
     return ok("framing", f"{spi.framing}, as {spi.framing.controller} wants it; wire angles from {avoided}")
 
 
-def lists(spi: SpiSettings, *, root: Path = ROOT) -> Result:
+def lists(spi: SpiSettings, *, root: Path = ROOT_DIR) -> Result:
     """Whether chip select is known to be released between transfers of one call, as a plain controller needs."""
     name = "SPI lists"
     if not spi.batch:

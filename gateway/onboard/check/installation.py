@@ -14,18 +14,18 @@ from gateway.onboard.check.result import Result, Verdict
 from gateway.onboard.whole import SHOWN, Whole
 
 SERVICE: Final = "hexapod-gateway"
-RECORDER: Final = "hexapod-recorder"
-STATE: Final = f"/var/lib/{SERVICE}"
+_RECORDER: Final = "hexapod-recorder"
+STATE_FOLDER: Final = f"/var/lib/{SERVICE}"
 ETC: Final = f"/etc/{SERVICE}"
-UNITS: Final = (SERVICE, RECORDER)
+UNITS: Final = (SERVICE, _RECORDER)
 
 RESTART: Final = f"sudo systemctl reset-failed {SERVICE}; sudo systemctl restart {SERVICE}"
 """Also after so many failed starts that systemd begins no other."""
 _RELOAD: Final = f"sudo systemctl daemon-reload && {RESTART}"
 _ASIDE: Final = "stop the robot, then put it aside: sudo mv {0} {0}.off && " + _RELOAD
 _OWN_STATE: Final = (
-    f"sudo chown -R {SERVICE}:{SERVICE} {STATE} && sudo chmod -R u+rwX {STATE} && {RESTART} && "
-    f"sudo systemctl restart {RECORDER}"
+    f"sudo chown -R {SERVICE}:{SERVICE} {STATE_FOLDER} && sudo chmod -R u+rwX {STATE_FOLDER} && {RESTART} && "
+    f"sudo systemctl restart {_RECORDER}"
 )
 _SPI: Final = "sudo udevadm control --reload; sudo udevadm trigger --subsystem-match=spidev"
 
@@ -46,9 +46,9 @@ SHIPPED: Final = (
         f"sudo systemctl daemon-reload && sudo systemctl enable {SERVICE} && {RESTART}",
     ),
     Shipped(
-        f"systemd/{RECORDER}.service",
-        f"/etc/systemd/system/{RECORDER}.service",
-        f"sudo systemctl daemon-reload && sudo systemctl enable {RECORDER} && sudo systemctl restart {RECORDER}",
+        f"systemd/{_RECORDER}.service",
+        f"/etc/systemd/system/{_RECORDER}.service",
+        f"sudo systemctl daemon-reload && sudo systemctl enable {_RECORDER} && sudo systemctl restart {_RECORDER}",
     ),
     Shipped(f"udev/60-{SERVICE}.rules", f"/etc/udev/rules.d/60-{SERVICE}.rules", _SPI),
 )
@@ -207,12 +207,12 @@ def _changes_what_stops_depend_on(each: DropIn) -> bool:
 
 def _recorder(seen: Installation) -> _Found:
     """It is skipped where the release has no black box; then systemd shows no failure, and it is inactive."""
-    load, active = seen.shows(RECORDER, "LoadState"), seen.shows(RECORDER, "ActiveState")
-    begins = active == "activating" and seen.shows(RECORDER, "SubState") != "auto-restart"
-    if load == "loaded" and not seen.shows(RECORDER, "UnitFileState").startswith("enabled"):
-        yield "does not start with the machine", f"sudo systemctl enable --now {RECORDER}"
+    load, active = seen.shows(_RECORDER, "LoadState"), seen.shows(_RECORDER, "ActiveState")
+    begins = active == "activating" and seen.shows(_RECORDER, "SubState") != "auto-restart"
+    if load == "loaded" and not seen.shows(_RECORDER, "UnitFileState").startswith("enabled"):
+        yield "does not start with the machine", f"sudo systemctl enable --now {_RECORDER}"
     elif load == "loaded" and active != "active" and not begins:
-        yield f"is {active}", f"sudo systemctl reset-failed {RECORDER}; sudo systemctl restart {RECORDER}"
+        yield f"is {active}", f"sudo systemctl reset-failed {_RECORDER}; sudo systemctl restart {_RECORDER}"
 
 
 FAULTS: Final = (
@@ -318,14 +318,14 @@ FAULTS: Final = (
     Fault(
         "state",
         Verdict.FAILURE,
-        lambda seen: _when(not seen.state.is_folder, STATE),
+        lambda seen: _when(not seen.state.is_folder, STATE_FOLDER),
         "{0} is no folder: the service cannot start, nor stop the servos after its end",
-        "sudo mv {0} {0}.old && " + RESTART + f" && sudo systemctl restart {RECORDER}",
+        "sudo mv {0} {0}.old && " + RESTART + f" && sudo systemctl restart {_RECORDER}",
     ),
     Fault(
         "state",
         Verdict.FAILURE,
-        lambda seen: _when(bool(seen.state.read_only_mount), STATE, seen.state.read_only_mount),
+        lambda seen: _when(bool(seen.state.read_only_mount), STATE_FOLDER, seen.state.read_only_mount),
         "{0} is on a file system that is read-only: no calibration, list or incident is kept",
         "see why (dmesg), then: sudo mount -o remount,rw {1}",
     ),
@@ -334,7 +334,7 @@ FAULTS: Final = (
         Verdict.FAILURE,
         lambda seen: _when(
             not (seen.state.owned and seen.state.writable) and seen.state.is_folder and not seen.state.read_only_mount,
-            STATE,
+            STATE_FOLDER,
         ),
         "{0} is not the service's to write: it may not start, nor stop the servos after its end",
         _OWN_STATE,
@@ -343,10 +343,10 @@ FAULTS: Final = (
         "state",
         Verdict.FAILURE,
         lambda seen: _some(seen.state.foreign, seen) if seen.state.owned else (),
-        f"in {STATE}, not the service's to read and write: {{0}}",
+        f"in {STATE_FOLDER}, not the service's to read and write: {{0}}",
         _OWN_STATE,
     ),
-    Fault("recorder", Verdict.WARNING, _recorder, f"{RECORDER} {{0}}, so incidents are not kept", "{1}"),
+    Fault("recorder", Verdict.WARNING, _recorder, f"{_RECORDER} {{0}}, so incidents are not kept", "{1}"),
     Fault(
         "private key",
         Verdict.WARNING,

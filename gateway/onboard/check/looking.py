@@ -14,7 +14,7 @@ from gateway import certs
 from gateway.errors import ConfigError
 from gateway.onboard import whole
 from gateway.onboard.check import service_user
-from gateway.onboard.check.installation import ETC, SERVICE, SHIPPED, STATE, UNITS, DropIn, Folder, Installation
+from gateway.onboard.check.installation import ETC, SERVICE, SHIPPED, STATE_FOLDER, UNITS, DropIn, Folder, Installation
 
 _GROUPS: Final = ("spi", SERVICE)
 _PROPERTIES: Final = "LoadState,ActiveState,SubState,UnitFileState,NeedDaemonReload,DropInPaths"
@@ -39,7 +39,7 @@ def look() -> Installation | None:
         differ=dict(_differing(deploy)),
         units=units,
         drop_ins=tuple(_drop_ins(units[SERVICE].get("DropInPaths", ""))),
-        state=Folder() if own is None else _state(Path(STATE), own),
+        state=Folder() if own is None else _state(Path(STATE_FOLDER), own),
         user=own is not None,
         groups=tuple(each for each in _GROUPS if not _is_group(each)) if own is not None else (),
         exposed=tuple(_exposed(Path(ETC))),
@@ -150,7 +150,7 @@ def _owned_by_others(key: Path) -> bool:
 
 
 def _authority_keys(folder: Path) -> Iterator[str]:
-    """Private keys of an authority, by their names as `certs` gives them, or by the certificate beside them."""
+    """Private keys of an authority, by their names as `certs` gives them, or by the certificate next to them."""
     for key in _keys(folder):
         if key.stem == "ca" or key.stem.endswith("-ca") or _is_of(key, key.with_name("ca.pem")):
             yield str(key)

@@ -17,9 +17,9 @@ from gateway.errors import ConfigError
 from gateway.people.client.blocking import Client
 from gateway.people.terminal import ask, say
 from gateway.people.tools.driving import drives, rejected
-from gateway.people.tools.moving import MOST_DEG, Motion, consents, ready, stopped_after
+from gateway.people.tools.moving import ServoMotion, consents, ready, stopped_after
 from gateway.people.tools.reach import Connection, show_differences
-from schemas.robot import LEGS, SERVO_IDS
+from schemas.robot import LEGS, MAX_DEG, SERVO_IDS
 from schemas.telemetry import Ack, GatewayState, Reason, WatchdogState
 
 DEFAULT_SERVO: Final = 61
@@ -65,7 +65,7 @@ def move(connect: Connection, *, agreed: bool) -> int:
     with connect() as client:
         state = ready(client)
         show_differences()
-        motion = Motion([DEFAULT_SERVO], DEFAULT_ANGLE_DEG) if agreed else _asked()
+        motion = ServoMotion([DEFAULT_SERVO], DEFAULT_ANGLE_DEG) if agreed else _asked()
         servo_id = motion.servo_ids[0]
         if not consents(motion, state, agreed=agreed):
             say("Nothing was moved.")
@@ -99,12 +99,12 @@ def move(connect: Connection, *, agreed: bool) -> int:
     return 0
 
 
-def _asked() -> Motion:
+def _asked() -> ServoMotion:
     servo_id = _servo(ask(f"Which servo, 11 to 63? [{DEFAULT_SERVO}] "))
-    return Motion([servo_id], _angle(ask(f"Start it at which angle? [{DEFAULT_ANGLE_DEG:g}] ")))
+    return ServoMotion([servo_id], _angle(ask(f"Start it at which angle? [{DEFAULT_ANGLE_DEG:g}] ")))
 
 
-def _moved(client: Client, motion: Motion, timeout_ms: float, lease: dict[str, str]) -> bool:
+def _moved(client: Client, motion: ServoMotion, timeout_ms: float, lease: dict[str, str]) -> bool:
     """Whether all that was asked for was accepted."""
 
     def ask(op: str, angle_deg: float) -> Ack:
@@ -170,6 +170,6 @@ def _angle(text: str) -> float:
         angle_deg = float(text)
     except ValueError:
         angle_deg = -1.0
-    if 0 <= angle_deg <= MOST_DEG:
+    if 0 <= angle_deg <= MAX_DEG:
         return angle_deg
     raise ConfigError(f"{text!r} is no angle: 0 to 180 degrees")

@@ -47,7 +47,7 @@ def interpreter(*, installed: Path = INSTALLED, system: Path = SYSTEM_PYTHON) ->
     link = installed / "bin" / "python"
     if not link.is_symlink():
         return None
-    # The first link that leads out of the folder: `python` is a link to `python3.11` beside it, or to `python3`.
+    # The first link that leads out of the folder: `python` is a link to `python3.11` next to it, or to `python3`.
     while link.is_symlink() and link.is_relative_to(installed):
         link = link.parent / os.readlink(link)
     if link == system and system.resolve() != system:

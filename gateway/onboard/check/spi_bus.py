@@ -5,7 +5,7 @@ from typing import Final
 
 from gateway.onboard.check.result import Result, ok, warning
 from gateway.robot.spi.machine import (
-    ROOT,
+    ROOT_DIR,
     RP1_FIXED,
     computer,
     driver_of,
@@ -15,11 +15,11 @@ from gateway.robot.spi.machine import (
     on_rp1,
 )
 
-LONGEST_MS: Final = 2
+_LONGEST_MS: Final = 2
 """What a neighbour's transfer may take (docs/safety.md): an emergency stop waits for two to four of them."""
 
 
-def carrier(device: str, *, root: Path = ROOT) -> Result:
+def carrier(device: str, *, root: Path = ROOT_DIR) -> Result:
     """Computer, kernel, driver and chip select; and whether this kernel loses clock edges."""
     name = "SPI controller"
     release, built = kernel(root)
@@ -42,7 +42,7 @@ def carrier(device: str, *, root: Path = ROOT) -> Result:
     )
 
 
-def shared(device: str, *, root: Path = ROOT) -> Result:
+def shared(device: str, *, root: Path = ROOT_DIR) -> Result:
     """Whether something else on the bus can delay an emergency stop."""
     name = "SPI bus"
     found = neighbours(device, root)
@@ -53,5 +53,5 @@ def shared(device: str, *, root: Path = ROOT) -> Result:
         name,
         f"{others} {'is' if len(found) == 1 else 'are'} on it, too: an emergency stop waits for two to four of its "
         "transfers",
-        f"move it to another bus, or see that none of its transfers takes more than {LONGEST_MS} ms",
+        f"move it to another bus, or see that none of its transfers takes more than {_LONGEST_MS} ms",
     )

@@ -21,7 +21,7 @@ from gateway.people.walking import Velocity
 from schemas.telemetry import Ack, GatewayState, Mode, Reason
 
 NOBODY_DRIVES: Final = "nobody has called drive"
-NOT_OURS: Final = (
+_NOT_OURS: Final = (
     "this emergency stop did not come through ROS alone, or not while the bridge drove; leave it at the robot, or "
     "start the bridge with --allow-reset"
 )
@@ -108,13 +108,13 @@ class Driving:
     def reset(self, *, of_anybody: bool) -> None:
         """Leave the emergency stop, unless a person may have engaged it too (`of_anybody`: even so).
 
-        Whoever reaches ROS 2's graph may call this, and a person who has pressed a button relies on it.
+        Anybody who reaches ROS 2's graph may call this, and a person who has pressed a button relies on it.
         Raises GatewayError.
         """
         state = self._client.state()
         number = state.estop if of_anybody else self._own.may_leave(state, time.monotonic())
         if number is None:
-            raise RejectedError(Reason.ESTOPPED, NOT_OURS)
+            raise RejectedError(Reason.ESTOPPED, _NOT_OURS)
         ack = self._client.reset(number)
         if not ack.accepted:
             raise RejectedError(str(ack.reason), ack.detail or "")
@@ -177,7 +177,7 @@ class Driving:
                 if self._motion is None and self._lease is not None and state is not None:
                     self._check_estop(state)
                 if self._lease is None and state is not None and state.lease.holder not in (None, self._held_as):
-                    self._own.forget()  # whoever drives now has taken the robot over, with its emergency stop
+                    self._own.forget()  # who drives now has taken the robot over, with its emergency stop
             except GatewayError as error:
                 self._fail(error)
 

@@ -1,6 +1,6 @@
 """Who reaches ROS 2's router: they all have the bridge's rights. Asked once, before the bridge serves anything.
 
-rmw_zenohd listens on every address, without authentication, unless it is told otherwise. So three things are looked at:
+rmw_zenohd listens on every address, without authentication, unless configured otherwise. So three things are looked at:
 the endpoint that is dialled; the kernel's table, for a router on this machine; and what the router publishes of itself.
 """
 

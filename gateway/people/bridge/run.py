@@ -27,7 +27,7 @@ try:
 except ImportError as error:
     raise ConfigError("the ROS 2 bridge needs: pip install 'hexapod-gateway[ros2]'") from error
 
-NAME: Final = "ros2"
+_NAME: Final = "ros2"
 OPEN_NAME: Final = "ros2 (open graph)"
 """Where others reach the graph without certificates: the gateway's state and events show it by this name."""
 ROUTER: Final = "tcp/localhost:7447"
@@ -71,7 +71,7 @@ def serve(
     opened = _open_rclpy if by_rclpy else _open_zenoh
     with closing(opened(names, router, router_config, ros_args)) as graph:
         is_open = _is_open(graph, accepted=open_graph)
-        name = OPEN_NAME if is_open else NAME
+        name = OPEN_NAME if is_open else _NAME
         with connect(source=name)() as client, on_end_signals(ended.set), ExitStack() as at_the_end:
             graph.check_apart(client)
             driving = Driving(client, name, shape, _show)

@@ -18,7 +18,7 @@ from gateway.people.ros2.messages import Float64, Int32, JointState, JointTrajec
 from gateway.people.ros2.trajectory import Trajectory
 from gateway.people.walking import Velocity
 
-MAX_BYTES: Final = 4096
+_MAX_BYTES: Final = 4096
 """As a command to the gateway; 18 joints with velocity and effort have 1000."""
 MAX_TRAJECTORY_BYTES: Final = 1_000_000
 """2000 points of 18 joints with velocities have 650 000."""
@@ -62,7 +62,7 @@ class Topics:
             "cmd_gait_type": (self._gait, (Int32,)),
         }
         for topic, (take, kinds) in table.items():
-            most = MAX_TRAJECTORY_BYTES if JointTrajectory in kinds else MAX_BYTES
+            most = MAX_TRAJECTORY_BYTES if JointTrajectory in kinds else _MAX_BYTES
             graph.subscribe(topic, kinds, most, partial(self._take, topic, take), partial(self._reject, topic))
 
     def turned(self) -> None:

@@ -62,7 +62,7 @@ def open_router(config: zenoh.Config) -> zenoh.Session:
     return session
 
 
-class Publisher:
+class ZenohPublisher:
     """Puts messages of one topic; for one thread."""
 
     def __init__(self, publisher: Any, gid: bytes) -> None:
@@ -105,7 +105,7 @@ class ZenohGraph:
         if {str(zid) for zid in ours} & {str(zid) for zid in theirs} or gateway & there:
             raise ConfigError(f"--router leads to the gateway{_NO_ROS_PEER}")
 
-    def publisher(self, topic: str, kind: type[Message], *, latched: bool = False) -> Publisher:
+    def publisher(self, topic: str, kind: type[Message], *, latched: bool = False) -> ZenohPublisher:
         """See Graph."""
         token = self._show(PUBLISHES, topic, kind.TYPE, kind.HASH, QOS_LATCHED if latched else QOS)
         key = self._names.topic_key(topic, kind)
@@ -121,7 +121,7 @@ class ZenohGraph:
         else:
             found = self._session.declare_publisher(key, congestion_control=drop)
         self._declared.append(found)
-        return Publisher(found, gid_of(token))
+        return ZenohPublisher(found, gid_of(token))
 
     def subscribe(
         self, topic: str, kinds: tuple[type[Message], ...], most_bytes: int, take: Take, reject: Callable[[str], None]
@@ -218,7 +218,7 @@ class _Senders:
 
 
 def _answer(query: zenoh.Query, call: Callable[[], str], *, always: bool) -> None:
-    if "*" in str(query.key_expr):  # whoever lists what there is calls nothing
+    if "*" in str(query.key_expr):  # a listing of all keys calls nothing
         query.drop()
         return
     attachment = query.attachment

@@ -5,7 +5,7 @@ from collections.abc import Collection, Mapping, Sequence
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final, SupportsFloat, SupportsIndex, TypeGuard, cast
 
-from schemas.robot import JOINTS, LEGS, SERVO_IDS
+from schemas.robot import JOINTS, LEGS, MAX_DEG, SERVO_IDS
 
 if TYPE_CHECKING:
     from schemas.calibration import ServoChange
@@ -13,7 +13,6 @@ if TYPE_CHECKING:
 Angle = SupportsFloat | SupportsIndex
 """Degrees: an int, a float, or a number such as numpy's `float32` and `int64`; no bool."""
 MIN_DEG: Final = 0.0
-MAX_DEG: Final = 180.0
 ROUNDING_DEG: Final = 0.005
 """Half of the protocol's hundredth: an angle so close outside 0 to 180 is the limit, after inexact arithmetic."""
 

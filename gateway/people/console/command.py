@@ -12,7 +12,7 @@ from gateway.people.console import sessions
 from gateway.people.console.messages import ROLES
 from gateway.people.console.options import Options
 from gateway.people.console.sessions import Sessions
-from gateway.people.console.site import DEFAULT_ADDRESS, DEFAULT_PORT, address_of, free_address, site
+from gateway.people.console.site import CONSOLE_PORT, DEFAULT_ADDRESS, address_of, free_address, site
 from gateway.people.console.sockets import address_in, inherited
 from gateway.people.terminal import hint, say
 
@@ -38,8 +38,8 @@ def console(options: Options) -> NoReturn:
     passed = inherited()
     address = address_in(passed, options.listen) if passed else options.listen or free_address()
     place = site(address, options.cert, options.key)
-    if not passed and options.listen is None and place.port != DEFAULT_PORT:
-        hint(f"Port {DEFAULT_PORT} is taken by another program, so the console listens on {place.port}.")
+    if not passed and options.listen is None and place.port != CONSOLE_PORT:
+        hint(f"Port {CONSOLE_PORT} is taken by another program, so the console listens on {place.port}.")
     serve(options, role, place, passed)
 
 
@@ -59,7 +59,7 @@ def link(listen: str | None, card: str = "") -> int:
     _need_extra()
     from gateway.people.console.serve import show  # noqa: PLC0415 (likewise)
 
-    address, port = (_answering() or (DEFAULT_ADDRESS, DEFAULT_PORT)) if listen is None else address_of(listen)
+    address, port = (_answering() or (DEFAULT_ADDRESS, CONSOLE_PORT)) if listen is None else address_of(listen)
     made = Sessions(sessions.folder(), port).new_link(card)
     try:
         socket.create_connection((address, port), ANSWERS_S).close()

@@ -28,7 +28,7 @@ T = TypeVar("T")
 
 STOPS_AT_ONCE: Final = 4
 """Stops of single legs; further ones wait until one is answered, or given up after the timeout."""
-QUESTIONS_AT_ONCE: Final = 12
+PAGE_QUESTIONS_AT_ONCE: Final = 12
 """Everything else: commands, the lease, the state."""
 STACK_BYTES: Final = 1_048_576
 """Of each thread that Python starts; the system's 8 MB count as memory (`LimitDATA`), though nobody uses them."""
@@ -68,7 +68,7 @@ class GatewayLink(Receiver):
         self._connect = partial(Client, connect, zenoh_config=zenoh_config, timeout_s=timeout_s, explain=False)
         self._stop_all = ReadyThreads(REQUESTS_AT_ONCE, "STOP ALL")
         self._stops = ReadyThreads(STOPS_AT_ONCE, "Stops")
-        self._questions = ReadyThreads(QUESTIONS_AT_ONCE, "ask")
+        self._questions = ReadyThreads(PAGE_QUESTIONS_AT_ONCE, "ask")
         loop = asyncio.get_running_loop()
         loop.set_default_executor(self._questions.executor)
         self._spare = Spare()

@@ -28,7 +28,7 @@ from gateway.people.console.messages import ROLES, Role, least
 from gateway.people.console.options import Options
 from gateway.people.console.pages import Pages, Shared
 from gateway.people.console.sessions import LINK_S, Sessions
-from gateway.people.console.site import DEFAULT_PORT, Site
+from gateway.people.console.site import CONSOLE_PORT, Site
 from gateway.people.console.sockets import listening
 from gateway.people.console.stops import Stops, send_stopping
 from gateway.people.console.tls import server_context
@@ -116,7 +116,7 @@ async def _run(
 
 def _say_where(site: Site, found: Sessions, card: str) -> None:
     """Print a link to a terminal only: a journal, or another reader of this output, keeps it and shows it to others."""
-    where = "" if site.port == DEFAULT_PORT else f" --listen {site.address}:{site.port}"
+    where = "" if site.port == CONSOLE_PORT else f" --listen {site.address}:{site.port}"
     say(f"For a{'nother' if os.isatty(1) else ''} browser: {this_command()} console --link{where}")
     if os.isatty(1):
         show(found.new_link(card))

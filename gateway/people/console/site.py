@@ -17,11 +17,11 @@ from gateway.certs.authority import hosts_of
 from gateway.certs.files import read_certificate
 from gateway.errors import ConfigError
 
-DEFAULT_PORT: Final = 8080
+CONSOLE_PORT: Final = 8080
 DEFAULT_ADDRESS: Final = "127.0.0.1"
 LOCALHOST: Final = ("127.0.0.1", "::1")
 """To which browsers resolve `localhost`, whatever the machine's own file states. Links name the first."""
-_NEXT_PORTS: Final = range(DEFAULT_PORT + 1, DEFAULT_PORT + 20)
+_NEXT_PORTS: Final = range(CONSOLE_PORT + 1, CONSOLE_PORT + 20)
 """Tried if no address is given and another program has the default port."""
 _DEFAULT_PORTS: Final = {"http": 80, "https": 443}
 
@@ -99,7 +99,7 @@ def address_of(listen: str) -> tuple[str, int]:
     """`HOST:PORT` in its parts. Raises ConfigError."""
     try:
         parts = urlsplit(f"//{listen}")
-        host, port = parts.hostname, DEFAULT_PORT if parts.port is None else parts.port
+        host, port = parts.hostname, CONSOLE_PORT if parts.port is None else parts.port
     except ValueError:
         host, port = None, 0
     if not host or parts.path or parts.query or "@" in listen or not 1 <= port <= 65535:
@@ -114,7 +114,7 @@ def with_port(host: str, port: int) -> str:
 
 def free_address() -> str:
     """The default address with the first free port; if none is free, with the default port."""
-    return f"{DEFAULT_ADDRESS}:{next(filter(_is_free, (DEFAULT_PORT, *_NEXT_PORTS)), DEFAULT_PORT)}"
+    return f"{DEFAULT_ADDRESS}:{next(filter(_is_free, (CONSOLE_PORT, *_NEXT_PORTS)), CONSOLE_PORT)}"
 
 
 def _is_free(port: int) -> bool:

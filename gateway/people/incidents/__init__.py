@@ -1,1 +1,1 @@
-"""What the black box kept: read, told as a story, exported."""
+"""What the black box kept: read, shown as a story, exported."""

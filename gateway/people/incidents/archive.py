@@ -17,14 +17,14 @@ from gateway.people.incidents.incidents import Incident, is_id
 from gateway.people.incidents.messages import COMMAND_TOPICS, RECORDER, CommandInBox, FrameInBox, Note, messages
 from gateway.people.incidents.ring_reader import Records
 from gateway.people.incidents.story import headline
-from gateway.people.recordings import REPORTS, Message, Recording
+from gateway.people.recordings import REPORTS, RecordedMessage, Recording
 from gateway.people.recordings.plain_schema import Schema, plain_schema
 from schemas.calibration import Calibration
 from schemas.keys import CALIBRATION, EVENT, FRAME
 from schemas.telemetry import Event
 
 MAX_FILES: Final = 100
-MAX_BYTES: Final = 200_000_000
+_MAX_BYTES: Final = 200_000_000
 SUFFIX: Final = ".mcap"
 _ORDER: Final = "order"
 """A line for each incident, oldest first: its id, whether its file was written after the incident's end, and what
@@ -81,7 +81,7 @@ def write(path: Path, incident: Incident, records: Records) -> str:
         return headline(_written(messages(incident, records), recording))
 
 
-def _written(those: Iterator[Message], recording: Recording) -> Iterator[Message]:
+def _written(those: Iterator[RecordedMessage], recording: Recording) -> Iterator[RecordedMessage]:
     undeclared = dict(_CHANNELS)
     for message in those:
         if model := undeclared.pop(message.topic, None):  # viewers list a channel even if it is empty
@@ -125,7 +125,7 @@ def prune(folder: Path) -> None:
     files, size = 0, 0
     for each in reversed(kept(folder)):
         files, size = files + 1, size + each.size
-        if files > MAX_FILES or size > MAX_BYTES:
+        if files > MAX_FILES or size > _MAX_BYTES:
             each.path.unlink()
 
 

@@ -14,7 +14,7 @@ from gateway.model.black_box.format import ACCEPTED
 from gateway.model.frames import Op
 from gateway.people.incidents.incidents import Incident
 from gateway.people.incidents.ring_reader import Records
-from gateway.people.recordings import Message
+from gateway.people.recordings import RecordedMessage
 from schemas import keys
 from schemas.telemetry import Event, FrameRecord, Report
 
@@ -67,12 +67,12 @@ class Note(Report):
 COMMAND_TOPICS: Final = tuple(keys.COMMAND_KEYS)
 
 
-def incident_of(those: Iterable[Message]) -> Message | None:
+def incident_of(those: Iterable[RecordedMessage]) -> RecordedMessage | None:
     """Of an incident's messages the one that is about itself."""
     return next((each for each in those if each.topic == RECORDER and each.content.get("what") == INCIDENT), None)
 
 
-def messages(incident: Incident, records: Records) -> Iterator[Message]:
+def messages(incident: Incident, records: Records) -> Iterator[RecordedMessage]:
     """The incident itself, and what it takes in, oldest first.
 
     What became of a command is found before its message is made. So each record is decoded twice rather than kept.
@@ -84,7 +84,7 @@ def messages(incident: Incident, records: Records) -> Iterator[Message]:
     calibration = records.calibration_at(incident.begin_ns)
     if calibration is not None:  # so that the frames can be read, which have the servos' own angles
         begin_ns = incident.wall_ns(incident.begin_ns)
-        yield Message(keys.CALIBRATION, calibration.model_dump(mode="json"), begin_ns, begin_ns)
+        yield RecordedMessage(keys.CALIBRATION, calibration.model_dump(mode="json"), begin_ns, begin_ns)
     killed_ns = incident.killed_ns
     last: int | None = None  # the place in `records` of what a gateway wrote that has not recorded its end
     ended = False
@@ -106,13 +106,13 @@ def messages(incident: Incident, records: Records) -> Iterator[Message]:
         topic_and_report = _message(record, decisions.of(place), _time(wall_ns), is_told=decisions.is_told(place))
         if topic_and_report is not None:
             topic, report = topic_and_report
-            yield Message(topic, report.model_dump(mode="json"), wall_ns, wall_ns)
+            yield RecordedMessage(topic, report.model_dump(mode="json"), wall_ns, wall_ns)
     yield from notes
     if killed_ns is not None:
         yield _killed(incident.wall_ns(killed_ns))
 
 
-def _notes(incident: Incident, records: Records, taken: Iterable[int]) -> Iterator[Message]:
+def _notes(incident: Incident, records: Records, taken: Iterable[int]) -> Iterator[RecordedMessage]:
     """The incident, and what a start states of the time before it."""
     yield _noted(incident.zero_wall_ns, INCIDENT, incident.name)
     for index in taken:
@@ -147,7 +147,7 @@ class _Decisions:
         return bool(self._told[place])
 
 
-def _stops_before(start: form.Record, incident: Incident) -> Iterator[Message]:
+def _stops_before(start: form.Record, incident: Incident) -> Iterator[RecordedMessage]:
     """What `stop-servos` wrote before this start, after the end of the gateway before it."""
     facts = start.content.facts if isinstance(start.content, form.Start) else {}
     match [facts.get(name) for name in form.STOP_FACTS]:
@@ -156,13 +156,13 @@ def _stops_before(start: form.Record, incident: Incident) -> Iterator[Message]:
             yield _noted(incident.wall_ns(first_ns), "stop-servos", repeated)
 
 
-def _killed(wall_ns: int) -> Message:
+def _killed(wall_ns: int) -> RecordedMessage:
     return _noted(wall_ns, "killed", "its last record; it ended without a word")
 
 
-def _noted(wall_ns: int, what: str, detail: str) -> Message:
+def _noted(wall_ns: int, what: str, detail: str) -> RecordedMessage:
     note = Note(time=_time(wall_ns), what=what, detail=detail)
-    return Message(RECORDER, note.model_dump(mode="json"), wall_ns, wall_ns)
+    return RecordedMessage(RECORDER, note.model_dump(mode="json"), wall_ns, wall_ns)
 
 
 def _message(

@@ -7,7 +7,7 @@ from typing import Final
 
 from gateway.model.frames import Op
 from gateway.people.incidents.messages import incident_of
-from gateway.people.recordings import Message
+from gateway.people.recordings import RecordedMessage
 from gateway.people.recordings.user_angles import frames_in
 from schemas.robot import LEGS
 
@@ -18,10 +18,10 @@ _ROW: Final = 70
 _JOINTS: Final = {1: "#4878a8", 2: "#c07820", 3: "#609060"}
 _STOP: Final = "#b03030"
 _MOST_POINTS: Final = 4000
-"""Of one servo; more could not be told apart."""
+"""Of one servo; more could not be distinguished."""
 
 
-def as_page(name: str, reported: Sequence[Message], lines: Sequence[str]) -> str:
+def as_page(name: str, reported: Sequence[RecordedMessage], lines: Sequence[str]) -> str:
     """HTML in one file, without scripts and without anything from elsewhere."""
     incident = incident_of(reported)
     story = "\n".join(map(escape, lines))
@@ -39,7 +39,7 @@ svg {{ width: 100%; font-size: 11px; }} pre {{ white-space: pre-wrap; }}
 """
 
 
-def _plot(reported: Sequence[Message], zero_ns: int) -> str:
+def _plot(reported: Sequence[RecordedMessage], zero_ns: int) -> str:
     ways: dict[int, list[tuple[float, float]]] = {}
     stops: dict[int, list[float]] = {}
     frames = [((message.time_ns - zero_ns) / 1e9, frame) for message, frame in frames_in(reported)]

@@ -85,7 +85,7 @@ def _event(rest: bytes) -> form.EventPublished:
 
 def _calibrated(rest: bytes) -> form.Calibrated:
     report = Calibration.model_validate_json(rest)
-    calibration_of(report)  # one that no gateway publishes would lead whoever draws with it astray
+    calibration_of(report)  # one that no gateway publishes would be drawn wrongly
     return form.Calibrated(report)
 
 

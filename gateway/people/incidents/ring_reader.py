@@ -23,7 +23,7 @@ from gateway.model.black_box.files import MAX_SLOTS
 from gateway.people.incidents.ring_decoding import decode
 from schemas.calibration import Calibration
 
-MAX_BYTES: Final = header.file_bytes(MAX_SLOTS)
+_MAX_BYTES: Final = header.file_bytes(MAX_SLOTS)
 MOST_CHANGES: Final = 100
 """Of the calibration that a ring shows. A person makes one in half a minute."""
 _KINDS_OF_PARTS: Final = (form.COMMAND, form.FRAME)
@@ -117,7 +117,7 @@ def read(path: Path, most: int = MAX_SLOTS) -> Content:
         raise NoRingError(f"{path}: {error.strerror}") from error
     try:
         found = os.fstat(fd)
-        if not stat.S_ISREG(found.st_mode) or found.st_size > MAX_BYTES:
+        if not stat.S_ISREG(found.st_mode) or found.st_size > _MAX_BYTES:
             raise NoRingError(f"{path}: it is no black box")
         _check_owner(found, path)
         written = written_by_anyone(fd)  # first: a gateway that ends meanwhile has written all

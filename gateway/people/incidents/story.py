@@ -10,14 +10,14 @@ from gateway.model.black_box.incidents import INCIDENT_NAMES, MISTAKE
 from gateway.model.frames import Op
 from gateway.people.incidents.incidents import kind_of
 from gateway.people.incidents.messages import COMMAND_TOPICS, INCIDENT, RECORDER, incident_of
-from gateway.people.recordings import Message
+from gateway.people.recordings import RecordedMessage
 from gateway.people.recordings.user_angles import FrameIn, frames_in
 from gateway.text import visible
 from schemas import keys
 from schemas.robot import LEGS
 from schemas.telemetry import Cause, Kind
 
-TOGETHER_NS: Final = 15_000_000
+_TOGETHER_NS: Final = 15_000_000
 """Frames of one cause that follow each other within this are one line. Repeats come 20 ms apart by default."""
 FINE_MS: Final = 100.0
 """Times nearer than this to the incident are reported in milliseconds."""
@@ -72,7 +72,7 @@ def what(name: str) -> str:
     return _WHAT.get(kind_of(name), kind_of(name))
 
 
-def story(messages: list[Message]) -> list[str]:
+def story(messages: list[RecordedMessage]) -> list[str]:
     """The lines to print. Raises NoStoryError."""
     zero = incident_of(messages)
     if zero is None:
@@ -89,12 +89,12 @@ def story(messages: list[Message]) -> list[str]:
     return [visible(line) for line in (head, *_summary(reported), *timed)]
 
 
-def headline(messages: Iterable[Message]) -> str:
+def headline(messages: Iterable[RecordedMessage]) -> str:
     """The worst that happened in an incident, who asked for it, which legs it stopped, and what else happened.
 
     Of many messages it holds few. Raises NoStoryError.
     """
-    reported: list[Message] = []
+    reported: list[RecordedMessage] = []
     moved_ns = array("q")  # when commands that move came
     for message in messages:
         if _is_command(message):
@@ -124,7 +124,7 @@ def headline(messages: Iterable[Message]) -> str:
     return visible("; also: ".join((first, *words.values())))
 
 
-def _is_headline(message: Message) -> bool:
+def _is_headline(message: RecordedMessage) -> bool:
     if message.topic == keys.FRAME:
         return message.content.get("cause") == Cause.WATCHDOG
     kind = message.content.get("kind") if message.topic == keys.EVENT else None
@@ -132,7 +132,7 @@ def _is_headline(message: Message) -> bool:
     return str(kind) in _ENDINGS or note in (INCIDENT, "lag", "killed")
 
 
-def _stood_still(notes: Sequence[Message], moved_ns: Sequence[int], zero_ns: int) -> str:
+def _stood_still(notes: Sequence[RecordedMessage], moved_ns: Sequence[int], zero_ns: int) -> str:
     """Where a leg was silent since nobody read its commands; empty, where the gateway ran."""
     for note in notes:
         if note.content.get("what") != "lag":
@@ -160,19 +160,19 @@ def _at(at_ns: int) -> str:
 # ---- who commanded
 
 
-def _is_command(message: Message) -> bool:
+def _is_command(message: RecordedMessage) -> bool:
     return message.topic in COMMAND_TOPICS and "targets" in message.content
 
 
-def _legs_of(message: Message) -> list[int]:
+def _legs_of(message: RecordedMessage) -> list[int]:
     return sorted({target["id"] // 10 for target in message.content["targets"]})
 
 
-def _moves(message: Message) -> bool:
+def _moves(message: RecordedMessage) -> bool:
     return any(target["op"] != "stop" for target in message.content["targets"])
 
 
-def _taken(message: Message) -> bool:
+def _taken(message: RecordedMessage) -> bool:
     return message.content.get("verdict") in (None, "accepted", "coalesced")
 
 
@@ -186,7 +186,7 @@ def _named(legs: list[int]) -> str:
     return f"leg{'s' if len(legs) > 1 else ''} {', '.join(map(str, legs))}"
 
 
-def _asked(message: Message, leg: int) -> str:
+def _asked(message: RecordedMessage, leg: int) -> str:
     """anna, set 90 45 120"""
     parts: list[str] = []
     for target in message.content["targets"]:
@@ -198,7 +198,7 @@ def _asked(message: Message, leg: int) -> str:
     return f"{_who(message.content.get('source'))}, {' '.join(parts)}{age}"
 
 
-def _summary(messages: list[Message]) -> Iterator[str]:
+def _summary(messages: list[RecordedMessage]) -> Iterator[str]:
     """One line for each source that commanded before the incident."""
     counts: Counter[str] = Counter()
     legs: dict[str, set[int]] = {}
@@ -212,13 +212,13 @@ def _summary(messages: list[Message]) -> Iterator[str]:
         yield f"Before it, {who} sent {commands} for {_named(sorted(legs[who]))}."
 
 
-def _commands(messages: list[Message], frames: Sequence[FrameIn], name: str) -> Iterator[Line]:
+def _commands(messages: list[RecordedMessage], frames: Sequence[FrameIn], name: str) -> Iterator[Line]:
     """The last command of each leg before the incident, and the first that moves one that it stopped."""
     concerned = _stopped_legs(frames) if kind_of(name) == "watchdog" else set(LEGS)
     stops = ((frame.leg, message.time_ns) for message, frame in frames if message.time_ns >= 0 and frame.is_stop)
     stopped_ns = dict(reversed(list(stops)))  # of each leg, its first Stop since the incident
-    last: dict[int, Message] = {}
-    first: dict[int, Message] = {}
+    last: dict[int, RecordedMessage] = {}
+    first: dict[int, RecordedMessage] = {}
     for message in messages:
         if _is_command(message) and _taken(message):
             if message.time_ns <= 0:
@@ -243,7 +243,7 @@ def _stopped_legs(frames: Iterable[FrameIn], zero_ns: int = 0) -> set[int]:
     return {frame.leg for message, frame in frames if _is_watchdogs(message) and message.time_ns >= zero_ns}
 
 
-def _is_watchdogs(frame: Message) -> bool:
+def _is_watchdogs(frame: RecordedMessage) -> bool:
     return frame.content.get("cause") == Cause.WATCHDOG
 
 
@@ -255,7 +255,7 @@ class _Run(NamedTuple):
     commands: int
 
 
-def _rejections(messages: list[Message]) -> Iterator[Line]:
+def _rejections(messages: list[RecordedMessage]) -> Iterator[Line]:
     runs: dict[tuple[str, str, bool], _Run] = {}
     for message in messages:
         if _is_command(message) and not _taken(message):
@@ -278,13 +278,13 @@ def _rejections(messages: list[Message]) -> Iterator[Line]:
 # ---- what the gateway did
 
 
-def _events(messages: list[Message], name: str) -> Iterator[Line]:
+def _events(messages: list[RecordedMessage], name: str) -> Iterator[Line]:
     for message in messages:
         kind = message.content.get("kind")
         if message.topic != keys.EVENT or kind == Kind.COMMAND_REJECTED:
             continue
         at_ns = message.time_ns
-        if kind == _AT_ZERO.get(kind_of(name)) and 0 <= at_ns < TOGETHER_NS:
+        if kind == _AT_ZERO.get(kind_of(name)) and 0 <= at_ns < _TOGETHER_NS:
             at_ns = 0
         source = message.content.get("source")
         by = f" ({source})" if source else ""
@@ -300,7 +300,7 @@ def _stops(frames: Iterable[FrameIn]) -> Iterator[Line]:
             continue
         if group and (
             message.content.get("cause") != group[-1][0].content.get("cause")
-            or message.time_ns - group[-1][0].time_ns > TOGETHER_NS
+            or message.time_ns - group[-1][0].time_ns > _TOGETHER_NS
         ):
             yield _stops_in_one_line(group)
             group = []
@@ -321,7 +321,7 @@ def _stops_in_one_line(group: Sequence[FrameIn]) -> Line:
     return Line(first.time_ns, f"{written} {_named(legs)}{why}{after}{until}")
 
 
-def _landings(messages: Iterable[Message], frames: Iterable[FrameIn]) -> Iterator[Line]:
+def _landings(messages: Iterable[RecordedMessage], frames: Iterable[FrameIn]) -> Iterator[Line]:
     """The first and the last frame of each way down, and where it left the legs: nobody commanded these frames."""
     begun = [each.time_ns for each in messages if each.topic == keys.EVENT and each.content.get("kind") == Kind.LANDING]
     stands: dict[int, int | None] = {}  # of each servo that ever had a frame: its angle, None: stopped
@@ -348,7 +348,7 @@ def _standing(stands: dict[int, int | None]) -> str:
     return "; ".join(f"{_named(numbers)} at {words}" for words, numbers in legs.items())
 
 
-def _notes(messages: list[Message]) -> Iterator[Line]:
+def _notes(messages: list[RecordedMessage]) -> Iterator[Line]:
     for message in messages:
         detail = message.content.get("detail")
         match message.content.get("what") if message.topic == RECORDER else None:

@@ -45,7 +45,7 @@ class IncidentWatcher:
         return self.keep(whole_only=True)
 
     def keep_all(self) -> None:
-        """Keep all that is there now, the end first: whoever waits for that may not wait for a full ring."""
+        """Keep all that is there now, the end first: its caller may not wait for a full ring."""
         self.keep(whole_only=False, most=NEWEST)
         self.keep(whole_only=False)
 

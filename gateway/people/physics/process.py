@@ -161,7 +161,7 @@ class Link:
             self.calibrations.put(calibration_of(report))
 
     def _take_query(self, query: zenoh.Query) -> None:
-        if str(query.key_expr) == SIM_UPRIGHT:  # whoever lists what there is sets nobody upright
+        if str(query.key_expr) == SIM_UPRIGHT:  # a listing of all keys sets nobody upright
             self.upright.put(query)
 
 

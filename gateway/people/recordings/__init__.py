@@ -4,10 +4,10 @@
 """
 
 from gateway.people.recordings.drawing import Drawing
-from gateway.people.recordings.pieces import Losses
-from gateway.people.recordings.reading import Message, read
+from gateway.people.recordings.pieces import ReadLosses
+from gateway.people.recordings.reading import RecordedMessage, read
 from gateway.people.recordings.writing import REPORTS, Recording
 
 __all__ = [
-    "REPORTS", "Drawing", "Losses", "Message", "Recording", "read",
+    "REPORTS", "Drawing", "ReadLosses", "RecordedMessage", "Recording", "read",
 ]  # fmt: skip

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 from mcap.records import Channel, Header, Message, Metadata
 
 from gateway.errors import ConfigError
-from gateway.people.recordings.pieces import Losses
+from gateway.people.recordings.pieces import ReadLosses
 from gateway.people.recordings.reading import records
 from gateway.people.recordings.writing import METADATA, Copy, making
 
@@ -24,7 +24,7 @@ class Contents(NamedTuple):
     """Channel → how many."""
     about: dict[str, Any]
     """Versions and settings, where the file has them."""
-    losses: Losses
+    losses: ReadLosses
 
     def as_json(self) -> dict[str, Any]:
         """The same as `lines`, for programs."""
@@ -57,7 +57,7 @@ class Contents(NamedTuple):
 
 def contents(path: Path) -> Contents:
     """Raises ConfigError where it is no MCAP file or cannot be read."""
-    losses, library = Losses(), ""
+    losses, library = ReadLosses(), ""
     topics: dict[int, str] = {}
     messages: dict[str, int] = {}
     about: dict[str, Any] = {}

@@ -6,7 +6,7 @@ of each frame, so that they can be plotted at the rate of the frames: NaN, a gap
 marked in 3D, too.
 
 A robot that is simulated with physics is drawn where its body is, in the frame `world`; what was commanded stands
-beside it, in frames of the same names behind `commanded/`.
+next to it, in frames of the same names behind `commanded/`.
 """
 
 import math
@@ -17,7 +17,7 @@ from typing import Any, Final
 from pydantic import ValidationError
 
 from gateway.geometry import Geometry, transforms
-from gateway.geometry.kinematics import BASE, Transform
+from gateway.geometry.kinematics import BASE, FramePose
 from gateway.people.recordings.commanded import CommandedJoints
 from gateway.people.ros2 import robot
 from gateway.people.ros2.cdr import Message
@@ -50,7 +50,7 @@ DRAWN: Final[Mapping[str, type[Message]]] = {
 DRAWN_FROM: Final[Mapping[str, str]] = {DIAGNOSTICS: STATE, SIM_JOINT_STATES: SIM_BODY}
 """Those that only one key's reports are drawn on."""
 
-UNKNOWN_DEG: Final = robot.UNKNOWN_DEG
+_UNKNOWN_DEG: Final = robot.UNKNOWN_DEG
 WORLD: Final = "world"
 COMMANDED: Final = "commanded/"
 BODY_NS: Final = 1_000_000_000
@@ -121,7 +121,7 @@ class Drawing:
         self._drawn[FRAMES] = time_ns, None
         body = self._body if time_ns - self._body_ns < BODY_NS else None
         commanded_rad = {
-            servo_id: self._joints.rad.get(servo_id, self._geometry.joint_rad(servo_id, UNKNOWN_DEG))
+            servo_id: self._joints.rad.get(servo_id, self._geometry.joint_rad(servo_id, _UNKNOWN_DEG))
             for servo_id in SERVO_IDS
         }
         yield JOINT_STATES, robot.joint_state(self._joints.rad, time_ns)
@@ -134,9 +134,9 @@ class Drawing:
             }
             yield SIM_JOINT_STATES, robot.joint_state(true_rad, time_ns)
             steps = [
-                Transform(WORLD, BASE, body.position_m, body.orientation_xyzw),
+                FramePose(WORLD, BASE, body.position_m, body.orientation_xyzw),
                 *transforms(self._geometry, true_rad),
-                Transform(BASE, COMMANDED + BASE, (0, 0, 0), (0, 0, 0, 1)),
+                FramePose(BASE, COMMANDED + BASE, (0, 0, 0), (0, 0, 0, 1)),
                 *(
                     step._replace(parent=COMMANDED + step.parent, child=COMMANDED + step.child)
                     for step in transforms(self._geometry, commanded_rad)

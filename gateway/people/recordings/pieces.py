@@ -17,7 +17,7 @@ from mcap.records import McapRecord
 
 from gateway.people.recordings.unpacking import MAX_RECORD_BYTES, RECORD_HEAD, DamagedError, unpack
 
-MAGIC: Final = b"\x89MCAP0\r\n"
+MCAP_MAGIC: Final = b"\x89MCAP0\r\n"
 """The first and the last bytes of a whole MCAP file."""
 
 _CHUNK_HEAD: Final = struct.Struct("<QQQII")
@@ -52,7 +52,7 @@ def opened(path: Path) -> BinaryIO:
 
 
 @dataclass(slots=True)
-class Losses:
+class ReadLosses:
     """What could not be read of a recording, counted while it is read."""
 
     places: int = 0
@@ -87,13 +87,13 @@ class Losses:
         self.places += 1
 
 
-def pieces(file: BinaryIO, losses: Losses) -> Iterator[McapRecord]:
+def pieces(file: BinaryIO, losses: ReadLosses) -> Iterator[McapRecord]:
     """All records before the file's index that can be read, also those within chunks. Raises OSError.
 
     The index repeats what chunks declare. It is read where one is damaged.
     """
-    found = _File(file)
-    at = len(MAGIC)
+    found = _RecordFile(file)
+    at = len(MCAP_MAGIC)
     while True:
         following: int | None = None
         try:
@@ -125,7 +125,7 @@ class _CutOffError(DamagedError):
     """The file ends within a record that is as it should be until there."""
 
 
-class _File:
+class _RecordFile:
     """A file of records that follow one another."""
 
     def __init__(self, file: BinaryIO) -> None:
@@ -171,12 +171,12 @@ class _File:
 
     def declared_again(self) -> Iterator[McapRecord]:
         """The schemas and channels in the index of a whole file, as far as they can be read."""
-        magic_at = self._size - len(MAGIC)
+        magic_at = self._size - len(MCAP_MAGIC)
         footer_at = magic_at - RECORD_HEAD.size - _FOOTER.size
-        if footer_at < len(MAGIC) or self._read(magic_at, len(MAGIC)) != MAGIC:
+        if footer_at < len(MCAP_MAGIC) or self._read(magic_at, len(MCAP_MAGIC)) != MCAP_MAGIC:
             return
         at, _, _ = _FOOTER.unpack(self._read(footer_at + RECORD_HEAD.size, _FOOTER.size))
-        while len(MAGIC) < at < footer_at:
+        while len(MCAP_MAGIC) < at < footer_at:
             opcode, length = RECORD_HEAD.unpack(self._read(at, RECORD_HEAD.size))
             if opcode not in (Opcode.SCHEMA, Opcode.CHANNEL) or length > MAX_RECORD_BYTES:
                 return

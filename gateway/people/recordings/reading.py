@@ -9,13 +9,13 @@ from mcap.records import Message as McapMessage
 from pydantic_core import from_json
 
 from gateway.errors import ConfigError
-from gateway.people.recordings.pieces import MAGIC, Losses, opened, pieces
+from gateway.people.recordings.pieces import MCAP_MAGIC, ReadLosses, opened, pieces
 
 LIBRARY_NAME = "hexapod-gateway"
 """How a file's header names this program, which numbers the messages of a channel without gaps."""
 
 
-class Message(NamedTuple):
+class RecordedMessage(NamedTuple):
     """One message: its channel's name, its JSON, when it was recorded and (by the gateway's clock) published."""
 
     topic: str
@@ -24,17 +24,17 @@ class Message(NamedTuple):
     publish_ns: int
 
 
-def records(path: Path, losses: Losses | None = None) -> Iterator[McapRecord]:
+def records(path: Path, losses: ReadLosses | None = None) -> Iterator[McapRecord]:
     """All records that can be read; what cannot is counted in `losses`.
 
     Raises ConfigError where the file is no MCAP file or cannot be read.
     """
-    losses = Losses() if losses is None else losses
+    losses = ReadLosses() if losses is None else losses
     newest: dict[int, int] = {}  # of each channel the number of its last message
     numbered = False
     try:
         with opened(path) as file:
-            if file.read(len(MAGIC)) != MAGIC:
+            if file.read(len(MCAP_MAGIC)) != MCAP_MAGIC:
                 raise ConfigError(f"{path}: is no MCAP file")
             for record in pieces(file, losses):
                 if isinstance(record, Header):
@@ -48,7 +48,9 @@ def records(path: Path, losses: Losses | None = None) -> Iterator[McapRecord]:
         raise ConfigError(f"{path}: cannot be read ({error.strerror})") from error
 
 
-def read(path: Path, losses: Losses | None = None, topics: Container[str] | None = None) -> Iterator[Message]:
+def read(
+    path: Path, losses: ReadLosses | None = None, topics: Container[str] | None = None
+) -> Iterator[RecordedMessage]:
     """The JSON messages of a recording, in the file's order, also of one that was cut off or is damaged.
 
     `topics`: those of these channels only. Raises ConfigError.
@@ -64,7 +66,7 @@ def read(path: Path, losses: Losses | None = None, topics: Container[str] | None
             except ValueError:
                 continue
             if isinstance(content, dict):
-                yield Message(topic, content, record.log_time, record.publish_time)
+                yield RecordedMessage(topic, content, record.log_time, record.publish_time)
         elif (
             isinstance(record, Channel)
             and record.message_encoding == "json"

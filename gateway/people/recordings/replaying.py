@@ -12,12 +12,12 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final, NamedTuple
 
+from gateway.allowance import NS_PER_MS
 from gateway.model.frames import Frame, FrameError, OneLeg, OneServo, Op, ServoOp, decode, servo_ids_of
 from schemas import keys
 from schemas.telemetry import Cause
 
-NS_PER_MS: Final = 1_000_000
-TOGETHER_NS: Final = 2 * NS_PER_MS
+_TOGETHER_NS: Final = 2 * NS_PER_MS
 """Six frames of one message are on the wire within a millisecond; two messages of a gait are 20 ms apart."""
 APART_NS: Final = NS_PER_MS
 """Messages on different keys are sent at least so far apart, so that the gateway sees them in this order."""
@@ -32,7 +32,7 @@ _OPS_OF: Final = slice(3, None, 4)
 _SETS: Final = bytes([Op.SET] * 3)
 
 
-class Step(NamedTuple):
+class ReplayStep(NamedTuple):
     """One message to send, `at_ns` after the first, and the frames that it shall cause."""
 
     at_ns: int
@@ -90,13 +90,13 @@ def survey(records: Iterable[Mapping[str, Any]], show: Callable[[Plan], object])
     return plan
 
 
-def steps_of(records: Iterable[Mapping[str, Any]], *, watchdog_too: bool = False) -> Iterator[Step]:
+def steps_of(records: Iterable[Mapping[str, Any]], *, watchdog_too: bool = False) -> Iterator[ReplayStep]:
     """The steps for FrameRecords in their order. `watchdog_too`: the watchdog's Stops are sent, too."""
     own = {Cause.REPEAT} if watchdog_too else {Cause.REPEAT, Cause.WATCHDOG}
     legs = _Legs(Plan())
     together: list[Frame] = []
     together_ns = 0
-    before: Step | None = None
+    before: ReplayStep | None = None
     for at_ns, cause, data in _in_order(records, Plan()):
         frame = _decoded(data)
         if frame is None:
@@ -104,7 +104,7 @@ def steps_of(records: Iterable[Mapping[str, Any]], *, watchdog_too: bool = False
         frame = legs.follow(frame, at_ns)
         if cause in own:
             continue
-        if together and not (at_ns - together_ns <= TOGETHER_NS and _one_message(together[-1], frame)):
+        if together and not (at_ns - together_ns <= _TOGETHER_NS and _one_message(together[-1], frame)):
             yield (before := _step(before, together_ns, together))
             together = []
         if not together:
@@ -160,8 +160,8 @@ def _one_message(before: Frame, frame: Frame) -> bool:
     return before.leg < frame.leg and before.is_stop == frame.is_stop
 
 
-def _step(before: Step | None, at_ns: int, frames: Sequence[Frame]) -> Step:
-    step = Step(at_ns, tuple(frames))
+def _step(before: ReplayStep | None, at_ns: int, frames: Sequence[Frame]) -> ReplayStep:
+    step = ReplayStep(at_ns, tuple(frames))
     if before is not None and before.key != step.key:
         return step._replace(at_ns=max(at_ns, before.at_ns + APART_NS))
     return step

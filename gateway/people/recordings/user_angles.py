@@ -5,7 +5,7 @@ from typing import Any
 
 from gateway.model.calibration import RobotCalibration, calibration_of
 from gateway.model.frames import Frame, FrameError, decode
-from gateway.people.recordings.reading import Message
+from gateway.people.recordings.reading import RecordedMessage
 from schemas import calibration as wire
 from schemas.keys import CALIBRATION, FRAME, STATE
 
@@ -26,7 +26,7 @@ class UserAngles:
         """Whether the recording states what was in force all along. One of frames alone does not."""
         return self._said and not self._contradicted
 
-    def frames(self, messages: Iterable[Message]) -> Iterator[Mapping[str, Any]]:
+    def frames(self, messages: Iterable[RecordedMessage]) -> Iterator[Mapping[str, Any]]:
         """The FrameRecords in users' angles, as far as the recording states which these are, else as on the wire."""
         for message in messages:
             self.take(message.topic, message.content)
@@ -57,16 +57,16 @@ class UserAngles:
         self.translated = True
         try:
             data = bytes.fromhex(record["bytes"])
-        except (KeyError, TypeError, ValueError):  # no frame; whoever reads it looks for himself
+        except (KeyError, TypeError, ValueError):  # no frame; left as it is
             return record
         return {**record, "bytes": user_bytes(self._calibration, data).hex()}
 
 
-FrameIn = tuple[Message, Frame]
+FrameIn = tuple[RecordedMessage, Frame]
 """A frame of a recording, and the message that has it."""
 
 
-def frames_in(messages: Iterable[Message]) -> Iterator[FrameIn]:
+def frames_in(messages: Iterable[RecordedMessage]) -> Iterator[FrameIn]:
     """Their frames in users' angles, as far as known."""
     angles = UserAngles()
     for message in messages:

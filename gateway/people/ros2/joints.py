@@ -6,11 +6,10 @@ from collections.abc import Mapping, Sequence
 from typing import ClassVar, Final
 
 from gateway.geometry import Geometry, joint_name
-from schemas.robot import JOINTS, SERVO_IDS
+from schemas.robot import JOINTS, MAX_DEG, SERVO_IDS
 
 Degrees = tuple[float, float, float]
 """Of a leg's joints 1, 2 and 3."""
-MAX_DEG: Final = 180.0
 _PATTERN: Final = re.compile(r"(\{leg\}|\{joint\}|[\w./-]){1,64}", re.ASCII)
 
 

@@ -5,7 +5,7 @@ from typing import Final
 
 from gateway.geometry import Geometry, joint_name, transforms, urdf
 from gateway.geometry.kinematics import BASE, LINKS, link_name
-from gateway.geometry.kinematics import Transform as Step
+from gateway.geometry.kinematics import FramePose as Step
 from gateway.people.ros2.messages import (
     ColorRGBA,
     DiagnosticArray,

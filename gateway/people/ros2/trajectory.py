@@ -17,7 +17,7 @@ from gateway.people.ros2.messages import Duration, JointTrajectory
 MAX_POINTS: Final = 2000
 """Forty seconds at 50 Hz; a longer plan is better sent in pieces."""
 MAX_S: Final = 60.0
-"""Nobody plans further ahead beside a robot that people stand at; and a plan in milliseconds is noticed."""
+"""Nobody plans further ahead for a robot that people stand next to; and a plan in milliseconds is noticed."""
 
 MAX_RAD_S: Final = math.radians(MAX_SPEED_DEG_S)
 SETPOINT_S: Final = 0.02
@@ -30,7 +30,7 @@ _END: Final = 1e-6
 """Of a way: nearer to its ends than this it is at a point, which is checked itself."""
 
 
-class Point(NamedTuple):
+class Waypoint(NamedTuple):
     """Where the joints are to be, and when, in seconds from the trajectory's start."""
 
     at_s: float
@@ -41,7 +41,7 @@ class Point(NamedTuple):
 class Trajectory:
     """One trajectory; `at` returns where the joints are to be."""
 
-    def __init__(self, points: tuple[Point, ...], begins_s: float) -> None:
+    def __init__(self, points: tuple[Waypoint, ...], begins_s: float) -> None:
         """`begins_s`: the time from which its points count, by the clock of `at`."""
         self._points = points
         self._times_s = [point.at_s for point in points]
@@ -58,7 +58,7 @@ class Trajectory:
             raise JointsError("it has no points")
         if len(message.points) > MAX_POINTS:
             raise JointsError(f"it has {len(message.points)} points, more than {MAX_POINTS}")
-        points: list[Point] = []
+        points: list[Waypoint] = []
         for number, point in enumerate(message.points, start=1):
             try:
                 at_s = _seconds(point.time_from_start)
@@ -70,7 +70,7 @@ class Trajectory:
                 check_reach(geometry, at_rad)
                 velocities = _bounded("velocity", servos, point.velocities, MAX_RAD_S, "rad/s")
                 _bounded("acceleration", servos, point.accelerations, MAX_RAD_S2, "rad/s²")
-                points.append(Point(at_s, at_rad, velocities or None))
+                points.append(Waypoint(at_s, at_rad, velocities or None))
                 if number > 1:
                     _check_between(geometry, *points[-2:])
             except JointsError as error:
@@ -89,7 +89,7 @@ class Trajectory:
         """
         after = self._points[self._next(now_s)]
         at_rad = {servo_id: present_rad.get(servo_id, at) for servo_id, at in after.positions_rad.items()}
-        before = Point(now_s - self._begins_s, at_rad)
+        before = Waypoint(now_s - self._begins_s, at_rad)
         length_s = max(after.at_s - before.at_s, SETPOINT_S)
         for servo_id, at in at_rad.items():
             _check_speed(servo_id, (after.positions_rad[servo_id] - at) / length_s, "from where it is")
@@ -104,14 +104,14 @@ class Trajectory:
         length_s = after.at_s - before.at_s
         part = (now_s - self._begins_s - before.at_s) / length_s if length_s > 0 else 1.0
         part = min(max(part, 0.0), 1.0)
-        return {servo_id: _Way.of(before, after, servo_id).at(part) for servo_id in after.positions_rad}
+        return {servo_id: _JointCubic.of(before, after, servo_id).at(part) for servo_id in after.positions_rad}
 
     def _next(self, now_s: float) -> int:
         """The first point that is still to come, or the last."""
         return min(bisect_right(self._times_s, now_s - self._begins_s), len(self._points) - 1)
 
 
-class _Way(NamedTuple):
+class _JointCubic(NamedTuple):
     """One joint's way between two points: a cubic of `part`, which goes from 0 to 1."""
 
     begin: float
@@ -120,7 +120,7 @@ class _Way(NamedTuple):
     cube: float
 
     @classmethod
-    def of(cls, before: Point, after: Point, servo_id: int) -> Self:
+    def of(cls, before: Waypoint, after: Waypoint, servo_id: int) -> Self:
         """A cubic Hermite spline, or a line."""
         begin = before.positions_rad[servo_id]
         moved = after.positions_rad[servo_id] - begin
@@ -152,10 +152,10 @@ class _Way(NamedTuple):
         return max((self.speed(part) for part in parts), key=abs)
 
 
-def _check_between(geometry: Geometry, before: Point, after: Point) -> None:
+def _check_between(geometry: Geometry, before: Waypoint, after: Waypoint) -> None:
     """Raises JointsError where a servo would go too far or too fast on the way to `after`."""
     for servo_id in after.positions_rad:
-        way = _Way.of(before, after, servo_id)
+        way = _JointCubic.of(before, after, servo_id)
         _check_speed(servo_id, way.fastest() / (after.at_s - before.at_s), "on the way there")
         for part in way.turns():
             check_reach(geometry, {servo_id: way.at(part)})

@@ -32,7 +32,7 @@ class WireError(ValueError):
 
 
 class Attachment(NamedTuple):
-    """What rmw_zenoh sends beside each message, request and response."""
+    """What rmw_zenoh sends with each message, request and response."""
 
     number: int
     """Of the message, by its publisher: 1 is the first. A response repeats its request's."""
@@ -59,7 +59,7 @@ class Attachment(NamedTuple):
 
 
 def gid_of(token: str) -> bytes:
-    """The GID of whoever declares this token."""
+    """The GID of the program that declares this token."""
     return xxhash.xxh3_128_digest(token.encode())[::-1]
 
 

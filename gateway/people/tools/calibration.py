@@ -22,7 +22,7 @@ from schemas.telemetry import Ack, CalibrationReport, GatewayState, Reason
 
 WAIT_S: Final = 60.0
 """How long to wait for the driver to hand over, or to end."""
-MOST_BYTES: Final = 64 * 1024
+_MOST_BYTES: Final = 64 * 1024
 """Of a file that is imported; a whole calibration takes 2 kB."""
 _HEAD: Final = "servo      trim  direction     lowest   highest    landing"
 
@@ -91,9 +91,9 @@ def _read(file: Path) -> str:
     """A file, or stdin, of no more than the robot's own may have. Raises ConfigError."""
     try:
         with sys.stdin.buffer if str(file) == "-" else file.open("rb") as stream:
-            text = stream.read(MOST_BYTES + 1)
-        if len(text) > MOST_BYTES:
-            raise ConfigError(f"{file} is larger than {MOST_BYTES} bytes, and so no calibration")
+            text = stream.read(_MOST_BYTES + 1)
+        if len(text) > _MOST_BYTES:
+            raise ConfigError(f"{file} is larger than {_MOST_BYTES} bytes, and so no calibration")
         return text.decode()
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(f"{file} cannot be read: {error}") from error

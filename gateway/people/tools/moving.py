@@ -15,17 +15,16 @@ from gateway.people.tools import kept_lease
 from gateway.people.tools.reach import check_at_rest
 from gateway.text import visible
 from schemas import keys
-from schemas.robot import JOINTS
+from schemas.robot import JOINTS, MAX_DEG
 from schemas.telemetry import GatewayState
 
 STEP_DEG: Final = 5.0
 """How far one servo moves: enough to be seen, too little to do harm."""
 LEG_STEP_DEG: Final = 15.0
 """How far a whole leg moves."""
-MOST_DEG: Final = 180.0
 
 
-class Motion(NamedTuple):
+class ServoMotion(NamedTuple):
     """What moves: servos of one leg, from `start_deg` to `end_deg` and back."""
 
     servo_ids: list[int]
@@ -36,11 +35,11 @@ class Motion(NamedTuple):
     def end_deg(self) -> float:
         """The other angle, within 0 to 180."""
         by_deg = STEP_DEG if len(self.servo_ids) == 1 else LEG_STEP_DEG
-        return self.start_deg + (by_deg if self.start_deg + by_deg <= MOST_DEG else -by_deg)
+        return self.start_deg + (by_deg if self.start_deg + by_deg <= MAX_DEG else -by_deg)
 
     @property
     def leg(self) -> int:
-        """1 to 6."""
+        """The leg of its servos, 1 to 6."""
         return self.servo_ids[0] // 10
 
     @property
@@ -59,9 +58,9 @@ class Motion(NamedTuple):
         return f"servo {self.servo_ids[0]}" if len(self.servo_ids) == 1 else f"leg {self.leg}"
 
 
-def of_leg(leg: int, start_deg: float, *, whole: bool) -> Motion:
+def of_leg(leg: int, start_deg: float, *, whole: bool) -> ServoMotion:
     """The leg's three servos, or its first one."""
-    return Motion([10 * leg + joint for joint in JOINTS][: 3 if whole else 1], start_deg)
+    return ServoMotion([10 * leg + joint for joint in JOINTS][: 3 if whole else 1], start_deg)
 
 
 def ready(client: Client) -> GatewayState:
@@ -77,7 +76,7 @@ def ready(client: Client) -> GatewayState:
     return state
 
 
-def consents(motion: Motion, state: GatewayState, *, agreed: bool) -> bool:
+def consents(motion: ServoMotion, state: GatewayState, *, agreed: bool) -> bool:
     """Announce the motion. Returns whether a person agrees, here or beforehand."""
     hint(
         f"{motion.which.capitalize()} will go to {motion.start_deg:g}° at once, wherever it stands, move between that "

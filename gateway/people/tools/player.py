@@ -8,11 +8,12 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import Final
 
+from gateway.allowance import NS_PER_MS
 from gateway.errors import GatewayError, RejectedError, StoppedError
 from gateway.people.client.blocking import Client
 from gateway.people.client.lease import NOT_OURS
 from gateway.people.client.subscriptions import reports, subscribed
-from gateway.people.recordings.replaying import NS_PER_MS, Plan, Step
+from gateway.people.recordings.replaying import Plan, ReplayStep
 from gateway.people.terminal import clear_line, on_end_signals, show_line
 from schemas.keys import EVENT
 from schemas.telemetry import Event, Kind
@@ -42,14 +43,14 @@ class Player:
         self,
         client: Client,
         recorded: Plan,
-        steps: Iterator[Step],
+        steps: Iterator[ReplayStep],
         speed: float,
     ) -> None:
         """`recorded` sums up what `steps` come to. They are read while others are sent."""
         self._client = client
         self._plan = recorded
         self._steps = steps
-        self._ahead: deque[Step] = deque()
+        self._ahead: deque[ReplayStep] = deque()
         self._speed = speed
         self._ended: Exception | None = None
         self._wake = threading.Event()

@@ -4,10 +4,11 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final
 
+from gateway.allowance import NS_PER_MS
 from gateway.errors import ConfigError, LeaseError
 from gateway.model.calibration import RobotCalibration, calibration_of
-from gateway.people.recordings import Losses, read
-from gateway.people.recordings.replaying import NS_PER_MS, Plan, Step, steps_of, survey
+from gateway.people.recordings import ReadLosses, read
+from gateway.people.recordings.replaying import Plan, ReplayStep, steps_of, survey
 from gateway.people.recordings.user_angles import UserAngles
 from gateway.people.terminal import Progress, agrees, hint, say
 from gateway.people.tools.driving import drives, rejected
@@ -50,9 +51,9 @@ class _Recording:
         self._path = path
         self._watchdog_too = watchdog_too
 
-    def survey(self) -> tuple[Plan, UserAngles, Losses]:
+    def survey(self) -> tuple[Plan, UserAngles, ReadLosses]:
         """What it comes to, which is known before anything moves."""
-        angles, losses = UserAngles(), Losses()
+        angles, losses = UserAngles(), ReadLosses()
         with Progress() as progress:
             plan = survey(
                 self._frames(angles, losses),
@@ -60,11 +61,10 @@ class _Recording:
             )
         return plan, angles, losses
 
-    def steps(self) -> Iterator[Step]:
-        """The steps to send."""
-        return steps_of(self._frames(UserAngles(), Losses()), watchdog_too=self._watchdog_too)
+    def steps(self) -> Iterator[ReplayStep]:
+        return steps_of(self._frames(UserAngles(), ReadLosses()), watchdog_too=self._watchdog_too)
 
-    def _frames(self, angles: UserAngles, losses: Losses) -> Iterator[Mapping[str, Any]]:
+    def _frames(self, angles: UserAngles, losses: ReadLosses) -> Iterator[Mapping[str, Any]]:
         return angles.frames(read(self._path, losses, (STATE, CALIBRATION, FRAME)))
 
 
@@ -81,7 +81,7 @@ def _same_angles(path: Path, angles: UserAngles, target: RobotCalibration) -> No
     )
 
 
-def _look_at(path: Path, recorded: Plan, losses: Losses) -> None:
+def _look_at(path: Path, recorded: Plan, losses: ReadLosses) -> None:
     if losses:
         hint(f"{path}: {losses}; the replay leaves them out, too.")
     if losses.cut_off:

@@ -22,7 +22,7 @@ from schemas.telemetry import Ack
 HOLD_PERIOD_S = 0.05
 """A fifth of the default watchdog timeout."""
 
-OTHERS_S = 0.2
+_OTHERS_S = 0.2
 """How long a command waits for other replies, only where somebody has yet to reply or decline."""
 
 _MOST_PERSON: Final = 40
@@ -150,7 +150,7 @@ def reset(connect: Connection) -> int:
 
 def _warn_of_others(client: Client, key: str) -> None:
     """Warn where other programs answer, too; after the result, which must not wait for it."""
-    count = len(client.answerers(key, OTHERS_S))
+    count = len(client.answerers(key, _OTHERS_S))
     if count > 1:
         hint(several_answer(count, key))
 

@@ -23,9 +23,9 @@ from dataclasses import dataclass
 from operator import itemgetter
 from typing import Final
 
-from gateway.robot.core.events import Announce, Answer, ButtonDo, ButtonRequest, Decision, Effect
+from gateway.allowance import NS_PER_MS
+from gateway.robot.core.events import Announce, ButtonDo, ButtonRequest, Decision, Effect, RequestAnswer
 from gateway.robot.core.leg import Rules
-from gateway.robot.core.pacing import NS_PER_MS
 from schemas import keys
 from schemas.robot import LEGS
 from schemas.telemetry import Kind, Reason
@@ -39,12 +39,12 @@ DRIFT_PPM: Final = 200
 """How much slower a button's clock may run than the gateway's: twice the error of a bad crystal (as in `staleness`)."""
 RISE: Final = 4
 """A registration's clock may fall behind by the timeout divided by this, and no more: somebody on the way who delays
-check-ins a little longer each second cannot be told from a slow clock. That one registers anew before."""
+check-ins a little longer each second looks like a slow clock. That one registers anew before."""
 _ALL: Final = tuple(LEGS)
 
 
 @dataclass(slots=True)
-class Button:
+class Registration:
     """One registration."""
 
     name: str
@@ -89,7 +89,7 @@ class Buttons:
         """How many must be alive."""
         self._timeout_ns = rules.buttons_timeout_ns
         self._rise_ns = rules.buttons_timeout_ns // RISE
-        self._by_token: dict[str, Button] = {}
+        self._by_token: dict[str, Registration] = {}
         self.closed = self.required > 0
         """Whether fewer are alive than are required."""
         self.fell_ns: int | None = None
@@ -149,31 +149,33 @@ class Buttons:
             gives_way = next((token for token, button in mine.items() if button.until_ns is None), None)
             if gives_way is None:
                 whose = "" if request.holder is None else " of this certificate"
-                return [], Answer(Reason.BUTTON_DENIED, f"{len(mine)} buttons{whose} are alive, and no more are taken")
+                return [], RequestAnswer(
+                    Reason.BUTTON_DENIED, f"{len(mine)} buttons{whose} are alive, and no more are taken"
+                )
         before = None if gives_way is None else self._by_token.pop(gives_way)
-        button = Button(name, request.holder, request.counts)
+        button = Registration(name, request.holder, request.counts)
         if same is not None and before is not None:
             button.until_ns = before.until_ns
         self._by_token[request.fresh_token] = button
         button.sent_ns(request.sent_ms, request.received_ns, self._rise_ns)
         what = f"{name} is registered as a button" + ("" if same is None else ", in place of the one of that name")
         effects = self._changed(Kind.BUTTON_REGISTERED, what, name, now_ns)
-        return effects, Answer(token=request.fresh_token, detail="" if request.counts else _UNCOUNTED)
+        return effects, RequestAnswer(token=request.fresh_token, detail="" if request.counts else _UNCOUNTED)
 
     def _check_in(self, request: ButtonRequest, now_ns: int) -> Decision:
         button = self._by_token.get(request.token)
         if button is None:
-            return [], Answer(Reason.UNKNOWN_BUTTON, _UNKNOWN)
+            return [], RequestAnswer(Reason.UNKNOWN_BUTTON, _UNKNOWN)
         if request.count <= button.count:
             detail = f"count is {request.count}, and {button.count} has come: a check-in counts once"
-            return [], Answer(Reason.STALE, detail)
+            return [], RequestAnswer(Reason.STALE, detail)
         button.count = request.count
         until_ns = button.sent_ns(request.sent_ms, request.received_ns, self._rise_ns) + self._timeout_ns
         if now_ns >= until_ns:
             delay_ms = (now_ns - until_ns + self._timeout_ns) / NS_PER_MS
             detail = f"the check-in is {delay_ms:.0f} ms old; it counts for {self._timeout_ns / NS_PER_MS:g} ms"
-            return [], Answer(Reason.STALE, detail)
-        answer = Answer(detail="" if button.counts else _UNCOUNTED)
+            return [], RequestAnswer(Reason.STALE, detail)
+        answer = RequestAnswer(detail="" if button.counts else _UNCOUNTED)
         silent, button.silent = button.silent, False
         button.until_ns = until_ns if button.until_ns is None else max(until_ns, button.until_ns)
         if not silent:
@@ -185,9 +187,9 @@ class Buttons:
     def _leave(self, request: ButtonRequest, now_ns: int, then: str) -> Decision:
         button = self._by_token.pop(request.token, None)
         if button is None:
-            return [], Answer(Reason.UNKNOWN_BUTTON, _UNKNOWN)
+            return [], RequestAnswer(Reason.UNKNOWN_BUTTON, _UNKNOWN)
         what = f"the button {button.name} has left on purpose"
-        return self._changed(Kind.BUTTON_LEFT, what, button.name, now_ns, then), Answer()
+        return self._changed(Kind.BUTTON_LEFT, what, button.name, now_ns, then), RequestAnswer()
 
     # ----
 

@@ -278,7 +278,7 @@ class Announce:
 
 
 @value
-class Answer:
+class RequestAnswer:
     """To a LeaseRequest or a ButtonRequest: granted, if there is no `reason`.
 
     `token` is that of the lease, or of the registration, which it gives; `detail` also what a button that is granted
@@ -301,6 +301,6 @@ class SaveCalibration:
     calibration: RobotCalibration
 
 
-Effect = Transmit | Completed | Rejected | Announce | Answer | SaveCalibration
-Decision = tuple[list[Effect], Answer]
+Effect = Transmit | Completed | Rejected | Announce | RequestAnswer | SaveCalibration
+Decision = tuple[list[Effect], RequestAnswer]
 """A request's events, and its answer."""

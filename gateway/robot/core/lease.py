@@ -16,9 +16,9 @@ their way. Stops, deletes and emergency stops are not asked for a token.
 import hmac
 from typing import Final
 
-from gateway.robot.core.events import Announce, Answer, Decision, Do, Effect, LeaseRequest
+from gateway.allowance import NS_PER_MS
+from gateway.robot.core.events import Announce, Decision, Do, Effect, LeaseRequest, RequestAnswer
 from gateway.robot.core.leg import Rules
-from gateway.robot.core.pacing import NS_PER_MS
 from schemas import keys
 from schemas.telemetry import Kind, Reason
 
@@ -26,7 +26,7 @@ MOST_ASKERS: Final = 8
 """More people than one robot has around it; the one who asked first is forgotten for a ninth."""
 
 
-class Lease:
+class RobotLease:
     """The lease of one robot. One owner, one thread."""
 
     def __init__(self, rules: Rules) -> None:
@@ -118,7 +118,7 @@ class Lease:
     def _acquire(self, request: LeaseRequest, now_ns: int) -> Decision:
         if self.holder is not None and not (self._handed_over and request.source == self.holder):
             where = "handed over to" if self._handed_over else "held by"
-            return [], Answer(Reason.LEASE_HELD, f"the lease is {where} {self.holder}")
+            return [], RequestAnswer(Reason.LEASE_HELD, f"the lease is {where} {self.holder}")
         self._give(request.source, request.fresh_token, now_ns, verified=request.verified)
         return _told(Kind.LEASE_ACQUIRED, f"{request.source} has acquired the lease", request.source, self._token)
 
@@ -126,7 +126,7 @@ class Lease:
         name, before = request.source, self.holder
         if not self.is_takeover(request):
             detail = f"{before} holds the lease, and lease.takeover lets nobody take it"
-            return [], Answer(Reason.LEASE_DENIED, detail)
+            return [], RequestAnswer(Reason.LEASE_DENIED, detail)
         self._give(name, request.fresh_token, now_ns, verified=request.verified)
         if before is None:
             detail = f"{name} has stopped all legs and acquired the lease"
@@ -136,9 +136,9 @@ class Lease:
 
     def _ask(self, request: LeaseRequest) -> Decision:
         if self.holder is None:
-            return [], Answer(Reason.NO_LEASE, "nobody holds the lease; acquire it")
+            return [], RequestAnswer(Reason.NO_LEASE, "nobody holds the lease; acquire it")
         if self._handed_over:
-            return [], Answer(Reason.LEASE_HELD, f"the lease is handed over to {self.holder}")
+            return [], RequestAnswer(Reason.LEASE_HELD, f"the lease is handed over to {self.holder}")
         name = request.source or ""
         self._askers.pop(name, None)
         if len(self._askers) == MOST_ASKERS:
@@ -148,19 +148,19 @@ class Lease:
 
     def _renew(self, request: LeaseRequest, now_ns: int) -> Decision:
         if not self.holds(request.token):
-            return [], Answer(Reason.NOT_HOLDER, _ENDED)
+            return [], RequestAnswer(Reason.NOT_HOLDER, _ENDED)
         self.due_ns = now_ns + self._rules.lease_ttl_ns
-        return [], Answer()
+        return [], RequestAnswer()
 
     def _release(self, request: LeaseRequest, now_ns: int) -> Decision:
         name, to = self.holder, request.to
         if not self.holds(request.token):
-            return [], Answer(Reason.NOT_HOLDER, _ENDED)
+            return [], RequestAnswer(Reason.NOT_HOLDER, _ENDED)
         if to is None:
             self.end()
             return _told(Kind.LEASE_RELEASED, f"{name} has released the lease", name)
         if to not in self._askers:
-            return [], Answer(Reason.LEASE_DENIED, f"{to} has not asked for the lease")
+            return [], RequestAnswer(Reason.LEASE_DENIED, f"{to} has not asked for the lease")
         self._give(to, None, now_ns, verified=self._askers[to])
         return _told(Kind.LEASE_RELEASED, f"{name} has handed the lease over to {to}", name)
 
@@ -180,7 +180,7 @@ class Lease:
 
 
 def _told(kind: Kind, detail: str, source: str | None, token: str | None = None) -> Decision:
-    return [Announce(kind, detail, source, keys.LEASE)], Answer(token=token)
+    return [Announce(kind, detail, source, keys.LEASE)], RequestAnswer(token=token)
 
 
 _ENDED: Final = "this is not the token of the lease as it is now"

@@ -3,9 +3,10 @@
 from dataclasses import dataclass, field
 from typing import Final
 
+from gateway.allowance import NS_PER_MS, NS_PER_S
 from gateway.model.frames import OP_START, ServoOp, servo_ids_of
 from gateway.robot.core.events import Command
-from gateway.robot.core.pacing import NEVER, NS_PER_MS, NS_PER_S, RateSlots
+from gateway.robot.core.pacing import NEVER, RateSlots
 from schemas.telemetry import WatchdogState
 
 NO_COMMAND: Final = Command(())

@@ -14,10 +14,9 @@ Stop frames need no slot and never pass through here.
 from dataclasses import dataclass, field
 from typing import Final
 
+from gateway.allowance import NS_PER_S
 from gateway.model.frames import OP_SET, OP_START, STARTS, ServoOp
 
-NS_PER_S: Final = 1_000_000_000
-NS_PER_MS: Final = 1_000_000
 NEVER: Final = 2**63
 """Later than any time."""
 

@@ -7,7 +7,7 @@ from gateway.allowance import Allowance
 
 EVENTS_A_SECOND: Final = 10
 EVENTS_AT_ONCE: Final = 10
-SOURCES: Final = 64
+SOURCES_COUNTED: Final = 64
 """Sources counted separately at a time; all further ones share one allowance."""
 
 
@@ -25,11 +25,11 @@ class RejectionLimit:
 
     def admit(self, source: str | None, now_ns: int) -> int | None:
         """How many of this source were left out before this one, which is published; None: leave this one out, too."""
-        if source not in self._sources and len(self._sources) >= SOURCES:
+        if source not in self._sources and len(self._sources) >= SOURCES_COUNTED:
             self._sources = {
                 name: known for name, known in self._sources.items() if not known.allowance.is_full(now_ns)
             }
-            if len(self._sources) >= SOURCES:
+            if len(self._sources) >= SOURCES_COUNTED:
                 source = None
         known = self._sources.setdefault(source, _Source())
         if not known.allowance.take(now_ns):

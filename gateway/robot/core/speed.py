@@ -2,7 +2,7 @@
 
 from typing import NamedTuple
 
-from gateway.robot.core.pacing import NS_PER_S
+from gateway.allowance import NS_PER_S
 
 
 class Step(NamedTuple):

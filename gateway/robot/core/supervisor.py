@@ -24,7 +24,7 @@ The rules, by their numbers in docs/interface.md, *Behaviour*:
  7. `ShutDown` stops six legs and rejects everything from then on, except an emergency stop. A bus that answers again
     only then gets its Stops too.
 
- 9. While somebody holds the lease, what moves and resets needs its token (`lease`). Whoever takes the lease from its
+ 9. While somebody holds the lease, what moves and resets needs its token (`lease`). To take the lease from its
     holder stops six legs first, and what waited of others when somebody acquires it is dropped. Stops need no token.
 10. Angles here are users'; only a frame that goes out has the servo's own (`Legs`, by the calibration in force). The
     calibration changes for no servo that runs or waits to be started, and nothing starts one meanwhile (`calibrating`).
@@ -44,13 +44,13 @@ or Set that came by another channel, and the emergency stop wins over a reset.
 
 from typing import Final, assert_never, get_args
 
+from gateway.allowance import NS_PER_MS, NS_PER_S
 from gateway.model.angle_limits import AngleLimits
 from gateway.model.frames import OP_SET
 from gateway.robot.core.buttons import Buttons
 from gateway.robot.core.calibrating import Calibrating
 from gateway.robot.core.events import (
     Announce,
-    Answer,
     BusFailed,
     BusOpened,
     ButtonRequest,
@@ -63,16 +63,16 @@ from gateway.robot.core.events import (
     Event,
     LeaseRequest,
     Rejected,
+    RequestAnswer,
     Reset,
     ShutDown,
     StoppedOutside,
     TimePassed,
     Transmit,
 )
-from gateway.robot.core.lease import Lease
+from gateway.robot.core.lease import RobotLease
 from gateway.robot.core.leg import Rules
 from gateway.robot.core.legs import Legs
-from gateway.robot.core.pacing import NS_PER_MS, NS_PER_S
 from schemas.robot import LEGS
 from schemas.telemetry import Cause, Kind, Mode, Reason
 
@@ -112,7 +112,7 @@ class Supervisor:
         self._reach = AngleLimits(rules.joint_limits_cdeg, rules.landing_cdeg, rules.avoid_cdeg)
         self.calibrating = Calibrating(self._reach)
         self.legs = Legs(rules, self._reach)
-        self.lease = Lease(rules)
+        self.lease = RobotLease(rules)
         self.buttons = Buttons(rules)
         self._opened = False  # ever
         self._bus_ok = False
@@ -329,7 +329,7 @@ class Supervisor:
 
     def _lease_request(self, request: LeaseRequest, now_ns: int) -> list[Effect]:
         if self._ended:
-            return [Answer(Reason.STOPPING, _STOPPING)]
+            return [RequestAnswer(Reason.STOPPING, _STOPPING)]
         before: list[Effect] = []
         if self.lease.is_takeover(request):
             before = self._stop_all(Cause.COMMAND, now_ns, Reason.NOT_HOLDER, f"{request.source} has taken the lease")
@@ -342,7 +342,7 @@ class Supervisor:
 
     def _button_request(self, request: ButtonRequest, now_ns: int) -> list[Effect]:
         if self._ended:
-            return [Answer(Reason.STOPPING, _STOPPING)]
+            return [RequestAnswer(Reason.STOPPING, _STOPPING)]
         published, answer = self.buttons.grant(request, now_ns, self._without_buttons())
         return [*(self._stop_unwatched(now_ns) if self.buttons.closed else ()), *published, answer]
 

@@ -17,7 +17,7 @@ import threading
 from collections.abc import Callable
 from typing import Final
 
-EARLY_S: Final = 1e-6
+_EARLY_S: Final = 1e-6
 """The loop's timers may fire this early; so little time left is not worth another wakeup."""
 
 
@@ -98,7 +98,7 @@ class OwnersTimer:
     def _wake(self) -> None:
         self._handle = None
         with self._owner:
-            if self._due_s > self._loop.time() + EARLY_S:
+            if self._due_s > self._loop.time() + _EARLY_S:
                 self._place()
             else:
                 self._due_s = self._wakes_s = math.inf

@@ -6,7 +6,16 @@ from typing import Final, assert_never
 
 from gateway.errors import SpiError
 from gateway.robot.blackbox.recorder import Recorder, Written
-from gateway.robot.core.events import Announce, Answer, Completed, Effect, Rejected, Request, SaveCalibration, Transmit
+from gateway.robot.core.events import (
+    Announce,
+    Completed,
+    Effect,
+    Rejected,
+    Request,
+    RequestAnswer,
+    SaveCalibration,
+    Transmit,
+)
 from gateway.robot.runtime.answers import PendingCommands
 from gateway.robot.runtime.event_publisher import EventPublisher
 from gateway.robot.runtime.metrics import Metrics
@@ -29,7 +38,7 @@ class Outcome:
     """What another program had set on the device, until just before these frames were written."""
     rejected: list[Request] = field(default_factory=list)
     """What the supervisor rejected."""
-    answer: Answer | None = None
+    answer: RequestAnswer | None = None
     """For the caller to send."""
     keep: SaveCalibration | None = None
     """For the caller to write to the disk."""
@@ -85,7 +94,7 @@ class Executor:
                 case Announce():
                     self._metrics.events[effect.kind] += 1
                     self._events.announce(effect)
-                case Answer():
+                case RequestAnswer():
                     outcome.answer = effect
                 case SaveCalibration():
                     outcome.keep = effect

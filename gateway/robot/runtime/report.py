@@ -6,7 +6,7 @@ from typing import Final
 from gateway import __version__
 from gateway.model.frames import Op
 from gateway.robot.core.buttons import Buttons
-from gateway.robot.core.lease import Lease
+from gateway.robot.core.lease import RobotLease
 from gateway.robot.core.leg import Leg, Servo
 from gateway.robot.core.supervisor import Supervisor
 from gateway.robot.runtime.metrics import Metrics
@@ -143,7 +143,7 @@ def limits_of(settings: Settings) -> LimitsReport:
     return LimitsReport(leg_rate_hz=limits.leg_rate_hz, max_age_ms=limits.max_age_ms, servos=servos)
 
 
-def _lease(lease: Lease, now_ns: int) -> LeaseReport:
+def _lease(lease: RobotLease, now_ns: int) -> LeaseReport:
     return LeaseReport(
         holder=lease.holder,
         verified=lease.verified,

@@ -23,7 +23,7 @@ NOTHING: Final = frozenset({0})
 ANYTHING: Final = frozenset(range(ONE_LEG_LEN + 1))
 """A program before this one may have left it with an announcement and any part of the zeros of a preamble."""
 
-MOST_TRANSFERS: Final = 6
+_MOST_TRANSFERS: Final = 6
 """How far ahead a way back is looked for: three Stops. Of more, one would fail and scatter the possibilities, which a
 zero that fails does not."""
 
@@ -77,7 +77,7 @@ def next_on_the_way_back(awaited: Awaited, stops: tuple[bytes, ...]) -> bytes:
             continue
         seen.add(reached)
         for unit, parts in units.items():
-            if transfers + len(parts) <= MOST_TRANSFERS:
+            if transfers + len(parts) <= _MOST_TRANSFERS:
                 number += 1  # of two ways of one length, the one that was found first
                 heapq.heappush(ways, (transfers + len(parts), number, after(reached, parts), first or unit))
     return ZERO

@@ -93,7 +93,7 @@ class Sent:
 
 
 @dataclass(slots=True)
-class Report:
+class BatchReport:
     """What became of a batch."""
 
     sent: list[Sent] = field(default_factory=list)
@@ -177,13 +177,13 @@ class Bus:
         self._stops_at_once = max(1, self._most // self._size)
         self._moves_at_once = max(1, min(self._stops_at_once, most_moves))
 
-    def write(self, frames: Sequence[Frame], *, preamble: bool = False) -> Report:
+    def write(self, frames: Sequence[Frame], *, preamble: bool = False) -> BatchReport:
         """Write frames that all stop, or that all move. `preamble`: these Stops are a repeated run.
 
         After a fault the device stays open. Stops that failed are then tried one by one, in this same call. Where calls
         fail slowly, so are the Stops that follow, since a batch behind a preamble would hardly ever pass.
         """
-        report, stops, now_ns = Report(), frames[0].is_stop, self._clock()
+        report, stops, now_ns = BatchReport(), frames[0].is_stop, self._clock()
         if not preamble and now_ns - self.ended_ns >= PAUSE_NS:
             report.meddled = self.put_right()
             if report.meddled is not None and not stops:
@@ -220,7 +220,7 @@ class Bus:
         )
         return report
 
-    def _write_preamble(self, report: Report) -> None:
+    def _write_preamble(self, report: BatchReport) -> None:
         """Behind Stops that were written one by one, where all have passed. Raises SpiError."""
         while self.announces and report.fault is None and not self.just_resynchronised:
             self._call(report, min(ZEROS_AT_ONCE, self._most, PREAMBLE_ZEROS - self._zeros))
@@ -241,7 +241,7 @@ class Bus:
         if self._device is not None and self._zeros < PREAMBLE_ZEROS:
             at_once = min(ZEROS_AT_ONCE, self._most) if self._batch else 1
             try:
-                self._call(Report(), min(at_once, PREAMBLE_ZEROS - self._zeros))
+                self._call(BatchReport(), min(at_once, PREAMBLE_ZEROS - self._zeros))
             except SpiError:
                 self.errors += 1
                 raise
@@ -276,7 +276,7 @@ class Bus:
 
     # ---- one call
 
-    def _call(self, report: Report, zeros: int, frames: Sequence[Frame] = (), first: int = 0) -> None:
+    def _call(self, report: BatchReport, zeros: int, frames: Sequence[Frame] = (), first: int = 0) -> None:
         """Write zeros, then these frames, of which the first has this place, in one call. Raises SpiError."""
         if self._guard is None:
             raise SpiError("the SPI device is closed")
@@ -355,7 +355,7 @@ class Bus:
             awaited = lost(self._awaited, [data for data, _ in batch])
             self._awaited = NOTHING if awaited == NOTHING else awaited
 
-    def _insist(self, frames: Sequence[Frame], report: Report) -> None:
+    def _insist(self, frames: Sequence[Frame], report: BatchReport) -> None:
         """Write each Stop in a call of its own until the controller has received it, or time is up.
 
         Its first failure is noted in the report.
@@ -397,7 +397,7 @@ class Bus:
         found = next_on_the_way_back(self._awaited, stops)
         return None if found == ZERO else next(place for place in candidates if frames[place].data == found)
 
-    def _call_zero(self, report: Report, frames: Sequence[Frame]) -> None:
+    def _call_zero(self, report: BatchReport, frames: Sequence[Frame]) -> None:
         """Write zeros, a few; or, where none has passed for long, these Stops all the same. Raises SpiError."""
         # Of a controller that nobody has lost anything to, most likely nothing is lost.
         untouched = self._slow and self._awaited == ANYTHING

@@ -15,7 +15,7 @@ from gateway.host.descriptors import Spare, ran_out
 from gateway.robot.spi import Batch, SpiDevice
 from gateway.robot.spi.outside import Listener
 
-MOST_TRANSFERS: Final = 32
+_MOST_TRANSFERS: Final = 32
 """The longest list: 1024 bytes, up to which Python lets other threads run during an `ioctl`."""
 BUFSIZ: Final = Path("/sys/module/spidev/parameters/bufsiz")
 DEFAULT_BUFSIZ: Final = 4096
@@ -25,7 +25,7 @@ _LONGEST: Final = 64  # bytes of a transfer; the longest frame has 14
 _SEGMENT: Final = struct.Struct("=QQIIHBBBBBB")
 """struct spi_ioc_transfer: tx_buf, rx_buf, len, speed_hz, delay_usecs, bits_per_word, cs_change, and four that stay 0.
 A speed and bits of 0 would be the device's own, which any program that may open the device can change."""
-_MESSAGES: Final = tuple(1 << 30 | count * _SEGMENT.size << 16 | ord("k") << 8 for count in range(MOST_TRANSFERS + 1))
+_MESSAGES: Final = tuple(1 << 30 | count * _SEGMENT.size << 16 | ord("k") << 8 for count in range(_MOST_TRANSFERS + 1))
 """SPI_IOC_MESSAGE(count)."""
 _BITS: Final = 8
 _WRITE_MODE: Final = 1 << 30 | 1 << 16 | ord("k") << 8 | 1
@@ -62,7 +62,7 @@ class KernelDevice(SpiDevice):
         self._spi = spidev.SpiDev()
         self._listener: Listener | None = None
         self.most_transfers = most_transfers()
-        self._data = array.array("B", bytes(MOST_TRANSFERS * _LONGEST))
+        self._data = array.array("B", bytes(_MOST_TRANSFERS * _LONGEST))
         self._data_at = self._data.buffer_info()[0]
         self._bytes = memoryview(self._data)
         # Transfers without a receive buffer lost clock edges on a Raspberry Pi 5. Nobody reads what comes back.
@@ -193,7 +193,7 @@ def most_transfers(bufsiz: Path = BUFSIZ) -> int:
         size = int(bufsiz.read_text())
     except (OSError, ValueError):
         size = DEFAULT_BUFSIZ
-    return max(1, min(MOST_TRANSFERS, size // _ALIGNED))
+    return max(1, min(_MOST_TRANSFERS, size // _ALIGNED))
 
 
 def _cause_of(error: Exception) -> str:

@@ -5,7 +5,7 @@ import re
 from pathlib import Path
 from typing import Final
 
-ROOT: Final = Path("/")
+ROOT_DIR: Final = Path("/")
 RP1_FIXED: Final = dt.date(2025, 2, 5)
 """Until then Linux for a Pi 5's RP1 lost clock edges of transfers that only send (raspberrypi/linux 6285, 6286; fixed
 by 6646 and 6649). A kernel that was built earlier lacks the fix. No version says which of the later ones have it."""
@@ -15,13 +15,13 @@ _GPIO_CELLS: Final = 3
 _MONTHS: Final = ("Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct", "Nov", "Dec")
 
 
-def driver_of(device: str, root: Path = ROOT) -> str | None:
+def driver_of(device: str, root: Path = ROOT_DIR) -> str | None:
     """The driver of the controller on whose bus the device is, such as spi-bcm2835."""
     controller = _controller(device, root)
     return None if controller is None else _driver(controller)
 
 
-def gpio_selects(device: str, root: Path = ROOT) -> bool | None:
+def gpio_selects(device: str, root: Path = ROOT_DIR) -> bool | None:
     """Whether the device's chip select is a GPIO; None where nothing says so.
 
     Linux then drives it, and releases it between the transfers of one call; else the controller does as it likes.
@@ -45,14 +45,14 @@ def gpio_selects(device: str, root: Path = ROOT) -> bool | None:
     return place < len(selects) and selects[place]
 
 
-def on_rp1(device: str, root: Path = ROOT) -> bool:
+def on_rp1(device: str, root: Path = ROOT_DIR) -> bool:
     """Whether the controller is one of the RP1, a Pi 5's chip for its pins."""
     node = _node(device, root)
     named = node is not None and any(part.startswith("rp1") for part in node.parts)
     return (named or computer(root).startswith("Raspberry Pi")) and driver_of(device, root) in _RP1_DRIVERS
 
 
-def neighbours(device: str, root: Path = ROOT) -> list[tuple[str, str]]:
+def neighbours(device: str, root: Path = ROOT_DIR) -> list[tuple[str, str]]:
     """What else is on the device's bus, each with its driver: ("spi0.1", "fb_st7789v").
 
     Without those that no driver serves, or the device's own does (spidev: then a program may use it).
@@ -65,7 +65,7 @@ def neighbours(device: str, root: Path = ROOT) -> list[tuple[str, str]]:
     return [(name, driver) for name, driver in found if driver is not None and driver != _driver(own)]
 
 
-def computer(root: Path = ROOT) -> str:
+def computer(root: Path = ROOT_DIR) -> str:
     """`Raspberry Pi 4 Model B Rev 1.4`; empty where no device tree names it."""
     try:
         return (root / "proc/device-tree/model").read_text(errors="replace").rstrip("\0\n")
@@ -73,7 +73,7 @@ def computer(root: Path = ROOT) -> str:
         return ""
 
 
-def kernel(root: Path = ROOT) -> tuple[str, dt.date | None]:
+def kernel(root: Path = ROOT_DIR) -> tuple[str, dt.date | None]:
     """Its release (`6.6.31+rpt-rpi-v8`), and when it was built, where it says so."""
     try:
         text = (root / "proc/version").read_text(errors="replace")

@@ -16,7 +16,7 @@ from gateway.robot.spi import Batch, SpiDevice
 STALE_NS: Final = 500_000_000
 """Half of the 1000 ms after which the controller gives up a frame that it awaits. The other half allows for delays
 between the last look at the clock and the first bit on the wire."""
-PATIENCE_S: Final = 0.25
+_PATIENCE_S: Final = 0.25
 """How long to wait for the bus lock, once. A batch takes some ms, on a busy machine some tens. A program that holds the
 lock for longer hangs, and Stops do not wait for that."""
 LOCK_PAUSE_S: Final = 0.000_2
@@ -35,7 +35,7 @@ class OneByOne:
         self._device = device
         self._clock = clock
         self._pause = pause
-        self._patience_s = PATIENCE_S
+        self._patience_s = _PATIENCE_S
 
     def transfer(self, batch: Batch) -> None:
         """Write transfer by transfer. Raises SpiError, also where the program stood still within the batch."""
@@ -81,7 +81,7 @@ class OneByOne:
             except OSError:  # the device is going away, and the transfer will report it
                 return False
             else:
-                self._patience_s = PATIENCE_S
+                self._patience_s = _PATIENCE_S
                 return True
 
 

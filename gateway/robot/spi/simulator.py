@@ -89,7 +89,7 @@ class SimulatedController(ByteDevice):
         tick_phase_ns: int = 0,
         page: ServoPage | None = None,
     ) -> None:
-        """`clock` gives nanoseconds. `on_change` is told in one line what each executed frame did; into `page` goes
+        """`clock` gives nanoseconds. `on_change` gets a line on what each executed frame did; into `page` goes
         where each servo is sent."""
         self.transfers: collections.deque[tuple[int, bytes]] = collections.deque(maxlen=KEPT_TRANSFERS)
         self.executed = 0

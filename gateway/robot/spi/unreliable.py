@@ -7,7 +7,7 @@ from typing import Final, NamedTuple
 from gateway.errors import ConfigError, SpiError
 from gateway.robot.spi import Batch, ByteDevice, SpiDevice
 
-LONGEST_MS: Final = 60_000
+_LONGEST_MS: Final = 60_000
 """Longer than any driver hangs and comes back."""
 
 
@@ -27,9 +27,9 @@ def read(text: str) -> Faults:
         faults = Faults(float(share), float(after_ms or Faults._field_defaults["after_ms"]))
     except ValueError:
         faults = Faults(-1)
-    if not (0 <= faults.share <= 1 and 0 <= faults.after_ms <= LONGEST_MS):
+    if not (0 <= faults.share <= 1 and 0 <= faults.after_ms <= _LONGEST_MS):
         raise ConfigError(
-            f"--sim-fault {text}: write a chance from 0 to 1, and how long a failure takes, up to {LONGEST_MS:g} ms, "
+            f"--sim-fault {text}: write a chance from 0 to 1, and how long a failure takes, up to {_LONGEST_MS:g} ms, "
             "such as 0.1:200"
         )
     return faults

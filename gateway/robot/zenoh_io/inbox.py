@@ -2,7 +2,7 @@
 
 Zenoh delivers on threads of its own. A callback per message would cost Python time for each, so that a flood of one key
 would delay everything else by seconds. Here each key has a ring in Rust that keeps its newest messages, and one thread
-waits on a subscriber that hears them all: the wakeup. It then owns the state (`robot.host.ownership`) for one tick,
+waits on a subscriber that receives them all: the wakeup. It then owns the state (`robot.host.ownership`) for one tick,
 in which it takes what the rings hold and writes the frames. So work per tick is bounded, a message that is overwritten
 costs nothing, and no other thread has to be woken for a command.
 
@@ -43,7 +43,7 @@ LOOK_AGAIN_S: Final = (0.0002, 0.001, 0.004, 0.016, 0.064)
 thread that may be interrupted in between). So a wakeup whose key had nothing is followed by some more looks."""
 LOOK_AFTER_FLOOD: Final = 2
 """The first of these looks after wakeups were lost: later than the next tick of a flood, which looks anyway."""
-EARLY_S: Final = sum(LOOK_AGAIN_S)
+_EARLY_S: Final = sum(LOOK_AGAIN_S)
 """For how long a message's wakeup is expected after the message itself was taken."""
 
 FLOOD_PAUSE_S: Final = 0.001
@@ -89,9 +89,9 @@ class Inbox:
         self._heard: dict[str, int] = {}
         """How many messages of each key there are, by the wakeups since the last tick."""
         self._missed: dict[str, int] = {}
-        """How many of them have been heard of before that, and not been taken yet."""
+        """How many of them woke the inbox before that, and have not been taken yet."""
         self._early: dict[str, int] = {}
-        """How many were taken before their wakeup was heard."""
+        """How many were taken before their wakeup arrived."""
         self._early_until_s = 0.0
         self._lost_some = False  # wakeups, so that nobody knows for which keys to look again
         self._look_at: Collection[str] = ()
@@ -220,7 +220,7 @@ class Inbox:
 
     def _estop(self, item: _Item, received_ns: int) -> Deal:
         if isinstance(item, zenoh.Query) and "*" in str(item.key_expr):
-            # Whoever lists what there is (`get` on hexapod/**) wants to see, not to stop. A put is meant, and a Stop.
+            # Who lists what there is (`get` on hexapod/**) wants to see, not to stop. A put is meant, and a Stop.
             return partial(self._estop_replies.to(item, ESTOP), _NOT_BY_WILDCARD)
         self._estops.append(_received(self._estop_replies, ESTOP, item, received_ns))
         return self._engage_all
@@ -269,7 +269,7 @@ class Inbox:
             (self._estop_replies if key == ESTOP else self._replies).let_go(item)
 
     def _compare(self, taken: dict[str, int]) -> None:
-        """Look again, if more messages were heard of than taken: one of them has not reached its key's ring yet.
+        """Look again, if more wakeups came than messages were taken: one of them has not reached its key's ring yet.
 
         They are counted, since another message of the same key may have been taken in its place.
         """
@@ -287,7 +287,7 @@ class Inbox:
             missed_more = any(count > self._missed.get(key, 0) for key, count in left.items())
             self._missed = {key: count for key, count in left.items() if count > 0}
             if not self._early:
-                self._early_until_s = self._loop.time() + EARLY_S
+                self._early_until_s = self._loop.time() + _EARLY_S
             # No message may be forgotten for ever, because another was counted once too often.
             late = self._loop.time() > self._early_until_s
             self._early = {} if late else {key: -count for key, count in left.items() if count < 0}
@@ -308,7 +308,7 @@ class Inbox:
         if attempt + 1 < len(LOOK_AGAIN_S):
             self._look(attempt + 1)
         else:
-            self._missed, self._lost_some = {}, False  # pushed out of its ring, or taken before its wakeup was heard
+            self._missed, self._lost_some = {}, False  # pushed out of its ring, or taken before its wakeup arrived
 
 
 _NOT_BY_WILDCARD: Final = (

@@ -1,4 +1,4 @@
-"""A thread for each ring that is waited for: it hears, and as owner of the state deals with what it has heard."""
+"""A thread for each ring that is waited for: it receives, and as owner of the state deals with what it received."""
 
 import asyncio
 import threading

@@ -9,12 +9,12 @@ from typing import Final
 import pytest
 
 from examples.elkapod import gait
+from gateway.allowance import NS_PER_MS
 from gateway.geometry import Geometry, foot_m, load
 from gateway.model.calibration import RobotCalibration
 from gateway.model.frames import centidegrees
 from gateway.people.walking import Pose, Posture, Robot, Velocity, Walker
 from gateway.people.walking.robot import ranges
-from gateway.robot.core.pacing import NS_PER_MS
 from gateway.robot.core.speed import step
 from gateway.robot.host import calibration_file
 from gateway.robot.runtime.report import limits_of

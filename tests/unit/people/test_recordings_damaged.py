@@ -20,9 +20,9 @@ from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.writer import CompressionType, Writer
 
 from gateway.errors import ConfigError
-from gateway.people.recordings import Losses, Recording, read
+from gateway.people.recordings import ReadLosses, Recording, read
 from gateway.people.recordings.contents import cut
-from gateway.people.recordings.pieces import MAGIC
+from gateway.people.recordings.pieces import MCAP_MAGIC
 from gateway.people.recordings.reading import records
 from gateway.people.recordings.unpacking import MAX_UNPACKED_BYTES
 from schemas import keys
@@ -62,7 +62,7 @@ def ride(path: Path, made: bytes) -> bytes:
     return made
 
 
-def contents(path: Path, losses: Losses | None = None) -> Contents:
+def contents(path: Path, losses: ReadLosses | None = None) -> Contents:
     """All messages, of whichever encoding."""
     topics: dict[int, str] = {}
     found: Contents = []
@@ -107,7 +107,7 @@ def test_of_each_damaged_chunk_only_its_own_messages_are_missing(path: Path, rid
         heads = [place.begin, place.begin + 1, place.begin + 3, place.begin + HEAD_BYTES + 16, place.begin + 46]
         for at in (place.begin, heads[number % len(heads)], chance.randrange(place.begin, place.end), place.end - 1):
             path.write_bytes(flipped(ride, at, chance))
-            losses = Losses()
+            losses = ReadLosses()
             found = contents(path, losses)
             rest = whole[: place.first] + whole[place.behind :]
             if found == whole:  # its time, which nobody reads
@@ -145,10 +145,10 @@ def test_whatever_is_damaged_reading_ends_and_finds_no_more_than_there_was(path:
     for _ in range(40):
         data = bytearray(ride[: chance.randrange(len(ride) // 2, len(ride) + 1)])
         for _ in range(chance.randrange(1, 20)):
-            begin = chance.randrange(len(MAGIC), len(data))
+            begin = chance.randrange(len(MCAP_MAGIC), len(data))
             data[begin : begin + chance.choice([1, 1, 1, 1000])] = chance.randbytes(chance.choice([0, 1, 1, 50]))
         path.write_bytes(data)
-        losses = Losses()
+        losses = ReadLosses()
         found = contents(path, losses)
         assert set(map(repr, found)) <= texts
         assert losses or losses.cut_off or len(found) == len(whole)
@@ -201,7 +201,7 @@ BOMB: Final = bytes(4 * MAX_UNPACKED_BYTES)
 def test_a_chunk_that_unpacks_to_too_much_is_skipped(path: Path, chunk: Chunk) -> None:
     write_chunks(path, *[chunk] * 20)
     tracemalloc.start()
-    losses = Losses()
+    losses = ReadLosses()
     count = len(contents(path, losses))
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
@@ -222,7 +222,7 @@ def test_large_chunks_of_other_writers_are_read(path: Path, compression: Compres
             data = json.dumps({**state, "uptime_s": number / 10, "time": f"2026-11-22T00:00:{number / 100:09.6f}Z"})
             writer.add_message(channel, number, data.encode(), number)
         writer.finish()
-    losses = Losses()
+    losses = ReadLosses()
     assert sum(1 for _ in read(path, losses)) == 5000
     assert not losses
 
@@ -250,13 +250,13 @@ def test_a_file_of_nothing_but_beginnings_takes_no_longer_than_its_size(path: Pa
     a_chunk("zstd", b"x", 2**40, zlib.crc32(b"x")).write(chunk)
     data = path.read_bytes()
     path.write_bytes(data[: places(data)[-1].end] + (chunk.end()[:-1] + b"\xff") * 50_000)
-    losses = Losses()
+    losses = ReadLosses()
     assert len(contents(path, losses)) == 4
     assert losses.places
 
 
 def test_of_one_that_has_no_message_left_no_piece_is_made(path: Path, ride: bytes) -> None:
-    path.write_bytes(ride[: len(MAGIC) + 30] + b"\xff" * 1000)
+    path.write_bytes(ride[: len(MCAP_MAGIC) + 30] + b"\xff" * 1000)
     with pytest.raises(ConfigError, match="no message in it can be read"):
         cut(path, path.with_name("whole.mcap"), from_s=0, to_s=1e9)
     assert list(path.parent.iterdir()) == [path]
@@ -268,7 +268,7 @@ def test_wherever_a_file_is_cut_off_it_is_not_damaged(path: Path) -> None:
     last = places(ride)[-1]
     for end in (*range(last.begin - 20, last.begin + 60), *range(last.end - 2, last.end + 20)):
         path.write_bytes(ride[:end])
-        losses = Losses()
+        losses = ReadLosses()
         for _ in read(path, losses, topics=()):
             pass
         assert not losses.places, end

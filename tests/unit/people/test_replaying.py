@@ -6,9 +6,10 @@ from typing import Any, Final, NamedTuple
 
 import pytest
 
+from gateway.allowance import NS_PER_MS
 from gateway.errors import ConfigError
 from gateway.model.frames import OneLeg, OneServo, Op, ServoOp, stop_leg
-from gateway.people.recordings.replaying import APART_NS, NS_PER_MS, Plan, Step, steps_of, survey
+from gateway.people.recordings.replaying import APART_NS, Plan, ReplayStep, steps_of, survey
 from gateway.people.recordings.user_angles import UserAngles
 from gateway.people.tools.replay import _ask, _fit
 from schemas.command import SERVO_COMMAND, LegCommand, LegsCommand
@@ -35,7 +36,7 @@ def record(at_ms: float, frame: OneLeg | OneServo, cause: Cause = Cause.COMMAND)
 class Planned(NamedTuple):
     """What is sent, as objects, and what it comes to."""
 
-    steps: list[Step]
+    steps: list[ReplayStep]
     plan: Plan
 
 

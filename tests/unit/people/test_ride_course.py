@@ -9,7 +9,7 @@ import pytest
 from gateway.errors import WalkError
 from gateway.geometry import load
 from gateway.people.bridge.motions import Course
-from gateway.people.ros2.trajectory import Point, Trajectory
+from gateway.people.ros2.trajectory import Trajectory, Waypoint
 from gateway.people.walking import Pose, Ride
 from schemas.robot import LEGS
 from tests.support.ridden import ROBOT, TICK_S, standing
@@ -30,7 +30,7 @@ def rad(pose: Pose) -> dict[int, float]:
 def plan(begins_s: float, *points: tuple[float, float], legs: tuple[int, ...] = tuple(LEGS)) -> Trajectory:
     """At these seconds the first joint of leg 1 is so many radians from where it stands."""
     still = rad({leg: STOOD[leg] for leg in legs})
-    found = [Point(at_s, {**still, 11: still[11] + moved_rad}) for at_s, moved_rad in points]
+    found = [Waypoint(at_s, {**still, 11: still[11] + moved_rad}) for at_s, moved_rad in points]
     return Trajectory(tuple(found), begins_s)
 
 

@@ -8,7 +8,7 @@ import pytest
 from gateway.errors import ConfigError
 from gateway.model.calibration import RobotCalibration, ServoMapping, report_of
 from gateway.model.frames import OneLeg, OneServo, Op, ServoOp, decode, stop_leg
-from gateway.people.recordings.reading import Message
+from gateway.people.recordings.reading import RecordedMessage
 from gateway.people.recordings.user_angles import UserAngles, user_bytes
 from gateway.people.tools.replay import _same_angles
 from schemas.keys import CALIBRATION, FRAME, STATE
@@ -19,21 +19,21 @@ OTHER = RobotCalibration(2, {31: ServoMapping(-20_00)})
 USERS = OneLeg(3, (ServoOp(Op.SET, 90_00), ServoOp(Op.SET, 45_00), ServoOp(Op.START, 120_00)))
 
 
-def frame(calibration: RobotCalibration, users: OneLeg | OneServo = USERS) -> Message:
+def frame(calibration: RobotCalibration, users: OneLeg | OneServo = USERS) -> RecordedMessage:
     """As it was written with this calibration in force."""
-    return Message(FRAME, {"bytes": calibration.frame(users).to_bytes().hex(), "cause": "command"}, 0, 0)
+    return RecordedMessage(FRAME, {"bytes": calibration.frame(users).to_bytes().hex(), "cause": "command"}, 0, 0)
 
 
-def state(revision: int | None) -> Message:
+def state(revision: int | None) -> RecordedMessage:
     content: dict[str, Any] = {} if revision is None else {"calibration": {"revision": revision}}
-    return Message(STATE, content, 0, 0)
+    return RecordedMessage(STATE, content, 0, 0)
 
 
-def told(calibration: RobotCalibration) -> Message:
-    return Message(CALIBRATION, report_of(calibration).model_dump(mode="json"), 0, 0)
+def told(calibration: RobotCalibration) -> RecordedMessage:
+    return RecordedMessage(CALIBRATION, report_of(calibration).model_dump(mode="json"), 0, 0)
 
 
-def read(*messages: Message) -> tuple[UserAngles, list[OneLeg | OneServo]]:
+def read(*messages: RecordedMessage) -> tuple[UserAngles, list[OneLeg | OneServo]]:
     angles = UserAngles()
     return angles, [decode(bytes.fromhex(record["bytes"])) for record in angles.frames(messages)]
 
@@ -61,12 +61,14 @@ def test_an_older_gateway_had_no_calibration() -> None:
         (frame(MIRRORED),),
         (state(1), frame(MIRRORED)),
         (state(0), frame(RobotCalibration()), state(1), frame(MIRRORED)),
-        (Message(CALIBRATION, {"revision": "x"}, 0, 0), frame(MIRRORED)),
-        (Message(CALIBRATION, {"revision": 1, "servos": {"99": {}}, "landing": {}}, 0, 0), frame(MIRRORED)),
+        (RecordedMessage(CALIBRATION, {"revision": "x"}, 0, 0), frame(MIRRORED)),
+        (RecordedMessage(CALIBRATION, {"revision": 1, "servos": {"99": {}}, "landing": {}}, 0, 0), frame(MIRRORED)),
     ],
     ids=["frames alone", "state without", "changed unheard", "no calibration", "no servo"],
 )
-def test_where_it_does_not_say_frames_go_only_where_the_same_bytes_are_written(messages: tuple[Message, ...]) -> None:
+def test_where_it_does_not_say_frames_go_only_where_the_same_bytes_are_written(
+    messages: tuple[RecordedMessage, ...],
+) -> None:
     angles, found = read(*messages)
     assert not angles.known
     assert found[-1] == MIRRORED.frame(USERS)

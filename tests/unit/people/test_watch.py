@@ -11,8 +11,8 @@ from gateway.people.tools.watch.model import (
     SILENT_AFTER_NS,
     Confirmation,
     Counts,
-    GatewayPresence,
     Model,
+    WatchedPresence,
 )
 from gateway.robot.core.rejection_limit import RejectionLimit
 from schemas.telemetry import Ack, ButtonsReport, Kind, LeaseReport, Mode, Reason, WatchdogState
@@ -26,7 +26,7 @@ STOPPED = Ack(accepted=True, stop_frames=6, latency_us=812.4)
 
 def test_nothing_has_been_received() -> None:
     model = Model(trouble="no gateway answers on tcp/robot:7447")
-    assert model.presence(0) is GatewayPresence.WAITING
+    assert model.presence(0) is WatchedPresence.WAITING
     assert " WAITING " in screen(model)
     assert "no gateway answers on tcp/robot:7447" in screen(model)
     assert "trying again" in screen(model)
@@ -35,8 +35,8 @@ def test_nothing_has_been_received() -> None:
 def test_silence_begins_after_its_time_and_ends_with_the_first_word() -> None:
     model = Model()
     model.received_state(state(), 0, WALL)
-    assert model.presence(SILENT_AFTER_NS) is GatewayPresence.LIVE
-    assert model.presence(SILENT_AFTER_NS + 1) is GatewayPresence.SILENT
+    assert model.presence(SILENT_AFTER_NS) is WatchedPresence.LIVE
+    assert model.presence(SILENT_AFTER_NS + 1) is WatchedPresence.SILENT
     model.look(SILENT_AFTER_NS + 1, WALL)
     model.look(SILENT_AFTER_NS + 2, WALL)
     assert kinds(model) == ["silent"]
@@ -44,22 +44,22 @@ def test_silence_begins_after_its_time_and_ends_with_the_first_word() -> None:
     assert "was IDLE" in screen(model, 4 * NS_PER_S)
     assert "If the robot moves, cut power" in screen(model, 4 * NS_PER_S)
     model.received_state(state(14), 4 * NS_PER_S, WALL)
-    assert model.presence(4 * NS_PER_S) is GatewayPresence.LIVE
+    assert model.presence(4 * NS_PER_S) is WatchedPresence.LIVE
     assert kinds(model) == ["back", "silent"]
     assert model.lines[0].text == "the gateway publishes again, after 4.0 s"
     model.received_event(event(Kind.WATCHDOG_EXPIRED), 5 * NS_PER_S, WALL)
-    assert model.presence(SILENT_AFTER_NS + 5 * NS_PER_S) is GatewayPresence.LIVE, "an event alone is a word, too"
+    assert model.presence(SILENT_AFTER_NS + 5 * NS_PER_S) is WatchedPresence.LIVE, "an event alone is a word, too"
 
 
 def test_a_token_that_goes_is_silence_at_once() -> None:
     model = Model()
     model.received_token(True, 0, WALL)
-    assert model.presence(0) is GatewayPresence.LIVE
+    assert model.presence(0) is WatchedPresence.LIVE
     model.received_token(False, NS_PER_MS, WALL)
-    assert model.presence(NS_PER_MS) is GatewayPresence.SILENT
+    assert model.presence(NS_PER_MS) is WatchedPresence.SILENT
     assert kinds(model) == ["silent"]
     model.received_token(True, 2 * NS_PER_MS, WALL)
-    assert model.presence(2 * NS_PER_MS) is GatewayPresence.LIVE
+    assert model.presence(2 * NS_PER_MS) is WatchedPresence.LIVE
 
 
 @pytest.mark.parametrize("uptime_s", [100, 0.6])

@@ -2,10 +2,10 @@
 
 import pytest
 
+from gateway.allowance import NS_PER_MS
 from gateway.robot.core.buttons import DRIFT_PPM, MOST_OF_ONE, MOST_UNPROVED, RISE, Buttons
-from gateway.robot.core.events import Answer, ButtonDo, ButtonRequest
+from gateway.robot.core.events import ButtonDo, ButtonRequest, RequestAnswer
 from gateway.robot.core.leg import Rules
-from gateway.robot.core.pacing import NS_PER_MS
 from schemas.telemetry import Reason
 from tests.support.steps import Steps, all_stopped, leg_to
 
@@ -284,7 +284,7 @@ def test_a_certificate_has_four_places_and_gives_its_own_silent_ones_away() -> N
     for number in range(6, 10):
         robot.button(1, "alive", f"rogue {number}", 1, holder="the rogue's")
     assert robot.button(2, "register", "rogue 10", holder="the rogue's") == ["button_denied"]
-    assert robot.only(Answer).detail == "4 buttons of this certificate are alive, and no more are taken"
+    assert robot.only(RequestAnswer).detail == "4 buttons of this certificate are alive, and no more are taken"
     assert robot.button(3, "alive", "kitchen", 1, holder="the kitchen's") == ALIVE
     assert robot.button(4, "register", "hall", holder="the hall's") == REGISTERED
 
@@ -306,9 +306,9 @@ def test_two_buttons_of_one_certificate_are_one_of_those_that_are_required() -> 
 def test_one_that_is_not_wanted_checks_in_and_does_not_count() -> None:
     robot = watched()
     robot.button(1, "register", "stranger", counts=False)
-    assert robot.only(Answer).detail.endswith("is not one of those that are required (buttons.names)")
+    assert robot.only(RequestAnswer).detail.endswith("is not one of those that are required (buttons.names)")
     assert robot.button(2, "alive", "stranger", 1) == ALIVE
-    assert robot.only(Answer).detail.endswith("is not one of those that are required (buttons.names)")
+    assert robot.only(RequestAnswer).detail.endswith("is not one of those that are required (buttons.names)")
     assert robot.supervisor.buttons.alive == 1
     assert robot.time(TIMEOUT_MS)[:6] == all_stopped("watchdog")
 
@@ -364,7 +364,7 @@ def test_one_that_is_older_than_the_timeout_is_rejected() -> None:
     robot.button(22, "alive", "kitchen", 1, sent_ms=20)
     robot.time(1022)
     assert robot.button(3000, "alive", "kitchen", 2, sent_ms=1500) == ["stale"]
-    assert robot.only(Answer).detail == "the check-in is 1497 ms old; it counts for 1000 ms"
+    assert robot.only(RequestAnswer).detail == "the check-in is 1497 ms old; it counts for 1000 ms"
     assert robot.button(3001, "alive", "kitchen", 3, sent_ms=2999) == ["announce button_returned", *ALIVE]
 
 

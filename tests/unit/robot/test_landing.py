@@ -7,9 +7,9 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
+from gateway.allowance import NS_PER_MS
 from gateway.robot.core.landing import Landing, landing
 from gateway.robot.core.leg import Servo
-from gateway.robot.core.pacing import NS_PER_MS
 
 angles = st.integers(0, 180_00)
 PERIOD_NS = 20 * NS_PER_MS

@@ -2,8 +2,8 @@
 
 import pytest
 
-from gateway.robot.core.events import Answer, Do, LeaseRequest
-from gateway.robot.core.lease import MOST_ASKERS, Lease
+from gateway.robot.core.events import Do, LeaseRequest, RequestAnswer
+from gateway.robot.core.lease import MOST_ASKERS, RobotLease
 from gateway.robot.core.leg import Rules
 from schemas.telemetry import Kind
 from tests.support.steps import Steps, all_stopped, leg_to, servo_to
@@ -80,7 +80,7 @@ def test_it_is_not_acquired_twice_not_even_by_its_holder() -> None:
     robot = driven_by_anna()
     for name in ("bert", "anna"):
         assert robot.lease(2, f"acquire {name}", fresh=BERT) == ["lease_held"]
-        assert robot.only(Answer).detail == "the lease is held by anna"
+        assert robot.only(RequestAnswer).detail == "the lease is held by anna"
     assert robot.command(30, SET, lease=ANNA) == ["command 1 set 45", "completed 2"]
 
 
@@ -249,7 +249,7 @@ def test_whether_a_name_is_verified_goes_with_it(verified: bool) -> None:
     robot.lease(3, "release to bert", ANNA)
     assert lease.verified is verified
     robot.lease(3, "acquire carl", fresh=CARL)
-    assert (robot.only(Answer).detail, lease.verified) == ("the lease is handed over to bert", verified)
+    assert (robot.only(RequestAnswer).detail, lease.verified) == ("the lease is handed over to bert", verified)
     robot.take(4, LeaseRequest(Do.ACQUIRE, "bert", verified, fresh_token=BERT))
     assert lease.verified is verified
     robot.lease(5, "release", BERT)
@@ -264,7 +264,7 @@ def test_a_takeover_stops_all_six_legs_first() -> None:
     robot.command(2, SET, lease=ANNA)
     taken = robot.lease(3, "take bert", fresh=BERT)
     assert taken == [*all_stopped("command"), "rejected 2 not_holder", "announce lease_taken", GRANTED]
-    assert robot.only(Answer).token == BERT
+    assert robot.only(RequestAnswer).token == BERT
     assert told(robot) == [(Kind.LEASE_TAKEN, "bert", "bert has stopped all legs and taken the lease from anna")]
     assert robot.command(30, START, lease=ANNA) == ["rejected 3 not_holder"]
     assert robot.command(31, SET, lease=BERT) == ["rejected 4 servo_stopped"]
@@ -307,7 +307,7 @@ def test_a_takeover_at_fault_is_granted_and_the_stops_follow() -> None:
 
 
 def test_its_end_without_a_supervisor() -> None:
-    lease = Lease(Rules(lease_ttl_ns=100))
+    lease = RobotLease(Rules(lease_ttl_ns=100))
     assert (lease.verified, lease.expire(0)) == (False, [])
     lease.grant(LeaseRequest(Do.ACQUIRE, "anna", fresh_token=ANNA), 0)
     assert lease.expire(99) == []
@@ -322,7 +322,7 @@ def test_no_repr_shows_a_token() -> None:
     robot = driven_by_anna()
     seen = [*robot.effects, *robot.lease(2, "renew", ANNA), robot.supervisor.lease]
     robot.lease(3, "take bert", fresh=BERT)
-    seen += [*robot.effects, robot.only(Answer)]
+    seen += [*robot.effects, robot.only(RequestAnswer)]
     for each in seen:
         assert ANNA not in repr(each)
         assert BERT not in repr(each)

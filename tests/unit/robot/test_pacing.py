@@ -7,8 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from gateway.allowance import NS_PER_MS, NS_PER_S
 from gateway.model.frames import STOP, Op, ServoOp
-from gateway.robot.core.pacing import NS_PER_MS, NS_PER_S, RateSlots, StartQueue, merged
+from gateway.robot.core.pacing import RateSlots, StartQueue, merged
 
 START_90, START_45 = ServoOp(Op.START, 90_00), ServoOp(Op.START, 45_00)
 SET_90, SET_45 = ServoOp(Op.SET, 90_00), ServoOp(Op.SET, 45_00)

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from gateway.robot.core.pacing import NS_PER_S
+from gateway.allowance import NS_PER_S
 from gateway.robot.zenoh_io.questions import (
     MAX_WITHOUT_TOKEN,
     MOST_OF_TOKEN,

@@ -5,7 +5,7 @@ from collections import defaultdict
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.robot.core.rejection_limit import EVENTS_A_SECOND, EVENTS_AT_ONCE, SOURCES, RejectionLimit
+from gateway.robot.core.rejection_limit import EVENTS_A_SECOND, EVENTS_AT_ONCE, SOURCES_COUNTED, RejectionLimit
 
 S = 1_000_000_000
 MS = 1_000_000
@@ -29,7 +29,7 @@ def test_sources_do_not_disturb_one_another() -> None:
 def test_whoever_invents_names_shares_one_allowance() -> None:
     limit = RejectionLimit()
     published = [limit.admit(f"name {n}", 0) for n in range(100_000)]
-    assert sum(left_out is not None for left_out in published) == SOURCES + EVENTS_AT_ONCE
+    assert sum(left_out is not None for left_out in published) == SOURCES_COUNTED + EVENTS_AT_ONCE
     assert limit.admit("name 0", 0) == 0, "a known one keeps its own"
 
 
@@ -61,6 +61,6 @@ def test_never_more_than_promised_and_every_one_published_or_counted(rejections:
         for later, earlier in zip(times[EVENTS_AT_ONCE + EVENTS_A_SECOND :], times, strict=False):
             assert later - earlier >= S
     assert accounted <= len(rejections)
-    if len({source for source, _ in rejections}) < SOURCES:
+    if len({source for source, _ in rejections}) < SOURCES_COUNTED:
         accounted += sum(limit.admit(source, now_ns + S) or 0 for source in published_ns)
         assert accounted == len(rejections)

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from gateway.robot.core.pacing import NS_PER_MS, NS_PER_S
+from gateway.allowance import NS_PER_MS, NS_PER_S
 from gateway.robot.core.speed import step
 
 angles = st.integers(0, 180_00)

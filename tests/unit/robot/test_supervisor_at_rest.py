@@ -4,11 +4,11 @@ import asyncio
 
 import pytest
 
+from gateway.allowance import NS_PER_MS
 from gateway.model.frames import stop_leg
 from gateway.model.framing import Framing
 from gateway.robot.core.events import Transmit
 from gateway.robot.core.leg import Rules
-from gateway.robot.core.pacing import NS_PER_MS
 from schemas import keys
 from schemas.robot import LEGS
 from tests.support.robot import MS, Robot, leg, started_and_quiet

@@ -5,10 +5,10 @@ Each step is judged by the oracle.
 
 import pytest
 
+from gateway.allowance import NS_PER_MS
 from gateway.model.calibration import CalibrationChange, MappingChange, RobotCalibration, ServoMapping
 from gateway.robot.core.events import Announce, CalibrationSaved, Transmit
 from gateway.robot.core.leg import Rules
-from gateway.robot.core.pacing import NS_PER_MS
 from gateway.robot.core.supervisor import IllegalEvent
 from schemas.telemetry import Kind, Mode
 from tests.support.steps import Steps, all_stopped, leg_to, servo_to

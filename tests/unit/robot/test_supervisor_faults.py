@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import pytest
 
+from gateway.allowance import NS_PER_S
 from gateway.robot.core.events import (
     BusFailed,
     BusOpened,
@@ -16,7 +17,6 @@ from gateway.robot.core.events import (
     TimePassed,
 )
 from gateway.robot.core.leg import Rules
-from gateway.robot.core.pacing import NS_PER_S
 from gateway.robot.core.supervisor import IllegalEvent
 from schemas.telemetry import Mode
 from tests.support.model_check import copied, key, pending

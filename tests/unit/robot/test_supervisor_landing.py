@@ -5,10 +5,10 @@ from typing import Any
 
 import pytest
 
+from gateway.allowance import NS_PER_MS
 from gateway.model.frames import Op
 from gateway.robot.core.events import Announce, Transmit
 from gateway.robot.core.leg import Rules
-from gateway.robot.core.pacing import NS_PER_MS
 from schemas.telemetry import Kind, Mode, WatchdogState
 from tests.support.steps import Steps, all_stopped, leg_to, legs_to, servo_to
 

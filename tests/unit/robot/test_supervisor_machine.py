@@ -10,6 +10,7 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
+from gateway.allowance import NS_PER_MS
 from gateway.errors import SpiError
 from gateway.model.calibration import CalibrationChange, MappingChange, RobotCalibration, ServoMapping
 from gateway.model.frames import STOP, Op, ServoOp, decode, servo_ids_of
@@ -35,7 +36,6 @@ from gateway.robot.core.events import (
     Transmit,
 )
 from gateway.robot.core.leg import Rules
-from gateway.robot.core.pacing import NS_PER_MS
 from gateway.robot.core.supervisor import Supervisor
 from schemas.robot import LEGS, SERVO_IDS
 from schemas.telemetry import Kind, Mode

@@ -2,9 +2,9 @@
 
 import pytest
 
+from gateway.allowance import NS_PER_MS
 from gateway.robot.core.events import Announce, Transmit
 from gateway.robot.core.leg import Rules
-from gateway.robot.core.pacing import NS_PER_MS
 from schemas.robot import LEGS
 from schemas.telemetry import Mode, WatchdogState
 from tests.support.steps import Steps, Targets, all_stopped, leg_to, legs_to, servo_to

@@ -14,7 +14,7 @@ from gateway.people.client.blocking import Client
 from gateway.people.client.subscriptions import reports, subscribed
 from gateway.people.tools import kept_lease
 from gateway.people.tools.button.check_ins import CheckIns
-from gateway.people.tools.moving import Motion
+from gateway.people.tools.moving import ServoMotion
 from schemas import keys
 from schemas.telemetry import Ack, Cause, Event, FrameRecord, GatewayState, Reason
 
@@ -104,7 +104,7 @@ class Bench:
     """One leg of one robot."""
 
     client: Client
-    motion: Motion
+    motion: ServoMotion
     reaches: dict[str, Any]
     """How `Client` reaches the gateway."""
     late_ms: float

@@ -32,7 +32,7 @@ OTHERS: Final = "all others"
 NAMELESS: Final = "no name"
 
 
-class GatewayPresence(Enum):
+class WatchedPresence(Enum):
     """Whether a gateway publishes, as far as this laptop receives."""
 
     WAITING = auto()  # nothing has been received yet
@@ -93,7 +93,7 @@ class Model:
     _state_ns: int = 0
     _received_ns: int | None = None
     _gone: bool = False
-    _noted: GatewayPresence = GatewayPresence.WAITING
+    _noted: WatchedPresence = WatchedPresence.WAITING
     _samples: deque[tuple[float, Counts]] = field(default_factory=deque)
     """With the uptime of each, in seconds."""
     _starts: Starts = field(default_factory=Starts)
@@ -158,7 +158,7 @@ class Model:
     def look(self, now_ns: int, wall: datetime) -> None:
         """Notice silence, and withdraw what was shown for long enough."""
         presence = self.presence(now_ns)
-        if presence is GatewayPresence.SILENT and self._noted is not GatewayPresence.SILENT:
+        if presence is WatchedPresence.SILENT and self._noted is not WatchedPresence.SILENT:
             self._noted = presence
             self._note(wall, "silent", "the gateway fell silent", bad=True)
         self._question = self.asking(now_ns)
@@ -166,24 +166,24 @@ class Model:
             self.remark = None
 
     def _receive(self, now_ns: int, wall: datetime) -> None:
-        if self._noted is GatewayPresence.SILENT and self._received_ns is not None:
+        if self._noted is WatchedPresence.SILENT and self._received_ns is not None:
             away_s = (now_ns - self._received_ns) / NS_PER_S
             self._note(wall, "back", f"the gateway publishes again, after {away_s:.1f} s", bad=False)
-        self._received_ns, self._gone, self._noted, self.trouble = now_ns, False, GatewayPresence.LIVE, ""
+        self._received_ns, self._gone, self._noted, self.trouble = now_ns, False, WatchedPresence.LIVE, ""
 
     def _note(self, wall: datetime, kind: str, text: str, *, bad: bool) -> None:
         self.lines.appendleft(EventLine(wall, kind, text, bad))
 
     # ---- derived
 
-    def presence(self, now_ns: int) -> GatewayPresence:
+    def presence(self, now_ns: int) -> WatchedPresence:
         """Whether the gateway publishes, as far as is known."""
         if self._received_ns is None:
-            return GatewayPresence.WAITING
+            return WatchedPresence.WAITING
         return (
-            GatewayPresence.SILENT
+            WatchedPresence.SILENT
             if self._gone or now_ns - self._received_ns > SILENT_AFTER_NS
-            else GatewayPresence.LIVE
+            else WatchedPresence.LIVE
         )
 
     def silent_s(self, now_ns: int) -> float:
@@ -216,7 +216,7 @@ class Model:
     def ask(self, question: Confirmation, now_ns: int) -> None:
         """Ask whether the key is meant; the reset only while an emergency stop is engaged."""
         estopped = self.state is not None and self.state.mode is Mode.ESTOPPED
-        nothing = self.presence(now_ns) is GatewayPresence.LIVE and not estopped and self.stop.wanted_ns is None
+        nothing = self.presence(now_ns) is WatchedPresence.LIVE and not estopped and self.stop.wanted_ns is None
         if question is Confirmation.RESET and nothing:
             self.answered(Tone.NOTE, "no emergency stop is engaged, so there is nothing to reset", now_ns)
             return

@@ -16,14 +16,14 @@ from gateway.people.client.live import CLOSE_S, ERRORS, Live, Receiver
 from gateway.people.terminal.screen import Screen
 from gateway.people.terminal.stop_status import Tone
 from gateway.people.tools import kept_lease
-from gateway.people.tools.watch.model import Confirmation, GatewayPresence, Model
+from gateway.people.tools.watch.model import Confirmation, Model, WatchedPresence
 from gateway.people.tools.watch.view import picture
 from gateway.text import visible
 from schemas import keys as wire
 from schemas.lease import LeaseAck
 from schemas.telemetry import Ack, Event, GatewayState
 
-OTHERS_S: Final = 0.2
+_OTHERS_S: Final = 0.2
 """How long to wait for replies of other programs than the gateway."""
 _NO_KEYS: Final = frozenset({"escape", "up", "down", "left", "right"})
 
@@ -198,11 +198,11 @@ class WatchScreen(Screen, Receiver):
 
     def looked(self, reasons: list[str]) -> None:
         with self.changes():
-            if self.model.presence(time.monotonic_ns()) is not GatewayPresence.LIVE:
+            if self.model.presence(time.monotonic_ns()) is not WatchedPresence.LIVE:
                 self.model.trouble = "\n".join(visible(line) for line in reasons)
 
     def _note_others(self, client: Client, key: str) -> None:
-        count = len(client.answerers(key, OTHERS_S))
+        count = len(client.answerers(key, _OTHERS_S))
         if count > 1:
             with self.changes():
                 self.model.note_others(several_answer(count, key), _wall())

@@ -12,7 +12,7 @@ from rich.text import Text
 from gateway.certs import expiry
 from gateway.people.terminal.screen import ALARM, STYLES, fitted
 from gateway.people.terminal.stop_status import Remark, Tone
-from gateway.people.tools.watch.model import Counts, GatewayPresence, Model
+from gateway.people.tools.watch.model import Counts, Model, WatchedPresence
 from gateway.text import visible
 from schemas.telemetry import ButtonsReport, GatewayState, LeaseReport, LegReport, Mode, ServoReport, WatchdogState
 
@@ -39,7 +39,7 @@ _EVENT_COLUMNS: Final = len("12:34:56 command_rejected ")
 
 def picture(model: Model, now_ns: int, where: str, width: int, height: int) -> Text:
     """The whole screen, `height` lines of at most `width` columns."""
-    live = model.presence(now_ns) is GatewayPresence.LIVE
+    live = model.presence(now_ns) is WatchedPresence.LIVE
     blank = [Text()] if height >= _ROOMY_ROWS else []
     stop = model.stop.remark(now_ns, live=live)
     top = [_header(model, now_ns, where), *_banner(model, stop, now_ns, width)]
@@ -57,11 +57,11 @@ def picture(model: Model, now_ns: int, where: str, width: int, height: int) -> T
 def _header(model: Model, now_ns: int, where: str) -> Text:
     line = Text()
     state, presence = model.state, model.presence(now_ns)
-    if presence is GatewayPresence.WAITING:
+    if presence is WatchedPresence.WAITING:
         line.append(" WAITING ", _ASK).append(f"  for a gateway on {where}")
         return line
     mode = "?" if state is None else visible(state.mode).upper().replace("_", " ")
-    if presence is GatewayPresence.SILENT:
+    if presence is WatchedPresence.SILENT:
         line.append(f" SILENT for {model.silent_s(now_ns):.1f} s ", ALARM).append(f"  was {mode}")
     else:
         line.append(f" {mode} ", "bold" if state is None else _MODES.get(state.mode, "bold"))
@@ -70,7 +70,7 @@ def _header(model: Model, now_ns: int, where: str) -> Text:
     if state is not None:
         running = model.running_legs()
         legs = f"{running} leg{'' if running == 1 else 's'} running"
-        line.append(f"  {legs}", "bold green" if running and presence is GatewayPresence.LIVE else "dim")
+        line.append(f"  {legs}", "bold green" if running and presence is WatchedPresence.LIVE else "dim")
         line.append_text(_driver(state.lease))
         line.append_text(_watchers(state.buttons))
         line.append(f"  {where}  up {dt.timedelta(seconds=int(state.uptime_s))}  {state.version}", "dim")
@@ -103,7 +103,7 @@ def _banner(model: Model, stop: Remark | None, now_ns: int, width: int) -> list[
         messages.append((stop.text, ALARM))
     if (question := model.question(now_ns)) is not None:
         messages.append((question, _ASK))
-    if model.presence(now_ns) is GatewayPresence.SILENT:
+    if model.presence(now_ns) is WatchedPresence.SILENT:
         messages.append(("The gateway is silent: below is the past. If the robot moves, cut power.", ALARM))
     if stop is not None and stop.tone is not Tone.BAD:
         messages.append((stop.text, STYLES[stop.tone]))
@@ -113,7 +113,7 @@ def _banner(model: Model, stop: Remark | None, now_ns: int, width: int) -> list[
         messages.append((f"Nothing can be started (calibrate accept-default): {visible(fault)}", "bold yellow"))
     if (expiring := _expiring(model)) is not None:
         messages.append((f"{visible(expiring)}: see `certs renew`", "yellow"))
-    if model.presence(now_ns) is GatewayPresence.WAITING:
+    if model.presence(now_ns) is WatchedPresence.WAITING:
         messages.append(("no connection; trying again" if model.trouble else "connecting …", "yellow"))
     rows = _BANNER_ROWS if len(messages) == 1 else 1
     lines = [Text(f" {row} ", style) for text, style in messages for row in _wrapped(text, width - 2, rows)]
