@@ -47,7 +47,7 @@ def allowed(client: Client, identity: Identity) -> tuple[GatewayState | None, li
     try:
         state = client.state(_ANSWER_S)
     except ZenohError:
-        return None, [_nobody(role, ended=not client.session.info.links())]
+        return None, [_nobody(role, ended=_ended(client))]
     watching = Finding(Stage.ROLE, "you may watch" + (f", as {role}" if role else ""))
     if not _may_command(client):
         fix = "ask the robot's owner for a certificate: hexapod-gateway certs issue NAME --role operator"
@@ -57,6 +57,18 @@ def allowed(client: Client, identity: Identity) -> tuple[GatewayState | None, li
         ]
     commanding = Finding(Stage.ROLE, "you may command" + (f", as {role}" if role else ""))
     return state, [commanding, Finding(Stage.GATEWAY, f"answers, and is {state.mode}")]
+
+
+def _ended(client: Client) -> bool:
+    """Whether the connection has ended, also where Zenoh, which tries again each second, has just opened another."""
+    first, end_s = _links(client), time.monotonic() + _MATCHING_S
+    while (now := _links(client)) == first != set() and time.monotonic() < end_s:
+        time.sleep(_PAUSE_S)
+    return now != first or not now
+
+
+def _links(client: Client) -> set[str]:
+    return {link.src for link in client.session.info.links()}
 
 
 def _nobody(role: str, *, ended: bool) -> Finding:
