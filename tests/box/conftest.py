@@ -1,5 +1,6 @@
 """Boxes as fixtures, and the wheels that go into it; where no box can be, its tests are skipped, but fail in CI."""
 
+import fcntl
 import subprocess
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -20,14 +21,16 @@ REPOSITORY = Path(__file__).parents[2]
 def wheels(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """What `make wheels` makes, for the system's Python; the one thing here that needs a network."""
     folder = tmp_path_factory.mktemp("wheels")
-    made = subprocess.run(
-        ["make", "wheels", f"PYTHON={SYSTEM_PYTHON}", f"VENV={folder / 'venv'}", f"WHEELS={folder / 'wheels'}"],
-        cwd=REPOSITORY,
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=300,
-    )
+    with (tmp_path_factory.getbasetemp().parent / "wheels.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)  # two of pip that build one wheel at once spoil each other's cache
+        made = subprocess.run(
+            ["make", "wheels", f"PYTHON={SYSTEM_PYTHON}", f"VENV={folder / 'venv'}", f"WHEELS={folder / 'wheels'}"],
+            cwd=REPOSITORY,
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=300,
+        )
     assert made.returncode == 0, made.stdout + made.stderr
     return folder / "wheels"
 
