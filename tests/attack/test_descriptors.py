@@ -78,8 +78,9 @@ def test_a_device_is_opened_again_while_strangers_hold_all_descriptors(tmp_path:
         wait_until(lambda: fds(pid) == LIMIT)  # the device's own has been taken, too
         known = len(spi_testbed.transfers)
         spi_testbed.restore_node()
-        heard.wait(lambda state: state.mode is Mode.IDLE)
-        assert {each.data.hex() for each in spi_testbed.transfers[known:]} == set(STOPS)
+        stopped = spi_testbed.wait_for_count(known + len(STOPS))[known:]
+        assert {each.data.hex() for each in stopped} == set(STOPS)
+        wait_until(lambda: anna.state().mode is Mode.IDLE)
         assert anna.estop().stop_frames == 6
 
 

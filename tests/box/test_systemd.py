@@ -311,14 +311,14 @@ def test_no_stop_servos_is_deaf_to_a_drop_in(robot: InstalledGateway) -> None:
 
 
 def test_no_framing(robot: InstalledGateway) -> None:
-    """Neither the service nor stop-servos guesses: exit code 2, said twice in two lines, and nothing on the wire."""
+    """Neither the service nor stop-servos guesses: exit code 2, said twice in three lines, and nothing on the wire."""
     before = len(robot.bed.transfers)
     robot.box.write(CONFIGURATION, "")
     with robot.journal() as journal:
         robot.unit.systemctl("start", check=False)
         journal.wait_for_output("Failed to start")
         said = [line for line in journal.stdout.splitlines() if "spi.framing" in line]
-    assert len(said) == 4
+    assert len(said) == 6
     assert robot.unit.properties("ActiveState", "ExecMainStatus", "NRestarts") == ["failed", "2", "0"]
     assert len(robot.bed.transfers) == before
 
