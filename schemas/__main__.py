@@ -12,7 +12,7 @@ from schemas.calibration import Calibration, CalibrationCommand
 from schemas.command import SERVO_COMMAND, LegCommand, LegsCommand, ResetCommand
 from schemas.lease import LEASE_REQUEST, LeaseAck
 from schemas.revocation import RevocationAck, RevocationRequest
-from schemas.telemetry import Ack, BodyReport, Event, FrameRecord, GatewayState
+from schemas.telemetry import Ack, BodyReport, Event, FrameRecord, GatewayState, Telemetry
 
 FOLDER = Path(__file__).with_name("json")
 
@@ -26,7 +26,18 @@ def documents() -> dict[str, str]:
         "RevocationRequest": TypeAdapter(RevocationRequest),
         "ButtonRequest": BUTTON_REQUEST,
     }
-    models = (Ack, LeaseAck, RevocationAck, ButtonAck, GatewayState, Event, FrameRecord, Calibration, BodyReport)
+    models = (
+        Ack,
+        LeaseAck,
+        RevocationAck,
+        ButtonAck,
+        GatewayState,
+        Event,
+        FrameRecord,
+        Calibration,
+        BodyReport,
+        Telemetry,
+    )
     reports = {model.__name__: TypeAdapter(model) for model in models}
     made = {name: adapter.json_schema(mode="validation") for name, adapter in (commands | reports).items()}
     return {f"{name}.json": json.dumps(schema | {"title": name}, indent=2) + "\n" for name, schema in made.items()}

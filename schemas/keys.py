@@ -31,16 +31,17 @@ STATE: Final = f"{ROOT}/state"
 EVENT: Final = f"{ROOT}/event"
 FRAME: Final = f"{ROOT}/frame"
 CALIBRATION: Final = f"{ROOT}/calibration"
+TELEMETRY: Final = f"{ROOT}/telemetry"
 ALIVE: Final = f"{ROOT}/alive"
 SIM_BODY: Final = f"{ROOT}/sim/body"
 SIM_UPRIGHT: Final = f"{ROOT}/sim/upright"
 """Puts a simulated robot on its feet; takes `get` only."""
 
-GATEWAYS: Final = (STATE, EVENT, FRAME, CALIBRATION)
+GATEWAYS: Final = (STATE, EVENT, FRAME, CALIBRATION, TELEMETRY)
 """Published by the gateway itself."""
 PUBLISHED: Final = (*GATEWAYS, SIM_BODY)
 """Published for all roles."""
-ASKABLE: Final = (STATE, CALIBRATION)
+ASKABLE: Final = (STATE, CALIBRATION, TELEMETRY)
 """Of these, also answered to `get`."""
 
 

@@ -41,6 +41,9 @@ class Reason(StrEnum):
     NO_BUTTON = "no_button"
     UNKNOWN_BUTTON = "unknown_button"
     BUTTON_DENIED = "button_denied"
+    BATTERY_LOW = "battery_low"
+    WHOLE_ROBOT = "whole_robot"
+    FALLEN = "fallen"
 
 
 class Mode(StrEnum):
@@ -82,6 +85,10 @@ class Kind(StrEnum):
     BUTTON_SILENT = "button_silent"
     BUTTON_LEFT = "button_left"
     BUTTON_RETURNED = "button_returned"
+    CONTROLLER_SILENT = "controller_silent"
+    CONTROLLER_RETURNED = "controller_returned"
+    BATTERY_LOW = "battery_low"
+    FALLEN = "fallen"
 
 
 class Cause(StrEnum):
@@ -112,12 +119,8 @@ AnyCause = Annotated[Cause | str, OrText]
 AnyWatchdogState = Annotated[WatchdogState | str, OrText]
 
 
-class Answer(Report):
-    """Null fields are left out of its JSON and its repr."""
-
-    accepted: bool
-    reason: AnyReason | None = None
-    detail: str | None = None
+class Sparse(Report):
+    """One whose null fields are left out of its JSON and its repr."""
 
     @model_serializer(mode="wrap")
     def _without_nulls(self, handler: SerializerFunctionWrapHandler) -> dict[str, object]:
@@ -125,6 +128,14 @@ class Answer(Report):
 
     def __repr_args__(self) -> Iterator[tuple[str | None, object]]:
         return ((name, value) for name, value in super().__repr_args__() if value is not None)
+
+
+class Answer(Sparse):
+    """What every reply to a request says."""
+
+    accepted: bool
+    reason: AnyReason | None = None
+    detail: str | None = None
 
 
 class Ack(Answer):
@@ -280,6 +291,62 @@ class ServoLimitsReport(Report):
     max_speed_deg_s: float = 0.0
 
 
+class Battery(Report):
+    """The robot's battery; percent as the robot says it."""
+
+    voltage_v: float
+    percent: float
+
+
+class Imu(Report):
+    """The body's inertial sensor: how it stands, turns and is accelerated, in its own frame."""
+
+    orientation_wxyz: tuple[float, float, float, float]
+    angular_velocity_rad_s: tuple[float, float, float]
+    linear_acceleration_m_s2: tuple[float, float, float]
+
+
+class ServoTelemetry(Sparse):
+    """What a power board measures of one servo."""
+
+    supplied: bool
+    current_a: float | None = None
+
+
+class Supply(Report):
+    """What feeds the servos."""
+
+    voltage_v: float
+    current_a: float
+
+
+class Telemetry(Sparse):
+    """The payload of `hexapod/telemetry`: what the robot measures; what it does not measure is left out."""
+
+    time: AwareDatetime
+    age_ms: Annotated[float, Field(ge=0, description="of the oldest of these values")]
+    temperature_c: float | None = None
+    battery: Battery | None = None
+    imu: Imu | None = None
+    tilt_deg: Annotated[float | None, Field(description="between the body's up and the world's, 0 to 180")] = None
+    feet: Annotated[
+        tuple[float, float, float, float, float, float] | None,
+        Field(description="forces of legs 1 to 6, in the robot's own unit"),
+    ] = None
+    servos: Annotated[dict[str, ServoTelemetry] | None, Field(description="by servo id")] = None
+    supply: Supply | None = None
+    converters_v: tuple[float, ...] | None = None
+    board_temperatures_c: tuple[float, ...] | None = None
+
+
+class ControllerReport(Report):
+    """The controller. One of HexapodProtocol v1.0.0 sends nothing, so nobody knows whether it is alive: null."""
+
+    protocol: str = "hexapod-1.0"
+    alive: Annotated[bool | None, Field(description="false: its heartbeats or its answers are missing")] = None
+    age_ms: Annotated[float | None, Field(description="since its last well-formed answer")] = None
+
+
 class LimitsReport(Report):
     """The settings' limits of legs and servos. The calibration's limits are on `hexapod/calibration`."""
 
@@ -316,6 +383,8 @@ class GatewayState(Report):
         RevocationsReport | None, Field(description="null: no list is in force, or an older gateway")
     ] = None
     limits: Annotated[LimitsReport, Field(description="an older gateway does not say")] = LimitsReport()
+    controller: Annotated[ControllerReport, Field(description="an older gateway does not say")] = ControllerReport()
+    battery: Annotated[Battery | None, Field(description="null: the robot does not tell, or an older gateway")] = None
     physics: Annotated[
         str | None, Field(description="Zenoh id of the process that simulates the robot's body; null: none does")
     ] = None

@@ -27,6 +27,7 @@ from gateway.errors import ConfigError
 from gateway.host import plain_settings
 from gateway.model.frames import centidegrees
 from gateway.model.framing import Framing
+from gateway.model.protocols import SpiProtocol
 from gateway.text import visible_json
 from schemas.keys import MAX_SOURCE
 from schemas.robot import SERVO_IDS
@@ -57,11 +58,20 @@ class ZenohSettings(Section):
     allow_insecure: bool = False
 
 
+def device_path(path: str, example: str) -> str:
+    """The path, if it can be one of a device. Raises ValueError."""
+    if not path.startswith("/") or "\0" in path:
+        raise ValueError(f"write the path of a device, such as {example}")
+    return path
+
+
 class SpiSettings(Section):
     """The device. The clock was measured to be clean at 2.5 MHz; the controller takes at most 20 MHz."""
 
+    protocol: SpiProtocol = SpiProtocol.HEXAPOD_1_0
     device: str = "/dev/spidev0.0"
-    speed_hz: Annotated[int, Field(ge=1, le=20_000_000)] = 2_500_000
+    # 1 000 000 with elkapod-2025, whose own driver has that.
+    speed_hz: Annotated[int, Field(ge=1, le=20_000_000)] = SpiProtocol.HEXAPOD_1_0.speed_hz
     # The default is for --sim only: `load` requires it for a real device.
     framing: Framing = Framing.PLAIN
     batch: bool = True
@@ -77,8 +87,15 @@ class SpiSettings(Section):
     def avoid_cdeg(self) -> tuple[int, int] | None:
         """Wire angles that are never sent, in hundredths of a degree: first <= angle < second; None: all are sent."""
         if self.avoid_deg is None:
-            return self.framing.avoid_cdeg
+            return None if self.protocol.measures else self.framing.avoid_cdeg
         return (centidegrees(self.avoid_deg[0]), centidegrees(self.avoid_deg[1])) if self.avoid_deg else None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _clock_of_protocol(cls, values: Any) -> Any:
+        if isinstance(values, Mapping) and values.get("protocol") == SpiProtocol.ELKAPOD_2025:
+            return {"speed_hz": SpiProtocol.ELKAPOD_2025.speed_hz, **values}
+        return values
 
     @field_validator("avoid_deg")
     @classmethod
@@ -90,16 +107,43 @@ class SpiSettings(Section):
     @field_validator("device")
     @classmethod
     def _path(cls, device: str) -> str:
-        if not device.startswith("/") or "\0" in device:
-            raise ValueError("write the path of a device, such as /dev/spidev0.0")
-        return device
+        return device_path(device, "/dev/spidev0.0")
 
     @model_validator(mode="after")
     def _slow_enough(self, info: ValidationInfo) -> Self:
-        fault = "" if info.context is FOR_STOPS else self.framing.too_fast(self.speed_hz, self.frame_gap_us)
+        framed = self.protocol is SpiProtocol.HEXAPOD_1_0 and info.context is not FOR_STOPS
+        fault = "" if not framed else self.framing.too_fast(self.speed_hz, self.frame_gap_us)
         if fault:
             raise ValueError(fault)
         return self
+
+
+class ControllerSettings(Section):
+    """The controller's own line and pace; with elkapod-2025 only."""
+
+    uart: str = "/dev/ttyAMA1"
+    cycle_hz: Annotated[float, Finite, Field(ge=10, le=100)] = 50.0
+    # No heartbeat or no well-formed answer for so long is a fault, as a lost bus is.
+    silent_ms: Annotated[float, Finite, Field(ge=100, le=2000)] = 300.0
+
+    @field_validator("uart")
+    @classmethod
+    def _path(cls, uart: str) -> str:
+        return device_path(uart, "/dev/ttyAMA1")
+
+
+class SafetySettings(Section):
+    """Rules that need what the robot measures; 0: never."""
+
+    min_battery_v: Annotated[float, Finite, Field(ge=0, le=100)] = 0.0
+    max_tilt_deg: Annotated[float, Finite, Field(ge=0, le=90)] = 0.0
+
+    @field_validator("max_tilt_deg")
+    @classmethod
+    def _beyond_walking(cls, tilt_deg: float) -> float:
+        if 0 < tilt_deg < 10:
+            raise ValueError("write 10 to 90, since a robot that walks tilts by some degrees, or 0 for never")
+        return tilt_deg
 
 
 class ServoLimits(Section):
@@ -192,9 +236,10 @@ class RecorderSettings(Section):
 
 
 class TelemetrySettings(Section):
-    """Rate of the state, whether frames are published, and the metrics page."""
+    """Rates of the state and of what the robot measures, whether frames are published, and the metrics page."""
 
     state_hz: Annotated[float, Finite, Field(ge=0, le=1000)] = 10.0
+    rate_hz: Annotated[float, Finite, Field(ge=0, le=100)] = 10.0
     frames: bool = False
     metrics: str = ""
     metrics_hosts: tuple[str, ...] = ()
@@ -220,6 +265,7 @@ class Settings(Section):
 
     zenoh: ZenohSettings = ZenohSettings()
     spi: SpiSettings = SpiSettings()
+    controller: ControllerSettings = ControllerSettings()
     limits: LimitSettings = LimitSettings()
     watchdog: WatchdogSettings = WatchdogSettings()
     lease: LeaseSettings = LeaseSettings()
@@ -227,7 +273,19 @@ class Settings(Section):
     calibration: CalibrationSettings = CalibrationSettings()
     recorder: RecorderSettings = RecorderSettings()
     telemetry: TelemetrySettings = TelemetrySettings()
+    safety: SafetySettings = SafetySettings()
     log: LogSettings = LogSettings()
+
+    @model_validator(mode="after")
+    def _known_to_protocol(self) -> Self:
+        protocol = self.spi.protocol
+        if protocol.starts_whole and self.limits.start_stagger_ms:
+            why = f"{protocol} starts all servos at once, so leave it at 0"
+            raise _PlacedError(("limits", "start_stagger_ms"), why)
+        for name, value in self.safety:
+            if value and not protocol.measures:
+                raise _PlacedError(("safety", name), f"{protocol} has nothing that measures it; leave it at 0")
+        return self
 
     @model_validator(mode="after")
     def _pose_within_limits(self) -> Self:
@@ -294,7 +352,8 @@ def load(path: Path | None = None, *, simulated: bool = False, for_stops: bool =
         if ((named := _variables_at(place, variables)) or place not in places) and (place, sentence) not in in_file
     ]
     spi = merged.get("spi", {})
-    if not (simulated or unread) and isinstance(spi, Mapping) and "framing" not in spi:
+    framed = isinstance(spi, Mapping) and spi.get("protocol") != SpiProtocol.ELKAPOD_2025
+    if not (simulated or unread) and framed and "framing" not in spi:
         lines += [f"{path or DEFAULT_PATH}: spi.framing: {sentence}" for sentence in _WHICH_FRAMING]
         raise FramingNotSetError("\n".join(lines))
     if lines:

@@ -1,0 +1,152 @@
+"""The bytes of `elkapod-2025`: eighteen angles out, what the robot measures back, and the messages of its UART. Pure.
+
+| bytes to the controller | content                                                                              |
+|-------------------------|--------------------------------------------------------------------------------------|
+| 0                       | 7E                                                                                   |
+| 1-72                    | eighteen servo angles in degrees, float32, little endian: legs 1 to 6, joints 1 to 3 |
+| 73-78                   | zeros                                                                                |
+| 79                      | 0F                                                                                   |
+
+An answer has as many bytes with the same first and last one; `ANSWER` has what is between. Neither has a length, a type
+or a checksum, so an answer is checked as far as it can be (`measured`). No frame has a Stop: UART messages start and
+shut down all servos. What the values' units are is written nowhere; docs/protocol.md says which ones are assumed.
+"""
+
+import math
+import struct
+from collections.abc import Sequence
+from typing import Final, NamedTuple
+
+from gateway.model.frames import MAX_ANGLE_CDEG
+from schemas.robot import SERVO_IDS
+
+FRAME_BYTES: Final = 80
+BEGIN: Final = 0x7E
+END: Final = 0x0F
+MIDDLE_CDEG: Final = 90_00
+"""Where a servo that nobody has commanded yet is said to go while all are shut down."""
+_FRAME: Final = struct.Struct("<B18f6xB")
+_ANSWER: Final = struct.Struct("<B19f2xB")
+
+UART_BAUD: Final = 1_152_000
+"""8 bits, no parity, two stop bits, no flow control."""
+START: Final = bytes.fromhex("7E 21 87 00 00 00 00 00 FF 0F")
+SHUTDOWN: Final = bytes.fromhex("7E 11 38 00 00 00 00 00 FF 0F")
+"""To the controller; neither is acknowledged."""
+HEARTBEAT_BYTES: Final = 20
+_HEARTBEAT_BEGIN: Final = bytes((BEGIN, 0xAA))
+_HEARTBEAT_END: Final = bytes((0xFF, END))
+
+
+class AnswerError(ValueError):
+    """The bytes are no answer; the message says why."""
+
+
+class Measured(NamedTuple):
+    """An answer: what the robot measures."""
+
+    temperature_c: float
+    voltage_v: float
+    percent: float
+    orientation_wxyz: tuple[float, float, float, float]
+    angular_velocity_rad_s: tuple[float, float, float]
+    linear_acceleration_m_s2: tuple[float, float, float]
+    feet: tuple[float, float, float, float, float, float]
+    """Forces of legs 1 to 6, in a unit that is written nowhere."""
+
+    @property
+    def tilt_deg(self) -> float | None:
+        """The angle between the body's up and the world's, 0 to 180; None where the orientation is none."""
+        w, x, y, z = self.orientation_wxyz
+        norm = w * w + x * x + y * y + z * z
+        # A quaternion that is far from its length of 1 says no orientation: all zeros before the sensor is ready.
+        if not 0.81 <= norm <= 1.21:
+            return None
+        up = 1 - 2 * (x * x + y * y) / norm
+        return math.degrees(math.acos(max(-1.0, min(1.0, up))))
+
+
+def frame(angles_cdeg: Sequence[int]) -> bytes:
+    """The frame with these angles of servos 11 to 63, in hundredths of a degree, as the servos count them.
+
+    Raises ValueError where there are not eighteen of 0 to 18000: the controller would drive there all the same.
+    """
+    if len(angles_cdeg) != len(SERVO_IDS):
+        raise ValueError(f"here are {len(angles_cdeg)} angles; a frame has {len(SERVO_IDS)}")
+    for servo_id, angle_cdeg in zip(SERVO_IDS, angles_cdeg, strict=True):
+        if not 0 <= angle_cdeg <= MAX_ANGLE_CDEG:
+            raise ValueError(
+                f"servo {servo_id} at {angle_cdeg} hundredths of a degree; 0 to {MAX_ANGLE_CDEG} are legal"
+            )
+    return _FRAME.pack(BEGIN, *(angle_cdeg / 100 for angle_cdeg in angles_cdeg), END)
+
+
+def angles_of(data: bytes) -> dict[int, float]:
+    """The angles of a frame by servo id, in degrees. Raises ValueError, which says what is wrong with the frame."""
+    if len(data) != FRAME_BYTES or data[0] != BEGIN or data[-1] != END:
+        raise ValueError(f"a frame has {FRAME_BYTES} bytes from 7e to 0f; these are {len(data)}: {data[:2].hex(' ')} …")
+    _, *angles_deg, _ = _FRAME.unpack(data)
+    for servo_id, angle_deg in zip(SERVO_IDS, angles_deg, strict=True):
+        if not 0 <= angle_deg <= MAX_ANGLE_CDEG / 100:  # false for what is no number, too
+            raise ValueError(f"servo {servo_id} at {angle_deg} degrees; 0 to 180 are legal")
+    return dict(zip(SERVO_IDS, angles_deg, strict=True))
+
+
+def measured(data: bytes) -> Measured:
+    """Read an answer. Raises AnswerError where it has not its first or last byte, or a value that is not finite."""
+    if len(data) != FRAME_BYTES:
+        raise AnswerError(f"it has {len(data)} bytes in place of {FRAME_BYTES}")
+    if data[0] != BEGIN or data[-1] != END:
+        raise AnswerError(f"it goes from {data[0]:02x} to {data[-1]:02x} in place of 7e to 0f")
+    _, *values, _ = _ANSWER.unpack(data)
+    if not all(map(math.isfinite, values)):
+        raise AnswerError("it has a value that is not finite")
+    temperature_c, voltage_v, percent, w, x, y, z, *rest = values
+    rates, accelerations, feet = rest[:3], rest[3:6], rest[6:]
+    return Measured(
+        temperature_c,
+        voltage_v,
+        percent,
+        (w, x, y, z),
+        (rates[0], rates[1], rates[2]),
+        (accelerations[0], accelerations[1], accelerations[2]),
+        (feet[0], feet[1], feet[2], feet[3], feet[4], feet[5]),
+    )
+
+
+def answer(values: Measured) -> bytes:
+    """The bytes of an answer, as a controller sends them: for simulated ones."""
+    return _ANSWER.pack(
+        BEGIN,
+        values.temperature_c,
+        values.voltage_v,
+        values.percent,
+        *values.orientation_wxyz,
+        *values.angular_velocity_rad_s,
+        *values.linear_acceleration_m_s2,
+        *values.feet,
+        END,
+    )
+
+
+def heartbeat(content: bytes = bytes(16)) -> bytes:
+    """A heartbeat with this content, of which nothing is known: for simulated controllers."""
+    return _HEARTBEAT_BEGIN + content + _HEARTBEAT_END
+
+
+class Heartbeats:
+    """Finds heartbeats in what the UART has received, whatever is between them."""
+
+    def __init__(self) -> None:
+        self._left = b""
+
+    def feed(self, data: bytes) -> int:
+        """Take more bytes; returns how many heartbeats they completed."""
+        found, at, left = 0, 0, self._left + data
+        while (at := left.find(_HEARTBEAT_BEGIN, at)) >= 0 and at + HEARTBEAT_BYTES <= len(left):
+            whole = left[at : at + HEARTBEAT_BYTES].endswith(_HEARTBEAT_END)
+            found += whole
+            at += HEARTBEAT_BYTES if whole else 1
+        # What may be the begin of one is kept: from the place found, or a last byte that may be half of its begin.
+        self._left = left[at:] if at >= 0 else left[-1:]
+        return found
