@@ -23,6 +23,10 @@ class SpiError(GatewayError):
     exit_code = 3
 
 
+class ControllerSilentError(SpiError):
+    """The controller gives no signs of life, over a wire that brings some back."""
+
+
 class BatchRejectedError(SpiError):
     """The kernel rejected a list of transfers, or one of this length. Nothing of it was written."""
 

@@ -16,7 +16,7 @@ from typing import Any, Final, NamedTuple
 from gateway import nesting
 from gateway.host import plain_settings
 from gateway.host.directories import SERVICE_RUNTIME, runtime_directory
-from gateway.host.plain_settings import PlainRepeats, PlainSpi, RepeatValues
+from gateway.host.plain_settings import ControllerValues, PlainController, PlainRepeats, PlainSpi, RepeatValues
 
 NAME: Final = "effective.toml"
 _INVOCATION: Final = "INVOCATION_ID"
@@ -28,6 +28,7 @@ class Effective(NamedTuple):
 
     spi: PlainSpi
     watchdog: PlainRepeats
+    controller: PlainController
     tables: Mapping[str, Any]
     """As they stand in the file; with `avoid_deg`, on which no Stop depends."""
 
@@ -43,7 +44,7 @@ class Effective(NamedTuple):
         return bool(self.tables.get("invocation")) and self.tables["invocation"] == os.environ.get(_INVOCATION)
 
 
-def write(spi: Mapping[str, Any], watchdog: RepeatValues) -> None:
+def write(spi: Mapping[str, Any], watchdog: RepeatValues, controller: ControllerValues) -> None:
     """Write what this process uses (`spi` as in a file); nothing without a runtime directory.
 
     Raises OSError, ValueError.
@@ -53,9 +54,11 @@ def write(spi: Mapping[str, Any], watchdog: RepeatValues) -> None:
         return
     stated = {name: value for name, value in spi.items() if value is not None}
     repeats = {name: getattr(watchdog, name) for name in PlainRepeats._fields}
+    line = {name: getattr(controller, name) for name in PlainController._fields}
     process = {"process": os.getpid(), "begun": _begun(os.getpid()), "invocation": os.environ.get(_INVOCATION, "")}
     lines = ["# What the service uses. Written by it at its start; to change it, see /etc/hexapod-gateway."]
-    for head, table in (("", process), ("[spi]", stated), ("[watchdog]", repeats)):
+    tables = {"": process, "[spi]": stated, "[watchdog]": repeats, "[controller]": line}
+    for head, table in tables.items():
         lines += [head, *(f"{name} = {json.dumps(value, ensure_ascii=False)}" for name, value in table.items())]
     staged = folder / f".{NAME}.new"
     staged.write_text("\n".join([*lines, ""]), encoding="utf-8")
@@ -87,7 +90,7 @@ def differences(used: Effective, path: Path) -> list[str]:
     except (OSError, ValueError):
         return [f"{path} cannot be read, and the service uses spi.framing = {_shown(used.spi.framing)}"]
     found = []
-    for section, fields in (("spi", PlainSpi), ("watchdog", PlainRepeats)):
+    for section, fields in (("spi", PlainSpi), ("watchdog", PlainRepeats), ("controller", PlainController)):
         table, theirs = stated.get(section), used.tables.get(section)
         table, theirs = (each if isinstance(each, dict) else {} for each in (table, theirs))
         for name in (*fields._fields, *(plain_settings.NOT_FOR_STOPS if fields is PlainSpi else ())):

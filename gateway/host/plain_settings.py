@@ -12,18 +12,20 @@ from typing import Any, Final, NamedTuple, Protocol
 
 from gateway import nesting
 from gateway.model.framing import Framing
+from gateway.model.protocols import SpiProtocol
 
 DEFAULT_PATH: Final = Path("/etc/hexapod-gateway/gateway.toml")
-_OVERRIDES: Final = ("HEXAPOD_SPI__", "HEXAPOD_WATCHDOG__")
+_OVERRIDES: Final = ("HEXAPOD_SPI__", "HEXAPOD_WATCHDOG__", "HEXAPOD_CONTROLLER__")
 
 
 class PlainSpi(NamedTuple):
     """The table [spi]."""
 
-    framing: Framing
+    framing: Framing = Framing.PLAIN
+    protocol: SpiProtocol = SpiProtocol.HEXAPOD_1_0
     device: str = "/dev/spidev0.0"
     batch: bool = True
-    speed_hz: int = 2_500_000
+    speed_hz: int = SpiProtocol.HEXAPOD_1_0.speed_hz
     frame_gap_us: float = 50.0
     resync_ms: float = 1000.0
 
@@ -39,9 +41,17 @@ class PlainRepeats(NamedTuple):
     repeat_interval_ms: float = 20.0
 
 
+class PlainController(NamedTuple):
+    """Of the table [controller]."""
+
+    uart: str = "/dev/ttyAMA1"
+
+
 class SpiValues(Protocol):
     """The table [spi], as `PlainSpi` or as the service has it."""
 
+    @property
+    def protocol(self) -> SpiProtocol: ...
     @property
     def framing(self) -> Framing: ...
     @property
@@ -67,6 +77,21 @@ class RepeatValues(Protocol):
     def repeat_interval_ms(self) -> float: ...
 
 
+class ControllerValues(Protocol):
+    """The table [controller], as `PlainController` or as the service has it."""
+
+    @property
+    def uart(self) -> str: ...
+
+
+class Plain(NamedTuple):
+    """What a Stop needs of a file."""
+
+    spi: PlainSpi
+    watchdog: PlainRepeats
+    controller: PlainController
+
+
 LIMITS: Final[Mapping[str, tuple[float, float]]] = {
     "speed_hz": (1, 20_000_000),
     "frame_gap_us": (0, 1000),
@@ -81,7 +106,7 @@ _WHOLE: Final = frozenset({"speed_hz", "repeats"})
 _KNOWN: Final = NOT_FOR_STOPS | set(PlainSpi._fields)
 
 
-def read(path: Path) -> tuple[PlainSpi, PlainRepeats] | None:
+def read(path: Path) -> Plain | None:
     """What the file says; None where anything of it is not plainly right, or a variable overrides it."""
     if overrides(os.environ):
         return None
@@ -97,18 +122,25 @@ def overrides(variables: Mapping[str, str]) -> dict[str, str]:
     return {name: value for name, value in variables.items() if name.upper().startswith(_OVERRIDES)}
 
 
-def of(tables: Mapping[str, Any]) -> tuple[PlainSpi, PlainRepeats] | None:
+def of(tables: Mapping[str, Any]) -> Plain | None:
     """What a file's tables say; None where anything of it is not plainly right."""
-    spi, watchdog = tables.get("spi"), tables.get("watchdog", {})
-    if not isinstance(spi, dict) or not isinstance(watchdog, dict) or not spi.keys() <= _KNOWN:
+    spi, watchdog, controller = tables.get("spi"), tables.get("watchdog", {}), tables.get("controller", {})
+    if not (isinstance(spi, dict) and isinstance(watchdog, dict) and isinstance(controller, dict)):
+        return None
+    if not spi.keys() <= _KNOWN:
         return None
     spi = {name: value for name, value in spi.items() if name not in NOT_FOR_STOPS}
     of_watchdog = {name: watchdog[name] for name in PlainRepeats._fields if name in watchdog}
-    if not all(_is_right(name, value) for name, value in (spi | of_watchdog).items()):
+    of_controller = {name: controller[name] for name in PlainController._fields if name in controller}
+    if not all(_is_right(name, value) for name, value in (spi | of_watchdog | of_controller).items()):
         return None
-    if spi.get("framing") not in set(Framing):
+    protocol = spi.get("protocol", SpiProtocol.HEXAPOD_1_0)
+    framing = spi.get("framing", None if protocol == SpiProtocol.HEXAPOD_1_0 else Framing.PLAIN)
+    if protocol not in set(SpiProtocol) or framing not in set(Framing):
         return None
-    return PlainSpi(**(spi | {"framing": Framing(spi["framing"])})), PlainRepeats(**of_watchdog)
+    known = {"protocol": SpiProtocol(protocol), "framing": Framing(framing)}
+    stated = {"speed_hz": SpiProtocol(protocol).speed_hz} | spi | known
+    return Plain(PlainSpi(**stated), PlainRepeats(**of_watchdog), PlainController(**of_controller))
 
 
 def within_limits(spi: SpiValues) -> tuple[SpiValues, str]:
@@ -118,16 +150,18 @@ def within_limits(spi: SpiValues) -> tuple[SpiValues, str]:
     """
     framing = spi.framing
     fault = framing.too_fast(spi.speed_hz, spi.frame_gap_us)
-    if not fault:
+    if not fault or spi.protocol is not SpiProtocol.HEXAPOD_1_0:
         return spi, ""
     speed_hz, gap_us = min(spi.speed_hz, framing.most_hz), max(spi.frame_gap_us, framing.least_gap_us)
-    plain = PlainSpi(framing, spi.device, spi.batch, speed_hz, gap_us, spi.resync_ms)
+    plain = PlainSpi(framing, spi.protocol, spi.device, spi.batch, speed_hz, gap_us, spi.resync_ms)
     return plain, f"spi: {fault}; stop-servos uses {speed_hz} Hz and {gap_us:g} µs"
 
 
 def _is_right(name: str, value: Any) -> bool:
-    if name in {"device", "framing"}:
-        return isinstance(value, str) and (name == "framing" or (value.startswith("/") and "\0" not in value))
+    if name in {"protocol", "framing"}:
+        return isinstance(value, str)
+    if name in {"device", "uart"}:
+        return isinstance(value, str) and value.startswith("/") and "\0" not in value
     if name == "batch":
         return isinstance(value, bool)
     low, high = LIMITS[name]

@@ -9,7 +9,8 @@ from typing import Final, NamedTuple
 from gateway.errors import ConfigError, GatewayError
 from gateway.host import effective, plain_settings, realtime
 from gateway.host.effective import Effective
-from gateway.host.plain_settings import DEFAULT_PATH, RepeatValues, SpiValues
+from gateway.host.plain_settings import DEFAULT_PATH, ControllerValues, RepeatValues, SpiValues
+from gateway.model.protocols import SpiProtocol
 from gateway.robot.spi.stop_all import stop_servos as stop
 
 _UNIT: Final = "hexapod-gateway.service"
@@ -43,7 +44,7 @@ def at_once(arguments: Sequence[str]) -> int | None:
 def run(path: Path | None) -> None:
     """Stop all six legs with the settings that the service uses, else with those of the file. Raises GatewayError."""
     chosen = _choose(path)
-    stop_servos(chosen.spi, chosen.watchdog)
+    stop_servos(chosen.spi, chosen.watchdog, chosen.controller)
     if chosen.used is not None and not chosen.used.ended_here:  # the unit's file lacks the unit's variables
         _say(*(f"{each}; used the latter" for each in effective.differences(chosen.used, path or DEFAULT_PATH)))
 
@@ -51,6 +52,7 @@ def run(path: Path | None) -> None:
 class _Chosen(NamedTuple):
     spi: SpiValues
     watchdog: RepeatValues
+    controller: ControllerValues
     used: Effective | None = None
     """The service whose settings these are; None: a file's."""
 
@@ -62,7 +64,7 @@ def _choose(path: Path | None) -> _Chosen:
     by a file or a variable, means that one.
     """
     used = effective.read()
-    theirs = None if used is None else _Chosen(used.spi, used.watchdog, used)
+    theirs = None if used is None else _Chosen(used.spi, used.watchdog, used.controller, used)
     named = path is not None or bool(plain_settings.overrides(os.environ))
     runs = used is not None and used.runs
     if theirs is not None and used is not None and (used.ended_here or (runs and not named)):
@@ -88,12 +90,12 @@ def _of_file(path: Path | None) -> _Chosen:
     from gateway.robot import settings  # slow: it takes longer than all Stops
 
     found = settings.load(path, for_stops=True)
-    return _Chosen(found.spi, found.watchdog)
+    return _Chosen(found.spi, found.watchdog, found.controller)
 
 
 def unit() -> tuple[int, dict[str, str]]:
-    """The service's process (0: none, or not known), and its unit's variables that override a file: those of `[spi]`
-    and `[watchdog]`."""
+    """The service's process (0: none, or not known), and its unit's variables that override a file: those of `[spi]`,
+    `[watchdog]` and `[controller]`."""
     if not _SYSTEMD.exists():
         return 0, {}
     import shlex
@@ -109,15 +111,18 @@ def unit() -> tuple[int, dict[str, str]]:
         return 0, {}
 
 
-def stop_servos(spi: SpiValues, watchdog: RepeatValues) -> None:
-    """Stop all six legs over SPI. Raises SpiError."""
+def stop_servos(spi: SpiValues, watchdog: RepeatValues, controller: ControllerValues) -> None:
+    """Stop all six legs. Raises SpiError."""
     spi, changed = plain_settings.within_limits(spi)
     try:
-        noticed = stop(spi, watchdog)
+        noticed = stop(spi, watchdog, controller)
     finally:  # after the Stops, which wait for nobody who reads this
         if changed:
             _say(changed)
-    lines = [f"Stop written to all six legs, {1 + watchdog.repeats} times each, on {spi.device}"]
+    times = 1 + watchdog.repeats
+    lines = [f"Stop written to all six legs, {times} times each, on {spi.device}"]
+    if spi.protocol is SpiProtocol.ELKAPOD_2025:
+        lines = [f"shutdown of all servos written {times} times, on {controller.uart}"]
     if noticed is not None:
         lines.append(_NOTICED if noticed else _NOT_NOTICED)
     sys.stdout.write("\n".join([*lines, ""]))

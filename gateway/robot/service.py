@@ -17,11 +17,11 @@ import zenoh
 from gateway import __version__
 from gateway.allowance import NS_PER_MS, NS_PER_S
 from gateway.host import descriptors, effective, logs, realtime
-from gateway.host.descriptors import Spare
 from gateway.host.directories import runtime_directory
 from gateway.host.servo_page import ServoPage
 from gateway.model.black_box.format import STOP_FACTS
 from gateway.model.frames import centidegrees
+from gateway.robot import wires
 from gateway.robot.blackbox.recorder import Recorder
 from gateway.robot.core.calibrating import ACCEPT_DEFAULT
 from gateway.robot.core.leg import Rules
@@ -31,20 +31,18 @@ from gateway.robot.host.disk_writer import DiskWriter
 from gateway.robot.host.ownership import Ownership
 from gateway.robot.host.servos_file import ServosFile
 from gateway.robot.host.systemd import SystemdNotifier
+from gateway.robot.protocol import Wire
 from gateway.robot.runtime import prometheus as exposition
 from gateway.robot.runtime.calibrations import Calibrations
 from gateway.robot.runtime.conductor import Conductor
+from gateway.robot.runtime.cycle import Cycle
 from gateway.robot.runtime.report import wall_clock
 from gateway.robot.runtime.request_answers import ButtonAnswers, LeaseAnswers
 from gateway.robot.runtime.revocations import Revocations
 from gateway.robot.runtime.shutdown import SHUTDOWN_S, ServiceEnd, close_within, stop_the_robot
-from gateway.robot.settings import Settings, SpiSettings, ZenohSettings
-from gateway.robot.spi import SpiDevice, ioctls
-from gateway.robot.spi.bus import Bus
-from gateway.robot.spi.kernel import KernelDevice
-from gateway.robot.spi.machine import driver_of, gpio_selects
-from gateway.robot.spi.simulator import SimulatedController
-from gateway.robot.spi.unreliable import Faults, UnreliableDevice
+from gateway.robot.settings import Settings, ZenohSettings
+from gateway.robot.spi.cyclic import CyclicBus
+from gateway.robot.spi.unreliable import Faults
 from gateway.robot.zenoh_io import simulated_body
 from gateway.robot.zenoh_io.connection_limiter import ConnectionLimiter
 from gateway.robot.zenoh_io.inbox import Inbox
@@ -106,35 +104,6 @@ def rules(settings: Settings) -> Rules:
         buttons_required=settings.buttons.required,
         buttons_timeout_ns=round(settings.buttons.timeout_ms * NS_PER_MS),
     )
-
-
-def device_opener(
-    settings: Settings, *, simulated: bool, page: ServoPage | None = None, faults: Faults | None = None
-) -> Callable[[], SpiDevice]:
-    """A function that opens the bus's device; a simulated controller keeps its state when it is reopened."""
-    if not simulated:
-        spare = Spare()
-        return lambda: KernelDevice(settings.spi.device, settings.spi.speed_hz, spare=spare)
-    controller = SimulatedController(
-        settings.spi.framing, on_change=logging.getLogger("gateway.robot.spi.simulator").debug, page=page
-    )
-    if faults is not None:
-        unreliable = UnreliableDevice(controller, faults)
-        return lambda: unreliable
-    return lambda: controller
-
-
-def _warn_of_driver(spi: SpiSettings, *, simulated: bool) -> None:
-    """Log a driver that may not release chip select between the transfers of a call, as `plain` framing needs."""
-    if not simulated and ioctls.are_used():
-        logger.info("%s", ioctls.USED)
-    needed = spi.batch and spi.framing.needs_chip_select and not simulated
-    if needed and not gpio_selects(spi.device):
-        logger.warning(
-            "it is not known whether %s releases chip select between the transfers of one call; if it does not, an "
-            "emergency stop stops only one leg. Test it: hexapod-gateway check --move",
-            driver_of(spi.device) or "the driver of this SPI bus",
-        )
 
 
 def _recorder(settings: Settings, *, simulated: bool) -> Recorder:
@@ -204,7 +173,7 @@ def _configured(
 
 def _show_settings(settings: Settings) -> None:
     try:
-        effective.write(settings.spi.model_dump(mode="json"), settings.watchdog)
+        effective.write(settings.spi.model_dump(mode="json"), settings.watchdog, settings.controller)
     except (OSError, ValueError) as error:
         logger.warning("stop-servos by hand cannot read which settings the service uses: %s", error)
 
@@ -223,7 +192,7 @@ async def _run(
     end = ServiceEnd(loop, owner, recorder)
     notifier = SystemdNotifier()
     config, checker, shut_out = _configured(settings.zenoh, physics)
-    bus = Bus(settings.spi, device_opener(settings, simulated=simulated, page=physics and physics.page, faults=faults))
+    bus = wires.wire(settings, simulated=simulated, page=physics and physics.page, faults=faults)
     outbox = ZenohOutbox()
     conductor = Conductor(
         settings,
@@ -245,7 +214,7 @@ async def _run(
         with owner:
             conductor.start()
             recorder.open()
-        _warn_of_driver(settings.spi, simulated=simulated)
+        _go_on(bus, conductor, settings, end, simulated=simulated)
         opening = _in_thread(partial(_open, settings, config, conductor))
         ended = asyncio.ensure_future(end.wait())
         first: tuple[asyncio.Future[Any], ...] = (opening, ended)
@@ -300,6 +269,13 @@ async def _run(
             conductor.close()
         notifier.close()
     return end
+
+
+def _go_on(bus: Wire, conductor: Conductor, settings: Settings, end: ServiceEnd, *, simulated: bool) -> None:
+    """What a wire says of its own accord from now on."""
+    if isinstance(bus, CyclicBus):
+        Cycle(bus, conductor, settings.controller.cycle_hz, end.mistake).start()
+    wires.warn_of_driver(settings.spi, simulated=simulated)
 
 
 def _calibrations(settings: Settings, conductor: Conductor, loop: asyncio.AbstractEventLoop) -> Calibrations:

@@ -90,12 +90,11 @@ class SpiSettings(Section):
             return None if self.protocol.measures else self.framing.avoid_cdeg
         return (centidegrees(self.avoid_deg[0]), centidegrees(self.avoid_deg[1])) if self.avoid_deg else None
 
-    @model_validator(mode="before")
-    @classmethod
-    def _clock_of_protocol(cls, values: Any) -> Any:
-        if isinstance(values, Mapping) and values.get("protocol") == SpiProtocol.ELKAPOD_2025:
-            return {"speed_hz": SpiProtocol.ELKAPOD_2025.speed_hz, **values}
-        return values
+    @model_validator(mode="after")
+    def _clock_of_protocol(self) -> Self:
+        if "speed_hz" not in self.model_fields_set:
+            object.__setattr__(self, "speed_hz", self.protocol.speed_hz)  # frozen only from here on
+        return self
 
     @field_validator("avoid_deg")
     @classmethod

@@ -16,11 +16,12 @@ from gateway.model.framing import Framing
 from gateway.robot.blackbox.recorder import Recorder
 from gateway.robot.core.message import Received, Verb
 from gateway.robot.core.supervisor import Supervisor
+from gateway.robot.protocol import BatchReport
 from gateway.robot.runtime.conductor import Conductor
 from gateway.robot.service import BEAT_S, rules
 from gateway.robot.settings import Settings
 from gateway.robot.spi import Batch, SpiDevice
-from gateway.robot.spi.bus import CS_CHANGE_NS, BatchReport, Bus
+from gateway.robot.spi.bus import CS_CHANGE_NS, Bus
 from gateway.robot.spi.simulator import SimulatedController
 from schemas import keys
 from tests.deaf.minute import Message

@@ -8,8 +8,8 @@ from gateway.model.black_box.format import ACCEPTED
 from gateway.model.frames import OneLeg, Op, ServoOp
 from gateway.robot.blackbox.recorder import Recorder
 from gateway.robot.core.events import Command, Transmit
+from gateway.robot.protocol import Sent
 from gateway.robot.settings import Settings
-from gateway.robot.spi.bus import Sent
 from schemas.keys import leg_command
 from schemas.telemetry import Cause
 

@@ -56,10 +56,11 @@ class Robot:
         self.reports: list[tuple[str, BaseModel]] = []
         self._waiting: list[Received] = []
         self.instant_open = False
+        self.bus = Bus(self.settings.spi, self._open, clock=self.now_ns, pause=self._pause)
         self.conductor = Conductor(
             self.settings,
             Supervisor(rules(self.settings)),
-            Bus(self.settings.spi, self._open, clock=self.now_ns, pause=self._pause),
+            self.bus,
             self,
             self.loop,
             clock=self.now_ns,

@@ -29,7 +29,7 @@ class WillNotOpen:
     def __init__(self, robot: Robot, times: int) -> None:
         self._robot, self._left = robot, times
         self.tried_ns: list[int] = []
-        robot.conductor.bus._open_device = self
+        robot.bus._open_device = self
 
     def __call__(self) -> FaultyController:
         self.tried_ns.append(self._robot.now_ns())

@@ -21,8 +21,8 @@ from gateway.model.calibration import RobotCalibration, report_of
 from gateway.robot.blackbox import paths
 from gateway.robot.blackbox.ring import RecordRing
 from gateway.robot.core.events import Announce, Request, Transmit
+from gateway.robot.protocol import Sent
 from gateway.robot.settings import Settings
-from gateway.robot.spi.bus import Sent
 from schemas.telemetry import Kind, Mode
 
 LAG_NS: Final = 10_000_000

@@ -13,6 +13,7 @@ from pydantic import BaseModel
 
 from gateway import __version__
 from gateway.errors import SpiError
+from gateway.model.elkapod import Measured
 from gateway.model.staleness import Staleness
 from gateway.robot.blackbox.recorder import Recorder
 from gateway.robot.core.events import (
@@ -36,6 +37,7 @@ from gateway.robot.core.losses import DETAIL, Losses
 from gateway.robot.core.message import Messages, NoMessages, Outbox, Received, Reply, Verb
 from gateway.robot.core.supervisor import Supervisor
 from gateway.robot.host.ownership import Ownership, OwnersTimer
+from gateway.robot.protocol import Wire
 from gateway.robot.runtime.answers import PendingCommands, legs_of
 from gateway.robot.runtime.event_publisher import EventPublisher
 from gateway.robot.runtime.executor import Executor, Outcome
@@ -65,7 +67,7 @@ class Conductor:
         self,
         settings: Settings,
         supervisor: Supervisor,
-        bus: Bus,
+        bus: Wire,
         outbox: Outbox,
         loop: asyncio.AbstractEventLoop,
         *,
@@ -104,7 +106,10 @@ class Conductor:
         self._loop = loop
         self._timer = OwnersTimer(loop, self.owner, self.tick)
         self._reopen_timer = OwnersTimer(loop, self.owner, self._reopen)
-        self._preamble = PreambleInPauses(bus, loop, self.owner, clock, self._preamble_failed)
+        # Only a controller that reads announced frames can be out of sync.
+        self._preamble = None
+        if isinstance(bus, Bus) and bus.announces:
+            self._preamble = PreambleInPauses(bus, loop, self.owner, clock, self.bus_failed)
         self._in_fault = self._closed = False
         self._published_mode: Mode | None = None
         """None until the start is announced: however long that takes, it is starting."""
@@ -147,10 +152,16 @@ class Conductor:
         """Release the bus and the timers. A receiver thread that becomes owner after that does nothing."""
         self._closed = True
         for timer in (self._timer, self._reopen_timer, self._preamble):
-            timer.cancel()
+            if timer is not None:
+                timer.cancel()
         self.bus.close()
 
     # ---- what happens
+
+    @property
+    def closed(self) -> bool:
+        """Whether nothing is written any more."""
+        return self._closed
 
     def tick(self, only: tuple[Received, ...] | None = None) -> None:
         """Take what came in and do what is due. A tick is (part of) an instant: nobody knows the order of what came.
@@ -196,8 +207,14 @@ class Conductor:
         judge = self._staleness
         return None if judge is None else judge.too_old(request.source, request.sent_ms, now_ns, instant_ns)
 
+    def measured(self, values: Measured, now_ns: int) -> None:
+        """The controller has answered."""
+
     def look_outside(self) -> None:
         """Learn of `stop-servos` on the same device and of its end, and of settings that another program changed."""
+        silent = self.bus.silent(self._clock())  # here, too: a transfer that hangs keeps the cycle from looking
+        if silent is not None:
+            self.bus_failed(silent)
         meddled = self.bus.put_right()
         if meddled is not None:
             self.announce(Kind.BUS_MEDDLED, meddled)
@@ -289,7 +306,7 @@ class Conductor:
     # ---- the bus
 
     def _bus_failed(self, fault: SpiError) -> None:
-        self.bus.close()
+        self.bus.release()
         effects = self.supervisor.step(BusFailed(str(fault)), self._clock())
         again, self._in_fault = self._in_fault, True
         if again:
@@ -307,7 +324,10 @@ class Conductor:
         if not self._in_fault and self.supervisor.mode is not Mode.STOPPING:
             self._bus_failed(SpiError(found))
 
-    def _preamble_failed(self, fault: SpiError) -> None:
+    def bus_failed(self, fault: SpiError) -> None:
+        """The bus has failed in what it says of its own accord."""
+        if self._closed:
+            return
         self._bus_failed(fault)
         self._publish_mode()
         self._arm()
@@ -330,7 +350,7 @@ class Conductor:
     def _arm(self) -> None:
         """Wake up when the supervisor wants to."""
         due_ns = self.supervisor.due_ns
-        if self.bus.announces:
+        if self._preamble is not None:
             due_ns = self._preamble.arm(due_ns, None if due_ns is None else self.supervisor.legs.repeat_ns)
         if due_ns is None:
             if self.supervisor.mode is Mode.STOPPING:

@@ -16,10 +16,10 @@ from gateway.robot.core.events import (
     SaveCalibration,
     Transmit,
 )
+from gateway.robot.protocol import Wire
 from gateway.robot.runtime.answers import PendingCommands
 from gateway.robot.runtime.event_publisher import EventPublisher
 from gateway.robot.runtime.metrics import Metrics
-from gateway.robot.spi.bus import Bus
 from schemas.telemetry import Cause, Kind
 
 _REPEAT: Final = Cause.REPEAT  # see `frames.OP_STOP`
@@ -53,7 +53,7 @@ class Executor:
 
     def __init__(
         self,
-        bus: Bus,
+        bus: Wire,
         answers: PendingCommands,
         events: EventPublisher,
         recorder: Recorder,

@@ -9,9 +9,9 @@ from gateway.robot.core.buttons import Buttons
 from gateway.robot.core.lease import RobotLease
 from gateway.robot.core.leg import Leg, Servo
 from gateway.robot.core.supervisor import Supervisor
+from gateway.robot.protocol import Wire
 from gateway.robot.runtime.metrics import Metrics
 from gateway.robot.settings import Settings
-from gateway.robot.spi.bus import Bus
 from schemas.telemetry import (
     ButtonsReport,
     CalibrationReport,
@@ -78,7 +78,7 @@ class StateReports:
     def state(
         self,
         supervisor: Supervisor,
-        bus: Bus,
+        bus: Wire,
         metrics: Metrics,
         now_ns: int,
         *,

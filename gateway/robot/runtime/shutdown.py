@@ -17,9 +17,9 @@ from gateway.errors import GatewayError
 from gateway.host import logs
 from gateway.robot.blackbox.recorder import Recorder
 from gateway.robot.host.ownership import Ownership
+from gateway.robot.protocol import Wire
 from gateway.robot.runtime.conductor import Conductor
 from gateway.robot.settings import WatchdogSettings
-from gateway.robot.spi.bus import Bus
 from gateway.robot.spi.stop_all import MOST_PAUSE_MS, stop_once
 from schemas.robot import LEGS
 
@@ -45,6 +45,7 @@ class ServiceEnd:
     def __init__(self, loop: asyncio.AbstractEventLoop, owner: Ownership, recorder: Recorder) -> None:
         self.failure: str | None = None
         self._starts_anew = False
+        self._loop = loop
         self._owner = owner
         self._recorder = recorder
         self._event = asyncio.Event()
@@ -91,13 +92,19 @@ class ServiceEnd:
         if not task.cancelled() and task.exception() is not None:
             self._failed(task.get_loop(), {"message": "a task failed", "exception": task.exception()})
 
+    def mistake(self, error: Exception) -> None:
+        """End the service for a mistake in the gateway that ended one of its threads; from that thread."""
+        context = {"message": "a thread failed", "exception": error}
+        with suppress(RuntimeError):  # the loop is closed: the service has ended
+            self._loop.call_soon_threadsafe(self._failed, self._loop, context)
+
     def _failed(self, _loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
         error = context.get("exception")
         logger.critical("%s; stopping the robot", context["message"], exc_info=error)
         self.because(f"a mistake in the gateway ended it: {error or context['message']}")
 
 
-async def stop_the_robot(conductor: Conductor, bus: Bus, watchdog: WatchdogSettings) -> None:
+async def stop_the_robot(conductor: Conductor, bus: Wire, watchdog: WatchdogSettings) -> None:
     """Stop all six legs, and repeat it for REPEATS_S at most; directly on the bus if the conductor fails to."""
     deadline = asyncio.get_running_loop().time() + REPEATS_S
     with conductor.owner:
@@ -116,7 +123,7 @@ async def stop_the_robot(conductor: Conductor, bus: Bus, watchdog: WatchdogSetti
         conductor.recorder.ended(how)
 
 
-def _last_attempt(bus: Bus, watchdog: WatchdogSettings, deadline: float) -> None:
+def _last_attempt(bus: Wire, watchdog: WatchdogSettings, deadline: float) -> None:
     """Stop all six legs repeatedly, so that a transient fault, or one of a single leg's frame, leaves no other moving.
 
     It blocks the loop and keeps the state: after an exception nothing else may write to the bus.

@@ -10,8 +10,27 @@ Batch = Sequence[Transfer]
 """Transfers that leave together: nothing of this or another program comes between them, or into the last pause."""
 
 
-class SpiDevice(Protocol):
-    """An opened SPI device, whose unit is the batch. No other program reaches it, unless a device says so."""
+class OpenDevice(Protocol):
+    """An opened SPI device. No other program reaches it, unless a device says so."""
+
+    def stop_servos_at_work(self) -> bool:
+        """Whether `stop-servos` stops the servos through the same device now. Takes microseconds, never raises."""
+        return False
+
+    def put_right(self) -> str | None:
+        """Set again what another program has changed on the device, and return what was found; None: nothing.
+
+        Takes microseconds, never raises.
+        """
+        return None
+
+    def close(self) -> None:
+        """Release the device. Never raises; closing twice is harmless."""
+        return  # without it, mypy takes the method for an abstract one
+
+
+class SpiDevice(OpenDevice, Protocol):
+    """One whose unit is the batch; nothing comes back."""
 
     most_transfers: int = 32
     """The longest batch that it takes."""
@@ -28,20 +47,13 @@ class SpiDevice(Protocol):
         """The file by whose record locks programs share the bus; None where no other program can reach the device."""
         return None
 
-    def stop_servos_at_work(self) -> bool:
-        """Whether `stop-servos` stops the servos through the same device now. Takes microseconds, never raises."""
-        return False
 
-    def put_right(self) -> str | None:
-        """Set again what another program has changed on the device, and return what was found; None: nothing.
+class DuplexDevice(OpenDevice, Protocol):
+    """One whose unit is a single transfer, during which as many bytes come back."""
 
-        Takes microseconds, never raises.
-        """
-        return None
-
-    def close(self) -> None:
-        """Release the device. Never raises; closing twice is harmless."""
-        return  # without it, mypy takes the method for an abstract one
+    @abstractmethod
+    def exchange(self, data: bytes) -> bytes:
+        """One transfer. Raises SpiError: then nobody knows how far it came."""
 
 
 class ByteDevice(SpiDevice):

@@ -21,7 +21,6 @@ it. Which legs are still to be stopped, and what the controller may await, outla
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
 from math import ceil
 from typing import Final
 
@@ -30,6 +29,7 @@ from gateway.host.plain_settings import SpiValues
 from gateway.model.frames import ONE_LEG_LEN, Frame
 from gateway.model.framing import PREAMBLE_ZEROS, ZERO, Framing
 from gateway.robot.core.latency import Latency
+from gateway.robot.protocol import BatchReport, Sent, Wire
 from gateway.robot.spi import SpiDevice, Transfer
 from gateway.robot.spi.awaited import ANYTHING, NOTHING, after, after_failure, after_stall, next_on_the_way_back
 from gateway.robot.spi.guard import Guard
@@ -77,36 +77,7 @@ STALLED_NS: Final = 900_000_000
 """A call that took so long is a failure: the controller gives up a frame 1000 ms behind its announcement."""
 
 
-@dataclass(slots=True)
-class Sent:
-    """A frame on the wire."""
-
-    place: int
-    """Which of the frames that were to be written."""
-    data: bytes
-    ns: int
-    """When its last bit had left: the begin of its call and its place on the wire. Computed, not measured."""
-    call_ns: int
-    """How long its call took."""
-    heard: bool
-    """False: it counts as failed, since the zeros before it did."""
-
-
-@dataclass(slots=True)
-class BatchReport:
-    """What became of a batch."""
-
-    sent: list[Sent] = field(default_factory=list)
-    fault: SpiError | None = None
-    """The first failure."""
-    rejection: str | None = None
-    """Why from this batch on, each transfer is a call of its own."""
-    meddled: str | None = None
-    """What another program had set on the device. It was put right before anything of this batch was written, and what
-    was written before may not have arrived as it was meant: to be taken for a fault."""
-
-
-class Bus:
+class Bus(Wire):
     """Opens the device, closes it after a fault, and writes batches of frames; blocks for the time of a call."""
 
     def __init__(

@@ -1,4 +1,4 @@
-"""The real device: Linux's spidev, opened for HexapodProtocol v1.0.0 (mode 0, 8 bits, most significant bit first)."""
+"""The real device: Linux's spidev, with 8 bits, the most significant first; mode 0 for HexapodProtocol v1.0.0."""
 
 import array
 import errno
@@ -12,7 +12,7 @@ from typing import Final
 
 from gateway.errors import BatchRejectedError, SpiError
 from gateway.host.descriptors import Spare, ran_out
-from gateway.robot.spi import Batch, SpiDevice
+from gateway.robot.spi import Batch, DuplexDevice, SpiDevice
 from gateway.robot.spi.outside import Listener
 
 _MOST_TRANSFERS: Final = 32
@@ -21,7 +21,7 @@ BUFSIZ: Final = Path("/sys/module/spidev/parameters/bufsiz")
 DEFAULT_BUFSIZ: Final = 4096
 _ALIGNED: Final = 128
 """What a transfer takes of spidev's buffer at least: ARCH_DMA_MINALIGN, 128 bytes on a Raspberry Pi's arm64."""
-_LONGEST: Final = 64  # bytes of a transfer; the longest frame has 14
+_LONGEST: Final = 128  # bytes of a transfer; the longest frames have 14 and 80
 _SEGMENT: Final = struct.Struct("=QQIIHBBBBBB")
 """struct spi_ioc_transfer: tx_buf, rx_buf, len, speed_hz, delay_usecs, bits_per_word, cs_change, and four that stay 0.
 A speed and bits of 0 would be the device's own, which any program that may open the device can change."""
@@ -39,16 +39,19 @@ _READ_SPEED: Final = 2 << 30 | 4 << 16 | ord("k") << 8 | 4
 _NO_LISTS: Final = (errno.EINVAL, errno.EMSGSIZE)
 
 
-class KernelDevice(SpiDevice):
+class KernelDevice(SpiDevice, DuplexDevice):
     """`/dev/spidevB.C`, opened by the `spidev` package; a batch is one SPI_IOC_MESSAGE, and so atomic on its bus.
 
     Mode, speed and bits belong to the device, not to this opening of it: another program may change them at any time.
     So speed and bits are in each segment, and `put_right` looks at the mode, which no segment has.
     """
 
-    def __init__(self, path: str, speed_hz: int, *, exclusive: bool = True, spare: Spare | None = None) -> None:
+    def __init__(
+        self, path: str, speed_hz: int, *, mode: int = 0, exclusive: bool = True, spare: Spare | None = None
+    ) -> None:
         """Open and set up the device. Raises SpiError with one sentence that says what is missing.
 
+        `mode`: clock polarity and phase, 0 to 3.
         `exclusive`: reject a device that another gateway holds, since two writers would undo each other's Stops.
         `spare`: file descriptors that are kept for this device while it is closed.
         """
@@ -59,13 +62,15 @@ class KernelDevice(SpiDevice):
         self._path = path
         self._spare = spare
         self._speed_hz = speed_hz
+        self._flags = bytes((mode,))
         self._spi = spidev.SpiDev()
         self._listener: Listener | None = None
         self.most_transfers = most_transfers()
         self._data = array.array("B", bytes(_MOST_TRANSFERS * _LONGEST))
         self._data_at = self._data.buffer_info()[0]
         self._bytes = memoryview(self._data)
-        # Transfers without a receive buffer lost clock edges on a Raspberry Pi 5. Nobody reads what comes back.
+        # Transfers without a receive buffer lost clock edges on a Raspberry Pi 5. What comes back
+        # is read by `exchange` alone.
         self._received = array.array("B", bytes(_LONGEST))
         self._received_at = self._received.buffer_info()[0]
         # Any exception counts as a fault of the device: spidev has raised SystemError and TypeError when a kernel
@@ -77,7 +82,7 @@ class KernelDevice(SpiDevice):
                 self._listener = Listener(self._spi.fileno())
             # All flags are cleared: one that another program has set, such as "no chip select", outlives that program,
             # and spidev's own `mode` changes two bits only.
-            fcntl.ioctl(self._spi, _WRITE_MODE, b"\0")
+            fcntl.ioctl(self._spi, _WRITE_MODE, self._flags)
             self._spi.bits_per_word = _BITS
             self._spi.max_speed_hz = speed_hz
             # Not 0 where chip select is a GPIO: some kernels then add SPI_CS_HIGH of their own accord.
@@ -120,6 +125,19 @@ class KernelDevice(SpiDevice):
         if sent != size:
             raise SpiError(f"{self._path}: the transfer failed: {sent} of {size} bytes were written")
 
+    def exchange(self, data: bytes) -> bytes:
+        """One transfer; what the controller sent meanwhile. Raises SpiError."""
+        size = len(data)
+        try:
+            self._bytes[:size] = data
+            segments = _segments((size,), (0,), self._data_at, self._received_at, self._speed_hz)
+            sent = int(fcntl.ioctl(self._spi, *segments))
+        except Exception as error:
+            raise SpiError(f"{self._path}: the transfer failed: {_cause_of(error)}") from error
+        if sent != size:
+            raise SpiError(f"{self._path}: the transfer failed: {sent} of {size} bytes were written")
+        return self._received[:size].tobytes()
+
     def _send(self, sizes: tuple[int, ...], pauses_us: tuple[int, ...]) -> int:
         """Hand the list to the kernel; how many bytes were written."""
         segments = _segments(sizes, pauses_us, self._data_at, self._received_at, self._speed_hz)
@@ -154,7 +172,7 @@ class KernelDevice(SpiDevice):
             return None
         found = f"{self._path}: another program had set SPI mode 0x{mode:02x} instead of 0x{self._mode:02x}"
         with suppress(OSError):
-            fcntl.ioctl(self._spi, _WRITE_MODE, b"\0")
+            fcntl.ioctl(self._spi, _WRITE_MODE, self._flags)
             found += f", {self._read(_READ_SPEED)} Hz and {self._read(_READ_BITS)} bits"
         return found
 

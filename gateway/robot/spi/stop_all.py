@@ -1,14 +1,21 @@
-"""Stops all six legs straight over SPI: no Zenoh, no running gateway, and little that could fail or be slow to load."""
+"""Stops all six legs straight over SPI, or over the UART of elkapod-2025.
+
+No Zenoh, no running gateway, and little that could fail or be slow to load.
+"""
 
 import time
 from typing import Final
 
-from gateway.host.plain_settings import RepeatValues, SpiValues
+from gateway.host.plain_settings import ControllerValues, RepeatValues, SpiValues
 from gateway.model.frames import stop_leg
+from gateway.model.protocols import SpiProtocol
 from gateway.robot.host import stop_note
+from gateway.robot.protocol import Wire
 from gateway.robot.spi.bus import Bus
+from gateway.robot.spi.cyclic import CyclicBus
 from gateway.robot.spi.kernel import KernelDevice
 from gateway.robot.spi.outside import Notice
+from gateway.robot.spi.uart import SerialUart
 from schemas.robot import LEGS
 
 MORE_ROUNDS: Final = 10
@@ -18,15 +25,19 @@ MOST_PAUSE_MS: Final = 20.0
 """Longest pause between these."""
 
 
-def stop_servos(spi: SpiValues, watchdog: RepeatValues) -> bool | None:
-    """Stop all six legs straight over SPI, repeated as the watchdog's Stops are. Raises SpiError.
+def stop_servos(spi: SpiValues, watchdog: RepeatValues, controller: ControllerValues) -> bool | None:
+    """Stop all six legs straight over the wire, repeated as the watchdog's Stops are. Raises SpiError.
 
     Returns whether a gateway on the same device has noticed; None: no gateway runs there.
 
     It also runs while a gateway holds the device: something went wrong, and one more Stop does no harm. Each batch is
     atomic on the bus, so none comes into a frame of the gateway's.
     """
-    bus = Bus(spi, lambda: KernelDevice(spi.device, spi.speed_hz, exclusive=False))
+    bus: Wire
+    if spi.protocol is SpiProtocol.ELKAPOD_2025:
+        bus = CyclicBus(None, lambda: SerialUart(controller.uart, exclusive=False))
+    else:
+        bus = Bus(spi, lambda: KernelDevice(spi.device, spi.speed_hz, exclusive=False))
     notice = Notice(spi.device)
     unstopped = set(LEGS)
     fault: Exception | None = None
@@ -51,7 +62,7 @@ def stop_servos(spi: SpiValues, watchdog: RepeatValues) -> bool | None:
     return noticed if notice.gateway_runs else None
 
 
-def stop_once(bus: Bus, *, opened: bool = False) -> tuple[set[int], Exception | None]:
+def stop_once(bus: Wire, *, opened: bool = False) -> tuple[set[int], Exception | None]:
     """One Stop for each leg: the legs whose Stop was written, and what failed last.
 
     Unless it is `opened` already, the device is opened first. All six are one batch. What of it failed, even from a bug

@@ -33,18 +33,31 @@ def file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path / "gateway.toml"
 
 
-@pytest.mark.parametrize("text", [WHOLE, 'spi.framing = "plain"\n', 'spi.framing = "length-prefixed"\nwatchdog = {}\n'])
+ELKAPOD = 'spi.protocol = "elkapod-2025"\n'
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        WHOLE,
+        'spi.framing = "plain"\n',
+        'spi.framing = "length-prefixed"\nwatchdog = {}\n',
+        ELKAPOD,
+        ELKAPOD + 'spi.speed_hz = 2_000_000\n[controller]\nuart = "/dev/ttyS3"\ncycle_hz = 20\n',
+    ],
+)
 def test_the_same_as_the_settings(file: Path, text: str) -> None:
     """Its defaults, too, and no setting of the device is missing."""
     file.write_text(text)
     found = plain_settings.read(file)
     assert found is not None
-    spi, repeats = found
+    spi, repeats, controller = found
     theirs = settings.load(file)
     assert spi._asdict() == {
         name: getattr(theirs.spi, name) for name in type(theirs.spi).model_fields if name not in NOT_FOR_STOPS
     }
     assert repeats._asdict() == {name: getattr(theirs.watchdog, name) for name in PlainRepeats._fields}
+    assert controller.uart == theirs.controller.uart
 
 
 NOT_PLAIN = [
@@ -60,6 +73,10 @@ NOT_PLAIN = [
     'spi.framing = "plain"\nspi.device = "spidev0.0"\n',
     'spi.framing = ["plain"]\n',
     'spi.framing = "plain"\nwatchdog = 3\n',
+    'spi.framing = "plain"\ncontroller = 3\n',
+    'spi.framing = "plain"\nspi.protocol = "elkapod"\n',
+    'spi.protocol = "hexapod-1.0"\n',
+    'spi.protocol = "elkapod-2025"\ncontroller.uart = "ttyAMA1"\n',
     'spi.framing = "plain"\nwatchdog.repeats = 2.5\n',
     "no TOML",
 ]

@@ -6,7 +6,7 @@ import pytest
 
 from gateway.errors import ConfigError
 from gateway.host import effective
-from gateway.host.plain_settings import PlainRepeats, RepeatValues, SpiValues
+from gateway.host.plain_settings import ControllerValues, PlainController, PlainRepeats, RepeatValues, SpiValues
 from gateway.model.framing import Framing
 from gateway.onboard import stop
 from gateway.robot import settings as settings_file
@@ -34,7 +34,7 @@ class Robot:
         monkeypatch.setattr(stop, "unit", lambda: self.unit)
         monkeypatch.setattr(stop, "stop", self._stop)
 
-    def _stop(self, spi: SpiValues, _watchdog: RepeatValues) -> None:
+    def _stop(self, spi: SpiValues, _watchdog: RepeatValues, _controller: ControllerValues) -> None:
         self.used.append(spi)
 
     def service(self, state: str) -> None:
@@ -42,7 +42,7 @@ class Robot:
         if state == NEVER:
             return
         self._patch.setenv("INVOCATION_ID", "1")
-        effective.write({"framing": "length-prefixed"}, PlainRepeats())
+        effective.write({"framing": "length-prefixed"}, PlainRepeats(), PlainController())
         if state != ENDED_HERE:
             self._patch.delenv("INVOCATION_ID")
         if state in {ENDED, ENDED_HERE}:

@@ -139,7 +139,7 @@ async def test_a_slow_stream_has_it_ahead_of_a_frame() -> None:
 async def test_a_first_stop_comes_into_a_preamble_that_is_under_way() -> None:
     robot = await prefixed(timeout_ms=10_000)
     start_all(robot)
-    while not robot.conductor.bus.resync_due:
+    while not robot.bus.resync_due:
         await asyncio.sleep(0.02)
         robot.put(LEG_3, SET)
     for _ in range(20):  # turns of the loop

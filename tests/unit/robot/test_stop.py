@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from gateway.errors import SpiError
-from gateway.host.plain_settings import PlainRepeats, PlainSpi
+from gateway.host.plain_settings import PlainController, PlainRepeats, PlainSpi
 from gateway.model.frames import stop_leg
 from gateway.model.framing import PREAMBLE_ZEROS, ZERO, Framing
 from gateway.robot.host import stop_note
@@ -155,7 +155,7 @@ def stops(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[[Rounds],
     def run(rounds: Rounds) -> bool | None:
         for name, replaced in (("KernelDevice", rounds.device), ("Notice", rounds.notice), ("time", rounds)):
             monkeypatch.setattr(stop_all, name, replaced)
-        return stop_servos(PlainSpi(Framing.PLAIN), PlainRepeats(repeats=2, repeat_interval_ms=30))
+        return stop_servos(PlainSpi(Framing.PLAIN), PlainRepeats(repeats=2, repeat_interval_ms=30), PlainController())
 
     return run
 

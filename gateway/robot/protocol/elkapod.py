@@ -1,0 +1,115 @@
+"""What elkapod-2025 says next, and whether the controller is alive: pure, time as an argument.
+
+All eighteen angles stand in each frame, and a UART message starts or shuts down all servos. So the order is what keeps
+servos from moving unasked: a shutdown comes before the first frame, and a start only behind START_CYCLES frames with
+the angles that were commanded. While all are shut down, frames go on with each servo's last commanded angle, since one
+whose shutdown was lost must not move for it.
+"""
+
+from collections.abc import Sequence
+from typing import Final
+
+from gateway.allowance import NS_PER_MS
+from gateway.model import elkapod
+from gateway.model.elkapod import AnswerError, Heartbeats, Measured
+from gateway.model.frames import OP_START, Frame
+from schemas.robot import SERVO_IDS
+
+START_CYCLES: Final = 2
+"""Frames with a start's angles ahead of the UART's start: the controller may still work on the one before."""
+FROZEN_NS: Final = 500 * NS_PER_MS
+"""An answer that stays the same to the last bit for so long is no measurement: a gyroscope's noise changes it."""
+_PLACES: Final = {servo_id: place for place, servo_id in enumerate(SERVO_IDS)}
+
+
+class Commanded:
+    """What the robot was told, and the next frame and UART message."""
+
+    def __init__(self) -> None:
+        self._angles_cdeg = [elkapod.MIDDLE_CDEG] * len(SERVO_IDS)
+        self._to_start: set[int] = set()
+        """Servos with a start since the last start or shutdown on the UART."""
+        self._carries_start = False  # the frame that `frame` made last
+        self._cycles = 0  # frames that have left with all of a start's angles
+
+    def shut_down(self) -> bytes:
+        """A Stop, of whatever: the message that shuts down all servos. No start that waits comes after it."""
+        self._to_start.clear()
+        self._carries_start, self._cycles = False, 0
+        return elkapod.SHUTDOWN
+
+    def take(self, frames: Sequence[Frame]) -> None:
+        """Take frames that move: their angles are in the next frame, and starts of all eighteen servos are a start."""
+        for frame in frames:
+            for servo_id, op in frame.servos:
+                self._angles_cdeg[_PLACES[servo_id]] = op.angle_cdeg
+                if op.op is OP_START:
+                    self._to_start.add(servo_id)
+
+    def frame(self) -> bytes:
+        """The next frame."""
+        self._carries_start = len(self._to_start) == len(SERVO_IDS)
+        return elkapod.frame(self._angles_cdeg)
+
+    def left(self) -> bytes | None:
+        """The frame has left. Returns the UART message that is to follow it at once, if one is."""
+        if not self._carries_start:
+            return None
+        self._cycles += 1
+        if self._cycles < START_CYCLES:
+            return None
+        self._to_start.clear()
+        self._carries_start, self._cycles = False, 0
+        return elkapod.START
+
+
+class SignsOfLife:
+    """Whether the controller is alive: both its answers and its heartbeats have to come."""
+
+    def __init__(self, silent_ns: int) -> None:
+        self._silent_ns = silent_ns
+        self._heartbeats = Heartbeats()
+        self._answer = b""
+        self._changed_ns = self._heartbeat_ns = self._begun_ns = 0
+        self._beats = False
+        self._why = "none has come"
+        self.answered_ns: int | None = None
+        """When the last well-formed answer came."""
+
+    def begin(self, now_ns: int) -> None:
+        """From now on it has `silent_ns` to give signs of life."""
+        self._begun_ns = self._heartbeat_ns = now_ns
+        self._answer, self._why, self.answered_ns, self._beats = b"", "none has come", None, False
+
+    def heard(self, data: bytes, now_ns: int) -> None:
+        """Take what the UART has received."""
+        if self._heartbeats.feed(data):
+            self._heartbeat_ns, self._beats = now_ns, True
+
+    def answered(self, data: bytes, now_ns: int) -> Measured | None:
+        """Take an answer; None: it counts as none."""
+        try:
+            found = elkapod.measured(data)
+        except AnswerError as error:
+            self._why = str(error)
+            return None
+        if data != self._answer:
+            self._answer, self._changed_ns = data, now_ns
+        elif now_ns - self._changed_ns >= FROZEN_NS:
+            self._why = f"it has not changed for {FROZEN_NS // NS_PER_MS} ms"
+            return None
+        self.answered_ns = now_ns
+        return found
+
+    def alive(self, now_ns: int) -> bool:
+        """Whether both have come since `begin`, and go on."""
+        return self.answered_ns is not None and self._beats and self.silent(now_ns) is None
+
+    def silent(self, now_ns: int) -> str | None:
+        """A sentence that says what has not come for too long; None: it is alive."""
+        silent_ms = self._silent_ns // NS_PER_MS
+        if now_ns - (self._begun_ns if self.answered_ns is None else self.answered_ns) >= self._silent_ns:
+            return f"no well-formed answer of the controller for {silent_ms} ms (the last one: {self._why})"
+        if now_ns - self._heartbeat_ns >= self._silent_ns:
+            return f"no heartbeat of the controller for {silent_ms} ms"
+        return None

@@ -1,0 +1,73 @@
+"""The thread of a wire that exchanges a frame each cycle, whether or not somebody commands.
+
+It owns the state before and behind a transfer, never during one: a transfer that hangs delays no Stop, which goes over
+the UART.
+"""
+
+import threading
+import time
+from collections.abc import Callable
+
+from gateway.allowance import NS_PER_S
+from gateway.errors import SpiError
+from gateway.host import realtime
+from gateway.robot.runtime.conductor import Conductor
+from gateway.robot.spi.cyclic import CyclicBus
+
+
+class Cycle:
+    """Exchanges a frame each `1 / cycle_hz` seconds, from `start` until the conductor is closed."""
+
+    def __init__(
+        self, bus: CyclicBus, conductor: Conductor, cycle_hz: float, failed: Callable[[Exception], None]
+    ) -> None:
+        """`failed` is called, on its thread, with a mistake in the gateway that ended it."""
+        self._bus = bus
+        self._conductor = conductor
+        self._cycle_ns = round(NS_PER_S / cycle_hz)
+        self._failed = failed
+        self._thread = threading.Thread(target=self._run, name="cycle", daemon=True)
+
+    def start(self) -> None:
+        """The bus is open."""
+        self._thread.start()
+
+    def _run(self) -> None:
+        realtime.prefer_thread(realtime.LOOP_PRIORITY)
+        due_ns = time.monotonic_ns()
+        try:
+            while not self._conductor.closed:
+                self._exchange()
+                # A frame that is late is not made up for: two in a row would tell the controller nothing new.
+                due_ns = max(due_ns + self._cycle_ns, time.monotonic_ns())
+                time.sleep(max(0, due_ns - time.monotonic_ns()) / 1e9)
+        except Exception as error:
+            self._failed(error)
+
+    def _exchange(self) -> None:
+        """One cycle."""
+        conductor = self._conductor
+        with conductor.owner:
+            silent = self._bus.silent(time.monotonic_ns())
+            if silent is not None:
+                conductor.bus_failed(silent)
+            frame = self._bus.begin_cycle(time.monotonic_ns())
+        if frame is None:
+            return
+        begun_ns = time.monotonic_ns()
+        try:
+            answer = self._bus.exchange(frame)
+        except SpiError as fault:
+            with conductor.owner:
+                if self._bus.failed_cycle():
+                    conductor.bus_failed(fault)
+            return
+        with conductor.owner:
+            now_ns = time.monotonic_ns()
+            try:
+                measured = self._bus.end_cycle(answer, now_ns - begun_ns, now_ns)
+            except SpiError as fault:
+                conductor.bus_failed(fault)
+                return
+            if measured is not None:
+                conductor.measured(measured, now_ns)

@@ -1,0 +1,71 @@
+"""The UART of elkapod-2025: `pyserial`, and what a Stop needs of it: a write that never waits."""
+
+import os
+from contextlib import suppress
+from typing import Final, Protocol
+
+from gateway.errors import SpiError
+from gateway.model.elkapod import UART_BAUD
+
+_MOST_BYTES: Final = 4096
+"""What a kernel keeps of a UART's bytes, so one call empties it."""
+
+
+class Uart(Protocol):
+    """A UART, real or simulated."""
+
+    def write(self, data: bytes) -> None:
+        """Hand a message to the kernel, without waiting. Raises SpiError."""
+
+    def read(self) -> bytes:
+        """What has come since the last call, without waiting. Raises SpiError."""
+
+    def close(self) -> None:
+        """Release it. Never raises."""
+
+
+class SerialUart(Uart):
+    """`/dev/tty…`, opened and set up by pyserial: 8 bits, no parity, two stop bits, no flow control.
+
+    Read and written past pyserial, which uses `select`: that takes no descriptor from 1024 on, and clients may hold as
+    many.
+    """
+
+    def __init__(self, path: str, *, exclusive: bool = True) -> None:
+        """Open and set it up. Raises SpiError with one sentence that says what is missing.
+
+        `exclusive`: reject one that another gateway holds. `stop-servos` does not ask for that.
+        """
+        try:
+            import serial  # noqa: PLC0415  (a laptop needs none)
+        except ImportError as error:
+            raise SpiError("pyserial is not installed: pip install 'hexapod-gateway[spi]'") from error
+        self._path = path
+        lock = True if exclusive else None
+        try:
+            self._serial = serial.Serial(path, UART_BAUD, stopbits=serial.STOPBITS_TWO, timeout=0, exclusive=lock)
+        except (OSError, ValueError) as error:
+            raise SpiError(f"the UART {path} cannot be opened: {error}; name another with controller.uart") from error
+
+    def write(self, data: bytes) -> None:
+        try:
+            written = os.write(self._serial.fileno(), data)
+        except OSError as error:
+            raise SpiError(f"{self._path}: a message could not be written: {error.strerror or error}") from error
+        if written != len(data):
+            raise SpiError(f"{self._path}: {written} of {len(data)} bytes of a message were written")
+
+    def read(self) -> bytes:
+        try:
+            data = os.read(self._serial.fileno(), _MOST_BYTES)
+        except BlockingIOError:
+            return b""
+        except OSError as error:
+            raise SpiError(f"{self._path}: cannot be read: {error.strerror or error}") from error
+        if not data:
+            raise SpiError(f"{self._path}: is disconnected")
+        return data
+
+    def close(self) -> None:
+        with suppress(OSError):
+            self._serial.close()

@@ -1,0 +1,73 @@
+"""Makes the wire to the controller that the settings name, real or simulated."""
+
+import logging
+from collections.abc import Callable
+from typing import Final
+
+from gateway.allowance import NS_PER_MS
+from gateway.errors import ConfigError
+from gateway.host.descriptors import Spare
+from gateway.host.servo_page import ServoPage
+from gateway.model.protocols import SpiProtocol
+from gateway.robot.protocol import Wire
+from gateway.robot.settings import Settings, SpiSettings
+from gateway.robot.spi import SpiDevice, ioctls
+from gateway.robot.spi.bus import Bus
+from gateway.robot.spi.cyclic import CyclicBus
+from gateway.robot.spi.kernel import KernelDevice
+from gateway.robot.spi.machine import driver_of, gpio_selects
+from gateway.robot.spi.simulator import SimulatedController
+from gateway.robot.spi.uart import SerialUart
+from gateway.robot.spi.unreliable import Faults, UnreliableDevice
+
+MOST_BEFORE_FRAMES_MS: Final = 200
+"""How long the repeats of the first shutdown hold back elkapod-2025's frames at most."""
+
+logger = logging.getLogger(__name__)
+
+
+def device_opener(
+    settings: Settings, *, simulated: bool, page: ServoPage | None = None, faults: Faults | None = None
+) -> Callable[[], SpiDevice]:
+    """A function that opens the bus's device; a simulated controller keeps its state when it is reopened."""
+    if not simulated:
+        spare = Spare()
+        return lambda: KernelDevice(settings.spi.device, settings.spi.speed_hz, spare=spare)
+    controller = SimulatedController(
+        settings.spi.framing, on_change=logging.getLogger("gateway.robot.spi.simulator").debug, page=page
+    )
+    if faults is not None:
+        unreliable = UnreliableDevice(controller, faults)
+        return lambda: unreliable
+    return lambda: controller
+
+
+def wire(settings: Settings, *, simulated: bool, page: ServoPage | None = None, faults: Faults | None = None) -> Wire:
+    """The way to the robot's controller, not yet open. Raises ConfigError."""
+    protocol = settings.spi.protocol
+    if protocol is SpiProtocol.HEXAPOD_1_0:
+        return Bus(settings.spi, device_opener(settings, simulated=simulated, page=page, faults=faults))
+    if faults is not None:
+        raise ConfigError(f"--sim-fault is for {SpiProtocol.HEXAPOD_1_0}; leave it out with {protocol}")
+    spare, spi, repeats = Spare(), settings.spi, settings.watchdog
+    before_frames_ms = min((repeats.repeats + 0.5) * repeats.repeat_interval_ms, MOST_BEFORE_FRAMES_MS)
+    return CyclicBus(
+        lambda: KernelDevice(spi.device, spi.speed_hz, mode=protocol.spi_mode, spare=spare),
+        lambda: SerialUart(settings.controller.uart),
+        silent_ns=round(settings.controller.silent_ms * NS_PER_MS),
+        before_frames_ns=round(before_frames_ms * NS_PER_MS),
+    )
+
+
+def warn_of_driver(spi: SpiSettings, *, simulated: bool) -> None:
+    """Log a driver that may not release chip select between the transfers of a call, as `plain` framing needs."""
+    if not simulated and ioctls.are_used():
+        logger.info("%s", ioctls.USED)
+    framed = spi.protocol is SpiProtocol.HEXAPOD_1_0
+    needed = framed and spi.batch and spi.framing.needs_chip_select and not simulated
+    if needed and not gpio_selects(spi.device):
+        logger.warning(
+            "it is not known whether %s releases chip select between the transfers of one call; if it does not, an "
+            "emergency stop stops only one leg. Test it: hexapod-gateway check --move",
+            driver_of(spi.device) or "the driver of this SPI bus",
+        )

@@ -1,0 +1,340 @@
+"""elkapod-2025: what is said when, and whether the controller is alive."""
+
+from collections.abc import Iterable
+
+import pytest
+
+from gateway.errors import SpiError
+from gateway.model import elkapod
+from gateway.model.elkapod import SHUTDOWN, START, Measured
+from gateway.model.frames import SETS, STARTS, Frame, OneLeg, OneServo, stop_leg
+from gateway.robot.protocol.elkapod import FROZEN_NS, Commanded, SignsOfLife
+from gateway.robot.spi import DuplexDevice
+from gateway.robot.spi.cyclic import CyclicBus
+from gateway.robot.spi.uart import Uart
+from schemas.robot import LEGS, SERVO_IDS
+
+MS = 1_000_000
+SILENT_NS = 300 * MS
+AT_REST = Measured(31.5, 7.4, 80.0, (1, 0, 0, 0), (0, 0, 0), (0, 0, 9.81), (1, 2, 3, 4, 5, 6))
+STOPS = [stop_leg(leg) for leg in LEGS]
+
+
+def starts(legs: Iterable[int] = LEGS, angle_cdeg: int = 80_00) -> list[Frame]:
+    op = STARTS[angle_cdeg]
+    return [OneLeg(leg, (op, op, op)) for leg in legs]
+
+
+def angles(frame: bytes | None) -> set[float]:
+    assert frame is not None
+    return set(elkapod.angles_of(frame).values())
+
+
+# ---- what is said when
+
+
+def test_a_whole_start_has_its_angles_in_two_frames_before_the_uarts_start() -> None:
+    commanded = Commanded()
+    assert angles(commanded.frame()) == {90.0}
+    assert commanded.left() is None
+    commanded.take(starts())
+    assert angles(commanded.frame()) == {80.0}
+    assert commanded.left() is None
+    assert commanded.frame()
+    assert commanded.left() == START
+    assert commanded.frame()
+    assert commanded.left() is None, "once"
+
+
+def test_a_start_that_came_into_a_transfer_counts_from_the_next_frame() -> None:
+    commanded = Commanded()
+    commanded.frame()
+    commanded.take(starts())
+    said = [commanded.left()]
+    for _ in range(2):
+        commanded.frame()
+        said += [commanded.left()]
+    assert said == [None, None, START]
+
+
+@pytest.mark.parametrize("behind", ["the first frame", "the second frame, on its way"])
+def test_no_start_comes_after_a_shutdown(behind: str) -> None:
+    commanded = Commanded()
+    commanded.take(starts())
+    commanded.frame()
+    commanded.left()
+    if behind != "the first frame":
+        commanded.frame()
+    assert commanded.shut_down() == SHUTDOWN
+    said = [commanded.left()]
+    for _ in range(5):
+        assert angles(commanded.frame()) == {80.0}, "as they were, should the shutdown be lost"
+        said += [commanded.left()]
+    assert said == [None] * 6
+
+
+def test_seventeen_servos_are_no_start_and_sets_are_none() -> None:
+    commanded = Commanded()
+    commanded.take([*starts(range(1, 6)), OneServo(61, STARTS[80_00]), OneServo(62, STARTS[80_00])])
+    commanded.take([OneServo(63, SETS[80_00])])
+    for _ in range(4):
+        assert angles(commanded.frame()) == {80.0}
+        assert commanded.left() is None
+
+
+def test_a_robot_that_runs_is_started_again_by_a_whole_start() -> None:
+    commanded = Commanded()
+    said = []
+    for _ in range(2):
+        commanded.take(starts())
+        for _ in range(3):
+            commanded.frame()
+            said += [commanded.left()]
+    assert said == [None, START, None] * 2
+
+
+# ---- signs of life
+
+
+def answered(signs: SignsOfLife, now_ns: int, answer: bytes | None = None) -> Measured | None:
+    values = AT_REST._replace(temperature_c=now_ns / 1e9)
+    return signs.answered(elkapod.answer(values) if answer is None else answer, now_ns)
+
+
+BAD = {
+    "zeros": bytes(80),
+    "FF": b"\xff" * 80,
+    "shifted": elkapod.answer(AT_REST)[1:] + b"\0",
+    "short": elkapod.answer(AT_REST)[:-1],
+    "NaN": elkapod.answer(AT_REST._replace(voltage_v=float("nan"))),
+    "infinite": elkapod.answer(AT_REST._replace(orientation_wxyz=(1.0, 0.0, 0.0, float("inf")))),
+}
+
+
+@pytest.mark.parametrize("bad", BAD)
+def test_what_is_no_answer_is_none_and_says_why(bad: str) -> None:
+    signs = SignsOfLife(SILENT_NS)
+    signs.begin(0)
+    assert answered(signs, 10 * MS) is not None
+    for now_ms in range(20, 310, 20):
+        signs.heard(elkapod.heartbeat(), now_ms * MS)
+        assert answered(signs, now_ms * MS, BAD[bad]) is None
+        assert signs.silent(now_ms * MS) is None
+    assert "no well-formed answer of the controller for 300 ms (the last one: it " in str(signs.silent(310 * MS))
+
+
+def test_an_answer_that_never_changes_is_none_after_half_a_second() -> None:
+    signs, frozen = SignsOfLife(SILENT_NS), elkapod.answer(AT_REST)
+    signs.begin(0)
+    taken = [answered(signs, now_ns, frozen) is not None for now_ns in range(0, FROZEN_NS + 1, 20 * MS)]
+    assert taken == [True] * 25 + [False]
+    assert answered(signs, FROZEN_NS + 20 * MS) is not None, "and counts again once it changes"
+
+
+@pytest.mark.parametrize("missing", ["heartbeat", "well-formed answer"])
+def test_each_sign_is_needed(missing: str) -> None:
+    signs = SignsOfLife(SILENT_NS)
+    signs.begin(0)
+    assert not signs.alive(0)
+    for now_ms in range(20, 600, 20):
+        if missing != "heartbeat":
+            signs.heard(elkapod.heartbeat(), now_ms * MS)
+        else:
+            answered(signs, now_ms * MS)
+        assert not signs.alive(now_ms * MS)
+        assert (signs.silent(now_ms * MS) is None) == (now_ms < 300)
+    assert f"no {missing} of the controller for 300 ms" in str(signs.silent(600 * MS))
+
+
+# ---- the bus: SPI and UART, neither waiting for the other
+
+
+class Parts(DuplexDevice, Uart):
+    """Both sides of a controller, which fail as they are told to."""
+
+    def __init__(self) -> None:
+        self.said: list[bytes] = []
+        self.now_ns = 0
+        self.opened = self.closed = 0
+        self.spi_fails = self.uart_fails = self.beats = False
+        self.bus = CyclicBus(
+            self._open,
+            self._open_uart,
+            silent_ns=SILENT_NS,
+            before_frames_ns=70 * MS,
+            clock=lambda: self.now_ns,
+        )
+
+    def _open(self) -> DuplexDevice:
+        if self.spi_fails:
+            raise SpiError("no SPI")
+        self.opened += 1
+        return self
+
+    def _open_uart(self) -> Uart:
+        if self.uart_fails:
+            raise SpiError("no UART")
+        return self
+
+    def exchange(self, _data: bytes) -> bytes:
+        if self.spi_fails:
+            raise SpiError("timed out")
+        return elkapod.answer(AT_REST._replace(temperature_c=self.now_ns / 1e9))
+
+    def write(self, data: bytes) -> None:
+        if self.uart_fails:
+            raise SpiError("hung up")
+        self.said.append(data)
+
+    def read(self) -> bytes:
+        return elkapod.heartbeat() if self.beats else b""
+
+    def close(self) -> None:
+        self.closed += 1
+
+    def cycle(self) -> bytes | None:
+        """A cycle, 20 ms later; the frame."""
+        self.now_ns += 20 * MS
+        frame = self.bus.begin_cycle(self.now_ns)
+        if frame is not None:
+            try:
+                answer = self.bus.exchange(frame)
+            except SpiError:
+                self.bus.failed_cycle()
+                raise
+            self.bus.end_cycle(answer, MS, self.now_ns)
+        return frame
+
+
+@pytest.fixture
+def parts() -> Parts:
+    return Parts()
+
+
+def test_it_begins_with_shutdowns_and_only_then_with_frames(parts: Parts) -> None:
+    parts.bus.open()
+    assert parts.said == [SHUTDOWN]
+    assert [parts.cycle() for _ in range(3)] == [None] * 3
+    assert angles(parts.cycle()) == {90.0}
+
+
+def test_stops_of_a_step_are_one_shutdown_and_each_counts_as_written(parts: Parts) -> None:
+    parts.bus.open()
+    report = parts.bus.write(STOPS)
+    assert parts.said == [SHUTDOWN, SHUTDOWN]
+    assert [sent.place for sent in report.sent] == [0, 1, 2, 3, 4, 5]
+    assert all(sent.heard for sent in report.sent)
+    assert report.fault is None
+
+
+def test_a_transfer_that_hangs_delays_no_stop_and_its_start_does_not_come(parts: Parts) -> None:
+    parts.bus.open()
+    parts.now_ns = 100 * MS
+    parts.bus.write(starts())
+    parts.cycle()
+    frame = parts.bus.begin_cycle(parts.now_ns)
+    assert frame is not None
+    before = len(parts.said)
+    parts.bus.write(STOPS)  # while the second transfer is under way
+    parts.bus.end_cycle(parts.bus.exchange(frame), 300 * MS, parts.now_ns)
+    assert parts.said[before:] == [SHUTDOWN]
+
+
+def test_a_failed_transfer_shuts_down_at_once_and_the_device_opens_anew(parts: Parts) -> None:
+    parts.bus.open()
+    parts.now_ns = 100 * MS
+    parts.bus.write(starts())
+    parts.spi_fails = True
+    before = len(parts.said)
+    with pytest.raises(SpiError, match="timed out"):
+        parts.cycle()
+    assert parts.said[before:] == [SHUTDOWN]
+    parts.bus.release()
+    assert parts.closed == 1, "the UART stays open"
+    with pytest.raises(SpiError, match="no SPI"):
+        parts.bus.open()
+    assert parts.said[before:] == [SHUTDOWN] * 2, "each attempt begins with one"
+    parts.spi_fails = False
+    parts.bus.open()
+    for _ in range(10):
+        parts.cycle()
+    assert START not in parts.said
+
+
+def test_no_device_is_closed_in_the_middle_of_a_transfer(parts: Parts) -> None:
+    parts.bus.open()
+    assert parts.bus.begin_cycle(100 * MS) is not None
+    parts.bus.release()
+    assert parts.closed == 0
+    with pytest.raises(SpiError, match="has not ended"):
+        parts.bus.open()
+    assert not parts.bus.failed_cycle(), "its failure is no news"
+    assert parts.closed == 1
+    parts.bus.open()
+    assert parts.opened == 2
+
+
+def test_a_uart_that_fails_opens_anew_and_begins_with_a_shutdown(parts: Parts) -> None:
+    parts.bus.open()
+    parts.uart_fails = True
+    assert "hung up" in str(parts.bus.write(STOPS).fault)
+    assert parts.bus.write(STOPS).fault is not None
+    with pytest.raises(SpiError, match="no UART"):
+        parts.bus.open()
+    parts.uart_fails = False
+    before = len(parts.said)
+    parts.bus.open()
+    assert parts.said[before:] == [SHUTDOWN]
+
+
+def test_a_silent_controller_is_shut_down_and_counts_as_back_when_both_signs_are(parts: Parts) -> None:
+    parts.bus.open()
+    parts.beats = True
+    while parts.cycle() is None:
+        pass
+    assert parts.bus.controller_alive is True
+    parts.beats = False
+    for _ in range(14):
+        parts.cycle()
+        assert parts.bus.silent(parts.now_ns) is None
+    parts.cycle()
+    before = len(parts.said)
+    silent = parts.bus.silent(parts.now_ns)
+    assert "no heartbeat" in str(silent)
+    assert parts.said[before:] == [SHUTDOWN]
+    assert parts.bus.silent(parts.now_ns) is None, "reported once"
+    assert parts.bus.controller_alive is False
+    parts.bus.release()
+    assert parts.closed == 0, "its signs of life would come there"
+    with pytest.raises(SpiError, match="no heartbeat"):
+        parts.bus.open()
+    parts.beats = True
+    parts.cycle()
+    parts.bus.open()
+    assert parts.bus.controller_alive is True
+
+
+def test_a_device_that_fails_while_the_controller_is_silent_opens_anew(parts: Parts) -> None:
+    parts.bus.open()
+    parts.now_ns = 400 * MS
+    assert parts.bus.silent(parts.now_ns) is not None
+    parts.spi_fails = True
+    with pytest.raises(SpiError):
+        parts.cycle()
+    parts.bus.release()
+    assert parts.closed == 1
+    parts.spi_fails = False
+    with pytest.raises(SpiError, match="no well-formed answer"):
+        parts.bus.open()
+    assert parts.opened == 2
+
+
+def test_without_a_device_only_stops_are_written() -> None:
+    parts = Parts()
+    bus = CyclicBus(None, lambda: parts)
+    bus.open()
+    assert bus.write(STOPS, preamble=True).fault is None
+    assert parts.said == [SHUTDOWN] * 2
+    assert "closed" in str(bus.write(starts()).fault)
+    bus.close()
+    assert len(SERVO_IDS) == 18
