@@ -156,13 +156,9 @@ def command_for_new_rules(file: str, port: int, namespace: str = "", program: st
     return f"{made} && sudo cp $d/gateway.json5 {file} && rm -r $d"
 
 
-def laptop_json5(name: str, role: str, hosts: Sequence[str], port: int, namespace: str = "", file: str = "") -> bytes:
-    """A laptop's Zenoh configuration, with an endpoint for each host and its robot's `namespace`.
-
-    `file`: its name, if not NAME.json5.
-    """
+def laptop_json5(name: str, role: str, hosts: Sequence[str], port: int, namespace: str, file: str) -> bytes:
+    """A laptop's Zenoh configuration, with the name `file`, an endpoint for each host and its robot's `namespace`."""
     endpoints = json.dumps([endpoint(host, port) for host in hosts])
-    file = file or f"{name}.json5"
     return fill(_LAPTOP, NAME=name, FILE=file, ROLE=role, ENDPOINTS=endpoints, NAMESPACE=_namespace(namespace))
 
 

@@ -191,7 +191,7 @@ def test_nobody_declares_a_wildcard(gateway: zenoh.Config) -> None:
 
 FILES: dict[str, bytes] = {
     "gateway": gateway_json5(["robot.local"], 7447),
-    "laptop": laptop_json5("anna", "operator", ["robot.local", "fd00::1"], 7447, "robot1"),
+    "laptop": laptop_json5("anna", "operator", ["robot.local", "fd00::1"], 7447, "robot1", "anna.json5"),
     "router": router_json5(["robot-1"], 7447),
     "robot": robot_json5("robot-1", "router.local", 7447),
 }

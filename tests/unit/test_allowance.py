@@ -5,9 +5,13 @@ from fractions import Fraction
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.allowance import NS_PER_S, Allowance
+from gateway.allowance import NS_PER_MS, NS_PER_S, Allowance
 
 MS = 1_000_000
+
+
+def test_units() -> None:
+    assert (NS_PER_MS, NS_PER_S) == (MS, 1000 * MS)
 
 
 def test_so_many_at_once_and_then_one_by_one() -> None:

@@ -68,7 +68,7 @@ class Doubt:
     [False, True]
     """
 
-    def __init__(self, watchdog_s: float = 0.0) -> None:
+    def __init__(self, watchdog_s: float) -> None:
         """`watchdog_s`: the time without a setpoint after which the gateway stops a leg."""
         self._watchdog_s = watchdog_s
         self._sent_s = self._received_s = -math.inf

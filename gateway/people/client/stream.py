@@ -86,7 +86,7 @@ class Stream:
         self._lease: Lease | None = None  # under which it started them
         self._since: datetime | None = None  # by the gateway's clock: since then all started legs run
         self._over: GatewayError | None = None
-        self._doubt = Doubt()
+        self._doubt = Doubt(0.0)
         self._events: deque[Event] = deque(maxlen=_KEPT)
         self._received_stop = threading.Event()
         self.answer: GatewayState | None = None

@@ -48,19 +48,19 @@ class Registration:
     """One registration."""
 
     name: str
-    holder: str | None = None
+    holder: str | None
     """The certificate that has proved the name."""
-    counts: bool = True
+    counts: bool
     """Whether it is one of those that may be required."""
+    until_ns: int | None
+    """Until when it is alive; None: it has not checked in yet, or is silent."""
     count: int = -1
     """Of its latest check-in."""
-    until_ns: int | None = None
-    """Until when it is alive; None: it has not checked in yet, or is silent."""
     silent: bool = False
     offset_ns: int | None = None
     """The gateway's clock less the button's, plus the time that its fastest message took, as of `heard_ns`."""
     heard_ns: int = 0
-    least_ns: int | None = None
+    least_ns: int = 0
     """The smallest `offset_ns` of this registration."""
 
     def sent_ns(self, sent_ms: float | None, received_ns: int, rise_ns: int) -> int:
@@ -71,7 +71,7 @@ class Registration:
         if sent_ms is None:
             return received_ns
         offset_ns = received_ns - round(sent_ms * NS_PER_MS)
-        if self.offset_ns is None or self.least_ns is None:
+        if self.offset_ns is None:
             self.offset_ns = self.least_ns = offset_ns
         else:
             drift_ns = max(0, received_ns - self.heard_ns) * DRIFT_PPM // 1_000_000
@@ -152,10 +152,10 @@ class Buttons:
                 return [], RequestAnswer(
                     Reason.BUTTON_DENIED, f"{len(mine)} buttons{whose} are alive, and no more are taken"
                 )
-        before = None if gives_way is None else self._by_token.pop(gives_way)
-        button = Registration(name, request.holder, request.counts)
-        if same is not None and before is not None:
-            button.until_ns = before.until_ns
+        until_ns = None if same is None else mine[same].until_ns
+        if gives_way is not None:
+            del self._by_token[gives_way]
+        button = Registration(name, request.holder, request.counts, until_ns)
         self._by_token[request.fresh_token] = button
         button.sent_ns(request.sent_ms, request.received_ns, self._rise_ns)
         what = f"{name} is registered as a button" + ("" if same is None else ", in place of the one of that name")

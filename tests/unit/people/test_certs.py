@@ -136,6 +136,13 @@ def test_a_bundle_holds_what_the_laptop_needs_and_nothing_more(folder: Path, tmp
 def test_a_bundles_readme_suggests_what_its_role_may(role: str, commands: list[str]) -> None:
     readme = laptop_readme("alice", role, HOSTS, "2028", ["alice.json5"]).decode()
     assert re.findall(r"hexapod-gateway (\w+) --zenoh-config path/to/alice.json5\n", readme) == commands
+    assert "Each robot" not in readme
+
+
+def test_a_bundles_readme_for_several_robots_names_their_files() -> None:
+    readme = laptop_readme("alice", "observer", HOSTS, "2028", ["red.json5", "blue.json5"]).decode()
+    assert "--zenoh-config path/to/red.json5\n" in readme
+    assert "Each robot has a file of its own: red.json5, blue.json5.\n" in readme
 
 
 def test_full_paths_on_request_and_never_in_the_zip(folder: Path, tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from cryptography.hazmat.primitives.asymmetric import ec, ed25519, padding, rsa
 from cryptography.x509.oid import NameOID
 
 from gateway.certs import authority
-from gateway.certs.proof import DRIVING, WATCHING, ProofChecker, Purpose
+from gateway.certs.proof import DRIVING, WATCHING, ProofChecker, Purpose, holder
 from gateway.people.client.requests import Identity
 from gateway.robot.core.events import ButtonRequest, LeaseRequest
 from gateway.robot.core.message import Reply
@@ -105,6 +105,7 @@ def test_an_issuer_beside_others() -> None:
     checker = ProofChecker([OTHER_CA.certificate, CA.certificate])
     chain = proof(certificate=pem(ANNA.certificate) + pem(CA.certificate))
     assert checker.fault(chain, "acquire", "anna", NOW) is None
+    assert holder(chain).person == "anna", "of the certificate that was checked"
 
 
 def test_a_certificate_that_lives_as_long_as_its_ca_is_good_from_the_first_moment_to_the_last() -> None:

@@ -129,3 +129,18 @@ def test_in_any_order_a_stop_is_sent_again_within_a_second_until_an_answer_count
             assert now_s < patience.next_s <= sent_s + (ATTEMPT_S if under_way else RESEND_S)
         else:
             return
+
+
+def test_a_query_that_ends_at_once_is_sent_again_a_moment_after_the_latest() -> None:
+    """Counted from the latest query, not from the question: without a link each ends at once."""
+    patience, first = asked()
+    patience.ended(first, 0.001)
+    assert patience.next_s == RESEND_S
+    second = patience.sent(0.4)
+    patience.ended(second, 0.401)
+    assert patience.next_s == RESEND_S, "what is due stays due"
+    later, query = asked()
+    another = later.sent(0.4)
+    later.ended(query, 0.401)
+    later.ended(another, 0.402)
+    assert later.next_s == 0.4 + RESEND_S

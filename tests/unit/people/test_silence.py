@@ -128,3 +128,15 @@ def test_why_nobody_was_there_is_not_shown_once_somebody_is() -> None:
 def test_the_examples_are_right() -> None:
     assert doctest.testmod(silence_module) == (0, 5)
     assert doctest.testmod(presence_module) == (0, 7)
+
+
+def test_a_session_that_is_open_has_a_second_to_send_a_state() -> None:
+    presence = GatewayPresence()
+    presence.opened(5000 * MS)
+    assert [presence.is_silent(ms * MS) for ms in (6000, 6001)] == [False, True]
+
+
+def test_a_gateway_that_is_gone_says_so() -> None:
+    presence = GatewayPresence()
+    presence.received_token(False)
+    assert presence.link == LinkMessage(status="gone", detail="the gateway has ended, or the link to it has")

@@ -438,3 +438,36 @@ def test_at_the_end_requests_are_rejected() -> None:
     robot = watched()
     robot.end(10)
     assert robot.button(11, "alive", "kitchen", 2) == ["stopping"]
+
+
+def offset_of(rise_ms: list[tuple[float, float]]) -> float:
+    """How late a button's last message counts as sent, in ms: its messages come at (s) with so much delay (ms)."""
+    buttons = Buttons(Rules(buttons_required=1, buttons_timeout_ns=TIMEOUT_MS * NS_PER_MS))
+    for number, (at_s, delay_ms) in enumerate(rise_ms):
+        received_ns = round(at_s * 1e9)
+        do = ButtonDo.ALIVE if number else ButtonDo.REGISTER
+        request = ButtonRequest(
+            do,
+            received_ns,
+            source="kitchen",
+            token=KITCHEN,
+            fresh_token=KITCHEN,
+            count=number,
+            sent_ms=at_s * 1000 - delay_ms,
+        )
+        assert buttons.grant(request, received_ns)[1].reason is None
+        if number:
+            buttons.expire(received_ns)
+    assert buttons.due_ns is not None
+    return TIMEOUT_MS - (buttons.due_ns - round(rise_ms[-1][0] * 1e9)) / NS_PER_MS
+
+
+def test_a_clock_may_fall_behind_by_a_quarter_of_the_timeout_in_all() -> None:
+    """200 ppm in 2000 s are 400 ms, of which 250 are allowed; the rest is delay."""
+    assert offset_of([(0, 0), (2000, 400)]) == 150
+    assert offset_of([(0, 0), (1000, 200)]) == 0
+
+
+def test_how_far_a_clock_may_fall_behind_counts_from_its_fastest_message() -> None:
+    assert offset_of([(0, 0), (10, -100), (2010, 300)]) == 150
+    assert offset_of([(0, 0), (10, 50), (2010, 400)]) == 150

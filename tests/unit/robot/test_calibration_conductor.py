@@ -253,3 +253,14 @@ async def test_the_landing_pose_of_the_calibration_goes_before_that_of_the_setti
     await asyncio.sleep(2)
     landed = [frame for _, frame in robot.frames if isinstance(frame, OneLeg) and not frame.is_stop][-1]
     assert [op.angle_cdeg for op in landed.commands if op.op is not Op.STOP][:2] == [120_00, 40_00]
+
+
+async def test_one_that_is_meant_for_an_older_revision_is_rejected_and_each_has_a_number_of_its_own() -> None:
+    robot = await on_disk(disk := Disk())
+    before = robot.conductor.answers.next_number()
+    answers = robot.calibrate({**OWN, "revision": 0})
+    assert robot.conductor.answers.next_number() == before + 2
+    disk.write()
+    assert answers[0].accepted
+    (late,) = robot.calibrate({**OWN, "revision": 0})
+    assert (late.accepted, late.reason) == (False, Reason.STALE)
