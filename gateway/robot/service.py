@@ -38,7 +38,8 @@ from gateway.robot.runtime.report import wall_clock
 from gateway.robot.runtime.request_answers import ButtonAnswers, LeaseAnswers
 from gateway.robot.runtime.revocations import Revocations
 from gateway.robot.runtime.shutdown import SHUTDOWN_S, ServiceEnd, close_within, stop_the_robot
-from gateway.robot.settings import Settings, SpiSettings, ZenohSettings
+from gateway.robot.sections import SpiSettings, ZenohSettings
+from gateway.robot.settings import Settings
 from gateway.robot.spi import SpiDevice, ioctls
 from gateway.robot.spi.bus import Bus
 from gateway.robot.spi.kernel import KernelDevice

@@ -18,7 +18,7 @@ from gateway.host import logs
 from gateway.robot.blackbox.recorder import Recorder
 from gateway.robot.host.ownership import Ownership
 from gateway.robot.runtime.conductor import Conductor
-from gateway.robot.settings import WatchdogSettings
+from gateway.robot.sections import WatchdogSettings
 from gateway.robot.spi.bus import Bus
 from gateway.robot.spi.stop_all import MOST_PAUSE_MS, stop_once
 from schemas.robot import LEGS
