@@ -1,6 +1,10 @@
 """Foreign text on one line: it must neither control a terminal nor look like further lines."""
 
 import json
+import re
+from typing import Final
+
+MAX_ECHO: Final = 80
 
 
 def visible(text: str) -> str:
@@ -12,3 +16,14 @@ def visible_json(value: object) -> str:
     """The value as JSON; in ASCII if a character is unprintable. Other types become their `str`."""
     text = json.dumps(value, ensure_ascii=False, default=str)
     return text if text.isprintable() else json.dumps(value, default=str)
+
+
+def echo(value: object) -> str:
+    """The value as JSON, cut to `MAX_ECHO` characters."""
+    text = visible_json(value)
+    return text if len(text) <= MAX_ECHO else text[:MAX_ECHO] + "…"
+
+
+def key_name(name: str) -> str:
+    """The name, if it can be a bare key of TOML; else quoted."""
+    return name if re.fullmatch(r"[\w-]{1,80}", name, re.ASCII) else echo(name)

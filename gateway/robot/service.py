@@ -40,7 +40,8 @@ from gateway.robot.runtime.report import wall_clock
 from gateway.robot.runtime.request_answers import ButtonAnswers, LeaseAnswers
 from gateway.robot.runtime.revocations import Revocations
 from gateway.robot.runtime.shutdown import SHUTDOWN_S, ServiceEnd, close_within, stop_the_robot
-from gateway.robot.settings import Settings, ZenohSettings
+from gateway.robot.sections import ZenohSettings
+from gateway.robot.settings import Settings
 from gateway.robot.spi.cyclic import CyclicBus
 from gateway.robot.spi.unreliable import Faults
 from gateway.robot.zenoh_io import simulated_body

@@ -10,7 +10,8 @@ from gateway.host.descriptors import Spare
 from gateway.host.servo_page import ServoPage
 from gateway.model.protocols import SpiProtocol
 from gateway.robot.protocol import Wire
-from gateway.robot.settings import Settings, SpiSettings
+from gateway.robot.sections import SpiSettings
+from gateway.robot.settings import Settings
 from gateway.robot.spi import SpiDevice, ioctls
 from gateway.robot.spi.bus import Bus
 from gateway.robot.spi.cyclic import CyclicBus

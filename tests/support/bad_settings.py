@@ -1,6 +1,9 @@
 """Settings that will not do: in a file (its text), or in a variable; and the line that says so, after the place."""
 
-SECTIONS = "the sections are zenoh, spi, limits, watchdog, lease, buttons, calibration, recorder, telemetry, log"
+SECTIONS = (
+    "the sections are zenoh, spi, controller, limits, watchdog, lease, buttons, calibration, recorder, telemetry,"
+    " safety, log"
+)
 NO_VARIABLE = f"is no setting; a variable is named like HEXAPOD_SPI__DEVICE; {SECTIONS}"
 WORD = "will not do: input should be"
 INTEGER = f"{WORD} a valid integer"
@@ -43,6 +46,8 @@ FILE_FAULTS = [
     # not among the words
     ('[spi]\nframing = "Plain"', "spi.framing: \"Plain\" will not do: input should be 'plain' or 'length-prefixed'"),
     ('[watchdog]\nscope = "all"', "watchdog.scope: \"all\" will not do: input should be 'leg' or 'robot'"),
+    ('[spi]\nprotocol = "elkapod"',
+     "spi.protocol: \"elkapod\" will not do: input should be 'hexapod-1.0' or 'elkapod-2025'"),
     ('[log]\nlevel = "INFO"', "log.level: \"INFO\" will not do: input should be 'debug', 'info', 'warning' or 'error'"),
     ('[log]\nformat = "a\\nb"', r"log.format: "
      "\"a\\nb\" will not do: input should be 'auto', 'console' or 'json'"),
@@ -59,6 +64,13 @@ FILE_FAULTS = [
     *((f'[telemetry]\nmetrics = "{text}"',
        'telemetry.metrics: write a host and a port, such as "127.0.0.1:9464", or "" for none')
       for text in ("9464", ":9464", "localhost", "localhost:", "localhost:0", "localhost:65536", "localhost:٣")),
+    ('[controller]\nuart = "ttyAMA1"', "controller.uart: write the path of a device, such as /dev/ttyAMA1"),
+    ("[safety]\nmin_battery_v = 6", "safety.min_battery_v: hexapod-1.0 has nothing that measures it; leave it at 0"),
+    ("[safety]\nmax_tilt_deg = 45", "safety.max_tilt_deg: hexapod-1.0 has nothing that measures it; leave it at 0"),
+    ('[spi]\nprotocol = "elkapod-2025"\n[limits]\nstart_stagger_ms = 1',
+     "limits.start_stagger_ms: elkapod-2025 starts all servos at once, so leave it at 0"),
+    ('[spi]\nprotocol = "elkapod-2025"\n[safety]\nmax_tilt_deg = 9',
+     "safety.max_tilt_deg: write 10 to 90, since a robot that walks tilts by some degrees, or 0 for never"),
     # much is not repeated
     (f'[spi]\ndevice = ["{"x" * 999}"]', f'spi.device: ["{"x" * 78}… {STRING}'),
 ]  # fmt: skip

@@ -15,7 +15,9 @@ from pydantic.fields import FieldInfo
 from gateway.cli import app
 from gateway.errors import ConfigError
 from gateway.model.framing import Framing
-from gateway.robot.settings import ServoLimits, Settings, SpiSettings, load
+from gateway.model.protocols import SpiProtocol
+from gateway.robot.sections import ServoLimits, SpiSettings
+from gateway.robot.settings import Settings, load
 from schemas import keys
 from schemas.button import Alive, ButtonAck, Leave, Register
 from schemas.calibration import Calibration, CalibrationCommand
@@ -33,6 +35,7 @@ from schemas.telemetry import (
     Kind,
     Mode,
     Reason,
+    Telemetry,
     WatchdogState,
 )
 
@@ -72,7 +75,8 @@ def fields(model: type[BaseModel]) -> set[str]:
 
 
 @pytest.mark.parametrize(
-    "model", [Ack, LeaseAck, RevocationAck, ButtonAck, Calibration, GatewayState, Event, FrameRecord, BodyReport]
+    "model",
+    [Ack, LeaseAck, RevocationAck, ButtonAck, Calibration, GatewayState, Event, FrameRecord, Telemetry, BodyReport],
 )
 def test_what_goes_out_has_these_fields(model: type[BaseModel]) -> None:
     assert sorted(names(f"### {model.__name__}")) == sorted(fields(model))
@@ -150,6 +154,10 @@ def test_these_are_all_settings_with_their_defaults_and_ranges(tmp_path: Path) -
             with pytest.raises(ConfigError, match=r"spi\.framing"):
                 load(tmp_path / "empty.toml")
             assert default == f'none; `"{load(tmp_path / "empty.toml", simulated=True).spi.framing}"` with `--sim`'
+        elif name == "spi.speed_hz":
+            assert default == "; ".join(
+                f"`{SpiSettings(protocol=each).speed_hz}` with `{each}`" for each in SpiProtocol
+            )
         elif name == "spi.avoid_deg":
             with_each = [SpiSettings(framing=framing).avoid_cdeg for framing in Framing]
             assert with_each == [None, (1_00, 4_00)]

@@ -14,7 +14,7 @@ ROOMS: Final = (
     ("model", "geometry"),
     ("host", "certs"),
     ("zenoh_config",),
-    ("robot.core", "people.walking", "people.ros2"),
+    ("robot.core", "robot.sections", "people.walking", "people.ros2"),
     ("robot.settings", "people.recordings", "people.physics"),
     ("robot.host", "people.incidents", "people.client"),
     ("robot.spi", "client", "people.terminal"),
@@ -117,7 +117,8 @@ def test_no_wing_knows_the_other(path: Path) -> None:
 
 
 def test_only_the_robots_wing_and_its_commands_know_the_settings() -> None:
-    knowing = {room_of_file(path) for path in FILES if "gateway.robot.settings" in imported(path)}
+    settings = {"gateway.robot.settings", "gateway.robot.sections"}
+    knowing = {room_of_file(path) for path in FILES if settings & imported(path)}
     assert {room for room in knowing if not room.startswith("robot.")} == {"onboard"}
 
 

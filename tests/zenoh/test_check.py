@@ -13,7 +13,7 @@ import pytest
 from gateway import certs
 from gateway.onboard.check import device, machine, network
 from gateway.onboard.check.result import Verdict
-from gateway.robot.settings import SpiSettings, ZenohSettings
+from gateway.robot.sections import SpiSettings, ZenohSettings
 from tests.support.certs_folder import DAY, NOW
 from tests.support.command import Ended, run_here
 from tests.support.gateway_process import Gateway, free_port, write_settings

@@ -10,7 +10,7 @@ import zenoh
 from pydantic import BaseModel, PrivateAttr, model_serializer
 from zenoh.handlers import RingChannel
 
-from gateway.robot.settings import ZenohSettings
+from gateway.robot.sections import ZenohSettings
 from gateway.robot.zenoh_io.outbox import MAX_REPORTS_WAITING, ZenohOutbox
 from gateway.robot.zenoh_io.session import service_config
 from gateway.robot.zenoh_io.unknown_keys import UnknownKeys

@@ -33,7 +33,8 @@ from gateway.onboard.check import (
 from gateway.onboard.check.result import Result, Verdict, failure, ok, warning
 from gateway.people.terminal import clear_line, rows, show_line
 from gateway.robot import settings as settings_file
-from gateway.robot.settings import FramingNotSetError, Settings, SpiSettings
+from gateway.robot.sections import SpiSettings
+from gateway.robot.settings import FramingNotSetError, Settings
 from gateway.zenoh_config import listen_endpoints
 
 _STYLES: Final = {Verdict.OK: rows.GOOD, Verdict.WARNING: rows.NOTE, Verdict.FAILURE: rows.BAD}

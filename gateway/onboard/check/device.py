@@ -15,7 +15,7 @@ from gateway.model.framing import Framing
 from gateway.onboard.check import service_user
 from gateway.onboard.check.installation import RESTART
 from gateway.onboard.check.result import Result, failure, ok, warning
-from gateway.robot.settings import SpiSettings
+from gateway.robot.sections import SpiSettings
 from gateway.robot.spi import ioctls
 from gateway.robot.spi.bus import CS_CHANGE_NS
 from gateway.robot.spi.kernel import KernelDevice

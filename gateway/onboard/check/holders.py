@@ -13,7 +13,7 @@ from gateway.errors import ConfigError
 from gateway.onboard.check.result import Result, failure, ok, warning
 from gateway.people.client.requests import Identity
 from gateway.people.terminal import this_command
-from gateway.robot.settings import ZenohSettings
+from gateway.robot.sections import ZenohSettings
 from gateway.robot.zenoh_io import revoked
 from gateway.zenoh_config import get
 from schemas.telemetry import RevocationsReport

@@ -26,7 +26,7 @@ from gateway.people.client import diagnosis
 from gateway.people.client.blocking import Client
 from gateway.people.client.diagnosis import Stage
 from gateway.people.client.requests import Identity
-from gateway.robot.settings import ZenohSettings
+from gateway.robot.sections import ZenohSettings
 from gateway.robot.zenoh_io.session import service_config
 from gateway.zenoh_config import certificate_files, connect_endpoints, load_config, one_line, open_session
 from schemas.telemetry import GatewayState

@@ -13,7 +13,7 @@ from gateway.errors import ConfigError
 from gateway.host.directories import SERVICE_STATE
 from gateway.onboard.check.installation import RESTART, SERVICE
 from gateway.onboard.check.result import Result, failure, warning
-from gateway.robot.settings import ZenohSettings
+from gateway.robot.sections import ZenohSettings
 from gateway.zenoh_config import get, load_config
 
 LET_READ: Final = (

@@ -18,7 +18,7 @@ from gateway.robot.core.intake import ENCODINGS, Rejection, too_large
 from gateway.robot.core.message import Reply
 from gateway.robot.runtime.conductor import Conductor
 from gateway.robot.runtime.report import wall_clock
-from gateway.robot.settings import ButtonSettings
+from gateway.robot.sections import ButtonSettings
 from gateway.robot.zenoh_io.proofs import Proofs, fresh_token
 from gateway.robot.zenoh_io.receiver import Deal
 from schemas import keys

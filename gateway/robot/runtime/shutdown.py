@@ -19,7 +19,7 @@ from gateway.robot.blackbox.recorder import Recorder
 from gateway.robot.host.ownership import Ownership
 from gateway.robot.protocol import Wire
 from gateway.robot.runtime.conductor import Conductor
-from gateway.robot.settings import WatchdogSettings
+from gateway.robot.sections import WatchdogSettings
 from gateway.robot.spi.stop_all import MOST_PAUSE_MS, stop_once
 from schemas.robot import LEGS
 

@@ -16,7 +16,7 @@ from gateway import certs, durable
 from gateway.certs import pool
 from gateway.errors import ConfigError
 from gateway.host.directories import SERVICE_RUNTIME, runtime_directory, state_directory, state_to_read
-from gateway.robot.settings import ZenohSettings
+from gateway.robot.sections import ZenohSettings
 from gateway.zenoh_config import get
 
 if TYPE_CHECKING:

@@ -6,7 +6,7 @@ from typing import Final
 import zenoh
 
 from gateway.limits import ACCEPT_PENDING, ACCEPT_TIMEOUT_MS, MAX_MESSAGE_SIZE, MAX_SESSIONS
-from gateway.robot.settings import ZenohSettings
+from gateway.robot.sections import ZenohSettings
 from gateway.robot.zenoh_io import exposure
 from gateway.zenoh_config import get, insert, load_config, scouting_off
 

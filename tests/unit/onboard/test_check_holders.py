@@ -9,7 +9,7 @@ from gateway import certs
 from gateway.onboard.check import holders
 from gateway.onboard.check.result import Result, Verdict
 from gateway.people.client.requests import Identity
-from gateway.robot.settings import ZenohSettings
+from gateway.robot.sections import ZenohSettings
 from gateway.robot.zenoh_io import revoked
 from gateway.robot.zenoh_io.revoked import OlderCa
 from gateway.zenoh_config import load_config

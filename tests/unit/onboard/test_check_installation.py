@@ -13,7 +13,7 @@ from gateway.onboard.check import trust
 from gateway.onboard.check.installation import FAULTS, SHIPPED, DropIn, Folder, Installation, results
 from gateway.onboard.check.result import Verdict
 from gateway.onboard.whole import Whole
-from gateway.robot.settings import ZenohSettings
+from gateway.robot.sections import ZenohSettings
 
 UNITS = {
     name: {"LoadState": "loaded", "ActiveState": "active", "UnitFileState": "enabled", "NeedDaemonReload": "no"}

@@ -20,7 +20,7 @@ from gateway.certs.folder import load_ca
 from gateway.certs.revocation import RevocationList, Revoked
 from gateway.errors import ConfigError
 from gateway.robot.runtime.revocations import Revocations
-from gateway.robot.settings import ZenohSettings
+from gateway.robot.sections import ZenohSettings
 from gateway.robot.zenoh_io import revoked
 from gateway.zenoh_config import get, load_config
 from schemas.revocation import RevocationAck

@@ -21,7 +21,7 @@ from gateway.robot.core.message import Reply
 from gateway.robot.core.nonces import NONCE_NS, Nonces
 from gateway.robot.runtime.conductor import Conductor
 from gateway.robot.runtime.request_answers import ButtonAnswers, LeaseAnswers
-from gateway.robot.settings import ButtonSettings
+from gateway.robot.sections import ButtonSettings
 from gateway.robot.zenoh_io.proofs import CHECKS_PER_S
 from schemas.lease import LeaseAck, Proof, signed_text
 from schemas.telemetry import Reason

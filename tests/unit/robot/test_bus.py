@@ -12,7 +12,7 @@ import pytest
 from gateway.errors import SpiError
 from gateway.model.frames import Frame, OneLeg, OneServo, Op, ServoOp, stop_leg
 from gateway.model.framing import ZERO, Framing
-from gateway.robot.settings import SpiSettings
+from gateway.robot.sections import SpiSettings
 from gateway.robot.spi import ByteDevice
 from gateway.robot.spi.bus import IDLE_NS, Bus
 from gateway.robot.spi.simulator import SimulatedController

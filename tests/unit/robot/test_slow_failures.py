@@ -13,7 +13,7 @@ import pytest
 
 from gateway.model.frames import OneLeg, Op, ServoOp, stop_leg
 from gateway.model.framing import ZERO, Framing
-from gateway.robot.settings import SpiSettings
+from gateway.robot.sections import SpiSettings
 from gateway.robot.spi.bus import Bus
 from schemas import keys
 from schemas.robot import LEGS

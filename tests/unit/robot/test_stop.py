@@ -11,7 +11,7 @@ from gateway.host.plain_settings import PlainController, PlainRepeats, PlainSpi
 from gateway.model.frames import stop_leg
 from gateway.model.framing import PREAMBLE_ZEROS, ZERO, Framing
 from gateway.robot.host import stop_note
-from gateway.robot.settings import SpiSettings
+from gateway.robot.sections import SpiSettings
 from gateway.robot.spi import ByteDevice, stop_all
 from gateway.robot.spi.bus import Bus
 from gateway.robot.spi.stop_all import stop_once, stop_servos
