@@ -1,32 +1,22 @@
-"""A page of memory in which a simulated controller writes where its servos are sent, for a simulated body.
-
-It goes one way, and the writer never waits: it does not notice whether anybody reads, or is too slow. An aligned number
-of eight bytes is written whole.
-"""
+"""A page of memory in which a simulated controller writes where its servos are sent, for a simulated body."""
 
 import math
-import mmap
-import os
 import struct
 from typing import Final
 
+from gateway.host.shared_page import SharedPage
 from schemas.robot import SERVO_IDS
 
 _NUMBER: Final = struct.Struct("=d")
 _PLACES: Final = {servo_id: place * _NUMBER.size for place, servo_id in enumerate(SERVO_IDS)}
-_BYTES: Final = mmap.PAGESIZE
 
 
-class ServoPage:
+class ServoPage(SharedPage):
     """For each of the 18 servos the angle on the wire (degrees) that it is sent to, or None while it is off."""
 
     def __init__(self, fd: int | None = None) -> None:
         """A new page, all servos off; with `fd` the one that another process has made and passed on."""
-        self.fd = os.memfd_create("servos") if fd is None else fd
-        """No disk is behind it, so a write never waits for one."""
-        if fd is None:
-            os.ftruncate(self.fd, _BYTES)
-        self._memory = mmap.mmap(self.fd, _BYTES)
+        super().__init__(fd)
         if fd is None:
             for servo_id in SERVO_IDS:
                 self.write(servo_id, None)

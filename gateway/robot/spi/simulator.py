@@ -35,14 +35,13 @@ import functools
 import struct
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Final
 
 from gateway.host.servo_page import ServoPage
 from gateway.model.frames import ONE_LEG_LEN, ONE_LEG_TYPE, ONE_SERVO_LEN, ONE_SERVO_TYPE, Op
 from gateway.model.framing import Framing
-from gateway.model.servo import NO_LOAD_DEG_S
 from gateway.robot.spi import ByteDevice
+from gateway.robot.spi.simulated_servos import ServoState, SimulatedServos
 from schemas.robot import SERVO_IDS
 
 TICK_NS: Final = 1_000_000
@@ -61,20 +60,6 @@ _FAULTY_ENTRIES: Final = range(252, 256)
 _ENTRIES_PAST_THE_TABLE: Final = {18: 11, 23: 21}
 """The servos that these drive in the -Og build."""
 _DONE: Final = {Op.START: "started at", Op.SET: "set to"}
-
-
-@dataclass(slots=True)
-class ServoState:
-    """One servo: PWM output on or off, pulse in µs (None before the first), and where its horn is, 0° to 180°."""
-
-    energised: bool = False
-    pulse_us: int | None = None
-    angle_deg: float = 90.0  # before it is first energised, a horn stands wherever it was left
-
-    @property
-    def target_deg(self) -> float | None:
-        """Where its pulse sends it: a horn ends at its stop."""
-        return None if self.pulse_us is None else min((self.pulse_us - 544) * 180 / (2550 - 544), 180.0)
 
 
 class SimulatedController(ByteDevice):
@@ -100,14 +85,12 @@ class SimulatedController(ByteDevice):
         self._clock = clock
         self._on_change = on_change
         self._tick_phase_ns = tick_phase_ns
-        self._page = page
 
         self._body = bytearray()
         self._body_len = 0  # 0: the next byte is a length
         self._give_up_ns = 0
 
-        self._servos = {servo_id: ServoState() for servo_id in SERVO_IDS}
-        self._moved_ns = clock()
+        self._servos = SimulatedServos(clock(), page)
 
     # ---- the device
 
@@ -127,7 +110,7 @@ class SimulatedController(ByteDevice):
         """The 18 servos by id, as they are now."""
         now_ns = self._clock()
         self._expire_receive(now_ns)
-        self._move(now_ns)
+        self._servos.move(now_ns)
         return self._servos
 
     @property
@@ -146,12 +129,8 @@ class SimulatedController(ByteDevice):
         self.dead = None
         self._body.clear()
         self._body_len = 0
-        self._move(self._clock())
-        for servo in self._servos.values():
-            servo.energised, servo.pulse_us = False, None
-        if self._page is not None:
-            for servo_id in SERVO_IDS:
-                self._page.write(servo_id, None)
+        self._servos.move(self._clock())
+        self._servos.power_cycle()
 
     # ---- the firmware
 
@@ -197,7 +176,7 @@ class SimulatedController(ByteDevice):
         records = _RECORDS_BY_LEN_AND_TYPE.get((len(body), body[1])) if len(body) > 1 else None
         if records is None:
             return
-        self._move(now_ns)
+        self._servos.move(now_ns)
         changes = []
         for start in records:
             changes.append(self._drive(*body[start : start + 4]))
@@ -222,38 +201,19 @@ class SimulatedController(ByteDevice):
             return what
         if driven_id != servo_id:
             self.corruptions[f"servo id {servo_id} drove servo {driven_id}"] += 1
-        servo = self._servos[driven_id]
         if op == Op.STOP:
-            servo.energised = False
-            self._show(driven_id, servo)
+            self._servos.stop(driven_id)
             return f"servo {driven_id} stopped"
-        if op == Op.START:
-            servo.energised = True
+        servo = self._servos[driven_id]
         servo.pulse_us = pulse_us(whole_deg, hundredths)
-        self._show(driven_id, servo)
+        self._servos.send(driven_id, (servo.pulse_us - 544) * 180 / (2550 - 544), start=op == Op.START)
         change = f"servo {driven_id} {_DONE[Op(op)]} {whole_deg + hundredths / 100:.2f}°, {servo.pulse_us} µs"
         return change if servo.energised else f"{change}, and stays off"
-
-    def _show(self, servo_id: int, servo: ServoState) -> None:
-        if self._page is not None:
-            self._page.write(servo_id, servo.target_deg if servo.energised else None)
 
     def _die(self, why: str) -> None:
         self.dead = why
         if self._on_change is not None:
             self._on_change(f"the controller is dead until it is reset: {why}")
-
-    def _move(self, now_ns: int) -> None:
-        reach_deg = NO_LOAD_DEG_S * (now_ns - self._moved_ns) / 1e9
-        self._moved_ns = now_ns
-        for servo in self._servos.values():
-            if servo.energised and (target_deg := servo.target_deg) is not None:
-                way_deg = target_deg - servo.angle_deg
-                servo.angle_deg = (
-                    target_deg
-                    if abs(way_deg) <= reach_deg
-                    else servo.angle_deg + max(-reach_deg, min(way_deg, reach_deg))
-                )
 
 
 def _float32(value: float) -> float:

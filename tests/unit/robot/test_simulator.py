@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 
 from gateway.model.frames import Frame, OneLeg, OneServo, Op, ServoOp, centidegrees, decode
 from gateway.model.framing import Framing
-from gateway.robot.spi.simulator import ServoState, SimulatedController, pulse_us
+from gateway.robot.spi.simulated_servos import ServoState
+from gateway.robot.spi.simulator import SimulatedController, pulse_us
 from schemas.robot import SERVO_IDS
 from tests.fuzz.targets import PAUSES_NS, fuzz_simulator
 from tests.support.transfers import on_wire
@@ -83,7 +84,7 @@ def test_vectors_set_their_pulses(framing: Framing, vector: dict[str, Any]) -> N
 def test_set_on_a_stopped_servo_moves_the_compare_register_and_nothing_else(bench: Bench) -> None:
     bench.send(OneServo(11, ServoOp(Op.SET, 180_00)).to_bytes())
     bench.now_ns += 5_000 * MS
-    assert bench.servo(11) == ServoState(energised=False, pulse_us=2550, angle_deg=90.0)
+    assert bench.servo(11) == ServoState(energised=False, target_deg=180.0, angle_deg=90.0, pulse_us=2550)
 
 
 def test_stop_keeps_the_pulse_and_the_place(bench: Bench) -> None:

@@ -1,0 +1,246 @@
+"""A simulated controller that speaks `elkapod-2025`: SPI in full duplex, a UART, 18 servos and what it measures.
+
+Its firmware is not published. What is known of it (docs/protocol.md) is done here:
+
+* A transfer of 80 bytes from 7E to 0F sends all servos to its angles; any other transfer changes nothing.
+* Each transfer returns the measurement prepared at the transfer before; the first one after power-up returns garbage.
+* START on the UART drives all servos to the newest frame's angles, SHUTDOWN makes all slack. Neither is answered. Bytes
+  that are neither are skipped.
+* A heartbeat leaves every 50 ms.
+
+Where nothing is known, it does what harms most:
+
+* Frames that stop coming change nothing: the last angles hold for ever.
+* Angles are not checked: a servo goes as far as its horn does, and one that is not a number leaves it where it is sent.
+  Both are counted in `corruptions`. So is a START before any frame: what servos then do is not known. Here they wait
+  for the first frame.
+
+What it measures comes from the simulated body, where there is one. Without it the robot is at rest and level, each of
+the six feet carries a sixth of the assumed weight while servos are driven and nothing while they are slack (it then
+lies on its belly), and servos draw current while they move. The sensors are noisy, as real ones are: no two answers are
+the same. The unit of forces on this wire is written nowhere; here it is the newton.
+"""
+
+import collections
+import math
+import random
+import struct
+import threading
+import time
+from collections.abc import Callable
+from typing import Final
+
+from gateway.geometry.masses import MASSES
+from gateway.host.sensed_page import Sensed, SensedPage
+from gateway.host.servo_page import ServoPage
+from gateway.model import elkapod
+from gateway.model.elkapod import BEGIN, END, FRAME_BYTES, SHUTDOWN, START, Measured
+from gateway.robot.spi.simulated_battery import A_PER_NM, BASE_A, IDLE_A, MOVING_A, Battery
+from gateway.robot.spi.simulated_servos import ServoState, SimulatedServos
+from gateway.robot.spi.simulator import KEPT_TRANSFERS
+from schemas.robot import LEGS, SERVO_IDS
+
+HEARTBEAT_NS: Final = 50_000_000
+MOST_HEARTBEATS: Final = 4096 // elkapod.HEARTBEAT_BYTES
+"""As many as a terminal's buffer holds: what nobody reads is lost."""
+GARBAGE: Final = bytes(range(FRAME_BYTES))
+"""The first answer after power-up, whose first byte alone shows that it is none."""
+
+_ANGLES: Final = struct.Struct(f"<{len(SERVO_IDS)}f")
+_LONGEST: Final = max(len(START), len(SHUTDOWN))
+_GRAVITY_M_S2: Final = 9.81
+_AMBIENT_C: Final = 25.0
+_WARMS_BY_C: Final = 15.0
+_WARMS_IN_S: Final = 900.0
+_GYRO_NOISE_RAD_S: Final = 0.002
+_ACCELEROMETER_NOISE_M_S2: Final = 0.02
+
+
+class SimulatedElkapod:
+    """The controller, its servos and its battery. Each method may be called from any thread, and takes microseconds."""
+
+    def __init__(
+        self,
+        *,
+        clock: Callable[[], int] = time.monotonic_ns,
+        on_change: Callable[[str], None] | None = None,
+        page: ServoPage | None = None,
+        sensed: SensedPage | None = None,
+        battery: Battery | None = None,
+    ) -> None:
+        """Switched on now, servos slack. `clock` gives nanoseconds. `on_change` gets a line on what changed; into
+        `page` goes where each servo is sent, and `sensed` has what a simulated body feels."""
+        self.transfers: collections.deque[tuple[int, bytes]] = collections.deque(maxlen=KEPT_TRANSFERS)
+        """The newest on SPI, with their times."""
+        self.messages: collections.deque[tuple[int, bytes]] = collections.deque(maxlen=KEPT_TRANSFERS)
+        """The newest START and SHUTDOWN on the UART, with their times."""
+        self.corruptions: collections.Counter[str] = collections.Counter()
+        self.silent = False
+        """A fault: no heartbeats."""
+        self.frozen = False
+        """A fault: each answer is the one before."""
+        self.garbage: bytes | None = None
+        """A fault: these bytes in place of each measurement."""
+
+        self._clock = clock
+        self._on_change = on_change
+        self._sensed = sensed
+        self._battery = Battery() if battery is None else battery
+        self._noise = random.Random(0)  # noqa: S311  (a sensor's, no secrets)
+        self._lock = threading.Lock()
+        now_ns = clock()
+        self._begun_ns = self._advanced_ns = self._beat_ns = now_ns
+        self._servos = SimulatedServos(now_ns, page)
+        self._answer = GARBAGE
+        self._received = b""
+
+    # ---- the wires
+
+    def exchange(self, data: bytes) -> bytes:
+        """One transfer: as many bytes as came go back."""
+        with self._lock:
+            now_ns = self._clock()
+            self.transfers.append((now_ns, data))
+            self._advance(now_ns)
+            if len(data) == FRAME_BYTES and data[0] == BEGIN and data[-1] == END:
+                self._take(_ANGLES.unpack_from(data, 1))
+            answer = self._answer
+            if self.garbage is not None:
+                self._answer = self.garbage
+            elif not self.frozen:
+                self._answer = elkapod.answer(self._measure(now_ns))
+        return answer[: len(data)].ljust(len(data), b"\0")
+
+    def uart_write(self, data: bytes) -> None:
+        """Bytes arrive, in whatever portions."""
+        with self._lock:
+            now_ns = self._clock()
+            self._advance(now_ns)
+            self._received += data
+            while (found := _first_message(self._received)) is not None:
+                message, self._received = found
+                self.messages.append((now_ns, message))
+                self._obey(message)
+            self._received = self._received[1 - _LONGEST :]
+
+    def uart_read(self) -> bytes:
+        """The bytes that it has sent since the last call."""
+        with self._lock:
+            due = (self._clock() - self._beat_ns) // HEARTBEAT_NS
+            self._beat_ns += due * HEARTBEAT_NS
+            return b"" if self.silent else elkapod.heartbeat() * min(due, MOST_HEARTBEATS)
+
+    def close(self) -> None:
+        """Nobody talks to it any more, which changes nothing."""
+
+    # ---- what a person at the robot sees and does
+
+    @property
+    def servos(self) -> dict[int, ServoState]:
+        """The 18 servos by id, as they are now."""
+        with self._lock:
+            self._advance(self._clock())
+            return self._servos
+
+    @property
+    def energised(self) -> frozenset[int]:
+        """The ids of the servos that are driven now: all or none."""
+        return frozenset(servo_id for servo_id, servo in self.servos.items() if servo.energised)
+
+    def power_cycle(self) -> None:
+        """Somebody switches it off and on: servos slack, and all angles forgotten."""
+        with self._lock:
+            now_ns = self._clock()
+            self._advance(now_ns)
+            self._servos.power_cycle()
+            self._beat_ns, self._answer, self._received = now_ns, GARBAGE, b""
+            self._say("it was switched off and on")
+
+    # ---- the firmware
+
+    def _take(self, angles_deg: tuple[float, ...]) -> None:
+        changes = []
+        for (servo_id, servo), angle_deg in zip(self._servos.items(), angles_deg, strict=True):
+            if not 0 <= angle_deg <= 180:
+                self.corruptions[f"servo {servo_id} was sent to {angle_deg:g}°"] += 1
+            before_deg = servo.target_deg
+            if not math.isnan(angle_deg):
+                self._servos.send(servo_id, angle_deg, start=False)
+            if servo.energised and servo.target_deg != before_deg:
+                changes.append(f"servo {servo_id} set to {angle_deg:.2f}°")
+        if changes:
+            self._say("; ".join(changes))
+
+    def _obey(self, message: bytes) -> None:
+        if message == SHUTDOWN:
+            for servo_id in self._servos:
+                self._servos.stop(servo_id)
+            self._say("shut down")
+            return
+        if any(servo.target_deg is None for servo in self._servos.values()):
+            self.corruptions["started before any frame"] += 1
+        for servo_id, servo in self._servos.items():
+            self._servos.send(servo_id, servo.target_deg, start=True)
+        self._say("started")
+
+    def _say(self, line: str) -> None:
+        if self._on_change is not None:
+            self._on_change(line)
+
+    # ---- what it measures
+
+    def _advance(self, now_ns: int) -> None:
+        """Let servos move, and the battery empty, up to now."""
+        self._servos.move(now_ns)
+        self._battery.draw(self._current_a(), (now_ns - self._advanced_ns) / 1e9)
+        self._advanced_ns = now_ns
+
+    def _current_a(self) -> float:
+        body = self._body()
+        servos = self._servos.values()
+        idle_a = BASE_A + IDLE_A * sum(servo.energised for servo in servos)
+        if body is None:
+            return idle_a + MOVING_A * sum(servo.moves for servo in servos)
+        return idle_a + A_PER_NM * sum(map(abs, body.torques_nm))
+
+    def _measure(self, now_ns: int) -> Measured:
+        body = self._body() or self._at_rest()
+        one, two, three, four, five, six = body.feet_n
+        x, y, z = body.linear_acceleration_m_s2
+        roll, pitch, yaw = body.angular_velocity_rad_s
+        noise = self._noise.gauss
+        passed_s = (now_ns - self._begun_ns) / 1e9
+        return Measured(
+            temperature_c=_AMBIENT_C + _WARMS_BY_C * (1 - math.exp(-passed_s / _WARMS_IN_S)),
+            voltage_v=self._battery.voltage_v,
+            percent=self._battery.percent,
+            orientation_wxyz=body.orientation_wxyz,
+            angular_velocity_rad_s=(
+                noise(roll, _GYRO_NOISE_RAD_S),
+                noise(pitch, _GYRO_NOISE_RAD_S),
+                noise(yaw, _GYRO_NOISE_RAD_S),
+            ),
+            linear_acceleration_m_s2=(
+                noise(x, _ACCELEROMETER_NOISE_M_S2),
+                noise(y, _ACCELEROMETER_NOISE_M_S2),
+                noise(z, _ACCELEROMETER_NOISE_M_S2),
+            ),
+            feet=(one, two, three, four, five, six),
+        )
+
+    def _body(self) -> Sensed | None:
+        return None if self._sensed is None else self._sensed.read()
+
+    def _at_rest(self) -> Sensed:
+        stands = any(servo.energised for servo in self._servos.values())
+        foot_n = MASSES.total_kg * _GRAVITY_M_S2 / len(LEGS) if stands else 0.0
+        return Sensed((1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, _GRAVITY_M_S2), (foot_n,) * len(LEGS), ())
+
+
+def _first_message(received: bytes) -> tuple[bytes, bytes] | None:
+    """The first message in these bytes, and what follows it."""
+    places = {received.find(message): message for message in (START, SHUTDOWN) if message in received}
+    if not places:
+        return None
+    place = min(places)
+    return places[place], received[place + len(places[place]) :]
