@@ -35,9 +35,11 @@ from gateway.host.sensed_page import Sensed, SensedPage
 from gateway.host.servo_page import ServoPage
 from gateway.model import elkapod
 from gateway.model.elkapod import BEGIN, END, FRAME_BYTES, SHUTDOWN, START, Measured
+from gateway.robot.spi import DuplexDevice
 from gateway.robot.spi.simulated_battery import A_PER_NM, BASE_A, IDLE_A, MOVING_A, Battery
 from gateway.robot.spi.simulated_servos import ServoState, SimulatedServos
 from gateway.robot.spi.simulator import KEPT_TRANSFERS
+from gateway.robot.spi.uart import Uart
 from schemas.robot import LEGS, SERVO_IDS
 
 HEARTBEAT_NS: Final = 50_000_000
@@ -56,7 +58,7 @@ _GYRO_NOISE_RAD_S: Final = 0.002
 _ACCELEROMETER_NOISE_M_S2: Final = 0.02
 
 
-class SimulatedElkapod:
+class SimulatedElkapod(DuplexDevice):
     """The controller, its servos and its battery. Each method may be called from any thread, and takes microseconds."""
 
     def __init__(
@@ -235,6 +237,22 @@ class SimulatedElkapod:
         stands = any(servo.energised for servo in self._servos.values())
         foot_n = MASSES.total_kg * _GRAVITY_M_S2 / len(LEGS) if stands else 0.0
         return Sensed((1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, _GRAVITY_M_S2), (foot_n,) * len(LEGS), ())
+
+
+class SimulatedUart(Uart):
+    """The UART of a simulated controller."""
+
+    def __init__(self, controller: SimulatedElkapod) -> None:
+        self._controller = controller
+
+    def write(self, data: bytes) -> None:
+        self._controller.uart_write(data)
+
+    def read(self) -> bytes:
+        return self._controller.uart_read()
+
+    def close(self) -> None:
+        """Nobody listens any more, which changes nothing."""
 
 
 def _first_message(received: bytes) -> tuple[bytes, bytes] | None:
