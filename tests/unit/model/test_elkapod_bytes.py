@@ -281,3 +281,8 @@ def test_whatever_comes_no_more_is_kept_than_one_heartbeat_needs(parts: list[byt
     assert found <= len(b"".join(parts)) // HEARTBEAT_BYTES
     reader.feed(bytes(2 * HEARTBEAT_BYTES))
     assert sum(reader.feed(heartbeat()) for _ in range(2)) == 2
+
+
+@given(st.integers(2, HEARTBEAT_BYTES - 1))
+def test_a_heartbeat_that_was_cut_off_costs_none_behind_it(length: int) -> None:
+    assert Heartbeats().feed(heartbeat()[:length] + 3 * heartbeat()) == 3
