@@ -36,14 +36,12 @@ def _run(settings: Settings, *, simulated: bool, body: BodyProcess | None, fault
     controller = "a simulated controller" if simulated else settings.spi.device
     robot = controller if body is None else "a simulated robot"
 
-    spoken = settings.spi.protocol if settings.spi.protocol.measures else settings.spi.framing
-
     def ready(config: zenoh.Config) -> None:
         if body is not None:
             body.connect(config)
         endpoints = [each for each in listen_endpoints(config) if body is None or each != endpoint(body.folder)]
         where = ", ".join(endpoints) or f"no port of its own ({settings.zenoh.config})"
-        say(f"hexapod-gateway is ready: {where} → {robot} ({spoken})")
+        say(f"hexapod-gateway is ready: {where} → {robot} ({settings.spi.framing})")
         say(next_step(endpoints, this_command()))
 
     physics = None if body is None else service.Physics(body.page, body.sensed, body.zenoh_id, body.folder)
