@@ -18,6 +18,7 @@ from gateway import __version__
 from gateway.allowance import NS_PER_MS, NS_PER_S
 from gateway.host import descriptors, effective, logs, realtime
 from gateway.host.directories import runtime_directory
+from gateway.host.sensed_page import SensedPage
 from gateway.host.servo_page import ServoPage
 from gateway.model.black_box.format import STOP_FACTS
 from gateway.model.frames import centidegrees
@@ -73,6 +74,8 @@ class Physics(NamedTuple):
 
     page: ServoPage
     """Shared memory in which it reads the servos' commanded angles."""
+    sensed: SensedPage
+    """Shared memory in which it writes what its sensors feel."""
     zenoh_id: str
     folder: Path
     """Private folder of the socket through which it reaches the gateway."""

@@ -4,6 +4,8 @@ import json
 import os
 import signal
 import sys
+import threading
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
@@ -12,8 +14,14 @@ import zenoh
 
 from gateway.client import Client
 from gateway.geometry import ELKAPOD
+from gateway.model import elkapod
+from gateway.model.elkapod import Measured
+from gateway.onboard.body_process import BodyProcess
+from gateway.people.physics.assumed import MASS_KG, Assumed
 from gateway.people.recordings import read
+from gateway.robot.spi.elkapod_simulator import SimulatedElkapod
 from schemas import keys
+from schemas.robot import SERVO_IDS
 from schemas.telemetry import Ack, Kind
 from tests.support.child import Child
 from tests.support.command import run_here
@@ -24,6 +32,7 @@ from tests.support.heard import bodies, events
 PHYSICS: Final = ("--sim=physics",)
 PATIENT: Final[dict[str, dict[str, object]]] = {"watchdog": {"timeout_ms": 10_000}, "lease": {"ttl_ms": 10_000}}
 """A machine that is busy with other tests stops no walk."""
+CYCLE_S: Final = 0.02
 
 
 gateway = gateway_fixture(PATIENT, options=PHYSICS)
@@ -136,6 +145,37 @@ def test_people_read_what_its_process_has_to_say_and_the_gateway_waits_for_none_
         running.child.wait_for_output("the physics process was killed by signal 9: nobody simulates the body any more")
         assert client.stop().accepted
         assert not list(tmp_path.glob("hexapod-body-*")), "although the one that removes it was killed"
+
+
+def answers(controller: SimulatedElkapod) -> Iterator[Measured]:
+    """One cycle of frames after the other, 90 degrees in each: it stands, with its tibias upright."""
+    frame, pause = elkapod.frame([elkapod.MIDDLE_CDEG] * len(SERVO_IDS)), threading.Event()
+    controller.exchange(frame)
+    for _ in range(1500):
+        pause.wait(CYCLE_S)
+        yield elkapod.measured(controller.exchange(frame))
+
+
+def test_a_controller_of_elkapod_2025_answers_what_the_body_feels() -> None:
+    """From its process, through two pages of memory: it stands up, and without its servos it sinks."""
+    with BodyProcess(None, Assumed()) as body:
+        controller = SimulatedElkapod(page=body.page, sensed=body.sensed)
+        weight_n = MASS_KG * 9.81
+        heard = answers(controller)
+        lying = next(each for each in heard if 0 < sum(each.feet) < 0.5 * weight_n)
+        controller.uart_write(elkapod.START)
+        stands = (
+            each
+            for each in heard
+            if min(each.feet) > 0.05 * weight_n and sum(each.feet) == pytest.approx(weight_n, rel=0.05)
+        )
+        standing = next(stands)
+        assert standing.tilt_deg is not None
+        assert standing.tilt_deg < 3
+        assert standing.voltage_v < lying.voltage_v - 0.02
+        controller.uart_write(elkapod.SHUTDOWN)
+        assert next(each for each in heard if sum(each.feet) < 0.5 * weight_n).tilt_deg != standing.tilt_deg
+        assert not controller.corruptions
 
 
 @pytest.mark.parametrize(
