@@ -3,6 +3,7 @@
 import io
 import signal
 import sys
+from collections import ChainMap
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -13,7 +14,9 @@ from gateway.client import Client
 from gateway.model.frames import OneServo, Op, ServoOp, decode
 from gateway.onboard.check import move as module
 from gateway.people.tools import kept_lease
-from schemas.telemetry import Cause, FrameRecord, Mode, Reason
+from schemas import keys
+from schemas.robot import SERVO_IDS
+from schemas.telemetry import Cause, ControllerReport, FrameRecord, GatewayState, Mode, Reason
 from tests.support.child import Child
 from tests.support.command import Ended
 from tests.support.fixtures import gateway_fixture
@@ -194,3 +197,62 @@ def test_it_moves_under_the_lease(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
             assert client.servo(12, "start", 90).reason == Reason.NOT_HOLDER
             assert child.wait() == 0, str(child)
         assert (client.state().lease.holder is None) is not kept
+
+
+# ---- a robot that starts and stops as a whole
+
+WHOLE: dict[str, dict[str, object]] = {
+    "spi": {"protocol": "elkapod-2025"},
+    "telemetry": {"frames": True},
+    "watchdog": {"timeout_ms": 9000},
+}
+
+
+@pytest.fixture
+def whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Gateway, Client, Heard[FrameRecord]]]:
+    """Its gateway, once the controller has answered."""
+    monkeypatch.setattr(module, "_HOLD_S", 0.2)
+    with Gateway(tmp_path, WHOLE) as gateway, gateway.client() as client:
+        Heard(client, keys.STATE, GatewayState).wait(lambda state: state.controller.alive is True)
+        yield gateway, client, frames(client)
+
+
+def legs_written(heard: Heard[FrameRecord]) -> list[tuple[Op, dict[int, int]]]:
+    """Operation and angles of all six legs of each command, repeats of one target once."""
+    records = [record for record in heard.all if record.cause == Cause.COMMAND]
+    found = [dict(decode(bytes.fromhex(record.bytes)).servos) for record in records]
+    whole = [dict(ChainMap(*found[at : at + 6])) for at in range(0, len(found), 6)]
+    kinds = [(next(iter(each.values())).op, {servo: op.angle_cdeg for servo, op in each.items()}) for each in whole]
+    return [each for place, each in enumerate(kinds) if not place or kinds[place - 1] != each]
+
+
+def test_all_legs_start_lying_one_servo_moves_and_all_are_stopped(
+    whole: tuple[Gateway, Client, Heard[FrameRecord]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    gateway, client, heard = whole
+    monkeypatch.setattr(sys, "stdin", io.StringIO("23\n\nyes\nyes\nyes\n"))
+    end = gateway.run("check", "--move")
+    assert end.returncode == 0, str(end)
+    assert "all 18 servos will go at once to where it lies" in end.stderr
+    assert "All servos are stopped." in end.stderr
+    heard.wait(lambda record: decode(bytes.fromhex(record.bytes)).is_stop)
+    start, held, moved, stopped = legs_written(heard)[:4]
+    assert [op for op, _ in (start, held, moved, stopped)] == [Op.START, Op.SET, Op.SET, Op.STOP]
+    assert start[1] == held[1]
+    assert set(start[1]) == set(SERVO_IDS)
+    assert {servo: moved[1][servo] - angle for servo, angle in start[1].items() if moved[1][servo] != angle} == {
+        23: 500
+    }
+    assert client.state().mode is Mode.IDLE
+
+
+def test_a_controller_that_does_not_answer_is_not_moved(
+    whole: tuple[Gateway, Client, Heard[FrameRecord]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    gateway, client, heard = whole
+    silent = client.state().model_copy(update={"controller": ControllerReport(protocol="elkapod-2025", alive=False)})
+    monkeypatch.setattr(module, "ready", lambda _: silent)
+    end = gateway.run("check", "--move", "--yes")
+    assert end.returncode == 1
+    assert "A controller of HexapodProtocol v1.0.0 answers nothing" in end.stdout
+    assert legs_written(heard) == []

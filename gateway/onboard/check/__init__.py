@@ -1,6 +1,7 @@
 """`hexapod-gateway check`: what this machine lacks to run the service, a line each, and how to fix it.
 
-It changes nothing: no byte reaches the robot, and a running gateway is not disturbed.
+It changes nothing: no byte reaches the robot, and a running gateway is not disturbed. With elkapod-2025 and no gateway
+running, a controller whose heartbeat comes is shut down, since its answers need frames.
 """
 
 import datetime as dt
@@ -17,6 +18,7 @@ from gateway.onboard import stop
 from gateway.onboard.check import (
     access,
     calibration,
+    controller,
     device,
     holders,
     installation,
@@ -114,7 +116,9 @@ def run(config: Path | None, seen: installation.Installation | None = None) -> I
             if settings.spi.device != used.spi.device:
                 yield device.device(settings.spi)
             yield from (warning("in use", each, _STATE_IT) for each in effective.differences(used, path))
-            settings = settings.model_copy(update={"spi": SpiSettings.model_validate(used.tables["spi"])})
+            uart = settings.controller.model_copy(update={"uart": used.controller.uart})
+            spi = SpiSettings.model_validate(used.tables["spi"])
+            settings = settings.model_copy(update={"spi": spi, "controller": uart})
         yield from _of_settings(settings)
     yield machine.clock()
     unit = machine.unit()
@@ -165,8 +169,11 @@ def _of_settings(settings: Settings) -> Iterator[Result]:
     yield spi_bus.carrier(path)
     yield spi_bus.shared(path)
     yield device.speed(settings.spi, kernel_hz=kernel_hz, gateway_runs=device.held(spi_device))
-    yield device.framing(settings.spi)
-    yield device.lists(settings.spi)
+    if settings.spi.protocol.measures:
+        yield from controller.results(settings, gateway_runs=device.held(spi_device))
+    else:
+        yield device.framing(settings.spi)
+        yield device.lists(settings.spi)
     kept = calibration.kept(settings)
     yield kept
     if kept.verdict is not Verdict.FAILURE and "not for you" not in kept.sentence:

@@ -1,18 +1,16 @@
 """The SPI device: node, permissions, who holds it, speed, framing. Writes nothing to the robot."""
 
 import fcntl
-import grp
 import os
-import pwd
-import stat
 import sys
 from pathlib import Path
 from typing import Final
 
 from gateway.errors import SpiError
+from gateway.model.elkapod import FRAME_BYTES
 from gateway.model.frames import ONE_LEG_LEN
 from gateway.model.framing import Framing
-from gateway.onboard.check import service_user
+from gateway.onboard.check import nodes, service_user
 from gateway.onboard.check.installation import RESTART
 from gateway.onboard.check.result import Result, failure, ok, warning
 from gateway.robot.sections import SpiSettings
@@ -22,12 +20,11 @@ from gateway.robot.spi.kernel import KernelDevice
 from gateway.robot.spi.machine import ROOT_DIR, driver_of, gpio_selects
 from schemas.robot import LEGS
 
-MEASURED_HZ: Final = 2_500_000
-"""Up to this speed the clock was measured to be clean."""
 CALL_NS: Final = 90_000
 """What a transfer takes longer that is a call of its own (140 µs were seen with a pause of 50)."""
 SLOW_STOPS_MS: Final = 20.0
-"""Six Stops should not take longer to write than the shortest watchdog timeout that can be set."""
+"""Six Stops should not take longer to write than the shortest watchdog timeout that can be set; nor should a frame of
+elkapod-2025 than its default cycle."""
 
 _READ_SPEED: Final = 2 << 30 | 4 << 16 | ord("k") << 8 | 4
 """SPI_IOC_RD_MAX_SPEED_HZ."""
@@ -38,17 +35,17 @@ _HELD: Final = "is held by a running gateway"
 def device(spi: SpiSettings) -> Result:
     """Whether the device can be opened and set up as the service does it. Closes it at once."""
     path = Path(spi.device)
-    lack = _node(path) or _permission(path)
+    lack = nodes.missing(_NAME, path, "spi.device", _absent(path)) or _permission(path)
     if lack is not None:
         return lack
     try:
-        KernelDevice(spi.device, spi.speed_hz).close()
+        KernelDevice(spi.device, spi.speed_hz, mode=spi.protocol.spi_mode).close()
     except SpiError as error:
         if isinstance(error.__cause__, BlockingIOError):
             return ok(_NAME, f"{path} {_HELD}; a second one would be rejected")
         return failure(_NAME, str(error), f"is {path} a SPI device? see dmesg")
     by = f"; {ioctls.USED}" if ioctls.are_used() else ""
-    return ok(_NAME, f"{path} opens, as {_user()}{by}")
+    return ok(_NAME, f"{path} opens, as {nodes.user()}{by}")
 
 
 def held(result: Result) -> bool:
@@ -56,37 +53,28 @@ def held(result: Result) -> bool:
     return _HELD in result.sentence
 
 
-def _node(path: Path) -> Result | None:
-    try:
-        mode = path.stat().st_mode
-    except PermissionError as error:
-        return failure(_NAME, f"{path} cannot be looked at ({error.strerror})", "check the folder's permissions")
-    except OSError:
-        others = sorted(str(found) for found in path.parent.glob("spidev*")) if path.parent.is_dir() else []
-        fix = (
-            f"set spi.device; here there is {', '.join(others)}"
-            if others
-            else "switch SPI on (dtparam=spi=on in config.txt) and reboot; without a robot: run --sim"
-        )
-        return failure(_NAME, f"{path} does not exist", fix)
-    return None if stat.S_ISCHR(mode) else failure(_NAME, f"{path} is no device node", "set spi.device to one")
+def _absent(path: Path) -> str:
+    others = sorted(str(found) for found in path.parent.glob("spidev*")) if path.parent.is_dir() else []
+    return (
+        f"set spi.device; here there is {', '.join(others)}"
+        if others
+        else "switch SPI on (dtparam=spi=on in config.txt) and reboot; without a robot: run --sim"
+    )
 
 
 def _permission(path: Path) -> Result | None:
     if os.access(path, os.R_OK | os.W_OK):
         return None
-    status = path.stat()
-    group = _group(status.st_gid)
-    rights = stat.filemode(status.st_mode)
+    group = nodes.group_that_may(path)
     fix = (
         f"the udev rule of the installation gives it to the group spi at each boot; now: sudo chgrp spi {path} && "
         f"sudo chmod 660 {path} && {RESTART}"
         if service_user.uid() is not None
-        else f"sudo usermod -aG {group} {_user()} # then log in again"
-        if status.st_gid and (status.st_mode & 0o060) == 0o060
+        else f"sudo usermod -aG {group} {nodes.user()} # then log in again"
+        if group is not None
         else "install the udev rule (sudo deploy/install.sh), which gives it to the group spi"
     )
-    return failure(_NAME, f"{path} may not be opened by {_user()} ({rights}, group {group})", fix)
+    return nodes.denied(_NAME, path, fix)
 
 
 def kernel_hz(path: str) -> int | None:
@@ -105,8 +93,10 @@ def kernel_hz(path: str) -> int | None:
         return None
 
 
-def stops_ms(spi: SpiSettings, speed_hz: int) -> float:
-    """How long six Stops take on the wire."""
+def wire_ms(spi: SpiSettings, speed_hz: int) -> float:
+    """How long six Stops take on the wire; where these do not go over SPI, a frame."""
+    if spi.protocol.measures:
+        return 8 * FRAME_BYTES / speed_hz * 1e3
     announced = spi.framing is Framing.LENGTH_PREFIXED
     each_ns = spi.frame_gap_us * 1e3 + CS_CHANGE_NS + (0 if spi.batch else CALL_NS)
     bits = 8 * (ONE_LEG_LEN + announced)
@@ -129,30 +119,33 @@ def speed(
             f"{wanted} is above the {_megahertz(most_hz)} that the device tree allows {spi.device}",
             f"set spi.speed_hz = {most_hz} or less, or raise spi-max-frequency",
         )
-    if spi.speed_hz > MEASURED_HZ:
+    known_hz = spi.protocol.speed_hz
+    if spi.speed_hz > known_hz:
+        how = "that the robot's own driver has" if spi.protocol.measures else "up to which the protocol was measured"
         return warning(
             name,
-            f"{wanted} is above the {_megahertz(MEASURED_HZ)} up to which the protocol was measured",
-            f"set spi.speed_hz = {MEASURED_HZ}, or measure the clock on your wires",
+            f"{wanted} is above the {_megahertz(known_hz)} {how}",
+            f"set spi.speed_hz = {known_hz}, or measure the clock on your wires",
         )
     given_hz = min(spi.speed_hz, kernel_hz or spi.speed_hz)
-    takes_ms = stops_ms(spi, given_hz)
+    takes_ms = wire_ms(spi, given_hz)
+    what = "a frame" if spi.protocol.measures else "an emergency stop"
     if kernel_hz is not None and (kernel_hz != spi.speed_hz if gateway_runs else kernel_hz < spi.speed_hz):
         why, fix = _OTHER_SPEED if gateway_runs else (_LOWERED, f"set spi.speed_hz = {kernel_hz} or less")
         return warning(
             name,
             f"{wanted} is set, and the kernel gives {_megahertz(kernel_hz)}: {why}; "
-            f"an emergency stop takes {takes_ms:.1f} ms to write",
+            f"{what} takes {takes_ms:.1f} ms to write",
             fix,
         )
     if takes_ms > SLOW_STOPS_MS:
         return warning(
             name,
-            f"{wanted} is so slow that an emergency stop takes {takes_ms:.0f} ms to write",
-            f"set spi.speed_hz = {MEASURED_HZ}",
+            f"{wanted} is so slow that {what} takes {takes_ms:.0f} ms to write",
+            f"set spi.speed_hz = {known_hz}",
         )
     given = f", and the kernel gives {_megahertz(given_hz)}" if kernel_hz is not None else ""
-    return ok(name, f"{wanted}{given}; an emergency stop takes {takes_ms:.1f} ms to write")
+    return ok(name, f"{wanted}{given}; {what} takes {takes_ms:.1f} ms to write")
 
 
 _LOWERED: Final = "its controller takes no more, or another program has the device open"
@@ -213,17 +206,3 @@ def _most_hz(file: Path) -> int | None:
 
 def _megahertz(hz: int) -> str:
     return f"{hz / 1e6:g} MHz" if hz >= 10_000 else f"{hz} Hz"
-
-
-def _user() -> str:
-    try:
-        return pwd.getpwuid(os.geteuid()).pw_name
-    except KeyError:
-        return str(os.geteuid())
-
-
-def _group(gid: int) -> str:
-    try:
-        return grp.getgrgid(gid).gr_name
-    except KeyError:
-        return str(gid)

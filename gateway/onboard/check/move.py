@@ -9,17 +9,22 @@ that comes back to the gateway, so a person is asked whether the servo is loose.
 """
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Final
 
+from gateway import geometry
 from gateway.errors import ConfigError
+from gateway.model.protocols import starts_whole
 from gateway.people.client.blocking import Client
 from gateway.people.terminal import ask, say
 from gateway.people.tools.driving import drives, rejected
 from gateway.people.tools.moving import ServoMotion, consents, ready, stopped_after
 from gateway.people.tools.reach import Connection, show_differences
-from schemas.robot import LEGS, MAX_DEG, SERVO_IDS
+from gateway.people.walking.planning import Planner
+from gateway.people.walking.robot import Robot, ranges
+from schemas.calibration import Calibration
+from schemas.robot import JOINTS, LEGS, MAX_DEG, SERVO_IDS
 from schemas.telemetry import Ack, GatewayState, Reason, WatchdogState
 
 DEFAULT_SERVO: Final = 61
@@ -36,6 +41,14 @@ _HOLDS: Final = (
     "Set spi.batch = false in the configuration, restart the gateway, and do this again. It was now stopped alone: if "
     "it holds even so, switch its power off, for then the cause is another one."
 )
+_WHOLE_HOLDS: Final = (
+    "The shutdown does not reach the controller: AN EMERGENCY STOP WOULD STOP NOTHING. Switch the servos' power off, "
+    "and see that the Pi's TX leads to the controller's RX (controller.uart names the UART)."
+)
+_SILENT: Final = (
+    "The controller does not answer, so nothing is moved: hexapod-gateway status names what is missing. A controller "
+    'of HexapodProtocol v1.0.0 answers nothing; it needs spi.protocol = "hexapod-1.0".'
+)
 _FIRST: Final = (
     "Its Stop was the first of six in one call, so this does not show whether the others arrive: do it once more with "
     "a servo of leg 6."
@@ -44,8 +57,19 @@ _FIRST: Final = (
 
 def causes(state: GatewayState) -> tuple[str, ...]:
     """Why a servo may stand still though every frame was written; the likeliest first."""
+    supply = (
+        "Supply: have the servos one of their own, and is it switched on? A servo that runs holds against your hand."
+    )
+    plugged = "The servo: is it plugged in where its id says (the leg, then the joint)? Try another one."
+    if starts_whole(state.controller.protocol):
+        return (
+            supply,
+            "UART: does the Pi's TX lead to the controller's RX? Its heartbeat comes by the other wire.",
+            "Wiring: does MOSI lead from the Pi to the controller? Its answers come by MISO, so SCLK works.",
+            plugged,
+        )
     return (
-        "Supply: have the servos one of their own, and is it switched on? A servo that runs holds against your hand.",
+        supply,
         f"Framing: the gateway speaks {state.spi.framing}. The published STM32 firmware needs length-prefixed, a "
         "controller that follows the protocol's document plain. Know which one is there before you change it: nothing "
         "here tries the other one by itself, for plain makes the published firmware deaf.",
@@ -53,7 +77,7 @@ def causes(state: GatewayState) -> tuple[str, ...]:
         "right one, restart the gateway, and reset the controller (its reset button, or power).",
         "Wiring: do MOSI, SCLK and GND lead from the Pi to the controller, and have the servos the same ground?",
         f"Chip select: the gateway writes to {state.spi.device}; CE0 is /dev/spidev0.0, CE1 is /dev/spidev0.1.",
-        "The servo: is it plugged in where its id says (the leg, then the joint)? Try another one.",
+        plugged,
     )
 
 
@@ -65,7 +89,12 @@ def move(connect: Connection, *, agreed: bool) -> int:
     with connect() as client:
         state = ready(client)
         show_differences()
-        motion = ServoMotion([DEFAULT_SERVO], DEFAULT_ANGLE_DEG) if agreed else _asked()
+        whole = starts_whole(state.controller.protocol)
+        if whole and not state.controller.alive:
+            say(_SILENT)
+            return 1
+        lying = _lying(state, client.calibration()) if whole else {}
+        motion = _motion(DEFAULT_SERVO, "", lying) if agreed else _asked(lying)
         servo_id = motion.servo_ids[0]
         if not consents(motion, state, agreed=agreed):
             say("Nothing was moved.")
@@ -73,7 +102,10 @@ def move(connect: Connection, *, agreed: bool) -> int:
         state = ready(client)  # the questions took their time
         with (
             drives(client, _HOLD_S, moves=True) as lease,
-            stopped_after(f"servo {servo_id} is", partial(_stop, client, servo_id)),
+            stopped_after(
+                "all servos are" if whole else f"servo {servo_id} is",
+                partial(_stop, client, None if whole else servo_id),
+            ),
         ):
             if not (_moved(client, motion, state.watchdog.timeout_ms, lease) and _accepted(client.stop())):
                 return 1
@@ -90,18 +122,33 @@ def move(connect: Connection, *, agreed: bool) -> int:
         for place, cause in enumerate(causes(state), 1):
             say(f"{place}. {cause}")
     if loose == "no":
-        say(_HOLDS)
+        say(_WHOLE_HOLDS if whole else _HOLDS)
     if loose != "yes":
         return 1
     say(f"Then everything from here to servo {servo_id} works.")
-    if servo_id // 10 == LEGS[0]:
+    if servo_id // 10 == LEGS[0] and not whole:
         say(_FIRST)
     return 0
 
 
-def _asked() -> ServoMotion:
+def _lying(state: GatewayState, calibration: Calibration | None) -> dict[int, float]:
+    """The angle of each servo of a robot that lies, its feet just off the ground. Raises WalkError."""
+    pose = Planner(Robot(geometry.load(), ranges(state.limits, calibration))).found({}).pose
+    return {
+        10 * leg + joint: round(angle_deg, 2)
+        for leg, angles_deg in pose.items()
+        for joint, angle_deg in zip(JOINTS, angles_deg, strict=True)
+    }
+
+
+def _asked(lying: Mapping[int, float]) -> ServoMotion:
     servo_id = _servo(ask(f"Which servo, 11 to 63? [{DEFAULT_SERVO}] "))
-    return ServoMotion([servo_id], _angle(ask(f"Start it at which angle? [{DEFAULT_ANGLE_DEG:g}] ")))
+    usual_deg = lying.get(servo_id, DEFAULT_ANGLE_DEG)
+    return _motion(servo_id, ask(f"Start it at which angle? [{usual_deg:g}] "), lying)
+
+
+def _motion(servo_id: int, text: str, lying: Mapping[int, float]) -> ServoMotion:
+    return ServoMotion([servo_id], _angle(text, lying.get(servo_id, DEFAULT_ANGLE_DEG)), lying)
 
 
 def _moved(client: Client, motion: ServoMotion, timeout_ms: float, lease: dict[str, str]) -> bool:
@@ -117,10 +164,13 @@ def _moved(client: Client, motion: ServoMotion, timeout_ms: float, lease: dict[s
     )
 
 
-def _stop(client: Client, servo_id: int) -> str:
-    """By a Stop that is alone in its call."""
-    ack = client.servo(servo_id, "stop")
-    return f"Servo {servo_id} is stopped." if ack.accepted else f"Servo {servo_id}: {ack.reason}: {ack.detail}"
+def _stop(client: Client, servo_id: int | None) -> str:
+    """By a Stop that is alone in its call; None: of all."""
+    which = "All servos" if servo_id is None else f"Servo {servo_id}"
+    ack = client.stop() if servo_id is None else client.servo(servo_id, "stop")
+    if not ack.accepted:
+        return f"{which}: {ack.reason}: {ack.detail}"
+    return f"{which} {'are' if servo_id is None else 'is'} stopped."
 
 
 def _held(client: Client, servo_id: int, again: Callable[[], Ack], timeout_ms: float) -> bool:
@@ -163,9 +213,9 @@ def _servo(text: str) -> int:
     raise ConfigError(f"{text!r} is no servo: the leg, 1 to 6, then the joint, 1 to 3")
 
 
-def _angle(text: str) -> float:
+def _angle(text: str, usual_deg: float) -> float:
     if not text:
-        return DEFAULT_ANGLE_DEG
+        return usual_deg
     try:
         angle_deg = float(text)
     except ValueError:

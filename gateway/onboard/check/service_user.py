@@ -17,8 +17,8 @@ from gateway.errors import GatewayError
 from gateway.onboard.check.result import Result, ok, warning
 
 SERVICE_USER: Final = "hexapod-gateway"
-_GROUP_OF_THE_UNIT: Final = "spi"
-_LOADED_LATE: Final = ("gateway.certs.folder", "spidev")
+_GROUPS_OF_THE_UNIT: Final = ("spi", "dialout")
+_LOADED_LATE: Final = ("gateway.certs.folder", "serial", "spidev")
 """The service's user may not be able to read the folder that this Python runs from."""
 _CRASHED: Final = 70  # EX_SOFTWARE
 
@@ -67,8 +67,9 @@ def _become(user: pwd.struct_passwd, rtprio: int | None) -> None:
         with suppress(OSError, ValueError):  # without CAP_SYS_RESOURCE, as in a container: `realtime` then says so
             resource.setrlimit(resource.RLIMIT_RTPRIO, (rtprio, rtprio))
     groups = set(os.getgrouplist(user.pw_name, user.pw_gid))
-    with suppress(KeyError):
-        groups.add(grp.getgrnam(_GROUP_OF_THE_UNIT).gr_gid)
+    for group in _GROUPS_OF_THE_UNIT:
+        with suppress(KeyError):
+            groups.add(grp.getgrnam(group).gr_gid)
     os.setgroups(sorted(groups))
     os.setgid(user.pw_gid)
     os.setuid(user.pw_uid)

@@ -4,8 +4,9 @@ People stand next to the robot. Nothing moves unless it is at rest and nobody el
 servo goes where; and however it ends, a sentence reports whether all is stopped.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from types import MappingProxyType
 from typing import Any, Final, NamedTuple
 
 from gateway.errors import ConfigError, GatewayError
@@ -15,7 +16,7 @@ from gateway.people.tools import kept_lease
 from gateway.people.tools.reach import check_at_rest
 from gateway.text import visible
 from schemas import keys
-from schemas.robot import JOINTS, MAX_DEG
+from schemas.robot import JOINTS, LEGS, MAX_DEG
 from schemas.telemetry import GatewayState
 
 STEP_DEG: Final = 5.0
@@ -30,6 +31,8 @@ class ServoMotion(NamedTuple):
     servo_ids: list[int]
     start_deg: float
     """0 to 180. A start sends a servo there at once, wherever it stands."""
+    holding: Mapping[int, float] = MappingProxyType({})
+    """The angles of all servos where only the whole robot starts; those that do not move hold them."""
 
     @property
     def end_deg(self) -> float:
@@ -45,11 +48,19 @@ class ServoMotion(NamedTuple):
     @property
     def key(self) -> str:
         """Where commands for them go."""
+        if self.holding:
+            return keys.LEGS_COMMAND
         return keys.leg_command(self.leg) if len(self.servo_ids) > 1 else keys.servo_command(self.servo_ids[0])
 
     def payload(self, op: str, angle_deg: float) -> dict[str, Any]:
-        """A start or a set of all of them."""
+        """A start or a set of all of them, and of those that hold."""
         servo = {"op": op, "angle_deg": angle_deg}
+        if self.holding:
+            angles_deg = {**self.holding, **dict.fromkeys(self.servo_ids, angle_deg)}
+            held = {
+                str(leg): [{"op": op, "angle_deg": angles_deg[10 * leg + joint]} for joint in JOINTS] for leg in LEGS
+            }
+            return {"legs": {leg: {"servos": servos} for leg, servos in held.items()}}
         return {"servos": [servo] * len(self.servo_ids)} if len(self.servo_ids) > 1 else servo
 
     @property
@@ -78,10 +89,16 @@ def ready(client: Client) -> GatewayState:
 
 def consents(motion: ServoMotion, state: GatewayState, *, agreed: bool) -> bool:
     """Announce the motion. Returns whether a person agrees, here or beforehand."""
+    if motion.holding:
+        hint(
+            "This robot starts and stops as a whole: all 18 servos will go at once to where it lies, wherever they "
+            "stand, and hold. Lay it flat on the ground, or hang it up."
+        )
+    others = ", with all others" if motion.holding else ""
     hint(
         f"{motion.which.capitalize()} will go to {motion.start_deg:g}° at once, wherever it stands, move between that "
-        f"and {motion.end_deg:g}°, and be stopped. Keep people, hands and cables away, and the switch of its power at "
-        "hand."
+        f"and {motion.end_deg:g}°, and be stopped{others}. Keep people, hands and cables away, and the switch of its "
+        "power at hand."
     )
     if state.watchdog.landing_ms:
         hint(f"Whenever it falls silent, it goes to its landing angle in {state.watchdog.landing_ms:g} ms.")
