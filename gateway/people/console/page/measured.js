@@ -64,7 +64,8 @@ export class Measured {
     if (battery) {
       const low = battery.percent < LOW_PERCENT;
       attribute(byId("battery"), "data-low", low ? "yes" : "no");
-      text(byId("battery-known"), `${battery.voltage_v.toFixed(1)} V, ${Math.round(battery.percent)} %${low ? ", low" : ""}`);
+      text(byId("volts"), `${battery.voltage_v.toFixed(1)} V, `);
+      text(byId("battery-known"), `${Math.round(battery.percent)} %${low ? ", low" : ""}`);
     }
     show(byId("tilt"), tilt !== null);
     if (tilt !== null) text(byId("tilt-known"), `${Math.round(tilt)}°`);

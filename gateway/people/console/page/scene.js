@@ -20,8 +20,10 @@ const LINES = 7;
 const COURSE_M = 0.06;
 const TURN_PER_PIXEL = 0.008;
 const TURN_PER_KEY = Math.PI / 24;
-/** A foot whose force is measured is drawn so much larger: filled if it carries. */
-const MEASURED = 1.8;
+/** A foot whose force is measured is drawn so much larger: filled if it carries, else so transparent. */
+const CARRIES = 2.2;
+const HANGS = 1.6;
+const HANGS_OPACITY = 0.3;
 
 /** @type {Record<string, {opacity: number, wireframe: boolean, variable: string}>} */
 const LOOKS = {
@@ -133,7 +135,7 @@ export class Scene {
       });
       this.#look(parts.material, pose.status);
       this.#look(parts.foot.material, pose.status, pose.carries);
-      parts.foot.scale.setScalar(pose.carries === null ? 1 : MEASURED);
+      parts.foot.scale.setScalar(pose.carries === null ? 1 : pose.carries ? CARRIES : HANGS);
       parts.ring.visible = pose.selected && !body;
       const foot = legPoints(this.geometry, leg, pose.degrees)[4];
       parts.ring.position.set(foot[0], foot[1], 0.001);
@@ -276,7 +278,7 @@ export class Scene {
       axes.push(axis);
       parent = joint;
     }
-    const foot = new three.Mesh(new three.SphereGeometry(0.011, 12, 8), material.clone());
+    const foot = new three.Mesh(new three.SphereGeometry(0.011, 20, 14), material.clone());
     foot.position.set(...chain[3].origin_xyz_m);
     foot.castShadow = true;
     parent.add(foot);
@@ -299,8 +301,8 @@ export class Scene {
     if (userData.status === status && userData.filled === filled) return;
     Object.assign(userData, { status, filled });
     const look = LOOKS[status] ?? LOOKS.other;
-    material.opacity = filled === null ? look.opacity : 1;
-    material.wireframe = filled === null ? look.wireframe : !filled;
+    material.opacity = filled === null ? look.opacity : filled ? 1 : HANGS_OPACITY;
+    material.wireframe = filled === null && look.wireframe;
     material.color.set(colour(look.variable));
     material.needsUpdate = true;
   }
