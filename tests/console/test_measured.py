@@ -137,12 +137,13 @@ def test_a_controller_that_is_silent_is_shown_in_red_and_the_strip_stays_on_the_
     expect(page["measured"]).to_have_text("Controller silent", use_inner_text=True)
     expect_no_serious_violation(page)
     with measures(robot, MEASURED):
-        expect(page["battery"]).to_be_visible()
+        expect(page["battery-known"]).to_have_text("80 %")
         for width, height in SIZES:
             page.page.set_viewport_size({"width": width, "height": height})
-            expect(page["battery"]).to_be_visible()
-            assert page.page.evaluate(COVERED) == [], (width, height)
-    page.page.evaluate("window.controller.alive = true")
+            for alive in (False, True):
+                page.page.evaluate("(alive) => (window.controller.alive = alive)", alive)
+                expect(page["controller-silent"]).to_be_visible(visible=not alive)
+                assert page.page.evaluate(COVERED) == [], (width, height)
     expect(page["measured"]).to_be_hidden()
 
 

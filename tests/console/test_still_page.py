@@ -166,7 +166,8 @@ def situations(source: str) -> dict[str, tuple[list[dict[str, Any]], dict[str, A
             {**lease(source), "mode": "estopped", "now": f"Emergency stop by {LONG}: nothing runs until a reset"},
         ),
         "a bus fault": ([], {**lease(LONG, asked_by=LONG), "mode": "bus_fault"}),
-        "measured": ([MEASURED], {**lease(source), "controller": {"alive": False}}),
+        "measured": ([MEASURED], lease(source)),
+        "controller silent": ([MEASURED], {**lease(source), "controller": {"alive": False}}),
         "no gateway": ([{"type": "link", "status": "gone", "detail": gone}, mine(False)], lease(LONG)),
         "a gateway again": ([{"type": "link", "status": "connected", "detail": ""}], lease(None)),
     }
