@@ -35,6 +35,8 @@ _EVENT_S: Final = 0.1
 """How much later than an answer the event about the same Stop may arrive."""
 AGAIN: Final = "start_again() goes on; after an emergency stop, once reset() has left it"
 """A program's next call, as a note of the error: tracebacks show it, `str()` does not."""
+WHOLE: Final = "the first set() has to name all six legs: this robot's controller starts and stops all of them at once"
+"""What to send in place of a start that this robot's controller does not know, as a note."""
 _AND_THEN: Final = (Kind.WATCHDOG_EXPIRED, Kind.STOPPED_OUTSIDE, Kind.STOPPING)
 """Events whose detail continues, after a semicolon, with the state that followed."""
 _SILENCE: Final = "if it runs, its watchdog stops the legs; if it has died, stop-servos does, where systemd runs it"
@@ -65,7 +67,8 @@ class Stream:
     stopped: somebody else may have started it.
     Only `set` sends setpoints, so the gateway's watchdog stops the legs of a program that stalls, and a leg that is
     left out for longer than its timeout. Inside `Client.lease`, legs whose lease was handed over or taken are no longer
-    this stream's: it does not stop them at its end. For one thread at a time.
+    this stream's: it does not stop them at its end. A robot that starts as a whole wants all six legs in each `set`:
+    the first starts them together, and a leg that is left out stops them all. For one thread at a time.
 
     >>> with Client(endpoint) as robot, robot.stream(hz=50) as stream:
     ...     for step in range(10):
@@ -423,4 +426,7 @@ def checked_hz(hz: float) -> float:
 
 
 def _rejected(ack: Ack) -> RejectedError:
-    return RejectedError(ack.reason or "", ack.detail or "")
+    error = RejectedError(ack.reason or "", ack.detail or "")
+    if error.reason == Reason.WHOLE_ROBOT:
+        error.add_note(WHOLE)
+    return error

@@ -6,10 +6,10 @@ from typing import Any, Self
 
 import pytest
 
-from gateway.errors import DisconnectedError, StoppedError, UnansweredError
+from gateway.errors import DisconnectedError, RejectedError, StoppedError, UnansweredError
 from gateway.people.client.pace import SILENCE_S
-from gateway.people.client.stream import AGAIN, Stream, happened
-from schemas.telemetry import Ack, Event, GatewayState, Kind, WatchdogState
+from gateway.people.client.stream import AGAIN, WHOLE, Stream, happened
+from schemas.telemetry import Ack, Event, GatewayState, Kind, Reason, WatchdogState
 from tests.support.watch_reports import WALL, event, state
 
 HZ = 50
@@ -194,6 +194,19 @@ def test_a_gateway_that_was_restarted_is_noticed_by_its_first_state(robot: Robot
     asked = robot.questions
     stream.set({1: POSE})
     assert robot.questions == asked, "one answer was enough"
+
+
+def test_a_start_that_only_the_whole_robot_has_says_what_to_send_in_its_place(
+    monkeypatch: pytest.MonkeyPatch, robot: Any
+) -> None:
+    whole = Ack(accepted=False, reason=Reason.WHOLE_ROBOT, detail="this robot starts as a whole")
+    monkeypatch.setattr(robot, "ask", lambda *_, **__: whole)
+    with Stream(robot, HZ) as stream:
+        for _ in range(2):
+            with pytest.raises(RejectedError, match="whole_robot: this robot starts as a whole") as raised:
+                stream.set({1: POSE})
+            assert raised.value.__notes__ == [WHOLE]
+    assert robot.published == []
 
 
 def test_a_program_whose_setpoints_take_a_leg_from_another_one_is_warned_once(robot: Robot, stream: Stream) -> None:
