@@ -27,7 +27,15 @@ MAX_HZ: Final = 1000
 """The highest `limits.leg_rate_hz`."""
 _KEPT: Final = 64
 _STOPPED_ALREADY: Final = (Reason.ESTOPPED, Reason.STOPPING)
-_ENDINGS: Final = (Kind.ESTOP_ENGAGED, Kind.BUS_FAULT, Kind.STOPPED_OUTSIDE, Kind.STOPPING, Kind.STARTED)
+_ENDINGS: Final = (
+    Kind.ESTOP_ENGAGED,
+    Kind.BUS_FAULT,
+    Kind.CONTROLLER_SILENT,
+    Kind.FALLEN,
+    Kind.STOPPED_OUTSIDE,
+    Kind.STOPPING,
+    Kind.STARTED,
+)
 """Events after which no leg runs."""
 _STOPPED_LEGS: Final = (Kind.WATCHDOG_EXPIRED, Kind.OVERFLOW)
 """Events of single legs that the gateway stopped by a rule of its own."""
@@ -395,6 +403,8 @@ class Stream:
         match state.mode:
             case Mode.ESTOPPED:
                 why = f"{state.estop_source or 'somebody'} engaged the emergency stop"
+            case Mode.BUS_FAULT if state.controller.alive is False:
+                why = "the controller fell silent"
             case Mode.BUS_FAULT:
                 why = "the SPI bus did not answer"
             case Mode.STOPPING | Mode.STARTING:

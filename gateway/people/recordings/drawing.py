@@ -167,6 +167,9 @@ _LEVELS: Final = {
     Kind.BUS_MEDDLED: Log.WARN,
     Kind.ESTOP_ENGAGED: Log.ERROR,
     Kind.BUS_FAULT: Log.ERROR,
+    Kind.CONTROLLER_SILENT: Log.ERROR,
+    Kind.FALLEN: Log.ERROR,
+    Kind.BATTERY_LOW: Log.WARN,
 }
 
 

@@ -192,6 +192,7 @@ def diagnostics(state: GatewayState) -> tuple[DiagnosticStatus, ...]:
             device=state.spi.device,
             frames=state.spi.frames,
             errors=state.spi.errors,
+            controller_alive=state.controller.alive,
         ),
         status(
             "emergency stop",

@@ -15,7 +15,7 @@ from gateway.people.client.walk import robot_of
 from gateway.people.ros2.joints import JointsError
 from gateway.people.ros2.trajectory import Trajectory, Waypoint
 from schemas.robot import LEGS, SERVO_IDS
-from schemas.telemetry import Ack, ControllerReport, GatewayState
+from schemas.telemetry import Ack, ControllerReport
 from tests.unit.people import test_stream
 
 GEOMETRY: Final = load()
@@ -28,11 +28,8 @@ class Robot(test_stream.Robot):
 
     def __init__(self, protocol: str) -> None:
         super().__init__()
-        self.protocol = protocol
+        self.changed = {"controller": ControllerReport(protocol=protocol)}
         self.legs: list[list[int]] = []
-
-    def report(self) -> GatewayState:
-        return super().report().model_copy(update={"controller": ControllerReport(protocol=self.protocol)})
 
     def calibration(self) -> Any:
         raise UnansweredError("an older gateway has none")
