@@ -38,6 +38,8 @@ WANTED: Final = (
     f"{TRIGGER}_Request",
     f"{TRIGGER}_Response",
 )
+OTHERWISE: Final = {"Imu": "ImuMessage"}
+"""Names of classes, where the schemas have one of ROS 2's name."""
 PYTHON: Final = {
     "bool": ("bool", "False"),
     "byte": ("byte", "0"),
@@ -179,7 +181,8 @@ def _attribute(name: str, description: Any) -> str:
 
 def _python(name: str) -> str:
     """`std_msgs/msg/String` → `String`, `std_srvs/srv/Trigger_Request` → `TriggerRequest`."""
-    return name.rsplit("/", maxsplit=1)[1].replace("_", "")
+    short = name.rsplit("/", maxsplit=1)[1].replace("_", "")
+    return OTHERWISE.get(short, short)
 
 
 if __name__ == "__main__":

@@ -247,7 +247,7 @@ class MarkerArray(Message):
 
 
 @ros_msg("sensor_msgs/msg/Imu", "7d9a00ff131080897a5ec7e26e315954b8eae3353c3f995c55faf71574000b5b")
-class Imu(Message):
+class ImuMessage(Message):
     header: Header = Header()
     orientation: Quaternion = Quaternion()
     orientation_covariance: Annotated[tuple[float64, ...], 9] = (0.0,) * 9

@@ -14,7 +14,7 @@ from gateway.people.ros2.messages import (
     DiagnosticArray,
     DiagnosticStatus,
     Header,
-    Imu,
+    ImuMessage,
     JointState,
     KeyValue,
     Marker,
@@ -41,7 +41,7 @@ _OFF: Final = ColorRGBA(0.9, 0.15, 0.1, 0.85)
 _OK, _WARN, _ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 MEASURED: Final[Mapping[str, type[Message]]] = {
     "battery_state": BatteryState,
-    "imu/data": Imu,
+    "imu/data": ImuMessage,
     "temperature": Temperature,
 }
 """Topic → the type of its messages: what a robot may measure."""
@@ -132,7 +132,7 @@ def measured(found: Telemetry, time_ns: int) -> Iterator[tuple[str, Message]]:
         w, x, y, z = imu.orientation_wxyz
         yield (
             "imu/data",
-            Imu(
+            ImuMessage(
                 header,
                 Quaternion(x, y, z, w),
                 orientation_covariance=_NONE if found.tilt_deg is None else (0.0,) * 9,  # no tilt: no orientation yet

@@ -18,7 +18,7 @@ from gateway.people.ros2.messages import (
     DiagnosticArray,
     Duration,
     Header,
-    Imu,
+    ImuMessage,
     JointState,
     JointTrajectory,
     JointTrajectoryPoint,
@@ -196,7 +196,7 @@ def test_a_count_of_nothings_that_lies_takes_no_time() -> None:
 
 
 def test_what_cannot_be_written_is_reported() -> None:
-    short = Imu(orientation_covariance=(0.0,) * 8)
+    short = ImuMessage(orientation_covariance=(0.0,) * 8)
     for message in (String("a\0b"), String("\ud800"), Time(2**31, 0), Duration(0, -1), short):
         with pytest.raises(CdrError):
             encode(message)
