@@ -137,7 +137,9 @@ def test_what_the_robot_measures_is_one_row_and_none_where_it_measures_nothing(
     text = picture(model, 0, "here", 80, 24)
     _, _, below = text.plain.partition("\n 6  ")
     _, *rows = [line.rstrip() for line in below.splitlines()]
-    assert rows[: rows.index("")] == ([] if row is None else [row])
+    measured = rows[: rows.index("")]
+    assert measured == ([] if row is None else [row])
+    assert rows[len(measured) + 1].split()[:1] == ["accepted"], "behind one blank row"
     red = [str(text.plain[span.start : span.end]) for span in text.spans if "red" in str(span.style)]
     assert ("  CONTROLLER SILENT" in red) is (alive is False)
 
