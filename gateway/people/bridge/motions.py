@@ -283,7 +283,3 @@ def next_start(legs: dict[int, Degrees], started: frozenset[int]) -> dict[int, D
     """Of these legs, those that run already, and one more."""
     new = sorted(legs.keys() - started)[:1]
     return {leg: angles for leg, angles in legs.items() if leg in started or leg in new}
-
-
-GAIT_NUMBERS: Final = {0: "wave", 1: "ripple", 2: "tripod"}
-"""As the Elkapod's own stack numbers them."""

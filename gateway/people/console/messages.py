@@ -244,7 +244,7 @@ FROM_PAGE: Final[TypeAdapter[FromPage]] = TypeAdapter(Annotated[FromPage, Field(
 class Hello(Report):
     """The first message. `source` is this page's name in state and events (`anna (page 3)`), `person` its holder's.
 
-    `geometry` is the robot's, as in its geometry file.
+    `geometry` is the robot's, as in its geometry file; `gaits` are the names that a walk may have.
     """
 
     type: Literal["hello"] = "hello"
@@ -253,6 +253,7 @@ class Hello(Report):
     source: str
     version: str
     geometry: dict[str, Any]
+    gaits: tuple[str, ...] = tuple(GAITS)
 
 
 class StateMessage(Report):

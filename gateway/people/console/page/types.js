@@ -16,7 +16,7 @@
  *            detail: string, left_out?: number, legs?: number[]}} GatewayEvent
  *
  * @typedef {{type: "hello", role: "operator" | "button" | "observer", person: string, source: string, version: string,
- *            geometry: Geometry}} Hello
+ *            geometry: Geometry, gaits: string[]}} Hello
  * @typedef {{type: "state", age_ms: number, now: string, state: GatewayState}} StateMessage
  * @typedef {{type: "link", status: "connected" | "silent" | "gone", detail: string}} LinkMessage
  * @typedef {{type: "event", event: GatewayEvent, left_out?: number}} EventMessage
