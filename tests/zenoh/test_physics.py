@@ -81,7 +81,7 @@ def test_it_walks_and_an_emergency_stop_lets_it_sink(gateway: Gateway) -> None:
 
 def test_so_does_one_of_elkapod_2025(tmp_path: Path) -> None:
     """Its frames carry all servos, and its UART starts and stops them; nothing on that way counts as a fault."""
-    settings = {**PATIENT, "spi": {"protocol": "elkapod-2025"}}
+    settings: dict[str, dict[str, object]] = {**PATIENT, "spi": {"protocol": "elkapod-2025"}}
     with Gateway(tmp_path, settings, options=PHYSICS) as whole, whole.client() as client:
         reported = events(client)
         walks_and_sinks(client)
