@@ -85,7 +85,8 @@ def rules(settings: Settings) -> Rules:
     """The supervisor's rules: the settings in ns and hundredths of a degree."""
     return Rules(
         timeout_ns=round(settings.watchdog.timeout_ms * NS_PER_MS),
-        whole_robot=settings.watchdog.scope == "robot",
+        whole_robot=settings.watchdog.scope == "robot" or settings.spi.protocol.starts_whole,
+        starts_whole=settings.spi.protocol.starts_whole,
         repeats=settings.watchdog.repeats,
         repeat_interval_ns=round(settings.watchdog.repeat_interval_ms * NS_PER_MS),
         period_ns=ceil(NS_PER_S / settings.limits.leg_rate_hz),  # never above the limit
@@ -107,6 +108,8 @@ def rules(settings: Settings) -> Rules:
         lease_takeover=settings.lease.takeover == "stop",
         buttons_required=settings.buttons.required,
         buttons_timeout_ns=round(settings.buttons.timeout_ms * NS_PER_MS),
+        min_battery_mv=round(settings.safety.min_battery_v * 1000),
+        max_tilt_cdeg=centidegrees(settings.safety.max_tilt_deg),
     )
 
 

@@ -303,7 +303,3 @@ def next_start(legs: dict[int, Degrees], started: frozenset[int], *, whole: bool
         raise JointsError(STARTS_WHOLE)
     new = new if whole else new[:1]
     return {leg: angles for leg, angles in legs.items() if leg in started or leg in new}
-
-
-GAIT_NUMBERS: Final = {0: "wave", 1: "ripple", 2: "tripod"}
-"""As the Elkapod's own stack numbers them."""

@@ -167,8 +167,8 @@ class Client:
     def walk(self, gait: str = "tripod", geometry: "Geometry | Path | str | None" = None, hz: float = 50) -> "Walk":
         """Velocities in place of angles: `with robot.walk() as walk: walk.go(forward_m_s=0.1)`; see `Walk`.
 
-        `gait`: tripod, ripple or wave. `geometry`: a robot's, or its file; by default the Elkapod's. `hz`: the stream's
-        rate. Raises WalkError, ConfigError.
+        `gait`: one of `gateway.people.walking.GAITS`. `geometry`: a robot's, or its file; by default the Elkapod's.
+        `hz`: the stream's rate. Raises WalkError, ConfigError.
         """
         from gateway.people.client.walk import Walk
 

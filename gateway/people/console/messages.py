@@ -245,7 +245,7 @@ class Hello(Report):
     """The first message. `source` is this page's name in state and events (`anna (page 3)`), `person` its holder's.
 
     `geometry` is the robot's, as in its geometry file. `lying`: each servo's angle when it lies on its belly, as in
-    commands; empty where it cannot lie.
+    commands; empty where it cannot lie. `gaits` are the names that a walk may have.
     """
 
     type: Literal["hello"] = "hello"
@@ -255,6 +255,7 @@ class Hello(Report):
     version: str
     geometry: dict[str, Any]
     lying: dict[int, float] = Field(default_factory=dict)
+    gaits: tuple[str, ...] = tuple(GAITS)
 
 
 class StateMessage(Report):

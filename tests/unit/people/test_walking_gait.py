@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from gateway.errors import WalkError
 from gateway.geometry import load
 from gateway.people.walking import GAITS, STILL, Engine, Posture, Range, Robot, Velocity
-from gateway.people.walking.gaits import gait, phase
+from gateway.people.walking.gaits import NUMBERS, gait, phase
 from gateway.people.walking.motion import BodyPose
 from gateway.people.walking.robot import check_mirrored_once
 from gateway.robot.settings import load as load_settings
@@ -168,6 +168,11 @@ def test_what_is_no_velocity_is_rejected(numbers: tuple[float, float, float]) ->
 def test_a_gait_that_there_is_not_is_rejected() -> None:
     with pytest.raises(WalkError, match=f"there is no gait 'gallop'; there are {', '.join(GAITS)}"):
         Engine(robot("default"), "gallop")
+
+
+def test_the_bridge_numbers_every_gait_of_the_table_and_the_elkapods_as_it_does() -> None:
+    assert [NUMBERS[number] for number in range(3)] == ["wave", "ripple", "tripod"]
+    assert sorted(NUMBERS.values()) == sorted(GAITS)
 
 
 @pytest.mark.parametrize(("of", "most"), [("tripod", 3), ("ripple", 2), ("wave", 1)])

@@ -81,8 +81,7 @@ async def test_silence_shuts_down_after_the_watchdogs_time() -> None:
     robot = await walking()
     await asyncio.sleep(0.3)
     assert [what for _, what in robot.said] == ["shutdown"] * 4
-    (event,) = robot.events(Kind.WATCHDOG_EXPIRED)
-    assert event.legs == (1, 2, 3, 4, 5, 6)
+    assert {event.legs for event in robot.events(Kind.WATCHDOG_EXPIRED)} == {(1, 2, 3, 4, 5, 6)}
 
 
 async def test_the_end_shuts_down() -> None:

@@ -120,6 +120,7 @@ function received(message) {
   switch (message.type) {
     case "hello":
       model.hello = message;
+      walk.offer(message.gaits);
       model.forgetEvents(); // the newest ones come again
       break;
     case "state":

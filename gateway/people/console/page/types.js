@@ -21,7 +21,7 @@
  *            feet?: (number | null)[]}} Telemetry
  *
  * @typedef {{type: "hello", role: "operator" | "button" | "observer", person: string, source: string, version: string,
- *            geometry: Geometry, lying: Record<string, number>}} Hello
+ *            geometry: Geometry, lying: Record<string, number>, gaits: string[]}} Hello
  * @typedef {{type: "state", age_ms: number, now: string, whole: boolean, state: GatewayState}} StateMessage
  * @typedef {{type: "telemetry", telemetry: Telemetry}} TelemetryMessage
  * @typedef {{type: "link", status: "connected" | "silent" | "gone", detail: string}} LinkMessage

@@ -124,7 +124,7 @@ class Model:
         estopped = state.mode is Mode.ESTOPPED
         self.stop.receive_state(state.estop, estopped=estopped)
         if estopped:
-            self.stop.is_estopped(now_ns)
+            self.stop.state_shows_estop(now_ns)
         self._samples.append((state.uptime_s, Counts.of(state)))
         # Keep one sample that is at least a window old, so that states that come slowly also give rates.
         while len(self._samples) > 2 and state.uptime_s - self._samples[1][0] >= RATE_WINDOW_S:
