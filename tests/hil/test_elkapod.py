@@ -23,7 +23,7 @@ from schemas.telemetry import Kind, Mode
 from tests.hil.elkapod_bed import AT_REST, ElkapodBed
 from tests.hil.wire import LATE_S
 from tests.support.child import Child
-from tests.support.gateway_process import COMMAND, Gateway, write_settings
+from tests.support.gateway_process import COMMAND, Gateway, free_port, write_settings
 from tests.support.heard import events
 
 pytestmark = pytest.mark.hil
@@ -234,7 +234,7 @@ def test_a_gateway_that_was_killed_is_followed_by_shutdowns_before_any_frame(
 
 
 def test_stop_servos_needs_no_gateway_and_is_noticed_by_one(
-    robot: ElkapodBed, gateway: Gateway, client: Client, tmp_path: Path
+    robot: ElkapodBed, gateway: Gateway, client: Client
 ) -> None:
     heard = events(client)
     start_all(robot, client)
@@ -361,7 +361,7 @@ def test_a_uart_that_is_absent_or_taken_ends_it_with_a_sentence(
     folder = tmp_path / "second"
     folder.mkdir()
     with ThreadPoolExecutor(2) as pool:
-        sections = robot.settings_with(zenoh={"listen": []})
+        sections = robot.settings_with(zenoh={"listen": [f"tcp/127.0.0.1:{free_port()}"]})
         taken = robot.spawn([*COMMAND, "run", "--config", str(write_settings(folder / "taken.toml", sections))])
         sections["controller"]["uart"] = str(tmp_path / "ttyAMA9")
         absent = robot.spawn([*COMMAND, "run", "--config", str(write_settings(folder / "absent.toml", sections))])
