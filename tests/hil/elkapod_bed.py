@@ -7,11 +7,13 @@ is recorded, and what it then wants to say is what the next one reads. So no tra
 import os
 import termios
 import threading
+import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from gateway.model.elkapod import SHUTDOWN, START, angles_of
+from gateway.model.elkapod import FRAME_BYTES, SHUTDOWN, START, angles_of
 from gateway.robot.spi.elkapod_simulator import SimulatedElkapod
 from schemas.robot import SERVO_IDS
 from tests.hil.bed import Event, Message, SpiTestbed, Transfer
@@ -55,6 +57,7 @@ class ElkapodBed(SpiTestbed):
         super().__init__()
         self.uart = folder / "ttyAMA1"
         self.controller = SimulatedElkapod()
+        self.last_answer = bytes(FRAME_BYTES)
         self.attach_uart(self.uart)
         self._player = threading.Thread(target=self._play, daemon=True)
         self._player.start()
@@ -69,6 +72,10 @@ class ElkapodBed(SpiTestbed):
         """What programs have said up to now, frames and messages in order."""
         return said(self.events)
 
+    def said_since(self, since: int) -> list[Said]:
+        """The same, of the events from index `since` on."""
+        return said(self.events[since:])
+
     def messages_since(self, since: int) -> list[bytes]:
         """What was written to the UART, among all events from index `since` on."""
         return [event.data for event in self.events[since:] if isinstance(event, Message)]
@@ -78,13 +85,21 @@ class ElkapodBed(SpiTestbed):
         already = sum(isinstance(event, Transfer) for event in self.events[:since])
         self.wait_for_count(already + count, timeout_s)
 
-    def settings(self, **sections: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    def settings_with(self, **sections: dict[str, Any]) -> dict[str, dict[str, Any]]:
         """For a gateway on this robot. Nothing counts as silent that only the machine's load makes wait."""
         return {
             **sections,
             "spi": {"protocol": "elkapod-2025", **sections.get("spi", {})},
             "controller": {"uart": str(self.uart), "silent_ms": 2000, **sections.get("controller", {})},
         }
+
+    def wait_until(self, holds: Callable[[], bool], timeout_s: float) -> None:
+        """Until something holds that a frame can change: it is looked at behind each."""
+        deadline_s = time.monotonic() + timeout_s
+        while not holds():
+            if time.monotonic() > deadline_s:
+                raise TimeoutError(f"waited {timeout_s} s")
+            self.follow(len(self.events), 0.1)
 
     def terminal(self) -> tuple[int, bool, bool]:
         """How the UART is set up now: its speed (termios names it), two stop bits, and parity."""
@@ -104,7 +119,8 @@ class ElkapodBed(SpiTestbed):
                     if isinstance(event, Message):
                         self.controller.uart_write(event.data)
                     elif isinstance(event, Transfer) and event.delivered:
-                        self.tell("answer", self.controller.exchange(event.data))
+                        self.last_answer = self.controller.exchange(event.data)
+                        self.tell("answer", self.last_answer)
                 if beats := self.controller.uart_read():
                     self.tell("send_uart", beats)
             except OSError:  # the emulation has ended
