@@ -248,8 +248,7 @@ class Supervisor:
             return _REJECTING[self.mode]
         moves = command.moves
         guarded = self.stopped_outside or self.lease.guards or self.legs.landing is not None or self.calibrating.guards
-        guarded = guarded or self.buttons.closed or self.body.low or self.body.fallen
-        if moves and (guarded or command.lease is not None):
+        if moves and (guarded or command.lease is not None or self.buttons.closed or self.body.low or self.body.fallen):
             rejection = self._why_closed(command.lease) or self._why_unwatched()
             rejection = rejection or self.body.rejection(moves, self.legs.servos) or self.calibrating.rejection(moves)
             if rejection is not None:
