@@ -1,4 +1,4 @@
-"""A gateway of elkapod-2025 beside one of HexapodProtocol v1.0.0: how soon a Stop is said, and how even the cycle is."""
+"""A gateway of elkapod-2025 beside one of v1.0.0: how soon a Stop is said, and how even the cycle is."""
 
 import itertools
 from collections.abc import Callable
@@ -6,6 +6,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 from statistics import median
+from typing import Any
 
 from gateway.client import Client
 from gateway.model.elkapod import SHUTDOWN
@@ -71,7 +72,7 @@ def _side(folder: Path, stack: ExitStack, bed: SpiTestbed) -> _Side:
     stack.enter_context(bed)
     bed.prefer()
     elkapod = isinstance(bed, ElkapodBed)
-    sections = {"watchdog": _WATCHDOG, "log": {"level": "error"}}
+    sections: dict[str, dict[str, Any]] = {"watchdog": _WATCHDOG, "log": {"level": "error"}}
     gateway = Gateway(folder, bed.settings_with(**sections) if isinstance(bed, ElkapodBed) else sections, bed=bed)
     stack.enter_context(gateway)
     flood = Publisher(gateway.endpoint, folder / f"{elkapod}.published", ("--legs", "1", "--hz", "0"))

@@ -24,7 +24,7 @@ from tests.hil.elkapod_bed import AT_REST, ElkapodBed
 from tests.hil.wire import LATE_S
 from tests.support.child import Child
 from tests.support.gateway_process import COMMAND, Gateway, free_port, write_settings
-from tests.support.heard import events
+from tests.support.heard import events, states
 
 pytestmark = pytest.mark.hil
 
@@ -285,8 +285,10 @@ def test_stop_servos_needs_no_gateway_and_is_noticed_by_one(
 
 def test_a_transfer_that_hangs_delays_no_stop(robot: ElkapodBed, client: Client) -> None:
     start_all(robot, client)
+    seen = states(client)
     robot.block()
     robot.wait_for_frames(1, len(robot.events))
+    seen.wait(lambda _: True, count=len(seen.all) + 3)  # the service goes on with all that it does now and then
     since = len(robot.events)
     assert client.estop().accepted
     robot.wait_for_message(SHUTDOWN, since=since, timeout_s=LATE_S)
