@@ -1,5 +1,5 @@
 # shellcheck shell=bash
-# SPI in a Raspberry Pi's config.txt. Read by install.sh.
+# SPI, and the UARTs of a Pi 5, in a Raspberry Pi's config.txt. Read by install.sh.
 
 # Whether a config.txt on stdin switches SPI on for every Pi: what stands under a filter such as [cm4] does not count.
 spi_is_on() {
@@ -25,4 +25,19 @@ switch_spi_on() {
 			if (!found) print "dtparam=spi=on"
 			for (i = 1; i <= NR; i++) print lines[i]
 		}'
+}
+
+# Whether a config.txt on stdin loads this overlay on a Pi 5, with or without parameters.
+overlay_is_on() {
+	awk -v name="$1" '{ sub(/\r$/, ""); sub(/^[ \t]+/, "") }
+		/^\[/ { filtered = $0 !~ /^\[(all|pi5)\]/ }
+		!filtered && $0 ~ "^dtoverlay=" name "[ \t]*(,.*)?$" { on = 1 }
+		END { exit !on }'
+}
+
+# A config.txt from stdin to stdout, with this overlay at its end, for a Pi 5 alone. The empty dtoverlay= ends it, so that
+# no later dtparam is taken for the overlay's.
+switch_overlay_on() {
+	awk '{ print }'
+	printf '[pi5]\ndtoverlay=%s\ndtoverlay=\n[all]\n' "$1"
 }

@@ -4,6 +4,8 @@
 #   sudo deploy/install.sh                 from this folder's repository, dependencies from the network
 #   sudo deploy/install.sh --framing F     length-prefixed (the published STM32 firmware) or plain (a controller that
 #                                          follows the protocol's document); without it, a terminal is asked
+#   sudo deploy/install.sh --protocol P    what the controller speaks: hexapod-1.0 (the default) or elkapod-2025, which needs a
+#                                          UART and no framing
 #   sudo deploy/install.sh --wheels DIR    without a network, from a folder that `make wheels` filled
 #   sudo deploy/install.sh --bundle FILE   without a network, from a signed release (`make dist`): it is verified before anything is
 #                                          unpacked; --allow-downgrade: also one that is older; --trust SHA256:…: signed by
@@ -20,7 +22,7 @@
 # With pip only, `hexapod-gateway install-service …` is the same program. Dependencies are those of deploy/lock, with their
 # SHA-256 (pip --require-hashes).
 #
-# Run it as often as you like: it changes what differs, of a configuration nothing but a framing that it lacks, and
+# Run it as often as you like: it changes what differs, of a configuration nothing but a protocol or framing that it lacks, and
 # restarts the service only if something that it runs has changed.
 set -euo pipefail
 umask 022
@@ -46,7 +48,7 @@ run() { [ "$dry" = yes ] || "$@"; }
 
 usage() { sed -n '2,/^set/{s/^# \{0,1\}//;/^set/d;p}' "$0"; }
 
-dry=no spidev=yes bundle='' opened='' unpacked='' own_wheel='' allow_downgrade=no trust='' handed_on=("$@") uninstall=no rollback=no force=no console=no before='' earlier='' to='' python='' wheels='' certs='' identity=gateway certificates='' framing=''
+dry=no spidev=yes bundle='' opened='' unpacked='' own_wheel='' allow_downgrade=no trust='' handed_on=("$@") uninstall=no rollback=no force=no console=no before='' earlier='' to='' python='' wheels='' certs='' identity=gateway certificates='' framing='' protocol='' setting='' value=''
 while [ $# -gt 0 ]; do
 	case $1 in
 	--dry-run) dry=yes ;;
@@ -82,6 +84,13 @@ while [ $# -gt 0 ]; do
 		case ${2:-} in
 		plain | length-prefixed) framing=$2 ;;
 		*) fail "$1 is length-prefixed (the published STM32 firmware) or plain (the protocol's document)" ;;
+		esac
+		shift
+		;;
+	--protocol)
+		case ${2:-} in
+		hexapod-1.0 | elkapod-2025) protocol=$2 ;;
+		*) fail "$1 is hexapod-1.0 or elkapod-2025 (see docs/protocol.md)" ;;
 		esac
 		shift
 		;;
@@ -208,7 +217,7 @@ is_blank() { [ -e "$1" ] && [ -z "$(tr -d '\0[:space:]' <"$1" | head -c 1)" ]; }
 
 clean_up() {
 	[ $? = 0 ] || [ $said = yes ] || echo "install.sh: did not finish (above is why); run it again once that is fixed" >&2
-	rm -rf ${sources:+"$sources"} ${said_framing:+"$said_framing"} ${unpacked:+"$unpacked"}
+	rm -rf ${sources:+"$sources"} ${stated:+"$stated"} ${unpacked:+"$unpacked"}
 	if [ -n "$unfinished" ]; then
 		rm -rf "$unfinished"
 		rmdir "$OPT" 2>/dev/null || true # only if it is empty
@@ -216,10 +225,13 @@ clean_up() {
 }
 
 make_user() {
-	if ! getent group spi >/dev/null; then
-		say "make the group spi"
-		run groupadd --system spi
-	fi
+	local group
+	for group in spi dialout; do # the unit's SupplementaryGroups=
+		if ! getent group $group >/dev/null; then
+			say "make the group $group"
+			run groupadd --system $group
+		fi
+	done
 	if ! getent passwd $NAME >/dev/null; then
 		say "make the user $NAME, in the group spi"
 		getent group $NAME >/dev/null || run groupadd --system $NAME
@@ -242,18 +254,18 @@ write_configuration() {
 		say "make $ETC, for root and $NAME only"
 		run install -d -m 0750 -o root -g $NAME $ETC
 	fi
-	if [ -z "$said_framing" ]; then
+	if [ -z "$stated" ]; then
 		say "keep $ETC/gateway.toml, your configuration"
 	elif [ -e $ETC/gateway.toml ] && ! is_blank $ETC/gateway.toml; then
 		will_restart
-		say "add framing = \"$framing\" to $ETC/gateway.toml, and keep the rest of your configuration"
+		say "add $setting = \"$value\" to $ETC/gateway.toml, and keep the rest of your configuration"
 		if [ "$dry" = no ]; then
-			install -m 0640 -o root -g $NAME "$said_framing" $ETC/gateway.toml.new
+			install -m 0640 -o root -g $NAME "$stated" $ETC/gateway.toml.new
 			replace $ETC/gateway.toml
 			add_to_kept
 		fi
 	else
-		put_for_service "$said_framing" $ETC/gateway.toml 0640 $NAME
+		put_for_service "$stated" $ETC/gateway.toml 0640 $NAME
 	fi
 	[ -n "$certs" ] || return 0
 	run install -d -m 0750 -o root -g $NAME $ETC/zenoh
@@ -270,7 +282,7 @@ write_configuration() {
 	if [ "$identity" != gateway ]; then
 		listen="listen = []" of=" --robot $identity" taken='(config|listen)'
 	fi
-	[ -e "$present" ] || present=$said_framing
+	[ -e "$present" ] || present=$stated
 	if ! grep -q "^$setting" "$present"; then
 		if grep -q "^# $example\$" "$present" && ! grep -qE "^[[:space:]]*$taken[[:space:]]*=" "$present"; then
 			will_restart
@@ -313,13 +325,39 @@ allow_spi() {
 		switch_spi_on <"$config" | spi_is_on ||
 			fail "SPI is off in $config in a way that a person should look at: it needs dtparam=spi=on"
 		say "switch SPI on in $config (dtparam=spi=on)"
-		reboot=yes
-		[ "$dry" = no ] || return 0
-		# The boot partition knows no owners and no half-written files: a copy beside it, and then the name.
-		switch_spi_on <"$config" >"$config.new"
-		replace "$config"
+		change_boot "$config" switch_spi_on
+	fi
+	[ "$protocol" != elkapod-2025 ] || allow_uart "$config"
+}
+
+# config.txt as a filter makes it, from the next boot on.
+change_boot() {
+	local config=$1
+	shift
+	reboot=yes
+	[ "$dry" = no ] || return 0
+	# The boot partition knows no owners and no half-written files: a copy beside it, and then the name.
+	"$@" <"$config" >"$config.new"
+	replace "$config"
+}
+
+# The UART that the configuration names, where this is a Raspberry Pi 5 and it is one of its own.
+allow_uart() {
+	local config=$1 present=$ETC/gateway.toml uart overlay=''
+	[ -e "$present" ] || present=$stated
+	uart=$(uart_in "$present")
+	[[ ! $uart =~ ^/dev/ttyAMA([0-4])$ ]] || overlay=uart${BASH_REMATCH[1]}-pi5
+	if [ -e "$uart" ]; then
+		return
+	elif [ -z "$config" ] || [ -z "$overlay" ] || ! is_pi_5; then
+		say "there is no $uart: switch this UART on as this computer wants it"
+	elif ! overlay_is_on "$overlay" <"$config"; then
+		say "switch $uart on in $config (dtoverlay=$overlay)"
+		change_boot "$config" switch_overlay_on "$overlay"
 	fi
 }
+
+is_pi_5() { tr -d '\0' 2>/dev/null </proc/device-tree/model | grep -qE '^Raspberry Pi (5|Compute Module 5)'; }
 
 start_service() {
 	changed=no
@@ -371,9 +409,9 @@ install_all() {
 	if [ -n "$bundle" ] && [ -z "$opened" ]; then open_bundle; fi
 	check_sources
 	check_processor
-	# shellcheck source=deploy/framing.sh
-	. "$HERE/framing.sh"
-	check_framing
+	# shellcheck source=deploy/controller.sh
+	. "$HERE/controller.sh"
+	check_controller
 	build_venv
 	make_user
 	changed=no
@@ -434,7 +472,7 @@ uninstall_all() {
 	say "SPI and the group spi stay as they are"
 }
 
-changed=no configured=no reboot=no hint='' next='' unfinished='' sources='' said_framing='' said=no
+changed=no configured=no reboot=no hint='' next='' unfinished='' sources='' stated='' said=no
 trap clean_up EXIT
 cd / # the folder it was called from may be gone, or be one that a new user may not enter
 check_machine

@@ -407,3 +407,36 @@ def test_a_robot_from_before_there_was_a_framing(machine: Machine) -> None:
         (said,) = machine.run(*wheels, *LENGTH_PREFIXED, check=False)
         assert said.startswith(f"install.sh: {CONFIGURATION} does not say which framing the controller needs; add ")
         assert box.read(CONFIGURATION) == unclear
+
+
+ELKAPOD = ("--protocol", "elkapod-2025")
+
+
+def test_the_protocol_without_a_framing(machine: Machine) -> None:
+    """Nobody is asked for a framing, a new configuration states the protocol, and one that states another stays."""
+    box, wheels = machine.box, ("--wheels", machine.wheels)
+    (said,) = machine.run(*wheels, "--protocol", "elkapod", check=False)
+    assert said.startswith("install.sh: --protocol is hexapod-1.0 or elkapod-2025")
+    box.run("rm", "-r", f"/etc/{NAME}")
+    (said,) = machine.run(*wheels, *ELKAPOD, *LENGTH_PREFIXED, check=False)
+    assert said == "install.sh: --framing is for hexapod-1.0; leave it out with elkapod-2025"
+    promised = machine.run("--dry-run", *wheels, *ELKAPOD)
+    assert machine.run(*wheels, *ELKAPOD) == promised
+    assert "there is no /dev/ttyAMA1: switch this UART on as this computer wants it" in promised
+    stated = [line for line in box.read(CONFIGURATION).splitlines() if line.startswith(("protocol", "framing"))]
+    assert stated == ['protocol = "elkapod-2025"']
+    assert f"keep {CONFIGURATION}, your configuration" in machine.run(*wheels)
+    (said,) = machine.run(*wheels, "--protocol", "hexapod-1.0", check=False)
+    assert said.startswith(f'install.sh: {CONFIGURATION} says protocol = "elkapod-2025", and --protocol hexapod-1.0; ')
+    groups = box.run("systemctl", "show", "--property=SupplementaryGroups", "--value", NAME).stdout.split()
+    assert groups == ["spi", "dialout"]
+
+
+def test_another_controller_for_an_installed_robot(machine: Machine) -> None:
+    """The service that runs keeps its own way to stop: its kept configuration gets no other protocol."""
+    box = machine.box
+    kept = '[spi]\nframing = "plain"\n'
+    box.write(f"/run/{NAME}/gateway.toml", kept)
+    said = machine.run("--wheels", machine.wheels, *ELKAPOD)
+    assert f'add protocol = "elkapod-2025" to {CONFIGURATION}, and keep the rest of your configuration' in said
+    assert box.read(f"/run/{NAME}/gateway.toml") == kept

@@ -1,4 +1,4 @@
-"""What a judge of the supervisor remembers of the robot's measurements, and what it demands of each; see `oracle.py`."""
+"""What a judge of the supervisor remembers of the robot's measurements, and what it demands; see `oracle.py`."""
 
 from collections.abc import Sequence
 

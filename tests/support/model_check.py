@@ -69,11 +69,8 @@ class Report:
 
 _ROBOT: Final = Supervisor(Rules())
 _KNOWN: Final = (
-    (
-        _ROBOT,
-        "_rules legs lease buttons body calibrating _reach _opened _bus_ok _silent estops _latched_ns _ended stopped_outside",
-    ),
-    (_ROBOT, "expirations mode due_ns"),
+    (_ROBOT, "_rules legs lease buttons body calibrating _reach _opened _bus_ok _silent estops _latched_ns _ended"),
+    (_ROBOT, "stopped_outside wants_measurements expirations mode due_ns"),
     (_ROBOT.lease, "_rules holder verified since_ns due_ns guards _token _askers"),
     (_ROBOT.buttons, "required _timeout_ns _rise_ns _by_token closed fell_ns alive due_ns"),
     (_ROBOT.body, "_rules watches low fallen beyond_ns"),

@@ -1,5 +1,5 @@
-"""The lease, the buttons, the body and the calibration in the model check: what may be asked of them, how they are copied, and
-what of them tells states apart."""
+"""The lease, the buttons, the body and the calibration in the model check: what may be asked of them, how they are
+copied, and what of them tells states apart."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace

@@ -166,8 +166,7 @@ class Oracle(RobotHistory):
         if isinstance(event, ButtonRequest):
             self.buttons.judge(event, now_ns, effects, ended=self.ended)
             watchdog += self._unwatched(now_ns)
-        if isinstance(event, BodyMeasured):
-            watchdog += self._fallen(now_ns)
+        watchdog += self._fallen(now_ns)
         expired = [effect.frame for effect in frames if effect.cause is Cause.WATCHDOG and effect.frame.is_stop]
         demand(
             expired == [stop_leg(leg) for leg in watchdog],

@@ -131,8 +131,10 @@ class RobotHistory:
     # ---- what is taken
 
     def reason_to_reject(self, command: Command) -> Reason | None:
-        if self.mode in CLOSED:
-            return CLOSED[self.mode]
+        """Why a command takes no effect."""
+        return CLOSED.get(self.mode) or self._reason_to_move(command)
+
+    def _reason_to_move(self, command: Command) -> Reason | None:
         moves = [(self.servos[servo_id], servo_id, op) for servo_id, op in command.targets if op.op is not Op.STOP]
         if moves:
             closed = self.reason_to_move_nothing(command.lease) or self.too_few_buttons
@@ -147,10 +149,8 @@ class RobotHistory:
                 return Reason.SERVO_STOPPED
             if op.op is Op.SET and not servo.on and not servo.starts:
                 return Reason.SERVO_STOPPED
-        rests = self.rules.starts_whole and not self.alive
-        if moves and rests and len(moves) == len(command.targets) < len(self.servos):
-            return Reason.WHOLE_ROBOT
-        return None
+        partly = 0 < len(moves) == len(command.targets) < len(self.servos)
+        return Reason.WHOLE_ROBOT if self.rules.starts_whole and partly and not self.alive else None
 
     def unfit(self, moved: Iterable[ServoHistory]) -> Reason | None:
         """Why the body does not allow that these servos move."""

@@ -16,6 +16,7 @@ from gateway.client import Client
 from gateway.geometry import ELKAPOD
 from gateway.model import elkapod
 from gateway.model.elkapod import Measured
+from gateway.model.protocols import SpiProtocol
 from gateway.onboard.body_process import BodyProcess
 from gateway.people.physics.assumed import MASS_KG, Assumed
 from gateway.people.recordings import read
@@ -49,29 +50,44 @@ def physics_pid(gateway: Gateway) -> int:
     return int(pid)
 
 
+def walks_and_sinks(client: Client) -> None:
+    """It stands up, walks ten centimetres, sinks at an emergency stop, and stands up again."""
+    assert client.state().simulated
+    heard = bodies(client)
+    lying = heard.wait(lambda _: True)
+    assert lying.upright
+    assert lying.position_m[2] < 0.08
+    with client.walk() as walk:
+        walk.stand()
+        standing = heard.wait(lambda body: body.position_m[2] > 0.14 and all(body.feet))
+        assert any(servo.torque_nm for servo in standing.servos.values())
+        while heard.all[-1].position_m[0] < standing.position_m[0] + 0.1:
+            walk.go(0.08)
+        walk.stand()
+        pose = client.state().legs[0].servos[1].angle_deg
+        assert pose is not None
+        heard.wait(lambda body: abs(body.servos["12"].angle_deg - pose) < 5)
+        stopped = client.estop()
+        assert stopped.accepted
+        fallen = heard.wait(lambda body: body.position_m[2] < 0.1 and body.position_m[0] > 0.05)
+        assert fallen.velocity_m_s[2] < 0
+        client.reset(stopped.estop)
+        walk.start_again()
+
+
 def test_it_walks_and_an_emergency_stop_lets_it_sink(gateway: Gateway) -> None:
     with gateway.client() as client:
-        assert client.state().simulated
-        heard = bodies(client)
-        lying = heard.wait(lambda _: True)
-        assert lying.upright
-        assert lying.position_m[2] < 0.08
-        with client.walk() as walk:
-            walk.stand()
-            standing = heard.wait(lambda body: body.position_m[2] > 0.14 and all(body.feet))
-            assert any(servo.torque_nm for servo in standing.servos.values())
-            while heard.all[-1].position_m[0] < standing.position_m[0] + 0.1:
-                walk.go(0.08)
-            walk.stand()
-            pose = client.state().legs[0].servos[1].angle_deg
-            assert pose is not None
-            heard.wait(lambda body: abs(body.servos["12"].angle_deg - pose) < 5)
-            stopped = client.estop()
-            assert stopped.accepted
-            fallen = heard.wait(lambda body: body.position_m[2] < 0.1 and body.position_m[0] > 0.05)
-            assert fallen.velocity_m_s[2] < 0
-            client.reset(stopped.estop)
-            walk.start_again()
+        walks_and_sinks(client)
+
+
+def test_so_does_one_of_elkapod_2025(tmp_path: Path) -> None:
+    """Its frames carry all servos, and its UART starts and stops them; nothing on that way counts as a fault."""
+    settings: dict[str, dict[str, object]] = {**PATIENT, "spi": {"protocol": "elkapod-2025"}}
+    with Gateway(tmp_path, settings, options=PHYSICS) as whole, whole.client() as client:
+        assert client.state().controller.protocol == SpiProtocol.ELKAPOD_2025
+        reported = events(client)
+        walks_and_sinks(client)
+        assert not {Kind.BUS_FAULT, Kind.CONTROLLER_SILENT} & {event.kind for event in reported.all}
 
 
 def test_somebody_sets_it_upright_and_a_list_of_all_keys_does_not(gateway: Gateway) -> None:

@@ -95,7 +95,6 @@ _REJECTING: Final = {
 }
 """The modes in which every command that comes is rejected, and why."""
 
-
 _AT_START: Final[frozenset[type[Event]]] = frozenset(
     {EmergencyStop, BusOpened, BusFailed, BodyMeasured, TimePassed, ShutDown}
 )
@@ -123,6 +122,8 @@ class Supervisor:
         self.lease = RobotLease(rules)
         self.buttons = Buttons(rules)
         self.body = BodyLimits(rules)
+        self.wants_measurements = self.body.watches
+        """Whether `BodyMeasured` decides anything."""
         self._opened = False  # ever
         self._bus_ok = False
         self._silent = False  # the bus is at fault since the controller does not answer
@@ -230,11 +231,6 @@ class Supervisor:
         if self._latched_ns is not None:
             return Mode.ESTOPPED
         return Mode.IDLE if self.legs.at_rest else Mode.ACTIVE
-
-    @property
-    def wants_measurements(self) -> bool:
-        """Whether `BodyMeasured` decides anything."""
-        return self.body.watches
 
     # ---- events
 

@@ -15,10 +15,11 @@ Where nothing is known, it does what harms most:
   Both are counted in `corruptions`. So is a START before any frame: what servos then do is not known. Here they wait
   for the first frame.
 
-What it measures comes from the simulated body, where there is one. Without it the robot is at rest and level, each of
-the six feet carries a sixth of the assumed weight while servos are driven and nothing while they are slack (it then
-lies on its belly), and servos draw current while they move. The sensors are noisy, as real ones are: no two answers are
-the same. The unit of forces on this wire is written nowhere; here it is the newton.
+What it measures comes from the simulated body, where there is one; after the end of its process it stays what it was.
+Without a body the robot is at rest and level, each of the six feet carries a sixth of the assumed weight while servos
+are driven and nothing while they are slack (it then lies on its belly), and servos draw current while they move. The
+sensors are noisy, as real ones are: no two answers are the same. The unit of forces on this wire is written nowhere;
+here it is the newton.
 """
 
 import collections

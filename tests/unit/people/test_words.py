@@ -86,8 +86,10 @@ def test_a_gateway_that_takes_no_commands_says_so_and_a_later_versions_mode_is_n
 
 
 def test_a_bus_fault_of_a_controller_that_fell_silent_names_it() -> None:
-    silent = of(ALL, Mode.BUS_FAULT, controller=ControllerReport(protocol="elkapod-2025", alive=False))
-    assert robot_now(silent) == "The controller is silent: what was written may not have arrived"
+    silent = ControllerReport(protocol="elkapod-2025", alive=False)
+    fault = of(ALL, Mode.BUS_FAULT, controller=silent)
+    assert robot_now(fault) == "The controller is silent: what was written may not have arrived"
+    assert robot_now(of(ALL, controller=silent)) == "All six legs run", "as far as the gateway knows"
 
 
 def test_of_what_is_long_past_nothing_is_said() -> None:
