@@ -31,7 +31,7 @@ from gateway.people.client.stream import Stream
 from gateway.people.client.walk import Walk
 from gateway.people.walking import Odometry, Posture, WalkState
 from gateway.zenoh_config import DEFAULT_ENDPOINT
-from schemas.telemetry import Ack, Event, GatewayState, Kind, Reason
+from schemas.telemetry import Ack, Battery, Event, GatewayState, Imu, Kind, Reason, Telemetry
 
 __all__ = [
     "DEFAULT_ENDPOINT",
@@ -41,12 +41,14 @@ __all__ = [
     "AsyncLease",
     "AsyncStream",
     "AsyncWalk",
+    "Battery",
     "Button",
     "Client",
     "DisconnectedError",
     "Event",
     "GatewayError",
     "GatewayState",
+    "Imu",
     "Kind",
     "Lease",
     "LeaseError",
@@ -57,6 +59,7 @@ __all__ = [
     "RejectedError",
     "StoppedError",
     "Stream",
+    "Telemetry",
     "Walk",
     "WalkError",
     "WalkState",

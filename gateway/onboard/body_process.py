@@ -17,6 +17,7 @@ from typing import Final, Self
 import zenoh
 
 from gateway.errors import ConfigError
+from gateway.host.sensed_page import SensedPage
 from gateway.host.servo_page import ServoPage
 from gateway.people.physics.assumed import Assumed
 from gateway.people.terminal import hint
@@ -34,12 +35,13 @@ class BodyProcess:
         """Raises ConfigError where MuJoCo is not installed, or cannot simulate this robot."""
         if importlib.util.find_spec("mujoco") is None:
             raise ConfigError("the physics is missing: pip install 'hexapod-gateway[physics]'")
-        self.page = ServoPage()
+        self.page, self.sensed = ServoPage(), SensedPage()
         self.folder = Path(tempfile.mkdtemp(prefix="hexapod-body-"))
         """Private. The process removes it at its end, which also comes when the gateway is killed."""
         self.zenoh_id = f"{secrets.randbelow(15) + 1:x}{secrets.token_hex(15)}{secrets.randbelow(15) + 1:x}"
         given = {
             "page": self.page.fd,
+            "sensed": self.sensed.fd,
             "folder": str(self.folder),
             "geometry": None if geometry is None else str(geometry),
             **assumed._asdict(),
@@ -48,7 +50,8 @@ class BodyProcess:
         its_end, self._lifeline = os.pipe()
         self._words, its_words = os.pipe()
         command = [sys.executable, "-m", "gateway.people.physics", json.dumps(given)]
-        self._process = subprocess.Popen(command, stdin=its_end, stdout=its_words, pass_fds=[self.page.fd])
+        pages = [self.page.fd, self.sensed.fd]
+        self._process = subprocess.Popen(command, stdin=its_end, stdout=its_words, pass_fds=pages)
         os.close(its_end)
         os.close(its_words)
         self._ended = False

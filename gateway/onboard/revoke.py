@@ -3,17 +3,15 @@
 import os
 import subprocess
 from pathlib import Path
-from typing import Final
 
 from gateway.certs.files import read_file
 from gateway.certs.revocation import RevocationList, parse, why_not_newer
 from gateway.errors import ConfigError, GatewayError
+from gateway.onboard.check.installation import SERVICE
 from gateway.people.terminal import hint, say
 from gateway.robot import settings as settings_file
 from gateway.robot.zenoh_io import revoked
 from gateway.robot.zenoh_io.session import service_config
-
-UNIT: Final = "hexapod-gateway"
 
 
 def take(file: Path, config: Path | None) -> int:
@@ -40,11 +38,11 @@ def take(file: Path, config: Path | None) -> int:
 
 def _restart(found: RevocationList) -> int:
     """As root, where the service runs under systemd; else somebody has to."""
-    if not _systemd() or subprocess.run(["systemctl", "is-active", "--quiet", UNIT], check=False).returncode != 0:
+    if not _systemd() or subprocess.run(["systemctl", "is-active", "--quiet", SERVICE], check=False).returncode != 0:
         say("It takes effect when the gateway starts.")
         return 0
-    if subprocess.run(["systemctl", "restart", UNIT], check=False).returncode != 0:
-        hint(f"The list is kept, but the service does not restart: see journalctl -u {UNIT}.")
+    if subprocess.run(["systemctl", "restart", SERVICE], check=False).returncode != 0:
+        hint(f"The list is kept, but the service does not restart: see journalctl -u {SERVICE}.")
         return 1
     say(f"The service was restarted, all legs stopped; list {found.number} is in force.")
     return 0

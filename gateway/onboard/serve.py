@@ -41,10 +41,10 @@ def _run(settings: Settings, *, simulated: bool, body: BodyProcess | None, fault
             body.connect(config)
         endpoints = [each for each in listen_endpoints(config) if body is None or each != endpoint(body.folder)]
         where = ", ".join(endpoints) or f"no port of its own ({settings.zenoh.config})"
-        say(f"hexapod-gateway is ready: {where} → {robot} ({settings.spi.framing})")
+        say(f"hexapod-gateway is ready: {where} → {robot} ({settings.spi.spoken})")
         say(next_step(endpoints, this_command()))
 
-    physics = None if body is None else service.Physics(body.page, body.zenoh_id, body.folder)
+    physics = None if body is None else service.Physics(body.page, body.sensed, body.zenoh_id, body.folder)
     service.run(settings, simulated=simulated, physics=physics, faults=faults, on_ready=ready)
 
 

@@ -66,6 +66,11 @@ class SpiSettings(Section):
     avoid_deg: tuple[AngleDeg, ...] | None = None
 
     @property
+    def spoken(self) -> str:
+        """What the controller has to understand, in a word."""
+        return self.framing if self.protocol is SpiProtocol.HEXAPOD_1_0 else self.protocol
+
+    @property
     def avoid_cdeg(self) -> tuple[int, int] | None:
         """Wire angles that are never sent, in hundredths of a degree: first <= angle < second; None: all are sent."""
         if self.avoid_deg is None:
@@ -93,6 +98,10 @@ class SpiSettings(Section):
         return self
 
 
+CYCLES_TO_SILENCE: Final = 3
+"""Without an answer, at least: one may be lost, and one may come late."""
+
+
 class ControllerSettings(Section):
     """The controller's own line and pace; with elkapod-2025 only."""
 
@@ -105,6 +114,14 @@ class ControllerSettings(Section):
     @classmethod
     def _path(cls, uart: str) -> str:
         return device_path(uart, "/dev/ttyAMA1")
+
+    @model_validator(mode="after")
+    def _more_than_one_answer(self) -> Self:
+        least_ms = CYCLES_TO_SILENCE * 1000 / self.cycle_hz
+        if self.silent_ms < least_ms:
+            why = f"silent_ms is {self.silent_ms:g}, and {self.cycle_hz:g} answers a second want {least_ms:g} at least"
+            raise ValueError(f"{why}: one lost answer is no silence")
+        return self
 
 
 class SafetySettings(Section):

@@ -18,6 +18,7 @@ from gateway import __version__
 from gateway.allowance import NS_PER_MS, NS_PER_S
 from gateway.host import descriptors, effective, logs, realtime
 from gateway.host.directories import runtime_directory
+from gateway.host.sensed_page import SensedPage
 from gateway.host.servo_page import ServoPage
 from gateway.model.black_box.format import STOP_FACTS
 from gateway.model.frames import centidegrees
@@ -73,6 +74,8 @@ class Physics(NamedTuple):
 
     page: ServoPage
     """Shared memory in which it reads the servos' commanded angles."""
+    sensed: SensedPage
+    """Shared memory in which it writes what its sensors feel."""
     zenoh_id: str
     folder: Path
     """Private folder of the socket through which it reaches the gateway."""
@@ -82,7 +85,8 @@ def rules(settings: Settings) -> Rules:
     """The supervisor's rules: the settings in ns and hundredths of a degree."""
     return Rules(
         timeout_ns=round(settings.watchdog.timeout_ms * NS_PER_MS),
-        whole_robot=settings.watchdog.scope == "robot",
+        whole_robot=settings.watchdog.scope == "robot" or settings.spi.protocol.starts_whole,
+        starts_whole=settings.spi.protocol.starts_whole,
         repeats=settings.watchdog.repeats,
         repeat_interval_ns=round(settings.watchdog.repeat_interval_ms * NS_PER_MS),
         period_ns=ceil(NS_PER_S / settings.limits.leg_rate_hz),  # never above the limit
@@ -104,6 +108,8 @@ def rules(settings: Settings) -> Rules:
         lease_takeover=settings.lease.takeover == "stop",
         buttons_required=settings.buttons.required,
         buttons_timeout_ns=round(settings.buttons.timeout_ms * NS_PER_MS),
+        min_battery_mv=round(settings.safety.min_battery_v * 1000),
+        max_tilt_cdeg=centidegrees(settings.safety.max_tilt_deg),
     )
 
 

@@ -2,29 +2,33 @@
 
 import logging
 from collections.abc import Callable
+from functools import partial
 from typing import Final
 
 from gateway.allowance import NS_PER_MS
 from gateway.errors import ConfigError
 from gateway.host.descriptors import Spare
+from gateway.host.sensed_page import SensedPage
 from gateway.host.servo_page import ServoPage
 from gateway.model.protocols import SpiProtocol
 from gateway.robot.protocol import Wire
 from gateway.robot.sections import SpiSettings
 from gateway.robot.settings import Settings
-from gateway.robot.spi import SpiDevice, ioctls
+from gateway.robot.spi import DuplexDevice, SpiDevice, ioctls
 from gateway.robot.spi.bus import Bus
 from gateway.robot.spi.cyclic import CyclicBus
+from gateway.robot.spi.elkapod_simulator import SimulatedElkapod, SimulatedUart
 from gateway.robot.spi.kernel import KernelDevice
 from gateway.robot.spi.machine import driver_of, gpio_selects
 from gateway.robot.spi.simulator import SimulatedController
-from gateway.robot.spi.uart import SerialUart
+from gateway.robot.spi.uart import SerialUart, Uart
 from gateway.robot.spi.unreliable import Faults, UnreliableDevice
 
 MOST_BEFORE_FRAMES_MS: Final = 200
 """How long the repeats of the first shutdown hold back elkapod-2025's frames at most."""
 
 logger = logging.getLogger(__name__)
+_simulator = logging.getLogger("gateway.robot.spi.simulator")
 
 
 def device_opener(
@@ -34,27 +38,40 @@ def device_opener(
     if not simulated:
         spare = Spare()
         return lambda: KernelDevice(settings.spi.device, settings.spi.speed_hz, spare=spare)
-    controller = SimulatedController(
-        settings.spi.framing, on_change=logging.getLogger("gateway.robot.spi.simulator").debug, page=page
-    )
+    controller = SimulatedController(settings.spi.framing, on_change=_simulator.debug, page=page)
     if faults is not None:
         unreliable = UnreliableDevice(controller, faults)
         return lambda: unreliable
     return lambda: controller
 
 
-def wire(settings: Settings, *, simulated: bool, page: ServoPage | None = None, faults: Faults | None = None) -> Wire:
-    """The way to the robot's controller, not yet open. Raises ConfigError."""
+def wire(
+    settings: Settings,
+    *,
+    simulated: bool,
+    page: ServoPage | None = None,
+    sensed: SensedPage | None = None,
+    faults: Faults | None = None,
+) -> Wire:
+    """The way to the robot's controller, not yet open. Raises ConfigError. `page`, `sensed`: a simulated body's."""
     protocol = settings.spi.protocol
     if protocol is SpiProtocol.HEXAPOD_1_0:
         return Bus(settings.spi, device_opener(settings, simulated=simulated, page=page, faults=faults))
     if faults is not None:
         raise ConfigError(f"--sim-fault is for {SpiProtocol.HEXAPOD_1_0}; leave it out with {protocol}")
-    spare, spi, repeats = Spare(), settings.spi, settings.watchdog
+    spare, spi, uart, repeats = Spare(), settings.spi, settings.controller.uart, settings.watchdog
+    open_device: Callable[[], DuplexDevice]
+    open_uart: Callable[[], Uart]
+    if simulated:
+        controller = SimulatedElkapod(on_change=_simulator.debug, page=page, sensed=sensed)
+        open_device, open_uart = (lambda: controller), (lambda: SimulatedUart(controller))
+    else:
+        open_device = partial(KernelDevice, spi.device, spi.speed_hz, mode=protocol.spi_mode, spare=spare)
+        open_uart = partial(SerialUart, uart)
     before_frames_ms = min((repeats.repeats + 0.5) * repeats.repeat_interval_ms, MOST_BEFORE_FRAMES_MS)
     return CyclicBus(
-        lambda: KernelDevice(spi.device, spi.speed_hz, mode=protocol.spi_mode, spare=spare),
-        lambda: SerialUart(settings.controller.uart),
+        open_device,
+        open_uart,
         silent_ns=round(settings.controller.silent_ms * NS_PER_MS),
         before_frames_ns=round(before_frames_ms * NS_PER_MS),
     )

@@ -82,7 +82,7 @@ def test_legs_that_begin_to_run_are_drawn_as_commanded_beside_where_they_are(pag
         """(m, geometry) => {
             const scene = new m.Scene(document.createElement("div"), geometry, () => {});
             const poses = (status) => new Map([1, 2, 3, 4, 5, 6].map((leg) =>
-                [leg, { degrees: [90, 90, 90], trueDegrees: [90, 60, 90], status, selected: false }]));
+                [leg, { degrees: [90, 90, 90], trueDegrees: [90, 60, 90], status, selected: false, carries: null }]));
             const body = { position_m: [0, 0, 0.1], orientation_xyzw: [0, 0, 0, 1], terrain: "flat" };
             const floor = { crossing: () => [0, 0], turned: 0 };
             const counts = ["rests", "runs"].map((status) => {
@@ -151,12 +151,12 @@ def test_an_abandoned_start_that_is_accepted_is_stopped_again(page: Opened) -> N
     known = page.module(
         "hold",
         "(m, accepted) => {"
-        " const stopped = [], ack = { accepted }, starts = new m.Starts((leg) => stopped.push(leg));"
-        " [[7, 1], [8, 2], [9, 3]].forEach(([id, leg]) => starts.waiting.set(id, leg));"
+        " const stopped = [], ack = { accepted }, starts = new m.Starts((legs) => stopped.push(legs));"
+        " [[7, [1]], [8, [2]], [9, [3, 4]]].forEach(([id, legs]) => starts.waiting.set(id, legs));"
         " starts.abandon(2);"
         " const answered = [7, 8, 8].map((id) => starts.answered({ id, ack }) ?? null);"
         " starts.abandon();"
         " return { stopped, answered, left: [starts.answered({ id: 9, ack }) ?? null, starts.waiting.size] }; }",
         True,
     )
-    assert known == {"stopped": [2, 3], "answered": [1, None, None], "left": [None, 0]}
+    assert known == {"stopped": [[2], [3, 4]], "answered": [[1], None, None], "left": [None, 0]}

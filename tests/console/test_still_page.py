@@ -48,7 +48,7 @@ SHOW: Final = """([messages, state]) => {
     const { left, top, width, height } = document.getElementById(id).getBoundingClientRect();
     return document.elementFromPoint(left + width / 2, top + height / 2)?.closest("[id]")?.id;
   };
-  const cut = ["said", "stop-known", "walk-known", "mode", "age", "lease-hand-over"].filter((id) => {
+  const cut = ["said", "stop-known", "walk-known", "mode", "age", "lease-hand-over", "measured"].filter((id) => {
     const each = document.getElementById(id);
     const { left, top, right, bottom } = each.getBoundingClientRect();
     const inside = left >= 0 && top >= 0 && right <= innerWidth && bottom <= innerHeight;
@@ -121,6 +121,16 @@ NOW: Final = {
 """The longest sentences of gateway/people/walking/words.py."""
 
 
+MEASURED: Final = {
+    "type": "telemetry",
+    "telemetry": {
+        "age_ms": 0, "temperature_c": -40, "battery": {"voltage_v": 11.1, "percent": 10}, "tilt_deg": 179.9,
+        "imu": {"orientation_wxyz": [1, 0, 0, 0]}, "feet": [1, 1, 1, 0, 0, 0],
+    },
+}  # fmt: skip
+"""In as many letters as it may take."""
+
+
 def walk(posture: str | None, detail: str = "", limit: str = "") -> dict[str, Any]:
     """What the console reports of a walk."""
     return {
@@ -156,6 +166,8 @@ def situations(source: str) -> dict[str, tuple[list[dict[str, Any]], dict[str, A
             {**lease(source), "mode": "estopped", "now": f"Emergency stop by {LONG}: nothing runs until a reset"},
         ),
         "a bus fault": ([], {**lease(LONG, asked_by=LONG), "mode": "bus_fault"}),
+        "measured": ([MEASURED], lease(source)),
+        "controller silent": ([MEASURED], {**lease(source), "controller": {"alive": False}}),
         "no gateway": ([{"type": "link", "status": "gone", "detail": gone}, mine(False)], lease(LONG)),
         "a gateway again": ([{"type": "link", "status": "connected", "detail": ""}], lease(None)),
     }

@@ -124,7 +124,15 @@ class Opened:
     opening: int
 
 
-Event = Transfer | Setting | Opened
+@dataclass(frozen=True)
+class Message:
+    """A program has written this to the UART; seen there before any later transfer."""
+
+    monotonic_ns: int
+    data: bytes
+
+
+Event = Transfer | Setting | Opened | Message
 
 
 class SpiTestbed(Closing):
@@ -233,6 +241,11 @@ class SpiTestbed(Closing):
         return [event for event in self.events if isinstance(event, Setting)]
 
     @property
+    def messages(self) -> list[Message]:
+        """What was written to the UART up to now, in order."""
+        return [event for event in self.events if isinstance(event, Message)]
+
+    @property
     def delivered(self) -> list[bytes]:
         """The bytes of each transfer the controller got, in order."""
         return [transfer.data for transfer in self.transfers if transfer.delivered]
@@ -260,6 +273,24 @@ class SpiTestbed(Closing):
             return [transfer for transfer in transfers[since:] if transfer.data == data and transfer.delivered]
 
         return found(self.wait_for(lambda transfers: bool(found(transfers)), timeout_s))[0]
+
+    def wait_for_message(self, data: bytes, *, since: int = 0, timeout_s: float = 5.0) -> Message:
+        """Wait for just this message on the UART, at index `since` of all events or later; the first such one."""
+        found: list[Message] = []
+
+        def came() -> bool:
+            found[:] = [event for event in self._events[since:] if isinstance(event, Message) and event.data == data]
+            return bool(found)
+
+        if not self._wait(came, timeout_s):
+            raise TimeoutError(f"waited {timeout_s} s for {data.hex(' ')}; arrived: {self._summary()}")
+        return found[0]
+
+    def follow(self, since: int, timeout_s: float) -> list[Event] | None:
+        """The events from index `since` on, as soon as there is one; none in time: []. None: there are no more."""
+        self._wait(lambda: len(self._events) > since, timeout_s)
+        with self._changed:
+            return None if self._ended else self._events[since:]
 
     def wait_for_opening(self, number: int, timeout_s: float = 5.0) -> Opened:
         """Wait until the device is opened for the `number`th time, from 1."""
@@ -343,11 +374,35 @@ class SpiTestbed(Closing):
         """The device is back, as a new node; ends `remove_node` and `fail_open`."""
         self._command("restore_node")
 
+    def answer(self, data: bytes) -> None:
+        """The controller sends these bytes during each message from now on, and zeros behind them."""
+        self._command("answer", data=data.hex())
+
+    def attach_uart(self, path: Path) -> None:
+        """From now on there is a UART at this path."""
+        self._command("attach_uart", path=str(path))
+
+    def detach_uart(self) -> None:
+        """The UART goes, from below the programs that hold it, too."""
+        self._command("detach_uart")
+
+    def send_uart(self, data: bytes) -> None:
+        """The controller sends these bytes over the UART."""
+        self._command("send_uart", data=data.hex())
+
+    def tell(self, name: str, data: bytes) -> None:
+        """`answer` or `send_uart`, without waiting until it holds."""
+        with self._changed:
+            self._send(0, name, data=data.hex())
+
+    def _send(self, number: int, name: str, **arguments: object) -> None:
+        self._channel.sendall(json.dumps({"id": number, "do": name, **arguments}).encode() + b"\n")
+
     def _command(self, name: str, **arguments: object) -> None:
         with self._changed:
             self._requests += 1
             number = self._requests
-            self._channel.sendall(json.dumps({"id": number, "do": name, **arguments}).encode() + b"\n")
+            self._send(number, name, **arguments)
         if not self._wait(lambda: number in self._replies, REPLY_TIMEOUT_S):
             raise RuntimeError(f"the emulated device does not answer to {name}")
         if error := self._replies.pop(number):
@@ -386,7 +441,10 @@ class SpiTestbed(Closing):
 
 
 def _event(record: dict[str, Any]) -> Event:
-    now_ns, kind, opening = record["t"], record["kind"], record["opening"]
+    now_ns, kind = record["t"], record["kind"]
+    if kind == "uart":
+        return Message(now_ns, bytes.fromhex(record["data"]))
+    opening = record["opening"]
     if kind == "open":
         return Opened(now_ns, opening)
     if kind in ("mode", "bits", "speed", "lsb_first"):

@@ -14,7 +14,9 @@ falls back at the last close. An open descriptor whose device has gone answers E
 bytes, of which each transfer takes a multiple of 128. A transfer's pause is made while chip select is asserted; behind
 those with `cs_change` it is then released for 10 µs, whatever pause was asked for. Each such cycle, its pause included,
 is an event of its own, with the time at which it begins. A call lasts as long as the wire needs, and no other call
-comes into it. Nothing is ever received: MISO reads zeros.
+comes into it. MISO reads the bytes
+of the last `answer`, from the first on with each message, and zeros behind them: what a controller sends was made ready
+before. A UART is there once it is attached; what a program writes to it is an event, too.
 """
 
 import argparse
@@ -37,6 +39,9 @@ from contextlib import suppress
 from pathlib import Path
 from types import FrameType
 from typing import Any
+
+sys.path.insert(0, str(Path(__file__).parents[2]))
+from tests.hil.pseudo_uart import PseudoUart
 
 NODE = "spidev0.0"
 PRELOAD = "libumockdev-preload.so.0"
@@ -103,6 +108,8 @@ class SpiController:
         self._calls = 0
         self._delay_s = 0.0
         self._blocking = False
+        self._answer = b""
+        self.uart = PseudoUart(lambda now_ns, data: emit({"t": now_ns, "kind": "uart", "data": data.hex()}))
         self._held: list[Callable[[], None]] = []
 
     def fail(self, code: int, count: int | None, after: int = 0) -> None:
@@ -174,6 +181,11 @@ class SpiController:
         for answer in held:
             answer()
 
+    def answer(self, data: str) -> None:
+        """The controller sends these bytes (hex) during each message from now on."""
+        with self._lock:
+            self._answer = bytes.fromhex(data)
+
     def shut_down(self) -> None:
         """The device has gone: descriptors open now answer ESHUTDOWN for ever."""
         with self._lock:
@@ -194,6 +206,7 @@ class SpiController:
         return self._openings[client]
 
     def handle_ioctl(self, _base: object, client: Any) -> bool:
+        self.uart.drain()
         now_ns = time.monotonic_ns()
         request = client.get_request()
         size, magic, number = request >> 16 & 0x3FFF, request >> 8 & 0xFF, request & 0xFF
@@ -217,6 +230,7 @@ class SpiController:
     def _message(self, now_ns: int, client: Any, argument: Any, size: int) -> None:
         raw = bytes(argument.retrieve())
         segments = []
+        answer = self._answer
         filled: set[tuple[int, int]] = set()  # receive buffers that segments share
         for offset in range(0, size, SEGMENT.size):
             tx_buf, rx_buf, length, speed_hz, delay_us, bits, cs_change, *_ = SEGMENT.unpack_from(raw, offset)
@@ -226,7 +240,7 @@ class SpiController:
                 return
             if rx_buf and length:
                 if (rx_buf, length) not in filled:  # each is a message to the program
-                    argument.resolve(offset + 8, length).update(0, bytes(length))
+                    argument.resolve(offset + 8, length).update(0, answer[:length].ljust(length, b"\0"))
                     filled.add((rx_buf, length))
             elif "loses-edges" in self._quirks:
                 sent = (int.from_bytes(sent) >> 1 << 1).to_bytes(length)
@@ -387,6 +401,10 @@ class Testbed:
             "delay": self._controller.delay,
             "block": self._controller.block,
             "release": self._controller.release,
+            "answer": self._controller.answer,
+            "attach_uart": self._controller.uart.attach,
+            "detach_uart": self._controller.uart.detach,
+            "send_uart": self._controller.uart.send,
             "remove_node": self.remove_node,
             "fail_open": self.fail_open,
             "restore_node": self.restore_node,
@@ -434,6 +452,7 @@ class Testbed:
 
     def close(self) -> None:
         """Remove what lies in the file system."""
+        self._controller.uart.detach()
         shutil.rmtree(self.root, ignore_errors=True)
 
 
@@ -456,7 +475,8 @@ def serve(channel: socket.socket) -> int:
                 bed.commands[name](**request)
             except (OSError, ValueError) as reason:
                 error = str(reason)
-            emit({"kind": "reply", "id": number, "error": error})
+            if number:
+                emit({"kind": "reply", "id": number, "error": error})
     finally:
         bed.close()
     return 0

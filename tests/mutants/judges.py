@@ -71,6 +71,9 @@ _TIMES: Final = f"{_PEOPLE}test_times.py"
 JUDGES: Final = {
     "gateway/model/frames.py": (f"{_MODEL}test_frames.py", "tests/unit/test_decode.py"),
     "gateway/model/framing.py": (f"{_MODEL}test_framing.py",),
+    "gateway/model/elkapod.py": (f"{_MODEL}test_elkapod_bytes.py",),
+    "gateway/robot/protocol/elkapod.py": (f"{_UNIT}test_elkapod_wire.py",),
+    "gateway/robot/spi/cyclic.py": (f"{_UNIT}test_elkapod_wire.py",),
     "gateway/robot/spi/guard.py": (
         f"{_UNIT}test_guard.py",
         f"{_UNIT}test_bus_device.py",

@@ -1,5 +1,6 @@
 """The bridge between a real gateway and a ROS router, with peers that we did not write (zenoh-ros2-sdk)."""
 
+import math
 import signal
 import sys
 import threading
@@ -24,8 +25,11 @@ from gateway.people.ros2.messages import (
     Twist,
     Vector3,
 )
+from gateway.people.ros2.robot import MEASURED
 from gateway.people.ros2.wire import Attachment
+from schemas import keys
 from schemas.telemetry import GatewayState, Kind, Mode
+from tests.support import measuring
 from tests.support.bridged import PATIENT, Bridge, Received, bridged, clean, keeps, rejected, resting
 from tests.support.child import Child
 from tests.support.command import run_here
@@ -42,6 +46,9 @@ def test_a_peer_sees_its_topics_and_services(peer: Peer) -> None:
     assert {name: types for name, types in graph.items() if name.startswith("/hexapod/") or name == "/tf"} == {
         "/tf": ["tf2_msgs/msg/TFMessage"],
         "/hexapod/joint_states": ["sensor_msgs/msg/JointState"],
+        "/hexapod/battery_state": ["sensor_msgs/msg/BatteryState"],
+        "/hexapod/imu/data": ["sensor_msgs/msg/Imu"],
+        "/hexapod/temperature": ["sensor_msgs/msg/Temperature"],
         "/hexapod/robot_description": ["std_msgs/msg/String"],
         "/hexapod/diagnostics": ["diagnostic_msgs/msg/DiagnosticArray"],
         "/hexapod/joint_commands": ["sensor_msgs/msg/JointState"],
@@ -86,6 +93,34 @@ def test_diagnostics_say_what_the_gateway_does(bridge: Bridge, watcher: Client) 
     watcher.estop()
     stopped = received.wait(lambda each: part(each, "gateway").level == DiagnosticStatus.ERROR)
     assert part(stopped, "emergency stop").message == "engaged by watcher"
+
+
+def test_what_the_robot_measures_is_read_by_a_peer_and_rubbish_ends_nothing(
+    bridge: Bridge, peer: Peer, watcher: Client
+) -> None:
+    """Published here in the gateway's place: without access control anybody may."""
+    del bridge
+    for topic, kind in MEASURED.items():
+        peer.subscribe(f"/hexapod/{topic}", kind)
+    watcher.publish(keys.TELEMETRY, {"battery": "full"})
+    ended = threading.Event()
+
+    def publish() -> None:
+        while not ended.wait(0.1):
+            watcher.session.put(keys.TELEMETRY, measuring.MEASURED.model_dump_json())
+
+    publishing = threading.Thread(target=publish)
+    publishing.start()
+    try:
+        battery, imu, temperature = (peer.next(f"/hexapod/{topic}") for topic in MEASURED)
+    finally:
+        ended.set()
+        publishing.join()
+    assert battery["percentage"] == pytest.approx(0.8)
+    assert math.isnan(battery["current"])
+    assert imu["header"]["frame_id"] == "base"
+    assert imu["linear_acceleration"]["z"] == 9.81
+    assert temperature["temperature"] == 31.5
 
 
 # ---- nothing moves unasked

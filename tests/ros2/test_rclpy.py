@@ -16,8 +16,11 @@ from gateway.people.ros2.messages import (
     Twist,
     Vector3,
 )
+from gateway.people.ros2.robot import MEASURED
+from schemas import keys
 from schemas.telemetry import Kind, Mode
 from tests.ros2.test_motion import plan
+from tests.support import measuring
 from tests.support.bridged import GEOMETRY, LONG_S, RESTS_DEG, clean, commanded, keeps, resting
 from tests.support.child import Child
 from tests.support.gateway_process import Gateway
@@ -70,6 +73,9 @@ def test_ros_itself_sees_its_topics_and_services(peer: RclpyPeer) -> None:
     found = {name: types for name, types in graph.items() if name.startswith("/hexapod/") and "parameter" not in name}
     assert {name.rpartition("/")[2]: kind for name, [kind] in found.items() if "type_description" not in name} == {
         "joint_states": "sensor_msgs/msg/JointState",
+        "battery_state": "sensor_msgs/msg/BatteryState",
+        "data": "sensor_msgs/msg/Imu",
+        "temperature": "sensor_msgs/msg/Temperature",
         "robot_description": "std_msgs/msg/String",
         "diagnostics": "diagnostic_msgs/msg/DiagnosticArray",
         "joint_commands": "sensor_msgs/msg/JointState",
@@ -87,6 +93,28 @@ def test_ros_itself_sees_its_topics_and_services(peer: RclpyPeer) -> None:
     }
     peer.subscribe("/hexapod/robot_description", String, latched=True)
     assert '<robot name="elkapod"' in peer.next_where("/hexapod/robot_description", lambda _: True).data
+
+
+def test_ros_itself_reads_what_the_robot_measures(peer: RclpyPeer, watcher: Client) -> None:
+    """Published here in the gateway's place."""
+    for topic, kind in MEASURED.items():
+        peer.subscribe(f"/hexapod/{topic}", kind)
+    ended = threading.Event()
+
+    def publish() -> None:
+        while not ended.wait(0.1):
+            watcher.session.put(keys.TELEMETRY, measuring.MEASURED.model_dump_json())
+
+    publishing = threading.Thread(target=publish)
+    publishing.start()
+    try:
+        battery, imu, temperature = (peer.next_where(f"/hexapod/{topic}", lambda _: True) for topic in MEASURED)
+    finally:
+        ended.set()
+        publishing.join()
+    assert battery.percentage == pytest.approx(0.8)
+    assert (imu.header.frame_id, imu.linear_acceleration.z) == ("base", 9.81)
+    assert temperature.temperature == 31.5
 
 
 def test_nothing_is_taken_before_somebody_drives(peer: RclpyPeer, watcher: Client) -> None:

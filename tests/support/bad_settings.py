@@ -67,6 +67,8 @@ FILE_FAULTS = [
     ('[controller]\nuart = "ttyAMA1"', "controller.uart: write the path of a device, such as /dev/ttyAMA1"),
     ("[safety]\nmin_battery_v = 6", "safety.min_battery_v: hexapod-1.0 has nothing that measures it; leave it at 0"),
     ("[safety]\nmax_tilt_deg = 45", "safety.max_tilt_deg: hexapod-1.0 has nothing that measures it; leave it at 0"),
+    ("[controller]\ncycle_hz = 10\nsilent_ms = 299",
+     "controller: silent_ms is 299, and 10 answers a second want 300 at least: one lost answer is no silence"),
     ('[spi]\nprotocol = "elkapod-2025"\n[limits]\nstart_stagger_ms = 1',
      "limits.start_stagger_ms: elkapod-2025 starts all servos at once, so leave it at 0"),
     ('[spi]\nprotocol = "elkapod-2025"\n[safety]\nmax_tilt_deg = 9',

@@ -16,6 +16,7 @@ from gateway.robot.core.events import (
     Request,
     Reset,
     StoppedOutside,
+    Targets,
     Transmit,
 )
 from gateway.robot.core.leg import Rules
@@ -191,11 +192,15 @@ class LegHistory:
 
 
 def change_hands(
-    legs: Mapping[int, LegHistory], running: Iterable[int], command: Command, effects: Iterable[Effect]
+    legs: Mapping[int, LegHistory],
+    running: Iterable[int],
+    command: Command,
+    targets: Targets,
+    effects: Iterable[Effect],
 ) -> None:
     """An accepted command names running legs that are another source's: they change hands, and each is told once."""
-    named = {leg_of(servo_id): legs[leg_of(servo_id)] for servo_id, _ in command.targets}
-    moved = {leg_of(servo_id) for servo_id, op in command.targets if op.op is not Op.STOP}
+    named = {leg_of(servo_id): legs[leg_of(servo_id)] for servo_id, _ in targets}
+    moved = {leg_of(servo_id) for servo_id, op in targets if op.op is not Op.STOP}
     changed = {number: leg for number, leg in named.items() if leg.source != command.source}
     told = [effect for effect in effects if isinstance(effect, Announce) and effect.kind is Kind.SOURCE_CHANGED]
     expected = [

@@ -31,12 +31,13 @@ from gateway.robot.core.leg import Leg, Rules, Servo
 from gateway.robot.core.legs import Legs
 from gateway.robot.core.pacing import RateSlots, StartQueue
 from gateway.robot.core.supervisor import Supervisor
-from schemas.telemetry import Mode
+from schemas.telemetry import Kind, Mode
 from tests.support.buttons_history import ButtonsHistory
 from tests.support.calibration_history import CalibrationHistory
 from tests.support.history import STOP_SERVOS, Violation, cloned, demand, speed_age_ns
 from tests.support.lease_history import LeaseHistory
 from tests.support.model_parts import (
+    body_key,
     button_requests,
     buttons_key,
     calibrating_key,
@@ -46,6 +47,7 @@ from tests.support.model_parts import (
     copy_calibrating,
     lease_key,
     lease_requests,
+    measurements,
     tokens,
 )
 from tests.support.motion import landing_key
@@ -67,10 +69,11 @@ class Report:
 
 _ROBOT: Final = Supervisor(Rules())
 _KNOWN: Final = (
-    (_ROBOT, "_rules legs lease buttons calibrating _reach _opened _bus_ok estops _latched_ns _ended stopped_outside"),
-    (_ROBOT, "expirations mode due_ns"),
+    (_ROBOT, "_rules legs lease buttons body calibrating _reach _opened _bus_ok _silent estops _latched_ns _ended"),
+    (_ROBOT, "stopped_outside wants_measurements expirations mode due_ns"),
     (_ROBOT.lease, "_rules holder verified since_ns due_ns guards _token _askers"),
     (_ROBOT.buttons, "required _timeout_ns _rise_ns _by_token closed fell_ns alive due_ns"),
+    (_ROBOT.body, "_rules watches low fallen beyond_ns"),
     (Registration, "name holder counts count until_ns silent offset_ns heard_ns least_ns"),
     (_ROBOT._reach, "_limits_cdeg _landing_cdeg _avoid_cdeg calibration wire limited"),
     (_ROBOT.calibrating, "_reach fault guards _on_its_way"),
@@ -146,7 +149,7 @@ def copied(supervisor: Supervisor) -> Supervisor:
         by_number[number] = type(leg)(number, (first, second, third), slots, *rest)
     _with_legs(legs, by_number)
     lease, buttons = copied_lease(supervisor.lease), copied_buttons(supervisor.buttons)
-    other = cloned(supervisor, legs=legs, lease=lease, buttons=buttons)
+    other = cloned(supervisor, legs=legs, lease=lease, buttons=buttons, body=cloned(supervisor.body))
     copy_calibrating(supervisor, other)
     queue = supervisor.legs._queue
     legs._queue = type(queue)(queue.pause_ns, queue.next_ns, list(queue.legs))
@@ -166,6 +169,7 @@ def key(supervisor: Supervisor, now_ns: int, rank: dict[int, int]) -> tuple[obje
         supervisor.mode,
         supervisor._opened,
         supervisor._bus_ok,
+        supervisor._silent,
         supervisor._ended,
         supervisor.stopped_outside,
         min(now_ns - legs.instant_ns, oldest_ns),  # an emergency stop that is still to come counts from its instant
@@ -175,6 +179,7 @@ def key(supervisor: Supervisor, now_ns: int, rank: dict[int, int]) -> tuple[obje
         supervisor._bus_ok and legs.rest_ns and legs.rest_ns - now_ns,
         lease_key(supervisor.lease, now_ns),
         buttons_key(supervisor.buttons, now_ns),
+        body_key(supervisor, now_ns),
         calibrating_key(supervisor),
         legs.landing and (*landing_key(legs.landing, now_ns), legs.land_ns - now_ns),
         (tuple(queue.legs), max(0, queue.next_ns - now_ns)) if queue.pause_ns else None,
@@ -224,6 +229,7 @@ def events(
     for which, (channel, targets) in enumerate(commands):
         for whose, token in tokens(configuration.drivers, lease):
             yield f"{channel} command {which}{whose}", Command(targets, key=channel, number=number, lease=token)
+    yield from measurements(configuration.bodies)
     yield "time passed", TimePassed()
     yield "bus opened", BusOpened()
     yield from lease_requests(configuration.drivers, number, lease)
@@ -240,6 +246,8 @@ def events(
         yield "reset without a number", Reset(number=number)
     yield from STOP_SERVOS.items()
     yield "bus failed", BusFailed("a test's fault")
+    if configuration.bodies:
+        yield "controller silent", BusFailed("a test's fault", Kind.CONTROLLER_SILENT)
     if configuration.ends:
         yield "shut down", ShutDown()
 

@@ -1,5 +1,5 @@
-"""The lease, the buttons and the calibration in the model check: what may be asked of them, how they are copied, and
-what of them tells states apart."""
+"""The lease, the buttons, the body and the calibration in the model check: what may be asked of them, how they are
+copied, and what of them tells states apart."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -7,7 +7,16 @@ from dataclasses import replace
 from gateway.allowance import NS_PER_MS
 from gateway.model.calibration import CalibrationChange, RobotCalibration
 from gateway.robot.core.buttons import Buttons
-from gateway.robot.core.events import ButtonDo, ButtonRequest, Calibrate, CalibrationSaved, Do, Event, LeaseRequest
+from gateway.robot.core.events import (
+    BodyMeasured,
+    ButtonDo,
+    ButtonRequest,
+    Calibrate,
+    CalibrationSaved,
+    Do,
+    Event,
+    LeaseRequest,
+)
 from gateway.robot.core.lease import RobotLease
 from gateway.robot.core.supervisor import Supervisor
 from tests.support.buttons_history import ButtonsHistory
@@ -91,6 +100,23 @@ def button_requests(
         for delay_ns in delays_ns:
             yield f"{whose} was alive {delay_ns} ago", replace(alive, sent_ms=(now_ns - delay_ns) / NS_PER_MS)
         yield f"{whose} leaves", ButtonRequest(ButtonDo.LEAVE, now_ns, token=token)
+
+
+# ---- the body
+
+
+def body_key(supervisor: Supervisor, now_ns: int) -> tuple[object, ...]:
+    """What of its measurements can still matter."""
+    body, tilt_ns = supervisor.body, supervisor._rules.tilt_ns
+    age_ns = None if body.beyond_ns is None else now_ns - body.beyond_ns
+    landing_ns = supervisor._rules.landing_ns
+    return body.low, body.fallen, age_ns if age_ns is None else min(age_ns, tilt_ns + landing_ns)
+
+
+def measurements(bodies: Sequence[tuple[int | None, int]]) -> Iterator[tuple[str, Event]]:
+    """What the robot may measure: each tilt with each voltage that it has."""
+    for tilt_cdeg, battery_mv in bodies:
+        yield f"tilt {tilt_cdeg}, battery {battery_mv}", BodyMeasured(tilt_cdeg, battery_mv)
 
 
 # ---- the calibration

@@ -7,8 +7,9 @@ else does. It shares no state and no rules with `gateway/robot/core`, only the v
 
 from collections.abc import Sequence
 
-from gateway.model.frames import Op, leg_of, stop_leg
+from gateway.model.frames import STOP, Op, leg_of, stop_leg
 from gateway.robot.core.events import (
+    BodyMeasured,
     BusFailed,
     BusOpened,
     ButtonRequest,
@@ -70,8 +71,9 @@ class Oracle(RobotHistory):
         demand(stops == sorted(stops, reverse=True), "in every step, all Stops come before anything else")
         self.lease.pass_time(now_ns, effects)
         self.buttons.pass_time(now_ns, effects)
+        self.body.judge(event if isinstance(event, BodyMeasured) else None, now_ns, effects)
         match event:
-            case Command() | Reset() | TimePassed() | Calibrate() | ButtonRequest():
+            case Command() | Reset() | TimePassed() | Calibrate() | ButtonRequest() | BodyMeasured():
                 self._in_time(event, now_ns, effects)
             case CalibrationSaved():
                 self._must_be_rejected(event, effects, kept)
@@ -96,6 +98,8 @@ class Oracle(RobotHistory):
                 self._all_stopped(effects, Cause.REPEAT, Reason.SERVO_STOPPED, now_ns)
                 demand(told(effects, Kind.STOPPED_OUTSIDE) != known, "Stops from outside are announced once")
             case BusOpened():
+                back = Kind.CONTROLLER_RETURNED if self.silent else Kind.BUS_RECOVERED
+                demand(told(effects, back) == self.opened, "that the bus is back is announced as its fault was")
                 self.opened = self.bus_ok = True
                 self._all_stopped(effects, Cause.STARTUP, Reason.BUS_FAULT, now_ns)
             case ShutDown():
@@ -103,6 +107,9 @@ class Oracle(RobotHistory):
                 self.lease.end()
                 self._all_stopped(effects, Cause.SHUTDOWN, Reason.STOPPING, now_ns)
             case BusFailed():
+                first = self.bus_ok or not self.opened
+                self.silent = event.kind is Kind.CONTROLLER_SILENT if first else self.silent
+                demand(told(effects, event.kind) == first, "a fault of the bus is announced once")
                 self.opened, self.bus_ok = True, False
                 self._all_stopped(effects, Cause.COMMAND, Reason.BUS_FAULT, now_ns)
                 for servo in self.servos.values():
@@ -146,7 +153,8 @@ class Oracle(RobotHistory):
         | TimePassed
         | StoppedOutside
         | Calibrate
-        | CalibrationSaved,
+        | CalibrationSaved
+        | BodyMeasured,
         now_ns: int,
         effects: Sequence[Effect],
     ) -> None:
@@ -158,6 +166,7 @@ class Oracle(RobotHistory):
         if isinstance(event, ButtonRequest):
             self.buttons.judge(event, now_ns, effects, ended=self.ended)
             watchdog += self._unwatched(now_ns)
+        watchdog += self._fallen(now_ns)
         expired = [effect.frame for effect in frames if effect.cause is Cause.WATCHDOG and effect.frame.is_stop]
         demand(
             expired == [stop_leg(leg) for leg in watchdog],
@@ -212,7 +221,7 @@ class Oracle(RobotHistory):
             for number, leg in self.legs.items()
             if self.armed(number) and (leg.heard_ns is None or now_ns - leg.heard_ns >= self.rules.timeout_ns)
         ]
-        stopped = list(self.legs) if silent and self.rules.whole_robot else silent
+        stopped = list(self.legs) if silent and (self.rules.whole_robot or self.rules.starts_whole) else silent
         if self.landing is not None:
             stopped = list(self.legs) if now_ns >= self.landing.ends_ns else []
             self.landing = None if stopped else self.landing
@@ -225,12 +234,21 @@ class Oracle(RobotHistory):
 
     def _unwatched(self, now_ns: int) -> list[int]:
         """The legs that must be stopped now, since fewer buttons are alive than are required."""
-        armed = any(self.armed(number) for number in self.legs)
-        if not (self.bus_ok and self.buttons.closed and armed) or self.landing is not None:
+        if not (self.bus_ok and self.buttons.closed and self.alive) or self.landing is not None:
             return []
         fell_ns = self.buttons.fell_ns
         demand(fell_ns is not None, "nothing ran before enough buttons were alive")
-        if self._lands(fell_ns or 0, now_ns):
+        return self._down(fell_ns or 0, now_ns)
+
+    def _fallen(self, now_ns: int) -> list[int]:
+        """The legs that must be stopped now, since the body has fallen."""
+        if not (self.bus_ok and self.body.fallen and self.alive) or self.landing is not None:
+            return []
+        return self._down((self.body.tilted_ns or 0) + self.rules.tilt_ns, now_ns)
+
+    def _down(self, since_ns: int, now_ns: int) -> list[int]:
+        """All legs, unless the robot lands."""
+        if self._lands(since_ns, now_ns):
             return []
         self._stopped_unasked(list(self.legs), now_ns)
         return list(self.legs)
@@ -277,18 +295,23 @@ class Oracle(RobotHistory):
 
     def _command(self, command: Command, now_ns: int, effects: Sequence[Effect]) -> frozenset[int]:
         """Whether it must be accepted, and what it then wants. Returns the servos that it stops."""
-        reason = self.reason_to_reject(command)
-        self._must_be_rejected(command, effects, reason)
+        reason, targets = self.reason_to_reject(command), command.targets
+        has_stop = any(op.op is Op.STOP for _, op in targets)
+        stops_whole = reason is None and self.rules.starts_whole and has_stop
+        mixed = stops_whole and any(op.op is not Op.STOP for _, op in targets)
+        self._must_be_rejected(command, effects, Reason.WHOLE_ROBOT if mixed else reason)
         if reason is not None:
             return frozenset()
+        if stops_whole:
+            targets = tuple((servo_id, STOP) for servo_id in self.servos)
         self.lease.heard(command.lease, now_ns)
         running = [number for number in self.legs if self.armed(number)]
-        change_hands(self.legs, running, command, effects)
+        change_hands(self.legs, running, command, targets, effects)
         told_to_stop: set[int] = set()
         for effect in effects:
             if isinstance(effect, Transmit):
                 told_to_stop |= {servo_id for servo_id, op in effect.frame.servos if op.op is Op.STOP}
-        for servo_id, op in command.targets:
+        for servo_id, op in targets:
             servo = self.servos[servo_id]
             if op.op is not Op.STOP:
                 self.legs[leg_of(servo_id)].heard_ns = now_ns
@@ -302,7 +325,7 @@ class Oracle(RobotHistory):
                 still_starts = op.op is Op.START or servo.starts
                 servo.want = Want(Op.START if still_starts else Op.SET, op.angle_cdeg, command.number)
                 servo.bound_cdeg = None
-        return frozenset(servo_id for servo_id, op in command.targets if op.op is Op.STOP)
+        return frozenset(servo_id for servo_id, op in targets if op.op is Op.STOP)
 
     def _must_be_rejected(
         self, event: Command | Reset | Calibrate | CalibrationSaved, effects: Sequence[Effect], reason: Reason | None
@@ -403,6 +426,9 @@ class Oracle(RobotHistory):
 
     def _after(self, now_ns: int, due_ns: int | None) -> None:
         waited_for = {servo.want.number for servo in self.servos.values() if servo.want is not None}
+        if self.rules.starts_whole:
+            states = self.energised, self.alive
+            demand(all(len(each) in (0, len(self.servos)) for each in states), "the whole robot runs, or nothing of it")
         demand(waited_for == self.pending.keys(), f"every command is answered: {waited_for} wait, not {self.pending}")
         theirs = [each for each in (self.lease.due_ns, self.buttons.due_ns) if each is not None]
         if not self.bus_ok:
@@ -425,7 +451,8 @@ class Oracle(RobotHistory):
                 latest.append(deadline_ns)
             under_way = any(servo.want is not None or servo.bound_cdeg is not None for servo in servos)
             if under_way and not self.rules.start_pause_ns:
-                slot_ns = leg.slot_ns(self.rules.period_ns)
+                together = self.legs.values() if self.rules.starts_whole and not self.energised else (leg,)
+                slot_ns = max(each.slot_ns(self.rules.period_ns) for each in together)
                 demand(now_ns < slot_ns, "what is pending is sent when the rate slot comes")
                 latest.append(slot_ns)
             for servo in servos:

@@ -8,6 +8,7 @@ import copy
 import copyreg
 import math
 from collections.abc import Callable, Collection, Iterable
+from functools import cache
 from types import MappingProxyType
 from typing import Final
 
@@ -21,6 +22,8 @@ from gateway.people.walking.stability import margin_m
 from schemas.robot import LEGS
 
 ROBOT: Final = Robot(load())
+WHOLE: Final = Robot(load(), starts_whole=True)
+"""Its legs start and stop together only."""
 TICK_S: Final = 0.02
 WATCHDOG_S: Final = 0.25
 _NEAR_M: Final = 0.045
@@ -32,12 +35,20 @@ copyreg.pickle(MappingProxyType, lambda proxy: (MappingProxyType, (dict(proxy),)
 class Ridden:
     """`tick` is one turn of the shell."""
 
-    def __init__(self, silences: Silences = USUAL_SILENCES, *, once: bool = False, running: Pose | None = None) -> None:
+    def __init__(
+        self,
+        silences: Silences = USUAL_SILENCES,
+        *,
+        once: bool = False,
+        running: Pose | None = None,
+        robot: Robot = ROBOT,
+    ) -> None:
         self.now_s = 100.0
         self.running: dict[int, tuple[float, float, float]] = dict(running or {})
         self.at: dict[int, tuple[float, float, float]] = dict(self.running)
         """Where each servo was commanded to last, running or not."""
-        self.ride = Ride(ROBOT, "tripod", running, silences, once=once, now_s=self.now_s)
+        self._robot = robot
+        self.ride = Ride(robot, "tripod", running, silences, once=once, now_s=self.now_s)
         self.estopped = self.cut = False
         self.hides: Collection[int] = ()
         """Stops of these legs that the first report leaves out."""
@@ -53,7 +64,7 @@ class Ridden:
 
     def stop(self, legs: Iterable[int] = LEGS, hides: Collection[int] = ()) -> None:
         """Somebody stops these; the next report leaves out `hides`."""
-        for leg in legs:
+        for leg in LEGS if self._robot.starts_whole else legs:
             self.running.pop(leg, None)
         self.hides = hides
         self._sink()
@@ -107,7 +118,7 @@ class Ridden:
 
     def copy(self) -> "Ridden":
         """Another one that goes on by itself from here."""
-        return copy.deepcopy(self, {id(ROBOT): ROBOT})
+        return copy.deepcopy(self, {id(self._robot): self._robot})
 
     @property
     def posture(self) -> Posture:
@@ -117,7 +128,7 @@ class Ridden:
         match step.do:
             case RideTask.FIND:
                 self._check_link()
-                self.ride.found(ROBOT, dict(self.running), self.now_s)
+                self.ride.found(self._robot, dict(self.running), self.now_s)
             case RideTask.STOP:
                 self.stop(self._streams & self.running.keys())
                 self._streams, self._over = frozenset(), None
@@ -171,9 +182,10 @@ class Ridden:
         self.lies = margin_m((0.0, 0.0), feet) < 0 or -lowest < ROBOT.lying_m + _LOW_M
 
     def _judge(self, starts: Pose) -> None:
-        assert len(starts) <= 1, f"legs {sorted(starts)} start at once"
+        at_once = (0, len(LEGS)) if self._robot.starts_whole else (0, 1)
+        assert len(starts) in at_once, f"legs {sorted(starts)} start at once"
         for leg, angles in starts.items():
-            if self.started:
+            if self.started and not self._robot.starts_whole:
                 assert self.now_s - self.started[-1][0] >= START_PAUSE_S - 1e-9, f"leg {leg} starts too soon"
             self.started.append((self.now_s, leg))
             if self.lies:
@@ -189,14 +201,14 @@ class Ridden:
         assert math.isfinite(self.now_s)
 
 
-def standing(silences: Silences = USUAL_SILENCES) -> Ridden:
+@cache
+def _stood(silences: Silences, robot: Robot) -> Ridden:
+    ridden = Ridden(silences, robot=robot)
+    ridden.ride.stand(None, ridden.now_s)
+    ridden.until(lambda: ridden.posture is Posture.STANDING)
+    return ridden
+
+
+def standing(silences: Silences = USUAL_SILENCES, robot: Robot = ROBOT) -> Ridden:
     """A program's, that has stood up."""
-    if silences not in _STOOD:
-        ridden = Ridden(silences)
-        ridden.ride.stand(None, ridden.now_s)
-        ridden.until(lambda: ridden.posture is Posture.STANDING)
-        _STOOD[silences] = ridden
-    return _STOOD[silences].copy()
-
-
-_STOOD: Final[dict[Silences, Ridden]] = {}
+    return _stood(silences, robot).copy()

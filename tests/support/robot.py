@@ -17,6 +17,7 @@ from gateway.model.framing import Framing
 from gateway.robot.blackbox.recorder import Recorder
 from gateway.robot.core.message import Received, Reply, Verb
 from gateway.robot.core.supervisor import Supervisor
+from gateway.robot.protocol import Wire
 from gateway.robot.runtime.calibrations import Calibrations, WriteAndThen
 from gateway.robot.runtime.conductor import Conductor
 from gateway.robot.runtime.request_answers import ButtonAnswers, LeaseAnswers, RequestAnswers
@@ -56,11 +57,10 @@ class Robot:
         self.reports: list[tuple[str, BaseModel]] = []
         self._waiting: list[Received] = []
         self.instant_open = False
-        self.bus = Bus(self.settings.spi, self._open, clock=self.now_ns, pause=self._pause)
         self.conductor = Conductor(
             self.settings,
             Supervisor(rules(self.settings)),
-            self.bus,
+            self.wire(),
             self,
             self.loop,
             clock=self.now_ns,
@@ -74,6 +74,11 @@ class Robot:
         self.buttons = ButtonAnswers(self.conductor, self.settings.buttons, None, fresh=lambda: next(fresh))
         self.calibrations = Calibrations(self.conductor, keep, self.loop)
         self._beat()
+
+    def wire(self) -> Wire:
+        """Its way to the controller."""
+        self.bus = Bus(self.settings.spi, self._open, clock=self.now_ns, pause=self._pause)
+        return self.bus
 
     def _beat(self) -> None:
         """The service's."""

@@ -9,6 +9,7 @@ from gateway.robot.core.events import Command, Effect, Transmit
 from gateway.robot.core.leg import Rules
 from schemas.robot import LEGS
 from schemas.telemetry import Mode, Reason
+from tests.support.body_history import BodyHistory
 from tests.support.buttons_history import ButtonsHistory
 from tests.support.calibration_history import CalibrationHistory
 from tests.support.history import CLOSED, LegHistory, ServoHistory, cloned, demand
@@ -38,6 +39,9 @@ class RobotHistory:
         """When the present instant began: that of all that was collected together."""
         self.lease = LeaseHistory(rules)
         self.buttons = ButtonsHistory(rules)
+        self.body = BodyHistory(rules)
+        self.silent = False
+        """Whether the bus is at fault because the controller does not answer."""
         self.calibration = CalibrationHistory(rules, calibration or RobotCalibration(), fault)
         self.landing: LandingHistory | None = None
         self.energised_leg: int | None = None
@@ -60,6 +64,7 @@ class RobotHistory:
             lease=cloned(self.lease),
             calibration=cloned(self.calibration),
             buttons=self.buttons.clone(),
+            body=cloned(self.body),
         )
 
     def key(self, now_ns: int, rank: dict[int, int]) -> tuple[object, ...]:
@@ -71,11 +76,12 @@ class RobotHistory:
         if not self.rules.start_pause_ns:
             pause = (None, 0, ())
         pending = tuple(self.pending[number] for number in sorted(self.pending))
-        others = self.lease.key(now_ns), self.buttons.key(now_ns), self.calibration.key()
+        others = self.lease.key(now_ns), self.buttons.key(now_ns), self.body.key(now_ns), self.calibration.key()
         landing = self.landing and self.landing.key(now_ns)
         return (
             self.opened,
             self.bus_ok,
+            self.silent,
             self.ended,
             self.outside,
             latched,
@@ -125,11 +131,14 @@ class RobotHistory:
     # ---- what is taken
 
     def reason_to_reject(self, command: Command) -> Reason | None:
-        if self.mode in CLOSED:
-            return CLOSED[self.mode]
+        """Why a command takes no effect."""
+        return CLOSED.get(self.mode) or self._reason_to_move(command)
+
+    def _reason_to_move(self, command: Command) -> Reason | None:
         moves = [(self.servos[servo_id], servo_id, op) for servo_id, op in command.targets if op.op is not Op.STOP]
         if moves:
             closed = self.reason_to_move_nothing(command.lease) or self.too_few_buttons
+            closed = closed or self.unfit([servo for servo, _, _ in moves])
             closed = closed or self.calibration.reason_to_reject([servo_id for _, servo_id, _ in moves])
             if closed is not None:
                 return closed
@@ -140,7 +149,15 @@ class RobotHistory:
                 return Reason.SERVO_STOPPED
             if op.op is Op.SET and not servo.on and not servo.starts:
                 return Reason.SERVO_STOPPED
-        return None
+        partly = 0 < len(moves) == len(command.targets) < len(self.servos)
+        return Reason.WHOLE_ROBOT if self.rules.starts_whole and partly and not self.alive else None
+
+    def unfit(self, moved: Iterable[ServoHistory]) -> Reason | None:
+        """Why the body does not allow that these servos move."""
+        if self.body.fallen:
+            return Reason.FALLEN
+        needs_battery = any(not servo.on and not servo.starts for servo in moved)
+        return Reason.BATTERY_LOW if self.body.low and needs_battery else None
 
     def reason_to_move_nothing(self, lease: str | None) -> Reason | None:
         if self.outside:

@@ -32,9 +32,14 @@ WANTED: Final = (
     "trajectory_msgs/msg/JointTrajectory",
     "rcl_interfaces/msg/Log",
     "visualization_msgs/msg/MarkerArray",
+    "sensor_msgs/msg/Imu",
+    "sensor_msgs/msg/BatteryState",
+    "sensor_msgs/msg/Temperature",
     f"{TRIGGER}_Request",
     f"{TRIGGER}_Response",
 )
+OTHERWISE: Final = {"Imu": "ImuMessage"}
+"""Names of classes, where the schemas have one of ROS 2's name."""
 PYTHON: Final = {
     "bool": ("bool", "False"),
     "byte": ("byte", "0"),
@@ -50,7 +55,7 @@ _HEAD: Final = '''"""ROS 2's message types, written by `python -m tests.support.
 They are the same in all of `DISTRIBUTIONS` (rosbags keeps their definitions). Fields are documented where ROS 2 is.
 """
 
-from typing import ClassVar, Final
+from typing import Annotated, ClassVar, Final
 
 from gateway.people.ros2.cdr import Message, byte, float32, float64, int32, ros_msg, uint8, uint32
 
@@ -127,21 +132,24 @@ def text() -> str:
 def _need(store: Typestore, name: str, needed: dict[str, None]) -> None:
     """The types inside of it first."""
     for _, description in store.fielddefs[name][1]:
-        element = _element(description)[0]
+        element, *_ = _element(description)
         if "/" in element:
             _need(store, element, needed)
     needed[name] = None
 
 
-def _element(description: Any) -> tuple[str, bool]:
+def _element(description: Any) -> tuple[str, bool, int]:
+    """The element, whether there are many of it, and how many an array has."""
     node, what = description
     if node == Nodetype.BASE and what[1] == 0:
-        return str(what[0]), False
+        return str(what[0]), False, 0
     if node == Nodetype.NAME:
-        return str(what), False
+        return str(what), False, 0
     if node == Nodetype.SEQUENCE and what[1] == 0:
-        return _element(what[0])[0], True
-    raise ValueError(f"cdr.py has no arrays and no bounds: {description}")
+        return _element(what[0])[0], True, 0
+    if node == Nodetype.ARRAY and what[0] == _plain("float64"):
+        return "float64", True, what[1]
+    raise ValueError(f"cdr.py has no such arrays and no bounds: {description}")
 
 
 def _class(store: Typestore, name: str) -> str:
@@ -162,8 +170,10 @@ def _class(store: Typestore, name: str) -> str:
 
 
 def _attribute(name: str, description: Any) -> str:
-    element, many = _element(description)
+    element, many, count = _element(description)
     kind, default = (_python(element), f"{_python(element)}()") if "/" in element else PYTHON[element]
+    if count:
+        return f"    {name}: Annotated[tuple[{kind}, ...], {count}] = ({default},) * {count}"
     if many:
         return f"    {name}: tuple[{kind}, ...] = ()"
     return f"    {name}: {kind} = {default}"
@@ -171,7 +181,8 @@ def _attribute(name: str, description: Any) -> str:
 
 def _python(name: str) -> str:
     """`std_msgs/msg/String` → `String`, `std_srvs/srv/Trigger_Request` → `TriggerRequest`."""
-    return name.rsplit("/", maxsplit=1)[1].replace("_", "")
+    short = name.rsplit("/", maxsplit=1)[1].replace("_", "")
+    return OTHERWISE.get(short, short)
 
 
 if __name__ == "__main__":

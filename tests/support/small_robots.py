@@ -40,6 +40,8 @@ class Configuration:
     """Why that cannot be trusted."""
     changes: tuple[CalibrationChange, ...] = ()
     """What may be changed of the calibration."""
+    bodies: tuple[tuple[int | None, int], ...] = ()
+    """What the robot may measure: (tilt in hundredths of a degree, battery in mV)."""
     calm: bool = False
     """Whether the bus answers, and nobody wants an emergency stop or stops servos past the gateway."""
 
@@ -81,6 +83,7 @@ _TWO_LEGS = (
     ("legs", _each(START, 11, 21)),
     ("legs", ((11, START), (21, STOP))),
 )
+_BOTH = (11, 12, 13, 21, 22, 23)
 _WAITS = (0, TICK, 5 * TICK)
 _MIRRORED = RobotCalibration(1, {11: ServoMapping(-10_00, inverted=True)}, {11: HIGH})
 _AS_DRAWN = {11: MappingChange(trim_cdeg=0, inverted=False, max_cdeg=180_00)}
@@ -194,6 +197,56 @@ CONFIGURATIONS: Final = (
         (TICK, 4 * TICK),
         ends=False,
         buttons=("kitchen",),
+        calm=True,
+    ),
+    Configuration(
+        "two legs that start and stop as one",
+        _rules(repeats=0, starts_whole=True),
+        (1, 2),
+        (
+            ("legs", _each(START, *_BOTH)),
+            ("legs", _each(STOP, *_BOTH)),
+            ("servo", _each(START, 11)),
+            ("servo", _each(SET, 21)),
+            ("servo", _each(STOP, 11)),
+            ("leg", ((11, STOP), (12, START))),
+        ),
+        _WAITS[1:],
+    ),
+    Configuration(
+        "two legs that start and stop as one, rate slots later than the watchdog, and landing",
+        _rules(timeout_ns=2 * TICK, period_ns=3 * TICK, repeats=0, starts_whole=True, landing_ns=4 * TICK),
+        (1, 2),
+        (("legs", _each(START, *_BOTH)), ("servo", _each(SET, 21)), ("servo", _each(STOP, 11))),
+        (TICK, 3 * TICK),
+        ends=False,
+    ),
+    Configuration(
+        "two legs that start and stop as one, two drivers and one lease",
+        _rules(timeout_ns=6 * TICK, period_ns=3 * TICK, repeats=0, starts_whole=True, lease_ttl_ns=3 * TICK),
+        (1, 2),
+        (("legs", _each(START, *_BOTH)), ("servo", _each(SET, 21)), ("leg", ((11, STOP), (12, START)))),
+        (TICK, 3 * TICK),
+        ends=False,
+        drivers=("anna", "bert"),
+        calm=True,
+    ),
+    Configuration(
+        "one servo, a battery and a body that may fall",
+        _rules(repeats=0, min_battery_mv=5000, max_tilt_cdeg=30_00, tilt_ns=2 * TICK),
+        (1,),
+        (_ONE_SERVO[0], _ONE_SERVO[1], _ONE_SERVO[2]),
+        (TICK, 3 * TICK),
+        bodies=((0, 7000), (0, 5050), (31_00, 4999), (None, 7000)),
+    ),
+    Configuration(
+        "two legs that start and stop as one, landing, and a body that may fall",
+        _rules(repeats=0, starts_whole=True, landing_ns=6 * TICK, max_tilt_cdeg=30_00, tilt_ns=2 * TICK),
+        (1, 2),
+        (("legs", _each(START, *_BOTH)), ("servo", _each(STOP, 21))),
+        (TICK, 3 * TICK),
+        ends=False,
+        bodies=((30_00, 0), (31_00, 0), (None, 0)),
         calm=True,
     ),
     Configuration(

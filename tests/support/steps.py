@@ -7,6 +7,7 @@ from gateway.model.calibration import CalibrationChange, RobotCalibration
 from gateway.model.frames import STOP, OneServo, Op, ServoOp, servo_ids_of
 from gateway.robot.core.events import (
     Announce,
+    BodyMeasured,
     BusFailed,
     BusOpened,
     ButtonDo,
@@ -31,6 +32,7 @@ from gateway.robot.core.events import (
 )
 from gateway.robot.core.leg import Rules
 from gateway.robot.core.supervisor import Supervisor
+from schemas.telemetry import Kind
 from tests.support.history import is_coalesced, spelled_out
 from tests.support.oracle import Oracle
 
@@ -218,8 +220,13 @@ class Steps:
         """`stop-servos` is seen at work, or its end is."""
         return self.take(at_ms, StoppedOutside(at_work))
 
-    def fail(self, at_ms: float) -> list[str]:
-        return self.take(at_ms, BusFailed("EIO"))
+    def measure(self, at_ms: float, tilt_deg: float | None = 0, battery_v: float = 7.4) -> list[str]:
+        """The robot has measured."""
+        tilt_cdeg = None if tilt_deg is None else round(tilt_deg * 100)
+        return self.take(at_ms, BodyMeasured(tilt_cdeg, round(battery_v * 1000)))
+
+    def fail(self, at_ms: float, kind: Kind = Kind.BUS_FAULT) -> list[str]:
+        return self.take(at_ms, BusFailed("EIO", kind))
 
     def open(self, at_ms: float) -> list[str]:
         return self.take(at_ms, BusOpened())

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from typing import Final, get_args
 
 from gateway.robot.core.events import (
+    BodyMeasured,
     BusFailed,
     BusOpened,
     ButtonRequest,
@@ -25,7 +26,17 @@ from schemas.telemetry import Mode
 
 _QUIET: Final = frozenset({Mode.IDLE, Mode.ACTIVE})
 _FAULT: Final = frozenset({Mode.BUS_FAULT})
-_TAKEN: Final = (Command, Reset, LeaseRequest, ButtonRequest, Calibrate, CalibrationSaved, StoppedOutside, TimePassed)
+_TAKEN: Final = (
+    Command,
+    Reset,
+    LeaseRequest,
+    ButtonRequest,
+    Calibrate,
+    CalibrationSaved,
+    StoppedOutside,
+    BodyMeasured,
+    TimePassed,
+)
 
 
 def _opened(
@@ -45,6 +56,7 @@ TRANSITIONS: Final[dict[Mode, dict[type[Event], frozenset[Mode]]]] = {
         EmergencyStop: frozenset({Mode.STARTING}),
         BusOpened: frozenset({Mode.IDLE, Mode.ESTOPPED}),
         BusFailed: _FAULT,
+        BodyMeasured: frozenset({Mode.STARTING}),
         TimePassed: frozenset({Mode.STARTING}),
         ShutDown: frozenset({Mode.STOPPING}),
     },

@@ -11,7 +11,7 @@ import pytest
 import gateway.client
 from release.docs_site import PAGES, ROOT, SITE, broken_links, relinked
 
-RETURNED: Final = {"Ack", "Event", "GatewayState", "Kind", "Odometry", "Posture", "Reason", "WalkState"}
+RETURNED: Final = {"Ack", "Event", "GatewayState", "Kind", "Odometry", "Posture", "Reason", "Telemetry", "WalkState"}
 OURS: Final = {
     "Button.leave",
     "Client.carry",

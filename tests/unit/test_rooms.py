@@ -15,12 +15,12 @@ ROOMS: Final = (
     ("host", "certs"),
     ("zenoh_config",),
     ("robot.core", "robot.sections", "people.walking", "people.ros2"),
-    ("robot.settings", "people.recordings", "people.physics"),
+    ("robot.settings", "robot.protocol", "people.recordings", "people.physics"),
     ("robot.host", "people.incidents", "people.client"),
     ("robot.spi", "client", "people.terminal"),
     ("robot.zenoh_io", "people.tools"),
     ("robot.blackbox", "people.console", "people.bridge"),
-    ("robot.runtime",),
+    ("robot.runtime", "robot.wires"),
     ("robot.service",),
     ("onboard",),
     ("cli",),
@@ -32,7 +32,7 @@ WINGS: Final = ("robot", "people")
 SHARED: Final = frozenset(room for row in ROOMS[:4] for room in row)
 """What both wings mean by the same words, and do in the same way."""
 KNOW_BOTH: Final = frozenset({"onboard", "cli", "__main__"})
-PURE: Final = ("model", "robot.core", "people.walking", "people.ros2")
+PURE: Final = ("model", "robot.core", "robot.protocol", "people.walking", "people.ros2")
 ALSO_PURE: Final = frozenset({"allowance", "errors", "geometry", "text", *WINGS})
 """Geometry but for reading its file, which is for whoever calls."""
 NOT_PURE: Final = frozenset(

@@ -273,6 +273,7 @@ REPORTS = (
     "Event",
     "FrameRecord",
     "BodyReport",
+    "Telemetry",
 )
 
 

@@ -10,6 +10,7 @@ import threading
 import zipfile
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from queue import SimpleQueue
 from types import FrameType, ModuleType
 from typing import Any
 
@@ -22,10 +23,11 @@ from gateway.client import Client, leg_payload
 from gateway.errors import ConfigError, UnansweredError, ZenohError
 from gateway.people.client import aio, blocking, lease, stream
 from schemas import keys
-from schemas.telemetry import Ack, Event, GatewayState, Mode
+from schemas.telemetry import Ack, Event, GatewayState, Mode, Telemetry
 from tests.support.child import Child
 from tests.support.fixtures import client_fixture, gateway_fixture
 from tests.support.gateway_process import Gateway, free_port
+from tests.support.measuring import MEASURED, measuring
 
 MOST_LOOKS = 500
 """In half a second: asked again every 50 ms, and each time a few calls. Without pauses they are many thousands."""
@@ -76,6 +78,25 @@ def test_states_and_events_are_called_back(gateway: Gateway) -> None:
         assert len(subscribers) == 2
 
 
+def test_what_the_robot_measures_is_asked_for_and_called_back() -> None:
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    received: SimpleQueue[Telemetry] = SimpleQueue()
+    with measuring(endpoint) as robot, Client(endpoint, timeout_s=10) as client:
+        subscriber = client.watch_telemetry(received.put)
+        assert client.telemetry() is None, "nothing has come yet"  # and it knows the subscription
+        robot.publish_rubbish()
+        robot.publish(MEASURED)
+        assert received.get(timeout=10) == MEASURED
+        assert client.telemetry() == MEASURED
+        subscriber.undeclare()
+    with pytest.raises(ZenohError):
+        client.telemetry()
+
+
+def test_a_robot_that_measures_nothing_has_no_telemetry_at_once(robot: Client) -> None:
+    assert robot.telemetry(timeout_s=60) is None
+
+
 def test_a_connection_that_fails_names_the_step() -> None:
     """For a program as for a command."""
     endpoint = f"tcp/127.0.0.1:{free_port()}"
@@ -115,6 +136,7 @@ def test_what_nobody_answers_is_one_sentence_and_no_busy_loop(tmp_path: Path) ->
         for ask, why in (
             (lambda: client.start_leg(3, 1, 2, 3), "and the link may have been lost"),
             (client.state, r"within 0\.5 s"),
+            (client.telemetry, r"within 0\.5 s"),
             (client.stop, r"within 0\.5 s"),
         ):
             looks = 0

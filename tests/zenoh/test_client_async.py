@@ -31,9 +31,10 @@ from gateway.people.client.aio import MAX_CALLS
 from gateway.people.client.subscriptions import KEPT_EVENTS
 from gateway.people.client.twin import CallThreads
 from schemas import keys
-from schemas.telemetry import Event, Kind, Mode
+from schemas.telemetry import Event, Kind, Mode, Telemetry
 from tests.support.fixtures import gateway_fixture, patient
 from tests.support.gateway_process import Gateway, free_port
+from tests.support.measuring import MEASURED, measuring
 
 POSE = (90, 45, 120)
 HZ = 50
@@ -158,6 +159,19 @@ async def test_events_are_kept_until_they_are_read(robot: AsyncClient) -> None:
         events.add(found[0])
     await robot.close()
     assert len([event async for event in events]) == KEPT_EVENTS
+
+
+async def test_what_the_robot_measures_is_called_back_on_the_loop() -> None:
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    received: asyncio.Queue[Telemetry] = asyncio.Queue()
+    with measuring(endpoint) as robot:
+        async with AsyncClient(endpoint, timeout_s=10) as client:
+            subscriber = client.watch_telemetry(received.put_nowait)
+            assert await client.telemetry() is None
+            robot.publish(MEASURED)
+            async with asyncio.timeout(10):
+                assert await received.get() == await client.telemetry() == MEASURED
+            subscriber.undeclare()
 
 
 async def test_a_stop_does_not_wait_behind_questions(robot: AsyncClient) -> None:

@@ -17,6 +17,7 @@ import segno
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
 from gateway.client import Client
+from gateway.people.walking import GAITS
 from schemas.robot import LEGS
 from tests.support.child import Child
 from tests.support.command import run_here
@@ -51,6 +52,7 @@ def page(console: Console, session: SignedIn) -> Iterator[Page]:
 def test_a_page_sees_and_drives(page: Page) -> None:
     assert (page.hello["role"], page.hello["version"]) == ("operator", page.state()["version"])
     assert len(page.hello["geometry"]["servos"]) == 18
+    assert page.hello["gaits"] == list(GAITS)
     assert page.ask(LEG_3, START)["ack"] == {"accepted": True}
     leg = page.state(lambda state: state["mode"] == "active")["legs"][2]
     assert leg["source"] == page.hello["source"]

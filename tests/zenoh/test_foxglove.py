@@ -19,10 +19,11 @@ from websockets.sync.client import ClientConnection, connect
 from gateway.people.recordings import REPORTS
 from gateway.people.recordings.drawing import DRAWN, LOG, SIM_JOINT_STATES
 from gateway.people.ros2.cdr import decode
-from schemas.keys import SIM_BODY, STATE
+from schemas.keys import SIM_BODY, STATE, TELEMETRY
 from tests.support.child import Child
 from tests.support.fixtures import gateway_fixture
 from tests.support.gateway_process import COMMAND, Gateway
+from tests.support.measuring import MEASURED
 
 PATIENCE_S = 10
 
@@ -86,6 +87,7 @@ def test_a_viewer_sees_all_channels_and_publishes_nothing(gateway: Gateway) -> N
                     robot.stop()
                     assert not robot.set_leg(1, 90, 90, 90).accepted
                     assert robot.calibrate(landing={11: 45}).accepted
+                    robot.session.put(TELEMETRY, MEASURED.model_dump_json())  # in the gateway's place
                 seen.add(channel["topic"])
             assert robot.state().commands.rejected > 0
             assert robot.state().mode == "idle"

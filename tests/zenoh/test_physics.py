@@ -4,6 +4,8 @@ import json
 import os
 import signal
 import sys
+import threading
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
@@ -12,8 +14,14 @@ import zenoh
 
 from gateway.client import Client
 from gateway.geometry import ELKAPOD
+from gateway.model import elkapod
+from gateway.model.elkapod import Measured
+from gateway.onboard.body_process import BodyProcess
+from gateway.people.physics.assumed import MASS_KG, Assumed
 from gateway.people.recordings import read
+from gateway.robot.spi.elkapod_simulator import SimulatedElkapod
 from schemas import keys
+from schemas.robot import SERVO_IDS
 from schemas.telemetry import Ack, Kind
 from tests.support.child import Child
 from tests.support.command import run_here
@@ -24,6 +32,7 @@ from tests.support.heard import bodies, events
 PHYSICS: Final = ("--sim=physics",)
 PATIENT: Final[dict[str, dict[str, object]]] = {"watchdog": {"timeout_ms": 10_000}, "lease": {"ttl_ms": 10_000}}
 """A machine that is busy with other tests stops no walk."""
+CYCLE_S: Final = 0.02
 
 
 gateway = gateway_fixture(PATIENT, options=PHYSICS)
@@ -40,29 +49,43 @@ def physics_pid(gateway: Gateway) -> int:
     return int(pid)
 
 
+def walks_and_sinks(client: Client) -> None:
+    """It stands up, walks ten centimetres, sinks at an emergency stop, and stands up again."""
+    assert client.state().simulated
+    heard = bodies(client)
+    lying = heard.wait(lambda _: True)
+    assert lying.upright
+    assert lying.position_m[2] < 0.08
+    with client.walk() as walk:
+        walk.stand()
+        standing = heard.wait(lambda body: body.position_m[2] > 0.14 and all(body.feet))
+        assert any(servo.torque_nm for servo in standing.servos.values())
+        while heard.all[-1].position_m[0] < standing.position_m[0] + 0.1:
+            walk.go(0.08)
+        walk.stand()
+        pose = client.state().legs[0].servos[1].angle_deg
+        assert pose is not None
+        heard.wait(lambda body: abs(body.servos["12"].angle_deg - pose) < 5)
+        stopped = client.estop()
+        assert stopped.accepted
+        fallen = heard.wait(lambda body: body.position_m[2] < 0.1 and body.position_m[0] > 0.05)
+        assert fallen.velocity_m_s[2] < 0
+        client.reset(stopped.estop)
+        walk.start_again()
+
+
 def test_it_walks_and_an_emergency_stop_lets_it_sink(gateway: Gateway) -> None:
     with gateway.client() as client:
-        assert client.state().simulated
-        heard = bodies(client)
-        lying = heard.wait(lambda _: True)
-        assert lying.upright
-        assert lying.position_m[2] < 0.08
-        with client.walk() as walk:
-            walk.stand()
-            standing = heard.wait(lambda body: body.position_m[2] > 0.14 and all(body.feet))
-            assert any(servo.torque_nm for servo in standing.servos.values())
-            while heard.all[-1].position_m[0] < standing.position_m[0] + 0.1:
-                walk.go(0.08)
-            walk.stand()
-            pose = client.state().legs[0].servos[1].angle_deg
-            assert pose is not None
-            heard.wait(lambda body: abs(body.servos["12"].angle_deg - pose) < 5)
-            stopped = client.estop()
-            assert stopped.accepted
-            fallen = heard.wait(lambda body: body.position_m[2] < 0.1 and body.position_m[0] > 0.05)
-            assert fallen.velocity_m_s[2] < 0
-            client.reset(stopped.estop)
-            walk.start_again()
+        walks_and_sinks(client)
+
+
+def test_so_does_one_of_elkapod_2025(tmp_path: Path) -> None:
+    """Its frames carry all servos, and its UART starts and stops them; nothing on that way counts as a fault."""
+    settings: dict[str, dict[str, object]] = {**PATIENT, "spi": {"protocol": "elkapod-2025"}}
+    with Gateway(tmp_path, settings, options=PHYSICS) as whole, whole.client() as client:
+        reported = events(client)
+        walks_and_sinks(client)
+        assert not {Kind.BUS_FAULT, Kind.CONTROLLER_SILENT} & {event.kind for event in reported.all}
 
 
 def test_somebody_sets_it_upright_and_a_list_of_all_keys_does_not(gateway: Gateway) -> None:
@@ -136,6 +159,37 @@ def test_people_read_what_its_process_has_to_say_and_the_gateway_waits_for_none_
         running.child.wait_for_output("the physics process was killed by signal 9: nobody simulates the body any more")
         assert client.stop().accepted
         assert not list(tmp_path.glob("hexapod-body-*")), "although the one that removes it was killed"
+
+
+def answers(controller: SimulatedElkapod) -> Iterator[Measured]:
+    """One cycle of frames after the other, 90 degrees in each: it stands, with its tibias upright."""
+    frame, pause = elkapod.frame([elkapod.MIDDLE_CDEG] * len(SERVO_IDS)), threading.Event()
+    controller.exchange(frame)
+    for _ in range(1500):
+        pause.wait(CYCLE_S)
+        yield elkapod.measured(controller.exchange(frame))
+
+
+def test_a_controller_of_elkapod_2025_answers_what_the_body_feels() -> None:
+    """From its process, through two pages of memory: it stands up, and without its servos it sinks."""
+    with BodyProcess(None, Assumed()) as body:
+        controller = SimulatedElkapod(page=body.page, sensed=body.sensed)
+        weight_n = MASS_KG * 9.81
+        heard = answers(controller)
+        lying = next(each for each in heard if 0 < sum(each.feet) < 0.5 * weight_n)
+        controller.uart_write(elkapod.START)
+        stands = (
+            each
+            for each in heard
+            if min(each.feet) > 0.05 * weight_n and sum(each.feet) == pytest.approx(weight_n, rel=0.05)
+        )
+        standing = next(stands)
+        assert standing.tilt_deg is not None
+        assert standing.tilt_deg < 3
+        assert standing.voltage_v < lying.voltage_v - 0.02
+        controller.uart_write(elkapod.SHUTDOWN)
+        assert next(each for each in heard if sum(each.feet) < 0.5 * weight_n).tilt_deg != standing.tilt_deg
+        assert not controller.corruptions
 
 
 @pytest.mark.parametrize(

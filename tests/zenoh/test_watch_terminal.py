@@ -16,11 +16,13 @@ import pytest
 from gateway import certs
 from gateway.client import Client
 from gateway.people.tools.kept_lease import me
+from schemas import keys
 from schemas.telemetry import GatewayState, Kind, Mode
 from tests.support.command import run_here
 from tests.support.fixtures import gateway_fixture, patient
 from tests.support.gateway_process import COMMAND, Gateway, free_port
 from tests.support.heard import events
+from tests.support.measuring import MEASURED
 from tests.support.tmux import LATE_S, Terminal
 
 PATIENT = patient(10_000, watchdog={"repeats": 0})
@@ -72,6 +74,8 @@ def test_it_shows_a_running_leg_rejections_and_events(gateway: Gateway, terminal
         assert not client.set_leg(4, 1, 2, 3).accepted
         terminal.wait("rejected anna 2 (servo_stopped)", "command_rejected anna: servo 41 does not run")
         assert client.stop().accepted
+        client.session.put(keys.TELEMETRY, MEASURED.model_dump_json())  # in the gateway's place
+        terminal.wait("IDLE", "7.40 V 80 % tilt 0° 31.5 °C", "feet 1 2 3 4 5 6")
         terminal.wait("IDLE", "3 ○ —")
 
 

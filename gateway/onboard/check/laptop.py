@@ -48,7 +48,7 @@ def checks(connect: str | None, zenoh_config: Path | None, timeout_s: float) -> 
         yield from _way(endpoints, identity, opened=True)
         state, allowed = why.allowed(client, identity)
     for finding in allowed:
-        observer = finding.fix and finding.step is Stage.ROLE and len(allowed) > 1
+        observer = finding.fix and finding.stage is Stage.ROLE and len(allowed) > 1
         yield _result(finding, Verdict.WARNING if observer else Verdict.FAILURE)
     if state is not None and state.certificate is not None:
         yield from _robots_certificate(state.certificate, state.time)
@@ -66,12 +66,12 @@ def _robots_certificate(certificate: CertificateReport, now: dt.datetime) -> Ite
 def _way(endpoints: list[str], identity: Identity, *, opened: bool) -> Iterator[Result]:
     for endpoint, findings in diagnosis.look_at_all(endpoints, identity).items():
         for finding in findings:
-            if opened and finding.step is Stage.GATEWAY:
+            if opened and finding.stage is Stage.GATEWAY:
                 continue  # that no gateway speaks TLS on a tcp/ port is no fault: the session is open
             said = f"{endpoint}: {finding.sentence}" if len(endpoints) > 1 else finding.sentence
             worst = Verdict.WARNING if opened else Verdict.FAILURE
-            yield _result(Finding(finding.step, said, finding.fix), worst)
+            yield _result(Finding(finding.stage, said, finding.fix), worst)
 
 
 def _result(finding: Finding, worst: Verdict = Verdict.FAILURE) -> Result:
-    return Result(finding.step, worst if finding.fix else Verdict.OK, finding.sentence, finding.fix)
+    return Result(finding.stage, worst if finding.fix else Verdict.OK, finding.sentence, finding.fix)

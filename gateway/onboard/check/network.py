@@ -109,14 +109,14 @@ def routers(config: zenoh.Config) -> Iterator[Result]:
     endpoints = connect_endpoints(config)
     for endpoint, findings in diagnosis.look_at_all(endpoints, Identity.of(config)).items():
         # A port that speaks no TLS may well be a router's.
-        last = next((each for each in reversed(findings) if each.step is not Stage.GATEWAY), findings[-1])
+        last = next((each for each in reversed(findings) if each.stage is not Stage.GATEWAY), findings[-1])
         said = f"{endpoint}: {_of_a_router(last.sentence)}"
         if not last.fix:
             yield ok("router", said)
             continue
         fix = (
             "start it there (zenohd -c router.json5), or set another zenoh.connect; the gateway goes on trying"
-            if last.step in (Stage.NAME, Stage.TCP)
+            if last.stage in (Stage.NAME, Stage.TCP)
             else _of_a_router(last.fix)
         )
         yield failure("router", f"{said}: nobody behind it reaches this robot", fix)

@@ -15,17 +15,20 @@ from typing import Final, Protocol
 
 from gateway.errors import GatewayError, StoppedError, WalkError
 from gateway.geometry import Geometry
+from gateway.model.protocols import starts_whole
 from gateway.people.client.blocking import Client
 from gateway.people.client.stream import Stream
 from gateway.people.client.walk import Walk, robot_of
-from gateway.people.ros2.joints import Degrees, legs_deg
+from gateway.people.ros2.joints import Degrees, JointsError, legs_deg
 from gateway.people.ros2.trajectory import Trajectory
 from gateway.people.walking import DOWN, REST_S, Pose, Ride, RideTask, Velocity
+from schemas.robot import LEGS
 
 HZ: Final = 50.0
 MARGIN_S: Final = 0.25
 """After the gateway's watchdog must have stopped what is silent."""
 LONGEST_SIT_S: Final = 30.0
+STARTS_WHOLE: Final = "this robot starts as a whole: what starts it has to name all 18 joints"
 DOES_NOT_STAND: Final = "the robot does not stand; a velocity, or cmd_base_height, has it stand up"
 
 
@@ -42,22 +45,27 @@ class Motion(Protocol):
 
 
 class JointCommands:
-    """Each message becomes one command at once. Legs are started one more with each message, and draw most then."""
+    """Each message becomes one command at once. Legs are started one more with each message, and draw most then.
+
+    A robot that starts as a whole is started by a message with all its joints.
+    """
 
     title = "joint_commands"
 
     def __init__(self, client: Client, geometry: Geometry) -> None:
         self._geometry = geometry
         self._stream = client.stream(HZ)
-        self._silent_s = client.state().watchdog.stops_after_ms / 1000 + MARGIN_S
+        state = client.state()
+        self._silent_s = state.watchdog.stops_after_ms / 1000 + MARGIN_S
+        self._whole = starts_whole(state.controller.protocol)
         self._stream.open()
         self._started: frozenset[int] = frozenset()
         self._received_s = time.monotonic()
 
     def command(self, at_rad: dict[int, float]) -> None:
-        """Servo → radians, of whole legs. Raises as a stream's `set`."""
+        """Servo → radians, of whole legs. Raises as a stream's `set`, and JointsError where that cannot start them."""
         legs = legs_deg(self._geometry, at_rad)
-        sent = next_start(legs, self._started)
+        sent = next_start(legs, self._started, whole=self._whole)
         self._stream.send(self._stream.read(sent))
         self._started |= sent.keys()
         self._received_s = time.monotonic()
@@ -82,9 +90,10 @@ class JointCommands:
 class Course:
     """Where a trajectory's joints are to be, and what its end, or its sender's, leads to. Pure: time is an argument."""
 
-    def __init__(self, geometry: Geometry, ride: Callable[[Pose], Ride]) -> None:
-        """`ride` makes one of legs that run already; it may raise WalkError."""
+    def __init__(self, geometry: Geometry, ride: Callable[[Pose], Ride], *, whole: bool = False) -> None:
+        """`ride` makes one of legs that run already; it may raise WalkError. `whole`: only all legs start together."""
         self._geometry = geometry
+        self._whole = whole
         self._make_ride = ride
         self._plan: Trajectory | None = None
         self._at_rad: dict[int, float] = {}
@@ -100,10 +109,11 @@ class Course:
         return self._plan is not None or bool(self._at_rad)
 
     def follow(self, plan: Trajectory, now_s: float) -> None:
-        """From now on, from where the joints that run are."""
+        """From now on, from where the joints that run are. Raises JointsError."""
         self._look(now_s)
         running = self._started
         plan.begin({servo_id: at for servo_id, at in self._at_rad.items() if servo_id // 10 in running}, now_s)
+        next_start(legs_deg(self._geometry, self._at_rad | plan.at(now_s)), running, whole=self._whole)
         self._plan, self._ride, self._rests_s = plan, None, plan.ends_s + REST_S
 
     def lose_sender(self, now_s: float) -> None:
@@ -124,7 +134,7 @@ class Course:
             if self._ride is None:
                 return None
         if self._ride is None:
-            return next_start(legs_deg(self._geometry, self._at_rad), self._started)
+            return next_start(legs_deg(self._geometry, self._at_rad), self._started, whole=self._whole)
         step = self._ride.next(now_s)
         if step.do is not RideTask.SEND:
             return None
@@ -165,7 +175,11 @@ class Following:
     title = "joint_trajectory"
 
     def __init__(self, client: Client, geometry: Geometry) -> None:
-        self._course = Course(geometry, lambda pose: Ride(robot_of(client, geometry, client.state()), running=pose))
+        self._course = Course(
+            geometry,
+            lambda pose: Ride(robot_of(client, geometry, client.state()), running=pose),
+            whole=starts_whole(client.state().controller.protocol),
+        )
         self._changed = threading.Condition()
         self._is_there: Callable[[], bool] = lambda: True
         self._over = False
@@ -193,7 +207,7 @@ class Following:
                 raise self._error.with_traceback(None)
             if not self._is_there():
                 self._course.lose_sender(now_s)
-            return not self._over
+            return self._course.begun and not self._over
 
     def end(self, *, sits: bool) -> None:
         """See Motion."""
@@ -279,11 +293,13 @@ class Walking:
         self._walk.close(sits=sits)
 
 
-def next_start(legs: dict[int, Degrees], started: frozenset[int]) -> dict[int, Degrees]:
-    """Of these legs, those that run already, and one more."""
-    new = sorted(legs.keys() - started)[:1]
+def next_start(legs: dict[int, Degrees], started: frozenset[int], *, whole: bool) -> dict[int, Degrees]:
+    """Of these legs, those that run already, and one more; of a robot that starts as a `whole`, all.
+
+    Raises JointsError where a leg is missing that has to start with them.
+    """
+    new = sorted(legs.keys() - started)
+    if whole and new and legs.keys() != set(LEGS):
+        raise JointsError(STARTS_WHOLE)
+    new = new if whole else new[:1]
     return {leg: angles for leg, angles in legs.items() if leg in started or leg in new}
-
-
-GAIT_NUMBERS: Final = {0: "wave", 1: "ripple", 2: "tripod"}
-"""As the Elkapod's own stack numbers them."""

@@ -1,4 +1,5 @@
-"""What the bridge publishes of the robot: joint states, diagnostics, its description, and frames where they are wanted.
+"""What the bridge publishes of the robot: joint states, what it measures, diagnostics, its description, and frames
+where they are wanted.
 
 Only what the gateway publishes: while it is silent, there are no joint states, and the diagnostics are stale.
 """
@@ -18,10 +19,19 @@ from gateway.people.bridge.topics import Topics
 from gateway.people.recordings.commanded import CommandedJoints
 from gateway.people.ros2.joints import JointNames
 from gateway.people.ros2.messages import DiagnosticArray, DiagnosticStatus, JointState, String, TFMessage
-from gateway.people.ros2.robot import description, diagnostic_array, diagnostics, frames, joint_state, status
+from gateway.people.ros2.robot import (
+    MEASURED,
+    description,
+    diagnostic_array,
+    diagnostics,
+    frames,
+    joint_state,
+    measured,
+    status,
+)
 from schemas import keys
 from schemas.calibration import Calibration
-from schemas.telemetry import FrameRecord, GatewayState
+from schemas.telemetry import FrameRecord, GatewayState, Telemetry
 
 PERIOD_S: Final = 0.02
 """At most 50 joint states a second."""
@@ -34,6 +44,7 @@ OPEN: Final = "; the graph is open: all who reach it can drive the robot"
 CHANNELS: Final[dict[str, Any]] = {
     keys.CALIBRATION: RingChannel(1),
     keys.STATE: RingChannel(1),
+    keys.TELEMETRY: RingChannel(8),  # at its highest rate, those of four periods
     keys.FRAME: RingChannel(256),  # of six legs at 50 Hz, those of 0.8 s
 }
 """What it reads of the gateway's keys; the newest is enough."""
@@ -69,6 +80,7 @@ class Reports:
         self._diagnosed: object = None
         self._joint_states = graph.publisher("joint_states", JointState)
         self._diagnostics = graph.publisher("diagnostics", DiagnosticArray)
+        self._measured = {topic: graph.publisher(topic, kind) for topic, kind in MEASURED.items()}
         self._tf = graph.publisher("/tf", TFMessage) if with_tf else None
         graph.publisher("robot_description", String, latched=True).publish(description(geometry, joint_names.of))
 
@@ -87,6 +99,9 @@ class Reports:
         while self._take(keys.FRAME, FrameRecord) is not None:
             moved = True
         time_ns = time.time_ns()
+        while (telemetry := self._take(keys.TELEMETRY, Telemetry)) is not None:
+            for topic, message in measured(telemetry, time_ns):
+                self._measured[topic].publish(message)
         if moved:
             self._joint_states.publish(joint_state(self._joints.rad, time_ns, self._joint_names.of))
             if self._tf is not None:

@@ -28,8 +28,8 @@ def check_closed(endpoint: str, router: zenoh.Session, identity: Identity) -> No
     found = sorted({*_open_here(endpoint, identity), *_open_elsewhere(router, identity)})
     if found:
         raise ConfigError(
-            f"the ROS 2 router is open to the network without certificates ({', '.join(found)}), and whoever "
-            "reaches it could drive the robot: start it with "
+            f"the ROS 2 router is open to the network without certificates ({', '.join(found)}), and anyone "
+            "who reaches it could drive the robot: start it with "
             "ZENOH_CONFIG_OVERRIDE='listen/endpoints=[\"tcp/localhost:7447\"]', or with certificates "
             "(docs/ros2.md), or accept that with --open-graph"
         )

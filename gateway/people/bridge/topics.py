@@ -11,12 +11,12 @@ from gateway.geometry import Geometry
 from gateway.model.staleness import Staleness
 from gateway.people.bridge.driving import Driving, NotTakenError
 from gateway.people.bridge.graph import Arrived, Graph, Present, presence
-from gateway.people.bridge.motions import GAIT_NUMBERS
 from gateway.people.ros2.cdr import Message, decode
 from gateway.people.ros2.joints import JointNames, check_reach, positions
 from gateway.people.ros2.messages import Float64, Int32, JointState, JointTrajectory, Twist, TwistStamped
 from gateway.people.ros2.trajectory import Trajectory
 from gateway.people.walking import Velocity
+from gateway.people.walking.gaits import NUMBERS
 
 _MAX_BYTES: Final = 4096
 """As a command to the gateway; 18 joints with velocity and effort have 1000."""
@@ -89,9 +89,9 @@ class Topics:
         self._driving.go(Velocity.checked(twist.linear.x, twist.linear.y, twist.angular.z))
 
     def _gait(self, message: Int32, _: Arrived) -> None:
-        gait = GAIT_NUMBERS.get(message.data)
+        gait = NUMBERS.get(message.data)
         if gait is None:
-            known = ", ".join(f"{number} {name}" for number, name in GAIT_NUMBERS.items())
+            known = ", ".join(f"{number} {name}" for number, name in NUMBERS.items())
             raise NotTakenError(f"there is no gait {message.data}; there are {known}")
         self._driving.walk_as(gait)
 

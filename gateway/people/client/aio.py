@@ -23,7 +23,7 @@ from gateway.people.client.subscriptions import KEPT_EVENTS
 from gateway.people.client.twin import CallThreads, HeldTwin, Twin, on_this_loop, waits
 from gateway.people.client.walk import Walk
 from gateway.people.walking import Distance, WalkState
-from schemas.telemetry import Ack, Event, GatewayState
+from schemas.telemetry import Ack, Event, GatewayState, Telemetry
 
 if TYPE_CHECKING:
     from gateway.geometry import Geometry
@@ -154,6 +154,7 @@ class AsyncClient(Twin[Client]):
     calibrate = waits(Client.calibrate)
     answerers = waits(Client.answerers)
     state = waits(Client.state)
+    telemetry = waits(Client.telemetry)
 
     async def servo(self, servo_id: int, op: str, angle_deg: Angle | None = None) -> Ack:
         """See `Client.servo`."""
@@ -176,6 +177,10 @@ class AsyncClient(Twin[Client]):
     def on_event(self, callback: Callable[[Event], None]) -> "zenoh.Subscriber[None]":
         """Call `callback` on the loop for each event, until the returned subscriber is undeclared."""
         return self.client.on_event(on_this_loop(callback))
+
+    def watch_telemetry(self, callback: Callable[[Telemetry], None]) -> "zenoh.Subscriber[None]":
+        """Call `callback` on the loop with what the robot measures, until the returned subscriber is undeclared."""
+        return self.client.watch_telemetry(on_this_loop(callback))
 
     def events(self) -> "_Events":
         """`async for event in robot.events()`: all events from now on, until the client is closed.

@@ -35,7 +35,7 @@ from gateway.people.client.subscriptions import reports
 from gateway.zenoh_config import client_config, get, one_line
 from schemas import keys
 from schemas.robot import LEGS
-from schemas.telemetry import Ack, Event, GatewayState, Mode
+from schemas.telemetry import Ack, Event, GatewayState, Mode, Telemetry
 
 if TYPE_CHECKING:
     from gateway.geometry import Geometry
@@ -167,8 +167,8 @@ class Client:
     def walk(self, gait: str = "tripod", geometry: "Geometry | Path | str | None" = None, hz: float = 50) -> "Walk":
         """Velocities in place of angles: `with robot.walk() as walk: walk.go(forward_m_s=0.1)`; see `Walk`.
 
-        `gait`: tripod, ripple or wave. `geometry`: a robot's, or its file; by default the Elkapod's. `hz`: the stream's
-        rate. Raises WalkError, ConfigError.
+        `gait`: one of `gateway.people.walking.GAITS`. `geometry`: a robot's, or its file; by default the Elkapod's.
+        `hz`: the stream's rate. Raises WalkError, ConfigError.
         """
         from gateway.people.client.walk import Walk
 
@@ -343,6 +343,14 @@ class Client:
         """The gateway's state now. Raises DisconnectedError without an answer in `timeout_s` (None: the client's)."""
         return self._get(keys.STATE, None, GatewayState, again=True, timeout_s=timeout_s)
 
+    def telemetry(self, timeout_s: float | None = None) -> Telemetry | None:
+        """What the robot measures now; None: it measures nothing, or nothing has come yet. Raises as `state`."""
+        try:
+            return self._get(keys.TELEMETRY, None, Telemetry, again=False, timeout_s=timeout_s)
+        except UnansweredError:
+            self.state(timeout_s)  # it answers: so it has nothing to say there
+            return None
+
     def on_state(self, callback: Callable[[GatewayState], None]) -> "zenoh.Subscriber[None]":
         """Call `callback` (on a Zenoh thread) for each published state, until the returned subscriber is undeclared."""
         return self._subscribe(keys.STATE, GatewayState, callback)
@@ -350,6 +358,10 @@ class Client:
     def on_event(self, callback: Callable[[Event], None]) -> "zenoh.Subscriber[None]":
         """Call `callback` (on a Zenoh thread) for each event, until the returned subscriber is undeclared."""
         return self._subscribe(keys.EVENT, Event, callback)
+
+    def watch_telemetry(self, callback: Callable[[Telemetry], None]) -> "zenoh.Subscriber[None]":
+        """Call `callback` (on a Zenoh thread) with what the robot measures, until the subscriber is undeclared."""
+        return self._subscribe(keys.TELEMETRY, Telemetry, callback)
 
     def _subscribe(self, key: str, report: type[R], callback: Callable[[R], None]) -> "zenoh.Subscriber[None]":
         take = reports(report, lambda found: None if self._closed else callback(found))

@@ -56,12 +56,12 @@ class Stage(StrEnum):
 class Finding:
     """Result of one stage; `fix` is empty if it passed."""
 
-    step: Stage
+    stage: Stage
     sentence: str
     fix: str = ""
 
     def __str__(self) -> str:
-        return f"{self.step}: {self.sentence}" + (f" → {self.fix}" if self.fix else "")
+        return f"{self.stage}: {self.sentence}" + (f" → {self.fix}" if self.fix else "")
 
 
 def why(config: zenoh.Config, timeout_s: float = TIMEOUT_S) -> list[str]:

@@ -20,7 +20,7 @@ from gateway.people.client.blocking import Client
 from gateway.people.client.silence import LOOK_EVERY_S, Silence
 from gateway.people.client.subscriptions import KEPT_EVENTS, reports, subscribed
 from schemas import keys
-from schemas.telemetry import Ack, BodyReport, Event, GatewayState
+from schemas.telemetry import Ack, BodyReport, Event, GatewayState, Telemetry
 
 if TYPE_CHECKING:
     from asyncio import AbstractEventLoop
@@ -196,6 +196,9 @@ class Receiver:
     def received_body(self, body: BodyReport) -> None:
         """The pose of a robot that is simulated with physics."""
 
+    def received_telemetry(self, telemetry: Telemetry) -> None:
+        """What the robot measures."""
+
     def received_token(self, alive: bool) -> None:
         """The gateway is alive, or it or the link has ended. The end of its process is noticed within milliseconds."""
 
@@ -264,6 +267,8 @@ class Live:
             session.declare_subscriber(keys.SIM_BODY, ring(2)),
             lambda sample: body(sample) if is_of_physics(sample, self._physics) else None,
         )
+        telemetry = reports(Telemetry, self._receiver.received_telemetry)
+        self._read(session.declare_subscriber(keys.TELEMETRY, ring(2)), telemetry)
         alive = session.liveliness().declare_subscriber(keys.ALIVE, ring(KEPT_EVENTS), history=True)
         self._read(alive, lambda sample: self._receiver.received_token(sample.kind == zenoh.SampleKind.PUT))
 
@@ -344,6 +349,9 @@ class OnLoop(Receiver):
 
     def received_body(self, body: BodyReport) -> None:
         self._put(self._receiver.received_body, body)
+
+    def received_telemetry(self, telemetry: Telemetry) -> None:
+        self._put(self._receiver.received_telemetry, telemetry)
 
     def received_token(self, alive: bool) -> None:
         self._put(self._receiver.received_token, alive)

@@ -27,7 +27,15 @@ MAX_HZ: Final = 1000
 """The highest `limits.leg_rate_hz`."""
 _KEPT: Final = 64
 _STOPPED_ALREADY: Final = (Reason.ESTOPPED, Reason.STOPPING)
-_ENDINGS: Final = (Kind.ESTOP_ENGAGED, Kind.BUS_FAULT, Kind.STOPPED_OUTSIDE, Kind.STOPPING, Kind.STARTED)
+_ENDINGS: Final = (
+    Kind.ESTOP_ENGAGED,
+    Kind.BUS_FAULT,
+    Kind.CONTROLLER_SILENT,
+    Kind.FALLEN,
+    Kind.STOPPED_OUTSIDE,
+    Kind.STOPPING,
+    Kind.STARTED,
+)
 """Events after which no leg runs."""
 _STOPPED_LEGS: Final = (Kind.WATCHDOG_EXPIRED, Kind.OVERFLOW)
 """Events of single legs that the gateway stopped by a rule of its own."""
@@ -35,6 +43,8 @@ _EVENT_S: Final = 0.1
 """How much later than an answer the event about the same Stop may arrive."""
 AGAIN: Final = "start_again() goes on; after an emergency stop, once reset() has left it"
 """A program's next call, as a note of the error: tracebacks show it, `str()` does not."""
+WHOLE: Final = "the first set() has to name all six legs: this robot's controller starts and stops all of them at once"
+"""What to send in place of a start that this robot's controller does not know, as a note."""
 _AND_THEN: Final = (Kind.WATCHDOG_EXPIRED, Kind.STOPPED_OUTSIDE, Kind.STOPPING)
 """Events whose detail continues, after a semicolon, with the state that followed."""
 _SILENCE: Final = "if it runs, its watchdog stops the legs; if it has died, stop-servos does, where systemd runs it"
@@ -65,7 +75,8 @@ class Stream:
     stopped: somebody else may have started it.
     Only `set` sends setpoints, so the gateway's watchdog stops the legs of a program that stalls, and a leg that is
     left out for longer than its timeout. Inside `Client.lease`, legs whose lease was handed over or taken are no longer
-    this stream's: it does not stop them at its end. For one thread at a time.
+    this stream's: it does not stop them at its end. A robot that starts as a whole wants all six legs in each `set`:
+    the first starts them together, and a leg that is left out stops them all. For one thread at a time.
 
     >>> with Client(endpoint) as robot, robot.stream(hz=50) as stream:
     ...     for step in range(10):
@@ -392,6 +403,8 @@ class Stream:
         match state.mode:
             case Mode.ESTOPPED:
                 why = f"{state.estop_source or 'somebody'} engaged the emergency stop"
+            case Mode.BUS_FAULT if state.controller.alive is False:
+                why = "the controller fell silent"
             case Mode.BUS_FAULT:
                 why = "the SPI bus did not answer"
             case Mode.STOPPING | Mode.STARTING:
@@ -423,4 +436,7 @@ def checked_hz(hz: float) -> float:
 
 
 def _rejected(ack: Ack) -> RejectedError:
-    return RejectedError(ack.reason or "", ack.detail or "")
+    error = RejectedError(ack.reason or "", ack.detail or "")
+    if error.reason == Reason.WHOLE_ROBOT:
+        error.add_note(WHOLE)
+    return error

@@ -13,6 +13,7 @@ import zenoh
 
 from gateway.errors import GatewayError, RejectedError, StoppedError, UnansweredError, WalkError
 from gateway.geometry import Geometry, load
+from gateway.model.protocols import starts_whole
 from gateway.people.client.lease import CONFIRM_S, Lease
 from gateway.people.client.stream import Stream, StreamClient, checked_hz
 from gateway.people.walking import (
@@ -119,16 +120,13 @@ class Walk:
         self._stream: Stream | None = None
         self._ride: Ride | None = None
         self._thread: threading.Thread | None = None
-        self._changed = threading.Condition()
-        """Notified after each change; its lock guards the ride."""
-        self._not_again: Exception | None = None
-        """Why `start_again` failed."""
+        self._changed = threading.Condition()  # notified after each change; its lock guards the ride
+        self._not_again: Exception | None = None  # why `start_again` failed
         self._closing = self._sits_at_sigterm = False
         self._newest = Newest()
         self._reports: zenoh.Subscriber[None] | None = None
         self._ticks = 0
-        self._awaited: Posture | None = None
-        """The posture that a call waits for; None: none, or it is reached."""
+        self._awaited: Posture | None = None  # which a call waits for, until it is reached
         self.slowest_tick_s = 0.0
         """The longest computation of a tick, without the wait for its time. @private"""
 
@@ -367,8 +365,8 @@ class Walk:
         """The robot with its current limits and calibration; also sets a rate that they allow."""
         robot = robot_of(self._client, self._geometry, state)
         self._revision = state.calibration.revision
-        limit_hz = state.limits.leg_rate_hz
-        self._rate_hz = self._hz if self._hz <= limit_hz else _SLOWER * limit_hz
+        most_hz = state.limits.leg_rate_hz
+        self._rate_hz = self._hz if self._hz <= most_hz else _SLOWER * most_hz
         return robot
 
     def _using(self) -> Ride:
@@ -491,7 +489,8 @@ def robot_of(client: WalkClient, geometry: Geometry, state: GatewayState) -> Rob
     with suppress(UnansweredError):  # an older gateway has none
         calibration = client.calibration()
     check_mirrored_once(geometry, calibration)
-    return Robot(geometry, ranges(state.limits, calibration))
+    whole = starts_whole(state.controller.protocol)
+    return Robot(geometry, ranges(state.limits, calibration), starts_whole=whole)
 
 
 def _seconds(seconds: float) -> float:

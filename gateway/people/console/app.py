@@ -5,6 +5,8 @@ from contextlib import suppress
 from typing import Final
 
 from gateway import __version__
+from gateway.errors import WalkError
+from gateway.geometry import Geometry
 from gateway.people.console.auth import SignedIn
 from gateway.people.console.listener import Admitted
 from gateway.people.console.messages import Hello
@@ -12,6 +14,8 @@ from gateway.people.console.page_tasks import EndError
 from gateway.people.console.pages import Page, Pages, Shared
 from gateway.people.console.sessions import Sessions
 from gateway.people.console.websocket import POLICY_VIOLATION, ClosedError, WebSocket
+from gateway.people.walking import Engine, Robot
+from schemas.robot import JOINTS
 
 MAX_PAGES: Final = 64
 """Open at once, as many as the gateway takes sessions."""
@@ -37,6 +41,7 @@ class Console:
         self._pages = pages
         self._shared = shared
         self._geometry = shared.geometry.model_dump(mode="json")
+        self._lying = lying_deg(shared.geometry)
         self._loop = asyncio.get_running_loop()
         self._open: dict[WebSocket, asyncio.Task[None]] = {}
 
@@ -76,8 +81,14 @@ class Console:
 
     async def _serve_page(self, websocket: WebSocket, session: SignedIn) -> None:
         page = Page(self._pages.next_number(), session.role, self._shared)
-        person, geometry = self._shared.person, self._geometry
-        hello = Hello(role=session.role, person=person, source=page.source, version=__version__, geometry=geometry)
+        hello = Hello(
+            role=session.role,
+            person=self._shared.person,
+            source=page.source,
+            version=__version__,
+            geometry=self._geometry,
+            lying=self._lying,
+        )
         self._pages.add(page)
         try:
             with suppress(ClosedError):
@@ -123,3 +134,15 @@ class Console:
             if not self._sessions.still_valid(session.entry):
                 raise EndError(SIGNED_OUT)
             await asyncio.sleep(CHECK_S)
+
+
+def lying_deg(geometry: Geometry) -> dict[int, float]:
+    """Each servo's angle in commands when the robot lies on its belly, its feet in the air; empty where it cannot."""
+    with suppress(WalkError):
+        pose = Engine(Robot(geometry)).whole_pose
+        return {
+            10 * leg + joint: round(deg, 2)
+            for leg, angles in pose.items()
+            for joint, deg in zip(JOINTS, angles, strict=True)
+        }
+    return {}

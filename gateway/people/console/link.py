@@ -22,7 +22,7 @@ from gateway.people.client.silence import LOOK_EVERY_S
 from gateway.people.console.messages import LinkMessage
 from gateway.people.console.presence import GatewayPresence
 from gateway.people.tools import why
-from schemas.telemetry import Ack, BodyReport, Event, GatewayState
+from schemas.telemetry import Ack, BodyReport, Event, GatewayState, Telemetry
 
 T = TypeVar("T")
 
@@ -157,6 +157,9 @@ class GatewayLink(Receiver):
 
     def received_body(self, body: BodyReport) -> None:
         self._receiver.received_body(body)
+
+    def received_telemetry(self, telemetry: Telemetry) -> None:
+        self._receiver.received_telemetry(telemetry)
 
     def received_event(self, event: Event, left_out: int = 0) -> None:
         self._receiver.received_event(event, left_out)

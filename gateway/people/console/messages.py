@@ -16,7 +16,7 @@ from gateway.people.walking import GAITS, Posture
 from schemas import keys
 from schemas.calibration import ServoCalibration
 from schemas.command import Closed, EstopNumber, LegCommand, LegsCommand, MoveCommand, SentMs, Source, StopCommand
-from schemas.telemetry import Ack, BodyReport, Event, GatewayState, Report
+from schemas.telemetry import Ack, BodyReport, Event, GatewayState, Report, Telemetry
 
 MAX_MESSAGE_BYTES: Final = 8192
 """Of a message from a page: a payload of at most 4096 (`schemas`), and the fields around it."""
@@ -244,7 +244,8 @@ FROM_PAGE: Final[TypeAdapter[FromPage]] = TypeAdapter(Annotated[FromPage, Field(
 class Hello(Report):
     """The first message. `source` is this page's name in state and events (`anna (page 3)`), `person` its holder's.
 
-    `geometry` is the robot's, as in its geometry file.
+    `geometry` is the robot's, as in its geometry file. `lying`: each servo's angle when it lies on its belly, as in
+    commands; empty where it cannot lie. `gaits` are the names that a walk may have.
     """
 
     type: Literal["hello"] = "hello"
@@ -253,17 +254,21 @@ class Hello(Report):
     source: str
     version: str
     geometry: dict[str, Any]
+    lying: dict[int, float] = Field(default_factory=dict)
+    gaits: tuple[str, ...] = tuple(GAITS)
 
 
 class StateMessage(Report):
     """The gateway's newest state, received `age_ms` ago; older ones may have been left out.
 
-    `now`: what the robot does according to it, in one sentence without its full stop.
+    `now`: what the robot does according to it, in one sentence without its full stop. `whole`: its six legs start and
+    stop only together.
     """
 
     type: Literal["state"] = "state"
     age_ms: float
     now: str = ""
+    whole: bool = False
     state: GatewayState
 
 
@@ -283,6 +288,13 @@ class BodyMessage(Report):
 
     type: Literal["body"] = "body"
     body: BodyReport
+
+
+class TelemetryMessage(Report):
+    """What the robot measures, at most 10 times a second; further values are dropped."""
+
+    type: Literal["telemetry"] = "telemetry"
+    telemetry: Telemetry
 
 
 class EventMessage(Report):

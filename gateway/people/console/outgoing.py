@@ -8,7 +8,15 @@ from collections import deque
 from collections.abc import Callable
 from typing import Final
 
-from gateway.people.console.messages import AckMessage, BodyMessage, EventMessage, LinkMessage, Stopping, WalkMessage
+from gateway.people.console.messages import (
+    AckMessage,
+    BodyMessage,
+    EventMessage,
+    LinkMessage,
+    Stopping,
+    TelemetryMessage,
+    WalkMessage,
+)
 from schemas.telemetry import Report
 
 KEPT_MESSAGES: Final = 64
@@ -37,7 +45,7 @@ class Outgoing:
                     del self._stops[next(iter(self._stops))]
             case AckMessage():
                 self._acks.append(message)
-            case LinkMessage() | WalkMessage() | BodyMessage():
+            case LinkMessage() | WalkMessage() | BodyMessage() | TelemetryMessage():
                 self._newest[type(message)] = message
             case EventMessage():
                 if len(self._events) == KEPT_MESSAGES:

@@ -22,8 +22,10 @@ from typing import Any, Final
 import segno
 from pydantic import ValidationError
 
+from gateway.allowance import Allowance
 from gateway.errors import GatewayError
 from gateway.geometry import Geometry
+from gateway.model.protocols import starts_whole
 from gateway.model.staleness import Staleness
 from gateway.people.client.confirmed_stop import Press
 from gateway.people.console import messages
@@ -37,7 +39,7 @@ from gateway.people.console.stop_button import StopButton
 from gateway.people.console.stops import Stops, now_ns
 from gateway.people.walking import robot_now
 from schemas import keys
-from schemas.telemetry import Ack, BodyReport, Event, GatewayState, Kind, LimitsReport, Reason
+from schemas.telemetry import Ack, BodyReport, Event, GatewayState, Kind, LimitsReport, Reason, Report, Telemetry
 
 MAX_COMMANDS: Final = 16
 """Of one page, that wait for their acknowledgement."""
@@ -47,6 +49,9 @@ STOP_LASTS_S: Final = 2.0
 """How long such a Stop is requested again: later, another client may drive that leg."""
 PAST_EVENTS: Final = 50
 """What a page that opens receives of the past."""
+TELEMETRY_HZ: Final = 8.0
+TELEMETRY_AT_ONCE: Final = 2
+"""So at most 10 messages in any second, while the gateway may publish 100: a phone draws each."""
 
 _WORDS: Final = re.compile(r"[^\s,:]+")
 
@@ -72,8 +77,11 @@ class Pages(LinkReceiver):
     its sessions end when it is started with another certificate (`Sessions.begin`).
     """
 
-    def __init__(self, common_name: str, end_sessions: Callable[[], int]) -> None:
+    def __init__(
+        self, common_name: str, end_sessions: Callable[[], int], clock_ns: Callable[[], int] = time.monotonic_ns
+    ) -> None:
         """`common_name` is of this console's own certificate; `end_sessions` writes a file, so a thread calls it."""
+        self._clock_ns = clock_ns
         self._common_name = common_name
         self._end_sessions = end_sessions
         self._ending: asyncio.Future[int] | None = None
@@ -83,6 +91,7 @@ class Pages(LinkReceiver):
         self._max_age_ms = LimitsReport().max_age_ms
         self._link = messages.LinkMessage(status="gone")
         self._events: deque[messages.EventMessage] = deque(maxlen=PAST_EVENTS)
+        self._telemetry = Allowance(TELEMETRY_HZ, TELEMETRY_AT_ONCE)
 
     def __len__(self) -> int:
         return len(self._pages)
@@ -106,7 +115,8 @@ class Pages(LinkReceiver):
         return self._opened
 
     def received_state(self, state: GatewayState, received_ns: int) -> None:
-        self._state = partial(_state_text, state.model_dump_json(), json.dumps(robot_now(state)), received_ns)
+        now, whole = json.dumps(robot_now(state)), json.dumps(starts_whole(state.controller.protocol))
+        self._state = partial(_state_text, state.model_dump_json(), now, whole, received_ns)
         self._max_age_ms = state.limits.max_age_ms
         for page in self._pages:
             page.outgoing.put_state(self._state)
@@ -114,6 +124,10 @@ class Pages(LinkReceiver):
 
     def received_body(self, body: BodyReport) -> None:
         self._send(messages.BodyMessage(body=body))
+
+    def received_telemetry(self, telemetry: Telemetry) -> None:
+        if self._telemetry.take(self._clock_ns()):
+            self._send(messages.TelemetryMessage(telemetry=telemetry))
 
     def received_event(self, event: Event, left_out: int = 0) -> None:
         self._events.append(messages.EventMessage(event=event, left_out=left_out))
@@ -126,15 +140,15 @@ class Pages(LinkReceiver):
         self._link = link
         self._send(link)
 
-    def _send(self, message: messages.EventMessage | messages.LinkMessage | messages.BodyMessage) -> None:
+    def _send(self, message: Report) -> None:
         for page in self._pages:
             page.outgoing.put(message)
 
 
-def _state_text(state: str, now: str, received_ns: int) -> str:
+def _state_text(state: str, now: str, whole: str, received_ns: int) -> str:
     """A StateMessage: the JSON of the state and of its sentence is made once for all pages, its age when it is sent."""
     age_ms = (time.monotonic_ns() - received_ns) / 1e6
-    return f'{{"type":"state","age_ms":{age_ms:.1f},"now":{now},"state":{state}}}'
+    return f'{{"type":"state","age_ms":{age_ms:.1f},"now":{now},"whole":{whole},"state":{state}}}'
 
 
 class Page:

@@ -1,7 +1,8 @@
 """The process that simulates the body: in real time, and at low priority. What it is given, it reads and never awaits.
 
-The gateway's process starts it, and passes the page with the servos' targets; the end of its standard input is the end
-of the gateway. What it has to say to people goes to stderr.
+The gateway's process starts it, and passes two pages of memory: this one reads the servos' targets in the first, and
+writes what the body's sensors feel into the second. The end of its standard input is the end of the gateway. What it
+has to say to people goes to stderr.
 """
 
 import datetime as dt
@@ -22,11 +23,13 @@ import zenoh
 
 from gateway.errors import GatewayError
 from gateway.geometry import Geometry, load
+from gateway.host.sensed_page import SensedPage
 from gateway.host.servo_page import ServoPage
 from gateway.model.calibration import RobotCalibration, calibration_of
 from gateway.people.physics.assumed import Assumed, assumed
 from gateway.people.physics.model import TIMESTEP_S
 from gateway.people.physics.pace import Pace
+from gateway.people.physics.sensors import Sensors
 from gateway.people.physics.world import World
 from schemas import calibration as wire
 from schemas.keys import CALIBRATION, SIM_BODY, SIM_UPRIGHT
@@ -165,9 +168,9 @@ class Link:
             self.upright.put(query)
 
 
-def simulate(simulated: Simulated, page: ServoPage, link: Link) -> None:
+def simulate(simulated: Simulated, page: ServoPage, sensed: SensedPage, link: Link) -> None:
     """Step the world in real time until the gateway ends."""
-    pace = Pace(TIMESTEP_S, time.monotonic())
+    pace, sensors = Pace(TIMESTEP_S, time.monotonic()), Sensors(simulated.world)
     publish_s = said_s = 0.0
     while not link.ended.wait(TURN_S):
         simulated.drive(page.read())
@@ -180,6 +183,7 @@ def simulate(simulated: Simulated, page: ServoPage, link: Link) -> None:
         if fault is not None and now_s - said_s > SAME_S:
             said_s = now_s
             _say(fault)
+        sensed.write(sensors.read())
         if (slow := pace.report(now_s)) is not None:
             _say(slow)
         with suppress(Empty):
@@ -228,5 +232,5 @@ def _run(given: dict[str, Any]) -> int:
     sys.stdout.flush()
     if (overlap := simulated.world.overlap()) is not None:
         _say(overlap)
-    simulate(simulated, ServoPage(given["page"]), Link())
+    simulate(simulated, ServoPage(given["page"]), SensedPage(given["sensed"]), Link())
     return 0

@@ -127,14 +127,22 @@ class World:
         touching = self._touching()
         lean = sum(a * b for a, b in zip(rotated(rotation, (0, 0, 1)), self._up, strict=True))
         return Body(
-            position_m=_vector(data.qpos[:3]),
+            position_m=vector(data.qpos[:3]),
             rotation=rotation,
-            velocity_m_s=_vector(data.qvel[:3]),
+            velocity_m_s=vector(data.qvel[:3]),
             tilt_deg=math.degrees(math.acos(max(-1.0, min(1.0, lean)))),
             feet=tuple(leg in touching for leg in LEGS),
             joints_rad={servo_id: float(data.qpos[_FREE + place]) for servo_id, place in self._places.items()},
             torques_nm={servo_id: float(data.actuator_force[place]) for servo_id, place in self._places.items()},
         )
+
+    def feet_n(self) -> tuple[float, ...]:
+        """How hard the ground pushes against each of the six feet, square to itself."""
+        pushes_n, force = np.zeros(self.data.ncon), np.zeros(6)
+        for number in range(self.data.ncon):
+            mujoco.mj_contactForce(self.model, self.data, number, force)
+            pushes_n[number] = force[0]
+        return tuple(map(float, self._at_feet() @ pushes_n))
 
     def overlap(self) -> str | None:
         """Legs that are in one another where it is now, in a sentence: nothing keeps legs of a model apart."""
@@ -178,9 +186,12 @@ class World:
 
     def _touching(self) -> set[int]:
         """The legs whose lower ends touch the ground: the box of a tibia that leans is lower than its tip."""
+        return {leg for leg, touches in zip(self.feet.values(), self._at_feet().any(axis=1), strict=True) if touches}
+
+    def _at_feet(self) -> Any:
+        """For each of the six feet, which contacts are near to its tip: a matrix of booleans."""
         tips_m, contacts_m = self.data.geom_xpos[list(self.feet)], self.data.contact.pos
-        near = np.linalg.norm(tips_m[:, np.newaxis] - contacts_m, axis=2) < _END_M
-        return {leg for leg, touches in zip(self.feet.values(), near.any(axis=1), strict=True) if touches}
+        return np.linalg.norm(tips_m[:, np.newaxis] - contacts_m, axis=2) < _END_M
 
     def _depths(self) -> Iterator["_Depth"]:
         """How deep which part is in another one, or in the ground; parts of one leg may be."""
@@ -213,6 +224,6 @@ class World:
         return int(min(solid, key=lambda geom: float(self.model.geom_size[geom][0])))
 
 
-def _vector(values: Any) -> Vector:
+def vector(values: Any) -> Vector:
     x, y, z = map(float, values)
     return x, y, z

@@ -1,4 +1,5 @@
-"""What viewers draw by themselves, as ROS 2's messages: joints, transforms, the robot's description, diagnostics, log.
+"""What viewers draw by themselves, as ROS 2's messages: joints, transforms, the robot's description, diagnostics, log,
+and what the robot measures.
 
 The joints are where they were commanded to be: nothing comes back from the controller. A servo that was never
 commanded is not among the joint states, and stands at 90° in the frames. `/joint_commands` has all joints at the time
@@ -22,9 +23,9 @@ from gateway.people.recordings.commanded import CommandedJoints
 from gateway.people.ros2 import robot
 from gateway.people.ros2.cdr import Message
 from gateway.people.ros2.messages import DiagnosticArray, JointState, Log, MarkerArray, String, TFMessage
-from schemas.keys import EVENT, SIM_BODY, STATE
+from schemas.keys import EVENT, SIM_BODY, STATE, TELEMETRY
 from schemas.robot import SERVO_IDS
-from schemas.telemetry import BodyReport, GatewayState, Kind
+from schemas.telemetry import BodyReport, GatewayState, Kind, Telemetry
 
 JOINT_STATES: Final = "/joint_states"
 JOINT_COMMANDS: Final = "/joint_commands"
@@ -36,6 +37,8 @@ DIAGNOSTICS: Final = "/diagnostics"
 DESCRIPTION: Final = "/robot_description"
 """Viewers look for a URDF under this name only."""
 
+_MEASURED: Final = {f"/{name}": kind for name, kind in robot.MEASURED.items()}
+
 DRAWN: Final[Mapping[str, type[Message]]] = {
     JOINT_STATES: JointState,
     JOINT_COMMANDS: JointState,
@@ -45,9 +48,14 @@ DRAWN: Final[Mapping[str, type[Message]]] = {
     LOG: Log,
     DIAGNOSTICS: DiagnosticArray,
     DESCRIPTION: String,
+    **_MEASURED,
 }
 """Topic → the type of its messages."""
-DRAWN_FROM: Final[Mapping[str, str]] = {DIAGNOSTICS: STATE, SIM_JOINT_STATES: SIM_BODY}
+DRAWN_FROM: Final[Mapping[str, str]] = {
+    DIAGNOSTICS: STATE,
+    SIM_JOINT_STATES: SIM_BODY,
+    **dict.fromkeys(_MEASURED, TELEMETRY),
+}
 """Those that only one key's reports are drawn on."""
 
 _UNKNOWN_DEG: Final = robot.UNKNOWN_DEG
@@ -89,6 +97,9 @@ class Drawing:
                 with suppress(ValidationError):  # of another release
                     found = robot.diagnostics(GatewayState.model_validate(report))
                     yield DIAGNOSTICS, robot.diagnostic_array(found, time_ns)
+        elif topic == TELEMETRY:
+            for name, message in robot.measured(Telemetry.model_validate(report), time_ns):
+                yield f"/{name}", message
         elif topic == SIM_BODY:
             self._body, self._body_ns = BodyReport.model_validate(report), time_ns
         moved = topic == SIM_BODY or (shows_joints and topic != STATE)
@@ -156,6 +167,9 @@ _LEVELS: Final = {
     Kind.BUS_MEDDLED: Log.WARN,
     Kind.ESTOP_ENGAGED: Log.ERROR,
     Kind.BUS_FAULT: Log.ERROR,
+    Kind.CONTROLLER_SILENT: Log.ERROR,
+    Kind.FALLEN: Log.ERROR,
+    Kind.BATTERY_LOW: Log.WARN,
 }
 
 

@@ -30,8 +30,8 @@ from gateway.people.recordings.plain_schema import Schema, plain_schema, without
 from gateway.people.recordings.reading import LIBRARY_NAME
 from gateway.people.ros2.cdr import Message, definition, encode
 from schemas.calibration import Calibration
-from schemas.keys import CALIBRATION, EVENT, FRAME, SIM_BODY, STATE
-from schemas.telemetry import BodyReport, Event, FrameRecord, GatewayState
+from schemas.keys import CALIBRATION, EVENT, FRAME, SIM_BODY, STATE, TELEMETRY
+from schemas.telemetry import BodyReport, Event, FrameRecord, GatewayState, Telemetry
 
 if TYPE_CHECKING:
     from _typeshed import ReadableBuffer
@@ -62,6 +62,7 @@ REPORTS: Final[Mapping[str, type[BaseModel]]] = {
     EVENT: Event,
     FRAME: FrameRecord,
     CALIBRATION: Calibration,
+    TELEMETRY: Telemetry,
     SIM_BODY: BodyReport,
 }
 """The keys that are recorded, which are their channels' names, and what is published there."""

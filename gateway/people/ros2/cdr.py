@@ -1,7 +1,8 @@
 """ROS 2 messages: their fields, as bytes (CDR, XCDR1) and back, and their types as text (`ros2msg`).
 
 Every number is aligned to its own size, counted from the end of the four bytes of encapsulation. A string is its length
-with the final zero, UTF-8, and the zero; a sequence its count and its elements; an empty message one byte.
+with the final zero, UTF-8, and the zero; a sequence its count and its elements; an array of numbers its elements; an
+empty message one byte.
 """
 
 import struct
@@ -29,7 +30,9 @@ class Field(NamedTuple):
     element: "str | type[Message]"
     """A name of `NUMBERS`, `string`, or another message."""
     many: bool = False
-    """Whether it is a sequence of them, of any length."""
+    """Whether it is a sequence of them, of any length, or an array."""
+    length: int | None = None
+    """Of an array: how many numbers it has; None: it is none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,6 +72,8 @@ def ros_msg(type_name: str, sha256: str) -> Callable[[type[M]], type[M]]:
 
 
 def _field(name: str, annotation: Any) -> Field:
+    if _is_a(Annotated, annotation) and isinstance(length := get_args(annotation)[1], int):
+        return _field(name, get_args(annotation)[0])._replace(length=length)
     if _is_a(tuple, annotation):
         return Field(name, _element(get_args(annotation)[0]), many=True)
     return Field(name, _element(annotation))
@@ -137,9 +142,9 @@ def definition(kind: type[Message]) -> str:
 
 def _lines(kind: type[Message], inner: dict[str, type[Message]]) -> str:
     lines = [f"{type_name} {name}={value}" for type_name, name, value in kind.CONSTANTS]
-    for name, element, many in kind.FIELDS:
+    for name, element, many, length in kind.FIELDS:
         shown = element if isinstance(element, str) else _short(element.TYPE)
-        lines.append(f"{shown}{'[]' if many else ''} {name}")
+        lines.append(f"{shown}{f'[{length}]' if length else '[]' if many else ''} {name}")
         if not isinstance(element, str) and element.TYPE not in inner:
             inner[element.TYPE] = element
             _lines(element, inner)
@@ -152,12 +157,15 @@ def _short(name: str) -> str:
 
 
 def _write(out: bytearray, message: Message) -> None:
-    for name, element, many in message.FIELDS:
+    for name, element, many, length in message.FIELDS:
         value: Any = getattr(message, name)
         if not many:
             _write_one(out, element, value)
             continue
-        _write_numbers(out, "I", (len(value),))
+        if length is None:
+            _write_numbers(out, "I", (len(value),))
+        elif len(value) != length:
+            raise CdrError(f"{name} has {length} numbers, and here are {len(value)}")
         if isinstance(element, str) and element in NUMBERS:
             if value:
                 _write_numbers(out, NUMBERS[element], value)
@@ -206,11 +214,11 @@ class _Reader:
         return kind(*(self._field(field) for field in kind.FIELDS))
 
     def _field(self, field: Field) -> Any:
-        name, element, many = field
+        name, element, many, length = field
         try:
             if not many:
                 return self._one(element)
-            (count,) = self._numbers("I", 1)
+            (count,) = self._numbers("I", 1) if length is None else (length,)
             if isinstance(element, str) and element in NUMBERS:
                 return self._numbers(NUMBERS[element], count) if count else ()
             if count > self.left:  # the smallest element has one byte

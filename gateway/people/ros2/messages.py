@@ -3,7 +3,7 @@
 They are the same in all of `DISTRIBUTIONS` (rosbags keeps their definitions). Fields are documented where ROS 2 is.
 """
 
-from typing import ClassVar, Final
+from typing import Annotated, ClassVar, Final
 
 from gateway.people.ros2.cdr import Message, byte, float32, float64, int32, ros_msg, uint8, uint32
 
@@ -244,6 +244,68 @@ class Marker(Message):
 @ros_msg("visualization_msgs/msg/MarkerArray", "86cb8800b6fb05b5eff1abd7a56f62a5641d3ae9a1c29e78e67e704f1d067dcf")
 class MarkerArray(Message):
     markers: tuple[Marker, ...] = ()
+
+
+@ros_msg("sensor_msgs/msg/Imu", "7d9a00ff131080897a5ec7e26e315954b8eae3353c3f995c55faf71574000b5b")
+class ImuMessage(Message):
+    header: Header = Header()
+    orientation: Quaternion = Quaternion()
+    orientation_covariance: Annotated[tuple[float64, ...], 9] = (0.0,) * 9
+    angular_velocity: Vector3 = Vector3()
+    angular_velocity_covariance: Annotated[tuple[float64, ...], 9] = (0.0,) * 9
+    linear_acceleration: Vector3 = Vector3()
+    linear_acceleration_covariance: Annotated[tuple[float64, ...], 9] = (0.0,) * 9
+
+
+@ros_msg("sensor_msgs/msg/BatteryState", "4bee5dfce981c98faa6828b868307a0a73f992ed0789f374ee96c8f840e69741")
+class BatteryState(Message):
+    POWER_SUPPLY_STATUS_UNKNOWN: ClassVar[uint8] = 0
+    POWER_SUPPLY_STATUS_CHARGING: ClassVar[uint8] = 1
+    POWER_SUPPLY_STATUS_DISCHARGING: ClassVar[uint8] = 2
+    POWER_SUPPLY_STATUS_NOT_CHARGING: ClassVar[uint8] = 3
+    POWER_SUPPLY_STATUS_FULL: ClassVar[uint8] = 4
+    POWER_SUPPLY_HEALTH_UNKNOWN: ClassVar[uint8] = 0
+    POWER_SUPPLY_HEALTH_GOOD: ClassVar[uint8] = 1
+    POWER_SUPPLY_HEALTH_OVERHEAT: ClassVar[uint8] = 2
+    POWER_SUPPLY_HEALTH_DEAD: ClassVar[uint8] = 3
+    POWER_SUPPLY_HEALTH_OVERVOLTAGE: ClassVar[uint8] = 4
+    POWER_SUPPLY_HEALTH_UNSPEC_FAILURE: ClassVar[uint8] = 5
+    POWER_SUPPLY_HEALTH_COLD: ClassVar[uint8] = 6
+    POWER_SUPPLY_HEALTH_WATCHDOG_TIMER_EXPIRE: ClassVar[uint8] = 7
+    POWER_SUPPLY_HEALTH_SAFETY_TIMER_EXPIRE: ClassVar[uint8] = 8
+    POWER_SUPPLY_TECHNOLOGY_UNKNOWN: ClassVar[uint8] = 0
+    POWER_SUPPLY_TECHNOLOGY_NIMH: ClassVar[uint8] = 1
+    POWER_SUPPLY_TECHNOLOGY_LION: ClassVar[uint8] = 2
+    POWER_SUPPLY_TECHNOLOGY_LIPO: ClassVar[uint8] = 3
+    POWER_SUPPLY_TECHNOLOGY_LIFE: ClassVar[uint8] = 4
+    POWER_SUPPLY_TECHNOLOGY_NICD: ClassVar[uint8] = 5
+    POWER_SUPPLY_TECHNOLOGY_LIMN: ClassVar[uint8] = 6
+    POWER_SUPPLY_TECHNOLOGY_TERNARY: ClassVar[uint8] = 7
+    POWER_SUPPLY_TECHNOLOGY_VRLA: ClassVar[uint8] = 8
+
+    header: Header = Header()
+    voltage: float32 = 0.0
+    temperature: float32 = 0.0
+    current: float32 = 0.0
+    charge: float32 = 0.0
+    capacity: float32 = 0.0
+    design_capacity: float32 = 0.0
+    percentage: float32 = 0.0
+    power_supply_status: uint8 = 0
+    power_supply_health: uint8 = 0
+    power_supply_technology: uint8 = 0
+    present: bool = False
+    cell_voltage: tuple[float32, ...] = ()
+    cell_temperature: tuple[float32, ...] = ()
+    location: str = ""
+    serial_number: str = ""
+
+
+@ros_msg("sensor_msgs/msg/Temperature", "72514a14126ab9f8a9abec974c78e5610a367b59db5da355ff1fb982d5bad4b8")
+class Temperature(Message):
+    header: Header = Header()
+    temperature: float64 = 0.0
+    variance: float64 = 0.0
 
 
 @ros_msg("std_srvs/srv/Trigger_Request", "d010825374ce8918e72bfd826c82603e60f45419e932ea976f807b74a863a199")

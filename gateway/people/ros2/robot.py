@@ -1,16 +1,20 @@
 """This robot in ROS 2's messages: what it publishes of itself."""
 
-from collections.abc import Callable, Collection, Iterable, Mapping
+import math
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from typing import Final
 
 from gateway.geometry import Geometry, joint_name, transforms, urdf
 from gateway.geometry.kinematics import BASE, LINKS, link_name
 from gateway.geometry.kinematics import FramePose as Step
+from gateway.people.ros2.cdr import Message
 from gateway.people.ros2.messages import (
+    BatteryState,
     ColorRGBA,
     DiagnosticArray,
     DiagnosticStatus,
     Header,
+    ImuMessage,
     JointState,
     KeyValue,
     Marker,
@@ -19,6 +23,7 @@ from gateway.people.ros2.messages import (
     Pose,
     Quaternion,
     String,
+    Temperature,
     TFMessage,
     Time,
     Transform,
@@ -26,7 +31,7 @@ from gateway.people.ros2.messages import (
     Vector3,
 )
 from schemas.robot import JOINTS, SERVO_IDS
-from schemas.telemetry import GatewayState, Mode, WatchdogState
+from schemas.telemetry import Battery, GatewayState, Mode, Telemetry, WatchdogState
 
 UNKNOWN_DEG: Final = 90.0
 """Where a servo that was never commanded is drawn."""
@@ -34,6 +39,17 @@ _MARK_M: Final = 0.035
 """A little thicker than a leg is drawn."""
 _OFF: Final = ColorRGBA(0.9, 0.15, 0.1, 0.85)
 _OK, _WARN, _ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
+MEASURED: Final[Mapping[str, type[Message]]] = {
+    "battery_state": BatteryState,
+    "imu/data": ImuMessage,
+    "temperature": Temperature,
+}
+"""Topic → the type of its messages: what a robot may measure."""
+_MOST_AGE_MS: Final = 60_000.0
+"""By which a measurement's stamp is put back; without access control anybody may publish any age."""
+_MOST_FLOAT32: Final = 3.4e38
+_NONE: Final = (-1.0, *(0.0,) * 8)
+"""The covariance of a value that is none; that of one whose accuracy is not known is all zeros."""
 _LEVELS: Final[dict[str, int]] = {Mode.IDLE: _OK, Mode.ACTIVE: _OK, Mode.ESTOPPED: _ERROR, Mode.BUS_FAULT: _ERROR}
 
 
@@ -104,6 +120,46 @@ def description(geometry: Geometry, name_of: Callable[[int], str] = joint_name) 
     return String(text)
 
 
+def measured(found: Telemetry, time_ns: int) -> Iterator[tuple[str, Message]]:
+    """The topics and messages of what the robot measures; `time_ns` is when it was received.
+
+    The robot says nothing of its sensors' accuracy, and nothing of where they are: they count as the body's own.
+    """
+    header = Header(stamp(time_ns - round(min(found.age_ms, _MOST_AGE_MS) * 1_000_000)), BASE)
+    if found.battery is not None:
+        yield "battery_state", _battery(found.battery, header)
+    if (imu := found.imu) is not None:
+        w, x, y, z = imu.orientation_wxyz
+        yield (
+            "imu/data",
+            ImuMessage(
+                header,
+                Quaternion(x, y, z, w),
+                orientation_covariance=_NONE if found.tilt_deg is None else (0.0,) * 9,  # no tilt: no orientation yet
+                angular_velocity=Vector3(*imu.angular_velocity_rad_s),
+                linear_acceleration=Vector3(*imu.linear_acceleration_m_s2),
+            ),
+        )
+    if found.temperature_c is not None:
+        yield "temperature", Temperature(header, found.temperature_c)
+
+
+def _battery(battery: Battery, header: Header) -> BatteryState:
+    """ROS 2's percentage is a part of 1; NaN is what nobody knows."""
+    unknown = math.nan
+    return BatteryState(
+        header,
+        voltage=battery.voltage_v if abs(battery.voltage_v) < _MOST_FLOAT32 else unknown,
+        temperature=unknown,
+        current=unknown,
+        charge=unknown,
+        capacity=unknown,
+        design_capacity=unknown,
+        percentage=battery.percent / 100 if 0 <= battery.percent <= 100 else unknown,
+        present=True,
+    )
+
+
 def diagnostics(state: GatewayState) -> tuple[DiagnosticStatus, ...]:
     """What the gateway publishes of itself, a status for each part."""
     expired = [leg.leg for leg in state.legs if leg.watchdog == WatchdogState.EXPIRED]
@@ -136,6 +192,7 @@ def diagnostics(state: GatewayState) -> tuple[DiagnosticStatus, ...]:
             device=state.spi.device,
             frames=state.spi.frames,
             errors=state.spi.errors,
+            controller_alive=state.controller.alive,
         ),
         status(
             "emergency stop",

@@ -82,7 +82,7 @@ class StopStatus:
             self.outcome = None  # the robot may move again
         self._estopped = estopped
 
-    def is_estopped(self, now_ns: int) -> None:
+    def state_shows_estop(self, now_ns: int) -> None:
         """A state that is no older than the one before shows the emergency stop: requests that failed are over."""
         if self.wanted_ns is not None and self._tries:
             # The reply was lost, or somebody else engaged it where this laptop may not.

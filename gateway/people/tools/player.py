@@ -33,7 +33,14 @@ FREE_NS: Final = 2 * NS_PER_MS
 """Before the next command there must be so much time for a step to be read."""
 _PROGRESS_S: Final = 0.5
 
-_ENDS: Final = (Kind.ESTOP_ENGAGED, Kind.BUS_FAULT, Kind.STOPPED_OUTSIDE, Kind.STOPPING)
+_ENDS: Final = (
+    Kind.ESTOP_ENGAGED,
+    Kind.BUS_FAULT,
+    Kind.CONTROLLER_SILENT,
+    Kind.FALLEN,
+    Kind.STOPPED_OUTSIDE,
+    Kind.STOPPING,
+)
 
 
 class Player:

@@ -108,7 +108,7 @@ def walk(
         float | None, typer.Option("--seconds", metavar="S", min=0, max=3600, help="Walk so long, without a person.")
     ] = None,
     gait: Annotated[
-        str, typer.Option("--gait", help="tripod (fast), ripple, or wave (slow, one leg at a time).")
+        str, typer.Option("--gait", help="In which order the legs step; tripod is the fastest.")
     ] = "tripod",
     height: Annotated[float | None, typer.Option("--height", metavar="M", help="Of the body above the ground.")] = None,
     geometry: OtherShapeOption = None,

@@ -33,6 +33,14 @@ def sentences(state: GatewayState) -> list[str]:
         found.append(f"Nothing can be started: {state.calibration.fault}")
     device = "a simulated controller" if state.simulated else spi.device
     found.append(f"{spi.frames} frames to {device} ({spi.framing}), {spi.errors} SPI errors.")
+    controller, battery = state.controller, state.battery
+    if controller.alive is not None:
+        silence = "" if controller.age_ms is None else f", its last answer {controller.age_ms / 1000:.1f} s ago"
+        found.append(
+            f"The controller ({controller.protocol}) {'is alive' if controller.alive else f'is SILENT{silence}'}."
+        )
+    if battery is not None:
+        found.append(f"Battery: {battery.voltage_v:.2f} V, {battery.percent:.0f} %.")
     found.append(
         f"{state.commands.accepted} commands accepted, {state.commands.rejected} rejected; "
         f"the watchdog ({watchdog.timeout_ms:g} ms) has stopped {watchdog.expirations} legs."

@@ -3,6 +3,7 @@
 **Stance.** All feet that stand move as one rigid body against the robot's motion, so none scrapes.
 **Swing.** A foot leaves the ground with the ground's velocity, and lands with it where the middle of its next stance is
 the foot's resting place. So a stride needs no memory of the one before, and a change of velocity no special case.
+**Tempo.** Where strides would be too long for the discs, the same gait goes in a shorter time, with lower steps.
 **Limits.** Each foot stays in a disc around its resting place (robot.py). A velocity that would carry a standing foot
 out of it is scaled down, as a whole vector. Where a servo is too slow, time itself is slowed down for that tick: feet
 and body move the same way, only slower.
@@ -22,7 +23,7 @@ from gateway.people.walking import gaits
 from gateway.people.walking.motion import STILL, BodyPose, Velocity, carried, travelled
 from gateway.people.walking.planning import Planner, balanced
 from gateway.people.walking.robot import LIFT_M, Pose, Robot, Stance
-from gateway.people.walking.ways import ON_GROUND_M, Figure, Shift, across, between, lowered, outward, up
+from gateway.people.walking.ways import CLIMB, ON_GROUND_M, Figure, Shift, across, between, lowered, outward, up
 from schemas.robot import LEGS
 
 SLEW_M_S2: Final = 0.25
@@ -35,6 +36,14 @@ _HALT_S: Final = 0.15
 """The time in which it stops after the loss of a leg."""
 _LATE_M: Final = 0.002
 """A foot is lifted at a tick, so up to a tick too late."""
+_LEAST_TEMPO: Final = 0.37
+"""Of a gait's period. With a shorter one the servos lose more by their speed than the strides win."""
+_TEMPO_SPARE: Final = 0.93
+"""Of a disc: feet are lifted at ticks, so a little late."""
+_QUICK_LIFT_M: Final = 0.020
+"""How high feet are lifted at the least tempo."""
+_QUICK_CLIMB: Final = 0.3
+"""In which part of a swing, then: a foot below 10 mm, which may touch, moves straight up and down."""
 _SPEED_SPARE: Final = 0.95
 """Of a servo's speed: the gateway measures from its own last frame, which may be a little early or late."""
 _LEAST_FEET: Final = 3
@@ -116,6 +125,9 @@ class Engine:
         """
         self.robot = robot
         self.gait_name, self._gait = gait, gaits.gait(gait)
+        self._quick = self._gait
+        """The gait at its present tempo."""
+        self._lift_m, self._climb = LIFT_M, CLIMB
         self._next_gait: str | None = None
         self._stance = robot.stance(BodyPose(robot.usual_m))
         self._planner = Planner(robot)
@@ -127,6 +139,8 @@ class Engine:
         """Legs that somebody else has stopped: `step` leaves them out."""
         self._stuck = False
         self._pace = 1.0
+        self._slowest = 0
+        """The last servo that was too slow."""
         self._cap: tuple[object, float] = (None, 1.0)
         self._wanted: deque[Stance | None] = deque(maxlen=1)
         self._state = _State(BodyPose(0.0), {}, {}, odometry=odometry)
@@ -141,7 +155,8 @@ class Engine:
         self._begin_what_is_wanted()
         target = velocity if self.walks_at_once else STILL
         cap = self._capped(target)
-        before, pace = self._state, 1.0
+        self._hurry(target.times(cap))
+        before, pace, slowest = self._state, 1.0, 0
         for _ in range(_TRIES):
             after = before.copy()
             try:
@@ -149,12 +164,13 @@ class Engine:
             except WalkError as error:  # what the discs and the plans are there to prevent
                 self._stand_still(str(error))
                 break
-            ratio = self._fastest(before.pose, after.pose, seconds)
+            ratio, servo_id = self._fastest(before.pose, after.pose, seconds)
+            slowest = servo_id if ratio > 1.0 else slowest
             if ratio <= 1.0:
                 self._state, self._stuck = after, False
                 break
             pace *= min(0.98 / ratio, 0.9)
-        self._report(target, cap, pace, seconds)
+        self._report(target, cap, pace, seconds, slowest)
         return self.pose
 
     def stand(self, stance: Stance | None = None) -> None:
@@ -341,7 +357,7 @@ class Engine:
             state.moves, state.part = state.moves[1:], 0.0
 
     def _walk(self, state: _State, target: Velocity, seconds: float) -> None:
-        gait = self._gait
+        gait = self._quick
         began = not state.velocity.moves and not state.swings
         if began:
             state.clock = 0.0
@@ -362,7 +378,7 @@ class Engine:
 
     def _swing(self, state: _State, leg: int, swing: Swing, seconds: float) -> None:
         """From the line on which the ground carries the foot to the one on which it will land."""
-        gait, velocity = self._gait, state.velocity
+        gait, velocity = self._quick, state.velocity
         left = carried(swing.left, velocity, seconds)
         part = min(swing.part + seconds / gait.swing_s, 1.0)
         if across(swing.part) == 1.0:  # above its landing place: it comes straight down
@@ -375,7 +391,7 @@ class Engine:
             state.feet[leg] = x, y, 0.0
             del state.swings[leg]
             return
-        state.feet[leg] = x, y, LIFT_M * up(part)
+        state.feet[leg] = x, y, self._lift_m * up(part, self._climb)
         state.swings[leg] = Swing(left, part)
 
     def _lift(self, state: _State) -> None:
@@ -388,9 +404,29 @@ class Engine:
             state.swings.update({leg: Swing(state.feet[leg]) for leg in due})
 
     def _is_due(self, leg: int, clock: float) -> bool:
-        return gaits.phase(self._gait, leg, clock + _ALMOST) < (1 - self._gait.duty) / 2
+        return gaits.phase(self._quick, leg, clock + _ALMOST) < (1 - self._quick.duty) / 2
 
     # ---- velocities
+
+    def _hurry(self, target: Velocity) -> None:
+        """The tempo that this velocity and the present one need; a walk that ends keeps it: its last swings end soon."""
+        now = self._state.velocity
+        if not target.moves and (now.moves or self._state.swings):
+            return
+        part = max(self._stride_of(target), self._stride_of(now)) / _TEMPO_SPARE
+        tempo = max(_LEAST_TEMPO, min(1.0, 1.0 / part if part else 1.0))
+        self._quick = self._gait._replace(period_s=self._gait.period_s * tempo)
+        haste = (1.0 - tempo) / (1.0 - _LEAST_TEMPO)
+        self._lift_m = LIFT_M + (_QUICK_LIFT_M - LIFT_M) * haste
+        self._climb = CLIMB + (_QUICK_CLIMB - CLIMB) * haste
+
+    def _stride_of(self, velocity: Velocity) -> float:
+        """The longest stride at the gait's usual tempo, as a part of its disc."""
+        if not velocity.moves:
+            return 0.0
+        half_s = self._gait.stance_s / 2
+        rests = self._stance.feet.values()
+        return max(math.dist(carried(rest, velocity, half_s), rest) for rest in rests) / self._within_m
 
     def _slewed(self, state: _State, target: Velocity, seconds: float) -> Velocity:
         now = state.velocity
@@ -412,17 +448,13 @@ class Engine:
         """The part of this velocity whose strides fit into the discs."""
         key = target, self._stance, self._gait
         if self._cap[0] != key:
-            self._cap = key, _largest(lambda part: self._strides_fit(target.times(part)))
+            self._cap = key, _largest(lambda part: self._stride_of(target.times(part)) * _LEAST_TEMPO <= _TEMPO_SPARE)
         return self._cap[1]
 
     @property
     def _within_m(self) -> float:
         """How far from its resting place a foot stands at most."""
         return self._stance.radius_m / outward(self._gait.swing_s, self._gait.stance_s)
-
-    def _strides_fit(self, velocity: Velocity) -> bool:
-        within_m, half_s = self._within_m, self._gait.stance_s / 2
-        return all(math.dist(carried(rest, velocity, half_s), rest) <= within_m for rest in self._stance.feet.values())
 
     def _allowed(self, state: _State, velocity: Velocity) -> float:
         """The part of it with which every foot that stands stays in its disc until it is lifted."""
@@ -434,31 +466,32 @@ class Engine:
             if leg in state.swings or leg in self.lost or self._is_due(leg, state.clock):
                 continue
             foot = state.feet[leg]
-            left_s = (1.0 - gaits.phase(self._gait, leg, state.clock)) * self._gait.period_s
+            left_s = (1.0 - gaits.phase(self._quick, leg, state.clock)) * self._quick.period_s
             if math.dist(carried(foot, velocity, left_s), rest) > max(within_m, math.dist(foot, rest)):
                 return False
         return True
 
-    def _fastest(self, before: Pose, after: Pose, seconds: float) -> float:
-        """The fastest servo's speed, as a part of its limit."""
-        most = 0.0
+    def _fastest(self, before: Pose, after: Pose, seconds: float) -> tuple[float, int]:
+        """The speed that comes nearest to its servo's limit, as a part of that, and the servo."""
+        most = 0.0, 0
         for leg, angles in after.items():
             for joint, (old, new) in enumerate(zip(before[leg], angles, strict=True), start=1):
                 allowed = self.robot.ranges[10 * leg + joint].max_speed_deg_s * _SPEED_SPARE * seconds
                 if old != new:
-                    most = max(most, abs(new - old) / allowed if allowed else math.inf)
+                    most = max(most, (abs(new - old) / allowed if allowed else math.inf, 10 * leg + joint))
         return most
 
-    def _report(self, target: Velocity, cap: float, pace: float, seconds: float) -> None:
-        """Servos are too slow in a few moments of a stride only: the slowest moment counts for a stride."""
-        self._pace = min(pace, self._pace + (1 - self._pace) * seconds / self._gait.period_s)
+    def _report(self, target: Velocity, cap: float, pace: float, seconds: float, slowest: int) -> None:
+        """Servos are too slow in a few moments of a stride only: the mean over a stride counts."""
+        self._pace += (pace - self._pace) * min(1.0, seconds / self._gait.period_s)
+        self._slowest = slowest or self._slowest
         self.scaled = target.times(cap * self._pace)
         if not target.moves:
             self._pace, self.limit = 1.0, self.limit if self._stuck else ""
         elif cap < 1.0:
             self.limit = f"the legs' strides reach {100 * cap:.0f} % of it"
         elif self._pace < _SPEED_SPARE:
-            self.limit = f"the servos' speed allows {100 * self._pace:.0f} % of it"
+            self.limit = f"the speed of servo {self._slowest} allows {100 * self._pace:.0f} % of it"
         else:
             self.limit = ""
 

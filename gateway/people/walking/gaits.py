@@ -1,7 +1,6 @@
 """The gaits: when each leg swings. Pure.
 
-Another gait is a line in the table, a choice in `console/page/index.html` and a number in `bridge/motions.py`. `walk`
-numbers its keys by the table.
+Another gait is a line in the table: the page, the keys of `walk`, its help and the bridge's numbers follow from it.
 """
 
 from typing import Final, NamedTuple
@@ -38,6 +37,9 @@ GAITS: Final = {
     "wave": Gait(3.20, 0.85, (2 / 6, 5 / 6, 1 / 6, 4 / 6, 0 / 6, 3 / 6)),
 }
 """A duty slightly above 1/2, 2/3 or 5/6 leaves time for the load to pass from foot to foot."""
+
+NUMBERS: Final = dict(enumerate(dict.fromkeys(("wave", "ripple", "tripod", *GAITS))))
+"""The gaits' numbers on ROS 2: as the Elkapod's own stack has them, then those that it does not know."""
 
 TRIPODS: Final = ((1, 4, 5), (2, 3, 6))
 """The robot can stand on each: front and rear leg of one side, middle leg of the other."""

@@ -12,6 +12,8 @@ carries out the result, and reports the outcome: `sent`, `found`, `stopped`, `fa
 | FAILED | nothing is sent; the gateway's watchdog stops what runs | `start_again` |
 | ENDS | nothing is sent; the shell stops what runs | `ended`: RESTS |
 
+- A robot that starts as a whole starts all six legs at once, lying; a Stop of one leg stops them all, so it never
+  halts.
 - A leg starts where it was stopped only if, by the gateway's newest state, exactly the others run, and they carry the
   body. Otherwise the body has sunk: all legs are stopped, and it begins anew from lying.
 - No command is used twice. `hold_s` after the newest one the robot finishes its step and stands, `rest_s` after it the
@@ -380,7 +382,9 @@ class Ride:
     def _next_start(self, now_s: float) -> Pose:
         legs = self._running
         missing = sorted(_ALL - legs)
-        if missing and now_s - self._started_s >= START_PAUSE_S:
+        if self.robot.starts_whole:
+            legs = _ALL
+        elif missing and now_s - self._started_s >= START_PAUSE_S:
             self._started_s = now_s
             legs |= {missing[0]}
         pose = self._walker.engine.whole_pose

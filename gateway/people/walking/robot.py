@@ -71,9 +71,15 @@ _CLEARANCE_M: Final = 0.003
 class Robot:
     """Where its feet can be, and by which angles."""
 
-    def __init__(self, geometry: Geometry, ranges: Mapping[int, Range] = MappingProxyType({})) -> None:
-        """`ranges`: of servos whose range is smaller than 0 to 180, or whose speed is limited. Raises WalkError."""
+    def __init__(
+        self, geometry: Geometry, ranges: Mapping[int, Range] = MappingProxyType({}), *, starts_whole: bool = False
+    ) -> None:
+        """`ranges`: of servos whose range is smaller than 0 to 180, or whose speed is limited. Raises WalkError.
+
+        `starts_whole`: its controller starts and stops all six legs at once, and no single one.
+        """
         self.geometry = geometry
+        self.starts_whole = starts_whole
         self.limbs = {leg: Limb(geometry, leg) for leg in LEGS}
         self.ranges = {10 * leg + joint: self._range(10 * leg + joint, ranges) for leg in LEGS for joint in JOINTS}
         heights_m = [mount.xyz_m[2] for mount in geometry.leg_mounts.values()]

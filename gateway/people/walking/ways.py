@@ -21,7 +21,8 @@ _LEAN_RAD_S: Final = 0.4
 _BEND_DEG_S: Final = 90.0
 _LEAST_S: Final = 0.2
 _UPRIGHT: Final = 0.15
-_CLIMB: Final = 0.4
+CLIMB: Final = 0.4
+"""Of a stride's swing: in so much of it a foot goes up, and down again at its end."""
 _TURNING: Final = 0.05
 ON_GROUND_M: Final = 0.004
 """A foot below this height stands."""
@@ -153,9 +154,9 @@ def across(part: float) -> float:
     return ease((part - _UPRIGHT) / (1.0 - 2.0 * _UPRIGHT))
 
 
-def up(part: float) -> float:
-    """How high a stride's swing is: up in its first 40 %, down in its last."""
-    return ease(min(part, 1.0 - part) / _CLIMB)
+def up(part: float, climb: float = CLIMB) -> float:
+    """How high a stride's swing is, 0 to 1."""
+    return ease(min(part, 1.0 - part) / climb)
 
 
 def ease(part: float) -> float:

@@ -76,6 +76,8 @@ def _of_mode(state: GatewayState) -> str:
     if state.mode == Mode.ESTOPPED:
         by = "" if state.estop_source is None else f" by {state.estop_source}"
         return f"Emergency stop{by}: nothing runs until a reset"
+    if state.mode == Mode.BUS_FAULT and state.controller.alive is False:
+        return "The controller is silent: what was written may not have arrived"
     return next((sentence for mode, sentence in _MODES.items() if state.mode == mode), "")
 
 

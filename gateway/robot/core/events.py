@@ -121,9 +121,19 @@ class BusOpened:
 
 @value
 class BusFailed:
-    """A transfer failed, or the device could not be opened again."""
+    """A transfer failed, or the device could not be opened again; CONTROLLER_SILENT: the controller does not answer."""
 
     detail: str
+    kind: Kind = Kind.BUS_FAULT
+    """Which event reports it, if it is the first since the bus was opened."""
+
+
+@value
+class BodyMeasured:
+    """What the robot has measured: its body's tilt in hundredths of a degree (None: unknown), its battery's voltage."""
+
+    tilt_cdeg: int | None
+    battery_mv: int
 
 
 @value
@@ -222,6 +232,7 @@ Event = (
     | Calibrate
     | CalibrationSaved
     | StoppedOutside
+    | BodyMeasured
     | TimePassed
     | ShutDown
 )

@@ -46,6 +46,23 @@ class Rules:
     """How many buttons must be alive for anything to move (Behaviour 14)."""
     buttons_timeout_ns: int = NS_PER_S
     """For how long a button is alive after a check-in."""
+    starts_whole: bool = False
+    """Whether the wire can start and stop the whole robot only (Behaviour 15); then `start_pause_ns` is 0."""
+    min_battery_mv: int = 0
+    """Below it nothing is started (Behaviour 16); 0: whatever the battery has."""
+    max_tilt_cdeg: int = 0
+    """Beyond it for `tilt_ns`, the robot has fallen (Behaviour 16); 0: it may stand as it likes."""
+    tilt_ns: int = 200 * NS_PER_MS
+    """Longer than a stumble, and a fall that is lifted from takes longer."""
+
+    def __post_init__(self) -> None:
+        if self.starts_whole and self.start_pause_ns:
+            raise ValueError("a robot that starts as a whole cannot start leg by leg")
+
+    @property
+    def stops_whole(self) -> bool:
+        """Whether the silence of one leg stops all six."""
+        return self.whole_robot or self.starts_whole
 
 
 @dataclass(slots=True)

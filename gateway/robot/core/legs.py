@@ -15,10 +15,18 @@ from gateway.robot.core.landing import Landing, landing
 from gateway.robot.core.leg import NO_COMMAND, Leg, Rules, Servo, servos_of
 from gateway.robot.core.pacing import NEVER, RateSlots, StartQueue, merged
 from gateway.robot.core.speed import step
+from schemas.keys import LEGS_COMMAND
 from schemas.robot import LEGS
 from schemas.telemetry import Cause, Kind, Reason
 
 _LOST: Final = "messages of the same key were lost, and a stop may be among them"
+_PARTLY: Final = (
+    "this robot can only be started as a whole: send one command with a start for each joint of all six legs to "
+    f"{LEGS_COMMAND}"
+)
+_MIXED: Final = (
+    "this robot can only be stopped as a whole: a Stop in this command stopped it, and its moves are dropped"
+)
 
 
 def _as_it_is(servo: Servo) -> ServoOp:
@@ -109,7 +117,7 @@ class Legs:
             if self.landing is not None and runs:
                 due_ns = self._land_due_ns(self.landing, leg)
             if waits:
-                slot_ns = self._queue.due_ns(leg.number, leg.slots.next_ns)
+                slot_ns = self._queue.due_ns(leg.number, self._slot_ns(leg))
                 if slot_ns is not None and slot_ns < due_ns:
                     due_ns = slot_ns
             leg.due_ns, leg.repeat_ns = due_ns if due_ns < repeat_ns else repeat_ns, repeat_ns
@@ -130,6 +138,15 @@ class Legs:
         self.due_ns = None if due_ns == NEVER else due_ns
         self.repeat_ns = None if repeat_ns == NEVER else repeat_ns
         self.at_rest = at_rest
+
+    def _slot_ns(self, leg: Leg) -> int:
+        """When the leg's next frame may leave. A robot that starts as a whole waits for the last leg's rate slot.
+
+        Between two frames of its start, some servos would run and others wait, and the wire has no such state.
+        """
+        if not (self._rules.starts_whole and leg.waits_to_start):
+            return leg.slots.next_ns
+        return max(each.slots.next_ns for each in self if not each.servos[0].running)
 
     def _land_due_ns(self, landing: Landing, leg: Leg) -> int:
         """When a leg that lands gets its next frame; if it moves no more, when the landing ends."""
@@ -177,7 +194,8 @@ class Legs:
         effects: list[Effect] = []
         stops: list[tuple[Leg, list[Servo]]] = []
         taken: list[Effect] = []
-        for number, targets in command.by_leg.items():
+        whole = self._rules.starts_whole and len(command.moves) < len(command.targets)
+        for number, targets in (self._stop_whole(command) if whole else command.by_leg).items():
             leg = self.by_number[number]
             moves = False
             for _, op in targets:
@@ -199,7 +217,27 @@ class Legs:
             effects += self.take_slots(now_ns)
         elif not self._rules.start_pause_ns:  # else a leg that starts delays others
             self._moved = moved
+        if whole and command.moves:
+            effects.append(Rejected(command, Reason.WHOLE_ROBOT, _MIXED))
         return effects + taken if taken else effects
+
+    def why_not_whole(self, command: Command) -> tuple[Reason, str] | None:
+        """Why a robot that can only be started as a whole does not take these starts; None: it does, or it runs.
+
+        All servos are in one state, so one of them says whether the robot runs. With a Stop, the whole command is one.
+        """
+        moves = command.moves
+        if not moves or len(moves) < len(command.targets) or len(moves) == len(self.servos):
+            return None
+        return None if self.servos[moves[0][0]].will_run else (Reason.WHOLE_ROBOT, _PARTLY)
+
+    def _stop_whole(self, command: Command) -> dict[int, Targets]:
+        """The targets of a command that stops a servo of a robot that can only be stopped as a whole: all Stops.
+
+        Its moves, if any, are never written, so it is not completed.
+        """
+        command.left = len(self.servos) + len(command.moves)
+        return {leg.number: tuple((servo.servo_id, STOP) for servo in leg.servos) for leg in self}
 
     def _stop_on_command(self, leg: Leg, servos: list[Servo], command: Command, now_ns: int) -> list[Effect]:
         """A command that only stops: its frames go out now, whatever waits."""
@@ -248,7 +286,7 @@ class Legs:
         limited = self._rules.max_speed_cdeg_s
         if self._rules.start_pause_ns and not self._passes_queue(leg, now_ns):
             return []
-        if not (waiting or (limited and leg.is_bound)) or now_ns < leg.slots.next_ns:
+        if not (waiting or (limited and leg.is_bound)) or now_ns < self._slot_ns(leg):
             return []
         leg.slots.take(now_ns)
         if limited:
@@ -338,7 +376,7 @@ class Legs:
         self.land_ns = now_ns + self._rules.period_ns
         for leg in self:
             leg.source, leg.landed_ns = None, 0
-        return self.drop(self.servos.values(), Reason.LANDING, "the robot lands: a leg or a button fell silent")
+        return self.drop(self.servos.values(), Reason.LANDING, "the robot lands, and is then stopped")
 
     def land(self, now_ns: int) -> list[Effect]:
         """The frames of a landing that are due: only for servos that run, so nothing is started."""

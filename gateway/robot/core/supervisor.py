@@ -33,6 +33,10 @@ The rules, by their numbers in docs/interface.md, *Behaviour*:
     pose, nothing else moves, and six legs are stopped at an end that is known from its beginning (`landing`).
 14. While fewer buttons are alive than are required, starts, sets and resets are rejected, and what runs is stopped, or
     lands, when they have become too few (`buttons`). Stops need no button.
+15. Where the wire can start and stop the whole robot only, all servos run or wait to be started, or none does: a start
+    names all of them, and leaves with the last leg's rate slot; whatever stops one of them stops all in the same step.
+16. Where a limit is set, nothing starts on a low battery, and nothing moves once the body has been tilted for too long:
+    what runs is then stopped, or lands (`body_limits`).
 
 `StoppedOutside` reports `stop-servos` at work on the same device. All legs count as stopped and get a Stop from here
 too, since one may have been started after its Stop from outside. Until that program is known to have ended, no Start or
@@ -47,10 +51,12 @@ from typing import Final, assert_never, get_args
 from gateway.allowance import NS_PER_MS, NS_PER_S
 from gateway.model.angle_limits import AngleLimits
 from gateway.model.frames import OP_SET
+from gateway.robot.core.body_limits import BodyLimits
 from gateway.robot.core.buttons import Buttons
 from gateway.robot.core.calibrating import Calibrating
 from gateway.robot.core.events import (
     Announce,
+    BodyMeasured,
     BusFailed,
     BusOpened,
     ButtonRequest,
@@ -81,7 +87,7 @@ _ESTOPPED: Final = "the emergency stop is engaged; reset it first"
 _BUS_FAULT: Final = "the SPI bus is at fault; the gateway is trying to open it again"
 _STOPPING: Final = "the gateway is ending"
 _OUTSIDE: Final = "stop-servos stops all servos past the gateway; start them once it has ended"
-_LANDING: Final = "the robot lands, since a leg or a button fell silent; start it once all legs are stopped"
+_LANDING: Final = "the robot lands; start it once all legs are stopped"
 _REJECTING: Final = {
     Mode.ESTOPPED: (Reason.ESTOPPED, _ESTOPPED),
     Mode.BUS_FAULT: (Reason.BUS_FAULT, _BUS_FAULT),
@@ -89,8 +95,9 @@ _REJECTING: Final = {
 }
 """The modes in which every command that comes is rejected, and why."""
 
-
-_AT_START: Final[frozenset[type[Event]]] = frozenset({EmergencyStop, BusOpened, BusFailed, TimePassed, ShutDown})
+_AT_START: Final[frozenset[type[Event]]] = frozenset(
+    {EmergencyStop, BusOpened, BusFailed, BodyMeasured, TimePassed, ShutDown}
+)
 _ANY: Final[frozenset[type[Event]]] = frozenset(get_args(Event))
 LEGAL: Final = {mode: _ANY - {BusOpened} for mode in (Mode.IDLE, Mode.ACTIVE, Mode.ESTOPPED)} | {
     Mode.STARTING: _AT_START,
@@ -114,8 +121,12 @@ class Supervisor:
         self.legs = Legs(rules, self._reach)
         self.lease = RobotLease(rules)
         self.buttons = Buttons(rules)
+        self.body = BodyLimits(rules)
+        self.wants_measurements = self.body.watches
+        """Whether `BodyMeasured` decides anything."""
         self._opened = False  # ever
         self._bus_ok = False
+        self._silent = False  # the bus is at fault since the controller does not answer
         self._latched_ns: int | None = None
         self._ended = False
         self.stopped_outside = False
@@ -147,7 +158,7 @@ class Supervisor:
         self.legs.begin(now_ns if instant_ns is None else instant_ns)
         lease_ns, button_ns = self.lease.due_ns, self.buttons.due_ns
         late = (lease_ns is not None and now_ns >= lease_ns) or (button_ns is not None and now_ns >= button_ns)
-        effects = [*self.lease.expire(now_ns), *self.buttons.expire(now_ns, self._without_buttons())] if late else []
+        effects = [*self.lease.expire(now_ns), *self.buttons.expire(now_ns, self._then())] if late else []
         # An event takes its place between the deadlines that it is too late for and the rate slots that it may use.
         due = self._bus_ok and self.due_ns is not None and now_ns >= self.due_ns
         if (due or self.buttons.closed) and self._stops_all(event):
@@ -193,10 +204,10 @@ class Supervisor:
                 effects = self._button_request(event, now_ns)
             case Calibrate() | CalibrationSaved():
                 effects = self._calibration(event, now_ns)
-            case BusOpened():
-                effects = self._bus_opened(now_ns)
-            case BusFailed():
-                effects = self._bus_failed(event)
+            case BodyMeasured():
+                effects = self._body_measured(event, now_ns)
+            case BusOpened() | BusFailed():
+                effects = self._bus_opened(now_ns) if isinstance(event, BusOpened) else self._bus_failed(event)
             case ShutDown():
                 effects = self._shut_down(now_ns)
             case _:
@@ -237,8 +248,10 @@ class Supervisor:
             return _REJECTING[self.mode]
         moves = command.moves
         guarded = self.stopped_outside or self.lease.guards or self.legs.landing is not None or self.calibrating.guards
-        if moves and (guarded or command.lease is not None or self.buttons.closed):
-            rejection = self._why_closed(command.lease) or self._why_unwatched() or self.calibrating.rejection(moves)
+        guarded = guarded or self.buttons.closed or self.body.low or self.body.fallen
+        if moves and (guarded or command.lease is not None):
+            rejection = self._why_closed(command.lease) or self._why_unwatched()
+            rejection = rejection or self.body.rejection(moves, self.legs.servos) or self.calibrating.rejection(moves)
             if rejection is not None:
                 return rejection
         for servo_id, op in moves if self._reach.limited else ():
@@ -253,7 +266,7 @@ class Supervisor:
                 return Reason.SERVO_STOPPED, f"servo {servo_id} was stopped in the same instant ({by})"
             if op.op is OP_SET and servo.angle_cdeg is None and not servo.will_run:
                 return Reason.SERVO_STOPPED, f"servo {servo_id} does not run; start it before you set it"
-        return None
+        return self.legs.why_not_whole(command) if self._rules.starts_whole else None
 
     def _why_closed(self, lease: str | None) -> tuple[Reason, str] | None:
         """Why nothing may move now, whatever it is; None: it may."""
@@ -343,7 +356,7 @@ class Supervisor:
     def _button_request(self, request: ButtonRequest, now_ns: int) -> list[Effect]:
         if self._ended:
             return [RequestAnswer(Reason.STOPPING, _STOPPING)]
-        published, answer = self.buttons.grant(request, now_ns, self._without_buttons())
+        published, answer = self.buttons.grant(request, now_ns, self._then())
         return [*(self._stop_unwatched(now_ns) if self.buttons.closed else ()), *published, answer]
 
     def _outside(self, event: StoppedOutside, now_ns: int) -> list[Effect]:
@@ -360,7 +373,8 @@ class Supervisor:
         recovered, self._opened, self._bus_ok = self._opened, True, True
         effects = self._stop_all(Cause.STARTUP, now_ns, Reason.BUS_FAULT, _BUS_FAULT)
         if recovered:
-            effects.append(Announce(Kind.BUS_RECOVERED, "the SPI bus answers again; all servos are stopped"))
+            who, kind = ("controller", Kind.CONTROLLER_RETURNED) if self._silent else ("SPI bus", Kind.BUS_RECOVERED)
+            effects.append(Announce(kind, f"the {who} answers again; all servos are stopped"))
         return effects
 
     def _bus_failed(self, event: BusFailed) -> list[Effect]:
@@ -368,7 +382,8 @@ class Supervisor:
         self.legs.landing = None  # the bus that opens again stops everything, and lands nothing
         effects = self.legs.drop(self.legs.servos.values(), Reason.BUS_FAULT, _BUS_FAULT)
         if first:
-            effects.append(Announce(Kind.BUS_FAULT, event.detail))
+            self._silent = event.kind is Kind.CONTROLLER_SILENT
+            effects.append(Announce(event.kind, event.detail))
         return effects
 
     def _shut_down(self, now_ns: int) -> list[Effect]:
@@ -382,24 +397,36 @@ class Supervisor:
 
     def _stop_unwatched(self, now_ns: int) -> list[Effect]:
         """While too few buttons are alive, nothing runs, but for a landing."""
-        if self._at_rest_without_buttons():
+        if self._nothing_to_stop():
             return []
         fell_ns = now_ns if self.buttons.fell_ns is None else self.buttons.fell_ns
-        ends_ns = fell_ns + self._rules.landing_ns
-        if now_ns < ends_ns and not self.legs.at_rest:
-            return self._begin_landing("too few buttons are alive", ends_ns, now_ns)
-        due = dict.fromkeys(self.legs.by_number, fell_ns)
-        return self.legs.stop(due, Cause.WATCHDOG, now_ns, *self.buttons.rejection())
+        return self._bring_down("too few buttons are alive", fell_ns, now_ns, *self.buttons.rejection())
 
-    def _without_buttons(self) -> str:
-        """What the event says if buttons become too few in this step; "": nothing is to be stopped."""
-        if self._at_rest_without_buttons():
+    def _body_measured(self, event: BodyMeasured, now_ns: int) -> list[Effect]:
+        """A body that has fallen in this step is stopped, or lands."""
+        published = self.body.note(event, now_ns, self._then())
+        if not self.body.fallen or self._nothing_to_stop():
+            return published
+        down = self._bring_down("the body is tilted", self.body.fell_ns, now_ns, *self.body.has_fallen())
+        return [*down, *published]
+
+    def _bring_down(self, why: str, since_ns: int, now_ns: int, reason: Reason, detail: str) -> list[Effect]:
+        """The robot lands, if something runs and there is time left; else all six legs are stopped."""
+        ends_ns = since_ns + self._rules.landing_ns
+        if now_ns < ends_ns and not self.legs.at_rest:
+            return self._begin_landing(why, ends_ns, now_ns)
+        due = dict.fromkeys(self.legs.by_number, since_ns)
+        return self.legs.stop(due, Cause.WATCHDOG, now_ns, reason, detail)
+
+    def _then(self) -> str:
+        """What an event says if the robot is brought down in this step; "": nothing is to be stopped."""
+        if self._nothing_to_stop():
             return ""
         lands = self._rules.landing_ns and not self.legs.at_rest
         return "the robot lands" if lands else "all six legs are stopped"
 
-    def _at_rest_without_buttons(self) -> bool:
-        """Whether too few buttons stop nothing: all is stopped, or it lands already, or the bus sends nothing."""
+    def _nothing_to_stop(self) -> bool:
+        """Whether all is stopped, or it lands already, or the bus sends nothing."""
         return not self._bus_ok or self.legs.landing is not None or not any(leg.armed for leg in self.legs)
 
     def _expire(self, now_ns: int) -> list[Effect]:
@@ -420,21 +447,22 @@ class Supervisor:
         if now_ns < ends_ns and not self.legs.at_rest:
             why = f"leg {min(silent)} was not heard for {timeout_ms:g} ms"
             return self._begin_landing(why, ends_ns, now_ns)
-        due = {leg.number: silent.get(leg.number, first) for leg in self.legs} if self._rules.whole_robot else silent
+        due = {leg.number: silent.get(leg.number, first) for leg in self.legs} if self._rules.stops_whole else silent
         expired = [leg for leg in self.legs if leg.number in due and leg.armed]
         detail = "the command was pending longer than the watchdog allows"
         effects = self.legs.stop(due, Cause.WATCHDOG, now_ns, Reason.STALE, detail)
         for leg in expired:
             leg.expired = True
-        whole = "; all six legs are stopped" if self._rules.whole_robot else "; it is stopped"
+        whole = "; all six legs are stopped" if self._rules.stops_whole else "; it is stopped"
+        whole += ", since this robot can only be stopped as a whole" if self._rules.starts_whole else ""
         for number in silent:
             detail = f"leg {number} was not heard for {timeout_ms:g} ms{whole}"
-            stopped = _ALL if self._rules.whole_robot else (number,)
+            stopped = _ALL if self._rules.stops_whole else (number,)
             effects.append(Announce(Kind.WATCHDOG_EXPIRED, detail, legs=stopped))
         return effects
 
     def _begin_landing(self, why: str, ends_ns: int, now_ns: int) -> list[Effect]:
-        """A leg fell silent, or a button: the whole robot goes down, also legs that are still commanded.
+        """A leg or a button fell silent, or the body is tilted: the whole robot goes down, also legs still commanded.
 
         On five legs, one limp, it would fall. Nothing can make the landing longer: neither a link that comes back (what
         comes is rejected) nor a second leg's silence (whose own Stop would come later than this one).

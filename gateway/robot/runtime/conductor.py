@@ -12,12 +12,13 @@ from typing import Final
 from pydantic import BaseModel
 
 from gateway import __version__
-from gateway.errors import SpiError
+from gateway.errors import ControllerSilentError, SpiError
 from gateway.model.elkapod import Measured
 from gateway.model.staleness import Staleness
 from gateway.robot.blackbox.recorder import Recorder
 from gateway.robot.core.events import (
     Announce,
+    BodyMeasured,
     BusFailed,
     BusOpened,
     ButtonRequest,
@@ -209,6 +210,11 @@ class Conductor:
 
     def measured(self, values: Measured, now_ns: int) -> None:
         """The controller has answered."""
+        if self.supervisor.wants_measurements and not self._closed:
+            tilt_deg = values.tilt_deg
+            tilt_cdeg = None if tilt_deg is None else round(tilt_deg * 100)
+            self._step(BodyMeasured(tilt_cdeg, round(values.voltage_v * 1000)))
+            self._arm()
 
     def look_outside(self) -> None:
         """Learn of `stop-servos` on the same device and of its end, and of settings that another program changed."""
@@ -307,10 +313,11 @@ class Conductor:
 
     def _bus_failed(self, fault: SpiError) -> None:
         self.bus.release()
-        effects = self.supervisor.step(BusFailed(str(fault)), self._clock())
+        kind = Kind.CONTROLLER_SILENT if isinstance(fault, ControllerSilentError) else Kind.BUS_FAULT
+        effects = self.supervisor.step(BusFailed(str(fault), kind), self._clock())
         again, self._in_fault = self._in_fault, True
         if again:
-            effects = [each for each in effects if not (isinstance(each, Announce) and each.kind is Kind.BUS_FAULT)]
+            effects = [each for each in effects if not (isinstance(each, Announce) and each.kind is kind)]
         self._executor.carry_out(effects)
         if self.supervisor.mode is Mode.BUS_FAULT:
             self._reopen_timer.set_in(REOPEN_S if again else 0)

@@ -19,13 +19,20 @@ class Cycle:
     """Exchanges a frame each `1 / cycle_hz` seconds, from `start` until the conductor is closed."""
 
     def __init__(
-        self, bus: CyclicBus, conductor: Conductor, cycle_hz: float, failed: Callable[[Exception], None]
+        self,
+        bus: CyclicBus,
+        conductor: Conductor,
+        cycle_hz: float,
+        failed: Callable[[Exception], None],
+        *,
+        clock: Callable[[], int] = time.monotonic_ns,
     ) -> None:
         """`failed` is called, on its thread, with a mistake in the gateway that ended it."""
         self._bus = bus
         self._conductor = conductor
         self._cycle_ns = round(NS_PER_S / cycle_hz)
         self._failed = failed
+        self._clock = clock
         self._thread = threading.Thread(target=self._run, name="cycle", daemon=True)
 
     def start(self) -> None:
@@ -34,27 +41,27 @@ class Cycle:
 
     def _run(self) -> None:
         realtime.prefer_thread(realtime.LOOP_PRIORITY)
-        due_ns = time.monotonic_ns()
+        due_ns = self._clock()
         try:
             while not self._conductor.closed:
-                self._exchange()
+                self.exchange()
                 # A frame that is late is not made up for: two in a row would tell the controller nothing new.
-                due_ns = max(due_ns + self._cycle_ns, time.monotonic_ns())
-                time.sleep(max(0, due_ns - time.monotonic_ns()) / 1e9)
+                due_ns = max(due_ns + self._cycle_ns, self._clock())
+                time.sleep(max(0, due_ns - self._clock()) / 1e9)
         except Exception as error:
             self._failed(error)
 
-    def _exchange(self) -> None:
-        """One cycle."""
+    def exchange(self) -> None:
+        """One cycle, without the state."""
         conductor = self._conductor
         with conductor.owner:
-            silent = self._bus.silent(time.monotonic_ns())
+            silent = self._bus.silent(self._clock())
             if silent is not None:
                 conductor.bus_failed(silent)
-            frame = self._bus.begin_cycle(time.monotonic_ns())
+            frame = self._bus.begin_cycle(self._clock())
         if frame is None:
             return
-        begun_ns = time.monotonic_ns()
+        begun_ns = self._clock()
         try:
             answer = self._bus.exchange(frame)
         except SpiError as fault:
@@ -63,7 +70,7 @@ class Cycle:
                     conductor.bus_failed(fault)
             return
         with conductor.owner:
-            now_ns = time.monotonic_ns()
+            now_ns = self._clock()
             try:
                 measured = self._bus.end_cycle(answer, now_ns - begun_ns, now_ns)
             except SpiError as fault:

@@ -89,7 +89,7 @@ class Executor:
                 case Rejected():
                     outcome.rejected.append(effect.request)
                     self._answers.end(effect.request, effect.reason, effect.detail)
-                case Announce(kind=Kind.BUS_RECOVERED) if outcome.fault is not None:
+                case Announce(kind=Kind.BUS_RECOVERED | Kind.CONTROLLER_RETURNED) if outcome.fault is not None:
                     pass  # it opened, but did not take six Stops: the fault goes on, and has been published
                 case Announce():
                     self._metrics.events[effect.kind] += 1

@@ -15,10 +15,11 @@ Where nothing is known, it does what harms most:
   Both are counted in `corruptions`. So is a START before any frame: what servos then do is not known. Here they wait
   for the first frame.
 
-What it measures comes from the simulated body, where there is one. Without it the robot is at rest and level, each of
-the six feet carries a sixth of the assumed weight while servos are driven and nothing while they are slack (it then
-lies on its belly), and servos draw current while they move. The sensors are noisy, as real ones are: no two answers are
-the same. The unit of forces on this wire is written nowhere; here it is the newton.
+What it measures comes from the simulated body, where there is one; after the end of its process it stays what it was.
+Without a body the robot is at rest and level, each of the six feet carries a sixth of the assumed weight while servos
+are driven and nothing while they are slack (it then lies on its belly), and servos draw current while they move. The
+sensors are noisy, as real ones are: no two answers are the same. The unit of forces on this wire is written nowhere;
+here it is the newton.
 """
 
 import collections
@@ -35,9 +36,11 @@ from gateway.host.sensed_page import Sensed, SensedPage
 from gateway.host.servo_page import ServoPage
 from gateway.model import elkapod
 from gateway.model.elkapod import BEGIN, END, FRAME_BYTES, SHUTDOWN, START, Measured
+from gateway.robot.spi import DuplexDevice
 from gateway.robot.spi.simulated_battery import A_PER_NM, BASE_A, IDLE_A, MOVING_A, Battery
 from gateway.robot.spi.simulated_servos import ServoState, SimulatedServos
 from gateway.robot.spi.simulator import KEPT_TRANSFERS
+from gateway.robot.spi.uart import Uart
 from schemas.robot import LEGS, SERVO_IDS
 
 HEARTBEAT_NS: Final = 50_000_000
@@ -56,7 +59,7 @@ _GYRO_NOISE_RAD_S: Final = 0.002
 _ACCELEROMETER_NOISE_M_S2: Final = 0.02
 
 
-class SimulatedElkapod:
+class SimulatedElkapod(DuplexDevice):
     """The controller, its servos and its battery. Each method may be called from any thread, and takes microseconds."""
 
     def __init__(
@@ -235,6 +238,22 @@ class SimulatedElkapod:
         stands = any(servo.energised for servo in self._servos.values())
         foot_n = MASSES.total_kg * _GRAVITY_M_S2 / len(LEGS) if stands else 0.0
         return Sensed((1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, _GRAVITY_M_S2), (foot_n,) * len(LEGS), ())
+
+
+class SimulatedUart(Uart):
+    """The UART of a simulated controller."""
+
+    def __init__(self, controller: SimulatedElkapod) -> None:
+        self._controller = controller
+
+    def write(self, data: bytes) -> None:
+        self._controller.uart_write(data)
+
+    def read(self) -> bytes:
+        return self._controller.uart_read()
+
+    def close(self) -> None:
+        """Nobody listens any more, which changes nothing."""
 
 
 def _first_message(received: bytes) -> tuple[bytes, bytes] | None:

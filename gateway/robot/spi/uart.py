@@ -42,8 +42,10 @@ class SerialUart(Uart):
             raise SpiError("pyserial is not installed: pip install 'hexapod-gateway[spi]'") from error
         self._path = path
         lock = True if exclusive else None
+        two = serial.STOPBITS_TWO
         try:
-            self._serial = serial.Serial(path, UART_BAUD, stopbits=serial.STOPBITS_TWO, timeout=0, exclusive=lock)
+            # inter_byte_timeout sets VMIN to 1. With pyserial's own VMIN of 0, reading nothing looks like an end.
+            self._serial = serial.Serial(path, UART_BAUD, stopbits=two, inter_byte_timeout=0, exclusive=lock)
         except (OSError, ValueError) as error:
             raise SpiError(f"the UART {path} cannot be opened: {error}; name another with controller.uart") from error
 

@@ -39,7 +39,7 @@ DAY = dt.timedelta(days=1)
 )
 def test_a_certificate_and_a_clock(now: dt.datetime, said: str, fix: str) -> None:
     finding = validity("anna.pem", BEGIN, END, now)
-    assert finding.step is Stage.CERTIFICATE
+    assert finding.stage is Stage.CERTIFICATE
     assert finding.sentence.startswith(said)
     assert fix in finding.fix
     assert bool(finding.fix) is bool(fix)
@@ -48,7 +48,7 @@ def test_a_certificate_and_a_clock(now: dt.datetime, said: str, fix: str) -> Non
 @pytest.mark.parametrize("endpoint", ["tls/[2001:db8::7]:7447", "quic/robot:7447", "robot:7447", "tls/robot"])
 def test_what_is_not_dialled_is_reported_at_once(endpoint: str) -> None:
     (finding,) = look(endpoint, Identity(), time.monotonic() + 1)
-    assert finding.step is Stage.ENDPOINT
+    assert finding.stage is Stage.ENDPOINT
     assert finding.fix
 
 

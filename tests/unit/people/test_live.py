@@ -14,7 +14,7 @@ from gateway.client import Client
 from gateway.people.client.live import Live, OnLoop, Order, Receiver, ReportQueue, Starts
 from gateway.people.client.subscriptions import KEPT_EVENTS
 from schemas.keys import EVENT, STATE
-from schemas.telemetry import BodyReport, Event, GatewayState, Kind
+from schemas.telemetry import BodyReport, Event, GatewayState, Kind, Telemetry
 from tests.support.watch_reports import WALL, event, state
 
 MODELS: dict[str, type[BaseModel]] = {STATE: GatewayState, EVENT: Event}
@@ -101,6 +101,9 @@ class OnThisLoop(Receiver):
     def received_body(self, body: BodyReport) -> None:
         self.calls.append((body.upright,))
 
+    def received_telemetry(self, telemetry: Telemetry) -> None:
+        self.calls.append((telemetry.tilt_deg,))
+
     def received_event(self, event: Event, left_out: int = 0) -> None:
         self.calls.append((event.detail, left_out))
 
@@ -118,6 +121,7 @@ def test_a_busy_loop_gets_the_newest_state_and_a_bounded_number_of_events() -> N
             for number in range(KEPT_EVENTS + 3):
                 to_loop.received_state(state(float(number)), number)
                 to_loop.received_event(event(Kind.STOPPING, str(number)))
+                to_loop.received_telemetry(Telemetry(time=WALL, age_ms=0.0, tilt_deg=number))
             to_loop.received_token(False)
             to_loop.looked(["nobody is there"])
 
@@ -134,6 +138,7 @@ def test_a_busy_loop_gets_the_newest_state_and_a_bounded_number_of_events() -> N
         (KEPT_EVENTS + 2.0, KEPT_EVENTS + 2),
         ("3", 3),
         *((str(number), 0) for number in range(4, KEPT_EVENTS + 3)),
+        (KEPT_EVENTS + 2.0,),
         (False,),
         (["nobody is there"],),
         (True,),

@@ -40,6 +40,7 @@ from schemas.command import SERVO_COMMAND, LegCommand, LegsCommand, ResetCommand
 from schemas.robot import SERVO_IDS
 from schemas.telemetry import Ack, GatewayState
 from tests.support.mcap_file import checked
+from tests.support.measuring import MEASURED
 
 WIRE: Final = Path(__file__).parents[2] / "data" / "wire"
 START_NS: Final = 1_700_000_000_000_000_000
@@ -72,8 +73,9 @@ def reports(count: int) -> Iterator[tuple[str, dict[str, Any], int]]:
         for key, name in NAMES.items()
     }
     wires[keys.SIM_BODY] = [BODY]
+    wires[keys.TELEMETRY] = [MEASURED.model_dump(mode="json")]
     for number in range(count):
-        others = {0: keys.STATE, 10: keys.CALIBRATION, 15: keys.EVENT, 20: keys.SIM_BODY}
+        others = {0: keys.STATE, 10: keys.CALIBRATION, 15: keys.EVENT, 20: keys.SIM_BODY, 25: keys.TELEMETRY}
         key = others.get(number % 30, keys.FRAME)
         yield key, wires[key][number % len(wires[key])], START_NS + number * PERIOD_NS
 

@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, rule
 
 from gateway.errors import DisconnectedError, GatewayError, StoppedError
-from gateway.people.walking import STILL, Phase, Posture, Velocity
+from gateway.people.walking import STILL, Phase, Posture, Robot, Velocity
 from schemas.robot import LEGS
-from tests.support.ridden import ROBOT, TICK_S, WATCHDOG_S, Ridden, standing
+from tests.support.ridden import ROBOT, TICK_S, WATCHDOG_S, WHOLE, Ridden, standing
 
 AHEAD: Final = Velocity(0.1)
 ALL: Final = tuple(LEGS)
@@ -125,6 +125,20 @@ def test_legs_that_ran_when_it_was_made_and_were_stopped_before_its_first_word_s
     assert [leg for _, leg in ridden.started] == list(LEGS)
 
 
+def test_a_robot_that_starts_as_a_whole_starts_all_legs_at_once_from_lying_also_after_a_leg_was_stopped() -> None:
+    ridden = Ridden(robot=WHOLE)
+    ridden.ride.go(AHEAD, ridden.now_s)
+    ridden.tick()
+    assert sorted(ridden.running) == list(LEGS), "the first setpoint has all six"
+    walks(ridden, 6.0)
+    assert ridden.posture is Posture.WALKING
+    ridden.stop([3])
+    ridden.run(0.5)
+    assert (ridden.ride.phase, ridden.ride.state.lost) == (Phase.FAILED, ALL)
+    expect_begins_anew(ridden)
+    assert len({at_s for at_s, _ in ridden.started}) == 1
+
+
 def test_a_quicker_stream_starts_no_leg_sooner() -> None:
     ridden = Ridden()
     ridden.ride.stand(None, ridden.now_s)
@@ -217,9 +231,9 @@ def test_words_during_an_error_raise_it_and_start_nothing() -> None:
 class AnyOrder(RuleBasedStateMachine):
     """The gateway of `Ridden` judges each start and each state."""
 
-    @initialize(stands=st.booleans())
-    def begin(self, stands: bool) -> None:
-        self.ridden = standing() if stands else Ridden()
+    @initialize(stands=st.booleans(), robot=st.sampled_from((ROBOT, WHOLE)))
+    def begin(self, stands: bool, robot: Robot) -> None:
+        self.ridden = standing(robot=robot) if stands else Ridden(robot=robot)
 
     @rule(ticks=st.integers(1, 30))
     def time_passes(self, ticks: int) -> None:

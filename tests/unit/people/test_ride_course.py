@@ -9,10 +9,11 @@ import pytest
 from gateway.errors import WalkError
 from gateway.geometry import load
 from gateway.people.bridge.motions import Course
+from gateway.people.ros2.joints import JointsError
 from gateway.people.ros2.trajectory import Trajectory, Waypoint
 from gateway.people.walking import Pose, Ride
 from schemas.robot import LEGS
-from tests.support.ridden import ROBOT, TICK_S, standing
+from tests.support.ridden import ROBOT, TICK_S, WHOLE, standing
 
 GEOMETRY: Final = load()
 STOOD: Final[Pose] = dict(standing().running)
@@ -116,6 +117,20 @@ def test_what_is_released_sits_down_at_once() -> None:
     one.course.leave(one.now_s)
     one.course.leave(one.now_s)
     assert one.run(SITS_WITHIN_S).over_s < 1.0 + SITS_WITHIN_S
+
+
+def test_a_robot_that_starts_as_a_whole_starts_by_a_plan_of_all_joints_only() -> None:
+    one = Followed(Course(GEOMETRY, lambda pose: Ride(WHOLE, running=pose), whole=True))
+    with pytest.raises(JointsError, match="name all 18 joints"):
+        one.course.follow(plan(0.0, (30.0, 0.1), legs=(1, 2)), 0.0)
+    assert not one.course.begun
+    one.course.follow(plan(0.0, (30.0, 0.1)), 0.0)
+    one.run(TICK_S)
+    assert sorted(one.sent[0]) == list(LEGS)
+    one.course.follow(plan(one.now_s, (30.0, 0.1), legs=(1, 2)), one.now_s)
+    assert sorted(one.run(TICK_S).sent[-1]) == list(LEGS), "what runs is held"
+    one.course.leave(one.now_s)
+    assert one.run(SITS_WITHIN_S).sinks
 
 
 def test_a_newer_plan_goes_on_from_where_the_robot_is_also_while_it_sits_down() -> None:

@@ -18,6 +18,7 @@ from gateway.people.ros2.messages import (
     DiagnosticArray,
     Duration,
     Header,
+    ImuMessage,
     JointState,
     JointTrajectory,
     JointTrajectoryPoint,
@@ -88,8 +89,8 @@ _VALUES: Final[dict[str, st.SearchStrategy[Any]]] = {
 def values(kind: type[Message]) -> st.SearchStrategy[Any]:
     """Messages of a type with anything in them."""
     fields = {
-        name: (st.lists(one, max_size=3).map(tuple) if many else one)
-        for name, element, many in kind.FIELDS
+        name: (st.lists(one, min_size=count or 0, max_size=count or 3).map(tuple) if many else one)
+        for name, element, many, count in kind.FIELDS
         for one in [_VALUES[element] if isinstance(element, str) else values(element)]
     }
     return st.builds(kind, **fields)
@@ -98,9 +99,9 @@ def values(kind: type[Message]) -> st.SearchStrategy[Any]:
 def rosbags_message(message: Message) -> Any:
     """The same message of rosbags' own classes."""
     fields: dict[str, Any] = {}
-    for name, element, many in message.FIELDS:
+    for name, element, many, _ in message.FIELDS:
         value: Any = getattr(message, name)
-        if many and element in ("float64", "uint8"):
+        if many and element in ("float32", "float64", "uint8"):
             fields[name] = np.array(value, dtype=str(element))
         elif isinstance(element, str):
             fields[name] = list(value) if many else value
@@ -195,7 +196,8 @@ def test_a_count_of_nothings_that_lies_takes_no_time() -> None:
 
 
 def test_what_cannot_be_written_is_reported() -> None:
-    for message in (String("a\0b"), String("\ud800"), Time(2**31, 0), Duration(0, -1)):
+    short = ImuMessage(orientation_covariance=(0.0,) * 8)
+    for message in (String("a\0b"), String("\ud800"), Time(2**31, 0), Duration(0, -1), short):
         with pytest.raises(CdrError):
             encode(message)
 

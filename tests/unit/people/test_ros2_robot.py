@@ -1,7 +1,8 @@
 """What the robot publishes of itself in ROS 2, from every state that a gateway has ever published."""
 
+import math
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import pytest
 
@@ -10,9 +11,20 @@ from gateway.geometry.kinematics import Quaternion, Vector, plus, rotated, times
 from gateway.people.ros2.cdr import decode, encode
 from gateway.people.ros2.joints import JointNames
 from gateway.people.ros2.messages import DiagnosticArray, DiagnosticStatus, JointState, Time
-from gateway.people.ros2.robot import description, diagnostic_array, diagnostics, frames, joint_state, stamp, status
+from gateway.people.ros2.robot import (
+    MEASURED,
+    description,
+    diagnostic_array,
+    diagnostics,
+    frames,
+    joint_state,
+    measured,
+    stamp,
+    status,
+)
 from schemas.robot import SERVO_IDS
-from schemas.telemetry import GatewayState, Mode
+from schemas.telemetry import Battery, GatewayState, Mode, Telemetry
+from tests.support import measuring, ros2_messages
 
 WIRE: Final = Path(__file__).parents[2] / "data/wire"
 STATES: Final = {
@@ -22,6 +34,7 @@ STATES: Final = {
 }
 GEOMETRY: Final = load()
 NOW_NS: Final = 1_700_000_000_123_456_789
+STORE: Final = ros2_messages.store_of("jazzy")
 
 
 @pytest.mark.parametrize("state", STATES.values(), ids=range(len(STATES)))
@@ -81,3 +94,54 @@ def test_frames_lead_to_the_feet() -> None:
 def test_a_time_beyond_those_of_ros_2_is_its_last() -> None:
     assert stamp(1_700_000_000_000_000_005) == Time(1_700_000_000, 5)
     assert stamp(2**63) == Time(2**31 - 1, 2**63 % 10**9)
+
+
+def as_rosbags_reads(found: Telemetry) -> dict[str, Any]:
+    return {
+        topic: STORE.deserialize_cdr(encode(message), message.TYPE)
+        for topic, message in measured(found, NOW_NS)
+        if isinstance(message, MEASURED[topic])
+    }
+
+
+def test_what_it_measures_is_in_ros_2s_units_and_what_nobody_knows_is_nan() -> None:
+    found = as_rosbags_reads(measuring.MEASURED)
+    assert found.keys() == MEASURED.keys()
+    battery, imu, temperature = found["battery_state"], found["imu/data"], found["temperature"]
+    assert (battery.voltage, battery.percentage, battery.present) == (pytest.approx(7.4), pytest.approx(0.8), True)
+    unknown = (battery.temperature, battery.current, battery.charge, battery.capacity, battery.design_capacity)
+    assert all(map(math.isnan, unknown))
+    assert (battery.power_supply_status, battery.power_supply_health, battery.power_supply_technology) == (0, 0, 0)
+    assert (imu.orientation.w, imu.orientation.x) == (1.0, 0.0)
+    assert (imu.angular_velocity.z, imu.linear_acceleration.z) == (0.5, 9.81)
+    covariances = (
+        imu.orientation_covariance,
+        imu.angular_velocity_covariance,
+        imu.linear_acceleration_covariance,
+    )
+    assert [each.tolist() for each in covariances] == [[0.0] * 9] * 3
+    assert (temperature.temperature, temperature.variance) == (31.5, 0.0)
+    for each in found.values():
+        at_ns = each.header.stamp.sec * 10**9 + each.header.stamp.nanosec
+        assert (at_ns, each.header.frame_id) == (NOW_NS - 12_500_000, "base"), "when it was measured"
+
+
+@pytest.mark.parametrize("left_out", ["battery", "imu", "temperature_c"])
+def test_what_it_does_not_measure_is_not_published(left_out: str) -> None:
+    topic = {"battery": "battery_state", "imu": "imu/data", "temperature_c": "temperature"}[left_out]
+    found = as_rosbags_reads(measuring.MEASURED.model_copy(update={left_out: None}))
+    assert found.keys() == MEASURED.keys() - {topic}
+
+
+def test_an_orientation_that_is_none_is_marked_as_none() -> None:
+    found = as_rosbags_reads(measuring.MEASURED.model_copy(update={"tilt_deg": None}))
+    assert found["imu/data"].orientation_covariance.tolist() == [-1.0] + [0.0] * 8
+    assert found["imu/data"].linear_acceleration_covariance.tolist() == [0.0] * 9
+
+
+@pytest.mark.parametrize("percent", [-0.1, 100.1, math.nan, math.inf])
+def test_a_strangers_measurement_breaks_no_message(percent: float) -> None:
+    update = {"battery": Battery(voltage_v=1e300, percent=percent), "age_ms": math.inf}
+    battery = as_rosbags_reads(measuring.MEASURED.model_copy(update=update))["battery_state"]
+    assert math.isnan(battery.voltage)
+    assert math.isnan(battery.percentage)

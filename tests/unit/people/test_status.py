@@ -3,7 +3,7 @@
 import pytest
 
 from gateway.people.tools.status import sentences
-from schemas.telemetry import ButtonsReport, LeaseReport, Mode
+from schemas.telemetry import Battery, ButtonsReport, ControllerReport, LeaseReport, Mode
 from tests.support.watch_reports import state
 
 
@@ -29,3 +29,20 @@ def test_what_runs_who_drives_and_what_watches() -> None:
 def test_who_engaged_the_emergency_stop() -> None:
     changed = {"mode": Mode.ESTOPPED, "estop_source": "bert"}
     assert sentences(state().model_copy(update=changed))[0].startswith("Emergency stop by bert: nothing runs")
+
+
+@pytest.mark.parametrize(
+    ("alive", "age_ms", "sentence"),
+    [
+        (True, 12.0, "The controller (elkapod-2025) is alive."),
+        (False, None, "The controller (elkapod-2025) is SILENT."),
+        (False, 1234.0, "The controller (elkapod-2025) is SILENT, its last answer 1.2 s ago."),
+    ],
+)
+def test_a_controller_that_answers_and_its_battery(alive: bool, age_ms: float | None, sentence: str) -> None:
+    controller = ControllerReport(protocol="elkapod-2025", alive=alive, age_ms=age_ms)
+    battery = Battery(voltage_v=7.4, percent=80)
+    found = sentences(state().model_copy(update={"controller": controller, "battery": battery}))
+    assert sentence in found
+    assert "Battery: 7.40 V, 80 %." in found
+    assert not [line for line in sentences(state()) if line.startswith(("The controller", "Battery"))]

@@ -72,10 +72,10 @@ def test_an_answer_to_an_earlier_press_leaves_the_later_one_to_its_own() -> None
 
 def test_a_state_ends_only_a_stop_that_has_failed_once() -> None:
     stop = pressed()
-    stop.is_estopped(MS)
+    stop.state_shows_estop(MS)
     assert stop.wanted_ns == 0, "the reply is still to come, and says more"
     stop.unanswered()
-    stop.is_estopped(2 * MS)
+    stop.state_shows_estop(2 * MS)
     assert stop.wanted_ns is None
     assert text(stop, 2 * MS).startswith("ESTOPPED, as its state says")
 

@@ -6,10 +6,10 @@ from typing import Any, Self
 
 import pytest
 
-from gateway.errors import DisconnectedError, StoppedError, UnansweredError
+from gateway.errors import DisconnectedError, RejectedError, StoppedError, UnansweredError
 from gateway.people.client.pace import SILENCE_S
-from gateway.people.client.stream import AGAIN, Stream, happened
-from schemas.telemetry import Ack, Event, GatewayState, Kind, WatchdogState
+from gateway.people.client.stream import AGAIN, WHOLE, Stream, happened
+from schemas.telemetry import Ack, ControllerReport, Event, GatewayState, Kind, Mode, Reason, WatchdogState
 from tests.support.watch_reports import WALL, event, state
 
 HZ = 50
@@ -32,6 +32,8 @@ class Robot:
         self.questions = 0
         self.running: set[int] = set()
         self.expired: set[int] = set()
+        self.changed: dict[str, object] = {}
+        """In its state."""
         self._hears_state: Callable[[GatewayState], None] = lambda _: None
         self.publish_event: Callable[[Event], None] = lambda _: None
 
@@ -90,7 +92,7 @@ class Robot:
             )
             for leg in found.legs
         ]
-        return found.model_copy(update={"legs": tuple(legs)})
+        return found.model_copy(update={"legs": tuple(legs), **self.changed})
 
     def publish_state(self) -> None:
         self._hears_state(self.report())
@@ -196,6 +198,19 @@ def test_a_gateway_that_was_restarted_is_noticed_by_its_first_state(robot: Robot
     assert robot.questions == asked, "one answer was enough"
 
 
+def test_a_start_that_only_the_whole_robot_has_says_what_to_send_in_its_place(
+    monkeypatch: pytest.MonkeyPatch, robot: Any
+) -> None:
+    whole = Ack(accepted=False, reason=Reason.WHOLE_ROBOT, detail="this robot starts as a whole")
+    monkeypatch.setattr(robot, "ask", lambda *_, **__: whole)
+    with Stream(robot, HZ) as stream:
+        for _ in range(2):
+            with pytest.raises(RejectedError, match="whole_robot: this robot starts as a whole") as raised:
+                stream.set({1: POSE})
+            assert raised.value.__notes__ == [WHOLE]
+    assert robot.published == []
+
+
 def test_a_program_whose_setpoints_take_a_leg_from_another_one_is_warned_once(robot: Robot, stream: Stream) -> None:
     """Both take it from each other in turns, so both are warned. Another one's Stop takes it only once."""
     for source, leg in ((robot.name, 4), ("bert", 2)):
@@ -221,6 +236,23 @@ def test_what_stopped_its_legs_is_past_and_names_no_call(robot: Robot, stream: S
             stream.set({1: POSE})
     assert str(error.value) == "anna engaged the emergency stop"
     assert error.value.__notes__ == [AGAIN]
+
+
+@pytest.mark.parametrize("kind", [Kind.CONTROLLER_SILENT, Kind.FALLEN])
+def test_what_stops_a_robot_that_measures_ends_it_by_its_event(robot: Robot, stream: Stream, kind: Kind) -> None:
+    robot.publish_event(event(kind, "why it stops").model_copy(update={"time": WALL + timedelta(hours=1)}))
+    with pytest.raises(StoppedError, match="why it stops"):
+        stream.set({1: POSE})
+    assert robot.questions == 0
+
+
+def test_a_controller_that_fell_silent_is_named_where_its_event_was_lost(robot: Robot, stream: Stream) -> None:
+    silent = {"mode": Mode.BUS_FAULT, "controller": ControllerReport(protocol="elkapod-2025", alive=False)}
+    robot.running.clear()
+    robot.changed = silent
+    robot.publish_state()
+    with pytest.raises(StoppedError, match="the controller fell silent"):
+        stream.set({1: POSE})
 
 
 @pytest.mark.parametrize(

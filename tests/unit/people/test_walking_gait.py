@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from gateway.errors import WalkError
 from gateway.geometry import load
 from gateway.people.walking import GAITS, STILL, Engine, Posture, Range, Robot, Velocity
-from gateway.people.walking.gaits import gait, phase
+from gateway.people.walking.gaits import NUMBERS, gait, phase
 from gateway.people.walking.motion import BodyPose
 from gateway.people.walking.robot import check_mirrored_once
 from gateway.robot.settings import load as load_settings
@@ -112,14 +112,35 @@ def test_what_is_too_fast_is_scaled_down_as_a_whole_and_said(of: str) -> None:
     factor = engine.scaled.forward_m_s / wanted.forward_m_s
     assert 0 < factor < 1
     assert engine.scaled == pytest.approx(wanted.times(factor))
-    assert engine.velocity == pytest.approx(engine.scaled, abs=1e-6)
+    slower = engine.scaled.forward_m_s / engine.velocity.forward_m_s  # where servos are too slow, time is slowed down
+    assert 0.7 < slower <= 1
+    assert engine.scaled == pytest.approx(engine.velocity.times(slower), abs=1e-6)
     assert "the legs' strides reach" in engine.limit
+
+
+@pytest.mark.parametrize(("of", "forward_m_s", "turn_rad_s", "part"), [
+    ("tripod", 0.15, 0.5, 0.86), ("ripple", 0.10, 0.25, 0.89), ("wave", 0.05, 0.10, 0.94),
+])  # fmt: skip
+def test_the_elkapods_own_limits_are_reached_at_the_same_time(
+    of: str, forward_m_s: float, turn_rad_s: float, part: float
+) -> None:
+    """With servos of 300 degrees a second; the limit names the servo that is too slow for the rest."""
+    for wanted in (Velocity(forward_m_s), Velocity(0, 0, turn_rad_s), Velocity(forward_m_s, 0, turn_rad_s)):
+        walked = standing(robot("default"), of)
+        walked.run(4.0, wanted)
+        before_rad, before_m = walked.engine.odometry.heading_rad, walked.engine.odometry
+        walked.run(3.0, wanted)
+        least = part if all((wanted.forward_m_s, wanted.turn_rad_s)) else 0.99
+        assert walked.engine.odometry.heading_rad - before_rad >= least * 3.0 * wanted.turn_rad_s
+        if not wanted.turn_rad_s:
+            assert walked.engine.odometry.x_m - before_m.x_m >= least * 3.0 * wanted.forward_m_s
+        walked.until(Posture.STANDING, GAITS[of].period_s)
 
 
 def test_slow_servos_slow_everything_down_and_it_says_so() -> None:
     walked = standing(robot("slow"))
     walked.run(8.0, Velocity(0.05))
-    assert "the servos' speed allows" in walked.engine.limit
+    assert "the speed of servo" in walked.engine.limit
     assert 0.01 < walked.engine.scaled.forward_m_s < 0.045
     assert walked.engine.odometry.x_m < 0.36
 
@@ -168,6 +189,11 @@ def test_what_is_no_velocity_is_rejected(numbers: tuple[float, float, float]) ->
 def test_a_gait_that_there_is_not_is_rejected() -> None:
     with pytest.raises(WalkError, match=f"there is no gait 'gallop'; there are {', '.join(GAITS)}"):
         Engine(robot("default"), "gallop")
+
+
+def test_the_bridge_numbers_every_gait_of_the_table_and_the_elkapods_as_it_does() -> None:
+    assert [NUMBERS[number] for number in range(3)] == ["wave", "ripple", "tripod"]
+    assert sorted(NUMBERS.values()) == sorted(GAITS)
 
 
 @pytest.mark.parametrize(("of", "most"), [("tripod", 3), ("ripple", 2), ("wave", 1)])

@@ -8,7 +8,8 @@ from rich.text import Text
 
 from gateway.people.tools.watch.model import Confirmation, Model
 from gateway.people.tools.watch.view import bar, picture
-from schemas.telemetry import CalibrationReport, Kind, Mode
+from schemas.telemetry import Battery, CalibrationReport, ControllerReport, GatewayState, Kind, Mode, Telemetry
+from tests.support.measuring import MEASURED
 from tests.support.watch_reports import NS_PER_MS, WALL, event, model_with_state, rejected, screen, state
 
 
@@ -103,3 +104,57 @@ def test_events_are_shown_newest_first_in_local_time() -> None:
     assert shown.index(f"{local:%H:%M:%S} stopping         second") < shown.index(
         f"{local:%H:%M:%S} started          first"
     )
+
+
+ALL = "  7.40 V  80 %  tilt 0°  31.5 °C  controller alive  feet 1 2 3 4 5 6"
+
+
+def of_controller(alive: bool | None, uptime_s: float = 10.0, started_s: float = 0.0) -> GatewayState:
+    return state(uptime_s, started_s=started_s).model_copy(
+        update={"controller": ControllerReport(protocol="elkapod-2025", alive=alive)}
+    )
+
+
+@pytest.mark.parametrize(
+    ("alive", "telemetry", "row"),
+    [
+        (True, MEASURED, ALL),
+        (False, MEASURED, ALL.replace("controller alive", "CONTROLLER SILENT")),
+        (None, MEASURED, ALL.replace("  controller alive", "")),
+        (True, None, "  controller alive"),
+        (False, Telemetry(time=WALL, age_ms=1), "  CONTROLLER SILENT"),
+        (None, Telemetry(time=WALL, age_ms=1), None),
+        (None, None, None),
+    ],
+)
+def test_what_the_robot_measures_is_one_row_and_none_where_it_measures_nothing(
+    alive: bool | None, telemetry: Telemetry | None, row: str | None
+) -> None:
+    model = Model()
+    model.received_state(of_controller(alive), 0, WALL)
+    if telemetry is not None:
+        model.received_telemetry(telemetry, 0)
+    text = picture(model, 0, "here", 80, 24)
+    _, _, below = text.plain.partition("\n 6  ")
+    _, *rows = [line.rstrip() for line in below.splitlines()]
+    measured = rows[: rows.index("")]
+    assert measured == ([] if row is None else [row])
+    assert rows[len(measured) + 1].split()[:1] == ["accepted"], "behind one blank row"
+    red = [str(text.plain[span.start : span.end]) for span in text.spans if "red" in str(span.style)]
+    assert ("  CONTROLLER SILENT" in red) is (alive is False)
+
+
+def test_measurements_that_are_old_say_so_and_those_of_another_start_are_gone() -> None:
+    model = Model()
+    model.received_state(of_controller(True), 0, WALL)
+    model.received_telemetry(MEASURED.model_copy(update={"age_ms": 600.0}), 0)
+    assert " old  feet" not in screen(model, 400 * NS_PER_MS)
+    assert "  1.0 s old  feet" in screen(model, 401 * NS_PER_MS)
+    model.received_state(of_controller(True, uptime_s=0.1, started_s=10.4), 500 * NS_PER_MS, WALL)
+    assert "feet" not in screen(model, 500 * NS_PER_MS)
+
+
+def test_without_telemetry_the_states_battery_is_shown() -> None:
+    model = Model()
+    model.received_state(state().model_copy(update={"battery": Battery(voltage_v=6.123, percent=17.4)}), 0, WALL)
+    assert "  6.12 V  17 %\n" in screen(model)

@@ -7,7 +7,7 @@ import pytest
 from gateway.people.walking import STILL, Odometry, Posture, WalkState, lease_lost, robot_now
 from gateway.people.walking.words import NEWS_S, Newest
 from schemas.robot import LEGS
-from schemas.telemetry import GatewayState, Mode
+from schemas.telemetry import ControllerReport, GatewayState, Mode
 from tests.support.watch_reports import servo, state
 
 ALL = frozenset(LEGS)
@@ -83,6 +83,13 @@ def test_a_gateway_that_takes_no_commands_says_so_and_a_later_versions_mode_is_n
     mode: Mode, sentence: str
 ) -> None:
     assert robot_now(of(ALL, mode), walk=walk(Posture.WALKING)) == sentence
+
+
+def test_a_bus_fault_of_a_controller_that_fell_silent_names_it() -> None:
+    silent = ControllerReport(protocol="elkapod-2025", alive=False)
+    fault = of(ALL, Mode.BUS_FAULT, controller=silent)
+    assert robot_now(fault) == "The controller is silent: what was written may not have arrived"
+    assert robot_now(of(ALL, controller=silent)) == "All six legs run", "as far as the gateway knows"
 
 
 def test_of_what_is_long_past_nothing_is_said() -> None:

@@ -62,6 +62,8 @@ export class Above {
       const points = legPoints(this.geometry, leg, pose.trueDegrees ?? pose.degrees);
       parts.group.setAttribute("class", `leg ${pose.status}${pose.selected ? " selected" : ""}`);
       parts.line.setAttribute("points", points.map(flat).join(" "));
+      parts.dots[3].setAttribute("class", pose.carries === null ? "" : pose.carries ? "carries" : "hangs");
+      parts.dots[3].setAttribute("r", pose.carries === null ? "15" : "24");
       parts.dots.forEach((dot, index) => {
         const [x, y] = flat(points[index + 1]).split(",");
         dot.setAttribute("cx", x);

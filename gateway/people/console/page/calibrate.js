@@ -33,7 +33,7 @@ export class Calibrate {
     this.asked = new Map();
     /** The servo under test. @type {number | null} */
     this.servo = null;
-    this.starts = new Starts((servo) => this.#sendStop(servo));
+    this.starts = new Starts(([servo]) => this.#sendStop(servo));
     /** The set whose acknowledgement is awaited. @type {number | null} */
     this.setting = null;
     this.lastTickMs = 0;
@@ -143,11 +143,14 @@ export class Calibrate {
     const fault = this.model.state?.calibration?.fault ?? null;
     show(byId("cal-untrusted"), fault !== null);
     text(byId("cal-fault"), fault ?? "");
+    const { whole } = this.model;
     show(byId("cal-lease"), !mine);
+    show(byId("cal-whole"), whole);
     text(byId("cal-revision"), view?.revision == null ? "" : `revision ${view.revision}`);
     show(byId("cal-choose"), !tested);
     show(byId("cal-test"), tested);
-    for (const id of ["cal-start", "cal-accept"]) enable(byId(id, HTMLButtonElement), mine);
+    enable(byId("cal-start", HTMLButtonElement), mine && !whole);
+    enable(byId("cal-accept", HTMLButtonElement), mine);
     const changed = Object.values(view?.servos ?? {}).some((draft) => draft.changed);
     enable(byId("cal-write", HTMLButtonElement), mine && !tested && changed);
     enable(byId("cal-landing", HTMLButtonElement), mine);
@@ -200,7 +203,7 @@ export class Calibrate {
       return;
     }
     const id = this.link.nextId();
-    this.starts.waiting.set(id, servo);
+    this.starts.waiting.set(id, [servo]);
     if (!this.#command("start", id)) {
       this.stop(NETWORK_FULL);
       return;

@@ -40,6 +40,7 @@ export class Drive {
 
   /** The legs that a hold by these runs. @param {Set<string>} held @param {number} single the leg of a hold for one */
   legsOf(held, single) {
+    if (this.model.whole) return held.size ? LEGS : [];
     const legs = new Set(held.has("button") || held.has("key") ? this.chosen : []);
     if (held.has("leg") || held.has("gamepad")) legs.add(single);
     return [...legs];
@@ -58,6 +59,10 @@ export class Drive {
     const looks = this.model.looks;
     show(byId("controls"), !looks);
     show(byId("only-looks"), looks);
+    const { whole } = this.model;
+    show(byId("whole"), whole);
+    show(byId("stop-leg-all"), whole);
+    for (const id of ["hold-leg", "run-chooser", "run-all", "run-none"]) show(byId(id), !whole);
     const { active } = this.hold;
     attribute(byId("hold"), "data-held", active ? "yes" : "no");
     attribute(byId("hold-leg"), "data-held", active && this.hold.held.has("leg") ? "yes" : "no");
@@ -75,7 +80,7 @@ export class Drive {
   /** @param {number[]} legs */
   #stop(legs) {
     const sent = this.hold.stop(legs);
-    this.callbacks.say(sent ? `Stops sent to ${legs.length === 1 ? `leg ${legs[0]}` : "all six legs"}.` : "NOT CONNECTED: use the switch.");
+    this.callbacks.say(sent ? `Stops sent to ${legs.length === 1 && !this.model.whole ? `leg ${legs[0]}` : "all six legs"}.` : "NOT CONNECTED: use the switch.");
   }
 
   /** @param {number[]} legs */

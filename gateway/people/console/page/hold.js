@@ -4,11 +4,14 @@
  * it runs, 20 times a second. Nothing else repeats them. At any obstacle it sends nothing more until something is held
  * anew, and the gateway's watchdog stops the legs.
  *
- * A leg is set only after its `start` was acknowledged, so nothing here starts again a leg that somebody stopped.
+ * A leg is set only after its `start` was acknowledged, so nothing here starts again a leg that somebody stopped. Where
+ * only the whole robot starts and stops, one command starts all six legs, and a Stop of one is one of all.
  */
 
 import { legs as legsInWords } from "./dom.js";
+import { LEGS } from "./kinematics.js";
 import { GATEWAY_LOST, LOST, NETWORK_FULL } from "./link.js";
+import { because } from "./words.js";
 
 /** @typedef {import("./model.js").Model} Model @typedef {import("./types.js").AckMessage} AckMessage */
 
@@ -64,7 +67,7 @@ export function whenLost(driver, lose) {
 /** Why a command was not accepted, in words; "" if it was. @param {AckMessage} message */
 export function whyNot({ ack, error }) {
   if (ack?.accepted) return "";
-  return ack ? `${ack.reason}: ${ack.detail ?? ""}` : (error ?? "no answer");
+  return ack ? because(ack) : (error ?? "no answer");
 }
 
 /**
@@ -72,25 +75,25 @@ export function whyNot({ ack, error }) {
  * again: the Stop may have overtaken it.
  */
 export class Starts {
-  /** @param {(what: number) => void} stop a leg or servo */
+  /** @param {(what: number[]) => void} stop legs or servos */
   constructor(stop) {
     this.stop = stop;
-    /** What each starts, by the request's number. @type {Map<number, number>} */
+    /** What each starts, by the request's number. @type {Map<number, number[]>} */
     this.waiting = new Map();
-    /** @type {Map<number, number>} */
+    /** @type {Map<number, number[]>} */
     this.abandoned = new Map();
   }
 
   /** Abandon the starts of this leg or servo; by default all. @param {number} [what] */
   abandon(what) {
     for (const [id, each] of this.waiting) {
-      if (what !== undefined && each !== what) continue;
+      if (what !== undefined && !each.includes(what)) continue;
       this.waiting.delete(id);
       this.abandoned.set(id, each);
     }
   }
 
-  /** @param {AckMessage} message @returns {number | undefined} what it answers the start of, if that was not abandoned */
+  /** @param {AckMessage} message @returns {number[] | undefined} what it answers the start of, if that was not abandoned */
   answered({ id, ack }) {
     const [waiting, abandoned] = [this.waiting.get(id), this.abandoned.get(id)];
     this.waiting.delete(id);
@@ -104,7 +107,7 @@ export class Hold {
   /**
    * @param {import("./link.js").Link} link @param {Model} model
    * @param {{mine: () => boolean, chosen: (held: Set<string>) => number[], target: (servo: number, mostDeg: number) => number, busy: () => string,
-   *          steer: (elapsedMs: number) => void, say: (line: string) => void, changed: () => void}} callbacks
+   *          steer: (elapsedMs: number) => void, say: (line: string) => void, begins: () => void, changed: () => void}} callbacks
    */
   constructor(link, model, callbacks) {
     this.link = link;
@@ -114,7 +117,7 @@ export class Hold {
     this.held = new Set();
     /** Legs whose start was acknowledged. @type {Set<number>} */
     this.running = new Set();
-    this.starts = new Starts((leg) => this.#stop([leg]));
+    this.starts = new Starts((legs) => this.#stop(legs));
     /** Legs that were stopped here while something is held: this hold does not start them again. @type {Set<number>} */
     this.stopped = new Set();
     /** The set whose acknowledgement is awaited. @type {number | null} */
@@ -149,6 +152,7 @@ export class Hold {
     this.stopped.clear();
     this.held.add(what);
     this.timer = setInterval(() => this.#tick(), PERIOD_MS);
+    this.callbacks.begins();
     this.callbacks.say(`Running ${legsInWords(this.callbacks.chosen(this.held))} while you hold.`);
     this.#startNew();
     this.callbacks.changed();
@@ -176,12 +180,18 @@ export class Hold {
 
   /** Stop legs, also of other clients; that needs no lease. @param {number[]} legs @returns {boolean} whether it was sent */
   stop(legs) {
-    for (const leg of legs) this.stopped.add(leg);
+    for (const leg of this.#together(legs)) this.stopped.add(leg);
     return this.#stop(legs);
   }
 
-  /** @param {number[]} legs */
-  #stop(legs) {
+  /** The legs that start and stop together with these. @param {number[]} legs @returns {number[]} */
+  #together(legs) {
+    return this.model.whole && legs.length ? LEGS : legs;
+  }
+
+  /** @param {number[]} some */
+  #stop(some) {
+    const legs = this.#together(some);
     for (const leg of legs) {
       this.running.delete(leg);
       this.starts.abandon(leg);
@@ -195,10 +205,10 @@ export class Hold {
   /** @param {AckMessage} message */
   receivedAck(message) {
     const said = whyNot(message);
-    const leg = this.starts.answered(message);
-    if (leg !== undefined) {
-      if (!said) this.running.add(leg);
-      else this.drop(`leg ${leg} did not start: ${said}`);
+    const legs = this.starts.answered(message);
+    if (legs !== undefined) {
+      if (!said) for (const leg of legs) this.running.add(leg);
+      else this.drop(`${legsInWords(legs)} did not start: ${said}`);
     } else if (message.id === this.asked) {
       this.asked = null;
       if (said) this.drop(said);
@@ -220,7 +230,7 @@ export class Hold {
   receivedEvent(event) {
     const stopped = event.kind === "overflow" && event.legs?.some((leg) => this.running.has(leg));
     const rejected = event.kind === "command_rejected" && event.source === this.model.hello?.source;
-    if (stopped || rejected) this.drop(`${event.reason}: ${event.detail}`);
+    if (stopped || rejected) this.drop(because(event));
   }
 
   /** @returns {number[]} the legs that ran or were about to */
@@ -238,7 +248,7 @@ export class Hold {
 
   /** The legs that run or are about to. */
   get #known() {
-    return new Set([...this.running, ...this.starts.waiting.values()]);
+    return new Set([...this.running, ...[...this.starts.waiting.values()].flat()]);
   }
 
   #tick() {
@@ -253,7 +263,7 @@ export class Hold {
     this.callbacks.steer(elapsedMs);
     if (!this.active) return; // the gamepad is disconnected
     this.#startNew();
-    this.#set(nowMs);
+    this.#set();
   }
 
   /** Start the legs that were chosen, and stop those that are no longer. */
@@ -262,13 +272,12 @@ export class Hold {
     const known = this.#known;
     const dismissed = [...known].filter((leg) => !chosen.has(leg));
     if (dismissed.length) this.#stop(dismissed);
-    for (const leg of chosen) {
-      if (known.has(leg) || this.stopped.has(leg)) continue;
+    const missing = [...chosen].filter((leg) => !known.has(leg) && !this.stopped.has(leg));
+    for (const legs of this.model.whole && missing.length ? [missing] : missing.map((leg) => [leg])) {
       const id = this.link.nextId();
-      const sent_ms = performance.now();
-      const payload = this.#payload(leg, "start");
-      this.starts.waiting.set(id, leg);
-      const sent = this.link.sendNow({ type: "command", key: `hexapod/leg/${leg}/cmd`, payload, sent_ms, id });
+      const command = this.#command(legs, "start");
+      this.starts.waiting.set(id, legs);
+      const sent = this.link.sendNow({ ...command, id });
       if (!sent) {
         this.drop(NETWORK_FULL);
         return;
@@ -276,18 +285,21 @@ export class Hold {
     }
   }
 
-  /** @param {number} sent_ms */
-  #set(sent_ms) {
+  #set() {
     if (!this.running.size) return;
-    const payload = { legs: Object.fromEntries([...this.running].map((leg) => [leg, this.#payload(leg, "set")])) };
-    /** @type {Record<string, unknown>} */
-    const message = { type: "command", key: "hexapod/legs/cmd", payload, sent_ms };
+    const message = this.#command([...this.running], "set");
     if (this.asked === null) message.id = this.asked = this.link.nextId();
     this.link.sendNow(message);
   }
 
-  /** @param {number} leg @param {"start" | "set"} op */
-  #payload(leg, op) {
-    return { servos: [1, 2, 3].map((joint) => ({ op, angle_deg: this.callbacks.target(leg * 10 + joint, SPEED_DEG_S * (PERIOD_MS / 1000)) })) };
+  /** @param {number[]} legs @param {"start" | "set"} op @returns {Record<string, unknown>} */
+  #command(legs, op) {
+    const mostDeg = SPEED_DEG_S * (PERIOD_MS / 1000);
+    const angles = (/** @type {number} */ leg) => ({
+      servos: [1, 2, 3].map((joint) => ({ op, angle_deg: this.callbacks.target(leg * 10 + joint, mostDeg) })),
+    });
+    const message = { type: "command", sent_ms: performance.now() };
+    if (op === "start" && !this.model.whole) return { ...message, key: `hexapod/leg/${legs[0]}/cmd`, payload: angles(legs[0]) };
+    return { ...message, key: "hexapod/legs/cmd", payload: { legs: Object.fromEntries(legs.map((leg) => [leg, angles(leg)])) } };
   }
 }

@@ -9,6 +9,7 @@ import { Pad } from "./gamepad.js";
 import { Hold } from "./hold.js";
 import { Lease } from "./lease.js";
 import { LOST, Link } from "./link.js";
+import { Measured } from "./measured.js";
 import { Model } from "./model.js";
 import { Numbers } from "./numbers.js";
 import { Awake, TAP_MS, offerFullScreen, shake } from "./phone.js";
@@ -19,6 +20,7 @@ import { StopAll } from "./stop.js";
 import { Targets } from "./targets.js";
 import { Upright } from "./upright.js";
 import { Walk } from "./walk.js";
+import { news } from "./words.js";
 
 const REFRESH_MS = 100;
 
@@ -50,6 +52,9 @@ const hold = new Hold(link, model, {
   busy: () => (walk.active ? "the robot walks; let it sit down first" : ""),
   steer: (elapsedMs) => pad.steer(elapsedMs),
   say,
+  begins: () => {
+    if (model.whole && !model.runs) targets.lie(Object.entries(model.hello?.lying ?? {}));
+  },
   changed: () => {
     if (!hold.active) targets.forget();
     drive.refresh();
@@ -71,6 +76,7 @@ const pad = new Pad(hold, targets, walk, { leg: () => (hold.active ? single : mo
 const numbers = new Numbers(model, select);
 const upright = new Upright(link, model, say);
 const picture = new Picture(model, select, say, upright);
+const measured = new Measured(model);
 const plots = new Plots(model);
 const device = new Device(link, say);
 const quality = new Quality();
@@ -114,11 +120,13 @@ function received(message) {
   switch (message.type) {
     case "hello":
       model.hello = message;
+      walk.offer(message.gaits);
       model.forgetEvents(); // the newest ones come again
       break;
     case "state":
       model.takeState(message.state, message.age_ms, performance.now());
       model.now = message.now;
+      model.whole = message.whole;
       if (!lease.mine) targets.follow(model.lastDeg, false);
       hold.receivedState();
       break;
@@ -129,6 +137,10 @@ function received(message) {
     case "event":
       model.takeEvent(message.event);
       hold.receivedEvent(message.event);
+      if (model.isNew(message.event) && news(message.event)) say(news(message.event));
+      break;
+    case "telemetry":
+      model.takeTelemetry(message.telemetry, performance.now());
       break;
     case "body":
       model.takeBody(message.body, performance.now());
@@ -173,6 +185,7 @@ function refresh() {
   numbers.refresh(nowMs);
   numbers.refreshEvents();
   plots.refresh(nowMs);
+  measured.refresh(nowMs);
   picture.refresh(nowMs, walk.going);
 }
 

@@ -2,6 +2,7 @@
 /** The page's data: the newest state and its age, the events, and the last minute. */
 
 import { NEUTRAL_DEG } from "./kinematics.js";
+import { Feet } from "./measured.js";
 
 /**
  * @typedef {import("./types.js").GatewayState} GatewayState @typedef {import("./types.js").Leg} Leg
@@ -12,12 +13,16 @@ import { NEUTRAL_DEG } from "./kinematics.js";
 
 /** A simulated body that is older than this is not shown. */
 const BODY_MS = 1000;
+/** Nor are measured values: at `telemetry.rate_hz` = 1 they come once a second. */
+const MEASURED_MS = 2000;
 export const HISTORY_MS = 60_000;
 /** Older than this, what the page shows is the past. */
 export const SILENT_MS = 1000;
 const MOST_EVENTS = 40;
 const MOST_SOURCES = 50;
 const RATE_MS = 2000;
+/** So much older than the newest state is an event that is still news. */
+const NEW_MS = 2000;
 /** The window whose quickest state gives the difference between the gateway's clock and this page's. */
 const WINDOW_MS = 30_000;
 
@@ -91,6 +96,31 @@ export class Model {
     /** Where a robot is that is simulated with physics. @type {import("./types.js").Body | null} */
     this.newestBody = null;
     this.bodyAtMs = -Infinity;
+    /** Whether its six legs start and stop only together. */
+    this.whole = false;
+    /** @type {import("./types.js").Telemetry | null} */
+    this.telemetry = null;
+    this.measuredAtMs = -Infinity;
+    this.feet = new Feet();
+    /** @type {boolean[] | null} */
+    this.carry = null;
+  }
+
+  /** @param {import("./types.js").Telemetry} telemetry @param {number} nowMs */
+  takeTelemetry(telemetry, nowMs) {
+    this.telemetry = telemetry;
+    this.measuredAtMs = nowMs - telemetry.age_ms;
+    this.carry = telemetry.feet ? this.feet.carry(telemetry.feet) : null;
+  }
+
+  /** What the robot measures now. @param {number} nowMs */
+  measured(nowMs) {
+    return nowMs - this.measuredAtMs < MEASURED_MS ? this.telemetry : null;
+  }
+
+  /** Whether this leg's foot carries; null: that is not measured. @param {number} leg @param {number} nowMs */
+  carries(leg, nowMs) {
+    return this.measured(nowMs) ? (this.carry?.[leg - 1] ?? null) : null;
   }
 
   /** @param {import("./types.js").Body} body @param {number} nowMs */
@@ -112,6 +142,11 @@ export class Model {
   /** Whether what is shown is the present. @param {number} nowMs */
   live(nowMs) {
     return this.connected && this.linkStatus === "connected" && this.ageMs(nowMs) < SILENT_MS;
+  }
+
+  /** Whether a servo runs or waits to be started, as far as is known. */
+  get runs() {
+    return this.state?.legs.some((leg) => leg.watchdog === "armed" || leg.servos.some((servo) => servo.running)) ?? false;
   }
 
   /** Whether this page may move nothing; a button's page can stop. */
@@ -168,6 +203,11 @@ export class Model {
       const count = before + 1 + (event.left_out ?? 0);
       this.rejections.set(source, { count, reason: event.reason ?? "?" });
     }
+  }
+
+  /** Whether it was reported just now; a page that opens is sent older ones as well. @param {GatewayEvent} event */
+  isNew(event) {
+    return this.state !== null && Date.parse(event.time) > Date.parse(this.state.time) - NEW_MS;
   }
 
   /** Frames a second over the last two seconds, or null. */

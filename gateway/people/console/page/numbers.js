@@ -4,6 +4,7 @@
 import { ago, attribute, byId, element, show, text, worded } from "./dom.js";
 import { LEGS } from "./kinematics.js";
 import { statusOf } from "./model.js";
+import { reasonInWords } from "./words.js";
 
 /** @typedef {import("./model.js").Model} Model @typedef {import("./types.js").GatewayEvent} GatewayEvent
  * @typedef {import("./types.js").GatewayState} GatewayState */
@@ -21,7 +22,7 @@ const NAMES = {
   uptime: "Gateway up",
 };
 const MOST_REJECTORS = 5;
-const BAD_KINDS = new Set(["watchdog_expired", "overflow", "estop_engaged", "bus_fault", "bus_meddled", "stopped_outside", "stopping", "button_silent"]);
+const BAD_KINDS = new Set(["watchdog_expired", "overflow", "estop_engaged", "bus_fault", "bus_meddled", "stopped_outside", "stopping", "button_silent", "controller_silent", "fallen"]);
 
 /** @typedef {{row: HTMLElement, status: HTMLElement, angles: HTMLElement[], age: HTMLElement, bar: HTMLElement, by: HTMLElement}} Row */
 
@@ -77,7 +78,7 @@ export class Numbers {
     const rejectors = [...model.rejections].sort((a, b) => b[1].count - a[1].count).slice(0, MOST_REJECTORS);
     if (!rejectors.length) return;
     byId("rejections").replaceChildren(
-      ...rejectors.map(([source, { count, reason }]) => element("li", {}, `${source}: ${count} (last: ${reason})`)),
+      ...rejectors.map(([source, { count, reason }]) => element("li", {}, `${source}: ${count} (last: ${reasonInWords(reason)})`)),
     );
   }
 
@@ -148,7 +149,7 @@ function latency({ p50, p99, max }, none) {
 /** @param {GatewayEvent} event */
 function eventLine(event) {
   const kind = event.kind.replace("estop", "stop_all").replaceAll("_", " ");
-  const tone = BAD_KINDS.has(event.kind) ? "bad" : event.kind === "command_rejected" ? "warn" : "plain";
+  const tone = BAD_KINDS.has(event.kind) ? "bad" : event.kind === "command_rejected" || event.kind === "battery_low" ? "warn" : "plain";
   const time = element("time", { datetime: event.time }, new Date(event.time).toLocaleTimeString("en-GB"));
   const who = event.source ? `${event.source}: ` : "";
   const more = event.left_out ? ` (and ${event.left_out} more)` : "";

@@ -68,7 +68,8 @@ export class Picture {
           attribute(label, "data-status", status.key);
           attribute(label, "aria-pressed", String(model.selectedLeg === number));
         }
-        return [number, { degrees: model.degrees(number), trueDegrees: trueDegrees(body, number), status: status.key, selected: model.selectedLeg === number }];
+        const carries = model.carries(number, nowMs);
+        return [number, { carries, degrees: model.degrees(number), trueDegrees: trueDegrees(body, number), status: status.key, selected: model.selectedLeg === number }];
       }),
     );
     const way = course(going);
@@ -81,7 +82,7 @@ export class Picture {
     else this.odometry.update(this.#feet(this.geometry));
     const beganMs = performance.now();
     this.view.update(poses, this.odometry, body, way);
-    this.#describe(body !== null);
+    this.#describe(body !== null, nowMs);
     this.#draw();
     this.#judge(performance.now() - beganMs);
   }
@@ -114,10 +115,11 @@ export class Picture {
     }
   }
 
-  /** Describe it in words, for screen readers. @param {boolean} isThere not only commanded */
-  #describe(isThere) {
+  /** Describe it in words, for screen readers. @param {boolean} isThere not only commanded @param {number} nowMs */
+  #describe(isThere, nowMs) {
     const legs = this.model.state?.legs ?? [];
-    const words = legs.map((leg) => `leg ${leg.leg} ${statusOf(leg).word}`).join(", ");
+    const foot = (/** @type {number} */ leg) => ({ true: " and carries", false: " and carries nothing", null: "" })[`${this.model.carries(leg, nowMs)}`];
+    const words = legs.map((leg) => `leg ${leg.leg} ${statusOf(leg).word}${foot(leg.leg)}`).join(", ");
     if (this.view) attribute(this.view.canvas, "aria-label", `The robot ${isThere ? "where it is" : "as commanded"}: ${words || "no state yet"}`);
   }
 

@@ -7,7 +7,7 @@ import { JOINTS, LEGS, jointRad, legPoints } from "./kinematics.js";
 import { heightAbove, slopeRad } from "./terrain.js";
 
 /** @typedef {import("./types.js").Geometry} Geometry @typedef {import("./types.js").Vector} Vector */
-/** @typedef {{degrees: number[], trueDegrees: number[] | null, status: string, selected: boolean}} LegPose */
+/** @typedef {{degrees: number[], trueDegrees: number[] | null, status: string, selected: boolean, carries: boolean | null}} LegPose */
 
 const NEAREST_M = 0.5;
 const FARTHEST_M = 2.5;
@@ -20,6 +20,10 @@ const LINES = 7;
 const COURSE_M = 0.06;
 const TURN_PER_PIXEL = 0.008;
 const TURN_PER_KEY = Math.PI / 24;
+/** A foot whose force is measured is drawn so much larger: filled if it carries, else so transparent. */
+const CARRIES = 2.2;
+const HANGS = 1.6;
+const HANGS_OPACITY = 0.3;
 
 /** @type {Record<string, {opacity: number, wireframe: boolean, variable: string}>} */
 const LOOKS = {
@@ -130,6 +134,8 @@ export class Scene {
         joint.setRotationFromAxisAngle(parts.axes[index], jointRad(this.geometry, leg * 10 + index + 1, (pose.trueDegrees ?? pose.degrees)[index]));
       });
       this.#look(parts.material, pose.status);
+      this.#look(parts.foot.material, pose.status, pose.carries);
+      parts.foot.scale.setScalar(pose.carries === null ? 1 : pose.carries ? CARRIES : HANGS);
       parts.ring.visible = pose.selected && !body;
       const foot = legPoints(this.geometry, leg, pose.degrees)[4];
       parts.ring.position.set(foot[0], foot[1], 0.001);
@@ -272,13 +278,13 @@ export class Scene {
       axes.push(axis);
       parent = joint;
     }
-    const foot = new three.Mesh(new three.SphereGeometry(0.011, 20, 14), material);
+    const foot = new three.Mesh(new three.SphereGeometry(0.011, 20, 14), material.clone());
     foot.position.set(...chain[3].origin_xyz_m);
     foot.castShadow = true;
     parent.add(foot);
     const ring = circle(0.035, new three.LineBasicMaterial());
     this.scene.add(ring);
-    return { material, joints, axes, ring };
+    return { material, foot, joints, axes, ring };
   }
 
   /** @param {three.Vector3} axis */
@@ -289,13 +295,14 @@ export class Scene {
     return mesh;
   }
 
-  /** @param {three.MeshStandardMaterial} material @param {string} status */
-  #look(material, status) {
-    if (material.userData.status === status) return;
-    material.userData.status = status;
+  /** @param {three.MeshStandardMaterial} material @param {string} status @param {boolean | null} filled null: as the status is */
+  #look(material, status, filled = null) {
+    const { userData } = material;
+    if (userData.status === status && userData.filled === filled) return;
+    Object.assign(userData, { status, filled });
     const look = LOOKS[status] ?? LOOKS.other;
-    material.opacity = look.opacity;
-    material.wireframe = look.wireframe;
+    material.opacity = filled === null ? look.opacity : filled ? 1 : HANGS_OPACITY;
+    material.wireframe = filled === null && look.wireframe;
     material.color.set(colour(look.variable));
     material.needsUpdate = true;
   }
@@ -309,9 +316,11 @@ export class Scene {
     this.courseMaterial.color.set(colour("--accent"));
     for (const parts of this.legs.values()) {
       /** @type {three.LineBasicMaterial} */ (parts.ring.material).color.set(colour("--accent"));
-      const { status } = parts.material.userData;
-      parts.material.userData.status = undefined;
-      this.#look(parts.material, status ?? "rests");
+      for (const material of [parts.material, parts.foot.material]) {
+        const { status, filled } = material.userData;
+        material.userData.status = undefined;
+        this.#look(material, status ?? "rests", filled);
+      }
     }
   }
 

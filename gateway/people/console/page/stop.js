@@ -2,6 +2,7 @@
 /** STOP ALL: one tap, Escape or space, from any place of the page; and its progress in words. */
 
 import { attribute, byId, confirmed, enable, show, text, typesText, worded } from "./dom.js";
+import { because } from "./words.js";
 
 /** @typedef {import("./types.js").StopMessage} StopMessage */
 
@@ -103,7 +104,7 @@ export class StopAll {
     this.resetId = null;
     const { ack } = message;
     if (ack?.accepted) this.callbacks.say("Reset. Nothing moves until it is started again.");
-    else this.callbacks.say(`No reset: ${ack ? `${ack.reason}: ${ack.detail ?? ""}` : message.error}`);
+    else this.callbacks.say(`No reset: ${ack ? because(ack) : message.error}`);
   }
 
   /** @param {number} nowMs */

@@ -58,6 +58,16 @@ export class Targets extends EventTarget {
     for (const [servo, deg] of commanded) if (!this.own.has(servo)) this.#put(servo, deg);
   }
 
+  /**
+   * Begin from the pose of a robot that lies, and stay there but for what was set here: servos that start all together
+   * must not lift it at once.
+   * @param {[string, number][]} lying
+   */
+  lie(lying) {
+    this.sent = new Map(lying.map(([servo, deg]) => [Number(servo), deg]));
+    this.follow(this.sent, false);
+  }
+
   /** @param {number} servo @param {number} deg */
   #put(servo, deg) {
     if (this.degrees.get(servo) === deg) return;

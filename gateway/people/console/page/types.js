@@ -11,13 +11,19 @@
  *   watchdog: {timeout_ms: number, expirations: number,
  *              stop_latency_us: {p50: number | null, p99: number | null, max: number | null}},
  *   calibration?: {revision: number, fault: string | null, kept: boolean} | null, lease?: LeaseState | null, buttons?: {required: number, alive: number, names: string[]}, loop_lag_us?: {p50: number | null, p99: number | null, max: number | null} | null,
+ *   controller?: {protocol: string, alive: boolean | null, age_ms: number | null}, battery?: Battery | null,
  * }} GatewayState
  * @typedef {{time: string, kind: string, source: string | null, key: string | null, reason: string | null,
  *            detail: string, left_out?: number, legs?: number[]}} GatewayEvent
  *
+ * @typedef {{voltage_v: number, percent: number}} Battery
+ * @typedef {{age_ms: number, temperature_c?: number, battery?: Battery, imu?: {orientation_wxyz: number[]}, tilt_deg?: number,
+ *            feet?: (number | null)[]}} Telemetry
+ *
  * @typedef {{type: "hello", role: "operator" | "button" | "observer", person: string, source: string, version: string,
- *            geometry: Geometry}} Hello
- * @typedef {{type: "state", age_ms: number, now: string, state: GatewayState}} StateMessage
+ *            geometry: Geometry, lying: Record<string, number>, gaits: string[]}} Hello
+ * @typedef {{type: "state", age_ms: number, now: string, whole: boolean, state: GatewayState}} StateMessage
+ * @typedef {{type: "telemetry", telemetry: Telemetry}} TelemetryMessage
  * @typedef {{type: "link", status: "connected" | "silent" | "gone", detail: string}} LinkMessage
  * @typedef {{type: "event", event: GatewayEvent, left_out?: number}} EventMessage
  * @typedef {{type: "ack", id: number, took_ms: number, error: string | null,

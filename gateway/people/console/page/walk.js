@@ -6,7 +6,7 @@
  * Each wish carries the number of its press. What ends a walk uses up that press: then something has to be pressed anew.
  */
 
-import { attribute, byId, enable, show, text, worded } from "./dom.js";
+import { attribute, byId, element, enable, show, text, worded } from "./dom.js";
 import { obstacle, PERIOD_MS, whenLost } from "./hold.js";
 import { Keys } from "./keys.js";
 import { LOST_MS, shake } from "./phone.js";
@@ -64,13 +64,20 @@ export class Walk {
     byId("lower").addEventListener("click", () => this.#rise(-STEP_M));
     byId("higher").addEventListener("click", () => this.#rise(STEP_M));
     for (const input of this.#choices("speed")) input.addEventListener("change", () => (this.speed = input.value));
-    for (const input of this.#choices("gait")) {
+    whenLost(this, (why) => this.drop(why));
+  }
+
+  /** Show these gaits to choose from. @param {string[]} gaits */
+  offer(gaits) {
+    const choices = gaits.map((gait) => {
+      const input = element("input", { type: "radio", name: "gait", id: `gait-${gait}`, value: gait });
       input.addEventListener("change", () => {
-        this.gait = input.value;
+        this.gait = gait;
         if (this.active) this.#press(false);
       });
-    }
-    whenLost(this, (why) => this.drop(why));
+      return element("label", {}, input, element("span", {}, gait));
+    });
+    byId("gaits").replaceChildren(...choices);
   }
 
   /** Whether this page makes the robot stand or walk, or is about to. */

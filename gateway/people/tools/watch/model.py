@@ -14,7 +14,7 @@ from gateway.allowance import NS_PER_S
 from gateway.people.client.live import Order, Starts
 from gateway.people.terminal.stop_status import Remark, StopStatus, Tone
 from gateway.text import visible
-from schemas.telemetry import Event, GatewayState, Kind, LegReport, Mode
+from schemas.telemetry import Event, GatewayState, Kind, LegReport, Mode, Telemetry
 
 _NS_PER_MS: Final = 1_000_000
 
@@ -77,6 +77,8 @@ class Model:
     """Everything that is shown. `received_…` methods take what arrives; the others take the time."""
 
     state: GatewayState | None = None
+    telemetry: Telemetry | None = None
+    """What the robot measured last; None: it measures nothing, as far as is known."""
     own_expiry: str | None = None
     """A sentence, where this laptop's certificate expires soon."""
     trouble: str = ""
@@ -91,6 +93,7 @@ class Model:
     lines: deque[EventLine] = field(default_factory=lambda: deque(maxlen=SHOWN_EVENTS))
     """Newest first."""
     _state_ns: int = 0
+    _telemetry_ns: int = 0
     _received_ns: int | None = None
     _gone: bool = False
     _noted: WatchedPresence = WatchedPresence.WAITING
@@ -112,6 +115,7 @@ class Model:
             case Order.RESTARTED:
                 self._note(wall, "restarted", "the gateway was started again", bad=True)
                 self._samples.clear()
+                self.telemetry = None
             case Order.OVERTAKEN:
                 return
             case Order.NEXT:
@@ -120,11 +124,15 @@ class Model:
         estopped = state.mode is Mode.ESTOPPED
         self.stop.receive_state(state.estop, estopped=estopped)
         if estopped:
-            self.stop.is_estopped(now_ns)
+            self.stop.state_shows_estop(now_ns)
         self._samples.append((state.uptime_s, Counts.of(state)))
         # Keep one sample that is at least a window old, so that states that come slowly also give rates.
         while len(self._samples) > 2 and state.uptime_s - self._samples[1][0] >= RATE_WINDOW_S:
             self._samples.popleft()
+
+    def received_telemetry(self, telemetry: Telemetry, now_ns: int) -> None:
+        """What the robot measures."""
+        self.telemetry, self._telemetry_ns = telemetry, now_ns
 
     def received_event(self, event: Event, now_ns: int, wall: datetime) -> None:
         """Add an event to those that are shown."""
@@ -193,6 +201,10 @@ class Model:
     def state_age_ms(self, now_ns: int) -> float:
         """How long ago the state came; infinite before the first."""
         return float("inf") if self.state is None else (now_ns - self._state_ns) / _NS_PER_MS
+
+    def measured_age_ms(self, now_ns: int) -> float:
+        """How old the oldest of the robot's measurements is; 0 without any."""
+        return 0.0 if self.telemetry is None else self.telemetry.age_ms + (now_ns - self._telemetry_ns) / _NS_PER_MS
 
     def command_age_ms(self, leg: LegReport, now_ns: int) -> float | None:
         """The age of the leg's last accepted command: as in the state, plus the time since the state came."""
@@ -282,6 +294,9 @@ _BAD: Final = frozenset(
         Kind.ESTOP_ENGAGED,
         Kind.BUS_FAULT,
         Kind.BUS_MEDDLED,
+        Kind.CONTROLLER_SILENT,
+        Kind.BATTERY_LOW,
+        Kind.FALLEN,
         Kind.STOPPED_OUTSIDE,
         Kind.STOPPING,
     }

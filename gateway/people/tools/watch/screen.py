@@ -21,7 +21,7 @@ from gateway.people.tools.watch.view import picture
 from gateway.text import visible
 from schemas import keys as wire
 from schemas.lease import LeaseAck
-from schemas.telemetry import Ack, Event, GatewayState
+from schemas.telemetry import Ack, Event, GatewayState, Telemetry
 
 _OTHERS_S: Final = 0.2
 """How long to wait for replies of other programs than the gateway."""
@@ -188,6 +188,10 @@ class WatchScreen(Screen, Receiver):
         del left_out  # none: the model takes them as they come
         with self.changes():
             self.model.received_event(event, time.monotonic_ns(), _wall())
+
+    def received_telemetry(self, telemetry: Telemetry) -> None:
+        with self.lock:
+            self.model.received_telemetry(telemetry, time.monotonic_ns())
 
     def received_token(self, alive: bool) -> None:
         with self.changes():

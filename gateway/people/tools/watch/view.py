@@ -31,6 +31,8 @@ _MAX_TROUBLES: Final = 3
 _TROUBLE_ROWS: Final = 4
 _ROOMY_ROWS: Final = 24
 _AGE_COLUMNS: Final = 22
+_OLD_MS: Final = 1000.0
+"""A measurement that is older says so: by default there are ten a second."""
 _LEG_COLUMNS: Final = 4
 _SOURCE_COLUMNS: Final = 14
 _MAX_SOURCES: Final = 4
@@ -44,6 +46,7 @@ def picture(model: Model, now_ns: int, where: str, width: int, height: int) -> T
     stop = model.stop.remark(now_ns, live=live)
     top = [_header(model, now_ns, where), *_banner(model, stop, now_ns, width)]
     body = [] if model.state is None else [_head(model.state, width), *_legs(model, model.state, now_ns, width, live)]
+    body += [] if model.state is None else _measured(model, model.state, now_ns, live)
     numbers = [] if model.state is None else [*blank, *_numbers(model.state, model.rates(), live)]
     trouble = [] if live else _trouble(model, width)
     room = max(0, height - len(top) - len(trouble) - len(body) - 1)
@@ -180,6 +183,27 @@ def _legs(model: Model, state: GatewayState, now_ns: int, width: int, live: bool
             line.stylize("dim")
         lines.append(line)
     return lines
+
+
+def _measured(model: Model, state: GatewayState, now_ns: int, live: bool) -> list[Text]:
+    """One row with what the robot measures, and whether its controller is there; none where nobody knows either."""
+    found, battery, alive = model.telemetry, state.battery, state.controller.alive
+    if found is not None and found.battery is not None:
+        battery = found.battery
+    line, quiet = Text(), "" if live else "dim"
+    if battery is not None:
+        line.append(f"  {battery.voltage_v:.2f} V  {battery.percent:.0f} %", quiet)
+    if found is not None and found.tilt_deg is not None:
+        line.append(f"  tilt {found.tilt_deg:.0f}°", quiet)
+    if found is not None and found.temperature_c is not None:
+        line.append(f"  {found.temperature_c:.1f} °C", quiet)
+    if alive is not None:
+        line.append("  controller alive" if alive else "  CONTROLLER SILENT", quiet if alive else "bold red")
+    if found is not None and (age_ms := model.measured_age_ms(now_ns)) > _OLD_MS:
+        line.append(f"  {ago_words(age_ms)} old", "yellow")
+    if found is not None and found.feet is not None:
+        line.append("  feet " + " ".join(f"{force:.3g}" for force in found.feet), quiet)
+    return [line] if line else []
 
 
 def _clipped(source: str, columns: int) -> str:

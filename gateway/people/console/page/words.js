@@ -1,0 +1,32 @@
+// @ts-check
+/** The gateway's names for what a robot that measures reports, in plain words. */
+
+/** @type {Record<string, string>} */
+const REASONS = {
+  battery_low: "the battery is low",
+  whole_robot: "on this robot only all six legs start together",
+  fallen: "it has fallen, or was lifted",
+};
+
+/** @type {Record<string, string>} */
+const NEWS = {
+  controller_silent: "The controller is silent: whether its servos stop is not known. Keep clear of the legs, or use the switch.",
+  controller_returned: "The controller answers again. Nothing moves until something is pressed.",
+  battery_low: "The battery is low. What runs goes on; nothing new starts until it is charged.",
+  fallen: "It has fallen, or was lifted: its legs are stopped. Put it on its feet before you start it.",
+};
+
+/** Why something was rejected, with the gateway's own sentence. @param {{reason?: string | null, detail?: string | null}} answer */
+export function because({ reason, detail }) {
+  return `${REASONS[reason ?? ""] ?? reason}: ${detail ?? ""}`;
+}
+
+/** A rejection's reason without its sentence. @param {string} reason */
+export function reasonInWords(reason) {
+  return REASONS[reason] ?? reason;
+}
+
+/** What an event means to the driver; "" for one that needs no sentence. @param {{kind: string}} event */
+export function news({ kind }) {
+  return NEWS[kind] ?? "";
+}

@@ -1,0 +1,85 @@
+"""What the robot's own measurements forbid: starts on an empty battery, and anything on a body that has fallen. Pure.
+
+- The battery is low from the first measurement below `min_battery_mv` on, until one is `RECOVERS` above it: then
+  nothing that stands still is started. What runs goes on, since a Stop would let the robot fall.
+- The body has fallen once it has been tilted beyond `max_tilt_cdeg` for `tilt_ns`: it fell, or was lifted. Nothing
+  starts or moves until a measurement says that it is within the limit. A tilt that is unknown neither begins nor ends
+  that time, and is no sign that the body stands.
+
+Only measurements bring time here. That they stop coming is a fault of the link, which the bus reports (`BusFailed`).
+"""
+
+from collections.abc import Mapping
+from typing import Final
+
+from gateway.allowance import NS_PER_MS
+from gateway.robot.core.events import Announce, BodyMeasured, Effect, Targets
+from gateway.robot.core.leg import Rules, Servo
+from schemas.robot import LEGS
+from schemas.telemetry import Kind, Reason
+
+RECOVERS: Final = 50
+"""A low battery has recovered once it is a fiftieth above the limit: a voltage that jitters around the limit is
+announced once. An assumption, measured on no robot."""
+_ALL: Final = tuple(LEGS)
+
+
+class BodyLimits:
+    """What the latest measurements allow. One owner, one thread."""
+
+    def __init__(self, rules: Rules) -> None:
+        self._rules = rules
+        self.watches = rules.min_battery_mv > 0 or rules.max_tilt_cdeg > 0
+        """Whether any measurement matters."""
+        self.low = False
+        """Whether the battery is too low for a start."""
+        self.fallen = False
+        self.beyond_ns: int | None = None
+        """Since when the body is tilted beyond the limit; None: it is not."""
+
+    @property
+    def fell_ns(self) -> int:
+        """When the body that has fallen had been tilted for long enough."""
+        return (self.beyond_ns or 0) + self._rules.tilt_ns
+
+    def rejection(self, moves: Targets, servos: Mapping[int, Servo]) -> tuple[Reason, str] | None:
+        """Why these starts and sets take no effect; None: they may."""
+        if self.fallen:
+            return self.has_fallen()
+        if self.low and any(not servos[servo_id].will_run for servo_id, _ in moves):
+            limit_v = self._rules.min_battery_mv / 1000
+            return Reason.BATTERY_LOW, f"the battery is below {limit_v:g} V; nothing starts until it is charged"
+        return None
+
+    def has_fallen(self) -> tuple[Reason, str]:
+        """Why nothing moves on a body that has fallen."""
+        limit_deg = self._rules.max_tilt_cdeg / 100
+        return Reason.FALLEN, f"the body is tilted beyond {limit_deg:g} degrees; put it upright, and start it again"
+
+    def note(self, measured: BodyMeasured, now_ns: int, then: str) -> list[Effect]:
+        """Take a measurement. `then`: what the supervisor does if the body has fallen; "": nothing runs."""
+        return [*self._battery(measured.battery_mv), *self._tilt(measured.tilt_cdeg, now_ns, then)]
+
+    def _battery(self, battery_mv: int) -> list[Effect]:
+        limit_mv = self._rules.min_battery_mv
+        before, self.low = self.low, battery_mv < limit_mv + (limit_mv // RECOVERS if self.low else 0)
+        if before or not self.low:
+            return []
+        detail = f"the battery is at {battery_mv / 1000:g} V, below {limit_mv / 1000:g} V; nothing starts any more"
+        return [Announce(Kind.BATTERY_LOW, detail)]
+
+    def _tilt(self, tilt_cdeg: int | None, now_ns: int, then: str) -> list[Effect]:
+        limit_cdeg = self._rules.max_tilt_cdeg
+        if not limit_cdeg:
+            return []
+        if tilt_cdeg is not None:
+            if tilt_cdeg <= limit_cdeg:
+                self.beyond_ns, self.fallen = None, False
+            elif self.beyond_ns is None:
+                self.beyond_ns = now_ns
+        if self.fallen or self.beyond_ns is None or now_ns < self.fell_ns:
+            return []
+        self.fallen = True
+        held_ms = self._rules.tilt_ns / NS_PER_MS
+        detail = f"the body has been tilted beyond {limit_cdeg / 100:g} degrees for {held_ms:g} ms"
+        return [Announce(Kind.FALLEN, f"{detail}; {then}" if then else detail, legs=_ALL if then else ())]

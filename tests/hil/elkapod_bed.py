@@ -1,0 +1,127 @@
+"""The emulated device and a UART with a simulated controller of elkapod-2025 behind both, played by the test's process.
+
+What is sent during a transfer was made ready before it, as on the robot: each transfer is given to the controller as it
+is recorded, and what it then wants to say is what the next one reads. So no transfer waits for the test.
+"""
+
+import os
+import termios
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from gateway.model.elkapod import FRAME_BYTES, SHUTDOWN, START, angles_of
+from gateway.robot.spi.elkapod_simulator import SimulatedElkapod
+from schemas.robot import SERVO_IDS
+from tests.hil.bed import Event, Message, SpiTestbed, Transfer
+
+BEAT_S = 0.01
+"""How often the controller is asked for what it wants to say over the UART."""
+AT_REST = (90.0,) * len(SERVO_IDS)
+"""The angles of a frame before anything was commanded."""
+Angles = tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Said:
+    """One thing that a program said to the controller: a frame's angles, or "start" or "shutdown" on the UART."""
+
+    monotonic_ns: int
+    what: str | Angles
+    """Of a frame, its eighteen angles in degrees."""
+
+
+def said(events: list[Event]) -> list[Said]:
+    """What these say, in order. Raises ValueError for bytes that say nothing."""
+    found: list[Said] = []
+    for event in events:
+        if isinstance(event, Transfer):
+            found.append(Said(event.monotonic_ns, tuple(angles_of(event.data).values())))
+        elif isinstance(event, Message):
+            if event.data not in (START, SHUTDOWN):
+                raise ValueError(f"no message of elkapod-2025: {event.data.hex(' ')}")
+            found.append(Said(event.monotonic_ns, "start" if event.data == START else "shutdown"))
+    return found
+
+
+class ElkapodBed(SpiTestbed):
+    """A robot of elkapod-2025 for unmodified programs: `/dev/spidev0.0`, and a UART at `uart`.
+
+    `controller` has what its servos do, and switches for faults; those of transfers are the device's.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        super().__init__()
+        self.uart = folder / "ttyAMA1"
+        self.controller = SimulatedElkapod()
+        self.last_answer = bytes(FRAME_BYTES)
+        self.attach_uart(self.uart)
+        self._player = threading.Thread(target=self._play, daemon=True)
+        self._player.start()
+
+    def close(self) -> str:
+        ended = super().close()
+        self._player.join()
+        return ended
+
+    @property
+    def said(self) -> list[Said]:
+        """What programs have said up to now, frames and messages in order."""
+        return said(self.events)
+
+    def said_since(self, since: int) -> list[Said]:
+        """The same, of the events from index `since` on."""
+        return said(self.events[since:])
+
+    def messages_since(self, since: int) -> list[bytes]:
+        """What was written to the UART, among all events from index `since` on."""
+        return [event.data for event in self.events[since:] if isinstance(event, Message)]
+
+    def wait_for_frames(self, count: int, since: int, timeout_s: float = 20.0) -> None:
+        """Until so many frames, also ones that failed, have come from index `since` of all events on."""
+        already = sum(isinstance(event, Transfer) for event in self.events[:since])
+        self.wait_for_count(already + count, timeout_s)
+
+    def settings_with(self, **sections: dict[str, Any]) -> dict[str, dict[str, Any]]:
+        """For a gateway on this robot. Nothing counts as silent that only the machine's load makes wait."""
+        return {
+            **sections,
+            "spi": {"protocol": "elkapod-2025", **sections.get("spi", {})},
+            "controller": {"uart": str(self.uart), "silent_ms": 2000, **sections.get("controller", {})},
+        }
+
+    def wait_until(self, holds: Callable[[], bool], timeout_s: float) -> None:
+        """Until something holds that a frame can change: it is looked at behind each."""
+        deadline_s = time.monotonic() + timeout_s
+        while not holds():
+            if time.monotonic() > deadline_s:
+                raise TimeoutError(f"waited {timeout_s} s")
+            self.follow(len(self.events), 0.1)
+
+    def terminal(self) -> tuple[int, bool, bool]:
+        """How the UART is set up now: its speed (termios names it), two stop bits, and parity."""
+        descriptor = os.open(self.uart, os.O_RDWR | os.O_NOCTTY)
+        try:
+            _, _, flags, _, _, speed, _ = termios.tcgetattr(descriptor)
+        finally:
+            os.close(descriptor)
+        return speed, bool(flags & termios.CSTOPB), bool(flags & termios.PARENB)
+
+    def _play(self) -> None:
+        seen = 0
+        while (events := self.follow(seen, BEAT_S)) is not None:
+            seen += len(events)
+            try:
+                for event in events:
+                    if isinstance(event, Message):
+                        self.controller.uart_write(event.data)
+                    elif isinstance(event, Transfer) and event.delivered:
+                        self.last_answer = self.controller.exchange(event.data)
+                        self.tell("answer", self.last_answer)
+                if beats := self.controller.uart_read():
+                    self.tell("send_uart", beats)
+            except OSError:  # the emulation has ended
+                return

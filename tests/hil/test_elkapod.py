@@ -1,0 +1,374 @@
+"""The service on a robot of elkapod-2025, with unmodified spidev and pyserial, commanded through Zenoh.
+
+What is said over SPI and over the UART is one stream in order. Only a start that was asked for may stand in it, each
+Stop is a shutdown on the UART, and no frame has an angle that nobody commanded.
+"""
+
+import errno
+import os
+import signal
+import sys
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from gateway.client import Client, leg_payload
+from gateway.model.elkapod import SHUTDOWN, START
+from schemas import keys
+from schemas.robot import LEGS, SERVO_IDS
+from schemas.telemetry import Kind, Mode
+from tests.hil.elkapod_bed import AT_REST, ElkapodBed
+from tests.hil.wire import LATE_S
+from tests.support.child import Child
+from tests.support.gateway_process import COMMAND, Gateway, free_port, write_settings
+from tests.support.heard import events
+
+pytestmark = pytest.mark.hil
+
+WATCHDOG: dict[str, Any] = {"timeout_ms": 10_000, "repeats": 2, "repeat_interval_ms": 20}
+ROUNDS = 3
+"""Of each Stop: one, and the repeats."""
+POSE = {leg: (80.0 + leg, 100.0 + leg, 120.0 + leg) for leg in LEGS}
+ANGLES = tuple(angle for leg in LEGS for angle in POSE[leg])
+ALL = frozenset(SERVO_IDS)
+ENOUGH = 10
+"""Frames to wait for something that must not come."""
+STREAM = """
+import sys, time
+from gateway.client import Client
+with Client(sys.argv[1], source="far away") as client:
+    assert client.start_legs({leg: (90, 90, 90) for leg in range(1, 7)}).accepted
+    for step in range(1_000_000):
+        client.set_legs({leg: (90 + step % 10, 90, 90) for leg in range(1, 7)})
+        print(step, flush=True)
+        time.sleep(0.02)
+"""
+
+
+@pytest.fixture
+def robot(tmp_path: Path) -> Iterator[ElkapodBed]:
+    with ElkapodBed(tmp_path) as bed:
+        yield bed
+
+
+def run(robot: ElkapodBed, folder: Path, **sections: dict[str, Any]) -> Gateway:
+    return Gateway(folder, robot.settings_with(**{"watchdog": WATCHDOG, **sections}), bed=robot)
+
+
+@pytest.fixture
+def gateway(robot: ElkapodBed, tmp_path: Path) -> Iterator[Gateway]:
+    with run(robot, tmp_path) as gateway:
+        yield gateway
+
+
+@pytest.fixture
+def client(gateway: Gateway) -> Iterator[Client]:
+    with gateway.client() as client:
+        yield client
+
+
+def start_all(robot: ElkapodBed, client: Client) -> None:
+    """The whole robot, as soon as its frames are clocked; returns once the controller has it."""
+    robot.wait_for_count(1, LATE_S)
+    begun = len(robot.events)
+    ack = client.start_legs(POSE)
+    assert ack.accepted, ack
+    robot.wait_for_message(START, since=begun, timeout_s=LATE_S)
+    robot.wait_until(lambda: robot.controller.energised == ALL, LATE_S)
+
+
+def expect_shut_down(robot: ElkapodBed, since: int, rounds: int = ROUNDS) -> None:
+    """Shutdowns, as often as it has to be, and no start behind them while frames go on."""
+    robot.wait_for(lambda _: robot.messages_since(since).count(SHUTDOWN) >= rounds, LATE_S)
+    robot.wait_for_frames(ENOUGH, len(robot.events))
+    assert START not in robot.messages_since(since)
+    assert robot.controller.energised == frozenset()
+
+
+def order_of(robot: ElkapodBed, since: int = 0) -> list[str]:
+    """What was said since, each frame as one word."""
+    return [each.what if isinstance(each.what, str) else "frame" for each in robot.said_since(since)]
+
+
+# ---- start
+
+
+def test_it_begins_with_shutdowns_and_clocks_frames_in_which_nothing_moves(robot: ElkapodBed, gateway: Gateway) -> None:
+    robot.wait_for_count(ENOUGH, LATE_S)
+    first, *_ = frames = robot.transfers
+    order = order_of(robot)
+    assert order.index("frame") >= 1
+    assert set(order[: order.index("frame")]) == {"shutdown"}
+    assert order.count("shutdown") >= ROUNDS
+    assert "start" not in order
+    assert {each.what for each in robot.said if not isinstance(each.what, str)} == {AT_REST}
+    assert {(each.kind, each.mode, each.speed_hz, each.bits_per_word, len(each.segments)) for each in frames} == {
+        ("message", 2, 1_000_000, 8, 1)
+    }
+    # Never more often than asked for: one that was late is not made up for.
+    assert robot.transfers[-1].monotonic_ns - first.monotonic_ns >= (len(frames) - 2) * 19_000_000
+    with gateway.client() as client:
+        robot.wait_until(lambda: bool(client.state().controller.alive), LATE_S)
+        assert client.state().controller.protocol == "elkapod-2025"
+    assert not robot.controller.corruptions
+
+
+def test_a_start_has_its_angles_on_the_wire_for_two_cycles(robot: ElkapodBed, client: Client) -> None:
+    robot.wait_for_count(1, LATE_S)
+    since = len(robot.events)
+    assert client.start_legs(POSE).accepted
+    robot.wait_for_message(START, since=since, timeout_s=LATE_S)
+    robot.wait_for_frames(ENOUGH, len(robot.events))
+    found = [each.what for each in robot.said_since(since) if each.what != "shutdown"]
+    place = found.index("start")
+    assert found[place - 2 : place] == [ANGLES, ANGLES]
+    assert set(found[: place - 2]) <= {AT_REST}
+    assert set(found[place + 1 :]) == {ANGLES}
+    assert robot.controller.energised == ALL
+    assert client.set_leg(3, 10, 20, 30).accepted
+    robot.wait_for_frames(2, len(robot.events))
+    assert robot.said[-1].what == (*ANGLES[:6], 10, 20, 30, *ANGLES[9:])
+    assert not robot.controller.corruptions
+
+
+def test_a_start_that_follows_a_stop_is_not_undone_by_its_repeats(robot: ElkapodBed, client: Client) -> None:
+    start_all(robot, client)
+    since = len(robot.events)
+    assert client.estop().accepted
+    assert client.reset().accepted
+    assert client.start_legs(POSE).accepted
+    robot.wait_for_message(START, since=since, timeout_s=LATE_S)
+    robot.wait_for_frames(ENOUGH, len(robot.events))
+    order = [each for each in order_of(robot, since) if each != "frame"]
+    assert order == ["shutdown"] * (len(order) - 1) + ["start"]
+    assert robot.controller.energised == ALL
+
+
+# ---- Stops
+
+
+STOPS: dict[str, Callable[[Client], object]] = {
+    "emergency stop": lambda client: client.estop(),
+    "emergency stop of bytes that say nothing": lambda client: client.session.put(keys.ESTOP, b"\xff\x00"),
+    "all legs": lambda client: client.stop(),
+    "a leg": lambda client: client.stop(3),
+    "a servo": lambda client: client.servo(32, "stop"),
+    "a leg, unasked": lambda client: client.publish(keys.leg_command(6), leg_payload("stop")),
+}
+
+
+def test_each_stop_is_a_shutdown(robot: ElkapodBed, client: Client) -> None:
+    for name, stop in STOPS.items():
+        start_all(robot, client)
+        since = len(robot.events)
+        stop(client)
+        robot.wait_for_message(SHUTDOWN, since=since, timeout_s=LATE_S)
+        expect_shut_down(robot, since, rounds=1)
+        if "emergency" in name:
+            assert client.reset().accepted
+    assert not robot.controller.corruptions
+
+
+def test_silence_shuts_down(robot: ElkapodBed, tmp_path: Path) -> None:
+    with run(robot, tmp_path, watchdog={**WATCHDOG, "timeout_ms": 200}) as gateway, gateway.client() as client:
+        heard = events(client)
+        robot.wait_for_count(1, LATE_S)
+        since = len(robot.events)
+        assert client.start_legs(POSE).accepted
+        robot.wait_for_message(SHUTDOWN, since=since, timeout_s=LATE_S)
+        heard.wait(lambda event: event.kind is Kind.WATCHDOG_EXPIRED)
+        expired = order_of(robot, since).index("shutdown")
+        assert "start" in order_of(robot, since)[:expired]
+        robot.wait_for_frames(ENOUGH, len(robot.events))
+        assert robot.controller.energised == frozenset()
+        assert robot.said[-1].what == ANGLES, "frames hold what was commanded: nothing would move for a lost shutdown"
+
+
+@pytest.mark.parametrize("number", [signal.SIGSTOP, signal.SIGKILL], ids=["link cut", "client killed"])
+def test_a_client_that_goes_leaves_a_robot_that_is_shut_down(
+    robot: ElkapodBed, tmp_path: Path, number: signal.Signals
+) -> None:
+    """One that stands still says nothing, and its connection stays: so does a link that is cut."""
+    with run(robot, tmp_path, watchdog={**WATCHDOG, "timeout_ms": 500}) as gateway:
+        robot.wait_for_count(1, LATE_S)
+        with Child([sys.executable, "-c", STREAM, gateway.endpoint], os.environ) as stream:
+            stream.wait_for_line(20)
+            since = len(robot.events)
+            stream.send_signal(number)
+            robot.wait_for_message(SHUTDOWN, since=since, timeout_s=LATE_S)
+            expect_shut_down(robot, since)
+            stream.kill()
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_signal_ends_it_with_shutdowns(
+    robot: ElkapodBed, gateway: Gateway, client: Client, number: signal.Signals
+) -> None:
+    start_all(robot, client)
+    since = len(robot.events)
+    gateway.child.send_signal(number)
+    assert gateway.child.wait(LATE_S) == 0, str(gateway.child)
+    assert robot.messages_since(since) == [SHUTDOWN] * ROUNDS
+    assert robot.controller.energised == frozenset()
+    assert "Traceback" not in gateway.child.stderr
+
+
+def test_a_gateway_that_was_killed_is_followed_by_shutdowns_before_any_frame(
+    robot: ElkapodBed, gateway: Gateway, client: Client, tmp_path: Path
+) -> None:
+    start_all(robot, client)
+    gateway.child.kill()
+    gateway.child.wait(LATE_S)
+    assert robot.controller.energised == ALL, "it holds its servos, whatever becomes of the gateway"
+    since = len(robot.events)
+    folder = tmp_path / "again"
+    folder.mkdir()
+    with run(robot, folder):
+        robot.wait_for_frames(ENOUGH, since)
+        order = order_of(robot, since)
+        assert set(order[: order.index("frame")]) == {"shutdown"}
+        expect_shut_down(robot, since)
+
+
+def test_stop_servos_needs_no_gateway_and_is_noticed_by_one(
+    robot: ElkapodBed, gateway: Gateway, client: Client
+) -> None:
+    heard = events(client)
+    start_all(robot, client)
+    command = [*COMMAND, "stop-servos", "--config", str(gateway.config)]
+    for count in range(2):
+        since = len(robot.events)
+        child = robot.spawn(command)
+        assert child.wait(LATE_S) == 0, str(child)
+        assert robot.messages_since(since).count(SHUTDOWN) >= ROUNDS
+        assert START not in robot.messages_since(since)
+        assert robot.controller.energised == frozenset()
+        if not count:
+            heard.wait(lambda event: event.kind is Kind.STOPPED_OUTSIDE)
+            assert not any(servo.running for leg in client.state().legs for servo in leg.servos)
+            start_all(robot, client)
+            gateway.child.kill()
+            gateway.child.wait(LATE_S)
+            assert robot.controller.energised == ALL
+
+
+# ---- faults
+
+
+def test_a_transfer_that_hangs_delays_no_stop(robot: ElkapodBed, client: Client) -> None:
+    start_all(robot, client)
+    robot.block()
+    robot.wait_for_frames(1, len(robot.events))
+    since = len(robot.events)
+    assert client.estop().accepted
+    robot.wait_for_message(SHUTDOWN, since=since, timeout_s=LATE_S)
+    assert "frame" not in order_of(robot, since), "it still hangs"
+    assert robot.controller.energised == frozenset()
+    robot.release()
+    expect_shut_down(robot, since)
+
+
+def a_zero_bit_more(data: bytes) -> bytes:
+    return (int.from_bytes(data) >> 1).to_bytes(len(data))
+
+
+def fault_of(robot: ElkapodBed, name: str) -> None:
+    """Let the controller, or the wires to it, have this fault."""
+    controller = robot.controller
+    good = robot.last_answer
+    nan, inf = bytes.fromhex("0000c07f"), bytes.fromhex("0000807f")
+    answers = {
+        "garbage": bytes(range(80)),
+        "shifted": a_zero_bit_more(good),
+        "zeros": bytes(80),
+        "all ones": b"\xff" * 80,
+        "not a number": good[:13] + nan + good[17:],
+        "infinite": good[:5] + inf + good[9:],
+    }
+    if name in answers:
+        controller.garbage = answers[name]
+    elif name == "no heartbeats":
+        controller.silent = True
+    elif name == "frozen":
+        controller.frozen = True
+    elif name == "fails":
+        robot.fail(errno.ETIMEDOUT, count=1)
+    elif name == "lost":
+        robot.remove_node()
+    else:
+        robot.detach_uart()
+
+
+def mend(robot: ElkapodBed, name: str) -> None:
+    robot.controller.garbage, robot.controller.silent, robot.controller.frozen = None, False, False
+    if name == "lost":
+        robot.restore_node()
+    elif name == "unplugged":
+        robot.attach_uart(robot.uart)
+
+
+FAULTS = {
+    "garbage": "7e to 0f",
+    "shifted": "7e to 0f",
+    "zeros": "7e to 0f",
+    "all ones": "7e to 0f",
+    "not a number": "not finite",
+    "infinite": "not finite",
+    "frozen": "not changed for 500 ms",
+    "no heartbeats": "no heartbeat",
+    "fails": "Connection timed out",
+    "lost": "Cannot send after transport endpoint shutdown",
+    "unplugged": "ttyAMA1",
+}
+"""What is wrong, and words of the event that reports it."""
+
+
+def test_each_fault_shuts_down_is_reported_and_leaves_a_robot_at_rest(robot: ElkapodBed, tmp_path: Path) -> None:
+    with run(robot, tmp_path, controller={"silent_ms": 1000}) as gateway, gateway.client() as client:
+        for name, words in FAULTS.items():
+            heard = events(client)
+            start_all(robot, client)
+            since = len(robot.events)
+            fault_of(robot, name)
+            said = heard.wait(lambda event: event.kind in (Kind.BUS_FAULT, Kind.CONTROLLER_SILENT)).detail
+            assert words in said, name
+            if name != "unplugged":  # over which it would be said
+                robot.wait_for_message(SHUTDOWN, since=since, timeout_s=LATE_S)
+            mend(robot, name)
+            heard.wait(lambda event: event.kind in (Kind.BUS_RECOVERED, Kind.CONTROLLER_RETURNED))
+            assert client.state().mode is Mode.IDLE, name
+            expect_shut_down(robot, since)
+    assert not robot.controller.corruptions
+
+
+def test_a_controller_that_was_switched_off_and_on_moves_nothing(robot: ElkapodBed, client: Client) -> None:
+    start_all(robot, client)
+    since = len(robot.events)
+    robot.controller.power_cycle()
+    robot.wait_for_frames(2 * ENOUGH, since)
+    assert robot.messages_since(since) == []
+    assert {each.what for each in robot.said_since(since)} == {ANGLES}, "and these move nothing"
+    assert robot.controller.energised == frozenset()
+    assert not robot.controller.corruptions
+
+
+def test_a_uart_that_is_absent_or_taken_ends_it_with_a_sentence(
+    robot: ElkapodBed, gateway: Gateway, tmp_path: Path
+) -> None:
+    folder = tmp_path / "second"
+    folder.mkdir()
+    with ThreadPoolExecutor(2) as pool:
+        sections = robot.settings_with(zenoh={"listen": [f"tcp/127.0.0.1:{free_port()}"]})
+        taken = robot.spawn([*COMMAND, "run", "--config", str(write_settings(folder / "taken.toml", sections))])
+        sections["controller"]["uart"] = str(tmp_path / "ttyAMA9")
+        absent = robot.spawn([*COMMAND, "run", "--config", str(write_settings(folder / "absent.toml", sections))])
+        codes = list(pool.map(lambda child: child.wait(60), (taken, absent)))
+    assert codes == [1, 1], f"{taken} {absent}"
+    assert f"the UART {robot.uart} cannot be opened" in taken.stderr
+    assert "ttyAMA9 cannot be opened" in absent.stderr
+    assert "controller.uart" in absent.stderr
+    assert START not in robot.messages_since(0)
+    assert gateway.child.returncode is None

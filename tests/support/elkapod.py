@@ -1,0 +1,86 @@
+"""A robot of elkapod-2025 without Zenoh and in virtual time: conductor, cycle and a simulated controller."""
+
+import asyncio
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from gateway.errors import SpiError
+from gateway.model.elkapod import SHUTDOWN, START
+from gateway.robot.protocol import Wire
+from gateway.robot.runtime.cycle import Cycle
+from gateway.robot.spi import DuplexDevice
+from gateway.robot.spi.cyclic import CyclicBus
+from gateway.robot.spi.elkapod_simulator import SimulatedElkapod, SimulatedUart
+from schemas.robot import LEGS
+from schemas.telemetry import Kind
+from tests.support.robot import MS, Robot, leg
+
+CYCLE_S = 0.02
+
+
+class FailingElkapod(SimulatedElkapod):
+    """Fails as it is told to."""
+
+    spi_fails = False
+
+    def exchange(self, data: bytes) -> bytes:
+        if self.spi_fails:
+            raise SpiError("the transfer failed: Connection timed out")
+        return super().exchange(data)
+
+
+class ElkapodRobot(Robot):
+    """Its gateway has begun; frames go from then on."""
+
+    def __init__(self, sections: Mapping[str, Mapping[str, Any]] | None = None) -> None:
+        sections = sections or {}
+        super().__init__({**sections, "spi": {"protocol": "elkapod-2025", **sections.get("spi", {})}})
+        self.failed: list[Exception] = []
+        self._cycle = Cycle(self.cyclic, self.conductor, 50, self.failed.append, clock=self.now_ns)
+        self.conductor.start()
+        self.conductor.announce_start()
+        self.loop.call_later(CYCLE_S, self._go_on)
+
+    def wire(self) -> Wire:
+        self.elkapod = FailingElkapod(clock=self.now_ns)
+        self.cyclic = CyclicBus(
+            self._device,
+            lambda: SimulatedUart(self.elkapod),
+            silent_ns=300 * MS,
+            before_frames_ns=70 * MS,
+            clock=self.now_ns,
+        )
+        return self.cyclic
+
+    def _device(self) -> DuplexDevice:
+        return self.elkapod
+
+    def _go_on(self) -> None:
+        self._cycle.exchange()
+        self.loop.call_later(CYCLE_S, self._go_on)
+
+    @property
+    def said(self) -> list[tuple[float, str]]:
+        """The UART's messages: when (ms), and what."""
+        names = {START: "start", SHUTDOWN: "shutdown"}
+        return [(at_ns / MS, names[message]) for at_ns, message in self.elkapod.messages]
+
+    def kinds(self) -> list[Kind]:
+        """Of the events so far."""
+        return [Kind(event.kind) for event in self.events()]
+
+
+def all_legs(op: str, angle_deg: float | None = None, legs: Iterable[int] = LEGS) -> dict[str, Any]:
+    """A LegsCommand for these legs."""
+    angles_deg = () if angle_deg is None else (angle_deg,) * 3
+    return {"legs": {str(number): leg(op, *angles_deg) for number in legs}}
+
+
+async def elkapod(**sections: Mapping[str, Any]) -> ElkapodRobot:
+    """One that has been up for a second, with nothing recorded yet."""
+    robot = ElkapodRobot(sections)
+    await asyncio.sleep(1)
+    robot.elkapod.messages.clear()
+    robot.elkapod.transfers.clear()
+    robot.reports.clear()
+    return robot

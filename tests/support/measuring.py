@@ -1,0 +1,62 @@
+"""What a robot that measures publishes, for tests of what people and programs make of it."""
+
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any, Final
+
+import zenoh
+
+from schemas import keys
+from schemas.telemetry import Battery, GatewayState, Imu, Telemetry
+from tests.support.router import zenoh_listening
+from tests.support.watch_reports import WALL, state
+
+MEASURED: Final = Telemetry(
+    time=WALL,
+    age_ms=12.5,
+    temperature_c=31.5,
+    battery=Battery(voltage_v=7.4, percent=80.0),
+    imu=Imu(
+        orientation_wxyz=(1.0, 0.0, 0.0, 0.0),
+        angular_velocity_rad_s=(0.0, 0.0, 0.5),
+        linear_acceleration_m_s2=(0.0, 0.0, 9.81),
+    ),
+    tilt_deg=0.0,
+    feet=(1.0, 2.0, 3.0, 4.0, 5.0, 6.0),
+)
+"""Of an Elkapod that turns on the spot."""
+
+
+class Measuring:
+    """A session in a gateway's place: it answers with a state, and with what it measures once that is there."""
+
+    def __init__(self, session: zenoh.Session) -> None:
+        self._session = session
+        self.measured: Telemetry | None = None
+        self.state: GatewayState = state()
+        self._declared: Any = (
+            session.declare_queryable(keys.STATE, lambda query: self._reply(query, keys.STATE, self.state)),
+            session.declare_queryable(keys.TELEMETRY, lambda query: self._reply(query, keys.TELEMETRY, self.measured)),
+        )
+
+    def publish(self, measured: Telemetry) -> None:
+        """As the gateway does ten times a second."""
+        self.measured = measured
+        self._session.put(keys.TELEMETRY, measured.model_dump_json())
+
+    def publish_rubbish(self) -> None:
+        """What no gateway publishes."""
+        self._session.put(keys.TELEMETRY, json.dumps({"battery": "full"}))
+
+    def _reply(self, query: zenoh.Query, key: str, report: GatewayState | Telemetry | None) -> None:
+        with query:
+            if report is not None:
+                query.reply(key, report.model_dump_json())
+
+
+@contextmanager
+def measuring(endpoint: str) -> Iterator[Measuring]:
+    """Listens there, in this process."""
+    with zenoh_listening(endpoint) as session:
+        yield Measuring(session)

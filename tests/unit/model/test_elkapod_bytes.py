@@ -1,0 +1,288 @@
+"""The bytes of elkapod-2025: the published vectors as literals, and whatever else a wire may carry."""
+
+import math
+import struct
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from gateway.model.elkapod import (
+    FRAME_BYTES,
+    HEARTBEAT_BYTES,
+    MIDDLE_CDEG,
+    SHUTDOWN,
+    START,
+    AnswerError,
+    Heartbeats,
+    Measured,
+    angles_of,
+    answer,
+    frame,
+    heartbeat,
+    measured,
+)
+from schemas.robot import SERVO_IDS
+
+
+def single(value: float) -> float:
+    """The number of single precision that is nearest."""
+    return float(struct.unpack("<f", struct.pack("<f", value))[0])
+
+
+FRAME = bytes.fromhex(
+    "7e0000a0420000a2420000a4420000a6420000a8420000aa420000ac420000ae420000b0420000b2420000b4420000b6420000b8420000ba"
+    "420000bc420000be420000c0420000c2420000000000000f"
+)
+"""80, 81, … 97 degrees."""
+ANSWER = bytes.fromhex(
+    "7e0000fc41cdccec400000a0420000803f0000000000000000000000000000000000000000000000000000000000000000c3f51c410000803f"
+    "0000004000004040000080400000a0400000c04000000f"
+)
+"""31.5 °C, 7.4 V, 80 %, level, at rest under 9.81 m/s², feet 1 to 6."""
+ANSWERED = Measured(
+    31.5,
+    single(7.4),
+    80.0,
+    (1.0, 0.0, 0.0, 0.0),
+    (0.0, 0.0, 0.0),
+    (0.0, 0.0, single(9.81)),
+    (1.0, 2.0, 3.0, 4.0, 5.0, 6.0),
+)
+FIELDS = range(19)
+"""An answer's numbers; number n is at byte 1 + 4 n."""
+
+
+def answered(number: int, value: float) -> bytes:
+    """The answer above with another value in one field."""
+    return ANSWER[: 1 + 4 * number] + struct.pack("<f", value) + ANSWER[5 + 4 * number :]
+
+
+# ---- frames
+
+
+def test_a_frame_is_the_published_one() -> None:
+    assert frame([100 * angle_deg for angle_deg in range(80, 98)]) == FRAME
+    assert angles_of(FRAME) == dict(zip(SERVO_IDS, map(float, range(80, 98)), strict=True))
+    assert len(FRAME) == FRAME_BYTES
+
+
+@pytest.mark.parametrize(
+    ("place", "servo_id", "cdeg", "at", "four_bytes"),
+    [
+        (0, 11, 0, 1, "00000000"),
+        (2, 13, 180_00, 9, "00003443"),
+        (3, 21, 12_34, 13, "a4704541"),
+        (17, 63, 1, 69, "0ad7233c"),
+    ],
+)
+def test_each_servo_has_its_four_bytes(place: int, servo_id: int, cdeg: int, at: int, four_bytes: str) -> None:
+    angles_cdeg = [MIDDLE_CDEG] * 18
+    angles_cdeg[place] = cdeg
+    data = frame(angles_cdeg)
+    assert data[at : at + 4].hex() == four_bytes
+    assert data[:at] + data[at + 4 :] == frame([MIDDLE_CDEG] * 18)[:at] + frame([MIDDLE_CDEG] * 18)[at + 4 :]
+    assert angles_of(data)[servo_id] == pytest.approx(cdeg / 100)
+
+
+@given(st.lists(st.integers(0, 180_00), min_size=18, max_size=18))
+def test_every_legal_angle_comes_back(angles_cdeg: list[int]) -> None:
+    data = frame(angles_cdeg)
+    assert [round(100 * angle_deg) for angle_deg in angles_of(data).values()] == angles_cdeg
+    assert (len(data), data[0], data[73:]) == (80, 0x7E, b"\0\0\0\0\0\0\x0f")
+
+
+@pytest.mark.parametrize(
+    ("angles_cdeg", "sentence"),
+    [
+        ([], "here are 0 angles; a frame has 18"),
+        ([MIDDLE_CDEG] * 17, "here are 17 angles"),
+        ([MIDDLE_CDEG] * 19, "here are 19 angles"),
+        ([-1] + [MIDDLE_CDEG] * 17, "servo 11 at -1 hundredths"),
+        ([MIDDLE_CDEG] * 17 + [180_01], "servo 63 at 18001 hundredths"),
+    ],
+)
+def test_no_other_frame_can_be_made(angles_cdeg: list[int], sentence: str) -> None:
+    with pytest.raises(ValueError, match=sentence):
+        frame(angles_cdeg)
+
+
+@pytest.mark.parametrize(
+    ("data", "sentence"),
+    [
+        (b"", "these are 0"),
+        (FRAME[:-1], "these are 79"),
+        (FRAME + b"\x0f", "these are 81"),
+        (b"\0" + FRAME[1:], "from 7e to 0f"),
+        (FRAME[:-1] + b"\0", "from 7e to 0f"),
+        (b"\0" + FRAME[:-1], "from 7e to 0f"),
+        (FRAME[1:] + b"\0", "from 7e to 0f"),
+        (bytes(80), "from 7e to 0f"),
+        (b"\xff" * 80, "from 7e to 0f"),
+        (FRAME[:1] + struct.pack("<f", -0.01) + FRAME[5:], "servo 11 at -0.0"),
+        (FRAME[:69] + struct.pack("<f", 180.01) + FRAME[73:], "servo 63 at 180.0"),
+        (FRAME[:5] + struct.pack("<f", math.nan) + FRAME[9:], "servo 12 at nan"),
+        (FRAME[:5] + struct.pack("<f", math.inf) + FRAME[9:], "servo 12 at inf"),
+    ],
+)
+def test_what_is_no_frame_is_rejected_with_the_reason(data: bytes, sentence: str) -> None:
+    with pytest.raises(ValueError, match=sentence):
+        angles_of(data)
+
+
+# ---- answers
+
+
+def test_an_answer_is_the_published_one() -> None:
+    assert measured(ANSWER) == ANSWERED
+    assert answer(measured(ANSWER)) == ANSWER
+    assert measured(ANSWER).tilt_deg == 0
+
+
+@pytest.mark.parametrize(
+    ("data", "sentence"),
+    [
+        (b"", "0 bytes"),
+        (ANSWER[:-1], "79 bytes"),
+        (ANSWER + b"\0", "81 bytes"),
+        (bytes(80), "from 00 to 00"),
+        (b"\xff" * 80, "from ff to ff"),
+        (b"\0" + ANSWER[:-1], "from 00 to 00"),
+        (ANSWER[1:] + ANSWER[:1], "from 00 to 7e"),
+        (b"\x7f" + ANSWER[1:], "from 7f to 0f"),
+        (ANSWER[:-1] + b"\x0e", "from 7e to 0e"),
+        (b"\x7e" + b"\xff" * 78 + b"\x0f", "not finite"),
+    ],
+    ids=["empty", "short", "long", "zeros", "ff", "late", "early", "begin", "end", "ff between its ends"],
+)
+def test_what_is_no_answer_is_rejected_with_the_reason(data: bytes, sentence: str) -> None:
+    with pytest.raises(AnswerError, match=sentence):
+        measured(data)
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf], ids=str)
+@pytest.mark.parametrize("number", FIELDS)
+def test_a_value_that_is_not_finite_spoils_the_answer(number: int, value: float) -> None:
+    with pytest.raises(AnswerError, match="not finite"):
+        measured(answered(number, value))
+
+
+def test_the_two_bytes_that_are_not_used_may_be_any() -> None:
+    assert measured(ANSWER[:77] + b"\xff\xff\x0f") == measured(ANSWER)
+
+
+@given(st.binary(max_size=100) | st.binary(min_size=78, max_size=78).map(lambda middle: b"\x7e" + middle + b"\x0f"))
+def test_whatever_comes_is_measured_or_rejected(data: bytes) -> None:
+    try:
+        values = measured(data)
+    except AnswerError:
+        return
+    numbers = [value for field in values for value in (field if isinstance(field, tuple) else (field,))]
+    assert len(numbers) == len(FIELDS)
+    assert all(map(math.isfinite, numbers))
+    assert values.tilt_deg is None or 0 <= values.tilt_deg <= 180
+    assert answer(values)[:77] == data[:77]
+
+
+# ---- the tilt
+
+HALF = math.sqrt(0.5)
+
+
+@pytest.mark.parametrize(
+    ("orientation_wxyz", "tilt_deg"),
+    [
+        ((1.0, 0.0, 0.0, 0.0), 0),
+        ((-1.0, 0.0, 0.0, 0.0), 0),
+        ((HALF, 0.0, 0.0, HALF), 0),  # turned to the left
+        ((HALF, HALF, 0.0, 0.0), 90),
+        ((HALF, 0.0, -HALF, 0.0), 90),
+        ((0.0, 1.0, 0.0, 0.0), 180),
+        ((math.cos(math.radians(10)), 0.0, math.sin(math.radians(10)), 0.0), 20),
+        ((0.95, 0.0, 0.0, 0.0), 0),
+        ((1.05 * HALF, 1.05 * HALF, 0.0, 0.0), 90),
+    ],
+)
+def test_the_tilt_is_between_the_bodys_up_and_the_worlds(
+    orientation_wxyz: tuple[float, float, float, float], tilt_deg: float
+) -> None:
+    values = measured(ANSWER)._replace(orientation_wxyz=orientation_wxyz)
+    assert values.tilt_deg == pytest.approx(tilt_deg, abs=1e-5)
+    assert measured(answer(values)).tilt_deg == pytest.approx(tilt_deg, abs=0.05), "in single precision"
+
+
+@pytest.mark.parametrize(
+    "orientation_wxyz", [(0.0, 0.0, 0.0, 0.0), (0.8, 0.0, 0.0, 0.0), (1.2, 0.0, 0.0, 0.0), (1e30, 1e30, 0.0, 0.0)]
+)
+def test_a_quaternion_far_from_its_length_says_no_tilt(orientation_wxyz: tuple[float, float, float, float]) -> None:
+    assert measured(ANSWER)._replace(orientation_wxyz=orientation_wxyz).tilt_deg is None
+
+
+# ---- the UART
+
+
+def test_the_messages_are_the_published_ones() -> None:
+    assert START.hex(" ") == "7e 21 87 00 00 00 00 00 ff 0f"
+    assert SHUTDOWN.hex(" ") == "7e 11 38 00 00 00 00 00 ff 0f"
+    assert heartbeat(bytes(range(16))).hex() == "7eaa000102030405060708090a0b0c0d0e0fff0f"
+    assert len(heartbeat()) == HEARTBEAT_BYTES
+
+
+junk = st.binary(max_size=30).filter(lambda data: b"\x7e" not in data)
+"""Without the byte that may begin a heartbeat."""
+
+
+@given(st.lists(junk), st.data())
+def test_heartbeats_are_counted_in_all_portions(parts: list[bytes], data: st.DataObject) -> None:
+    content = st.binary(min_size=16, max_size=16)
+    stream = b"".join(part + heartbeat(data.draw(content)) for part in parts)
+    reader, found = Heartbeats(), 0
+    while stream:
+        length = data.draw(st.integers(1, len(stream)))
+        found += reader.feed(stream[:length])
+        stream = stream[length:]
+    assert found == len(parts)
+
+
+@given(st.integers(0, 3 * HEARTBEAT_BYTES), st.integers(0, 3 * HEARTBEAT_BYTES))
+def test_three_heartbeats_are_three_wherever_they_are_cut(first: int, second: int) -> None:
+    stream = 3 * heartbeat(b"\x7e\xaa\xff\x0f" * 4)
+    cuts = sorted((first, second))
+    reader = Heartbeats()
+    portions = (stream[: cuts[0]], stream[cuts[0] : cuts[1]], stream[cuts[1] :])
+    assert sum(map(reader.feed, portions)) == 3
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        b"",
+        bytes(1000),
+        b"\xff" * 1000,
+        b"\x7e" * 1000,
+        b"\x7e\xaa" * 500,
+        heartbeat()[:-1] + b"\x0e",
+        heartbeat()[1:],
+        heartbeat()[:-1],
+        START + SHUTDOWN,
+    ],
+    ids=["none", "zeros", "ff", "7e", "begins", "end", "late", "short", "our own messages"],
+)
+def test_what_is_no_heartbeat_counts_for_none_and_one_behind_it_counts(data: bytes) -> None:
+    reader = Heartbeats()
+    assert reader.feed(data) == 0
+    assert sum(reader.feed(heartbeat()) for _ in range(3)) >= 2
+
+
+@given(st.lists(st.binary(max_size=50), max_size=30))
+def test_whatever_comes_no_more_is_kept_than_one_heartbeat_needs(parts: list[bytes]) -> None:
+    reader = Heartbeats()
+    found = sum(map(reader.feed, parts))
+    assert found <= len(b"".join(parts)) // HEARTBEAT_BYTES
+    reader.feed(bytes(2 * HEARTBEAT_BYTES))
+    assert sum(reader.feed(heartbeat()) for _ in range(2)) == 2
+
+
+@given(st.integers(2, HEARTBEAT_BYTES - 1))
+def test_a_heartbeat_that_was_cut_off_costs_none_behind_it(length: int) -> None:
+    assert Heartbeats().feed(heartbeat()[:length] + 3 * heartbeat()) == 3

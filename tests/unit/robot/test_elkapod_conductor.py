@@ -1,0 +1,147 @@
+"""elkapod-2025 from a command to the controller's servos, in virtual time."""
+
+import asyncio
+import itertools
+
+import pytest
+
+from gateway.model import elkapod as wire
+from schemas import keys
+from schemas.telemetry import Cause, Kind, Mode
+from tests.support.elkapod import ElkapodRobot, all_legs, elkapod
+from tests.support.robot import leg
+
+pytestmark = pytest.mark.virtual_time
+
+START = all_legs("start", 80)
+
+
+async def walking(**sections: dict[str, object]) -> ElkapodRobot:
+    """All servos run, and their legs are commanded from now on."""
+    robot = await elkapod(**sections)
+    assert robot.ask(keys.LEGS_COMMAND, START).accepted
+    await asyncio.sleep(0.1)
+    assert len(robot.elkapod.energised) == 18
+    robot.elkapod.messages.clear()
+    return robot
+
+
+def angles(robot: ElkapodRobot, last: int) -> list[set[float]]:
+    """What the last frames say."""
+    return [set(wire.angles_of(data).values()) for _, data in list(robot.elkapod.transfers)[-last:]]
+
+
+async def test_it_begins_with_shutdowns_before_the_first_frame_and_goes_on_with_frames() -> None:
+    robot = ElkapodRobot()
+    await asyncio.sleep(1)
+    assert {what for _, what in robot.said} == {"shutdown"}
+    first_ms = robot.elkapod.transfers[0][0] / 1e6
+    assert robot.said[-1][0] < first_ms < 100
+    assert len(robot.said) == 2 + 3, "at the opening, and the Stops of the start with their repeats"
+    assert angles(robot, 40) == [{90.0}] * 40
+    times_ms = [at_ns / 1e6 for at_ns, _ in robot.elkapod.transfers]
+    assert {round(later - at) for at, later in itertools.pairwise(times_ms)} == {20}
+    assert robot.kinds() == [Kind.STARTED]
+
+
+async def test_a_whole_start_has_its_angles_on_the_wire_for_two_cycles_and_then_the_uarts_start() -> None:
+    robot = await elkapod()
+    assert robot.ask(keys.LEGS_COMMAND, START).accepted
+    at_ms = robot.now_ns() / 1e6
+    await asyncio.sleep(0.1)
+    ((started_ms, what),) = robot.said
+    assert what == "start"
+    between = [data for at_ns, data in robot.elkapod.transfers if at_ms < at_ns / 1e6 <= started_ms]
+    assert [set(wire.angles_of(data).values()) for data in between] == [{80.0}] * 2
+    assert len(robot.elkapod.energised) == 18
+
+
+STOPS = {
+    "a stop of one leg": (keys.leg_command(3), leg("stop")),
+    "a stop of one servo": (keys.servo_command(42), {"op": "stop"}),
+    "a stop of all": (keys.LEGS_COMMAND, all_legs("stop")),
+    "the emergency stop": (keys.ESTOP, {}),
+}
+
+
+@pytest.mark.parametrize("stop", STOPS)
+async def test_any_stop_shuts_down_at_once_and_is_repeated(stop: str) -> None:
+    robot = await walking()
+    key, payload = STOPS[stop]
+    assert robot.ask(key, payload).accepted
+    assert [what for _, what in robot.said] == ["shutdown"]
+    assert not robot.elkapod.energised
+    await asyncio.sleep(0.15)
+    assert [what for _, what in robot.said] == ["shutdown"] * 4
+    assert all(not each.running for leg in robot.conductor.state().legs for each in leg.servos)
+    assert angles(robot, 3) == [{80.0}] * 3, "should the shutdown be lost, they hold where they are"
+
+
+async def test_silence_shuts_down_after_the_watchdogs_time() -> None:
+    robot = await walking()
+    await asyncio.sleep(0.3)
+    assert [what for _, what in robot.said] == ["shutdown"] * 4
+    assert {event.legs for event in robot.events(Kind.WATCHDOG_EXPIRED)} == {(1, 2, 3, 4, 5, 6)}
+
+
+async def test_the_end_shuts_down() -> None:
+    robot = await walking()
+    assert robot.conductor.shut_down()
+    assert [what for _, what in robot.said] == ["shutdown"]
+
+
+async def test_a_failed_transfer_shuts_down_at_once_and_stops_again_once_the_device_is_back() -> None:
+    robot = await walking()
+    robot.elkapod.spi_fails = True
+    await asyncio.sleep(0.021)
+    assert robot.events(Kind.BUS_FAULT)
+    assert not robot.elkapod.energised
+    assert robot.mode in {Mode.BUS_FAULT, Mode.IDLE}
+    robot.elkapod.spi_fails = False
+    await asyncio.sleep(1)
+    assert robot.mode == Mode.IDLE
+    assert not robot.elkapod.energised
+    assert "start" not in [what for _, what in robot.said]
+    assert robot.failed == []
+
+
+@pytest.mark.parametrize("fault", ["silent", "frozen", "garbage"])
+async def test_a_silent_controller_is_a_fault_and_nothing_runs_when_it_is_back(fault: str) -> None:
+    robot = await walking(watchdog={"timeout_ms": 5000})
+    setattr(robot.elkapod, fault, wire.answer(robot.elkapod._measure(0))[1:] + b"\0" if fault == "garbage" else True)
+    await asyncio.sleep(0.9)
+    (event,) = robot.events(Kind.CONTROLLER_SILENT)
+    assert ("heartbeat" if fault == "silent" else "well-formed answer") in event.detail
+    assert robot.mode == Mode.BUS_FAULT
+    assert not robot.elkapod.energised
+    assert robot.conductor.state().controller.alive is False
+    assert robot.ask(keys.LEGS_COMMAND, START).reason == "bus_fault"
+    assert robot.ask(keys.ESTOP, {}).accepted
+    setattr(robot.elkapod, fault, None if fault == "garbage" else False)
+    await asyncio.sleep(0.5)
+    assert robot.events(Kind.CONTROLLER_RETURNED)
+    assert not robot.events(Kind.BUS_RECOVERED)
+    assert robot.mode == Mode.ESTOPPED
+    assert "start" not in [what for _, what in robot.said]
+
+
+async def test_a_controller_that_was_switched_off_and_on_while_it_walked_moves_nothing_by_itself() -> None:
+    robot = await walking(watchdog={"timeout_ms": 5000})
+    robot.elkapod.power_cycle()
+    await asyncio.sleep(1)
+    assert not robot.elkapod.energised
+    assert "start" not in [what for _, what in robot.said]
+
+
+async def test_no_frame_ever_has_an_angle_that_nobody_commanded_while_servos_are_driven() -> None:
+    robot = await walking()
+    for angle_deg in range(81, 100):
+        robot.put(keys.LEGS_COMMAND, all_legs("set", angle_deg))
+        await asyncio.sleep(0.02)
+    assert robot.ask(keys.LEGS_COMMAND, all_legs("set", 100)).accepted
+    await asyncio.sleep(0.05)
+    robot.ask(keys.ESTOP, {})
+    said = [each for seen in angles(robot, 30) for each in seen]
+    assert set(said) <= {80.0, *map(float, range(81, 101))}
+    frames = robot.conductor.metrics.frames
+    assert frames[Cause.ESTOP] == 6
