@@ -56,7 +56,7 @@ from gateway.robot.zenoh_io.session import service_config
 from gateway.robot.zenoh_io.unknown_keys import UnknownKeys
 from gateway.robot.zenoh_io.upkeep import Upkeep
 from gateway.zenoh_config import open_session
-from schemas.keys import CALIBRATION, STATE
+from schemas.keys import CALIBRATION, STATE, TELEMETRY
 
 if TYPE_CHECKING:
     from gateway.certs.proof import ProofChecker
@@ -199,7 +199,9 @@ async def _run(
     end = ServiceEnd(loop, owner, recorder)
     notifier = SystemdNotifier()
     config, checker, shut_out = _configured(settings.zenoh, physics)
-    bus = wires.wire(settings, simulated=simulated, page=physics and physics.page, faults=faults)
+    bus = wires.wire(
+        settings, simulated=simulated, page=physics and physics.page, sensed=physics and physics.sensed, faults=faults
+    )
     outbox = ZenohOutbox()
     conductor = Conductor(
         settings,
@@ -247,7 +249,12 @@ async def _run(
         connection_limiter, upkeep = _attendants(session, config, conductor, notifier, shut_out)
         on_ready(config)
         tasks = [
-            asyncio.create_task(_report_state(settings, conductor, outbox)),
+            asyncio.create_task(
+                _report(STATE, settings.telemetry.state_hz, conductor.publish_state, conductor, outbox)
+            ),
+            asyncio.create_task(
+                _report(TELEMETRY, settings.telemetry.rate_hz, conductor.publish_telemetry, conductor, outbox)
+            ),
             asyncio.create_task(
                 _beat(notifier, conductor, inbox, UnknownKeys(session, physics and physics.zenoh_id), servos, end)
             ),
@@ -327,6 +334,7 @@ def _inbox(
         on_state_query=conductor.answer_state,
         readers={
             **{each.key: each.note for each in (lease, button, calibrations, revocations)},
+            TELEMETRY: lambda _query, _ns, reply: partial(conductor.answer_telemetry, reply),
             CALIBRATION: lambda _query, _ns, reply: partial(calibrations.answer, reply),
         },
         tokens={lease.key: conductor.supervisor.lease.holds, button.key: conductor.supervisor.buttons.knows},
@@ -351,13 +359,15 @@ def _attendants(
     return ConnectionLimiter(session, conductor.metrics.count_sessions, revoked, older.note), upkeep
 
 
-async def _report_state(settings: Settings, conductor: Conductor, outbox: ZenohOutbox) -> None:
-    """Publish the state `telemetry.state_hz` times a second (changes of mode are published as they happen)."""
-    while settings.telemetry.state_hz:
-        await asyncio.sleep(1 / settings.telemetry.state_hz)
-        if outbox.anyone_listens(STATE):
-            with conductor.owner:  # it also orders reports: an older state must not follow a newer one
-                conductor.publish_state()
+async def _report(
+    key: str, rate_hz: float, publish: Callable[[], None], conductor: Conductor, outbox: ZenohOutbox
+) -> None:
+    """Publish `rate_hz` times a second (0: never) where anybody listens; changes of mode are published at once."""
+    while rate_hz:
+        await asyncio.sleep(1 / rate_hz)
+        if outbox.anyone_listens(key):
+            with conductor.owner:  # it also orders reports: an older one must not follow a newer one
+                publish()
 
 
 async def _beat(

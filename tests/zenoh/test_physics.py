@@ -16,6 +16,7 @@ from gateway.client import Client
 from gateway.geometry import ELKAPOD
 from gateway.model import elkapod
 from gateway.model.elkapod import Measured
+from gateway.model.protocols import SpiProtocol
 from gateway.onboard.body_process import BodyProcess
 from gateway.people.physics.assumed import MASS_KG, Assumed
 from gateway.people.recordings import read
@@ -83,6 +84,7 @@ def test_so_does_one_of_elkapod_2025(tmp_path: Path) -> None:
     """Its frames carry all servos, and its UART starts and stops them; nothing on that way counts as a fault."""
     settings: dict[str, dict[str, object]] = {**PATIENT, "spi": {"protocol": "elkapod-2025"}}
     with Gateway(tmp_path, settings, options=PHYSICS) as whole, whole.client() as client:
+        assert client.state().controller.protocol == SpiProtocol.ELKAPOD_2025
         reported = events(client)
         walks_and_sinks(client)
         assert not {Kind.BUS_FAULT, Kind.CONTROLLER_SILENT} & {event.kind for event in reported.all}

@@ -28,6 +28,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
+from gateway.model import elkapod
+from gateway.model.elkapod import Measured
 from gateway.model.frames import ServoOp
 from schemas.calibration import Calibration
 from schemas.robot import JOINTS
@@ -58,6 +60,7 @@ pack_slot_into: Final = _SLOT.pack_into
 
 START, END, COMMAND, DECISION, FRAME, MODE, EVENT, LAG, INCIDENT, MORE, CLOCK, CARRIED_OUT, CALIBRATION = range(1, 14)
 ABOUT: Final = 14
+MEASURED: Final = 15
 
 
 ACCEPTED: Final = "accepted"
@@ -186,6 +189,13 @@ class About:
     facts: dict[str, Any]
 
 
+@dataclass(frozen=True, slots=True)
+class BodyState:
+    """What the robot measures, recorded ten times a second."""
+
+    values: Measured
+
+
 Content = (
     Start
     | End
@@ -199,6 +209,7 @@ Content = (
     | IncidentBegun
     | Calibrated
     | About
+    | BodyState
 )
 
 
@@ -416,6 +427,11 @@ def incident(wall_ns: int, name: str) -> bytes:
 def calibration(report: Calibration) -> bytes:
     """Bytes of a Calibrated, 1800 at most."""
     return report.model_dump_json().encode()
+
+
+def measured(values: Measured) -> bytes:
+    """Bytes of a BodyState: those of the answer."""
+    return elkapod.answer(values)
 
 
 def about(facts: dict[str, Any]) -> bytes:

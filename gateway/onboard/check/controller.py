@@ -208,8 +208,7 @@ def _answers(
         for pause_s in shutdowns:
             line.write(SHUTDOWN)
             pause(pause_s)
-        signs, measured, well, badly = SignsOfLife(silent_ns), None, 0, 0
-        signs.begin(clock())
+        signs, measured, well, badly = SignsOfLife(silent_ns, clock()), None, 0, 0
         # Long enough that one which freezes falls silent.
         until_ns = clock() + silent_ns + FROZEN_NS + round(5e9 * _CYCLE_S)
         while clock() < until_ns:

@@ -31,6 +31,8 @@ _WHAT: Final = {
     "stopped-outside": "stop-servos stopped all legs past the gateway",
     "estop": "somebody requested an emergency stop",
     "bus-fault": "the SPI bus failed",
+    "controller-silent": "the controller fell silent, and all legs were stopped",
+    "fallen": "the body fell, or was lifted, and all legs were stopped",
     "mistake": "a mistake in the gateway ended it",
     "crash": "the gateway ended without a word",
 }

@@ -45,6 +45,7 @@ from gateway.robot.runtime.executor import Executor, Outcome
 from gateway.robot.runtime.metrics import Metrics
 from gateway.robot.runtime.preamble import PreambleInPauses
 from gateway.robot.runtime.report import StateReports
+from gateway.robot.runtime.telemetry import MeasuredReports
 from gateway.robot.settings import Settings
 from gateway.robot.spi.bus import Bus
 from schemas import keys
@@ -101,6 +102,7 @@ class Conductor:
             calibration_kept=calibration_kept,
             started_ns=self._instant_ns,
         )
+        self.telemetry = MeasuredReports()
         self._messages: Messages = NoMessages()
         self._losses = Losses()
         self._staleness = Staleness(settings.limits.max_age_ms) if settings.limits.max_age_ms else None
@@ -210,6 +212,8 @@ class Conductor:
 
     def measured(self, values: Measured, now_ns: int) -> None:
         """The controller has answered."""
+        self.telemetry.note(values, now_ns)
+        self.recorder.measured(values, now_ns)
         if self.supervisor.wants_measurements and not self._closed:
             tilt_deg = values.tilt_deg
             tilt_cdeg = None if tilt_deg is None else round(tilt_deg * 100)
@@ -389,7 +393,20 @@ class Conductor:
             self._clock(),
             estop_source=self._events.estop_source,
             incident=self.recorder.incident,
+            battery=self.telemetry.battery,
         )
+
+    def publish_telemetry(self) -> None:
+        """Publish what the robot measures, if it does."""
+        report = self.telemetry.report(self._clock())
+        if report is not None:
+            self._outbox.publish(keys.TELEMETRY, report)
+
+    def answer_telemetry(self, reply: Reply) -> None:
+        """Answer a `get` on the telemetry; without a measurement there is no answer."""
+        report = self.telemetry.report(self._clock())
+        if report is not None:
+            reply(report.model_dump_json().encode())
 
     def _publish_mode(self) -> None:
         mode = self.supervisor.mode

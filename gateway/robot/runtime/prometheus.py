@@ -22,6 +22,7 @@ from gateway.robot.core.latency import BOUNDS_US, Latency
 from gateway.robot.runtime.conductor import Conductor
 from gateway.robot.runtime.metrics_page import MetricsPage
 from gateway.web_hosts import LOOPBACK, may_ask
+from schemas.robot import LEGS
 from schemas.telemetry import Cause, Kind, Mode, Reason
 
 METRICS_PATH: Final = "/metrics"
@@ -84,6 +85,7 @@ class _Numbers(Collector):
         yield _gauge("buttons_required", "How many must, for anything to move", buttons.required)
         yield _gauge("calibration_revision", "The calibration in force", calibrating.in_force.revision)
         yield _gauge("calibration_fault", "1: it cannot be read, and nothing starts", calibrating.fault is not None)
+        yield from self._measured()
         modes = {mode: mode is supervisor.mode for mode in Mode}
         yield _gauge("mode", "1 for the mode the gateway is in", modes, "mode")
         yield _histogram("watchdog_stop_latency", "Watchdog's deadline to its Stop written", metrics.watchdog_stops)
@@ -92,6 +94,21 @@ class _Numbers(Collector):
         )
         yield _histogram("loop_lag", "How late the loop's timers run", metrics.loop_lag)
         yield _histogram("spi_transfer", "Time of one SPI transfer", bus.transfer_latency)
+
+    def _measured(self) -> Iterator[Metric]:
+        """What the robot measures; nothing where it measures nothing."""
+        alive, values = self._conductor.bus.controller_alive, self._conductor.telemetry.newest
+        if alive is not None:
+            yield _gauge("controller_alive", "Whether the controller gives signs of life", alive)
+        if values is None:
+            return
+        yield _gauge("battery_volts", "The battery's voltage", values.voltage_v)
+        yield _gauge("battery_percent", "What the robot says is left of its battery", values.percent)
+        yield _gauge("temperature_celsius", "The controller's temperature", values.temperature_c)
+        if values.tilt_deg is not None:
+            yield _gauge("tilt_degrees", "Between the body's up and the world's", values.tilt_deg)
+        feet = {str(leg): force for leg, force in zip(LEGS, values.feet, strict=True)}
+        yield _gauge("foot_force", "What each foot carries, in the robot's own unit", feet, "leg")
 
 
 def _family(

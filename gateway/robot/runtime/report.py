@@ -13,10 +13,12 @@ from gateway.robot.protocol import Wire
 from gateway.robot.runtime.metrics import Metrics
 from gateway.robot.settings import Settings
 from schemas.telemetry import (
+    Battery,
     ButtonsReport,
     CalibrationReport,
     CertificateReport,
     CommandCounts,
+    ControllerReport,
     GatewayState,
     Kind,
     LeaseReport,
@@ -46,6 +48,9 @@ WARNINGS: Final = frozenset(
         Kind.REVOKED,
         Kind.BUTTON_SILENT,
         Kind.BUTTON_LEFT,
+        Kind.CONTROLLER_SILENT,
+        Kind.BATTERY_LOW,
+        Kind.FALLEN,
     }
 )
 """Kinds that are logged as warnings; the others are informational."""
@@ -69,7 +74,9 @@ class StateReports:
         """Whether the calibration outlasts this process."""
         self._started_ns = started_ns
         self._limits = limits_of(settings)
-        self.protocol = settings.spi.framing.protocol
+        spi = settings.spi
+        self.protocol = spi.protocol if spi.protocol.measures else spi.framing.protocol
+        self._framing = "none" if spi.protocol.measures else spi.framing
         self.certificate: CertificateReport | None = None
         """The first certificate in use to expire; None: none is in use."""
         self.revocations: RevocationsReport | None = None
@@ -84,6 +91,7 @@ class StateReports:
         *,
         estop_source: str | None,
         incident: str | None,
+        battery: Battery | None = None,
     ) -> GatewayState:
         """The state at `now_ns`."""
         settings = self._settings
@@ -106,7 +114,7 @@ class StateReports:
             ),
             spi=SpiReport(
                 device="simulated controller" if self._simulated else settings.spi.device,
-                framing=settings.spi.framing,
+                framing=self._framing,
                 frames=bus.frames,
                 errors=bus.errors,
             ),
@@ -133,6 +141,12 @@ class StateReports:
             certificate=self.certificate,
             revocations=self.revocations,
             limits=self._limits,
+            controller=ControllerReport(
+                protocol=settings.spi.protocol,
+                alive=bus.controller_alive,
+                age_ms=None if bus.answered_ns is None else (now_ns - bus.answered_ns) / 1e6,
+            ),
+            battery=battery,
         )
 
 
