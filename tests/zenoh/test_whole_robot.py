@@ -1,10 +1,10 @@
 """A robot whose controller starts and stops all legs at once: programs start it whole, and any Stop ends them whole."""
 
-from typing import Final
+from typing import Final, NoReturn
 
 import pytest
 
-from gateway.client import Client, Posture, RejectedError, StoppedError
+from gateway.client import Client, Posture, RejectedError, StoppedError, Stream
 from gateway.model.frames import Op, decode
 from gateway.people.client.stream import WHOLE
 from schemas.robot import LEGS
