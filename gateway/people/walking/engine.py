@@ -18,9 +18,10 @@ from enum import StrEnum
 from typing import Final, NamedTuple, Self
 
 from gateway.errors import WalkError
+from gateway.geometry import MAX_SPEED_DEG_S
 from gateway.geometry.kinematics import Vector
 from gateway.people.walking import gaits
-from gateway.people.walking.motion import STILL, BodyPose, Velocity, carried, travelled
+from gateway.people.walking.motion import ORIGIN, STILL, BodyPose, Odometry, Velocity, carried
 from gateway.people.walking.planning import Planner, balanced
 from gateway.people.walking.robot import LIFT_M, Pose, Robot, Stance
 from gateway.people.walking.ways import CLIMB, ON_GROUND_M, Figure, Shift, across, between, lowered, outward, up
@@ -37,9 +38,11 @@ _HALT_S: Final = 0.15
 _LATE_M: Final = 0.002
 """A foot is lifted at a tick, so up to a tick too late."""
 _LEAST_TEMPO: Final = 0.37
-"""Of a gait's period. With a shorter one the servos lose more by their speed than the strides win."""
+"""Of a gait's period, with usual servos. With a shorter one they lose more by their speed than the strides win."""
 _TEMPO_SPARE: Final = 0.93
 """Of a disc: feet are lifted at ticks, so a little late."""
+_TEMPO_S: Final = 1.0
+"""A change of the tempo by 1 takes so long: it moves the feet that swing."""
 _QUICK_LIFT_M: Final = 0.020
 """How high feet are lifted at the least tempo."""
 _QUICK_CLIMB: Final = 0.3
@@ -65,27 +68,6 @@ class Posture(StrEnum):
     HALTED = "halted"
 
 
-class Odometry(NamedTuple):
-    """Where its steps have carried the body since the beginning; slipping feet are not noticed."""
-
-    x_m: float = 0.0
-    y_m: float = 0.0
-    heading_rad: float = 0.0
-
-    def after(self, velocity: Velocity, seconds: float) -> "Odometry":
-        """The odometry after a further motion with `velocity`, which is in the body's frame. @private"""
-        ahead_m, aside_m, turned = travelled(velocity, seconds)
-        cosine, sine = math.cos(self.heading_rad), math.sin(self.heading_rad)
-        return Odometry(
-            self.x_m + cosine * ahead_m - sine * aside_m,
-            self.y_m + sine * ahead_m + cosine * aside_m,
-            self.heading_rad + turned,
-        )
-
-
-ORIGIN: Final = Odometry()
-
-
 class Swing(NamedTuple):
     """A foot in the air: where it left the ground, which moves on below it, and how far it is, 0 to 1."""
 
@@ -99,6 +81,8 @@ class _State(Figure):
 
     swings: dict[int, Swing] = field(default_factory=dict)
     velocity: Velocity = STILL
+    tempo: float = 1.0
+    """The part of its gait's period that a stride takes now."""
     clock: float = 0.0
     """The time in strides."""
     odometry: Odometry = ORIGIN
@@ -128,6 +112,8 @@ class Engine:
         self._quick = self._gait
         """The gait at its present tempo."""
         self._lift_m, self._climb = LIFT_M, CLIMB
+        slowest_deg_s = min(each.max_speed_deg_s for each in robot.ranges.values())
+        self._least_tempo = min(1.0, _LEAST_TEMPO * max(1.0, MAX_SPEED_DEG_S / max(slowest_deg_s, _ALMOST)))
         self._next_gait: str | None = None
         self._stance = robot.stance(BodyPose(robot.usual_m))
         self._planner = Planner(robot)
@@ -155,7 +141,6 @@ class Engine:
         self._begin_what_is_wanted()
         target = velocity if self.walks_at_once else STILL
         cap = self._capped(target)
-        self._hurry(target.times(cap))
         before, pace, slowest = self._state, 1.0, 0
         for _ in range(_TRIES):
             after = before.copy()
@@ -361,6 +346,7 @@ class Engine:
         began = not state.velocity.moves and not state.swings
         if began:
             state.clock = 0.0
+        self._hurry(state, target, seconds)
         velocity = self._slewed(state, target, seconds)
         if velocity.moves:
             velocity = velocity.times(self._allowed(state, velocity))
@@ -408,15 +394,17 @@ class Engine:
 
     # ---- velocities
 
-    def _hurry(self, target: Velocity) -> None:
-        """The tempo that this velocity and the present one need; a walk that ends keeps it: its last swings end soon."""
-        now = self._state.velocity
-        if not target.moves and (now.moves or self._state.swings):
-            return
-        part = max(self._stride_of(target), self._stride_of(now)) / _TEMPO_SPARE
-        tempo = max(_LEAST_TEMPO, min(1.0, 1.0 / part if part else 1.0))
-        self._quick = self._gait._replace(period_s=self._gait.period_s * tempo)
-        haste = (1.0 - tempo) / (1.0 - _LEAST_TEMPO)
+    def _hurry(self, state: _State, target: Velocity, seconds: float) -> None:
+        """Towards the tempo that this velocity and the present one need; a walk that ends keeps it: it ends soon."""
+        now = state.velocity
+        walks = now.moves or bool(state.swings)
+        if target.moves or not walks:
+            part = max(self._stride_of(target), self._stride_of(now)) / _TEMPO_SPARE
+            wanted = max(self._least_tempo, min(1.0, 1.0 / part if part else 1.0))
+            most = seconds / _TEMPO_S if walks else 1.0
+            state.tempo += max(-most, min(most, wanted - state.tempo))
+        haste = (1.0 - state.tempo) / (1.0 - _LEAST_TEMPO)
+        self._quick = self._gait._replace(period_s=self._gait.period_s * state.tempo)
         self._lift_m = LIFT_M + (_QUICK_LIFT_M - LIFT_M) * haste
         self._climb = CLIMB + (_QUICK_CLIMB - CLIMB) * haste
 
@@ -448,7 +436,10 @@ class Engine:
         """The part of this velocity whose strides fit into the discs."""
         key = target, self._stance, self._gait
         if self._cap[0] != key:
-            self._cap = key, _largest(lambda part: self._stride_of(target.times(part)) * _LEAST_TEMPO <= _TEMPO_SPARE)
+            self._cap = (
+                key,
+                _largest(lambda part: self._stride_of(target.times(part)) * self._least_tempo <= _TEMPO_SPARE),
+            )
         return self._cap[1]
 
     @property

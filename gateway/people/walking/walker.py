@@ -8,8 +8,8 @@ It assumes that all six legs run; `Ride` starts and stops them.
 
 from typing import Final, NamedTuple
 
-from gateway.people.walking.engine import ORIGIN, Engine, Odometry, Posture
-from gateway.people.walking.motion import STILL, Velocity
+from gateway.people.walking.engine import Engine, Posture
+from gateway.people.walking.motion import ORIGIN, STILL, Odometry, Velocity
 from gateway.people.walking.robot import Pose, Robot, Stance
 
 HOLD_S: Final = 0.5
