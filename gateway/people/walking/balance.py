@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from copy import copy
 from typing import Final, NamedTuple, Self
 
+from gateway.errors import WalkError
 from gateway.people.walking.motion import BodyPose
 from schemas.robot import LEGS
 from schemas.telemetry import Telemetry
@@ -39,6 +40,13 @@ LATE_S: Final = 0.12
 SINKS_M_S: Final = 0.10
 DEEPEST_M: Final = 0.030
 """So far below the expected ground a foot goes on down."""
+
+
+def terrain_named(name: str) -> str:
+    """`name`. Raises WalkError for an unknown terrain."""
+    if name not in TERRAINS:
+        raise WalkError(f"there is no terrain {name!r}; there are {', '.join(TERRAINS)}")
+    return name
 
 
 class Felt(NamedTuple):
@@ -102,7 +110,7 @@ class Senses:
         return tuple(force > _CARRIES * self._weight for force in forces)
 
 
-def levelled(body: BodyPose, wanted: BodyPose, felt: Felt, seconds: float) -> BodyPose:
+def levelled(body: BodyPose, wanted: BodyPose, felt: Felt, most_rad: float, seconds: float) -> BodyPose:
     """The body's next pose above its feet, with which it leans against the world as wanted; bounded in rate and angle.
 
     Without an orientation it stays as it is.
@@ -112,8 +120,9 @@ def levelled(body: BodyPose, wanted: BodyPose, felt: Felt, seconds: float) -> Bo
 
     def towards(now_rad: float, off_rad: float, asked_rad: float) -> float:
         most = _LEVELS_RAD_S * seconds
-        change_rad = max(-most, min(most, -_LEVELS_1_S * off_rad * seconds))
-        return max(asked_rad - LEANS_RAD, min(asked_rad + LEANS_RAD, now_rad + change_rad))
+        aim_rad = now_rad - _LEVELS_1_S * off_rad * seconds
+        aim_rad = max(asked_rad - most_rad, min(asked_rad + most_rad, aim_rad))
+        return now_rad + max(-most, min(most, aim_rad - now_rad))
 
     return BodyPose(
         body.height_m,
