@@ -367,13 +367,8 @@ class Client:
         """Call `callback` (on a Zenoh thread) for each event, until the returned subscriber is undeclared."""
         return self._subscribe(keys.EVENT, Event, callback)
 
-<<<<<<< HEAD
     def watch_telemetry(self, callback: Callable[[Telemetry], None]) -> "zenoh.Subscriber[None]":
         """Call `callback` (on a Zenoh thread) with what the robot measures, until the subscriber is undeclared."""
-=======
-    def on_telemetry(self, callback: Callable[[Telemetry], None]) -> "zenoh.Subscriber[None]":
-        """Call `callback` (on a Zenoh thread) for what the robot measures, until the subscriber is undeclared."""
->>>>>>> wt-walk
         return self._subscribe(keys.TELEMETRY, Telemetry, callback)
 
     def _subscribe(self, key: str, report: type[R], callback: Callable[[R], None]) -> "zenoh.Subscriber[None]":
