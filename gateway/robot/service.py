@@ -56,7 +56,7 @@ from gateway.robot.zenoh_io.session import service_config
 from gateway.robot.zenoh_io.unknown_keys import UnknownKeys
 from gateway.robot.zenoh_io.upkeep import Upkeep
 from gateway.zenoh_config import open_session
-from schemas.keys import CALIBRATION, STATE
+from schemas.keys import CALIBRATION, STATE, TELEMETRY
 
 if TYPE_CHECKING:
     from gateway.certs.proof import ProofChecker
@@ -108,6 +108,11 @@ def rules(settings: Settings) -> Rules:
     )
 
 
+def telemetry_hz(settings: Settings) -> float:
+    """How often `hexapod/telemetry` is published; 0: never, since the setting or the robot has none."""
+    return settings.telemetry.rate_hz if settings.spi.protocol.measures else 0.0
+
+
 def device_opener(
     settings: Settings, *, simulated: bool, page: ServoPage | None = None, faults: Faults | None = None
 ) -> Callable[[], SpiDevice]:
@@ -142,7 +147,7 @@ def _recorder(settings: Settings, *, simulated: bool) -> Recorder:
     facts: dict[str, Any] = {
         "version": __version__,
         "simulated": simulated,
-        "framing": settings.spi.framing,
+        "framing": settings.spi.protocol.framing(settings.spi.framing),
         "timeout_ms": settings.watchdog.timeout_ms,
     }
     stops = stop_note.take()
@@ -271,7 +276,13 @@ async def _run(
         connection_limiter, upkeep = _attendants(session, config, conductor, notifier, shut_out)
         on_ready(config)
         tasks = [
-            asyncio.create_task(_report_state(settings, conductor, outbox)),
+            *(
+                asyncio.create_task(_report(key, rate_hz, publish, conductor, outbox))
+                for key, rate_hz, publish in (
+                    (STATE, settings.telemetry.state_hz, conductor.publish_state),
+                    (TELEMETRY, telemetry_hz(settings), conductor.publish_telemetry),
+                )
+            ),
             asyncio.create_task(
                 _beat(notifier, conductor, inbox, UnknownKeys(session, physics and physics.zenoh_id), servos, end)
             ),
@@ -335,6 +346,7 @@ def _inbox(
     """The inbox, connected with the conductor."""
     lease = LeaseAnswers(conductor, settings.lease.ttl_ms, checker)
     button = ButtonAnswers(conductor, settings.buttons, checker)
+    measures = settings.spi.protocol.measures
     inbox = Inbox(
         session,
         loop,
@@ -345,6 +357,7 @@ def _inbox(
         readers={
             **{each.key: each.note for each in (lease, button, calibrations, revocations)},
             CALIBRATION: lambda _query, _ns, reply: partial(calibrations.answer, reply),
+            **({TELEMETRY: lambda _query, _ns, reply: partial(conductor.answer_telemetry, reply)} if measures else {}),
         },
         tokens={lease.key: conductor.supervisor.lease.holds, button.key: conductor.supervisor.buttons.knows},
         depth=put_depth(settings.limits.leg_rate_hz, settings.watchdog.timeout_ms),
@@ -368,13 +381,15 @@ def _attendants(
     return ConnectionLimiter(session, conductor.metrics.count_sessions, revoked, older.note), upkeep
 
 
-async def _report_state(settings: Settings, conductor: Conductor, outbox: ZenohOutbox) -> None:
-    """Publish the state `telemetry.state_hz` times a second (changes of mode are published as they happen)."""
-    while settings.telemetry.state_hz:
-        await asyncio.sleep(1 / settings.telemetry.state_hz)
-        if outbox.anyone_listens(STATE):
+async def _report(
+    key: str, rate_hz: float, publish: Callable[[], None], conductor: Conductor, outbox: ZenohOutbox
+) -> None:
+    """Publish on `key` so many times a second, if anyone listens (changes of mode are published as they happen)."""
+    while rate_hz:
+        await asyncio.sleep(1 / rate_hz)
+        if outbox.anyone_listens(key):
             with conductor.owner:  # it also orders reports: an older state must not follow a newer one
-                conductor.publish_state()
+                publish()
 
 
 async def _beat(

@@ -28,6 +28,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
+from gateway.model import elkapod
 from gateway.model.frames import ServoOp
 from schemas.calibration import Calibration
 from schemas.robot import JOINTS
@@ -58,6 +59,7 @@ pack_slot_into: Final = _SLOT.pack_into
 
 START, END, COMMAND, DECISION, FRAME, MODE, EVENT, LAG, INCIDENT, MORE, CLOCK, CARRIED_OUT, CALIBRATION = range(1, 14)
 ABOUT: Final = 14
+MEASURED: Final = 15
 
 
 ACCEPTED: Final = "accepted"
@@ -186,6 +188,13 @@ class About:
     facts: dict[str, Any]
 
 
+@dataclass(frozen=True, slots=True)
+class BodyMeasured:
+    """What the robot measured, recorded ten times a second at most."""
+
+    values: elkapod.Measured
+
+
 Content = (
     Start
     | End
@@ -199,6 +208,7 @@ Content = (
     | IncidentBegun
     | Calibrated
     | About
+    | BodyMeasured
 )
 
 
@@ -421,3 +431,8 @@ def calibration(report: Calibration) -> bytes:
 def about(facts: dict[str, Any]) -> bytes:
     """Bytes of an About, 2000 at most."""
     return json.dumps(facts).encode()
+
+
+def measured(values: elkapod.Measured) -> bytes:
+    """Bytes of a BodyMeasured: an answer as on the wire, whose values are float32, so that none is rounded."""
+    return elkapod.answer(values)

@@ -17,6 +17,8 @@ INCIDENT_NAMES: Final = {
     Kind.LANDING: "landing",
     Kind.ESTOP_ENGAGED: "estop",
     Kind.BUS_FAULT: "bus-fault",
+    Kind.CONTROLLER_SILENT: "controller-silent",
+    Kind.FALLEN: "fallen",
     Kind.OVERFLOW: "overflow",
     Kind.LEASE_TAKEN: "lease-taken",
     Kind.STOPPED_OUTSIDE: "stopped-outside",

@@ -10,6 +10,7 @@ from pydantic_core import from_json
 
 from gateway.model.black_box import format as form
 from gateway.model.calibration import calibration_of
+from gateway.model.elkapod import measured
 from gateway.model.frames import MAX_ANGLE_CDEG, Op, ServoOp
 from schemas.calibration import Calibration
 from schemas.telemetry import Cause
@@ -128,5 +129,6 @@ _READERS: Final[dict[int, Callable[[bytes], form.Content]]] = {
     form.LAG: lambda rest: form.Lag(form.WALL.unpack(rest)[0]),
     form.CALIBRATION: _calibrated,
     form.ABOUT: _about,
+    form.MEASURED: lambda rest: form.BodyMeasured(measured(rest)),
     form.INCIDENT: lambda rest: form.IncidentBegun(_wall_ns(rest), rest[form.WALL.size :].decode()),
 }

@@ -13,6 +13,7 @@ from pydantic import BaseModel
 
 from gateway import __version__
 from gateway.errors import SpiError
+from gateway.model.elkapod import Measured
 from gateway.model.staleness import Staleness
 from gateway.robot.blackbox.recorder import Recorder
 from gateway.robot.core.events import (
@@ -42,6 +43,7 @@ from gateway.robot.runtime.executor import Executor, Outcome
 from gateway.robot.runtime.metrics import Metrics
 from gateway.robot.runtime.preamble import PreambleInPauses
 from gateway.robot.runtime.report import StateReports
+from gateway.robot.runtime.telemetry import LatestTelemetry
 from gateway.robot.settings import Settings
 from gateway.robot.spi.bus import Bus
 from schemas import keys
@@ -83,6 +85,7 @@ class Conductor:
         """Callers hold it."""
         self.metrics = Metrics()
         self.recorder = recorder
+        self.telemetry = LatestTelemetry()
         self._outbox = outbox
         self._events = EventPublisher(outbox, recorder, clock)
         self.answers = PendingCommands(self.metrics, recorder, self._events)
@@ -209,6 +212,13 @@ class Conductor:
         if at_work is not self.supervisor.stopped_outside:
             self._step(StoppedOutside(at_work))
             self._arm()
+
+    def measured(self, values: Measured, now_ns: int) -> None:
+        """Take what the robot measured: one well-formed answer of its controller."""
+        if self._closed:
+            return
+        self.telemetry.note(values, now_ns)
+        self.recorder.measured(values, now_ns)
 
     def _do_what_is_due(self, instant_ns: int) -> None:
         if self.supervisor.due_ns is not None and self._clock() >= self.supervisor.due_ns:
@@ -362,7 +372,24 @@ class Conductor:
             self._clock(),
             estop_source=self._events.estop_source,
             incident=self.recorder.incident,
+            battery=self.telemetry.battery,
         )
+
+    @property
+    def controller_age_s(self) -> float | None:
+        """Since the controller's last well-formed answer; None: there was none. Reading it needs no owner."""
+        answered_ns = self.bus.answered_ns
+        return None if answered_ns is None else (self._clock() - answered_ns) / 1e9
+
+    def publish_telemetry(self) -> None:
+        """Publish what the robot measures, if it does."""
+        report = self.telemetry.report(self._clock())
+        if report is not None:
+            self._outbox.publish(keys.TELEMETRY, report)
+
+    def answer_telemetry(self, reply: Reply) -> None:
+        """Answer a `get` on what the robot measures."""
+        self.telemetry.answer(reply, self._clock())
 
     def _publish_mode(self) -> None:
         mode = self.supervisor.mode

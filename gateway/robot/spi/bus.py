@@ -160,6 +160,10 @@ class Bus:
         self._zeros_failed_ns = 0  # how long these took
         self.frames = 0
         self.errors = 0
+        self.controller_alive: bool | None = None
+        """Whether the controller sends what it should; None: on this wire it sends nothing."""
+        self.answered_ns: int | None = None
+        """When its last well-formed answer came; None: none has."""
         self.transfer_latency = Latency()
 
     def open(self) -> None:
