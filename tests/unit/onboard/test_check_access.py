@@ -70,7 +70,7 @@ def test_a_message_or_a_direction_that_a_rule_lacks_is_named(tmp_path: Path) -> 
     assert "26 more" not in result.sentence
     assert "(delete)" in result.sentence
     (result,) = checked(re.sub(r'("telemetry".*?)egress', r"\1ingress", made(), flags=re.DOTALL), tmp_path)
-    assert "does not let hexapod/state, hexapod/event, hexapod/frame and 2 more through (put)" in result.sentence
+    assert "does not let hexapod/state, hexapod/event, hexapod/frame and 3 more through (put)" in result.sentence
 
 
 def test_one_that_was_made_by_hand_key_by_key_passes_but_for_what_it_lacks(tmp_path: Path) -> None:

@@ -392,7 +392,11 @@ async def test_an_incident_shows_tilt_battery_and_feet_around_it(folder: Path) -
 
 def test_telemetry_that_was_changed_by_hand_is_left_out_of_the_story() -> None:
     begun = RecordedMessage(RECORDER, {"what": "incident", "detail": BEGUN.incident, "time": "9"}, 0, 0)
-    changed = [{}, {"time": "9", "age_ms": "x"}, {"time": "2026-09-21T00:00:00Z", "age_ms": 0, "battery": {}}]
+    changed: list[dict[str, Any]] = [
+        {},
+        {"time": "9", "age_ms": "x"},
+        {"time": "2026-09-21T00:00:00Z", "age_ms": 0, "battery": {}},
+    ]
     those = [RecordedMessage(keys.TELEMETRY, content, 0, 0) for content in changed]
     assert len(story([begun, *those])) == 1
     (line,) = story([begun, RecordedMessage(keys.TELEMETRY, {"time": "2026-09-21T00:00:00Z", "age_ms": 0}, 0, 0)])[1:]

@@ -92,7 +92,8 @@ async def test_the_state_has_the_controller_and_the_battery() -> None:
     robot.conductor.measured(MEASURED, robot.now_ns())
     await asyncio.sleep(0.25)
     state = robot.conductor.state()
-    assert (state.controller.alive, state.controller.age_ms) == (True, pytest.approx(250))
+    assert state.controller.alive
+    assert state.controller.age_ms == pytest.approx(250)
     assert state.battery == Battery(voltage_v=7.5, percent=80)
 
 
