@@ -108,11 +108,6 @@ def rules(settings: Settings) -> Rules:
     )
 
 
-def telemetry_hz(settings: Settings) -> float:
-    """How often `hexapod/telemetry` is published; 0: never, since the setting or the robot has none."""
-    return settings.telemetry.rate_hz if settings.spi.protocol.measures else 0.0
-
-
 def device_opener(
     settings: Settings, *, simulated: bool, page: ServoPage | None = None, faults: Faults | None = None
 ) -> Callable[[], SpiDevice]:
@@ -276,13 +271,7 @@ async def _run(
         connection_limiter, upkeep = _attendants(session, config, conductor, notifier, shut_out)
         on_ready(config)
         tasks = [
-            *(
-                asyncio.create_task(_report(key, rate_hz, publish, conductor, outbox))
-                for key, rate_hz, publish in (
-                    (STATE, settings.telemetry.state_hz, conductor.publish_state),
-                    (TELEMETRY, telemetry_hz(settings), conductor.publish_telemetry),
-                )
-            ),
+            *_report_tasks(settings, conductor, outbox),
             asyncio.create_task(
                 _beat(notifier, conductor, inbox, UnknownKeys(session, physics and physics.zenoh_id), servos, end)
             ),
@@ -379,6 +368,15 @@ def _attendants(
     revoked = frozenset() if shut_out is None or shut_out.known is None else shut_out.known.common_names
     older = OlderCa(shut_out, conductor.metrics.count_older_ca)
     return ConnectionLimiter(session, conductor.metrics.count_sessions, revoked, older.note), upkeep
+
+
+def _report_tasks(settings: Settings, conductor: Conductor, outbox: ZenohOutbox) -> list[asyncio.Task[None]]:
+    """Publish the state, and what the robot measures if it does."""
+    telemetry_hz = settings.telemetry.rate_hz if settings.spi.protocol.measures else 0.0
+    return [
+        asyncio.create_task(_report(STATE, settings.telemetry.state_hz, conductor.publish_state, conductor, outbox)),
+        asyncio.create_task(_report(TELEMETRY, telemetry_hz, conductor.publish_telemetry, conductor, outbox)),
+    ]
 
 
 async def _report(

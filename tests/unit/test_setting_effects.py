@@ -52,6 +52,7 @@ SHOWN_ELSEWHERE = {
     "recorder.path": "test_recorder.py",
     "recorder.seconds": "test_recorder.py",
     "telemetry.state_hz": "test_service.py",
+    "telemetry.rate_hz": "test_telemetry.py",
     "telemetry.metrics": "test_metrics.py",
     "telemetry.metrics_hosts": "test_metrics.py",
     "log.level": "test_logs.py",

@@ -15,7 +15,7 @@ from gateway.robot.core.supervisor import Supervisor
 from gateway.robot.runtime.calibrations import Calibrations
 from gateway.robot.runtime.conductor import Conductor
 from gateway.robot.runtime.revocations import Revocations
-from gateway.robot.service import _inbox, _report, rules, telemetry_hz
+from gateway.robot.service import _inbox, _report_tasks, rules
 from gateway.robot.settings import Settings
 from gateway.robot.spi.bus import Bus
 from gateway.robot.spi.simulator import SimulatedController
@@ -54,13 +54,13 @@ async def served(**sections: Any) -> AsyncIterator[tuple[Conductor, zenoh.Sessio
                 Revocations(conductor, None, loop, lambda: None),
             )
             inbox = _inbox(session, loop, conductor, None, settings, calibrations, revocations)
-        publishing = _report(TELEMETRY, telemetry_hz(settings), conductor.publish_telemetry, conductor, outbox)
-        task = asyncio.create_task(publishing)
+        tasks = _report_tasks(settings, conductor, outbox)
         try:
             with closing(open_session(client_config(endpoint))) as laptop:
                 yield conductor, laptop
         finally:
-            task.cancel()
+            for task in tasks:
+                task.cancel()
             with conductor.owner:
                 conductor.close()
             inbox.close()
@@ -83,7 +83,7 @@ async def test_what_is_measured_is_published_to_whom_listens_and_answered() -> N
                 (answer,) = await asyncio.to_thread(answers, laptop, TELEMETRY)
                 report = Telemetry.model_validate_json(answer)
                 assert (report.tilt_deg, report.feet) == (tilt_deg, values.feet)
-                assert await asyncio.to_thread(watching.has_tilt, tilt_deg)
+                assert await asyncio.wait_for(asyncio.to_thread(watching.has_tilt, tilt_deg), 10)
 
 
 class Watching:
