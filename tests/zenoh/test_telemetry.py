@@ -72,7 +72,7 @@ def answers(laptop: zenoh.Session, key: str) -> list[bytes]:
     return [answer.ok.payload.to_bytes() for answer in laptop.get(key, timeout=10) if answer.ok]
 
 
-async def test_what_is_measured_is_published_to_whom_listens_and_answered() -> None:
+async def test_what_is_measured_is_published_while_somebody_listens_and_answered() -> None:
     async with served(spi={"protocol": "elkapod-2025"}, telemetry={"rate_hz": 100}) as (conductor, laptop):
         assert await asyncio.to_thread(answers, laptop, TELEMETRY) == [], "nothing was measured yet"
         assert len(await asyncio.to_thread(answers, laptop, CALIBRATION)) == 1
