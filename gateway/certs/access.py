@@ -66,8 +66,8 @@ TRAFFIC: Final = (
     Traffic("check-ins that it takes", False, ("declare_queryable",), (keys.BUTTON,), (BUTTON,)),
     Traffic("watching", True, ("declare_subscriber",), PUBLISHED),
     Traffic("telemetry", False, ("put",), PUBLISHED),
-    Traffic("asking for state and calibration", True, ("query",), ASKABLE),
-    Traffic("state and calibration as an answer", False, ("reply", "declare_queryable"), ASKABLE),
+    Traffic("asking for reports", True, ("query",), ASKABLE),
+    Traffic("reports as an answer", False, ("reply", "declare_queryable"), ASKABLE),
     Traffic("asking who is alive", True, ("declare_liveliness_subscriber", "liveliness_query"), (ALIVE,)),
     Traffic("alive", False, ("liveliness_token",), (ALIVE,)),
 )

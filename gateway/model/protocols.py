@@ -2,6 +2,8 @@
 
 import enum
 
+from gateway.model.framing import Framing
+
 
 class SpiProtocol(enum.StrEnum):
     """HEXAPOD_1_0: the frames of HexapodProtocol v1.0.0. ELKAPOD_2025: full-duplex frames of 80 bytes, and a UART."""
@@ -18,6 +20,14 @@ class SpiProtocol(enum.StrEnum):
     def starts_whole(self) -> bool:
         """Whether only the whole robot can be started and stopped, since the wire knows no servo's start and stop."""
         return self is SpiProtocol.ELKAPOD_2025
+
+    def version(self, framing: Framing) -> str:
+        """What its frames are, as the gateway reports it: the version of HexapodProtocol, or this wire's own name."""
+        return self if self.measures else framing.protocol
+
+    def framing(self, framing: Framing) -> str:
+        """The framing in use, as the gateway reports it: "none" where frames are transfers as they are."""
+        return "none" if self.measures else framing
 
     @property
     def speed_hz(self) -> int:

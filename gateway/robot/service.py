@@ -118,7 +118,7 @@ def _recorder(settings: Settings, *, simulated: bool) -> Recorder:
     facts: dict[str, Any] = {
         "version": __version__,
         "simulated": simulated,
-        "framing": settings.spi.framing,
+        "framing": settings.spi.protocol.framing(settings.spi.framing),
         "timeout_ms": settings.watchdog.timeout_ms,
     }
     stops = stop_note.take()
@@ -249,12 +249,7 @@ async def _run(
         connection_limiter, upkeep = _attendants(session, config, conductor, notifier, shut_out)
         on_ready(config)
         tasks = [
-            asyncio.create_task(
-                _report(STATE, settings.telemetry.state_hz, conductor.publish_state, conductor, outbox)
-            ),
-            asyncio.create_task(
-                _report(TELEMETRY, settings.telemetry.rate_hz, conductor.publish_telemetry, conductor, outbox)
-            ),
+            *_report_tasks(settings, conductor, outbox),
             asyncio.create_task(
                 _beat(notifier, conductor, inbox, UnknownKeys(session, physics and physics.zenoh_id), servos, end)
             ),
@@ -325,6 +320,7 @@ def _inbox(
     """The inbox, connected with the conductor."""
     lease = LeaseAnswers(conductor, settings.lease.ttl_ms, checker)
     button = ButtonAnswers(conductor, settings.buttons, checker)
+    measures = settings.spi.protocol.measures
     inbox = Inbox(
         session,
         loop,
@@ -334,8 +330,8 @@ def _inbox(
         on_state_query=conductor.answer_state,
         readers={
             **{each.key: each.note for each in (lease, button, calibrations, revocations)},
-            TELEMETRY: lambda _query, _ns, reply: partial(conductor.answer_telemetry, reply),
             CALIBRATION: lambda _query, _ns, reply: partial(calibrations.answer, reply),
+            **({TELEMETRY: lambda _query, _ns, reply: partial(conductor.answer_telemetry, reply)} if measures else {}),
         },
         tokens={lease.key: conductor.supervisor.lease.holds, button.key: conductor.supervisor.buttons.knows},
         depth=put_depth(settings.limits.leg_rate_hz, settings.watchdog.timeout_ms),
@@ -359,14 +355,23 @@ def _attendants(
     return ConnectionLimiter(session, conductor.metrics.count_sessions, revoked, older.note), upkeep
 
 
+def _report_tasks(settings: Settings, conductor: Conductor, outbox: ZenohOutbox) -> list[asyncio.Task[None]]:
+    """Publish the state, and what the robot measures if it does."""
+    telemetry_hz = settings.telemetry.rate_hz if settings.spi.protocol.measures else 0.0
+    return [
+        asyncio.create_task(_report(STATE, settings.telemetry.state_hz, conductor.publish_state, conductor, outbox)),
+        asyncio.create_task(_report(TELEMETRY, telemetry_hz, conductor.publish_telemetry, conductor, outbox)),
+    ]
+
+
 async def _report(
     key: str, rate_hz: float, publish: Callable[[], None], conductor: Conductor, outbox: ZenohOutbox
 ) -> None:
-    """Publish `rate_hz` times a second (0: never) where anybody listens; changes of mode are published at once."""
+    """Publish on `key` so many times a second, if anyone listens (changes of mode are published as they happen)."""
     while rate_hz:
         await asyncio.sleep(1 / rate_hz)
         if outbox.anyone_listens(key):
-            with conductor.owner:  # it also orders reports: an older one must not follow a newer one
+            with conductor.owner:  # it also orders reports: an older state must not follow a newer one
                 publish()
 
 

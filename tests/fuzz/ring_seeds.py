@@ -19,6 +19,7 @@ from gateway.model.frames import stop_leg
 from gateway.robot.blackbox.ring import RecordRing
 from schemas import keys
 from tests.fuzz.ring_image import BODY, MAX_SLOTS, input_of
+from tests.support.measured import MEASURED
 from tests.support.robot import WALL_NS, Robot, leg
 
 LEG_3: Final = keys.leg_command(3)
@@ -133,6 +134,9 @@ HOSTILE: Final[Written] = [
     (form.CALIBRATION, 9, b'{"revision":-1,"servos":{"77":{"trim_deg":1e999,"min_deg":9}},"landing":{"":NaN}}'),
     (form.ABOUT, 9, b'{"version":"9","limits":{"servos":[[[[{}]]]]}}'),
     (form.ABOUT, 9, b'{"version":NaN}'),
+    (form.MEASURED, 10, form.measured(MEASURED)),
+    (form.MEASURED, 10, form.measured(MEASURED._replace(voltage_v=float("nan")))),
+    (form.MEASURED, 10, form.measured(MEASURED)[:-1]),
     (form.FRAME, 10, form.frame(stop_leg(3).to_bytes(), "watchdog", 1)),
 ]
 """What no recorder writes in this way."""

@@ -29,7 +29,6 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from gateway.model import elkapod
-from gateway.model.elkapod import Measured
 from gateway.model.frames import ServoOp
 from schemas.calibration import Calibration
 from schemas.robot import JOINTS
@@ -190,10 +189,10 @@ class About:
 
 
 @dataclass(frozen=True, slots=True)
-class BodyState:
-    """What the robot measures, recorded ten times a second."""
+class BodyMeasured:
+    """What the robot measured, recorded ten times a second at most."""
 
-    values: Measured
+    values: elkapod.Measured
 
 
 Content = (
@@ -209,7 +208,7 @@ Content = (
     | IncidentBegun
     | Calibrated
     | About
-    | BodyState
+    | BodyMeasured
 )
 
 
@@ -429,11 +428,11 @@ def calibration(report: Calibration) -> bytes:
     return report.model_dump_json().encode()
 
 
-def measured(values: Measured) -> bytes:
-    """Bytes of a BodyState: those of the answer."""
-    return elkapod.answer(values)
-
-
 def about(facts: dict[str, Any]) -> bytes:
     """Bytes of an About, 2000 at most."""
     return json.dumps(facts).encode()
+
+
+def measured(values: elkapod.Measured) -> bytes:
+    """Bytes of a BodyMeasured: an answer as on the wire, whose values are float32, so that none is rounded."""
+    return elkapod.answer(values)

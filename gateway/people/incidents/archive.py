@@ -13,6 +13,7 @@ from typing import Final, NamedTuple
 from pydantic import BaseModel, TypeAdapter
 
 from gateway import durable
+from gateway.model.black_box import format as form
 from gateway.people.incidents.incidents import Incident, is_id
 from gateway.people.incidents.messages import COMMAND_TOPICS, RECORDER, CommandInBox, FrameInBox, Note, messages
 from gateway.people.incidents.ring_reader import Records
@@ -20,8 +21,8 @@ from gateway.people.incidents.story import headline
 from gateway.people.recordings import REPORTS, RecordedMessage, Recording
 from gateway.people.recordings.plain_schema import Schema, plain_schema
 from schemas.calibration import Calibration
-from schemas.keys import CALIBRATION, EVENT, FRAME
-from schemas.telemetry import Event
+from schemas.keys import CALIBRATION, EVENT, FRAME, TELEMETRY
+from schemas.telemetry import Event, Telemetry
 
 MAX_FILES: Final = 100
 _MAX_BYTES: Final = 200_000_000
@@ -75,7 +76,13 @@ def path_of(folder: Path, incident: Incident) -> Path:
 def write(path: Path, incident: Incident, records: Records) -> str:
     """Write an incident to a file; returns its headline. Raises OSError, FileExistsError."""
     begin_ns = incident.wall_ns(incident.begin_ns)
-    with Recording(path, time_ns=begin_ns, reports={EVENT: Event}) as recording:
+    reports: dict[str, type[BaseModel]] = {EVENT: Event}
+    if any(
+        kind == form.MEASURED and incident.begin_ns <= ns <= incident.end_ns
+        for kind, ns in zip(records.kinds, records.times_ns, strict=True)
+    ):
+        reports[TELEMETRY] = Telemetry
+    with Recording(path, time_ns=begin_ns, reports=reports) as recording:
         if about := records.about_at(incident.zero_ns):
             recording.describe(about)
         return headline(_written(messages(incident, records), recording))

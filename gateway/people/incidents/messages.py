@@ -12,7 +12,7 @@ from pydantic import AwareDatetime, Field
 from gateway.model.black_box import format as form
 from gateway.model.black_box.format import ACCEPTED
 from gateway.model.frames import Op
-from gateway.model.measurements import telemetry_of
+from gateway.model.telemetry import report_of
 from gateway.people.incidents.incidents import Incident
 from gateway.people.incidents.ring_reader import Records
 from gateway.people.recordings import RecordedMessage
@@ -197,8 +197,8 @@ def _message(
                 transfer_us=frame.transfer_ns / 1000,
                 late_us=frame.late_ns / 1000 if frame.late_ns else None,
             )
-        case form.Calibrated() | form.BodyState() | form.EventPublished() as told:
-            return _told(told, time)
+        case form.Calibrated() | form.BodyMeasured() | form.EventPublished() as published:
+            return _published(published, time)
         case form.Decision(number=0, verdict=detail, key=key, source=source) if not is_told:
             what = "rejected"
         case form.Start(facts=facts):
@@ -215,13 +215,15 @@ def _message(
     return RECORDER, Note(time=time, what=what, detail=detail, source=source, key=key)
 
 
-def _told(content: form.Calibrated | form.BodyState | form.EventPublished, time: datetime) -> tuple[str, Report]:
-    """What the gateway publishes as well."""
+def _published(
+    content: form.Calibrated | form.BodyMeasured | form.EventPublished, time: datetime
+) -> tuple[str, Report]:
+    """What has its own key also outside of incidents."""
     match content:
         case form.Calibrated(calibration=calibration):
             return keys.CALIBRATION, calibration
-        case form.BodyState(values=values):
-            return keys.TELEMETRY, telemetry_of(values, time, age_ms=0)
+        case form.BodyMeasured(values=values):
+            return keys.TELEMETRY, report_of(values, time, 0.0)
         case form.EventPublished() as event:
             return keys.EVENT, Event(time=time, **asdict(event))
 

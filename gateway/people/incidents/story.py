@@ -4,7 +4,10 @@ from array import array
 from bisect import bisect
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
 from typing import Any, Final, NamedTuple
+
+from pydantic import ValidationError
 
 from gateway.model.black_box.incidents import INCIDENT_NAMES, MISTAKE
 from gateway.model.frames import Op
@@ -15,7 +18,7 @@ from gateway.people.recordings.user_angles import FrameIn, frames_in
 from gateway.text import visible
 from schemas import keys
 from schemas.robot import LEGS
-from schemas.telemetry import Cause, Kind
+from schemas.telemetry import Cause, Kind, Telemetry
 
 _TOGETHER_NS: Final = 15_000_000
 """Frames of one cause that follow each other within this are one line. Repeats come 20 ms apart by default."""
@@ -24,6 +27,7 @@ FINE_MS: Final = 100.0
 
 _WHAT: Final = {
     "watchdog": "a leg was silent, and was stopped",
+    "fallen": "the body tilted too far, and all legs were stopped",
     "button": "too few stop buttons were alive, and all legs were stopped",
     "landing": "a leg was silent, and the robot went to its landing pose",
     "overflow": "messages were lost on the way to the gateway, and legs were stopped for it",
@@ -32,7 +36,6 @@ _WHAT: Final = {
     "estop": "somebody requested an emergency stop",
     "bus-fault": "the SPI bus failed",
     "controller-silent": "the controller fell silent, and all legs were stopped",
-    "fallen": "the body fell, or was lifted, and all legs were stopped",
     "mistake": "a mistake in the gateway ended it",
     "crash": "the gateway ended without a word",
 }
@@ -83,7 +86,7 @@ def story(messages: list[RecordedMessage]) -> list[str]:
     reported = [each._replace(time_ns=each.time_ns - zero.time_ns) for each in messages if each is not zero]
     frames = list(frames_in(reported))
     lines = [*_commands(reported, frames, name), *_rejections(reported), *_events(reported, name)]
-    lines += [*_stops(frames), *_notes(reported), *_landings(reported, frames)]
+    lines += [*_stops(frames), *_notes(reported), *_landings(reported, frames), *_measured(reported)]
     lines.sort(key=lambda line: line.at_ns)
     width = max((len(_at(line.at_ns)) for line in lines), default=0)
     head = f"{name}: {headline(messages)}, at {zero.content.get('time')}"
@@ -337,6 +340,37 @@ def _landings(messages: Iterable[RecordedMessage], frames: Iterable[FrameIn]) ->
         count = f"{len(way)} frames" if len(way) > 1 else "one frame"
         yield Line(first_ns, "first frame of the way down")
         yield Line(last_ns, f"last frame of the way down, after {count}; {standing}")
+
+
+def _measured(messages: Iterable[RecordedMessage]) -> Iterator[Line]:
+    """What the robot measured when it happened, and when its body was tilted most and its battery lowest."""
+    found: list[tuple[int, Telemetry]] = []
+    for message in messages:
+        if message.topic == keys.TELEMETRY:
+            with suppress(ValidationError):  # changed by hand
+                found.append((message.time_ns, Telemetry.model_validate(message.content)))
+    if not found:
+        return
+    named = {max((number for number, (at_ns, _) in enumerate(found) if at_ns <= 0), default=0): "measured"}
+    tilts = {number: each.tilt_deg for number, (_, each) in enumerate(found) if each.tilt_deg is not None}
+    volts = {number: each.battery.voltage_v for number, (_, each) in enumerate(found) if each.battery is not None}
+    if tilts:
+        named.setdefault(max(tilts, key=tilts.__getitem__), "tilted most")
+    if volts:
+        named.setdefault(min(volts, key=volts.__getitem__), "battery lowest")
+    yield from (Line(found[number][0], f"{what}: {_values(found[number][1])}") for number, what in named.items())
+
+
+def _values(measured: Telemetry) -> str:
+    """tilt 2.1°, battery 7.40 V (80 %), 31.5 °C, feet 1 2 3 4 5 6"""
+    parts = ["tilt unknown" if measured.tilt_deg is None else f"tilt {measured.tilt_deg:.1f}°"]
+    if measured.battery is not None:
+        parts.append(f"battery {measured.battery.voltage_v:.2f} V ({measured.battery.percent:.0f} %)")
+    if measured.temperature_c is not None:
+        parts.append(f"{measured.temperature_c:.1f} °C")
+    if measured.feet is not None:
+        parts.append("feet " + " ".join(f"{force:.3g}" for force in measured.feet))
+    return ", ".join(parts)
 
 
 def _standing(stands: dict[int, int | None]) -> str:

@@ -32,7 +32,7 @@ CLOCK_NS: Final = 1_000_000_000
 ABOUT_NS: Final = 10_000_000_000
 """How often versions and settings are recorded: an incident reaches back as far, and has them among its records."""
 MEASURED_NS: Final = 100_000_000
-"""A fall takes some tenths of a second; each cycle's measurement would halve what the ring holds of a gait."""
+"""What the robot measures is recorded at most so often: 1 % of the ring, and a fall takes longer."""
 KEPT_BEFORE_OPEN: Final = 200
 """Records before the ring is open: the first Stops do not wait for it."""
 
@@ -65,7 +65,7 @@ class Recorder:
         self._append: Callable[[int, int, bytes], None] = self._wait
         self._clock_ns = 0  # of the latest record of the wall clock
         self._about_ns = -ABOUT_NS
-        self._measured_ns = 0
+        self._measured_ns = -MEASURED_NS
         self._first_ns = self._until_ns = 0  # what belongs to the latest incident
         self._on = paths.folder_of(settings) is not None
         if self._on:
@@ -174,7 +174,7 @@ class Recorder:
             self._append(form.ABOUT, now_ns, self._about)
 
     def measured(self, values: Measured, now_ns: int) -> None:
-        """Record what the robot measures, ten times a second at most."""
+        """Record what the robot measured, unless the latest record of that is too new."""
         if self._on and now_ns - self._measured_ns >= MEASURED_NS:
             self._measured_ns = now_ns
             self._append(form.MEASURED, now_ns, form.measured(values))
@@ -226,7 +226,7 @@ def _about(settings: Settings, facts: dict[str, Any]) -> dict[str, Any]:
     """Version and settings, under the same names as in a recording."""
     return {
         "version": __version__,
-        "protocol": settings.spi.spoken if settings.spi.protocol.measures else settings.spi.framing.protocol,
+        "protocol": settings.spi.protocol.version(settings.spi.framing),
         "simulated": facts.get("simulated"),
         "spi": settings.spi.model_dump(mode="json"),
         "watchdog": settings.watchdog.model_dump(mode="json"),

@@ -45,7 +45,7 @@ from gateway.robot.runtime.executor import Executor, Outcome
 from gateway.robot.runtime.metrics import Metrics
 from gateway.robot.runtime.preamble import PreambleInPauses
 from gateway.robot.runtime.report import StateReports
-from gateway.robot.runtime.telemetry import MeasuredReports
+from gateway.robot.runtime.telemetry import LatestTelemetry
 from gateway.robot.settings import Settings
 from gateway.robot.spi.bus import Bus
 from schemas import keys
@@ -87,6 +87,7 @@ class Conductor:
         """Callers hold it."""
         self.metrics = Metrics()
         self.recorder = recorder
+        self.telemetry = LatestTelemetry()
         self._outbox = outbox
         self._events = EventPublisher(outbox, recorder, clock)
         self.answers = PendingCommands(self.metrics, recorder, self._events)
@@ -102,7 +103,6 @@ class Conductor:
             calibration_kept=calibration_kept,
             started_ns=self._instant_ns,
         )
-        self.telemetry = MeasuredReports()
         self._messages: Messages = NoMessages()
         self._losses = Losses()
         self._staleness = Staleness(settings.limits.max_age_ms) if settings.limits.max_age_ms else None
@@ -210,16 +210,6 @@ class Conductor:
         judge = self._staleness
         return None if judge is None else judge.too_old(request.source, request.sent_ms, now_ns, instant_ns)
 
-    def measured(self, values: Measured, now_ns: int) -> None:
-        """The controller has answered."""
-        self.telemetry.note(values, now_ns)
-        self.recorder.measured(values, now_ns)
-        if self.supervisor.wants_measurements and not self._closed:
-            tilt_deg = values.tilt_deg
-            tilt_cdeg = None if tilt_deg is None else round(tilt_deg * 100)
-            self._step(BodyMeasured(tilt_cdeg, round(values.voltage_v * 1000)))
-            self._arm()
-
     def look_outside(self) -> None:
         """Learn of `stop-servos` on the same device and of its end, and of settings that another program changed."""
         silent = self.bus.silent(self._clock())  # here, too: a transfer that hangs keeps the cycle from looking
@@ -235,6 +225,18 @@ class Conductor:
         at_work = self.bus.stop_servos_at_work()
         if at_work is not self.supervisor.stopped_outside:
             self._step(StoppedOutside(at_work))
+            self._arm()
+
+    def measured(self, values: Measured, now_ns: int) -> None:
+        """Take what the robot measured: one well-formed answer of its controller."""
+        if self._closed:
+            return
+        self.telemetry.note(values, now_ns)
+        self.recorder.measured(values, now_ns)
+        if self.supervisor.wants_measurements:
+            tilt_deg = values.tilt_deg
+            tilt_cdeg = None if tilt_deg is None else round(tilt_deg * 100)
+            self._step(BodyMeasured(tilt_cdeg, round(values.voltage_v * 1000)))
             self._arm()
 
     def _do_what_is_due(self, instant_ns: int) -> None:
@@ -396,6 +398,12 @@ class Conductor:
             battery=self.telemetry.battery,
         )
 
+    @property
+    def controller_age_s(self) -> float | None:
+        """Since the controller's last well-formed answer; None: there was none. Reading it needs no owner."""
+        answered_ns = self.bus.answered_ns
+        return None if answered_ns is None else (self._clock() - answered_ns) / 1e9
+
     def publish_telemetry(self) -> None:
         """Publish what the robot measures, if it does."""
         report = self.telemetry.report(self._clock())
@@ -403,10 +411,8 @@ class Conductor:
             self._outbox.publish(keys.TELEMETRY, report)
 
     def answer_telemetry(self, reply: Reply) -> None:
-        """Answer a `get` on the telemetry; without a measurement there is no answer."""
-        report = self.telemetry.report(self._clock())
-        if report is not None:
-            reply(report.model_dump_json().encode())
+        """Answer a `get` on what the robot measures."""
+        self.telemetry.answer(reply, self._clock())
 
     def _publish_mode(self) -> None:
         mode = self.supervisor.mode

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 logger = logging.getLogger(__name__)
 
 
-class _Numbers(Collector):
+class Numbers(Collector):
     """Reads the numbers at each scrape. It takes no lock, so that no Stop waits for it."""
 
     def __init__(self, conductor: Conductor) -> None:
@@ -85,7 +85,6 @@ class _Numbers(Collector):
         yield _gauge("buttons_required", "How many must, for anything to move", buttons.required)
         yield _gauge("calibration_revision", "The calibration in force", calibrating.in_force.revision)
         yield _gauge("calibration_fault", "1: it cannot be read, and nothing starts", calibrating.fault is not None)
-        yield from self._measured()
         modes = {mode: mode is supervisor.mode for mode in Mode}
         yield _gauge("mode", "1 for the mode the gateway is in", modes, "mode")
         yield _histogram("watchdog_stop_latency", "Watchdog's deadline to its Stop written", metrics.watchdog_stops)
@@ -94,21 +93,32 @@ class _Numbers(Collector):
         )
         yield _histogram("loop_lag", "How late the loop's timers run", metrics.loop_lag)
         yield _histogram("spi_transfer", "Time of one SPI transfer", bus.transfer_latency)
+        if reports.wire.measures:
+            yield from _measured(self._conductor)
 
-    def _measured(self) -> Iterator[Metric]:
-        """What the robot measures; nothing where it measures nothing."""
-        alive, values = self._conductor.bus.controller_alive, self._conductor.telemetry.newest
-        if alive is not None:
-            yield _gauge("controller_alive", "Whether the controller gives signs of life", alive)
-        if values is None:
-            return
-        yield _gauge("battery_volts", "The battery's voltage", values.voltage_v)
-        yield _gauge("battery_percent", "What the robot says is left of its battery", values.percent)
-        yield _gauge("temperature_celsius", "The controller's temperature", values.temperature_c)
-        if values.tilt_deg is not None:
-            yield _gauge("tilt_degrees", "Between the body's up and the world's", values.tilt_deg)
-        feet = {str(leg): force for leg, force in zip(LEGS, values.feet, strict=True)}
-        yield _gauge("foot_force", "What each foot carries, in the robot's own unit", feet, "leg")
+
+def _measured(conductor: Conductor) -> Iterator[Metric]:
+    """What the robot measures, and how its controller is; without values until there are some."""
+    events, alive, newest = conductor.metrics.events, conductor.bus.controller_alive, conductor.telemetry.newest
+    values = newest and newest.values
+    for name, help_text, number in (
+        ("battery_volts", "The battery's voltage", values and values.voltage_v),
+        ("battery_percent", "The battery's charge, as the robot says it", values and values.percent),
+        ("temperature_celsius", "The temperature that the controller measures", values and values.temperature_c),
+        ("tilt_degrees", "Between the body's up and the world's", values and values.tilt_deg),
+        ("controller_alive", "1: the controller sends what it should", alive),
+        ("controller_answer_age_seconds", "Since the controller's last well-formed answer", conductor.controller_age_s),
+    ):
+        yield _gauge(name, help_text, {} if number is None else number)
+    feet = {} if values is None else {str(leg): force for leg, force in zip(LEGS, values.feet, strict=True)}
+    yield _gauge("foot_force", "The force on a foot, in the robot's own unit", feet, "leg")
+    yield _counter(
+        "controller_changes",
+        "What happened to the controller",
+        {kind: events[kind] for kind in (Kind.CONTROLLER_SILENT, Kind.CONTROLLER_RETURNED)},
+        "kind",
+    )
+    yield _counter("falls", "Times that all legs were stopped since the body tilted too far", events[Kind.FALLEN])
 
 
 def _family(
@@ -165,7 +175,7 @@ def serve(address: str, hosts: Collection[str], conductor: Conductor) -> None:
     Raises ConfigError if the address cannot be opened. May wait for a name server, so not for the loop's thread.
     """
     registry = CollectorRegistry()
-    registry.register(_Numbers(conductor))
+    registry.register(Numbers(conductor))
     ProcessCollector(registry=registry)
     ours = {*LOOPBACK, address.rpartition(":")[0].strip("[]").lower(), *map(str.lower, hosts)}
     MetricsPage(address, _guarded(ours, make_wsgi_app(registry))).start()

@@ -5,6 +5,7 @@ from typing import Final
 
 from gateway import __version__
 from gateway.model.frames import Op
+from gateway.model.protocols import SpiProtocol
 from gateway.robot.core.buttons import Buttons
 from gateway.robot.core.lease import RobotLease
 from gateway.robot.core.leg import Leg, Servo
@@ -74,9 +75,8 @@ class StateReports:
         """Whether the calibration outlasts this process."""
         self._started_ns = started_ns
         self._limits = limits_of(settings)
-        spi = settings.spi
-        self.protocol = spi.protocol if spi.protocol.measures else spi.framing.protocol
-        self._framing = "none" if spi.protocol.measures else spi.framing
+        self.wire = settings.spi.protocol
+        self.protocol = self.wire.version(settings.spi.framing)
         self.certificate: CertificateReport | None = None
         """The first certificate in use to expire; None: none is in use."""
         self.revocations: RevocationsReport | None = None
@@ -91,7 +91,7 @@ class StateReports:
         *,
         estop_source: str | None,
         incident: str | None,
-        battery: Battery | None = None,
+        battery: Battery | None,
     ) -> GatewayState:
         """The state at `now_ns`."""
         settings = self._settings
@@ -114,7 +114,7 @@ class StateReports:
             ),
             spi=SpiReport(
                 device="simulated controller" if self._simulated else settings.spi.device,
-                framing=self._framing,
+                framing=self.wire.framing(settings.spi.framing),
                 frames=bus.frames,
                 errors=bus.errors,
             ),
@@ -141,11 +141,7 @@ class StateReports:
             certificate=self.certificate,
             revocations=self.revocations,
             limits=self._limits,
-            controller=ControllerReport(
-                protocol=settings.spi.protocol,
-                alive=bus.controller_alive,
-                age_ms=None if bus.answered_ns is None else (now_ns - bus.answered_ns) / 1e6,
-            ),
+            controller=_controller(self.wire, bus, now_ns),
             battery=battery,
         )
 
@@ -169,6 +165,11 @@ def _lease(lease: RobotLease, now_ns: int) -> LeaseReport:
 
 def _buttons(buttons: Buttons) -> ButtonsReport:
     return ButtonsReport(required=buttons.required, alive=buttons.alive, names=buttons.names)
+
+
+def _controller(wire: SpiProtocol, bus: Wire, now_ns: int) -> ControllerReport:
+    age_ms = None if bus.answered_ns is None else max(0, now_ns - bus.answered_ns) / 1e6
+    return ControllerReport(protocol=wire, alive=bus.controller_alive, age_ms=age_ms)
 
 
 def _leg(leg: Leg, now_ns: int) -> LegReport:

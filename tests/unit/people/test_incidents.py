@@ -20,10 +20,10 @@ from gateway.model.calibration import RobotCalibration, ServoMapping
 from gateway.model.frames import decode
 from gateway.people.incidents import archive, ring_reader
 from gateway.people.incidents.incidents import CRASH, Incident, find
-from gateway.people.incidents.messages import messages
+from gateway.people.incidents.messages import RECORDER, messages
 from gateway.people.incidents.page import as_page
 from gateway.people.incidents.story import story, what
-from gateway.people.recordings import read
+from gateway.people.recordings import RecordedMessage, read
 from gateway.people.recordings.contents import contents
 from gateway.people.recordings.drawing import JOINT_STATES
 from gateway.people.recordings.replaying import steps_of
@@ -36,6 +36,7 @@ from gateway.robot.runtime.calibrations import Calibrations
 from schemas import keys
 from schemas.telemetry import Kind
 from tests.support.mcap_file import checked
+from tests.support.measured import MEASURED, ON_ITS_SIDE
 from tests.support.robot import WALL_NS, Robot, leg, servo
 from tests.unit.people.test_recorder import recorded
 from tests.unit.people.test_recordings import drawn_in, positions
@@ -359,6 +360,47 @@ def test_of_a_gateway_that_recorded_no_settings_none_are_known() -> None:
     told = (10.0, form.About({"version": "9"})), (20.0, form.Start(WALL_NS, {}))
     assert records(*told).about_at(15 * SECOND) == {"version": "9"}
     assert records(*told).about_at(25 * SECOND) == {}
+
+
+async def test_an_incident_shows_tilt_battery_and_feet_around_it(folder: Path) -> None:
+    robot = recorded(folder, spi={"protocol": "elkapod-2025"})
+    measured = robot.conductor.measured
+    measured(MEASURED, robot.now_ns())
+    await asyncio.sleep(1)
+    measured(MEASURED._replace(voltage_v=6.5), robot.now_ns())  # under load
+    await asyncio.sleep(1)
+    measured(ON_ITS_SIDE._replace(feet=(0.0,) * 6), robot.now_ns())
+    await asyncio.sleep(0.2)
+    robot.conductor.announce(Kind.FALLEN, "the body tilts by 82°, beyond 45°; all six legs are stopped")
+    await asyncio.sleep(1)
+    measured(MEASURED._replace(orientation_wxyz=(0.0, 1.0, 0.0, 0.0)), robot.now_ns())
+    ((incident,), content) = incidents(folder)
+    assert incident.name == "20260921-141320-123-fallen"
+    path = archive.keep(folder / INCIDENTS_FOLDER, incident, content.records)
+    seen = Counter(topic for topic, _ in checked(path))
+    assert seen[keys.TELEMETRY] == 4
+    assert_ordered(path)
+    told = story(list(read(path)))
+    assert told == story(list(messages(incident, content.records)))
+    assert ": the body tilted too far, and all legs were stopped, at " in told[0]
+    assert [line.strip() for line in told if ", battery " in line] == [
+        "−1.200 s  battery lowest: tilt 0.0°, battery 6.50 V (80 %), 31.5 °C, feet 1 2 3 4 5 6",
+        "−0.200 s  measured: tilt 82.4°, battery 7.50 V (80 %), 31.5 °C, feet 0 0 0 0 0 0",
+        "+1.000 s  tilted most: tilt 180.0°, battery 7.50 V (80 %), 31.5 °C, feet 1 2 3 4 5 6",
+    ]
+
+
+def test_telemetry_that_was_changed_by_hand_is_left_out_of_the_story() -> None:
+    begun = RecordedMessage(RECORDER, {"what": "incident", "detail": BEGUN.incident, "time": "9"}, 0, 0)
+    changed: list[dict[str, Any]] = [
+        {},
+        {"time": "9", "age_ms": "x"},
+        {"time": "2026-09-21T00:00:00Z", "age_ms": 0, "battery": {}},
+    ]
+    those = [RecordedMessage(keys.TELEMETRY, content, 0, 0) for content in changed]
+    assert len(story([begun, *those])) == 1
+    (line,) = story([begun, RecordedMessage(keys.TELEMETRY, {"time": "2026-09-21T00:00:00Z", "age_ms": 0}, 0, 0)])[1:]
+    assert line.strip() == "0.000 s  measured: tilt unknown"
 
 
 def assert_ordered(path: Path) -> None:

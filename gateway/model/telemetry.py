@@ -1,4 +1,4 @@
-"""What a robot measures, as the payload of `hexapod/telemetry`: pure."""
+"""Reports of what the robot measures, as `hexapod/telemetry` and an incident have them. Values are not rounded."""
 
 from datetime import datetime
 
@@ -6,8 +6,13 @@ from gateway.model.elkapod import Measured
 from schemas.telemetry import Battery, Imu, Telemetry
 
 
-def telemetry_of(values: Measured, time: datetime, age_ms: float) -> Telemetry:
-    """The payload; `age_ms` old at `time`."""
+def battery_of(values: Measured) -> Battery:
+    """The battery, in volts and in percent as the robot says it."""
+    return Battery(voltage_v=values.voltage_v, percent=values.percent)
+
+
+def report_of(values: Measured, time: datetime, age_ms: float) -> Telemetry:
+    """What people and programs see of these values, which were `age_ms` old at `time`."""
     return Telemetry(
         time=time,
         age_ms=age_ms,
@@ -21,8 +26,3 @@ def telemetry_of(values: Measured, time: datetime, age_ms: float) -> Telemetry:
         tilt_deg=values.tilt_deg,
         feet=values.feet,
     )
-
-
-def battery_of(values: Measured) -> Battery:
-    """The battery, as the robot tells it."""
-    return Battery(voltage_v=values.voltage_v, percent=values.percent)

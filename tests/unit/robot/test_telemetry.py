@@ -1,0 +1,168 @@
+"""What the robot measures: its report, the state, the metrics page and the black box."""
+
+import asyncio
+import json
+from pathlib import Path
+
+import pytest
+from prometheus_client import CollectorRegistry, generate_latest
+from prometheus_client.parser import text_string_to_metric_families
+
+from gateway.model.black_box import format as form
+from gateway.model.elkapod import Measured
+from gateway.robot.runtime.prometheus import Numbers
+from gateway.robot.spi.bus import Bus
+from schemas import keys
+from schemas.robot import LEGS
+from schemas.telemetry import Battery, ControllerReport, Imu, Kind, Telemetry
+from tests.support.measured import MEASURED
+from tests.support.metrics_page import described, documented
+from tests.support.robot import Robot, started
+from tests.unit.people.test_recorder import contents, recorded
+
+pytestmark = pytest.mark.virtual_time
+
+ELKAPOD = {"protocol": "elkapod-2025"}
+
+
+def published(robot: Robot) -> list[Telemetry]:
+    robot.conductor.publish_telemetry()
+    return [report for key, report in robot.reports if key == keys.TELEMETRY and isinstance(report, Telemetry)]
+
+
+def says(robot: Robot, monkeypatch: pytest.MonkeyPatch, *, alive: bool) -> None:
+    """Its wire brings signs of life back, or has missed them."""
+    monkeypatch.setattr(Bus, "controller_alive", alive)
+    monkeypatch.setattr(Bus, "answered_ns", robot.now_ns())
+
+
+def asked(robot: Robot) -> list[bytes]:
+    answers: list[bytes] = []
+    robot.conductor.answer_telemetry(answers.append)
+    return answers
+
+
+async def test_the_report_has_the_newest_values_unrounded_and_their_age() -> None:
+    robot = started(spi=ELKAPOD)
+    robot.conductor.measured(MEASURED._replace(voltage_v=8.0), robot.now_ns())
+    newer = MEASURED._replace(temperature_c=31.4443359375)
+    robot.conductor.measured(newer, robot.now_ns())
+    await asyncio.sleep(0.03)
+    (report,) = published(robot)
+    assert report.age_ms == pytest.approx(30)
+    assert report.temperature_c == newer.temperature_c
+    assert report.battery == Battery(voltage_v=7.5, percent=80)
+    assert report.imu == Imu(
+        orientation_wxyz=newer.orientation_wxyz,
+        angular_velocity_rad_s=newer.angular_velocity_rad_s,
+        linear_acceleration_m_s2=newer.linear_acceleration_m_s2,
+    )
+    assert (report.tilt_deg, report.feet) == (0, newer.feet)
+    (answer,) = asked(robot)
+    assert Telemetry.model_validate_json(answer).model_copy(update={"time": report.time}) == report
+
+
+@pytest.mark.parametrize(
+    ("orientation_wxyz", "tilt_deg"),
+    [((0.0, 0.0, 0.0, 0.0), None), ((0.0, 1.0, 0.0, 0.0), 180), ((3e38, 3e38, 3e38, 3e38), None)],
+)
+async def test_a_body_without_an_orientation_has_no_tilt(
+    orientation_wxyz: tuple[float, float, float, float], tilt_deg: float | None
+) -> None:
+    robot = started(spi=ELKAPOD)
+    robot.conductor.measured(MEASURED._replace(orientation_wxyz=orientation_wxyz), robot.now_ns())
+    (answer,) = asked(robot)
+    assert json.loads(answer).get("tilt_deg") == tilt_deg
+    assert ("tilt_deg" in json.loads(answer)) is (tilt_deg is not None)
+    assert ("hexapod_tilt_degrees" in samples(robot)) is (tilt_deg is not None)
+
+
+async def test_where_nothing_was_measured_nothing_is_published_or_answered() -> None:
+    for spi in ({}, ELKAPOD):
+        robot = started(spi=spi)
+        assert published(robot) == []
+        assert asked(robot) == []
+        assert robot.conductor.state().battery is None
+    robot.conductor.close()
+    robot.conductor.measured(MEASURED, robot.now_ns())
+    assert published(robot) == [], "an answer that comes after the end changes nothing"
+
+
+async def test_the_state_has_the_controller_and_the_battery(monkeypatch: pytest.MonkeyPatch) -> None:
+    silent = started().conductor.state()
+    assert (silent.protocol, silent.spi.framing, silent.controller) == ("1.0.0", "plain", ControllerReport())
+    robot = started(spi=ELKAPOD)
+    state = robot.conductor.state()
+    assert (state.protocol, state.spi.framing) == ("elkapod-2025", "none")
+    assert state.controller == ControllerReport(protocol="elkapod-2025", alive=None, age_ms=None)
+    says(robot, monkeypatch, alive=True)
+    robot.conductor.measured(MEASURED, robot.now_ns())
+    await asyncio.sleep(0.25)
+    state = robot.conductor.state()
+    assert state.controller.alive
+    assert state.controller.age_ms == pytest.approx(250)
+    assert state.battery == Battery(voltage_v=7.5, percent=80)
+
+
+# ---- the metrics page
+
+
+def page(robot: Robot) -> str:
+    registry = CollectorRegistry()
+    registry.register(Numbers(robot.conductor))
+    return generate_latest(registry).decode()
+
+
+def samples(robot: Robot) -> dict[str, float]:
+    """By name and first label."""
+    found = [sample for family in text_string_to_metric_families(page(robot)) for sample in family.samples]
+    return {" ".join((sample.name, *sample.labels.values())): sample.value for sample in found}
+
+
+async def test_the_page_of_a_robot_that_measures_is_the_list_in_the_docs(monkeypatch: pytest.MonkeyPatch) -> None:
+    other = started()
+    robot = started(spi=ELKAPOD)
+    names = {name for name, _, _ in documented(measured=True)}
+    assert not names & samples(other).keys()
+    assert {name for name, _, _ in described(page(robot)) - described(page(other))} == names, "also before any answer"
+    says(robot, monkeypatch, alive=False)
+    robot.conductor.measured(MEASURED, robot.now_ns())
+    await asyncio.sleep(0.5)
+    assert described(page(robot)) - described(page(other)) == documented(measured=True)
+    found = samples(robot)
+    assert [found[f"hexapod_foot_force {leg}"] for leg in LEGS] == list(MEASURED.feet)
+    assert found["hexapod_battery_volts"] == 7.5
+    assert found["hexapod_battery_percent"] == 80
+    assert found["hexapod_temperature_celsius"] == 31.5
+    assert found["hexapod_tilt_degrees"] == 0
+    assert found["hexapod_controller_alive"] == 0
+    assert found["hexapod_controller_answer_age_seconds"] == pytest.approx(0.5)
+    assert found["hexapod_controller_changes_total controller_silent"] == found["hexapod_falls_total"] == 0
+
+
+# ---- the black box
+
+
+def measured_in(folder: Path) -> list[Measured]:
+    return [content.values for content in contents(folder, form.BodyMeasured)]
+
+
+async def test_the_black_box_has_what_was_measured_ten_times_a_second_at_most(folder: Path) -> None:
+    robot = recorded(folder, spi=ELKAPOD)
+    for number in range(100):  # 2 s
+        robot.conductor.measured(MEASURED._replace(temperature_c=float(number)), robot.now_ns())
+        await asyncio.sleep(0.02)
+    found = measured_in(folder)
+    assert found[0] == MEASURED._replace(temperature_c=0.0), "every value as it came"
+    assert 16 <= len(found) <= 20
+    assert [each.temperature_c for each in found] == sorted({each.temperature_c for each in found})
+
+
+async def test_events_about_the_body_and_the_controller_are_warnings(caplog: pytest.LogCaptureFixture) -> None:
+    robot = started(spi=ELKAPOD)
+    caplog.set_level("INFO")
+    kinds = (Kind.CONTROLLER_SILENT, Kind.FALLEN, Kind.BATTERY_LOW, Kind.CONTROLLER_RETURNED)
+    for kind in kinds:
+        robot.conductor.announce(kind, kind)
+    logged = {record.message: record.levelname for record in caplog.records}
+    assert [logged[kind] for kind in kinds] == ["WARNING", "WARNING", "WARNING", "INFO"]
