@@ -54,6 +54,8 @@ SHOWN_ELSEWHERE = {
     "telemetry.state_hz": "test_service.py",
     "telemetry.metrics": "test_metrics.py",
     "telemetry.metrics_hosts": "test_metrics.py",
+    "safety.min_battery_v": "test_body_limits.py",
+    "safety.max_tilt_deg": "test_body_limits.py",
     "log.level": "test_logs.py",
     "log.format": "test_logs.py",
 }
