@@ -59,8 +59,8 @@ SHOWN_ELSEWHERE = {
     "telemetry.rate_hz": "test_telemetry.py",
     "telemetry.metrics": "test_metrics.py",
     "telemetry.metrics_hosts": "test_metrics.py",
-    "safety.min_battery_v": "test_measurements.py",
-    "safety.max_tilt_deg": "test_measurements.py",
+    "safety.min_battery_v": "test_body_limits.py",
+    "safety.max_tilt_deg": "test_body_limits.py",
     "log.level": "test_logs.py",
     "log.format": "test_logs.py",
 }
