@@ -235,7 +235,7 @@ def check(
     move: Annotated[
         bool,
         typer.Option(
-            "--move", help="Through the gateway that runs: start one servo, move it by 5°, stop it; with consent."
+            "--move", help="Through the gateway that runs: start one servo, move it by 5°, stop all; with consent."
         ),
     ] = False,
     yes: Annotated[bool, typer.Option("--yes", help="With --move: servo 61 at 90°, without any question.")] = False,
@@ -245,8 +245,9 @@ def check(
     With --zenoh-config or --connect: whether this laptop reaches the gateway, and what it may do there. Where a
     simulated gateway runs (`make run`) it looks at that, unless --config names a file.
 
-    Without --move it changes nothing: no byte reaches the servos, and a running gateway is not disturbed. As root it
-    looks with the rights of the service's user.
+    Without --move it changes nothing: no byte reaches the servos, and a running gateway is not disturbed. With
+    elkapod-2025, and no gateway running, it shuts all servos down once the controller's heartbeat has come, and clocks
+    frames, since its answers need them. As root it looks with the rights of the service's user.
 
     Exit codes: 0 it can (--move: it moved, and its Stop arrived; with --yes: every frame was written), 1 it cannot,
     2 spi.framing is not set, the configuration may not be read, the robot is not at rest, or somebody else drives,

@@ -84,7 +84,7 @@ def frame(angles_cdeg: Sequence[int]) -> bytes:
 def angles_of(data: bytes) -> dict[int, float]:
     """The angles of a frame by servo id, in degrees. Raises ValueError, which says what is wrong with the frame."""
     if len(data) != FRAME_BYTES or data[0] != BEGIN or data[-1] != END:
-        raise ValueError(f"a frame has {FRAME_BYTES} bytes from 7e to 0f; these are {len(data)}: {data[:2].hex(' ')} …")
+        raise ValueError(f"a frame has {FRAME_BYTES} bytes from 7e to 0f; these are {len(data)}")
     _, *angles_deg, _ = _FRAME.unpack(data)
     for servo_id, angle_deg in zip(SERVO_IDS, angles_deg, strict=True):
         if not 0 <= angle_deg <= MAX_ANGLE_CDEG / 100:  # false for what is no number, too
@@ -101,16 +101,10 @@ def measured(data: bytes) -> Measured:
     _, *values, _ = _ANSWER.unpack(data)
     if not all(map(math.isfinite, values)):
         raise AnswerError("it has a value that is not finite")
-    temperature_c, voltage_v, percent, w, x, y, z, *rest = values
-    rates, accelerations, feet = rest[:3], rest[3:6], rest[6:]
+    temperature_c, voltage_v, percent, w, x, y, z, p, q, r, a, b, c, *feet = values
+    one, two, three, four, five, six = feet
     return Measured(
-        temperature_c,
-        voltage_v,
-        percent,
-        (w, x, y, z),
-        (rates[0], rates[1], rates[2]),
-        (accelerations[0], accelerations[1], accelerations[2]),
-        (feet[0], feet[1], feet[2], feet[3], feet[4], feet[5]),
+        temperature_c, voltage_v, percent, (w, x, y, z), (p, q, r), (a, b, c), (one, two, three, four, five, six)
     )
 
 

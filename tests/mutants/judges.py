@@ -73,7 +73,7 @@ JUDGES: Final = {
     "gateway/model/framing.py": (f"{_MODEL}test_framing.py",),
     "gateway/model/elkapod.py": (f"{_MODEL}test_elkapod_bytes.py",),
     "gateway/robot/protocol/elkapod.py": (f"{_UNIT}test_elkapod_wire.py",),
-    "gateway/robot/spi/cyclic.py": (f"{_UNIT}test_elkapod_wire.py",),
+    "gateway/robot/spi/cyclic.py": (f"{_UNIT}test_elkapod_wire.py", f"{_UNIT}test_elkapod_conductor.py"),
     "gateway/robot/spi/guard.py": (
         f"{_UNIT}test_guard.py",
         f"{_UNIT}test_bus_device.py",

@@ -10,12 +10,14 @@ from pathlib import Path
 
 import pytest
 
+from gateway import geometry
 from gateway.client import Client
 from gateway.model.frames import OneServo, Op, ServoOp, decode
 from gateway.onboard.check import move as module
 from gateway.people.tools import kept_lease
+from gateway.people.walking.robot import Robot
 from schemas import keys
-from schemas.robot import SERVO_IDS
+from schemas.robot import JOINTS, LEGS, SERVO_IDS
 from schemas.telemetry import Cause, ControllerReport, FrameRecord, GatewayState, Mode, Reason
 from tests.support.child import Child
 from tests.support.command import Ended
@@ -243,6 +245,10 @@ def test_all_legs_start_lying_one_servo_moves_and_all_are_stopped(
     assert {servo: moved[1][servo] - angle for servo, angle in start[1].items() if moved[1][servo] != angle} == {
         23: 500
     }
+    robot = Robot(geometry.load())
+    for leg in LEGS:
+        one, two, three = (start[1][10 * leg + joint] / 100 for joint in JOINTS)
+        assert robot.foot_m(leg, (one, two, three))[2] > -robot.lying_m, "no leg pushes against the ground"
     assert client.state().mode is Mode.IDLE
 
 

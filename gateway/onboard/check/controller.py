@@ -1,8 +1,9 @@
 """The controller of elkapod-2025: its UART, its heartbeat, its answers.
 
-Until a heartbeat has come, nothing is written: 80 bytes would make the published firmware of HexapodProtocol v1.0.0
-deaf to Stops until its reset. Nor is anything read while a gateway runs: the heartbeats are its own. Answers need
-frames, and each frame has all eighteen angles, so the shutdown goes ahead of them, as often as a gateway repeats it.
+Until a heartbeat has come, nothing is written: the published firmware of HexapodProtocol v1.0.0 takes a frame's first
+byte for a length of 126, which leaves it deaf to Stops until its reset. Nor is anything read while a gateway runs: the
+heartbeats are its own. Answers need frames, and each frame has all eighteen angles, so the shutdown goes ahead of them,
+as often as a gateway repeats it.
 """
 
 import errno
@@ -207,8 +208,7 @@ def _answers(
         for pause_s in shutdowns:
             line.write(SHUTDOWN)
             pause(pause_s)
-        signs, measured, well, badly = SignsOfLife(silent_ns), None, 0, 0
-        signs.begin(clock())
+        signs, measured, well, badly = SignsOfLife(silent_ns, clock()), None, 0, 0
         # Long enough that one which freezes falls silent.
         until_ns = clock() + silent_ns + FROZEN_NS + round(5e9 * _CYCLE_S)
         while clock() < until_ns:

@@ -64,27 +64,23 @@ class Commanded:
 
 
 class SignsOfLife:
-    """Whether the controller is alive: both its answers and its heartbeats have to come."""
+    """Whether the controller is alive: both its answers and its heartbeats have to come, from `begun_ns` on."""
 
-    def __init__(self, silent_ns: int) -> None:
+    def __init__(self, silent_ns: int, begun_ns: int) -> None:
         self._silent_ns = silent_ns
+        self._begun_ns = begun_ns
         self._heartbeats = Heartbeats()
+        self._heartbeat_ns: int | None = None
         self._answer = b""
-        self._changed_ns = self._heartbeat_ns = self._begun_ns = 0
-        self._beats = False
+        self._changed_ns = begun_ns
         self._why = "none has come"
         self.answered_ns: int | None = None
         """When the last well-formed answer came."""
 
-    def begin(self, now_ns: int) -> None:
-        """From now on it has `silent_ns` to give signs of life."""
-        self._begun_ns = self._heartbeat_ns = now_ns
-        self._answer, self._why, self.answered_ns, self._beats = b"", "none has come", None, False
-
     def heard(self, data: bytes, now_ns: int) -> None:
         """Take what the UART has received."""
         if self._heartbeats.feed(data):
-            self._heartbeat_ns, self._beats = now_ns, True
+            self._heartbeat_ns = now_ns
 
     def answered(self, data: bytes, now_ns: int) -> Measured | None:
         """Take an answer; None: it counts as none."""
@@ -102,14 +98,14 @@ class SignsOfLife:
         return found
 
     def alive(self, now_ns: int) -> bool:
-        """Whether both have come since `begin`, and go on."""
-        return self.answered_ns is not None and self._beats and self.silent(now_ns) is None
+        """Whether both have come, and go on."""
+        return self.answered_ns is not None and self._heartbeat_ns is not None and self.silent(now_ns) is None
 
     def silent(self, now_ns: int) -> str | None:
         """A sentence that says what has not come for too long; None: it is alive."""
         silent_ms = self._silent_ns // NS_PER_MS
         if now_ns - (self._begun_ns if self.answered_ns is None else self.answered_ns) >= self._silent_ns:
             return f"no well-formed answer of the controller for {silent_ms} ms (the last one: {self._why})"
-        if now_ns - self._heartbeat_ns >= self._silent_ns:
+        if now_ns - (self._begun_ns if self._heartbeat_ns is None else self._heartbeat_ns) >= self._silent_ns:
             return f"no heartbeat of the controller for {silent_ms} ms"
         return None

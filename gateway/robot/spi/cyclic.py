@@ -54,7 +54,8 @@ class CyclicBus(Wire):
         self._device: DuplexDevice | None = None
         self._uart: Uart | None = None
         self._commanded = Commanded()
-        self._signs = SignsOfLife(silent_ns)
+        self._silent_ns = silent_ns
+        self._signs = SignsOfLife(silent_ns, 0)
         self._silent: ControllerSilentError | None = None
         self._frames_ns = 0  # from when on frames are clocked
         self._device_failed = self._exchanging = self._abandoned = False
@@ -73,7 +74,7 @@ class CyclicBus(Wire):
                 self._device = self._open_device()
                 self._device_failed = False
                 self._frames_ns = self._clock() + self._before_frames_ns
-                self._signs.begin(self._frames_ns)
+                self._signs = SignsOfLife(self._silent_ns, self._frames_ns)
         except SpiError:
             self.errors += 1
             raise

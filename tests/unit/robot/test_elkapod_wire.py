@@ -11,6 +11,7 @@ from gateway.model.frames import SETS, STARTS, Frame, OneLeg, OneServo, stop_leg
 from gateway.robot.protocol.elkapod import FROZEN_NS, Commanded, SignsOfLife
 from gateway.robot.spi import DuplexDevice
 from gateway.robot.spi.cyclic import CyclicBus
+from gateway.robot.spi.guard import IllegalTransferError
 from gateway.robot.spi.uart import Uart
 from schemas.robot import LEGS, SERVO_IDS
 
@@ -113,8 +114,7 @@ BAD = {
 
 @pytest.mark.parametrize("bad", BAD)
 def test_what_is_no_answer_is_none_and_says_why(bad: str) -> None:
-    signs = SignsOfLife(SILENT_NS)
-    signs.begin(0)
+    signs = SignsOfLife(SILENT_NS, 0)
     assert answered(signs, 10 * MS) is not None
     for now_ms in range(20, 310, 20):
         signs.heard(elkapod.heartbeat(), now_ms * MS)
@@ -124,17 +124,23 @@ def test_what_is_no_answer_is_none_and_says_why(bad: str) -> None:
 
 
 def test_an_answer_that_never_changes_is_none_after_half_a_second() -> None:
-    signs, frozen = SignsOfLife(SILENT_NS), elkapod.answer(AT_REST)
-    signs.begin(0)
-    taken = [answered(signs, now_ns, frozen) is not None for now_ns in range(0, FROZEN_NS + 1, 20 * MS)]
-    assert taken == [True] * 25 + [False]
-    assert answered(signs, FROZEN_NS + 20 * MS) is not None, "and counts again once it changes"
+    begun_ns = 10_000 * MS
+    signs, frozen = SignsOfLife(SILENT_NS, begun_ns), elkapod.answer(AT_REST)
+    times_ns = range(begun_ns, begun_ns + FROZEN_NS + SILENT_NS, 20 * MS)
+    taken = []
+    for now_ns in times_ns:
+        signs.heard(elkapod.heartbeat(), now_ns)
+        taken += [answered(signs, now_ns, frozen) is not None]
+    assert taken == [True] * 25 + [False] * 15
+    why = "(the last one: it has not changed for 500 ms)"
+    assert str(signs.silent(begun_ns + 780 * MS)).endswith(why)
+    assert signs.silent(begun_ns + 779 * MS) is None
+    assert answered(signs, begun_ns + 800 * MS) is not None, "and counts again once it changes"
 
 
 @pytest.mark.parametrize("missing", ["heartbeat", "well-formed answer"])
 def test_each_sign_is_needed(missing: str) -> None:
-    signs = SignsOfLife(SILENT_NS)
-    signs.begin(0)
+    signs = SignsOfLife(SILENT_NS, 0)
     assert not signs.alive(0)
     for now_ms in range(20, 600, 20):
         if missing != "heartbeat":
@@ -156,7 +162,8 @@ class Parts(DuplexDevice, Uart):
         self.said: list[bytes] = []
         self.now_ns = 0
         self.opened = self.closed = 0
-        self.spi_fails = self.uart_fails = self.beats = False
+        self.write_takes_ns = 0
+        self.spi_fails = self.uart_fails = self.write_fails = self.hangs_up = self.beats = False
         self.bus = CyclicBus(
             self._open,
             self._open_uart,
@@ -176,6 +183,12 @@ class Parts(DuplexDevice, Uart):
             raise SpiError("no UART")
         return self
 
+    def stop_servos_at_work(self) -> bool:
+        return True
+
+    def put_right(self) -> str | None:
+        return "mode 0"
+
     def exchange(self, _data: bytes) -> bytes:
         if self.spi_fails:
             raise SpiError("timed out")
@@ -185,11 +198,14 @@ class Parts(DuplexDevice, Uart):
         return "another mode"
 
     def write(self, data: bytes) -> None:
-        if self.uart_fails:
+        if self.uart_fails or self.write_fails:
             raise SpiError("hung up")
+        self.now_ns += self.write_takes_ns
         self.said.append(data)
 
     def read(self) -> bytes:
+        if self.hangs_up:
+            raise SpiError("disconnected")
         return elkapod.heartbeat() if self.beats else b""
 
     def close(self) -> None:
@@ -343,3 +359,141 @@ def test_without_a_device_only_stops_are_written() -> None:
     assert "closed" in str(bus.write(starts()).fault)
     bus.close()
     assert len(SERVO_IDS) == 18
+
+
+def test_what_moves_is_in_the_next_frame_and_a_start_follows_on_the_uart(parts: Parts) -> None:
+    parts.bus.open()
+    parts.now_ns = 100 * MS
+    before = len(parts.said)
+    parts.bus.write(starts())
+    assert angles(parts.cycle()) == {80.0}
+    assert parts.said[before:] == []
+    assert angles(parts.cycle()) == {80.0}
+    assert parts.said[before:] == [START]
+    assert parts.bus.frames == 2
+
+
+def test_when_it_left_and_how_long_it_took(parts: Parts) -> None:
+    parts.bus.open()
+    parts.now_ns, parts.write_takes_ns = 100 * MS, 50_000
+    stops = parts.bus.write(STOPS).sent[0]
+    assert (stops.ns, stops.call_ns) == (100 * MS + 50_000 + 95_486, 50_000), "ten bytes, 1 152 000 baud"
+    assert parts.bus.ended_ns == 100 * MS + 50_000
+    moves = parts.bus.write(starts()).sent[0]
+    assert (moves.ns, moves.call_ns) == (100 * MS + 50_000, 0)
+    assert [sent.data for sent in parts.bus.write(STOPS).sent] == [each.data for each in STOPS]
+
+
+def test_each_fault_is_counted_once(parts: Parts) -> None:
+    counts = [parts.bus.errors]
+    parts.uart_fails = True
+    with pytest.raises(SpiError):
+        parts.bus.open()
+    counts += [parts.bus.errors]
+    parts.uart_fails, parts.spi_fails = False, True
+    with pytest.raises(SpiError):
+        parts.bus.open()
+    counts += [parts.bus.errors]
+    parts.spi_fails = False
+    parts.bus.open()
+    parts.uart_fails = True
+    parts.bus.write(STOPS)
+    counts += [parts.bus.errors]
+    parts.uart_fails = False
+    parts.bus.open()
+    parts.now_ns, parts.spi_fails = 100 * MS, True
+    with pytest.raises(SpiError):
+        parts.cycle()
+    counts += [parts.bus.errors]
+    parts.bus.release()
+    parts.spi_fails = False
+    parts.bus.open()
+    parts.now_ns = 1000 * MS
+    assert parts.bus.silent(parts.now_ns) is not None
+    counts += [parts.bus.errors]
+    assert counts == [0, 1, 2, 3, 4, 5]
+
+
+def test_a_uart_that_hangs_up_is_found_by_the_cycle(parts: Parts) -> None:
+    parts.bus.open()
+    parts.now_ns = 100 * MS
+    frame = parts.bus.begin_cycle(parts.now_ns)
+    assert frame is not None
+    parts.hangs_up = True
+    with pytest.raises(SpiError, match="disconnected"):
+        parts.bus.end_cycle(parts.bus.exchange(frame), MS, parts.now_ns)
+    assert parts.closed == 1
+    assert parts.bus.errors == 1
+    assert parts.bus.transfer_latency.max_us == 1000
+    parts.hangs_up = False
+    before = len(parts.said)
+    parts.bus.open()
+    assert parts.said[before:] == [SHUTDOWN]
+
+
+def test_a_shutdown_that_cannot_be_said_opens_the_uart_anew(parts: Parts) -> None:
+    parts.bus.open()
+    parts.now_ns = 100 * MS
+    parts.spi_fails = parts.uart_fails = True
+    with pytest.raises(SpiError, match="timed out"):
+        parts.cycle()
+    assert parts.closed == 1
+    parts.uart_fails = False
+    before = len(parts.said)
+    with pytest.raises(SpiError, match="timed out"):
+        parts.cycle()
+    assert parts.said[before:] == [], "nothing is left to say it with"
+
+
+def test_an_opening_that_cannot_shut_down_fails(parts: Parts) -> None:
+    parts.bus.open()
+    parts.write_fails = True
+    with pytest.raises(SpiError, match="hung up"):
+        parts.bus.open()
+    assert parts.closed == 1
+
+
+def test_the_end_releases_both(parts: Parts) -> None:
+    parts.bus.open()
+    parts.bus.close()
+    assert parts.closed == 2
+    parts.bus.close()
+    assert parts.closed == 2
+    with pytest.raises(SpiError, match="closed"):
+        parts.bus.exchange(b"")
+
+
+def test_a_frame_that_the_encoder_should_not_have_made_does_not_leave(
+    parts: Parts, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    parts.bus.open()
+    monkeypatch.setattr(elkapod, "frame", lambda _angles: b"\x7e" + b"\xff" * 78 + b"\x0f")
+    with pytest.raises(IllegalTransferError, match="servo 11 at nan"):
+        parts.bus.begin_cycle(100 * MS)
+
+
+def test_other_programs_are_seen_on_the_device(parts: Parts) -> None:
+    assert (parts.bus.stop_servos_at_work(), parts.bus.put_right()) == (False, None)
+    parts.bus.open()
+    assert (parts.bus.stop_servos_at_work(), parts.bus.put_right()) == (True, "mode 0")
+
+
+def test_the_first_frame_leaves_when_its_time_has_come(parts: Parts) -> None:
+    parts.bus.open()
+    assert parts.bus.begin_cycle(70 * MS - 1) is None
+    assert parts.bus.begin_cycle(70 * MS) is not None
+
+
+def test_a_device_that_came_back_has_its_time_to_answer(parts: Parts) -> None:
+    parts.bus.open()
+    parts.now_ns = 100 * MS
+    parts.spi_fails = True
+    with pytest.raises(SpiError):
+        parts.cycle()
+    parts.bus.release()
+    parts.spi_fails, parts.now_ns = False, 5000 * MS
+    parts.bus.open()
+    assert parts.bus.silent(5069 * MS + 300 * MS) is None
+    assert parts.bus.silent(5070 * MS + 300 * MS) is not None
+    parts.bus.release()
+    assert parts.closed == 1, "its signs of life would come there"
