@@ -199,6 +199,22 @@ def running(state: GatewayState) -> set[int]:
     return {servo.id for leg in state.legs for servo in leg.servos if servo.running}
 
 
+def test_a_rejections_reason_is_said_in_plain_words(visitor: Visitor) -> None:
+    said: Any = visitor.open().module(
+        "words",
+        "(m, all) => [...all.map(m.plain), m.because({ reason: 'whole_robot', detail: 'd' }), m.reasonInWords('old')]",
+        ["rejected: battery_low: 6.4 V", "rejected: fallen: 80 degrees", "rejected: stale: late", "leg 1 is lost"],
+    )
+    assert said == [
+        "the battery is low: 6.4 V",
+        "it has fallen, or was lifted: 80 degrees",
+        "rejected: stale: late",
+        "leg 1 is lost",
+        "on this robot only all six legs start together: d",
+        "old",
+    ]
+
+
 def test_feet_carry_by_comparison_and_the_horizon_turns_as_it_is_seen_from_behind(visitor: Visitor) -> None:
     page = visitor.open()
     carried: Any = page.module(

@@ -11,6 +11,7 @@ import { obstacle, PERIOD_MS, whenLost } from "./hold.js";
 import { Keys } from "./keys.js";
 import { LOST_MS, shake } from "./phone.js";
 import { Stick, Sticks } from "./stick.js";
+import { plain } from "./words.js";
 
 /** @typedef {import("./types.js").WalkMessage} WalkMessage @typedef {{x: number, y: number, turn: number}} Deflection */
 
@@ -141,7 +142,8 @@ export class Walk {
       for (const id of this.sentMs.keys()) if (id <= message.id) this.sentMs.delete(id);
     }
     if (message.detail && message.detail !== before?.detail) {
-      this.callbacks.say(worded(`${message.detail[0].toUpperCase()}${message.detail.slice(1)}.`));
+      const detail = plain(message.detail);
+      this.callbacks.say(worded(`${detail[0].toUpperCase()}${detail.slice(1)}.`));
       if (message.posture !== null && this.heightM !== null) this.heightM = message.height_m;
     } else if (message.limit && message.limit !== before?.limit) this.callbacks.say(`Slower than that: ${message.limit}.`);
     else if (message.now && message.now !== before?.now && !(this.dropped && message.posture === "standing")) {

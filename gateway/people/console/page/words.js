@@ -26,6 +26,11 @@ export function reasonInWords(reason) {
   return REASONS[reason] ?? reason;
 }
 
+/** An error's sentence, which names the reason of a rejection. @param {string} sentence */
+export function plain(sentence) {
+  return sentence.replace(/^rejected: (\w+): /, (all, reason) => (REASONS[reason] ? `${REASONS[reason]}: ` : all));
+}
+
 /** What an event means to the driver; "" for one that needs no sentence. @param {{kind: string}} event */
 export function news({ kind }) {
   return NEWS[kind] ?? "";
