@@ -194,9 +194,6 @@ class Parts(DuplexDevice, Uart):
             raise SpiError("timed out")
         return elkapod.answer(AT_REST._replace(temperature_c=self.now_ns / 1e9))
 
-    def put_right(self) -> str | None:
-        return "another mode"
-
     def write(self, data: bytes) -> None:
         if self.uart_fails or self.write_fails:
             raise SpiError("hung up")
@@ -258,7 +255,7 @@ def test_a_transfer_that_hangs_delays_no_stop_and_its_start_does_not_come(parts:
     parts.bus.write(STOPS)  # while the second transfer is under way
     parts.bus.end_cycle(parts.bus.exchange(frame), 300 * MS, parts.now_ns)
     assert parts.said[before:] == [SHUTDOWN]
-    assert parts.bus.put_right() == "another mode"
+    assert parts.bus.put_right() == "mode 0"
 
 
 def test_a_failed_transfer_shuts_down_at_once_and_the_device_opens_anew(parts: Parts) -> None:
