@@ -164,15 +164,23 @@ class Client:
         """
         return Stream(self, hz)
 
-    def walk(self, gait: str = "tripod", geometry: "Geometry | Path | str | None" = None, hz: float = 50) -> "Walk":
+    def walk(
+        self,
+        gait: str = "tripod",
+        geometry: "Geometry | Path | str | None" = None,
+        hz: float = 50,
+        *,
+        terrain: str = "level",
+    ) -> "Walk":
         """Velocities in place of angles: `with robot.walk() as walk: walk.go(forward_m_s=0.1)`; see `Walk`.
 
         `gait`: one of `gateway.people.walking.GAITS`. `geometry`: a robot's, or its file; by default the Elkapod's.
-        `hz`: the stream's rate. Raises WalkError, ConfigError.
+        `hz`: the stream's rate. `terrain`: `adapt` keeps the body level and feels for the ground, by the robot's
+        sensors where it has some; `level` needs none. Raises WalkError, ConfigError.
         """
         from gateway.people.client.walk import Walk
 
-        return Walk(self, gait, geometry, hz)
+        return Walk(self, gait, geometry, hz, terrain=terrain)
 
     # ---- the lease
 

@@ -31,18 +31,21 @@ from gateway.people.walking import (
     Velocity,
     WalkState,
 )
+from gateway.people.walking.balance import terrain_named
 from gateway.people.walking.gaits import gait as gait_named
 from gateway.people.walking.inverse import Angles
 from gateway.people.walking.robot import check_mirrored_once, ranges
 from gateway.people.walking.words import Newest
 from schemas.robot import LEGS
-from schemas.telemetry import GatewayState, Reason
+from schemas.telemetry import GatewayState, Reason, Telemetry
 
 if TYPE_CHECKING:
     from schemas.calibration import Calibration
 
 T = TypeVar("T")
 
+_FRESH_S: Final = 0.3
+"""An older measurement does not count: by default ten a second are published."""
 _SLOWER: Final = 0.98
 """Of `limits.leg_rate_hz`, where that is below the rate asked for: at exactly the limit setpoints wait for slots."""
 
@@ -60,6 +63,7 @@ class WalkClient(StreamClient, Protocol):
     walks: bool
 
     def calibration(self) -> "Calibration": ...
+    def watch_telemetry(self, callback: Callable[[Telemetry], None]) -> "zenoh.Subscriber[None]": ...
 
 
 def _terminate(_number: int, _frame: FrameType | None) -> None:
@@ -99,15 +103,20 @@ class Walk:
         geometry: Geometry | Path | str | None,
         hz: float,
         *,
+        terrain: str = "level",
         silences: Silences = USUAL_SILENCES,
         once: bool = False,
     ) -> None:
         """See `Client.walk`, and `Ride` for `silences` and `once`.
 
-        Raises WalkError for an unknown gait, ConfigError for a faulty geometry file, ValueError for a rate that no
-        stream has. @private
+        Raises WalkError for an unknown gait or terrain, ConfigError for a faulty geometry file, ValueError for a rate
+        that no stream has. @private
         """
         gait_named(gait)
+        self._terrain = terrain_named(terrain)
+        self._measured: tuple[Telemetry | None, float] = (None, 0.0)
+        """The newest telemetry and when it was received: one object, since it arrives on another thread."""
+        self._sensors: zenoh.Subscriber[None] | None = None
         self._client = client
         self._gait = gait
         if not isinstance(geometry, Geometry):
@@ -280,6 +289,8 @@ class Walk:
                 self._lease = lease
         try:
             self._reports = self._client.on_state(self._take)
+            if self._terrain == "adapt":
+                self._sensors = self._client.watch_telemetry(self._feel)
             state = self._ask(None)
             self._ride = Ride(
                 self._robot(state),
@@ -288,6 +299,7 @@ class Walk:
                 self._silences,
                 once=self._once,
                 now_s=time.monotonic(),
+                terrain=self._terrain,
             )
         except BaseException:
             self._release()
@@ -342,9 +354,10 @@ class Walk:
                 self._ride.silences = silences
 
     def _release(self) -> None:
-        if self._reports is not None:
-            with suppress(zenoh.ZError):  # the client is closed
-                self._reports.undeclare()
+        for subscriber in (self._reports, self._sensors):
+            if subscriber is not None:
+                with suppress(zenoh.ZError):  # the client is closed
+                    subscriber.undeclare()
         if self._lease is not None:
             self._lease.release()
 
@@ -357,6 +370,14 @@ class Walk:
         state = self._client.state(timeout_s)
         self._take(state)
         return state
+
+    def _feel(self, telemetry: Telemetry) -> None:
+        self._measured = telemetry, time.monotonic()
+
+    def _fresh(self, now_s: float) -> Telemetry | None:
+        """The newest telemetry; None if none came lately, so that a walk does not go on by what was."""
+        telemetry, came_s = self._measured
+        return telemetry if telemetry is not None and now_s - came_s + telemetry.age_ms / 1000 < _FRESH_S else None
 
     def _take(self, state: GatewayState) -> None:
         self._newest.take(state, time.monotonic())
@@ -391,7 +412,7 @@ class Walk:
                 if self._closing:
                     return
                 begun_s = time.monotonic()
-                step = ride.next(begun_s)
+                step = ride.next(begun_s, self._fresh(begun_s))
                 took_s = time.monotonic() - begun_s
                 if step.do is RideTask.WAIT:
                     self._changed.wait(min(step.look_s - begun_s, threading.TIMEOUT_MAX))

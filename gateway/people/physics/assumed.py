@@ -23,10 +23,12 @@ class Terrain(NamedTuple):
     slope_deg: float = 0.0
     rough_m: float = 0.0
     """How high its bumps are at most."""
+    step_m: float = 0.0
+    """How high a step is that it has ahead of the robot; below 0: an edge."""
 
     @classmethod
     def parsed(cls, text: str) -> Self:
-        """`flat`, `slope:DEGREES` or `rough:METRES`. Raises ConfigError."""
+        """`flat`, `slope:DEGREES`, `rough:METRES` or `step:METRES`. Raises ConfigError."""
         kind, colon, number = text.partition(":")
         try:
             amount = float(number) if colon else 0.0
@@ -38,14 +40,18 @@ class Terrain(NamedTuple):
             return cls(slope_deg=amount)
         if kind == "rough" and colon and 0 <= amount <= MAX_ROUGH_M:
             return cls(rough_m=amount)
+        if kind == "step" and colon and abs(amount) <= MAX_ROUGH_M:
+            return cls(step_m=amount)
         raise ConfigError(
-            f"{text!r} is no terrain; there are flat, slope:DEGREES (up to {MAX_SLOPE_DEG:g}, below 0 downhill) and "
-            f"rough:METRES (bumps of up to {MAX_ROUGH_M:g})"
+            f"{text!r} is no terrain; there are flat, slope:DEGREES (up to {MAX_SLOPE_DEG:g}, below 0 downhill), "
+            f"rough:METRES (bumps of up to {MAX_ROUGH_M:g}) and step:METRES (up to {MAX_ROUGH_M:g}, below 0 an edge)"
         )
 
     def __str__(self) -> str:
         if self.rough_m:
             return f"rough:{self.rough_m:g}"
+        if self.step_m:
+            return f"step:{self.step_m:g}"
         return f"slope:{self.slope_deg:g}" if self.slope_deg else "flat"
 
 

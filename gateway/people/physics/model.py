@@ -28,6 +28,8 @@ _JOINT_DAMPING: Final = 0.02
 _ROUGH_HALF_M: Final = 5.0
 _ROUGH_CELLS: Final = 101
 """Bumps 10 cm apart, always the same ones; beyond these ten metres the ground is flat."""
+_STEP_AT_M: Final = 0.45
+"""A little ahead of the feet of a robot that stands where it begins."""
 _FLOOR, _ROBOT = 1, 2
 """MuJoCo's collision bits: each meets the other, and not itself."""
 
@@ -67,7 +69,15 @@ def _weigh_and_cover(spec: Any, share: float, friction: list[float]) -> None:
 def _lay_ground(spec: Any, terrain: Terrain, friction: list[float]) -> None:
     x, y, z, w = about((0, 1, 0), -math.radians(terrain.slope_deg))
     ground = {"friction": friction, "contype": _FLOOR, "conaffinity": _ROBOT, "quat": [w, x, y, z]}
-    spec.worldbody.add_geom(name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 0.05], **ground)
+    low_m, high_m = min(0.0, terrain.step_m), max(0.0, terrain.step_m)
+    spec.worldbody.add_geom(
+        name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 0.05], pos=[0, 0, low_m], **ground
+    )
+    if terrain.step_m:
+        half_m = (high_m - low_m) / 2
+        x_m = _STEP_AT_M + math.copysign(_ROUGH_HALF_M, terrain.step_m)
+        size, pos = [_ROUGH_HALF_M, _ROUGH_HALF_M, half_m], [x_m, 0, low_m + half_m]
+        spec.worldbody.add_geom(name="step", type=mujoco.mjtGeom.mjGEOM_BOX, size=size, pos=pos, **ground)
     if terrain.rough_m:
         heights = np.random.default_rng(0).random(_ROUGH_CELLS**2)
         size = [_ROUGH_HALF_M, _ROUGH_HALF_M, terrain.rough_m, 0.05]

@@ -18,13 +18,27 @@ from enum import StrEnum
 from typing import Final, NamedTuple, Self
 
 from gateway.errors import WalkError
+from gateway.geometry import MAX_SPEED_DEG_S
 from gateway.geometry.kinematics import Vector
 from gateway.people.walking import gaits
-from gateway.people.walking.motion import STILL, BodyPose, Velocity, carried, travelled
+from gateway.people.walking.balance import (
+    DEEPEST_M,
+    EARLY_M,
+    LATE_S,
+    LEANS_RAD,
+    NOTHING,
+    SINKS_M_S,
+    Felt,
+    Senses,
+    levelled,
+    lowered_by,
+)
+from gateway.people.walking.motion import ORIGIN, STILL, BodyPose, Odometry, Velocity, carried
 from gateway.people.walking.planning import Planner, balanced
 from gateway.people.walking.robot import LIFT_M, Pose, Robot, Stance
 from gateway.people.walking.ways import CLIMB, ON_GROUND_M, Figure, Shift, across, between, lowered, outward, up
 from schemas.robot import LEGS
+from schemas.telemetry import Telemetry
 
 SLEW_M_S2: Final = 0.25
 """The acceleration over the ground."""
@@ -37,9 +51,11 @@ _HALT_S: Final = 0.15
 _LATE_M: Final = 0.002
 """A foot is lifted at a tick, so up to a tick too late."""
 _LEAST_TEMPO: Final = 0.37
-"""Of a gait's period. With a shorter one the servos lose more by their speed than the strides win."""
+"""Of a gait's period, with usual servos. With a shorter one they lose more by their speed than the strides win."""
 _TEMPO_SPARE: Final = 0.93
 """Of a disc: feet are lifted at ticks, so a little late."""
+_TEMPO_S: Final = 1.0
+"""A change of the tempo by 1 takes so long: it moves the feet that swing."""
 _QUICK_LIFT_M: Final = 0.020
 """How high feet are lifted at the least tempo."""
 _QUICK_CLIMB: Final = 0.3
@@ -47,6 +63,7 @@ _QUICK_CLIMB: Final = 0.3
 _SPEED_SPARE: Final = 0.95
 """Of a servo's speed: the gateway measures from its own last frame, which may be a little early or late."""
 _LEAST_FEET: Final = 3
+_LEANS_LESS: Final = 0.97
 _HALVINGS: Final = 7
 _ALMOST: Final = 1e-9
 _TRIES: Final = 8
@@ -65,32 +82,15 @@ class Posture(StrEnum):
     HALTED = "halted"
 
 
-class Odometry(NamedTuple):
-    """Where its steps have carried the body since the beginning; slipping feet are not noticed."""
-
-    x_m: float = 0.0
-    y_m: float = 0.0
-    heading_rad: float = 0.0
-
-    def after(self, velocity: Velocity, seconds: float) -> "Odometry":
-        """The odometry after a further motion with `velocity`, which is in the body's frame. @private"""
-        ahead_m, aside_m, turned = travelled(velocity, seconds)
-        cosine, sine = math.cos(self.heading_rad), math.sin(self.heading_rad)
-        return Odometry(
-            self.x_m + cosine * ahead_m - sine * aside_m,
-            self.y_m + sine * ahead_m + cosine * aside_m,
-            self.heading_rad + turned,
-        )
-
-
-ORIGIN: Final = Odometry()
-
-
 class Swing(NamedTuple):
     """A foot in the air: where it left the ground, which moves on below it, and how far it is, 0 to 1."""
 
     left: Vector
     part: float = 0.0
+    free: bool = False
+    """Whether its foot was felt to be in the air: only then a contact is news."""
+    late_s: float = 0.0
+    """For how long it has been where the ground was expected."""
 
 
 @dataclass(slots=True)
@@ -99,11 +99,16 @@ class _State(Figure):
 
     swings: dict[int, Swing] = field(default_factory=dict)
     velocity: Velocity = STILL
+    tempo: float = 1.0
+    """The part of its gait's period that a stride takes now."""
     clock: float = 0.0
     """The time in strides."""
     odometry: Odometry = ORIGIN
     part: float = 0.0
     """How much of the first of its moves is done, 0 to 1."""
+    hanging: frozenset[int] = frozenset()
+    """Legs whose feet found no ground, when the walk went `over`."""
+    over: Velocity = STILL
     brake_s: float = 0.0
     """Seconds until the velocity is 0, while it slows down."""
 
@@ -128,6 +133,8 @@ class Engine:
         self._quick = self._gait
         """The gait at its present tempo."""
         self._lift_m, self._climb = LIFT_M, CLIMB
+        slowest_deg_s = min(each.max_speed_deg_s for each in robot.ranges.values())
+        self._least_tempo = min(1.0, _LEAST_TEMPO * max(1.0, MAX_SPEED_DEG_S / max(slowest_deg_s, _ALMOST)))
         self._next_gait: str | None = None
         self._stance = robot.stance(BodyPose(robot.usual_m))
         self._planner = Planner(robot)
@@ -137,6 +144,13 @@ class Engine:
         """Why the velocity is scaled down, in a sentence; "" if it is not."""
         self.lost: frozenset[int] = frozenset()
         """Legs that somebody else has stopped: `step` leaves them out."""
+        self._senses = Senses()
+        self.felt = NOTHING
+        """What the sensors said at the latest step."""
+        self._leans_rad = LEANS_RAD
+        """How far the body leans at most; less once that has left its legs no stride."""
+        self._barred = ""
+        """Why no velocity has an effect, until a command to stand still."""
         self._stuck = False
         self._pace = 1.0
         self._slowest = 0
@@ -148,20 +162,30 @@ class Engine:
 
     # ---- commands
 
-    def step(self, velocity: Velocity, seconds: float) -> Pose:
-        """The angles (degrees) of all legs after `seconds` (0.1 at most) towards this velocity."""
+    def step(self, velocity: Velocity, seconds: float, telemetry: Telemetry | None = None) -> Pose:
+        """The angles (degrees) of all legs after `seconds` (0.1 at most) towards this velocity.
+
+        With fresh `telemetry` the body keeps level, and feet find the ground where it is (balance.py).
+        """
         seconds = max(0.0, min(seconds, _LONGEST_S))
         self.commanded = velocity
+        self.felt = felt = self._senses.take(telemetry, seconds)
+        self._barred = felt.fault or (self._barred if velocity.moves else "")
+        if felt.fault:  # a leg that moves now may meet a hand
+            self.limit, self.scaled = felt.fault, STILL
+            return self.pose
         self._begin_what_is_wanted()
-        target = velocity if self.walks_at_once else STILL
+        target = velocity if self.walks_at_once and not self._barred and not self._is_over(velocity) else STILL
         cap = self._capped(target)
-        self._hurry(target.times(cap))
-        before, pace, slowest = self._state, 1.0, 0
+        before, pace, slowest, holds = self._state, 1.0, 0, False
         for _ in range(_TRIES):
             after = before.copy()
             try:
-                self._advance(after, target.times(cap), seconds * pace)
+                self._advance(after, target.times(cap), seconds * pace, felt, holds=holds)
             except WalkError as error:  # what the discs and the plans are there to prevent
+                if felt is not NOTHING and not holds:  # it leans further than its strides allow
+                    holds, self._leans_rad = True, _LEANS_LESS * min(self._leans_rad, self._leaning_rad)
+                    continue
                 self._stand_still(str(error))
                 break
             ratio, servo_id = self._fastest(before.pose, after.pose, seconds)
@@ -232,7 +256,7 @@ class Engine:
     def copy(self) -> "Engine":
         """An independent engine in the same state."""
         new = copy(self)
-        new._state, new._wanted = self._state.copy(), self._wanted.copy()
+        new._state, new._wanted, new._senses = self._state.copy(), self._wanted.copy(), self._senses.copy()
         return new
 
     # ---- its state
@@ -298,12 +322,18 @@ class Engine:
         return self._state.feet
 
     @property
+    def hanging(self) -> frozenset[int]:
+        """The legs whose feet found no ground: they hang over an edge."""
+        return self._state.hanging
+
+    @property
     def standing(self) -> frozenset[int]:
         """The legs that carry: their feet are on the ground, and not about to leave it."""
         state = self._state
         move = state.moves[0] if state.moves else None
         away = set(state.swings) | (set() if move is None or isinstance(move, Shift) else set(move.paths))
-        return frozenset(leg for leg in LEGS if leg not in away and state.feet[leg][2] < ON_GROUND_M)
+        low_m = ON_GROUND_M if state.sits or self.lost else math.inf
+        return frozenset(leg for leg in LEGS if leg not in away and state.feet[leg][2] < low_m)
 
     # ---- postures
 
@@ -344,11 +374,14 @@ class Engine:
 
     # ---- one tick
 
-    def _advance(self, state: _State, target: Velocity, seconds: float) -> None:
+    def _advance(self, state: _State, target: Velocity, seconds: float, felt: Felt, *, holds: bool) -> None:
         if not state.moves:
-            feet = dict(state.feet)
-            self._walk(state, target, seconds)
-            state.place(self.robot, [leg for leg in LEGS if state.feet[leg] != feet[leg]])
+            body, feet = state.body, dict(state.feet)
+            if felt is not NOTHING and not state.sits and not self.lost:
+                self._adapt(state, seconds, felt)
+            if not holds:
+                self._walk(state, target, seconds, felt)
+            state.place(self.robot, [leg for leg in LEGS if state.feet[leg] != feet[leg] or state.body != body])
             return
         move = state.moves[0]
         state.part = min(1.0, state.part + seconds / move.seconds)
@@ -356,11 +389,27 @@ class Engine:
         if state.part == 1.0:
             state.moves, state.part = state.moves[1:], 0.0
 
-    def _walk(self, state: _State, target: Velocity, seconds: float) -> None:
+    @property
+    def _leaning_rad(self) -> float:
+        """How far the body leans to be level."""
+        return max(abs(now - asked) for now, asked in zip(self.body[1:], self._stance.body[1:], strict=True))
+
+    def _adapt(self, state: _State, seconds: float, felt: Felt) -> None:
+        """Level the body, and let it climb with its feet."""
+        state.body = levelled(state.body, self._stance.body, felt, self._leans_rad, seconds)
+        down_m = lowered_by(
+            [foot[2] for leg, foot in state.feet.items() if leg not in state.swings and leg not in state.hanging],
+            seconds,
+        )
+        if down_m:
+            state.feet = {leg: (x, y, z - down_m) for leg, (x, y, z) in state.feet.items()}
+
+    def _walk(self, state: _State, target: Velocity, seconds: float, felt: Felt) -> None:
         gait = self._quick
         began = not state.velocity.moves and not state.swings
         if began:
             state.clock = 0.0
+        self._hurry(state, target, seconds)
         velocity = self._slewed(state, target, seconds)
         if velocity.moves:
             velocity = velocity.times(self._allowed(state, velocity))
@@ -369,15 +418,18 @@ class Engine:
         for leg, foot in state.feet.items():
             if leg not in state.swings and leg not in self.lost:
                 state.feet[leg] = carried(foot, velocity, seconds)
-        if velocity.moves or state.swings:
+        if (velocity.moves or state.swings) and not any(swing.late_s for swing in state.swings.values()):
             state.clock = (state.clock + (0.0 if began else seconds / gait.period_s)) % 1.0
         for leg, swing in list(state.swings.items()):
-            self._swing(state, leg, swing, seconds)
+            self._swing(state, leg, swing, seconds, felt.feet.get(leg))
         if velocity.moves and not self.lost:
             self._lift(state)
 
-    def _swing(self, state: _State, leg: int, swing: Swing, seconds: float) -> None:
-        """From the line on which the ground carries the foot to the one on which it will land."""
+    def _swing(self, state: _State, leg: int, swing: Swing, seconds: float, touches: bool | None) -> None:
+        """From the line on which the ground carries the foot to the one on which it will land.
+
+        `touches`: whether the foot is felt on the ground; None: nobody knows.
+        """
         gait, velocity = self._quick, state.velocity
         left = carried(swing.left, velocity, seconds)
         part = min(swing.part + seconds / gait.swing_s, 1.0)
@@ -387,12 +439,30 @@ class Engine:
             landing = carried(self._stance.feet[leg], velocity, -gait.stance_s / 2)
             lands = carried(landing, velocity, -(1.0 - part) * gait.swing_s)
             x, y, _ = between(left, lands, across(part))
-        if part > 1.0 - _ALMOST:
-            state.feet[leg] = x, y, 0.0
+        free, height_m, late_s = swing.free or touches is False, state.feet[leg][2], swing.late_s
+        z = swing.left[2] * (1.0 - across(part)) + self._lift_m * up(part, self._climb)
+        lands = bool(free and touches and ((part > 0.5 and height_m > EARLY_M) or late_s))
+        if lands:
+            z = height_m
+        elif part > 1.0 - _ALMOST:
+            z = height_m - SINKS_M_S * seconds if late_s > LATE_S else 0.0
+            hangs = z < -DEEPEST_M
+            lands = not (free and touches is False) or hangs
+            z = height_m if late_s and lands else z
+            late_s += seconds
+            if hangs:
+                state.hanging, state.over = state.hanging | {leg}, velocity if velocity.moves else state.over
+        state.feet[leg] = x, y, z
+        if lands:
             del state.swings[leg]
-            return
-        state.feet[leg] = x, y, self._lift_m * up(part, self._climb)
-        state.swings[leg] = Swing(left, part)
+            state.hanging -= {leg} if touches else frozenset()
+        else:
+            state.swings[leg] = Swing(left, part, free, late_s)
+
+    def _is_over(self, velocity: Velocity) -> bool:
+        """Whether it would walk on over an edge; back from there it may."""
+        state = self._state
+        return bool(state.hanging) and sum(a * b for a, b in zip(velocity, state.over, strict=True)) > 0
 
     def _lift(self, state: _State) -> None:
         """Lift the feet that are due, if the others carry the robot; else they wait."""
@@ -408,15 +478,17 @@ class Engine:
 
     # ---- velocities
 
-    def _hurry(self, target: Velocity) -> None:
-        """The tempo that this velocity and the present one need; a walk that ends keeps it: its last swings end soon."""
-        now = self._state.velocity
-        if not target.moves and (now.moves or self._state.swings):
-            return
-        part = max(self._stride_of(target), self._stride_of(now)) / _TEMPO_SPARE
-        tempo = max(_LEAST_TEMPO, min(1.0, 1.0 / part if part else 1.0))
-        self._quick = self._gait._replace(period_s=self._gait.period_s * tempo)
-        haste = (1.0 - tempo) / (1.0 - _LEAST_TEMPO)
+    def _hurry(self, state: _State, target: Velocity, seconds: float) -> None:
+        """Towards the tempo that this velocity and the present one need; a walk that ends keeps it: it ends soon."""
+        now = state.velocity
+        walks = now.moves or bool(state.swings)
+        if target.moves or not walks:
+            part = max(self._stride_of(target), self._stride_of(now)) / _TEMPO_SPARE
+            wanted = max(self._least_tempo, min(1.0, 1.0 / part if part else 1.0))
+            most = seconds / _TEMPO_S if walks else 1.0
+            state.tempo += max(-most, min(most, wanted - state.tempo))
+        haste = (1.0 - state.tempo) / (1.0 - _LEAST_TEMPO)
+        self._quick = self._gait._replace(period_s=self._gait.period_s * state.tempo)
         self._lift_m = LIFT_M + (_QUICK_LIFT_M - LIFT_M) * haste
         self._climb = CLIMB + (_QUICK_CLIMB - CLIMB) * haste
 
@@ -448,7 +520,10 @@ class Engine:
         """The part of this velocity whose strides fit into the discs."""
         key = target, self._stance, self._gait
         if self._cap[0] != key:
-            self._cap = key, _largest(lambda part: self._stride_of(target.times(part)) * _LEAST_TEMPO <= _TEMPO_SPARE)
+            self._cap = (
+                key,
+                _largest(lambda part: self._stride_of(target.times(part)) * self._least_tempo <= _TEMPO_SPARE),
+            )
         return self._cap[1]
 
     @property
@@ -486,7 +561,12 @@ class Engine:
         self._pace += (pace - self._pace) * min(1.0, seconds / self._gait.period_s)
         self._slowest = slowest or self._slowest
         self.scaled = target.times(cap * self._pace)
-        if not target.moves:
+        if self._barred or self._is_over(self.commanded):
+            self.limit = (
+                self._barred
+                or f"no ground under leg {', '.join(map(str, sorted(self.hanging)))}: it hangs over an edge"
+            )
+        elif not target.moves:
             self._pace, self.limit = 1.0, self.limit if self._stuck else ""
         elif cap < 1.0:
             self.limit = f"the legs' strides reach {100 * cap:.0f} % of it"

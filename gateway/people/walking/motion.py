@@ -65,6 +65,27 @@ def carried(point: Vector, velocity: Velocity, seconds: float) -> Vector:
     return cosine * ahead + sine * aside, cosine * aside - sine * ahead, point[2]
 
 
+class Odometry(NamedTuple):
+    """Where its steps have carried the body since the beginning; slipping feet are not noticed."""
+
+    x_m: float = 0.0
+    y_m: float = 0.0
+    heading_rad: float = 0.0
+
+    def after(self, velocity: Velocity, seconds: float) -> "Odometry":
+        """The odometry after a further motion with `velocity`, which is in the body's frame. @private"""
+        ahead_m, aside_m, turned = travelled(velocity, seconds)
+        cosine, sine = math.cos(self.heading_rad), math.sin(self.heading_rad)
+        return Odometry(
+            self.x_m + cosine * ahead_m - sine * aside_m,
+            self.y_m + sine * ahead_m + cosine * aside_m,
+            self.heading_rad + turned,
+        )
+
+
+ORIGIN: Final = Odometry()
+
+
 class BodyPose(NamedTuple):
     """The body's pose above the ground: how high its frame's origin is, and how it leans."""
 

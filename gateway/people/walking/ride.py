@@ -27,12 +27,13 @@ from enum import Enum, auto
 from typing import Final, NamedTuple
 
 from gateway.errors import GatewayError, StoppedError, WalkError
-from gateway.people.walking.engine import ORIGIN, Odometry, Posture
+from gateway.people.walking.engine import Posture
 from gateway.people.walking.inverse import Angles
-from gateway.people.walking.motion import STILL, BodyPose, Velocity
+from gateway.people.walking.motion import ORIGIN, STILL, BodyPose, Odometry, Velocity
 from gateway.people.walking.robot import Pose, Robot
 from gateway.people.walking.walker import DOWN, HOLD_S, REST_S, Walker, WalkState
 from schemas.robot import LEGS
+from schemas.telemetry import Telemetry
 
 START_PAUSE_S: Final = 0.015
 """Least pause between the starts of two legs: a servo draws most then. A tick of 50 Hz, less what it may come early."""
@@ -113,12 +114,14 @@ class Ride:
         *,
         once: bool = False,
         now_s: float = 0.0,
+        terrain: str = "level",
     ) -> None:
         """`running`: legs that run already, in degrees; if all six do, they are held at once for their watchdog.
 
         `once`: over for good after it has sat down or failed. Raises WalkError.
         """
         self._once = once
+        self._terrain = terrain
         self._silences = silences
         self.phase = Phase.RESTS
         self.error: GatewayError | None = None
@@ -205,14 +208,14 @@ class Ride:
 
     # ---- what the shell does
 
-    def next(self, now_s: float) -> RideStep:
-        """What to do now. The walker makes each step that moves."""
+    def next(self, now_s: float, telemetry: Telemetry | None = None) -> RideStep:
+        """What to do now. The walker makes each step that moves. `telemetry`: None if none is fresh."""
         self.look(now_s)
         if self._wants_again:
             return RideStep(RideTask.STOP if self.phase is Phase.FAILED and self._ours else RideTask.FIND)
         pose = _NO_LEGS
         if self.phase in (Phase.RUNS, Phase.HALTED):
-            pose = self._walker.tick(now_s)
+            pose = self._walker.tick(now_s, telemetry)
             self.look(now_s)  # it may have sat down by this tick
         elif self.phase is Phase.STARTS and not self._found:
             return RideStep(RideTask.FIND)
@@ -355,7 +358,7 @@ class Ride:
 
     def _new_walker(self, robot: Robot, gait: str, running: Pose, odometry: Odometry = ORIGIN) -> Walker:
         hold_s, rest_s = self._silences.hold_s, self._silences.rest_s
-        return Walker(robot, gait, running, hold_s=hold_s, rest_s=rest_s, odometry=odometry)
+        return Walker(robot, gait, running, hold_s=hold_s, rest_s=rest_s, odometry=odometry, terrain=self._terrain)
 
     def _check(self) -> None:
         if self.error is not None:

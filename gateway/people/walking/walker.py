@@ -8,9 +8,11 @@ It assumes that all six legs run; `Ride` starts and stops them.
 
 from typing import Final, NamedTuple
 
-from gateway.people.walking.engine import ORIGIN, Engine, Odometry, Posture
-from gateway.people.walking.motion import STILL, Velocity
+from gateway.people.walking.balance import terrain_named
+from gateway.people.walking.engine import Engine, Posture
+from gateway.people.walking.motion import ORIGIN, STILL, Odometry, Velocity
 from gateway.people.walking.robot import Pose, Robot, Stance
+from schemas.telemetry import Telemetry
 
 HOLD_S: Final = 0.5
 """As in diff_drive_controller and twist_mux."""
@@ -35,6 +37,14 @@ class WalkState(NamedTuple):
     """Where its steps have carried it since the walk began."""
     lost: tuple[int, ...]
     """Legs that somebody else has stopped."""
+    terrain: str = "level"
+    """`adapt`: it walks by its sensors, where there are some."""
+    tilt_deg: float | None = None
+    """Of the body against the world's up, as measured; None: not measured."""
+    carrying: tuple[bool, ...] | None = None
+    """Which of legs 1 to 6 carry, as measured."""
+    hanging: tuple[int, ...] = ()
+    """Legs that found no ground."""
 
 
 DOWN: Final = (Posture.LYING, Posture.SITTING)
@@ -52,8 +62,10 @@ class Walker:
         hold_s: float = HOLD_S,
         rest_s: float = REST_S,
         odometry: Odometry = ORIGIN,
+        terrain: str = "level",
     ) -> None:
         """`angles_deg`: of legs that run already. `odometry`: where it begins. Raises WalkError."""
+        self.terrain = terrain_named(terrain)
         self.engine = Engine(robot, gait, angles_deg, odometry)
         self.hold_s = hold_s
         self.rest_s = rest_s
@@ -99,8 +111,8 @@ class Walker:
         self.engine.walk_as(gait)
         self._said_s = now_s
 
-    def tick(self, now_s: float) -> Pose:
-        """The angles of all legs now, in degrees."""
+    def tick(self, now_s: float, telemetry: Telemetry | None = None) -> Pose:
+        """The angles of all legs now, in degrees. `telemetry`: None if none is fresh."""
         if self._said_s is None:
             self._said_s = now_s
         if now_s - self._said_s > self.hold_s:
@@ -113,7 +125,7 @@ class Walker:
             self.engine.sit()
         elapsed_s = 0.0 if self._ticked_s is None else now_s - self._ticked_s
         self._ticked_s = now_s
-        return self.engine.step(self._velocity, elapsed_s)
+        return self.engine.step(self._velocity, elapsed_s, telemetry if self.terrain == "adapt" else None)
 
     @property
     def is_over(self) -> bool:
@@ -138,4 +150,8 @@ class Walker:
             limit=engine.limit,
             odometry=engine.odometry,
             lost=tuple(sorted(engine.lost)),
+            terrain=self.terrain,
+            tilt_deg=engine.felt.tilt_deg,
+            carrying=engine.felt.carrying,
+            hanging=tuple(sorted(engine.hanging)),
         )

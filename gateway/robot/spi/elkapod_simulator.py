@@ -37,7 +37,7 @@ from gateway.host.servo_page import ServoPage
 from gateway.model import elkapod
 from gateway.model.elkapod import BEGIN, END, FRAME_BYTES, SHUTDOWN, START, Measured
 from gateway.robot.spi import DuplexDevice
-from gateway.robot.spi.simulated_battery import A_PER_NM, BASE_A, IDLE_A, MOVING_A, Battery
+from gateway.robot.spi.simulated_battery import A_PER_NM, BASE_A, IDLE_A, MOVING_A, SimulatedBattery
 from gateway.robot.spi.simulated_servos import ServoState, SimulatedServos
 from gateway.robot.spi.simulator import KEPT_TRANSFERS
 from gateway.robot.spi.uart import Uart
@@ -69,7 +69,7 @@ class SimulatedElkapod(DuplexDevice):
         on_change: Callable[[str], None] | None = None,
         page: ServoPage | None = None,
         sensed: SensedPage | None = None,
-        battery: Battery | None = None,
+        battery: SimulatedBattery | None = None,
     ) -> None:
         """Switched on now, servos slack. `clock` gives nanoseconds. `on_change` gets a line on what changed; into
         `page` goes where each servo is sent, and `sensed` has what a simulated body feels."""
@@ -88,7 +88,7 @@ class SimulatedElkapod(DuplexDevice):
         self._clock = clock
         self._on_change = on_change
         self._sensed = sensed
-        self._battery = Battery() if battery is None else battery
+        self._battery = SimulatedBattery() if battery is None else battery
         self._noise = random.Random(0)  # noqa: S311  (a sensor's, no secrets)
         self._lock = threading.Lock()
         now_ns = clock()

@@ -21,7 +21,7 @@ A_PER_NM: Final = 1.25
 """One of 2 N·m takes 2.5 A when it stalls."""
 
 
-class Battery:
+class SimulatedBattery:
     """`charge`: 1 full, 0 empty."""
 
     def __init__(self, charge: float = 1.0) -> None:

@@ -11,7 +11,7 @@ from gateway.host.servo_page import ServoPage
 from gateway.model import elkapod
 from gateway.model.elkapod import FRAME_BYTES, SHUTDOWN, START, AnswerError, Measured
 from gateway.robot.spi.elkapod_simulator import GARBAGE, MOST_HEARTBEATS, SimulatedElkapod
-from gateway.robot.spi.simulated_battery import FULL_V, MOVING_A, RESISTANCE_OHM, Battery
+from gateway.robot.spi.simulated_battery import FULL_V, MOVING_A, RESISTANCE_OHM, SimulatedBattery
 from schemas.robot import SERVO_IDS
 
 MS = 1_000_000  # ns
@@ -32,7 +32,7 @@ def frame_of(angles_deg: dict[int, float]) -> bytes:
 class Bench:
     """A controller, its clock, the page of where its servos are sent, and what it said."""
 
-    def __init__(self, battery: Battery | None = None) -> None:
+    def __init__(self, battery: SimulatedBattery | None = None) -> None:
         self.now_ns = 7_000_000 * MS
         self.said: list[str] = []
         self.page = ServoPage()
@@ -227,15 +227,15 @@ def test_over_an_hour_the_battery_empties_and_it_warms_up(bench: Bench) -> None:
 
 
 def test_an_empty_battery_has_no_percent_and_no_more_charge() -> None:
-    battery = Battery(charge=0.01)
+    battery = SimulatedBattery(charge=0.01)
     battery.draw(1.0, 3600)
     assert battery.charge == 0
     assert battery.percent == 0
-    assert Battery().voltage_v == pytest.approx(FULL_V - RESISTANCE_OHM)
+    assert SimulatedBattery().voltage_v == pytest.approx(FULL_V - RESISTANCE_OHM)
 
 
 def test_a_robot_can_be_had_with_a_low_battery() -> None:
-    bench = Bench(Battery(charge=0.1))
+    bench = Bench(SimulatedBattery(charge=0.1))
     bench.exchange()
     assert bench.measured().voltage_v == pytest.approx(6.54, abs=0.01)
 

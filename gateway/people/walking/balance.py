@@ -1,0 +1,153 @@
+"""What the robot's own sensors say about the ground: how the body leans, which feet carry, whether it has fallen. Pure.
+
+A foot is believed once it was seen with and without contact: one that is stuck from the beginning counts as unknown,
+and walks as it would without sensors. Forces have the robot's own unit, so they are compared with its weight.
+"""
+
+import math
+from collections.abc import Mapping
+from copy import copy
+from typing import Final, NamedTuple, Self
+
+from gateway.errors import WalkError
+from gateway.people.walking.motion import BodyPose
+from schemas.robot import LEGS
+from schemas.telemetry import Telemetry
+
+TERRAINS: Final = ("level", "adapt")
+"""The floor is level, as far as the walk knows; or the sensors say how it is, where there are some."""
+FALLEN_DEG: Final = 45.0
+"""A body that leans further does not stand on its feet any more."""
+_FALLEN_S: Final = 0.2
+_LIFTED_S: Final = 0.3
+"""Longer than a walking robot's feet are ever unloaded together."""
+_LIFTED: Final = 0.2
+_CARRIES: Final = 0.05
+"""Of the weight: a foot that presses more touches the ground."""
+_FORGETS_S: Final = 10.0
+"""A weight that was measured too high, by a hard step, is forgotten in this time."""
+_LEVELS_1_S: Final = 1.5
+"""Of the remaining lean, corrected each second: slow against a stride, so that feet that swing do not excite it."""
+_LEVELS_RAD_S: Final = 0.2
+LEANS_RAD: Final = math.radians(15.0)
+"""The most that the body leans against its feet to be level."""
+_RISES_1_S: Final = 1.0
+_RISES_M_S: Final = 0.03
+EARLY_M: Final = 0.010
+"""Servos give way under load: a foot that touches below this height goes on to the ground that was expected."""
+LATE_S: Final = 0.12
+"""So long a foot waits for its contact to be reported before it goes on down: sensors may be 0.1 s late."""
+SINKS_M_S: Final = 0.10
+DEEPEST_M: Final = 0.030
+"""So far below the expected ground a foot goes on down."""
+
+
+def terrain_named(name: str) -> str:
+    """`name`. Raises WalkError for an unknown terrain."""
+    if name not in TERRAINS:
+        raise WalkError(f"there is no terrain {name!r}; there are {', '.join(TERRAINS)}")
+    return name
+
+
+class Felt(NamedTuple):
+    """What the sensors say now; without any this is all unknown, and the walk is as on level ground."""
+
+    roll_rad: float | None = None
+    pitch_rad: float | None = None
+    tilt_deg: float | None = None
+    feet: Mapping[int, bool] = {}
+    """Whether a foot touches the ground, of those that can be believed."""
+    carrying: tuple[bool, ...] | None = None
+    """Of legs 1 to 6, as measured."""
+    fault: str = ""
+    """Why nothing may move now, in a sentence."""
+
+
+NOTHING: Final = Felt()
+
+
+class Senses:
+    """Reads telemetry tick by tick."""
+
+    def __init__(self) -> None:
+        self._weight = 0.0
+        self._seen: dict[int, frozenset[bool]] = {}
+        self._tilted_s = self._lifted_s = 0.0
+
+    def copy(self) -> Self:
+        """An independent copy."""
+        new = copy(self)
+        new._seen = dict(self._seen)
+        return new
+
+    def take(self, telemetry: Telemetry | None, seconds: float) -> Felt:
+        """What this telemetry says; None where none is fresh."""
+        if telemetry is None:
+            self._tilted_s = self._lifted_s = 0.0
+            return NOTHING
+        roll_rad, pitch_rad, tilt_deg = _lean(telemetry)
+        carrying = None if telemetry.feet is None else self._carrying(telemetry.feet, seconds)
+        self._tilted_s = self._tilted_s + seconds if (tilt_deg or 0.0) > FALLEN_DEG else 0.0
+        feet = {}
+        for leg, carries in zip(LEGS, carrying or (), strict=False):
+            self._seen[leg] = self._seen.get(leg, frozenset()) | {carries}
+            if len(self._seen[leg]) > 1:
+                feet[leg] = carries
+        fault = ""
+        if self._tilted_s > _FALLEN_S:
+            fault = f"the body leans by {tilt_deg:.0f} degrees: it has fallen, and stands still"
+        elif self._lifted_s > _LIFTED_S:
+            fault = "no foot carries: somebody has lifted it, and it stands still"
+        return Felt(roll_rad, pitch_rad, tilt_deg, feet, carrying, fault)
+
+    def _carrying(self, forces: tuple[float, ...], seconds: float) -> tuple[bool, ...]:
+        total = sum(max(0.0, force) for force in forces)
+        if total < _LIFTED * self._weight:
+            self._lifted_s += seconds
+        else:
+            self._lifted_s = 0.0
+            self._weight = max(total, self._weight * (1.0 - min(1.0, seconds / _FORGETS_S)))
+        return tuple(force > _CARRIES * self._weight for force in forces)
+
+
+def levelled(body: BodyPose, wanted: BodyPose, felt: Felt, most_rad: float, seconds: float) -> BodyPose:
+    """The body's next pose above its feet, with which it leans against the world as wanted; bounded in rate and angle.
+
+    Without an orientation it stays as it is.
+    """
+    if felt.roll_rad is None or felt.pitch_rad is None:
+        return body
+
+    def towards(now_rad: float, off_rad: float, asked_rad: float) -> float:
+        most = _LEVELS_RAD_S * seconds
+        aim_rad = now_rad - _LEVELS_1_S * off_rad * seconds
+        aim_rad = max(asked_rad - most_rad, min(asked_rad + most_rad, aim_rad))
+        return now_rad + max(-most, min(most, aim_rad - now_rad))
+
+    return BodyPose(
+        body.height_m,
+        towards(body.roll_rad, felt.roll_rad - wanted.roll_rad, wanted.roll_rad),
+        towards(body.pitch_rad, felt.pitch_rad - wanted.pitch_rad, wanted.pitch_rad),
+    )
+
+
+def lowered_by(heights_m: list[float], seconds: float) -> float:
+    """By how much the frame of the ground rises to the mean of the feet that stand: so the body climbs with them."""
+    mean_m = sum(heights_m) / len(heights_m) if heights_m else 0.0
+    most = _RISES_M_S * seconds
+    return max(-most, min(most, _RISES_1_S * mean_m * seconds))
+
+
+def _lean(telemetry: Telemetry) -> tuple[float | None, float | None, float | None]:
+    """Roll, pitch (radians, as `BodyPose`) and tilt (degrees)."""
+    if telemetry.imu is None:
+        return None, None, telemetry.tilt_deg
+    w, x, y, z = telemetry.imu.orientation_wxyz
+    square = w * w + x * x + y * y + z * z
+    if not 0.8 < square < 1.2:  # all zeros before the sensor is ready
+        return None, None, telemetry.tilt_deg
+    ahead, aside, up = 2 * (x * z - w * y), 2 * (y * z + w * x), w * w - x * x - y * y + z * z
+    tilt_deg = math.degrees(math.acos(max(-1.0, min(1.0, up / square))))
+    if tilt_deg > FALLEN_DEG:
+        return None, None, tilt_deg
+    return math.atan2(aside, up), math.atan2(-ahead, math.hypot(aside, up)), tilt_deg
