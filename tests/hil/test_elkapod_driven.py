@@ -1,14 +1,15 @@
-"""A robot of elkapod-2025 that somebody walks: it starts as a whole, once, and is shut down at the end."""
+"""A robot of elkapod-2025 that people drive: a walk, and the drill. It starts as a whole, and ends shut down."""
 
 from pathlib import Path
 
 import pytest
 
-from gateway.model.elkapod import SHUTDOWN
+from gateway.model.elkapod import SHUTDOWN, START
+from gateway.people.tools.drill.steps import STEPS
 from schemas.robot import SERVO_IDS
 from tests.hil.elkapod_bed import AT_REST, ElkapodBed
 from tests.hil.wire import LATE_S
-from tests.support.gateway_process import Gateway
+from tests.support.gateway_process import COMMAND, Gateway
 
 pytestmark = pytest.mark.hil
 
@@ -34,4 +35,22 @@ def test_it_is_started_once_moved_and_shut_down(tmp_path: Path) -> None:
             begun = [each.what for each in said].index("start")
             assert said[begun - 1].what == said[begun - 2].what != AT_REST, "lying, and not in the middle"
             assert len({each.what for each in said}) > 50
+        assert not robot.controller.corruptions
+
+
+def test_the_drill_passes_and_leaves_nothing_energised(tmp_path: Path) -> None:
+    with ElkapodBed(tmp_path) as robot:
+        sections = robot.settings_with(
+            telemetry={"frames": True}, watchdog={"timeout_ms": 400}, buttons={"required": 1, "timeout_ms": 600}
+        )
+        with Gateway(tmp_path, sections, bed=robot) as gateway:
+            options = ("--yes", "--late", "70", "--config", str(gateway.config), "--connect", gateway.endpoint)
+            drill = robot.spawn([*COMMAND, "drill", *options])
+            assert drill.wait(90) == 0, str(drill)
+            assert drill.stdout.count("PASS ") == len(STEPS) - 1, str(drill)  # all but --restart
+            assert "starts and stops as a whole" in drill.stderr
+            messages = robot.messages_since(0)
+            assert messages.count(START) >= 5
+            assert messages[-1] == SHUTDOWN
+            assert robot.controller.energised == frozenset()
         assert not robot.controller.corruptions
