@@ -13,18 +13,14 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Final
 
-from gateway import geometry
 from gateway.errors import ConfigError
 from gateway.model.protocols import starts_whole
 from gateway.people.client.blocking import Client
 from gateway.people.terminal import ask, say
 from gateway.people.tools.driving import drives, rejected
-from gateway.people.tools.moving import ServoMotion, consents, ready, stopped_after
+from gateway.people.tools.moving import ServoMotion, consents, lying, ready, stopped_after
 from gateway.people.tools.reach import Connection, show_differences
-from gateway.people.walking.planning import Planner
-from gateway.people.walking.robot import Robot, ranges
-from schemas.calibration import Calibration
-from schemas.robot import JOINTS, LEGS, MAX_DEG, SERVO_IDS
+from schemas.robot import LEGS, MAX_DEG, SERVO_IDS
 from schemas.telemetry import Ack, GatewayState, Reason, WatchdogState
 
 DEFAULT_SERVO: Final = 61
@@ -93,8 +89,8 @@ def move(connect: Connection, *, agreed: bool) -> int:
         if whole and not state.controller.alive:
             say(_SILENT)
             return 1
-        lying = _lying(state, client.calibration()) if whole else {}
-        motion = _motion(DEFAULT_SERVO, "", lying) if agreed else _asked(lying)
+        held = lying(client, state) if whole else {}
+        motion = _motion(DEFAULT_SERVO, "", held) if agreed else _asked(held)
         servo_id = motion.servo_ids[0]
         if not consents(motion, state, agreed=agreed):
             say("Nothing was moved.")
@@ -131,24 +127,14 @@ def move(connect: Connection, *, agreed: bool) -> int:
     return 0
 
 
-def _lying(state: GatewayState, calibration: Calibration | None) -> dict[int, float]:
-    """The angle of each servo of a robot that lies, its feet just off the ground. Raises WalkError."""
-    pose = Planner(Robot(geometry.load(), ranges(state.limits, calibration))).found({}).pose
-    return {
-        10 * leg + joint: round(angle_deg, 2)
-        for leg, angles_deg in pose.items()
-        for joint, angle_deg in zip(JOINTS, angles_deg, strict=True)
-    }
-
-
-def _asked(lying: Mapping[int, float]) -> ServoMotion:
+def _asked(held: Mapping[int, float]) -> ServoMotion:
     servo_id = _servo(ask(f"Which servo, 11 to 63? [{DEFAULT_SERVO}] "))
-    usual_deg = lying.get(servo_id, DEFAULT_ANGLE_DEG)
-    return _motion(servo_id, ask(f"Start it at which angle? [{usual_deg:g}] "), lying)
+    usual_deg = held.get(servo_id, DEFAULT_ANGLE_DEG)
+    return _motion(servo_id, ask(f"Start it at which angle? [{usual_deg:g}] "), held)
 
 
-def _motion(servo_id: int, text: str, lying: Mapping[int, float]) -> ServoMotion:
-    return ServoMotion([servo_id], _angle(text, lying.get(servo_id, DEFAULT_ANGLE_DEG)), lying)
+def _motion(servo_id: int, text: str, held: Mapping[int, float]) -> ServoMotion:
+    return ServoMotion([servo_id], _angle(text, held.get(servo_id, DEFAULT_ANGLE_DEG)), held)
 
 
 def _moved(client: Client, motion: ServoMotion, timeout_ms: float, lease: dict[str, str]) -> bool:

@@ -9,11 +9,14 @@ from contextlib import contextmanager
 from types import MappingProxyType
 from typing import Any, Final, NamedTuple
 
+from gateway import geometry
 from gateway.errors import ConfigError, GatewayError
 from gateway.people.client.blocking import Client
 from gateway.people.terminal import ask, hint, this_command
 from gateway.people.tools import kept_lease
 from gateway.people.tools.reach import check_at_rest
+from gateway.people.walking.planning import Planner
+from gateway.people.walking.robot import Robot, ranges
 from gateway.text import visible
 from schemas import keys
 from schemas.robot import JOINTS, LEGS, MAX_DEG
@@ -46,6 +49,11 @@ class ServoMotion(NamedTuple):
         return self.servo_ids[0] // 10
 
     @property
+    def started_ids(self) -> list[int]:
+        """All servos that a start starts."""
+        return sorted(self.holding) or self.servo_ids
+
+    @property
     def key(self) -> str:
         """Where commands for them go."""
         if self.holding:
@@ -69,9 +77,19 @@ class ServoMotion(NamedTuple):
         return f"servo {self.servo_ids[0]}" if len(self.servo_ids) == 1 else f"leg {self.leg}"
 
 
-def of_leg(leg: int, start_deg: float, *, whole: bool) -> ServoMotion:
+def of_leg(leg: int, start_deg: float, *, whole: bool, holding: Mapping[int, float]) -> ServoMotion:
     """The leg's three servos, or its first one."""
-    return ServoMotion([10 * leg + joint for joint in JOINTS][: 3 if whole else 1], start_deg)
+    return ServoMotion([10 * leg + joint for joint in JOINTS][: 3 if whole else 1], start_deg, holding)
+
+
+def lying(client: Client, state: GatewayState) -> dict[int, float]:
+    """The angle of each servo of a robot that lies, its feet just off the ground. Raises WalkError."""
+    pose = Planner(Robot(geometry.load(), ranges(state.limits, client.calibration()))).found({}).pose
+    return {
+        10 * leg + joint: round(angle_deg, 2)
+        for leg, angles_deg in pose.items()
+        for joint, angle_deg in zip(JOINTS, angles_deg, strict=True)
+    }
 
 
 def ready(client: Client) -> GatewayState:

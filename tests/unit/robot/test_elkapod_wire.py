@@ -251,9 +251,11 @@ def test_a_transfer_that_hangs_delays_no_stop_and_its_start_does_not_come(parts:
     frame = parts.bus.begin_cycle(parts.now_ns)
     assert frame is not None
     before = len(parts.said)
+    assert parts.bus.put_right() is None, "the kernel would answer at the transfer's end"
     parts.bus.write(STOPS)  # while the second transfer is under way
     parts.bus.end_cycle(parts.bus.exchange(frame), 300 * MS, parts.now_ns)
     assert parts.said[before:] == [SHUTDOWN]
+    assert parts.bus.put_right() == "mode 0"
 
 
 def test_a_failed_transfer_shuts_down_at_once_and_the_device_opens_anew(parts: Parts) -> None:

@@ -16,6 +16,7 @@ from gateway.people.tools import kept_lease
 from gateway.people.tools.button.check_ins import CheckIns
 from gateway.people.tools.moving import ServoMotion
 from schemas import keys
+from schemas.robot import JOINTS
 from schemas.telemetry import Ack, Cause, Event, FrameRecord, GatewayState, Reason
 
 SETPOINT_PERIOD_S: Final = 0.02
@@ -136,8 +137,12 @@ class Bench:
         return {**self.motion.payload(op, angle_deg), **self.lease}
 
     def frame(self, op: Op, angle_deg: float) -> Frame:
-        """The frame that such a command is to cause, in the servos' own angles."""
+        """The frame that such a command is to cause, in the servos' own angles; the leg's, where the others hold."""
         command = ServoOp(op, centidegrees(angle_deg))
+        if holding := self.motion.holding:
+            angles_deg = {**holding, **dict.fromkeys(self.motion.servo_ids, angle_deg)}
+            one, two, three = (ServoOp(op, centidegrees(angles_deg[10 * self.motion.leg + joint])) for joint in JOINTS)
+            return self.calibration.frame(OneLeg(self.motion.leg, (one, two, three)))
         if len(self.motion.servo_ids) > 1:
             return self.calibration.frame(OneLeg(self.motion.leg, (command, command, command)))
         return self.calibration.frame(OneServo(self.motion.servo_ids[0], command))

@@ -10,12 +10,13 @@ from pathlib import Path
 from typing import Final
 
 from gateway.errors import ConfigError, GatewayError
+from gateway.model.protocols import starts_whole
 from gateway.people.terminal import NOBODY, hint, on_end_signals, rows
 from gateway.people.tools.drill.bench import Bench, FailedError, Figures, Skipped, WrittenFrame
 from gateway.people.tools.drill.steps import STEPS, DrillStep
 from gateway.people.tools.drill.watching import watching
 from gateway.people.tools.driving import drives
-from gateway.people.tools.moving import consents, of_leg, ready, stopped_after
+from gateway.people.tools.moving import consents, lying, of_leg, ready, stopped_after
 from gateway.people.tools.reach import Connection, show_differences
 from schemas.telemetry import GatewayState, Mode
 
@@ -88,9 +89,10 @@ def drill(
         with connect() as client:
             state = ready(client)
             show_differences(config)
+            holding = lying(client, state) if starts_whole(state.controller.protocol) else {}
             bench = Bench(
                 client,
-                of_leg(leg, angle_deg, whole=whole_leg),
+                of_leg(leg, angle_deg, whole=whole_leg, holding=holding),
                 reaches={"endpoint": endpoint, "zenoh_config": zenoh_config},
                 late_ms=late_ms,
                 lands=bool(state.watchdog.landing_ms),

@@ -81,10 +81,10 @@ def _arrive(bench: Bench) -> bool:
     while True:
         state = bench.client.state()
         demand(
-            bench.running(state) == bench.motion.servo_ids,
-            f"these servos were started: {bench.motion.servo_ids}; these run: {bench.running(state)}",
+            bench.running(state) == bench.motion.started_ids,
+            f"these servos were started: {bench.motion.started_ids}; these run: {bench.running(state)}",
         )
-        running = [servo for leg in state.legs for servo in leg.servos if servo.running]
+        running = [servo for leg in state.legs for servo in leg.servos if servo.id in bench.motion.servo_ids]
         angles = [servo.angle_deg for servo in running]
         if set(angles) == {bench.motion.end_deg}:
             return on_the_way
@@ -103,7 +103,10 @@ def _demand_frames(bench: Bench, mark: int, wanted: list[Frame], *, on_the_way: 
     stopped = bench.wait(
         lambda: any(not seen.moves and seen.leg == bench.motion.leg for seen in bench.since(mark)), EVIDENCE_S
     )
-    found = [seen.frame for seen in bench.since(mark) if seen.moves]
+    of_others = bench.motion.holding  # which hold
+    found = [
+        seen.frame for seen in bench.since(mark) if seen.moves and not (of_others and seen.leg != bench.motion.leg)
+    ]
     shown = ", ".join(frame.to_bytes().hex() for frame in found) or "none"
     if on_the_way and found and _never_back(found):
         found = [found[0], found[-1]]
