@@ -24,6 +24,7 @@ from schemas.keys import leg_command
 from tests.benchmarks.batches import batches
 from tests.benchmarks.button import button
 from tests.benchmarks.calls import calls
+from tests.benchmarks.cycle import cycle
 from tests.benchmarks.dense import dense
 from tests.benchmarks.landing import landing, landing_rejected
 from tests.benchmarks.lease import lease
@@ -233,6 +234,7 @@ PARTS: dict[str, Callable[[Path], list[Row]]] = {
     "recorder": recorder,
     "flood": flood,
     "dense": dense,
+    "cycle": cycle,
     "landing": landing,
     "landing-rejected": landing_rejected,
     "idle": idle,

@@ -11,8 +11,9 @@ from typing import Any
 from gateway.model.angle_limits import AngleLimits
 from gateway.model.calibration import RobotCalibration
 from gateway.model.frames import MAX_ANGLE_CDEG
+from gateway.robot.core.body_limits import BodyLimits
 from gateway.robot.core.calibrating import Calibrating
-from gateway.robot.core.events import Calibrate, Command, Effect, Event, TimePassed, Transmit
+from gateway.robot.core.events import Calibrate, Command, Effect, Event, Targets, TimePassed, Transmit
 from gateway.robot.core.leg import Leg, Rules, Servo
 from gateway.robot.core.legs import Legs
 from gateway.robot.core.pacing import RateSlots
@@ -175,6 +176,25 @@ class StopsNeedPermission(Supervisor):
         return super()._rejection(command) or self.lease.rejection(command.lease) or self._why_unwatched()
 
 
+class FitForAnything(Supervisor):
+    """Neither an empty battery nor a fall keeps anything from starting."""
+
+    def __init__(self, rules: Rules) -> None:
+        super().__init__(rules)
+        self.body = StartsAlways(rules)
+
+
+class SilenceStopsOneLeg(Supervisor):
+    """The watchdog stops the silent leg alone, where legs only stop together."""
+
+    def _expire(self, now_ns: int) -> list[Effect]:
+        rules = self._rules
+        self._rules = replace(rules, starts_whole=False)
+        effects = super()._expire(now_ns)
+        self._rules = rules
+        return effects
+
+
 class AnybodyCalibrates(Supervisor):
     """A change needs no lease, and no mode in which it may be made."""
 
@@ -184,6 +204,34 @@ class AnybodyCalibrates(Supervisor):
 
 
 # ---- its parts
+
+
+class StartsAlways(BodyLimits):
+    """What is measured forbids nothing."""
+
+    def rejection(self, moves: Targets, servos: Mapping[int, Servo]) -> None:
+        del moves, servos
+
+
+class StartsByLeg(Legs):
+    """Starts a part of a robot that starts as a whole."""
+
+    def why_not_whole(self, command: Command) -> None:
+        del command
+
+
+class StartsInItsOwnSlot(Legs):
+    """A start does not wait for the last leg's rate slot."""
+
+    def _slot_ns(self, leg: Leg) -> int:
+        return leg.slots.next_ns
+
+
+class StopsByServo(Legs):
+    """A Stop stops what it names, also where all is one."""
+
+    def _stop_whole(self, command: Command) -> dict[int, Targets]:
+        return command.by_leg
 
 
 class Bursts(RateSlots):

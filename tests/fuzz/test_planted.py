@@ -9,6 +9,7 @@ from gateway.model.calibration import RobotCalibration
 from gateway.model.frames import STOP, OneServo, Op, ServoOp
 from gateway.robot.core.events import (
     Announce,
+    BodyMeasured,
     ButtonDo,
     ButtonRequest,
     Calibrate,
@@ -26,7 +27,7 @@ from gateway.robot.core.events import (
     Transmit,
 )
 from gateway.robot.core.supervisor import Supervisor
-from schemas.telemetry import Cause, Kind
+from schemas.telemetry import Cause, Kind, Reason
 from tests.fuzz import planted
 from tests.fuzz.planted import (
     Make,
@@ -68,6 +69,10 @@ CALIBRATED = BY_NAME["one leg, a servo of which is calibrated"]
 CALIBRATED_LANDING = BY_NAME["one servo, calibrated and limited in speed, and landing"]
 CALIBRATING_DRIVER = BY_NAME["one servo, calibrated by its driver"]
 UNREAD = BY_NAME["one servo, whose calibration cannot be read"]
+BODY = BY_NAME["one servo, a battery and a body that may fall"]
+WHOLE = BY_NAME["two legs that start and stop as one"]
+WHOLE_SLOW = BY_NAME["two legs that start and stop as one, rate slots later than the watchdog, and landing"]
+WHOLE_LANDING = BY_NAME["two legs that start and stop as one, landing, and a body that may fall"]
 
 
 def answered_only(_robot: Supervisor, _event: Event, effects: list[Effect]) -> list[Effect]:
@@ -234,6 +239,21 @@ BROKEN: list[tuple[str, Configuration, Make]] = [
         taking(CalibrationSaved, lambda _, kept: replace(kept, fault=None)),
     ),
     ("rejected for servo_stopped", UNREAD, made_of(calibrating=planted.StartsUntrusted)),
+    ("a battery is announced once when it becomes low", BODY, losing(kind=Kind.BATTERY_LOW)),
+    ("a fall is announced once", BODY, losing(kind=Kind.FALLEN)),
+    ("a fall is announced once", BODY, ignoring(tilt_ns=TICK)),
+    ("a fall is announced once", BODY, taking(BodyMeasured, lambda _, each: replace(each, tilt_cdeg=None))),
+    ("legs not heard for the timeout", BODY, without_stops(BodyMeasured)),
+    ("rejected for battery_low", BODY, planted.FitForAnything),
+    ("rejected for fallen", WHOLE_LANDING, planted.FitForAnything),
+    ("that the bus is back is announced as its fault was", BODY, losing(kind=Kind.CONTROLLER_RETURNED)),
+    ("that the bus is back is announced as its fault was", ONE_SERVO, losing(kind=Kind.BUS_RECOVERED)),
+    ("a fault of the bus is announced once", BODY, losing(kind=Kind.CONTROLLER_SILENT)),
+    ("rejected for whole_robot", WHOLE, made_of(legs=planted.StartsByLeg)),
+    ("the whole robot runs, or nothing of it", WHOLE_SLOW, made_of(legs=planted.StartsInItsOwnSlot)),
+    ("is sent at once", WHOLE, made_of(legs=planted.StopsByServo)),
+    ("rejected for whole_robot", WHOLE, answering(Rejected, reason=Reason.STALE)),
+    ("legs not heard for the timeout", WHOLE, planted.SilenceStopsOneLeg),
 ]
 """The sentence of the oracle, the robot on which it is broken, and by what."""
 

@@ -1,10 +1,10 @@
 """A robot whose controller starts and stops all legs at once: programs start it whole, and any Stop ends them whole."""
 
-from typing import Final
+from typing import Final, NoReturn
 
 import pytest
 
-from gateway.client import Client, Posture, RejectedError, StoppedError
+from gateway.client import Client, Posture, RejectedError, StoppedError, Stream
 from gateway.model.frames import Op, decode
 from gateway.people.client.stream import WHOLE
 from schemas.robot import LEGS
@@ -37,7 +37,8 @@ def test_a_walk_starts_all_legs_at_once_and_goes_on_from_lying_after_a_stop_of_o
         with pytest.raises(StoppedError) as stopped:
             walk.stand(height_m=0.12)
         assert stopped.value.legs == tuple(LEGS)
-        assert walk.state.posture is Posture.HALTED
+        halted = walk.state.posture
+        assert halted is Posture.HALTED
         walk.start_again()
         walk.stand()
         assert starts(written) == 2 * list(LEGS)
@@ -57,8 +58,13 @@ def test_a_stream_of_one_leg_is_told_what_to_send_and_one_that_leaves_a_leg_out_
         stream.set(LYING)
         assert running(watcher) == list(LEGS)
         with pytest.raises(StoppedError) as stopped:
-            while True:
-                stream.set({leg: LYING[leg] for leg in LEGS if leg != 6})
+            leave_out(stream, leg=6)
         assert stopped.value.legs == tuple(LEGS)
     expired = happened.wait(lambda event: event.kind == Kind.WATCHDOG_EXPIRED)
     assert expired.legs == tuple(LEGS)
+
+
+def leave_out(stream: Stream, leg: int) -> NoReturn:
+    """Command all other legs until that ends the stream."""
+    while True:
+        stream.set({each: LYING[each] for each in LEGS if each != leg})

@@ -32,9 +32,8 @@ def sentences(state: GatewayState) -> list[str]:
     if state.calibration.fault is not None:
         found.append(f"Nothing can be started: {state.calibration.fault}")
     device = "a simulated controller" if state.simulated else spi.device
-    found.append(
-        f"{spi.frames} frames to {device} ({state.protocol if spi.framing == 'none' else spi.framing}), {spi.errors} SPI errors."
-    )
+    spoken = state.protocol if spi.framing == "none" else spi.framing
+    found.append(f"{spi.frames} frames to {device} ({spoken}), {spi.errors} SPI errors.")
     controller, battery = state.controller, state.battery
     if controller.alive is not None:
         silence = "" if controller.age_ms is None else f", its last answer {controller.age_ms / 1000:.1f} s ago"

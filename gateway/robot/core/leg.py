@@ -47,13 +47,13 @@ class Rules:
     buttons_timeout_ns: int = NS_PER_S
     """For how long a button is alive after a check-in."""
     starts_whole: bool = False
-    """Whether the wire can start and stop the whole robot only (Behaviour 15); then `start_pause_ns` is 0."""
+    """Whether the wire can start and stop the whole robot only (Behaviour 16); then `start_pause_ns` is 0."""
     min_battery_mv: int = 0
-    """Below it nothing is started (Behaviour 16); 0: whatever the battery has."""
+    """Below it nothing is started (Behaviour 15); 0: no voltage is too low."""
     max_tilt_cdeg: int = 0
-    """Beyond it for `tilt_ns`, the robot has fallen (Behaviour 16); 0: it may stand as it likes."""
+    """Beyond it for `tilt_ns`, the robot has fallen (Behaviour 15); 0: no tilt counts as a fall."""
     tilt_ns: int = 200 * NS_PER_MS
-    """Longer than a stumble, and a fall that is lifted from takes longer."""
+    """For how long it must be tilted beyond that: longer than a stumble or a single bad value takes."""
 
     def __post_init__(self) -> None:
         if self.starts_whole and self.start_pause_ns:

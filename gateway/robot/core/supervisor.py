@@ -33,10 +33,10 @@ The rules, by their numbers in docs/interface.md, *Behaviour*:
     pose, nothing else moves, and six legs are stopped at an end that is known from its beginning (`landing`).
 14. While fewer buttons are alive than are required, starts, sets and resets are rejected, and what runs is stopped, or
     lands, when they have become too few (`buttons`). Stops need no button.
-15. Where the wire can start and stop the whole robot only, all servos run or wait to be started, or none does: a start
-    names all of them, and leaves with the last leg's rate slot; whatever stops one of them stops all in the same step.
-16. Where a limit is set, nothing starts on a low battery, and nothing moves once the body has been tilted for too long:
+15. Where a limit is set, nothing starts on a low battery, and nothing moves once the body has been tilted for too long:
     what runs is then stopped, or lands (`body_limits`).
+16. Where the wire can start and stop the whole robot only, all servos run or wait to be started, or none does: a start
+    names all of them, and leaves with the last leg's rate slot; whatever stops one of them stops all in the same step.
 
 `StoppedOutside` reports `stop-servos` at work on the same device. All legs count as stopped and get a Stop from here
 too, since one may have been started after its Stop from outside. Until that program is known to have ended, no Start or
@@ -248,8 +248,7 @@ class Supervisor:
             return _REJECTING[self.mode]
         moves = command.moves
         guarded = self.stopped_outside or self.lease.guards or self.legs.landing is not None or self.calibrating.guards
-        guarded = guarded or self.buttons.closed or self.body.low or self.body.fallen
-        if moves and (guarded or command.lease is not None):
+        if moves and (guarded or command.lease is not None or self.buttons.closed or self.body.low or self.body.fallen):
             rejection = self._why_closed(command.lease) or self._why_unwatched()
             rejection = rejection or self.body.rejection(moves, self.legs.servos) or self.calibrating.rejection(moves)
             if rejection is not None:

@@ -148,7 +148,8 @@ class CyclicBus(Wire):
         return self._device is not None and self._device.stop_servos_at_work()
 
     def put_right(self) -> str | None:
-        return None if self._device is None else self._device.put_right()
+        """Not during a transfer: the kernel lets whoever asks for a setting wait for its end, and a Stop with it."""
+        return None if self._device is None or self._exchanging else self._device.put_right()
 
     def release(self) -> None:
         """Release the SPI device, but for a silent controller's, from which its signs of life would come.

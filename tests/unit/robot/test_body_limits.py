@@ -31,7 +31,7 @@ def test_without_a_limit_no_measurement_is_wanted_and_none_decides_anything() ->
 
 
 @pytest.mark.parametrize("limit", [{"min_battery_mv": 7000}, {"max_tilt_cdeg": 10_00}])
-def test_with_one_limit_measurements_are_wanted(limit: dict[str, int]) -> None:
+def test_with_one_limit_measurements_are_wanted(limit: dict[str, Any]) -> None:
     assert Supervisor(Rules(**limit)).wants_measurements
 
 

@@ -17,6 +17,7 @@ from gateway.model.frames import STOP, Op, ServoOp, decode, servo_ids_of
 from gateway.model.framing import Framing
 from gateway.robot.core.events import (
     Announce,
+    BodyMeasured,
     BusFailed,
     BusOpened,
     Calibrate,
@@ -72,7 +73,11 @@ RULES = st.builds(
     lease_required=st.sampled_from([False, False, True]),
     lease_ttl_ns=st.sampled_from([30, 200, 1000]).map(lambda ms: ms * NS_PER_MS),
     lease_takeover=st.booleans(),
+    min_battery_mv=st.sampled_from([0, 0, 7000]),
+    max_tilt_cdeg=st.sampled_from([0, 0, 30_00]),
+    tilt_ns=st.sampled_from([20, 200]).map(lambda ms: ms * NS_PER_MS),
 )
+WHOLE_OR_NOT = st.one_of(RULES, RULES, RULES.map(lambda rules: replace(rules, starts_whole=True, start_pause_ns=0)))
 CALIBRATIONS = st.sampled_from(
     [
         RobotCalibration(),
@@ -121,7 +126,7 @@ class SupervisorMachine(RuleBasedStateMachine):
     """One supervisor, its judge and its robot."""
 
     @initialize(
-        rules=RULES,
+        rules=WHOLE_OR_NOT,
         now_ns=st.sampled_from([1, NS_PER_MS, 3_600_000_000_000]),
         calibration=CALIBRATIONS,
         fault=st.sampled_from([None] * 9 + ["it cannot be read"]),
@@ -237,6 +242,14 @@ class SupervisorMachine(RuleBasedStateMachine):
         way = self.oracle.calibration.on_its_way
         self.step(CalibrationSaved(0 if way is None else way.number, fault), wait_ns)
 
+    @rule(
+        tilt_cdeg=st.sampled_from([None, 0, 30_00, 30_01, 180_00]),
+        battery_mv=st.sampled_from([6900, 7000, 7140]),
+        wait_ns=WAITS_NS,
+    )
+    def the_body_is_measured(self, tilt_cdeg: int | None, battery_mv: int, wait_ns: int) -> None:
+        self.step(BodyMeasured(tilt_cdeg, battery_mv), wait_ns)
+
     @rule(wait_ns=WAITS_NS)
     def time_passes(self, wait_ns: int) -> None:
         self.step(TimePassed(), wait_ns)
@@ -283,10 +296,10 @@ class SupervisorMachine(RuleBasedStateMachine):
             self.controller.fail_next(0)
         self.step(BusOpened(), wait_ns)
 
-    @rule(rarely=st.integers(0, 5), wait_ns=WAITS_NS)
-    def bus_fails(self, rarely: int, wait_ns: int) -> None:
+    @rule(rarely=st.integers(0, 5), kind=st.sampled_from([Kind.BUS_FAULT, Kind.CONTROLLER_SILENT]), wait_ns=WAITS_NS)
+    def bus_fails(self, rarely: int, kind: Kind, wait_ns: int) -> None:
         if rarely == 0:
-            self.step(BusFailed("a test's fault"), wait_ns)
+            self.step(BusFailed("a test's fault", kind), wait_ns)
 
     @rule(count=st.sampled_from([0, 0, 0, 1, 3]))
     def transfers_will_fail(self, count: int) -> None:
