@@ -15,8 +15,6 @@ from schemas.robot import LEGS
 from schemas.telemetry import Kind
 from tests.support.robot import MS, Robot, leg
 
-CYCLE_S = 0.02
-
 
 class FailingElkapod(SimulatedElkapod):
     """Fails as it is told to."""
@@ -36,28 +34,32 @@ class ElkapodRobot(Robot):
         sections = sections or {}
         super().__init__({**sections, "spi": {"protocol": "elkapod-2025", **sections.get("spi", {})}})
         self.failed: list[Exception] = []
-        self._cycle = Cycle(self.cyclic, self.conductor, 50, self.failed.append, clock=self.now_ns)
+        self._cycle = Cycle(self.cyclic, self.conductor, self._hz, self.failed.append, clock=self.now_ns)
         self.conductor.start()
         self.conductor.announce_start()
-        self.loop.call_later(CYCLE_S, self._go_on)
+        self.loop.call_later(1 / self._hz, self._go_on)
 
     def wire(self) -> Wire:
         self.elkapod = FailingElkapod(clock=self.now_ns)
         self.cyclic = CyclicBus(
             self._device,
             lambda: SimulatedUart(self.elkapod),
-            silent_ns=300 * MS,
+            silent_ns=round(self.settings.controller.silent_ms * MS),
             before_frames_ns=70 * MS,
             clock=self.now_ns,
         )
         return self.cyclic
+
+    @property
+    def _hz(self) -> float:
+        return self.settings.controller.cycle_hz
 
     def _device(self) -> DuplexDevice:
         return self.elkapod
 
     def _go_on(self) -> None:
         self._cycle.exchange()
-        self.loop.call_later(CYCLE_S, self._go_on)
+        self.loop.call_later(1 / self._hz, self._go_on)
 
     @property
     def said(self) -> list[tuple[float, str]]:

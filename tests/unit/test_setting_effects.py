@@ -5,6 +5,7 @@ Zenoh settings and `telemetry.state_hz` with a running service in test_service.p
 """
 
 import asyncio
+import math
 import re
 from contextlib import nullcontext
 from pathlib import Path
@@ -13,6 +14,7 @@ from typing import Any
 import pytest
 from pydantic import BaseModel
 
+from gateway.model.elkapod import Measured, answer
 from gateway.model.frames import OneServo, Op, ServoOp, stop_leg
 from gateway.model.framing import Framing
 from gateway.robot.core.leg import Rules
@@ -24,7 +26,8 @@ from gateway.robot.spi.guard import IllegalTransferError
 from gateway.robot.spi.simulator import SimulatedController
 from schemas import keys
 from schemas.robot import LEGS
-from schemas.telemetry import Reason
+from schemas.telemetry import Kind, Reason
+from tests.support.elkapod import all_legs, elkapod
 from tests.support.robot import leg, servo, started_and_quiet
 
 pytestmark = pytest.mark.virtual_time
@@ -36,15 +39,13 @@ SHOWN_ELSEWHERE = {
     "zenoh.connect": "test_service.py",
     "zenoh.config": "test_service.py",
     "zenoh.allow_insecure": "test_exposure.py",
-    "spi.protocol": "test_settings.py",
+    "spi.protocol": "test_elkapod_conductor.py",
     "spi.device": "hil/test_service.py",
     "spi.speed_hz": "hil/test_service.py",
     "spi.framing": "test_bus.py",
     "spi.batch": "test_bus_device.py",
     "spi.resync_ms": "test_bus.py",
-    "controller.uart": "test_check_controller.py",
-    "controller.cycle_hz": "test_cyclic.py",
-    "controller.silent_ms": "test_cyclic.py",
+    "controller.uart": "hil/test_elkapod.py",
     "watchdog.scope": "test_conductor.py",
     "lease.required": "test_lease_conductor.py",
     "lease.ttl_ms": "test_lease_conductor.py",
@@ -59,8 +60,6 @@ SHOWN_ELSEWHERE = {
     "telemetry.rate_hz": "test_telemetry.py",
     "telemetry.metrics": "test_metrics.py",
     "telemetry.metrics_hosts": "test_metrics.py",
-    "safety.min_battery_v": "test_body_limits.py",
-    "safety.max_tilt_deg": "test_body_limits.py",
     "log.level": "test_logs.py",
     "log.format": "test_logs.py",
 }
@@ -257,3 +256,39 @@ def test_none_is_forgotten() -> None:
     shown_here = {part for name in here for part in name.split("_and_")}
     for name in names(Settings):
         assert name.partition(".")[2] in shown_here or name in SHOWN_ELSEWHERE, f"nothing shows what {name} does"
+
+
+@pytest.mark.parametrize(("cycle_hz", "transfers"), [(10, 10), (50, 50), (100, 100)])
+async def test_cycle_hz(cycle_hz: float, transfers: int) -> None:
+    robot = await elkapod(controller={"cycle_hz": cycle_hz})
+    await asyncio.sleep(1)
+    assert abs(len(robot.elkapod.transfers) - transfers) <= 1
+
+
+@pytest.mark.parametrize("silent_ms", [300, 1000])
+async def test_silent_ms(silent_ms: float) -> None:
+    robot = await elkapod(controller={"silent_ms": silent_ms})
+    robot.elkapod.silent = True
+    await asyncio.sleep(silent_ms / 1e3 - 0.1)
+    assert robot.events(Kind.CONTROLLER_SILENT) == []
+    await asyncio.sleep(0.2)
+    assert len(robot.events(Kind.CONTROLLER_SILENT)) == 1
+
+
+@pytest.mark.parametrize(("min_battery_v", "reason"), [(0, None), (7, None), (9, Reason.BATTERY_LOW)])
+async def test_min_battery_v(min_battery_v: float, reason: Reason | None) -> None:
+    """A full one has 8.4 V."""
+    robot = await elkapod(safety={"min_battery_v": min_battery_v})
+    assert robot.ask(keys.LEGS_COMMAND, all_legs("start", 90)).reason == reason
+
+
+@pytest.mark.parametrize(("max_tilt_deg", "falls"), [(0, False), (40, False), (20, True)])
+async def test_max_tilt_deg(max_tilt_deg: float, falls: bool) -> None:
+    robot = await elkapod(safety={"max_tilt_deg": max_tilt_deg})
+    assert robot.ask(keys.LEGS_COMMAND, all_legs("start", 90)).accepted
+    half = math.radians(30) / 2
+    tilted = Measured(25, 8, 80, (math.cos(half), math.sin(half), 0, 0), (0, 0, 0), (0, 0, 9.81), (0,) * 6)
+    robot.elkapod.garbage = answer(tilted)
+    await asyncio.sleep(0.24)  # less than its leg may be silent, and more than a tilt may last
+    assert bool(robot.events(Kind.FALLEN)) is falls
+    assert bool(robot.elkapod.energised) is not falls
