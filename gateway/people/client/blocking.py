@@ -35,7 +35,7 @@ from gateway.people.client.subscriptions import reports
 from gateway.zenoh_config import client_config, get, one_line
 from schemas import keys
 from schemas.robot import LEGS
-from schemas.telemetry import Ack, Event, GatewayState, Mode
+from schemas.telemetry import Ack, Event, GatewayState, Mode, Telemetry
 
 if TYPE_CHECKING:
     from gateway.geometry import Geometry
@@ -359,8 +359,8 @@ class Client:
         """Call `callback` (on a Zenoh thread) for each event, until the returned subscriber is undeclared."""
         return self._subscribe(keys.EVENT, Event, callback)
 
-    def on_telemetry(self, callback: Callable[[Telemetry], None]) -> "zenoh.Subscriber[None]":
-        """Call `callback` (on a Zenoh thread) for what the robot measures, until the subscriber is undeclared."""
+    def watch_telemetry(self, callback: Callable[[Telemetry], None]) -> "zenoh.Subscriber[None]":
+        """Call `callback` (on a Zenoh thread) with what the robot measures, until the subscriber is undeclared."""
         return self._subscribe(keys.TELEMETRY, Telemetry, callback)
 
     def _subscribe(self, key: str, report: type[R], callback: Callable[[R], None]) -> "zenoh.Subscriber[None]":

@@ -62,7 +62,7 @@ class WalkClient(StreamClient, Protocol):
     walks: bool
 
     def calibration(self) -> "Calibration": ...
-    def on_telemetry(self, callback: Callable[[Telemetry], None]) -> "zenoh.Subscriber[None]": ...
+    def watch_telemetry(self, callback: Callable[[Telemetry], None]) -> "zenoh.Subscriber[None]": ...
 
 
 def _terminate(_number: int, _frame: FrameType | None) -> None:
@@ -108,8 +108,8 @@ class Walk:
     ) -> None:
         """See `Client.walk`, and `Ride` for `silences` and `once`.
 
-        Raises WalkError for an unknown gait or terrain, ConfigError for a faulty geometry file, ValueError for a rate that no
-        stream has. @private
+        Raises WalkError for an unknown gait or terrain, ConfigError for a faulty geometry file, ValueError for a rate
+        that no stream has. @private
         """
         gait_named(gait)
         self._terrain = terrain_named(terrain)
@@ -292,7 +292,7 @@ class Walk:
         try:
             self._reports = self._client.on_state(self._take)
             if self._terrain == "adapt":
-                self._sensors = self._client.on_telemetry(self._feel)
+                self._sensors = self._client.watch_telemetry(self._feel)
             state = self._ask(None)
             self._ride = Ride(
                 self._robot(state),
