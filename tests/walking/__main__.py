@@ -56,9 +56,7 @@ def main() -> int:
     picture.parent.mkdir(exist_ok=True)
     draw(picture, tracks)
     print(f"the paths: {picture}")
-    print(
-        "\nmean and worst tilt on uneven ground: blind, by sensors, and by sensors of which one is stuck on, off, or all late"
-    )
+    print("\nuneven ground, way and tilt (mean/worst): blind, by sensors, one stuck on, one stuck off, all late")
     with ProcessPoolExecutor() as processes:
         print("\n".join(processes.map(uneven, COURSES)))
     faults = [fault for verdict in verdicts for fault in verdict.faults]
