@@ -137,7 +137,9 @@ def run(
     terrain: Annotated[
         str | None,
         typer.Option(
-            metavar="GROUND", help="Physics: flat, slope:DEGREES (ahead, up) or rough:METRES.", show_default="flat"
+            metavar="GROUND",
+            help="Physics: flat, slope:DEGREES (ahead, up), rough:METRES or step:METRES.",
+            show_default="flat",
         ),
     ] = None,
     fault: Annotated[

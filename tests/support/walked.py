@@ -9,8 +9,8 @@ from typing import Final
 import pytest
 
 from gateway.people.walking import STILL, Engine, Pose, Posture, Robot, Velocity
-from gateway.people.walking.engine import SLEW_M_S2, SLEW_RAD_S2
 from gateway.people.walking.stability import MARGIN_M, centre_of_mass, margin_m
+from gateway.people.walking.tempo import SLEW_M_S2, SLEW_RAD_S2
 
 TICK_S: Final = 0.02
 _ROUNDING: Final = 1e-6

@@ -12,6 +12,7 @@ from tests.walking.judge import judge, table
 from tests.walking.physics import VARIATIONS
 from tests.walking.picture import draw
 from tests.walking.recorded import Leg, directions, record
+from tests.walking.uneven import COURSES, SENSORS, row, walk
 
 SECONDS: Final = 10.0
 SPEEDS_M_S: Final = {"tripod": 0.08, "ripple": 0.04, "wave": 0.02}
@@ -31,6 +32,13 @@ def course(gait: str, seconds: float = SECONDS) -> list[Leg]:
     ]
 
 
+def uneven(name: str) -> str:
+    """One course: blind, by sensors, and by faulty ones."""
+    course = COURSES[name]
+    faulty = [walk(course, adapts=True, sensor=make()) for make in SENSORS.values()]
+    return row(name, [walk(course, adapts=False), walk(course, adapts=True), *faulty])
+
+
 def main() -> int:
     print(f"Three gateways write the frames of {len(course('wave'))} parts of {SECONDS:g} s each …")
     with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor() as threads:
@@ -48,6 +56,9 @@ def main() -> int:
     picture.parent.mkdir(exist_ok=True)
     draw(picture, tracks)
     print(f"the paths: {picture}")
+    print("\nuneven ground, way and tilt (mean/worst): blind, by sensors, one stuck on, one stuck off, all late")
+    with ProcessPoolExecutor() as processes:
+        print("\n".join(processes.map(uneven, COURSES)))
     faults = [fault for verdict in verdicts for fault in verdict.faults]
     for fault in faults:
         print(fault)

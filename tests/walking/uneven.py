@@ -55,8 +55,6 @@ class Course(NamedTuple):
     gait: str = "tripod"
     push_n: float = 0.0
     """To the left, for 0.2 s in the middle of it."""
-    wait_s: float = 0.0
-    """How long it walks on the spot of another seed before: another phase at the same place."""
 
 
 class Outcome(NamedTuple):
@@ -75,22 +73,21 @@ def measured(world: World, sensor: Sensor) -> Telemetry:
     w, x, y, z = map(float, world.data.qpos[3:7])
     presses = dict.fromkeys(LEGS, 0.0)
     force: Any = np.zeros(6)
-    tips = {world.data.geom_xpos[geom].tobytes(): leg for geom, leg in world.feet.items()}
     positions = np.array([world.data.geom_xpos[geom] for geom in world.feet])
     legs = list(world.feet.values())
-    del tips
     for number in range(world.data.ncon):
         away = np.linalg.norm(positions - world.data.contact[number].pos, axis=1)
         nearest = int(np.argmin(away))
         if away[nearest] < 0.03:
             mujoco.mj_contactForce(world.model, world.data, number, force)
             presses[legs[nearest]] += float(force[0])
+    one, two, three, four, five, six = sensor(tuple(presses[leg] for leg in LEGS))
     still = (0.0, 0.0, 0.0)
     return Telemetry(
         time=_NOW,
         age_ms=0.0,
         imu=Imu(orientation_wxyz=(w, x, y, z), angular_velocity_rad_s=still, linear_acceleration_m_s2=still),
-        feet=sensor(tuple(presses[leg] for leg in LEGS)),  # type: ignore[arg-type]
+        feet=(one, two, three, four, five, six),
     )
 
 
@@ -109,7 +106,7 @@ def walk(course: Course, *, adapts: bool, sensor: Sensor = true) -> Outcome:
     engine.stand()
     while engine.posture is not Posture.STANDING:
         tick(STILL)
-    for _ in range(round((2.0 + course.wait_s) / TICK_S)):
+    for _ in range(round(2.0 / TICK_S)):
         tick(STILL)
     begun, tilts, limit = world.body().position_m, [], ""
     ticks = round(course.seconds / TICK_S)

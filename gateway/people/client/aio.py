@@ -116,10 +116,15 @@ class AsyncClient(Twin[Client]):
         return AsyncStream(self.client.stream(hz), self._threads)
 
     def walk(
-        self, gait: str = "tripod", geometry: "Geometry | Path | str | None" = None, hz: float = 50
+        self,
+        gait: str = "tripod",
+        geometry: "Geometry | Path | str | None" = None,
+        hz: float = 50,
+        *,
+        terrain: str = "level",
     ) -> "AsyncWalk":
         """Velocities: `async with robot.walk() as walk: await walk.go(forward_m_s=0.1)`; see `Client.walk`."""
-        return AsyncWalk(self.client.walk(gait, geometry, hz), self._threads)
+        return AsyncWalk(self.client.walk(gait, geometry, hz, terrain=terrain), self._threads)
 
     def lease(
         self,

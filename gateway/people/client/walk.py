@@ -31,10 +31,9 @@ from gateway.people.walking import (
     Velocity,
     WalkState,
 )
-from gateway.people.walking.balance import terrain_named
+from gateway.people.walking.balance import Measured, terrain_named
 from gateway.people.walking.gaits import gait as gait_named
-from gateway.people.walking.inverse import Angles
-from gateway.people.walking.robot import check_mirrored_once, ranges
+from gateway.people.walking.robot import check_mirrored_once, ranges, running_deg
 from gateway.people.walking.words import Newest
 from schemas.robot import LEGS
 from schemas.telemetry import GatewayState, Reason, Telemetry
@@ -44,8 +43,6 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-_FRESH_S: Final = 0.3
-"""An older measurement does not count: by default ten a second are published."""
 _SLOWER: Final = 0.98
 """Of `limits.leg_rate_hz`, where that is below the rate asked for: at exactly the limit setpoints wait for slots."""
 
@@ -114,8 +111,7 @@ class Walk:
         """
         gait_named(gait)
         self._terrain = terrain_named(terrain)
-        self._measured: tuple[Telemetry | None, float] = (None, 0.0)
-        """The newest telemetry and when it was received: one object, since it arrives on another thread."""
+        self._measured = Measured()
         self._sensors: zenoh.Subscriber[None] | None = None
         self._client = client
         self._gait = gait
@@ -290,7 +286,7 @@ class Walk:
         try:
             self._reports = self._client.on_state(self._take)
             if self._terrain == "adapt":
-                self._sensors = self._client.watch_telemetry(self._feel)
+                self._sensors = self._client.watch_telemetry(lambda new: self._measured.take(new, time.monotonic()))
             state = self._ask(None)
             self._ride = Ride(
                 self._robot(state),
@@ -371,14 +367,6 @@ class Walk:
         self._take(state)
         return state
 
-    def _feel(self, telemetry: Telemetry) -> None:
-        self._measured = telemetry, time.monotonic()
-
-    def _fresh(self, now_s: float) -> Telemetry | None:
-        """The newest telemetry; None if none came lately, so that a walk does not go on by what was."""
-        telemetry, came_s = self._measured
-        return telemetry if telemetry is not None and now_s - came_s + telemetry.age_ms / 1000 < _FRESH_S else None
-
     def _take(self, state: GatewayState) -> None:
         self._newest.take(state, time.monotonic())
 
@@ -412,7 +400,7 @@ class Walk:
                 if self._closing:
                     return
                 begun_s = time.monotonic()
-                step = ride.next(begun_s, self._fresh(begun_s))
+                step = ride.next(begun_s, self._measured.fresh(begun_s))
                 took_s = time.monotonic() - begun_s
                 if step.do is RideTask.WAIT:
                     self._changed.wait(min(step.look_s - begun_s, threading.TIMEOUT_MAX))
@@ -492,16 +480,6 @@ class Walk:
         elif not self._closing:
             with self._changed:
                 ride.failed(error if isinstance(error, GatewayError) else WalkError(str(error)))
-
-
-def running_deg(state: GatewayState) -> dict[int, Angles]:
-    """The legs with all servos running, and their commanded angles in degrees."""
-    found: dict[int, Angles] = {}
-    for leg in state.legs:
-        angles = [servo.angle_deg for servo in leg.servos if servo.running and servo.angle_deg is not None]
-        if len(angles) == len(leg.servos):
-            found[leg.leg] = angles[0], angles[1], angles[2]
-    return found
 
 
 def robot_of(client: WalkClient, geometry: Geometry, state: GatewayState) -> Robot:

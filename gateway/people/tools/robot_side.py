@@ -111,6 +111,9 @@ def walk(
         str, typer.Option("--gait", help="In which order the legs step; tripod is the fastest.")
     ] = "tripod",
     height: Annotated[float | None, typer.Option("--height", metavar="M", help="Of the body above the ground.")] = None,
+    terrain: Annotated[
+        str, typer.Option("--terrain", help="level, or adapt: by the robot's sensors, where it has some.")
+    ] = "level",
     geometry: OtherShapeOption = None,
     connect: ConnectOption = None,
     zenoh_config: ZenohConfigOption = None,
@@ -137,12 +140,12 @@ def walk(
     if seconds is not None:
         from gateway.people.tools.walk import script
 
-        sys.exit(script.walk(connection, gait, geometry, (forward, left, turn), seconds, height))
+        sys.exit(script.walk(connection, gait, geometry, terrain, (forward, left, turn), seconds, height))
     if forward or left or turn:
         raise ConfigError("--forward, --left and --turn go with --seconds; without it you drive from the keyboard")
     from gateway.people.tools.walk import screen
 
-    sys.exit(screen.drive(connection, gait, geometry, height))
+    sys.exit(screen.drive(connection, gait, geometry, terrain, height))
 
 
 @app.command()

@@ -5,12 +5,13 @@ falls silent. `Walker` below it decides where the legs go; `Engine` is the gait,
 """
 
 from gateway.people.walking.distance import Distance
-from gateway.people.walking.engine import Engine, Posture
+from gateway.people.walking.engine import Engine
 from gateway.people.walking.gaits import GAITS, Gait
 from gateway.people.walking.motion import STILL, BodyPose, Odometry, Velocity
 from gateway.people.walking.ride import USUAL_SILENCES, Phase, Ride, RideStep, RideTask, Silences, Wish
 from gateway.people.walking.robot import Pose, Range, Robot, Stance
 from gateway.people.walking.walker import DOWN, HOLD_S, LONGEST_S, REST_S, Walker, WalkState
+from gateway.people.walking.ways import Posture
 from gateway.people.walking.words import lease_lost, robot_now
 
 __all__ = [

@@ -18,6 +18,8 @@ TERRAINS: Final = ("level", "adapt")
 """The floor is level, as far as the walk knows; or the sensors say how it is, where there are some."""
 FALLEN_DEG: Final = 45.0
 """A body that leans further does not stand on its feet any more."""
+_FRESH_S: Final = 0.3
+"""An older measurement does not count: by default ten a second are published."""
 _FALLEN_S: Final = 0.2
 _LIFTED_S: Final = 0.3
 """Longer than a walking robot's feet are ever unloaded together."""
@@ -47,6 +49,23 @@ def terrain_named(name: str) -> str:
     if name not in TERRAINS:
         raise WalkError(f"there is no terrain {name!r}; there are {', '.join(TERRAINS)}")
     return name
+
+
+class Measured:
+    """The newest telemetry, which another thread receives."""
+
+    def __init__(self) -> None:
+        self._newest: tuple[Telemetry | None, float] = (None, 0.0)
+        """The telemetry and when it was received: one object."""
+
+    def take(self, telemetry: Telemetry, now_s: float) -> None:
+        """It was received now."""
+        self._newest = telemetry, now_s
+
+    def fresh(self, now_s: float) -> Telemetry | None:
+        """The newest; None if none came lately, so that a walk does not go on by what was."""
+        telemetry, came_s = self._newest
+        return telemetry if telemetry is not None and now_s - came_s + telemetry.age_ms / 1000 < _FRESH_S else None
 
 
 class Felt(NamedTuple):

@@ -7,8 +7,8 @@ import math
 from typing import Final
 
 from gateway.errors import WalkError
-from gateway.people.walking.engine import SLEW_M_S2, SLEW_RAD_S2
 from gateway.people.walking.motion import Odometry, Velocity
+from gateway.people.walking.tempo import SLEW_M_S2, SLEW_RAD_S2
 from gateway.people.walking.walker import LONGEST_S, WalkState
 
 MOST_M: Final = 20.0

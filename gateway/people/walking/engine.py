@@ -11,23 +11,16 @@ and body move the same way, only slower.
 
 import math
 from collections import deque
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from copy import copy
-from dataclasses import dataclass, field
-from enum import StrEnum
-from typing import Final, NamedTuple, Self
+from typing import Final
 
 from gateway.errors import WalkError
-from gateway.geometry import MAX_SPEED_DEG_S
 from gateway.geometry.kinematics import Vector
 from gateway.people.walking import gaits
 from gateway.people.walking.balance import (
-    DEEPEST_M,
-    EARLY_M,
-    LATE_S,
     LEANS_RAD,
     NOTHING,
-    SINKS_M_S,
     Felt,
     Senses,
     levelled,
@@ -36,86 +29,42 @@ from gateway.people.walking.balance import (
 from gateway.people.walking.motion import ORIGIN, STILL, BodyPose, Odometry, Velocity, carried
 from gateway.people.walking.planning import Planner, balanced
 from gateway.people.walking.robot import LIFT_M, Pose, Robot, Stance
-from gateway.people.walking.ways import CLIMB, ON_GROUND_M, Figure, Shift, across, between, lowered, outward, up
+from gateway.people.walking.swing import State, Swing
+from gateway.people.walking.tempo import (
+    HALT_S,
+    SPEED_SPARE,
+    STOPS_WITHIN,
+    TEMPO_SPARE,
+    at_tempo,
+    fastest,
+    largest,
+    least,
+    nearer,
+    needs_s,
+    wanted,
+)
+from gateway.people.walking.ways import (
+    CLIMB,
+    ON_GROUND_M,
+    Posture,
+    Shift,
+    across,
+    between,
+    lowered,
+    outward,
+    up,
+)
 from schemas.robot import LEGS
 from schemas.telemetry import Telemetry
 
-SLEW_M_S2: Final = 0.25
-"""The acceleration over the ground."""
-SLEW_RAD_S2: Final = 1.2
-"""The angular acceleration."""
-STOPS_WITHIN: Final = 0.35
-"""Of a stride: the velocity is 0 by then, so that the last swing ends within the stride."""
-_HALT_S: Final = 0.15
-"""The time in which it stops after the loss of a leg."""
 _LATE_M: Final = 0.002
 """A foot is lifted at a tick, so up to a tick too late."""
-_LEAST_TEMPO: Final = 0.37
-"""Of a gait's period, with usual servos. With a shorter one they lose more by their speed than the strides win."""
-_TEMPO_SPARE: Final = 0.93
-"""Of a disc: feet are lifted at ticks, so a little late."""
-_TEMPO_S: Final = 1.0
-"""A change of the tempo by 1 takes so long: it moves the feet that swing."""
-_QUICK_LIFT_M: Final = 0.020
-"""How high feet are lifted at the least tempo."""
-_QUICK_CLIMB: Final = 0.3
-"""In which part of a swing, then: a foot below 10 mm, which may touch, moves straight up and down."""
-_SPEED_SPARE: Final = 0.95
-"""Of a servo's speed: the gateway measures from its own last frame, which may be a little early or late."""
 _LEAST_FEET: Final = 3
 _LEANS_LESS: Final = 0.97
-_HALVINGS: Final = 7
 _ALMOST: Final = 1e-9
 _TRIES: Final = 8
 _LONGEST_S: Final = 0.1
 """The longest time that one tick accounts for: after a late tick nothing moves further."""
-
-
-class Posture(StrEnum):
-    """The robot's posture."""
-
-    LYING = "lying"
-    SITTING = "sitting"
-    STANDING = "standing"
-    WALKING = "walking"
-    MOVING = "moving"
-    HALTED = "halted"
-
-
-class Swing(NamedTuple):
-    """A foot in the air: where it left the ground, which moves on below it, and how far it is, 0 to 1."""
-
-    left: Vector
-    part: float = 0.0
-    free: bool = False
-    """Whether its foot was felt to be in the air: only then a contact is news."""
-    late_s: float = 0.0
-    """For how long it has been where the ground was expected."""
-
-
-@dataclass(slots=True)
-class _State(Figure):
-    """All that a tick changes. A tick that is too fast is undone, so it works on a copy; the values are immutable."""
-
-    swings: dict[int, Swing] = field(default_factory=dict)
-    velocity: Velocity = STILL
-    tempo: float = 1.0
-    """The part of its gait's period that a stride takes now."""
-    clock: float = 0.0
-    """The time in strides."""
-    odometry: Odometry = ORIGIN
-    part: float = 0.0
-    """How much of the first of its moves is done, 0 to 1."""
-    hanging: frozenset[int] = frozenset()
-    """Legs whose feet found no ground, when the walk went `over`."""
-    over: Velocity = STILL
-    brake_s: float = 0.0
-    """Seconds until the velocity is 0, while it slows down."""
-
-    def copy(self) -> Self:
-        new = Figure.copy(self)
-        new.swings = dict(self.swings)
-        return new
 
 
 class Engine:
@@ -133,8 +82,7 @@ class Engine:
         self._quick = self._gait
         """The gait at its present tempo."""
         self._lift_m, self._climb = LIFT_M, CLIMB
-        slowest_deg_s = min(each.max_speed_deg_s for each in robot.ranges.values())
-        self._least_tempo = min(1.0, _LEAST_TEMPO * max(1.0, MAX_SPEED_DEG_S / max(slowest_deg_s, _ALMOST)))
+        self._least_tempo = least(robot)
         self._next_gait: str | None = None
         self._stance = robot.stance(BodyPose(robot.usual_m))
         self._planner = Planner(robot)
@@ -157,7 +105,7 @@ class Engine:
         """The last servo that was too slow."""
         self._cap: tuple[object, float] = (None, 1.0)
         self._wanted: deque[Stance | None] = deque(maxlen=1)
-        self._state = _State(BodyPose(0.0), {}, {}, odometry=odometry)
+        self._state = State(BodyPose(0.0), {}, {}, odometry=odometry)
         self.find(angles_deg or {})
 
     # ---- commands
@@ -188,7 +136,7 @@ class Engine:
                     continue
                 self._stand_still(str(error))
                 break
-            ratio, servo_id = self._fastest(before.pose, after.pose, seconds)
+            ratio, servo_id = fastest(self.robot, before.pose, after.pose, seconds)
             slowest = servo_id if ratio > 1.0 else slowest
             if ratio <= 1.0:
                 self._state, self._stuck = after, False
@@ -213,7 +161,7 @@ class Engine:
     def find(self, angles_deg: Pose) -> None:
         """Begin from the angles of the running legs, as in `__init__`; keeps the commands and the odometry."""
         found = self._planner.found(angles_deg)
-        self._state = _State(found.body, found.feet, found.pose, found.moves, found.sits, odometry=self._state.odometry)
+        self._state = State(found.body, found.feet, found.pose, found.moves, found.sits, odometry=self._state.odometry)
 
     def halt(self, legs: Iterable[int], sent: Pose | None = None) -> None:
         """Somebody else has stopped these legs: put the others down, and stand still until `resume`.
@@ -374,7 +322,7 @@ class Engine:
 
     # ---- one tick
 
-    def _advance(self, state: _State, target: Velocity, seconds: float, felt: Felt, *, holds: bool) -> None:
+    def _advance(self, state: State, target: Velocity, seconds: float, felt: Felt, *, holds: bool) -> None:
         if not state.moves:
             body, feet = state.body, dict(state.feet)
             if felt is not NOTHING and not state.sits and not self.lost:
@@ -394,7 +342,7 @@ class Engine:
         """How far the body leans to be level."""
         return max(abs(now - asked) for now, asked in zip(self.body[1:], self._stance.body[1:], strict=True))
 
-    def _adapt(self, state: _State, seconds: float, felt: Felt) -> None:
+    def _adapt(self, state: State, seconds: float, felt: Felt) -> None:
         """Level the body, and let it climb with its feet."""
         state.body = levelled(state.body, self._stance.body, felt, self._leans_rad, seconds)
         down_m = lowered_by(
@@ -404,7 +352,7 @@ class Engine:
         if down_m:
             state.feet = {leg: (x, y, z - down_m) for leg, (x, y, z) in state.feet.items()}
 
-    def _walk(self, state: _State, target: Velocity, seconds: float, felt: Felt) -> None:
+    def _walk(self, state: State, target: Velocity, seconds: float, felt: Felt) -> None:
         gait = self._quick
         began = not state.velocity.moves and not state.swings
         if began:
@@ -425,7 +373,7 @@ class Engine:
         if velocity.moves and not self.lost:
             self._lift(state)
 
-    def _swing(self, state: _State, leg: int, swing: Swing, seconds: float, touches: bool | None) -> None:
+    def _swing(self, state: State, leg: int, swing: Swing, seconds: float, touches: bool | None) -> None:
         """From the line on which the ground carries the foot to the one on which it will land.
 
         `touches`: whether the foot is felt on the ground; None: nobody knows.
@@ -439,32 +387,23 @@ class Engine:
             landing = carried(self._stance.feet[leg], velocity, -gait.stance_s / 2)
             lands = carried(landing, velocity, -(1.0 - part) * gait.swing_s)
             x, y, _ = between(left, lands, across(part))
-        free, height_m, late_s = swing.free or touches is False, state.feet[leg][2], swing.late_s
-        z = swing.left[2] * (1.0 - across(part)) + self._lift_m * up(part, self._climb)
-        lands = bool(free and touches and ((part > 0.5 and height_m > EARLY_M) or late_s))
-        if lands:
-            z = height_m
-        elif part > 1.0 - _ALMOST:
-            z = height_m - SINKS_M_S * seconds if late_s > LATE_S else 0.0
-            hangs = z < -DEEPEST_M
-            lands = not (free and touches is False) or hangs
-            z = height_m if late_s and lands else z
-            late_s += seconds
-            if hangs:
-                state.hanging, state.over = state.hanging | {leg}, velocity if velocity.moves else state.over
-        state.feet[leg] = x, y, z
-        if lands:
-            del state.swings[leg]
-            state.hanging -= {leg} if touches else frozenset()
-        else:
-            state.swings[leg] = Swing(left, part, free, late_s)
+        height_m = swing.left[2] * (1.0 - across(part)) + self._lift_m * up(part, self._climb)
+        ends = swing._replace(left=left, part=part).down(height_m, state.feet[leg][2], touches, seconds)
+        state.feet[leg] = x, y, ends.height_m
+        if ends.swing is not None:
+            state.swings[leg] = ends.swing
+            return
+        del state.swings[leg]
+        state.hanging -= {leg} if touches else frozenset()
+        if ends.hangs:
+            state.hanging, state.over = state.hanging | {leg}, velocity if velocity.moves else state.over
 
     def _is_over(self, velocity: Velocity) -> bool:
         """Whether it would walk on over an edge; back from there it may."""
         state = self._state
         return bool(state.hanging) and sum(a * b for a, b in zip(velocity, state.over, strict=True)) > 0
 
-    def _lift(self, state: _State) -> None:
+    def _lift(self, state: State) -> None:
         """Lift the feet that are due, if the others carry the robot; else they wait."""
         due = [leg for leg in LEGS if leg not in state.swings and self._is_due(leg, state.clock)]
         if not due:
@@ -478,19 +417,14 @@ class Engine:
 
     # ---- velocities
 
-    def _hurry(self, state: _State, target: Velocity, seconds: float) -> None:
+    def _hurry(self, state: State, target: Velocity, seconds: float) -> None:
         """Towards the tempo that this velocity and the present one need; a walk that ends keeps it: it ends soon."""
         now = state.velocity
         walks = now.moves or bool(state.swings)
         if target.moves or not walks:
-            part = max(self._stride_of(target), self._stride_of(now)) / _TEMPO_SPARE
-            wanted = max(self._least_tempo, min(1.0, 1.0 / part if part else 1.0))
-            most = seconds / _TEMPO_S if walks else 1.0
-            state.tempo += max(-most, min(most, wanted - state.tempo))
-        haste = (1.0 - state.tempo) / (1.0 - _LEAST_TEMPO)
-        self._quick = self._gait._replace(period_s=self._gait.period_s * state.tempo)
-        self._lift_m = LIFT_M + (_QUICK_LIFT_M - LIFT_M) * haste
-        self._climb = CLIMB + (_QUICK_CLIMB - CLIMB) * haste
+            part = max(self._stride_of(target), self._stride_of(now))
+            state.tempo = nearer(state.tempo, wanted(part, self._least_tempo), seconds if walks else math.inf)
+        self._quick, self._lift_m, self._climb = at_tempo(self._gait, state.tempo)
 
     def _stride_of(self, velocity: Velocity) -> float:
         """The longest stride at the gait's usual tempo, as a part of its disc."""
@@ -500,20 +434,20 @@ class Engine:
         rests = self._stance.feet.values()
         return max(math.dist(carried(rest, velocity, half_s), rest) for rest in rests) / self._within_m
 
-    def _slewed(self, state: _State, target: Velocity, seconds: float) -> Velocity:
+    def _slewed(self, state: State, target: Velocity, seconds: float) -> Velocity:
         now = state.velocity
         if not target.moves:
             if not now.moves:
                 return STILL
             if not state.brake_s:
-                state.brake_s = _HALT_S if self.lost else min(_needs_s(now), STOPS_WITHIN * self._gait.period_s)
+                state.brake_s = HALT_S if self.lost else min(needs_s(now), STOPS_WITHIN * self._gait.period_s)
             left_s = state.brake_s - seconds
             part = max(0.0, left_s / state.brake_s)
             state.brake_s = max(0.0, left_s)
             return now.times(part) if part > _ALMOST else STILL
         state.brake_s = 0.0
         change = Velocity(*(b - a for a, b in zip(now, target, strict=True)))
-        part = min(1.0, seconds / max(_needs_s(change), _ALMOST))
+        part = min(1.0, seconds / max(needs_s(change), _ALMOST))
         return Velocity(*(a + part * b for a, b in zip(now, change, strict=True)))
 
     def _capped(self, target: Velocity) -> float:
@@ -522,7 +456,7 @@ class Engine:
         if self._cap[0] != key:
             self._cap = (
                 key,
-                _largest(lambda part: self._stride_of(target.times(part)) * self._least_tempo <= _TEMPO_SPARE),
+                largest(lambda part: self._stride_of(target.times(part)) * self._least_tempo <= TEMPO_SPARE),
             )
         return self._cap[1]
 
@@ -531,11 +465,11 @@ class Engine:
         """How far from its resting place a foot stands at most."""
         return self._stance.radius_m / outward(self._gait.swing_s, self._gait.stance_s)
 
-    def _allowed(self, state: _State, velocity: Velocity) -> float:
+    def _allowed(self, state: State, velocity: Velocity) -> float:
         """The part of it with which every foot that stands stays in its disc until it is lifted."""
-        return _largest(lambda part: self._stays(state, velocity.times(part)))
+        return largest(lambda part: self._stays(state, velocity.times(part)))
 
-    def _stays(self, state: _State, velocity: Velocity) -> bool:
+    def _stays(self, state: State, velocity: Velocity) -> bool:
         within_m = self._within_m + _LATE_M
         for leg, rest in self._stance.feet.items():
             if leg in state.swings or leg in self.lost or self._is_due(leg, state.clock):
@@ -545,16 +479,6 @@ class Engine:
             if math.dist(carried(foot, velocity, left_s), rest) > max(within_m, math.dist(foot, rest)):
                 return False
         return True
-
-    def _fastest(self, before: Pose, after: Pose, seconds: float) -> tuple[float, int]:
-        """The speed that comes nearest to its servo's limit, as a part of that, and the servo."""
-        most = 0.0, 0
-        for leg, angles in after.items():
-            for joint, (old, new) in enumerate(zip(before[leg], angles, strict=True), start=1):
-                allowed = self.robot.ranges[10 * leg + joint].max_speed_deg_s * _SPEED_SPARE * seconds
-                if old != new:
-                    most = max(most, (abs(new - old) / allowed if allowed else math.inf, 10 * leg + joint))
-        return most
 
     def _report(self, target: Velocity, cap: float, pace: float, seconds: float, slowest: int) -> None:
         """Servos are too slow in a few moments of a stride only: the mean over a stride counts."""
@@ -570,23 +494,7 @@ class Engine:
             self._pace, self.limit = 1.0, self.limit if self._stuck else ""
         elif cap < 1.0:
             self.limit = f"the legs' strides reach {100 * cap:.0f} % of it"
-        elif self._pace < _SPEED_SPARE:
+        elif self._pace < SPEED_SPARE:
             self.limit = f"the speed of servo {self._slowest} allows {100 * self._pace:.0f} % of it"
         else:
             self.limit = ""
-
-
-def _needs_s(change: Velocity) -> float:
-    """How many seconds a change of velocity takes."""
-    return max(math.hypot(change.forward_m_s, change.left_m_s) / SLEW_M_S2, abs(change.turn_rad_s) / SLEW_RAD_S2)
-
-
-def _largest(fits: Callable[[float], bool]) -> float:
-    """The largest part from 0 to 1 that fits, where smaller ones do."""
-    if fits(1.0):
-        return 1.0
-    low, high = 0.0, 1.0
-    for _ in range(_HALVINGS):
-        middle = (low + high) / 2
-        low, high = (middle, high) if fits(middle) else (low, middle)
-    return low

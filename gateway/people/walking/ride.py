@@ -27,11 +27,11 @@ from enum import Enum, auto
 from typing import Final, NamedTuple
 
 from gateway.errors import GatewayError, StoppedError, WalkError
-from gateway.people.walking.engine import Posture
 from gateway.people.walking.inverse import Angles
 from gateway.people.walking.motion import ORIGIN, STILL, BodyPose, Odometry, Velocity
 from gateway.people.walking.robot import Pose, Robot
 from gateway.people.walking.walker import DOWN, HOLD_S, REST_S, Walker, WalkState
+from gateway.people.walking.ways import Posture
 from schemas.robot import LEGS
 from schemas.telemetry import Telemetry
 

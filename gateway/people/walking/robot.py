@@ -14,7 +14,7 @@ from gateway.people.walking.inverse import Angles, Limb
 from gateway.people.walking.motion import BodyPose
 from schemas.calibration import Calibration
 from schemas.robot import JOINTS, LEGS, SERVO_IDS
-from schemas.telemetry import LimitsReport, ServoLimitsReport
+from schemas.telemetry import GatewayState, LimitsReport, ServoLimitsReport
 
 
 class Range(NamedTuple):
@@ -228,6 +228,16 @@ def check_mirrored_once(geometry: Geometry, calibration: Calibration | None) -> 
                 f"servos {', '.join(turned)} are turned round by the calibration, and by the geometry {geometry.name} "
                 "once more; --geometry names a file that counts as commands do, such as examples/elkapod/geometry.json"
             )
+
+
+def running_deg(state: GatewayState) -> dict[int, Angles]:
+    """The legs with all servos running, and their commanded angles in degrees."""
+    found: dict[int, Angles] = {}
+    for leg in state.legs:
+        angles = [servo.angle_deg for servo in leg.servos if servo.running and servo.angle_deg is not None]
+        if len(angles) == len(leg.servos):
+            found[leg.leg] = angles[0], angles[1], angles[2]
+    return found
 
 
 def _range(name: str, limits: LimitsReport, calibration: Calibration | None) -> Range:

@@ -9,9 +9,10 @@ It assumes that all six legs run; `Ride` starts and stops them.
 from typing import Final, NamedTuple
 
 from gateway.people.walking.balance import terrain_named
-from gateway.people.walking.engine import Engine, Posture
+from gateway.people.walking.engine import Engine
 from gateway.people.walking.motion import ORIGIN, STILL, Odometry, Velocity
 from gateway.people.walking.robot import Pose, Robot, Stance
+from gateway.people.walking.ways import Posture
 from schemas.telemetry import Telemetry
 
 HOLD_S: Final = 0.5

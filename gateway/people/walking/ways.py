@@ -4,6 +4,7 @@ import math
 from collections.abc import Iterable, Iterator, Mapping
 from copy import copy
 from dataclasses import dataclass
+from enum import StrEnum
 from typing import Final, NamedTuple, Self
 
 from gateway.geometry.kinematics import Vector
@@ -12,6 +13,18 @@ from gateway.people.walking.inverse import Angles
 from gateway.people.walking.motion import BodyPose
 from gateway.people.walking.robot import LIFT_M, Robot
 from schemas.robot import LEGS
+
+
+class Posture(StrEnum):
+    """The robot's posture."""
+
+    LYING = "lying"
+    SITTING = "sitting"
+    STANDING = "standing"
+    WALKING = "walking"
+    MOVING = "moving"
+    HALTED = "halted"
+
 
 STEP_S: Final = 0.5
 """The time of a foot's step to another place."""

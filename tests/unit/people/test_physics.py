@@ -92,7 +92,7 @@ def test_a_servo_goes_no_faster_than_its_motor_and_ends_at_its_stop() -> None:
     assert GEOMETRY.servos[11].servo_deg(world.body().joints_rad[11]) < 185
 
 
-@pytest.mark.parametrize("text", ["flat", "slope:10", "slope:-20", "rough:0.02"])
+@pytest.mark.parametrize("text", ["flat", "slope:10", "slope:-20", "rough:0.02", "step:0.02", "step:-0.1"])
 def test_it_lies_on_every_ground(text: str) -> None:
     world = World(GEOMETRY, Assumed(terrain=Terrain.parsed(text)))
     assert str(Terrain.parsed(text)) == text
@@ -132,10 +132,10 @@ def test_it_slides_down_a_slope_of_ice_and_does_not_creep_down_one_of_wood() -> 
 
 
 @pytest.mark.parametrize(
-    "text", ["", "hills", "slope", "slope:", "slope:90", "slope:nan", "rough:-1", "rough:1", "flat:1"]
+    "text", ["", "hills", "slope", "slope:", "slope:90", "slope:nan", "rough:-1", "rough:1", "step:1", "flat:1"]
 )
 def test_what_is_no_terrain_is_reported_with_what_there_is(text: str) -> None:
-    with pytest.raises(ConfigError, match=r"there are flat, slope:DEGREES .* and rough:METRES"):
+    with pytest.raises(ConfigError, match=r"there are flat, slope:DEGREES .* rough:METRES .* and step:METRES"):
         assumed(None, None, None, text)
 
 

@@ -11,7 +11,7 @@ from gateway.errors import WalkError
 from gateway.geometry import load
 from gateway.geometry.kinematics import Vector, from_rpy
 from gateway.people.walking import STILL, Posture, Robot, Velocity, Walker
-from gateway.people.walking.balance import FALLEN_DEG, LATE_S, LEANS_RAD, Senses
+from gateway.people.walking.balance import FALLEN_DEG, LATE_S, LEANS_RAD, Measured, Senses
 from schemas.robot import LEGS
 from schemas.telemetry import Imu, Telemetry
 from tests.support.walked import TICK_S, Walked, standing
@@ -218,3 +218,14 @@ def test_a_walker_adapts_only_where_it_is_asked_to() -> None:
         assert (walker.engine.body.roll_rad != 0.0) == (terrain == "adapt")
     with pytest.raises(WalkError, match="there is no terrain 'moon'; there are level, adapt"):
         Walker(ROBOT, terrain="moon")
+
+
+def test_telemetry_counts_while_it_is_fresh() -> None:
+    measured, late = Measured(), telemetry().model_copy(update={"age_ms": 200.0})
+    assert measured.fresh(0.0) is None
+    measured.take(telemetry(), 1.0)
+    assert measured.fresh(1.2) is not None
+    assert measured.fresh(1.4) is None
+    measured.take(late, 2.0)
+    assert measured.fresh(2.05) is late
+    assert measured.fresh(2.15) is None

@@ -19,8 +19,9 @@ from gateway.people.tools import driving, kept_lease
 from gateway.people.tools.reach import Connection
 from gateway.people.tools.walk.keypad import Keypad
 from gateway.people.tools.walk.script import went
-from gateway.people.walking import GAITS, Velocity
+from gateway.people.walking import GAITS, Velocity, WalkState
 from gateway.text import visible
+from schemas.robot import LEGS
 from schemas.telemetry import Mode
 
 _TICK_S: Final = 0.02
@@ -43,12 +44,14 @@ _UNCONFIRMED: Final = "Nobody has confirmed that the legs are stopped: if they h
 class WalkScreen(Screen):
     """Drives the robot from the keyboard until q."""
 
-    def __init__(self, client: Client, holder: str, gait: str, geometry: Path | None, height_m: float | None) -> None:
+    def __init__(
+        self, client: Client, holder: str, gait: str, geometry: Path | None, terrain: str, height_m: float | None
+    ) -> None:
         """`holder`: our name as the lease has it."""
         super().__init__(client.estop)
         self._client = client
         self._holder = holder
-        self._walk: Walk = client.walk(gait, geometry)
+        self._walk: Walk = client.walk(gait, geometry, terrain=terrain)
         self._height_m = height_m
         self._pad = Keypad()
         self._todo: queue.SimpleQueue[Callable[[], object]] = queue.SimpleQueue()
@@ -166,8 +169,19 @@ class WalkScreen(Screen):
             Text(f"  commanded  {_shown(self._pad.velocity(time.monotonic()))}"),
             Text(f"  scaled to  {_shown(state.scaled)}  ").append(state.limit, "yellow"),
             Text(f"  went       {went(state)}"),
+            *_ground(state),
             *map(Text, _KEYS.splitlines()),
         ]
+
+
+def _ground(state: WalkState) -> list[Text]:
+    """A line of what the sensors say; none where they say nothing."""
+    if state.tilt_deg is None and state.carrying is None:
+        return []
+    tilt = "" if state.tilt_deg is None else f"leans by {state.tilt_deg:.0f}°  "
+    carry = [str(leg) for leg, carries in zip(LEGS, state.carrying or (), strict=False) if carries]
+    legs = f"legs {', '.join(carry)} carry" if carry else ""
+    return [Text(f"  ground     {tilt}{legs}")]
 
 
 def _shown(velocity: Velocity) -> str:
@@ -175,13 +189,13 @@ def _shown(velocity: Velocity) -> str:
     return f"{forward:+.2f} m/s ahead, {left:+.2f} m/s left, {math.degrees(turn):+.0f} °/s"
 
 
-def drive(connect: Connection, gait: str, geometry: Path | None, height_m: float | None) -> int:
+def drive(connect: Connection, gait: str, geometry: Path | None, terrain: str, height_m: float | None) -> int:
     """Drive until q. Returns the exit code. Raises WalkError, ConfigError, ZenohError."""
     without_one = "; without one: --forward 0.1 --seconds 5"
     check_terminal("walk from the keyboard", without_one, on_windows=", or give --seconds")
     with connect() as client:
         try:
             with client.lease(source=kept_lease.me()) as lease:
-                return WalkScreen(client, lease.holder, gait, geometry, height_m).run()
+                return WalkScreen(client, lease.holder, gait, geometry, terrain, height_m).run()
         except LeaseError as error:
             return driving.not_acquired(client, error)

@@ -46,6 +46,7 @@ def walk(
     connect: Connection,
     gait: str,
     geometry: Path | None,
+    terrain: str,
     velocity: tuple[float, float, float],
     seconds: float,
     height_m: float | None,
@@ -55,7 +56,11 @@ def walk(
     end = EndRequests()
     with connect() as client:
         try:
-            with client.lease(source=kept_lease.me()), on_end_signals(end.ask), client.walk(gait, geometry) as robot:
+            with (
+                client.lease(source=kept_lease.me()),
+                on_end_signals(end.ask),
+                client.walk(gait, geometry, terrain=terrain) as robot,
+            ):
                 whole = go(robot, wanted, seconds, height_m, end)
         except LeaseError as error:
             return driving.not_acquired(client, error)

@@ -1,0 +1,70 @@
+"""A walk between two ticks: its feet in the air, and how they come down, as expected or as felt. Pure."""
+
+from dataclasses import dataclass, field
+from typing import Final, NamedTuple, Self
+
+from gateway.geometry.kinematics import Vector
+from gateway.people.walking.balance import DEEPEST_M, EARLY_M, LATE_S, SINKS_M_S
+from gateway.people.walking.motion import ORIGIN, STILL, Odometry, Velocity
+from gateway.people.walking.ways import Figure
+
+_ALMOST: Final = 1e-9
+
+
+class Swing(NamedTuple):
+    """A foot in the air: where it left the ground, which moves on below it, and how far it is, 0 to 1."""
+
+    left: Vector
+    part: float = 0.0
+    free: bool = False
+    """Whether its foot was felt to be in the air: only then a contact is news."""
+    late_s: float = 0.0
+    """For how long it has been where the ground was expected."""
+
+    def down(self, height_m: float, now_m: float, touches: bool | None, seconds: float) -> "Landing":
+        """A tick later. `height_m`: where the gait wants the foot, which is at `now_m`; `touches`: None: unknown."""
+        free = self.free or touches is False
+        if free and touches and (self.late_s or (self.part > 0.5 and now_m > EARLY_M)):
+            return Landing(now_m)
+        if self.part <= 1.0 - _ALMOST:
+            return Landing(height_m, self._replace(free=free))
+        if not free or touches is not False:
+            return Landing(now_m if self.late_s else 0.0)
+        lower_m = now_m - SINKS_M_S * seconds if self.late_s > LATE_S else 0.0
+        if lower_m < -DEEPEST_M:
+            return Landing(now_m, hangs=True)
+        return Landing(lower_m, self._replace(free=True, late_s=self.late_s + seconds))
+
+
+class Landing(NamedTuple):
+    """Where the foot is, and its swing, if it has not come down."""
+
+    height_m: float
+    swing: Swing | None = None
+    hangs: bool = False
+    """It found no ground as far down as it may go."""
+
+
+@dataclass(slots=True)
+class State(Figure):
+    """All that a tick changes. A tick that is too fast is undone, so it works on a copy; the values are immutable."""
+
+    swings: dict[int, Swing] = field(default_factory=dict)
+    velocity: Velocity = STILL
+    tempo: float = 1.0
+    """The part of its gait's period that a stride takes now."""
+    clock: float = 0.0
+    """The time in strides."""
+    odometry: Odometry = ORIGIN
+    part: float = 0.0
+    """How much of the first of its moves is done, 0 to 1."""
+    hanging: frozenset[int] = frozenset()
+    """Legs whose feet found no ground, when the walk went `over`."""
+    over: Velocity = STILL
+    brake_s: float = 0.0
+    """Seconds until the velocity is 0, while it slows down."""
+
+    def copy(self) -> Self:
+        new = Figure.copy(self)
+        new.swings = dict(self.swings)
+        return new

@@ -1,0 +1,89 @@
+"""How fast a gait goes: its tempo, the slew of its velocity, and the servos' speed. Pure.
+
+A stride that is too long for the feet's discs goes in a shorter time, with lower steps; a servo that is too slow slows
+everything down.
+"""
+
+import math
+from collections.abc import Callable
+from typing import Final
+
+from gateway.geometry import MAX_SPEED_DEG_S
+from gateway.people.walking.gaits import Gait
+from gateway.people.walking.motion import Velocity
+from gateway.people.walking.robot import LIFT_M, Pose, Robot
+from gateway.people.walking.ways import CLIMB
+
+SLEW_M_S2: Final = 0.25
+"""The acceleration over the ground."""
+SLEW_RAD_S2: Final = 1.2
+"""The angular acceleration."""
+_LEAST_TEMPO: Final = 0.37
+"""Of a gait's period, with usual servos. With a shorter one they lose more by their speed than the strides win."""
+TEMPO_SPARE: Final = 0.93
+"""Of a disc: feet are lifted at ticks, so a little late."""
+_TEMPO_S: Final = 1.0
+"""A change of the tempo by 1 takes so long: it moves the feet that swing."""
+_QUICK_LIFT_M: Final = 0.020
+"""How high feet are lifted at the least tempo."""
+_QUICK_CLIMB: Final = 0.3
+"""In which part of a swing, then: a foot below 10 mm, which may touch, moves straight up and down."""
+SPEED_SPARE: Final = 0.95
+"""Of a servo's speed: the gateway measures from its own last frame, which may be a little early or late."""
+_HALVINGS: Final = 7
+STOPS_WITHIN: Final = 0.35
+"""Of a stride: the velocity is 0 by then, so that the last swing ends within the stride."""
+HALT_S: Final = 0.15
+"""The time in which it stops after the loss of a leg."""
+_ALMOST: Final = 1e-9
+
+
+def least(robot: Robot) -> float:
+    """The least tempo of this robot: with slower servos it is nearer to 1."""
+    slowest_deg_s = min(each.max_speed_deg_s for each in robot.ranges.values())
+    return min(1.0, _LEAST_TEMPO * max(1.0, MAX_SPEED_DEG_S / max(slowest_deg_s, _ALMOST)))
+
+
+def wanted(stride: float, least_tempo: float) -> float:
+    """The tempo for this stride, which is in parts of its disc at the gait's usual tempo."""
+    return max(least_tempo, min(1.0, TEMPO_SPARE / stride if stride else 1.0))
+
+
+def nearer(now: float, then: float, seconds: float) -> float:
+    """The tempo after `seconds` on its way to `then`."""
+    most = seconds / _TEMPO_S
+    return now + max(-most, min(most, then - now))
+
+
+def at_tempo(gait: Gait, tempo: float) -> tuple[Gait, float, float]:
+    """The gait at this tempo; how high a foot is lifted (metres), and in which part of its swing."""
+    haste = (1.0 - tempo) / (1.0 - _LEAST_TEMPO)
+    lift_m = LIFT_M + (_QUICK_LIFT_M - LIFT_M) * haste
+    return gait._replace(period_s=gait.period_s * tempo), lift_m, CLIMB + (_QUICK_CLIMB - CLIMB) * haste
+
+
+def fastest(robot: Robot, before: Pose, after: Pose, seconds: float) -> tuple[float, int]:
+    """The speed that comes nearest to its servo's limit, as a part of that, and the servo."""
+    most = 0.0, 0
+    for leg, angles in after.items():
+        for joint, (old, new) in enumerate(zip(before[leg], angles, strict=True), start=1):
+            allowed = robot.ranges[10 * leg + joint].max_speed_deg_s * SPEED_SPARE * seconds
+            if old != new:
+                most = max(most, (abs(new - old) / allowed if allowed else math.inf, 10 * leg + joint))
+    return most
+
+
+def needs_s(change: Velocity) -> float:
+    """How many seconds a change of velocity takes."""
+    return max(math.hypot(change.forward_m_s, change.left_m_s) / SLEW_M_S2, abs(change.turn_rad_s) / SLEW_RAD_S2)
+
+
+def largest(fits: Callable[[float], bool]) -> float:
+    """The largest part from 0 to 1 that fits, where smaller ones do."""
+    if fits(1.0):
+        return 1.0
+    low, high = 0.0, 1.0
+    for _ in range(_HALVINGS):
+        middle = (low + high) / 2
+        low, high = (middle, high) if fits(middle) else (low, middle)
+    return low
