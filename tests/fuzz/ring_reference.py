@@ -115,6 +115,6 @@ def encoded(content: form.Content) -> bytes:
             made = form.calibration(report)
         case form.About(facts):
             made = form.about(facts)
-        case form.BodyMeasured(values):
+        case form.BodyState(values):
             made = form.measured(values)
     return made

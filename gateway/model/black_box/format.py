@@ -189,7 +189,7 @@ class About:
 
 
 @dataclass(frozen=True, slots=True)
-class BodyMeasured:
+class BodyState:
     """What the robot measured, recorded ten times a second at most."""
 
     values: elkapod.Measured
@@ -208,7 +208,7 @@ Content = (
     | IncidentBegun
     | Calibrated
     | About
-    | BodyMeasured
+    | BodyState
 )
 
 
@@ -434,5 +434,5 @@ def about(facts: dict[str, Any]) -> bytes:
 
 
 def measured(values: elkapod.Measured) -> bytes:
-    """Bytes of a BodyMeasured: an answer as on the wire, whose values are float32, so that none is rounded."""
+    """Bytes of a BodyState: an answer as on the wire, whose values are float32, so that none is rounded."""
     return elkapod.answer(values)

@@ -197,7 +197,7 @@ def _message(
                 transfer_us=frame.transfer_ns / 1000,
                 late_us=frame.late_ns / 1000 if frame.late_ns else None,
             )
-        case form.Calibrated() | form.BodyMeasured() | form.EventPublished() as published:
+        case form.Calibrated() | form.BodyState() | form.EventPublished() as published:
             return _published(published, time)
         case form.Decision(number=0, verdict=detail, key=key, source=source) if not is_told:
             what = "rejected"
@@ -215,14 +215,12 @@ def _message(
     return RECORDER, Note(time=time, what=what, detail=detail, source=source, key=key)
 
 
-def _published(
-    content: form.Calibrated | form.BodyMeasured | form.EventPublished, time: datetime
-) -> tuple[str, Report]:
+def _published(content: form.Calibrated | form.BodyState | form.EventPublished, time: datetime) -> tuple[str, Report]:
     """What has its own key also outside of incidents."""
     match content:
         case form.Calibrated(calibration=calibration):
             return keys.CALIBRATION, calibration
-        case form.BodyMeasured(values=values):
+        case form.BodyState(values=values):
             return keys.TELEMETRY, report_of(values, time, 0.0)
         case form.EventPublished() as event:
             return keys.EVENT, Event(time=time, **asdict(event))

@@ -129,6 +129,6 @@ _READERS: Final[dict[int, Callable[[bytes], form.Content]]] = {
     form.LAG: lambda rest: form.Lag(form.WALL.unpack(rest)[0]),
     form.CALIBRATION: _calibrated,
     form.ABOUT: _about,
-    form.MEASURED: lambda rest: form.BodyMeasured(measured(rest)),
+    form.MEASURED: lambda rest: form.BodyState(measured(rest)),
     form.INCIDENT: lambda rest: form.IncidentBegun(_wall_ns(rest), rest[form.WALL.size :].decode()),
 }

@@ -9,7 +9,7 @@ from gateway.robot.runtime.report import wall_clock
 from schemas.telemetry import Battery, Telemetry
 
 
-class Newest(NamedTuple):
+class Measurement(NamedTuple):
     """Measured values, and when they came, in ns of the monotonic clock."""
 
     values: Measured
@@ -23,12 +23,12 @@ class LatestTelemetry:
     """
 
     def __init__(self) -> None:
-        self.newest: Newest | None = None
+        self.newest: Measurement | None = None
         """Replaced as a whole, so that a thread that owns nothing may read it, too."""
 
     def note(self, values: Measured, now_ns: int) -> None:
         """Take what came at this time."""
-        self.newest = Newest(values, now_ns)
+        self.newest = Measurement(values, now_ns)
 
     @property
     def battery(self) -> Battery | None:

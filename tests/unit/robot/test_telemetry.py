@@ -144,7 +144,7 @@ async def test_the_page_of_a_robot_that_measures_is_the_list_in_the_docs(monkeyp
 
 
 def measured_in(folder: Path) -> list[Measured]:
-    return [content.values for content in contents(folder, form.BodyMeasured)]
+    return [content.values for content in contents(folder, form.BodyState)]
 
 
 async def test_the_black_box_has_what_was_measured_ten_times_a_second_at_most(folder: Path) -> None:
