@@ -31,7 +31,7 @@ from gateway.people.walking import (
     Velocity,
     WalkState,
 )
-from gateway.people.walking.balance import Measured, terrain_named
+from gateway.people.walking.balance import ReceivedTelemetry, terrain_named
 from gateway.people.walking.gaits import gait as gait_named
 from gateway.people.walking.robot import check_mirrored_once, ranges, running_deg
 from gateway.people.walking.words import Newest
@@ -111,7 +111,7 @@ class Walk:
         """
         gait_named(gait)
         self._terrain = terrain_named(terrain)
-        self._measured = Measured()
+        self._measured = ReceivedTelemetry()
         self._sensors: zenoh.Subscriber[None] | None = None
         self._client = client
         self._gait = gait

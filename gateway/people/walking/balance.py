@@ -51,7 +51,7 @@ def terrain_named(name: str) -> str:
     return name
 
 
-class Measured:
+class ReceivedTelemetry:
     """The newest telemetry, which another thread receives."""
 
     def __init__(self) -> None:

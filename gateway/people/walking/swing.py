@@ -21,22 +21,22 @@ class Swing(NamedTuple):
     late_s: float = 0.0
     """For how long it has been where the ground was expected."""
 
-    def down(self, height_m: float, now_m: float, touches: bool | None, seconds: float) -> "Landing":
+    def down(self, height_m: float, now_m: float, touches: bool | None, seconds: float) -> "Descent":
         """A tick later. `height_m`: where the gait wants the foot, which is at `now_m`; `touches`: None: unknown."""
         free = self.free or touches is False
         if free and touches and (self.late_s or (self.part > 0.5 and now_m > EARLY_M)):
-            return Landing(now_m)
+            return Descent(now_m)
         if self.part <= 1.0 - _ALMOST:
-            return Landing(height_m, self._replace(free=free))
+            return Descent(height_m, self._replace(free=free))
         if not free or touches is not False:
-            return Landing(now_m if self.late_s else 0.0)
+            return Descent(now_m if self.late_s else 0.0)
         lower_m = now_m - SINKS_M_S * seconds if self.late_s > LATE_S else 0.0
         if lower_m < -DEEPEST_M:
-            return Landing(now_m, hangs=True)
-        return Landing(lower_m, self._replace(free=True, late_s=self.late_s + seconds))
+            return Descent(now_m, hangs=True)
+        return Descent(lower_m, self._replace(free=True, late_s=self.late_s + seconds))
 
 
-class Landing(NamedTuple):
+class Descent(NamedTuple):
     """Where the foot is, and its swing, if it has not come down."""
 
     height_m: float

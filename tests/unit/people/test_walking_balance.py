@@ -11,7 +11,7 @@ from gateway.errors import WalkError
 from gateway.geometry import load
 from gateway.geometry.kinematics import Vector, from_rpy
 from gateway.people.walking import STILL, Posture, Robot, Velocity, Walker
-from gateway.people.walking.balance import FALLEN_DEG, LATE_S, LEANS_RAD, Measured, Senses
+from gateway.people.walking.balance import FALLEN_DEG, LATE_S, LEANS_RAD, ReceivedTelemetry, Senses
 from schemas.robot import LEGS
 from schemas.telemetry import Imu, Telemetry
 from tests.support.walked import TICK_S, Walked, standing
@@ -221,7 +221,7 @@ def test_a_walker_adapts_only_where_it_is_asked_to() -> None:
 
 
 def test_telemetry_counts_while_it_is_fresh() -> None:
-    measured, late = Measured(), telemetry().model_copy(update={"age_ms": 200.0})
+    measured, late = ReceivedTelemetry(), telemetry().model_copy(update={"age_ms": 200.0})
     assert measured.fresh(0.0) is None
     measured.take(telemetry(), 1.0)
     assert measured.fresh(1.2) is not None
