@@ -117,7 +117,8 @@ class Legs:
             if self.landing is not None and runs:
                 due_ns = self._land_due_ns(self.landing, leg)
             if waits:
-                slot_ns = self._queue.due_ns(leg.number, self._slot_ns(leg))
+                next_ns = self._slot_ns(leg) if self._rules.starts_whole else leg.slots.next_ns
+                slot_ns = self._queue.due_ns(leg.number, next_ns)
                 if slot_ns is not None and slot_ns < due_ns:
                     due_ns = slot_ns
             leg.due_ns, leg.repeat_ns = due_ns if due_ns < repeat_ns else repeat_ns, repeat_ns
@@ -144,7 +145,7 @@ class Legs:
 
         Between two frames of its start, some servos would run and others wait, and the wire has no such state.
         """
-        if not (self._rules.starts_whole and leg.waits_to_start):
+        if not leg.waits_to_start:
             return leg.slots.next_ns
         return max(each.slots.next_ns for each in self if not each.servos[0].running)
 
@@ -286,7 +287,8 @@ class Legs:
         limited = self._rules.max_speed_cdeg_s
         if self._rules.start_pause_ns and not self._passes_queue(leg, now_ns):
             return []
-        if not (waiting or (limited and leg.is_bound)) or now_ns < self._slot_ns(leg):
+        slot_ns = self._slot_ns(leg) if self._rules.starts_whole else leg.slots.next_ns
+        if not (waiting or (limited and leg.is_bound)) or now_ns < slot_ns:
             return []
         leg.slots.take(now_ns)
         if limited:

@@ -250,7 +250,9 @@ class Supervisor:
         guarded = self.stopped_outside or self.lease.guards or self.legs.landing is not None or self.calibrating.guards
         if moves and (guarded or command.lease is not None or self.buttons.closed or self.body.low or self.body.fallen):
             rejection = self._why_closed(command.lease) or self._why_unwatched()
-            rejection = rejection or self.body.rejection(moves, self.legs.servos) or self.calibrating.rejection(moves)
+            if rejection is None and (self.body.low or self.body.fallen):
+                rejection = self.body.rejection(moves, self.legs.servos)
+            rejection = rejection or self.calibrating.rejection(moves)
             if rejection is not None:
                 return rejection
         for servo_id, op in moves if self._reach.limited else ():
