@@ -4,7 +4,7 @@ import re
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
-from datetime import UTC, datetime, timedelta
+from datetime import timedelta
 from typing import Any, Final
 
 import pytest
@@ -20,22 +20,21 @@ from schemas.telemetry import Battery, Event, GatewayState, Imu, Kind, Telemetry
 from tests.console.browser import Opened, Visitor
 from tests.support.fixtures import client_fixture
 from tests.support.heard import states
+from tests.support.measuring import MEASURED
 
 pytestmark = pytest.mark.browser
 
 PERIOD_S: Final = 0.1
-MEASURED: Final = Telemetry(
-    time=datetime(2026, 1, 2, tzinfo=UTC),
-    age_ms=3.0,
-    temperature_c=31.5,
-    battery=Battery(voltage_v=7.4, percent=80.0),
-    imu=Imu(
-        orientation_wxyz=(0.9914, 0.1305, 0.0, 0.0),
-        angular_velocity_rad_s=(0.0, 0.0, 0.0),
-        linear_acceleration_m_s2=(0.0, 0.0, 9.81),
-    ),
-    tilt_deg=15.0,
-    feet=(9.0, 0.0, 0.1, 11.0, 8.0, -0.2),
+LEANING: Final = MEASURED.model_copy(
+    update={
+        "imu": Imu(
+            orientation_wxyz=(0.9914, 0.1305, 0.0, 0.0),
+            angular_velocity_rad_s=(0.0, 0.0, 0.0),
+            linear_acceleration_m_s2=(0.0, 0.0, 9.81),
+        ),
+        "tilt_deg": 15.0,
+        "feet": (9.0, 0.0, 0.1, 11.0, 8.0, -0.2),
+    }
 )
 """It leans by 15° to the right, on feet 1, 4 and 5."""
 WHOLE: Final = """
@@ -98,7 +97,7 @@ def test_battery_tilt_temperature_and_the_feet_that_carry_are_shown_while_they_a
     page = visitor.open()
     expect(page["measured"]).to_be_hidden()
     picture = page.page.locator("#picture > svg")
-    with measures(robot, MEASURED):
+    with measures(robot, LEANING):
         expect(page["battery"]).to_have_text("Battery 7.4 V, 80 %")
         expect(page["tilt-known"]).to_have_text("15°")
         expect(page["temperature"]).to_have_text("32 °C")
@@ -112,7 +111,7 @@ def test_battery_tilt_temperature_and_the_feet_that_carry_are_shown_while_they_a
         expect_no_serious_violation(page)
     expect(page["measured"]).to_be_hidden()
     expect(picture.locator(".carries, .hangs")).to_have_count(0)
-    with measures(robot, Telemetry(time=MEASURED.time, age_ms=3.0, battery=Battery(voltage_v=6.4, percent=19.9))):
+    with measures(robot, Telemetry(time=LEANING.time, age_ms=3.0, battery=Battery(voltage_v=6.4, percent=19.9))):
         expect(page["battery"]).to_have_text("Battery 6.4 V, 20 %, low")
         expect(page["battery"]).to_have_attribute("data-low", "yes")
         expect(page["tilt"]).to_be_hidden()
@@ -136,7 +135,7 @@ def test_a_controller_that_is_silent_is_shown_in_red_and_the_strip_stays_on_the_
     page.page.evaluate("window.controller.alive = false")
     expect(page["measured"]).to_have_text("Controller silent", use_inner_text=True)
     expect_no_serious_violation(page)
-    with measures(robot, MEASURED):
+    with measures(robot, LEANING):
         expect(page["battery-known"]).to_have_text("80 %")
         for width, height in SIZES:
             page.page.set_viewport_size({"width": width, "height": height})

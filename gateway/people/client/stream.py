@@ -27,15 +27,16 @@ MAX_HZ: Final = 1000
 """The highest `limits.leg_rate_hz`."""
 _KEPT: Final = 64
 _STOPPED_ALREADY: Final = (Reason.ESTOPPED, Reason.STOPPING)
-_ENDINGS: Final = (
+ALL_STOPPED: Final = (
     Kind.ESTOP_ENGAGED,
     Kind.BUS_FAULT,
     Kind.CONTROLLER_SILENT,
     Kind.FALLEN,
     Kind.STOPPED_OUTSIDE,
     Kind.STOPPING,
-    Kind.STARTED,
 )
+"""Events of a gateway that has stopped all legs."""
+_ENDINGS: Final = (*ALL_STOPPED, Kind.STARTED)
 """Events after which no leg runs."""
 _STOPPED_LEGS: Final = (Kind.WATCHDOG_EXPIRED, Kind.OVERFLOW)
 """Events of single legs that the gateway stopped by a rule of its own."""

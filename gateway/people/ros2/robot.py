@@ -145,7 +145,7 @@ def measured(found: Telemetry, time_ns: int) -> Iterator[tuple[str, Message]]:
 
 
 def _battery(battery: Battery, header: Header) -> BatteryState:
-    """ROS 2's percentage is a part of 1; NaN is what nobody knows."""
+    """ROS 2's percentage is a part of 1; an unknown value is NaN."""
     unknown = math.nan
     return BatteryState(
         header,

@@ -12,6 +12,7 @@ from gateway.allowance import NS_PER_MS
 from gateway.errors import GatewayError, RejectedError, StoppedError
 from gateway.people.client.blocking import Client
 from gateway.people.client.lease import NOT_OURS
+from gateway.people.client.stream import ALL_STOPPED
 from gateway.people.client.subscriptions import reports, subscribed
 from gateway.people.recordings.replaying import Plan, ReplayStep
 from gateway.people.terminal import clear_line, on_end_signals, show_line
@@ -32,15 +33,6 @@ MOST_AHEAD: Final = 100
 FREE_NS: Final = 2 * NS_PER_MS
 """Before the next command there must be so much time for a step to be read."""
 _PROGRESS_S: Final = 0.5
-
-_ENDS: Final = (
-    Kind.ESTOP_ENGAGED,
-    Kind.BUS_FAULT,
-    Kind.CONTROLLER_SILENT,
-    Kind.FALLEN,
-    Kind.STOPPED_OUTSIDE,
-    Kind.STOPPING,
-)
 
 
 class Player:
@@ -156,7 +148,7 @@ class Player:
         if event.kind == Kind.COMMAND_REJECTED and event.source == self._client.name:
             legs = "the new driver has the legs now" if event.reason in NOT_OURS else "all legs are stopped"
             self._end(RejectedError(str(event.reason), f"{event.detail} ({event.key}); {legs}"))
-        elif event.kind in _ENDS:
+        elif event.kind in ALL_STOPPED:
             self._end(StoppedError(f"the replay ends: {event.kind}: {event.detail}", ()))
 
 

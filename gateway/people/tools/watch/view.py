@@ -186,7 +186,7 @@ def _legs(model: Model, state: GatewayState, now_ns: int, width: int, live: bool
 
 
 def _measured(model: Model, state: GatewayState, now_ns: int, live: bool) -> list[Text]:
-    """One row with what the robot measures, and whether its controller is there; none where nobody knows either."""
+    """One row with what the robot measures, and whether its controller is alive; no row where neither is known."""
     found, battery, alive = model.telemetry, state.battery, state.controller.alive
     if found is not None and found.battery is not None:
         battery = found.battery
