@@ -44,6 +44,7 @@ class Reason(StrEnum):
     BATTERY_LOW = "battery_low"
     WHOLE_ROBOT = "whole_robot"
     FALLEN = "fallen"
+    NO_POWER = "no_power"
 
 
 class Mode(StrEnum):
@@ -89,6 +90,13 @@ class Kind(StrEnum):
     CONTROLLER_RETURNED = "controller_returned"
     BATTERY_LOW = "battery_low"
     FALLEN = "fallen"
+    POWER_CUT = "power_cut"
+    POWER_RESTORED = "power_restored"
+    POWER_UNCONFIRMED = "power_unconfirmed"
+    POWER_FAULT = "power_fault"
+    SERVO_DRAWS = "servo_draws"
+    SERVO_SILENT = "servo_silent"
+    OFF_BUTTON = "off_button"
 
 
 class Cause(StrEnum):
@@ -146,6 +154,10 @@ class Ack(Answer):
     stop_frames: Count | None = None
     estop: Count | None = None
     latency_us: Annotated[float, Field(ge=0)] | None = None
+    confirmed: Annotated[
+        bool | None, Field(description="whether the power board has confirmed the supply off; null: there is no board")
+    ] = None
+    confirmed_ms: Annotated[float | None, Field(ge=0, description="how long after the command that was")] = None
 
     def __bool__(self) -> bool:
         """Whether the command was accepted."""
@@ -347,6 +359,16 @@ class ControllerReport(Report):
     age_ms: Annotated[float | None, Field(description="since its last well-formed answer")] = None
 
 
+class PowerReport(Report):
+    """The board that feeds the servos, where the settings name one."""
+
+    interface: str
+    alive: Annotated[bool, Field(description="whether it answers")]
+    supplied: Annotated[tuple[int, ...], Field(description="servos that it fed when it last said so, ascending")] = ()
+    confirmed: Annotated[bool, Field(description="whether it has said that all is off which is to be off")] = False
+    age_ms: Annotated[float | None, Field(description="since it last answered; null: it never has")] = None
+
+
 class LimitsReport(Report):
     """The settings' limits of legs and servos. The calibration's limits are on `hexapod/calibration`."""
 
@@ -385,6 +407,7 @@ class GatewayState(Report):
     limits: Annotated[LimitsReport, Field(description="an older gateway does not say")] = LimitsReport()
     controller: Annotated[ControllerReport, Field(description="an older gateway does not say")] = ControllerReport()
     battery: Annotated[Battery | None, Field(description="null: the robot does not tell, or an older gateway")] = None
+    power: Annotated[PowerReport | None, Field(description="null: no power board, or an older gateway")] = None
     physics: Annotated[
         str | None, Field(description="Zenoh id of the process that simulates the robot's body; null: none does")
     ] = None

@@ -38,8 +38,3 @@ class SpiProtocol(enum.StrEnum):
     def spi_mode(self) -> int:
         """Clock polarity and phase, as SPI numbers them."""
         return 2 if self is SpiProtocol.ELKAPOD_2025 else 0
-
-
-def starts_whole(protocol: str) -> bool:
-    """Whether only the whole robot starts, by the protocol that a state names; one that is not known starts by leg."""
-    return any(protocol == each and each.starts_whole for each in SpiProtocol)

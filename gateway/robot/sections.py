@@ -1,6 +1,6 @@
 """The tables of the settings' file, each with its defaults and ranges; `gateway.robot.settings` reads the file."""
 
-from typing import Annotated, Any, Final, Literal, Self, TypeVar
+from typing import Annotated, Any, Final, Literal, Self, TypeVar, get_args
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationInfo, field_validator, model_validator
 
@@ -136,6 +136,37 @@ class SafetySettings(Section):
         if 0 < tilt_deg < 10:
             raise ValueError("write 10 to 90, since a robot that walks tilts by some degrees, or 0 for never")
         return tilt_deg
+
+
+CutOn = Literal["estop", "bus_fault", "button", "shutdown", "unconfirmed"]
+
+
+class PowerSettings(Section):
+    """The board on CAN that switches each servo's supply; none by default."""
+
+    # "": no board; "sim": a simulated one; else an interface of python-can.
+    interface: Annotated[str, Field(max_length=32, pattern=r"^[a-z0-9_-]*$")] = ""
+    channel: str = "can0"
+    bitrate: Annotated[int, Field(ge=10_000, le=1_000_000)] = 1_000_000
+    # The servos on its outputs 1 to 18; (): 11, 12, 13, 21 … 63.
+    servos: tuple[int, ...] = ()
+    cut_on: tuple[CutOn, ...] = get_args(CutOn)
+    # It answers within 55 ms, and not at all where a mask was lost: that one comes again after 20 ms.
+    confirm_ms: Annotated[float, Finite, Field(ge=60, le=2000)] = 150.0
+    idle_ma: Annotated[float, Finite, Field(ge=0, le=5000)] = 150.0
+    settle_ms: Annotated[float, Finite, Field(ge=0, le=5000)] = 300.0
+
+    @property
+    def outputs(self) -> tuple[int, ...]:
+        """The servo on each of the board's outputs, in their order."""
+        return self.servos or SERVO_IDS
+
+    @field_validator("servos")
+    @classmethod
+    def _each_once(cls, servos: tuple[int, ...]) -> tuple[int, ...]:
+        if servos and sorted(servos) != sorted(SERVO_IDS):
+            raise ValueError("write all 18 servos, each once, in the order of the board's outputs, or [] for 11 to 63")
+        return servos
 
 
 class ServoLimits(Section):

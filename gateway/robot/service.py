@@ -85,8 +85,8 @@ def rules(settings: Settings) -> Rules:
     """The supervisor's rules: the settings in ns and hundredths of a degree."""
     return Rules(
         timeout_ns=round(settings.watchdog.timeout_ms * NS_PER_MS),
-        whole_robot=settings.watchdog.scope == "robot" or settings.spi.protocol.starts_whole,
-        starts_whole=settings.spi.protocol.starts_whole,
+        whole_robot=settings.watchdog.scope == "robot" or settings.starts_whole,
+        starts_whole=settings.starts_whole,
         repeats=settings.watchdog.repeats,
         repeat_interval_ns=round(settings.watchdog.repeat_interval_ms * NS_PER_MS),
         period_ns=ceil(NS_PER_S / settings.limits.leg_rate_hz),  # never above the limit

@@ -26,6 +26,7 @@ from gateway.robot.sections import (
     LeaseSettings,
     LimitSettings,
     LogSettings,
+    PowerSettings,
     RecorderSettings,
     SafetySettings,
     Section,
@@ -55,12 +56,18 @@ class Settings(Section):
     recorder: RecorderSettings = RecorderSettings()
     telemetry: TelemetrySettings = TelemetrySettings()
     safety: SafetySettings = SafetySettings()
+    power: PowerSettings = PowerSettings()
     log: LogSettings = LogSettings()
+
+    @property
+    def starts_whole(self) -> bool:
+        """Whether only the whole robot can be started and stopped: with a power board, each servo can."""
+        return self.spi.protocol.starts_whole and not self.power.interface
 
     @model_validator(mode="after")
     def _known_to_protocol(self) -> Self:
         protocol = self.spi.protocol
-        if protocol.starts_whole and self.limits.start_stagger_ms:
+        if self.starts_whole and self.limits.start_stagger_ms:
             why = f"{protocol} starts all servos at once, so leave it at 0"
             raise _PlacedError(("limits", "start_stagger_ms"), why)
         for name, value in self.safety:

@@ -14,7 +14,7 @@ from functools import partial
 from typing import Final
 
 from gateway.errors import ConfigError
-from gateway.model.protocols import starts_whole
+from gateway.model.telemetry import starts_whole
 from gateway.people.client.blocking import Client
 from gateway.people.terminal import ask, say
 from gateway.people.tools.driving import drives, rejected
@@ -57,7 +57,7 @@ def causes(state: GatewayState) -> tuple[str, ...]:
         "Supply: have the servos one of their own, and is it switched on? A servo that runs holds against your hand."
     )
     plugged = "The servo: is it plugged in where its id says (the leg, then the joint)? Try another one."
-    if starts_whole(state.controller.protocol):
+    if starts_whole(state):
         return (
             supply,
             "UART: does the Pi's TX lead to the controller's RX? Its heartbeat comes by the other wire.",
@@ -85,7 +85,7 @@ def move(connect: Connection, *, agreed: bool) -> int:
     with connect() as client:
         state = ready(client)
         show_differences()
-        whole = starts_whole(state.controller.protocol)
+        whole = starts_whole(state)
         if whole and not state.controller.alive:
             say(_SILENT)
             return 1

@@ -15,7 +15,7 @@ from typing import Final, Protocol
 
 from gateway.errors import GatewayError, StoppedError, WalkError
 from gateway.geometry import Geometry
-from gateway.model.protocols import starts_whole
+from gateway.model.telemetry import starts_whole
 from gateway.people.client.blocking import Client
 from gateway.people.client.stream import Stream
 from gateway.people.client.walk import Walk, robot_of
@@ -57,7 +57,7 @@ class JointCommands:
         self._stream = client.stream(HZ)
         state = client.state()
         self._silent_s = state.watchdog.stops_after_ms / 1000 + MARGIN_S
-        self._whole = starts_whole(state.controller.protocol)
+        self._whole = starts_whole(state)
         self._stream.open()
         self._started: frozenset[int] = frozenset()
         self._received_s = time.monotonic()
@@ -178,7 +178,7 @@ class Following:
         self._course = Course(
             geometry,
             lambda pose: Ride(robot_of(client, geometry, client.state()), running=pose),
-            whole=starts_whole(client.state().controller.protocol),
+            whole=starts_whole(client.state()),
         )
         self._changed = threading.Condition()
         self._is_there: Callable[[], bool] = lambda: True

@@ -13,7 +13,7 @@ import zenoh
 
 from gateway.errors import GatewayError, RejectedError, StoppedError, UnansweredError, WalkError
 from gateway.geometry import Geometry, load
-from gateway.model.protocols import starts_whole
+from gateway.model.telemetry import starts_whole
 from gateway.people.client.lease import CONFIRM_S, Lease
 from gateway.people.client.stream import Stream, StreamClient, checked_hz
 from gateway.people.walking import (
@@ -488,7 +488,7 @@ def robot_of(client: WalkClient, geometry: Geometry, state: GatewayState) -> Rob
     with suppress(UnansweredError):  # an older gateway has none
         calibration = client.calibration()
     check_mirrored_once(geometry, calibration)
-    whole = starts_whole(state.controller.protocol)
+    whole = starts_whole(state)
     return Robot(geometry, ranges(state.limits, calibration), starts_whole=whole)
 
 

@@ -25,8 +25,8 @@ from pydantic import ValidationError
 from gateway.allowance import Allowance
 from gateway.errors import GatewayError
 from gateway.geometry import Geometry
-from gateway.model.protocols import starts_whole
 from gateway.model.staleness import Staleness
+from gateway.model.telemetry import starts_whole
 from gateway.people.client.confirmed_stop import Press
 from gateway.people.console import messages
 from gateway.people.console.link import GatewayLink, LinkReceiver
@@ -115,7 +115,7 @@ class Pages(LinkReceiver):
         return self._opened
 
     def received_state(self, state: GatewayState, received_ns: int) -> None:
-        now, whole = json.dumps(robot_now(state)), json.dumps(starts_whole(state.controller.protocol))
+        now, whole = json.dumps(robot_now(state)), json.dumps(starts_whole(state))
         self._state = partial(_state_text, state.model_dump_json(), now, whole, received_ns)
         self._max_age_ms = state.limits.max_age_ms
         for page in self._pages:

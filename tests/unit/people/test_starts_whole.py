@@ -8,7 +8,8 @@ import pytest
 
 from gateway.errors import UnansweredError
 from gateway.geometry import load
-from gateway.model.protocols import SpiProtocol, starts_whole
+from gateway.model.protocols import SpiProtocol
+from gateway.model.telemetry import starts_whole
 from gateway.people.bridge.motions import STARTS_WHOLE, Following, JointCommands
 from gateway.people.client.stream import Stream
 from gateway.people.client.walk import robot_of
@@ -57,7 +58,7 @@ def test_a_walk_learns_it_from_the_state_and_a_protocol_that_is_not_known_starts
     protocol: str, whole: bool
 ) -> None:
     robot: Any = Robot(protocol)
-    assert starts_whole(protocol) is whole
+    assert starts_whole(robot.state()) is whole
     assert robot_of(robot, GEOMETRY, robot.state()).starts_whole is whole
 
 

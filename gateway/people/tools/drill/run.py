@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Final
 
 from gateway.errors import ConfigError, GatewayError
-from gateway.model.protocols import starts_whole
+from gateway.model.telemetry import starts_whole
 from gateway.people.terminal import NOBODY, hint, on_end_signals, rows
 from gateway.people.tools.drill.bench import Bench, FailedError, Figures, Skipped, WrittenFrame
 from gateway.people.tools.drill.steps import STEPS, DrillStep
@@ -89,7 +89,7 @@ def drill(
         with connect() as client:
             state = ready(client)
             show_differences(config)
-            holding = lying(client, state) if starts_whole(state.controller.protocol) else {}
+            holding = lying(client, state) if starts_whole(state) else {}
             bench = Bench(
                 client,
                 of_leg(leg, angle_deg, whole=whole_leg, holding=holding),
