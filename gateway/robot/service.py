@@ -110,6 +110,7 @@ def rules(settings: Settings) -> Rules:
         buttons_timeout_ns=round(settings.buttons.timeout_ms * NS_PER_MS),
         min_battery_mv=round(settings.safety.min_battery_v * 1000),
         max_tilt_cdeg=centidegrees(settings.safety.max_tilt_deg),
+        power=bool(settings.power.interface),
     )
 
 

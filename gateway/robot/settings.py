@@ -224,6 +224,8 @@ _LISTS: Final[Mapping[Place, str]] = {
     ("spi", "avoid_deg"): "[1.0, 4.0]",
     ("buttons", "names"): '["kitchen"]',
     ("telemetry", "metrics_hosts"): '["robot.local"]',
+    ("power", "servos"): "[]",
+    ("power", "cut_on"): '["estop"]',
 }
 _NAMES: Final = f"a variable is named like {ENV_PREFIX}SPI__DEVICE; the sections are {', '.join(Settings.model_fields)}"
 

@@ -2,7 +2,7 @@
 
 SECTIONS = (
     "the sections are zenoh, spi, controller, limits, watchdog, lease, buttons, calibration, recorder, telemetry,"
-    " safety, log"
+    " safety, power, log"
 )
 NO_VARIABLE = f"is no setting; a variable is named like HEXAPOD_SPI__DEVICE; {SECTIONS}"
 WORD = "will not do: input should be"

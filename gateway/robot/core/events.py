@@ -137,6 +137,20 @@ class BodyMeasured:
 
 
 @value
+class PowerSeen:
+    """What the power board says of the servos' supply."""
+
+    alive: bool
+    """Whether it answers."""
+    refused: tuple[tuple[int, str], ...] = ()
+    """Servos that it will not feed, and why."""
+    lost: frozenset[int] = frozenset()
+    """Servos that it feeds no longer, though they were to be fed."""
+    doubt: str = ""
+    """Why it is not certain that something is off which is to be off."""
+
+
+@value
 class EmergencyStop:
     """Stops all six legs, and latches."""
 
@@ -233,6 +247,7 @@ Event = (
     | CalibrationSaved
     | StoppedOutside
     | BodyMeasured
+    | PowerSeen
     | TimePassed
     | ShutDown
 )

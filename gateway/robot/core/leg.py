@@ -55,6 +55,9 @@ class Rules:
     tilt_ns: int = 200 * NS_PER_MS
     """For how long it must be tilted beyond that: longer than a stumble or a single bad value takes."""
 
+    power: bool = False
+    """Whether a power board feeds the servos (Behaviour 18)."""
+
     def __post_init__(self) -> None:
         if self.starts_whole and self.start_pause_ns:
             raise ValueError("a robot that starts as a whole cannot start leg by leg")

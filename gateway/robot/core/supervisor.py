@@ -37,6 +37,8 @@ The rules, by their numbers in docs/interface.md, *Behaviour*:
     what runs is then stopped, or lands (`body_limits`).
 16. Where the wire can start and stop the whole robot only, all servos run or wait to be started, or none does: a start
     names all of them, and leaves with the last leg's rate slot; whatever stops one of them stops all in the same step.
+17. With a power board, nothing starts or moves that it does not feed; what it feeds no longer is stopped, and all that
+    runs is stopped, or lands, when it does not answer (`power`).
 
 `StoppedOutside` reports `stop-servos` at work on the same device. All legs count as stopped and get a Stop from here
 too, since one may have been started after its Stop from outside. Until that program is known to have ended, no Start or
@@ -48,7 +50,7 @@ or Set that came by another channel, and the emergency stop wins over a reset.
 
 from typing import Final, assert_never, get_args
 
-from gateway.allowance import NS_PER_MS, NS_PER_S
+from gateway.allowance import NS_PER_MS
 from gateway.model.angle_limits import AngleLimits
 from gateway.model.frames import OP_SET
 from gateway.robot.core.body_limits import BodyLimits
@@ -68,6 +70,7 @@ from gateway.robot.core.events import (
     EmergencyStop,
     Event,
     LeaseRequest,
+    PowerSeen,
     Rejected,
     RequestAnswer,
     Reset,
@@ -79,6 +82,8 @@ from gateway.robot.core.events import (
 from gateway.robot.core.lease import RobotLease
 from gateway.robot.core.leg import Rules
 from gateway.robot.core.legs import Legs
+from gateway.robot.core.power import LOST, SILENT, Supply
+from gateway.robot.core.reset import may_be_older
 from schemas.robot import LEGS
 from schemas.telemetry import Cause, Kind, Mode, Reason
 
@@ -96,7 +101,7 @@ _REJECTING: Final = {
 """The modes in which every command that comes is rejected, and why."""
 
 _AT_START: Final[frozenset[type[Event]]] = frozenset(
-    {EmergencyStop, BusOpened, BusFailed, BodyMeasured, TimePassed, ShutDown}
+    {EmergencyStop, BusOpened, BusFailed, BodyMeasured, PowerSeen, TimePassed, ShutDown}
 )
 _ANY: Final[frozenset[type[Event]]] = frozenset(get_args(Event))
 LEGAL: Final = {mode: _ANY - {BusOpened} for mode in (Mode.IDLE, Mode.ACTIVE, Mode.ESTOPPED)} | {
@@ -117,11 +122,9 @@ class Supervisor:
     def __init__(self, rules: Rules) -> None:
         self._rules = rules
         self._reach = AngleLimits(rules.joint_limits_cdeg, rules.landing_cdeg, rules.avoid_cdeg)
-        self.calibrating = Calibrating(self._reach)
-        self.legs = Legs(rules, self._reach)
-        self.lease = RobotLease(rules)
-        self.buttons = Buttons(rules)
-        self.body = BodyLimits(rules)
+        self.calibrating, self.legs = Calibrating(self._reach), Legs(rules, self._reach)
+        self.lease, self.buttons = RobotLease(rules), Buttons(rules)
+        self.body, self.power = BodyLimits(rules), Supply(rules)
         self.wants_measurements = self.body.watches
         """Whether `BodyMeasured` decides anything."""
         self._opened = False  # ever
@@ -204,8 +207,8 @@ class Supervisor:
                 effects = self._button_request(event, now_ns)
             case Calibrate() | CalibrationSaved():
                 effects = self._calibration(event, now_ns)
-            case BodyMeasured():
-                effects = self._body_measured(event, now_ns)
+            case BodyMeasured() | PowerSeen():
+                effects = self._sensed(event, now_ns)
             case BusOpened() | BusFailed():
                 effects = self._bus_opened(now_ns) if isinstance(event, BusOpened) else self._bus_failed(event)
             case ShutDown():
@@ -248,10 +251,12 @@ class Supervisor:
             return _REJECTING[self.mode]
         moves = command.moves
         guarded = self.stopped_outside or self.lease.guards or self.legs.landing is not None or self.calibrating.guards
-        if moves and (guarded or command.lease is not None or self.buttons.closed or self.body.low or self.body.fallen):
-            rejection = self._why_closed(command.lease) or self._why_unwatched()
-            if rejection is None and (self.body.low or self.body.fallen):
-                rejection = self.body.rejection(moves, self.legs.servos)
+        closed = self.buttons.closed or self.body.low or self.body.fallen or self.power.closed
+        if moves and (guarded or closed or command.lease is not None):
+            rejection = self._why_closed(command.lease)
+            if rejection is None and closed:
+                rejection = self._why_unwatched() or self.body.rejection(moves, self.legs.servos)
+                rejection = rejection or self.power.rejection(moves)
             rejection = rejection or self.calibrating.rejection(moves)
             if rejection is not None:
                 return rejection
@@ -312,7 +317,7 @@ class Supervisor:
         closed = self.lease.rejection(event.lease, reset=True) or self._why_unwatched()
         if closed is not None:
             return [Rejected(event, *closed)]
-        older = None if self._latched_ns is None else self._may_be_older(event, self._latched_ns)
+        older = may_be_older(event.estop, self.estops, self._latched_ns, self.legs.instant_ns, self._rules)
         if older is not None:
             return [Rejected(event, Reason.ESTOPPED, older)]
         if event.lease is not None:
@@ -322,24 +327,6 @@ class Supervisor:
         self._latched_ns = None
         detail = "emergency stop left; nothing moves until it is started again"
         return [Announce(Kind.ESTOP_RESET, detail, event.source, event.key), Completed(event)]
-
-    def _may_be_older(self, reset: Reset, latched_ns: int) -> str | None:
-        """Why this reset may have been sent before the latest emergency stop; None: it was sent after it."""
-        age_ns = self.legs.instant_ns - latched_ns
-        if age_ns == 0:
-            return "the emergency stop was engaged in the same instant"
-        if reset.estop is None:
-            if age_ns >= self._rules.unnumbered_reset_ns:
-                return None
-            return (
-                f"the emergency stop was requested {age_ns / NS_PER_S:.1f} s ago; a reset without its number (estop) "
-                f"is accepted after {self._rules.unnumbered_reset_ns / NS_PER_S:g} s"
-            )
-        if reset.estop < self.estops:
-            return f"a newer emergency stop was requested: estop is {reset.estop}, and the latest is {self.estops}"
-        if reset.estop > self.estops:
-            return f"no such emergency stop was requested: estop is {reset.estop}, and the latest is {self.estops}"
-        return None
 
     def _lease_request(self, request: LeaseRequest, now_ns: int) -> list[Effect]:
         if self._ended:
@@ -403,13 +390,28 @@ class Supervisor:
         fell_ns = now_ns if self.buttons.fell_ns is None else self.buttons.fell_ns
         return self._bring_down("too few buttons are alive", fell_ns, now_ns, *self.buttons.rejection())
 
-    def _body_measured(self, event: BodyMeasured, now_ns: int) -> list[Effect]:
-        """A body that has fallen in this step is stopped, or lands."""
+    def _sensed(self, event: BodyMeasured | PowerSeen, now_ns: int) -> list[Effect]:
+        """A body that has fallen in this step is stopped, or lands; so is a robot whose power board does not answer."""
+        if isinstance(event, PowerSeen):
+            return self._power_seen(event, now_ns)
         published = self.body.note(event, now_ns, self._then())
         if not self.body.fallen or self._nothing_to_stop():
             return published
         down = self._bring_down("the body is tilted", self.body.fell_ns, now_ns, *self.body.has_fallen())
         return [*down, *published]
+
+    def _power_seen(self, event: PowerSeen, now_ns: int) -> list[Effect]:
+        """What the board feeds no longer is stopped: fed again, it would move unasked."""
+        self.power.note(event)
+        if not self._bus_ok or self._ended:
+            return []
+        if event.doubt:
+            return self._stop_all(Cause.WATCHDOG, now_ns, Reason.NO_POWER, event.doubt)
+        if not event.alive:
+            return [] if self._nothing_to_stop() else self._bring_down(SILENT, now_ns, now_ns, Reason.NO_POWER, SILENT)
+        lost = {servo_id // 10 for servo_id in event.lost if self.legs.servos[servo_id].will_run}
+        due = dict.fromkeys(self.legs.by_number if lost and self._rules.stops_whole else lost)
+        return self.legs.stop(due, Cause.WATCHDOG, now_ns, Reason.NO_POWER, LOST) if due else []
 
     def _bring_down(self, why: str, since_ns: int, now_ns: int, reason: Reason, detail: str) -> list[Effect]:
         """The robot lands, if something runs and there is time left; else all six legs are stopped."""
