@@ -6,7 +6,7 @@ SPI, and no servo is fed before its Stop, or its angle, was written.
 """
 
 import json
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Final, Protocol
 
@@ -92,8 +92,9 @@ class RobotSupply:
         self._asked = self._runs = self._lost = _NONE
         self._cause: CutOn | None = None
         self._cut: list[Announce] = []
-        self._drew: set[int] = set()
-        """Servos that have drawn current after their Stop, so that their supply was taken."""
+        self._withheld: dict[int, str] = {}
+        """Servos that are not fed before a reset, and why: blocked by the board, or they drew current after a Stop."""
+        self._refused: Mapping[int, str] = {}
         self._currents = CurrentRules(settings.idle_ma, round(settings.settle_ms * NS_PER_MS))
         self._found: list[News] = []
         """What the currents say."""
@@ -128,7 +129,7 @@ class RobotSupply:
         wanted = _ALL if self._ready is None else self._ready() & self._runs
         if self._ready is not None and mode is Mode.BUS_FAULT:
             return _NONE
-        return wanted.difference(self._drew, self._lost, self._line.status.refused)
+        return wanted.difference(self._withheld, self._lost, self._line.status.refused)
 
     def _ask(self, servos: frozenset[int]) -> None:
         self._asked = servos
@@ -136,7 +137,7 @@ class RobotSupply:
 
     def reset(self) -> None:
         """The emergency stop was left: what was blocked or cut is fed again."""
-        self._drew.clear()
+        self._withheld.clear()
         self._line.clear_errors()
 
     def cut_early(self, cause: CutOn) -> None:
@@ -170,13 +171,18 @@ class RobotSupply:
             seen.off_pressed = seen.off_pressed or each.kind is Kind.OFF_BUTTON
             if CutOn.UNCONFIRMED in self._cut_on:
                 if each.kind is Kind.SERVO_DRAWS:
-                    self._drew |= each.servos
+                    self._withheld |= dict.fromkeys(each.servos, _DREW)
                     doubt = doubt or ("" if each.servos & self._asked else each.detail)
                 elif each.kind is Kind.POWER_UNCONFIRMED and self._line.status.alive:
                     doubt = each.detail
-        self._lost = self._line.status.lost
-        refused = {**dict.fromkeys(sorted(self._drew), _DREW), **self._line.status.refused}
-        seen.event = PowerSeen(self._line.status.alive, tuple(refused.items()), self._lost, doubt)
+        status = self._line.status
+        self._lost = status.lost
+        newly = status.refused.keys() - self._refused.keys()
+        # One that the board, or a person at it, has unblocked would come on by itself: it waits for a reset.
+        self._withheld |= {servo_id: f"{status.refused[servo_id]}; a reset feeds it again" for servo_id in newly}
+        self._refused = status.refused
+        refused = {**self._withheld, **status.refused}
+        seen.event = PowerSeen(status.alive, tuple(sorted(refused.items())), self._lost, doubt)
         return seen
 
     def confirm(self, servos: Collection[int], asked_ns: int, then: Then) -> None:
