@@ -110,6 +110,8 @@ _LAYOUTS: Final = {
 }
 _ERROR_BYTES: Final = {CONVERTER_OVERCURRENT: 2, SERVO_OVERCURRENT: 4, OVERTEMPERATURE: 1, SUPPLY_LOW: 1}
 _CONVERTERS: Final = (1 << 5) - 1
+_OUTPUTS_OF_CONVERTER: Final = (0b111111, 0b111111 << 6, 0b111111 << 12, 0, 0)
+"""Converters 4 and 5 feed no servo."""
 
 
 def set_supply(mask: int) -> CanFrame:
@@ -161,3 +163,17 @@ def _error(data: bytes) -> BoardError | NoError | None:
         return None
     mask = int.from_bytes(data[1:], "big")
     return BoardError(data[0], mask) if mask <= (ALL if data[0] == SERVO_OVERCURRENT else _CONVERTERS) else None
+
+
+def explained(error: BoardError) -> tuple[str, int]:
+    """An error in words, and the outputs that have no supply until it is deleted."""
+    if error.code == SERVO_OVERCURRENT:
+        return "overcurrent: the power board has switched these servos off", error.mask
+    if error.code == CONVERTER_OVERCURRENT:
+        numbers = [number for number in range(1, 6) if error.mask >> (number - 1) & 1]
+        mask = sum(_OUTPUTS_OF_CONVERTER[number - 1] for number in numbers)
+        named = " and ".join(map(str, numbers))
+        return f"overcurrent: the power board has switched off its converter {named}", mask
+    if error.code == OVERTEMPERATURE:  # of one converter, and nothing says which
+        return "the power board has switched off a converter that is too hot", ALL
+    return "the power board's supply is too low", 0

@@ -5,8 +5,7 @@
   that no queue of a broken link delivers it later.
 - **Confirmed** is an answer 6B that was given after the mask had reached the board. The board answers questions in its
   receive interrupt, masks later. So an output is confirmed off by a 6B that shows it off and comes behind the answer to
-  a question that was sent after the mask. Only a question that has no other unanswered ask proves that: a link that
-  paused delivers older answers at once.
+  a question that was sent after the mask (questions.py).
 - **Nothing comes on unasked.** When an error of the board is deleted, by whomever, it feeds all of the last mask again.
   So each mask leaves out outputs that it has blocked, that another node took, or that were off after a silence, until
   the owner has once not wanted their servos and then wants them anew.
@@ -19,14 +18,9 @@ from typing import Final, NamedTuple
 from gateway.allowance import NS_PER_MS
 from gateway.model.power_board import (
     ALL,
-    ASK_CURRENTS,
     ASK_ERROR,
-    ASK_RAILS,
     CLEAR_ERROR,
-    CONVERTER_OVERCURRENT,
     OUTPUTS,
-    OVERTEMPERATURE,
-    SERVO_OVERCURRENT,
     SET_SUPPLY,
     BoardError,
     CanFrame,
@@ -36,35 +30,28 @@ from gateway.model.power_board import (
     OffPressed,
     Rails,
     Supplied,
+    explained,
     mask_of,
     read,
     set_supply,
 )
+from gateway.robot.power.questions import Questions
 from schemas.telemetry import Kind
 
 REPEAT_NS: Final = 20 * NS_PER_MS
 """Between two masks, until what is off is confirmed."""
 REPEAT_FOR_NS: Final = 2000 * NS_PER_MS
+REPEAT_ON_NS: Final = 100 * NS_PER_MS
+"""Between two masks, until what is on is confirmed, and at least until the answer to the first is overdue."""
 REST_NS: Final = 5 * NS_PER_MS
 """Behind an answer 6B: within a pass of the board's loop (2 ms at most) its counter is one too far."""
 STEP_NS: Final = 54 * NS_PER_MS
 """The longest time for 27 passes of the board's loop: until the answer, and for each output that goes on."""
-ASK_NS: Final = 10 * NS_PER_MS
-SILENT_QUESTIONS: Final = 10
-SILENT_NS: Final = 100 * NS_PER_MS
-"""Without any answer to so many questions, for so long, the board is silent. A restart takes it longer."""
-LOST_NS: Final = 300 * NS_PER_MS
-"""An unanswered question is lost once it is so old and a later one was answered: links keep the order."""
-FORGOTTEN_NS: Final = 2000 * NS_PER_MS
-"""An unanswered question is lost, whatever came since: else a link that lost six answers could confirm nothing more."""
 CLEAR_NS: Final = 50 * NS_PER_MS
 CLEAR_TRIES: Final = 40
 """Requests to show or delete errors: a board keeps four kinds, and a fifth of the answers may be lost."""
 MEDDLED_NS: Final = 1000 * NS_PER_MS
 """Between two reports of another node's masks."""
-CONVERTER_OUTPUTS: Final = 6
-CONVERTER_MASK: Final = (1 << CONVERTER_OUTPUTS) - 1
-"""Converters 1, 2, 3 feed outputs 1-6, 7-12, 13-18; the other two feed no servo."""
 
 
 class News(NamedTuple):
@@ -127,8 +114,10 @@ class PowerBoard:
         self._leave_ns: int | None = None
         """When the next mask leaves; None: none has to."""
         self._repeat_until_ns = 0
+        self._answer_ns = -REST_NS
+        """When the board last sent its mask."""
         self._rest_ns = 0
-        """From when on the board's counter is at rest."""
+        """From when on its counter is at rest."""
         self._on_until_ns = 0
         self._offs: dict[int, _Off] = {}
         self._waits: list[_Wait] = []
@@ -140,19 +129,10 @@ class PowerBoard:
         self._shown = 0
         self._fed: dict[int, int] = {}
         """Outputs that the board has confirmed to feed, and when."""
-        self._reached = 0
-        """The newest mask that has reached the board for certain."""
-        self._reached_ns = 0
-        """When the question was asked whose answer says so."""
         self._milliamperes: dict[int, int] = {}
         self._rails: dict[int, tuple[int, ...]] = {}
         # Questions.
-        self._ask_due_ns = 0
-        self._unanswered = 0
-        self._turn = 0
-        self._rail_turn = 0
-        self._asked: dict[CanFrame, tuple[int, int]] = {}
-        """Unanswered questions about rails: when each was asked, and which mask was the newest then."""
+        self._questions = Questions()
         self._clear_tries = 0
         self._clear_due_ns = 0
         self._clear_next = ASK_ERROR
@@ -204,8 +184,7 @@ class PowerBoard:
 
     def opened(self, now_ns: int) -> None:
         """The interface was opened: nothing that was asked before is answered any more."""
-        self._asked.clear()
-        self._ask_due_ns = now_ns
+        self._questions.opened(now_ns)
         self._again(now_ns)
 
     def closed(self, why: str, now_ns: int) -> None:
@@ -267,7 +246,7 @@ class PowerBoard:
             self.alive = True
             self._again(now_ns)
         self.answered_ns = now_ns
-        self._unanswered = 0
+        self._questions.answered(now_ns)
         match answer:
             case Supplied(mask):
                 self._answered_mask(mask, now_ns)
@@ -275,7 +254,7 @@ class PowerBoard:
                 self._milliamperes.update(zip(range(first - 1, first + 2), ma, strict=True))
             case Rails(question, values):
                 self._rails[question] = values
-                self._answered_rails(CanFrame(question))
+                self._questions.answered_about_rails(CanFrame(question))
             case BoardError():
                 self._failed(answer, now_ns)
             case NoError():
@@ -290,14 +269,8 @@ class PowerBoard:
         self.look(now_ns)
 
     def look(self, now_ns: int) -> None:
-        """What time alone says: the board is silent, an off is unconfirmed, a wait ends. Every 10 ms at least.
-
-        A question that was due and was not fetched counts as unanswered: whatever sends them hangs.
-        """
-        if now_ns >= self._ask_due_ns + 2 * ASK_NS:
-            self._ask_due_ns = now_ns - ASK_NS
-            self._unanswered += 1
-        if self.alive and self._unanswered >= SILENT_QUESTIONS and now_ns - (self.answered_ns or 0) >= SILENT_NS:
+        """What time alone says: the board is silent, an off is unconfirmed, a wait ends. Every 10 ms at least."""
+        if self._questions.silent(now_ns) and self.alive:
             self._fall_silent("the power board does not answer", now_ns)
         late = 0
         for place, off in self._offs.items():
@@ -317,7 +290,7 @@ class PowerBoard:
     @property
     def due_ns(self) -> int:
         """When `next_frames` has something to send; it may have by then."""
-        due_ns = [self._ask_due_ns]
+        due_ns = [self._questions.due_ns]
         mask_ns = self._mask_due_ns()
         if mask_ns is not None:
             due_ns.append(mask_ns)
@@ -332,19 +305,19 @@ class PowerBoard:
         mask_ns = self._mask_due_ns()
         if mask_ns is not None and now_ns >= mask_ns:
             frames.append(self._send(now_ns))
-            if not self.confirmed and self._reached < self._number:
-                frames += self._ask_rail(now_ns)
+            if not self.confirmed:
+                frames += self._questions.behind(self._number, now_ns)
         if self._clear_tries and now_ns >= self._clear_due_ns:
             self._clear_tries -= 1
             self._clear_due_ns = now_ns + CLEAR_NS
             # What is deleted before the board has the mask without it comes on again.
-            without = all(self._offs[place].number <= self._reached for place in self._blocked if place in self._offs)
+            without = all(
+                self._offs[place].number <= self._questions.reached for place in self._blocked if place in self._offs
+            )
             frames.append(self._clear_next if without else ASK_ERROR)
             self._clear_next = ASK_ERROR
-        if now_ns >= self._ask_due_ns:
-            frames += self._poll(now_ns)
-            self._ask_due_ns = now_ns + ASK_NS
-            self._unanswered += 1
+        if now_ns >= self._questions.due_ns:
+            frames += self._questions.next(self._number, now_ns)
         return frames
 
     # ---- how
@@ -398,18 +371,17 @@ class PowerBoard:
         if not self._begun:
             return None
         due_ns = [] if self._leave_ns is None else [self._leave_ns]
-        sent_ns = self._sent_ns
-        if sent_ns is not None and not self.confirmed:
-            # A repeat waits for the counter's rest, too: only the first mask has pins to switch.
-            due_ns += [at_ns for at_ns in (max(sent_ns + REPEAT_NS, self._rest_ns),) if at_ns < self._repeat_until_ns]
-        if self.alive:
-            target = self._target
-            if target & ~self._sent:
-                due_ns.append(self._rest_ns)
-            elif sent_ns is not None and any(
-                target >> place & 1 and place not in self._fed for place in range(OUTPUTS)
-            ):
-                due_ns += [at_ns for at_ns in (max(sent_ns + SILENT_NS, self._rest_ns),) if at_ns < self._on_until_ns]
+        sent_ns = self._sent_ns or 0
+        if not self.confirmed:
+            # A repeat waits behind an answer, too: only the first mask has pins to switch.
+            repeat_ns = max(sent_ns + REPEAT_NS, self._answer_ns + REST_NS)
+            due_ns += [repeat_ns] if repeat_ns < self._repeat_until_ns else []
+        target = self._target if self.alive else 0
+        if target & ~self._sent:
+            due_ns.append(self._rest_ns)
+        elif any(target >> place & 1 and place not in self._fed for place in range(OUTPUTS)):
+            repeat_ns = max(sent_ns + REPEAT_ON_NS, self._rest_ns)
+            due_ns += [repeat_ns] if repeat_ns < self._on_until_ns else []
         return min(due_ns, default=None)
 
     def _send(self, now_ns: int) -> CanFrame:
@@ -423,48 +395,28 @@ class PowerBoard:
         self._rest_ns = max(self._rest_ns, now_ns + steps * STEP_NS + REST_NS)
         return set_supply(self._sent)
 
-    def _ask_rail(self, now_ns: int) -> list[CanFrame]:
-        """The next question about rails of which no ask is unanswered, if there is one."""
-        for step in range(len(ASK_RAILS)):
-            question = ASK_RAILS[(self._rail_turn + step) % len(ASK_RAILS)]
-            asked_ns, _ = self._asked.get(question, (None, 0))
-            if asked_ns is not None:
-                lost_ns = LOST_NS if self._reached_ns > asked_ns else FORGOTTEN_NS
-                if now_ns - asked_ns < lost_ns:
-                    continue
-            self._rail_turn += step + 1
-            self._asked[question] = (now_ns, self._number)
-            return [question]
-        return []
-
-    def _poll(self, now_ns: int) -> list[CanFrame]:
-        """The next question in turn: each output's current fifteen times in two seconds, the rest less often."""
-        self._turn = (self._turn + 1) % (2 * len(ASK_CURRENTS) + 2)
-        if self._turn == 0:
-            return [ASK_ERROR]
-        if self._turn == len(ASK_CURRENTS) + 1 and (rail := self._ask_rail(now_ns)):
-            return rail
-        return [ASK_CURRENTS[self._turn % len(ASK_CURRENTS)]]
-
     def _answered_mask(self, mask: int, now_ns: int) -> None:
         """6B: what the board feeds, as new as the newest mask and question that have reached it."""
         self._shown = mask
+        self._answer_ns = now_ns
         # A mask that was on its way when this answer left it has an answer of its own.
         if self._sent_ns is None or now_ns - self._sent_ns > REST_NS:
             self._rest_ns = now_ns + REST_NS
         target = self._target
         for place, off in self._offs.items():
             if not mask >> place & 1:
-                off.confirmed = off.confirmed or off.number <= self._reached
+                off.confirmed = off.confirmed or off.number <= self._questions.reached
         on_again = sum(1 << place for place, off in self._offs.items() if mask >> place & 1 and off.confirmed)
         self._anew(on_again, now_ns)
-        gone = [place for place, at_ns in self._fed.items() if not mask >> place & 1 and at_ns < self._reached_ns]
+        gone = [
+            place for place, at_ns in self._fed.items() if not mask >> place & 1 and at_ns < self._questions.reached_ns
+        ]
         if gone:
             self._lose(sum(1 << place for place in gone), "the power board has switched these off by itself", now_ns)
         for place in range(OUTPUTS):
             if mask & self._target & (1 << place):
                 self._fed.setdefault(place, now_ns)
-        for wait in [wait for wait in self._waits if not mask & wait.mask and wait.number <= self._reached]:
+        for wait in [wait for wait in self._waits if not mask & wait.mask and wait.number <= self._questions.reached]:
             self._waits.remove(wait)
             self._news.append(Confirmed(wait.token, True, (now_ns - wait.asked_ns) / NS_PER_MS))
         if self.confirmed:
@@ -472,12 +424,6 @@ class PowerBoard:
         if self._restoring and mask == target == ALL:
             self._restoring = False
             self._news.append(News(Kind.POWER_RESTORED, "the power board feeds all servos again", self._named(mask)))
-
-    def _answered_rails(self, question: CanFrame) -> None:
-        """The question's one unanswered ask is answered: all that was sent before has reached the board."""
-        asked_ns, number = self._asked.pop(question, (0, 0))
-        self._reached_ns = max(self._reached_ns, asked_ns)
-        self._reached = max(self._reached, number)
 
     def _lose(self, mask: int, why: str, now_ns: int) -> None:
         """These are off, and not by us: they stay off until they are wanted anew."""
@@ -526,18 +472,3 @@ class PowerBoard:
         self._restoring = True
         self._settle(now_ns)
         self._news.append(News(Kind.POWER_UNCONFIRMED, why, self._named(target)))
-
-
-def explained(error: BoardError) -> tuple[str, int]:
-    """An error in words, and the outputs that get no supply until it is deleted."""
-    if error.code == SERVO_OVERCURRENT:
-        return "overcurrent: the power board has switched these off", error.mask
-    if error.code == CONVERTER_OVERCURRENT:
-        converters = [number for number in range(1, 6) if error.mask >> (number - 1) & 1]
-        mask = sum(CONVERTER_MASK << CONVERTER_OUTPUTS * (number - 1) for number in converters if number <= 3)
-        named = " and ".join(map(str, converters))
-        return f"overcurrent of the power board's converter {named}, which it has switched off", mask
-    if error.code == OVERTEMPERATURE:
-        # Its converter is switched off, and nothing says which.
-        return "a converter of the power board is too hot, and is switched off", ALL
-    return "the power board's supply is too low", 0
