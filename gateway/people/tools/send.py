@@ -8,6 +8,7 @@ from typing import Final
 
 from gateway.errors import ConfigError, LeaseError
 from gateway.people.client.blocking import Client, several_answer
+from gateway.people.client.dangers import UNCONFIRMED, confirmed_off
 from gateway.people.client.payloads import leg_payload, servo_payload
 from gateway.people.client.requests import Identity
 from gateway.people.terminal import hint, say, this_command
@@ -122,18 +123,26 @@ def _set_instead_of_start(payload: dict[str, object]) -> dict[str, object]:
 
 
 def estop(connect: Connection) -> int:
-    """Engage the emergency stop. Returns 0 if all six Stops were written."""
+    """Engage the emergency stop. Returns 0 if all six Stops were written, and a power board has confirmed it."""
     with connect() as client:
-        ack = client.estop()
-        stopped = ack.stop_frames is not None and ack.stop_frames >= len(LEGS)
-        if stopped:
-            say(f"stopped: {ack.stop_frames} Stop frames written within {ack.latency_us:.0f} µs of the request")
-            hint(f"All commands are rejected until `{this_command()} reset`.")
-        else:
-            written = f"only {ack.stop_frames} of {len(LEGS)} Stop frames were written"
-            say(f"latched, but {written}: switch the servos' power off")
+        code = estop_report(client.estop())
         _warn_of_others(client, keys.ESTOP)
-    return 0 if stopped else 1
+    return code
+
+
+def estop_report(ack: Ack) -> int:
+    """Print what an emergency stop did. Returns the exit code."""
+    stopped = ack.stop_frames is not None and ack.stop_frames >= len(LEGS)
+    if stopped:
+        power = confirmed_off(ack.confirmed, ack.confirmed_ms)
+        say(f"stopped: {ack.stop_frames} Stop frames written within {ack.latency_us:.0f} µs of the request{power}")
+        hint(f"All commands are rejected until `{this_command()} reset`.")
+    else:
+        written = f"only {ack.stop_frames} of {len(LEGS)} Stop frames were written"
+        say(f"latched, but {written}: switch the servos' power off")
+    if ack.confirmed is False:
+        say(UNCONFIRMED)
+    return 0 if stopped and ack.confirmed is not False else 1
 
 
 def reset(connect: Connection) -> int:
