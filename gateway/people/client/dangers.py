@@ -99,5 +99,5 @@ def power_now(power: PowerReport | None) -> str:
 
 def currents_a(telemetry: Telemetry | None) -> dict[int, float]:
     """The current of each servo that is measured, by id."""
-    servos = (telemetry and telemetry.servos) or {}
+    servos = {} if telemetry is None else telemetry.servos or {}
     return {int(name): servo.current_a for name, servo in servos.items() if servo.current_a is not None}

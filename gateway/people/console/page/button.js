@@ -202,7 +202,7 @@ class StopButton {
     const { counts } = this;
     const tone = !this.watches ? "off" : !counts ? "unheard" : this.unconfirmed ? "unconfirmed" : this.mode === "estopped" ? "stopped" : "watches";
     attribute(document.body, "data-tone", tone);
-    const words = { off: this.looks ? "NO BUTTON" : "TAP TO WATCH", unheard: "NOT HEARD", unconfirmed: "SWITCH OFF", stopped: "STOPPED", watches: "STOP" };
+    const words = { off: this.looks ? "NO BUTTON" : "TAP TO WATCH", unheard: "NOT HEARD", unconfirmed: "CUT POWER", stopped: "STOPPED", watches: "STOP" };
     text(byId("word"), words[tone]);
     const lines = {
       off: this.looks ? "this page may only look" : "then a tap anywhere stops the robot",

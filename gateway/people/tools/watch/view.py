@@ -215,7 +215,8 @@ def _power(model: Model, state: GatewayState, live: bool) -> list[Text]:
         return []
     bad = live and bool(model.stop.power.sentence)
     line = Text().append(f"  power {power_now(state.power)}", "bold red" if bad else "" if live else "dim")
-    if (supply := model.telemetry and model.telemetry.supply) is not None:
+    supply = None if model.telemetry is None else model.telemetry.supply
+    if supply is not None:
         line.append(f"  {supply.voltage_v:.1f} V {supply.current_a:.1f} A", "" if live else "dim")
     drawn = currents_a(model.telemetry)
     if drawn:
