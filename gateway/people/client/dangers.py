@@ -2,7 +2,7 @@
 
 from typing import Final, Literal
 
-from schemas.telemetry import Ack, AnyKind, GatewayState, Kind, Mode, PowerReport, Telemetry
+from schemas.telemetry import Ack, AnyKind, GatewayState, Kind, Mode, PowerReport
 
 Tone = Literal["bad", "warn", "plain"]
 
@@ -95,9 +95,3 @@ def power_now(power: PowerReport | None) -> str:
     if not power.confirmed:
         return ", ".join(("off not confirmed", *([fed] if fed else [])))
     return fed or "confirmed off"
-
-
-def currents_a(telemetry: Telemetry | None) -> dict[int, float]:
-    """The current of each servo that is measured, by id."""
-    servos = {} if telemetry is None else telemetry.servos or {}
-    return {int(name): servo.current_a for name, servo in servos.items() if servo.current_a is not None}

@@ -7,12 +7,13 @@ from typing import cast
 
 import pytest
 
+from gateway.errors import UnansweredError
+from gateway.model.telemetry import currents_a
 from gateway.people.client.dangers import (
     PATIENCE_NS,
     UNCONFIRMED,
     PowerAlarm,
     confirmed_off,
-    currents_a,
     power_now,
     tone_of,
 )
@@ -128,18 +129,31 @@ def test_a_terminal_is_red_until_the_board_confirms_a_stop() -> None:
 
 
 @pytest.mark.parametrize(
-    ("confirmed", "confirmed_ms", "code", "words"),
+    ("confirmed", "confirmed_ms", "power", "code", "words"),
     [
-        (None, None, 0, "of the request\n"),
-        (True, 34.2, 0, "of the request, power confirmed off after 34 ms\n"),
-        (False, None, 1, f"of the request\n{UNCONFIRMED}\n"),
+        (None, None, None, 0, "of the request\n"),
+        (True, 34.2, OFF, 0, "of the request, power confirmed off after 34 ms\n"),
+        (False, None, DOUBTED, 1, f"of the request\n{UNCONFIRMED}\n"),
+        (False, None, SILENT, 1, f"of the request\n{UNCONFIRMED}\n"),
+        (False, None, UnansweredError("no state"), 1, f"of the request\n{UNCONFIRMED}\n"),
+        (False, None, FED, 0, "of the request\n"),  # nothing is to be off: an emergency stop leaves the supply on
     ],
 )
 def test_the_command_says_whether_the_board_confirmed(
-    capsys: pytest.CaptureFixture[str], confirmed: bool | None, confirmed_ms: float | None, code: int, words: str
+    capsys: pytest.CaptureFixture[str],
+    confirmed: bool | None,
+    confirmed_ms: float | None,
+    power: PowerReport | UnansweredError | None,
+    code: int,
+    words: str,
 ) -> None:
+    def look() -> GatewayState:
+        if isinstance(power, UnansweredError):
+            raise power
+        return of(power, Mode.ESTOPPED)
+
     ack = STOPPED.model_copy(update={"confirmed": confirmed, "confirmed_ms": confirmed_ms})
-    assert estop_report(ack) == code
+    assert estop_report(ack, look) == code
     assert capsys.readouterr().out == f"stopped: 6 Stop frames written within 812 µs {words}"
     assert confirmed_off(True, None) == ", power confirmed off"
 

@@ -10,7 +10,8 @@ from rich.cells import cell_len
 from rich.text import Text
 
 from gateway.certs import expiry
-from gateway.people.client.dangers import FULL_A, currents_a, power_now, tone_of
+from gateway.model.telemetry import currents_a
+from gateway.people.client.dangers import FULL_A, power_now, tone_of
 from gateway.people.terminal.screen import ALARM, STYLES, fitted
 from gateway.people.terminal.stop_status import Remark, Tone
 from gateway.people.tools.watch.model import Counts, Model, WatchedPresence
