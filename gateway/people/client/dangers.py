@@ -79,10 +79,10 @@ class PowerAlarm:
             self.sentence = "" if ack.confirmed else UNCONFIRMED
 
 
-def confirmed_off(confirmed: bool | None, confirmed_ms: float | None) -> str:
+def confirmed_off(ack: Ack) -> str:
     """`, power confirmed off after 34 ms`, at the end of a sentence; empty without a confirmation."""
-    after = "" if confirmed_ms is None else f" after {confirmed_ms:.0f} ms"
-    return f", power confirmed off{after}" if confirmed else ""
+    after = "" if ack.confirmed_ms is None else f" after {ack.confirmed_ms:.0f} ms"
+    return f", power confirmed off{after}" if ack.confirmed else ""
 
 
 def power_now(power: PowerReport | None) -> str:

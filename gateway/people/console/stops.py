@@ -90,7 +90,7 @@ def send_stopping(press: Press[Outgoing, str | None], ack: Ack | None, error: st
             stop_frames=None if ack is None else ack.stop_frames,
             latency_us=None if ack is None else ack.latency_us,
             estop=None if ack is None else ack.estop,
-            power="" if ack is None else confirmed_off(ack.confirmed, ack.confirmed_ms),
+            power="" if ack is None else confirmed_off(ack),
             error=error,
         )
     )

@@ -72,7 +72,7 @@ class StopStatus:
         if frames >= len(LEGS) and ack.latency_us is not None:
             text = (
                 f"STOPPED: {frames} Stop frames written within {ack.latency_us:.0f} µs of the request, "
-                f"confirmed {took_ms:.0f} ms after the key{confirmed_off(ack.confirmed, ack.confirmed_ms)}"
+                f"confirmed {took_ms:.0f} ms after the key{confirmed_off(ack)}"
             )
             self.outcome = Remark(Tone.GOOD, text, now_ns)
         else:

@@ -142,7 +142,7 @@ def estop_report(ack: Ack, look: Callable[[], GatewayState]) -> int:
             alarm.received_state(look(), 0)
     stopped = ack.stop_frames is not None and ack.stop_frames >= len(LEGS)
     if stopped:
-        power = confirmed_off(ack.confirmed, ack.confirmed_ms)
+        power = confirmed_off(ack)
         say(f"stopped: {ack.stop_frames} Stop frames written within {ack.latency_us:.0f} µs of the request{power}")
         hint(f"All commands are rejected until `{this_command()} reset`.")
     else:

@@ -155,7 +155,7 @@ def test_the_command_says_whether_the_board_confirmed(
     ack = STOPPED.model_copy(update={"confirmed": confirmed, "confirmed_ms": confirmed_ms})
     assert estop_report(ack, look) == code
     assert capsys.readouterr().out == f"stopped: 6 Stop frames written within 812 µs {words}"
-    assert confirmed_off(True, None) == ", power confirmed off"
+    assert confirmed_off(Ack(accepted=True, confirmed=True)) == ", power confirmed off"
 
 
 def test_status_has_the_board_and_the_alarm() -> None:
@@ -168,7 +168,7 @@ def test_watch_is_red_by_event_and_by_state_and_shows_what_each_servo_draws() ->
     drawn = {"11": ServoTelemetry(supplied=True, current_a=0.5), "32": ServoTelemetry(supplied=True, current_a=2.0)}
     model = model_with_power(FED, Telemetry(time=WALL, age_ms=3.0, servos=drawn))
     row = next(line for line in screen(model).splitlines() if "power" in line)
-    assert row.strip() == "power 18 fed  ▃·· ··· ·█· ··· ··· ···  most: 32, 2.00 A"
+    assert row.strip() == "power 18 fed  ▃·· ··· ·█· ··· ··· ···  most 32: 2.00 A"
     assert UNCONFIRMED not in screen(model)
     model.received_event(event(Kind.POWER_UNCONFIRMED, "no answer"), 0, WALL)
     assert screen(model).splitlines()[1] == f" {UNCONFIRMED} "

@@ -216,16 +216,16 @@ def _power(model: Model, state: GatewayState, live: bool) -> list[Text]:
         return []
     bad = live and bool(model.stop.power.sentence)
     line = Text().append(f"  power {power_now(state.power)}", "bold red" if bad else "" if live else "dim")
-    supply = None if model.telemetry is None else model.telemetry.supply
-    if supply is not None:
-        line.append(f"  {supply.voltage_v:.1f} V {supply.current_a:.1f} A", "" if live else "dim")
     drawn = currents_a(model.telemetry)
     if drawn:
         most = max(drawn, key=drawn.__getitem__)
         full_a = max(FULL_A, drawn[most])
         legs = ("".join(_level(drawn.get(servo.id), full_a) for servo in leg.servos) for leg in state.legs)
         line.append(f"  {' '.join(legs)}", "cyan" if live else "dim")
-        line.append(f"  most: {most}, {drawn[most]:.2f} A", "" if live else "dim")
+        line.append(f"  most {most}: {drawn[most]:.2f} A", "" if live else "dim")
+    supply = None if model.telemetry is None else model.telemetry.supply
+    if supply is not None:
+        line.append(f"  {supply.voltage_v:.1f} V {supply.current_a:.1f} A", "" if live else "dim")
     return [line]
 
 
