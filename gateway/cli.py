@@ -210,7 +210,8 @@ def send_stop(
 def estop(connect: ConnectOption = None, zenoh_config: ZenohConfigOption = None, timeout: TimeoutOption = 2.0) -> None:
     """Engage the emergency stop: all six legs stop at once, and stay stopped until `reset`.
 
-    Exit codes: 0 all six Stops are written, 1 not all of them, 4 no gateway answers.
+    Exit codes: 0 all six Stops are written, 1 not all of them, or the power board does not confirm it, 4 no gateway
+    answers.
     """
     from gateway.people.tools import send
 

@@ -39,3 +39,9 @@ def starts_whole(state: GatewayState) -> bool:
     """
     protocol = state.controller.protocol
     return state.power is None and any(protocol == each and each.starts_whole for each in SpiProtocol)
+
+
+def currents_a(telemetry: Telemetry | None) -> dict[int, float]:
+    """The current of each servo that is measured, by id."""
+    servos = {} if telemetry is None else telemetry.servos or {}
+    return {int(name): servo.current_a for name, servo in servos.items() if servo.current_a is not None}

@@ -26,6 +26,7 @@ from gateway.robot import wires
 from gateway.robot.blackbox.recorder import Recorder
 from gateway.robot.core.calibrating import ACCEPT_DEFAULT
 from gateway.robot.core.leg import Rules
+from gateway.robot.core.power import CutOn
 from gateway.robot.core.supervisor import Supervisor
 from gateway.robot.host import calibration_file, stop_note
 from gateway.robot.host.disk_writer import DiskWriter
@@ -41,6 +42,7 @@ from gateway.robot.runtime.report import wall_clock
 from gateway.robot.runtime.request_answers import ButtonAnswers, LeaseAnswers
 from gateway.robot.runtime.revocations import Revocations
 from gateway.robot.runtime.shutdown import SHUTDOWN_S, ServiceEnd, close_within, stop_the_robot
+from gateway.robot.runtime.supply import supply_of
 from gateway.robot.sections import ZenohSettings
 from gateway.robot.settings import Settings
 from gateway.robot.spi.cyclic import CyclicBus
@@ -133,10 +135,14 @@ def run(
     *,
     simulated: bool,
     physics: Physics | None = None,
+    board: str | None = None,
     faults: Faults | None = None,
     on_ready: Callable[[zenoh.Config], None] = lambda _: None,
 ) -> None:
-    """Run the service until SIGTERM or SIGINT. Raises SpiError, ZenohError or ConfigError."""
+    """Run the service until SIGTERM or SIGINT. Raises SpiError, ZenohError or ConfigError.
+
+    `board`: the terminal at which a simulated power board is.
+    """
     descriptors.ensure()
     realtime.prefer_process()
     realtime.limit_malloc_arenas()
@@ -149,9 +155,8 @@ def run(
         _recorder(settings, simulated=simulated) as recorder,
         asyncio.Runner(loop_factory=lambda: asyncio.SelectorEventLoop(selectors.SelectSelector())) as runner,
     ):
-        end = runner.run(
-            _run(settings, recorder, simulated=simulated, physics=physics, faults=faults, on_ready=on_ready)
-        )
+        made = partial(_run, settings, recorder, simulated=simulated, physics=physics, board=board, faults=faults)
+        end = runner.run(made(on_ready=on_ready))
         if end.failure is not None:
             recorder.ended(end.failure)
     end.leave()  # without the interpreter's own end, which aborts while a thread is inside Zenoh
@@ -192,6 +197,7 @@ async def _run(
     *,
     simulated: bool,
     physics: Physics | None,
+    board: str | None,
     faults: Faults | None,
     on_ready: Callable[[zenoh.Config], None],
 ) -> ServiceEnd:
@@ -203,6 +209,7 @@ async def _run(
     bus = wires.wire(
         settings, simulated=simulated, page=physics and physics.page, sensed=physics and physics.sensed, faults=faults
     )
+    supply = supply_of(settings, bus, board, lambda: _on_loop(loop, owner, conductor.power_changed), end.mistake)
     outbox = ZenohOutbox()
     conductor = Conductor(
         settings,
@@ -216,6 +223,7 @@ async def _run(
         recorder=recorder,
         owner=owner,
         calibration_kept=calibration_file.path_of(settings) is not None,
+        supply=supply,
     )
     calibrations = _calibrations(settings, conductor, loop)
     revocations = Revocations(conductor, shut_out, loop, end.begin_again)
@@ -273,12 +281,24 @@ async def _run(
             upkeep.close,
             inbox.close,
             session.close,
+            *(() if supply is None else (supply.end,)),
         )
     finally:
         with owner:
             conductor.close()
         notifier.close()
     return end
+
+
+def _on_loop(loop: asyncio.AbstractEventLoop, owner: Ownership, call: Callable[[], None]) -> None:
+    """Call it as owner of the state, on the loop: a thread that must not wait for the state asks for it."""
+
+    def take() -> None:
+        with owner:
+            call()
+
+    with suppress(RuntimeError):  # the loop is closed: the service has ended
+        loop.call_soon_threadsafe(take)
 
 
 def _go_on(bus: Wire, conductor: Conductor, settings: Settings, end: ServiceEnd, *, simulated: bool) -> None:
@@ -321,7 +341,7 @@ def _inbox(
     """The inbox, connected with the conductor."""
     lease = LeaseAnswers(conductor, settings.lease.ttl_ms, checker)
     button = ButtonAnswers(conductor, settings.buttons, checker)
-    measures = settings.spi.protocol.measures
+    measures = settings.spi.protocol.measures or bool(settings.power.interface)
     inbox = Inbox(
         session,
         loop,
@@ -336,6 +356,7 @@ def _inbox(
         },
         tokens={lease.key: conductor.supervisor.lease.holds, button.key: conductor.supervisor.buttons.knows},
         depth=put_depth(settings.limits.leg_rate_hz, settings.watchdog.timeout_ms),
+        on_estop_heard=None if conductor.supply is None else partial(conductor.supply.cut_early, CutOn.ESTOP),
     )
     conductor.connect(inbox)
     return inbox
@@ -358,7 +379,8 @@ def _attendants(
 
 def _report_tasks(settings: Settings, conductor: Conductor, outbox: ZenohOutbox) -> list[asyncio.Task[None]]:
     """Publish the state, and what the robot measures if it does."""
-    telemetry_hz = settings.telemetry.rate_hz if settings.spi.protocol.measures else 0.0
+    measures = settings.spi.protocol.measures or settings.power.interface
+    telemetry_hz = settings.telemetry.rate_hz if measures else 0.0
     return [
         asyncio.create_task(_report(STATE, settings.telemetry.state_hz, conductor.publish_state, conductor, outbox)),
         asyncio.create_task(_report(TELEMETRY, telemetry_hz, conductor.publish_telemetry, conductor, outbox)),

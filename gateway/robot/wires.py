@@ -74,6 +74,7 @@ def wire(
         open_uart,
         silent_ns=round(settings.controller.silent_ms * NS_PER_MS),
         before_frames_ns=round(before_frames_ms * NS_PER_MS),
+        fed_singly=bool(settings.power.interface),
     )
 
 

@@ -10,15 +10,14 @@ from prometheus_client.samples import Sample
 
 Described = set[tuple[str, str, frozenset[str]]]
 _DOCS: Final = Path(__file__).parents[2] / "docs" / "metrics.md"
-_MEASURED: Final = "Of a robot that measures"
+_OF: Final = re.compile(r"^Of a robot ", re.MULTILINE)
 
 
-def documented(*, measured: bool) -> Described:
-    """What the docs list for every robot, or for those that measure."""
-    always, _, further = _DOCS.read_text().partition(_MEASURED)
-    rows = re.findall(
-        r"^\| `((?:hexapod|process)_\w+)` \| (\w+) \| (.*?) \|", further if measured else always, re.MULTILINE
-    )
+def documented(robot: str = "") -> Described:
+    """What the docs list for every robot, or for one "that measures" or "with a power board"."""
+    always, *further = _OF.split(_DOCS.read_text())
+    (section,) = [each for each in further if each.startswith(robot)] if robot else [always]
+    rows = re.findall(r"^\| `((?:hexapod|process)_\w+)` \| (\w+) \| (.*?) \|", section, re.MULTILINE)
     return {(name, kind, frozenset(re.findall(r"`(\w+)`", labels))) for name, kind, labels in rows}
 
 

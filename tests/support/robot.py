@@ -21,6 +21,7 @@ from gateway.robot.protocol import Wire
 from gateway.robot.runtime.calibrations import Calibrations, WriteAndThen
 from gateway.robot.runtime.conductor import Conductor
 from gateway.robot.runtime.request_answers import ButtonAnswers, LeaseAnswers, RequestAnswers
+from gateway.robot.runtime.supply import RobotSupply
 from gateway.robot.service import BEAT_S, rules
 from gateway.robot.settings import Settings
 from gateway.robot.spi.bus import Bus
@@ -67,6 +68,7 @@ class Robot:
             simulated=True,
             recorder=Recorder(self.settings, {}, self.now_ns, lambda: WALL_NS),
             calibration_kept=keep is not None,
+            supply=self.supply(),
         )
         self.conductor.connect(self)
         fresh = (f"{number:032x}" for number in itertools.count(1))
@@ -79,6 +81,10 @@ class Robot:
         """Its way to the controller."""
         self.bus = Bus(self.settings.spi, self._open, clock=self.now_ns, pause=self._pause)
         return self.bus
+
+    def supply(self) -> RobotSupply | None:
+        """What feeds its servos; None: no board."""
+        return None
 
     def _beat(self) -> None:
         """The service's."""

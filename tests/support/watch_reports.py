@@ -11,10 +11,12 @@ from schemas.telemetry import (
     Kind,
     LegReport,
     Mode,
+    PowerReport,
     Reason,
     ServoReport,
     SpiReport,
     StopLatency,
+    Telemetry,
     WatchdogReport,
     WatchdogState,
 )
@@ -87,6 +89,13 @@ def kinds(model: Model) -> list[str]:
 
 def screen(model: Model, now_ns: int = 0, width: int = 80, height: int = 24) -> str:
     return picture(model, now_ns, "tcp/robot:7447", width, height).plain
+
+
+def model_with_power(power: PowerReport, telemetry: Telemetry) -> Model:
+    model = Model()
+    model.received_state(state().model_copy(update={"power": power}), 0, WALL)
+    model.received_telemetry(telemetry, 0)
+    return model
 
 
 def model_with_state(model: Model) -> Model:

@@ -83,7 +83,7 @@ def test_the_list_in_the_docs_is_the_page(tmp_path: Path) -> None:
         for path in ("/", "/metric", "/metrics/more", "/favicon.ico"):
             with pytest.raises(urllib.error.HTTPError, match="404"):
                 urllib.request.urlopen(f"http://{address}{path}", timeout=10)
-    assert described(page) == documented(measured=False)
+    assert described(page) == documented()
 
 
 def test_prometheus_reads_everything(tmp_path: Path) -> None:

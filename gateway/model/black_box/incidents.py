@@ -24,6 +24,10 @@ INCIDENT_NAMES: Final = {
     Kind.STOPPED_OUTSIDE: "stopped-outside",
     Kind.BUTTON_SILENT: "button",
     Kind.BUTTON_LEFT: "button",
+    Kind.POWER_UNCONFIRMED: "power-unconfirmed",
+    Kind.POWER_FAULT: "power-fault",
+    Kind.SERVO_DRAWS: "servo-draws",
+    Kind.OFF_BUTTON: "off-button",
 }
 """Events that are kept as incidents, and how their ids end."""
 MISTAKE: Final = "mistake"

@@ -11,6 +11,7 @@ from gateway.errors import ConfigError, RejectedError, UnansweredError
 from gateway.geometry import load
 from gateway.people.bridge.driving import Driving
 from gateway.people.bridge.graph import Graph
+from gateway.people.client.dangers import UNCONFIRMED, confirmed_off
 from gateway.people.client.subscriptions import subscribed
 from gateway.people.ros2.joints import JointNames, JointsError
 from gateway.people.ros2.messages import DISTRIBUTIONS
@@ -146,7 +147,8 @@ def _is_open(graph: Graph, *, accepted: bool) -> bool:
 
 def _estop(driving: Driving) -> str:
     ack = driving.estop()
-    return f"emergency stop {ack.estop}: {ack.stop_frames} Stop frames written within {ack.latency_us:.0f} µs"
+    within = f"within {ack.latency_us:.0f} µs{confirmed_off(ack)}{f'. {UNCONFIRMED}' if ack.confirmed is False else ''}"
+    return f"emergency stop {ack.estop}: {ack.stop_frames} Stop frames written {within}"
 
 
 def _reset(driving: Driving, *, of_anybody: bool) -> str:

@@ -258,6 +258,8 @@ class Client:
     def estop(self, source: str | None = None) -> Ack:
         """Engage the emergency stop. The answer has its number, the count of Stop frames written, and the latency.
 
+        Of a robot with a power board it also has `confirmed`: whether the board has confirmed that the supply is off,
+        and after how many ms. If that is false, switch the power off by hand.
         `source`: the name of the requester, by default this client's.
         """
         payload = self._payload(keys.ESTOP, {} if source is None else {"source": source}, None)

@@ -32,6 +32,7 @@ ALL_STOPPED: Final = (
     Kind.BUS_FAULT,
     Kind.CONTROLLER_SILENT,
     Kind.FALLEN,
+    Kind.OFF_BUTTON,
     Kind.STOPPED_OUTSIDE,
     Kind.STOPPING,
 )

@@ -12,6 +12,7 @@ from typing import Annotated, Any, Final, Literal, Self, get_args
 
 from pydantic import AfterValidator, BaseModel, Discriminator, Field, Tag, TypeAdapter, model_validator
 
+from gateway.people.client.dangers import Tone
 from gateway.people.walking import GAITS, Posture
 from schemas import keys
 from schemas.calibration import ServoCalibration
@@ -262,13 +263,16 @@ class StateMessage(Report):
     """The gateway's newest state, received `age_ms` ago; older ones may have been left out.
 
     `now`: what the robot does according to it, in one sentence without its full stop. `whole`: its six legs start and
-    stop only together.
+    stop only together. `power`: how the power board feeds the servos, in a few words; `unconfirmed`: the sentence to
+    show in red while it does not confirm a Stop; both empty where there is none.
     """
 
     type: Literal["state"] = "state"
     age_ms: float
     now: str = ""
     whole: bool = False
+    power: str = ""
+    unconfirmed: str = ""
     state: GatewayState
 
 
@@ -303,6 +307,7 @@ class EventMessage(Report):
     type: Literal["event"] = "event"
     event: Event
     left_out: int = 0
+    tone: Tone = "plain"
 
 
 class AckMessage(Report):
@@ -318,7 +323,8 @@ class AckMessage(Report):
 class Stopping(Report):
     """The progress of a `StopAllRequest`: sent at once, after each unanswered attempt, and when it is confirmed.
 
-    While `answered` is false the console goes on requesting it.
+    While `answered` is false the console goes on requesting it. `power`: the power board's confirmation, which ends a
+    sentence.
     """
 
     type: Literal["stop"] = "stop"
@@ -329,6 +335,7 @@ class Stopping(Report):
     stop_frames: int | None = None
     latency_us: float | None = None
     estop: int | None = None
+    power: str = ""
     error: str | None = None
 
 

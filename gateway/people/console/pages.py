@@ -28,6 +28,7 @@ from gateway.geometry import Geometry
 from gateway.model.staleness import Staleness
 from gateway.model.telemetry import starts_whole
 from gateway.people.client.confirmed_stop import Press
+from gateway.people.client.dangers import PowerAlarm, power_now, tone_of
 from gateway.people.console import messages
 from gateway.people.console.link import GatewayLink, LinkReceiver
 from gateway.people.console.outgoing import Outgoing
@@ -87,6 +88,8 @@ class Pages(LinkReceiver):
         self._ending: asyncio.Future[int] | None = None
         self._pages: set[Page] = set()
         self._opened = 0
+        self._newest: tuple[GatewayState, int] | None = None
+        self._alarm = PowerAlarm()
         self._state: Callable[[], str] | None = None
         self._max_age_ms = LimitsReport().max_age_ms
         self._link = messages.LinkMessage(status="gone")
@@ -115,9 +118,15 @@ class Pages(LinkReceiver):
         return self._opened
 
     def received_state(self, state: GatewayState, received_ns: int) -> None:
-        now, whole = json.dumps(robot_now(state)), json.dumps(starts_whole(state))
-        self._state = partial(_state_text, state.model_dump_json(), now, whole, received_ns)
+        self._newest = state, received_ns
         self._max_age_ms = state.limits.max_age_ms
+        self._alarm.received_state(state, received_ns)
+        self._send_state(state, received_ns)
+
+    def _send_state(self, state: GatewayState, received_ns: int) -> None:
+        known = {"now": robot_now(state), "whole": starts_whole(state)}
+        known |= {"power": power_now(state.power), "unconfirmed": self._alarm.sentence}
+        self._state = partial(_state_text, state.model_dump_json(), json.dumps(known)[1:-1], received_ns)
         for page in self._pages:
             page.outgoing.put_state(self._state)
             page.allow_age(self._max_age_ms)
@@ -130,7 +139,10 @@ class Pages(LinkReceiver):
             self._send(messages.TelemetryMessage(telemetry=telemetry))
 
     def received_event(self, event: Event, left_out: int = 0) -> None:
-        self._events.append(messages.EventMessage(event=event, left_out=left_out))
+        self._alarm.received_event(event.kind)
+        if event.kind == Kind.POWER_UNCONFIRMED and self._newest is not None:
+            self._send_state(*self._newest)  # red at once, not with the next state
+        self._events.append(messages.EventMessage(event=event, left_out=left_out, tone=tone_of(event.kind)))
         self._send(self._events[-1])
         if event.kind == Kind.REVOKED and self._common_name in _WORDS.findall(event.detail):
             logger.warning("this console's certificate (%s) is revoked: all its sessions end", self._common_name)
@@ -145,10 +157,10 @@ class Pages(LinkReceiver):
             page.outgoing.put(message)
 
 
-def _state_text(state: str, now: str, whole: str, received_ns: int) -> str:
-    """A StateMessage: the JSON of the state and of its sentence is made once for all pages, its age when it is sent."""
+def _state_text(state: str, known: str, received_ns: int) -> str:
+    """A StateMessage: the JSON of the state and its sentences is made once for all pages, its age when it is sent."""
     age_ms = (time.monotonic_ns() - received_ns) / 1e6
-    return f'{{"type":"state","age_ms":{age_ms:.1f},"now":{now},"whole":{whole},"state":{state}}}'
+    return f'{{"type":"state","age_ms":{age_ms:.1f},{known},"state":{state}}}'
 
 
 class Page:
@@ -273,7 +285,7 @@ class Page:
             return
         kind, reason = Kind.COMMAND_REJECTED, Reason.STALE
         event = Event(time=datetime.now(UTC), kind=kind, source=self.source, key=key, reason=reason, detail=detail)
-        self.outgoing.put(messages.EventMessage(event=event))
+        self.outgoing.put(messages.EventMessage(event=event, tone=tone_of(kind)))
 
     def _ask(self, message_id: int, ask: Callable[[], Awaitable[Ack]]) -> None:
         self._tasks.check()

@@ -5,6 +5,7 @@ from collections.abc import Awaitable, Callable
 from typing import Generic, TypeVar
 
 from gateway.people.client.confirmed_stop import ConfirmedStop, Press, StopRequest
+from gateway.people.client.dangers import confirmed_off
 from gateway.people.console.messages import Stopping
 from gateway.people.console.outgoing import Outgoing
 from schemas.telemetry import Ack
@@ -89,6 +90,7 @@ def send_stopping(press: Press[Outgoing, str | None], ack: Ack | None, error: st
             stop_frames=None if ack is None else ack.stop_frames,
             latency_us=None if ack is None else ack.latency_us,
             estop=None if ack is None else ack.estop,
+            power="" if ack is None else confirmed_off(ack),
             error=error,
         )
     )

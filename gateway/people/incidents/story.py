@@ -35,7 +35,11 @@ _WHAT: Final = {
     "stopped-outside": "stop-servos stopped all legs past the gateway",
     "estop": "somebody requested an emergency stop",
     "bus-fault": "the SPI bus failed",
+    "off-button": "somebody pressed the robot's off button, and all legs were stopped",
     "controller-silent": "the controller fell silent, and all legs were stopped",
+    "power-fault": "the power board reported a fault",
+    "servo-draws": "a servo that was stopped still drew current",
+    "power-unconfirmed": "the power board did not confirm a Stop",
     "mistake": "a mistake in the gateway ended it",
     "crash": "the gateway ended without a word",
 }

@@ -170,6 +170,12 @@ _LEVELS: Final = {
     Kind.CONTROLLER_SILENT: Log.ERROR,
     Kind.FALLEN: Log.ERROR,
     Kind.BATTERY_LOW: Log.WARN,
+    Kind.POWER_CUT: Log.WARN,
+    Kind.POWER_UNCONFIRMED: Log.ERROR,
+    Kind.POWER_FAULT: Log.ERROR,
+    Kind.SERVO_DRAWS: Log.ERROR,
+    Kind.SERVO_SILENT: Log.WARN,
+    Kind.OFF_BUTTON: Log.ERROR,
 }
 
 

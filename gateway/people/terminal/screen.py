@@ -90,7 +90,9 @@ class Screen(ABC):
 
     def last_words(self) -> list[str]:
         """What a person must know once the screen is gone."""
-        return [] if self.stop.wanted_ns is None else [NOT_STOPPED]
+        if self.stop.wanted_ns is not None:
+            return [NOT_STOPPED]
+        return [self.stop.power.sentence] if self.stop.power.sentence else []
 
     # ---- what it does for a program
 

@@ -3,6 +3,7 @@
 from enum import StrEnum
 from typing import Final, NamedTuple
 
+from gateway.people.client.dangers import PowerAlarm, confirmed_off
 from schemas.robot import LEGS
 from schemas.telemetry import Ack
 
@@ -42,6 +43,8 @@ class StopStatus:
         """The number of the latest emergency stop that is known."""
         self.outcome: Remark | None = None
         """What became of the latest confirmed request."""
+        self.power = PowerAlarm()
+        """Whether the power board confirms it; its shell hands over states and events."""
         self._pressed_ns = 0
         self._tries = 0
         self._estopped = False
@@ -63,12 +66,13 @@ class StopStatus:
         frames = ack.stop_frames or 0
         took_ms = (now_ns - self._pressed_ns) / 1e6
         self.wanted_ns = newer_ns
+        self.power.answered(ack)
         if newer_ns is not None:
             self._pressed_ns, self._tries = newer_ns, 0
         if frames >= len(LEGS) and ack.latency_us is not None:
             text = (
                 f"STOPPED: {frames} Stop frames written within {ack.latency_us:.0f} µs of the request, "
-                f"confirmed {took_ms:.0f} ms after the key"
+                f"confirmed {took_ms:.0f} ms after the key{confirmed_off(ack)}"
             )
             self.outcome = Remark(Tone.GOOD, text, now_ns)
         else:
@@ -110,4 +114,6 @@ class StopStatus:
             return Remark(Tone.BAD, alarm)
         if self.wanted_ns is not None:
             return Remark(Tone.BAD, "EMERGENCY STOP sent, waiting for its confirmation")
+        if self.power.sentence:
+            return Remark(Tone.BAD, self.power.sentence)
         return None if self.outcome is None or self.outcome.is_over(now_ns) else self.outcome

@@ -1,13 +1,14 @@
 """`send`, `estop` and `reset`: one acknowledged command each, through a running gateway."""
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
-from gateway.errors import ConfigError, LeaseError
+from gateway.errors import ConfigError, GatewayError, LeaseError
 from gateway.people.client.blocking import Client, several_answer
+from gateway.people.client.dangers import PowerAlarm, confirmed_off
 from gateway.people.client.payloads import leg_payload, servo_payload
 from gateway.people.client.requests import Identity
 from gateway.people.terminal import hint, say, this_command
@@ -17,7 +18,7 @@ from gateway.people.tools.reach import Connection
 from gateway.zenoh_config import client_config
 from schemas import keys
 from schemas.robot import JOINTS, LEGS
-from schemas.telemetry import Ack
+from schemas.telemetry import Ack, GatewayState
 
 HOLD_PERIOD_S = 0.05
 """A fifth of the default watchdog timeout."""
@@ -122,18 +123,34 @@ def _set_instead_of_start(payload: dict[str, object]) -> dict[str, object]:
 
 
 def estop(connect: Connection) -> int:
-    """Engage the emergency stop. Returns 0 if all six Stops were written."""
+    """Engage the emergency stop. Returns 0 if all six Stops were written, and a power board has confirmed it."""
     with connect() as client:
-        ack = client.estop()
-        stopped = ack.stop_frames is not None and ack.stop_frames >= len(LEGS)
-        if stopped:
-            say(f"stopped: {ack.stop_frames} Stop frames written within {ack.latency_us:.0f} µs of the request")
-            hint(f"All commands are rejected until `{this_command()} reset`.")
-        else:
-            written = f"only {ack.stop_frames} of {len(LEGS)} Stop frames were written"
-            say(f"latched, but {written}: switch the servos' power off")
+        code = estop_report(client.estop(), client.state)
         _warn_of_others(client, keys.ESTOP)
-    return 0 if stopped else 1
+    return code
+
+
+def estop_report(ack: Ack, look: Callable[[], GatewayState]) -> int:
+    """Print what an emergency stop did. Returns the exit code. `look` asks for the state, and may raise GatewayError.
+
+    A board that is to feed the servos in an emergency stop, too (`power.cut_on`), confirms nothing: its state shows it.
+    """
+    alarm = PowerAlarm()
+    alarm.answered(ack)
+    if alarm.sentence:
+        with suppress(GatewayError):
+            alarm.received_state(look(), 0)
+    stopped = ack.stop_frames is not None and ack.stop_frames >= len(LEGS)
+    if stopped:
+        power = confirmed_off(ack)
+        say(f"stopped: {ack.stop_frames} Stop frames written within {ack.latency_us:.0f} µs of the request{power}")
+        hint(f"All commands are rejected until `{this_command()} reset`.")
+    else:
+        written = f"only {ack.stop_frames} of {len(LEGS)} Stop frames were written"
+        say(f"latched, but {written}: switch the servos' power off")
+    if alarm.sentence:
+        say(alarm.sentence)
+    return 0 if stopped and not alarm.sentence else 1
 
 
 def reset(connect: Connection) -> int:

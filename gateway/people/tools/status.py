@@ -3,6 +3,7 @@
 import sys
 from pathlib import Path
 
+from gateway.people.client.dangers import PowerAlarm, power_now
 from gateway.people.terminal import say
 from gateway.people.tools.reach import connection
 from gateway.people.walking import robot_now
@@ -42,6 +43,10 @@ def sentences(state: GatewayState) -> list[str]:
         )
     if battery is not None:
         found.append(f"Battery: {battery.voltage_v:.2f} V, {battery.percent:.0f} %.")
+    if state.power is not None:
+        alarm = PowerAlarm()
+        alarm.received_state(state, 0)
+        found.append(" ".join((f"Power ({state.power.interface}): {power_now(state.power)}.", alarm.sentence)).strip())
     found.append(
         f"{state.commands.accepted} commands accepted, {state.commands.rejected} rejected; "
         f"the watchdog ({watchdog.timeout_ms:g} ms) has stopped {watchdog.expirations} legs."

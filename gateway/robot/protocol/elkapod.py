@@ -6,7 +6,7 @@ the angles that were commanded. While all are shut down, frames go on with each 
 whose shutdown was lost must not move for it.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Final
 
 from gateway.allowance import NS_PER_MS
@@ -23,20 +23,36 @@ _PLACES: Final = {servo_id: place for place, servo_id in enumerate(SERVO_IDS)}
 
 
 class Commanded:
-    """What the robot was told, and the next frame and UART message."""
+    """What the robot was told, and the next frame and UART message.
 
-    def __init__(self) -> None:
+    Where a power board feeds each servo by itself (`fed_singly`), that is a servo's start and its Stop. The UART starts
+    the controller with the first of them, and shuts it down with the last.
+    """
+
+    def __init__(self, *, fed_singly: bool = False) -> None:
+        self._fed_singly = fed_singly
         self._angles_cdeg = [elkapod.MIDDLE_CDEG] * len(SERVO_IDS)
-        self._to_start: set[int] = set()
-        """Servos with a start since the last start or shutdown on the UART."""
-        self._carries_start = False  # the frame that `frame` made last
-        self._cycles = 0  # frames that have left with all of a start's angles
+        self._to_start: dict[int, int] = {}
+        """Servos with a start that is not carried out yet, and how many frames with its angle have left."""
+        self._carried: set[int] = set()
+        """Those whose start's angle is in the frame that `frame` made last."""
+        self.ready: frozenset[int] = frozenset()
+        """Servos that may be fed: their angles were on the wire, and then the UART said start."""
 
     def shut_down(self) -> bytes:
-        """A Stop, of whatever: the message that shuts down all servos. No start that waits comes after it."""
+        """A Stop of all: the message that shuts down all servos. No start that waits comes after it."""
         self._to_start.clear()
-        self._carries_start, self._cycles = False, 0
+        self._carried.clear()
+        self.ready = frozenset()
         return elkapod.SHUTDOWN
+
+    def stop(self, servo_ids: Collection[int]) -> bytes | None:
+        """A Stop of these. Returns the UART's message for it; None: others run, so only the board stops these."""
+        for servo_id in servo_ids:
+            self._to_start.pop(servo_id, None)
+        self._carried.difference_update(servo_ids)
+        self.ready = self.ready.difference(servo_ids)
+        return None if self._fed_singly and (self.ready or self._to_start) else self.shut_down()
 
     def take(self, frames: Sequence[Frame]) -> None:
         """Take frames that move: their angles are in the next frame, and starts of all eighteen servos are a start."""
@@ -44,22 +60,26 @@ class Commanded:
             for servo_id, op in frame.servos:
                 self._angles_cdeg[_PLACES[servo_id]] = op.angle_cdeg
                 if op.op is OP_START:
-                    self._to_start.add(servo_id)
+                    self._to_start[servo_id] = 0
+                    self._carried.discard(servo_id)
 
     def frame(self) -> bytes:
         """The next frame."""
-        self._carries_start = len(self._to_start) == len(SERVO_IDS)
+        whole = self._fed_singly or len(self._to_start) == len(SERVO_IDS)
+        self._carried = set(self._to_start) if whole else set()
         return elkapod.frame(self._angles_cdeg)
 
     def left(self) -> bytes | None:
         """The frame has left. Returns the UART message that is to follow it at once, if one is."""
-        if not self._carries_start:
+        for servo_id in self._carried:
+            self._to_start[servo_id] += 1
+        done = {servo_id for servo_id in self._carried if self._to_start[servo_id] >= START_CYCLES}
+        self._carried.clear()
+        if not done:
             return None
-        self._cycles += 1
-        if self._cycles < START_CYCLES:
-            return None
-        self._to_start.clear()
-        self._carries_start, self._cycles = False, 0
+        for servo_id in done:
+            del self._to_start[servo_id]
+        self.ready |= done
         return elkapod.START
 
 

@@ -1,6 +1,6 @@
 """Outcomes of commands: counted, recorded and answered; rejections are published as well."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 
 from gateway.errors import SpiError
 from gateway.model.black_box.format import ACCEPTED, COALESCED
@@ -12,15 +12,22 @@ from gateway.robot.runtime.event_publisher import EventPublisher
 from gateway.robot.runtime.metrics import Metrics
 from schemas.telemetry import Ack, Kind, Reason
 
+Confirm = Callable[[Collection[int], int, Callable[[bool, float | None], None]], None]
+"""Whether the supply of these servos is off, asked for at this time (ns): calls back once, with how many ms it took."""
+
 
 class PendingCommands:
     """Numbers commands and answers each once. Called by the owner of the state."""
 
-    def __init__(self, metrics: Metrics, recorder: Recorder, events: EventPublisher) -> None:
+    def __init__(
+        self, metrics: Metrics, recorder: Recorder, events: EventPublisher, confirm: Confirm | None = None
+    ) -> None:
+        """`confirm`: the power board's, where there is one; the answer to a Stop waits for it."""
         self._number = 0
         self._metrics = metrics
         self._recorder = recorder
         self._events = events
+        self._confirm = confirm
 
     def next_number(self) -> int:
         """The number of the next request to the supervisor."""
@@ -51,7 +58,24 @@ class PendingCommands:
             self._metrics.coalesced += coalesced
             if request.reply is not None:
                 ack = Ack(accepted=True, coalesced=coalesced or None)
-                request.reply(ack.model_dump_json().encode())
+                if self._confirm is not None and request.only_stops:
+                    self.stopped(tuple(request.servo_ids), request, ack)
+                else:
+                    request.reply(ack.model_dump_json().encode())
+
+    def stopped(self, servo_ids: Collection[int], request: Request, ack: Ack) -> None:
+        """Answer a request that has stopped these servos: where a power board can confirm it, once that has."""
+        reply = request.reply
+        if reply is None:
+            return
+        if self._confirm is None:
+            reply(ack.model_dump_json().encode())
+            return
+
+        def confirmed(whether: bool, ms: float | None) -> None:
+            reply(ack.model_copy(update={"confirmed": whether, "confirmed_ms": ms}).model_dump_json().encode())
+
+        self._confirm(servo_ids, request.received_ns, confirmed)
 
     def reject_unread(self, key: str, source: str | None, detail: str, reason: Reason = Reason.INVALID) -> None:
         """Reject a message without a command: on a key that nothing reads, or on a key for `get` only."""

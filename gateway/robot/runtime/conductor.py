@@ -45,12 +45,13 @@ from gateway.robot.runtime.executor import Executor, Outcome
 from gateway.robot.runtime.metrics import Metrics
 from gateway.robot.runtime.preamble import PreambleInPauses
 from gateway.robot.runtime.report import StateReports
+from gateway.robot.runtime.supply import CarryOut, Feeding, RobotSupply, off_button
 from gateway.robot.runtime.telemetry import LatestTelemetry
 from gateway.robot.settings import Settings
 from gateway.robot.spi.bus import Bus
 from schemas import keys
-from schemas.robot import LEGS
-from schemas.telemetry import Ack, Cause, GatewayState, Kind, Mode, Reason
+from schemas.robot import LEGS, SERVO_IDS
+from schemas.telemetry import Ack, Cause, GatewayState, Kind, Mode, Reason, Telemetry
 
 REOPEN_S: Final = 0.02
 """Between two tries to open a device that is at fault, and never longer: until the Stops behind the opening are
@@ -79,8 +80,12 @@ class Conductor:
         physics: str | None = None,
         owner: Ownership | None = None,
         calibration_kept: bool = False,
+        supply: RobotSupply | None = None,
     ) -> None:
-        """`physics`: Zenoh id of the process that simulates the robot's body, if one does."""
+        """`physics`: Zenoh id of the process that simulates the robot's body, if one does.
+
+        `supply`: the servos', where a power board switches it.
+        """
         self.supervisor = supervisor
         self.bus = bus
         self.owner = owner or Ownership()
@@ -90,10 +95,15 @@ class Conductor:
         self.telemetry = LatestTelemetry()
         self._outbox = outbox
         self._events = EventPublisher(outbox, recorder, clock)
-        self.answers = PendingCommands(self.metrics, recorder, self._events)
-        self._executor = Executor(
+        self.supply = supply
+        confirm = None if supply is None else supply.confirm
+        self.answers = PendingCommands(self.metrics, recorder, self._events, confirm)
+        executor = Executor(
             bus, self.answers, self._events, recorder, self.metrics, publish_frames=settings.telemetry.frames
         )
+        self._carry_out: CarryOut = executor.carry_out
+        if supply is not None:
+            self._carry_out = Feeding(executor.carry_out, supply, supervisor, self._events.announce).carry_out
         self._clock = clock
         self._instant_ns = clock()
         self.reports = StateReports(
@@ -124,7 +134,7 @@ class Conductor:
     def start(self) -> None:
         """Open the bus, write the preamble, stop all six legs. Raises SpiError."""
         self.bus.open()
-        fault = self._executor.carry_out(self.supervisor.step(BusOpened(), self._clock())).fault
+        fault = self._carry_out(self.supervisor.step(BusOpened(), self._clock()), None).fault
         if fault is not None:
             raise fault
         self._arm()
@@ -157,6 +167,8 @@ class Conductor:
         for timer in (self._timer, self._reopen_timer, self._preamble):
             if timer is not None:
                 timer.cancel()
+        if self.supply is not None:
+            self.supply.close()
         self.bus.close()
 
     # ---- what happens
@@ -211,7 +223,10 @@ class Conductor:
         return None if judge is None else judge.too_old(request.source, request.sent_ms, now_ns, instant_ns)
 
     def look_outside(self) -> None:
-        """Learn of `stop-servos` on the same device and of its end, and of settings that another program changed."""
+        """Learn of `stop-servos` on the same device and of its end, of settings that another program changed, and what
+        the servos' currents say."""
+        if self.supply is not None and self.supply.judge_currents(self._clock()):
+            self.power_changed()
         silent = self.bus.silent(self._clock())  # here, too: a transfer that hangs keeps the cycle from looking
         if silent is not None:
             self.bus_failed(silent)
@@ -233,11 +248,26 @@ class Conductor:
             return
         self.telemetry.note(values, now_ns)
         self.recorder.measured(values, now_ns)
+        if self.supply is not None:
+            self.supply.behind(self.supervisor)  # the frame may have said the angle of a servo that is to be fed
         if self.supervisor.wants_measurements:
             tilt_deg = values.tilt_deg
             tilt_cdeg = None if tilt_deg is None else round(tilt_deg * 100)
             self._step(BodyMeasured(tilt_cdeg, round(values.voltage_v * 1000)))
             self._arm()
+
+    def power_changed(self) -> None:
+        """Take what the power board has said."""
+        if self._closed or self.supply is None:
+            return
+        seen = self.supply.look()
+        self._step(seen.event)
+        for each in seen.announcements:
+            self.metrics.events[each.kind] += 1
+            self._events.announce(each)
+        if seen.off_pressed:
+            self._emergency_stop(off_button(self._clock()), self._clock())
+        self._arm()
 
     def _do_what_is_due(self, instant_ns: int) -> None:
         if self.supervisor.due_ns is not None and self._clock() >= self.supervisor.due_ns:
@@ -299,14 +329,15 @@ class Conductor:
         if received.reply is not None:
             number = self.supervisor.estops
             ack = Ack(accepted=True, stop_frames=stop_frames, estop=number, latency_us=latency_ns / 1000)
-            received.reply(ack.model_dump_json().encode())
+            heard.reply = received.reply
+            self.answers.stopped(SERVO_IDS, heard, ack)
 
     def _step(
         self, event: Event, instant_ns: int | None = None, now_ns: int | None = None, heard: Request | None = None
     ) -> Outcome:
         """Let the supervisor take an event, and carry out what it wants. `heard`: the command that the event is."""
         now_ns = self._clock() if now_ns is None else now_ns
-        outcome = self._executor.carry_out(self.supervisor.step(event, now_ns, instant_ns), heard)
+        outcome = self._carry_out(self.supervisor.step(event, now_ns, instant_ns), heard)
         if outcome.fault is not None:
             self._bus_failed(outcome.fault)
         elif outcome.meddled is not None:
@@ -324,7 +355,7 @@ class Conductor:
         again, self._in_fault = self._in_fault, True
         if again:
             effects = [each for each in effects if not (isinstance(each, Announce) and each.kind is kind)]
-        self._executor.carry_out(effects)
+        self._carry_out(effects, None)
         if self.supervisor.mode is Mode.BUS_FAULT:
             self._reopen_timer.set_in(REOPEN_S if again else 0)
 
@@ -396,6 +427,7 @@ class Conductor:
             estop_source=self._events.estop_source,
             incident=self.recorder.incident,
             battery=self.telemetry.battery,
+            power=None if self.supply is None else self.supply.report(self._clock()),
         )
 
     @property
@@ -406,13 +438,23 @@ class Conductor:
 
     def publish_telemetry(self) -> None:
         """Publish what the robot measures, if it does."""
-        report = self.telemetry.report(self._clock())
+        report = self._measured()
         if report is not None:
             self._outbox.publish(keys.TELEMETRY, report)
 
     def answer_telemetry(self, reply: Reply) -> None:
-        """Answer a `get` on what the robot measures."""
-        self.telemetry.answer(reply, self._clock())
+        """Answer a `get`. Where nothing was measured there is no answer, and the asker's question just ends.
+
+        A robot that measures nothing, one that has not measured yet, and a gateway of an older version look the same:
+        there are no values. An answer without any would look like some.
+        """
+        report = self._measured()
+        if report is not None:
+            reply(report.model_dump_json().encode())
+
+    def _measured(self) -> Telemetry | None:
+        now_ns = self._clock()
+        return self.telemetry.report(now_ns, {} if self.supply is None else self.supply.measured(now_ns))
 
     def _publish_mode(self) -> None:
         mode = self.supervisor.mode

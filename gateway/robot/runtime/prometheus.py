@@ -18,12 +18,13 @@ from prometheus_client.registry import Collector
 from gateway import __version__
 from gateway.endpoints import is_local
 from gateway.host import logs
+from gateway.model.telemetry import currents_a
 from gateway.robot.core.latency import BOUNDS_US, Latency
 from gateway.robot.runtime.conductor import Conductor
 from gateway.robot.runtime.metrics_page import MetricsPage
 from gateway.web_hosts import LOOPBACK, may_ask
-from schemas.robot import LEGS
-from schemas.telemetry import Cause, Kind, Mode, Reason
+from schemas.robot import LEGS, SERVO_IDS
+from schemas.telemetry import Cause, Kind, Mode, PowerReport, Reason, Telemetry
 
 METRICS_PATH: Final = "/metrics"
 
@@ -119,6 +120,26 @@ def _measured(conductor: Conductor) -> Iterator[Metric]:
         "kind",
     )
     yield _counter("falls", "Times that all legs were stopped since the body tilted too far", events[Kind.FALLEN])
+
+
+POWER_CHANGES: Final = tuple(kind for kind in Kind if kind.startswith(("power_", "servo_")) or kind == Kind.OFF_BUTTON)
+
+
+def powered(power: PowerReport, measured: Telemetry | None, events: Mapping[Kind, int]) -> Iterator[Metric]:
+    """What the board feeds, and what each servo draws; without values until there are some."""
+    yield _gauge("power_alive", "1: the power board answers", power.alive)
+    yield _gauge("power_confirmed", "1: the board has said that all is off which is to be off", power.confirmed)
+    yield _gauge(
+        "power_answer_age_seconds", "Since the board last answered", {} if power.age_ms is None else power.age_ms / 1000
+    )
+    supplied = {str(servo): servo in power.supplied for servo in SERVO_IDS}
+    yield _gauge("servo_supplied", "1: the board fed this servo when it last said so", supplied, "servo")
+    drawn = {str(servo): current_a for servo, current_a in currents_a(measured).items()}
+    yield _gauge("servo_current_amperes", "What this servo draws", drawn, "servo")
+    supply = None if measured is None else measured.supply
+    yield _gauge("supply_volts", "The voltage of the servos' supply", {} if supply is None else supply.voltage_v)
+    kinds = {kind: events[kind] for kind in POWER_CHANGES}
+    yield _counter("power_changes", "What the power board reported, and what happened to it", kinds, "kind")
 
 
 def _family(

@@ -26,6 +26,7 @@ from schemas.telemetry import (
     LegReport,
     LimitsReport,
     LoopLag,
+    PowerReport,
     RevocationsReport,
     ServoLimitsReport,
     ServoReport,
@@ -92,6 +93,7 @@ class StateReports:
         estop_source: str | None,
         incident: str | None,
         battery: Battery | None,
+        power: PowerReport | None,
     ) -> GatewayState:
         """The state at `now_ns`."""
         settings = self._settings
@@ -143,6 +145,7 @@ class StateReports:
             limits=self._limits,
             controller=_controller(self.wire, bus, now_ns),
             battery=battery,
+            power=power,
         )
 
 

@@ -16,9 +16,11 @@ import zenoh
 from gateway.errors import GatewayError
 from gateway.host import logs
 from gateway.robot.blackbox.recorder import Recorder
+from gateway.robot.core.power import CutOn
 from gateway.robot.host.ownership import Ownership
 from gateway.robot.protocol import Wire
 from gateway.robot.runtime.conductor import Conductor
+from gateway.robot.runtime.supply import RobotSupply
 from gateway.robot.sections import WatchdogSettings
 from gateway.robot.spi.stop_all import MOST_PAUSE_MS, stop_once
 from schemas.robot import LEGS
@@ -107,6 +109,9 @@ class ServiceEnd:
 async def stop_the_robot(conductor: Conductor, bus: Wire, watchdog: WatchdogSettings) -> None:
     """Stop all six legs, and repeat it for REPEATS_S at most; directly on the bus if the conductor fails to."""
     deadline = asyncio.get_running_loop().time() + REPEATS_S
+    supply, asked_ns = conductor.supply, time.monotonic_ns()
+    if supply is not None:
+        supply.cut_early(CutOn.SHUTDOWN)  # a transfer that hangs may hold the state
     with conductor.owner:
         try:
             stopped = conductor.shut_down()
@@ -118,9 +123,33 @@ async def stop_the_robot(conductor: Conductor, bus: Wire, watchdog: WatchdogSett
     if stopped:
         with suppress(TimeoutError):
             await asyncio.wait_for(conductor.done.wait(), REPEATS_S)
+    how = "all six legs got their Stop" if stopped else "the Stops were written at a last attempt"
+    if supply is not None:
+        how = f"{how}; {await _confirmed(conductor.owner, supply, asked_ns)}"
     with conductor.owner:
-        how = "all six legs got their Stop" if stopped else "the Stops were written at a last attempt"
         conductor.recorder.ended(how)
+
+
+async def _confirmed(owner: Ownership, supply: RobotSupply, asked_ns: int) -> str:
+    """What the power board says of the end, as a sentence; waits for it no longer than for the Stops' repeats."""
+    answered: asyncio.Future[float | None] = asyncio.get_running_loop().create_future()
+
+    def then(_confirmed: bool, ms: float | None) -> None:
+        if not answered.done():
+            answered.set_result(ms)
+
+    with owner:
+        supply.confirm_all(asked_ns, then)
+    ms = None
+    with suppress(TimeoutError):
+        ms = await asyncio.wait_for(answered, REPEATS_S)
+    if ms is None:
+        said = "the power board has not confirmed that their supply is off"
+        logger.warning("%s", said)
+        return said
+    said = f"the power board has confirmed after {ms:.0f} ms that their supply is off"
+    logger.info("%s", said)
+    return said
 
 
 def _last_attempt(bus: Wire, watchdog: WatchdogSettings, deadline: float) -> None:

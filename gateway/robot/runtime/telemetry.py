@@ -1,10 +1,10 @@
 """Keeps the newest values that the robot measured, and makes the payload of `hexapod/telemetry` from them."""
 
-from typing import NamedTuple
+from collections.abc import Mapping
+from typing import Any, NamedTuple
 
 from gateway.model.elkapod import Measured
 from gateway.model.telemetry import battery_of, report_of
-from gateway.robot.core.message import Reply
 from gateway.robot.runtime.report import wall_clock
 from schemas.telemetry import Battery, Telemetry
 
@@ -35,18 +35,10 @@ class LatestTelemetry:
         """For the state."""
         return None if self.newest is None else battery_of(self.newest.values)
 
-    def report(self, now_ns: int) -> Telemetry | None:
-        """The report at this time; None: nothing was measured."""
+    def report(self, now_ns: int, board: Mapping[str, Any]) -> Telemetry | None:
+        """The report at this time, with what a power board measures; None: nothing was measured."""
         if self.newest is None:
-            return None
-        return report_of(self.newest.values, wall_clock(), max(0, now_ns - self.newest.ns) / 1e6)
-
-    def answer(self, reply: Reply, now_ns: int) -> None:
-        """Answer a `get`. Where nothing was measured there is no answer, and the asker's question just ends.
-
-        A robot that measures nothing, one that has not measured yet, and a gateway of an older version look the same:
-        there are no values. An answer without any would look like some.
-        """
-        report = self.report(now_ns)
-        if report is not None:
-            reply(report.model_dump_json().encode())
+            return Telemetry.model_validate({"time": wall_clock(), **board}) if board else None
+        report = report_of(self.newest.values, wall_clock(), max(0, now_ns - self.newest.ns) / 1e6)
+        oldest_ms = max(report.age_ms, board.get("age_ms", 0.0))
+        return report.model_copy(update={**board, "age_ms": oldest_ms})

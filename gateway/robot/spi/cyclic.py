@@ -40,12 +40,13 @@ class CyclicBus(Wire):
         *,
         silent_ns: int = 0,
         before_frames_ns: int = 0,
+        fed_singly: bool = False,
         clock: Callable[[], int] = time.monotonic_ns,
     ) -> None:
         """`open_device` is None where only Stops are written (`stop-servos`).
 
         `before_frames_ns`: for so long behind an opening no frame is clocked, since a frame moves servos whose shutdown
-        was lost, and meanwhile it is repeated.
+        was lost, and meanwhile it is repeated. `fed_singly`: a power board starts and stops each servo by its supply.
         """
         self._open_device = open_device
         self._open_uart = open_uart
@@ -53,7 +54,7 @@ class CyclicBus(Wire):
         self._before_frames_ns = before_frames_ns
         self._device: DuplexDevice | None = None
         self._uart: Uart | None = None
-        self._commanded = Commanded()
+        self._commanded = Commanded(fed_singly=fed_singly)
         self._silent_ns = silent_ns
         self._signs = SignsOfLife(silent_ns, 0)
         self._silent: ControllerSilentError | None = None
@@ -105,7 +106,9 @@ class CyclicBus(Wire):
             if self._device is None and not stops:
                 raise SpiError("the SPI device is closed")
             if stops:
-                self._uart.write(self._commanded.shut_down())
+                message = self._commanded.stop([servo_id for frame in frames for servo_id, _ in frame.servos])
+                if message is not None:
+                    self._uart.write(message)
             else:
                 self._commanded.take(frames)
         except SpiError as fault:
@@ -119,6 +122,10 @@ class CyclicBus(Wire):
         left_ns = self.ended_ns + MESSAGE_NS if stops else self.ended_ns
         report.sent = [Sent(place, each.data, left_ns, took_ns, heard=True) for place, each in enumerate(frames)]
         return report
+
+    def ready_servos(self) -> frozenset[int]:
+        """Servos that a power board may feed."""
+        return self._commanded.ready
 
     @property
     def controller_alive(self) -> bool | None:

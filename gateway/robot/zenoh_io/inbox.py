@@ -74,8 +74,12 @@ class Inbox:
         readers: Mapping[str, Reader] = MappingProxyType({}),
         tokens: Mapping[str, Knows] = MappingProxyType({}),
         depth: int = LEAST_PUT_DEPTH,
+        on_estop_heard: Callable[[], None] | None = None,
     ) -> None:
         """`on_wakeup`: there is something to `take`. `on_estop`: an emergency stop that no `take` has given.
+
+        `on_estop_heard` is called on the thread that has received one, which does not own the state: a transfer that
+        hangs may hold that, and the second way to stop must not wait for it.
 
         `readers` read what is asked on further keys, each on a thread of its own that owns nothing yet; on those in
         `tokens`, questions with a good token are read first. `depth`: how many puts of a key are kept (`put_depth`).
@@ -84,6 +88,7 @@ class Inbox:
         self._passed_over = depth - RING_DEPTH  # of a full ring
         self._wake = on_wakeup
         self._engage = on_estop
+        self._estop_heard = on_estop_heard
         self._estops: deque[Received] = deque()
         self._others: deque[Received] = deque()
         self._heard: dict[str, int] = {}
@@ -223,6 +228,8 @@ class Inbox:
             # Who lists what there is (`get` on hexapod/**) wants to see, not to stop. A put is meant, and a Stop.
             return partial(self._estop_replies.to(item, ESTOP), _NOT_BY_WILDCARD)
         self._estops.append(_received(self._estop_replies, ESTOP, item, received_ns))
+        if self._estop_heard is not None:
+            self._estop_heard()
         return self._engage_all
 
     # ---- as owner of the state

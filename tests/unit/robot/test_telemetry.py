@@ -122,13 +122,13 @@ def samples(robot: Robot) -> dict[str, float]:
 async def test_the_page_of_a_robot_that_measures_is_the_list_in_the_docs(monkeypatch: pytest.MonkeyPatch) -> None:
     other = started()
     robot = started(spi=ELKAPOD)
-    names = {name for name, _, _ in documented(measured=True)}
+    names = {name for name, _, _ in documented("that measures")}
     assert not names & samples(other).keys()
     assert {name for name, _, _ in described(page(robot)) - described(page(other))} == names, "also before any answer"
     says(robot, monkeypatch, alive=False)
     robot.conductor.measured(MEASURED, robot.now_ns())
     await asyncio.sleep(0.5)
-    assert described(page(robot)) - described(page(other)) == documented(measured=True)
+    assert described(page(robot)) - described(page(other)) == documented("that measures")
     found = samples(robot)
     assert [found[f"hexapod_foot_force {leg}"] for leg in LEGS] == list(MEASURED.feet)
     assert found["hexapod_battery_volts"] == 7.5

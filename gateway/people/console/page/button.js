@@ -49,6 +49,8 @@ class StopButton {
     /** The console lets this page only look. */
     this.looks = false;
     this.mode = "unknown";
+    /** The console's sentence while the power board does not confirm a Stop. */
+    this.unconfirmed = "";
     this.stopLine = "";
     /** @type {{id: number, atMs: number} | null} not confirmed yet */
     this.stopping = null;
@@ -144,6 +146,7 @@ class StopButton {
     if (message.type === "hello") this.looks = message.role === "observer";
     else if (message.type === "state") {
       this.mode = message.state.mode;
+      this.unconfirmed = message.unconfirmed ?? "";
       const newer = performance.now() - message.age_ms > this.stoppedAtMs;
       if (this.mode !== "estopped" && newer) this.stopLine = ""; // it was reset
     } else if (message.type === "stop" && message.id === this.stopping?.id) {
@@ -151,7 +154,7 @@ class StopButton {
         this.stopping = null;
         this.stoppedAtMs = performance.now();
       }
-      this.stopLine = message.answered ? `${message.stop_frames} Stops written` : `NOT STOPPED: ${message.error ?? "no answer yet"}`;
+      this.stopLine = message.answered ? `${message.stop_frames} Stops written${message.power ?? ""}` : `NOT STOPPED: ${message.error ?? "no answer yet"}`;
     } else if (message.type === "button") this.#answered(message);
     this.#refresh();
   }
@@ -197,21 +200,22 @@ class StopButton {
 
   #refresh() {
     const { counts } = this;
-    const tone = !this.watches ? "off" : !counts ? "unheard" : this.mode === "estopped" ? "stopped" : "watches";
+    const tone = !this.watches ? "off" : !counts ? "unheard" : this.unconfirmed ? "unconfirmed" : this.mode === "estopped" ? "stopped" : "watches";
     attribute(document.body, "data-tone", tone);
-    const words = { off: this.looks ? "NO BUTTON" : "TAP TO WATCH", unheard: "NOT HEARD", stopped: "STOPPED", watches: "STOP" };
+    const words = { off: this.looks ? "NO BUTTON" : "TAP TO WATCH", unheard: "NOT HEARD", unconfirmed: "CUT POWER", stopped: "STOPPED", watches: "STOP" };
     text(byId("word"), words[tone]);
     const lines = {
       off: this.looks ? "this page may only look" : "then a tap anywhere stops the robot",
       unheard: `the gateway receives nothing from this button: use the switch. ${this.trouble}`,
+      unconfirmed: this.unconfirmed,
       stopped: "",
       watches: this.#hint(),
     };
-    text(byId("known"), this.stopLine || lines[tone]);
+    text(byId("known"), tone === "unconfirmed" ? this.unconfirmed : this.stopLine || lines[tone]);
     text(byId("count"), this.watches ? `${this.name} · ${this.count}` : "");
     const now = performance.now();
     if (this.stopping && now - this.stopping.atMs > DEAF_MS) this.link.renewIfDeaf(DEAF_MS);
-    if (tone === "unheard" && now - this.buzzedMs > BUZZ_EVERY_MS) {
+    if ((tone === "unheard" || tone === "unconfirmed") && now - this.buzzedMs > BUZZ_EVERY_MS) {
       this.buzzedMs = now;
       shake(BUZZ_MS);
     }

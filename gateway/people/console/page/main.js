@@ -127,6 +127,8 @@ function received(message) {
       model.takeState(message.state, message.age_ms, performance.now());
       model.now = message.now;
       model.whole = message.whole;
+      model.power = message.power ?? "";
+      model.unconfirmed = message.unconfirmed ?? "";
       if (!lease.mine) targets.follow(model.lastDeg, false);
       hold.receivedState();
       break;
@@ -135,7 +137,7 @@ function received(message) {
       model.trouble = message.detail;
       break;
     case "event":
-      model.takeEvent(message.event);
+      model.takeEvent({ ...message.event, tone: message.tone });
       hold.receivedEvent(message.event);
       if (model.isNew(message.event) && news(message.event)) say(news(message.event));
       break;

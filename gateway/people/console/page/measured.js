@@ -1,5 +1,5 @@
 // @ts-check
-/** What the robot measures, in a strip over the picture: battery, tilt, temperature; and which feet carry. */
+/** What the robot measures, in a strip over the picture: battery, tilt, temperature, power; and which feet carry. */
 
 import { attribute, byId, show, text } from "./dom.js";
 
@@ -58,7 +58,8 @@ export class Measured {
     const battery = telemetry?.battery ?? state?.battery ?? null;
     const tilt = telemetry?.tilt_deg ?? null;
     const temperature = telemetry?.temperature_c ?? null;
-    show(byId("measured"), this.model.live(nowMs) && (alive === false || battery !== null || tilt !== null || temperature !== null));
+    const { power, unconfirmed } = this.model;
+    show(byId("measured"), this.model.live(nowMs) && (power !== "" || alive === false || battery !== null || tilt !== null || temperature !== null));
     show(byId("controller-silent"), alive === false);
     show(byId("battery"), battery !== null);
     if (battery) {
@@ -72,6 +73,10 @@ export class Measured {
     const seen = telemetry?.imu ? horizon(telemetry.imu.orientation_wxyz) : null;
     show(byId("horizon"), seen !== null);
     if (seen) this.line.style.transform = `rotate(${seen.turned.toFixed(0)}deg) translateY(${(-100 * RISE * seen.raised).toFixed(0)}%)`;
+    show(byId("power"), power !== "");
+    attribute(byId("power"), "data-bad", unconfirmed ? "yes" : "no");
+    text(byId("power-known"), power);
+    text(byId("supply"), telemetry?.supply ? `, ${telemetry.supply.voltage_v.toFixed(1)} V` : "");
     show(byId("temperature"), temperature !== null);
     if (temperature !== null) text(byId("temperature"), `${Math.round(temperature)} °C`);
   }

@@ -76,6 +76,10 @@ export class Model {
     this.state = null;
     /** What the robot does according to it, in one sentence of the console's. */
     this.now = "";
+    /** How the power board feeds the servos, by the console; empty without one. */
+    this.power = "";
+    /** The console's sentence while the power board does not confirm a Stop. */
+    this.unconfirmed = "";
     /** When the state was true, by this page's clock. */
     this.stateAtMs = -Infinity;
     this.connected = false;
@@ -192,7 +196,7 @@ export class Model {
     this.rejections.clear();
   }
 
-  /** @param {GatewayEvent} event */
+  /** @param {GatewayEvent} event with its tone */
   takeEvent(event) {
     this.events.unshift(event);
     this.events.length = Math.min(this.events.length, MOST_EVENTS);

@@ -22,9 +22,10 @@ const NAMES = {
   uptime: "Gateway up",
 };
 const MOST_REJECTORS = 5;
-const BAD_KINDS = new Set(["watchdog_expired", "overflow", "estop_engaged", "bus_fault", "bus_meddled", "stopped_outside", "stopping", "button_silent", "controller_silent", "fallen"]);
+/** The bar of a servo that draws this is full, unless another draws more. */
+const FULL_A = 1;
 
-/** @typedef {{row: HTMLElement, status: HTMLElement, angles: HTMLElement[], age: HTMLElement, bar: HTMLElement, by: HTMLElement}} Row */
+/** @typedef {{row: HTMLElement, status: HTMLElement, angles: HTMLElement[], draws: HTMLElement[], age: HTMLElement, bar: HTMLElement, by: HTMLElement}} Row */
 
 export class Numbers {
   /** @param {Model} model @param {(leg: number) => void} select */
@@ -55,6 +56,7 @@ export class Numbers {
     this.#buttons(state?.buttons, live);
     text(byId("robot"), model.geometry?.name ?? "");
     if (!state) return;
+    this.#currents(nowMs);
     for (const leg of state.legs) this.#leg(leg, state.watchdog.timeout_ms, nowMs, live);
     const rate = model.framesPerSecond();
     this.#set("frames", rate === null || !live ? "–" : rate.toFixed(rate < 10 ? 1 : 0));
@@ -98,6 +100,24 @@ export class Numbers {
     text(row.by, leg.source ?? "–");
   }
 
+  /** A bar for what each servo draws, and what draws most; nothing where nobody measures it. @param {number} nowMs */
+  #currents(nowMs) {
+    const servos = Object.entries(this.model.measured(nowMs)?.servos ?? {});
+    const drawn = new Map(servos.flatMap(([id, { current_a }]) => (current_a === undefined ? [] : [[Number(id), current_a]])));
+    const most = [...drawn].reduce((first, each) => (each[1] > first[1] ? each : first), [0, 0]);
+    const sum = [...drawn.values()].reduce((all, each) => all + each, 0);
+    for (const [leg, { draws }] of this.rows) {
+      draws.forEach((bar, index) => {
+        const current = drawn.get(10 * leg + index + 1);
+        show(/** @type {HTMLElement} */ (bar.parentElement), current !== undefined);
+        bar.style.width = `${Math.round((100 * (current ?? 0)) / Math.max(FULL_A, most[1]))}%`;
+        attribute(bar, "title", current === undefined ? null : `${current.toFixed(2)} A`);
+      });
+    }
+    show(byId("draws"), drawn.size > 0);
+    text(byId("draws"), most[0] ? `Servo ${most[0]} draws most: ${most[1].toFixed(2)} A of ${sum.toFixed(2)} A. A full bar is ${Math.max(FULL_A, most[1]).toFixed(2)} A.` : "No servo draws anything.");
+  }
+
   /** The stop buttons; nothing if none is required or alive. @param {GatewayState["buttons"]} buttons @param {boolean} live */
   #buttons(buttons, live) {
     const { alive, required, names } = buttons ?? { alive: 0, required: 0, names: [] };
@@ -116,7 +136,8 @@ export class Numbers {
   /** @param {number} leg @param {(leg: number) => void} select @returns {Row} */
   #row(leg, select) {
     const status = element("td", { class: "status" }, "○ no state yet");
-    const angles = [1, 2, 3].map(() => element("td", { class: "number" }, "–"));
+    const angles = [1, 2, 3].map(() => element("span", {}, "–"));
+    const draws = [1, 2, 3].map(() => element("span", { class: "bar" }));
     const bar = element("span", { class: "bar" });
     const age = element("span", {}, "never");
     const by = element("td", { class: "by" }, "–");
@@ -125,13 +146,13 @@ export class Numbers {
       { id: `leg-row-${leg}` },
       element("th", { scope: "row" }, String(leg)),
       status,
-      ...angles,
+      ...angles.map((angle, index) => element("td", { class: "number" }, angle, element("span", { class: "track", hidden: "" }, draws[index]))),
       element("td", { class: "age" }, age, element("span", { class: "track", "aria-hidden": "true" }, bar)),
       by,
     );
     row.addEventListener("click", () => select(leg)); // the leg's own choice has a place of its own for keyboards
     byId("leg-rows").append(row);
-    return { row, status, angles, age, bar, by };
+    return { row, status, angles, draws, age, bar, by };
   }
 }
 
@@ -149,9 +170,8 @@ function latency({ p50, p99, max }, none) {
 /** @param {GatewayEvent} event */
 function eventLine(event) {
   const kind = event.kind.replace("estop", "stop_all").replaceAll("_", " ");
-  const tone = BAD_KINDS.has(event.kind) ? "bad" : event.kind === "command_rejected" || event.kind === "battery_low" ? "warn" : "plain";
   const time = element("time", { datetime: event.time }, new Date(event.time).toLocaleTimeString("en-GB"));
   const who = event.source ? `${event.source}: ` : "";
   const more = event.left_out ? ` (and ${event.left_out} more)` : "";
-  return element("li", { "data-tone": tone }, time, element("b", {}, kind), element("span", {}, `${who}${worded(event.detail)}${more}`));
+  return element("li", { "data-tone": event.tone ?? "plain" }, time, element("b", {}, kind), element("span", {}, `${who}${worded(event.detail)}${more}`));
 }

@@ -15,15 +15,17 @@ const DEAF_MS = 1000;
 /**
  * The progress of a STOP ALL, in one line.
  * @param {{looks: boolean, touch: boolean, connected: boolean, why: string, askedMsAgo: number | null, answer: StopMessage | null,
- *          latched: boolean, now: string}} known   `now`: what the robot does, by the console
+ *          latched: boolean, now: string, unconfirmed: string}} known   `now`: what the robot does, by the console;
+ *          `unconfirmed`: its sentence while the power board does not confirm a Stop
  * @returns {{tone: "bad" | "good" | "asked" | "plain", line: string}}
  */
-export function inWords({ looks, touch, connected, why, askedMsAgo, answer, latched, now }) {
+export function inWords({ looks, touch, connected, why, askedMsAgo, answer, latched, now, unconfirmed }) {
   const asked = askedMsAgo === null ? "" : `asked ${(askedMsAgo / 1000).toFixed(1)} s ago, `;
   if (!connected) {
     const waits = asked ? `${asked}and asked again once connected` : why;
     return { tone: "bad", line: `NOT CONNECTED: use the switch${waits ? ` (${waits})` : ""}` };
   }
+  if (askedMsAgo === null && unconfirmed) return { tone: "bad", line: unconfirmed };
   if (looks) return { tone: "plain", line: "View only: use the power switch" };
   if (askedMsAgo !== null) {
     const error = answer?.error ? ` (${answer.error})` : "";
@@ -34,7 +36,7 @@ export function inWords({ looks, touch, connected, why, askedMsAgo, answer, latc
     const frames = answer.stop_frames ?? 0;
     if (frames < LEGS) return { tone: "bad", line: `only ${frames} of ${LEGS} Stops written: use the switch` };
     const within = answer.latency_us === null ? "" : ` within ${(answer.latency_us / 1000).toFixed(1)} ms`;
-    return { tone: "good", line: `${frames} Stops written${within}` };
+    return { tone: "good", line: `${frames} Stops written${within}${answer.power ?? ""}` };
   }
   if (latched) return { tone: "good", line: worded(now) };
   return { tone: "plain", line: touch ? "One tap, at any time" : "Escape or space, at any time" };
@@ -122,6 +124,7 @@ export class StopAll {
       answer: this.answer,
       latched: latched || this.answer !== null,
       now: model.now,
+      unconfirmed: model.unconfirmed,
     });
     text(byId("stop-known"), known.line);
     attribute(byId("stop"), "data-tone", known.tone);

@@ -14,22 +14,23 @@
  *   controller?: {protocol: string, alive: boolean | null, age_ms: number | null}, battery?: Battery | null,
  * }} GatewayState
  * @typedef {{time: string, kind: string, source: string | null, key: string | null, reason: string | null,
- *            detail: string, left_out?: number, legs?: number[]}} GatewayEvent
+ *            detail: string, left_out?: number, legs?: number[], tone?: "bad" | "warn" | "plain"}} GatewayEvent
  *
  * @typedef {{voltage_v: number, percent: number}} Battery
  * @typedef {{age_ms: number, temperature_c?: number, battery?: Battery, imu?: {orientation_wxyz: number[]}, tilt_deg?: number,
- *            feet?: (number | null)[]}} Telemetry
+ *            feet?: (number | null)[], servos?: Record<string, {supplied: boolean, current_a?: number}>,
+ *            supply?: {voltage_v: number, current_a: number}}} Telemetry
  *
  * @typedef {{type: "hello", role: "operator" | "button" | "observer", person: string, source: string, version: string,
  *            geometry: Geometry, lying: Record<string, number>, gaits: string[]}} Hello
- * @typedef {{type: "state", age_ms: number, now: string, whole: boolean, state: GatewayState}} StateMessage
+ * @typedef {{type: "state", age_ms: number, now: string, whole: boolean, power: string, unconfirmed: string, state: GatewayState}} StateMessage
  * @typedef {{type: "telemetry", telemetry: Telemetry}} TelemetryMessage
  * @typedef {{type: "link", status: "connected" | "silent" | "gone", detail: string}} LinkMessage
- * @typedef {{type: "event", event: GatewayEvent, left_out?: number}} EventMessage
+ * @typedef {{type: "event", event: GatewayEvent, left_out?: number, tone: "bad" | "warn" | "plain"}} EventMessage
  * @typedef {{type: "ack", id: number, took_ms: number, error: string | null,
  *            ack: {accepted: boolean, reason?: string, detail?: string} | null}} AckMessage
  * @typedef {{type: "stop", id: number, asked_ms_ago: number, answered: boolean, attempts: number,
- *            stop_frames: number | null, latency_us: number | null, estop: number | null,
+ *            stop_frames: number | null, latency_us: number | null, estop: number | null, power: string,
  *            error: string | null}} StopMessage
  * @typedef {{type: "lease", mine: boolean, id?: number | null, accepted?: boolean | null, reason?: string | null,
  *            detail?: string | null, holder?: string | null, verified?: boolean | null,

@@ -6,6 +6,7 @@ const REASONS = {
   battery_low: "the battery is low",
   whole_robot: "on this robot only all six legs start together",
   fallen: "it has fallen, or was lifted",
+  no_power: "the power board does not feed it",
 };
 
 /** @type {Record<string, string>} */
@@ -14,6 +15,11 @@ const NEWS = {
   controller_returned: "The controller answers again. Nothing moves until something is pressed.",
   battery_low: "The battery is low. What runs goes on; nothing new starts until it is charged.",
   fallen: "It has fallen, or was lifted: its legs are stopped. Put it on its feet before you start it.",
+  power_unconfirmed: "The power board does not confirm that servos are off. Keep clear of the legs, and switch the power off by hand.",
+  power_fault: "The power board reports a fault; the events say which. What it has switched off stays off until a reset.",
+  servo_draws: "A servo was stopped and still draws current. Keep clear of its leg.",
+  servo_silent: "A servo runs and draws nothing: it is unplugged, or broken.",
+  off_button: "Somebody pressed the robot's off button: all six legs are stopped.",
 };
 
 /** Why something was rejected, with the gateway's own sentence. @param {{reason?: string | null, detail?: string | null}} answer */

@@ -16,7 +16,7 @@ from gateway.people.tools.button.check_ins import CheckIns
 from gateway.people.tools.reach import Connection
 from gateway.text import visible
 from schemas import keys as wire
-from schemas.telemetry import GatewayState, Mode
+from schemas.telemetry import Event, GatewayState, Mode
 
 SEEN_S: Final = 0.5
 """If the last picture is older, the terminal is stuck, and its button no longer checks in."""
@@ -37,7 +37,11 @@ class ButtonScreen(Screen):
 
     def run(self) -> int:
         """Show it until Ctrl-C. Returns the exit code."""
-        with subscribed(self._client.session, {wire.STATE: reports(GatewayState, self._receive_state)}):
+        watched = {
+            wire.STATE: reports(GatewayState, self._receive_state),
+            wire.EVENT: reports(Event, self._receive_event),
+        }
+        with subscribed(self._client.session, watched):
             return self.show()
 
     def begin(self) -> None:
@@ -57,7 +61,12 @@ class ButtonScreen(Screen):
     def _receive_state(self, state: GatewayState) -> None:
         with self.changes():
             self._state = state
+            self.stop.power.received_state(state, time.monotonic_ns())
             self.stop.receive_state(state.estop, estopped=state.mode == Mode.ESTOPPED)
+
+    def _receive_event(self, event: Event) -> None:
+        with self.changes():
+            self.stop.power.received_event(event.kind)
 
     def _is_drawn(self) -> bool:
         return time.monotonic() - self.drawn_s < SEEN_S

@@ -11,6 +11,7 @@ from enum import Enum, auto
 from typing import Final, NamedTuple
 
 from gateway.allowance import NS_PER_S
+from gateway.people.client.dangers import tone_of
 from gateway.people.client.live import Order, Starts
 from gateway.people.terminal.stop_status import Remark, StopStatus, Tone
 from gateway.text import visible
@@ -121,6 +122,7 @@ class Model:
             case Order.NEXT:
                 pass
         self.state, self._state_ns = state, now_ns
+        self.stop.power.received_state(state, now_ns)
         estopped = state.mode is Mode.ESTOPPED
         self.stop.receive_state(state.estop, estopped=estopped)
         if estopped:
@@ -137,6 +139,7 @@ class Model:
     def received_event(self, event: Event, now_ns: int, wall: datetime) -> None:
         """Add an event to those that are shown."""
         self._receive(now_ns, wall)
+        self.stop.power.received_event(event.kind)
         source = visible(event.source or NAMELESS)
         text = visible(event.detail)
         if event.kind is Kind.COMMAND_REJECTED:
@@ -147,7 +150,7 @@ class Model:
             text = f"{source}: {text}"
         elif event.source is not None and source not in text:
             text = f"{text} ({source})"
-        self.lines.appendleft(EventLine(event.time, visible(event.kind), text, event.kind in _BAD))
+        self.lines.appendleft(EventLine(event.time, visible(event.kind), text, tone_of(event.kind) == "bad"))
 
     def received_token(self, alive: bool, now_ns: int, wall: datetime) -> None:
         """The gateway's liveliness token came or went; it goes within milliseconds when the process ends."""
@@ -285,19 +288,3 @@ class Model:
         """The result of a reset, or of a key about the lease."""
         self.stop.outcome = None
         self.remark = Remark(tone, visible(text), now_ns)
-
-
-_BAD: Final = frozenset(
-    {
-        Kind.WATCHDOG_EXPIRED,
-        Kind.OVERFLOW,
-        Kind.ESTOP_ENGAGED,
-        Kind.BUS_FAULT,
-        Kind.BUS_MEDDLED,
-        Kind.CONTROLLER_SILENT,
-        Kind.BATTERY_LOW,
-        Kind.FALLEN,
-        Kind.STOPPED_OUTSIDE,
-        Kind.STOPPING,
-    }
-)

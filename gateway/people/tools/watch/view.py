@@ -10,6 +10,8 @@ from rich.cells import cell_len
 from rich.text import Text
 
 from gateway.certs import expiry
+from gateway.model.telemetry import currents_a
+from gateway.people.client.dangers import FULL_A, power_now, tone_of
 from gateway.people.terminal.screen import ALARM, STYLES, fitted
 from gateway.people.terminal.stop_status import Remark, Tone
 from gateway.people.tools.watch.model import Counts, Model, WatchedPresence
@@ -33,6 +35,7 @@ _ROOMY_ROWS: Final = 24
 _AGE_COLUMNS: Final = 22
 _OLD_MS: Final = 1000.0
 """A measurement that is older says so: by default there are ten a second."""
+_LEVELS: Final = "▁▂▃▄▅▆▇█"
 _LEG_COLUMNS: Final = 4
 _SOURCE_COLUMNS: Final = 14
 _MAX_SOURCES: Final = 4
@@ -47,6 +50,7 @@ def picture(model: Model, now_ns: int, where: str, width: int, height: int) -> T
     top = [_header(model, now_ns, where), *_banner(model, stop, now_ns, width)]
     body = [] if model.state is None else [_head(model.state, width), *_legs(model, model.state, now_ns, width, live)]
     body += [] if model.state is None else _measured(model, model.state, now_ns, live)
+    body += [] if model.state is None else _power(model, model.state, live)
     numbers = [] if model.state is None else [*blank, *_numbers(model.state, model.rates(), live)]
     trouble = [] if live else _trouble(model, width)
     room = max(0, height - len(top) - len(trouble) - len(body) - 1)
@@ -206,6 +210,30 @@ def _measured(model: Model, state: GatewayState, now_ns: int, live: bool) -> lis
     return [line] if line else []
 
 
+def _power(model: Model, state: GatewayState, live: bool) -> list[Text]:
+    """One row with the power board, what it feeds, and a bar for each servo's current; no row without a board."""
+    if state.power is None:
+        return []
+    bad = live and bool(model.stop.power.sentence)
+    line = Text().append(f"  power {power_now(state.power)}", "bold red" if bad else "" if live else "dim")
+    drawn = currents_a(model.telemetry)
+    if drawn:
+        most = max(drawn, key=drawn.__getitem__)
+        full_a = max(FULL_A, drawn[most])
+        legs = ("".join(_level(drawn.get(servo.id), full_a) for servo in leg.servos) for leg in state.legs)
+        line.append(f"  {' '.join(legs)}", "cyan" if live else "dim")
+        line.append(f"  most {most}: {drawn[most]:.2f} A", "" if live else "dim")
+    supply = None if model.telemetry is None else model.telemetry.supply
+    if supply is not None:
+        line.append(f"  {supply.voltage_v:.1f} V {supply.current_a:.1f} A", "" if live else "dim")
+    return [line]
+
+
+def _level(current_a: float | None, full_a: float) -> str:
+    """One character: a bar of so high a share of the full current."""
+    return "·" if current_a is None else _LEVELS[min(round(current_a / full_a * len(_LEVELS)), len(_LEVELS) - 1)]
+
+
 def _clipped(source: str, columns: int) -> str:
     text = visible(source)
     return text if len(text) <= columns else text[: columns - 1] + "…"
@@ -296,7 +324,7 @@ def _rejections(model: Model) -> list[Text]:
 def _events(model: Model, width: int, room: int) -> list[Text]:
     lines: list[Text] = []
     for event in list(model.lines)[:room]:
-        style = "bold red" if event.bad else "yellow" if event.kind == "command_rejected" else "cyan"
+        style = "bold red" if event.bad else "yellow" if tone_of(event.kind) == "warn" else "cyan"
         first, *more = _wrapped(event.text, max(20, width - _EVENT_COLUMNS), 2)
         head = Text().append(f"{event.time.astimezone():%H:%M:%S} ", "dim").append(f"{event.kind:16} ", style)
         lines.append(head.append(first))

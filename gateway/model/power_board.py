@@ -1,0 +1,179 @@
+"""The bytes of the power board: requests that switch and ask, and what it answers, on classic CAN. Pure.
+
+| request                | answer | data of the answer, big endian                                            |
+|------------------------|--------|---------------------------------------------------------------------------|
+| 6A mask                | 6B     | the mask of 18 bits as it is; bit n - 1 feeds the servo on output n       |
+| 64                     | 65     | the newest error, the next one at the next 64; none: no bytes             |
+| 96                     | 97     | none; the error shown last is deleted                                     |
+| 70, 72, 74, 76, 78, 7A | + 1    | currents of outputs 1-3, 4-6, … 16-18: three uint16, mA                   |
+| 7C, 7E                 | + 1    | currents manipulator, 5 V, 3.3 V; standby, supply: uint16, mA             |
+| 80, 82, 84             | + 1    | converters 1-3; 4 and 5; supply and battery: uint16, mV                   |
+| 86                     | 87     | three temperatures: int16, °C                                             |
+| -                      | 69     | none; the off button was pressed                                          |
+
+65 also comes unasked, when an error comes. All requests but 6A are answered in the board's receive interrupt. Its
+firmware decides, not its DBC file, which numbers the mask's bits differently.
+"""
+
+import struct
+from typing import Final, NamedTuple
+
+OUTPUTS: Final = 18
+ALL: Final = (1 << OUTPUTS) - 1
+"""The mask that feeds all outputs."""
+FIRST_ID: Final = 0x60
+LAST_ID: Final = 0x9F
+"""The board takes and sends no other identifiers."""
+
+
+class CanFrame(NamedTuple):
+    """A classic CAN frame with an identifier of 11 bits."""
+
+    id: int
+    data: bytes = b""
+
+
+SET_SUPPLY: Final = 0x6A
+SUPPLIED: Final = 0x6B
+ERROR: Final = 0x65
+CLEARED: Final = 0x97
+OFF_PRESSED: Final = 0x69
+
+ASK_ERROR: Final = CanFrame(0x64)
+CLEAR_ERROR: Final = CanFrame(0x96)
+ASK_CURRENTS: Final = tuple(CanFrame(each) for each in (0x70, 0x72, 0x74, 0x76, 0x78, 0x7A))
+ASK_RAILS: Final = tuple(CanFrame(each) for each in (0x7C, 0x7E, 0x80, 0x82, 0x84, 0x86))
+
+MANIPULATOR_5V_3V3_MA: Final = 0x7C
+STANDBY_SUPPLY_MA: Final = 0x7E
+CONVERTERS_1_TO_3_MV: Final = 0x80
+CONVERTERS_4_5_MV: Final = 0x82
+SUPPLY_BATTERY_MV: Final = 0x84
+TEMPERATURES_C: Final = 0x86
+"""Questions about the board's rails."""
+
+CONVERTER_OVERCURRENT: Final = 1
+SERVO_OVERCURRENT: Final = 2
+OVERTEMPERATURE: Final = 4
+SUPPLY_LOW: Final = 8
+"""Codes of errors."""
+
+
+class Supplied(NamedTuple):
+    """The board feeds these outputs."""
+
+    mask: int
+
+
+class Currents(NamedTuple):
+    """What the outputs from `first` (1, 4, … 16) on draw, in mA."""
+
+    first: int
+    ma: tuple[int, int, int]
+
+
+class Rails(NamedTuple):
+    """The answer to a question about the board's rails: its identifier, and values in mA, mV or °C."""
+
+    question: int
+    values: tuple[int, ...]
+
+
+class BoardError(NamedTuple):
+    """An error of the board; `mask` names converters (overcurrent of a converter) or outputs (of a servo)."""
+
+    code: int
+    mask: int = 0
+
+
+class NoError(NamedTuple):
+    """The board has no error to show."""
+
+
+class Cleared(NamedTuple):
+    """The error shown last is deleted."""
+
+
+class OffPressed(NamedTuple):
+    """Somebody pressed the board's off button."""
+
+
+Answer = Supplied | Currents | Rails | BoardError | NoError | Cleared | OffPressed
+_LAYOUTS: Final = {
+    **{question.id: struct.Struct(">3H") for question in ASK_CURRENTS},
+    MANIPULATOR_5V_3V3_MA: struct.Struct(">3H"),
+    STANDBY_SUPPLY_MA: struct.Struct(">2H"),
+    CONVERTERS_1_TO_3_MV: struct.Struct(">3H"),
+    CONVERTERS_4_5_MV: struct.Struct(">2H"),
+    SUPPLY_BATTERY_MV: struct.Struct(">2H"),
+    TEMPERATURES_C: struct.Struct(">3h"),
+}
+_ERROR_BYTES: Final = {CONVERTER_OVERCURRENT: 2, SERVO_OVERCURRENT: 4, OVERTEMPERATURE: 1, SUPPLY_LOW: 1}
+_CONVERTERS: Final = (1 << 5) - 1
+_OUTPUTS_OF_CONVERTER: Final = (0b111111, 0b111111 << 6, 0b111111 << 12, 0, 0)
+"""Converters 4 and 5 feed no servo."""
+
+
+def set_supply(mask: int) -> CanFrame:
+    """The request to feed these outputs and no others. Raises ValueError beyond 18 bits."""
+    if not 0 <= mask <= ALL:
+        raise ValueError(f"mask {mask:#x}; the board has {OUTPUTS} outputs")
+    return CanFrame(SET_SUPPLY, mask.to_bytes(3, "big"))
+
+
+def mask_of(frame: CanFrame) -> int | None:
+    """The mask of a 6A or 6B; None: another frame, of another length, or with a bit that no output has."""
+    if frame.id not in (SET_SUPPLY, SUPPLIED) or len(frame.data) != 3:
+        return None
+    mask = int.from_bytes(frame.data, "big")
+    return mask if mask <= ALL else None
+
+
+def read(frame: CanFrame) -> Answer | None:
+    """What the board answers or says; None: no frame of its own, or not as the table has it."""
+    identifier, data = frame
+    match identifier:
+        case 0x6B:
+            mask = mask_of(frame)
+            return None if mask is None else Supplied(mask)
+        case 0x65:
+            return _error(data)
+        case 0x97 | 0x69:
+            answer = Cleared() if identifier == CLEARED else OffPressed()
+            return None if data else answer
+        case _:
+            return _measured(identifier - 1, data)
+
+
+def _measured(question: int, data: bytes) -> Currents | Rails | None:
+    layout = _LAYOUTS.get(question)
+    if layout is None or len(data) != layout.size:
+        return None
+    values = layout.unpack(data)
+    if question >= MANIPULATOR_5V_3V3_MA:
+        return Rails(question, values)
+    one, two, three = values
+    return Currents(1 + 3 * ((question - ASK_CURRENTS[0].id) // 2), (one, two, three))
+
+
+def _error(data: bytes) -> BoardError | NoError | None:
+    if not data:
+        return NoError()
+    if len(data) != _ERROR_BYTES.get(data[0]):
+        return None
+    mask = int.from_bytes(data[1:], "big")
+    return BoardError(data[0], mask) if mask <= (ALL if data[0] == SERVO_OVERCURRENT else _CONVERTERS) else None
+
+
+def explained(error: BoardError) -> tuple[str, int]:
+    """An error in words, and the outputs that have no supply until it is deleted."""
+    if error.code == SERVO_OVERCURRENT:
+        return "overcurrent: the power board has switched these servos off", error.mask
+    if error.code == CONVERTER_OVERCURRENT:
+        numbers = [number for number in range(1, 6) if error.mask >> (number - 1) & 1]
+        mask = sum(_OUTPUTS_OF_CONVERTER[number - 1] for number in numbers)
+        named = " and ".join(map(str, numbers))
+        return f"overcurrent: the power board has switched off its converter {named}", mask
+    if error.code == OVERTEMPERATURE:  # of one converter, and nothing says which
+        return "the power board has switched off a converter that is too hot", ALL
+    return "the power board's supply is too low", 0

@@ -1,0 +1,97 @@
+"""What means danger to the people near the robot, decided once for page, terminals and recordings. Pure."""
+
+from typing import Final, Literal
+
+from schemas.telemetry import Ack, AnyKind, GatewayState, Kind, Mode, PowerReport
+
+Tone = Literal["bad", "warn", "plain"]
+
+_BAD: Final = frozenset(
+    {
+        Kind.WATCHDOG_EXPIRED,
+        Kind.OVERFLOW,
+        Kind.ESTOP_ENGAGED,
+        Kind.BUS_FAULT,
+        Kind.BUS_MEDDLED,
+        Kind.CONTROLLER_SILENT,
+        Kind.FALLEN,
+        Kind.STOPPED_OUTSIDE,
+        Kind.BUTTON_SILENT,
+        Kind.STOPPING,
+        Kind.POWER_CUT,
+        Kind.POWER_UNCONFIRMED,
+        Kind.POWER_FAULT,
+        Kind.SERVO_DRAWS,
+        Kind.OFF_BUTTON,
+    }
+)
+"""Events of a stop that nobody commanded leg by leg, or of one that may not have worked."""
+_WARN: Final = frozenset({Kind.COMMAND_REJECTED, Kind.BATTERY_LOW, Kind.SERVO_SILENT})
+
+UNCONFIRMED: Final = "STOP is not confirmed: switch the power off by hand."
+PATIENCE_NS: Final = 300_000_000
+"""The board confirms within 27 to 55 ms, and the gateway reports after 150 ms by default that it has not. A state that
+is published meanwhile is no alarm; two that are so far apart, without a confirmation, are one without any event."""
+
+
+FULL_A: Final = 1.0
+"""The bar of a servo that draws this is full, unless another draws more."""
+
+
+def tone_of(kind: AnyKind) -> Tone:
+    """How an event of this kind is meant; one of a later gateway is plain."""
+    return "bad" if kind in _BAD else "warn" if kind in _WARN else "plain"
+
+
+class PowerAlarm:
+    """Whether a Stop is not confirmed by the power board; there is no alarm where the robot has none.
+
+    A board that has never answered may stand by, with everything off, until somebody presses its button. It is an
+    alarm only in an emergency stop. One that answered before may feed servos, so its silence is one at once.
+    """
+
+    def __init__(self) -> None:
+        self.sentence = ""
+        """For people; empty: no alarm."""
+        self._since_ns: int | None = None
+        """When the first of the states without a confirmation came."""
+
+    def received_state(self, state: GatewayState, now_ns: int) -> None:
+        """The newest state."""
+        power = state.power
+        if power is None or (power.alive and power.confirmed):
+            self.sentence, self._since_ns = "", None
+        elif power.alive:
+            self._since_ns = now_ns if self._since_ns is None else self._since_ns
+            if now_ns - self._since_ns >= PATIENCE_NS:
+                self.sentence = UNCONFIRMED
+        elif power.age_ms is not None or state.mode == Mode.ESTOPPED:
+            self.sentence = UNCONFIRMED
+
+    def received_event(self, kind: AnyKind) -> None:
+        """An event of this kind; only a state in which the board confirms ends its alarm."""
+        if kind == Kind.POWER_UNCONFIRMED:
+            self.sentence = UNCONFIRMED
+
+    def answered(self, ack: Ack) -> None:
+        """The answer to an emergency stop. A Stop of single legs may leave the supply on, so its answer is no alarm."""
+        if ack.confirmed is not None:
+            self.sentence = "" if ack.confirmed else UNCONFIRMED
+
+
+def confirmed_off(ack: Ack) -> str:
+    """`, power confirmed off after 34 ms`, at the end of a sentence; empty without a confirmation."""
+    after = "" if ack.confirmed_ms is None else f" after {ack.confirmed_ms:.0f} ms"
+    return f", power confirmed off{after}" if ack.confirmed else ""
+
+
+def power_now(power: PowerReport | None) -> str:
+    """How the board feeds the servos, in a few words; empty where there is none."""
+    if power is None:
+        return ""
+    if not power.alive:
+        return "does not answer"
+    fed = f"{len(power.supplied)} fed" if power.supplied else ""
+    if not power.confirmed:
+        return ", ".join(("off not confirmed", *([fed] if fed else [])))
+    return fed or "confirmed off"

@@ -1,0 +1,1 @@
+"""The board on CAN that switches each servo's supply: the second, confirmed way to stop."""

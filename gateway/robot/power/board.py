@@ -1,0 +1,474 @@
+"""What is sent to the power board and when, and what its answers mean. No I/O, no clock: frames and times in and out.
+
+- **Off** goes out at once, and again every 20 ms until it is confirmed, for 2 s.
+- **On** waits until the board's counter is at rest: 5 ms behind its answer. It is only sent while the board answers, so
+  that no queue of a broken link delivers it later.
+- **Confirmed** is an answer 6B that was given after the mask had reached the board. The board answers questions in its
+  receive interrupt, masks later. So an output is confirmed off by a 6B that shows it off and comes behind the answer to
+  a question that was sent after the mask (questions.py).
+- **Nothing comes on unasked.** When an error of the board is deleted, by whomever, it feeds all of the last mask again.
+  So each mask leaves out outputs that it has blocked, that another node took, or that were off after a silence, until
+  the owner has once not wanted their servos and then wants them anew.
+"""
+
+from collections import deque
+from collections.abc import Mapping, Sequence
+from typing import Final, NamedTuple
+
+from gateway.allowance import NS_PER_MS
+from gateway.model.power_board import (
+    ALL,
+    ASK_ERROR,
+    CLEAR_ERROR,
+    OUTPUTS,
+    SET_SUPPLY,
+    BoardError,
+    CanFrame,
+    Cleared,
+    Currents,
+    NoError,
+    OffPressed,
+    Rails,
+    Supplied,
+    explained,
+    mask_of,
+    read,
+    set_supply,
+)
+from gateway.robot.power.questions import Questions
+from schemas.telemetry import Kind
+
+REPEAT_NS: Final = 20 * NS_PER_MS
+"""Between two masks, until what is off is confirmed."""
+REPEAT_FOR_NS: Final = 2000 * NS_PER_MS
+REPEAT_ON_NS: Final = 100 * NS_PER_MS
+"""Between two masks, until what is on is confirmed, and at least until the answer to the first is overdue."""
+REST_NS: Final = 5 * NS_PER_MS
+"""Behind an answer 6B: within a pass of the board's loop (2 ms at most) its counter is one too far."""
+STEP_NS: Final = 54 * NS_PER_MS
+"""The longest time for 27 passes of the board's loop: until the answer, and for each output that goes on."""
+CLEAR_NS: Final = 50 * NS_PER_MS
+CLEAR_TRIES: Final = 40
+"""Requests to show or delete errors: a board keeps four kinds, and a fifth of the answers may be lost."""
+MEDDLED_NS: Final = 1000 * NS_PER_MS
+"""Between two reports of another node's masks."""
+
+
+class News(NamedTuple):
+    """An event to publish: its sentence, and the servos that it concerns."""
+
+    kind: Kind
+    detail: str
+    servos: frozenset[int] = frozenset()
+
+
+class Confirmed(NamedTuple):
+    """The answer to a `when_off`: whether the board confirmed that these servos are off, and how long after the ask."""
+
+    token: int
+    confirmed: bool
+    ms: float | None
+
+
+class _Wait(NamedTuple):
+    """Somebody waits until the outputs of `mask` are confirmed off, from the mask with number `number` on."""
+
+    token: int
+    mask: int
+    asked_ns: int
+    number: int
+
+
+class _Off:
+    """An output that is to be off: by which mask at first, since when, and whether that is confirmed."""
+
+    __slots__ = ("confirmed", "number", "since_ns")
+
+    def __init__(self, number: int, since_ns: int) -> None:
+        self.number = number
+        self.since_ns = since_ns
+        self.confirmed = False
+
+
+class PowerBoard:
+    """One board. Each method belongs to one owner at a time; `now_ns` is monotonic and the same clock for all."""
+
+    def __init__(self, outputs: Sequence[int], *, confirm_ns: int) -> None:
+        """`outputs`: the servo on each output, from output 1 on. `confirm_ns`: what is confirmed later is reported."""
+        self._servos = tuple(outputs)
+        self._bit = {servo: 1 << place for place, servo in enumerate(outputs)}
+        self._confirm_ns = confirm_ns
+        self._news: deque[News | Confirmed] = deque()
+        # What is wanted. Nothing is sent before the first want or cut.
+        self._begun = False
+        self._cut = False
+        self._wanted = 0
+        self._lost = 0
+        self._unknown = 0
+        """Lost to a silence: perhaps still fed, so taken by no mask of our own accord. A leg may be landing on them."""
+        self._blocked: dict[int, str] = {}
+        # What was sent: 0 is also what a board feeds that has started anew.
+        self._sent = 0
+        self._number = 0
+        self._sent_ns: int | None = None
+        self._leave_ns: int | None = None
+        """When the next mask leaves; None: none has to."""
+        self._repeat_until_ns = 0
+        self._answer_ns = -REST_NS
+        """When the board last sent its mask."""
+        self._rest_ns = 0
+        """From when on its counter is at rest."""
+        self._on_until_ns = 0
+        self._offs: dict[int, _Off] = {}
+        self._waits: list[_Wait] = []
+        self._unconfirmed = False
+        self._restoring = True
+        # What was answered.
+        self.alive = False
+        self.answered_ns: int | None = None
+        self._shown = 0
+        self._fed: dict[int, int] = {}
+        """Outputs that the board has confirmed to feed, and when."""
+        self._milliamperes: dict[int, int] = {}
+        self._rails: dict[int, tuple[int, ...]] = {}
+        # Questions.
+        self._questions = Questions()
+        self._clear_tries = 0
+        self._clear_due_ns = 0
+        self._clear_next = ASK_ERROR
+        self._errors: set[BoardError] = set()
+        self._meddled_ns: int | None = None
+
+    # ---- what the owner says
+
+    def want(self, servos: frozenset[int], now_ns: int) -> None:
+        """From now on exactly these are to be fed. After `cut`, nothing until this was called with no servos."""
+        mask = self._mask(servos)
+        self._begun = True
+        self._lost &= mask
+        self._unknown &= mask
+        if self._cut and mask:
+            return
+        self._cut = False
+        if mask & ~self._wanted:
+            self._on_until_ns = now_ns + REPEAT_FOR_NS
+        self._wanted = mask
+        if not self._clear_tries:
+            self._lost |= mask & self._blocked_mask
+        self._settle(now_ns)
+
+    def cut(self, now_ns: int) -> None:
+        """Nothing is to be fed, until `want` was called with no servos: a `want` of an earlier step gives nothing back.
+
+        A mask leaves at once even if all is off already: the emergency stop is to be confirmed anew.
+        """
+        self._begun = self._cut = self._restoring = True
+        self._wanted = self._unknown = 0
+        self._unconfirmed = False
+        self._settle(now_ns)
+        self._anew(ALL, now_ns)
+
+    def when_off(self, servos: frozenset[int], asked_ns: int, token: int, now_ns: int) -> None:
+        """`news` gives a `Confirmed` with this token, `confirm_ns` after `asked_ns` at the latest."""
+        mask = self._mask(servos)
+        offs = {place: off for place, off in self._offs.items() if mask >> place & 1}
+        self._anew(sum(1 << place for place, off in offs.items() if off.confirmed), now_ns)
+        number = max((off.number for off in offs.values()), default=self._number)
+        self._waits.append(_Wait(token, mask, asked_ns, number))
+
+    def clear_errors(self, now_ns: int) -> None:
+        """Delete all errors of the board, so that it feeds what it has blocked, once that is wanted anew."""
+        self._clear_tries = CLEAR_TRIES
+        self._clear_due_ns = now_ns
+        self._clear_next = ASK_ERROR
+
+    def opened(self, now_ns: int) -> None:
+        """The interface was opened: nothing that was asked before is answered any more."""
+        self._questions.opened(now_ns)
+        self._again(now_ns)
+
+    def closed(self, why: str, now_ns: int) -> None:
+        """The interface is gone, so the board is silent."""
+        if self.alive:
+            self._fall_silent(why, now_ns)
+
+    # ---- what the owner reads
+
+    @property
+    def supplied(self) -> frozenset[int]:
+        """The servos that the board fed when it last said so."""
+        return self._named(self._shown)
+
+    @property
+    def confirmed(self) -> bool:
+        """Whether the board has confirmed that all is off which is to be off."""
+        return self._begun and all(off.confirmed for off in self._offs.values())
+
+    @property
+    def lost(self) -> frozenset[int]:
+        """Wanted servos that are not fed, though we have not taken their supply."""
+        return self._named(self._lost)
+
+    @property
+    def refused(self) -> Mapping[int, str]:
+        """Servos that the board feeds no more, whatever is wanted: why, in words."""
+        return {self._servos[place]: why for place, why in self._blocked.items()}
+
+    @property
+    def currents_ma(self) -> Mapping[int, int]:
+        """What each servo draws, as far as measured since the board answers."""
+        return {self._servos[place]: ma for place, ma in self._milliamperes.items()}
+
+    @property
+    def rails(self) -> Mapping[int, tuple[int, ...]]:
+        """The newest answers to questions about rails, by the question's identifier, in mA, mV and °C."""
+        return self._rails
+
+    def news(self) -> list[News | Confirmed]:
+        """What has happened since the last call."""
+        news = list(self._news)
+        self._news.clear()
+        return news
+
+    # ---- what the link says
+
+    def heard(self, frame: CanFrame, now_ns: int) -> None:
+        """A frame was on the bus; those that are not the board's, or are malformed, change nothing."""
+        if frame.id == SET_SUPPLY:
+            mask = mask_of(frame)
+            if mask is not None:
+                self._meddled(mask, now_ns)
+            return
+        answer = read(frame)
+        if answer is None:
+            return
+        if not self.alive:
+            self.alive = True
+            self._again(now_ns)
+        self.answered_ns = now_ns
+        self._questions.answered(now_ns)
+        match answer:
+            case Supplied(mask):
+                self._answered_mask(mask, now_ns)
+            case Currents(first, ma):
+                self._milliamperes.update(zip(range(first - 1, first + 2), ma, strict=True))
+            case Rails(question, values):
+                self._rails[question] = values
+                self._questions.answered_about_rails(CanFrame(question))
+            case BoardError():
+                self._failed(answer, now_ns)
+            case NoError():
+                self._errors.clear()
+                self._blocked.clear()
+                self._clear_tries = 0
+            case Cleared():
+                self._clear_next = ASK_ERROR
+                self._clear_due_ns = now_ns
+            case OffPressed():
+                self._news.append(News(Kind.OFF_BUTTON, "somebody pressed the power board's off button"))
+        self.look(now_ns)
+
+    def look(self, now_ns: int) -> None:
+        """What time alone says: the board is silent, an off is unconfirmed, a wait ends. Every 10 ms at least."""
+        if self._questions.silent(now_ns) and self.alive:
+            self._fall_silent("the power board does not answer", now_ns)
+        late = 0
+        for place, off in self._offs.items():
+            if not off.confirmed and now_ns - off.since_ns >= self._confirm_ns:
+                late |= 1 << place
+        if late and not self._unconfirmed:
+            self._unconfirmed = True
+            self._news.append(
+                News(Kind.POWER_UNCONFIRMED, "the power board has not confirmed that these are off", self._named(late))
+            )
+        for wait in [wait for wait in self._waits if now_ns - wait.asked_ns >= self._confirm_ns]:
+            self._waits.remove(wait)
+            self._news.append(Confirmed(wait.token, False, None))
+
+    # ---- what is sent
+
+    @property
+    def due_ns(self) -> int:
+        """When `next_frames` has something to send; it may have by then."""
+        due_ns = [self._questions.due_ns]
+        mask_ns = self._mask_due_ns()
+        if mask_ns is not None:
+            due_ns.append(mask_ns)
+        if self._clear_tries:
+            due_ns.append(self._clear_due_ns)
+        return min(due_ns)
+
+    def next_frames(self, now_ns: int) -> list[CanFrame]:
+        """What leaves now, in this order: masks first. They count as sent."""
+        self.look(now_ns)
+        frames: list[CanFrame] = []
+        mask_ns = self._mask_due_ns()
+        if mask_ns is not None and now_ns >= mask_ns:
+            frames.append(self._send(now_ns))
+            if not self.confirmed:
+                frames += self._questions.behind(self._number, now_ns)
+        if self._clear_tries and now_ns >= self._clear_due_ns:
+            self._clear_tries -= 1
+            self._clear_due_ns = now_ns + CLEAR_NS
+            # What is deleted before the board has the mask without it comes on again.
+            without = all(
+                self._offs[place].number <= self._questions.reached for place in self._blocked if place in self._offs
+            )
+            frames.append(self._clear_next if without else ASK_ERROR)
+            self._clear_next = ASK_ERROR
+        if now_ns >= self._questions.due_ns:
+            frames += self._questions.next(self._number, now_ns)
+        return frames
+
+    # ---- how
+
+    def _mask(self, servos: frozenset[int]) -> int:
+        return sum(self._bit[servo] for servo in servos)
+
+    def _named(self, mask: int) -> frozenset[int]:
+        return frozenset(servo for servo, bit in self._bit.items() if mask & bit)
+
+    @property
+    def _blocked_mask(self) -> int:
+        return sum(1 << place for place in self._blocked)
+
+    @property
+    def _target(self) -> int:
+        """The mask that the board is to have."""
+        return self._wanted & ~self._lost & ~self._blocked_mask
+
+    def _settle(self, now_ns: int) -> None:
+        """What is no longer to be fed goes off at once; what is, is no longer off."""
+        target = self._target
+        for place in range(OUTPUTS):
+            bit = 1 << place
+            if target & bit:
+                self._offs.pop(place, None)
+            elif not self._unknown & bit and place not in self._offs:
+                self._anew(bit, now_ns)
+        for place in [place for place in self._fed if not target >> place & 1]:
+            del self._fed[place]
+        if target != ALL:
+            self._restoring = True
+
+    def _anew(self, mask: int, now_ns: int) -> None:
+        """These are off, and are to be confirmed by a mask that is yet to be sent."""
+        for place in range(OUTPUTS):
+            if mask >> place & 1:
+                off = self._offs.get(place)
+                since_ns = now_ns if off is None or off.confirmed else off.since_ns
+                self._offs[place] = _Off(self._number + 1, since_ns)
+        if mask:
+            self._repeat_until_ns = now_ns + REPEAT_FOR_NS
+            self._leave_ns = now_ns
+
+    def _again(self, now_ns: int) -> None:
+        """The link is new, or the board answers again: what it has not confirmed is sent again, for the whole time."""
+        self._anew(sum(1 << place for place, off in self._offs.items() if not off.confirmed), now_ns)
+
+    def _mask_due_ns(self) -> int | None:
+        """When the next mask is due; None: none is."""
+        if not self._begun:
+            return None
+        due_ns = [] if self._leave_ns is None else [self._leave_ns]
+        sent_ns = self._sent_ns or 0
+        if not self.confirmed:
+            # A repeat waits behind an answer, too: only the first mask has pins to switch.
+            repeat_ns = max(sent_ns + REPEAT_NS, self._answer_ns + REST_NS)
+            due_ns += [repeat_ns] if repeat_ns < self._repeat_until_ns else []
+        target = self._target if self.alive else 0
+        if target & ~self._sent:
+            due_ns.append(self._rest_ns)
+        elif any(target >> place & 1 and place not in self._fed for place in range(OUTPUTS)):
+            repeat_ns = max(sent_ns + REPEAT_ON_NS, self._rest_ns)
+            due_ns += [repeat_ns] if repeat_ns < self._on_until_ns else []
+        return min(due_ns, default=None)
+
+    def _send(self, now_ns: int) -> CanFrame:
+        """The mask as it may be now: what goes off always, what comes on only while the counter is at rest."""
+        target = self._target
+        self._sent = target if self.alive and now_ns >= self._rest_ns else self._sent & target
+        self._number += 1
+        self._sent_ns = now_ns
+        self._leave_ns = None
+        steps = 1 + (self._sent & ~self._shown).bit_count()
+        self._rest_ns = max(self._rest_ns, now_ns + steps * STEP_NS + REST_NS)
+        return set_supply(self._sent)
+
+    def _answered_mask(self, mask: int, now_ns: int) -> None:
+        """6B: what the board feeds, as new as the newest mask and question that have reached it."""
+        self._shown = mask
+        self._answer_ns = now_ns
+        # A mask that was on its way when this answer left it has an answer of its own.
+        if self._sent_ns is None or now_ns - self._sent_ns > REST_NS:
+            self._rest_ns = now_ns + REST_NS
+        target = self._target
+        for place, off in self._offs.items():
+            if not mask >> place & 1:
+                off.confirmed = off.confirmed or off.number <= self._questions.reached
+        on_again = sum(1 << place for place, off in self._offs.items() if mask >> place & 1 and off.confirmed)
+        self._anew(on_again, now_ns)
+        gone = [
+            place for place, at_ns in self._fed.items() if not mask >> place & 1 and at_ns < self._questions.reached_ns
+        ]
+        if gone:
+            self._lose(sum(1 << place for place in gone), "the power board has switched these off by itself", now_ns)
+        for place in range(OUTPUTS):
+            if mask & self._target & (1 << place):
+                self._fed.setdefault(place, now_ns)
+        for wait in [wait for wait in self._waits if not mask & wait.mask and wait.number <= self._questions.reached]:
+            self._waits.remove(wait)
+            self._news.append(Confirmed(wait.token, True, (now_ns - wait.asked_ns) / NS_PER_MS))
+        if self.confirmed:
+            self._unconfirmed = False
+        if self._restoring and mask == target == ALL:
+            self._restoring = False
+            self._news.append(News(Kind.POWER_RESTORED, "the power board feeds all servos again", self._named(mask)))
+
+    def _lose(self, mask: int, why: str, now_ns: int) -> None:
+        """These are off, and not by us: they stay off until they are wanted anew."""
+        self._lost |= mask & self._wanted
+        self._settle(now_ns)
+        self._news.append(News(Kind.POWER_FAULT, why, self._named(mask)))
+
+    def _failed(self, error: BoardError, now_ns: int) -> None:
+        """65: the board has blocked servos or converters, and leaves them so until the error is deleted."""
+        why, mask = explained(error)
+        new = mask & ~self._blocked_mask
+        for place in range(OUTPUTS):
+            if new >> place & 1:
+                self._blocked[place] = why
+        if error not in self._errors:
+            self._errors.add(error)
+            self._lose(new, why, now_ns)
+        if self._clear_tries:
+            self._clear_next = CLEAR_ERROR
+            self._clear_due_ns = now_ns
+
+    def _meddled(self, mask: int, now_ns: int) -> None:
+        """Another node has sent this mask: ours follows, without what that one took."""
+        taken = self._sent & self._target & ~mask
+        self._lost |= taken & self._wanted
+        self._settle(now_ns)
+        if self._begun:
+            self._anew(ALL & ~self._target & ~self._unknown, now_ns)
+            # Our own masks never wait; answers to a node that floods the bus do.
+            self._leave_ns = max(now_ns, (self._sent_ns or 0) + REST_NS)
+        if self._meddled_ns is None or now_ns - self._meddled_ns >= MEDDLED_NS:
+            self._meddled_ns = now_ns
+            self._news.append(
+                News(Kind.POWER_FAULT, "another program switches servos through the power board", self._named(taken))
+            )
+
+    def _fall_silent(self, why: str, now_ns: int) -> None:
+        """The board may have started anew, with all off: what was fed counts as lost."""
+        self.alive = False
+        target = self._target
+        self._unknown |= target
+        self._lost |= target
+        self._sent = 0
+        self._fed.clear()
+        self._milliamperes.clear()
+        self._restoring = True
+        self._settle(now_ns)
+        self._news.append(News(Kind.POWER_UNCONFIRMED, why, self._named(target)))

@@ -1,0 +1,69 @@
+"""What the servos' currents say about their Stops. Pure: time is an argument.
+
+A stopped servo that draws was not stopped on its wire; a running one that draws nothing is unplugged, or broken.
+"""
+
+from collections.abc import Mapping
+from typing import Final
+
+from gateway.allowance import NS_PER_S
+from gateway.robot.power.board import News
+from schemas.telemetry import Kind
+
+NOTHING_MA: Final = 5
+"""A servo that is fed and at rest draws some 8 mA for its own electronics."""
+SILENT_NS: Final = 1 * NS_PER_S
+IN_A_ROW: Final = 2
+"""Measurements that show a stopped servo's current, before its supply is taken for it: one may be wrong."""
+
+
+class _Servo:
+    __slots__ = ("drawing", "nothing_since_ns", "reported", "running", "since_ns")
+
+    def __init__(self, running: bool, since_ns: int) -> None:
+        self.running = running
+        self.since_ns = since_ns
+        self.nothing_since_ns: int | None = None
+        self.drawing = 0
+        self.reported = False
+
+
+class CurrentRules:
+    """Compares what servos do with what they draw; each finding is reported once for each start and Stop."""
+
+    def __init__(self, idle_ma: float, settle_ns: int) -> None:
+        """A stopped servo may draw `idle_ma`, and `settle_ns` after its Stop no more than that."""
+        self._idle_ma = idle_ma
+        self._settle_ns = settle_ns
+        self._servos: dict[int, _Servo] = {}
+
+    def measured(self, currents_ma: Mapping[int, float], running: frozenset[int], now_ns: int) -> list[News]:
+        """Take new measurements, of the servos that run and those that do not; returns what to report."""
+        news: list[News] = []
+        for servo_id, ma in currents_ma.items():
+            servo = self._servos.get(servo_id)
+            if servo is None or servo.running is not (servo_id in running):
+                servo = self._servos[servo_id] = _Servo(servo_id in running, now_ns)
+            found = self._silent(servo, ma, now_ns) if servo.running else self._draws(servo, ma, now_ns)
+            if found is not None and not servo.reported:
+                servo.reported = True
+                news.append(News(found, self._sentence(found, servo_id, ma), frozenset({servo_id})))
+        return news
+
+    def _draws(self, servo: _Servo, ma: float, now_ns: int) -> Kind | None:
+        too_much = ma > self._idle_ma and now_ns - servo.since_ns >= self._settle_ns
+        servo.drawing = servo.drawing + 1 if too_much else 0
+        return Kind.SERVO_DRAWS if servo.drawing >= IN_A_ROW else None
+
+    def _silent(self, servo: _Servo, ma: float, now_ns: int) -> Kind | None:
+        if ma >= NOTHING_MA:
+            servo.nothing_since_ns = None
+            return None
+        if servo.nothing_since_ns is None:
+            servo.nothing_since_ns = now_ns
+        return Kind.SERVO_SILENT if now_ns - servo.nothing_since_ns >= SILENT_NS else None
+
+    def _sentence(self, kind: Kind, servo_id: int, ma: float) -> str:
+        if kind is Kind.SERVO_DRAWS:
+            return f"servo {servo_id} is stopped and draws {ma:.0f} mA, more than power.idle_ma ({self._idle_ma:g})"
+        return f"servo {servo_id} runs and has drawn nothing for 1 s: it is unplugged, or broken"

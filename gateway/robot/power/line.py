@@ -1,0 +1,317 @@
+"""The power board on its interface: two threads around `PowerBoard`, by python-can.
+
+| thread   | does                                                          | may hang                    |
+|----------|---------------------------------------------------------------|-----------------------------|
+| sender   | opens, closes, sends                                          | in python-can or the kernel |
+| receiver | receives, looks at the time every 10 ms, reports what is new | no: `recv` has a limit      |
+
+Callers of `want`, `cut` and `when_off` wait for neither: a request goes into a queue, and the next of the two threads
+takes it. So a sender that hangs delays no Stop on SPI, and that the board is silent is reported all the same.
+"""
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from functools import partial
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+from gateway.allowance import NS_PER_S
+from gateway.errors import ConfigError, GatewayError
+from gateway.host import realtime
+from gateway.model.power_board import CanFrame
+from gateway.robot.power.board import Confirmed, News, PowerBoard
+from gateway.robot.sections import PowerSettings
+
+if TYPE_CHECKING:
+    import can
+
+LOOK_S: Final = 0.01
+"""How long the receiver waits for a frame, and so how late it notices that time has passed."""
+RETRY_S: Final = 0.1
+"""Between two attempts to open the interface."""
+SEND_S: Final = 0.1
+"""How long a frame may wait to be sent, where python-can keeps that: it hangs then, or the bus is off."""
+AT_ONCE: Final = 64
+"""Frames that are received before the receiver pauses: it has a real-time priority, and a flood is no reason to keep
+others off the processor."""
+PAUSE_S: Final = 0.001
+FILTERS: Final = [
+    {"can_id": 0x60, "can_mask": 0x7E0, "extended": False},
+    {"can_id": 0x80, "can_mask": 0x7E0, "extended": False},
+]
+"""The board's identifiers, 60 to 9F."""
+
+
+class LineError(GatewayError):
+    """The interface cannot be opened; the sentence says why."""
+
+
+class Status(NamedTuple):
+    """What is known of the board at one time. Servos by their ids."""
+
+    alive: bool = False
+    """Whether it answers."""
+    supplied: frozenset[int] = frozenset()
+    """Fed, when it last said so."""
+    confirmed: bool = False
+    """It has confirmed that all is off which is to be off."""
+    lost: frozenset[int] = frozenset()
+    """Wanted, and not fed, though we have not taken their supply."""
+    refused: Mapping[int, str] = {}
+    """Blocked by the board: why."""
+    answered_ns: int | None = None
+    """When it last answered; None: never."""
+    currents_ma: Mapping[int, int] = {}
+    rails: Mapping[int, tuple[int, ...]] = {}
+    """By the question's identifier (gateway.model.power_board)."""
+
+
+def open_bus(settings: PowerSettings) -> "can.BusABC":
+    """Open the interface. Raises LineError, with what is missing; ConfigError where it never can be opened."""
+    try:
+        import can  # noqa: PLC0415  (a robot without this board needs none)
+
+        from gateway.robot.power.slcan import Slcan  # noqa: PLC0415
+    except ImportError as error:
+        raise ConfigError("python-can is not installed: pip install 'hexapod-gateway[power]'") from error
+    try:
+        if settings.interface == "slcan":
+            return Slcan(settings.channel, bitrate=settings.bitrate)
+        channel = settings.channel
+        return can.Bus(
+            channel=int(channel) if channel.isdecimal() else channel,
+            interface=settings.interface,
+            bitrate=settings.bitrate,
+            can_filters=FILTERS,
+            ignore_config=True,
+        )
+    except can.CanInterfaceNotImplementedError as error:
+        raise ConfigError(f'power.interface = "{settings.interface}": {error}') from error
+    except (can.CanError, OSError, ValueError, TypeError) as error:
+        raise LineError(f"{settings.interface} {settings.channel} cannot be opened: {error}") from error
+
+
+class PowerLine:
+    """A board and its interface, from `start` to `close`. Any thread may read `news` and `status`, and request."""
+
+    def __init__(
+        self,
+        settings: PowerSettings,
+        board: PowerBoard,
+        on_news: Callable[[], None],
+        failed: Callable[[Exception], None],
+        *,
+        opener: "Callable[[PowerSettings], can.BusABC]" = open_bus,
+        clock: Callable[[], int] = time.monotonic_ns,
+    ) -> None:
+        """`on_news` is called on the receiver's thread, and must not wait: there is news, or another status.
+
+        `failed` is called with a mistake in the gateway that ended one of the threads.
+        """
+        self._settings = settings
+        self._board = board
+        self._on_news = on_news
+        self._failed = failed
+        self._opener = opener
+        self._clock = clock
+        self._requests: deque[Callable[[], None]] = deque()
+        self._news: deque[News | Confirmed] = deque()
+        self._lock = threading.Lock()
+        """Held while the board is used, never while anything is sent or received."""
+        self._wake = threading.Lock()
+        """Released: the sender has something to do. Releasing it is no call that gives up the interpreter's lock."""
+        self._wake.acquire()
+        self._bus: can.BusABC | None = None
+        self._received_from: can.BusABC | None = None
+        self._closing = False
+        self.status = Status()
+        self.fault: str | None = "it has not been opened yet"
+        """Why the interface is not open; None: it is."""
+        self.looked_ns = clock()
+        """When the receiver last looked at the time: a thread that is stuck is noticed by it."""
+        self._sender = threading.Thread(target=self._run, args=(self._send,), name="power sender", daemon=True)
+        self._receiver = threading.Thread(target=self._run, args=(self._receive,), name="power receiver", daemon=True)
+
+    def start(self) -> None:
+        """Open the interface, or let the sender try until it opens. Raises ConfigError where it never can."""
+        with suppress(LineError):
+            self._use(self._opener(self._settings))
+        self._receiver.start()
+        self._sender.start()
+
+    def close(self, timeout_s: float = 1.0) -> None:
+        """Send what is due, and end. Blocks for `timeout_s` at most."""
+        self._closing = True
+        self._awake()
+        end_ns = time.monotonic_ns() + round(timeout_s * NS_PER_S)
+        for thread in (self._sender, self._receiver):
+            if thread.is_alive():
+                thread.join(max(0, end_ns - time.monotonic_ns()) / NS_PER_S)
+
+    # ---- requests: they never wait
+
+    def want(self, servos: frozenset[int]) -> None:
+        """PowerBoard.want, as soon as possible."""
+        self._request(partial(self._board.want, servos, self._clock()))
+
+    def cut(self) -> None:
+        """PowerBoard.cut, as soon as possible."""
+        self._request(partial(self._board.cut, self._clock()))
+
+    def when_off(self, servos: frozenset[int], asked_ns: int, token: int) -> None:
+        """PowerBoard.when_off, as soon as possible."""
+        self._request(partial(self._board.when_off, servos, asked_ns, token, self._clock()))
+
+    def clear_errors(self) -> None:
+        """PowerBoard.clear_errors, as soon as possible."""
+        self._request(partial(self._board.clear_errors, self._clock()))
+
+    def news(self) -> list[News | Confirmed]:
+        """What has happened since the last call."""
+        news = []
+        with suppress(IndexError):
+            while True:
+                news.append(self._news.popleft())
+        return news
+
+    def _request(self, request: Callable[[], None]) -> None:
+        self._requests.append(request)
+        self._awake()
+
+    def _awake(self) -> None:
+        with suppress(RuntimeError):  # it is awake already
+            self._wake.release()
+
+    # ---- both threads
+
+    def _run(self, work: Callable[[], None]) -> None:
+        try:
+            work()
+        except Exception as error:
+            self._failed(error)
+
+    def _take_requests(self) -> None:
+        """With the lock: what was asked meanwhile, in its order."""
+        while self._requests:
+            self._requests.popleft()()
+
+    def _use(self, bus: "can.BusABC") -> None:
+        with self._lock:
+            self._bus, self.fault = bus, None
+            self._board.opened(self._clock())
+
+    def _lose(self, bus: "can.BusABC", error: Exception) -> None:
+        """The interface is gone: neither thread uses it any more."""
+        with self._lock:
+            if self._bus is bus:
+                self._bus, self.fault = None, f"the interface of the power board is gone: {error}"
+                self._board.closed(self.fault, self._clock())
+        self._awake()
+
+    # ---- the sender
+
+    def _send(self) -> None:
+        realtime.prefer_thread(realtime.LOOP_PRIORITY)
+        while True:
+            closing = self._closing
+            bus = self._bus
+            if bus is None:
+                if closing:
+                    return
+                with suppress(LineError):
+                    self._use(self._opener(self._settings))
+                    continue
+                self._wake.acquire(timeout=RETRY_S)
+                continue
+            self._send_due(bus)
+            if closing:
+                self._bus = None
+            if self._bus is not bus:
+                self._release(bus)
+                continue
+            with self._lock:
+                wait_ns = 0 if self._requests else self._board.due_ns - self._clock()
+            self._wake.acquire(timeout=max(0, wait_ns) / NS_PER_S)
+
+    def _send_due(self, bus: "can.BusABC") -> None:
+        from can import CanError, Message  # noqa: PLC0415
+
+        with self._lock:
+            self._take_requests()
+            frames = self._board.next_frames(self._clock())
+        try:
+            for frame in frames:
+                bus.send(Message(arbitration_id=frame.id, is_extended_id=False, data=frame.data), timeout=SEND_S)
+        except (CanError, OSError, ValueError) as error:
+            self._lose(bus, error)
+
+    def _release(self, bus: "can.BusABC") -> None:
+        """Close what neither thread uses any more: its descriptor may be another file's from then on."""
+        while self._received_from is bus:
+            time.sleep(LOOK_S / 10)
+        with suppress(Exception):
+            bus.shutdown()
+
+    # ---- the receiver
+
+    def _receive(self) -> None:
+        realtime.prefer_thread(realtime.RECEIVER_PRIORITY)
+        while not self._closing:
+            bus = self._received_from = self._bus
+            if bus is not self._bus:
+                continue
+            frames: list[CanFrame] = []
+            if bus is None:
+                time.sleep(LOOK_S)
+            else:
+                frames = self._frames(bus)
+            self._received_from = None
+            self._heard(frames)
+            if len(frames) >= AT_ONCE:
+                time.sleep(PAUSE_S)
+        self._received_from = None
+
+    def _frames(self, bus: "can.BusABC") -> list[CanFrame]:
+        from can import CanError  # noqa: PLC0415
+
+        frames: list[CanFrame] = []
+        try:
+            message = bus.recv(LOOK_S)
+            while message is not None:
+                if message.is_rx and not (message.is_error_frame or message.is_remote_frame or message.is_extended_id):
+                    frames.append(CanFrame(message.arbitration_id, bytes(message.data)))
+                if len(frames) >= AT_ONCE:
+                    break
+                message = bus.recv(0)
+        except (CanError, OSError, ValueError) as error:
+            self._lose(bus, error)
+        return frames
+
+    def _heard(self, frames: list[CanFrame]) -> None:
+        before = self.status
+        with self._lock:
+            self._take_requests()
+            now_ns = self.looked_ns = self._clock()
+            for frame in frames:
+                self._board.heard(frame, now_ns)
+            self._board.look(now_ns)
+            board = self._board
+            self.status = Status(
+                board.alive,
+                board.supplied,
+                board.confirmed,
+                board.lost,
+                board.refused,
+                board.answered_ns,
+                board.currents_ma,
+                dict(board.rails),
+            )
+            news = board.news()
+            due = board.due_ns <= now_ns
+        self._news += news
+        if due:
+            self._awake()
+        if news or before[:5] != self.status[:5]:
+            self._on_news()

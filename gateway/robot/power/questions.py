@@ -1,0 +1,92 @@
+"""Which question the power board is asked next, and what its answers prove. No I/O, no clock.
+
+Questions about currents are asked whatever is unanswered. One about rails is asked only while no ask of it is
+unanswered: its answer proves that all that was sent before it has reached the board, also behind a link that paused and
+delivers older answers at once.
+"""
+
+from typing import Final
+
+from gateway.allowance import NS_PER_MS
+from gateway.model.power_board import ASK_CURRENTS, ASK_ERROR, ASK_RAILS, CanFrame
+
+ASK_NS: Final = 10 * NS_PER_MS
+SILENT_QUESTIONS: Final = 10
+SILENT_NS: Final = 100 * NS_PER_MS
+"""Without any answer to so many questions, for so long, the board is silent. A restart takes it longer."""
+LIKELY_SILENT: Final = 5
+"""Questions without an answer: some about rails are kept unasked, to prove something as soon as the board answers."""
+LOST_NS: Final = 300 * NS_PER_MS
+"""An unanswered question is lost once it is so old and a later one was answered: links keep the order."""
+FORGOTTEN_NS: Final = 2000 * NS_PER_MS
+"""An unanswered question is lost, whatever came since: else a link that lost six answers could confirm nothing more."""
+
+
+class Questions:
+    """One question every 10 ms, and one behind a mask that is to be confirmed."""
+
+    def __init__(self) -> None:
+        """None is asked yet; the first is due."""
+        self.due_ns = 0
+        self.reached = 0
+        """The newest mask that has reached the board for certain, by its number."""
+        self.reached_ns = 0
+        """When the question was asked whose answer says so."""
+        self._answered_ns = 0
+        self._unanswered = 0
+        self._turn = 0
+        self._rail_turn = 0
+        self._asked: dict[CanFrame, tuple[int, int]] = {}
+        """Unanswered questions about rails: when each was asked, and the newest mask of then."""
+
+    def opened(self, now_ns: int) -> None:
+        """On a new interface no older question is answered."""
+        self._asked.clear()
+        self.due_ns = now_ns
+
+    def next(self, newest: int, now_ns: int) -> list[CanFrame]:
+        """The question in turn, which counts as sent: six about currents, one about rails or errors."""
+        self.due_ns = now_ns + ASK_NS
+        self._unanswered += 1
+        self._turn = (self._turn + 1) % (2 * len(ASK_CURRENTS) + 2)
+        if self._turn == 0:
+            return [ASK_ERROR]
+        if self._turn == len(ASK_CURRENTS) + 1 and (rail := self.behind(newest, now_ns)):
+            return rail
+        return [ASK_CURRENTS[self._turn % len(ASK_CURRENTS)]]
+
+    def behind(self, newest: int, now_ns: int) -> list[CanFrame]:
+        """A question whose answer proves that the mask with this number has reached the board, if there is one."""
+        if self._unanswered > LIKELY_SILENT:
+            return []
+        for step in range(len(ASK_RAILS)):
+            question = ASK_RAILS[(self._rail_turn + step) % len(ASK_RAILS)]
+            if question not in self._asked or self._is_lost(self._asked[question][0], now_ns):
+                self._rail_turn += step + 1
+                self._asked[question] = (now_ns, newest)
+                return [question]
+        return []
+
+    def _is_lost(self, asked_ns: int, now_ns: int) -> bool:
+        return now_ns - asked_ns >= (LOST_NS if self.reached_ns > asked_ns else FORGOTTEN_NS)
+
+    def answered(self, now_ns: int) -> None:
+        """The board has said something."""
+        self._answered_ns = now_ns
+        self._unanswered = 0
+
+    def answered_about_rails(self, question: CanFrame) -> None:
+        """The one unanswered ask of this question is answered."""
+        asked_ns, newest = self._asked.pop(question, (0, 0))
+        self.reached_ns = max(self.reached_ns, asked_ns)
+        self.reached = max(self.reached, newest)
+
+    def silent(self, now_ns: int) -> bool:
+        """Whether the board is; to be asked every 10 ms, since a question that nobody fetched counts as unanswered.
+
+        Then whatever sends them hangs. Time alone is no silence: this process may have been suspended.
+        """
+        if now_ns >= self.due_ns + 2 * ASK_NS:
+            self.due_ns = now_ns - ASK_NS
+            self._unanswered += 1
+        return self._unanswered >= SILENT_QUESTIONS and now_ns - self._answered_ns >= SILENT_NS

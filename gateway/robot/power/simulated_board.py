@@ -1,0 +1,305 @@
+"""A simulated power board: it answers, switches, blocks and errs as its firmware does. Pure, time is an argument.
+
+* A receive interrupt takes a frame at once. It answers questions, and switches off what a mask leaves out.
+* A main loop makes a pass every 1 to 2 ms. It counts the passes since something was to do: in the 26th it switches on
+  the first output that is wanted and off, and counts again; where none is left, it sends the mask (6B). So a mask is
+  answered after 26 passes, and 18 outputs that go on take 19 times 26.
+* The firmware counts once more behind an answer, and goes back to 0 only in a pass in which nothing is to do. A mask
+  that comes in that one pass meets 26 where 25 is waited for: 8 bits go round, and it waits for 256 passes.
+* An output that draws too much ten measurements running is switched off and blocked. Up to four kinds of error wait in
+  a queue: each 64 shows the next one, and 96 deletes the one shown last. **Then outputs of the newest mask that were
+  blocked go on by themselves**, as they do when somebody deletes the error at the board's own buttons.
+* Without power it forgets everything, and is then in standby, in which it receives nothing, until its button is
+  pressed. Switched off by 66, it forgets nothing: the mask of before counts once something changes.
+
+Not simulated: the buzzer, the manipulator's converter, the other outputs, and the converters' settings.
+"""
+
+import struct
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Final
+
+from gateway.model.power_board import (
+    ALL,
+    ASK_CURRENTS,
+    ASK_ERROR,
+    ASK_RAILS,
+    CLEAR_ERROR,
+    CLEARED,
+    CONVERTER_OVERCURRENT,
+    CONVERTERS_1_TO_3_MV,
+    CONVERTERS_4_5_MV,
+    ERROR,
+    MANIPULATOR_5V_3V3_MA,
+    OFF_PRESSED,
+    OUTPUTS,
+    OVERTEMPERATURE,
+    SERVO_OVERCURRENT,
+    SET_SUPPLY,
+    STANDBY_SUPPLY_MA,
+    SUPPLIED,
+    SUPPLY_BATTERY_MV,
+    TEMPERATURES_C,
+    CanFrame,
+)
+
+PASS_NS: Final = 1_500_000
+"""The firmware waits for 1 ms and works for less than another."""
+WAITS_FOR: Final = 25
+"""Counted in the pass that acts: the 26th."""
+COUNTER: Final = 256
+"""Values of its 8 bits."""
+MEASURE_NS: Final = 10_000_000
+"""Assumed: the firmware's timer is set in a file that is not published."""
+LIMIT_MA: Final = 3950.0
+MEASUREMENTS: Final = 10
+"""So many above the limit in a row block an output."""
+AWAKE_NS: Final = 160_000_000
+"""From the button to the first frame that it takes: ten delays of the firmware, one of them 150 ms."""
+OFF_PASSES: Final = 1000
+"""From 66 to standby."""
+OUTPUTS_PER_CONVERTER: Final = 6
+SERVO_MV: Final = 7400
+"""What converters 1 to 3 are set to at the start."""
+BATTERY_MV: Final = 14_800
+FIVE_VOLT_MA: Final = 900
+THREE_VOLT_MA: Final = 60
+STANDBY_MA: Final = 20
+TEMPERATURE_C: Final = 30
+"""Assumed, from the battery on."""
+
+_POWER_OFF: Final = CanFrame(0x66)
+
+
+@dataclass(slots=True)
+class _Error:
+    code: int
+    converters: int = 0
+    outputs: int = 0
+
+    @property
+    def data(self) -> bytes:
+        if self.code == CONVERTER_OVERCURRENT:
+            return bytes((self.code, self.converters))
+        if self.code == SERVO_OVERCURRENT:
+            return bytes((self.code,)) + self.outputs.to_bytes(3, "big")
+        return bytes((self.code,))
+
+
+class SimulatedBoard:
+    """The board, awake and with all outputs off. Masks: bit n - 1 is output n. One thread at a time."""
+
+    def __init__(self, now_ns: int = 0, *, pass_ns: int = PASS_NS) -> None:
+        """`pass_ns`: the length of a pass, always the same."""
+        self.draws_ma = [0.0] * OUTPUTS
+        """What each output would draw while it is fed, and the battery's voltage (mV), for others to set."""
+        self.battery_mv = BATTERY_MV
+        self.temperatures_c = [TEMPERATURE_C] * 3
+        self.stuck = 0
+        """A fault: these outputs are fed whatever the board does, as behind a switch that has melted."""
+
+        self._pass_ns = pass_ns
+        self._pass_due_ns = now_ns + pass_ns
+        self._measure_due_ns = now_ns + MEASURE_NS
+        self._awake_ns: int | None = now_ns
+        """When it takes frames; None: in standby."""
+        self._forget()
+
+    def _forget(self) -> None:
+        self._wanted = self._on = self._blocked = self._off_converters = 0
+        self._switches = False
+        self._count = 0
+        self._errors: list[_Error] = []
+        self._next_shown = self._shown = 0
+        self._clearable = True
+        self._show = self._say_cleared = self._say_pressed = False
+        self._off_passes = 0
+        self._measured_ma = [0.0] * OUTPUTS
+        self._too_much = [0] * OUTPUTS
+
+    # ---- what a person at the board sees and does
+
+    @property
+    def fed(self) -> int:
+        """The mask of the outputs that have supply now."""
+        return self._on & ~_outputs_of(self._off_converters) | self.stuck
+
+    @property
+    def due_ns(self) -> int:
+        """When it next does something by itself: to be given to `advance` then."""
+        if self._show or self._say_cleared or self._say_pressed or self._off_passes:
+            return min(self._measure_due_ns, self._pass_due_ns)
+        if self._switches:
+            passes = (WAITS_FOR - self._count) % COUNTER
+            return min(self._measure_due_ns, self._pass_due_ns + passes * self._pass_ns)
+        return self._measure_due_ns
+
+    def press_button(self, now_ns: int) -> None:
+        """Its power button: it says so while it is awake (69), and wakes from standby."""
+        if self._awake_ns is None:
+            self._awake_ns = now_ns + AWAKE_NS
+        else:
+            self._say_pressed = True
+
+    def restart(self) -> None:
+        """Its own supply was interrupted."""
+        self._forget()
+        self._awake_ns = None
+
+    def fail(self, code: int, *, converters: int = 0, outputs: int = 0) -> None:
+        """It finds an error of this code, at these of its converters (bit 0: converter 1) or outputs."""
+        at = next((place for place, error in enumerate(self._errors) if error.code == code), None)
+        error = _Error(code) if at is None else self._errors.pop(at)
+        before = (error.converters, error.outputs)
+        error.converters |= converters
+        error.outputs |= outputs
+        self._errors.insert(0, error)
+        self._show = self._show or at is None or (error.converters, error.outputs) != before
+        self._next_shown = 0
+        self._apply_blocks()
+
+    def clear_by_hand(self) -> None:
+        """Somebody holds the button that deletes the newest error."""
+        self._delete(0)
+
+    # ---- the firmware
+
+    def take(self, frame: CanFrame, now_ns: int) -> list[CanFrame]:
+        """A frame arrives. Returns what the board has sent up to now, its answer last."""
+        sent = self.advance(now_ns)
+        if not self._is_awake(now_ns):
+            return sent
+        if frame.id == SET_SUPPLY and len(frame.data) == 3:
+            self._wanted = int.from_bytes(frame.data, "big") & ALL
+            self._retarget()
+        elif frame in ASK_CURRENTS:
+            first = 3 * ASK_CURRENTS.index(frame)
+            sent.append(CanFrame(frame.id + 1, _numbers(self._measured_ma[first : first + 3])))
+        elif frame in ASK_RAILS:
+            sent.append(CanFrame(frame.id + 1, self._rail(frame.id)))
+        elif frame == ASK_ERROR:
+            self._show = True
+        elif frame == CLEAR_ERROR and self._clearable and self._errors:
+            self._delete(self._shown)
+            self._clearable, self._say_cleared = False, True
+        elif frame == _POWER_OFF:
+            self._off_passes = self._off_passes or 1
+            sent.append(CanFrame(frame.id + 1))
+        return sent
+
+    def advance(self, now_ns: int) -> list[CanFrame]:
+        """Passes of the main loop and measurements up to now. Returns what the board has sent meanwhile, in order."""
+        sent: list[CanFrame] = []
+        while (due_ns := min(self._pass_due_ns, self._measure_due_ns)) <= now_ns:
+            if due_ns == self._measure_due_ns:
+                self._measure_due_ns += MEASURE_NS
+                if self._is_awake(due_ns):
+                    self._measure()
+            else:
+                self._pass_due_ns += self._pass_ns
+                if self._is_awake(due_ns):
+                    sent += self._make_pass()
+        return sent
+
+    def _is_awake(self, now_ns: int) -> bool:
+        return self._awake_ns is not None and self._awake_ns <= now_ns
+
+    def _make_pass(self) -> list[CanFrame]:
+        if self._off_passes > OFF_PASSES:
+            self._on = self._off_passes = 0
+            self._awake_ns = None
+            return []
+        self._off_passes += self._off_passes > 0
+        sent = []
+        if self._switch_in_turn():
+            sent.append(CanFrame(SUPPLIED, self._on.to_bytes(3, "big")))
+        if self._say_pressed:
+            sent.append(CanFrame(OFF_PRESSED))
+        if self._show:
+            sent.append(CanFrame(ERROR, self._next_error()))
+        if self._say_cleared:
+            sent.append(CanFrame(CLEARED))
+        self._say_pressed = self._show = self._say_cleared = False
+        return sent
+
+    def _switch_in_turn(self) -> bool:
+        """Switch on one output at most; True where none is left, once."""
+        if not self._switches:
+            self._count = 0
+            return False
+        if self._count == WAITS_FOR:
+            left = self._wanted & ~self._blocked & ~self._on
+            if left:
+                self._on |= left & -left
+                self._count = 0
+                return False
+            self._switches = False
+        self._count = (self._count + 1) % COUNTER  # behind the answer, too
+        return not self._switches
+
+    def _retarget(self) -> None:
+        self._on &= self._wanted & ~self._blocked
+        self._switches = True
+
+    def _apply_blocks(self) -> None:
+        self._blocked = self._off_converters = 0
+        for error in self._errors:
+            if error.code == SERVO_OVERCURRENT:
+                self._blocked |= error.outputs
+            elif error.code in (CONVERTER_OVERCURRENT, OVERTEMPERATURE):
+                self._off_converters |= error.converters
+        self._retarget()
+
+    def _next_error(self) -> bytes:
+        if not self._errors:
+            return b""
+        self._clearable = True
+        self._shown = self._next_shown
+        self._next_shown = (self._next_shown + 1) % len(self._errors)
+        return self._errors[self._shown].data
+
+    def _delete(self, place: int) -> None:
+        if place < len(self._errors):
+            del self._errors[place]
+            self._next_shown = max(0, min(self._next_shown, len(self._errors) - 1))
+            self._apply_blocks()
+
+    # ---- what it measures
+
+    def _measure(self) -> None:
+        fed = self.fed
+        for place in range(OUTPUTS):
+            drawn_ma = self._measured_ma[place] = self.draws_ma[place] if fed >> place & 1 else 0.0
+            self._too_much[place] = self._too_much[place] + 1 if drawn_ma > LIMIT_MA else 0
+            if self._too_much[place] >= MEASUREMENTS:
+                converter = place // OUTPUTS_PER_CONVERTER
+                self.fail(SERVO_OVERCURRENT, converters=1 << converter, outputs=1 << place)
+
+    def _rail(self, question: int) -> bytes:
+        if question == TEMPERATURES_C:
+            return struct.pack(">3h", *self.temperatures_c)
+        return _numbers(self._rails()[question])
+
+    def _rails(self) -> dict[int, tuple[float, ...]]:
+        """The numbers of each answer, in mA and mV."""
+        one, two, three = (0 if self._off_converters >> place & 1 else SERVO_MV for place in range(3))
+        power_uw = SERVO_MV * sum(self._measured_ma) + 5000 * FIVE_VOLT_MA + 3300 * THREE_VOLT_MA
+        return {
+            MANIPULATOR_5V_3V3_MA: (0, FIVE_VOLT_MA, THREE_VOLT_MA),
+            STANDBY_SUPPLY_MA: (STANDBY_MA, power_uw / self.battery_mv),
+            CONVERTERS_1_TO_3_MV: (one, two, three),
+            CONVERTERS_4_5_MV: (0, 5000),
+            SUPPLY_BATTERY_MV: (self.battery_mv, self.battery_mv),
+        }
+
+
+def _numbers(values: Iterable[float]) -> bytes:
+    """Each as the board sends it: whole, big endian, as much as 16 bits hold."""
+    return b"".join(max(0, min(int(value), 0xFFFF)).to_bytes(2, "big") for value in values)
+
+
+def _outputs_of(converters: int) -> int:
+    """The mask of the outputs that these feed."""
+    six = (1 << OUTPUTS_PER_CONVERTER) - 1
+    return sum(six << OUTPUTS_PER_CONVERTER * place for place in range(3) if converters >> place & 1)

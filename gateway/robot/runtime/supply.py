@@ -1,0 +1,301 @@
+"""What the power board is to feed, by what the supervisor decides; and what its news mean for the robot.
+
+Called by the owner of the state, and waits for nothing: the board's frames leave on threads of its line's own. What a
+step takes off is asked for before the step's frames, and what it feeds behind them. So no cut waits for a transfer on
+SPI, and no servo is fed before its Stop, or its angle, was written.
+"""
+
+import json
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Final, Protocol
+
+from gateway.allowance import NS_PER_MS
+from gateway.model import power_board
+from gateway.robot.core.events import Announce, Effect, PowerSeen, Request
+from gateway.robot.core.message import Received, Verb
+from gateway.robot.core.power import CutOn, cut_by
+from gateway.robot.core.supervisor import Supervisor
+from gateway.robot.power.board import Confirmed, News, PowerBoard
+from gateway.robot.power.currents import CurrentRules
+from gateway.robot.power.line import PowerLine, Status
+from gateway.robot.protocol import Wire
+from gateway.robot.runtime.answers import legs_of
+from gateway.robot.runtime.executor import Outcome
+from gateway.robot.sections import PowerSettings
+from gateway.robot.settings import Settings
+from gateway.robot.spi.cyclic import CyclicBus
+from schemas.keys import ESTOP
+from schemas.robot import LEGS, SERVO_IDS
+from schemas.telemetry import Kind, Mode, PowerReport, ServoTelemetry
+from schemas.telemetry import Supply as SupplyTelemetry
+
+CarryOut = Callable[[Sequence[Effect], Request | None], Outcome]
+Then = Callable[[bool, float | None], None]
+"""Called once: whether the board has confirmed it, and how many ms after it was asked for."""
+
+_WHY: Final = {
+    CutOn.ESTOP: "for the emergency stop",
+    CutOn.BUS_FAULT: "since the controller cannot be told to stop",
+    CutOn.BUTTON: "since too few stop buttons are alive",
+    CutOn.SHUTDOWN: "since the gateway ends",
+}
+_CONVERTERS: Final = (power_board.CONVERTERS_1_TO_3_MV, power_board.CONVERTERS_4_5_MV)
+_DREW: Final = "it drew current after its Stop; a reset feeds it again"
+_ALL: Final = frozenset(SERVO_IDS)
+_NONE: Final = frozenset[int]()
+
+
+class Line(Protocol):
+    """The way to the board (`robot.power.line`). Nothing here waits; `cut` may be called from any thread."""
+
+    @property
+    def status(self) -> Status:
+        """What is known of the board."""
+
+    def want(self, servos: frozenset[int]) -> None:
+        """Feed exactly these."""
+
+    def cut(self) -> None:
+        """Feed nothing, until `want` was called with no servos."""
+
+    def when_off(self, servos: frozenset[int], asked_ns: int, token: int) -> None:
+        """Tell by a `Confirmed` in the news."""
+
+    def clear_errors(self) -> None:
+        """Have the board forget its errors."""
+
+    def news(self) -> Sequence[News | Confirmed]:
+        """What has happened since the last call."""
+
+    def close(self) -> None:
+        """Send what is due, and end; waits for it, but not for long."""
+
+
+@dataclass(slots=True)
+class Seen:
+    """What the board's news mean."""
+
+    event: PowerSeen
+    announcements: list[Announce] = field(default_factory=list)
+    off_pressed: bool = False
+
+
+class RobotSupply:
+    """The servos' supply. `ready` names those that a wire which knows no start of a servo would have fed; None: all."""
+
+    def __init__(self, line: Line, settings: PowerSettings, ready: Callable[[], frozenset[int]] | None) -> None:
+        self._line = line
+        self._interface = settings.interface
+        self._cut_on = frozenset(settings.cut_on)
+        self._ready = ready
+        self._asked = self._runs = self._lost = _NONE
+        self._cause: CutOn | None = None
+        self._cut: list[Announce] = []
+        self._withheld: dict[int, str] = {}
+        """Servos that are not fed before a reset, and why: blocked by the board, or they drew current after a Stop."""
+        self._refused: Mapping[int, str] = {}
+        self._currents = CurrentRules(settings.idle_ma, round(settings.settle_ms * NS_PER_MS))
+        self._found: list[News] = []
+        """What the currents say."""
+        self._token = 0
+        self._waiting: dict[int, Then] = {}
+
+    # ---- what a step decides
+
+    def before(self, supervisor: Supervisor) -> None:
+        """Before its frames: what is to be off."""
+        servos = supervisor.legs.servos
+        self._runs = frozenset([each for each, servo in servos.items() if servo.angle_cdeg is not None])
+        unwatched = supervisor.buttons.closed and not self._runs
+        before, self._cause = self._cause, cut_by(supervisor.mode, self._cut_on, unwatched=unwatched)
+        if self._cause is not None and self._cause is not before and self._asked:
+            detail = f"the servos' supply is taken, {_WHY[self._cause]}"
+            self._cut.append(Announce(Kind.POWER_CUT, detail, legs=tuple(LEGS)))
+        self._ask(self._asked & self._wanted(supervisor.mode))
+
+    def behind(self, supervisor: Supervisor) -> list[Announce]:
+        """Behind its frames: what is to be on. Returns what is to be published."""
+        self._lost = _NONE  # their Stops are written
+        self._ask(self._wanted(supervisor.mode))
+        cut, self._cut = self._cut, []
+        return cut
+
+    def _wanted(self, mode: Mode) -> frozenset[int]:
+        if self._cause is not None or mode is Mode.STARTING:
+            return _NONE
+        if not self._line.status.alive and not self._runs:
+            return _NONE  # what comes back is fed anew
+        wanted = _ALL if self._ready is None else self._ready() & self._runs
+        if self._ready is not None and mode is Mode.BUS_FAULT:
+            return _NONE
+        return wanted.difference(self._withheld, self._lost, self._line.status.refused)
+
+    def _ask(self, servos: frozenset[int]) -> None:
+        self._asked = servos
+        self._line.want(servos)
+
+    def reset(self) -> None:
+        """The emergency stop was left: what was blocked or cut is fed again."""
+        self._withheld.clear()
+        self._line.clear_errors()
+
+    def cut_early(self, cause: CutOn) -> None:
+        """From any thread, without the state, which a transfer on SPI may hold: take all supply, if this does it."""
+        if self._ready is not None or cause in self._cut_on:
+            self._line.cut()
+
+    # ---- what the board says
+
+    def judge_currents(self, now_ns: int) -> bool:
+        """Compare what servos do with what they draw: whether there is news. A few times a second."""
+        status = self._line.status
+        if status.alive:
+            unfed = self._runs - status.supplied  # on its way: it may draw, and need not
+            drawn = {each: ma for each, ma in status.currents_ma.items() if each not in unfed}
+            self._found += self._currents.measured(drawn, self._runs, now_ns)
+        return bool(self._found)
+
+    def look(self) -> Seen:
+        """Take the news."""
+        seen = Seen(PowerSeen(self._line.status.alive))
+        doubt = ""
+        found, self._found = self._found, []
+        for each in (*self._line.news(), *found):
+            if isinstance(each, Confirmed):
+                then = self._waiting.pop(each.token, None)
+                if then is not None:
+                    then(each.confirmed, each.ms)
+                continue
+            seen.announcements.append(Announce(each.kind, each.detail, legs=legs_of(each.servos)))
+            seen.off_pressed = seen.off_pressed or each.kind is Kind.OFF_BUTTON
+            if CutOn.UNCONFIRMED in self._cut_on:
+                if each.kind is Kind.SERVO_DRAWS:
+                    self._withheld |= dict.fromkeys(each.servos, _DREW)
+                    doubt = doubt or ("" if each.servos & self._asked else each.detail)
+                elif each.kind is Kind.POWER_UNCONFIRMED and self._line.status.alive:
+                    doubt = each.detail
+        status = self._line.status
+        self._lost = status.lost
+        newly = status.refused.keys() - self._refused.keys()
+        # One that the board, or a person at it, has unblocked would come on by itself: it waits for a reset.
+        self._withheld |= {servo_id: f"{status.refused[servo_id]}; a reset feeds it again" for servo_id in newly}
+        self._refused = status.refused
+        refused = {**self._withheld, **status.refused}
+        seen.event = PowerSeen(status.alive, tuple(sorted(refused.items())), self._lost, doubt)
+        return seen
+
+    def confirm(self, servos: Collection[int], asked_ns: int, then: Then) -> None:
+        """Call `then` once the board has confirmed that these are off, or it is too late for it.
+
+        At once where one of them stays fed, since its Stop is the controller's alone: that is believed.
+        """
+        if not self._asked.isdisjoint(servos):
+            then(False, None)
+            return
+        self._token += 1
+        self._waiting[self._token] = then
+        self._line.when_off(frozenset(servos), asked_ns, self._token)
+
+    def confirm_all(self, asked_ns: int, then: Then) -> None:
+        """The same for all servos."""
+        self.confirm(_ALL, asked_ns, then)
+
+    def close(self) -> None:
+        """Nobody waits any longer: nothing is confirmed."""
+        while self._waiting:
+            self._waiting.popitem()[1](False, None)
+
+    def end(self) -> None:
+        """Close the line; not for the owner, as it waits."""
+        self._line.close()
+
+    def report(self, now_ns: int) -> PowerReport:
+        """For the state."""
+        answered_ns = self._line.status.answered_ns
+        return PowerReport(
+            interface=self._interface,
+            alive=self._line.status.alive,
+            supplied=tuple(sorted(self._line.status.supplied)),
+            confirmed=self._line.status.confirmed,
+            age_ms=None if answered_ns is None else max(0, now_ns - answered_ns) / 1e6,
+        )
+
+    def measured(self, now_ns: int) -> dict[str, object]:
+        """What the board measures, as `hexapod/telemetry` has it; empty: nothing yet."""
+        status = self._line.status
+        if status.answered_ns is None:
+            return {}
+        found: dict[str, object] = {"age_ms": max(0, now_ns - status.answered_ns) / 1e6}
+        if status.currents_ma:
+            found["servos"] = {
+                str(servo_id): ServoTelemetry(supplied=servo_id in status.supplied, current_a=ma / 1000)
+                for servo_id, ma in sorted(status.currents_ma.items())
+            }
+        rails = status.rails
+        currents, volts = rails.get(power_board.STANDBY_SUPPLY_MA), rails.get(power_board.SUPPLY_BATTERY_MV)
+        if currents is not None and volts is not None:
+            found["supply"] = SupplyTelemetry(voltage_v=volts[0] / 1000, current_a=currents[1] / 1000)
+        converters = [rails.get(each) for each in _CONVERTERS]
+        if None not in converters:
+            found["converters_v"] = tuple(mv / 1000 for each in converters if each is not None for mv in each)
+        temperatures_c = rails.get(power_board.TEMPERATURES_C)
+        if temperatures_c is not None:
+            found["board_temperatures_c"] = temperatures_c
+        return found
+
+
+class Feeding:
+    """Carries out a step of a robot with a power board."""
+
+    def __init__(
+        self, carry_out: CarryOut, supply: RobotSupply, supervisor: Supervisor, announce: Callable[[Announce], None]
+    ) -> None:
+        self._carry_out = carry_out
+        self._supply = supply
+        self._supervisor = supervisor
+        self._announce = announce
+
+    def carry_out(self, effects: Sequence[Effect], heard: Request | None = None) -> Outcome:
+        """As an executor's. Where the frames could not be written, nothing more is fed: the bus's fault follows."""
+        self._supply.before(self._supervisor)
+        outcome = self._carry_out(effects, heard)
+        if outcome.fault is None:
+            if any(type(each) is Announce and each.kind is Kind.ESTOP_RESET for each in effects):
+                self._supply.reset()
+            for each in self._supply.behind(self._supervisor):
+                self._announce(each)
+        return outcome
+
+
+def off_button(now_ns: int) -> Received:
+    """What the board's off button says: an emergency stop like any other."""
+    payload = json.dumps({"source": "the power board's off button"}).encode()
+    return Received(
+        key=ESTOP, expression=ESTOP, target=None, verb=Verb.PUT, payload=payload, size=len(payload),
+        encoding="application/json", source=None, received_ns=now_ns,
+    )  # fmt: skip
+
+
+def supply_of(
+    settings: Settings,
+    wire: Wire,
+    channel: str | None,
+    on_news: Callable[[], None],
+    failed: Callable[[Exception], None],
+) -> RobotSupply | None:
+    """The supply of this robot, with its line begun; None: there is no board. Raises ConfigError.
+
+    `channel` is the terminal of a simulated board. What is on is taken off at once, until the first Stops are written.
+    """
+    power = settings.power
+    if not power.interface:
+        return None
+    if channel is not None:
+        power = power.model_copy(update={"interface": "slcan", "channel": channel})
+    board = PowerBoard(power.outputs, confirm_ns=round(power.confirm_ms * NS_PER_MS))
+    line = PowerLine(power, board, on_news, failed)
+    supply = RobotSupply(line, settings.power, wire.ready_servos if isinstance(wire, CyclicBus) else None)
+    line.want(_NONE)
+    line.start()
+    return supply

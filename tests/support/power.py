@@ -1,0 +1,139 @@
+"""A robot with a power board in virtual time: the real rules of both sides, and a line that takes no time."""
+
+import asyncio
+from collections.abc import Callable
+from typing import Any, Final
+
+from gateway.model.power_board import SET_SUPPLY, CanFrame
+from gateway.robot.power.board import Confirmed, News, PowerBoard
+from gateway.robot.power.line import Status
+from gateway.robot.power.simulated_board import SimulatedBoard
+from gateway.robot.runtime.supply import RobotSupply
+from tests.support.elkapod import ElkapodRobot
+from tests.support.robot import MS, Robot
+
+PUMP_S: Final = 0.0005
+
+
+class VirtualLine:
+    """The line's threads as a timer of the loop. `unplugged`: nothing passes, either way; `deaf`: masks are lost."""
+
+    def __init__(self, loop: asyncio.AbstractEventLoop, outputs: tuple[int, ...], confirm_ns: int) -> None:
+        self._loop = loop
+        self._outputs = outputs
+        self.board = PowerBoard(outputs, confirm_ns=confirm_ns)
+        self.simulated = SimulatedBoard()
+        self.unplugged = False
+        self.deaf = False
+        self.sent: list[tuple[int, CanFrame]] = []
+        """With its time (ms)."""
+        self.on_news: Callable[[], None] = lambda: None
+        self._status = Status()
+        self._seen: tuple[object, ...] = ()
+        self._news: list[News | Confirmed] = []
+        self._pump()
+
+    def now_ns(self) -> int:
+        return round(self._loop.time() * 1e9)
+
+    @property
+    def fed(self) -> frozenset[int]:
+        """What the board really feeds."""
+        return frozenset(servo for place, servo in enumerate(self._outputs) if self.simulated.fed >> place & 1)
+
+    def hear_from_another(self, frame: CanFrame) -> None:
+        """Another node sends this."""
+        answers = self.simulated.take(frame, self.now_ns())
+        self._hear([frame, *answers])
+
+    # ---- the line's side
+
+    @property
+    def status(self) -> Status:
+        return self._status
+
+    def want(self, servos: frozenset[int]) -> None:
+        self.board.want(servos, self.now_ns())
+        self._send()
+
+    def cut(self) -> None:
+        self.board.cut(self.now_ns())
+        self._send()
+
+    def when_off(self, servos: frozenset[int], asked_ns: int, token: int) -> None:
+        self.board.when_off(servos, asked_ns, token, self.now_ns())
+        self._send()
+
+    def clear_errors(self) -> None:
+        self.board.clear_errors(self.now_ns())
+
+    def news(self) -> list[News | Confirmed]:
+        news, self._news = self._news, []
+        return news
+
+    def close(self) -> None:
+        self._send()
+
+    # ---- its threads
+
+    def _send(self) -> None:
+        for frame in self.board.next_frames(self.now_ns()):
+            self.sent.append((self.now_ns() // MS, frame))
+            lost = self.unplugged or (self.deaf and frame.id == SET_SUPPLY)
+            self._hear([] if lost else self.simulated.take(frame, self.now_ns()))
+
+    def _hear(self, frames: list[CanFrame]) -> None:
+        for frame in () if self.unplugged else frames:
+            self.board.heard(frame, self.now_ns())
+
+    def _pump(self) -> None:
+        self._hear(self.simulated.advance(self.now_ns()))
+        self._send()
+        self.board.look(self.now_ns())
+        board = self.board
+        seen = (board.alive, board.supplied, board.confirmed, board.lost, dict(board.refused))
+        self._status = Status(*seen, board.answered_ns, board.currents_ma, dict(board.rails))
+        self._news += board.news()
+        if self._news or seen != self._seen:
+            self._seen = seen
+            self._loop.call_soon(self.on_news)
+        self._loop.call_later(PUMP_S, self._pump)
+
+
+def running(robot: Robot) -> list[int]:
+    """The servos that run, as the state says it."""
+    return [each.id for leg in robot.conductor.state().legs for each in leg.servos if each.running]
+
+
+class FedRobot(Robot):
+    """A robot of hexapod-1.0 with a power board; its service has begun."""
+
+    line: VirtualLine
+
+    def __init__(self, **sections: dict[str, Any]) -> None:
+        super().__init__({"power": {"interface": "sim", **sections.pop("power", {})}, **sections})
+        self.conductor.start()
+        self.conductor.announce_start()
+
+    def supply(self) -> RobotSupply:
+        return _feed(self, None)
+
+
+class FedElkapod(ElkapodRobot):
+    """A robot of elkapod-2025 with a power board: each servo starts and stops by its supply."""
+
+    line: VirtualLine
+
+    def __init__(self, **sections: dict[str, Any]) -> None:
+        super().__init__({"power": {"interface": "sim", **sections.pop("power", {})}, **sections})
+
+    def supply(self) -> RobotSupply:
+        return _feed(self, self.cyclic.ready_servos)
+
+
+def _feed(robot: FedRobot | FedElkapod, ready: Callable[[], frozenset[int]] | None) -> RobotSupply:
+    power = robot.settings.power
+    robot.line = VirtualLine(robot.loop, power.outputs, round(power.confirm_ms * MS))
+    robot.line.on_news = lambda: robot.conductor.power_changed()  # noqa: PLW0108  (it is made behind this)
+    robot.line.want(frozenset())
+    return RobotSupply(robot.line, power, ready)

@@ -1,0 +1,165 @@
+"""A power board and the gateway's side of it on one CAN link that loses, delays, alters and pauses, in virtual time."""
+
+import random
+from collections.abc import Callable, Iterator
+from heapq import heappop, heappush
+from itertools import count
+
+from gateway.allowance import NS_PER_MS
+from gateway.model.power_board import OUTPUTS, CanFrame
+from gateway.robot.power.board import Confirmed, News, PowerBoard
+from gateway.robot.power.simulated_board import SimulatedBoard
+from schemas.robot import SERVO_IDS
+from schemas.telemetry import Kind
+
+ALL_SERVOS = frozenset(SERVO_IDS)
+CONFIRM_MS = 150
+FLIGHT_NS = 200_000
+"""Of a frame, with an adapter on USB."""
+LOOK_NS = 10 * NS_PER_MS
+
+
+class Link:
+    """Carries frames both ways, and calls each side when it is due."""
+
+    def __init__(self, *, faults: float = 0.0, seed: int = 0, pass_ns: int = 1_500_000, confirm_ms: int = CONFIRM_MS):
+        """`faults`: the share of the board's answers that are lost, delayed by up to 100 ms, cut short, or altered."""
+        self.now_ns = 0
+        self.ours = PowerBoard(SERVO_IDS, confirm_ns=confirm_ms * NS_PER_MS)
+        self.board = SimulatedBoard(pass_ns=pass_ns)
+        self.random = random.Random(seed)  # noqa: S311
+        self.faults = faults
+        self.alters = True
+        """Faults are also frames that are not as the board sent them; false: they are late, or none come."""
+        self.altered: Callable[[CanFrame], CanFrame] = lambda frame: frame
+        """What we receive in place of an answer."""
+        self.hangs = False
+        """Our sender hangs: nobody asks what is due."""
+        self.cable = True
+        self.held: list[CanFrame] | None = None
+        """A list: the link to us pauses, and keeps the board's frames."""
+        self.sent: list[tuple[int, CanFrame]] = []
+        """What we sent, and when."""
+        self.answers: list[tuple[int, CanFrame]] = []
+        """What the board sent, and when."""
+        self.news: list[tuple[int, News | Confirmed]] = []
+        self.watch: Callable[[], None] = lambda: None
+        """Called after each event."""
+        self._flying: list[tuple[int, int, bool, CanFrame]] = []
+        self._order = count()
+        self._look_ns = 0
+
+    # ---- what happened
+
+    def masks(self, since_ns: int = 0) -> list[tuple[float, int]]:
+        """The masks that we sent: milliseconds since then, and mask."""
+        found = ((at_ns, frame) for at_ns, frame in self.sent if frame.id == 0x6A and at_ns >= since_ns)
+        return [((at_ns - since_ns) / NS_PER_MS, int.from_bytes(frame.data, "big")) for at_ns, frame in found]
+
+    def events(self, kind: Kind) -> list[tuple[int, News]]:
+        return [(at_ns, item) for at_ns, item in self.news if isinstance(item, News) and item.kind is kind]
+
+    def confirmations(self) -> Iterator[Confirmed]:
+        return (item for _, item in self.news if isinstance(item, Confirmed))
+
+    def fed(self) -> frozenset[int]:
+        """The servos that have supply, in truth."""
+        return frozenset(SERVO_IDS[place] for place in range(OUTPUTS) if self.board.fed >> place & 1)
+
+    # ---- what the owner does
+
+    def want(self, servos: frozenset[int]) -> None:
+        self.ours.want(servos, self.now_ns)
+
+    def want_anew(self, servos: frozenset[int]) -> None:
+        self.want(frozenset())
+        self.want(servos)
+
+    def cut(self) -> None:
+        self.ours.cut(self.now_ns)
+
+    def when_off(self, servos: frozenset[int], token: int) -> None:
+        self.ours.when_off(servos, self.now_ns, token, self.now_ns)
+
+    # ---- time
+
+    def run(self, ms: float) -> None:
+        """Let so much time pass."""
+        end_ns = self.now_ns + round(ms * NS_PER_MS)
+        while (at_ns := self._next_ns()) <= end_ns:
+            self.now_ns = max(self.now_ns, at_ns)
+            self._happen()
+            self.watch()
+        self.now_ns = end_ns
+
+    def run_until(self, done: Callable[[], bool], most_ms: float = 3000) -> float:
+        """Until that is so; returns after how many milliseconds."""
+        begun_ns = self.now_ns
+        while not done():
+            assert self.now_ns - begun_ns < most_ms * NS_PER_MS
+            self.now_ns = max(self.now_ns, self._next_ns())
+            self._happen()
+            self.watch()
+        return (self.now_ns - begun_ns) / NS_PER_MS
+
+    def other_node(self, mask: int) -> None:
+        """Another node on the bus sends a mask: board and we receive it."""
+        frame = CanFrame(0x6A, mask.to_bytes(3, "big"))
+        self._answered(self.board.take(frame, self.now_ns))
+        self.ours.heard(frame, self.now_ns)
+
+    def pause(self) -> None:
+        self.held = []
+
+    def resume(self) -> None:
+        held, self.held = self.held or [], None
+        for frame in held:
+            self.ours.heard(frame, self.now_ns)
+
+    def _next_ns(self) -> int:
+        due_ns = [self.board.due_ns, self._look_ns]
+        if not self.hangs:
+            due_ns.append(self.ours.due_ns)
+        if self._flying:
+            due_ns.append(self._flying[0][0])
+        return min(due_ns)
+
+    def _happen(self) -> None:
+        while self._flying and self._flying[0][0] <= self.now_ns:
+            _, _, to_board, frame = heappop(self._flying)
+            if to_board:
+                self._answered(self.board.take(frame, self.now_ns))
+            elif self.held is not None:
+                self.held.append(frame)
+            else:
+                self.ours.heard(frame, self.now_ns)
+        self._answered(self.board.advance(self.now_ns))
+        if self.now_ns >= self._look_ns:
+            self._look_ns = self.now_ns + LOOK_NS
+            self.ours.look(self.now_ns)
+        if not self.hangs and self.now_ns >= self.ours.due_ns:
+            for frame in self.ours.next_frames(self.now_ns):
+                self.sent.append((self.now_ns, frame))
+                if self.cable:
+                    heappush(self._flying, (self.now_ns + FLIGHT_NS, next(self._order), True, frame))
+        self.news += [(self.now_ns, item) for item in self.ours.news()]
+
+    def _answered(self, frames: list[CanFrame]) -> None:
+        for frame in frames:
+            self.answers.append((self.now_ns, frame))
+            received, late_ns = self._faulty(frame) if self.random.random() < self.faults else (frame, 0)
+            if self.cable and received is not None:
+                at_ns = self.now_ns + FLIGHT_NS + late_ns
+                heappush(self._flying, (at_ns, next(self._order), False, self.altered(received)))
+
+    def _faulty(self, frame: CanFrame) -> tuple[CanFrame | None, int]:
+        """What becomes of an answer, and how much later it comes (ns)."""
+        match self.random.randrange(4 if self.alters else 2):
+            case 0:
+                return None, 0
+            case 1:
+                return frame, self.random.randrange(100 * NS_PER_MS)
+            case 2:
+                return CanFrame(frame.id, frame.data[:-1] or b"\0"), 0
+            case _:
+                return CanFrame(frame.id, self.random.randbytes(len(frame.data))), 0

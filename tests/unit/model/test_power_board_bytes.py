@@ -1,0 +1,102 @@
+"""The bytes of the power board: literals from its firmware, and whatever else a bus may carry."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from gateway.model.power_board import (
+    ALL,
+    ASK_CURRENTS,
+    ASK_RAILS,
+    Answer,
+    BoardError,
+    CanFrame,
+    Cleared,
+    Currents,
+    NoError,
+    OffPressed,
+    Rails,
+    Supplied,
+    mask_of,
+    read,
+    set_supply,
+)
+
+
+@pytest.mark.parametrize(
+    ("mask", "data"),
+    [(0, "000000"), (1, "000001"), (1 << 8, "000100"), (1 << 15, "008000"), (1 << 17, "020000"), (ALL, "03ffff")],
+)
+def test_bit_n_minus_1_of_a_mask_is_output_n(mask: int, data: str) -> None:
+    assert set_supply(mask) == (0x6A, bytes.fromhex(data))
+    assert mask_of(set_supply(mask)) == mask
+    assert read(CanFrame(0x6B, bytes.fromhex(data))) == Supplied(mask)
+
+
+@pytest.mark.parametrize("mask", [-1, ALL + 1])
+def test_a_mask_has_18_bits(mask: int) -> None:
+    with pytest.raises(ValueError, match="18 outputs"):
+        set_supply(mask)
+
+
+ANSWERS: dict[str, tuple[int, str, Answer]] = {
+    "currents 1-3": (0x71, "0001 0203 ffff", Currents(1, (1, 0x203, 65535))),
+    "currents 4-6": (0x73, "0000 0000 0008", Currents(4, (0, 0, 8))),
+    "currents 16-18": (0x7B, "0064 00c8 012c", Currents(16, (100, 200, 300))),
+    "manipulator, 5 V, 3.3 V": (0x7D, "0001 0002 0003", Rails(0x7C, (1, 2, 3))),
+    "standby, supply": (0x7F, "0014 0bb8", Rails(0x7E, (20, 3000))),
+    "converters 1-3": (0x81, "1ce8 1ce8 1ce8", Rails(0x80, (7400, 7400, 7400))),
+    "converters 4, 5": (0x83, "1388 1388", Rails(0x82, (5000, 5000))),
+    "supply, battery": (0x85, "39d0 39d0", Rails(0x84, (14800, 14800))),
+    "temperatures": (0x87, "001e fff6 0000", Rails(0x86, (30, -10, 0))),
+    "no error": (0x65, "", NoError()),
+    "converter 2": (0x65, "01 02", BoardError(1, 2)),
+    "servo 18": (0x65, "02 020000", BoardError(2, 1 << 17)),
+    "too hot": (0x65, "04", BoardError(4)),
+    "supply low": (0x65, "08", BoardError(8)),
+    "deleted": (0x97, "", Cleared()),
+    "off button": (0x69, "", OffPressed()),
+}
+
+
+@pytest.mark.parametrize(("identifier", "data", "answer"), ANSWERS.values(), ids=ANSWERS)
+def test_an_answer_is_read_and_none_of_another_length(identifier: int, data: str, answer: Answer) -> None:
+    whole = bytes.fromhex(data)
+    assert read(CanFrame(identifier, whole)) == answer
+    assert read(CanFrame(identifier, whole + b"\0")) is None
+    if len(whole) > 1:
+        assert read(CanFrame(identifier, whole[:-1])) is None
+
+
+@pytest.mark.parametrize(
+    ("identifier", "data"),
+    [
+        (0x6B, "040000"),  # a bit that no output has
+        (0x6B, "ffffff"),
+        (0x65, "03 01"),  # no code of theirs
+        (0x65, "00"),
+        (0x65, "01 20"),  # there are five converters
+        (0x65, "02 040000"),
+        (0x6A, "000000"),  # a request, of another node
+        (0x70, ""),
+        (0x72, "0000 0000 0000"),
+        (0x5F, ""),
+        (0xA1, "0000 0000 0000"),
+    ],
+)
+def test_what_is_no_answer_is_none(identifier: int, data: str) -> None:
+    assert read(CanFrame(identifier, bytes.fromhex(data))) is None
+
+
+@given(st.integers(0, 0x7FF), st.binary(max_size=8))
+def test_whatever_comes_is_read_or_none(identifier: int, data: bytes) -> None:
+    answer = read(CanFrame(identifier, data))
+    if isinstance(answer, Supplied):
+        assert set_supply(answer.mask).data == data
+    mask = mask_of(CanFrame(identifier, data))
+    assert mask is None or (identifier in (0x6A, 0x6B) and mask <= ALL)
+
+
+def test_each_question_is_named_once() -> None:
+    questions = [question.id for question in (*ASK_CURRENTS, *ASK_RAILS)]
+    assert questions == list(range(0x70, 0x88, 2))

@@ -1,0 +1,207 @@
+"""What means danger: a Stop that the power board does not confirm, and events."""
+
+import re
+from datetime import timedelta
+from pathlib import Path
+from typing import cast
+
+import pytest
+
+from gateway.errors import UnansweredError
+from gateway.model.telemetry import currents_a
+from gateway.people.client.dangers import (
+    PATIENCE_NS,
+    UNCONFIRMED,
+    PowerAlarm,
+    confirmed_off,
+    power_now,
+    tone_of,
+)
+from gateway.people.client.stream import ALL_STOPPED
+from gateway.people.console.pages import Page, Pages
+from gateway.people.terminal.stop_status import SHOWN_NS, StopStatus, Tone
+from gateway.people.tools.send import estop_report
+from gateway.people.tools.status import sentences
+from schemas.telemetry import Ack, GatewayState, Kind, Mode, PowerReport, ServoTelemetry, Telemetry
+from tests.support.watch_reports import WALL, event, model_with_power, screen, state
+from tests.unit.people.test_console_telemetry import OpenPage
+
+MS = 1_000_000
+STOPPED = Ack(accepted=True, stop_frames=6, latency_us=812.4, estop=5)
+OFF = PowerReport(interface="slcan", alive=True, confirmed=True, age_ms=4.0)
+FED = OFF.model_copy(update={"supplied": tuple(range(18))})
+DOUBTED = FED.model_copy(update={"confirmed": False})
+SILENT = DOUBTED.model_copy(update={"alive": False, "age_ms": 450.0})
+STANDS_BY = PowerReport(interface="slcan", alive=False)
+
+
+def of(power: PowerReport | None, mode: Mode = Mode.ACTIVE) -> GatewayState:
+    return state(mode=mode).model_copy(update={"power": power})
+
+
+def alarm_after(*found: tuple[int, PowerReport | None], mode: Mode = Mode.ACTIVE) -> str:
+    alarm = PowerAlarm()
+    for at_ns, power in found:
+        alarm.received_state(of(power, mode), at_ns)
+    return alarm.sentence
+
+
+@pytest.mark.parametrize("power", [None, OFF, FED])
+def test_no_board_or_one_that_confirms_is_no_alarm(power: PowerReport | None) -> None:
+    assert alarm_after((0, power), (10 * PATIENCE_NS, power), mode=Mode.ESTOPPED) == ""
+
+
+def test_a_state_while_the_board_answers_is_no_alarm_but_two_without_a_confirmation_are() -> None:
+    assert alarm_after((0, DOUBTED)) == ""
+    assert alarm_after((0, DOUBTED), (PATIENCE_NS - 1, DOUBTED)) == ""
+    assert alarm_after((0, DOUBTED), (100 * MS, OFF), (PATIENCE_NS, DOUBTED)) == "", "each cut has its own time"
+    assert alarm_after((0, DOUBTED), (PATIENCE_NS, DOUBTED)) == UNCONFIRMED
+
+
+def test_a_board_that_answered_and_is_silent_is_an_alarm_at_once_until_it_confirms() -> None:
+    assert alarm_after((0, FED), (1, SILENT)) == UNCONFIRMED
+    assert alarm_after((0, FED), (1, SILENT), (2, DOUBTED)) == UNCONFIRMED
+    assert alarm_after((0, FED), (1, SILENT), (2, STANDS_BY)) == UNCONFIRMED, "the gateway was started anew"
+    assert alarm_after((0, FED), (1, SILENT), (2, OFF)) == ""
+
+
+def test_a_board_that_never_answered_is_an_alarm_in_an_emergency_stop_alone() -> None:
+    assert alarm_after((0, STANDS_BY), (10 * PATIENCE_NS, STANDS_BY)) == ""
+    assert alarm_after((0, STANDS_BY), mode=Mode.ESTOPPED) == UNCONFIRMED
+
+
+def test_the_event_is_an_alarm_at_once_until_the_board_confirms() -> None:
+    alarm = PowerAlarm()
+    alarm.received_event(Kind.POWER_CUT)
+    assert alarm.sentence == ""
+    alarm.received_event(Kind.POWER_UNCONFIRMED)
+    assert alarm.sentence == UNCONFIRMED
+    alarm.received_state(of(DOUBTED), 0)
+    assert alarm.sentence == UNCONFIRMED
+    alarm.received_state(of(OFF), 1)
+    assert alarm.sentence == ""
+
+
+@pytest.mark.parametrize(
+    ("power", "words"),
+    [
+        (None, ""),
+        (OFF, "confirmed off"),
+        (FED, "18 fed"),
+        (DOUBTED, "off not confirmed, 18 fed"),
+        (DOUBTED.model_copy(update={"supplied": ()}), "off not confirmed"),
+        (SILENT, "does not answer"),
+    ],
+)
+def test_the_board_in_words(power: PowerReport | None, words: str) -> None:
+    assert power_now(power) == words
+
+
+def test_every_event_that_stops_all_legs_and_every_doubt_is_bad() -> None:
+    for kind in (*ALL_STOPPED, Kind.POWER_UNCONFIRMED, Kind.SERVO_DRAWS):
+        assert tone_of(kind) == "bad", kind
+    assert tone_of(Kind.SERVO_SILENT) == "warn"
+    assert tone_of(Kind.POWER_RESTORED) == tone_of("of a later gateway") == "plain"
+
+
+# ---- where people see it
+
+
+def test_a_terminal_shows_a_stop_that_the_board_confirms() -> None:
+    stop = StopStatus()
+    stop.press(0)
+    stop.confirm(STOPPED.model_copy(update={"confirmed": True, "confirmed_ms": 34.2}), None, 36 * MS)
+    remark = stop.remark(37 * MS)
+    assert remark is not None
+    assert remark.tone is Tone.GOOD
+    assert remark.text.endswith("confirmed 36 ms after the key, power confirmed off after 34 ms")
+
+
+def test_a_terminal_is_red_until_the_board_confirms_a_stop() -> None:
+    stop = StopStatus()
+    stop.press(0)
+    stop.confirm(STOPPED.model_copy(update={"confirmed": False}), None, 150 * MS)
+    assert stop.remark(10 * SHOWN_NS) == (Tone.BAD, UNCONFIRMED, 0)
+    stop.power.received_state(of(OFF, Mode.ESTOPPED), 200 * MS)
+    remark = stop.remark(200 * MS)
+    assert remark is not None
+    assert remark.tone is Tone.GOOD
+
+
+@pytest.mark.parametrize(
+    ("confirmed", "confirmed_ms", "power", "code", "words"),
+    [
+        (None, None, None, 0, "of the request\n"),
+        (True, 34.2, OFF, 0, "of the request, power confirmed off after 34 ms\n"),
+        (False, None, DOUBTED, 1, f"of the request\n{UNCONFIRMED}\n"),
+        (False, None, SILENT, 1, f"of the request\n{UNCONFIRMED}\n"),
+        (False, None, UnansweredError("no state"), 1, f"of the request\n{UNCONFIRMED}\n"),
+        (False, None, FED, 0, "of the request\n"),  # nothing is to be off: an emergency stop leaves the supply on
+    ],
+)
+def test_the_command_says_whether_the_board_confirmed(
+    capsys: pytest.CaptureFixture[str],
+    confirmed: bool | None,
+    confirmed_ms: float | None,
+    power: PowerReport | UnansweredError | None,
+    code: int,
+    words: str,
+) -> None:
+    def look() -> GatewayState:
+        if isinstance(power, UnansweredError):
+            raise power
+        return of(power, Mode.ESTOPPED)
+
+    ack = STOPPED.model_copy(update={"confirmed": confirmed, "confirmed_ms": confirmed_ms})
+    assert estop_report(ack, look) == code
+    assert capsys.readouterr().out == f"stopped: 6 Stop frames written within 812 µs {words}"
+    assert confirmed_off(Ack(accepted=True, confirmed=True)) == ", power confirmed off"
+
+
+def test_status_has_the_board_and_the_alarm() -> None:
+    assert "Power (slcan): 18 fed." in sentences(of(FED))
+    assert f"Power (slcan): does not answer. {UNCONFIRMED}" in sentences(of(SILENT))
+    assert not [line for line in sentences(state()) if line.startswith("Power")]
+
+
+def test_watch_is_red_by_event_and_by_state_and_shows_what_each_servo_draws() -> None:
+    drawn = {"11": ServoTelemetry(supplied=True, current_a=0.5), "32": ServoTelemetry(supplied=True, current_a=2.0)}
+    model = model_with_power(FED, Telemetry(time=WALL, age_ms=3.0, servos=drawn))
+    row = next(line for line in screen(model).splitlines() if "power" in line)
+    assert row.strip() == "power 18 fed  ▃·· ··· ·█· ··· ··· ···  most 32: 2.00 A"
+    assert UNCONFIRMED not in screen(model)
+    model.received_event(event(Kind.POWER_UNCONFIRMED, "no answer"), 0, WALL)
+    assert screen(model).splitlines()[1] == f" {UNCONFIRMED} "
+    later = of(OFF).model_copy(update={"uptime_s": 10.1, "time": WALL + timedelta(seconds=10.1)})
+    model.received_state(later, MS, WALL)
+    assert UNCONFIRMED not in screen(model)
+    assert "power confirmed off" in screen(model)
+
+
+async def test_a_page_gets_the_sentence_with_the_state_and_at_once_with_the_event() -> None:
+    pages, page = Pages("", lambda: 0), OpenPage()
+    pages.add(cast("Page", page))
+
+    async def newest() -> dict[str, str]:
+        text = [each for each in await page.outgoing.wait() if '"type":"state"' in each][-1]
+        return dict(re.findall(r'"(power|unconfirmed)": "([^"]*)"', text))
+
+    pages.received_state(of(FED), 0)
+    assert await newest() == {"power": "18 fed", "unconfirmed": ""}
+    pages.received_event(event(Kind.POWER_UNCONFIRMED))
+    assert await newest() == {"power": "18 fed", "unconfirmed": UNCONFIRMED}
+    pages.received_state(of(OFF), 1)
+    assert await newest() == {"power": "confirmed off", "unconfirmed": ""}
+
+
+def test_a_servo_whose_current_is_not_known_has_none() -> None:
+    servos = {"11": ServoTelemetry(supplied=True, current_a=0.4), "12": ServoTelemetry(supplied=False)}
+    assert currents_a(Telemetry(time=WALL, age_ms=1.0, servos=servos)) == {11: 0.4}
+    assert currents_a(Telemetry(time=WALL, age_ms=1.0)) == currents_a(None) == {}
+
+
+def test_the_sentence_stands_in_one_place() -> None:
+    """No surface decides for itself what is not confirmed."""
+    people = Path(__file__).parents[3] / "gateway" / "people"
+    files = [each for each in people.rglob("*") if each.suffix in (".py", ".js", ".html")]
+    assert [each.name for each in files if UNCONFIRMED in each.read_text()] == ["dangers.py"]

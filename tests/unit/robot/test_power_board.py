@@ -1,0 +1,466 @@
+"""What is sent to the power board, and what counts as confirmed: against the simulated board, in virtual time."""
+
+import pytest
+
+from gateway.allowance import NS_PER_MS
+from gateway.model.power_board import ALL, ASK_CURRENTS, CLEAR_ERROR, OVERTEMPERATURE, SUPPLY_LOW, CanFrame, set_supply
+from gateway.robot.power.board import Confirmed, News
+from schemas.telemetry import Kind
+from tests.support.power_link import ALL_SERVOS, CONFIRM_MS, FLIGHT_NS, Link
+
+NONE: frozenset[int] = frozenset()
+ROUND_TRIP_MS = 2 * FLIGHT_NS / NS_PER_MS
+
+
+def fed(**settings: int) -> Link:
+    """A link whose board feeds all servos, and is at rest."""
+    link = Link(**settings)
+    link.want(ALL_SERVOS)
+    link.run(1500)
+    assert link.fed() == link.ours.supplied == ALL_SERVOS
+    assert link.ours.alive
+    link.news.clear()
+    return link
+
+
+# ---- off
+
+
+def test_an_emergency_stop_leaves_at_once_and_is_confirmed_at_the_boards_pace() -> None:
+    link = fed()
+    at_ns = link.now_ns
+    link.cut()
+    link.when_off(ALL_SERVOS, token=7)
+    assert not link.ours.confirmed
+    link.run(0.3)
+    assert link.masks(at_ns) == [(0, 0)]
+    assert link.fed() == NONE
+    link.run(200)
+    [(_, confirmed)] = link.news
+    assert isinstance(confirmed, Confirmed)
+    assert (confirmed.token, confirmed.confirmed) == (7, True)
+    assert confirmed.ms is not None
+    assert 25 * 1.5 <= confirmed.ms <= 27 * 1.5 + ROUND_TRIP_MS
+    assert link.ours.confirmed
+    # One repeat, and none once it is confirmed.
+    assert [mask for _, mask in link.masks(at_ns)] == [0, 0]
+
+
+def test_it_is_repeated_every_20_ms_for_2_s_and_reported_once() -> None:
+    link = fed()
+    link.cable = False
+    at_ns = link.now_ns
+    link.cut()
+    link.when_off(ALL_SERVOS, token=1)
+    link.run(3000)
+    masks = link.masks(at_ns)
+    assert [ms for ms, _ in masks] == [20 * n for n in range(100)]
+    assert {mask for _, mask in masks} == {0}
+    unconfirmed = [(at_ns, item.detail) for at_ns, item in link.events(Kind.POWER_UNCONFIRMED)]
+    assert [detail for _, detail in unconfirmed] == [
+        "the power board does not answer",
+        "the power board has not confirmed that these are off",
+    ]
+    assert [round((each_ns - at_ns) / NS_PER_MS) for each_ns, _ in unconfirmed] == [pytest.approx(100, abs=12), 150]
+    assert list(link.confirmations()) == [Confirmed(1, False, None)]
+    # The board comes back: its mask leaves at once, for the next 2 s.
+    link.cable = True
+    link.run(100)
+    assert link.ours.confirmed
+    assert link.fed() == NONE
+
+
+def test_a_stop_of_some_keeps_the_others() -> None:
+    link = fed()
+    some = frozenset({11, 42})
+    at_ns = link.now_ns
+    link.want(ALL_SERVOS - some)
+    link.when_off(some, token=1)
+    link.run(0.3)
+    assert link.fed() == ALL_SERVOS - some
+    link.run(100)
+    assert [confirmed.confirmed for confirmed in link.confirmations()] == [True]
+    assert {mask for _, mask in link.masks(at_ns)} == {ALL & ~1 & ~(1 << 10)}
+
+
+def test_a_confirmation_of_what_was_off_is_a_new_one() -> None:
+    link = fed()
+    link.want(NONE)
+    link.run(500)
+    at_ns = link.now_ns
+    link.when_off(ALL_SERVOS, token=2)
+    link.run(100)
+    assert len(link.masks(at_ns)) >= 1
+    [confirmed] = link.confirmations()
+    assert confirmed.ms is not None
+    assert confirmed.ms > 25 * 1.5
+
+
+def test_servos_that_are_wanted_are_not_confirmed_off() -> None:
+    link = fed()
+    at_ns = link.now_ns
+    link.when_off(ALL_SERVOS, token=3)
+    link.run(CONFIRM_MS)
+    assert list(link.confirmations()) == [Confirmed(3, False, None)]
+    assert link.masks(at_ns) == []
+
+
+def test_streams_of_stops_are_each_confirmed() -> None:
+    """One servo each 7 ms: each mask sends those before again, and an answer confirms all that reached the board."""
+    link = fed()
+    wanted = ALL_SERVOS
+    for token, servo in enumerate(sorted(ALL_SERVOS)):
+        wanted -= {servo}
+        link.want(wanted)
+        link.when_off(frozenset({servo}), token)
+        link.run(7)
+    link.run(200)
+    assert sorted(confirmed.token for confirmed in link.confirmations() if confirmed.confirmed) == list(range(18))
+
+
+def test_an_output_that_stays_on_is_reported_by_its_servo() -> None:
+    link = fed()
+    stuck = 1 << 3
+    link.altered = lambda frame: set_supply(stuck)._replace(id=0x6B) if frame.id == 0x6B else frame
+    link.cut()
+    link.when_off(ALL_SERVOS, token=1)
+    link.run(1000)
+    [(_, news)] = link.events(Kind.POWER_UNCONFIRMED)
+    assert news.servos == {21}
+    assert not link.ours.confirmed
+    assert list(link.confirmations()) == [Confirmed(1, False, None)]
+
+
+def test_what_was_decided_before_an_emergency_stop_gives_nothing_back() -> None:
+    link = fed()
+    link.cut()
+    link.want(ALL_SERVOS)
+    link.run(1500)
+    assert link.fed() == NONE
+    link.want_anew(ALL_SERVOS)
+    link.run(1500)
+    assert link.fed() == ALL_SERVOS
+    assert [item.kind for _, item in link.news if isinstance(item, News)] == [Kind.POWER_RESTORED]
+
+
+# ---- on
+
+
+@pytest.mark.parametrize("pass_us", [1000, 1500, 2000])
+def test_an_on_that_follows_an_answer_is_never_230_passes_late(pass_us: int) -> None:
+    """Whenever it is wanted: the counter's quirk would hold it for 230 passes more."""
+    for step in range(60):
+        link = Link(pass_ns=1000 * pass_us)
+        link.want(NONE)
+        link.run(200)
+        link.want(frozenset({11}))
+        link.run(20 + step)  # the answer comes in this time
+        link.want(frozenset({11, 12}))
+        took_ms = link.run_until(lambda link=link: link.fed() == {11, 12})  # type: ignore[misc]
+        assert took_ms < (26 + 2 * 27) * pass_us / 1000 + 10
+
+
+@pytest.mark.parametrize("pass_us", [1000, 2000])
+def test_an_off_right_behind_an_answer_is_at_once_and_confirmed_a_round_of_the_counter_later(pass_us: int) -> None:
+    link = fed(pass_ns=1000 * pass_us)
+    link.want(ALL_SERVOS - {11})
+    answered = len(link.answers)
+    link.run_until(lambda: any(frame.id == 0x6B for _, frame in link.answers[answered:]))
+    link.cut()
+    link.when_off(ALL_SERVOS, token=1)
+    link.run(0.3)
+    assert link.fed() == NONE
+    link.run(600)
+    assert link.ours.confirmed
+
+
+def test_nothing_is_switched_on_while_the_board_does_not_answer() -> None:
+    link = Link()
+    link.cable = False
+    link.want(ALL_SERVOS)
+    link.run(500)
+    assert link.masks() == []
+    link.cable = True
+    link.run(1500)
+    assert link.fed() == ALL_SERVOS
+
+
+def test_nothing_is_sent_but_questions_until_something_is_wanted_or_cut() -> None:
+    """A gateway that starts anew takes no supply from a robot that stands."""
+    link = fed()
+    link.ours = Link().ours
+    at_ns = link.now_ns
+    link.run(500)
+    assert link.masks(at_ns) == []
+    link.want(ALL_SERVOS)
+    link.run(500)
+    assert {mask for _, mask in link.masks(at_ns)} == {ALL}
+    assert link.ours.supplied == ALL_SERVOS
+
+
+# ---- answers that are late, lost or others'
+
+
+def test_old_answers_of_a_link_that_paused_confirm_nothing() -> None:
+    """While it paused the board was off and on again: its answers of then show all off."""
+    link = fed()
+    link.pause()
+    link.want(NONE)
+    link.run(60)
+    assert any(frame == CanFrame(0x6B, bytes(3)) for frame in link.held or [])
+    link.want(ALL_SERVOS)
+    link.other_node(ALL)  # whoever did it: the board feeds all
+    link.run(20)
+    link.cable = False  # and our next mask never arrives
+    link.cut()
+    link.when_off(ALL_SERVOS, token=1)
+    link.run(5)
+    link.cable = True
+    link.resume()
+    link.run(1)
+    assert not link.ours.confirmed
+    assert not any(confirmed.confirmed for confirmed in link.confirmations())
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_every_emergency_stop_is_confirmed_within_700_ms_with_a_fifth_of_the_answers_faulty(seed: int) -> None:
+    """Lost, delayed by up to 100 ms, too short, or altered: 25 emergency stops for each of eight seeds, 200 of 200."""
+    link = Link(faults=0.2, seed=seed, pass_ns=(1000, 1250, 1500, 1750, 2000)[seed % 5] * 1000, confirm_ms=2000)
+    for token in range(25):
+        link.want_anew(ALL_SERVOS)
+        link.run(1500 + link.random.random() * 100)
+        link.cut()
+        link.when_off(ALL_SERVOS, token)
+        link.run(0.3)
+        assert link.fed() == NONE
+        link.run(2000)
+        [confirmed] = link.confirmations()
+        assert confirmed.token == token
+        assert confirmed.ms is not None
+        assert confirmed.ms <= 700
+        link.news.clear()
+
+
+# ---- silence
+
+
+def test_a_board_that_falls_silent_is_reported_within_200_ms_and_feeds_nothing_unasked_later() -> None:
+    link = fed()
+    link.board.restart()
+    took_ms = link.run_until(lambda: not link.ours.alive)
+    assert took_ms < 150
+    link.run(1)
+    [(_, news)] = link.events(Kind.POWER_UNCONFIRMED)
+    assert news.servos == link.ours.lost == ALL_SERVOS
+    link.run(300)
+    link.want(ALL_SERVOS)  # as each step says, until its owner has seen the news
+    link.board.press_button(link.now_ns)
+    link.run(2000)
+    assert link.ours.alive
+    assert link.fed() == NONE
+    link.want_anew(ALL_SERVOS)
+    link.run(1500)
+    assert link.fed() == ALL_SERVOS
+    assert link.ours.lost == NONE
+    assert len(link.events(Kind.POWER_RESTORED)) == 1
+
+
+def test_a_silence_of_the_link_alone_takes_no_supply_of_a_leg_that_lands() -> None:
+    link = fed()
+    link.cable = False
+    link.run(300)
+    link.want(ALL_SERVOS)
+    link.cable = True
+    link.run(2000)
+    assert link.ours.alive
+    assert link.fed() == ALL_SERVOS
+    link.want(ALL_SERVOS - {11, 12, 13})
+    link.run(2000)
+    assert not link.fed() & {11, 12, 13}
+
+
+def test_a_process_that_was_suspended_reports_no_silence() -> None:
+    link = fed()
+    link.now_ns += 5000 * NS_PER_MS
+    link.run(500)
+    assert link.ours.alive
+    assert link.news == []
+
+
+def test_a_sender_that_hangs_is_a_silence() -> None:
+    link = fed()
+    link.hangs = True
+    link.cut()
+    link.when_off(ALL_SERVOS, token=1)
+    assert link.run_until(lambda: not link.ours.alive) < 200
+    link.run(200)
+    assert len(link.events(Kind.POWER_UNCONFIRMED)) == 2
+    assert list(link.confirmations()) == [Confirmed(1, False, None)]
+
+
+def test_an_interface_that_is_gone_is_reported_at_once_and_once() -> None:
+    link = fed()
+    link.ours.closed("unplugged", link.now_ns)
+    link.ours.closed("unplugged", link.now_ns)
+    assert [item.detail for item in link.ours.news() if isinstance(item, News)] == ["unplugged"]
+    assert not link.ours.alive
+
+
+def test_lost_answers_to_questions_are_no_silence_and_all_is_measured() -> None:
+    link = Link(faults=0.2, seed=1)
+    link.run(20_000)
+    assert link.events(Kind.POWER_UNCONFIRMED) == []
+    assert len(link.ours.currents_ma) == 18
+    assert len(link.ours.rails) == 6
+
+
+def test_questions_do_not_flood_the_bus() -> None:
+    link = fed()
+    at_ns = link.now_ns
+    link.run(1000)
+    asked = [frame for when_ns, frame in link.sent if when_ns >= at_ns]
+    assert len(asked) == pytest.approx(100, abs=2)
+    assert sum(frame in ASK_CURRENTS for frame in asked) >= 80
+
+
+# ---- others that switch
+
+
+def test_what_another_node_switches_on_goes_off_again() -> None:
+    link = fed()
+    link.want(NONE)
+    link.run(500)
+    link.news.clear()
+    at_ns = link.now_ns
+    link.other_node(ALL)
+    link.run(500)
+    assert link.masks(at_ns)[0] == (0, 0)
+    assert link.fed() == NONE
+    assert link.ours.confirmed
+    assert [item.kind for _, item in link.news if isinstance(item, News)] == [Kind.POWER_FAULT]
+
+
+def test_what_another_node_switches_off_stays_off_until_it_is_wanted_anew() -> None:
+    link = fed()
+    link.other_node(ALL & ~0b111)
+    link.want(ALL_SERVOS)
+    link.run(1000)
+    assert link.ours.lost == {11, 12, 13}
+    assert link.fed() == ALL_SERVOS - {11, 12, 13}
+    [(_, news)] = link.events(Kind.POWER_FAULT)
+    assert news.servos == {11, 12, 13}
+    link.want_anew(ALL_SERVOS)
+    link.run(1000)
+    assert link.fed() == ALL_SERVOS
+
+
+def test_a_node_that_floods_masks_is_answered_at_a_pace_and_reported_once_a_second() -> None:
+    link = fed()
+    at_ns = link.now_ns
+    for _ in range(8000):
+        link.other_node(0)
+        link.run(0.125)
+    assert len(link.masks(at_ns)) <= 250
+    assert len(link.events(Kind.POWER_FAULT)) <= 2
+
+
+def test_an_output_that_the_board_takes_by_itself_is_lost() -> None:
+    """Its report was lost, and so was another node's mask; its next answer shows it."""
+    link = fed()
+    link.board.take(CanFrame(0x6A, (ALL & ~1).to_bytes(3, "big")), link.now_ns)
+    link.run(300)
+    assert link.ours.lost == {11}
+    assert link.events(Kind.POWER_FAULT)[0][1].servos == {11}
+
+
+# ---- the board's own faults
+
+
+def test_a_servo_that_is_blocked_leaves_the_mask_at_once_and_stays_off_when_the_error_is_deleted_by_hand() -> None:
+    link = fed()
+    link.board.fail(2, outputs=1 << 4)
+    link.run_until(lambda: link.ours.refused != {})
+    at_ns = link.now_ns
+    link.run(5)
+    assert link.masks(at_ns)[0] == (0, ALL & ~(1 << 4))
+    assert link.ours.lost == {22}
+    assert list(link.ours.refused) == [22]
+    assert "overcurrent" in link.ours.refused[22]
+    link.board.clear_by_hand()
+    link.run(1000)
+    assert link.fed() == ALL_SERVOS - {22}
+    assert link.ours.refused == {}
+    link.want_anew(ALL_SERVOS)
+    link.run(1000)
+    assert link.fed() == ALL_SERVOS
+
+
+def test_a_report_that_was_lost_is_asked_for() -> None:
+    link = fed()
+    link.pause()
+    link.board.fail(2, outputs=1)
+    link.run(30)
+    link.held = [frame for frame in link.held or [] if frame.id not in (0x65, 0x6B)]
+    link.resume()
+    link.run(300)
+    assert list(link.ours.refused) == [11]
+    [(_, news)] = [(at_ns, each) for at_ns, each in link.events(Kind.POWER_FAULT) if "overcurrent" in each.detail]
+    assert news.servos == {11}
+
+
+@pytest.mark.parametrize("faults", [0.0, 0.2])
+def test_a_reset_deletes_all_errors_and_gives_back_what_they_took(faults: float) -> None:
+    link = Link(faults=faults, seed=3)
+    link.alters = False
+    link.want(ALL_SERVOS)
+    link.run(2500)
+    link.board.fail(2, outputs=1 << 4)
+    link.board.fail(1, converters=1 << 1)
+    link.board.fail(SUPPLY_LOW)
+    link.run(500)
+    assert set(link.ours.refused) == {22, 31, 32, 33, 41, 42, 43}
+    assert any(frame == CLEAR_ERROR for _, frame in link.sent) is False
+    link.want(NONE)
+    link.ours.clear_errors(link.now_ns)
+    link.want(ALL_SERVOS)
+    link.run(4000)
+    assert link.ours.refused == {}
+    assert link.fed() == ALL_SERVOS
+
+
+def test_an_error_is_deleted_only_once_the_board_has_the_mask_without_its_servos() -> None:
+    link = fed()
+    link.board.fail(2, outputs=1)
+    link.run_until(lambda: link.ours.refused != {})
+    link.ours.clear_errors(link.now_ns)
+    at_ns = link.now_ns
+    link.run(100)
+    sent = [frame.id for when_ns, frame in link.sent if when_ns >= at_ns]
+    assert 0x96 in sent
+    assert sent.index(0x6A) < sent.index(0x96)
+    assert link.fed() == ALL_SERVOS - {11}
+
+
+def test_a_converter_that_is_too_hot_is_not_named_so_all_servos_leave_the_mask() -> None:
+    link = fed()
+    link.board.fail(OVERTEMPERATURE, converters=1)
+    link.run(100)
+    assert link.fed() == NONE
+    assert set(link.ours.refused) == ALL_SERVOS
+
+
+def test_a_low_supply_is_reported_and_takes_nothing() -> None:
+    link = fed()
+    link.board.fail(SUPPLY_LOW)
+    link.run(1000)
+    [(_, news)] = link.events(Kind.POWER_FAULT)
+    assert "too low" in news.detail
+    assert link.fed() == ALL_SERVOS
+    assert link.ours.refused == {}
+
+
+def test_the_off_button_is_news() -> None:
+    link = fed()
+    link.board.press_button(link.now_ns)
+    link.run(10)
+    assert len(link.events(Kind.OFF_BUTTON)) == 1

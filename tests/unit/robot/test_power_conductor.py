@@ -1,0 +1,229 @@
+"""The power board under the service, in virtual time: what is fed when, what is confirmed, and what its news stop."""
+
+import asyncio
+from typing import Final
+
+import pytest
+
+from gateway.model.power_board import SERVO_OVERCURRENT, set_supply
+from schemas import keys
+from schemas.robot import LEGS, SERVO_IDS
+from schemas.telemetry import Kind, Mode, Reason
+from tests.support.elkapod import all_legs
+from tests.support.power import FedElkapod, FedRobot, running
+from tests.support.robot import leg, servo
+
+pytestmark = pytest.mark.virtual_time
+
+ALL: Final = frozenset(SERVO_IDS)
+LEG_3: Final = keys.leg_command(3)
+START: Final = leg("start", 90, 90, 90)
+UP_S: Final = 1.0
+"""The board switches eighteen servos on in three quarters of a second."""
+
+
+async def fed(**sections: dict[str, object]) -> FedRobot:
+    """A robot whose servos are all fed."""
+    robot = FedRobot(**sections)
+    await asyncio.sleep(UP_S)
+    assert robot.line.fed == ALL
+    return robot
+
+
+async def keep(robot: FedRobot | FedElkapod, seconds: float, key: str, payload: dict[str, object]) -> None:
+    """Send this ten times a second, so that no watchdog expires."""
+    for _ in range(round(seconds * 10)):
+        robot.put(key, payload)
+        await asyncio.sleep(0.1)
+
+
+async def test_all_servos_are_fed_behind_the_first_stops_and_the_state_says_so() -> None:
+    robot = FedRobot()
+    assert len(robot.frames) == len(LEGS)
+    assert robot.line.fed == frozenset()
+    await asyncio.sleep(UP_S)
+    report = robot.conductor.state().power
+    assert report is not None
+    assert (report.interface, report.alive, frozenset(report.supplied), report.confirmed) == ("sim", True, ALL, True)
+    assert report.age_ms is not None
+    assert report.age_ms < 20
+
+
+async def test_an_emergency_stop_takes_all_supply_and_its_answer_waits_for_the_boards() -> None:
+    robot = await fed()
+    answers = robot.get(keys.ESTOP)
+    assert robot.line.fed == frozenset(), "at once, in the board's interrupt"
+    assert answers == []
+    await asyncio.sleep(0.15)
+    (ack,) = answers
+    assert (ack.accepted, ack.confirmed, ack.stop_frames) == (True, True, 6)
+    assert ack.confirmed_ms is not None
+    assert 26 <= ack.confirmed_ms <= 60
+    assert Kind.POWER_CUT in [event.kind for event in robot.events()]
+    robot.put(keys.RESET, {"estop": 1})
+    await asyncio.sleep(UP_S)
+    assert robot.line.fed == ALL
+    assert robot.conductor.state().mode is Mode.IDLE, "nothing runs"
+    assert Kind.POWER_RESTORED in [event.kind for event in robot.events()]
+
+
+async def test_no_answer_waits_longer_than_confirm_ms_for_a_board_that_says_nothing() -> None:
+    robot = await fed(power={"confirm_ms": 100})
+    robot.line.unplugged = True
+    answers = robot.get(keys.ESTOP)
+    await asyncio.sleep(0.099)
+    assert answers == []
+    await asyncio.sleep(0.003)
+    (ack,) = answers
+    assert (ack.accepted, ack.confirmed, ack.confirmed_ms) == (True, False, None)
+    assert Kind.POWER_UNCONFIRMED in [event.kind for event in robot.events()]
+
+
+async def test_a_stop_that_leaves_the_supply_on_is_answered_at_once_and_is_believed() -> None:
+    robot = await fed()
+    assert robot.ask(LEG_3, START).confirmed is None
+    ack = robot.ask(LEG_3, leg("stop"))
+    assert (ack.accepted, ack.confirmed, ack.confirmed_ms) == (True, False, None)
+
+
+@pytest.mark.parametrize("cut_on", [[], ["estop"]])
+async def test_cut_on_says_what_takes_the_supply(cut_on: list[str]) -> None:
+    robot = await fed(power={"cut_on": cut_on})
+    robot.put(keys.ESTOP)
+    assert robot.line.fed == (frozenset() if cut_on else ALL)
+
+
+async def test_too_few_buttons_take_the_supply_once_nothing_runs() -> None:
+    robot = FedRobot(buttons={"required": 1})
+    await asyncio.sleep(UP_S)
+    assert robot.line.fed == frozenset(), "nobody watches yet"
+
+
+@pytest.mark.parametrize("cut_on", [[], ["shutdown"]])
+async def test_the_end_takes_the_supply(cut_on: list[str]) -> None:
+    robot = await fed(power={"cut_on": cut_on})
+    robot.conductor.shut_down()
+    assert robot.line.fed == (frozenset() if cut_on else ALL)
+
+
+async def test_a_bus_that_fails_takes_the_supply_and_one_that_is_back_gives_it_again() -> None:
+    robot = await fed()
+    robot.put(LEG_3, START)
+    robot.controller.fail_where(lambda _: True)
+    robot.put(LEG_3, leg("stop"))
+    assert robot.conductor.state().mode is Mode.BUS_FAULT
+    assert robot.line.fed == frozenset()
+    robot.controller.fail_where(lambda _: False)
+    await asyncio.sleep(UP_S)
+    assert robot.line.fed == ALL
+    assert running(robot) == []
+
+
+async def test_nothing_starts_while_the_board_is_silent_and_what_runs_is_stopped() -> None:
+    robot = await fed()
+    robot.put(LEG_3, START)
+    await asyncio.sleep(0.05)
+    robot.line.unplugged = True
+    await asyncio.sleep(0.19)
+    assert Kind.POWER_UNCONFIRMED in [event.kind for event in robot.events()]
+    assert running(robot) == []
+    ack = robot.ask(LEG_3, START)
+    assert (ack.accepted, ack.reason) == (False, Reason.NO_POWER)
+    answers = robot.get(LEG_3, leg("stop"))
+    await asyncio.sleep(0.16)
+    assert [(ack.accepted, ack.confirmed) for ack in answers] == [(True, False)]
+    robot.line.unplugged = False
+    await asyncio.sleep(UP_S)
+    assert robot.ask(LEG_3, START).accepted
+
+
+async def test_a_servo_that_the_board_blocks_is_stopped_and_a_reset_feeds_it_again() -> None:
+    robot = await fed()
+    await keep(robot, 0.2, keys.LEGS_COMMAND, all_legs("start", 90))
+    robot.line.simulated.fail(SERVO_OVERCURRENT, outputs=1 << SERVO_IDS.index(31))
+    await keep(robot, 0.2, LEG_3, leg("set", 91, 91, 91))
+    assert 31 not in running(robot)
+    assert 31 not in robot.line.fed
+    ack = robot.ask(keys.servo_command(31), servo("start", 90))
+    assert (ack.reason, "31" in (ack.detail or "")) == (Reason.NO_POWER, True)
+    assert Kind.POWER_FAULT in [event.kind for event in robot.events()]
+    robot.line.simulated.clear_by_hand()
+    await asyncio.sleep(0.5)
+    assert 31 not in robot.line.fed, "cleared at the board, it does not come on by itself"
+    robot.put(keys.ESTOP)
+    await asyncio.sleep(0.2)
+    robot.put(keys.RESET, {"estop": 1})
+    await asyncio.sleep(UP_S)
+    assert robot.line.fed == ALL
+    assert robot.ask(keys.servo_command(31), servo("start", 90)).accepted
+
+
+async def test_what_another_node_switches_off_counts_as_stopped() -> None:
+    robot = await fed()
+    robot.put(LEG_3, START)
+    await asyncio.sleep(0.05)
+    mask = set_supply(0)
+    robot.line.hear_from_another(mask)
+    await asyncio.sleep(0.02)
+    assert running(robot) == []
+    assert Kind.POWER_FAULT in [event.kind for event in robot.events()]
+    await asyncio.sleep(UP_S)
+    assert robot.line.fed == ALL, "and is fed again, with nothing running"
+
+
+async def test_the_off_button_is_an_emergency_stop() -> None:
+    robot = await fed()
+    robot.put(LEG_3, START)
+    robot.line.simulated.press_button(robot.line.now_ns())
+    await asyncio.sleep(0.05)
+    state = robot.conductor.state()
+    assert (state.mode, state.estop, state.estop_source) == (Mode.ESTOPPED, 1, "the power board's off button")
+    assert Kind.OFF_BUTTON in [event.kind for event in robot.events()]
+    assert robot.line.fed == frozenset()
+
+
+# ---- elkapod-2025: a servo's supply is its start and its Stop
+
+
+async def test_a_servo_is_fed_once_its_angle_was_in_two_frames_and_the_uart_has_said_start() -> None:
+    robot = FedElkapod()
+    await asyncio.sleep(0.5)
+    assert robot.line.fed == frozenset()
+    assert robot.ask(keys.servo_command(31), servo("start", 45)).accepted, "one servo alone"
+    await asyncio.sleep(0.2)
+    assert robot.line.fed == {31}
+    first_ms = next(at_ms for at_ms, frame in robot.line.sent if frame.id == 0x6A and any(frame.data))
+    ((start_ms, _),) = [said for said in robot.said if said[1] == "start"]
+    assert first_ms >= round(start_ms)
+
+
+async def test_a_stop_of_one_servo_takes_its_supply_at_once_and_is_confirmed() -> None:
+    robot = FedElkapod()
+    await asyncio.sleep(0.5)
+    robot.put(LEG_3, START)
+    await keep(robot, 0.4, LEG_3, leg("set", 90, 90, 90))
+    assert robot.line.fed == {31, 32, 33}
+    answers = robot.get(keys.servo_command(32), servo("stop"))
+    assert robot.line.fed == {31, 33}
+    shutdowns = len([said for said in robot.said if said[1] == "shutdown"])
+    await asyncio.sleep(0.1)
+    (ack,) = answers
+    assert (ack.accepted, ack.confirmed) == (True, True)
+    assert len([said for said in robot.said if said[1] == "shutdown"]) == shutdowns, "the others run"
+    robot.put(LEG_3, leg("stop"))
+    assert robot.line.fed == frozenset()
+    assert len([said for said in robot.said if said[1] == "shutdown"]) > shutdowns, "with the last, the UART's too"
+
+
+async def test_a_stop_that_is_not_confirmed_stops_the_whole_robot_over_the_uart() -> None:
+    robot = FedElkapod()
+    await asyncio.sleep(0.5)
+    robot.put(keys.LEGS_COMMAND, all_legs("start", 90))
+    await keep(robot, 1.0, keys.LEGS_COMMAND, all_legs("set", 90))
+    assert robot.line.fed == ALL
+    robot.line.deaf = True  # it answers questions, and does not obey masks
+    robot.put(LEG_3, leg("stop"))
+    shutdowns = len([said for said in robot.said if said[1] == "shutdown"])
+    await keep(robot, 0.3, keys.leg_command(1), leg("set", 90, 90, 90))
+    assert len([said for said in robot.said if said[1] == "shutdown"]) > shutdowns
+    assert running(robot) == []

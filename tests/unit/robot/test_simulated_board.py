@@ -1,0 +1,316 @@
+"""The simulated power board against what its firmware does, in passes of the main loop and in literal bytes."""
+
+import pytest
+
+from gateway.model.power_board import CanFrame
+from gateway.robot.power.simulated_board import MEASURE_NS, PASS_NS, SimulatedBoard
+
+ALL = CanFrame(0x6A, bytes.fromhex("03ffff"))
+NONE = CanFrame(0x6A, bytes(3))
+ALL_ON = CanFrame(0x6B, bytes.fromhex("03ffff"))
+NONE_ON = CanFrame(0x6B, bytes(3))
+TOO_MUCH_MA = 4000.0
+
+
+def outputs(*numbers: int) -> int:
+    return sum(1 << number - 1 for number in numbers)
+
+
+def mask(*numbers: int) -> CanFrame:
+    return CanFrame(0x6A, outputs(*numbers).to_bytes(3, "big"))
+
+
+class Bench:
+    """A board and its clock. A frame arrives in the pause behind a pass."""
+
+    def __init__(self) -> None:
+        self.now_ns = PASS_NS // 2
+        self.board = SimulatedBoard()
+
+    def take(self, frame: CanFrame) -> list[CanFrame]:
+        return self.board.take(frame, self.now_ns)
+
+    def ask(self, identifier: int) -> bytes:
+        (answer,) = self.take(CanFrame(identifier))
+        assert answer.id == identifier + 1
+        return answer.data
+
+    def passes(self, number: int) -> list[CanFrame]:
+        """So many passes later."""
+        sent = []
+        for _ in range(number):
+            self.now_ns += PASS_NS
+            sent += self.board.advance(self.now_ns)
+        return sent
+
+    def until(self, answer: int, most: int = 2000) -> tuple[int, CanFrame]:
+        """After how many passes the first frame with this identifier comes, and the frame."""
+        for number in range(1, most + 1):
+            for frame in self.passes(1):
+                if frame.id == answer:
+                    return number, frame
+        raise AssertionError(f"no {answer:02X} within {most} passes")
+
+    def measure(self, times: int = 1) -> None:
+        self.now_ns += times * MEASURE_NS
+        self.said = self.board.advance(self.now_ns)
+
+
+@pytest.fixture
+def bench() -> Bench:
+    return Bench()
+
+
+@pytest.fixture
+def fed(bench: Bench) -> Bench:
+    """All outputs are on, long ago."""
+    bench.take(ALL)
+    bench.passes(1000)
+    assert bench.board.fed == 0x3FFFF
+    return bench
+
+
+# ---- switching
+
+
+def test_off_is_at_once_and_answered_after_26_passes(fed: Bench) -> None:
+    assert fed.take(NONE) == []
+    assert fed.board.fed == 0
+    assert fed.until(0x6B) == (26, NONE_ON)
+    assert fed.passes(1000) == [], "once"
+
+
+def test_all_eighteen_go_on_one_by_one_in_494_passes(bench: Bench) -> None:
+    bench.take(ALL)
+    seen = []
+    for _ in range(493):
+        assert bench.passes(1) == []
+        seen.append(bench.board.fed)
+    assert [seen.index((1 << number) - 1) + 1 for number in range(1, 19)] == [26 * number for number in range(1, 19)]
+    assert bench.passes(1) == [ALL_ON]
+
+
+@pytest.mark.parametrize(("more", "passes"), [(0, 26 + 230), (9, 26 + 9 * 26 + 230)])
+def test_a_mask_within_a_pass_behind_an_answer_waits_230_passes_longer(fed: Bench, more: int, passes: int) -> None:
+    """What is to be off is off at once even then."""
+    fed.take(NONE)
+    fed.until(0x6B)
+    wanted = range(1, more + 1)
+    fed.take(mask(*wanted))
+    assert fed.until(0x6B) == (passes, CanFrame(0x6B, mask(*wanted).data))
+    assert {0: 256, 9: 490}[more] == passes
+
+
+def test_off_is_at_once_even_within_a_pass_behind_an_answer(fed: Bench) -> None:
+    fed.take(ALL)
+    fed.until(0x6B)
+    fed.take(NONE)
+    assert fed.board.fed == 0
+    assert fed.until(0x6B) == (256, NONE_ON)
+
+
+def test_a_mask_a_pass_later_is_answered_as_ever(fed: Bench) -> None:
+    fed.take(NONE)
+    fed.until(0x6B)
+    fed.passes(1)
+    fed.take(NONE)
+    assert fed.until(0x6B) == (26, NONE_ON)
+
+
+def test_masks_that_come_while_another_is_worked_on_do_no_harm(bench: Bench) -> None:
+    answers: list[CanFrame] = []
+    for _ in range(80):
+        answers += bench.take(ALL) + bench.passes(5)
+    assert answers == []
+    assert bench.until(0x6B) == (94, ALL_ON)
+
+
+def test_a_mask_that_is_not_three_bytes_long_and_other_frames_change_nothing(fed: Bench) -> None:
+    for frame in (CanFrame(0x6A), CanFrame(0x6A, bytes(2)), CanFrame(0x6A, bytes(4)), CanFrame(0x92, bytes(2))):
+        assert fed.take(frame) == []
+    assert fed.passes(300) == []
+    assert fed.board.fed == 0x3FFFF
+
+
+# ---- questions
+
+
+def test_currents_are_those_of_the_newest_measurement_and_none_of_what_is_off(fed: Bench) -> None:
+    fed.board.draws_ma[:4] = 8.0, 300.7, 3000.0, 256.0
+    fed.measure()
+    assert fed.ask(0x70).hex() == "0008012c0bb8"
+    assert fed.ask(0x72).hex() == "010000000000"
+    fed.take(NONE)
+    assert fed.ask(0x70).hex() == "0008012c0bb8", "not measured yet"
+    fed.measure()
+    assert fed.ask(0x70) == fed.ask(0x72) == bytes(6)
+
+
+def test_rails_and_temperatures(fed: Bench) -> None:
+    fed.board.draws_ma[17] = 2000.0
+    fed.board.battery_mv = 14_800
+    fed.board.temperatures_c[:] = [31, -2, 30]
+    fed.measure()
+    assert fed.ask(0x7C).hex() == "00000384003c"  # the 5 V and 3.3 V that are assumed
+    assert fed.ask(0x7E).hex() == "0014" + (1317).to_bytes(2, "big").hex()  # 2 A at 7.4 V, 0.9 A at 5, 60 mA at 3.3
+    assert fed.ask(0x80).hex() == "1ce8" * 3
+    assert fed.ask(0x82).hex() == "00001388"
+    assert fed.ask(0x84).hex() == "39d0" * 2
+    assert fed.ask(0x86).hex() == "001ffffe001e"
+
+
+def test_a_question_with_data_is_none(fed: Bench) -> None:
+    for identifier in (0x64, 0x66, 0x70, 0x7C, 0x86, 0x96):
+        assert fed.take(CanFrame(identifier, b"\0")) == []
+    assert fed.passes(2000) == []
+
+
+# ---- errors
+
+
+def test_no_error_is_answered_without_bytes_in_the_next_pass(bench: Bench) -> None:
+    assert bench.take(CanFrame(0x64)) == []
+    assert bench.passes(5) == [CanFrame(0x65)]
+    bench.take(CanFrame(0x96))
+    assert bench.passes(5) == [], "there was nothing to delete"
+
+
+def test_ten_measurements_above_the_limit_block_an_output_and_nine_do_not(fed: Bench) -> None:
+    fed.board.draws_ma[4] = TOO_MUCH_MA
+    fed.measure(9)
+    fed.board.draws_ma[4] = 3900.0
+    fed.measure()
+    fed.board.draws_ma[4] = TOO_MUCH_MA
+    fed.measure(9)
+    assert fed.board.fed == 0x3FFFF
+    fed.measure()
+    assert fed.board.fed == 0x3FFFF & ~outputs(5)
+    sent = fed.said + fed.passes(100)
+    assert sent == [CanFrame(0x65, bytes.fromhex("02000010")), CanFrame(0x6B, bytes.fromhex("03ffef"))]
+    fed.take(ALL)
+    assert fed.until(0x6B)[1].data.hex() == "03ffef", "blocked whatever the mask"
+
+
+def test_an_output_of_the_newest_mask_comes_on_by_itself_when_its_error_is_deleted(fed: Bench) -> None:
+    fed.board.fail(2, outputs=outputs(5))
+    assert fed.board.fed == 0x3FFFF & ~outputs(5)
+    fed.passes(100)
+    fed.take(CanFrame(0x96))
+    assert fed.passes(1) == [CanFrame(0x97)]
+    fed.passes(26)
+    assert fed.board.fed == 0x3FFFF
+
+
+def test_deleting_by_hand_gives_nothing_back_that_a_newer_mask_leaves_out(fed: Bench) -> None:
+    fed.board.fail(2, outputs=outputs(5))
+    fed.take(CanFrame(0x6A, bytes.fromhex("03ffef")))
+    fed.board.clear_by_hand()
+    fed.passes(1000)
+    assert fed.board.fed == 0x3FFFF & ~outputs(5)
+
+
+def test_each_64_shows_the_next_error_and_96_deletes_the_one_shown_last(bench: Bench) -> None:
+    bench.board.fail(8)
+    bench.board.fail(2, outputs=outputs(1))
+    shown = [bench.passes(1)[0].data.hex()]  # the newest unasked
+    bench.board.fail(1, converters=1)
+    shown += [bench.passes(1)[0].data.hex()]
+    for _ in range(3):
+        bench.take(CanFrame(0x64))
+        shown.append(bench.passes(1)[0].data.hex())
+    assert shown == ["02000001", "0101", "02000001", "08", "0101"]
+    for left in ("08", "02000001", ""):  # it goes on behind the place of the one deleted
+        bench.take(CanFrame(0x96))
+        assert CanFrame(0x97) in bench.passes(1)
+        bench.take(CanFrame(0x96))
+        bench.take(CanFrame(0x64))
+        (answer,) = (frame for frame in bench.passes(1) if frame.id != 0x6B)
+        assert answer == CanFrame(0x65, bytes.fromhex(left)), "the second 96 deleted nothing"
+
+
+def test_an_error_that_grows_is_shown_again_and_one_that_repeats_is_not(bench: Bench) -> None:
+    bench.board.fail(2, outputs=outputs(5))
+    assert bench.passes(1) == [CanFrame(0x65, bytes.fromhex("02000010"))]
+    bench.board.fail(2, outputs=outputs(5))
+    assert not [frame for frame in bench.passes(20) if frame.id == 0x65]
+    bench.board.fail(2, outputs=outputs(18))
+    assert bench.passes(1) == [CanFrame(0x65, bytes.fromhex("02020010"))]
+
+
+@pytest.mark.parametrize("code", [1, 4])
+def test_a_converter_that_fails_feeds_none_of_its_six_though_the_mask_shows_them(fed: Bench, code: int) -> None:
+    fed.board.fail(code, converters=0b10)
+    assert fed.board.fed == 0x3FFFF & ~outputs(7, 8, 9, 10, 11, 12)
+    assert fed.ask(0x80).hex() == "1ce800001ce8"
+    assert fed.until(0x6B)[1] == ALL_ON
+    fed.board.clear_by_hand()
+    assert fed.board.fed == 0x3FFFF, "all six at once"
+
+
+# ---- its button, its own supply
+
+
+def test_its_button_is_said_once_in_the_next_pass(fed: Bench) -> None:
+    fed.board.press_button(fed.now_ns)
+    assert fed.passes(1) == [CanFrame(0x69)]
+    assert fed.passes(100) == []
+    assert fed.board.fed == 0x3FFFF
+
+
+def test_without_supply_it_forgets_everything_and_is_silent_until_its_button_is_pressed(fed: Bench) -> None:
+    fed.board.fail(2, outputs=outputs(5))
+    fed.board.restart()
+    assert fed.board.fed == 0
+    assert fed.take(CanFrame(0x70)) == fed.take(ALL) == fed.passes(2000) == []
+    fed.board.press_button(fed.now_ns)
+    fed.now_ns += 150_000_000
+    assert fed.take(CanFrame(0x70)) == []
+    fed.now_ns += 20_000_000
+    assert fed.take(CanFrame(0x70)) == [CanFrame(0x71, bytes(6))]
+    assert fed.passes(1000) == []
+    assert fed.board.fed == 0
+    fed.take(CanFrame(0x64))
+    assert fed.passes(1) == [CanFrame(0x65)]
+
+
+def test_66_takes_all_supply_after_1000_passes(fed: Bench) -> None:
+    assert fed.take(CanFrame(0x66)) == [CanFrame(0x67)]
+    fed.passes(999)
+    assert fed.board.fed == 0x3FFFF
+    fed.passes(2)
+    assert fed.board.fed == 0
+    assert fed.take(CanFrame(0x70)) == []
+
+
+# ---- faults, time
+
+
+def test_a_switch_that_has_melted_feeds_whatever_the_board_answers(fed: Bench) -> None:
+    fed.board.stuck = outputs(4)
+    fed.board.draws_ma[3] = 500.0
+    fed.take(NONE)
+    assert fed.until(0x6B) == (26, NONE_ON)
+    assert fed.board.fed == outputs(4)
+    fed.measure()
+    assert fed.ask(0x72).hex() == "01f400000000"
+
+
+def test_one_that_looks_only_when_something_is_due_sees_the_same(bench: Bench) -> None:
+    """`due_ns` never lies behind what happens by itself."""
+    other = Bench()
+    each_pass, when_due = [], []
+    for frame in (ALL, NONE, mask(3), CanFrame(0x64), CanFrame(0x96), CanFrame(0x66)):
+        bench.take(frame)
+        other.take(frame)
+        for each in (bench, other):
+            each.board.fail(2, outputs=outputs(3))
+        end_ns = bench.now_ns + 260 * PASS_NS
+        for _ in range(260):
+            each_pass += [(bench.now_ns, sent) for sent in bench.passes(1)]
+        while (due_ns := other.board.due_ns) <= end_ns:
+            # The bench looks half a pass behind each pass.
+            when_due += [(due_ns + PASS_NS // 2, sent) for sent in other.board.advance(due_ns)]
+        other.now_ns = end_ns
+        other.board.advance(end_ns)
+    assert when_due == each_pass
+    assert len(each_pass) > 6
