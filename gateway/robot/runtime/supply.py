@@ -12,7 +12,7 @@ from typing import Final, Protocol
 
 from gateway.allowance import NS_PER_MS
 from gateway.model import power_board
-from gateway.robot.core.events import Announce, Effect, PowerSeen, Request
+from gateway.robot.core.events import Announce, Completed, Effect, PowerSeen, Request, Reset
 from gateway.robot.core.message import Received, Verb
 from gateway.robot.core.power import CutOn, cut_by
 from gateway.robot.core.supervisor import Supervisor
@@ -42,6 +42,7 @@ _WHY: Final = {
 }
 _CONVERTERS: Final = (power_board.CONVERTERS_1_TO_3_MV, power_board.CONVERTERS_4_5_MV)
 _DREW: Final = "it drew current after its Stop; a reset feeds it again"
+_TAKEN: Final = "another program has switched it off; a reset feeds it again"
 _ALL: Final = frozenset(SERVO_IDS)
 _NONE: Final = frozenset[int]()
 
@@ -95,6 +96,7 @@ class RobotSupply:
         self._withheld: dict[int, str] = {}
         """Servos that are not fed before a reset, and why: blocked by the board, or they drew current after a Stop."""
         self._refused: Mapping[int, str] = {}
+        self._alive = False
         self._currents = CurrentRules(settings.idle_ma, round(settings.settle_ms * NS_PER_MS))
         self._found: list[News] = []
         """What the currents say."""
@@ -177,10 +179,12 @@ class RobotSupply:
                     doubt = each.detail
         status = self._line.status
         self._lost = status.lost
+        if self._alive and status.alive:  # `stop-servos`, say: whoever took it knows why
+            self._withheld |= dict.fromkeys(self._lost - status.refused.keys(), _TAKEN)
         newly = status.refused.keys() - self._refused.keys()
         # One that the board, or a person at it, has unblocked would come on by itself: it waits for a reset.
         self._withheld |= {servo_id: f"{status.refused[servo_id]}; a reset feeds it again" for servo_id in newly}
-        self._refused = status.refused
+        self._alive, self._refused = status.alive, status.refused
         refused = {**self._withheld, **status.refused}
         seen.event = PowerSeen(status.alive, tuple(sorted(refused.items())), self._lost, doubt)
         return seen
@@ -261,7 +265,7 @@ class Feeding:
         self._supply.before(self._supervisor)
         outcome = self._carry_out(effects, heard)
         if outcome.fault is None:
-            if any(type(each) is Announce and each.kind is Kind.ESTOP_RESET for each in effects):
+            if any(type(each) is Completed and type(each.request) is Reset for each in effects):
                 self._supply.reset()
             for each in self._supply.behind(self._supervisor):
                 self._announce(each)

@@ -168,7 +168,26 @@ async def test_what_another_node_switches_off_counts_as_stopped() -> None:
     assert running(robot) == []
     assert Kind.POWER_FAULT in [event.kind for event in robot.events()]
     await asyncio.sleep(UP_S)
-    assert robot.line.fed == ALL, "and is fed again, with nothing running"
+    assert robot.line.fed == frozenset(), "whoever took it knows why"
+    assert robot.ask(LEG_3, START).reason == Reason.NO_POWER
+    robot.put(keys.RESET, {})
+    await asyncio.sleep(UP_S)
+    assert robot.line.fed == ALL
+    assert running(robot) == []
+    assert robot.ask(LEG_3, START).accepted
+
+
+async def test_a_board_that_restarts_has_all_off_and_feeds_again_once_it_answers() -> None:
+    robot = await fed()
+    robot.put(LEG_3, START)
+    await keep(robot, 0.1, LEG_3, leg("set", 91, 91, 91))
+    robot.line.simulated.restart()
+    await keep(robot, 0.2, LEG_3, leg("set", 91, 91, 91))
+    assert running(robot) == []
+    robot.line.simulated.press_button(robot.line.now_ns())
+    await asyncio.sleep(1 + UP_S)
+    assert robot.line.fed == ALL
+    assert running(robot) == [], "a start is needed"
 
 
 async def test_the_off_button_is_an_emergency_stop() -> None:
