@@ -9,6 +9,7 @@ from gateway.robot.power.board import Confirmed, News, PowerBoard
 from gateway.robot.power.line import Status
 from gateway.robot.power.simulated_board import SimulatedBoard
 from gateway.robot.runtime.supply import RobotSupply
+from gateway.robot.service import BEAT_S
 from tests.support.elkapod import ElkapodRobot
 from tests.support.robot import MS, Robot
 
@@ -136,4 +137,11 @@ def _feed(robot: FedRobot | FedElkapod, ready: Callable[[], frozenset[int]] | No
     robot.line = VirtualLine(robot.loop, power.outputs, round(power.confirm_ms * MS))
     robot.line.on_news = lambda: robot.conductor.power_changed()  # noqa: PLW0108  (it is made behind this)
     robot.line.want(frozenset())
+
+    def beat() -> None:
+        """The service's."""
+        robot.conductor.look_outside()
+        robot.loop.call_later(BEAT_S, beat)
+
+    robot.loop.call_later(BEAT_S, beat)
     return RobotSupply(robot.line, power, ready)
