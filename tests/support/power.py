@@ -135,7 +135,6 @@ class FedElkapod(ElkapodRobot):
 def _feed(robot: FedRobot | FedElkapod, ready: Callable[[], frozenset[int]] | None) -> RobotSupply:
     power = robot.settings.power
     robot.line = VirtualLine(robot.loop, power.outputs, round(power.confirm_ms * MS))
-    robot.line.on_news = lambda: robot.conductor.power_changed()  # noqa: PLW0108  (it is made behind this)
     robot.line.want(frozenset())
 
     def beat() -> None:
@@ -144,4 +143,6 @@ def _feed(robot: FedRobot | FedElkapod, ready: Callable[[], frozenset[int]] | No
         robot.loop.call_later(BEAT_S, beat)
 
     robot.loop.call_later(BEAT_S, beat)
-    return RobotSupply(robot.line, power, ready)
+    supply = RobotSupply(robot.line, power, ready)
+    robot.line.on_news = lambda: supply.on_news()  # noqa: PLW0108  (it is set behind this)
+    return supply

@@ -5,8 +5,10 @@ step takes off is asked for before the step's frames, and what it feeds behind t
 SPI, and no servo is fed before its Stop, or its angle, was written.
 """
 
+import asyncio
 import json
 from collections.abc import Callable, Collection, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Final, Protocol
 
@@ -16,6 +18,7 @@ from gateway.robot.core.events import Announce, Completed, Effect, PowerSeen, Re
 from gateway.robot.core.message import Received, Verb
 from gateway.robot.core.power import CutOn, cut_by
 from gateway.robot.core.supervisor import Supervisor
+from gateway.robot.host.ownership import Ownership
 from gateway.robot.power.board import Confirmed, News, PowerBoard
 from gateway.robot.power.currents import CurrentRules
 from gateway.robot.power.line import PowerLine, Status
@@ -87,6 +90,8 @@ class RobotSupply:
 
     def __init__(self, line: Line, settings: PowerSettings, ready: Callable[[], frozenset[int]] | None) -> None:
         self._line = line
+        self.on_news: Callable[[], None] = lambda: None
+        """Whom the owner of the state calls for the board's news."""
         self._interface = settings.interface
         self._cut_on = frozenset(settings.cut_on)
         self._ready = ready
@@ -285,7 +290,8 @@ def supply_of(
     settings: Settings,
     wire: Wire,
     channel: str | None,
-    on_news: Callable[[], None],
+    loop: asyncio.AbstractEventLoop,
+    owner: Ownership,
     failed: Callable[[Exception], None],
 ) -> RobotSupply | None:
     """The supply of this robot, with its line begun; None: there is no board. Raises ConfigError.
@@ -298,6 +304,16 @@ def supply_of(
     if channel is not None:
         power = power.model_copy(update={"interface": "slcan", "channel": channel})
     board = PowerBoard(power.outputs, confirm_ns=round(power.confirm_ms * NS_PER_MS))
+
+    def changed() -> None:
+        with owner:
+            supply.on_news()
+
+    def on_news() -> None:
+        """What receives from the board must not wait for the state: the loop does."""
+        with suppress(RuntimeError):  # the loop is closed: the service has ended
+            loop.call_soon_threadsafe(changed)
+
     line = PowerLine(power, board, on_news, failed)
     supply = RobotSupply(line, settings.power, wire.ready_servos if isinstance(wire, CyclicBus) else None)
     line.want(_NONE)
