@@ -9,6 +9,7 @@ Callers of `want`, `cut` and `when_off` wait for neither: a request goes into a 
 takes it. So a sender that hangs delays no Stop on SPI, and that the board is silent is reported all the same.
 """
 
+import logging
 import threading
 import time
 from collections import deque
@@ -76,6 +77,7 @@ def open_bus(settings: PowerSettings) -> "can.BusABC":
         from gateway.robot.power.slcan import Slcan  # noqa: PLC0415
     except ImportError as error:
         raise ConfigError("python-can is not installed: pip install 'hexapod-gateway[power]'") from error
+    logging.getLogger("can").setLevel(logging.ERROR)  # it warns of each interface that could not be opened
     try:
         if settings.interface == "slcan":
             return Slcan(settings.channel, bitrate=settings.bitrate)
@@ -87,7 +89,7 @@ def open_bus(settings: PowerSettings) -> "can.BusABC":
             can_filters=FILTERS,
             ignore_config=True,
         )
-    except can.CanInterfaceNotImplementedError as error:
+    except NotImplementedError as error:
         raise ConfigError(f'power.interface = "{settings.interface}": {error}') from error
     except (can.CanError, OSError, ValueError, TypeError) as error:
         raise LineError(f"{settings.interface} {settings.channel} cannot be opened: {error}") from error
