@@ -25,7 +25,7 @@ from gateway.people.console.pages import Page, Pages
 from gateway.people.terminal.screen import ALARM
 from gateway.people.terminal.stop_status import SHOWN_NS, StopStatus, Tone
 from gateway.people.tools.button.screen import ButtonScreen
-from gateway.people.tools.send import estop_report
+from gateway.people.tools.send import command_report, estop_report
 from gateway.people.tools.status import sentences
 from schemas.telemetry import Ack, GatewayState, Kind, Mode, PowerReport, ServoTelemetry, Telemetry
 from tests.support.watch_reports import WALL, event, model_with_power, screen, state
@@ -141,7 +141,7 @@ def test_a_terminal_is_red_until_the_board_confirms_a_stop() -> None:
         (False, None, DOUBTED, 1, f"of the request\n{UNCONFIRMED}\n"),
         (False, None, SILENT, 1, f"of the request\n{UNCONFIRMED}\n"),
         (False, None, UnansweredError("no state"), 1, f"of the request\n{UNCONFIRMED}\n"),
-        (False, None, FED, 0, "of the request\n"),  # nothing is to be off: an emergency stop leaves the supply on
+        (False, None, FED, 0, "of the request\n"),  # nothing is to be off: this Stop leaves the supply on
     ],
 )
 def test_the_command_says_whether_the_board_confirmed(
@@ -160,6 +160,8 @@ def test_the_command_says_whether_the_board_confirmed(
     ack = STOPPED.model_copy(update={"confirmed": confirmed, "confirmed_ms": confirmed_ms})
     assert estop_report(ack, look) == code
     assert capsys.readouterr().out == f"stopped: 6 Stop frames written within 812 µs {words}"
+    assert command_report(ack, "accepted of the request", look) == code
+    assert capsys.readouterr().out == f"accepted {words}", "a Stop of single legs, too"
     assert confirmed_off(Ack(accepted=True, confirmed=True)) == ", power confirmed off"
 
 
