@@ -200,7 +200,7 @@ def send_stop(
 ) -> None:
     """Stop all six legs. They can be started again at once; after `estop` only a `reset` allows that.
 
-    Exit codes: 0 accepted, 1 rejected, 4 no gateway answers.
+    Exit codes: 0 accepted, 1 rejected, or the power board does not confirm it, 4 no gateway answers.
     """
     from gateway.people.tools import send
 
@@ -407,7 +407,8 @@ send_app = typer.Typer(
     help="Send one acknowledged command through a running gateway.\n\n"
     "Without a further command the watchdog stops the leg (after watchdog.timeout_ms); --hold repeats the command "
     "every 50 ms, and holds the lease meanwhile (see `lease`), if it is free.\n\n"
-    "Exit codes: 0 accepted, 1 rejected (the reason is printed), 4 no gateway answers.",
+    "Exit codes: 0 accepted, 1 rejected (the reason is printed), or the power board does not confirm a Stop, 4 no "
+    "gateway answers.",
     no_args_is_help=True,
 )
 app.add_typer(send_app, name="send")

@@ -1,16 +1,18 @@
 """`run`: the service, and what it prints once it is ready."""
 
 from collections.abc import Sequence
-from contextlib import nullcontext
+from contextlib import ExitStack
 from pathlib import Path
 
 import zenoh
 
+from gateway.onboard.board_process import BoardProcess
 from gateway.onboard.body_process import BodyProcess
 from gateway.people.physics.assumed import Assumed
 from gateway.people.terminal import say, this_command
 from gateway.robot import service
 from gateway.robot import settings as settings_file
+from gateway.robot.sections import SIMULATED
 from gateway.robot.settings import Settings
 from gateway.robot.spi import unreliable
 from gateway.robot.spi.unreliable import Faults
@@ -27,11 +29,23 @@ def serve(
     """
     faults = None if fault is None else unreliable.read(fault)
     settings = settings_file.load(config, simulated=simulated)
-    with nullcontext() if body is None else BodyProcess(*body) as process:
-        _run(settings, simulated=simulated, body=process, faults=faults)
+    with ExitStack() as processes:
+        moved = None if body is None else processes.enter_context(BodyProcess(*body))
+        board = None
+        if settings.power.interface == SIMULATED:
+            pages = (None, None) if moved is None else (moved.page, moved.sensed)
+            board = processes.enter_context(BoardProcess(settings.power.outputs, *pages))
+        _run(settings, simulated=simulated, body=moved, board=board, faults=faults)
 
 
-def _run(settings: Settings, *, simulated: bool, body: BodyProcess | None, faults: Faults | None) -> None:
+def _run(
+    settings: Settings,
+    *,
+    simulated: bool,
+    body: BodyProcess | None,
+    board: BoardProcess | None,
+    faults: Faults | None,
+) -> None:
     """Once it is ready, print its address and what to try next."""
     controller = "a simulated controller" if simulated else settings.spi.device
     robot = controller if body is None else "a simulated robot"
@@ -45,7 +59,8 @@ def _run(settings: Settings, *, simulated: bool, body: BodyProcess | None, fault
         say(next_step(endpoints, this_command()))
 
     physics = None if body is None else service.Physics(body.page, body.sensed, body.zenoh_id, body.folder)
-    service.run(settings, simulated=simulated, physics=physics, faults=faults, on_ready=ready)
+    at = None if board is None else service.PowerBoardAt(board.channel, board.page)
+    service.run(settings, simulated=simulated, physics=physics, board=at, faults=faults, on_ready=ready)
 
 
 def next_step(endpoints: Sequence[str], command: str) -> str:

@@ -141,6 +141,10 @@ class SafetySettings(Section):
 CutOn = Literal["estop", "bus_fault", "button", "shutdown", "unconfirmed"]
 
 
+SIMULATED: Final = "sim"
+"""The interface of a simulated power board."""
+
+
 class PowerSettings(Section):
     """The board on CAN that switches each servo's supply; none by default."""
 

@@ -83,6 +83,15 @@ class Physics(NamedTuple):
     """Private folder of the socket through which it reaches the gateway."""
 
 
+class PowerBoardAt(NamedTuple):
+    """A simulated power board."""
+
+    channel: str
+    """The serial device at which it answers, as slcan."""
+    page: ServoPage
+    """Shared memory in which it reads where the servos are sent, and writes which are fed."""
+
+
 def rules(settings: Settings) -> Rules:
     """The supervisor's rules: the settings in ns and hundredths of a degree."""
     return Rules(
@@ -135,14 +144,11 @@ def run(
     *,
     simulated: bool,
     physics: Physics | None = None,
-    board: str | None = None,
+    board: PowerBoardAt | None = None,
     faults: Faults | None = None,
     on_ready: Callable[[zenoh.Config], None] = lambda _: None,
 ) -> None:
-    """Run the service until SIGTERM or SIGINT. Raises SpiError, ZenohError or ConfigError.
-
-    `board`: the terminal at which a simulated power board is.
-    """
+    """Run the service until SIGTERM or SIGINT. Raises SpiError, ZenohError or ConfigError."""
     descriptors.ensure()
     realtime.prefer_process()
     realtime.limit_malloc_arenas()
@@ -198,7 +204,7 @@ async def _run(
     *,
     simulated: bool,
     physics: Physics | None,
-    board: str | None,
+    board: PowerBoardAt | None,
     faults: Faults | None,
     on_ready: Callable[[zenoh.Config], None],
 ) -> ServiceEnd:
@@ -207,10 +213,8 @@ async def _run(
     end = ServiceEnd(loop, owner, recorder)
     notifier = SystemdNotifier()
     config, checker, shut_out = _configured(settings.zenoh, physics)
-    bus = wires.wire(
-        settings, simulated=simulated, page=physics and physics.page, sensed=physics and physics.sensed, faults=faults
-    )
-    supply = supply_of(settings, bus, board, lambda: _on_loop(loop, owner, conductor.power_changed), end.mistake)
+    bus = _wire(settings, simulated=simulated, physics=physics, board=board, faults=faults)
+    supply = supply_of(settings, bus, board and board.channel, loop, owner, end.mistake)
     outbox = ZenohOutbox()
     conductor = Conductor(
         settings,
@@ -291,15 +295,11 @@ async def _run(
     return end
 
 
-def _on_loop(loop: asyncio.AbstractEventLoop, owner: Ownership, call: Callable[[], None]) -> None:
-    """Call it as owner of the state, on the loop: a thread that must not wait for the state asks for it."""
-
-    def take() -> None:
-        with owner:
-            call()
-
-    with suppress(RuntimeError):  # the loop is closed: the service has ended
-        loop.call_soon_threadsafe(take)
+def _wire(
+    settings: Settings, *, simulated: bool, physics: Physics | None, board: PowerBoardAt | None, faults: Faults | None
+) -> Wire:
+    page = board.page if board is not None else physics and physics.page
+    return wires.wire(settings, simulated=simulated, page=page, sensed=physics and physics.sensed, faults=faults)
 
 
 def _go_on(bus: Wire, conductor: Conductor, settings: Settings, end: ServiceEnd, *, simulated: bool) -> None:

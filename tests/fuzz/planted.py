@@ -13,10 +13,20 @@ from gateway.model.calibration import RobotCalibration
 from gateway.model.frames import MAX_ANGLE_CDEG
 from gateway.robot.core.body_limits import BodyLimits
 from gateway.robot.core.calibrating import Calibrating
-from gateway.robot.core.events import Calibrate, Command, Effect, Event, Targets, TimePassed, Transmit
+from gateway.robot.core.events import (
+    Calibrate,
+    Command,
+    Effect,
+    Event,
+    PowerSeen,
+    Targets,
+    TimePassed,
+    Transmit,
+)
 from gateway.robot.core.leg import Leg, Rules, Servo
 from gateway.robot.core.legs import Legs
 from gateway.robot.core.pacing import RateSlots
+from gateway.robot.core.power import SILENT
 from gateway.robot.core.supervisor import Supervisor
 from schemas.telemetry import Reason
 
@@ -184,6 +194,18 @@ class FitForAnything(Supervisor):
         self.body = StartsAlways(rules)
 
 
+class FeedsInItsSleep(Supervisor):
+    """Whatever the power board says keeps nothing from starting."""
+
+    def __init__(self, rules: Rules) -> None:
+        super().__init__(replace(rules, power=False))
+
+    def _power_seen(self, event: PowerSeen, now_ns: int) -> list[Effect]:
+        effects = super()._power_seen(event, now_ns)
+        self.power.closed = False
+        return effects
+
+
 class SilenceStopsOneLeg(Supervisor):
     """The watchdog stops the silent leg alone, where legs only stop together."""
 
@@ -201,6 +223,40 @@ class AnybodyCalibrates(Supervisor):
     def _calibrate(self, event: Calibrate, now_ns: int) -> list[Effect]:
         del now_ns
         return self.calibrating.change(event, self.legs.servos)
+
+
+class DoubtsBesideTheWatchdog(Supervisor):
+    """What was due is dealt with before all is stopped, so that a leg gets two Stops."""
+
+    def _stops_all(self, event: Event) -> bool:
+        return not isinstance(event, PowerSeen) and super()._stops_all(event)
+
+
+class RunsOnWithoutBoard(Supervisor):
+    """What runs when the board falls silent goes on."""
+
+    def _bring_down(self, why: str, since_ns: int, now_ns: int, reason: Reason, detail: str) -> list[Effect]:
+        return [] if why == SILENT else super()._bring_down(why, since_ns, now_ns, reason, detail)
+
+
+class LosesOneLeg(Supervisor):
+    """A servo that is not fed any more stops its leg, where legs only stop together."""
+
+    def _power_seen(self, event: PowerSeen, now_ns: int) -> list[Effect]:
+        rules = self._rules
+        self._rules = replace(rules, starts_whole=False)
+        effects = super()._power_seen(event, now_ns)
+        self._rules = rules
+        return effects
+
+
+class StartsWhatWaitsForABlock(Supervisor):
+    """A start that was accepted is sent, though the board has blocked its servo since."""
+
+    def _power_seen(self, event: PowerSeen, now_ns: int) -> list[Effect]:
+        effects = super()._power_seen(replace(event, refused=()), now_ns)
+        self.power.note(event)
+        return effects
 
 
 # ---- its parts

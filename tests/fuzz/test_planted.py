@@ -19,6 +19,7 @@ from gateway.robot.core.events import (
     Effect,
     Event,
     LeaseRequest,
+    PowerSeen,
     Rejected,
     RequestAnswer,
     Reset,
@@ -70,6 +71,9 @@ CALIBRATED_LANDING = BY_NAME["one servo, calibrated and limited in speed, and la
 CALIBRATING_DRIVER = BY_NAME["one servo, calibrated by its driver"]
 UNREAD = BY_NAME["one servo, whose calibration cannot be read"]
 BODY = BY_NAME["one servo, a battery and a body that may fall"]
+POWER = BY_NAME["one servo, and a board that feeds it"]
+POWER_LANDING = BY_NAME["two legs, landing, and a board that feeds them"]
+POWER_WHOLE = BY_NAME["two legs that start and stop as one, and a board that feeds them"]
 WHOLE = BY_NAME["two legs that start and stop as one"]
 WHOLE_SLOW = BY_NAME["two legs that start and stop as one, rate slots later than the watchdog, and landing"]
 WHOLE_LANDING = BY_NAME["two legs that start and stop as one, landing, and a body that may fall"]
@@ -249,6 +253,19 @@ BROKEN: list[tuple[str, Configuration, Make]] = [
     ("that the bus is back is announced as its fault was", BODY, losing(kind=Kind.CONTROLLER_RETURNED)),
     ("that the bus is back is announced as its fault was", ONE_SERVO, losing(kind=Kind.BUS_RECOVERED)),
     ("a fault of the bus is announced once", BODY, losing(kind=Kind.CONTROLLER_SILENT)),
+    # the power board
+    ("rejected for no_power", POWER, ignoring(power=False)),
+    ("rejected for no_power", POWER, planted.FeedsInItsSleep),
+    ("rejected for no_power", POWER, taking(PowerSeen, lambda _, seen: replace(seen, alive=True))),
+    ("rejected for no_power|are stopped", POWER, taking(PowerSeen, lambda _, seen: replace(seen, refused=()))),
+    ("watchdog: a Stop to each leg", POWER, without_stops(PowerSeen)),
+    ("watchdog: a Stop to each leg", POWER, taking(PowerSeen, lambda _, seen: replace(seen, doubt=""))),
+    ("watchdog: a Stop to each leg", POWER, planted.DoubtsBesideTheWatchdog),
+    ("are stopped: [1]", POWER_LANDING, taking(PowerSeen, lambda _, seen: replace(seen, lost=frozenset()))),
+    ("rejected for landing|are stopped", POWER_LANDING, ignoring(landing_ns=0)),
+    ("rejected for landing|wakes up", POWER_LANDING, planted.RunsOnWithoutBoard),
+    ("are stopped: [1, 2]", POWER_WHOLE, planted.LosesOneLeg),
+    ("are stopped: [1, 2]|are stopped: [1]", POWER_WHOLE, planted.StartsWhatWaitsForABlock),
     ("rejected for whole_robot", WHOLE, made_of(legs=planted.StartsByLeg)),
     ("the whole robot runs, or nothing of it", WHOLE_SLOW, made_of(legs=planted.StartsInItsOwnSlot)),
     ("is sent at once", WHOLE, made_of(legs=planted.StopsByServo)),

@@ -48,6 +48,7 @@ from tests.support.model_parts import (
     lease_key,
     lease_requests,
     measurements,
+    power_key,
     tokens,
 )
 from tests.support.motion import landing_key
@@ -69,11 +70,15 @@ class Report:
 
 _ROBOT: Final = Supervisor(Rules())
 _KNOWN: Final = (
-    (_ROBOT, "_rules legs lease buttons body calibrating _reach _opened _bus_ok _silent estops _latched_ns _ended"),
+    (
+        _ROBOT,
+        "_rules legs lease buttons body power calibrating _reach _opened _bus_ok _silent estops _latched_ns _ended",
+    ),
     (_ROBOT, "stopped_outside wants_measurements expirations mode due_ns"),
     (_ROBOT.lease, "_rules holder verified since_ns due_ns guards _token _askers"),
     (_ROBOT.buttons, "required _timeout_ns _rise_ns _by_token closed fell_ns alive due_ns"),
     (_ROBOT.body, "_rules watches low fallen beyond_ns"),
+    (_ROBOT.power, "alive closed _refused"),
     (Registration, "name holder counts count until_ns silent offset_ns heard_ns least_ns"),
     (_ROBOT._reach, "_limits_cdeg _landing_cdeg _avoid_cdeg calibration wire limited"),
     (_ROBOT.calibrating, "_reach fault guards _on_its_way"),
@@ -149,7 +154,8 @@ def copied(supervisor: Supervisor) -> Supervisor:
         by_number[number] = type(leg)(number, (first, second, third), slots, *rest)
     _with_legs(legs, by_number)
     lease, buttons = copied_lease(supervisor.lease), copied_buttons(supervisor.buttons)
-    other = cloned(supervisor, legs=legs, lease=lease, buttons=buttons, body=cloned(supervisor.body))
+    body, power = cloned(supervisor.body), cloned(supervisor.power)
+    other = cloned(supervisor, legs=legs, lease=lease, buttons=buttons, body=body, power=power)
     copy_calibrating(supervisor, other)
     queue = supervisor.legs._queue
     legs._queue = type(queue)(queue.pause_ns, queue.next_ns, list(queue.legs))
@@ -180,6 +186,7 @@ def key(supervisor: Supervisor, now_ns: int, rank: dict[int, int]) -> tuple[obje
         lease_key(supervisor.lease, now_ns),
         buttons_key(supervisor.buttons, now_ns),
         body_key(supervisor, now_ns),
+        power_key(supervisor),
         calibrating_key(supervisor),
         legs.landing and (*landing_key(legs.landing, now_ns), legs.land_ns - now_ns),
         (tuple(queue.legs), max(0, queue.next_ns - now_ns)) if queue.pause_ns else None,
@@ -230,6 +237,8 @@ def events(
         for whose, token in tokens(configuration.drivers, lease):
             yield f"{channel} command {which}{whose}", Command(targets, key=channel, number=number, lease=token)
     yield from measurements(configuration.bodies)
+    for seen in configuration.boards:
+        yield str(seen), seen
     yield "time passed", TimePassed()
     yield "bus opened", BusOpened()
     yield from lease_requests(configuration.drivers, number, lease)

@@ -1,5 +1,5 @@
-"""The lease, the buttons, the body and the calibration in the model check: what may be asked of them, how they are
-copied, and what of them tells states apart."""
+"""The lease, the buttons, the body, the power board and the calibration in the model check: what may be asked
+of them, how they are copied, and what of them tells states apart."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -117,6 +117,12 @@ def measurements(bodies: Sequence[tuple[int | None, int]]) -> Iterator[tuple[str
     """What the robot may measure: each tilt with each voltage that it has."""
     for tilt_cdeg, battery_mv in bodies:
         yield f"tilt {tilt_cdeg}, battery {battery_mv}", BodyMeasured(tilt_cdeg, battery_mv)
+
+
+def power_key(supervisor: Supervisor) -> tuple[object, ...]:
+    """What the power board has said, as far as it can still matter."""
+    power = supervisor.power
+    return power.alive, power.closed, tuple(power._refused)
 
 
 # ---- the calibration

@@ -21,6 +21,7 @@ from gateway.robot.core.events import (
     EmergencyStop,
     Event,
     LeaseRequest,
+    PowerSeen,
     Rejected,
     Reset,
     SaveCalibration,
@@ -72,8 +73,11 @@ class Oracle(RobotHistory):
         self.lease.pass_time(now_ns, effects)
         self.buttons.pass_time(now_ns, effects)
         self.body.judge(event if isinstance(event, BodyMeasured) else None, now_ns, effects)
+        self.power.take(event)
         match event:
-            case Command() | Reset() | TimePassed() | Calibrate() | ButtonRequest() | BodyMeasured():
+            case PowerSeen() if event.doubt and self.bus_ok and not self.ended:
+                self._all_stopped(effects, Cause.WATCHDOG, Reason.NO_POWER, now_ns)
+            case Command() | Reset() | TimePassed() | Calibrate() | ButtonRequest() | BodyMeasured() | PowerSeen():
                 self._in_time(event, now_ns, effects)
             case CalibrationSaved():
                 self._must_be_rejected(event, effects, kept)
@@ -112,8 +116,6 @@ class Oracle(RobotHistory):
                 demand(told(effects, event.kind) == first, "a fault of the bus is announced once")
                 self.opened, self.bus_ok = True, False
                 self._all_stopped(effects, Cause.COMMAND, Reason.BUS_FAULT, now_ns)
-                for servo in self.servos.values():
-                    servo.owed = 0  # the bus that opens again is told to stop everything
         keeps = any(isinstance(effect, SaveCalibration) for effect in effects)
         demand(isinstance(event, Calibrate) or not keeps, "only a change of the calibration is kept")
         calibrated = told(effects, Kind.CALIBRATED)
@@ -136,6 +138,8 @@ class Oracle(RobotHistory):
                 servo.written_cdeg = None
                 servo.stop(cause, self.instant_ns)
                 servo.owe(self.rules, now_ns)
+            else:
+                servo.owed = 0  # the bus that opens again is told to stop everything
         for leg in self.legs.values():
             leg.source = None if self.bus_ok else leg.source
         for effect in effects:
@@ -154,7 +158,8 @@ class Oracle(RobotHistory):
         | StoppedOutside
         | Calibrate
         | CalibrationSaved
-        | BodyMeasured,
+        | BodyMeasured
+        | PowerSeen,
         now_ns: int,
         effects: Sequence[Effect],
     ) -> None:
@@ -167,6 +172,7 @@ class Oracle(RobotHistory):
             self.buttons.judge(event, now_ns, effects, ended=self.ended)
             watchdog += self._unwatched(now_ns)
         watchdog += self._fallen(now_ns)
+        watchdog += self._unfed(event, now_ns)
         expired = [effect.frame for effect in frames if effect.cause is Cause.WATCHDOG and effect.frame.is_stop]
         demand(
             expired == [stop_leg(leg) for leg in watchdog],
@@ -245,6 +251,17 @@ class Oracle(RobotHistory):
         if not (self.bus_ok and self.body.fallen and self.alive) or self.landing is not None:
             return []
         return self._down((self.body.tilted_ns or 0) + self.rules.tilt_ns, now_ns)
+
+    def _unfed(self, event: Event, now_ns: int) -> list[int]:
+        """The legs that must be stopped now, since the board does not feed them, or does not answer."""
+        if not isinstance(event, PowerSeen) or not (self.bus_ok and self.alive):
+            return []
+        if not event.alive:
+            return [] if self.landing is not None else self._down(now_ns, now_ns)
+        unfed = sorted({leg_of(servo_id) for servo_id in self.alive & (event.lost | self.power.refused)})
+        stopped = list(self.legs) if unfed and (self.rules.whole_robot or self.rules.starts_whole) else unfed
+        self._stopped_unasked(stopped, now_ns)
+        return stopped
 
     def _down(self, since_ns: int, now_ns: int) -> list[int]:
         """All legs, unless the robot lands."""
@@ -440,6 +457,7 @@ class Oracle(RobotHistory):
         latest += self.next_rest(now_ns)
         watched = not self.buttons.closed or self.landing is not None
         demand(watched or not self.alive, "nothing runs while fewer buttons are alive than are required")
+        self.power.after(self.alive, lands=self.landing is not None)
         for number, leg in self.legs.items():
             servos = self.servos_of(number)
             if self.landing is not None:

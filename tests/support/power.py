@@ -9,6 +9,7 @@ from gateway.robot.power.board import Confirmed, News, PowerBoard
 from gateway.robot.power.line import Status
 from gateway.robot.power.simulated_board import SimulatedBoard
 from gateway.robot.runtime.supply import RobotSupply
+from gateway.robot.service import BEAT_S
 from tests.support.elkapod import ElkapodRobot
 from tests.support.robot import MS, Robot
 
@@ -134,6 +135,14 @@ class FedElkapod(ElkapodRobot):
 def _feed(robot: FedRobot | FedElkapod, ready: Callable[[], frozenset[int]] | None) -> RobotSupply:
     power = robot.settings.power
     robot.line = VirtualLine(robot.loop, power.outputs, round(power.confirm_ms * MS))
-    robot.line.on_news = lambda: robot.conductor.power_changed()  # noqa: PLW0108  (it is made behind this)
     robot.line.want(frozenset())
-    return RobotSupply(robot.line, power, ready)
+
+    def beat() -> None:
+        """The service's."""
+        robot.conductor.look_outside()
+        robot.loop.call_later(BEAT_S, beat)
+
+    robot.loop.call_later(BEAT_S, beat)
+    supply = RobotSupply(robot.line, power, ready)
+    robot.line.on_news = lambda: supply.on_news()  # noqa: PLW0108  (it is set behind this)
+    return supply

@@ -15,6 +15,7 @@ from tests.support.calibration_history import CalibrationHistory
 from tests.support.history import CLOSED, LegHistory, ServoHistory, cloned, demand
 from tests.support.lease_history import LeaseHistory
 from tests.support.motion import LandingHistory
+from tests.support.power_history import PowerHistory
 
 
 class RobotHistory:
@@ -40,6 +41,7 @@ class RobotHistory:
         self.lease = LeaseHistory(rules)
         self.buttons = ButtonsHistory(rules)
         self.body = BodyHistory(rules)
+        self.power = PowerHistory(rules)
         self.silent = False
         """Whether the bus is at fault because the controller does not answer."""
         self.calibration = CalibrationHistory(rules, calibration or RobotCalibration(), fault)
@@ -65,6 +67,7 @@ class RobotHistory:
             calibration=cloned(self.calibration),
             buttons=self.buttons.clone(),
             body=cloned(self.body),
+            power=cloned(self.power),
         )
 
     def key(self, now_ns: int, rank: dict[int, int]) -> tuple[object, ...]:
@@ -91,6 +94,7 @@ class RobotHistory:
             servos,
             landing,
             others,
+            self.power.key(),
             self.bus_ok and self.rest_ns and self.rest_ns - now_ns,
         )
 
@@ -139,7 +143,8 @@ class RobotHistory:
         if moves:
             closed = self.reason_to_move_nothing(command.lease) or self.too_few_buttons
             closed = closed or self.unfit([servo for servo, _, _ in moves])
-            closed = closed or self.calibration.reason_to_reject([servo_id for _, servo_id, _ in moves])
+            moved = [servo_id for _, servo_id, _ in moves]
+            closed = closed or self.power.reason_to_reject(moved) or self.calibration.reason_to_reject(moved)
             if closed is not None:
                 return closed
         if not all(self.calibration.allows(servo_id, op.angle_cdeg) for _, servo_id, op in moves):

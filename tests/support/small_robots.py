@@ -1,11 +1,12 @@
 """The small robots of the model check: their rules, and what may be asked of them."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 from gateway.allowance import NS_PER_S
 from gateway.model.calibration import CalibrationChange, MappingChange, RobotCalibration, ServoMapping
 from gateway.model.frames import STOP, Op, ServoOp
+from gateway.robot.core.events import PowerSeen
 from gateway.robot.core.leg import Rules
 
 TICK: Final = 10
@@ -42,6 +43,8 @@ class Configuration:
     """What may be changed of the calibration."""
     bodies: tuple[tuple[int | None, int], ...] = ()
     """What the robot may measure: (tilt in hundredths of a degree, battery in mV)."""
+    boards: tuple[PowerSeen, ...] = ()
+    """What the power board may be seen to say."""
     calm: bool = False
     """Whether the bus answers, and nobody wants an emergency stop or stops servos past the gateway."""
 
@@ -93,6 +96,10 @@ _RECALIBRATED = (
     CalibrationChange({11: MappingChange(90_01)}, {}),
 )
 """What it then is: as drawn, so that any angle goes; with a limit below HIGH; and impossible."""
+
+_FED, _SILENT = PowerSeen(alive=True), PowerSeen(alive=False)
+_BLOCKED = PowerSeen(alive=True, refused=((11, "overcurrent"),), lost=frozenset({11}))
+_DOUBT = PowerSeen(alive=True, doubt="it is not confirmed")
 
 CONFIGURATIONS: Final = (
     Configuration("one servo, two channels", _rules(repeats=2), (1,), _ONE_SERVO, _WAITS),
@@ -247,6 +254,34 @@ CONFIGURATIONS: Final = (
         (TICK, 3 * TICK),
         ends=False,
         bodies=((30_00, 0), (31_00, 0), (None, 0)),
+        calm=True,
+    ),
+    Configuration(
+        "one servo, and a board that feeds it",
+        _rules(repeats=0, timeout_ns=2 * TICK, period_ns=3 * TICK, power=True),
+        (1,),
+        (_ONE_SERVO[0], _ONE_SERVO[1], _ONE_SERVO[2]),
+        (0, TICK, 3 * TICK),
+        boards=(_FED, _SILENT, _BLOCKED, _DOUBT),
+    ),
+    Configuration(
+        "two legs, landing, and a board that feeds them",
+        _rules(repeats=0, landing_ns=6 * TICK, landing_cdeg={11: HIGH}, power=True),
+        (1, 2),
+        (("legs", _each(START, 11, 21)), ("servo", _each(START, 12)), ("servo", _each(STOP, 21))),
+        (TICK, 3 * TICK),
+        ends=False,
+        boards=(_FED, _SILENT, PowerSeen(alive=True, lost=frozenset({11})), _DOUBT),
+        calm=True,
+    ),
+    Configuration(
+        "two legs that start and stop as one, and a board that feeds them",
+        _rules(repeats=0, period_ns=3 * TICK, starts_whole=True, power=True),
+        (1, 2),
+        (("legs", _each(START, *_BOTH)), ("servo", _each(SET, 21)), ("servo", _each(STOP, 11))),
+        (TICK, 3 * TICK),
+        ends=False,
+        boards=(_FED, _SILENT, replace(_BLOCKED, lost=frozenset()), PowerSeen(alive=True, lost=frozenset({22}))),
         calm=True,
     ),
     Configuration(

@@ -21,6 +21,7 @@ from gateway.robot.core.events import (
     EmergencyStop,
     Event,
     LeaseRequest,
+    PowerSeen,
     Rejected,
     RequestAnswer,
     Reset,
@@ -224,6 +225,13 @@ class Steps:
         """The robot has measured."""
         tilt_cdeg = None if tilt_deg is None else round(tilt_deg * 100)
         return self.take(at_ms, BodyMeasured(tilt_cdeg, round(battery_v * 1000)))
+
+    def board(
+        self, at_ms: float, *, alive: bool = True, refused: str = "", lost: tuple[int, ...] = (), doubt: str = ""
+    ) -> list[str]:
+        """The power board is seen; `refused` are servo ids that it will not feed, for overcurrent."""
+        why = tuple((int(servo_id), "overcurrent") for servo_id in refused.split())
+        return self.take(at_ms, PowerSeen(alive, why, frozenset(lost), doubt))
 
     def fail(self, at_ms: float, kind: Kind = Kind.BUS_FAULT) -> list[str]:
         return self.take(at_ms, BusFailed("EIO", kind))

@@ -17,6 +17,7 @@ from gateway.robot.core.events import (
     EmergencyStop,
     Event,
     LeaseRequest,
+    PowerSeen,
     Reset,
     ShutDown,
     StoppedOutside,
@@ -35,6 +36,7 @@ _TAKEN: Final = (
     CalibrationSaved,
     StoppedOutside,
     BodyMeasured,
+    PowerSeen,
     TimePassed,
 )
 
@@ -57,6 +59,7 @@ TRANSITIONS: Final[dict[Mode, dict[type[Event], frozenset[Mode]]]] = {
         BusOpened: frozenset({Mode.IDLE, Mode.ESTOPPED}),
         BusFailed: _FAULT,
         BodyMeasured: frozenset({Mode.STARTING}),
+        PowerSeen: frozenset({Mode.STARTING}),
         TimePassed: frozenset({Mode.STARTING}),
         ShutDown: frozenset({Mode.STOPPING}),
     },

@@ -8,11 +8,14 @@ from pathlib import Path
 import pytest
 
 from gateway.client import Client
-from schemas.telemetry import GatewayState, Mode
+from gateway.people.client.dangers import UNCONFIRMED
+from schemas import keys
+from schemas.telemetry import GatewayState, Kind, Mode
 from tests.support.fixtures import patient
 from tests.support.gateway_process import Gateway, free_port
 from tests.support.heard import states
 from tests.support.tmux import Terminal, at_terminal
+from tests.support.watch_reports import event
 
 READY = "ANY KEY STOPS THE ROBOT"
 SETTINGS = patient(10_000, buttons={"required": 1, "timeout_ms": 2000})
@@ -53,6 +56,21 @@ def test_any_key_stops_and_ctrl_c_leaves(tmp_path: Path, gateway: Gateway, watch
         terminal.press("C-c")
         assert terminal.wait_for_end() == 0
     alive(watcher)
+
+
+def test_a_stop_that_the_power_board_does_not_confirm_is_red(tmp_path: Path) -> None:
+    """States come at changes only, and this robot has no board, so the event's alarm stays."""
+    listen = {"listen": [f"tcp/127.0.0.1:{free_port()}"]}
+    with (
+        Gateway(tmp_path, {**SETTINGS, "zenoh": listen, "telemetry": {"state_hz": 0}}) as gateway,
+        gateway.client(source="watcher") as watcher,
+        button(tmp_path / "t", gateway) as terminal,
+    ):
+        terminal.wait(READY, "kitchen · 1 alive, 1 required")
+        watcher.session.put(keys.EVENT, event(Kind.POWER_UNCONFIRMED).model_dump_json())
+        terminal.wait(UNCONFIRMED)
+        terminal.press("C-c")
+        assert terminal.wait_for_end() == 0
 
 
 def test_one_that_freezes_is_silent_and_comes_back(tmp_path: Path, gateway: Gateway, watcher: Client) -> None:

@@ -1,9 +1,11 @@
 """The inbox part by part: depths, order, channels, threads. A session's own messages take the same rings."""
 
 import asyncio
+import json
+import queue
 import threading
 import time
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Mapping
 from functools import partial
 from types import SimpleNamespace
 from typing import Any
@@ -14,12 +16,14 @@ import zenoh
 from gateway.host.realtime import LOOP_PRIORITY
 from gateway.robot.core.events import Command
 from gateway.robot.core.intake import words_of_stop
-from gateway.robot.core.message import Received, Verb
+from gateway.robot.core.message import Received, Reply, Verb
 from gateway.robot.host.ownership import Ownership
-from gateway.robot.zenoh_io.inbox import FLOOD_PAUSE_S, OTHER_DEPTH, Inbox, _received
+from gateway.robot.zenoh_io.inbox import FLOOD_PAUSE_S, OTHER_DEPTH, READER_DEPTH, Inbox, _received
+from gateway.robot.zenoh_io.questions import Knows
+from gateway.robot.zenoh_io.receiver import Deal, Reader
 from gateway.robot.zenoh_io.rings import RING_DEPTH, Ring
 from schemas.command import MAX_PAYLOAD_BYTES
-from schemas.keys import COMMAND_KEYS, ESTOP, LEASE, LEGS_COMMAND, RESET, STATE, leg_command, servo_command
+from schemas.keys import BUTTON, COMMAND_KEYS, ESTOP, LEASE, LEGS_COMMAND, RESET, STATE, leg_command, servo_command
 from tests.zenoh.test_inbox_wakeups import Taker
 
 LEG_1, SERVO_11 = leg_command(1), servo_command(11)
@@ -29,9 +33,16 @@ PATIENCE_S = 5.0
 class Held:
     """Takes nothing by itself: what a tick would take is looked at one by one."""
 
-    def __init__(self, opened: zenoh.Session) -> None:
+    def __init__(
+        self,
+        opened: zenoh.Session,
+        readers: Mapping[str, Reader] | None = None,
+        tokens: Mapping[str, Knows] | None = None,
+    ) -> None:
         self.wakeups = asyncio.Event()
         self.estops: list[Received] = []
+        self.estop_received_by: queue.Queue[str] = queue.Queue()
+        """The thread of each, by its name."""
         self._loop = asyncio.get_running_loop()
         self.owner = Ownership()
         self.inbox = Inbox(
@@ -41,7 +52,9 @@ class Held:
             on_wakeup=self.wake,
             on_estop=self._stop,
             on_state_query=lambda reply: reply(b"{}"),
-            readers={LEASE: lambda _query, _ns, reply: partial(reply, b"read")},
+            readers=readers or {LEASE: lambda _query, _ns, reply: partial(reply, b"read")},
+            tokens=tokens or {},
+            on_estop_heard=lambda: self.estop_received_by.put(threading.current_thread().name),
         )
 
     def wake(self) -> None:
@@ -174,6 +187,29 @@ async def test_an_emergency_stop_that_waits_for_the_state_is_taken_without_any_c
     assert not held.estops
 
 
+@pytest.mark.parametrize("ask", [False, True], ids=["put", "get"])
+async def test_the_second_way_to_stop_does_not_wait_for_the_state(
+    session: zenoh.Session, held: Held, ask: bool
+) -> None:
+    """A transfer that hangs holds the state; the thread that receives the message calls before it waits for it."""
+    with held.owner:
+        asked = session.get(ESTOP, timeout=PATIENCE_S) if ask else session.put(ESTOP, b"")
+        name = await asyncio.to_thread(held.estop_received_by.get, timeout=PATIENCE_S)
+        assert "estop-" + ("get" if ask else "put") in name
+        assert not held.estops, "the first way waits"
+    await held.until(lambda: len(held.estops) == 1)
+    del asked
+
+
+async def test_a_get_by_wildcard_and_what_is_no_emergency_stop_start_no_second_way(
+    session: zenoh.Session, held: Held
+) -> None:
+    await asyncio.to_thread(list, session.get("hexapod/estop/*", timeout=PATIENCE_S))
+    session.put(LEG_1, b'{"op": "stop"}')
+    await held.woken()
+    assert held.estop_received_by.empty()
+
+
 async def test_an_emergency_stops_threads_are_as_urgent_as_the_loop(held: Held) -> None:
     urgent = {each.thread.name for each in held.inbox._receivers if each._priority == LOOP_PRIORITY}
     assert urgent == {"estop-put", "estop-get"}
@@ -207,6 +243,34 @@ async def test_what_is_asked_on_a_further_key_is_read_and_on_an_unknown_one_take
     (reply,) = await asked
     assert reply.ok is not None
     assert reply.ok.payload.to_bytes() == answer
+
+
+async def test_questions_with_a_token_are_all_read_though_they_come_faster_than_they_are_read(
+    session: zenoh.Session,
+) -> None:
+    """Each key that has tokens has a deep ring of its own; both are emptied, and their threads end."""
+    gate, blocked = threading.Event(), threading.Semaphore(0)
+
+    def read(_query: zenoh.Query, _received_ns: int, reply: Reply) -> Deal:
+        blocked.release()
+        assert gate.wait(PATIENCE_S)
+        return partial(reply, b"read")
+
+    keys = (LEASE, BUTTON)
+    before = set(threading.enumerate())
+    held = Held(session, dict.fromkeys(keys, read), dict.fromkeys(keys, lambda _token: True))
+    asked = []
+    for key in keys:
+        asked.append(session.get(key, timeout=PATIENCE_S))
+        await asyncio.to_thread(blocked.acquire, timeout=PATIENCE_S)
+        for number in range(2 * READER_DEPTH):
+            asked.append(session.get(key, payload=json.dumps({"lease": f"{number:032x}"}), timeout=PATIENCE_S))
+    gate.set()
+    for replies in asked:
+        assert len(await asyncio.to_thread(list, replies)) == 1
+    await held.close()
+    left = {thread.name for thread in set(threading.enumerate()) - before if thread.is_alive()}
+    assert not {name for name in left if not name.startswith("asyncio")}, "no thread is left behind"
 
 
 async def test_its_answer_waits_for_nobody_elses(session: zenoh.Session, held: Held) -> None:

@@ -74,7 +74,7 @@ class PowerAlarm:
             self.sentence = UNCONFIRMED
 
     def answered(self, ack: Ack) -> None:
-        """The answer to an emergency stop. A Stop of single legs may leave the supply on, so its answer is no alarm."""
+        """The answer to a Stop. Where that Stop is to leave the supply on, the next state ends the alarm."""
         if ack.confirmed is not None:
             self.sentence = "" if ack.confirmed else UNCONFIRMED
 

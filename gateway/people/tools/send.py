@@ -74,7 +74,7 @@ def send_servo(connect: Connection, servo_id: int, op: str, angle_deg: float | N
 def send_stop(connect: Connection) -> int:
     """Stop all six legs. Returns the exit code."""
     with connect() as client:
-        code = _report(client.stop(), "all six legs are stopped")
+        code = command_report(client.stop(), "all six legs are stopped", client.state)
         _warn_of_others(client, keys.LEGS_COMMAND)
         return code
 
@@ -94,14 +94,14 @@ def _send(connect: Connection, key: str, payload: dict[str, object], *, moves: b
 
 
 def _send_for(client: Client, key: str, payload: dict[str, object], *, moves: bool, hold_s: float) -> int:
-    code = _report(client.ask(key, payload, again=not moves), "accepted")
+    code = command_report(client.ask(key, payload, again=not moves), "accepted", client.state)
     end = time.monotonic() + hold_s
     again = _set_instead_of_start(payload)
     while code == 0 and time.monotonic() < end:
         time.sleep(HOLD_PERIOD_S)
         ack = client.ask(key, again)
         if not ack.accepted:
-            code = _report(ack, "")
+            code = command_report(ack, "", client.state)
     if code == 0 and moves:
         watchdog = client.state().watchdog
         timeout = f"{watchdog.timeout_ms:g} ms"
@@ -131,15 +131,8 @@ def estop(connect: Connection) -> int:
 
 
 def estop_report(ack: Ack, look: Callable[[], GatewayState]) -> int:
-    """Print what an emergency stop did. Returns the exit code. `look` asks for the state, and may raise GatewayError.
-
-    A board that is to feed the servos in an emergency stop, too (`power.cut_on`), confirms nothing: its state shows it.
-    """
-    alarm = PowerAlarm()
-    alarm.answered(ack)
-    if alarm.sentence:
-        with suppress(GatewayError):
-            alarm.received_state(look(), 0)
+    """Print what an emergency stop did. Returns the exit code. `look` returns the state, or raises GatewayError."""
+    alarm = _alarm(ack, look)
     stopped = ack.stop_frames is not None and ack.stop_frames >= len(LEGS)
     if stopped:
         power = confirmed_off(ack)
@@ -148,9 +141,22 @@ def estop_report(ack: Ack, look: Callable[[], GatewayState]) -> int:
     else:
         written = f"only {ack.stop_frames} of {len(LEGS)} Stop frames were written"
         say(f"latched, but {written}: switch the servos' power off")
+    if alarm:
+        say(alarm)
+    return 0 if stopped and not alarm else 1
+
+
+def _alarm(ack: Ack, look: Callable[[], GatewayState]) -> str:
+    """The sentence about a Stop that the power board does not confirm; empty where the supply is to stay on.
+
+    The answer to a Stop that leaves it on has no confirmation either: the state shows whether anything is to be off.
+    """
+    alarm = PowerAlarm()
+    alarm.answered(ack)
     if alarm.sentence:
-        say(alarm.sentence)
-    return 0 if stopped and not alarm.sentence else 1
+        with suppress(GatewayError):
+            alarm.received_state(look(), 0)
+    return alarm.sentence
 
 
 def reset(connect: Connection) -> int:
@@ -160,7 +166,7 @@ def reset(connect: Connection) -> int:
     with connect() as client:
         with driving.drives(client, 0, moves=True) as lease:
             ack = client.ask(keys.RESET, {"estop": client.state().estop, **lease})
-        code = _report(ack, "reset; nothing moves until it is started again")
+        code = command_report(ack, "reset; nothing moves until it is started again", client.state)
         _warn_of_others(client, keys.RESET)
         return code
 
@@ -172,10 +178,14 @@ def _warn_of_others(client: Client, key: str) -> None:
         hint(several_answer(count, key))
 
 
-def _report(ack: Ack, accepted: str) -> int:
+def command_report(ack: Ack, accepted: str, look: Callable[[], GatewayState]) -> int:
+    """Print what became of a command. Returns the exit code."""
     if ack.accepted:
-        say(accepted + (" (a newer command replaced it while it waited)" if ack.coalesced else ""))
-        return 0
+        replaced = " (a newer command replaced it while it waited)" if ack.coalesced else ""
+        say(f"{accepted}{replaced}{confirmed_off(ack)}")
+        if alarm := _alarm(ack, look):
+            say(alarm)
+        return 1 if alarm else 0
     from gateway.people.tools import driving
 
     return driving.rejected(ack)

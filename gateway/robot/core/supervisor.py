@@ -221,8 +221,8 @@ class Supervisor:
         """Whether it stops everything, or finds a bus that sends nothing: what was due has no meaning any more."""
         if isinstance(event, LeaseRequest):
             return not self._ended and self.lease.is_takeover(event)
-        if isinstance(event, StoppedOutside):
-            return event.at_work
+        if isinstance(event, StoppedOutside | PowerSeen):
+            return event.at_work if isinstance(event, StoppedOutside) else bool(event.doubt) and not self._ended
         return isinstance(event, EmergencyStop | BusOpened | BusFailed | ShutDown)
 
     def _mode_now(self) -> Mode:
@@ -401,7 +401,7 @@ class Supervisor:
         return [*down, *published]
 
     def _power_seen(self, event: PowerSeen, now_ns: int) -> list[Effect]:
-        """What the board feeds no longer is stopped: fed again, it would move unasked."""
+        """What the board does not feed is stopped: fed again, it would move unasked."""
         self.power.note(event)
         if not self._bus_ok or self._ended:
             return []
@@ -409,7 +409,7 @@ class Supervisor:
             return self._stop_all(Cause.WATCHDOG, now_ns, Reason.NO_POWER, event.doubt)
         if not event.alive:
             return [] if self._nothing_to_stop() else self._bring_down(SILENT, now_ns, now_ns, Reason.NO_POWER, SILENT)
-        lost = {servo_id // 10 for servo_id in event.lost if self.legs.servos[servo_id].will_run}
+        lost = {each // 10 for each in (*event.lost, *dict(event.refused)) if self.legs.servos[each].will_run}
         due = dict.fromkeys(self.legs.by_number if lost and self._rules.stops_whole else lost)
         return self.legs.stop(due, Cause.WATCHDOG, now_ns, Reason.NO_POWER, LOST) if due else []
 

@@ -451,7 +451,8 @@ class PowerBoard:
         self._lost |= taken & self._wanted
         self._settle(now_ns)
         if self._begun:
-            self._anew(ALL & ~self._target & ~self._unknown, now_ns)
+            self._anew(mask & ~self._target & ~self._unknown, now_ns)
+            self._repeat_until_ns = now_ns + REPEAT_FOR_NS
             # Our own masks never wait; answers to a node that floods the bus do.
             self._leave_ns = max(now_ns, (self._sent_ns or 0) + REST_NS)
         if self._meddled_ns is None or now_ns - self._meddled_ns >= MEDDLED_NS:

@@ -1,22 +1,26 @@
 """python-can's slcan without its waits: it reads a byte at a time, and each write waits until the adapter has it.
 
-With 8 000 frames a second on the bus that alone takes more than a processor. Here a call reads all that has come, and
-drops what the power board does not send. python-can's `select` takes no descriptor from 1024 on.
+Of 8 000 frames a second it took 1 600 to 2 400, and the rest overflowed and garbled the terminal. Here a call reads all
+that has come, and drops what the power board does not send: 8 000 take 3 % of a processor, and 6 % if all are the
+board's. python-can's `select` takes no descriptor from 1024 on, either.
 """
 
 import os
 import re
 import select
 from collections import deque
+from contextlib import suppress
 from typing import Any, Final
 
-from can import CanOperationError, Message
+from can import CanError, CanOperationError, Message
 from can.interfaces.slcan import slcanBus
 
 _FRAME: Final = re.compile(rb"t(0[6-9][0-9A-Fa-f])([0-8])((?:[0-9A-Fa-f]{2})*)\r")
 """A classic data frame of the board's identifiers, 060 to 09F: identifier, length, data and perhaps a time stamp."""
 _LONGEST: Final = 64
 """Bytes of a line that are kept while its end is missing; a frame has 27 at most."""
+COMMAND_S: Final = 0.1
+"""How long the adapter may take to read a command that opens or closes its channel."""
 _MOST: Final = 65_536
 """Bytes that a call reads."""
 
@@ -28,23 +32,35 @@ class Slcan(slcanBus):
         """As slcanBus."""
         self._left = b""
         self._frames: deque[Message] = deque()
+        self._is_shutdown = True  # as long as there is nothing to close
         super().__init__(channel, sleep_after_open=0, **kwargs)
+        self._is_shutdown = False
         self._fd: int = self.serialPortOrig.fileno()
-        self._readable, self._writable = select.poll(), select.poll()
+        self._readable = select.poll()
         self._readable.register(self._fd, select.POLLIN)
-        self._writable.register(self._fd, select.POLLOUT)
 
     def send(self, msg: Message, timeout: float | None = None) -> None:
         """Raises CanOperationError where the adapter takes nothing for so long (s; None: at all)."""
-        line = f"t{msg.arbitration_id:03X}{msg.dlc:d}{bytes(msg.data).hex().upper()}\r".encode()
-        if not self._writable.poll(timeout and timeout * 1000):
-            raise CanOperationError("the adapter takes nothing")
+        self._write(f"t{msg.arbitration_id:03X}{msg.dlc:d}{bytes(msg.data).hex().upper()}", timeout)
+
+    def shutdown(self) -> None:
+        """Also of an adapter that is gone."""
+        with suppress(CanError):
+            super().shutdown()
+        self.serialPortOrig.close()
+
+    def _write(self, string: str, timeout: float | None = COMMAND_S) -> None:
+        """A line, past pyserial, which waits until the adapter has it."""
+        line = string.encode() + self.LINE_TERMINATOR
         try:
-            written = os.write(self._fd, line)
+            fd = self.serialPortOrig.fileno()
+            poll = select.poll()
+            poll.register(fd, select.POLLOUT)
+            written = os.write(fd, line) if poll.poll(timeout and timeout * 1000) else 0
         except OSError as error:
-            raise CanOperationError(f"the adapter takes nothing: {error.strerror}") from error
+            raise CanOperationError(f"the adapter takes nothing: {error.strerror or error}") from error
         if written != len(line):
-            raise CanOperationError(f"the adapter took {written} of {len(line)} bytes")
+            raise CanOperationError(f"the adapter takes nothing: {written} of {len(line)} bytes were written")
 
     def _recv_internal(self, timeout: float | None) -> tuple[Message | None, bool]:
         if not self._frames:
@@ -66,13 +82,6 @@ class Slcan(slcanBus):
         end = 0
         for found in _FRAME.finditer(self._left):
             end = found.end()
-            length = int(found[2])
-            self._frames.append(
-                Message(
-                    arbitration_id=int(found[1], 16),
-                    is_extended_id=False,
-                    dlc=length,
-                    data=bytes.fromhex(found[3].decode())[:length],
-                )
-            )
+            data = bytes.fromhex(found[3].decode())[: int(found[2])]
+            self._frames.append(Message(arbitration_id=int(found[1], 16), is_extended_id=False, data=data))
         self._left = self._left[end:][-_LONGEST:]

@@ -103,6 +103,7 @@ class Conductor:
         )
         self._carry_out: CarryOut = executor.carry_out
         if supply is not None:
+            supply.on_news = self.power_changed
             self._carry_out = Feeding(executor.carry_out, supply, supervisor, self._events.announce).carry_out
         self._clock = clock
         self._instant_ns = clock()

@@ -53,6 +53,11 @@ WARNINGS: Final = frozenset(
         Kind.CONTROLLER_SILENT,
         Kind.BATTERY_LOW,
         Kind.FALLEN,
+        Kind.POWER_UNCONFIRMED,
+        Kind.POWER_FAULT,
+        Kind.SERVO_DRAWS,
+        Kind.SERVO_SILENT,
+        Kind.OFF_BUTTON,
     }
 )
 """Kinds that are logged as warnings; the others are informational."""

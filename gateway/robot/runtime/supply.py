@@ -5,17 +5,20 @@ step takes off is asked for before the step's frames, and what it feeds behind t
 SPI, and no servo is fed before its Stop, or its angle, was written.
 """
 
+import asyncio
 import json
 from collections.abc import Callable, Collection, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Final, Protocol
 
 from gateway.allowance import NS_PER_MS
 from gateway.model import power_board
-from gateway.robot.core.events import Announce, Effect, PowerSeen, Request
+from gateway.robot.core.events import Announce, Completed, Effect, PowerSeen, Request, Reset
 from gateway.robot.core.message import Received, Verb
 from gateway.robot.core.power import CutOn, cut_by
 from gateway.robot.core.supervisor import Supervisor
+from gateway.robot.host.ownership import Ownership
 from gateway.robot.power.board import Confirmed, News, PowerBoard
 from gateway.robot.power.currents import CurrentRules
 from gateway.robot.power.line import PowerLine, Status
@@ -42,6 +45,7 @@ _WHY: Final = {
 }
 _CONVERTERS: Final = (power_board.CONVERTERS_1_TO_3_MV, power_board.CONVERTERS_4_5_MV)
 _DREW: Final = "it drew current after its Stop; a reset feeds it again"
+_TAKEN: Final = "another program has switched it off; a reset feeds it again"
 _ALL: Final = frozenset(SERVO_IDS)
 _NONE: Final = frozenset[int]()
 
@@ -86,6 +90,8 @@ class RobotSupply:
 
     def __init__(self, line: Line, settings: PowerSettings, ready: Callable[[], frozenset[int]] | None) -> None:
         self._line = line
+        self.on_news: Callable[[], None] = lambda: None
+        """Whom the owner of the state calls for the board's news."""
         self._interface = settings.interface
         self._cut_on = frozenset(settings.cut_on)
         self._ready = ready
@@ -95,6 +101,7 @@ class RobotSupply:
         self._withheld: dict[int, str] = {}
         """Servos that are not fed before a reset, and why: blocked by the board, or they drew current after a Stop."""
         self._refused: Mapping[int, str] = {}
+        self._alive = False
         self._currents = CurrentRules(settings.idle_ma, round(settings.settle_ms * NS_PER_MS))
         self._found: list[News] = []
         """What the currents say."""
@@ -177,10 +184,12 @@ class RobotSupply:
                     doubt = each.detail
         status = self._line.status
         self._lost = status.lost
+        if self._alive and status.alive:  # `stop-servos`, say: whoever took it knows why
+            self._withheld |= dict.fromkeys(self._lost - status.refused.keys(), _TAKEN)
         newly = status.refused.keys() - self._refused.keys()
         # One that the board, or a person at it, has unblocked would come on by itself: it waits for a reset.
         self._withheld |= {servo_id: f"{status.refused[servo_id]}; a reset feeds it again" for servo_id in newly}
-        self._refused = status.refused
+        self._alive, self._refused = status.alive, status.refused
         refused = {**self._withheld, **status.refused}
         seen.event = PowerSeen(status.alive, tuple(sorted(refused.items())), self._lost, doubt)
         return seen
@@ -261,7 +270,7 @@ class Feeding:
         self._supply.before(self._supervisor)
         outcome = self._carry_out(effects, heard)
         if outcome.fault is None:
-            if any(type(each) is Announce and each.kind is Kind.ESTOP_RESET for each in effects):
+            if any(type(each) is Completed and type(each.request) is Reset for each in effects):
                 self._supply.reset()
             for each in self._supply.behind(self._supervisor):
                 self._announce(each)
@@ -281,7 +290,8 @@ def supply_of(
     settings: Settings,
     wire: Wire,
     channel: str | None,
-    on_news: Callable[[], None],
+    loop: asyncio.AbstractEventLoop,
+    owner: Ownership,
     failed: Callable[[Exception], None],
 ) -> RobotSupply | None:
     """The supply of this robot, with its line begun; None: there is no board. Raises ConfigError.
@@ -294,6 +304,16 @@ def supply_of(
     if channel is not None:
         power = power.model_copy(update={"interface": "slcan", "channel": channel})
     board = PowerBoard(power.outputs, confirm_ns=round(power.confirm_ms * NS_PER_MS))
+
+    def changed() -> None:
+        with owner:
+            supply.on_news()
+
+    def on_news() -> None:
+        """What receives from the board must not wait for the state: the loop does."""
+        with suppress(RuntimeError):  # the loop is closed: the service has ended
+            loop.call_soon_threadsafe(changed)
+
     line = PowerLine(power, board, on_news, failed)
     supply = RobotSupply(line, settings.power, wire.ready_servos if isinstance(wire, CyclicBus) else None)
     line.want(_NONE)

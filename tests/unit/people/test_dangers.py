@@ -9,6 +9,8 @@ import pytest
 
 from gateway.errors import UnansweredError
 from gateway.model.telemetry import currents_a
+from gateway.people.client.blocking import Client
+from gateway.people.client.button import Button
 from gateway.people.client.dangers import (
     PATIENCE_NS,
     UNCONFIRMED,
@@ -17,10 +19,13 @@ from gateway.people.client.dangers import (
     power_now,
     tone_of,
 )
+from gateway.people.client.requests import ButtonRequests
 from gateway.people.client.stream import ALL_STOPPED
 from gateway.people.console.pages import Page, Pages
+from gateway.people.terminal.screen import ALARM
 from gateway.people.terminal.stop_status import SHOWN_NS, StopStatus, Tone
-from gateway.people.tools.send import estop_report
+from gateway.people.tools.button.screen import ButtonScreen
+from gateway.people.tools.send import command_report, estop_report
 from gateway.people.tools.status import sentences
 from schemas.telemetry import Ack, GatewayState, Kind, Mode, PowerReport, ServoTelemetry, Telemetry
 from tests.support.watch_reports import WALL, event, model_with_power, screen, state
@@ -136,7 +141,7 @@ def test_a_terminal_is_red_until_the_board_confirms_a_stop() -> None:
         (False, None, DOUBTED, 1, f"of the request\n{UNCONFIRMED}\n"),
         (False, None, SILENT, 1, f"of the request\n{UNCONFIRMED}\n"),
         (False, None, UnansweredError("no state"), 1, f"of the request\n{UNCONFIRMED}\n"),
-        (False, None, FED, 0, "of the request\n"),  # nothing is to be off: an emergency stop leaves the supply on
+        (False, None, FED, 0, "of the request\n"),  # nothing is to be off: this Stop leaves the supply on
     ],
 )
 def test_the_command_says_whether_the_board_confirmed(
@@ -155,6 +160,8 @@ def test_the_command_says_whether_the_board_confirmed(
     ack = STOPPED.model_copy(update={"confirmed": confirmed, "confirmed_ms": confirmed_ms})
     assert estop_report(ack, look) == code
     assert capsys.readouterr().out == f"stopped: 6 Stop frames written within 812 µs {words}"
+    assert command_report(ack, "accepted of the request", look) == code
+    assert capsys.readouterr().out == f"accepted {words}", "a Stop of single legs, too"
     assert confirmed_off(Ack(accepted=True, confirmed=True)) == ", power confirmed off"
 
 
@@ -176,6 +183,23 @@ def test_watch_is_red_by_event_and_by_state_and_shows_what_each_servo_draws() ->
     model.received_state(later, MS, WALL)
     assert UNCONFIRMED not in screen(model)
     assert "power confirmed off" in screen(model)
+
+
+def test_a_button_in_a_terminal_is_red_and_reports_it_once_more_at_its_end() -> None:
+    button = Button(cast("ButtonRequests", None), lambda _: STOPPED, "kitchen")
+    button.timeout_ms = 60_000
+    shown = ButtonScreen(cast("Client", None), button)
+    assert UNCONFIRMED not in shown.picture(80, 24).plain
+    shown.received_event(event(Kind.POWER_UNCONFIRMED))
+    assert shown.picture(80, 24).plain.split("\n")[10].strip() == UNCONFIRMED
+    assert shown.picture(80, 24).style == ALARM
+    assert shown.last_words() == [UNCONFIRMED]
+    shown.received_state(of(OFF))
+    assert "ANY KEY STOPS THE ROBOT" in shown.picture(80, 24).plain
+    shown.received_state(of(SILENT))
+    assert shown.picture(80, 24).style == ALARM
+    shown.received_state(of(OFF))
+    assert shown.last_words() == []
 
 
 async def test_a_page_gets_the_sentence_with_the_state_and_at_once_with_the_event() -> None:

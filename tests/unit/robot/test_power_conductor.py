@@ -6,9 +6,10 @@ from typing import Final
 import pytest
 
 from gateway.model.power_board import SERVO_OVERCURRENT, set_supply
+from gateway.robot.core.power import CutOn
 from schemas import keys
 from schemas.robot import LEGS, SERVO_IDS
-from schemas.telemetry import Kind, Mode, Reason
+from schemas.telemetry import Kind, Mode, Reason, Telemetry
 from tests.support.elkapod import all_legs
 from tests.support.power import FedElkapod, FedRobot, running
 from tests.support.robot import leg, servo
@@ -168,7 +169,26 @@ async def test_what_another_node_switches_off_counts_as_stopped() -> None:
     assert running(robot) == []
     assert Kind.POWER_FAULT in [event.kind for event in robot.events()]
     await asyncio.sleep(UP_S)
-    assert robot.line.fed == ALL, "and is fed again, with nothing running"
+    assert robot.line.fed == frozenset(), "whoever took it knows why"
+    assert robot.ask(LEG_3, START).reason == Reason.NO_POWER
+    robot.put(keys.RESET, {})
+    await asyncio.sleep(UP_S)
+    assert robot.line.fed == ALL
+    assert running(robot) == []
+    assert robot.ask(LEG_3, START).accepted
+
+
+async def test_a_board_that_restarts_has_all_off_and_feeds_again_once_it_answers() -> None:
+    robot = await fed()
+    robot.put(LEG_3, START)
+    await keep(robot, 0.1, LEG_3, leg("set", 91, 91, 91))
+    robot.line.simulated.restart()
+    await keep(robot, 0.2, LEG_3, leg("set", 91, 91, 91))
+    assert running(robot) == []
+    robot.line.simulated.press_button(robot.line.now_ns())
+    await asyncio.sleep(1 + UP_S)
+    assert robot.line.fed == ALL
+    assert running(robot) == [], "a start is needed"
 
 
 async def test_the_off_button_is_an_emergency_stop() -> None:
@@ -227,3 +247,81 @@ async def test_a_stop_that_is_not_confirmed_stops_the_whole_robot_over_the_uart(
     await keep(robot, 0.3, keys.leg_command(1), leg("set", 90, 90, 90))
     assert len([said for said in robot.said if said[1] == "shutdown"]) > shutdowns
     assert running(robot) == []
+
+
+# ---- what currents show
+
+
+@pytest.mark.parametrize("cut_on", [["unconfirmed"], []])
+async def test_a_servo_that_draws_after_its_stop_loses_its_supply_until_a_reset(cut_on: list[str]) -> None:
+    robot = await fed(power={"cut_on": cut_on, "idle_ma": 100, "settle_ms": 200})
+    robot.put(LEG_3, START)
+    robot.line.simulated.draws_ma[SERVO_IDS.index(31)] = 101.0
+    robot.put(LEG_3, leg("stop"))
+    await asyncio.sleep(0.19)
+    assert robot.line.fed == ALL, "it may still come to rest"
+    await asyncio.sleep(0.4)
+    (event,) = robot.events(Kind.SERVO_DRAWS)
+    assert (event.legs, "31" in event.detail) == ((3,), True)
+    assert robot.line.fed == (ALL - {31} if cut_on else ALL)
+    if cut_on:
+        assert robot.ask(keys.servo_command(31), servo("start", 90)).reason == Reason.NO_POWER
+        robot.line.simulated.draws_ma[SERVO_IDS.index(31)] = 8.0
+        robot.put(keys.RESET, {})
+        await asyncio.sleep(UP_S)
+        assert robot.line.fed == ALL
+
+
+async def test_a_switch_that_has_melted_is_found_by_the_current_and_stops_the_whole_elkapod() -> None:
+    robot = FedElkapod()
+    await asyncio.sleep(0.5)
+    robot.put(keys.LEGS_COMMAND, all_legs("start", 90))
+    await keep(robot, 1.0, keys.LEGS_COMMAND, all_legs("set", 90))
+    robot.line.simulated.draws_ma = [300.0] * len(SERVO_IDS)
+    robot.line.simulated.stuck = 1 << SERVO_IDS.index(31)
+    robot.put(keys.servo_command(31), servo("stop"))
+    await keep(robot, 0.7, keys.leg_command(1), leg("set", 90, 90, 90))
+    assert robot.events(Kind.SERVO_DRAWS)
+    assert running(robot) == []
+    assert robot.said[-1][1] == "shutdown"
+
+
+async def test_a_servo_that_runs_and_draws_nothing_is_reported_once() -> None:
+    robot = await fed()
+    robot.line.simulated.draws_ma = [8.0] * len(SERVO_IDS)
+    robot.line.simulated.draws_ma[SERVO_IDS.index(32)] = 0.0
+    robot.put(LEG_3, START)
+    await keep(robot, 2.5, LEG_3, leg("set", 90, 90, 90))
+    assert ["32" in event.detail for event in robot.events(Kind.SERVO_SILENT)] == [True]
+
+
+async def test_telemetry_has_what_the_board_measures_of_a_robot_that_measures_nothing_itself() -> None:
+    robot = await fed()
+    robot.line.simulated.draws_ma = [100.0] * len(SERVO_IDS)
+    await asyncio.sleep(0.5)
+    robot.conductor.publish_telemetry()
+    (report,) = [each for key, each in robot.reports if key == keys.TELEMETRY and isinstance(each, Telemetry)]
+    assert report.servos is not None
+    assert report.servos.keys() == set(map(str, SERVO_IDS))
+    assert report.servos["63"].supplied
+    assert report.servos["63"].current_a == pytest.approx(0.1)
+    assert report.supply is not None
+    assert len(report.converters_v or ()) == 5
+    assert len(report.board_temperatures_c or ()) == 3
+    assert report.age_ms < 20
+
+
+async def test_an_emergency_stop_that_waits_for_the_state_takes_the_supply_before() -> None:
+    robot = await fed()
+    supply = robot.conductor.supply
+    assert supply is not None
+    supply.cut_early(CutOn.ESTOP)  # on the thread that has received it, while a transfer holds the state
+    assert robot.line.fed == frozenset()
+    robot.put(LEG_3, START)  # a step that was decided before
+    await asyncio.sleep(0.1)
+    assert robot.line.fed == frozenset()
+    robot.put(keys.ESTOP)
+    await asyncio.sleep(0.2)
+    robot.put(keys.RESET, {"estop": 1})
+    await asyncio.sleep(UP_S)
+    assert robot.line.fed == ALL

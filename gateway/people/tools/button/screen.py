@@ -38,8 +38,8 @@ class ButtonScreen(Screen):
     def run(self) -> int:
         """Show it until Ctrl-C. Returns the exit code."""
         watched = {
-            wire.STATE: reports(GatewayState, self._receive_state),
-            wire.EVENT: reports(Event, self._receive_event),
+            wire.STATE: reports(GatewayState, self.received_state),
+            wire.EVENT: reports(Event, self.received_event),
         }
         with subscribed(self._client.session, watched):
             return self.show()
@@ -58,13 +58,15 @@ class ButtonScreen(Screen):
 
     # ---- received
 
-    def _receive_state(self, state: GatewayState) -> None:
+    def received_state(self, state: GatewayState) -> None:
+        """The gateway's state; on a thread of Zenoh's."""
         with self.changes():
             self._state = state
             self.stop.power.received_state(state, time.monotonic_ns())
             self.stop.receive_state(state.estop, estopped=state.mode == Mode.ESTOPPED)
 
-    def _receive_event(self, event: Event) -> None:
+    def received_event(self, event: Event) -> None:
+        """An event of the gateway's; on a thread of Zenoh's."""
         with self.changes():
             self.stop.power.received_event(event.kind)
 

@@ -1,0 +1,322 @@
+"""The line to the power board: by slcan on a pseudo terminal, and by interfaces that fail as CAN does."""
+
+import sys
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import can
+import pytest
+
+from gateway.allowance import NS_PER_MS
+from gateway.errors import ConfigError
+from gateway.model.power_board import ALL, CanFrame
+from gateway.robot.power.board import Confirmed, News, PowerBoard
+from gateway.robot.power.interface import LineError, open_bus
+from gateway.robot.power.line import PowerLine
+from gateway.robot.sections import PowerSettings
+from schemas.robot import SERVO_IDS
+from schemas.telemetry import Kind
+from tests.support.slcan_adapter import Adapter
+
+ALL_SERVOS = frozenset(SERVO_IDS)
+MOST_S = 20
+"""No test takes so long unless something is wrong."""
+
+
+class Owner:
+    """A line and what it has reported."""
+
+    def __init__(self, channel: str, opener: Callable[[PowerSettings], can.BusABC] = open_bus) -> None:
+        settings = PowerSettings(interface="slcan", channel=channel)
+        board = PowerBoard(SERVO_IDS, confirm_ns=2000 * NS_PER_MS)
+        self.news: list[News | Confirmed] = []
+        self.mistakes: list[Exception] = []
+        self._something = threading.Condition()
+        self.line = PowerLine(settings, board, self._reported, self.mistakes.append, opener=opener)
+
+    def _reported(self) -> None:
+        with self._something:
+            self.news += self.line.news()
+            self._something.notify_all()
+
+    def until(self, done: Callable[[], bool]) -> None:
+        with self._something:
+            assert self._something.wait_for(done, MOST_S), (self.news, self.line.status, self.line.fault)
+
+    def until_reported(self, kind: Kind) -> News:
+        def found() -> list[News]:
+            return [item for item in self.news if isinstance(item, News) and item.kind is kind]
+
+        self.until(lambda: bool(found()))
+        return found()[0]
+
+    def feed_all(self) -> None:
+        self.line.want(frozenset())
+        self.line.want(ALL_SERVOS)
+        self.until(lambda: self.line.status.supplied == ALL_SERVOS)
+
+    def cut_and_confirm(self, token: int = 1) -> Confirmed:
+        asked_ns = time.monotonic_ns()
+        self.line.cut()
+        self.line.when_off(ALL_SERVOS, asked_ns, token)
+        found: list[Confirmed] = []
+
+        def answered() -> bool:
+            found.extend(item for item in self.news if isinstance(item, Confirmed) and item.token == token)
+            return bool(found)
+
+        self.until(answered)
+        return found[0]
+
+
+@pytest.fixture
+def channel(tmp_path: Path) -> str:
+    return str(tmp_path / "adapter")
+
+
+@pytest.fixture
+def adapter(channel: str) -> Iterator[Adapter]:
+    adapter = Adapter(channel)
+    yield adapter
+    adapter.unplug()
+
+
+@pytest.fixture
+def owner(adapter: Adapter, channel: str) -> Iterator[Owner]:
+    assert adapter
+    owner = Owner(channel)
+    owner.line.start()
+    yield owner
+    owner.line.close()
+    assert owner.mistakes == []
+
+
+def test_a_board_behind_an_adapter_feeds_and_is_cut_and_confirms_it(owner: Owner, adapter: Adapter) -> None:
+    owner.feed_all()
+    assert owner.line.status.alive
+    assert owner.line.fault is None
+    assert adapter.board.fed == ALL
+    confirmed = owner.cut_and_confirm()
+    assert confirmed.confirmed
+    assert adapter.board.fed == 0
+    assert owner.line.status.supplied == frozenset()
+    assert adapter.received[:5] == [b"C", b"S8", b"", b"O", b"O"]
+
+
+def test_a_silent_board_is_reported_and_its_answers_are_waited_for(owner: Owner, adapter: Adapter) -> None:
+    owner.feed_all()
+    adapter.silent = True
+    assert owner.until_reported(Kind.POWER_UNCONFIRMED).detail == "the power board does not answer"
+    assert owner.line.status.lost == ALL_SERVOS
+    adapter.silent = False
+    owner.until(lambda: owner.line.status.alive)
+
+
+def test_an_adapter_that_is_unplugged_is_reported_and_opened_again(channel: str) -> None:
+    first = Adapter(channel)
+    owner = Owner(channel)
+    owner.line.start()
+    owner.feed_all()
+    first.unplug()
+    assert "gone" in owner.until_reported(Kind.POWER_UNCONFIRMED).detail
+    assert owner.line.fault
+    owner.line.cut()
+    second = Adapter(channel)
+    owner.until(lambda: owner.line.status.alive and owner.line.status.confirmed)
+    assert owner.line.fault is None
+    owner.feed_all()
+    owner.line.close()
+    second.unplug()
+    assert owner.mistakes == []
+
+
+def test_an_adapter_that_comes_later_is_found(channel: str) -> None:
+    owner = Owner(channel)
+    owner.line.start()
+    assert owner.line.fault
+    owner.line.want(ALL_SERVOS)
+    adapter = Adapter(channel)
+    owner.until(lambda: owner.line.status.supplied == ALL_SERVOS)
+    owner.line.close()
+    adapter.unplug()
+
+
+def test_junk_from_the_adapter_changes_nothing(owner: Owner, adapter: Adapter) -> None:
+    owner.feed_all()
+    for junk in (
+        b"\a\r\r\a",
+        b"t06B2000\r",  # cut short
+        b"t06B20000\r",  # wrong length
+        b"t06B9000000000000000000\r",
+        b"t06B3zzzzzz\r",
+        b"T0000006B3000000\r",  # another frame's identifier
+        b"r06B3\r",
+        b"F04\r",
+        bytes(range(256)) * 20,
+        b"t" * 4000,
+        b"\r",
+    ):
+        adapter.say(junk)
+    assert owner.cut_and_confirm().confirmed
+    assert [item for item in owner.news if isinstance(item, News) and item.kind is not Kind.POWER_RESTORED] == []
+
+
+@pytest.mark.parametrize("frame", [b"t12380000000000000000\r", b"t0716000000000000\r"], ids=["others'", "the board's"])
+def test_a_flood_of_8_000_frames_a_second_delays_no_confirmation(owner: Owner, adapter: Adapter, frame: bytes) -> None:
+    owner.feed_all()
+    adapter.each_tick = 8 * frame
+    assert owner.cut_and_confirm().confirmed
+    assert adapter.board.fed == 0
+
+
+def test_what_was_requested_before_the_end_is_sent(owner: Owner, adapter: Adapter) -> None:
+    owner.feed_all()
+    owner.line.cut()
+    owner.line.close()
+    assert adapter.board.fed == 0
+
+
+class Bus(can.BusABC):
+    """An interface in memory, with a board that answers nothing."""
+
+    def __init__(self) -> None:
+        super().__init__("memory")
+        self.to_program: deque[can.Message] = deque()
+        self.sent: list[CanFrame] = []
+        self.hangs = threading.Event()
+        self.fails: Exception | None = None
+        self.ended = threading.Event()
+        self.closed = threading.Event()
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        assert timeout
+        if self.fails is not None:
+            raise self.fails
+        self.sent.append(CanFrame(msg.arbitration_id, bytes(msg.data)))
+        if self.hangs.is_set():
+            self.ended.wait()
+
+    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        if self.to_program:
+            return self.to_program.popleft(), True
+        self.ended.wait(timeout)
+        return None, True
+
+    def shutdown(self) -> None:
+        super().shutdown()
+        self.closed.set()
+
+    def answer(self, identifier: int, data: bytes = b"") -> None:
+        self.to_program.append(can.Message(arbitration_id=identifier, is_extended_id=False, data=data))
+
+
+@pytest.fixture
+def bus() -> Iterator[Bus]:
+    bus = Bus()
+    yield bus
+    bus.ended.set()
+
+
+def owner_of(*buses: can.BusABC) -> Owner:
+    """Of a line whose interface opens so often."""
+    left = list(buses)
+
+    def opener(settings: PowerSettings) -> can.BusABC:
+        if not left:
+            raise LineError(settings.channel)
+        return left.pop(0)
+
+    return Owner("", opener)
+
+
+def test_a_sender_that_hangs_delays_no_caller_and_no_report(bus: Bus) -> None:
+    owner = owner_of(bus)
+    bus.answer(0x69)
+    owner.line.start()
+    owner.until_reported(Kind.OFF_BUTTON)
+    bus.hangs.set()
+    owner.until_reported(Kind.POWER_UNCONFIRMED)
+    assert not owner.line.status.alive
+    for _ in range(1000):
+        owner.line.want(ALL_SERVOS)
+        owner.line.cut()
+    assert not owner.cut_and_confirm().confirmed
+    looked_ns = owner.line.looked_ns
+    owner.line.close(timeout_s=0.01)
+    assert looked_ns > 0
+    bus.ended.set()
+
+
+def test_error_frames_and_our_own_echo_are_no_answers(bus: Bus) -> None:
+    owner = owner_of(bus)
+    bus.to_program += [
+        can.Message(is_error_frame=True, arbitration_id=0x69, is_extended_id=False),
+        can.Message(is_remote_frame=True, arbitration_id=0x69, is_extended_id=False),
+        can.Message(is_extended_id=True, arbitration_id=0x69),
+        can.Message(is_rx=False, arbitration_id=0x6A, is_extended_id=False, data=b"\0\0\0"),
+        can.Message(arbitration_id=0x97, is_extended_id=False),
+    ]
+    owner.line.start()
+    owner.until(lambda: owner.line.status.alive)
+    assert not [item for item in owner.news if isinstance(item, News) and item.kind is not Kind.POWER_UNCONFIRMED]
+    owner.line.close()
+
+
+@pytest.mark.parametrize(
+    "fault", [can.CanOperationError("No buffer space available"), OSError(100, "Network is down"), ValueError("junk")]
+)
+def test_an_interface_that_fails_is_closed_and_opened_again_and_the_mask_leaves_again(fault: Exception) -> None:
+    first, second = Bus(), Bus()
+    owner = owner_of(first, second)
+    first.answer(0x69)
+    owner.line.start()
+    owner.until_reported(Kind.OFF_BUTTON)
+    first.fails = fault
+    owner.line.cut()
+    assert str(fault) in owner.until_reported(Kind.POWER_UNCONFIRMED).detail
+    assert first.closed.wait(MOST_S)
+    second.answer(0x69)
+    owner.until(lambda: owner.line.status.alive)
+    owner.line.close()
+    assert CanFrame(0x6A, bytes(3)) in second.sent
+    assert second.closed.is_set()
+    assert owner.mistakes == []
+
+
+def test_a_mistake_in_the_gateway_is_reported(bus: Bus) -> None:
+    owner = owner_of(bus)
+    mistake = RuntimeError("a mistake")
+    bus.fails = mistake
+    owner.line.start()
+    owner.line.close()
+    assert owner.mistakes == [mistake]
+
+
+def test_an_interface_that_never_opens_is_an_error_of_the_settings(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(ConfigError, match=r"power\.interface"):
+        Owner("", lambda _: open_bus(PowerSettings(interface="nonsense"))).line.start()
+    with pytest.raises(LineError, match="cannot be opened"):
+        open_bus(PowerSettings(interface="slcan", channel="/dev/none"))
+    with pytest.raises(LineError, match="cannot be opened"):
+        open_bus(PowerSettings(interface="socketcan", channel="none"))
+    monkeypatch.setitem(sys.modules, "can", None)
+    with pytest.raises(ConfigError, match="not installed"):
+        open_bus(PowerSettings(interface="slcan"))
+
+
+def test_an_adapter_that_reads_nothing_is_an_error_and_hangs_nobody(adapter: Adapter, channel: str) -> None:
+    bus = open_bus(PowerSettings(interface="slcan", channel=channel))
+    adapter.pause()
+    message = can.Message(arbitration_id=0x6A, is_extended_id=False, data=bytes(3))
+
+    def fill() -> None:
+        for _ in range(10_000):
+            bus.send(message, timeout=0.01)
+
+    with pytest.raises(can.CanOperationError, match="takes nothing"):
+        fill()
+    adapter.go_on()
+    bus.shutdown()
