@@ -255,15 +255,21 @@ def test_the_record_has_what_passed_and_what_was_fed_in_order(tmp_path: Path) ->
     ]
 
 
-def test_it_runs_by_itself_and_leaves_nothing_after_the_end_of_its_input() -> None:
+@pytest.mark.parametrize(("ended", "status"), [("by its input's end", 0), ("by SIGTERM", 143)])
+def test_it_runs_by_itself_and_leaves_nothing_at_its_end(ended: str, status: int) -> None:
     command = [sys.executable, "-m", "gateway.robot.power.simulator"]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdin is not None
         assert process.stdout is not None
         channel = Path(process.stdout.readline().strip())
         assert channel.is_char_device()
-        process.stdin.close()
-        assert process.wait(MOST_S) == 0
+        process.send_signal(signal.SIGHUP)
+        process.send_signal(signal.SIGINT)
+        if ended == "by SIGTERM":
+            process.terminate()
+        else:
+            process.stdin.close()
+        assert process.wait(MOST_S) == status
     assert not channel.parent.exists()
 
 
