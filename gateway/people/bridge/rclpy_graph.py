@@ -8,22 +8,25 @@ import logging
 import os
 import socket
 import threading
+import time
 from collections import deque
-from collections.abc import Callable, Iterator, Set
+from collections.abc import Callable, Iterable, Iterator, Set
 from contextlib import suppress
 from importlib import import_module
 from pathlib import Path
 from typing import Any, Final
 
 import rclpy
-from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup, ReentrantCallbackGroup
 from rclpy.executors import MultiThreadedExecutor
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.serialization import deserialize_message, serialize_message
 from rclpy.signals import SignalHandlerOptions
+from rclpy.task import Future
 
 from gateway.endpoints import is_local
 from gateway.errors import ConfigError
-from gateway.people.bridge.graph import JOIN_S, Arrived, Present, Publisher, Take, attempt, read_each, too_long
+from gateway.people.bridge.graph import JOIN_S, Arrived, Present, Publisher, Respond, Take, attempt, read_each, too_long
 from gateway.people.client.blocking import Client
 from gateway.people.ros2.cdr import Message, encode
 from gateway.people.ros2.messages import TRIGGER_TYPE, JointState, Twist, TwistStamped
@@ -124,15 +127,37 @@ class RclpyGraph:
         if always:
             self._listen(service, _ANY_MESSAGE, lambda _: attempt(call))
 
+    def respond(self, service: str, kind: tuple[str, str], most_bytes: int, respond: Respond) -> None:
+        """See Graph. The executor's threads wait for no answer: it is a future."""
+        found = _ros_type(kind[0])
+
+        async def answer(request: Any, _: Any) -> Any:
+            data = serialize_message(request)
+            answered = Future(executor=self._executor)
+            if len(data) > most_bytes:
+                _log.warning("%s: %s", service, too_long(len(data), most_bytes))
+            else:
+                respond(Arrived(data, b"", time.time_ns()), answered.set_result)
+            return deserialize_message(encode(await answered), found.Response)
+
+        self._node.create_service(found, service, answer, callback_group=ReentrantCallbackGroup())
+
     def senders(self, topic: str) -> Present:
         """See Graph."""
+        return self._present(
+            lambda: (bytes(each.endpoint_gid[:_GID_BYTES]) for each in self._node.get_publishers_info_by_topic(topic))
+        )
 
+    def callers(self, service: str) -> Present:
+        """See Graph. rclpy reports no GIDs of clients."""
+        return self._present(lambda: (b"%d" % number for number in range(self._node.count_clients(service))))
+
+    def _present(self, find: Callable[[], Iterable[bytes]]) -> Present:
         def present() -> Set[bytes]:
             try:
-                found = self._node.get_publishers_info_by_topic(topic)
+                return frozenset(find())
             except RuntimeError:  # the context is shut down: then nobody is seen
                 return frozenset()
-            return frozenset(bytes(each.endpoint_gid[:_GID_BYTES]) for each in found)
 
         return present
 
@@ -217,8 +242,12 @@ class _Newest:
 def _ros_type(type_name: str) -> Any:
     """`std_msgs/msg/String` → rclpy's class. Raises ConfigError where its package is not installed."""
     package, kind, name = type_name.split("/")
+    action, _, part = name.partition("_")
     try:
-        return getattr(import_module(f"{package}.{kind}"), name)
+        found = getattr(import_module(f"{package}.{kind}"), action)
+        if not part:
+            return found
+        return getattr(found.Impl, part if part.endswith("Message") else f"{part}Service")
     except ImportError as error:
         raise ConfigError(f"this ROS 2 has no {package}: {error}") from error
 

@@ -63,7 +63,7 @@ class Topics:
         }
         for topic, (take, kinds) in table.items():
             most = MAX_TRAJECTORY_BYTES if JointTrajectory in kinds else _MAX_BYTES
-            graph.subscribe(topic, kinds, most, partial(self._take, topic, take), partial(self._reject, topic))
+            graph.subscribe(topic, kinds, most, partial(self._take, topic, take), partial(self.reject, topic))
 
     def turned(self) -> None:
         """Ten times a second and more: else what comes after a pause of this process is held for old."""
@@ -99,14 +99,14 @@ class Topics:
 
     def _take(self, topic: str, take: Taken, kind: type[Message], arrived: Arrived) -> None:
         try:
-            self._check_age(arrived)
+            self.check_age(arrived)
             take(decode(kind, arrived.data), arrived)
         except (NotTakenError, ValueError) as error:
-            self._reject(topic, str(error))
+            self.reject(topic, str(error))
         else:
             self.taken[topic] += 1
 
-    def _check_age(self, arrived: Arrived) -> None:
+    def check_age(self, arrived: Arrived) -> None:
         """Raises NotTakenError where a link held it back."""
         with self._lock:
             now_ns = time.monotonic_ns()
@@ -114,7 +114,8 @@ class Topics:
         if old is not None:
             raise NotTakenError(old.replace("the gateway itself", "the bridge itself"))
 
-    def _reject(self, topic: str, why: str) -> None:
+    def reject(self, topic: str, why: str) -> None:
+        """Count what is not taken, and explain it."""
         self.rejected[topic] += 1
         self.latest_rejection = f"{topic}: {why}"
         sign = f"{topic}: {why.translate(_WITHOUT_DIGITS)}"
