@@ -17,16 +17,26 @@ from pathlib import Path
 from typing import Any, Final
 
 import rclpy
-from rclpy.callback_groups import MutuallyExclusiveCallbackGroup, ReentrantCallbackGroup
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.executors import MultiThreadedExecutor
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message, serialize_message
 from rclpy.signals import SignalHandlerOptions
-from rclpy.task import Future
 
 from gateway.endpoints import is_local
 from gateway.errors import ConfigError
-from gateway.people.bridge.graph import JOIN_S, Arrived, Present, Publisher, Respond, Take, attempt, read_each, too_long
+from gateway.people.bridge.graph import (
+    JOIN_S,
+    Arrived,
+    Present,
+    Publisher,
+    Reply,
+    Respond,
+    Take,
+    attempt,
+    read_each,
+    too_long,
+)
 from gateway.people.client.blocking import Client
 from gateway.people.ros2.cdr import Message, encode
 from gateway.people.ros2.messages import TRIGGER_TYPE, JointState, Twist, TwistStamped
@@ -36,6 +46,8 @@ _GID_BYTES: Final = 16
 """Of the GID's bytes that have a meaning; before Jazzy there are 24."""
 _THREADS: Final = 6
 """One for each service, and two that hand over messages."""
+_REQUESTS: Final = 16
+"""Of one service of an action that wait; of more, the oldest have no answer."""
 _SPIN_S: Final = 0.5
 _ANY_MESSAGE: Final = "std_msgs/msg/Empty"
 _STREAMS: Final = (JointState, Twist, TwistStamped)
@@ -128,19 +140,30 @@ class RclpyGraph:
             self._listen(service, _ANY_MESSAGE, lambda _: attempt(call))
 
     def respond(self, service: str, kind: tuple[str, str], most_bytes: int, respond: Respond) -> None:
-        """See Graph. The executor's threads wait for no answer: it is a future."""
+        """See Graph. rclpy's own way to answer later is a task, for which its executor turns without a pause."""
         found = _ros_type(kind[0])
+        ring = self._ring(f"serve {service}", lambda asked: respond(*asked), _REQUESTS)
+        made = self._node.create_service(
+            found, service, lambda request, _: request, callback_group=MutuallyExclusiveCallbackGroup()
+        )
+        send = made.send_response
 
-        async def answer(request: Any, _: Any) -> Any:
+        def hand_over(request: Any, header: Any) -> None:
+            """Called with the request that the callback has returned, in place of its response."""
             data = serialize_message(request)
-            answered = Future(executor=self._executor)
             if len(data) > most_bytes:
                 _log.warning("%s: %s", service, too_long(len(data), most_bytes))
             else:
-                respond(Arrived(data, b"", time.time_ns()), answered.set_result)
-            return deserialize_message(encode(await answered), found.Response)
+                ring.put((Arrived(data, b"", time.time_ns()), reply_to(header)))
 
-        self._node.create_service(found, service, answer, callback_group=ReentrantCallbackGroup())
+        def reply_to(header: Any) -> Reply:
+            def reply(response: Message) -> None:
+                with suppress(RuntimeError):
+                    send(deserialize_message(encode(response), found.Response), header)
+
+            return reply
+
+        made.send_response = hand_over
 
     def senders(self, topic: str) -> Present:
         """See Graph."""
@@ -176,8 +199,7 @@ class RclpyGraph:
         self._context.try_shutdown()
 
     def _listen(self, topic: str, type_name: str, take: Callable[[Any], object], *, is_stream: bool = False) -> None:
-        ring = _Newest()
-        self._rings.append(ring)
+        ring = self._ring(f"receive {topic}", take)
 
         def hand_over(data: bytes, info: dict[str, Any]) -> None:
             ring.put((data, info))
@@ -186,7 +208,13 @@ class RclpyGraph:
         qos = QoSProfile(depth=1, reliability=reliability)
         group = MutuallyExclusiveCallbackGroup()
         self._node.create_subscription(_ros_type(type_name), topic, hand_over, qos, callback_group=group, raw=True)
-        self._start(f"receive {topic}", lambda: read_each(ring, take))
+
+    def _ring(self, name: str, take: Callable[[Any], object], size: int = 1) -> "_Newest":
+        """Whose newest messages a thread takes."""
+        ring = _Newest(size)
+        self._rings.append(ring)
+        self._start(name, lambda: read_each(ring, take))
+        return ring
 
     def _start(self, name: str, work: Callable[[], None]) -> None:
         thread = threading.Thread(target=work, name=name, daemon=True)
@@ -212,10 +240,10 @@ class _RclpyPublisher:
 
 
 class _Newest:
-    """Keeps the newest message; iterating waits for the next one, until `close`."""
+    """Keeps the newest messages; iterating waits for the next one, until `close`."""
 
-    def __init__(self) -> None:
-        self._kept: deque[Any] = deque(maxlen=1)
+    def __init__(self, size: int) -> None:
+        self._kept: deque[Any] = deque(maxlen=size)
         self._changed = threading.Condition()
         self._closed = False
 
@@ -235,7 +263,7 @@ class _Newest:
                 self._changed.wait_for(lambda: self._kept or self._closed)
                 if self._closed:
                     return
-                message = self._kept.pop()
+                message = self._kept.popleft()
             yield message
 
 
