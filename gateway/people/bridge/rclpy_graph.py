@@ -17,8 +17,8 @@ from pathlib import Path
 from typing import Any, Final
 
 import rclpy
-from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
-from rclpy.executors import MultiThreadedExecutor
+from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message, serialize_message
 from rclpy.signals import SignalHandlerOptions
@@ -44,10 +44,8 @@ from gateway.people.ros2.wire import Names
 
 _GID_BYTES: Final = 16
 """Of the GID's bytes that have a meaning; before Jazzy there are 24."""
-_THREADS: Final = 6
-"""One for each service, and two that hand over messages."""
 _REQUESTS: Final = 16
-"""Of one service of an action that wait; of more, the oldest have no answer."""
+"""Of one service that wait; of more, the oldest have no answer. An emergency stop is engaged all the same."""
 _SPIN_S: Final = 0.5
 _ANY_MESSAGE: Final = "std_msgs/msg/Empty"
 _STREAMS: Final = (JointState, Twist, TwistStamped)
@@ -85,7 +83,7 @@ class RclpyGraph:
         except RuntimeError as error:  # an argument that rcl does not know, or no such RMW
             raise ConfigError(f"ROS 2 does not start: {str(error).partition(', at ')[0]}") from error
         self.where = rmw
-        self._executor = MultiThreadedExecutor(_THREADS, context=self._context)
+        self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
         self._start("ROS 2", self._spin)
 
@@ -110,7 +108,11 @@ class RclpyGraph:
     def publisher(self, topic: str, kind: type[Message], *, latched: bool = False) -> Publisher:
         """See Graph."""
         qos = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL) if latched else QoSProfile(depth=10)
-        return _RclpyPublisher(self._node.create_publisher(_ros_type(kind.TYPE), topic, qos))
+        return _RclpyPublisher(
+            self._node.create_publisher(
+                _ros_type(kind.TYPE), topic, qos, event_callbacks=PublisherEventCallbacks(use_default_callbacks=False)
+            )
+        )
 
     def subscribe(
         self, topic: str, kinds: tuple[type[Message], ...], most_bytes: int, take: Take, reject: Callable[[str], None]
@@ -128,42 +130,20 @@ class RclpyGraph:
 
     def serve(self, service: str, call: Callable[[], str], *, always: bool = False) -> None:
         """See Graph. `always`: a message on a topic of that name is a std_msgs/Empty."""
-
-        def answer(_: Any, response: Any) -> Any:
-            found = attempt(call)
-            response.success, response.message = found.success, found.message
-            return response
-
-        group = MutuallyExclusiveCallbackGroup()
-        self._node.create_service(_ros_type(TRIGGER_TYPE), service, answer, callback_group=group)
+        self._requests(service, TRIGGER_TYPE, lambda _, reply: reply(attempt(call)))
         if always:
             self._listen(service, _ANY_MESSAGE, lambda _: attempt(call))
 
     def respond(self, service: str, kind: tuple[str, str], most_bytes: int, respond: Respond) -> None:
-        """See Graph. rclpy's own way to answer later is a task, for which its executor turns without a pause."""
-        found = _ros_type(kind[0])
-        ring = self._ring(f"serve {service}", lambda asked: respond(*asked), _REQUESTS)
-        made = self._node.create_service(
-            found, service, lambda request, _: request, callback_group=MutuallyExclusiveCallbackGroup()
-        )
-        send = made.send_response
+        """See Graph."""
 
-        def hand_over(request: Any, header: Any) -> None:
-            """Called with the request that the callback has returned, in place of its response."""
-            data = serialize_message(request)
-            if len(data) > most_bytes:
-                _log.warning("%s: %s", service, too_long(len(data), most_bytes))
+        def take(arrived: Arrived, reply: Reply) -> None:
+            if len(arrived.data) > most_bytes:
+                _log.warning("%s: %s", service, too_long(len(arrived.data), most_bytes))
             else:
-                ring.put((Arrived(data, b"", time.time_ns()), reply_to(header)))
+                respond(arrived, reply)
 
-        def reply_to(header: Any) -> Reply:
-            def reply(response: Message) -> None:
-                with suppress(RuntimeError):
-                    send(deserialize_message(encode(response), found.Response), header)
-
-            return reply
-
-        made.send_response = hand_over
+        self._requests(service, kind[0], take)
 
     def senders(self, topic: str) -> Present:
         """See Graph."""
@@ -198,6 +178,25 @@ class RclpyGraph:
         self._node.destroy_node()
         self._context.try_shutdown()
 
+    def _requests(self, service: str, type_name: str, take: Respond) -> None:
+        """The executor only hands requests over, so that one that waits delays no other service."""
+        found = _ros_type(type_name)
+        ring = self._ring(f"serve {service}", lambda asked: take(*asked), _REQUESTS)
+        made = self._node.create_service(found, service, lambda request, _: request)
+        send = made.send_response
+
+        def reply_to(header: Any) -> Reply:
+            def reply(response: Message) -> None:
+                with suppress(RuntimeError):
+                    send(deserialize_message(encode(response), found.Response), header)
+
+            return reply
+
+        def hand_over(request: Any, header: Any) -> None:
+            ring.put((Arrived(serialize_message(request), b"", time.time_ns()), reply_to(header)))
+
+        made.send_response = hand_over  # the executor calls it with what the callback returns: the request
+
     def _listen(self, topic: str, type_name: str, take: Callable[[Any], object], *, is_stream: bool = False) -> None:
         ring = self._ring(f"receive {topic}", take)
 
@@ -206,8 +205,14 @@ class RclpyGraph:
 
         reliability = ReliabilityPolicy.BEST_EFFORT if is_stream else ReliabilityPolicy.RELIABLE
         qos = QoSProfile(depth=1, reliability=reliability)
-        group = MutuallyExclusiveCallbackGroup()
-        self._node.create_subscription(_ros_type(type_name), topic, hand_over, qos, callback_group=group, raw=True)
+        self._node.create_subscription(
+            _ros_type(type_name),
+            topic,
+            hand_over,
+            qos,
+            raw=True,
+            event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
+        )
 
     def _ring(self, name: str, take: Callable[[Any], object], size: int = 1) -> "_Newest":
         """Whose newest messages a thread takes."""
