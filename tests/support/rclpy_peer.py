@@ -16,7 +16,7 @@ from typing import Any, Final
 import pytest
 
 from gateway.people.ros2.cdr import Message, decode, encode
-from gateway.people.ros2.messages import TRIGGER_TYPE
+from gateway.people.ros2.messages import TRIGGER_TYPE, Twist
 from tests.support.bridged import READY, clean
 from tests.support.child import Child
 from tests.support.gateway_process import COMMAND, Gateway
@@ -48,6 +48,10 @@ class RclpyPeer(Peer):
     def withdraw(self, topic: str) -> None:
         """Publish there no more."""
         self._ask("withdraw", topic)
+
+    def churn(self, topic: str, count: int) -> None:
+        """A node that comes with a publisher, and goes, so many times, ten times a second."""
+        self._ask("churn", topic, count)
 
     def next_where(self, topic: str, condition: Any) -> Any:
         """The next message of a topic for which it holds."""
@@ -99,6 +103,13 @@ class Actor:
 
     def withdraw(self, topic: str) -> None:
         self._node.destroy_publisher(self._publishers.pop(topic))
+
+    def churn(self, topic: str, count: int) -> None:
+        for number in range(count):
+            node = self._rclpy.create_node(f"churn_{number}")
+            node.create_publisher(_ros_type(Twist.TYPE), topic, 10)
+            threading.Event().wait(0.1)
+            node.destroy_node()
 
     def publish(self, topic: str, kind_name: str, cdr: str, serialized: bool = False) -> None:
         """ROS 2 reads our bytes, and writes its own."""

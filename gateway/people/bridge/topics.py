@@ -14,6 +14,7 @@ from gateway.people.bridge.graph import Arrived, Graph, Present, presence
 from gateway.people.ros2.cdr import Message, decode
 from gateway.people.ros2.joints import JointNames, check_reach, positions
 from gateway.people.ros2.messages import Float64, Int32, JointState, JointTrajectory, Twist, TwistStamped
+from gateway.people.ros2.rivals import SILENT_S, Rivals
 from gateway.people.ros2.trajectory import Trajectory
 from gateway.people.walking import Velocity
 from gateway.people.walking.gaits import NUMBERS
@@ -43,6 +44,8 @@ class Topics:
         self._show = show
         self._lock = threading.Lock()
         self._ages = Staleness(MAX_AGE_MS)
+        walking = Rivals()
+        self._rivals = {"joint_commands": Rivals(), "cmd_vel": walking, "cmd_vel_stamped": walking}
         self._shown: set[str] = set()
         self.taken: Counter[str] = Counter()
         self.rejected: Counter[str] = Counter()
@@ -100,7 +103,13 @@ class Topics:
     def _take(self, topic: str, take: Taken, kind: type[Message], arrived: Arrived) -> None:
         try:
             self.check_age(arrived)
-            take(decode(kind, arrived.data), arrived)
+            message = decode(kind, arrived.data)
+            rivals, now_s = self._rivals.get(topic), time.monotonic()
+            if rivals is not None and not rivals.may_send(arrived.sender, now_s):
+                raise NotTakenError(f"another node publishes here, and is followed until it is silent for {SILENT_S} s")
+            take(message, arrived)
+            if rivals is not None:
+                rivals.sent(arrived.sender, now_s)
         except (NotTakenError, ValueError) as error:
             self.reject(topic, str(error))
         else:
