@@ -67,10 +67,12 @@ class RclpyPeer(Peer):
 class RclpyBridge:
     """A running bridge by rclpy."""
 
-    def __init__(self, gateway: Gateway, *arguments: str, domain: int = DOMAIN) -> None:
-        """With `--via`, an option."""
+    def __init__(
+        self, gateway: Gateway, *arguments: str, domain: int = DOMAIN, env: dict[str, str] | None = None
+    ) -> None:
+        """With `--via`, an option; `env` is added to the environment."""
         link = ("--connect", gateway.endpoint, "--domain", str(domain))
-        self.child = Child([*RCLPY_COMMAND, "ros2", *link, *arguments], clean() | ENV)
+        self.child = Child([*RCLPY_COMMAND, "ros2", *link, *arguments], clean() | ENV | (env or {}))
         self.child.wait_for_output(READY, timeout_s=20)
 
     def __enter__(self) -> "RclpyBridge":
