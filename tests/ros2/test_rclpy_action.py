@@ -8,8 +8,10 @@ import pytest
 from gateway.client import Client
 from gateway.people.ros2.actions import FollowGoal, FollowResult, GoalStatus
 from gateway.people.ros2.messages import JointTrajectory
+from schemas.telemetry import Mode
 from tests.ros2.test_action import SLOW
 from tests.ros2.test_motion import plan
+from tests.support.bridged import LONG_S, keeps
 from tests.support.control_msgs import FOLLOW, made
 from tests.support.gateway_process import Gateway
 from tests.support.heard import running, states
@@ -72,3 +74,17 @@ def test_rclpys_own_client_sends_cancels_and_replaces_goals_and_an_emergency_sto
     seen.wait(lambda state: state.lease.holder is None)
     assert watcher.reset().accepted
     assert not running(watcher)
+
+
+def test_a_client_that_is_killed_has_the_robot_sit_down(
+    peer: ActionPeer, control_msgs: dict[str, str], watcher: Client
+) -> None:
+    """rclpy reports no GIDs of clients: the bridge sees that there is one less."""
+    assert peer.call("/hexapod/drive")[0]
+    with ActionPeer(control_msgs, OWN_DOMAIN) as vanishing:
+        assert vanishing.send(FollowGoal(SLOW))
+        keeps(lambda: None, lambda: len(running(watcher)) == 6)
+        vanishing.child.kill()
+        states(watcher).wait(lambda state: state.mode == Mode.IDLE, timeout_s=LONG_S)
+    assert watcher.state().lease.holder == "ros2", "another may go on"
+    assert peer.call("/hexapod/release")[0]
