@@ -131,13 +131,17 @@ MEASURED: Final = {
 """In as many letters as it may take."""
 
 
-def walk(posture: str | None, detail: str = "", limit: str = "") -> dict[str, Any]:
+FELT: Final = "Leans by 14.9°, 15.0° corrected; legs 1, 2, 3, 4 and 5 carry; leg 6 hangs over an edge"
+"""The longest usual sentence of what a walk by sensors feels."""
+
+
+def walk(posture: str | None, detail: str = "", limit: str = "", ground: str = "") -> dict[str, Any]:
     """What the console reports of a walk."""
     return {
         "type": "walk", "press": 10**6, "id": None, "posture": posture, "gait": "ripple", "height_m": 0.15,
         "now": NOW.get(posture or "", "It walks"),
         "commanded": [0.1, -0.1, 0.4], "scaled": [0.1, -0.1, 0.4], "limit": limit, "lost": [], "waits": False,
-        "detail": detail,
+        "ground": ground, "detail": detail,
     }  # fmt: skip
 
 
@@ -167,7 +171,8 @@ def situations(source: str) -> dict[str, tuple[list[dict[str, Any]], dict[str, A
         ),
         "a bus fault": ([], {**lease(LONG, asked_by=LONG), "mode": "bus_fault"}),
         "measured": ([MEASURED], lease(source)),
-        "controller silent": ([MEASURED], {**lease(source), "controller": {"alive": False}}),
+        "by sensors": ([MEASURED, walk("walking", ground=FELT)], lease(source)),
+        "controller silent": ([MEASURED, walk("walking")], {**lease(source), "controller": {"alive": False}}),
         "no gateway": ([{"type": "link", "status": "gone", "detail": gone}, mine(False)], lease(LONG)),
         "a gateway again": ([{"type": "link", "status": "connected", "detail": ""}], lease(None)),
     }

@@ -132,7 +132,7 @@ class Engine:
                 self._advance(after, target.times(cap), seconds * pace, felt, holds=holds)
             except WalkError as error:  # what the discs and the plans are there to prevent
                 if felt is not NOTHING and not holds:  # it leans further than its strides allow
-                    holds, self._leans_rad = True, _LEANS_LESS * min(self._leans_rad, self._leaning_rad)
+                    holds, self._leans_rad = True, _LEANS_LESS * min(self._leans_rad, self.corrected_rad)
                     continue
                 self._stand_still(str(error))
                 break
@@ -265,6 +265,11 @@ class Engine:
         return self._state.body
 
     @property
+    def corrected_rad(self) -> float:
+        """How far the body leans against its feet, so as to be level."""
+        return max(abs(now - asked) for now, asked in zip(self.body[1:], self._stance.body[1:], strict=True))
+
+    @property
     def feet(self) -> Mapping[int, Vector]:
         """The positions of the feet, in the ground frame."""
         return self._state.feet
@@ -336,11 +341,6 @@ class Engine:
         state.follow(self.robot, move, state.part)  # `halt` has left out the lost legs
         if state.part == 1.0:
             state.moves, state.part = state.moves[1:], 0.0
-
-    @property
-    def _leaning_rad(self) -> float:
-        """How far the body leans to be level."""
-        return max(abs(now - asked) for now, asked in zip(self.body[1:], self._stance.body[1:], strict=True))
 
     def _adapt(self, state: State, seconds: float, felt: Felt) -> None:
         """Level the body, and let it climb with its feet."""

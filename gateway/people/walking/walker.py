@@ -6,6 +6,7 @@ It assumes that all six legs run; `Ride` starts and stops them.
 - Without any command for `rest_s` the robot sits down; after that `is_over`, and the servos may be stopped.
 """
 
+import math
 from typing import Final, NamedTuple
 
 from gateway.people.walking.balance import terrain_named
@@ -44,6 +45,8 @@ class WalkState(NamedTuple):
     """Of the body against the world's up, as measured; None: not measured."""
     carrying: tuple[bool, ...] | None = None
     """Which of legs 1 to 6 carry, as measured."""
+    corrected_deg: float = 0.0
+    """How far the body leans against its feet, so as to be level."""
     hanging: tuple[int, ...] = ()
     """Legs that found no ground."""
 
@@ -154,5 +157,6 @@ class Walker:
             terrain=self.terrain,
             tilt_deg=engine.felt.tilt_deg,
             carrying=engine.felt.carrying,
+            corrected_deg=math.degrees(engine.corrected_rad),
             hanging=tuple(sorted(engine.hanging)),
         )

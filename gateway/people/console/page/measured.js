@@ -1,5 +1,5 @@
 // @ts-check
-/** What the robot measures, in a strip over the picture: battery, tilt, temperature; and which feet carry. */
+/** What the robot measures, in a strip over the picture: battery, tilt, temperature; what a walk by sensors feels; and which feet carry. */
 
 import { attribute, byId, show, text } from "./dom.js";
 
@@ -50,15 +50,15 @@ export class Measured {
     this.line = byId("horizon-line");
   }
 
-  /** @param {number} nowMs */
-  refresh(nowMs) {
+  /** @param {number} nowMs @param {string} ground what this page's walk feels */
+  refresh(nowMs, ground) {
     const { state } = this.model;
     const telemetry = this.model.measured(nowMs);
     const alive = state?.controller?.alive ?? null;
     const battery = telemetry?.battery ?? state?.battery ?? null;
     const tilt = telemetry?.tilt_deg ?? null;
     const temperature = telemetry?.temperature_c ?? null;
-    show(byId("measured"), this.model.live(nowMs) && (alive === false || battery !== null || tilt !== null || temperature !== null));
+    show(byId("measured"), this.model.live(nowMs) && (alive === false || battery !== null || tilt !== null || temperature !== null || ground !== ""));
     show(byId("controller-silent"), alive === false);
     show(byId("battery"), battery !== null);
     if (battery) {
@@ -74,5 +74,7 @@ export class Measured {
     if (seen) this.line.style.transform = `rotate(${seen.turned.toFixed(0)}deg) translateY(${(-100 * RISE * seen.raised).toFixed(0)}%)`;
     show(byId("temperature"), temperature !== null);
     if (temperature !== null) text(byId("temperature"), `${Math.round(temperature)} °C`);
+    show(byId("ground"), ground !== "");
+    text(byId("ground"), ground);
   }
 }
