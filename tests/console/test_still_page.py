@@ -3,6 +3,7 @@
 from typing import Any, Final
 
 import pytest
+from playwright.sync_api import expect
 
 from tests.console.browser import Opened, Visitor
 
@@ -205,3 +206,16 @@ def faults(page: Opened) -> list[str]:
         found += [f"{name}: {element} is {how}" for how in ("cut", "covered") for element in seen[how]]
         found += [f"{name}: the page scrolls"] if seen["scrolls"] else []
     return found
+
+
+def test_what_a_walk_by_sensors_feels_is_on_the_picture_and_why_it_stands_still_is_said(visitor: Visitor) -> None:
+    page = visitor.open(script=HEAR)
+    shown = situations("root")
+    page.page.evaluate(SHOW, shown["by sensors"])
+    expect(page["ground"]).to_have_text(FELT)
+    over = walk("standing", limit="no ground under leg 6: it hangs over an edge")
+    page.page.evaluate(SHOW, ([{**over, "scaled": [0, 0, 0]}], shown["mine"][1]))
+    expect(page.said).to_have_text("It stands still: no ground under leg 6: it hangs over an edge.")
+    page.page.evaluate(SHOW, shown["limited"])
+    expect(page.said).to_contain_text("Slower than that: ")
+    expect(page["ground"]).to_be_hidden()
