@@ -26,13 +26,15 @@ _LIFTED_S: Final = 0.3
 _LIFTED: Final = 0.2
 _CARRIES: Final = 0.05
 """Of the weight: a foot that presses more touches the ground."""
-_FORGETS_S: Final = 10.0
-"""A weight that was measured too high, by a hard step, is forgotten in this time."""
+_WEIGHS_S: Final = 1.0
+"""The weight is the mean of the forces in this time, so that a hard step does not count as one."""
 _LEVELS_1_S: Final = 1.5
 """Of the remaining lean, corrected each second: slow against a stride, so that feet that swing do not excite it."""
 _LEVELS_RAD_S: Final = 0.2
 LEANS_RAD: Final = math.radians(15.0)
 """The most that the body leans against its feet to be level."""
+LEANS_MORE_RAD_S: Final = math.radians(1.5)
+"""After its legs had no stride, so that they were given less to lean: feet that step find more room."""
 _RISES_1_S: Final = 1.0
 _RISES_M_S: Final = 0.03
 EARLY_M: Final = 0.010
@@ -125,7 +127,7 @@ class Senses:
             self._lifted_s += seconds
         else:
             self._lifted_s = 0.0
-            self._weight = max(total, self._weight * (1.0 - min(1.0, seconds / _FORGETS_S)))
+            self._weight += (total - self._weight) * (min(1.0, seconds / _WEIGHS_S) if self._weight else 1.0)
         return tuple(force > _CARRIES * self._weight for force in forces)
 
 

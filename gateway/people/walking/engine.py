@@ -19,6 +19,7 @@ from gateway.errors import WalkError
 from gateway.geometry.kinematics import Vector
 from gateway.people.walking import gaits
 from gateway.people.walking.balance import (
+    LEANS_MORE_RAD_S,
     LEANS_RAD,
     NOTHING,
     Felt,
@@ -28,7 +29,7 @@ from gateway.people.walking.balance import (
 )
 from gateway.people.walking.motion import ORIGIN, STILL, BodyPose, Odometry, Velocity, carried
 from gateway.people.walking.planning import Planner, balanced
-from gateway.people.walking.robot import LIFT_M, Pose, Robot, Stance
+from gateway.people.walking.robot import LIFT_M, WIDE_RAD, Pose, Robot, Stance
 from gateway.people.walking.swing import State, Swing
 from gateway.people.walking.tempo import (
     HALT_S,
@@ -302,7 +303,7 @@ class Engine:
         if self._wanted:
             wanted = self._wanted.popleft()
             self._stance = wanted or self._stance
-            state.moves = self._planner.way(state, wanted)
+            state.moves, state.rests = self._planner.way(state, wanted), {}
             state.sits, state.part = wanted is None, 0.0
 
     def _step_within_reach(self) -> None:
@@ -310,7 +311,7 @@ class Engine:
         state = self._state
         outside = any(math.dist(state.feet[leg], rest) > self._within_m for leg, rest in self._stance.feet.items())
         if outside and not state.sits:
-            state.moves = self._planner.way(state, self._stance)
+            state.moves, state.rests = self._planner.way(state, self._stance), {}
             state.part = 0.0
 
     def _lower(self, legs: Iterable[int]) -> None:
@@ -344,6 +345,7 @@ class Engine:
 
     def _adapt(self, state: State, seconds: float, felt: Felt) -> None:
         """Level the body, and let it climb with its feet."""
+        self._leans_rad = min(LEANS_RAD, self._leans_rad + LEANS_MORE_RAD_S * seconds)
         state.body = levelled(state.body, self._stance.body, felt, self._leans_rad, seconds)
         down_m = lowered_by(
             [foot[2] for leg, foot in state.feet.items() if leg not in state.swings and leg not in state.hanging],
@@ -384,7 +386,8 @@ class Engine:
         if across(swing.part) == 1.0:  # above its landing place: it comes straight down
             x, y, _ = carried(state.feet[leg], velocity, seconds)
         else:
-            landing = carried(self._stance.feet[leg], velocity, -gait.stance_s / 2)
+            state.rests[leg] = self._rest(leg)
+            landing = carried(state.rests[leg], velocity, -gait.stance_s / 2)
             lands = carried(landing, velocity, -(1.0 - part) * gait.swing_s)
             x, y, _ = between(left, lands, across(part))
         height_m = swing.left[2] * (1.0 - across(part)) + self._lift_m * up(part, self._climb)
@@ -397,6 +400,11 @@ class Engine:
         state.hanging -= {leg} if touches else frozenset()
         if ends.hangs:
             state.hanging, state.over = state.hanging | {leg}, velocity if velocity.moves else state.over
+
+    def _rest(self, leg: int) -> Vector:
+        """Where its foot is to rest: further out, the more the body leans against its feet."""
+        rest, part = self._stance.feet[leg], min(1.0, self.corrected_rad / WIDE_RAD)
+        return between(rest, self.robot.widened(self._stance.body)[leg], part) if part else rest
 
     def _is_over(self, velocity: Velocity) -> bool:
         """Whether it would walk on over an edge; back from there it may."""
@@ -474,7 +482,7 @@ class Engine:
         for leg, rest in self._stance.feet.items():
             if leg in state.swings or leg in self.lost or self._is_due(leg, state.clock):
                 continue
-            foot = state.feet[leg]
+            foot, rest = state.feet[leg], state.rests.get(leg, rest)
             left_s = (1.0 - gaits.phase(self._quick, leg, state.clock)) * self._quick.period_s
             if math.dist(carried(foot, velocity, left_s), rest) > max(within_m, math.dist(foot, rest)):
                 return False

@@ -58,6 +58,8 @@ class State(Figure):
     odometry: Odometry = ORIGIN
     part: float = 0.0
     """How much of the first of its moves is done, 0 to 1."""
+    rests: dict[int, Vector] = field(default_factory=dict)
+    """Where the feet rest that were set down further out than their stance has them, since the body leans."""
     hanging: frozenset[int] = frozenset()
     """Legs whose feet found no ground, when the walk went `over`."""
     over: Velocity = STILL
@@ -66,5 +68,5 @@ class State(Figure):
 
     def copy(self) -> Self:
         new = Figure.copy(self)
-        new.swings = dict(self.swings)
+        new.swings, new.rests = dict(self.swings), dict(self.rests)
         return new
