@@ -40,7 +40,9 @@ _RISES_M_S: Final = 0.03
 EARLY_M: Final = 0.010
 """Servos give way under load: a foot that touches below this height goes on to the ground that was expected."""
 LATE_S: Final = 0.12
-"""So long a foot waits for its contact to be reported before it goes on down: sensors may be 0.1 s late."""
+"""So long a foot waits at most for its contact to be reported before it goes on down: sensors may be 0.1 s late."""
+LAG_FORGOTTEN: Final = 0.8
+"""How much of that time remains after each foot whose contact was reported at once."""
 SINKS_M_S: Final = 0.10
 DEEPEST_M: Final = 0.030
 """So far below the expected ground a foot goes on down."""

@@ -19,6 +19,8 @@ from gateway.errors import WalkError
 from gateway.geometry.kinematics import Vector
 from gateway.people.walking import gaits
 from gateway.people.walking.balance import (
+    LAG_FORGOTTEN,
+    LATE_S,
     LEANS_MORE_RAD_S,
     LEANS_RAD,
     NOTHING,
@@ -345,6 +347,7 @@ class Engine:
 
     def _adapt(self, state: State, seconds: float, felt: Felt) -> None:
         """Level the body, and let it climb with its feet."""
+        state.hanging -= {leg for leg, touches in felt.feet.items() if touches}
         self._leans_rad = min(LEANS_RAD, self._leans_rad + LEANS_MORE_RAD_S * seconds)
         state.body = levelled(state.body, self._stance.body, felt, self._leans_rad, seconds)
         down_m = lowered_by(
@@ -390,14 +393,17 @@ class Engine:
             landing = carried(state.rests[leg], velocity, -gait.stance_s / 2)
             lands = carried(landing, velocity, -(1.0 - part) * gait.swing_s)
             x, y, _ = between(left, lands, across(part))
-        height_m = swing.left[2] * (1.0 - across(part)) + self._lift_m * up(part, self._climb)
-        ends = swing._replace(left=left, part=part).down(height_m, state.feet[leg][2], touches, seconds)
+        height_m = min(LIFT_M, swing.left[2] * (1.0 - across(part)) + self._lift_m * up(part, self._climb))
+        ends = swing._replace(left=left, part=part).down(
+            height_m, state.feet[leg][2], touches, seconds, state.lag_s
+        )
         state.feet[leg] = x, y, ends.height_m
         if ends.swing is not None:
             state.swings[leg] = ends.swing
             return
         del state.swings[leg]
-        state.hanging -= {leg} if touches else frozenset()
+        if touches and swing.free and swing.late_s <= LATE_S:  # it was no hole
+            state.lag_s = max(swing.late_s, LAG_FORGOTTEN * state.lag_s)
         if ends.hangs:
             state.hanging, state.over = state.hanging | {leg}, velocity if velocity.moves else state.over
 
