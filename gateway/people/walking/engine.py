@@ -360,12 +360,10 @@ class Engine:
     def _walk(self, state: State, target: Velocity, seconds: float, felt: Felt) -> None:
         gait = self._quick
         began = not state.velocity.moves and not state.swings
-        if began:
-            state.clock = 0.0
         self._hurry(state, target, seconds)
         velocity = self._slewed(state, target, seconds)
         if velocity.moves:
-            velocity = velocity.times(self._allowed(state, velocity))
+            velocity = velocity.times(self._begun(state, velocity) if began else self._allowed(state, velocity))
         state.velocity = velocity
         state.odometry = state.odometry.after(velocity, seconds)
         for leg, foot in state.feet.items():
@@ -405,7 +403,8 @@ class Engine:
         if touches and swing.free and swing.late_s <= LATE_S:  # it was no hole
             state.lag_s = max(swing.late_s, LAG_FORGOTTEN * state.lag_s)
         if ends.hangs:
-            state.hanging, state.over = state.hanging | {leg}, velocity if velocity.moves else state.over
+            over = next((each for each in (velocity, self.commanded) if each.moves), state.over)
+            state.hanging, state.over = state.hanging | {leg}, over
 
     def _rest(self, leg: int) -> Vector:
         """Where its foot is to rest: further out, the more the body leans against its feet."""
@@ -483,12 +482,19 @@ class Engine:
         """The part of it with which every foot that stands stays in its disc until it is lifted."""
         return largest(lambda part: self._stays(state, velocity.times(part)))
 
+    def _begun(self, state: State, velocity: Velocity) -> float:
+        """`_allowed` for a walk that begins: it lifts first the feet that would not let it go."""
+        for state.clock in sorted({*self._quick.lifts}):
+            if allowed := self._allowed(state, velocity):
+                return allowed
+        return 0.0
+
     def _stays(self, state: State, velocity: Velocity) -> bool:
         within_m = self._within_m + _LATE_M
-        for leg, rest in self._stance.feet.items():
+        for leg, foot in state.feet.items():
             if leg in state.swings or leg in self.lost or self._is_due(leg, state.clock):
                 continue
-            foot, rest = state.feet[leg], state.rests.get(leg, rest)
+            rest = state.rests.get(leg, self._stance.feet[leg])
             left_s = (1.0 - gaits.phase(self._quick, leg, state.clock)) * self._quick.period_s
             if math.dist(carried(foot, velocity, left_s), rest) > max(within_m, math.dist(foot, rest)):
                 return False

@@ -41,9 +41,8 @@ class Ground:
     def read(self) -> Telemetry:
         engine = self.engine
         deep_m = [self._height_m(leg, engine.odometry.x_m + engine.feet[leg][0]) - engine.feet[leg][2] for leg in LEGS]
-        feet = [
-            self.stuck.get(leg, float(depth > max(deep_m) - 0.001)) for leg, depth in zip(LEGS, deep_m, strict=True)
-        ]  # the body sinks until its feet touch
+        carried_m = sorted(deep_m)[-3] - 0.001  # the body sinks until three feet touch
+        feet = [self.stuck.get(leg, float(depth > carried_m)) for leg, depth in zip(LEGS, deep_m, strict=True)]
         body = engine.body
         return telemetry(feet, body.roll_rad + self._slope[0], body.pitch_rad + self._slope[1])
 
