@@ -103,13 +103,13 @@ class Senses:
         new._seen = dict(self._seen)
         return new
 
-    def take(self, telemetry: Telemetry | None, seconds: float) -> Felt:
-        """What this telemetry says; None where none is fresh."""
+    def take(self, telemetry: Telemetry | None, seconds: float, *, stands: bool = True) -> Felt:
+        """What this telemetry says; None where none is fresh. `stands`: its feet alone carry it, not its belly."""
         if telemetry is None:
             self._tilted_s = self._lifted_s = 0.0
             return NOTHING
         roll_rad, pitch_rad, tilt_deg = _lean(telemetry)
-        carrying = None if telemetry.feet is None else self._carrying(telemetry.feet, seconds)
+        carrying = None if telemetry.feet is None else self._carrying(telemetry.feet, seconds, stands=stands)
         self._tilted_s = self._tilted_s + seconds if (tilt_deg or 0.0) > FALLEN_DEG else 0.0
         feet = {}
         for leg, carries in zip(LEGS, carrying or (), strict=False):
@@ -118,17 +118,16 @@ class Senses:
                 feet[leg] = carries
         fault = ""
         if self._tilted_s > _FALLEN_S:
-            fault = f"the body leans by {tilt_deg:.0f} degrees: it has fallen, and stands still"
+            fault = f"the body leans by {tilt_deg:.0f} degrees: it has fallen"
         elif self._lifted_s > _LIFTED_S:
-            fault = "no foot carries: somebody has lifted it, and it stands still"
+            fault = "no foot carries: somebody has lifted it"
         return Felt(roll_rad, pitch_rad, tilt_deg, feet, carrying, fault)
 
-    def _carrying(self, forces: tuple[float, ...], seconds: float) -> tuple[bool, ...]:
+    def _carrying(self, forces: tuple[float, ...], seconds: float, *, stands: bool) -> tuple[bool, ...]:
         total = sum(max(0.0, force) for force in forces)
-        if total < _LIFTED * self._weight:
-            self._lifted_s += seconds
-        else:
-            self._lifted_s = 0.0
+        lifted = stands and total < _LIFTED * self._weight
+        self._lifted_s = self._lifted_s + seconds if lifted else 0.0
+        if stands and not lifted:
             self._weight += (total - self._weight) * (min(1.0, seconds / _WEIGHS_S) if self._weight else 1.0)
         return tuple(force > _CARRIES * self._weight for force in forces)
 

@@ -19,8 +19,6 @@ from gateway.errors import WalkError
 from gateway.geometry.kinematics import Vector
 from gateway.people.walking import gaits
 from gateway.people.walking.balance import (
-    LAG_FORGOTTEN,
-    LATE_S,
     LEANS_MORE_RAD_S,
     LEANS_RAD,
     NOTHING,
@@ -44,6 +42,7 @@ from gateway.people.walking.tempo import (
     least,
     nearer,
     needs_s,
+    slewed,
     wanted,
 )
 from gateway.people.walking.ways import (
@@ -120,7 +119,8 @@ class Engine:
         """
         seconds = max(0.0, min(seconds, _LONGEST_S))
         self.commanded = velocity
-        self.felt = felt = self._senses.take(telemetry, seconds)
+        stands = not (self._state.sits or self._state.moves)
+        self.felt = felt = self._senses.take(telemetry, seconds, stands=stands)
         self._barred = felt.fault or (self._barred if velocity.moves else "")
         if felt.fault:  # a leg that moves now may meet a hand
             self.limit, self.scaled = felt.fault, STILL
@@ -361,7 +361,8 @@ class Engine:
         gait = self._quick
         began = not state.velocity.moves and not state.swings
         self._hurry(state, target, seconds)
-        velocity = self._slewed(state, target, seconds)
+        stops_s = HALT_S if self.lost else min(needs_s(state.velocity), STOPS_WITHIN * self._gait.period_s)
+        velocity = slewed(state, target, seconds, stops_s)
         if velocity.moves:
             velocity = velocity.times(self._begun(state, velocity) if began else self._allowed(state, velocity))
         state.velocity = velocity
@@ -392,19 +393,12 @@ class Engine:
             lands = carried(landing, velocity, -(1.0 - part) * gait.swing_s)
             x, y, _ = between(left, lands, across(part))
         height_m = min(LIFT_M, swing.left[2] * (1.0 - across(part)) + self._lift_m * up(part, self._climb))
-        ends = swing._replace(left=left, part=part).down(
-            height_m, state.feet[leg][2], touches, seconds, state.lag_s
-        )
+        ends = swing._replace(left=left, part=part).down(height_m, state.feet[leg][2], touches, seconds, state.lag_s)
         state.feet[leg] = x, y, ends.height_m
         if ends.swing is not None:
             state.swings[leg] = ends.swing
             return
-        del state.swings[leg]
-        if touches and swing.free and swing.late_s <= LATE_S:  # it was no hole
-            state.lag_s = max(swing.late_s, LAG_FORGOTTEN * state.lag_s)
-        if ends.hangs:
-            over = next((each for each in (velocity, self.commanded) if each.moves), state.over)
-            state.hanging, state.over = state.hanging | {leg}, over
+        state.landed(leg, touches, hangs=ends.hangs, over=velocity if velocity.moves else self.commanded)
 
     def _rest(self, leg: int) -> Vector:
         """Where its foot is to rest: further out, the more the body leans against its feet."""
@@ -446,22 +440,6 @@ class Engine:
         half_s = self._gait.stance_s / 2
         rests = self._stance.feet.values()
         return max(math.dist(carried(rest, velocity, half_s), rest) for rest in rests) / self._within_m
-
-    def _slewed(self, state: State, target: Velocity, seconds: float) -> Velocity:
-        now = state.velocity
-        if not target.moves:
-            if not now.moves:
-                return STILL
-            if not state.brake_s:
-                state.brake_s = HALT_S if self.lost else min(needs_s(now), STOPS_WITHIN * self._gait.period_s)
-            left_s = state.brake_s - seconds
-            part = max(0.0, left_s / state.brake_s)
-            state.brake_s = max(0.0, left_s)
-            return now.times(part) if part > _ALMOST else STILL
-        state.brake_s = 0.0
-        change = Velocity(*(b - a for a, b in zip(now, target, strict=True)))
-        part = min(1.0, seconds / max(needs_s(change), _ALMOST))
-        return Velocity(*(a + part * b for a, b in zip(now, change, strict=True)))
 
     def _capped(self, target: Velocity) -> float:
         """The part of this velocity whose strides fit into the discs."""

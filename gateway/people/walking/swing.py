@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 from typing import Final, NamedTuple, Self
 
 from gateway.geometry.kinematics import Vector
-from gateway.people.walking.balance import DEEPEST_M, EARLY_M, LATE_S, SINKS_M_S
+from gateway.people.walking.balance import DEEPEST_M, EARLY_M, LAG_FORGOTTEN, LATE_S, SINKS_M_S
 from gateway.people.walking.motion import ORIGIN, STILL, Odometry, Velocity
 from gateway.people.walking.ways import Figure
 
@@ -75,3 +75,11 @@ class State(Figure):
         new = Figure.copy(self)
         new.swings, new.rests = dict(self.swings), dict(self.rests)
         return new
+
+    def landed(self, leg: int, touches: bool | None, *, hangs: bool, over: Velocity) -> None:
+        """End a swing. `touches`: whether its foot is felt on the ground; `over`: the velocity, if it `hangs`."""
+        swing = self.swings.pop(leg)
+        if touches and swing.free and swing.late_s <= LATE_S:  # it was no hole
+            self.lag_s = max(swing.late_s, LAG_FORGOTTEN * self.lag_s)
+        if hangs:
+            self.hanging, self.over = self.hanging | {leg}, over if over.moves else self.over

@@ -71,6 +71,7 @@ class Walker:
         """`angles_deg`: of legs that run already. `odometry`: where it begins. Raises WalkError."""
         self.terrain = terrain_named(terrain)
         self.engine = Engine(robot, gait, angles_deg, odometry)
+        self._prepare()
         self.hold_s = hold_s
         self.rest_s = rest_s
         self._velocity = STILL
@@ -97,6 +98,7 @@ class Walker:
         self._velocity = STILL
         self.sits = False
         self.engine.stand(stance)
+        self._prepare(stance)
 
     def sit(self, now_s: float) -> None:
         """End the walk, and lie down on the belly."""
@@ -136,6 +138,11 @@ class Walker:
         """Whether its driver is silent and the robot down, so that it does not fall when its servos are stopped."""
         silent = self._ticked_s is not None and self._is_silent(self._ticked_s)
         return silent and self.engine.posture in DOWN
+
+    def _prepare(self, stance: Stance | None = None) -> None:
+        """Find out now what takes longer than a tick."""
+        if self.terrain == "adapt":
+            self.engine.robot.widened((stance or self.engine.stance).body)
 
     def _is_silent(self, now_s: float) -> bool:
         since_s = max(self._said_s or 0.0, self._busy_s or 0.0)
