@@ -320,6 +320,10 @@ def console(
         typer.Option(metavar="ROLE", help="operator, button (stops, drives nothing) or observer (only looks)."),
     ] = "operator",
     geometry: OtherShapeOption = None,
+    terrain: Annotated[
+        str,
+        typer.Option("--terrain", help="Of pages' walks: level, or adapt: by the robot's sensors, where it has some."),
+    ] = "level",
     open_browser: Annotated[bool, typer.Option("--open", help="Open the page in this machine's browser.")] = False,
     link: Annotated[
         bool, typer.Option("--link", help="Print a link for another browser, into the console that runs (at --listen).")
@@ -341,7 +345,7 @@ def console(
 
     if revoke or link:
         sys.exit(command.revoke() if revoke else command.link(listen))
-    options = Options(connect, zenoh_config, timeout, listen, cert, key, role, geometry, open_browser)
+    options = Options(connect, zenoh_config, timeout, listen, cert, key, role, geometry, terrain, open_browser)
     command.console(options)
 
 

@@ -1,9 +1,6 @@
 """A robot that measures, on the page; and one of which only the whole starts and stops."""
 
 import re
-import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
 from datetime import timedelta
 from typing import Any, Final
 
@@ -16,27 +13,14 @@ from gateway.client import Client
 from gateway.people.console.app import lying_deg
 from schemas import keys
 from schemas.robot import LEGS, SERVO_IDS
-from schemas.telemetry import Battery, Event, GatewayState, Imu, Kind, Telemetry
+from schemas.telemetry import Battery, Event, GatewayState, Kind, Telemetry
 from tests.console.browser import Opened, Visitor
 from tests.support.fixtures import client_fixture
 from tests.support.heard import states
-from tests.support.measuring import MEASURED
+from tests.support.measuring import LEANING, measures
 
 pytestmark = pytest.mark.browser
 
-PERIOD_S: Final = 0.1
-LEANING: Final = MEASURED.model_copy(
-    update={
-        "imu": Imu(
-            orientation_wxyz=(0.9914, 0.1305, 0.0, 0.0),
-            angular_velocity_rad_s=(0.0, 0.0, 0.0),
-            linear_acceleration_m_s2=(0.0, 0.0, 9.81),
-        ),
-        "tilt_deg": 15.0,
-        "feet": (9.0, 0.0, 0.1, 11.0, 8.0, -0.2),
-    }
-)
-"""It leans by 15° to the right, on feet 1, 4 and 5."""
 WHOLE: Final = """
 window.controller = { protocol: "elkapod-2025", alive: true, age_ms: 5 };
 const listen = WebSocket.prototype.addEventListener;
@@ -64,24 +48,6 @@ COVERED: Final = """() => {
 SIZES: Final = ((320, 568), (568, 320), (360, 640), (640, 360), (390, 844), (844, 390))
 
 robot = client_fixture("watcher")
-
-
-@contextmanager
-def measures(client: Client, telemetry: Telemetry) -> Iterator[None]:
-    """A robot that measures this, ten times a second."""
-    ended = threading.Event()
-
-    def publish() -> None:
-        while not ended.wait(PERIOD_S):
-            client.session.put(keys.TELEMETRY, telemetry.model_dump_json())
-
-    thread = threading.Thread(target=publish)
-    thread.start()
-    try:
-        yield
-    finally:
-        ended.set()
-        thread.join()
 
 
 def report(client: Client, kind: Kind, *, ago_s: float = 0.0) -> None:

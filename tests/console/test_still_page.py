@@ -3,6 +3,7 @@
 from typing import Any, Final
 
 import pytest
+from playwright.sync_api import expect
 
 from tests.console.browser import Opened, Visitor
 
@@ -131,13 +132,17 @@ MEASURED: Final = {
 """In as many letters as it may take."""
 
 
-def walk(posture: str | None, detail: str = "", limit: str = "") -> dict[str, Any]:
+FELT: Final = "Leans by 14.9°, 15.0° corrected; legs 1, 2, 3, 4 and 5 carry; leg 6 hangs over an edge"
+"""The longest usual sentence of what a walk by sensors feels."""
+
+
+def walk(posture: str | None, detail: str = "", limit: str = "", ground: str = "") -> dict[str, Any]:
     """What the console reports of a walk."""
     return {
         "type": "walk", "press": 10**6, "id": None, "posture": posture, "gait": "ripple", "height_m": 0.15,
         "now": NOW.get(posture or "", "It walks"),
         "commanded": [0.1, -0.1, 0.4], "scaled": [0.1, -0.1, 0.4], "limit": limit, "lost": [], "waits": False,
-        "detail": detail,
+        "ground": ground, "detail": detail,
     }  # fmt: skip
 
 
@@ -167,7 +172,8 @@ def situations(source: str) -> dict[str, tuple[list[dict[str, Any]], dict[str, A
         ),
         "a bus fault": ([], {**lease(LONG, asked_by=LONG), "mode": "bus_fault"}),
         "measured": ([MEASURED], lease(source)),
-        "controller silent": ([MEASURED], {**lease(source), "controller": {"alive": False}}),
+        "by sensors": ([MEASURED, walk("walking", ground=FELT)], lease(source)),
+        "controller silent": ([MEASURED, walk("walking")], {**lease(source), "controller": {"alive": False}}),
         "no gateway": ([{"type": "link", "status": "gone", "detail": gone}, mine(False)], lease(LONG)),
         "a gateway again": ([{"type": "link", "status": "connected", "detail": ""}], lease(None)),
     }
@@ -200,3 +206,16 @@ def faults(page: Opened) -> list[str]:
         found += [f"{name}: {element} is {how}" for how in ("cut", "covered") for element in seen[how]]
         found += [f"{name}: the page scrolls"] if seen["scrolls"] else []
     return found
+
+
+def test_what_a_walk_by_sensors_feels_is_on_the_picture_and_why_it_stands_still_is_said(visitor: Visitor) -> None:
+    page = visitor.open(script=HEAR)
+    shown = situations("root")
+    page.page.evaluate(SHOW, shown["by sensors"])
+    expect(page["ground"]).to_have_text(FELT)
+    over = walk("standing", limit="no ground under leg 6: it hangs over an edge")
+    page.page.evaluate(SHOW, ([{**over, "scaled": [0, 0, 0]}], shown["mine"][1]))
+    expect(page.said).to_have_text("It stands still: no ground under leg 6: it hangs over an edge.")
+    page.page.evaluate(SHOW, shown["limited"])
+    expect(page.said).to_contain_text("Slower than that: ")
+    expect(page["ground"]).to_be_hidden()

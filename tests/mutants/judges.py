@@ -60,6 +60,7 @@ _LEASE: Final = (f"{_UNIT}test_lease.py", f"{_UNIT}test_lease_conductor.py")
 _CHECKER: Final = ("tests/unit/people/test_lease_checker.py", f"{_UNIT}test_lease_conductor.py")
 _BUS: Final = (
     f"{_UNIT}test_awaited.py",
+    f"{_UNIT}test_bus_failing.py",
     f"{_UNIT}test_bus.py",
     f"{_UNIT}test_bus_device.py",
     f"{_UNIT}test_preamble.py",

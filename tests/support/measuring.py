@@ -1,12 +1,14 @@
 """What a robot that measures publishes, for tests of what people and programs make of it."""
 
 import json
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any, Final
 
 import zenoh
 
+from gateway.client import Client
 from schemas import keys
 from schemas.telemetry import Battery, GatewayState, Imu, Telemetry
 from tests.support.router import zenoh_listening
@@ -26,6 +28,37 @@ MEASURED: Final = Telemetry(
     feet=(1.0, 2.0, 3.0, 4.0, 5.0, 6.0),
 )
 """Of an Elkapod that turns on the spot."""
+LEANING: Final = MEASURED.model_copy(
+    update={
+        "imu": Imu(
+            orientation_wxyz=(0.9914, 0.1305, 0.0, 0.0),
+            angular_velocity_rad_s=(0.0, 0.0, 0.0),
+            linear_acceleration_m_s2=(0.0, 0.0, 9.81),
+        ),
+        "tilt_deg": 15.0,
+        "feet": (9.0, 0.0, 0.1, 11.0, 8.0, -0.2),
+    }
+)
+"""It leans by 15° to the right, on feet 1, 4 and 5."""
+_PERIOD_S: Final = 0.1
+
+
+@contextmanager
+def measures(client: Client, telemetry: Telemetry) -> Iterator[None]:
+    """A robot that measures this, ten times a second."""
+    ended = threading.Event()
+
+    def publish() -> None:
+        while not ended.wait(_PERIOD_S):
+            client.session.put(keys.TELEMETRY, telemetry.model_dump_json())
+
+    thread = threading.Thread(target=publish)
+    thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        thread.join()
 
 
 class Measuring:

@@ -20,6 +20,7 @@ from gateway.people.walking import USUAL_SILENCES, Phase, Pose, Posture, Ride, R
 from gateway.people.walking.ride import START_PAUSE_S
 from gateway.people.walking.stability import margin_m
 from schemas.robot import LEGS
+from schemas.telemetry import Telemetry
 
 ROBOT: Final = Robot(load())
 WHOLE: Final = Robot(load(), starts_whole=True)
@@ -42,13 +43,15 @@ class Ridden:
         once: bool = False,
         running: Pose | None = None,
         robot: Robot = ROBOT,
+        terrain: str = "level",
     ) -> None:
         self.now_s = 100.0
         self.running: dict[int, tuple[float, float, float]] = dict(running or {})
         self.at: dict[int, tuple[float, float, float]] = dict(self.running)
         """Where each servo was commanded to last, running or not."""
         self._robot = robot
-        self.ride = Ride(robot, "tripod", running, silences, once=once, now_s=self.now_s)
+        self.ride = Ride(robot, "tripod", running, silences, once=once, now_s=self.now_s, terrain=terrain)
+        self.telemetry: Telemetry | None = None
         self.estopped = self.cut = False
         self.hides: Collection[int] = ()
         """Stops of these legs that the first report leaves out."""
@@ -85,7 +88,7 @@ class Ridden:
         self.now_s += seconds
         self._watch()
         for _ in range(5):  # questions and Stops, before a setpoint
-            step = self.ride.next(self.now_s)
+            step = self.ride.next(self.now_s, self.telemetry)
             try:
                 self._carry_out(step)
             except StoppedError as error:

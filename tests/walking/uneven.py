@@ -55,6 +55,8 @@ class Course(NamedTuple):
     gait: str = "tripod"
     push_n: float = 0.0
     """To the left, for 0.2 s in the middle of it."""
+    lift_n: float = 0.0
+    """Upward, from the middle of it on."""
 
 
 class Outcome(NamedTuple):
@@ -113,6 +115,7 @@ def walk(course: Course, *, adapts: bool, sensor: Sensor = true) -> Outcome:
     for number in range(ticks):
         pushed = ticks // 2 <= number < ticks // 2 + 10
         world.data.body("base").xfrc_applied[1] = course.push_n if pushed else 0.0
+        world.data.body("base").xfrc_applied[2] = course.lift_n if number >= ticks // 2 else 0.0
         tilts.append(tick(course.velocity))
         limit = engine.limit or limit
         if tilts[-1] > FALLEN_DEG:

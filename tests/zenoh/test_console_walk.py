@@ -1,9 +1,11 @@
 """A page walks: its wishes come to a real gateway 20 times a second; whatever silences it makes the robot stand."""
 
 import itertools
+import re
 import threading
 import time
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any, Final
 
 import pytest
@@ -12,6 +14,7 @@ from gateway.client import Client
 from tests.support.console_process import TRIES, Console, Page, SignedIn
 from tests.support.fixtures import console_fixture, gateway_fixture, patient, session_fixture
 from tests.support.gateway_process import Gateway
+from tests.support.measuring import LEANING, measures
 
 FORWARD: Final = {"forward_m_s": 0.06}
 STEP_S: Final = 0.05
@@ -117,6 +120,20 @@ def is_free(page: Page) -> None:
 
 def is_idle(page: Page) -> None:
     page.state(lambda state: state["mode"] == "idle")
+
+
+def test_with_terrain_adapt_a_pages_walk_reports_what_it_feels(gateway: Gateway, robot: Client, tmp_path: Path) -> None:
+    with (
+        Console(tmp_path, "--connect", gateway.endpoint, "--terrain", "adapt") as console,
+        console.page(console.sign_in()) as page,
+        measures(robot, LEANING),
+    ):
+        is_free(page)
+        acquire(page)
+        pad = Pad(page)
+        found = gets(page, pad, lambda message: "corrected; legs 1, 4 and 5 carry" in message["ground"])
+        pad.close()
+    assert re.search(r"^Leans by 15\.\d°, \d+\.\d° corrected; legs 1, 4 and 5 carry$", found["ground"])
 
 
 def test_a_page_that_falls_silent_stands_and_goes_on_with_a_new_press_only_and_one_that_is_closed_sits(

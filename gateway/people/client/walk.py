@@ -423,6 +423,7 @@ class Walk:
                 finally:
                     with self._changed:
                         ride.ended()
+                        self._awaited = None if ride.over else self._awaited  # it could not sit
             case RideTask.SEND:
                 if self._stream is None:
                     stream = Stream(self._client, self._rate_hz)

@@ -15,6 +15,7 @@ from gateway.people.console.sessions import Sessions
 from gateway.people.console.site import CONSOLE_PORT, DEFAULT_ADDRESS, address_of, free_address, site
 from gateway.people.console.sockets import address_in, inherited
 from gateway.people.terminal import hint, say
+from gateway.people.walking.balance import terrain_named
 
 NEEDS: Final = ("websockets", "segno")
 ANSWERS_S: Final = 1.0
@@ -33,6 +34,7 @@ def console(options: Options) -> NoReturn:
         raise ConfigError(
             f"--role {role}: pages are an operator's (drive, stop), a button's (only stop) or an observer's (only look)"
         )
+    terrain_named(options.terrain)
     from gateway.people.console.serve import serve  # noqa: PLC0415 (does not load without them)
 
     passed = inherited()

@@ -362,7 +362,8 @@ class WalkMessage(Report):
     `now`: what the robot does, in one sentence without its full stop, by the gateway's newest state and this walk.
     `id` is the newest wish that was used. `waits`: the page's newest press is used up, and moves nothing any more.
     `commanded` and `scaled` (what the legs can do of it; `limit` states why) are forward and left in m/s, and the turn
-    in rad/s. `lost`: legs that somebody else has stopped. `detail`: why it ended, or waits.
+    in rad/s. `lost`: legs that somebody else has stopped. `ground`: what a walk by sensors feels, and how far it has
+    levelled itself. `detail`: why it ended, or waits.
     """
 
     type: Literal["walk"] = "walk"
@@ -376,6 +377,7 @@ class WalkMessage(Report):
     scaled: list[float] = Field(default_factory=list)
     limit: str = ""
     lost: list[int] = Field(default_factory=list)
+    ground: str = ""
     waits: bool = True
     detail: str = ""
 

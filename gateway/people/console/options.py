@@ -16,6 +16,7 @@ class Options:
     key: Path | None = None
     role: str = "operator"
     geometry: Path | None = None
+    terrain: str = "level"
     open_browser: bool = False
     card: str = ""
     """Of the page, to which the first link leads; empty: to its beginning."""

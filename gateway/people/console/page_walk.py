@@ -29,7 +29,7 @@ from gateway.people.client.blocking import Client
 from gateway.people.client.lease import LentLease
 from gateway.people.client.walk import Walk
 from gateway.people.console.messages import WalkMessage, WalkWish
-from gateway.people.walking import Ride, Silences, Velocity, Wish
+from gateway.people.walking import Ride, Silences, Velocity, Wish, ground_now
 
 WISH_SILENT_S: Final = 0.25
 """Five wishes in a row are missing."""
@@ -48,12 +48,17 @@ class PageWalks:
     """The walks of one page, one after the other. On the event loop."""
 
     def __init__(
-        self, connect: Callable[[str], Client], name: str, geometry: Geometry, send: Callable[[WalkMessage], None]
+        self,
+        connect: Callable[[str], Client],
+        name: str,
+        geometry: Geometry,
+        terrain: str,
+        send: Callable[[WalkMessage], None],
     ) -> None:
         """`connect` opens a session under a name, and waits for that; it is called on a thread."""
         self._loop = asyncio.get_running_loop()
         self._send = send
-        self._new = partial(_WalkThread, name, partial(connect, name), geometry, partial(self._later, send))
+        self._new = partial(_WalkThread, name, partial(connect, name), geometry, terrain, partial(self._later, send))
         self._walk: _WalkThread | None = None
         self._spent = -1
         """The newest press that has been used."""
@@ -103,13 +108,14 @@ class _WalkThread(threading.Thread):
         name: str,
         connect: Callable[[], Client],
         geometry: Geometry,
+        terrain: str,
         send: Callable[[WalkMessage], None],
         token: str,
         wish: WalkWish,
     ) -> None:
         super().__init__(name=name, daemon=True)
         self._connect = connect
-        self._geometry = geometry
+        self._geometry, self._terrain = geometry, terrain
         self._send = send
         self._token = token
         self._changed = threading.Condition()
@@ -164,7 +170,8 @@ class _WalkThread(threading.Thread):
         """Returns why it has ended, in words."""
         with closing(self._connect()) as client:
             client.carry(LentLease(client, self._token))
-            walk = Walk(client, self._newest.gait, self._geometry, SETPOINTS_HZ, silences=SILENCES, once=True)
+            gait, silences = self._newest.gait, SILENCES
+            walk = Walk(client, gait, self._geometry, SETPOINTS_HZ, silences=silences, once=True, terrain=self._terrain)
             walk.open()
             try:
                 reported_s = 0.0
@@ -203,6 +210,7 @@ class _WalkThread(threading.Thread):
             scaled=[round(each, 4) for each in state.scaled],
             limit=state.limit,
             lost=list(state.lost),
+            ground=ground_now(state),
             detail=ride.detail,
             waits=self._newest.press <= ride.spent,
         )

@@ -67,6 +67,8 @@ class Shared:
     link: GatewayLink
     stops: Stops[str | None]
     geometry: Geometry
+    terrain: str
+    """Of every page's walk."""
     new_link: Callable[[], str]
 
 
@@ -177,7 +179,9 @@ class Page:
         self._new_link = shared.new_link
         self._lease = PageLease(link.client, self.source, self.outgoing.put)
         self._calibration = PageCalibration(link, partial(self._signed, sent_ms=None), self.outgoing.put)
-        self._walks = PageWalks(link.connect, f"{self.source} walks", shared.geometry, self.outgoing.put)
+        self._walks = PageWalks(
+            link.connect, f"{self.source} walks", shared.geometry, shared.terrain, self.outgoing.put
+        )
         self._button = StopButton(link.client, f"{person}/page {number}", self.outgoing.put)
         self._max_age_ms = LimitsReport().max_age_ms
         self._staleness = Staleness(self._max_age_ms)

@@ -12,7 +12,7 @@ from gateway.people.walking.ride import USUAL_SILENCES, Phase, Ride, RideStep, R
 from gateway.people.walking.robot import Pose, Range, Robot, Stance
 from gateway.people.walking.walker import DOWN, HOLD_S, LONGEST_S, REST_S, Walker, WalkState
 from gateway.people.walking.ways import Posture
-from gateway.people.walking.words import lease_lost, robot_now
+from gateway.people.walking.words import ground_now, lease_lost, robot_now
 
 __all__ = [
     "DOWN",
@@ -41,6 +41,7 @@ __all__ = [
     "WalkState",
     "Walker",
     "Wish",
+    "ground_now",
     "lease_lost",
     "robot_now",
 ]

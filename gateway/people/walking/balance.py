@@ -26,19 +26,23 @@ _LIFTED_S: Final = 0.3
 _LIFTED: Final = 0.2
 _CARRIES: Final = 0.05
 """Of the weight: a foot that presses more touches the ground."""
-_FORGETS_S: Final = 10.0
-"""A weight that was measured too high, by a hard step, is forgotten in this time."""
+_WEIGHS_S: Final = 1.0
+"""The weight is the mean of the forces in this time, so that a hard step does not count as one."""
 _LEVELS_1_S: Final = 1.5
 """Of the remaining lean, corrected each second: slow against a stride, so that feet that swing do not excite it."""
 _LEVELS_RAD_S: Final = 0.2
 LEANS_RAD: Final = math.radians(15.0)
 """The most that the body leans against its feet to be level."""
+LEANS_MORE_RAD_S: Final = math.radians(1.5)
+"""After its legs had no stride, so that they were given less to lean: feet that step find more room."""
 _RISES_1_S: Final = 1.0
 _RISES_M_S: Final = 0.03
 EARLY_M: Final = 0.010
 """Servos give way under load: a foot that touches below this height goes on to the ground that was expected."""
 LATE_S: Final = 0.12
-"""So long a foot waits for its contact to be reported before it goes on down: sensors may be 0.1 s late."""
+"""So long a foot waits at most for its contact to be reported before it goes on down: sensors may be 0.1 s late."""
+LAG_FORGOTTEN: Final = 0.8
+"""How much of that time remains after each foot whose contact was reported at once."""
 SINKS_M_S: Final = 0.10
 DEEPEST_M: Final = 0.030
 """So far below the expected ground a foot goes on down."""
@@ -99,13 +103,13 @@ class Senses:
         new._seen = dict(self._seen)
         return new
 
-    def take(self, telemetry: Telemetry | None, seconds: float) -> Felt:
-        """What this telemetry says; None where none is fresh."""
+    def take(self, telemetry: Telemetry | None, seconds: float, *, stands: bool = True) -> Felt:
+        """What this telemetry says; None where none is fresh. `stands`: its feet alone carry it, not its belly."""
         if telemetry is None:
             self._tilted_s = self._lifted_s = 0.0
             return NOTHING
         roll_rad, pitch_rad, tilt_deg = _lean(telemetry)
-        carrying = None if telemetry.feet is None else self._carrying(telemetry.feet, seconds)
+        carrying = None if telemetry.feet is None else self._carrying(telemetry.feet, seconds, stands=stands)
         self._tilted_s = self._tilted_s + seconds if (tilt_deg or 0.0) > FALLEN_DEG else 0.0
         feet = {}
         for leg, carries in zip(LEGS, carrying or (), strict=False):
@@ -114,18 +118,17 @@ class Senses:
                 feet[leg] = carries
         fault = ""
         if self._tilted_s > _FALLEN_S:
-            fault = f"the body leans by {tilt_deg:.0f} degrees: it has fallen, and stands still"
+            fault = f"the body leans by {tilt_deg:.0f} degrees: it has fallen"
         elif self._lifted_s > _LIFTED_S:
-            fault = "no foot carries: somebody has lifted it, and it stands still"
+            fault = "no foot carries: somebody has lifted it"
         return Felt(roll_rad, pitch_rad, tilt_deg, feet, carrying, fault)
 
-    def _carrying(self, forces: tuple[float, ...], seconds: float) -> tuple[bool, ...]:
+    def _carrying(self, forces: tuple[float, ...], seconds: float, *, stands: bool) -> tuple[bool, ...]:
         total = sum(max(0.0, force) for force in forces)
-        if total < _LIFTED * self._weight:
-            self._lifted_s += seconds
-        else:
-            self._lifted_s = 0.0
-            self._weight = max(total, self._weight * (1.0 - min(1.0, seconds / _FORGETS_S)))
+        lifted = stands and total < _LIFTED * self._weight
+        self._lifted_s = self._lifted_s + seconds if lifted else 0.0
+        if stands and not lifted:
+            self._weight += (total - self._weight) * (min(1.0, seconds / _WEIGHS_S) if self._weight else 1.0)
         return tuple(force > _CARRIES * self._weight for force in forces)
 
 

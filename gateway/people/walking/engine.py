@@ -19,6 +19,7 @@ from gateway.errors import WalkError
 from gateway.geometry.kinematics import Vector
 from gateway.people.walking import gaits
 from gateway.people.walking.balance import (
+    LEANS_MORE_RAD_S,
     LEANS_RAD,
     NOTHING,
     Felt,
@@ -28,7 +29,7 @@ from gateway.people.walking.balance import (
 )
 from gateway.people.walking.motion import ORIGIN, STILL, BodyPose, Odometry, Velocity, carried
 from gateway.people.walking.planning import Planner, balanced
-from gateway.people.walking.robot import LIFT_M, Pose, Robot, Stance
+from gateway.people.walking.robot import LIFT_M, WIDE_RAD, Pose, Robot, Stance
 from gateway.people.walking.swing import State, Swing
 from gateway.people.walking.tempo import (
     HALT_S,
@@ -41,6 +42,7 @@ from gateway.people.walking.tempo import (
     least,
     nearer,
     needs_s,
+    slewed,
     wanted,
 )
 from gateway.people.walking.ways import (
@@ -117,7 +119,8 @@ class Engine:
         """
         seconds = max(0.0, min(seconds, _LONGEST_S))
         self.commanded = velocity
-        self.felt = felt = self._senses.take(telemetry, seconds)
+        stands = not (self._state.sits or self._state.moves)
+        self.felt = felt = self._senses.take(telemetry, seconds, stands=stands)
         self._barred = felt.fault or (self._barred if velocity.moves else "")
         if felt.fault:  # a leg that moves now may meet a hand
             self.limit, self.scaled = felt.fault, STILL
@@ -132,7 +135,7 @@ class Engine:
                 self._advance(after, target.times(cap), seconds * pace, felt, holds=holds)
             except WalkError as error:  # what the discs and the plans are there to prevent
                 if felt is not NOTHING and not holds:  # it leans further than its strides allow
-                    holds, self._leans_rad = True, _LEANS_LESS * min(self._leans_rad, self._leaning_rad)
+                    holds, self._leans_rad = True, _LEANS_LESS * min(self._leans_rad, self.corrected_rad)
                     continue
                 self._stand_still(str(error))
                 break
@@ -265,6 +268,11 @@ class Engine:
         return self._state.body
 
     @property
+    def corrected_rad(self) -> float:
+        """How far the body leans against its feet, so as to be level."""
+        return max(abs(now - asked) for now, asked in zip(self.body[1:], self._stance.body[1:], strict=True))
+
+    @property
     def feet(self) -> Mapping[int, Vector]:
         """The positions of the feet, in the ground frame."""
         return self._state.feet
@@ -297,7 +305,7 @@ class Engine:
         if self._wanted:
             wanted = self._wanted.popleft()
             self._stance = wanted or self._stance
-            state.moves = self._planner.way(state, wanted)
+            state.moves, state.rests = self._planner.way(state, wanted), {}
             state.sits, state.part = wanted is None, 0.0
 
     def _step_within_reach(self) -> None:
@@ -305,7 +313,7 @@ class Engine:
         state = self._state
         outside = any(math.dist(state.feet[leg], rest) > self._within_m for leg, rest in self._stance.feet.items())
         if outside and not state.sits:
-            state.moves = self._planner.way(state, self._stance)
+            state.moves, state.rests = self._planner.way(state, self._stance), {}
             state.part = 0.0
 
     def _lower(self, legs: Iterable[int]) -> None:
@@ -337,13 +345,10 @@ class Engine:
         if state.part == 1.0:
             state.moves, state.part = state.moves[1:], 0.0
 
-    @property
-    def _leaning_rad(self) -> float:
-        """How far the body leans to be level."""
-        return max(abs(now - asked) for now, asked in zip(self.body[1:], self._stance.body[1:], strict=True))
-
     def _adapt(self, state: State, seconds: float, felt: Felt) -> None:
         """Level the body, and let it climb with its feet."""
+        state.hanging -= {leg for leg, touches in felt.feet.items() if touches}
+        self._leans_rad = min(LEANS_RAD, self._leans_rad + LEANS_MORE_RAD_S * seconds)
         state.body = levelled(state.body, self._stance.body, felt, self._leans_rad, seconds)
         down_m = lowered_by(
             [foot[2] for leg, foot in state.feet.items() if leg not in state.swings and leg not in state.hanging],
@@ -355,12 +360,11 @@ class Engine:
     def _walk(self, state: State, target: Velocity, seconds: float, felt: Felt) -> None:
         gait = self._quick
         began = not state.velocity.moves and not state.swings
-        if began:
-            state.clock = 0.0
         self._hurry(state, target, seconds)
-        velocity = self._slewed(state, target, seconds)
+        stops_s = HALT_S if self.lost else min(needs_s(state.velocity), STOPS_WITHIN * self._gait.period_s)
+        velocity = slewed(state, target, seconds, stops_s)
         if velocity.moves:
-            velocity = velocity.times(self._allowed(state, velocity))
+            velocity = velocity.times(self._begun(state, velocity) if began else self._allowed(state, velocity))
         state.velocity = velocity
         state.odometry = state.odometry.after(velocity, seconds)
         for leg, foot in state.feet.items():
@@ -384,19 +388,22 @@ class Engine:
         if across(swing.part) == 1.0:  # above its landing place: it comes straight down
             x, y, _ = carried(state.feet[leg], velocity, seconds)
         else:
-            landing = carried(self._stance.feet[leg], velocity, -gait.stance_s / 2)
+            state.rests[leg] = self._rest(leg)
+            landing = carried(state.rests[leg], velocity, -gait.stance_s / 2)
             lands = carried(landing, velocity, -(1.0 - part) * gait.swing_s)
             x, y, _ = between(left, lands, across(part))
-        height_m = swing.left[2] * (1.0 - across(part)) + self._lift_m * up(part, self._climb)
-        ends = swing._replace(left=left, part=part).down(height_m, state.feet[leg][2], touches, seconds)
+        height_m = min(LIFT_M, swing.left[2] * (1.0 - across(part)) + self._lift_m * up(part, self._climb))
+        ends = swing._replace(left=left, part=part).down(height_m, state.feet[leg][2], touches, seconds, state.lag_s)
         state.feet[leg] = x, y, ends.height_m
         if ends.swing is not None:
             state.swings[leg] = ends.swing
             return
-        del state.swings[leg]
-        state.hanging -= {leg} if touches else frozenset()
-        if ends.hangs:
-            state.hanging, state.over = state.hanging | {leg}, velocity if velocity.moves else state.over
+        state.landed(leg, touches, hangs=ends.hangs, over=velocity if velocity.moves else self.commanded)
+
+    def _rest(self, leg: int) -> Vector:
+        """Where its foot is to rest: further out, the more the body leans against its feet."""
+        rest, part = self._stance.feet[leg], min(1.0, self.corrected_rad / WIDE_RAD)
+        return between(rest, self.robot.widened(self._stance.body)[leg], part) if part else rest
 
     def _is_over(self, velocity: Velocity) -> bool:
         """Whether it would walk on over an edge; back from there it may."""
@@ -434,22 +441,6 @@ class Engine:
         rests = self._stance.feet.values()
         return max(math.dist(carried(rest, velocity, half_s), rest) for rest in rests) / self._within_m
 
-    def _slewed(self, state: State, target: Velocity, seconds: float) -> Velocity:
-        now = state.velocity
-        if not target.moves:
-            if not now.moves:
-                return STILL
-            if not state.brake_s:
-                state.brake_s = HALT_S if self.lost else min(needs_s(now), STOPS_WITHIN * self._gait.period_s)
-            left_s = state.brake_s - seconds
-            part = max(0.0, left_s / state.brake_s)
-            state.brake_s = max(0.0, left_s)
-            return now.times(part) if part > _ALMOST else STILL
-        state.brake_s = 0.0
-        change = Velocity(*(b - a for a, b in zip(now, target, strict=True)))
-        part = min(1.0, seconds / max(needs_s(change), _ALMOST))
-        return Velocity(*(a + part * b for a, b in zip(now, change, strict=True)))
-
     def _capped(self, target: Velocity) -> float:
         """The part of this velocity whose strides fit into the discs."""
         key = target, self._stance, self._gait
@@ -469,12 +460,19 @@ class Engine:
         """The part of it with which every foot that stands stays in its disc until it is lifted."""
         return largest(lambda part: self._stays(state, velocity.times(part)))
 
+    def _begun(self, state: State, velocity: Velocity) -> float:
+        """`_allowed` for a walk that begins: it lifts first the feet that would not let it go."""
+        for state.clock in sorted({*self._quick.lifts}):
+            if allowed := self._allowed(state, velocity):
+                return allowed
+        return 0.0
+
     def _stays(self, state: State, velocity: Velocity) -> bool:
         within_m = self._within_m + _LATE_M
-        for leg, rest in self._stance.feet.items():
+        for leg, foot in state.feet.items():
             if leg in state.swings or leg in self.lost or self._is_due(leg, state.clock):
                 continue
-            foot = state.feet[leg]
+            rest = state.rests.get(leg, self._stance.feet[leg])
             left_s = (1.0 - gaits.phase(self._quick, leg, state.clock)) * self._quick.period_s
             if math.dist(carried(foot, velocity, left_s), rest) > max(within_m, math.dist(foot, rest)):
                 return False

@@ -24,6 +24,7 @@ from gateway.people.walking.vectors import (
     perpendicular,
     product,
     scaled,
+    spun,
     turned,
     wrapped,
 )
@@ -73,7 +74,7 @@ class Limb:
             turn = product(turn, fixed)
             joints_m.append(at_m)
             axes.append(apply(turn, axis))
-            turn = product(turn, turned(axis, angle))
+            turn = spun(turn, axis, angle)
         first, second, third = joints_m
         one, two, three = axes
         return Reach((first, second, third), plus(at_m, apply(turn, self._tip_m)), (one, two, three))

@@ -236,7 +236,12 @@ class Ride:
         if silent_s > self._silences.hold_s:
             self.spent = max(self.spent, self._press)
         ends = self._walker.sits and (self._press >= 0 or self._leaving)
+        fault = self._walker.engine.felt.fault  # a robot that has fallen, or hangs in somebody's hands, cannot sit
+        to_end = silent_s > self._silences.rest_s or (self._walker.sits and not self._takes_over)
         match self.phase:
+            case Phase.RUNS if fault and to_end:
+                self._spend(fault)
+                self._end()
             case Phase.RUNS if self._walker.is_over or (ends and self._walker.engine.posture in DOWN):
                 self._end()
             case Phase.RUNS if now_s - self._pressed_s > self._silences.idle_s and not self._walker.sits:

@@ -58,6 +58,9 @@ STRIDE_RADIUS_M: Final = 0.055
 """How far a foot goes from where it rests; with longer strides the legs of the Elkapod touch."""
 LEAST_RADIUS_M: Final = 0.008
 """With less it would only shuffle."""
+WIDE_RAD: Final = math.radians(12.0)
+"""A body that leans so far needs its feet further out: short legs below it would leave them no stride."""
+_WIDE_RADIUS_M: Final = 0.030
 _SPARE_DEG: Final = 0.5
 """Of a joint's limits, kept free in the disc."""
 _REACH_STEP_M: Final = 0.01
@@ -94,6 +97,7 @@ class Robot:
         self.usual_m = round(max(_HEIGHT * (tibia_m - shoulder_m), self.lying_m), 3)
         """The height at which it stands by default."""
         self.stance = lru_cache(maxsize=16)(self._stance)
+        self.widened = lru_cache(maxsize=16)(self._widened)
 
     def angles_deg(self, leg: int, foot_m: Vector, spare_deg: float = 0.0) -> Angles:
         """The servos' angles for this foot position (body's frame). Raises WalkError, which names the limit."""
@@ -141,6 +145,23 @@ class Robot:
             raise WalkError(f"it cannot stand {_pose(body)}: {why}") from why
         radius_m, feet = max(((self._radius_m(body, feet, wanted_m), feet) for _, feet in fits), key=lambda it: it[0])
         return Stance(body, MappingProxyType(feet), radius_m, str(why))
+
+    def _widened(self, body: BodyPose) -> Mapping[int, Vector]:
+        """Where feet rest that keep `_WIDE_RADIUS_M` however the body leans by WIDE_RAD; as ever, where none do."""
+        height_m, roll_rad, pitch_rad = body
+        leaning = [
+            BodyPose(height_m, roll_rad + WIDE_RAD * across, pitch_rad + WIDE_RAD * along)
+            for across, along in _DIRECTIONS[:: len(_DIRECTIONS) // 4]
+        ]
+        for reach_m in self._reaches_m:
+            feet = self._below(reach_m)
+            try:
+                for each in leaning:
+                    self._check(each, feet, _WIDE_RADIUS_M)
+            except WalkError:
+                continue
+            return MappingProxyType(feet)
+        return self.stance(body).feet
 
     def _below(self, reach_m: float) -> dict[int, Vector]:
         mounts = self.geometry.leg_mounts

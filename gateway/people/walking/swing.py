@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 from typing import Final, NamedTuple, Self
 
 from gateway.geometry.kinematics import Vector
-from gateway.people.walking.balance import DEEPEST_M, EARLY_M, LATE_S, SINKS_M_S
+from gateway.people.walking.balance import DEEPEST_M, EARLY_M, LAG_FORGOTTEN, LATE_S, SINKS_M_S
 from gateway.people.walking.motion import ORIGIN, STILL, Odometry, Velocity
 from gateway.people.walking.ways import Figure
 
@@ -21,8 +21,11 @@ class Swing(NamedTuple):
     late_s: float = 0.0
     """For how long it has been where the ground was expected."""
 
-    def down(self, height_m: float, now_m: float, touches: bool | None, seconds: float) -> "Descent":
-        """A tick later. `height_m`: where the gait wants the foot, which is at `now_m`; `touches`: None: unknown."""
+    def down(self, height_m: float, now_m: float, touches: bool | None, seconds: float, waits_s: float) -> "Descent":
+        """A tick later. `height_m`: where the gait wants the foot, which is at `now_m`; `touches`: None: unknown.
+
+        It waits for its contact for `waits_s` before it goes on down, and longer at the lowest point: sensors are late.
+        """
         free = self.free or touches is False
         if free and touches and (self.late_s or (self.part > 0.5 and now_m > EARLY_M)):
             return Descent(now_m)
@@ -30,9 +33,9 @@ class Swing(NamedTuple):
             return Descent(height_m, self._replace(free=free))
         if not free or touches is not False:
             return Descent(now_m if self.late_s else 0.0)
-        lower_m = now_m - SINKS_M_S * seconds if self.late_s > LATE_S else 0.0
-        if lower_m < -DEEPEST_M:
+        if self.late_s > waits_s + DEEPEST_M / SINKS_M_S + LATE_S:
             return Descent(now_m, hangs=True)
+        lower_m = max(-DEEPEST_M, now_m - SINKS_M_S * seconds) if self.late_s > waits_s else 0.0
         return Descent(lower_m, self._replace(free=True, late_s=self.late_s + seconds))
 
 
@@ -58,6 +61,10 @@ class State(Figure):
     odometry: Odometry = ORIGIN
     part: float = 0.0
     """How much of the first of its moves is done, 0 to 1."""
+    rests: dict[int, Vector] = field(default_factory=dict)
+    """Where the feet rest that were set down further out than their stance has them, since the body leans."""
+    lag_s: float = LATE_S
+    """How much later than its feet arrive on the ground their contact is reported."""
     hanging: frozenset[int] = frozenset()
     """Legs whose feet found no ground, when the walk went `over`."""
     over: Velocity = STILL
@@ -66,5 +73,13 @@ class State(Figure):
 
     def copy(self) -> Self:
         new = Figure.copy(self)
-        new.swings = dict(self.swings)
+        new.swings, new.rests = dict(self.swings), dict(self.rests)
         return new
+
+    def landed(self, leg: int, touches: bool | None, *, hangs: bool, over: Velocity) -> None:
+        """End a swing. `touches`: whether its foot is felt on the ground; `over`: the velocity, if it `hangs`."""
+        swing = self.swings.pop(leg)
+        if touches and swing.free and swing.late_s <= LATE_S:  # it was no hole
+            self.lag_s = max(swing.late_s, LAG_FORGOTTEN * self.lag_s)
+        if hangs:
+            self.hanging, self.over = self.hanging | {leg}, over if over.moves else self.over

@@ -10,8 +10,9 @@ from typing import Final
 
 from gateway.geometry import MAX_SPEED_DEG_S
 from gateway.people.walking.gaits import Gait
-from gateway.people.walking.motion import Velocity
+from gateway.people.walking.motion import STILL, Velocity
 from gateway.people.walking.robot import LIFT_M, Pose, Robot
+from gateway.people.walking.swing import State
 from gateway.people.walking.ways import CLIMB
 
 SLEW_M_S2: Final = 0.25
@@ -76,6 +77,23 @@ def fastest(robot: Robot, before: Pose, after: Pose, seconds: float) -> tuple[fl
 def needs_s(change: Velocity) -> float:
     """How many seconds a change of velocity takes."""
     return max(math.hypot(change.forward_m_s, change.left_m_s) / SLEW_M_S2, abs(change.turn_rad_s) / SLEW_RAD_S2)
+
+
+def slewed(state: State, target: Velocity, seconds: float, stops_s: float) -> Velocity:
+    """The next velocity on the way to `target`; a walk that ends brakes evenly, within `stops_s`."""
+    now = state.velocity
+    if target.moves:
+        state.brake_s = 0.0
+        change = Velocity(*(b - a for a, b in zip(now, target, strict=True)))
+        part = min(1.0, seconds / max(needs_s(change), _ALMOST))
+        return Velocity(*(a + part * b for a, b in zip(now, change, strict=True)))
+    if not now.moves:
+        return STILL
+    state.brake_s = state.brake_s or stops_s
+    left_s = state.brake_s - seconds
+    part = max(0.0, left_s / state.brake_s)
+    state.brake_s = max(0.0, left_s)
+    return now.times(part) if part > _ALMOST else STILL
 
 
 def largest(fits: Callable[[float], bool]) -> float:

@@ -37,7 +37,9 @@ def cross(first: Vector, second: Vector) -> Vector:
 
 def apply(matrix: Matrix, vector: Vector) -> Vector:
     """Apply a rotation matrix to `vector`."""
-    return dot(matrix[0], vector), dot(matrix[1], vector), dot(matrix[2], vector)
+    (a, b, c), (d, e, f), (g, h, i) = matrix
+    x, y, z = vector
+    return a * x + b * y + c * z, d * x + e * y + f * z, g * x + h * y + i * z
 
 
 def back(matrix: Matrix, vector: Vector) -> Vector:
@@ -50,8 +52,12 @@ def back(matrix: Matrix, vector: Vector) -> Vector:
 def product(first: Matrix, second: Matrix) -> Matrix:
     """The matrix product: `second` in the frame that `first` has rotated."""
     (a, b, c), (d, e, f), (g, h, i) = second
-    rows = [(x * a + y * d + z * g, x * b + y * e + z * h, x * c + y * f + z * i) for x, y, z in first]
-    return rows[0], rows[1], rows[2]
+    (r, s, t), (u, v, w), (x, y, z) = first
+    return (
+        (r * a + s * d + t * g, r * b + s * e + t * h, r * c + s * f + t * i),
+        (u * a + v * d + w * g, u * b + v * e + w * h, u * c + v * f + w * i),
+        (x * a + y * d + z * g, x * b + y * e + z * h, x * c + y * f + z * i),
+    )
 
 
 def matrix(rotation: Quaternion) -> Matrix:
@@ -66,6 +72,19 @@ def turned(axis: Vector, angle: float) -> Matrix:
         cosine, sine = math.cos(angle), math.sin(angle)
         return (cosine, -sine, 0.0), (sine, cosine, 0.0), (0.0, 0.0, 1.0)
     return matrix(about(axis, angle))
+
+
+def spun(first: Matrix, axis: Vector, angle: float) -> Matrix:
+    """`first`, followed by a rotation by an angle about an axis of its frame: most joints turn about z."""
+    if axis != (0.0, 0.0, 1.0):
+        return product(first, turned(axis, angle))
+    cosine, sine = math.cos(angle), math.sin(angle)
+    (a, b, c), (d, e, f), (g, h, i) = first
+    return (
+        (a * cosine + b * sine, b * cosine - a * sine, c),
+        (d * cosine + e * sine, e * cosine - d * sine, f),
+        (g * cosine + h * sine, h * cosine - g * sine, i),
+    )
 
 
 def perpendicular(axis: Vector) -> Vector:

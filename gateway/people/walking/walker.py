@@ -6,6 +6,7 @@ It assumes that all six legs run; `Ride` starts and stops them.
 - Without any command for `rest_s` the robot sits down; after that `is_over`, and the servos may be stopped.
 """
 
+import math
 from typing import Final, NamedTuple
 
 from gateway.people.walking.balance import terrain_named
@@ -44,6 +45,8 @@ class WalkState(NamedTuple):
     """Of the body against the world's up, as measured; None: not measured."""
     carrying: tuple[bool, ...] | None = None
     """Which of legs 1 to 6 carry, as measured."""
+    corrected_deg: float = 0.0
+    """How far the body leans against its feet, so as to be level."""
     hanging: tuple[int, ...] = ()
     """Legs that found no ground."""
 
@@ -68,6 +71,7 @@ class Walker:
         """`angles_deg`: of legs that run already. `odometry`: where it begins. Raises WalkError."""
         self.terrain = terrain_named(terrain)
         self.engine = Engine(robot, gait, angles_deg, odometry)
+        self._prepare()
         self.hold_s = hold_s
         self.rest_s = rest_s
         self._velocity = STILL
@@ -94,6 +98,7 @@ class Walker:
         self._velocity = STILL
         self.sits = False
         self.engine.stand(stance)
+        self._prepare(stance)
 
     def sit(self, now_s: float) -> None:
         """End the walk, and lie down on the belly."""
@@ -134,6 +139,11 @@ class Walker:
         silent = self._ticked_s is not None and self._is_silent(self._ticked_s)
         return silent and self.engine.posture in DOWN
 
+    def _prepare(self, stance: Stance | None = None) -> None:
+        """Find out now what takes longer than a tick."""
+        if self.terrain == "adapt":
+            self.engine.robot.widened((stance or self.engine.stance).body)
+
     def _is_silent(self, now_s: float) -> bool:
         since_s = max(self._said_s or 0.0, self._busy_s or 0.0)
         return now_s - since_s > self.rest_s
@@ -154,5 +164,6 @@ class Walker:
             terrain=self.terrain,
             tilt_deg=engine.felt.tilt_deg,
             carrying=engine.felt.carrying,
+            corrected_deg=math.degrees(engine.corrected_rad),
             hanging=tuple(sorted(engine.hanging)),
         )

@@ -42,6 +42,22 @@ def robot_now(state: GatewayState | None, age_s: float = 0.0, walk: WalkState | 
     return _of_mode(state) or _of_legs(state, walk)
 
 
+def ground_now(walk: WalkState) -> str:
+    """What a walk by sensors feels of the ground, and how far it has levelled itself; empty for any other walk."""
+    if walk.terrain != "adapt":
+        return ""
+    if walk.tilt_deg is None and walk.carrying is None:
+        return "No sensors: it walks as on a level floor"
+    said = [f"Leans by {walk.tilt_deg:.1f}°, {walk.corrected_deg:.1f}° corrected"] if walk.tilt_deg is not None else []
+    if walk.carrying is not None:
+        legs = [leg for leg, carries in zip(LEGS, walk.carrying, strict=True) if carries]
+        said.append(f"{_named(legs)} carr{'ies' if len(legs) == 1 else 'y'}" if legs else "No leg carries")
+    if walk.hanging:
+        said.append(f"{_named(walk.hanging)} hang{'s' if len(walk.hanging) == 1 else ''} over an edge")
+    first, *more = said
+    return "; ".join([first, *(each[0].lower() + each[1:] for each in more)])
+
+
 class Newest:
     """The gateway's newest state, published or as an answer."""
 

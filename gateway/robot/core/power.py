@@ -41,7 +41,7 @@ def cut_by(mode: Mode, cut_on: Collection[str], *, unwatched: bool) -> CutOn | N
     return CutOn.BUTTON if unwatched and CutOn.BUTTON in cut_on else None
 
 
-class Supply:
+class PowerRule:
     """Whether the board feeds what is to move. One owner, one thread."""
 
     def __init__(self, rules: Rules) -> None:

@@ -82,7 +82,7 @@ from gateway.robot.core.events import (
 from gateway.robot.core.lease import RobotLease
 from gateway.robot.core.leg import Rules
 from gateway.robot.core.legs import Legs
-from gateway.robot.core.power import LOST, SILENT, Supply
+from gateway.robot.core.power import LOST, SILENT, PowerRule
 from gateway.robot.core.reset import may_be_older
 from schemas.robot import LEGS
 from schemas.telemetry import Cause, Kind, Mode, Reason
@@ -124,7 +124,7 @@ class Supervisor:
         self._reach = AngleLimits(rules.joint_limits_cdeg, rules.landing_cdeg, rules.avoid_cdeg)
         self.calibrating, self.legs = Calibrating(self._reach), Legs(rules, self._reach)
         self.lease, self.buttons = RobotLease(rules), Buttons(rules)
-        self.body, self.power = BodyLimits(rules), Supply(rules)
+        self.body, self.power = BodyLimits(rules), PowerRule(rules)
         self.wants_measurements = self.body.watches
         """Whether `BodyMeasured` decides anything."""
         self._opened = False  # ever

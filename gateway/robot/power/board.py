@@ -35,7 +35,7 @@ from gateway.model.power_board import (
     read,
     set_supply,
 )
-from gateway.robot.power.questions import Questions
+from gateway.robot.power.questions import BoardQuestions
 from schemas.telemetry import Kind
 
 REPEAT_NS: Final = 20 * NS_PER_MS
@@ -131,8 +131,8 @@ class PowerBoard:
         """Outputs that the board has confirmed to feed, and when."""
         self._milliamperes: dict[int, int] = {}
         self._rails: dict[int, tuple[int, ...]] = {}
-        # Questions.
-        self._questions = Questions()
+        # BoardQuestions.
+        self._questions = BoardQuestions()
         self._clear_tries = 0
         self._clear_due_ns = 0
         self._clear_next = ASK_ERROR

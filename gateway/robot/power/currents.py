@@ -17,7 +17,7 @@ IN_A_ROW: Final = 2
 """Measurements that show a stopped servo's current, before its supply is taken for it: one may be wrong."""
 
 
-class _Servo:
+class _Judged:
     __slots__ = ("drawing", "nothing_since_ns", "reported", "running", "since_ns")
 
     def __init__(self, running: bool, since_ns: int) -> None:
@@ -35,7 +35,7 @@ class CurrentRules:
         """A stopped servo may draw `idle_ma`, and `settle_ns` after its Stop no more than that."""
         self._idle_ma = idle_ma
         self._settle_ns = settle_ns
-        self._servos: dict[int, _Servo] = {}
+        self._servos: dict[int, _Judged] = {}
 
     def measured(self, currents_ma: Mapping[int, float], running: frozenset[int], now_ns: int) -> list[News]:
         """Take new measurements, of the servos that run and those that do not; returns what to report."""
@@ -43,19 +43,19 @@ class CurrentRules:
         for servo_id, ma in currents_ma.items():
             servo = self._servos.get(servo_id)
             if servo is None or servo.running is not (servo_id in running):
-                servo = self._servos[servo_id] = _Servo(servo_id in running, now_ns)
+                servo = self._servos[servo_id] = _Judged(servo_id in running, now_ns)
             found = self._silent(servo, ma, now_ns) if servo.running else self._draws(servo, ma, now_ns)
             if found is not None and not servo.reported:
                 servo.reported = True
                 news.append(News(found, self._sentence(found, servo_id, ma), frozenset({servo_id})))
         return news
 
-    def _draws(self, servo: _Servo, ma: float, now_ns: int) -> Kind | None:
+    def _draws(self, servo: _Judged, ma: float, now_ns: int) -> Kind | None:
         too_much = ma > self._idle_ma and now_ns - servo.since_ns >= self._settle_ns
         servo.drawing = servo.drawing + 1 if too_much else 0
         return Kind.SERVO_DRAWS if servo.drawing >= IN_A_ROW else None
 
-    def _silent(self, servo: _Servo, ma: float, now_ns: int) -> Kind | None:
+    def _silent(self, servo: _Judged, ma: float, now_ns: int) -> Kind | None:
         if ma >= NOTHING_MA:
             servo.nothing_since_ns = None
             return None

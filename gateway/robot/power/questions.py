@@ -1,6 +1,6 @@
 """Which question the power board is asked next, and what its answers prove. No I/O, no clock.
 
-Questions about currents are asked whatever is unanswered. One about rails is asked only while no ask of it is
+BoardQuestions about currents are asked whatever is unanswered. One about rails is asked only while no ask of it is
 unanswered: its answer proves that all that was sent before it has reached the board, also behind a link that paused and
 delivers older answers at once.
 """
@@ -22,7 +22,7 @@ FORGOTTEN_NS: Final = 2000 * NS_PER_MS
 """An unanswered question is lost, whatever came since: else a link that lost six answers could confirm nothing more."""
 
 
-class Questions:
+class BoardQuestions:
     """One question every 10 ms, and one behind a mask that is to be confirmed."""
 
     def __init__(self) -> None:

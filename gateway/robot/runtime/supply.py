@@ -30,8 +30,7 @@ from gateway.robot.settings import Settings
 from gateway.robot.spi.cyclic import CyclicBus
 from schemas.keys import ESTOP
 from schemas.robot import LEGS, SERVO_IDS
-from schemas.telemetry import Kind, Mode, PowerReport, ServoTelemetry
-from schemas.telemetry import Supply as SupplyTelemetry
+from schemas.telemetry import Kind, Mode, PowerReport, ServoTelemetry, Supply
 
 CarryOut = Callable[[Sequence[Effect], Request | None], Outcome]
 Then = Callable[[bool, float | None], None]
@@ -50,7 +49,7 @@ _ALL: Final = frozenset(SERVO_IDS)
 _NONE: Final = frozenset[int]()
 
 
-class Line(Protocol):
+class BoardLine(Protocol):
     """The way to the board (`robot.power.line`). Nothing here waits; `cut` may be called from any thread."""
 
     @property
@@ -88,7 +87,7 @@ class Seen:
 class RobotSupply:
     """The servos' supply. `ready` names those that a wire which knows no start of a servo would have fed; None: all."""
 
-    def __init__(self, line: Line, settings: PowerSettings, ready: Callable[[], frozenset[int]] | None) -> None:
+    def __init__(self, line: BoardLine, settings: PowerSettings, ready: Callable[[], frozenset[int]] | None) -> None:
         self._line = line
         self.on_news: Callable[[], None] = lambda: None
         """Whom the owner of the state calls for the board's news."""
@@ -244,7 +243,7 @@ class RobotSupply:
         rails = status.rails
         currents, volts = rails.get(power_board.STANDBY_SUPPLY_MA), rails.get(power_board.SUPPLY_BATTERY_MV)
         if currents is not None and volts is not None:
-            found["supply"] = SupplyTelemetry(voltage_v=volts[0] / 1000, current_a=currents[1] / 1000)
+            found["supply"] = Supply(voltage_v=volts[0] / 1000, current_a=currents[1] / 1000)
         converters = [rails.get(each) for each in _CONVERTERS]
         if None not in converters:
             found["converters_v"] = tuple(mv / 1000 for each in converters if each is not None for mv in each)

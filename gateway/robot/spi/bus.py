@@ -362,8 +362,7 @@ class Bus(Wire):
         """Which of these Stops to write next; None: a zero, since no few Stops would bring the controller back."""
         if not self.announces:
             return left[0]
-        others = [place for place in range(len(frames)) if place != left[0]]
-        candidates = [*left[:LOOKED_AT], *others][:LOOKED_AT]
+        candidates = [*left, *(place for place in range(len(frames)) if place not in left)][:LOOKED_AT]
         stops = tuple(dict.fromkeys(frames[place].data for place in candidates))
         found = next_on_the_way_back(self._awaited, stops)
         return None if found == ZERO else next(place for place in candidates if frames[place].data == found)

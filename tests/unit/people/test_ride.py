@@ -1,5 +1,6 @@
 """A ride's silences and presses, in virtual time: each rule by the clock alone, and none that goes on by itself."""
 
+from collections.abc import Callable
 from typing import Final
 
 import pytest
@@ -11,6 +12,8 @@ from gateway.people.tools.walk import screen
 from gateway.people.walking import STILL, USUAL_SILENCES, Phase, Posture, Ride, RideTask, Silences, Velocity, Wish
 from gateway.people.walking.motion import BodyPose
 from schemas.robot import LEGS
+from schemas.telemetry import Telemetry
+from tests.support.measuring import MEASURED
 from tests.support.ridden import ROBOT, TICK_S, Ridden, standing
 
 AHEAD: Final = Velocity(0.06)
@@ -364,3 +367,39 @@ def test_a_program_with_a_lost_leg_holds_the_others_until_it_says_something() ->
 def test_a_ride_that_cannot_stand_is_not_made() -> None:
     with pytest.raises(ValueError, match="there is no gait"):
         Ride(ROBOT, "gallop")
+
+
+# ---- a robot that cannot sit
+
+FELL: Final = Telemetry(time=MEASURED.time, age_ms=1.0, tilt_deg=80.0)
+
+
+@pytest.mark.parametrize(
+    ("ends", "within_s"),
+    [
+        (lambda ride, now_s: ride.sit(now_s), TICK_S),
+        (lambda ride, now_s: ride.leave(now_s), TICK_S),
+        (lambda _ride, _now_s: None, USUAL_SILENCES.rest_s + TICK_S),
+    ],
+    ids=["sits", "leaves", "falls silent"],
+)
+def test_a_robot_that_has_fallen_is_stopped_where_it_would_sit_down(
+    ends: Callable[[Ride, float], None], within_s: float
+) -> None:
+    ridden = Ridden(terrain="adapt")
+    for _ in range(300):
+        ridden.ride.go(AHEAD, ridden.now_s)
+        ridden.tick()
+    assert ridden.posture is Posture.WALKING
+    ridden.telemetry = FELL
+    for _ in range(30):
+        ridden.ride.go(AHEAD, ridden.now_s)
+        ridden.tick()
+    fell = len(ridden.sent)
+    assert ridden.ride.state.limit == "the body leans by 80 degrees: it has fallen"
+    ridden.run(0.2)
+    assert ridden.running, "it stands still while its driver is there"
+    ends(ridden.ride, ridden.now_s)
+    ridden.until(lambda: not ridden.running, within_s + TICK_S)
+    assert not moved(ridden, fell)
+    assert (ridden.ride.over, ridden.ride.detail) == (True, "the body leans by 80 degrees: it has fallen")

@@ -41,9 +41,8 @@ class Ground:
     def read(self) -> Telemetry:
         engine = self.engine
         deep_m = [self._height_m(leg, engine.odometry.x_m + engine.feet[leg][0]) - engine.feet[leg][2] for leg in LEGS]
-        feet = [
-            self.stuck.get(leg, float(depth > max(deep_m) - 0.001)) for leg, depth in zip(LEGS, deep_m, strict=True)
-        ]  # the body sinks until its feet touch
+        carried_m = sorted(deep_m)[-3] - 0.001  # the body sinks until three feet touch
+        feet = [self.stuck.get(leg, float(depth > carried_m)) for leg, depth in zip(LEGS, deep_m, strict=True)]
         body = engine.body
         return telemetry(feet, body.roll_rad + self._slope[0], body.pitch_rad + self._slope[1])
 
@@ -194,6 +193,55 @@ def test_fallen_or_lifted_it_stands_still_until_its_driver_has_let_go(reads: Tel
     ground.run(0.1)
     ground.run(2.0, AHEAD)
     assert walked.engine.odometry.x_m > at.x_m + 0.05
+
+
+def test_feet_are_unloaded_by_a_belly_on_the_ground_and_by_no_hard_step() -> None:
+    senses = Senses()
+    for forces in ([1.0] * 6, [50.0] * 6, [1.0] * 6):  # a hard step, for a tick
+        for _ in range(1 if forces[0] > 1.0 else 50):
+            assert not senses.take(telemetry(forces), TICK_S).fault
+    for _ in range(50):
+        assert not senses.take(telemetry([0.0] * 6), TICK_S, stands=False).fault
+    for _ in range(20):
+        felt = senses.take(telemetry([0.0] * 6), TICK_S)
+    assert "lifted" in felt.fault
+    assert felt.carrying == (False,) * 6
+
+
+def test_a_contact_that_is_reported_late_at_the_lowest_point_is_no_edge() -> None:
+    walked = standing(ROBOT)
+    ground = Ground(walked, lambda leg, _: -0.0299 if leg == 1 else 0.0)
+    kept = [ground.read()] * 5
+    for _ in range(400):
+        kept.append(ground.read())
+        walked.engine.step(AHEAD, TICK_S, kept.pop(0))
+        assert not walked.engine.hanging
+    assert walked.engine.odometry.x_m > 0.2
+
+
+def test_below_a_body_that_leans_feet_rest_further_out_and_keep_their_strides() -> None:
+    walked = standing(ROBOT)
+    ground = Ground(walked, flat, pitch_rad=math.radians(12.0))
+    ground.run(8.0, AHEAD)
+    engine = walked.engine
+    assert math.degrees(engine.corrected_rad) > 10.0
+    assert engine.velocity.forward_m_s == pytest.approx(AHEAD.forward_m_s)
+    further_m = [math.hypot(*engine.feet[leg][:2]) - math.hypot(*engine.stance.feet[leg][:2]) for leg in LEGS]
+    assert sum(further_m) / len(LEGS) > 0.04
+
+
+@pytest.mark.parametrize("ahead_m", [0.05, -0.05])
+def test_a_walk_begins_with_the_feet_that_are_furthest_behind(ahead_m: float) -> None:
+    """Feet at the edge of their discs would let it go nowhere before they are lifted."""
+    walked = standing(ROBOT)
+    engine = walked.engine
+    for leg in (2, 3, 6):
+        x, y, z = engine.feet[leg]
+        engine._state.feet[leg] = x - math.copysign(engine._within_m + 0.003, ahead_m), y, z
+    engine._state.place(ROBOT, LEGS)
+    ground = Ground(walked, flat)
+    ground.run(1.0, Velocity(ahead_m))
+    assert abs(engine.odometry.x_m) > 0.02
 
 
 def test_an_orientation_that_is_none_levels_nothing() -> None:

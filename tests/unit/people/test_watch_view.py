@@ -106,7 +106,7 @@ def test_events_are_shown_newest_first_in_local_time() -> None:
     )
 
 
-ALL = "  7.40 V  80 %  tilt 0°  31.5 °C  controller alive  feet 1 2 3 4 5 6"
+ALL = "  7.40 V  80 %  tilt 0°  31.5 °C  controller alive  feet ○1 ●2 ●3 ●4 ●5 ●6"
 
 
 def of_controller(alive: bool | None, uptime_s: float = 10.0, started_s: float = 0.0) -> GatewayState:
@@ -142,6 +142,13 @@ def test_what_the_robot_measures_is_one_row_and_none_where_it_measures_nothing(
     assert rows[len(measured) + 1].split()[:1] == ["accepted"], "behind one blank row"
     red = [str(text.plain[span.start : span.end]) for span in text.spans if "red" in str(span.style)]
     assert ("  CONTROLLER SILENT" in red) is (alive is False)
+
+
+def test_feet_that_carry_have_another_mark_than_those_that_do_not() -> None:
+    model = Model()
+    model.received_state(of_controller(True), 0, WALL)
+    model.received_telemetry(MEASURED.model_copy(update={"feet": (9.0, 0.0, 0.1, 11.0, 8.0, -0.2)}), 0)
+    assert "feet ●9 ○0 ○0.1 ●11 ●8 ○-0.2" in screen(model)
 
 
 def test_measurements_that_are_old_say_so_and_those_of_another_start_are_gone() -> None:

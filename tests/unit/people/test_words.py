@@ -1,10 +1,11 @@
 """What the robot does now, in a sentence for each situation: what is shown is so, whatever its driver had wanted."""
 
 from collections.abc import Collection
+from typing import Any
 
 import pytest
 
-from gateway.people.walking import STILL, Odometry, Posture, WalkState, lease_lost, robot_now
+from gateway.people.walking import STILL, Odometry, Posture, WalkState, ground_now, lease_lost, robot_now
 from gateway.people.walking.words import NEWS_S, Newest
 from schemas.robot import LEGS
 from schemas.telemetry import ControllerReport, GatewayState, Mode
@@ -139,3 +140,21 @@ def test_one_servo_of_each_leg_is_no_leg_that_stands() -> None:
 )
 def test_why_a_page_has_lost_its_lease(silent_s: float, holder: str | None, sentence: str) -> None:
     assert lease_lost(silent_s, 1.0, holder) == sentence
+
+
+@pytest.mark.parametrize(
+    ("felt", "sentence"),
+    [
+        ({"terrain": "level", "tilt_deg": 3.0}, ""),
+        ({}, "No sensors: it walks as on a level floor"),
+        ({"tilt_deg": 3.14, "corrected_deg": 6.0}, "Leans by 3.1°, 6.0° corrected"),
+        (
+            {"tilt_deg": 3.14, "carrying": (True, False, False, True, True, False), "hanging": (2,)},
+            "Leans by 3.1°, 0.0° corrected; legs 1, 4 and 5 carry; leg 2 hangs over an edge",
+        ),
+        ({"carrying": (False,) * 6, "hanging": (2, 6)}, "No leg carries; legs 2 and 6 hang over an edge"),
+        ({"carrying": (True, *(False,) * 5)}, "Leg 1 carries"),
+    ],
+)
+def test_what_a_walk_by_sensors_feels_is_one_sentence(felt: dict[str, Any], sentence: str) -> None:
+    assert ground_now(walk(Posture.WALKING)._replace(**{"terrain": "adapt", **felt})) == sentence

@@ -10,7 +10,7 @@ import pytest
 from gateway.allowance import NS_PER_MS
 from gateway.robot.core.events import Announce
 from gateway.robot.core.leg import Rules
-from gateway.robot.core.power import CutOn, Supply, cut_by
+from gateway.robot.core.power import CutOn, PowerRule, cut_by
 from gateway.robot.core.reset import may_be_older
 from schemas.telemetry import Mode
 from tests.support.steps import Steps, all_stopped, leg_to, legs_to, servo_to
@@ -183,7 +183,7 @@ def test_what_takes_the_supply_does_so_where_it_is_configured(mode: Mode, unwatc
 
 
 def test_the_supply_stands_in_the_way_of_moves_only_while_it_has_a_reason() -> None:
-    without, supply = Supply(Rules()), Supply(Rules(power=True))
+    without, supply = PowerRule(Rules()), PowerRule(Rules(power=True))
     assert (without.alive, without.closed) == (True, False)
     assert (supply.alive, supply.closed) == (False, True)
 

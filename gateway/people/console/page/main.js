@@ -187,7 +187,7 @@ function refresh() {
   numbers.refresh(nowMs);
   numbers.refreshEvents();
   plots.refresh(nowMs);
-  measured.refresh(nowMs);
+  measured.refresh(nowMs, walk.report?.ground ?? "");
   picture.refresh(nowMs, walk.going);
 }
 

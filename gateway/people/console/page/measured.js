@@ -1,5 +1,5 @@
 // @ts-check
-/** What the robot measures, in a strip over the picture: battery, tilt, temperature, power; and which feet carry. */
+/** What the robot measures, in a strip over the picture: battery, tilt, temperature, power; what a walk by sensors feels; and which feet carry. */
 
 import { attribute, byId, show, text } from "./dom.js";
 
@@ -50,8 +50,8 @@ export class Measured {
     this.line = byId("horizon-line");
   }
 
-  /** @param {number} nowMs */
-  refresh(nowMs) {
+  /** @param {number} nowMs @param {string} ground what this page's walk feels */
+  refresh(nowMs, ground) {
     const { state } = this.model;
     const telemetry = this.model.measured(nowMs);
     const alive = state?.controller?.alive ?? null;
@@ -59,7 +59,7 @@ export class Measured {
     const tilt = telemetry?.tilt_deg ?? null;
     const temperature = telemetry?.temperature_c ?? null;
     const { power, unconfirmed } = this.model;
-    show(byId("measured"), this.model.live(nowMs) && (power !== "" || alive === false || battery !== null || tilt !== null || temperature !== null));
+    show(byId("measured"), this.model.live(nowMs) && (power !== "" || alive === false || battery !== null || tilt !== null || temperature !== null || ground !== ""));
     show(byId("controller-silent"), alive === false);
     show(byId("battery"), battery !== null);
     if (battery) {
@@ -79,5 +79,7 @@ export class Measured {
     text(byId("supply"), telemetry?.supply ? `, ${telemetry.supply.voltage_v.toFixed(1)} V` : "");
     show(byId("temperature"), temperature !== null);
     if (temperature !== null) text(byId("temperature"), `${Math.round(temperature)} °C`);
+    show(byId("ground"), ground !== "");
+    text(byId("ground"), ground);
   }
 }

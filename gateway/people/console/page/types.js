@@ -38,7 +38,7 @@
  *
  * @typedef {{type: "walk", press: number, id: number | null, posture: string | null, now: string, gait: string | null,
  *            height_m: number | null, commanded: number[], scaled: number[], limit: string, lost: number[],
- *            waits: boolean, detail: string}} WalkMessage
+ *            ground: string, waits: boolean, detail: string}} WalkMessage
  *
  * @typedef {{trim_deg: number, inverted: boolean, min_deg: number, max_deg: number, changed: boolean}} Draft
  * @typedef {{type: "calibration", id: number, revision: number | null, servos: Record<number, Draft>,

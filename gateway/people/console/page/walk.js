@@ -145,8 +145,9 @@ export class Walk {
       const detail = plain(message.detail);
       this.callbacks.say(worded(`${detail[0].toUpperCase()}${detail.slice(1)}.`));
       if (message.posture !== null && this.heightM !== null) this.heightM = message.height_m;
-    } else if (message.limit && message.limit !== before?.limit) this.callbacks.say(`Slower than that: ${message.limit}.`);
-    else if (message.now && message.now !== before?.now && !(this.dropped && message.posture === "standing")) {
+    } else if (message.limit && message.limit !== before?.limit) {
+      this.callbacks.say(`${message.scaled.some(Boolean) ? "Slower than that" : "It stands still"}: ${message.limit}.`);
+    } else if (message.now && message.now !== before?.now && !(this.dropped && message.posture === "standing")) {
       this.callbacks.say(`${worded(message.now)}.`);
     }
     if (message.waits && message.press === this.press && message.posture !== null && !this.sits) {

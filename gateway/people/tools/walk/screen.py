@@ -19,9 +19,8 @@ from gateway.people.tools import driving, kept_lease
 from gateway.people.tools.reach import Connection
 from gateway.people.tools.walk.keypad import Keypad
 from gateway.people.tools.walk.script import went
-from gateway.people.walking import GAITS, Velocity, WalkState
+from gateway.people.walking import GAITS, Velocity, ground_now
 from gateway.text import visible
-from schemas.robot import LEGS
 from schemas.telemetry import Mode
 
 _TICK_S: Final = 0.02
@@ -66,7 +65,8 @@ class WalkScreen(Screen):
         """Until q (it sits down first), Ctrl-C or a signal (it is stopped at once). Returns the exit code."""
         self._walk.open()
         self._walk.hold_s, self._walk.rest_s = KEYS_HOLD_S, KEYS_REST_S
-        return self.show()
+        with self.receives(self._client.session):
+            return self.show()
 
     def begin(self) -> None:
         threading.Thread(target=self._drive, name="drive", daemon=True).start()
@@ -169,19 +169,9 @@ class WalkScreen(Screen):
             Text(f"  commanded  {_shown(self._pad.velocity(time.monotonic()))}"),
             Text(f"  scaled to  {_shown(state.scaled)}  ").append(state.limit, "yellow"),
             Text(f"  went       {went(state)}"),
-            *_ground(state),
+            *([Text(f"  ground     {ground}")] if (ground := ground_now(state)) else []),
             *map(Text, _KEYS.splitlines()),
         ]
-
-
-def _ground(state: WalkState) -> list[Text]:
-    """A line of what the sensors say; none where they say nothing."""
-    if state.tilt_deg is None and state.carrying is None:
-        return []
-    tilt = "" if state.tilt_deg is None else f"leans by {state.tilt_deg:.0f}°  "
-    carry = [str(leg) for leg, carries in zip(LEGS, state.carrying or (), strict=False) if carries]
-    legs = f"legs {', '.join(carry)} carry" if carry else ""
-    return [Text(f"  ground     {tilt}{legs}")]
 
 
 def _shown(velocity: Velocity) -> str:

@@ -14,6 +14,7 @@ from gateway.allowance import NS_PER_S
 from gateway.people.client.dangers import tone_of
 from gateway.people.client.live import Order, Starts
 from gateway.people.terminal.stop_status import Remark, StopStatus, Tone
+from gateway.people.walking.balance import Senses
 from gateway.text import visible
 from schemas.telemetry import Event, GatewayState, Kind, LegReport, Mode, Telemetry
 
@@ -80,6 +81,8 @@ class Model:
     state: GatewayState | None = None
     telemetry: Telemetry | None = None
     """What the robot measured last; None: it measures nothing, as far as is known."""
+    carrying: tuple[bool, ...] | None = None
+    """Which of legs 1 to 6 carry, by that; None: not measured."""
     own_expiry: str | None = None
     """A sentence, where this laptop's certificate expires soon."""
     trouble: str = ""
@@ -95,6 +98,7 @@ class Model:
     """Newest first."""
     _state_ns: int = 0
     _telemetry_ns: int = 0
+    _senses: Senses = field(default_factory=Senses)
     _received_ns: int | None = None
     _gone: bool = False
     _noted: WatchedPresence = WatchedPresence.WAITING
@@ -134,7 +138,9 @@ class Model:
 
     def received_telemetry(self, telemetry: Telemetry, now_ns: int) -> None:
         """What the robot measures."""
+        seconds = max(0, now_ns - self._telemetry_ns) / NS_PER_S
         self.telemetry, self._telemetry_ns = telemetry, now_ns
+        self.carrying = self._senses.take(telemetry, seconds).carrying
 
     def received_event(self, event: Event, now_ns: int, wall: datetime) -> None:
         """Add an event to those that are shown."""

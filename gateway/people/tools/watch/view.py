@@ -205,8 +205,9 @@ def _measured(model: Model, state: GatewayState, now_ns: int, live: bool) -> lis
         line.append("  controller alive" if alive else "  CONTROLLER SILENT", quiet if alive else "bold red")
     if found is not None and (age_ms := model.measured_age_ms(now_ns)) > _OLD_MS:
         line.append(f"  {ago_words(age_ms)} old", "yellow")
-    if found is not None and found.feet is not None:
-        line.append("  feet " + " ".join(f"{force:.3g}" for force in found.feet), quiet)
+    if found is not None and found.feet is not None and model.carrying is not None:
+        feet = zip(model.carrying, found.feet, strict=True)
+        line.append("  feet " + " ".join(f"{'●' if carries else '○'}{force:.3g}" for carries, force in feet), quiet)
     return [line] if line else []
 
 

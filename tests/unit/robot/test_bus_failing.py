@@ -1,0 +1,232 @@
+"""Which calls the bus makes where calls fail: in what order, with what time between, and when it gives up.
+
+A call is written here as `z` for each of its zeros, a leg's number for a Stop, and `m` for a frame that moves. Of what
+a controller makes of them: test_bus.py and test_slow_failures.py.
+"""
+
+import itertools
+from collections.abc import Callable, Iterable
+
+import pytest
+
+from gateway.errors import SpiError
+from gateway.model.frames import OneLeg, Op, ServoOp, stop_leg
+from gateway.model.framing import ZERO, Framing
+from gateway.robot.protocol import BatchReport
+from gateway.robot.sections import SpiSettings
+from gateway.robot.spi import Batch, SpiDevice
+from gateway.robot.spi.bus import Bus
+from schemas.robot import LEGS
+
+PREFIXED, PLAIN = Framing.LENGTH_PREFIXED, Framing.PLAIN
+MS = 1_000_000
+MOVE = OneLeg(1, (ServoOp(Op.START, 90_00),) * 3)
+STOP_ALL = [stop_leg(leg) for leg in LEGS]
+SIGNS = {ZERO: "z", **{stop.data: str(leg) for leg, stop in zip(LEGS, STOP_ALL, strict=True)}}
+
+
+class Scene(SpiDevice):
+    """A device whose calls fail where a test says so, the synchronised bus above it, and a clock that they move."""
+
+    def __init__(self, framing: Framing = PREFIXED, *, synchronised: bool = True) -> None:
+        self.now_ns = 7_000 * MS
+        self.calls: list[str] = []
+        self.fails: Callable[[str], bool] = lambda _: False
+        self.failure_ns = self.success_ns = 0
+        self.stall_ns = 0
+        """What the next call takes besides."""
+        self.looks = 0
+        settings = SpiSettings(framing=framing, frame_gap_us=framing.least_gap_us)
+        self.bus = Bus(settings, lambda: self, clock=lambda: self.now_ns)
+        self.bus.open()
+        if synchronised:
+            self.stop(preamble=True)
+            self.calls.clear()
+
+    def transfer(self, batch: Batch) -> None:
+        call = "".join(SIGNS.get(data, "m") for data, _ in batch if len(data) > 1 or data == ZERO)
+        self.calls.append(call)
+        failed = self.fails(call)
+        self.now_ns += self.stall_ns + (self.failure_ns if failed else self.success_ns)
+        self.stall_ns = 0
+        if failed:
+            raise SpiError(f"{call} failed")
+
+    def put_right(self) -> None:
+        self.looks += 1
+
+    def stop(self, *legs: int, preamble: bool = False) -> BatchReport:
+        return self.bus.write([stop_leg(leg) for leg in legs or LEGS], preamble=preamble)
+
+    def move(self) -> BatchReport:
+        return self.bus.write([MOVE])
+
+    @property
+    def made(self) -> list[str]:
+        """The calls since it was last asked."""
+        made, self.calls = self.calls, []
+        return made
+
+    def fail_at(self, numbers: Iterable[int]) -> None:
+        """Let these calls fail, counted from 1, from now on."""
+        failing, count = frozenset(numbers), itertools.count(1)
+        self.fails = lambda _: next(count) in failing
+
+    def move_failed_in(self, took_ns: int) -> None:
+        """One frame that moves, and no call after it, failed in so long."""
+        self.fail_at({1})
+        self.failure_ns = took_ns
+        assert self.move().fault is not None
+        self.failure_ns = 0
+        self.calls.clear()
+
+
+# ---- calls that fail slowly
+
+
+@pytest.mark.parametrize(("took_ns", "one_by_one"), [(20 * MS - 1, False), (20 * MS, True)])
+@pytest.mark.parametrize("framing", Framing)
+def test_from_20_ms_on_a_failure_is_slow_and_the_next_stops_are_written_one_by_one(
+    framing: Framing, took_ns: int, one_by_one: bool
+) -> None:
+    scene = Scene(framing)
+    scene.move_failed_in(took_ns)
+    assert scene.stop().fault is None
+    assert (not any(call.endswith("123456") for call in scene.made)) is one_by_one
+
+
+@pytest.mark.parametrize(("framing", "zeros"), [(PLAIN, []), (PREFIXED, ["zzzzzzzz"] * 2)])
+def test_stops_leave_together_again_once_all_have_passed_and_a_frame_that_moves_does_not_count(
+    framing: Framing, zeros: list[str]
+) -> None:
+    scene = Scene(framing)
+    scene.move_failed_in(200 * MS)
+    assert scene.move().fault is None
+    assert scene.made == [*zeros, "m"]
+    assert scene.stop().fault is None
+    assert scene.made == ["6", "5", "4", "3", "2", "1", *zeros]
+    assert scene.stop().fault is None
+    assert scene.made == ["123456"]
+
+
+def test_the_first_failure_among_stops_that_are_written_one_by_one_is_reported_and_they_stay_so() -> None:
+    scene = Scene(PLAIN)
+    scene.move_failed_in(200 * MS)
+    scene.fail_at({1, 3})
+    assert str(scene.stop().fault) == "6 failed"
+    assert scene.made == ["6", "5", "4", "3", "2", "1", "6", "4"]
+    scene.stop()
+    assert scene.made == ["6", "5", "4", "3", "2", "1"]
+
+
+def test_stops_that_pass_too_slowly_are_a_fault_that_says_so() -> None:
+    """The loop stands still meanwhile, and the watchdog of the service waits for a second."""
+    scene = Scene(PLAIN)
+    scene.move_failed_in(200 * MS)
+    scene.success_ns = 100 * MS
+    assert "too long to take all Stops" in str(scene.stop().fault)
+    assert scene.made == ["6", "5", "4"], "300 ms"
+
+
+def test_a_call_of_stops_that_stalled_is_no_call_of_zeros_that_failed() -> None:
+    scene = Scene()
+    scene.stall_ns = 900 * MS
+    assert "took 0.9 s" in str(scene.stop(1).fault)
+    assert scene.made[:2] == ["1", "z"], "zeros are tried first"
+
+
+# ---- the order
+
+
+def test_a_leg_whose_stop_did_not_pass_comes_first_the_next_time() -> None:
+    scene = Scene(PLAIN)
+    scene.fails = lambda call: "1" in call
+    scene.stop()
+    assert scene.made[:8] == ["123456", "6", "5", "4", "3", "2", "1", "1"]
+    scene.fail_at({1})
+    scene.stop()
+    assert scene.made == ["123456", "1", "6", "5", "4", "3", "2"]
+
+
+def test_which_stops_passed_is_forgotten_once_all_have() -> None:
+    scene = Scene(PLAIN)
+    scene.fails = lambda call: "1" in call
+    scene.stop()
+    scene.fail_at(())
+    assert scene.stop().fault is None
+    scene.calls.clear()
+    scene.fail_at({1})
+    scene.stop()
+    assert scene.made == ["123456", "6", "5", "4", "3", "2", "1"]
+
+
+def test_another_legs_stop_brings_the_controller_back_where_the_last_one_fails_again_and_again() -> None:
+    """Two transfers do what takes fourteen zeros, also where that leg's Stop has passed already."""
+    scene = Scene()
+    scene.fails = lambda call: "1" in call
+    scene.stop()
+    assert scene.made[:11] == ["123456", "6", "5", "4", "3", "2", "1", "6", "1", "6", "1"]
+
+
+# ---- zeros that fail
+
+
+def test_behind_six_calls_of_zeros_that_failed_all_stops_are_tried_without_and_then_zeros_again() -> None:
+    """Three zeros in a call, and eighteen calls in all: then the device is opened again."""
+    scene = Scene(synchronised=False)
+    scene.fails = lambda _: True
+    scene.stop()
+    zeros = ["zzz"] * 6
+    assert scene.made == ["z" * 16 + "123456", *zeros, "123456", *zeros, "123456", *zeros[:4]]
+
+
+def test_a_call_of_zeros_that_passed_begins_both_counts_anew() -> None:
+    scene = Scene(synchronised=False)
+    scene.fail_at({*range(1, 7), *range(8, 100)})
+    scene.stop()
+    made = scene.made
+    assert made[1:14] == ["zzz"] * 12 + ["123456"], "five that failed, one that passed, and six"
+    assert len(made) == 7 + 18
+
+
+def test_stops_that_are_tried_without_zeros_leave_when_they_do_in_any_call() -> None:
+    scene = Scene()
+    scene.success_ns = 10 * MS
+    begun_ns = scene.now_ns
+    usual = [sent.ns - begun_ns for sent in scene.stop().sent]
+    scene = Scene(synchronised=False)
+    scene.fail_at(range(1, 8))
+    scene.success_ns = 10 * MS
+    begun_ns = scene.now_ns
+    sent = scene.stop().sent
+    assert scene.calls[7] == "123456"
+    assert [each.ns - begun_ns for each in sent[:6]] == usual
+
+
+def test_calls_of_zeros_that_took_900_ms_to_fail_are_enough_though_they_were_five() -> None:
+    scene = Scene()
+    scene.fails, scene.failure_ns = lambda _: True, 200 * MS
+    for _ in range(5):
+        scene.stop(1)
+    assert "".join(scene.made) == "111" + "1z" + "zz" + "zz" + "1z"
+
+
+# ---- what outlasts what
+
+
+def test_a_closed_bus_is_due_for_nothing() -> None:
+    scene = Scene()
+    scene.now_ns += 900 * MS
+    scene.stop()
+    assert scene.bus.resync_due
+    scene.bus.close()
+    assert scene.bus.resync_due is False
+
+
+@pytest.mark.parametrize(("idle_ns", "looks"), [(100 * MS - 1, 0), (100 * MS, 1)])
+def test_the_device_is_looked_at_behind_a_pause_of_100_ms(idle_ns: int, looks: int) -> None:
+    scene = Scene()
+    scene.looks = 0
+    scene.now_ns += idle_ns
+    scene.stop()
+    assert scene.looks == looks
