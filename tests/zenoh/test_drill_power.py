@@ -1,5 +1,8 @@
 """The drill's steps for a power board: what it confirms, and one of the two ways unplugged. The board is simulated."""
 
+import json
+import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
@@ -13,20 +16,38 @@ from schemas.telemetry import GatewayState
 from tests.support.command import Ended
 from tests.support.gateway_process import Gateway
 from tests.support.heard import Heard
-from tests.support.slcan_adapter import Adapter
 
 LATE_MS = 70
 """For a machine that is busy with other tests."""
 
 
 class Robot:
-    """A gateway with a power board at an adapter, and a person who plugs and unplugs."""
+    """A gateway with a power board, simulated in a process of its own, and a person who plugs and unplugs."""
 
     def __init__(self, folder: Path, **settings: Any) -> None:
-        channel = str(folder / "can")
-        self.adapter = Adapter(channel)
+        self._record = folder / "record"
+        argument = json.dumps({"record": str(self._record)})
+        command = [sys.executable, "-m", "gateway.robot.power.simulator", argument]
+        self._board = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        assert self._board.stdout is not None
+        channel = self._board.stdout.readline().strip()
         board = {"interface": "slcan", "channel": channel, "confirm_ms": 500, **settings}
         self.gateway = Gateway(folder, {"telemetry": {"frames": True}, "power": board})
+
+    @property
+    def fed(self) -> int:
+        """The mask of what the board feeds."""
+        changes = [line.split() for line in self._record.read_text().splitlines() if " = " in line]
+        return int(changes[-1][2], 16) if changes else 0
+
+    def silent(self, silent: bool) -> None:
+        """No frame passes between board and adapter."""
+        assert self._board.stdin is not None
+        self._board.stdin.write(json.dumps({"silent": silent}) + "\n")
+        self._board.stdin.flush()
+
+    def close(self) -> None:
+        self._board.communicate()
 
     def drill(self, step: str) -> Ended:
         return self.gateway.run("drill", "--unplug", "--late", str(LATE_MS), "--only", step)
@@ -38,7 +59,7 @@ def robot(tmp_path: Path) -> Iterator[Callable[..., Robot]]:
 
         def made(**settings: Any) -> Robot:
             robot = Robot(tmp_path, **settings)
-            stack.callback(robot.adapter.unplug)
+            stack.callback(robot.close)
             client = stack.enter_context(stack.enter_context(robot.gateway).client())
             Heard(client, keys.STATE, GatewayState).wait(lambda _: power.is_fed(client))
             return robot
@@ -90,7 +111,7 @@ def test_spi_unplugged(
     fed_when: dict[str, int] = {}
 
     def answer(question: str) -> str:
-        fed_when[question.split(maxsplit=1)[0]] = found.adapter.board.fed
+        fed_when[question.split(maxsplit=1)[0]] = found.fed
         return loose
 
     person(answer)
@@ -104,7 +125,7 @@ def test_can_unplugged(robot: Callable[..., Robot], person: Callable[[Callable[[
     found = robot()
 
     def answer(question: str) -> str:
-        found.adapter.silent = question.startswith("Unplug")
+        found.silent(question.startswith("Unplug"))
         return ""
 
     person(answer)
