@@ -262,3 +262,16 @@ def test_a_controller_that_does_not_answer_is_not_moved(
     assert end.returncode == 1
     assert "A controller of HexapodProtocol v1.0.0 answers nothing" in end.stdout
     assert legs_written(heard) == []
+
+
+# ---- a power board
+
+
+def test_by_its_current_it_shows_which_output_feeds_the_servo(tmp_path: Path) -> None:
+    settings: dict[str, dict[str, object]] = {"watchdog": {"timeout_ms": 9000}, "power": {"interface": "sim"}}
+    with Gateway(tmp_path, settings) as gateway, gateway.client() as client:
+        heard = Heard(client, keys.STATE, GatewayState)
+        heard.wait(lambda state: state.power is not None and state.power.supplied == SERVO_IDS)
+        end = gateway.run("check", "--move", "--yes")
+    assert end.returncode == 0, str(end)
+    assert "output for servo 61 feeds it" in end.stdout

@@ -9,12 +9,15 @@ that comes back to the gateway, so a person is asked whether the servo is loose.
 """
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from functools import partial
 from typing import Final
 
 from gateway.errors import ConfigError
+from gateway.model.protocols import SpiProtocol
 from gateway.model.telemetry import starts_whole
+from gateway.onboard.check.outputs import Currents, finding
 from gateway.people.client.blocking import Client
 from gateway.people.terminal import ask, say
 from gateway.people.tools.driving import drives, rejected
@@ -28,6 +31,8 @@ DEFAULT_SERVO: Final = 61
 DEFAULT_ANGLE_DEG: Final = 90.0
 _HOLD_S: Final = 1.5
 """At each angle: long enough to reach it from anywhere, and to be seen."""
+_REST_S: Final = 0.5
+"""For some reports of what servos draw at rest: ten a second are published."""
 _PERIOD_S: Final = 0.05
 """A fifth of the default watchdog timeout."""
 
@@ -96,18 +101,23 @@ def move(connect: Connection, *, agreed: bool) -> int:
             say("Nothing was moved.")
             return 1
         state = ready(client)  # the questions took their time
+        currents = Currents()
         with (
+            _measured(client, state, currents),
             drives(client, _HOLD_S, moves=True) as lease,
             stopped_after(
                 "all servos are" if whole else f"servo {servo_id} is",
                 partial(_stop, client, None if whole else servo_id),
             ),
         ):
+            currents.moves()
             if not (_moved(client, motion, state.watchdog.timeout_ms, lease) and _accepted(client.stop())):
                 return 1
             if state.simulated:
                 say("A simulated controller took it: no servo is there to move.")
             say(f"All six legs were stopped at once, servo {servo_id} with them.")
+            if _tells_outputs(state):
+                say(finding(servo_id, currents.rest, currents.moving))
             if agreed:
                 say("Every frame was written, and SPI has no way back: look whether it moved, and whether it is loose.")
                 return 0
@@ -125,6 +135,28 @@ def move(connect: Connection, *, agreed: bool) -> int:
     if servo_id // 10 == LEGS[0] and not whole:
         say(_FIRST)
     return 0
+
+
+def _tells_outputs(state: GatewayState) -> bool:
+    """Whether the board feeds all servos, so that the current shows which one moves.
+
+    Where it feeds each by its start, the output that feeds the servo is the one that was chosen for it.
+    """
+    return state.power is not None and state.controller.protocol == SpiProtocol.HEXAPOD_1_0
+
+
+@contextmanager
+def _measured(client: Client, state: GatewayState, currents: Currents) -> Iterator[None]:
+    """Take the currents meanwhile, and those at rest first."""
+    if not _tells_outputs(state):
+        yield
+        return
+    subscriber = client.watch_telemetry(currents.take)
+    try:
+        time.sleep(_REST_S)
+        yield
+    finally:
+        subscriber.undeclare()
 
 
 def _asked(held: Mapping[int, float]) -> ServoMotion:

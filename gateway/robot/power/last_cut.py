@@ -45,7 +45,7 @@ class LastCut:
         self.confirmed = False
 
     def next_frames(self, now_ns: int) -> list[CanFrame]:
-        """What leaves now: the mask, a question whose answer proves that it has arrived, and those of `BoardQuestions`."""
+        """What leaves now: the mask, a question whose answer proves that it has arrived, and questions in turn."""
         frames: list[CanFrame] = []
         if self.confirmed:
             return frames

@@ -144,4 +144,4 @@ def is_fed(client: Client) -> bool:
 
 def _fed_one_by_one(state: GatewayState) -> bool:
     """Whether a servo's supply is its start."""
-    return state.protocol == SpiProtocol.ELKAPOD_2025
+    return state.controller.protocol == SpiProtocol.ELKAPOD_2025

@@ -1,0 +1,59 @@
+"""Which output of the power board feeds a servo: the one whose current rises while the servo moves. Pure.
+
+The board's currents come under the names that `power.servos` gives to its outputs, so another name than the servo's own
+shows that two of its entries are wrong.
+"""
+
+from collections.abc import Mapping
+from typing import Final
+
+from schemas.telemetry import Telemetry
+
+LEAST_RISE_A: Final = 0.05
+"""A servo at rest draws some 8 mA, one that moves at least 100: less shows nothing."""
+CLEAR: Final = 2.0
+"""So many times the rise of any other output: legs that touch each other draw together."""
+
+
+class Currents:
+    """The highest current under each name, at rest and from `moves` on, in A."""
+
+    def __init__(self) -> None:
+        """At rest."""
+        self.rest: dict[str, float] = {}
+        self.moving: dict[str, float] = {}
+        self._seen = self.rest
+
+    def moves(self) -> None:
+        """The servo is started now."""
+        self._seen = self.moving
+
+    def take(self, telemetry: Telemetry) -> None:
+        """What the board measured."""
+        for name, servo in (telemetry.servos or {}).items():
+            if servo.current_a is not None:
+                self._seen[name] = max(servo.current_a, self._seen.get(name, 0.0))
+
+
+def finding(servo_id: int, rest: Mapping[str, float], moving: Mapping[str, float]) -> str:
+    """A sentence about where this servo hangs, and what it rests on; it names what is uncertain."""
+    rises = {name: now - rest[name] for name, now in moving.items() if name in rest}
+    first, second = [*sorted(rises, key=rises.__getitem__, reverse=True), "", ""][:2]
+    if not first or rises[first] < LEAST_RISE_A:
+        return (
+            f"The power board has measured no current of servo {servo_id}: which output feeds it is not known. Does "
+            "the board feed it at all?"
+        )
+    shown = f"{rises[first] * 1000:.0f} mA more than at rest"
+    if second and rises[first] < CLEAR * rises[second]:
+        return (
+            f"Uncertain: servos {first} and {second} of power.servos drew more while servo {servo_id} moved. Lift the "
+            "robot so that nothing touches, and do this again."
+        )
+    if first == str(servo_id):
+        return f"The power board's output for servo {servo_id} feeds it ({shown})."
+    return (
+        f"power.servos is WRONG: servo {servo_id} hangs on the output that it gives to servo {first} ({shown}). Put "
+        f"{servo_id} in the place of {first} there, restart the gateway, and do this again with servo {first}: a Stop "
+        "that is confirmed for one servo would concern another."
+    )
