@@ -17,7 +17,7 @@ from tests.hil.bed import SpiTestbed
 from tests.hil.elkapod_bed import ElkapodBed
 from tests.hil.wire import LATE_S, START_3, STOPS, Wire, start
 from tests.support.child import frozen
-from tests.support.gateway_process import Gateway
+from tests.support.gateway_process import COMMAND, Gateway
 from tests.support.heard import events
 from tests.support.recorded_board import RecordedBoard
 
@@ -137,6 +137,18 @@ def test_a_line_that_is_cut_is_reported_and_what_runs_is_stopped(
         assert power is not None
         assert not power.alive
         assert client.start_leg(3, 90, 45, 120).reason is Reason.NO_POWER
+
+
+def test_a_gateway_that_is_killed_leaves_the_supply_to_stop_servos(
+    tmp_path: Path, wire: Wire, board: RecordedBoard
+) -> None:
+    with fed(tmp_path, wire, board) as gateway:
+        gateway.child.kill()
+        board.skip()
+        with wire.bed.spawn([*COMMAND, "stop-servos", "--config", str(gateway.config)]) as child:
+            assert board.next("mask").mask == 0
+            assert board.next("fed").mask == 0
+            assert child.wait(LATE_S) == 0, str(child)
 
 
 def test_with_elkapod_2025_a_servos_supply_is_its_start_and_its_stop(tmp_path: Path, board: RecordedBoard) -> None:

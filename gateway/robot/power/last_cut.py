@@ -12,7 +12,7 @@ from gateway.allowance import NS_PER_MS, NS_PER_S
 from gateway.errors import ConfigError
 from gateway.model.power_board import CanFrame, Rails, Supplied, read, set_supply
 from gateway.robot.power.interface import Interface, LineError, open_bus
-from gateway.robot.power.questions import Questions
+from gateway.robot.power.questions import BoardQuestions
 
 if TYPE_CHECKING:
     import can
@@ -40,12 +40,12 @@ class LastCut:
 
     def __init__(self) -> None:
         """On an interface that was just opened."""
-        self._questions = Questions()
+        self._questions = BoardQuestions()
         self._due_ns = 0
         self.confirmed = False
 
     def next_frames(self, now_ns: int) -> list[CanFrame]:
-        """What leaves now: the mask, a question whose answer proves that it has arrived, and those of `Questions`."""
+        """What leaves now: the mask, a question whose answer proves that it has arrived, and those of the questions."""
         frames: list[CanFrame] = []
         if self.confirmed:
             return frames
