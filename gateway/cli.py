@@ -181,16 +181,17 @@ def run(
 
 @app.command("stop-servos")
 def stop_servos(config: ConfigOption = None) -> None:
-    """Stop all six legs straight over SPI, without Zenoh and without a running gateway.
+    """Stop all six legs straight over SPI, and take the servos' supply, without Zenoh and without a running gateway.
 
     Use it when the service has died, or may have. systemd runs it after every end of the service. It uses what the
     service uses, and reports where the file differs.
 
-    Exit codes: 0 stopped, 2 a wrong configuration, 3 the SPI device fails.
+    Exit codes: 0 stopped, 1 the power board has not confirmed it, 2 a wrong configuration, 3 the SPI device fails.
     """
     from gateway.onboard import stop
 
-    stop.run(config)
+    if not stop.run(config):
+        raise typer.Exit(stop.NOT_CONFIRMED)
 
 
 @app.command("stop")

@@ -16,11 +16,27 @@ from typing import Any, Final, NamedTuple
 from gateway import nesting
 from gateway.host import plain_settings
 from gateway.host.directories import SERVICE_RUNTIME, runtime_directory
-from gateway.host.plain_settings import ControllerValues, PlainController, PlainRepeats, PlainSpi, RepeatValues
+from gateway.host.plain_settings import (
+    ControllerValues,
+    PlainController,
+    PlainPower,
+    PlainRepeats,
+    PlainSpi,
+    PowerValues,
+    RepeatValues,
+)
 
 NAME: Final = "effective.toml"
 _INVOCATION: Final = "INVOCATION_ID"
 """systemd's number for one start of a unit, which the commands after its end have, too."""
+
+
+_SECTIONS: Final = (
+    ("spi", PlainSpi),
+    ("watchdog", PlainRepeats),
+    ("controller", PlainController),
+    ("power", PlainPower),
+)
 
 
 class Effective(NamedTuple):
@@ -29,6 +45,7 @@ class Effective(NamedTuple):
     spi: PlainSpi
     watchdog: PlainRepeats
     controller: PlainController
+    power: PlainPower | None
     tables: Mapping[str, Any]
     """As they stand in the file; with `avoid_deg`, on which no Stop depends."""
 
@@ -44,7 +61,7 @@ class Effective(NamedTuple):
         return bool(self.tables.get("invocation")) and self.tables["invocation"] == os.environ.get(_INVOCATION)
 
 
-def write(spi: Mapping[str, Any], watchdog: RepeatValues, controller: ControllerValues) -> None:
+def write(spi: Mapping[str, Any], watchdog: RepeatValues, controller: ControllerValues, power: PowerValues) -> None:
     """Write what this process uses (`spi` as in a file); nothing without a runtime directory.
 
     Raises OSError, ValueError.
@@ -55,9 +72,10 @@ def write(spi: Mapping[str, Any], watchdog: RepeatValues, controller: Controller
     stated = {name: value for name, value in spi.items() if value is not None}
     repeats = {name: getattr(watchdog, name) for name in PlainRepeats._fields}
     line = {name: getattr(controller, name) for name in PlainController._fields}
+    supply = {name: getattr(power, name) for name in PlainPower._fields}
     process = {"process": os.getpid(), "begun": _begun(os.getpid()), "invocation": os.environ.get(_INVOCATION, "")}
     lines = ["# What the service uses. Written by it at its start; to change it, see /etc/hexapod-gateway."]
-    tables = {"": process, "[spi]": stated, "[watchdog]": repeats, "[controller]": line}
+    tables = {"": process, "[spi]": stated, "[watchdog]": repeats, "[controller]": line, "[power]": supply}
     for head, table in tables.items():
         lines += [head, *(f"{name} = {json.dumps(value, ensure_ascii=False)}" for name, value in table.items())]
     staged = folder / f".{NAME}.new"
@@ -90,11 +108,12 @@ def differences(used: Effective, path: Path) -> list[str]:
     except (OSError, ValueError):
         return [f"{path} cannot be read, and the service uses spi.framing = {_shown(used.spi.framing)}"]
     found = []
-    for section, fields in (("spi", PlainSpi), ("watchdog", PlainRepeats), ("controller", PlainController)):
+    for section, fields in _SECTIONS:
         table, theirs = stated.get(section), used.tables.get(section)
         table, theirs = (each if isinstance(each, dict) else {} for each in (table, theirs))
         for name in (*fields._fields, *(plain_settings.NOT_FOR_STOPS if fields is PlainSpi else ())):
             default = fields._field_defaults.get(name)
+            default = list(default) if isinstance(default, tuple) else default  # as TOML has it
             value, uses = table.get(name, default), theirs.get(name, default)
             if value != uses:
                 states = "does not set" if value is None else "has"

@@ -15,7 +15,7 @@ from gateway.model.framing import Framing
 from gateway.model.protocols import SpiProtocol
 
 DEFAULT_PATH: Final = Path("/etc/hexapod-gateway/gateway.toml")
-_OVERRIDES: Final = ("HEXAPOD_SPI__", "HEXAPOD_WATCHDOG__", "HEXAPOD_CONTROLLER__")
+_OVERRIDES: Final = ("HEXAPOD_SPI__", "HEXAPOD_WATCHDOG__", "HEXAPOD_CONTROLLER__", "HEXAPOD_POWER__")
 
 
 class PlainSpi(NamedTuple):
@@ -45,6 +45,15 @@ class PlainController(NamedTuple):
     """Of the table [controller]."""
 
     uart: str = "/dev/ttyAMA1"
+
+
+class PlainPower(NamedTuple):
+    """Of the table [power]."""
+
+    interface: str = ""
+    channel: str = "can0"
+    bitrate: int = 1_000_000
+    cut_on: tuple[str, ...] = ("estop", "bus_fault", "button", "shutdown", "unconfirmed")
 
 
 class SpiValues(Protocol):
@@ -84,12 +93,27 @@ class ControllerValues(Protocol):
     def uart(self) -> str: ...
 
 
+class PowerValues(Protocol):
+    """The table [power], as `PlainPower` or as the service has it."""
+
+    @property
+    def interface(self) -> str: ...
+    @property
+    def channel(self) -> str: ...
+    @property
+    def bitrate(self) -> int: ...
+    @property
+    def cut_on(self) -> tuple[str, ...]: ...
+
+
 class Plain(NamedTuple):
     """What a Stop needs of a file."""
 
     spi: PlainSpi
     watchdog: PlainRepeats
     controller: PlainController
+    power: PlainPower | None
+    """None: it is not plainly right, which is no reason to write no Stop."""
 
 
 LIMITS: Final[Mapping[str, tuple[float, float]]] = {
@@ -98,10 +122,11 @@ LIMITS: Final[Mapping[str, tuple[float, float]]] = {
     "resync_ms": (0, 10_000),
     "repeats": (0, 100),
     "repeat_interval_ms": (1, 1000),
+    "bitrate": (10_000, 1_000_000),
 }
 NOT_FOR_STOPS: Final = frozenset({"avoid_deg"})
 """Settings of [spi] that no Stop depends on; they are not looked at."""
-_WHOLE: Final = frozenset({"speed_hz", "repeats"})
+_WHOLE: Final = frozenset({"speed_hz", "repeats", "bitrate"})
 
 _KNOWN: Final = NOT_FOR_STOPS | set(PlainSpi._fields)
 
@@ -140,7 +165,19 @@ def of(tables: Mapping[str, Any]) -> Plain | None:
         return None
     known = {"protocol": SpiProtocol(protocol), "framing": Framing(framing)}
     stated = {"speed_hz": SpiProtocol(protocol).speed_hz} | spi | known
-    return Plain(PlainSpi(**stated), PlainRepeats(**of_watchdog), PlainController(**of_controller))
+    power = _power(tables.get("power", {}))
+    return Plain(PlainSpi(**stated), PlainRepeats(**of_watchdog), PlainController(**of_controller), power)
+
+
+def _power(table: Any) -> PlainPower | None:
+    if not isinstance(table, dict):
+        return None
+    stated: dict[str, Any] = {name: table[name] for name in PlainPower._fields if name in table}
+    if not all(_is_right(name, value) for name, value in stated.items()):
+        return None
+    if "cut_on" in stated:
+        stated["cut_on"] = tuple(stated["cut_on"])
+    return PlainPower(**stated)
 
 
 def within_limits(spi: SpiValues) -> tuple[SpiValues, str]:
@@ -158,8 +195,10 @@ def within_limits(spi: SpiValues) -> tuple[SpiValues, str]:
 
 
 def _is_right(name: str, value: Any) -> bool:
-    if name in {"protocol", "framing"}:
-        return isinstance(value, str)
+    if name in {"protocol", "framing", "interface", "channel"}:
+        return isinstance(value, str) and "\0" not in value
+    if name == "cut_on":
+        return isinstance(value, list) and all(each in PlainPower().cut_on for each in value)
     if name in {"device", "uart"}:
         return isinstance(value, str) and value.startswith("/") and "\0" not in value
     if name == "batch":

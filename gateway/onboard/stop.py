@@ -2,19 +2,24 @@
 
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 from gateway.errors import ConfigError, GatewayError
 from gateway.host import effective, plain_settings, realtime
 from gateway.host.effective import Effective
-from gateway.host.plain_settings import DEFAULT_PATH, ControllerValues, RepeatValues, SpiValues
+from gateway.host.plain_settings import DEFAULT_PATH, ControllerValues, PowerValues, RepeatValues, SpiValues
 from gateway.model.protocols import SpiProtocol
 from gateway.robot.spi.stop_all import stop_servos as stop
 
+if TYPE_CHECKING:
+    from gateway.robot.power.last_cut import SupplyCut
+
 _UNIT: Final = "hexapod-gateway.service"
 _SYSTEMD: Final = Path("/run/systemd/system")
+NOT_CONFIRMED: Final = 1
+"""Exit code: all Stops are written, and the servos may still have their supply."""
 _ANSWER_S: Final = 1.0
 """A systemd that hangs is not waited for any longer; it answers within 20 ms."""
 
@@ -34,25 +39,53 @@ def at_once(arguments: Sequence[str]) -> int | None:
         case _:
             return None
     try:
-        run(path)
+        return 0 if run(path) else NOT_CONFIRMED
     except GatewayError as error:
         _say(*str(error).splitlines())
         return error.exit_code
-    return 0
 
 
-def run(path: Path | None) -> None:
-    """Stop all six legs with the settings that the service uses, else with those of the file. Raises GatewayError."""
+def run(path: Path | None) -> bool:
+    """Stop all six legs with the settings that the service uses, else with those of the file, and take their supply.
+
+    Returns False where the supply was to be taken, and the power board has not confirmed it. Raises GatewayError.
+    """
     chosen = _choose(path)
-    stop_servos(chosen.spi, chosen.watchdog, chosen.controller)
+    off = True
+    cut: SupplyCut | None = None
+    try:
+        cut = _cut(chosen.power)
+    except Exception as error:  # whatever it is: no reason to write no Stop
+        _say(f"the servos keep their supply ({error}): switch the power off by hand")
+        off = False
+    try:
+        stop_servos(
+            chosen.spi, chosen.watchdog, chosen.controller, (lambda: None) if cut is None else cut.stops_written
+        )
+    finally:
+        off = off if cut is None else cut.end()
     if chosen.used is not None and not chosen.used.ended_here:  # the unit's file lacks the unit's variables
         _say(*(f"{each}; used the latter" for each in effective.differences(chosen.used, path or DEFAULT_PATH)))
+    return off
+
+
+def _cut(power: PowerValues | None) -> "SupplyCut | None":
+    """Take the supply from now on, where the settings want that. Loads little: the first Stops wait for it."""
+    if power is None:
+        raise ConfigError("[power] of the configuration is wrong")
+    if power.interface in {"", "sim"} or "shutdown" not in power.cut_on:
+        return None
+    from gateway.robot.power.last_cut import SupplyCut
+
+    return SupplyCut(power, lambda sentence, confirmed: _tell(sentence) if confirmed else _say(sentence))
 
 
 class _Chosen(NamedTuple):
     spi: SpiValues
     watchdog: RepeatValues
     controller: ControllerValues
+    power: PowerValues | None
+    """None: not as it should be."""
     used: Effective | None = None
     """The service whose settings these are; None: a file's."""
 
@@ -64,7 +97,7 @@ def _choose(path: Path | None) -> _Chosen:
     by a file or a variable, means that one.
     """
     used = effective.read()
-    theirs = None if used is None else _Chosen(used.spi, used.watchdog, used.controller, used)
+    theirs = None if used is None else _Chosen(used.spi, used.watchdog, used.controller, used.power, used)
     named = path is not None or bool(plain_settings.overrides(os.environ))
     runs = used is not None and used.runs
     if theirs is not None and used is not None and (used.ended_here or (runs and not named)):
@@ -90,12 +123,12 @@ def _of_file(path: Path | None) -> _Chosen:
     from gateway.robot import settings  # slow: it takes longer than all Stops
 
     found = settings.load(path, for_stops=True)
-    return _Chosen(found.spi, found.watchdog, found.controller)
+    return _Chosen(found.spi, found.watchdog, found.controller, found.power)
 
 
 def unit() -> tuple[int, dict[str, str]]:
     """The service's process (0: none, or not known), and its unit's variables that override a file: those of `[spi]`,
-    `[watchdog]` and `[controller]`."""
+    `[watchdog]`, `[controller]` and `[power]`."""
     if not _SYSTEMD.exists():
         return 0, {}
     import shlex
@@ -111,11 +144,16 @@ def unit() -> tuple[int, dict[str, str]]:
         return 0, {}
 
 
-def stop_servos(spi: SpiValues, watchdog: RepeatValues, controller: ControllerValues) -> None:
+def stop_servos(
+    spi: SpiValues,
+    watchdog: RepeatValues,
+    controller: ControllerValues,
+    written: Callable[[], None] = lambda: None,
+) -> None:
     """Stop all six legs. Raises SpiError."""
     spi, changed = plain_settings.within_limits(spi)
     try:
-        noticed = stop(spi, watchdog, controller)
+        noticed = stop(spi, watchdog, controller, written)
     finally:  # after the Stops, which wait for nobody who reads this
         if changed:
             _say(changed)
@@ -125,6 +163,10 @@ def stop_servos(spi: SpiValues, watchdog: RepeatValues, controller: ControllerVa
         lines = [f"shutdown of all servos written {times} times, on {controller.uart}"]
     if noticed is not None:
         lines.append(_NOTICED if noticed else _NOT_NOTICED)
+    _tell(*lines)
+
+
+def _tell(*lines: str) -> None:
     sys.stdout.write("\n".join([*lines, ""]))
     sys.stdout.flush()
 

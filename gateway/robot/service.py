@@ -192,7 +192,8 @@ def _configured(
 
 def _show_settings(settings: Settings) -> None:
     try:
-        effective.write(settings.spi.model_dump(mode="json"), settings.watchdog, settings.controller)
+        spi = settings.spi.model_dump(mode="json")
+        effective.write(spi, settings.watchdog, settings.controller, settings.power)
     except (OSError, ValueError) as error:
         logger.warning("stop-servos by hand cannot read which settings the service uses: %s", error)
 

@@ -2,6 +2,8 @@
 
 import os
 import signal
+import subprocess
+import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
@@ -186,11 +188,22 @@ def test_the_way_between_loses_pauses_and_is_cut(client: Client) -> None:
         assert time.monotonic() < deadline_s
     board.disturb(lose=0, pause_ms=100)
     assert client.ask(0x70) == client.ask(0x70)
+
+
+def test_a_silent_board_neither_takes_nor_answers_its_client(client: Client) -> None:
+    board = client.board
+    client.feed(0b10)
     board.disturb(silent=True, frame="t1230")
     client.until(0x123)
-    client.send(CanFrame(0x70))
+    client.send(set_supply(0))
+    board.disturb(press_off=True, frame="t06A3000003")
+    assert client.next() == 0x6A
+    assert 11 in board.page.fed, "the client's mask did not arrive"
+    deadline_s = time.monotonic() + MOST_S
+    while board.page.fed != frozenset((11, 63)):
+        assert time.monotonic() < deadline_s
     board.disturb(frame="t1240")
-    assert client.next() == 0x124, "no answer"
+    assert client.next() == 0x124, "nobody hears of the button"
 
 
 def test_the_adapter_goes_and_returns_under_the_same_path(client: Client) -> None:
@@ -240,6 +253,24 @@ def test_the_record_has_what_passed_and_what_was_fed_in_order(tmp_path: Path) ->
         *("= 000000", "< t06A3000002", "= 000002", "> t06B3000002"),
         *("< t06A3000000", "= 000000", "> t06B3000000"),
     ]
+
+
+@pytest.mark.parametrize(("ended", "status"), [("by its input's end", 0), ("by SIGTERM", 143)])
+def test_it_runs_by_itself_and_leaves_nothing_at_its_end(ended: str, status: int) -> None:
+    command = [sys.executable, "-m", "gateway.robot.power.simulator"]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdin is not None
+        assert process.stdout is not None
+        channel = Path(process.stdout.readline().strip())
+        assert channel.is_char_device()
+        process.send_signal(signal.SIGHUP)
+        process.send_signal(signal.SIGINT)
+        if ended == "by SIGTERM":
+            process.terminate()
+        else:
+            process.stdin.close()
+        assert process.wait(MOST_S) == status
+    assert not channel.parent.exists()
 
 
 def test_it_ends_with_its_gateway_and_leaves_nothing() -> None:

@@ -17,15 +17,15 @@ from tests.hil.bed import SpiTestbed
 from tests.hil.elkapod_bed import ElkapodBed
 from tests.hil.wire import LATE_S, START_3, STOPS, Wire, start
 from tests.support.child import frozen
-from tests.support.gateway_process import Gateway
+from tests.support.gateway_process import COMMAND, Gateway
 from tests.support.heard import events
-from tests.support.slcan_board import BoardProcess
+from tests.support.recorded_board import RecordedBoard
 
 pytestmark = pytest.mark.hil
 
 LEG_3: Final = 0b111 << 6
 FLOOD: Final = 8000
-"""Frames a second, of other nodes and of lengths that the board's have not: a full bus of 1 Mbit/s."""
+"""Frames a second of another node: a full bus of 1 Mbit/s."""
 
 
 @pytest.fixture
@@ -34,12 +34,12 @@ def wire(spi_testbed: SpiTestbed) -> Wire:
 
 
 @pytest.fixture
-def board(tmp_path: Path) -> Iterator[BoardProcess]:
-    with BoardProcess(tmp_path) as board:
+def board(tmp_path: Path) -> Iterator[RecordedBoard]:
+    with RecordedBoard(tmp_path) as board:
         yield board
 
 
-def fed(folder: Path, wire: Wire, board: BoardProcess, **power: Any) -> Gateway:
+def fed(folder: Path, wire: Wire, board: RecordedBoard, **power: Any) -> Gateway:
     """A gateway whose board feeds all servos."""
     gateway = start(folder, wire, power={**board.settings, **power})
     board.next("fed", ALL)
@@ -47,7 +47,7 @@ def fed(folder: Path, wire: Wire, board: BoardProcess, **power: Any) -> Gateway:
 
 
 def test_the_supply_comes_behind_the_first_stops_and_goes_with_the_emergency_stop(
-    tmp_path: Path, wire: Wire, board: BoardProcess
+    tmp_path: Path, wire: Wire, board: RecordedBoard
 ) -> None:
     gateway = start(tmp_path, wire, power=board.settings)
     with gateway, gateway.client() as client:
@@ -62,7 +62,7 @@ def test_the_supply_comes_behind_the_first_stops_and_goes_with_the_emergency_sto
         assert client.start_leg(3, 90, 45, 120).accepted
         wire.expect(START_3)
 
-        board.child.tell(f"flood {FLOOD}")
+        board.disturb(flood="t1238" + 16 * "0", flood_hz=FLOOD)
         ack = client.estop()
         assert (ack.accepted, ack.confirmed, ack.stop_frames) == (True, True, 6)
         assert ack.confirmed_ms is not None
@@ -70,17 +70,17 @@ def test_the_supply_comes_behind_the_first_stops_and_goes_with_the_emergency_sto
         assert board.next("mask").mask == 0
         assert board.next("fed").mask == 0
         heard.wait(lambda event: event.kind is Kind.POWER_CUT)
-        board.child.tell("flood 1")
+        board.disturb(flood_hz=0)
 
-        board.skip()
-        board.child.tell("other 03ffff")
+        begun = board.skip()
+        board.disturb(frame="t06A303FFFF")
         assert board.next("mask").mask == 0, "before the board has come to feed anything"
         heard.wait(lambda event: event.kind is Kind.POWER_FAULT)
 
         assert client.reset().accepted
-        begun = len(board.noted)
-        board.next("mask", ALL)
-        assert {each.mask for each in board.noted[begun:-1]} <= {0}, "what the other wanted was never fed"
+        on = board.next("mask", ALL)
+        fed_before = {each.mask for each in board.noted[begun:] if each.what == "fed" and each.at_ns < on.at_ns}
+        assert not fed_before, "what the other wanted was never fed"
         board.next("fed", ALL)
         state = client.state()
         assert state.mode is Mode.IDLE
@@ -92,7 +92,7 @@ def test_the_supply_comes_behind_the_first_stops_and_goes_with_the_emergency_sto
         assert "that their supply is off" in gateway.child.stderr + gateway.child.stdout
 
 
-def test_supply_goes_while_a_transfer_on_spi_hangs(tmp_path: Path, wire: Wire, board: BoardProcess) -> None:
+def test_supply_goes_while_a_transfer_on_spi_hangs(tmp_path: Path, wire: Wire, board: RecordedBoard) -> None:
     with fed(tmp_path, wire, board) as gateway, gateway.client() as client, ThreadPoolExecutor(2) as pool:
         board.skip()
         wire.bed.block()
@@ -107,7 +107,7 @@ def test_supply_goes_while_a_transfer_on_spi_hangs(tmp_path: Path, wire: Wire, b
         assert estop.result(LATE_S).accepted
 
 
-def test_stops_on_spi_leave_while_the_adapter_takes_nothing(tmp_path: Path, wire: Wire, board: BoardProcess) -> None:
+def test_stops_on_spi_leave_while_the_adapter_takes_nothing(tmp_path: Path, wire: Wire, board: RecordedBoard) -> None:
     with fed(tmp_path, wire, board, confirm_ms=100) as gateway, gateway.client() as client:
         heard = events(client)
         assert client.start_leg(3, 90, 45, 120).accepted
@@ -124,7 +124,7 @@ def test_stops_on_spi_leave_while_the_adapter_takes_nothing(tmp_path: Path, wire
 
 
 def test_a_line_that_is_cut_is_reported_and_what_runs_is_stopped(
-    tmp_path: Path, wire: Wire, board: BoardProcess
+    tmp_path: Path, wire: Wire, board: RecordedBoard
 ) -> None:
     with fed(tmp_path, wire, board) as gateway, gateway.client() as client:
         heard = events(client)
@@ -139,7 +139,19 @@ def test_a_line_that_is_cut_is_reported_and_what_runs_is_stopped(
         assert client.start_leg(3, 90, 45, 120).reason is Reason.NO_POWER
 
 
-def test_with_elkapod_2025_a_servos_supply_is_its_start_and_its_stop(tmp_path: Path, board: BoardProcess) -> None:
+def test_a_gateway_that_is_killed_leaves_the_supply_to_stop_servos(
+    tmp_path: Path, wire: Wire, board: RecordedBoard
+) -> None:
+    with fed(tmp_path, wire, board) as gateway:
+        gateway.child.kill()
+        board.skip()
+        with wire.bed.spawn([*COMMAND, "stop-servos", "--config", str(gateway.config)]) as child:
+            assert board.next("mask").mask == 0
+            assert board.next("fed").mask == 0
+            assert child.wait(LATE_S) == 0, str(child)
+
+
+def test_with_elkapod_2025_a_servos_supply_is_its_start_and_its_stop(tmp_path: Path, board: RecordedBoard) -> None:
     with ElkapodBed(tmp_path) as robot:
         settings = robot.settings_with(watchdog={"timeout_ms": 10_000}, power=board.settings)
         with Gateway(tmp_path, settings, bed=robot) as gateway, gateway.client() as client:

@@ -59,6 +59,13 @@ def test_a_peer_sees_its_topics_and_services(peer: Peer) -> None:
         "/hexapod/roll_setpoint": ["std_msgs/msg/Float64"],
         "/hexapod/pitch_setpoint": ["std_msgs/msg/Float64"],
         "/hexapod/cmd_gait_type": ["std_msgs/msg/Int32"],
+        "/hexapod/follow_joint_trajectory/_action/feedback": [
+            "control_msgs/action/FollowJointTrajectory_FeedbackMessage"
+        ],
+        "/hexapod/follow_joint_trajectory/_action/status": ["action_msgs/msg/GoalStatusArray"],
+        "/hexapod/follow_joint_trajectory/_action/send_goal": ["control_msgs/action/FollowJointTrajectory_SendGoal"],
+        "/hexapod/follow_joint_trajectory/_action/get_result": ["control_msgs/action/FollowJointTrajectory_GetResult"],
+        "/hexapod/follow_joint_trajectory/_action/cancel_goal": ["action_msgs/srv/CancelGoal"],
         "/hexapod/estop": ["std_srvs/srv/Trigger"],
         "/hexapod/reset": ["std_srvs/srv/Trigger"],
         "/hexapod/drive": ["std_srvs/srv/Trigger"],

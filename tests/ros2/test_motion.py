@@ -5,11 +5,16 @@ import math
 import threading
 import time
 from dataclasses import replace
+from pathlib import Path
+from typing import Final
 
 import pytest
+from rosbags.rosbag2 import Reader, Writer
+from rosbags.typesys import Stores, get_typestore
 
 from gateway.client import Client
 from gateway.people.bridge.driving import Driving
+from gateway.people.ros2.cdr import encode
 from gateway.people.ros2.joints import JointNames
 from gateway.people.ros2.messages import (
     Duration,
@@ -81,6 +86,25 @@ def test_what_a_link_held_back_is_not_taken(driven: Bridge, watcher: Client) -> 
         publisher.publish(resting(joint_11=0.5), sent_ns=time.time_ns() - late_ns)
     angle_deg = watcher.state().legs[0].servos[0].angle_deg
     assert angle_deg == RESTS_DEG[1]
+
+
+def test_a_bag_that_rosbags_has_written_is_played(driven: Bridge, watcher: Client, tmp_path: Path) -> None:
+    """With bytes behind the last field, as ROS 2's own recorder keeps them."""
+    store, path = get_typestore(Stores.ROS2_JAZZY), tmp_path / "bag"
+    with Writer(path, version=9) as writer:
+        connection = writer.add_connection("/hexapod/joint_commands", JointState.TYPE, typestore=store)
+        for number in range(50):
+            message = store.deserialize_cdr(encode(resting(joint_11=number / 1000)), JointState.TYPE)
+            data = bytes(store.serialize_cdr(message, JointState.TYPE)) + bytes(8)
+            writer.write(connection, number * 20_000_000, data)
+    with Reader(path) as reader:
+        recorded = [bytes(data) for _, _, data in reader.messages()]
+    written, publisher, played = frames(watcher), driven.publisher("joint_commands", JointState), iter(recorded)
+    keeps(lambda: publisher.put(next(played, recorded[-1])), lambda: commanded(written.all, 11)[-1:] == [LAST_DEG])
+    assert len(set(commanded(written.all, 11))) > 5
+
+
+LAST_DEG: Final = round(RESTS_DEG[1] + math.degrees(0.049), 2)
 
 
 # ---- walking

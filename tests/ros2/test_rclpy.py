@@ -18,13 +18,13 @@ from gateway.people.ros2.messages import (
 )
 from gateway.people.ros2.robot import MEASURED
 from schemas import keys
-from schemas.telemetry import Kind, Mode
-from tests.ros2.test_motion import plan
+from schemas.telemetry import FrameRecord, Kind, Mode
+from tests.ros2.test_motion import plan, rests
 from tests.support import measuring
 from tests.support.bridged import GEOMETRY, LONG_S, RESTS_DEG, clean, commanded, keeps, resting
 from tests.support.child import Child
 from tests.support.gateway_process import Gateway
-from tests.support.heard import events, frames, running, states
+from tests.support.heard import Heard, events, frames, running, states
 from tests.support.rclpy_peer import DOMAIN, ENV, PROFILE, PYTHON, RCLPY_COMMAND, RclpyBridge, RclpyPeer, needs_rclpy
 
 pytestmark = needs_rclpy
@@ -213,6 +213,68 @@ def test_an_emergency_stop_waits_for_no_other_service(driven: RclpyPeer, watcher
     assert both == [Kind.ESTOP_ENGAGED, Kind.LEASE_RELEASED]
 
 
+# ---- several nodes
+
+
+def test_of_two_nodes_that_fight_the_first_is_followed_until_it_is_silent(driven: RclpyPeer, watcher: Client) -> None:
+    written, happened = frames(watcher), events(watcher)
+    with RclpyPeer() as second:
+        second.advertise(COMMANDS, JointState)
+        keeps(lambda: driven.publish(COMMANDS, resting()), lambda: len(running(watcher)) == 6)
+        rejected = "joint_commands: another node publishes here, and is followed until it is silent for 0.5 s"
+
+        def both() -> None:
+            driven.publish(COMMANDS, resting())
+            second.publish(COMMANDS, resting(joint_11=0.2))
+
+        steps = itertools.count()
+        keeps(both, lambda: next(steps) > 50)
+        assert set(commanded(written.all, 11)) == {RESTS_DEG[1]}
+        driven.next_where(DIAGNOSTICS, lambda each: rejections(each) == rejected)
+        happened.wait(lambda event: event.kind == Kind.WATCHDOG_EXPIRED)
+        states(watcher).wait(lambda state: state.lease.holder is None)
+        assert driven.call("/hexapod/drive")[0]
+        keeps(
+            lambda: second.publish(COMMANDS, resting(joint_11=0.2)),
+            lambda: commanded(written.all, 11)[-1] > RESTS_DEG[1] + 10,
+        )
+
+
+def test_nodes_that_come_and_go_ten_times_a_second_disturb_no_walk(driven: RclpyPeer, watcher: Client) -> None:
+    happened = events(watcher)
+    driven.advertise("/hexapod/cmd_vel", Twist)
+    written = frames(watcher)
+    with RclpyPeer() as churning:
+        thread = threading.Thread(target=churning.churn, args=("/hexapod/cmd_vel", 50))
+        keeps(lambda: driven.publish("/hexapod/cmd_vel", WALKING), lambda: strides(written), hz=20)
+        thread.start()
+        keeps(lambda: driven.publish("/hexapod/cmd_vel", WALKING), lambda: not thread.is_alive(), hz=20)
+        thread.join()
+    assert strides(written), "it walks"
+    assert len(running(watcher)) == 6
+    assert not [each for each in happened.all if each.kind in (Kind.WATCHDOG_EXPIRED, Kind.LEASE_RELEASED)]
+
+
+def test_a_peer_that_is_killed_in_mid_walk_leaves_a_robot_that_stands_and_then_sits(
+    driven: RclpyPeer, watcher: Client
+) -> None:
+    del driven
+    written = frames(watcher)
+    with RclpyPeer() as walking:
+        walking.advertise("/hexapod/cmd_vel", Twist)
+        keeps(lambda: walking.publish("/hexapod/cmd_vel", WALKING), lambda: strides(written), hz=20)
+        walking.child.kill()
+        keeps(lambda: None, lambda: rests(written, 11, 12, 22, count=50))
+        assert len(running(watcher)) == 6, "it stands"
+        states(watcher).wait(lambda state: state.mode == Mode.IDLE, timeout_s=LONG_S)
+    assert watcher.state().lease.holder == "ros2", "another may go on"
+
+
+def strides(written: Heard[FrameRecord]) -> bool:
+    """Whether leg 1 has swung lately."""
+    return len(set(commanded(written.all[-400:], 11))) > 20
+
+
 # ---- trajectories
 
 
@@ -220,7 +282,7 @@ def test_an_emergency_stop_waits_for_no_other_service(driven: RclpyPeer, watcher
 def test_a_peer_that_vanishes_in_mid_trajectory_has_the_robot_sit_down(
     dies: bool, driven: RclpyPeer, watcher: Client
 ) -> None:
-    """DDS notices a killed process after 20 s, where nobody has set another lease."""
+    """The profile has DDS notice a killed process after 3 s."""
     del driven
     written = frames(watcher)
     with RclpyPeer() as vanishing:

@@ -16,7 +16,7 @@ from typing import Any, Final
 import pytest
 
 from gateway.people.ros2.cdr import Message, decode, encode
-from gateway.people.ros2.messages import TRIGGER_TYPE
+from gateway.people.ros2.messages import TRIGGER_TYPE, Twist
 from tests.support.bridged import READY, clean
 from tests.support.child import Child
 from tests.support.gateway_process import COMMAND, Gateway
@@ -49,6 +49,10 @@ class RclpyPeer(Peer):
         """Publish there no more."""
         self._ask("withdraw", topic)
 
+    def churn(self, topic: str, count: int) -> None:
+        """A node that comes with a publisher, and goes, so many times, ten times a second."""
+        self._ask("churn", topic, count)
+
     def next_where(self, topic: str, condition: Any) -> Any:
         """The next message of a topic for which it holds."""
         end_s = time.monotonic() + ANSWER_S
@@ -63,10 +67,12 @@ class RclpyPeer(Peer):
 class RclpyBridge:
     """A running bridge by rclpy."""
 
-    def __init__(self, gateway: Gateway, *arguments: str, domain: int = DOMAIN) -> None:
-        """With `--via`, an option."""
+    def __init__(
+        self, gateway: Gateway, *arguments: str, domain: int = DOMAIN, env: dict[str, str] | None = None
+    ) -> None:
+        """With `--via`, an option; `env` is added to the environment."""
         link = ("--connect", gateway.endpoint, "--domain", str(domain))
-        self.child = Child([*RCLPY_COMMAND, "ros2", *link, *arguments], clean() | ENV)
+        self.child = Child([*RCLPY_COMMAND, "ros2", *link, *arguments], clean() | ENV | (env or {}))
         self.child.wait_for_output(READY, timeout_s=20)
 
     def __enter__(self) -> "RclpyBridge":
@@ -99,6 +105,13 @@ class Actor:
 
     def withdraw(self, topic: str) -> None:
         self._node.destroy_publisher(self._publishers.pop(topic))
+
+    def churn(self, topic: str, count: int) -> None:
+        for number in range(count):
+            node = self._rclpy.create_node(f"churn_{number}")
+            node.create_publisher(_ros_type(Twist.TYPE), topic, 10)
+            threading.Event().wait(0.1)
+            node.destroy_node()
 
     def publish(self, topic: str, kind_name: str, cdr: str, serialized: bool = False) -> None:
         """ROS 2 reads our bytes, and writes its own."""

@@ -58,15 +58,16 @@ def test_any_key_stops_and_ctrl_c_leaves(tmp_path: Path, gateway: Gateway, watch
     alive(watcher)
 
 
-def test_a_stop_that_the_power_board_does_not_confirm_is_red(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("program", "ready"), [("button --name kitchen", READY), ("walk", "forward, backward")])
+def test_a_stop_that_the_power_board_does_not_confirm_is_red(tmp_path: Path, program: str, ready: str) -> None:
     """States come at changes only, and this robot has no board, so the event's alarm stays."""
     listen = {"listen": [f"tcp/127.0.0.1:{free_port()}"]}
     with (
-        Gateway(tmp_path, {**SETTINGS, "zenoh": listen, "telemetry": {"state_hz": 0}}) as gateway,
+        Gateway(tmp_path, {"zenoh": listen, "telemetry": {"state_hz": 0}}) as gateway,
         gateway.client(source="watcher") as watcher,
-        button(tmp_path / "t", gateway) as terminal,
+        at_terminal(tmp_path, program, gateway.endpoint) as terminal,
     ):
-        terminal.wait(READY, "kitchen · 1 alive, 1 required")
+        terminal.wait(ready)
         watcher.session.put(keys.EVENT, event(Kind.POWER_UNCONFIRMED).model_dump_json())
         terminal.wait(UNCONFIRMED)
         terminal.press("C-c")

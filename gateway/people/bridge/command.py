@@ -100,9 +100,9 @@ def ros2(
 
     It publishes joint_states, robot_description and diagnostics, and what the robot measures: battery_state, imu/data
     and temperature. It takes joint_commands, joint_trajectory, cmd_vel (cmd_vel_stamped), cmd_base_height,
-    roll_setpoint, pitch_setpoint and cmd_gait_type, once somebody has called its service drive; it holds the lease
-    then, until release. The service estop is for everybody, always. reset leaves an emergency stop that came through
-    ROS alone while the bridge drove.
+    roll_setpoint, pitch_setpoint, cmd_gait_type and goals of the action follow_joint_trajectory, once somebody has
+    called its service drive; it holds the lease then, until release. The service estop is for everybody, always. reset
+    leaves an emergency stop that came through ROS alone while the bridge drove.
 
     Exit codes: 0 ended on request, 2 the extra \\[ros2] or rclpy is missing, or an argument or a file is wrong, 4 no
     gateway answers, or no ROS 2 router.

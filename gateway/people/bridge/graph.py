@@ -28,6 +28,9 @@ class Arrived(NamedTuple):
 
 
 Take = Callable[[type[Message], Arrived], None]
+Reply = Callable[[Message], None]
+"""Answers one request, once, now or later, on any thread."""
+Respond = Callable[[Arrived, Reply], None]
 Present = Callable[[], Set[bytes]]
 """Returns the GIDs of those who publish on a topic now."""
 
@@ -68,8 +71,17 @@ class Graph(Protocol):
         `always`: a message on a topic of that name calls it, too, and so does a malformed request where it arrives.
         """
 
+    def respond(self, service: str, kind: tuple[str, str], most_bytes: int, respond: Respond) -> None:
+        """Serve a service of any type; `kind` is its type and hash. A longer request than `most_bytes` has no answer.
+
+        Raises ConfigError where this graph does not have the type.
+        """
+
     def senders(self, topic: str) -> Present:
         """Follow who publishes on a topic, from now on."""
+
+    def callers(self, service: str) -> Present:
+        """Follow who may call a service, from now on; where the graph does not report GIDs, how many."""
 
     def close(self) -> None:
         """Leave the graph and wait for the threads; a second call does nothing."""

@@ -19,6 +19,7 @@ from gateway.model.telemetry import starts_whole
 from gateway.people.client.blocking import Client
 from gateway.people.client.stream import Stream
 from gateway.people.client.walk import Walk, robot_of
+from gateway.people.ros2.goals import Progress
 from gateway.people.ros2.joints import Degrees, JointsError, legs_deg
 from gateway.people.ros2.trajectory import Trajectory
 from gateway.people.walking import DOWN, REST_S, Pose, Ride, RideTask, Velocity
@@ -97,11 +98,18 @@ class Course:
         self._make_ride = ride
         self._plan: Trajectory | None = None
         self._at_rad: dict[int, float] = {}
-        self._started: frozenset[int] = frozenset()
+        self._sent: Pose = {}
+        """Of the legs that have started, what was sent last."""
         self._rests_s = math.inf
         """When it sits down."""
         self._ride: Ride | None = None
         """Once it sits down."""
+        self._left = "a newer trajectory has replaced it"
+        """Why a plan is not followed any more."""
+
+    @property
+    def _started(self) -> frozenset[int]:
+        return frozenset(self._sent)
 
     @property
     def begun(self) -> bool:
@@ -115,16 +123,29 @@ class Course:
         plan.begin({servo_id: at for servo_id, at in self._at_rad.items() if servo_id // 10 in running}, now_s)
         next_start(legs_deg(self._geometry, self._at_rad | plan.at(now_s)), running, whole=self._whole)
         self._plan, self._ride, self._rests_s = plan, None, plan.ends_s + REST_S
+        self._left = "a newer trajectory has replaced it"
+
+    def progress(self, plan: Trajectory, now_s: float) -> Progress:
+        """How far this plan is."""
+        if plan is not self._plan:
+            return Progress({}, {}, self._left)
+        return Progress(plan.at(now_s), self._rad(self._sent))
+
+    def hold(self, plan: Trajectory, now_s: float) -> None:
+        """Stay where this plan is now, as long as at its end; then sit down."""
+        if plan is self._plan and self._ride is None:
+            self._look(now_s)
+            self._plan, self._rests_s, self._left = None, now_s + REST_S, "it was cancelled"
 
     def lose_sender(self, now_s: float) -> None:
         """Nobody can take back what is still to come, so nothing of it does: sit down now."""
         if self._plan is not None and now_s < self._plan.ends_s:
-            self.leave(now_s)
+            self.leave(now_s, "its sender has left the graph, so the robot sits down")
 
-    def leave(self, now_s: float) -> None:
+    def leave(self, now_s: float, why: str = "the bridge was released") -> None:
         """Plan to sit down from now on; `next` says how."""
         self._look(now_s)
-        self._plan, self._rests_s = None, min(self._rests_s, now_s)
+        self._plan, self._rests_s, self._left = None, min(self._rests_s, now_s), why
 
     def next(self, now_s: float) -> Pose | None:
         """What to send; None: it is over, and what runs is to be stopped."""
@@ -139,16 +160,19 @@ class Course:
         if step.do is not RideTask.SEND:
             return None
         self._ride.sent(step.pose)
-        self._at_rad = {
-            10 * leg + joint: self._geometry.joint_rad(10 * leg + joint, angle_deg)
-            for leg, angles in step.pose.items()
-            for joint, angle_deg in enumerate(angles, start=1)
-        }
+        self._at_rad = self._rad(step.pose)
         return step.pose
 
     def sent(self, pose: Pose) -> None:
         """This was sent, and its starts were accepted."""
-        self._started |= pose.keys()
+        self._sent = {**self._sent, **pose}
+
+    def _rad(self, pose: Pose) -> dict[int, float]:
+        return {
+            10 * leg + joint: self._geometry.joint_rad(10 * leg + joint, angle_deg)
+            for leg, angles in pose.items()
+            for joint, angle_deg in enumerate(angles, start=1)
+        }
 
     def _look(self, now_s: float) -> None:
         if self._plan is not None and self._ride is None:
@@ -199,6 +223,18 @@ class Following:
             self._course.follow(plan, time.monotonic())
             self._is_there = is_there
             self._changed.notify_all()
+
+    def progress(self, plan: Trajectory) -> Progress:
+        """How far this plan is."""
+        with self._changed:
+            if self._error is not None:
+                return Progress({}, {}, str(self._error))
+            return self._course.progress(plan, time.monotonic())
+
+    def hold(self, plan: Trajectory) -> None:
+        """Stay where this plan is now, if it is followed; then sit down."""
+        with self._changed:
+            self._course.hold(plan, time.monotonic())
 
     def check(self, now_s: float) -> bool:
         """See Motion."""

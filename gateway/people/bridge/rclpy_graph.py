@@ -8,22 +8,35 @@ import logging
 import os
 import socket
 import threading
+import time
 from collections import deque
-from collections.abc import Callable, Iterator, Set
+from collections.abc import Callable, Iterable, Iterator, Set
 from contextlib import suppress
 from importlib import import_module
 from pathlib import Path
 from typing import Any, Final
 
 import rclpy
-from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
-from rclpy.executors import MultiThreadedExecutor
+from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.serialization import deserialize_message, serialize_message
 from rclpy.signals import SignalHandlerOptions
 
 from gateway.endpoints import is_local
 from gateway.errors import ConfigError
-from gateway.people.bridge.graph import JOIN_S, Arrived, Present, Publisher, Take, attempt, read_each, too_long
+from gateway.people.bridge.graph import (
+    JOIN_S,
+    Arrived,
+    Present,
+    Publisher,
+    Reply,
+    Respond,
+    Take,
+    attempt,
+    read_each,
+    too_long,
+)
 from gateway.people.client.blocking import Client
 from gateway.people.ros2.cdr import Message, encode
 from gateway.people.ros2.messages import TRIGGER_TYPE, JointState, Twist, TwistStamped
@@ -31,8 +44,8 @@ from gateway.people.ros2.wire import Names
 
 _GID_BYTES: Final = 16
 """Of the GID's bytes that have a meaning; before Jazzy there are 24."""
-_THREADS: Final = 6
-"""One for each service, and two that hand over messages."""
+_REQUESTS: Final = 16
+"""Of one service that wait; of more, the oldest have no answer. An emergency stop is engaged all the same."""
 _SPIN_S: Final = 0.5
 _ANY_MESSAGE: Final = "std_msgs/msg/Empty"
 _STREAMS: Final = (JointState, Twist, TwistStamped)
@@ -70,7 +83,7 @@ class RclpyGraph:
         except RuntimeError as error:  # an argument that rcl does not know, or no such RMW
             raise ConfigError(f"ROS 2 does not start: {str(error).partition(', at ')[0]}") from error
         self.where = rmw
-        self._executor = MultiThreadedExecutor(_THREADS, context=self._context)
+        self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
         self._start("ROS 2", self._spin)
 
@@ -95,7 +108,11 @@ class RclpyGraph:
     def publisher(self, topic: str, kind: type[Message], *, latched: bool = False) -> Publisher:
         """See Graph."""
         qos = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL) if latched else QoSProfile(depth=10)
-        return _RclpyPublisher(self._node.create_publisher(_ros_type(kind.TYPE), topic, qos))
+        return _RclpyPublisher(
+            self._node.create_publisher(
+                _ros_type(kind.TYPE), topic, qos, event_callbacks=PublisherEventCallbacks(use_default_callbacks=False)
+            )
+        )
 
     def subscribe(
         self, topic: str, kinds: tuple[type[Message], ...], most_bytes: int, take: Take, reject: Callable[[str], None]
@@ -113,26 +130,37 @@ class RclpyGraph:
 
     def serve(self, service: str, call: Callable[[], str], *, always: bool = False) -> None:
         """See Graph. `always`: a message on a topic of that name is a std_msgs/Empty."""
-
-        def answer(_: Any, response: Any) -> Any:
-            found = attempt(call)
-            response.success, response.message = found.success, found.message
-            return response
-
-        group = MutuallyExclusiveCallbackGroup()
-        self._node.create_service(_ros_type(TRIGGER_TYPE), service, answer, callback_group=group)
+        self._requests(service, TRIGGER_TYPE, lambda _, reply: reply(attempt(call)))
         if always:
             self._listen(service, _ANY_MESSAGE, lambda _: attempt(call))
 
-    def senders(self, topic: str) -> Present:
+    def respond(self, service: str, kind: tuple[str, str], most_bytes: int, respond: Respond) -> None:
         """See Graph."""
 
+        def take(arrived: Arrived, reply: Reply) -> None:
+            if len(arrived.data) > most_bytes:
+                _log.warning("%s: %s", service, too_long(len(arrived.data), most_bytes))
+            else:
+                respond(arrived, reply)
+
+        self._requests(service, kind[0], take)
+
+    def senders(self, topic: str) -> Present:
+        """See Graph."""
+        return self._present(
+            lambda: (bytes(each.endpoint_gid[:_GID_BYTES]) for each in self._node.get_publishers_info_by_topic(topic))
+        )
+
+    def callers(self, service: str) -> Present:
+        """See Graph. rclpy reports no GIDs of clients."""
+        return self._present(lambda: (b"%d" % number for number in range(self._node.count_clients(service))))
+
+    def _present(self, find: Callable[[], Iterable[bytes]]) -> Present:
         def present() -> Set[bytes]:
             try:
-                found = self._node.get_publishers_info_by_topic(topic)
+                return frozenset(find())
             except RuntimeError:  # the context is shut down: then nobody is seen
                 return frozenset()
-            return frozenset(bytes(each.endpoint_gid[:_GID_BYTES]) for each in found)
 
         return present
 
@@ -150,18 +178,48 @@ class RclpyGraph:
         self._node.destroy_node()
         self._context.try_shutdown()
 
+    def _requests(self, service: str, type_name: str, take: Respond) -> None:
+        """The executor only hands requests over, so that one that waits delays no other service."""
+        found = _ros_type(type_name)
+        ring = self._ring(f"serve {service}", lambda asked: take(*asked), _REQUESTS)
+        made = self._node.create_service(found, service, lambda request, _: request)
+        send = made.send_response
+
+        def reply_to(header: Any) -> Reply:
+            def reply(response: Message) -> None:
+                with suppress(RuntimeError):
+                    send(deserialize_message(encode(response), found.Response), header)
+
+            return reply
+
+        def hand_over(request: Any, header: Any) -> None:
+            ring.put((Arrived(serialize_message(request), b"", time.time_ns()), reply_to(header)))
+
+        made.send_response = hand_over  # the executor calls it with what the callback returns: the request
+
     def _listen(self, topic: str, type_name: str, take: Callable[[Any], object], *, is_stream: bool = False) -> None:
-        ring = _Newest()
-        self._rings.append(ring)
+        ring = self._ring(f"receive {topic}", take)
 
         def hand_over(data: bytes, info: dict[str, Any]) -> None:
             ring.put((data, info))
 
         reliability = ReliabilityPolicy.BEST_EFFORT if is_stream else ReliabilityPolicy.RELIABLE
         qos = QoSProfile(depth=1, reliability=reliability)
-        group = MutuallyExclusiveCallbackGroup()
-        self._node.create_subscription(_ros_type(type_name), topic, hand_over, qos, callback_group=group, raw=True)
-        self._start(f"receive {topic}", lambda: read_each(ring, take))
+        self._node.create_subscription(
+            _ros_type(type_name),
+            topic,
+            hand_over,
+            qos,
+            raw=True,
+            event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
+        )
+
+    def _ring(self, name: str, take: Callable[[Any], object], size: int = 1) -> "_Newest":
+        """Whose newest messages a thread takes."""
+        ring = _Newest(size)
+        self._rings.append(ring)
+        self._start(name, lambda: read_each(ring, take))
+        return ring
 
     def _start(self, name: str, work: Callable[[], None]) -> None:
         thread = threading.Thread(target=work, name=name, daemon=True)
@@ -187,10 +245,10 @@ class _RclpyPublisher:
 
 
 class _Newest:
-    """Keeps the newest message; iterating waits for the next one, until `close`."""
+    """Keeps the newest messages; iterating waits for the next one, until `close`."""
 
-    def __init__(self) -> None:
-        self._kept: deque[Any] = deque(maxlen=1)
+    def __init__(self, size: int) -> None:
+        self._kept: deque[Any] = deque(maxlen=size)
         self._changed = threading.Condition()
         self._closed = False
 
@@ -210,15 +268,19 @@ class _Newest:
                 self._changed.wait_for(lambda: self._kept or self._closed)
                 if self._closed:
                     return
-                message = self._kept.pop()
+                message = self._kept.popleft()
             yield message
 
 
 def _ros_type(type_name: str) -> Any:
     """`std_msgs/msg/String` → rclpy's class. Raises ConfigError where its package is not installed."""
     package, kind, name = type_name.split("/")
+    action, _, part = name.partition("_")
     try:
-        return getattr(import_module(f"{package}.{kind}"), name)
+        found = getattr(import_module(f"{package}.{kind}"), action)
+        if not part:
+            return found
+        return getattr(found.Impl, part if part.endswith("Message") else f"{part}Service")
     except ImportError as error:
         raise ConfigError(f"this ROS 2 has no {package}: {error}") from error
 

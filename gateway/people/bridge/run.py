@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Final
 
 from gateway.errors import ConfigError, RejectedError, UnansweredError
-from gateway.geometry import load
+from gateway.geometry import Geometry, load
 from gateway.people.bridge.driving import Driving
 from gateway.people.bridge.graph import Graph
 from gateway.people.client.dangers import UNCONFIRMED, confirmed_off
@@ -21,6 +21,7 @@ from gateway.text import visible
 from gateway.zenoh_config import client_config
 
 try:
+    from gateway.people.bridge.follow_action import NAME, FollowAction
     from gateway.people.bridge.reports import CHANNELS, PERIOD_S, Reports
     from gateway.people.bridge.topics import Topics
     from gateway.people.bridge.zenoh_graph import ZenohGraph, open_router
@@ -85,6 +86,8 @@ def serve(
             with suppress(UnansweredError):  # an older gateway has none
                 reports.begin(client.calibration())
             topics.subscribe(graph)
+            action = _action(graph, driving, shape, joints, topics)
+            at_the_end.callback(action)  # what it followed has been stopped then, and its goal ends with that
             graph.serve("reset", lambda: _reset(driving, of_anybody=allow_reset))
             graph.serve("drive", driving.drive)
             graph.serve("release", driving.release)
@@ -99,6 +102,7 @@ def serve(
             while not ended.wait(PERIOD_S):
                 topics.turned()
                 reports.tick(time.monotonic())
+                action()
     return 0
 
 
@@ -119,6 +123,15 @@ def _open_rclpy(names: Names, router: str | None, router_config: Path | None, ro
             f"--via rclpy needs ROS 2 for this Python: source its setup.bash, or see docs/ros2.md ({error})"
         ) from error
     return RclpyGraph(names, ros_args)
+
+
+def _action(graph: Graph, driving: Driving, shape: Geometry, joints: JointNames, topics: Topics) -> Callable[[], None]:
+    """Serve the action, where the graph has its types; returns its tick."""
+    try:
+        return FollowAction(graph, driving, shape, joints, topics).tick
+    except ConfigError as error:
+        hint(visible(f"no action {NAME}: {error}"))
+        return lambda: None
 
 
 def _watch(ended: threading.Event, driving: Driving) -> None:

@@ -14,6 +14,7 @@ from gateway.people.bridge.graph import Arrived, Graph, Present, presence
 from gateway.people.ros2.cdr import Message, decode
 from gateway.people.ros2.joints import JointNames, check_reach, positions
 from gateway.people.ros2.messages import Float64, Int32, JointState, JointTrajectory, Twist, TwistStamped
+from gateway.people.ros2.rivals import SILENT_S, Rivals
 from gateway.people.ros2.trajectory import Trajectory
 from gateway.people.walking import Velocity
 from gateway.people.walking.gaits import NUMBERS
@@ -43,6 +44,8 @@ class Topics:
         self._show = show
         self._lock = threading.Lock()
         self._ages = Staleness(MAX_AGE_MS)
+        walking = Rivals()
+        self._rivals = {"joint_commands": Rivals(), "cmd_vel": walking, "cmd_vel_stamped": walking}
         self._shown: set[str] = set()
         self.taken: Counter[str] = Counter()
         self.rejected: Counter[str] = Counter()
@@ -63,7 +66,7 @@ class Topics:
         }
         for topic, (take, kinds) in table.items():
             most = MAX_TRAJECTORY_BYTES if JointTrajectory in kinds else _MAX_BYTES
-            graph.subscribe(topic, kinds, most, partial(self._take, topic, take), partial(self._reject, topic))
+            graph.subscribe(topic, kinds, most, partial(self._take, topic, take), partial(self.reject, topic))
 
     def turned(self) -> None:
         """Ten times a second and more: else what comes after a pause of this process is held for old."""
@@ -99,14 +102,20 @@ class Topics:
 
     def _take(self, topic: str, take: Taken, kind: type[Message], arrived: Arrived) -> None:
         try:
-            self._check_age(arrived)
-            take(decode(kind, arrived.data), arrived)
+            self.check_age(arrived)
+            message = decode(kind, arrived.data)
+            rivals, now_s = self._rivals.get(topic), time.monotonic()
+            if rivals is not None and not rivals.may_send(arrived.sender, now_s):
+                raise NotTakenError(f"another node publishes here, and is followed until it is silent for {SILENT_S} s")
+            take(message, arrived)
+            if rivals is not None:
+                rivals.sent(arrived.sender, now_s)
         except (NotTakenError, ValueError) as error:
-            self._reject(topic, str(error))
+            self.reject(topic, str(error))
         else:
             self.taken[topic] += 1
 
-    def _check_age(self, arrived: Arrived) -> None:
+    def check_age(self, arrived: Arrived) -> None:
         """Raises NotTakenError where a link held it back."""
         with self._lock:
             now_ns = time.monotonic_ns()
@@ -114,7 +123,8 @@ class Topics:
         if old is not None:
             raise NotTakenError(old.replace("the gateway itself", "the bridge itself"))
 
-    def _reject(self, topic: str, why: str) -> None:
+    def reject(self, topic: str, why: str) -> None:
+        """Count what is not taken, and explain it."""
         self.rejected[topic] += 1
         self.latest_rejection = f"{topic}: {why}"
         sign = f"{topic}: {why.translate(_WITHOUT_DIGITS)}"

@@ -16,13 +16,14 @@ from zenoh import ext
 from zenoh.handlers import RingChannel
 
 from gateway.errors import ConfigError, ZenohError
-from gateway.people.bridge.graph import JOIN_S, Arrived, Present, Take, attempt, read_each, too_long
+from gateway.people.bridge.graph import JOIN_S, Arrived, Present, Respond, Take, attempt, read_each, too_long
 from gateway.people.bridge.router_access import check_closed
 from gateway.people.client.blocking import Client
 from gateway.people.client.requests import Identity
 from gateway.people.ros2.cdr import Message, encode
 from gateway.people.ros2.messages import TRIGGER_HASH, TRIGGER_TYPE
 from gateway.people.ros2.wire import (
+    CALLS,
     PUBLISHES,
     QOS,
     QOS_LATCHED,
@@ -150,20 +151,22 @@ class ZenohGraph:
         self._show(SERVES, service, TRIGGER_TYPE, TRIGGER_HASH, QOS)
         exact = self._names.key(service, TRIGGER_TYPE, TRIGGER_HASH)
         key = self._names.any_type(service) if always else exact
-        queryable: Any = self._session.declare_queryable(key, RingChannel(_QUERIES), complete=True)
-        self._declared.append(queryable)
-        self._start(f"serve {service}", queryable.handler, lambda query: _answer(query, call, always=always))
+        self._queries(service, key, lambda query: _answer(query, call, always=always))
         if always:
             self._listen(key, service, lambda _: attempt(call))
 
+    def respond(self, service: str, kind: tuple[str, str], most_bytes: int, respond: Respond) -> None:
+        """See Graph."""
+        self._show(SERVES, service, *kind, QOS)
+        self._queries(service, self._names.key(service, *kind), lambda query: _respond(query, most_bytes, respond))
+
     def senders(self, topic: str) -> Present:
         """See Graph: by the tokens of the graph."""
-        senders = _Senders()
-        found: Any = self._session.liveliness().declare_subscriber(
-            self._names.publishers(topic), senders.change, history=True
-        )
-        self._declared.append(found)
-        return senders.present
+        return self._present(PUBLISHES, topic)
+
+    def callers(self, service: str) -> Present:
+        """See Graph."""
+        return self._present(CALLS, service)
 
     def close(self) -> None:
         """See Graph."""
@@ -182,6 +185,26 @@ class ZenohGraph:
             return f"it is a {type_name[:80]}, and this topic has {kind.TYPE}"
         return f"its {kind.TYPE} has the hash {type_hash[:20]}…, and ours {wanted_hash[:20]}…: another distribution?"
 
+    def _present(self, kind: str, name: str) -> Present:
+        senders = _Senders()
+        found: Any = self._session.liveliness().declare_subscriber(
+            self._names.tokens(kind, name), senders.change, history=True
+        )
+        self._declared.append(found)
+        return senders.present
+
+    def _queries(self, service: str, key: str, take: Callable[[zenoh.Query], object]) -> None:
+        queryable: Any = self._session.declare_queryable(key, RingChannel(_QUERIES), complete=True)
+        self._declared.append(queryable)
+
+        def take_exact(query: zenoh.Query) -> None:
+            if "*" in str(query.key_expr):  # a listing of all keys calls nothing
+                query.drop()
+            else:
+                take(query)
+
+        self._start(f"serve {service}", queryable.handler, take_exact)
+
     def _listen(self, key: str, name: str, take: Callable[[zenoh.Sample], object]) -> None:
         subscriber: Any = self._session.declare_subscriber(key, RingChannel(1))
         self._declared.append(subscriber)
@@ -199,7 +222,7 @@ class ZenohGraph:
 
 
 class _Senders:
-    """Who publishes on a topic now."""
+    """Who publishes on a topic, or may call a service, now."""
 
     def __init__(self) -> None:
         self._tokens: dict[str, bytes] = {}
@@ -218,19 +241,38 @@ class _Senders:
 
 
 def _answer(query: zenoh.Query, call: Callable[[], str], *, always: bool) -> None:
-    if "*" in str(query.key_expr):  # a listing of all keys calls nothing
-        query.drop()
-        return
-    attachment = query.attachment
     try:
-        asked = Attachment.from_bytes(attachment.to_bytes() if attachment is not None else None)
+        asked = _asked(query)
     except WireError as error:
         if not always:
-            with query:
-                query.reply_err(str(error))
+            _reject(query, error)
             return
         asked = Attachment(0, time.time_ns(), _NOBODY)
-    response = attempt(call)
+    _reply(query, asked, attempt(call))
+
+
+def _respond(query: zenoh.Query, most_bytes: int, respond: Respond) -> None:
+    payload = query.payload or zenoh.ZBytes(b"")
+    try:
+        asked = _asked(query)
+        if len(payload) > most_bytes:
+            raise WireError(too_long(len(payload), most_bytes))
+    except WireError as error:
+        _reject(query, error)
+        return
+    respond(Arrived(payload.to_bytes(), asked.gid, asked.time_ns), lambda response: _reply(query, asked, response))
+
+
+def _asked(query: zenoh.Query) -> Attachment:
+    return Attachment.from_bytes(query.attachment.to_bytes() if query.attachment is not None else None)
+
+
+def _reject(query: zenoh.Query, error: WireError) -> None:
+    with suppress(zenoh.ZError), query:
+        query.reply_err(str(error))
+
+
+def _reply(query: zenoh.Query, asked: Attachment, response: Message) -> None:
     answer = Attachment(asked.number, time.time_ns(), asked.gid)
     with suppress(zenoh.ZError), query:
         query.reply(query.key_expr, encode(response), attachment=answer.to_bytes())

@@ -12,7 +12,9 @@ from inspect import get_annotations
 from typing import Annotated, Any, ClassVar, Final, NamedTuple, TypeVar, dataclass_transform, get_args, get_origin
 
 byte = Annotated[int, "byte"]
+int8 = Annotated[int, "int8"]
 uint8 = Annotated[int, "uint8"]
+uint16 = Annotated[int, "uint16"]
 int32 = Annotated[int, "int32"]
 uint32 = Annotated[int, "uint32"]
 float32 = Annotated[float, "float32"]
@@ -93,7 +95,9 @@ def _is_a(form: Any, annotation: Any) -> bool:
 NUMBERS: Final = {
     "bool": "?",
     "byte": "B",
+    "int8": "b",
     "uint8": "B",
+    "uint16": "H",
     "int32": "i",
     "uint32": "I",
     "float32": "f",

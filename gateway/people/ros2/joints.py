@@ -17,6 +17,10 @@ class JointsError(ValueError):
     """What a controller asks for is not possible; one sentence."""
 
 
+class NamesError(JointsError):
+    """Its joints are not those of this robot, or not of whole legs."""
+
+
 class JointNames:
     """The joints' names in ROS messages, from a pattern: `leg{leg}_J{joint}` names the Elkapod's leg1_J1 to leg6_J3."""
 
@@ -40,23 +44,23 @@ class JointNames:
         return self._names[servo_id]
 
     def servos(self, names: Sequence[str]) -> tuple[int, ...]:
-        """The servos of these joints, in any order, but of whole legs. Raises JointsError."""
+        """The servos of these joints, in any order, but of whole legs. Raises NamesError."""
         servos = []
         for name in names:
             if name not in self._servos:
                 first, *_, last = self._servos
-                raise JointsError(f"there is no joint {name[:64]!r}; they are {first} to {last}, leg and then joint")
+                raise NamesError(f"there is no joint {name[:64]!r}; they are {first} to {last}, leg and then joint")
             servos.append(self._servos[name])
         if not servos:
-            raise JointsError("it names no joint")
+            raise NamesError("it names no joint")
         for servo_id in servos:
             if servos.count(servo_id) > 1:
-                raise JointsError(f"it names {self.of(servo_id)} twice")
+                raise NamesError(f"it names {self.of(servo_id)} twice")
             missing = [joint for joint in JOINTS if servo_id // 10 * 10 + joint not in servos]
             if missing:
                 leg = servo_id // 10
                 lacks = self.of(leg * 10 + missing[0])
-                raise JointsError(f"of leg {leg} it lacks {lacks}; a leg is commanded as a whole")
+                raise NamesError(f"of leg {leg} it lacks {lacks}; a leg is commanded as a whole")
         return tuple(servos)
 
 

@@ -30,6 +30,10 @@ _END: Final = 1e-6
 """Of a way: nearer to its ends than this it is at a point, which is checked itself."""
 
 
+class OverError(JointsError):
+    """A trajectory's end is past, by its stamp."""
+
+
 class Waypoint(NamedTuple):
     """Where the joints are to be, and when, in seconds from the trajectory's start."""
 
@@ -61,7 +65,7 @@ class Trajectory:
         points: list[Waypoint] = []
         for number, point in enumerate(message.points, start=1):
             try:
-                at_s = _seconds(point.time_from_start)
+                at_s = seconds(point.time_from_start)
                 if points and at_s <= points[-1].at_s:
                     raise JointsError(f"its time {at_s:g} s is not later than that of the point before it")
                 if not 0 <= at_s <= MAX_S:
@@ -82,6 +86,10 @@ class Trajectory:
         """When its last point is reached."""
         return self._begins_s + self._points[-1].at_s
 
+    def elapsed_s(self, now_s: float) -> float:
+        """Seconds from its start."""
+        return now_s - self._begins_s
+
     def begin(self, present_rad: Mapping[int, float], now_s: float) -> None:
         """Go on from where the joints are now. One that is not in `present_rad` begins at the next point.
 
@@ -89,7 +97,7 @@ class Trajectory:
         """
         after = self._points[self._next(now_s)]
         at_rad = {servo_id: present_rad.get(servo_id, at) for servo_id, at in after.positions_rad.items()}
-        before = Waypoint(now_s - self._begins_s, at_rad)
+        before = Waypoint(self.elapsed_s(now_s), at_rad)
         length_s = max(after.at_s - before.at_s, SETPOINT_S)
         for servo_id, at in at_rad.items():
             _check_speed(servo_id, (after.positions_rad[servo_id] - at) / length_s, "from where it is")
@@ -102,13 +110,13 @@ class Trajectory:
         if index > 0 and self._points[index - 1].at_s > before.at_s:
             before = self._points[index - 1]
         length_s = after.at_s - before.at_s
-        part = (now_s - self._begins_s - before.at_s) / length_s if length_s > 0 else 1.0
+        part = (self.elapsed_s(now_s) - before.at_s) / length_s if length_s > 0 else 1.0
         part = min(max(part, 0.0), 1.0)
         return {servo_id: _JointCubic.of(before, after, servo_id).at(part) for servo_id in after.positions_rad}
 
     def _next(self, now_s: float) -> int:
         """The first point that is still to come, or the last."""
-        return min(bisect_right(self._times_s, now_s - self._begins_s), len(self._points) - 1)
+        return min(bisect_right(self._times_s, self.elapsed_s(now_s)), len(self._points) - 1)
 
 
 class _JointCubic(NamedTuple):
@@ -187,13 +195,12 @@ def _elapsed_s(message: JointTrajectory, length_s: float, since_1970_ns: int) ->
         return 0.0
     elapsed_s = (since_1970_ns - begins.sec * 1_000_000_000 - begins.nanosec) / 1e9
     if elapsed_s >= length_s:
-        raise JointsError(
-            f"it was over {elapsed_s - length_s:.1f} s ago by its stamp (does its clock agree with ours?)"
-        )
+        raise OverError(f"it was over {elapsed_s - length_s:.1f} s ago by its stamp (does its clock agree with ours?)")
     if elapsed_s < -MAX_S:
         raise JointsError(f"it begins in {-elapsed_s:.1f} s by its stamp; at most {MAX_S:g} s ahead are taken")
     return elapsed_s
 
 
-def _seconds(duration: Duration) -> float:
+def seconds(duration: Duration) -> float:
+    """As one number."""
     return duration.sec + duration.nanosec / 1e9

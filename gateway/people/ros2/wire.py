@@ -15,6 +15,7 @@ GRAPH: Final = "@ros2_lv"
 PUBLISHES: Final = "MP"
 SUBSCRIBES: Final = "MS"
 SERVES: Final = "SS"
+CALLS: Final = "SC"
 _NODE: Final = "NN"
 
 QOS: Final = "::,10:,:,:,,"
@@ -115,9 +116,9 @@ class Names:
             f"{_mangled(self.full(name))}/{dds_type(type_name)}/{self.shown_hash(type_hash)}/{qos}"
         )
 
-    def publishers(self, name: str) -> str:
-        """The tokens of all who publish on a topic."""
-        return f"{GRAPH}/{self.domain}/*/*/*/{PUBLISHES}/*/*/*/{_mangled(self.full(name))}/**"
+    def tokens(self, kind: str, name: str) -> str:
+        """The tokens of all who publish on a topic (`PUBLISHES`), or call a service (`CALLS`)."""
+        return f"{GRAPH}/{self.domain}/*/*/*/{kind}/*/*/*/{_mangled(self.full(name))}/**"
 
 
 def _mangled(name: str) -> str:

@@ -11,19 +11,22 @@ import threading
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from typing import Final
 
+import zenoh
 from rich.console import Console
 from rich.live import Live
 from rich.text import Text
 
 from gateway.errors import GatewayError
 from gateway.people.client.stops import UntilConfirmed
+from gateway.people.client.subscriptions import reports, subscribed
 from gateway.people.terminal import hint
 from gateway.people.terminal.keyboard import Keyboard, keys_at_once, wake_on_signals
 from gateway.people.terminal.stop_status import Remark, StopStatus, Tone
-from schemas.telemetry import Ack
+from schemas import keys as wire
+from schemas.telemetry import Ack, Event, GatewayState
 
 FRAME_S: Final = 0.1
 """Ages count up, so it draws ten times a second."""
@@ -131,6 +134,23 @@ class Screen(ABC):
         """The sentence about the Stop. `live`: whether the gateway still publishes."""
         with self.lock:
             return self.stop.remark(time.monotonic_ns(), live=live)
+
+    # ---- received
+
+    def receives(self, session: zenoh.Session) -> AbstractContextManager[object]:
+        """Take the gateway's states and events for the time of a `with`."""
+        taken = {wire.STATE: reports(GatewayState, self.take_state), wire.EVENT: reports(Event, self.take_event)}
+        return subscribed(session, taken)
+
+    def take_state(self, state: GatewayState) -> None:
+        """The gateway's state; on a thread of Zenoh's."""
+        with self.changes():
+            self.stop.power.received_state(state, time.monotonic_ns())
+
+    def take_event(self, event: Event) -> None:
+        """An event of the gateway's; on a thread of Zenoh's."""
+        with self.changes():
+            self.stop.power.received_event(event.kind)
 
     # ---- keys
 

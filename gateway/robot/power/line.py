@@ -9,7 +9,6 @@ Callers of `want`, `cut` and `when_off` wait for neither: a request goes into a 
 takes it. So a sender that hangs delays no Stop on SPI, and that the board is silent is reported all the same.
 """
 
-import logging
 import threading
 import time
 from collections import deque
@@ -19,10 +18,10 @@ from functools import partial
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from gateway.allowance import NS_PER_S
-from gateway.errors import ConfigError, GatewayError
 from gateway.host import realtime
 from gateway.model.power_board import CanFrame
 from gateway.robot.power.board import Confirmed, News, PowerBoard
+from gateway.robot.power.interface import LineError, open_bus
 from gateway.robot.sections import PowerSettings
 
 if TYPE_CHECKING:
@@ -38,15 +37,6 @@ AT_ONCE: Final = 64
 """Frames that are received before the receiver pauses: it has a real-time priority, and a flood is no reason to keep
 others off the processor."""
 PAUSE_S: Final = 0.001
-FILTERS: Final = [
-    {"can_id": 0x60, "can_mask": 0x7E0, "extended": False},
-    {"can_id": 0x80, "can_mask": 0x7E0, "extended": False},
-]
-"""The board's identifiers, 60 to 9F."""
-
-
-class LineError(GatewayError):
-    """The interface cannot be opened; the sentence says why."""
 
 
 class Status(NamedTuple):
@@ -67,32 +57,6 @@ class Status(NamedTuple):
     currents_ma: Mapping[int, int] = {}
     rails: Mapping[int, tuple[int, ...]] = {}
     """By the question's identifier (gateway.model.power_board)."""
-
-
-def open_bus(settings: PowerSettings) -> "can.BusABC":
-    """Open the interface. Raises LineError, with what is missing; ConfigError where it never can be opened."""
-    try:
-        import can  # noqa: PLC0415  (a robot without this board needs none)
-
-        from gateway.robot.power.slcan import Slcan  # noqa: PLC0415
-    except ImportError as error:
-        raise ConfigError("python-can is not installed: pip install 'hexapod-gateway[power]'") from error
-    logging.getLogger("can").setLevel(logging.ERROR)  # it warns of each interface that could not be opened
-    try:
-        if settings.interface == "slcan":
-            return Slcan(settings.channel, bitrate=settings.bitrate)
-        channel = settings.channel
-        return can.Bus(
-            channel=int(channel) if channel.isdecimal() else channel,
-            interface=settings.interface,
-            bitrate=settings.bitrate,
-            can_filters=FILTERS,
-            ignore_config=True,
-        )
-    except NotImplementedError as error:
-        raise ConfigError(f'power.interface = "{settings.interface}": {error}') from error
-    except (can.CanError, OSError, ValueError, TypeError) as error:
-        raise LineError(f"{settings.interface} {settings.channel} cannot be opened: {error}") from error
 
 
 class PowerLine:

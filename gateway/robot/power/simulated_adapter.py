@@ -87,7 +87,8 @@ def frame_of(line: bytes) -> CanFrame | None:
 
 
 class SimulatedLink:
-    """One direction between the board and the adapter: frames keep their order. At first without faults."""
+    """One direction between the board and the adapter, at first without faults. Frames keep their order, so a late one
+    holds back those behind it."""
 
     def __init__(self, seed: int = 0) -> None:
         self.lose = self.corrupt = self.delay = 0.0
@@ -108,10 +109,7 @@ class SimulatedLink:
             return
         if chance() < self.corrupt:
             frame = self._corrupted(frame)
-        at_ns = now_ns + self.delay_ns if chance() < self.delay else now_ns
-        if self._under_way:
-            at_ns = max(at_ns, self._under_way[-1][0])
-        self._under_way.append((at_ns, frame))
+        self._under_way.append((now_ns + self.delay_ns if chance() < self.delay else now_ns, frame))
 
     def arrived(self, now_ns: int) -> list[CanFrame]:
         """What arrives up to now, in order."""

@@ -268,9 +268,10 @@ def serve(given: dict[str, Any], folder: Path, record: TextIO) -> None:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Ctrl-C and the terminal's end are for the gateway, whose end ends this."""
+    """Ctrl-C and the terminal's end are for the gateway, whose end ends this. SIGTERM leaves nothing either."""
     for number in (signal.SIGINT, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))
     given: dict[str, Any] = json.loads(arguments[0]) if arguments else {}
     folder = Path(given.get("folder") or tempfile.mkdtemp(prefix="hexapod-power-"))
     try:

@@ -4,6 +4,7 @@ No Zenoh, no running gateway, and little that could fail or be slow to load.
 """
 
 import time
+from collections.abc import Callable
 from typing import Final
 
 from gateway.host.plain_settings import ControllerValues, RepeatValues, SpiValues
@@ -25,8 +26,15 @@ MOST_PAUSE_MS: Final = 20.0
 """Longest pause between these."""
 
 
-def stop_servos(spi: SpiValues, watchdog: RepeatValues, controller: ControllerValues) -> bool | None:
+def stop_servos(
+    spi: SpiValues,
+    watchdog: RepeatValues,
+    controller: ControllerValues,
+    written: Callable[[], None] = lambda: None,
+) -> bool | None:
     """Stop all six legs straight over the wire, repeated as the watchdog's Stops are. Raises SpiError.
+
+    `written` is called behind the first attempt to stop each leg, and must not wait.
 
     Returns whether a gateway on the same device has noticed; None: no gateway runs there.
 
@@ -50,6 +58,7 @@ def stop_servos(spi: SpiValues, watchdog: RepeatValues, controller: ControllerVa
             time.sleep((pause_ms if repeat <= watchdog.repeats else min(pause_ms, MOST_PAUSE_MS)) / 1000)
         stopped, fault_now = stop_once(bus)
         first_ns = first_ns if unstopped < set(LEGS) else time.monotonic_ns()
+        written()
         notice.give()  # after the first Stops, which must not wait for it
         unstopped -= stopped
         fault = fault_now or fault

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from gateway.host import effective
-from gateway.host.plain_settings import PlainController, PlainRepeats, PlainSpi
+from gateway.host.plain_settings import PlainController, PlainPower, PlainRepeats, PlainSpi
 from gateway.model.framing import Framing
 from gateway.robot.settings import Settings
 
@@ -23,6 +23,7 @@ USED = Settings.model_validate(
         },
         "watchdog": {"repeats": 7, "repeat_interval_ms": 33.5},
         "controller": {"uart": "/dev/ttyS0"},
+        "power": {"interface": "slcan", "channel": "/dev/ttyACM0", "bitrate": 500_000, "cut_on": ["estop", "shutdown"]},
     }
 )
 
@@ -37,12 +38,13 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 @pytest.mark.parametrize("settings", [USED, Settings()], ids=["all", "defaults"])
 def test_what_is_written_is_read(settings: Settings, folder: Path) -> None:
-    effective.write(settings.spi.model_dump(mode="json"), settings.watchdog, settings.controller)
+    effective.write(settings.spi.model_dump(mode="json"), settings.watchdog, settings.controller, settings.power)
     found = effective.read()
     assert found is not None
     assert found.spi == PlainSpi(**{name: getattr(settings.spi, name) for name in PlainSpi._fields})
     assert found.watchdog == PlainRepeats(settings.watchdog.repeats, settings.watchdog.repeat_interval_ms)
     assert found.controller == PlainController(settings.controller.uart)
+    assert found.power == PlainPower(**{name: getattr(settings.power, name) for name in PlainPower._fields})
     assert type(settings.spi).model_validate(found.tables["spi"]) == settings.spi, "with what no Stop depends on"
     assert found.runs
     assert not found.ended_here
@@ -51,13 +53,13 @@ def test_what_is_written_is_read(settings: Settings, folder: Path) -> None:
 
 def test_without_a_runtime_directory_nothing_is_written(monkeypatch: pytest.MonkeyPatch, folder: Path) -> None:
     monkeypatch.delenv("RUNTIME_DIRECTORY")
-    effective.write(USED.spi.model_dump(mode="json"), USED.watchdog, USED.controller)
+    effective.write(USED.spi.model_dump(mode="json"), USED.watchdog, USED.controller, USED.power)
     assert list(folder.iterdir()) == []
 
 
 def test_a_process_that_ended_and_one_that_has_its_number(folder: Path) -> None:
     """A number alone shows nothing: the kernel gives it again."""
-    effective.write(USED.spi.model_dump(mode="json"), USED.watchdog, USED.controller)
+    effective.write(USED.spi.model_dump(mode="json"), USED.watchdog, USED.controller, USED.power)
     written = (folder / effective.NAME).read_text()
     beyond = 2**22 + 1  # which the kernel gives to none
     for line, others in {"process": beyond, "begun": 1}.items():
@@ -70,7 +72,7 @@ def test_a_process_that_ended_and_one_that_has_its_number(folder: Path) -> None:
 
 def test_after_the_end_only_the_commands_of_that_start_are_of_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("INVOCATION_ID", "0a1b")
-    effective.write(USED.spi.model_dump(mode="json"), USED.watchdog, USED.controller)
+    effective.write(USED.spi.model_dump(mode="json"), USED.watchdog, USED.controller, USED.power)
     found = effective.read()
     assert found is not None
     assert found.ended_here
@@ -101,12 +103,13 @@ def test_a_file_without_a_process_is_of_none(folder: Path) -> None:
 
 
 def test_where_a_file_differs(folder: Path) -> None:
-    effective.write(USED.spi.model_dump(mode="json"), USED.watchdog, USED.controller)
+    effective.write(USED.spi.model_dump(mode="json"), USED.watchdog, USED.controller, USED.power)
     found = effective.read()
     assert found is not None
     file = folder / "gateway.toml"
     rest = 'device = "/dev/spi\\"dev1.0"\nspeed_hz = 500_000\nframe_gap_us = 60.5\nbatch = false\nresync_ms = 10\n'
     uart = "[controller]\nuart = '/dev/ttyS0'\n"
+    uart += "[power]\ninterface = 'slcan'\nchannel = '/dev/ttyACM0'\nbitrate = 500000\ncut_on = ['estop', 'shutdown']\n"
     watchdog = f"[watchdog]\nrepeats = 7\nrepeat_interval_ms = 33.5\n{uart}"
     file.write_text(f'[spi]\nframing = "length-prefixed"\navoid_deg = [2.0, 3.0]\n{rest}{watchdog}')
     assert effective.differences(found, file) == []

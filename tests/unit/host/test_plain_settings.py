@@ -7,7 +7,7 @@ import pytest
 
 from gateway.errors import ConfigError
 from gateway.host import plain_settings
-from gateway.host.plain_settings import LIMITS, NOT_FOR_STOPS, PlainRepeats, PlainSpi
+from gateway.host.plain_settings import LIMITS, NOT_FOR_STOPS, PlainPower, PlainRepeats, PlainSpi
 from gateway.model.framing import Framing
 from gateway.robot import settings
 
@@ -43,6 +43,7 @@ ELKAPOD = 'spi.protocol = "elkapod-2025"\n'
         'spi.framing = "plain"\n',
         'spi.framing = "length-prefixed"\nwatchdog = {}\n',
         ELKAPOD,
+        'spi.framing = "plain"\n[power]\ninterface = "slcan"\nchannel = "/dev/ttyACM0"\ncut_on = []\nidle_ma = 5\n',
         ELKAPOD + 'spi.speed_hz = 2_000_000\n[controller]\nuart = "/dev/ttyS3"\ncycle_hz = 20\n',
     ],
 )
@@ -51,13 +52,15 @@ def test_the_same_as_the_settings(file: Path, text: str) -> None:
     file.write_text(text)
     found = plain_settings.read(file)
     assert found is not None
-    spi, repeats, controller = found
+    spi, repeats, controller, power = found
     theirs = settings.load(file)
     assert spi._asdict() == {
         name: getattr(theirs.spi, name) for name in type(theirs.spi).model_fields if name not in NOT_FOR_STOPS
     }
     assert repeats._asdict() == {name: getattr(theirs.watchdog, name) for name in PlainRepeats._fields}
     assert controller.uart == theirs.controller.uart
+    assert power is not None
+    assert power._asdict() == {name: getattr(theirs.power, name) for name in PlainPower._fields}
 
 
 NOT_PLAIN = [
@@ -88,6 +91,16 @@ def test_what_is_not_plainly_right_is_left_to_the_settings(file: Path, text: str
     assert plain_settings.read(file) is None
 
 
+@pytest.mark.parametrize("power", ["3", "{interface = 3}", "{channel = 0}", '{cut_on = ["fire"]}', "{bitrate = 9999}"])
+def test_a_wrong_power_board_is_none_and_the_rest_counts(file: Path, power: str) -> None:
+    file.write_text(f'spi.framing = "plain"\npower = {power}\n')
+    found = plain_settings.read(file)
+    assert found is not None
+    assert found.power is None
+    with pytest.raises(ConfigError, match="power"):
+        settings.load(file)
+
+
 def test_a_file_that_cannot_be_read(file: Path) -> None:
     assert plain_settings.read(file) is None
     file.write_bytes(b"\xff")
@@ -97,11 +110,12 @@ def test_a_file_that_cannot_be_read(file: Path) -> None:
 @pytest.mark.parametrize(("name", "end"), [(name, end) for name in LIMITS for end in (0, 1)])
 def test_the_limits_are_those_of_the_settings(file: Path, name: str, end: int) -> None:
     """The last value that is allowed, and the next one, which is not."""
-    table = "spi" if name in PlainSpi._fields else "watchdog"
+    table = "spi" if name in PlainSpi._fields else "power" if name in PlainPower._fields else "watchdog"
     for beyond, allowed in ((0, True), (1, False)):
         value = LIMITS[name][end] + beyond * (1 if end else -1)
         file.write_text(f'spi.framing = "plain"\n{table}.{name} = {json.dumps(value)}\n')
-        assert (plain_settings.read(file) is not None) == allowed
+        found = plain_settings.read(file)
+        assert (found is not None and found.power is not None) == allowed
         if allowed:
             settings.load(file)
         else:

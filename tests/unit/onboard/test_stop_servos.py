@@ -1,15 +1,27 @@
 """With which settings `stop-servos` writes: those that the controller has understood, whatever a file says by now."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
-from gateway.errors import ConfigError
+from gateway.errors import ConfigError, SpiError
 from gateway.host import effective
-from gateway.host.plain_settings import ControllerValues, PlainController, PlainRepeats, RepeatValues, SpiValues
+from gateway.host.plain_settings import (
+    ControllerValues,
+    PlainController,
+    PlainPower,
+    PlainRepeats,
+    PowerValues,
+    RepeatValues,
+    SpiValues,
+)
 from gateway.model.framing import Framing
 from gateway.onboard import stop
 from gateway.robot import settings as settings_file
+from gateway.robot.power import last_cut
+from gateway.robot.power.last_cut import SupplyCut
+from tests.support.board_bus import BoardBus
 
 PLAIN = 'spi.framing = "plain"\n'
 ANOTHER = f'{PLAIN}spi.device = "/dev/spidev1.0"\n'
@@ -23,6 +35,8 @@ class Robot:
     def __init__(self, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         self.file = folder / "gateway.toml"
         self.used: list[SpiValues] = []
+        self.spi_fails = False
+        self.power = PlainPower()
         self.unit: tuple[int, dict[str, str]] = (0, {})
         self._folder = folder
         self._patch = monkeypatch
@@ -34,15 +48,20 @@ class Robot:
         monkeypatch.setattr(stop, "unit", lambda: self.unit)
         monkeypatch.setattr(stop, "stop", self._stop)
 
-    def _stop(self, spi: SpiValues, _watchdog: RepeatValues, _controller: ControllerValues) -> None:
+    def _stop(
+        self, spi: SpiValues, _watchdog: RepeatValues, _controller: ControllerValues, written: Callable[[], None]
+    ) -> None:
         self.used.append(spi)
+        if self.spi_fails:
+            raise SpiError("no such device")
+        written()
 
     def service(self, state: str) -> None:
         """It was started with length-prefixed by a variable, and this is what became of it."""
         if state == NEVER:
             return
         self._patch.setenv("INVOCATION_ID", "1")
-        effective.write({"framing": "length-prefixed"}, PlainRepeats(), PlainController())
+        effective.write({"framing": "length-prefixed"}, PlainRepeats(), PlainController(), self.power)
         if state != ENDED_HERE:
             self._patch.delenv("INVOCATION_ID")
         if state in {ENDED, ENDED_HERE}:
@@ -133,3 +152,89 @@ def test_a_variable_that_names_another_device_is_meant(robot: Robot, monkeypatch
     monkeypatch.setenv("HEXAPOD_SPI__DEVICE", "/dev/spidev1.0")
     stop.run(None)
     assert [(spi.device, spi.framing) for spi in robot.used] == [("/dev/spidev1.0", Framing.PLAIN)]
+
+
+# ---- the supply
+
+
+BOARD = '[power]\ninterface = "socketcan"\n'
+CONFIRMED = "the power board has confirmed: all servos without supply, after "
+BY_HAND = "switch the power off by hand"
+
+
+class Board:
+    """The power board that `stop-servos` finds, on whatever interface its settings name."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.bus = BoardBus()
+        self.asked: list[PowerValues] = []
+        monkeypatch.setattr(last_cut, "SupplyCut", self._cut)
+
+    def _cut(self, settings: PowerValues, say: Callable[[str, bool], None]) -> SupplyCut:
+        self.asked.append(settings)
+        return SupplyCut(settings, say, self.bus.opened)
+
+
+@pytest.fixture
+def board(monkeypatch: pytest.MonkeyPatch) -> Board:
+    return Board(monkeypatch)
+
+
+@pytest.mark.parametrize(
+    ("text", "cut"),
+    [
+        (BOARD, True),
+        (f'{BOARD}cut_on = ["shutdown"]\n', True),
+        (f'{BOARD}cut_on = ["estop"]\n', False),
+        ('[power]\ninterface = "sim"\n', False),
+        ("", False),
+    ],
+)
+def test_the_supply_is_taken_where_the_settings_want_it(
+    robot: Robot, board: Board, text: str, cut: bool, capsys: pytest.CaptureFixture[str]
+) -> None:
+    robot.file.write_text(PLAIN + text)
+    assert stop.run(robot.file)
+    shown = capsys.readouterr()
+    assert len(board.asked) == cut
+    assert (CONFIRMED in shown.out) == cut
+    assert shown.err == ""
+    assert bool(board.bus.board.fed) != cut
+
+
+def test_the_services_board_counts_as_its_device_does(robot: Robot, board: Board) -> None:
+    """Its file may name another one by now, or none."""
+    robot.file.write_text(PLAIN)
+    robot.power = PlainPower("slcan", "/dev/ttyACM3")
+    robot.service(ENDED_HERE)
+    assert stop.run(robot.file)
+    assert board.asked == [PlainPower("slcan", "/dev/ttyACM3")]
+
+
+def test_a_wrong_board_is_no_reason_to_write_no_stop(robot: Robot, capsys: pytest.CaptureFixture[str]) -> None:
+    robot.file.write_text(PLAIN + "[power]\ninterface = 3\n")
+    assert not stop.run(robot.file)
+    assert len(robot.used) == 1
+    assert BY_HAND in capsys.readouterr().err
+
+
+def test_spi_fails_and_the_supply_is_taken_all_the_same(
+    robot: Robot, board: Board, capsys: pytest.CaptureFixture[str]
+) -> None:
+    robot.file.write_text(PLAIN + BOARD)
+    robot.spi_fails = True
+    with pytest.raises(SpiError):
+        stop.run(robot.file)
+    assert board.bus.board.fed == 0
+    assert CONFIRMED in capsys.readouterr().out
+
+
+def test_what_is_not_confirmed_ends_with_a_code_of_its_own(
+    robot: Robot, board: Board, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    robot.file.write_text(PLAIN + BOARD)
+    board.bus.silent = True
+    monkeypatch.setattr(last_cut, "TRY_NS", 1)
+    assert stop.at_once(["--config", str(robot.file)]) == stop.NOT_CONFIRMED
+    assert len(robot.used) == 1
+    assert BY_HAND in capsys.readouterr().err

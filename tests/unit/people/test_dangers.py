@@ -190,15 +190,15 @@ def test_a_button_in_a_terminal_is_red_and_reports_it_once_more_at_its_end() -> 
     button.timeout_ms = 60_000
     shown = ButtonScreen(cast("Client", None), button)
     assert UNCONFIRMED not in shown.picture(80, 24).plain
-    shown.received_event(event(Kind.POWER_UNCONFIRMED))
+    shown.take_event(event(Kind.POWER_UNCONFIRMED))
     assert shown.picture(80, 24).plain.split("\n")[10].strip() == UNCONFIRMED
     assert shown.picture(80, 24).style == ALARM
     assert shown.last_words() == [UNCONFIRMED]
-    shown.received_state(of(OFF))
+    shown.take_state(of(OFF))
     assert "ANY KEY STOPS THE ROBOT" in shown.picture(80, 24).plain
-    shown.received_state(of(SILENT))
+    shown.take_state(of(SILENT))
     assert shown.picture(80, 24).style == ALARM
-    shown.received_state(of(OFF))
+    shown.take_state(of(OFF))
     assert shown.last_words() == []
 
 

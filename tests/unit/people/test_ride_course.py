@@ -11,7 +11,7 @@ from gateway.geometry import load
 from gateway.people.bridge.motions import Course
 from gateway.people.ros2.joints import JointsError
 from gateway.people.ros2.trajectory import Trajectory, Waypoint
-from gateway.people.walking import Pose, Ride
+from gateway.people.walking import REST_S, Pose, Ride
 from schemas.robot import LEGS
 from tests.support.ridden import ROBOT, TICK_S, WHOLE, standing
 
@@ -165,3 +165,45 @@ def test_a_robot_that_can_not_sit_is_stopped() -> None:
     one.run(1.0)
     one.course.leave(one.now_s)
     assert one.run(0.1).over_s == pytest.approx(1.0 + TICK_S)
+
+
+# ---- as the action has it
+
+
+def test_a_plan_that_is_held_stays_where_it_is_as_long_as_at_its_end_and_then_it_sits_down() -> None:
+    one = Followed()
+    way = plan(0.0, (1.0, 0.0), (9.0, 0.2))
+    one.course.follow(way, 0.0)
+    one.run(5.0)
+    assert one.course.progress(way, one.now_s).sent_rad[11] == pytest.approx(rad(STOOD)[11] + 0.1, abs=1e-3)
+    one.course.hold(way, one.now_s)
+    at_deg = one.first_deg
+    held = one.run(REST_S - 0.1).sent[-400:]
+    assert all(pose[1][0] == pytest.approx(at_deg, abs=0.1) for pose in held)
+    assert not one.sinks
+    assert one.run(SITS_WITHIN_S).sinks
+    assert one.course.progress(way, one.now_s).ended == "it was cancelled"
+
+
+def test_a_plan_that_is_not_followed_is_not_held() -> None:
+    one = followed((1.0, 0.0), (2.0, 0.2)).run(0.2)
+    other = plan(0.0, (1.0, 0.0))
+    one.course.hold(other, one.now_s)
+    assert one.course.progress(other, one.now_s).ended == "a newer trajectory has replaced it"
+    one.run(1.8)
+    assert one.first_deg == pytest.approx(GEOMETRY.servos[11].servo_deg(rad(STOOD)[11] + 0.2), abs=0.1)
+
+
+@pytest.mark.parametrize(
+    ("leaves", "why"), [(True, "the bridge was released"), (False, "its sender has left the graph")]
+)
+def test_a_plan_that_ends_early_has_a_reason(leaves: bool, why: str) -> None:
+    one = Followed()
+    way = plan(0.0, (1.0, 0.0), (9.0, 0.2))
+    one.course.follow(way, 0.0)
+    one.run(0.5)
+    if leaves:
+        one.course.leave(one.now_s)
+    else:
+        one.course.lose_sender(one.now_s)
+    assert one.course.progress(way, one.now_s).ended.startswith(why)

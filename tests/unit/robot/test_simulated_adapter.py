@@ -42,7 +42,7 @@ def test_a_frame_is_its_text_both_ways(adapter: SimulatedAdapter, frame: CanFram
         "txyz0",
         "t06A3gg0000",
         "x",
-        "t06A3 03FFF",
+        "t06A2 03 FF",
     ],
 )
 def test_a_line_that_is_none_puts_nothing_on_the_bus(adapter: SimulatedAdapter, line: str) -> None:

@@ -8,15 +8,13 @@ from rich.text import Text
 
 from gateway.people.client.blocking import Client
 from gateway.people.client.button import Button
-from gateway.people.client.subscriptions import reports, subscribed
 from gateway.people.terminal import check_terminal
 from gateway.people.terminal.screen import ALARM, Screen
 from gateway.people.terminal.stop_status import Tone
 from gateway.people.tools.button.check_ins import CheckIns
 from gateway.people.tools.reach import Connection
 from gateway.text import visible
-from schemas import keys as wire
-from schemas.telemetry import Event, GatewayState, Mode
+from schemas.telemetry import GatewayState, Mode
 
 SEEN_S: Final = 0.5
 """If the last picture is older, the terminal is stuck, and its button no longer checks in."""
@@ -37,11 +35,7 @@ class ButtonScreen(Screen):
 
     def run(self) -> int:
         """Show it until Ctrl-C. Returns the exit code."""
-        watched = {
-            wire.STATE: reports(GatewayState, self.received_state),
-            wire.EVENT: reports(Event, self.received_event),
-        }
-        with subscribed(self._client.session, watched):
+        with self.receives(self._client.session):
             return self.show()
 
     def begin(self) -> None:
@@ -58,17 +52,11 @@ class ButtonScreen(Screen):
 
     # ---- received
 
-    def received_state(self, state: GatewayState) -> None:
-        """The gateway's state; on a thread of Zenoh's."""
+    def take_state(self, state: GatewayState) -> None:
+        super().take_state(state)
         with self.changes():
             self._state = state
-            self.stop.power.received_state(state, time.monotonic_ns())
             self.stop.receive_state(state.estop, estopped=state.mode == Mode.ESTOPPED)
-
-    def received_event(self, event: Event) -> None:
-        """An event of the gateway's; on a thread of Zenoh's."""
-        with self.changes():
-            self.stop.power.received_event(event.kind)
 
     def _is_drawn(self) -> bool:
         return time.monotonic() - self.drawn_s < SEEN_S

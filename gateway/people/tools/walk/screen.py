@@ -65,7 +65,8 @@ class WalkScreen(Screen):
         """Until q (it sits down first), Ctrl-C or a signal (it is stopped at once). Returns the exit code."""
         self._walk.open()
         self._walk.hold_s, self._walk.rest_s = KEYS_HOLD_S, KEYS_REST_S
-        return self.show()
+        with self.receives(self._client.session):
+            return self.show()
 
     def begin(self) -> None:
         threading.Thread(target=self._drive, name="drive", daemon=True).start()

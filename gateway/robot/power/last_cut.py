@@ -1,0 +1,146 @@
+"""`stop-servos` takes the servos' supply: a mask of nothing, until the power board confirms it.
+
+`PowerBoard` does more, and its imports take longer than all Stops. This loads python-can alone.
+"""
+
+import threading
+import time
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Final
+
+from gateway.allowance import NS_PER_MS, NS_PER_S
+from gateway.errors import ConfigError
+from gateway.model.power_board import CanFrame, Rails, Supplied, read, set_supply
+from gateway.robot.power.interface import Interface, LineError, open_bus
+from gateway.robot.power.questions import BoardQuestions
+
+if TYPE_CHECKING:
+    import can
+
+REPEAT_NS: Final = 20 * NS_PER_MS
+REST_NS: Final = 5 * NS_PER_MS
+"""Behind an answer 6B, in whose pass the board takes a mask 230 passes later."""
+TRY_NS: Final = 2 * NS_PER_S
+"""How long masks are sent, and the interface is opened again where it fails."""
+START_S: Final = 0.02
+"""How long the first Stops on SPI are waited for: what is loaded here must not delay them, and they may hang."""
+END_S: Final = 1.0
+"""Beyond TRY_NS, for what hangs in python-can: then nobody waits any longer."""
+_RETRY_S: Final = 0.1
+_LOOK_S: Final = 0.005
+_SEND_S: Final = 0.1
+
+
+class LastCut:
+    """All outputs off: what to send, and whether it is confirmed. Pure; times are monotonic.
+
+    Confirmed is a 6B that shows all off, behind the answer to a question that was sent after the first mask: an answer
+    to somebody else's mask may be on its way.
+    """
+
+    def __init__(self) -> None:
+        """On an interface that was just opened."""
+        self._questions = BoardQuestions()
+        self._due_ns = 0
+        self.confirmed = False
+
+    def next_frames(self, now_ns: int) -> list[CanFrame]:
+        """What leaves now: the mask, a question whose answer proves that it has arrived, and those of the questions."""
+        frames: list[CanFrame] = []
+        if self.confirmed:
+            return frames
+        if now_ns >= self._due_ns:
+            self._due_ns = now_ns + REPEAT_NS
+            frames = [set_supply(0), *self._questions.behind(1, now_ns)]
+        if now_ns >= self._questions.due_ns:
+            frames += self._questions.next(1, now_ns)
+        return frames
+
+    def heard(self, frame: CanFrame, now_ns: int) -> None:
+        """A frame was on the bus."""
+        answer = read(frame)
+        if answer is not None:
+            self._questions.answered(now_ns)
+        match answer:
+            case Supplied(mask):
+                self.confirmed = self.confirmed or (mask == 0 and self._questions.reached > 0)
+                self._due_ns = max(self._due_ns, now_ns + REST_NS)
+            case Rails(question):
+                self._questions.answered_about_rails(CanFrame(question))
+
+
+class SupplyCut:
+    """Takes the supply on a thread of its own, which begins behind the first Stops, and says how it ended."""
+
+    def __init__(
+        self,
+        settings: Interface,
+        say: Callable[[str, bool], None],
+        opener: "Callable[[Interface], can.BusABC]" = open_bus,
+    ) -> None:
+        """`say`, called on that thread, gets a sentence, and whether the board has confirmed it."""
+        self._settings = settings
+        self._say = say
+        self._opener = opener
+        self._begun_ns = time.monotonic_ns()
+        self._stops_written = threading.Event()
+        self.confirmed = False
+        self._thread = threading.Thread(target=self._run, name="supply cut", daemon=True)
+        self._thread.start()
+
+    def stops_written(self) -> None:
+        """The first Stops were tried."""
+        self._stops_written.set()
+
+    def end(self) -> bool:
+        """Wait until it has ended, but not for what hangs; whether the board has confirmed it."""
+        self._stops_written.set()
+        self._thread.join((TRY_NS / NS_PER_S) + END_S)
+        if self._thread.is_alive():
+            self._say(not_confirmed("python-can hangs"), False)
+        return self.confirmed
+
+    def _run(self) -> None:
+        self._stops_written.wait(START_S)
+        why = "the power board does not answer"
+        end_ns = time.monotonic_ns() + TRY_NS
+        while not self.confirmed and time.monotonic_ns() < end_ns:
+            try:
+                bus = self._opener(self._settings)
+            except LineError as error:
+                why = str(error)
+                time.sleep(_RETRY_S)
+                continue
+            except ConfigError as error:
+                why = str(error)
+                break
+            try:
+                self.confirmed = _cut(bus, end_ns)
+            except Exception as error:  # from any of python-can's interfaces: another attempt is all that helps
+                why = f"{self._settings.interface} {self._settings.channel}: {error}"
+                time.sleep(_RETRY_S)
+        if not self.confirmed:
+            self._say(not_confirmed(why), False)
+            return
+        took_ms = (time.monotonic_ns() - self._begun_ns) / NS_PER_MS
+        self._say(f"the power board has confirmed: all servos without supply, after {took_ms:.0f} ms", True)
+
+
+def not_confirmed(why: str) -> str:
+    """The sentence for a person."""
+    return f"the servos' supply is NOT confirmed to be off ({why}): switch the power off by hand"
+
+
+def _cut(bus: "can.BusABC", end_ns: int) -> bool:
+    """Until it is confirmed, or the time is over."""
+    from can import Message  # noqa: PLC0415
+
+    bus._is_shutdown = True  # this process ends: python-can would close the adapter's channel, and a gateway may use it
+    cut = LastCut()
+    while not cut.confirmed and (now_ns := time.monotonic_ns()) < end_ns:
+        for frame in cut.next_frames(now_ns):
+            bus.send(Message(arbitration_id=frame.id, is_extended_id=False, data=frame.data), timeout=_SEND_S)
+        message = bus.recv(_LOOK_S)
+        if message is not None and not (message.is_error_frame or message.is_remote_frame or message.is_extended_id):
+            cut.heard(CanFrame(message.arbitration_id, bytes(message.data)), time.monotonic_ns())
+    return cut.confirmed

@@ -1,0 +1,90 @@
+"""The action follow_joint_trajectory over FastDDS: rclpy's own ActionClient, with types by ROS 2's own generators."""
+
+import shutil
+from collections.abc import Iterator
+
+import pytest
+
+from gateway.client import Client
+from gateway.people.ros2.actions import FollowGoal, FollowResult, GoalStatus
+from gateway.people.ros2.messages import JointTrajectory
+from schemas.telemetry import Mode
+from tests.ros2.test_action import SLOW
+from tests.ros2.test_motion import plan
+from tests.support.bridged import LONG_S, keeps
+from tests.support.control_msgs import FOLLOW, made
+from tests.support.gateway_process import Gateway
+from tests.support.heard import running, states
+from tests.support.rclpy_action_peer import ActionPeer
+from tests.support.rclpy_peer import DOMAIN, RclpyBridge, needs_rclpy
+from tests.support.ros2_messages import ADDED
+
+pytestmark = [
+    needs_rclpy,
+    pytest.mark.skipif(shutil.which("g++") is None, reason="g++ is not installed, which compiles control_msgs"),
+]
+OWN_DOMAIN = DOMAIN % 100 + 1
+
+
+@pytest.fixture(scope="module")
+def control_msgs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    """Its environment; half a minute of compiling."""
+    action = "\n---\n".join(ADDED[f"control_msgs/action/{FOLLOW}_{part}"] for part in ("Goal", "Result", "Feedback"))
+    messages = {
+        f"msg/{name}": ADDED[f"control_msgs/msg/{name}"] for name in ("JointTolerance", "JointComponentTolerance")
+    }
+    definitions = {**messages, f"action/{FOLLOW}": action}
+    of_their_folders = {name: text.replace("/msg/", "/") for name, text in definitions.items()}
+    return made(tmp_path_factory.mktemp("control_msgs"), of_their_folders)
+
+
+@pytest.fixture(scope="module")
+def peer(gateway: Gateway, control_msgs: dict[str, str]) -> Iterator[ActionPeer]:
+    bridge = RclpyBridge(gateway, domain=OWN_DOMAIN, env=control_msgs)
+    with bridge, ActionPeer(control_msgs, OWN_DOMAIN) as found:
+        yield found
+
+
+def test_rclpys_own_client_sends_cancels_and_replaces_goals_and_an_emergency_stop_aborts_one(
+    peer: ActionPeer, watcher: Client
+) -> None:
+    assert not peer.send(FollowGoal(SLOW)), "nobody has called drive"
+    assert peer.call("/hexapod/drive")[0]
+    assert peer.send(FollowGoal(plan((0.5, 0.0), (1.5, 0.3))))
+    desired, actual, error = peer.feedback()
+    assert (len(desired), len(actual), len(error)) == (18, 18, 18)
+    assert peer.result(1) == (GoalStatus.STATUS_SUCCEEDED, FollowResult.SUCCESSFUL, "its last point is reached")
+    assert len(running(watcher)) == 6
+
+    assert peer.send(FollowGoal(SLOW))
+    assert peer.cancel(2) == 1
+    assert peer.result(2)[0] == GoalStatus.STATUS_CANCELED
+
+    assert peer.send(FollowGoal(SLOW))
+    assert peer.send(FollowGoal(JointTrajectory(joint_names=("gripper",), points=SLOW.points)))
+    assert peer.result(4)[:2] == (GoalStatus.STATUS_ABORTED, FollowResult.INVALID_JOINTS)
+    assert peer.send(FollowGoal(SLOW))
+    assert peer.result(3)[:2] == (GoalStatus.STATUS_CANCELED, FollowResult.INVALID_GOAL)
+
+    seen = states(watcher)
+    watcher.estop()
+    status, code, why = peer.result(5)
+    assert (status, code) == (GoalStatus.STATUS_ABORTED, FollowResult.INVALID_GOAL)
+    assert "emergency stop" in why
+    seen.wait(lambda state: state.lease.holder is None)
+    assert watcher.reset().accepted
+    assert not running(watcher)
+
+
+def test_a_client_that_is_killed_has_the_robot_sit_down(
+    peer: ActionPeer, control_msgs: dict[str, str], watcher: Client
+) -> None:
+    """rclpy reports no GIDs of clients: the bridge sees that there is one less."""
+    assert peer.call("/hexapod/drive")[0]
+    with ActionPeer(control_msgs, OWN_DOMAIN) as vanishing:
+        assert vanishing.send(FollowGoal(SLOW))
+        keeps(lambda: None, lambda: len(running(watcher)) == 6)
+        vanishing.child.kill()
+        states(watcher).wait(lambda state: state.mode == Mode.IDLE, timeout_s=LONG_S)
+    assert watcher.state().lease.holder == "ros2", "another may go on"
+    assert peer.call("/hexapod/release")[0]

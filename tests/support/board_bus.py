@@ -1,0 +1,56 @@
+"""A python-can bus with a simulated power board at its other end, in this process."""
+
+import threading
+import time
+from collections import deque
+
+import can
+
+from gateway.errors import GatewayError
+from gateway.model.power_board import ALL, CanFrame, set_supply
+from gateway.robot.power.interface import Interface
+from gateway.robot.power.simulated_board import SimulatedBoard
+
+_PASS_NS = 100_000
+"""A board that is faster than the real one."""
+
+
+class BoardBus(can.BusABC):
+    """All servos are fed at first. `silent`: the board answers nothing. `failures`: raised by the next openings."""
+
+    def __init__(self) -> None:
+        super().__init__("board")
+        now_ns = time.monotonic_ns()
+        self.board = SimulatedBoard(now_ns - 1_000_000_000, pass_ns=_PASS_NS)
+        self.board.take(set_supply(ALL), now_ns - 1_000_000_000)
+        self.board.advance(now_ns)
+        self.silent = False
+        self.failures: list[GatewayError] = []
+        self.sent: list[CanFrame] = []
+        self.first_sent = threading.Event()
+        self.hangs = threading.Event()
+        """Not set: a frame is never sent."""
+        self.hangs.set()
+        self._frames: deque[CanFrame] = deque()
+
+    def opened(self, _settings: Interface) -> "BoardBus":
+        """As `open_bus`."""
+        if self.failures:
+            raise self.failures.pop(0)
+        return self
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        del timeout
+        self.hangs.wait()
+        frame = CanFrame(msg.arbitration_id, bytes(msg.data))
+        self.sent.append(frame)
+        self.first_sent.set()
+        self._frames += self.board.take(frame, time.monotonic_ns())
+
+    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        self._frames += self.board.advance(time.monotonic_ns())
+        if not self._frames or self.silent:
+            time.sleep(min(timeout or 0, 0.001))
+            return None, True
+        frame = self._frames.popleft()
+        return can.Message(arbitration_id=frame.id, is_extended_id=False, data=frame.data), True

@@ -1,0 +1,81 @@
+"""A client of the action follow_joint_trajectory: rclpy's own ActionClient, in a process that has control_msgs."""
+
+import sys
+import threading
+from importlib import import_module
+from typing import Any
+
+from gateway.people.ros2.actions import FollowGoal
+from gateway.people.ros2.cdr import encode
+from tests.support.rclpy_peer import DOMAIN, ENV, PYTHON
+from tests.support.rclpy_peer import Actor as RclpyActor
+from tests.support.ros2_peer import ANSWER_S, Peer, act
+
+NAME = "/hexapod/follow_joint_trajectory"
+
+
+class ActionPeer(Peer):
+    """The end that a test holds; goals are numbered from 0."""
+
+    def __init__(self, env: dict[str, str], domain: int = DOMAIN) -> None:
+        self._begin("tests.support.rclpy_action_peer", str(domain), ENV | env, PYTHON)
+
+    def send(self, goal: FollowGoal) -> bool:
+        """Whether it is accepted."""
+        return bool(self._ask("send", encode(goal).hex()))
+
+    def cancel(self, number: int) -> int:
+        """How many goals are cancelled."""
+        return int(self._ask("cancel", number))
+
+    def result(self, number: int) -> tuple[int, int, str]:
+        """Status, code and sentence, once it has ended."""
+        status, code, text = self._ask("result", number)
+        return status, code, text
+
+    def feedback(self) -> tuple[list[float], list[float], list[float]]:
+        """The next: desired, actual and error."""
+        desired, actual, error = self._ask("next", NAME)
+        return desired, actual, error
+
+
+class Actor(RclpyActor):
+    """The end inside the process; each public method is a command."""
+
+    def __init__(self, domain: int) -> None:
+        super().__init__(domain)
+        self._type = import_module("control_msgs.action").FollowJointTrajectory
+        self._client = import_module("rclpy.action").ActionClient(self._node, self._type, NAME)
+        self._handles: list[Any] = []
+        self._results: list[Any] = []
+
+    def send(self, cdr: str) -> bool:
+        if not self._client.wait_for_server(ANSWER_S / 2):
+            raise TimeoutError(f"nobody serves {NAME}")
+        goal = self._serialization.deserialize_message(bytes.fromhex(cdr), self._type.Goal)
+        handle = self._done(self._client.send_goal_async(goal, feedback_callback=self._feed))
+        self._handles.append(handle)
+        self._results.append(handle.get_result_async() if handle.accepted else None)
+        return bool(handle.accepted)
+
+    def cancel(self, number: int) -> int:
+        return len(self._done(self._handles[number].cancel_goal_async()).goals_canceling)
+
+    def result(self, number: int) -> tuple[int, int, str]:
+        found = self._done(self._results[number])
+        return found.status, found.result.error_code, found.result.error_string
+
+    def _feed(self, message: Any) -> None:
+        found = message.feedback
+        self._received[NAME].put([list(each.positions) for each in (found.desired, found.actual, found.error)])
+
+    def _done(self, future: Any) -> Any:
+        ended = threading.Event()
+        future.add_done_callback(lambda _: ended.set())
+        if not ended.wait(ANSWER_S):
+            raise TimeoutError("no answer")
+        return future.result()
+
+
+if __name__ == "__main__":
+    act(Actor(int(sys.argv[1])))

@@ -1,0 +1,116 @@
+"""`stop-servos` takes the supply: what is confirmed, and that nothing on SPI is waited for."""
+
+from itertools import pairwise
+
+import pytest
+
+from gateway.allowance import NS_PER_MS
+from gateway.errors import ConfigError
+from gateway.host.plain_settings import PlainPower
+from gateway.model.power_board import ALL, ASK_RAILS, SET_SUPPLY, SUPPLIED, CanFrame, set_supply
+from gateway.robot.power import last_cut
+from gateway.robot.power.interface import LineError
+from gateway.robot.power.last_cut import LastCut, SupplyCut
+from gateway.robot.power.simulated_board import SimulatedBoard
+from tests.support.board_bus import BoardBus
+
+SETTINGS = PlainPower("socketcan")
+OFF = CanFrame(SUPPLIED, bytes(3))
+REACHED = CanFrame(ASK_RAILS[0].id + 1, bytes(6))
+STEP_NS = NS_PER_MS
+
+
+def fed_board() -> SimulatedBoard:
+    board = SimulatedBoard(-1_000 * NS_PER_MS)
+    board.take(set_supply(ALL), -1_000 * NS_PER_MS)
+    board.advance(0)
+    return board
+
+
+def test_it_is_confirmed_by_an_answer_behind_that_to_a_question_asked_after_the_mask() -> None:
+    """A 6B that was on its way may be the answer to another mask of nothing, before somebody fed a servo again."""
+    cut = LastCut()
+    assert cut.next_frames(0)[:2] == [set_supply(0), ASK_RAILS[0]]
+    cut.heard(OFF, 1)
+    assert not cut.confirmed
+    cut.heard(REACHED, 2)
+    assert not cut.confirmed
+    cut.heard(CanFrame(SUPPLIED, b"\0\0\1"), 3)
+    assert not cut.confirmed
+    cut.heard(CanFrame(SUPPLIED, b"\0\0"), 4)
+    assert not cut.confirmed
+    cut.heard(OFF, 5)
+    assert cut.confirmed
+    assert cut.next_frames(1_000 * NS_PER_MS) == []
+
+
+@pytest.mark.parametrize("lost", [0, 1, 3, 10])
+def test_masks_are_repeated_every_20_ms_until_the_board_has_one(lost: int) -> None:
+    """The first ones never reach it; it is off at once then, and confirms it."""
+    cut, board, masks = LastCut(), fed_board(), []
+    for now_ns in range(0, 2_000 * NS_PER_MS, STEP_NS):
+        for frame in cut.next_frames(now_ns):
+            masks += [now_ns] if frame.id == SET_SUPPLY else []
+            if len(masks) > lost:
+                for answer in board.take(frame, now_ns):
+                    cut.heard(answer, now_ns)
+        for answer in board.advance(now_ns):
+            cut.heard(answer, now_ns)
+    assert cut.confirmed
+    assert board.fed == 0
+    assert all(b - a >= 20 * NS_PER_MS for a, b in pairwise(masks))
+    assert masks[lost] == lost * 20 * NS_PER_MS
+
+
+def told(bus: BoardBus, *, stops_written: bool = True) -> tuple[bool, list[tuple[str, bool]]]:
+    """What it says, and returns."""
+    said: list[tuple[str, bool]] = []
+    cut = SupplyCut(SETTINGS, lambda sentence, confirmed: said.append((sentence, confirmed)), bus.opened)
+    if stops_written:
+        cut.stops_written()
+    else:
+        assert bus.first_sent.wait(10), "nothing was sent while the Stops on SPI hang"
+    return cut.end(), said
+
+
+def test_nothing_is_waited_for_where_spi_hangs() -> None:
+    bus = BoardBus()
+    confirmed, said = told(bus, stops_written=False)
+    assert confirmed
+    assert bus.board.fed == 0
+    assert [is_confirmed for _, is_confirmed in said] == [True]
+
+
+def test_an_interface_that_comes_back_is_opened_again() -> None:
+    bus = BoardBus()
+    bus.failures = [LineError("can0 is gone"), LineError("can0 is gone")]
+    assert told(bus)[0]
+    assert bus.board.fed == 0
+
+
+@pytest.mark.parametrize(
+    ("failures", "why"),
+    [([ConfigError("python-can is not installed")], "not installed"), ([LineError("can0 is gone")], "can0 is gone")],
+)
+def test_why_it_is_not_confirmed(monkeypatch: pytest.MonkeyPatch, failures: list[ConfigError], why: str) -> None:
+    monkeypatch.setattr(last_cut, "TRY_NS", NS_PER_MS)
+    bus = BoardBus()
+    bus.failures = [*failures]
+    confirmed, said = told(bus)
+    assert not confirmed
+    ((sentence, is_confirmed),) = said
+    assert not is_confirmed
+    assert why in sentence
+    assert "NOT confirmed" in sentence
+
+
+def test_nobody_waits_for_what_hangs(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In python-can, or in the kernel."""
+    monkeypatch.setattr(last_cut, "TRY_NS", NS_PER_MS)
+    monkeypatch.setattr(last_cut, "END_S", 0.01)
+    bus = BoardBus()
+    bus.hangs.clear()
+    confirmed, said = told(bus)
+    bus.hangs.set()
+    assert not confirmed
+    assert "hangs" in said[0][0]
