@@ -103,7 +103,7 @@ wheels: $(VENV)/bin/python
 EXPORT = $(BIN)/uv export --quiet --frozen --no-config --no-header --no-annotate --format requirements.txt
 lock: $(VENV)/dev
 	$(BIN)/uv lock --no-config --default-index https://pypi.org/simple $(if $(UPGRADE),--upgrade)
-	$(EXPORT) --no-emit-project --extra spi --extra console --output-file deploy/lock/requirements.txt
+	$(EXPORT) --no-emit-project --extra spi --extra console --extra power --output-file deploy/lock/requirements.txt
 	$(EXPORT) --only-group build --output-file deploy/lock/build.txt
 
 # KEY: an Ed25519 key of ssh-keygen's; without one, nothing is signed. FOR, FOR_PYTHON: whom the bundle is for.

@@ -37,7 +37,7 @@ def test_the_lock_has_every_dependency_with_its_hashes() -> None:
     """After a change of pyproject.toml: `make lock`."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     optional = project["optional-dependencies"]
-    wanted = [*project["dependencies"], *optional["spi"], *optional["console"]]
+    wanted = [*project["dependencies"], *optional["spi"], *optional["console"], *optional["power"]]
     names = {match[1].lower().replace("_", "-") for each in wanted if (match := OFFERED.match(each)) is not None}
     found = pinned(LOCK / "requirements.txt")
     assert names <= found.keys()

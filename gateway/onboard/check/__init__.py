@@ -1,7 +1,7 @@
 """`hexapod-gateway check`: what this machine lacks to run the service, a line each, and how to fix it.
 
 It changes nothing: no byte reaches the robot, and a running gateway is not disturbed. With elkapod-2025 and no gateway
-running, a controller whose heartbeat comes is shut down, since its answers need frames.
+running, a controller whose heartbeat comes is shut down, since its answers need frames. A power board is asked.
 """
 
 import datetime as dt
@@ -26,6 +26,7 @@ from gateway.onboard.check import (
     looking,
     machine,
     network,
+    power,
     release,
     running,
     service_user,
@@ -197,6 +198,7 @@ def _of_settings(settings: Settings) -> Iterator[Result]:
         if not mismatched:  # else Zenoh's sentence about it leads nowhere
             yield from network.opens(settings.zenoh, to_be_had)
         yield from network.routers(zenoh_config)
+    yield from power.results(settings.power, gateway_runs=gateway_runs)
     if settings.telemetry.metrics:
         yield network.metrics_port(settings.telemetry.metrics, gateway_runs=gateway_runs)
 

@@ -27,6 +27,9 @@ class StepName(StrEnum):
     BUTTON = "button"
     STOP_SERVOS = "stop-servos"
     RESTART = "restart"
+    POWER = "power"
+    SPI_UNPLUGGED = "spi-unplugged"
+    CAN_UNPLUGGED = "can-unplugged"
 
 
 @app.command()
@@ -50,6 +53,9 @@ def drill(
     late: Annotated[float, typer.Option("--late", metavar="MS", min=1, help="How late a Stop may be.")] = 20.0,
     restart: Annotated[
         bool, typer.Option("--restart", help="Also kill the service (systemd starts it again); as root, on the robot.")
+    ] = False,
+    unplug: Annotated[
+        bool, typer.Option("--unplug", help="Also ask for SPI and the power board's CAN to be unplugged, at the robot.")
     ] = False,
     yes: Annotated[bool, typer.Option("--yes", help="Move a real robot without asking.")] = False,
     config: Annotated[
@@ -85,6 +91,7 @@ def drill(
         endpoint=connect,
         zenoh_config=zenoh_config,
         restart=restart,
+        unplug=unplug,
         config=config,
     )
     if report is not None:

@@ -1,6 +1,9 @@
 """`stop-servos` takes the supply: what is confirmed, and that nothing on SPI is waited for."""
 
+import gc
+import time
 from itertools import pairwise
+from pathlib import Path
 
 import pytest
 
@@ -13,6 +16,7 @@ from gateway.robot.power.interface import LineError
 from gateway.robot.power.last_cut import LastCut, SupplyCut
 from gateway.robot.power.simulated_board import SimulatedBoard
 from tests.support.board_bus import BoardBus
+from tests.support.slcan_adapter import Adapter
 
 SETTINGS = PlainPower("socketcan")
 OFF = CanFrame(SUPPLIED, bytes(3))
@@ -114,3 +118,17 @@ def test_nobody_waits_for_what_hangs(monkeypatch: pytest.MonkeyPatch) -> None:
     bus.hangs.set()
     assert not confirmed
     assert "hangs" in said[0][0]
+
+
+def test_on_an_adapter_that_a_gateway_goes_on_using(tmp_path: Path) -> None:
+    """By slcan on a terminal. Its channel stays open: the gateway would not notice that it was closed."""
+    adapter = Adapter(str(tmp_path / "can"))
+    adapter.board.take(set_supply(ALL), time.monotonic_ns())
+    said: list[str] = []
+    cut = SupplyCut(PlainPower("slcan", str(tmp_path / "can")), lambda sentence, _: said.append(sentence))
+    confirmed = cut.end()
+    gc.collect()
+    adapter.unplug()
+    assert confirmed, said
+    assert adapter.board.fed == 0
+    assert b"C" not in adapter.received[adapter.received.index(b"O") :]

@@ -114,6 +114,8 @@ class Bench:
     """Whether silence lands the robot before it stops it."""
     restart: bool = False
     """Whether the service may be killed."""
+    unplug: bool = False
+    """Whether a person is there who unplugs things."""
     config: Sequence[str] = ()
     """Arguments of `stop-servos`."""
     calibration: RobotCalibration = field(default_factory=RobotCalibration)

@@ -77,6 +77,7 @@ def drill(
     endpoint: str | None,
     zenoh_config: Path | None,
     restart: bool,
+    unplug: bool,
     config: Path | None,
 ) -> Drill:
     """Do the steps. Raises ConfigError where nothing is to be moved, ZenohError where no gateway answers.
@@ -97,6 +98,7 @@ def drill(
                 late_ms=late_ms,
                 lands=bool(state.watchdog.landing_ms),
                 restart=restart,
+                unplug=unplug,
                 config=() if config is None else ("--config", str(config)),
             )
             if not state.simulated:

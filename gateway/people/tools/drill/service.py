@@ -16,6 +16,7 @@ BACK_S: Final = 20.0
 _UNIT: Final = "hexapod-gateway.service"
 _ENDED: Final = re.compile(r"stop-servos.* code=(\w+) ; status=(\d+)")
 _WRITTEN: Final = re.compile(r"Stop written to all six legs, (\d+) times each")
+_CONFIRMED: Final = re.compile(r"the power board has confirmed: .* after (\d+) ms")
 
 
 _SAME_START_S: Final = 15.0
@@ -58,8 +59,7 @@ def killed(bench: Bench) -> Figures:
         bench.demand_no_motion(bench.mark(), "after the new start")
         demand(ended == "exited 0", f"stop-servos did not stop the servos after the end: {ended or 'it did not run'}")
     figures: Figures = {"answers_again_after_s": took_s, "stops_of_the_new_start": len(LEGS)}
-    written = _stops_written(before.invocation)
-    return figures if written is None else {**figures, "stops_of_stop_servos": written}
+    return {**figures, **_of_stop_servos(before.invocation)}
 
 
 def _ended(bench: Bench, before: _Unit) -> str:
@@ -102,12 +102,18 @@ def _unit() -> _Unit:
     )
 
 
-def _stops_written(invocation: str) -> int | None:
-    """How many Stops stop-servos reports to have written; None where this machine keeps no journal."""
+def _of_stop_servos(invocation: str) -> Figures:
+    """What stop-servos reports: its Stops, and when the power board confirmed; nothing where there is no journal."""
     with suppress(FailedError):
-        said = _WRITTEN.search(_run("journalctl", f"_SYSTEMD_INVOCATION_ID={invocation}", "--output=cat"))
-        return None if said is None else len(LEGS) * int(said[1])
-    return None
+        return said_by_stop_servos(_run("journalctl", f"_SYSTEMD_INVOCATION_ID={invocation}", "--output=cat"))
+    return {}
+
+
+def said_by_stop_servos(text: str) -> Figures:
+    """The figures of its sentences."""
+    written, confirmed = _WRITTEN.search(text), _CONFIRMED.search(text)
+    figures: Figures = {} if written is None else {"stops_of_stop_servos": len(LEGS) * int(written[1])}
+    return figures if confirmed is None else {**figures, "supply_off_confirmed_after_ms": int(confirmed[1])}
 
 
 def _started_since(bench: Bench, begun_s: float) -> bool:

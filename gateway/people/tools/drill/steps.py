@@ -27,6 +27,7 @@ from gateway.people.tools.drill.bench import (
     demand_rejected,
 )
 from gateway.people.tools.drill.cut_link import CutLink
+from gateway.people.tools.drill.power import can_unplugged, confirmed_off, spi_unplugged
 from gateway.people.tools.drill.service import killed
 from gateway.people.tools.drill.watching import falls_silent
 from gateway.zenoh_config import client_config
@@ -399,6 +400,24 @@ STEPS: Final = (
         "kills the service while setpoints stream: stopped at once, and again at its new start",
         killed,
         "death-stops",
+    ),
+    DrillStep(
+        "power",
+        "engages the emergency stop: the power board must confirm that no servo is fed",
+        confirmed_off,
+        "estop-always",
+    ),
+    DrillStep(
+        "spi-unplugged",
+        "engages the emergency stop while the controller is unplugged: the power board must confirm it",
+        spi_unplugged,
+        "estop-always",
+    ),
+    DrillStep(
+        "can-unplugged",
+        "the power board is unplugged while {servos} runs: must be reported, and stopped over SPI",
+        can_unplugged,
+        "bus-fault-stops",
     ),
 )
 """In their order. Each leaves all legs stopped, or the drill does."""
