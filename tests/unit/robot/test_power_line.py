@@ -285,6 +285,19 @@ def test_an_interface_that_fails_is_closed_and_opened_again_and_the_mask_leaves_
     assert owner.mistakes == []
 
 
+def test_an_interface_that_opens_and_sends_nothing_is_opened_ten_times_a_second_at_most() -> None:
+    """The bus is off. The sender has a real-time priority, and would keep others off the processor."""
+    buses = [Bus() for _ in range(6)]
+    for bus in buses:
+        bus.fails = can.CanOperationError("bus off")
+    owner = owner_of(*buses)
+    begun_s = time.monotonic()
+    owner.line.start()
+    assert buses[-1].closed.wait(MOST_S)
+    assert time.monotonic() - begun_s >= 0.4
+    owner.line.close()
+
+
 def test_a_mistake_in_the_gateway_is_reported(bus: Bus) -> None:
     owner = owner_of(bus)
     mistake = RuntimeError("a mistake")
