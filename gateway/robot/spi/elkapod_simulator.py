@@ -36,8 +36,9 @@ from gateway.host.sensed_page import Sensed, SensedPage
 from gateway.host.servo_page import ServoPage
 from gateway.model import elkapod
 from gateway.model.elkapod import BEGIN, END, FRAME_BYTES, SHUTDOWN, START, Measured
+from gateway.model.servo import A_PER_NM, IDLE_A, MOVING_A
 from gateway.robot.spi import DuplexDevice
-from gateway.robot.spi.simulated_battery import A_PER_NM, BASE_A, IDLE_A, MOVING_A, SimulatedBattery
+from gateway.robot.spi.simulated_battery import BASE_A, SimulatedBattery
 from gateway.robot.spi.simulated_servos import ServoState, SimulatedServos
 from gateway.robot.spi.simulator import KEPT_TRANSFERS
 from gateway.robot.spi.uart import Uart
@@ -72,7 +73,8 @@ class SimulatedElkapod(DuplexDevice):
         battery: SimulatedBattery | None = None,
     ) -> None:
         """Switched on now, servos slack. `clock` gives nanoseconds. `on_change` gets a line on what changed; into
-        `page` goes where each servo is sent, and `sensed` has what a simulated body feels."""
+        `page` goes where each servo is sent, which also says what a power board feeds; `sensed` has what a simulated
+        body feels."""
         self.transfers: collections.deque[tuple[int, bytes]] = collections.deque(maxlen=KEPT_TRANSFERS)
         """The newest on SPI, with their times."""
         self.messages: collections.deque[tuple[int, bytes]] = collections.deque(maxlen=KEPT_TRANSFERS)
@@ -201,7 +203,7 @@ class SimulatedElkapod(DuplexDevice):
     def _current_a(self) -> float:
         body = self._body()
         servos = self._servos.values()
-        idle_a = BASE_A + IDLE_A * sum(servo.energised for servo in servos)
+        idle_a = BASE_A + IDLE_A * sum(servo.driven for servo in servos)
         if body is None:
             return idle_a + MOVING_A * sum(servo.moves for servo in servos)
         return idle_a + A_PER_NM * sum(map(abs, body.torques_nm))
@@ -235,7 +237,7 @@ class SimulatedElkapod(DuplexDevice):
         return None if self._sensed is None else self._sensed.read()
 
     def _at_rest(self) -> Sensed:
-        stands = any(servo.energised for servo in self._servos.values())
+        stands = any(servo.driven for servo in self._servos.values())
         foot_n = MASSES.total_kg * _GRAVITY_M_S2 / len(LEGS) if stands else 0.0
         return Sensed((1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, _GRAVITY_M_S2), (foot_n,) * len(LEGS), ())
 

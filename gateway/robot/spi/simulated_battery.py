@@ -14,11 +14,6 @@ CAPACITY_AS: Final = 5.0 * 3600
 
 BASE_A: Final = 1.0
 """The computer and the controller, whatever the servos do."""
-IDLE_A: Final = 0.01
-MOVING_A: Final = 0.25
-"""A hobby servo that holds without load, and one that moves without load."""
-A_PER_NM: Final = 1.25
-"""One of 2 N·m takes 2.5 A when it stalls."""
 
 
 class SimulatedBattery:

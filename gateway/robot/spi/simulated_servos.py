@@ -1,4 +1,4 @@
-"""The 18 servos behind a simulated controller: driven or slack, and as fast as their motors are."""
+"""The 18 servos behind a simulated controller: driven or slack, fed or not, and as fast as their motors are."""
 
 from dataclasses import dataclass
 
@@ -15,18 +15,24 @@ class ServoState:
     target_deg: float | None = None
     angle_deg: float = 90.0  # before it is first energised, a horn stands wherever it was left
     pulse_us: int | None = None  # where its controller counts one
+    fed: bool = True  # until a simulated power board says otherwise
+
+    @property
+    def driven(self) -> bool:
+        """Whether it holds where it is sent: its output is on, and it has supply."""
+        return self.energised and self.fed
 
     @property
     def moves(self) -> bool:
         """Whether it is on its way."""
-        return self.energised and self.target_deg is not None and self.target_deg != self.angle_deg
+        return self.driven and self.target_deg is not None and self.target_deg != self.angle_deg
 
 
 class SimulatedServos(dict[int, ServoState]):
     """The 18 by id. Times are of one monotonic clock."""
 
     def __init__(self, now_ns: int, page: ServoPage | None) -> None:
-        """All off. Into `page` goes where each is sent."""
+        """All off. Into `page` goes where each is sent; it says which of them have supply."""
         super().__init__((servo_id, ServoState()) for servo_id in SERVO_IDS)
         self._page = page
         self._moved_ns = now_ns
@@ -54,8 +60,10 @@ class SimulatedServos(dict[int, ServoState]):
         """Where their horns are by now, without load."""
         reach_deg = NO_LOAD_DEG_S * (now_ns - self._moved_ns) / 1e9
         self._moved_ns = now_ns
-        for servo in self.values():
-            if servo.energised and servo.target_deg is not None:
+        fed = self.keys() if self._page is None else self._page.fed
+        for servo_id, servo in self.items():
+            servo.fed = servo_id in fed
+            if servo.driven and servo.target_deg is not None:
                 way_deg = servo.target_deg - servo.angle_deg
                 servo.angle_deg = (
                     servo.target_deg

@@ -10,8 +10,9 @@ from hypothesis import strategies as st
 from gateway.host.servo_page import ServoPage
 from gateway.model import elkapod
 from gateway.model.elkapod import FRAME_BYTES, SHUTDOWN, START, AnswerError, Measured
+from gateway.model.servo import MOVING_A
 from gateway.robot.spi.elkapod_simulator import GARBAGE, MOST_HEARTBEATS, SimulatedElkapod
-from gateway.robot.spi.simulated_battery import FULL_V, MOVING_A, RESISTANCE_OHM, SimulatedBattery
+from gateway.robot.spi.simulated_battery import FULL_V, RESISTANCE_OHM, SimulatedBattery
 from schemas.robot import SERVO_IDS
 
 MS = 1_000_000  # ns
@@ -87,6 +88,21 @@ def test_a_start_drives_all_to_the_newest_frame_and_a_shutdown_leaves_all_where_
     assert bench.said == ["started", "shut down"]
     assert [message for _, message in bench.controller.messages] == [START, SHUTDOWN]
     assert not bench.controller.corruptions
+
+
+def test_a_servo_without_supply_stays_where_it_is_and_draws_nothing(bench: Bench) -> None:
+    bench.started()
+    bench.page.feed(ALL - {11})
+    bench.exchange(after_ms=1000)
+    angles_deg = {servo_id: servo.angle_deg for servo_id, servo in bench.controller.servos.items()}
+    assert angles_deg == {**TARGETS, 11: 90.0}
+    at_rest_v = bench.measured(frame_of({**TARGETS, 11: 180.0})).voltage_v
+    assert bench.measured().voltage_v == pytest.approx(at_rest_v, abs=0.001), "it does not move"
+    bench.page.feed(())
+    bench.exchange()
+    assert sum(bench.measured().feet) == 0, "nothing carries the robot"
+    bench.page.feed(ALL)
+    assert bench.controller.energised == ALL, "its controller knows of no supply"
 
 
 def test_a_servo_goes_as_fast_as_its_motor_and_the_last_angles_hold_for_ever(bench: Bench) -> None:

@@ -1,0 +1,286 @@
+"""`python -m gateway.robot.power.simulator JSON`: a simulated power board behind slcan, in a process of its own.
+
+Its first line on stdout is the path of a serial device, for python-can's `slcan`. The argument names, each with a
+default: `outputs` (the servo on each output), `page` and `sensed` (descriptors of the pages about simulated servos and
+of a simulated body), `folder` (where the device's path is; it is removed at the end), `record` (a file, see below). It
+ends with its standard input, on which lines of JSON are faults:
+
+| line                                   | what happens                                                            |
+|----------------------------------------|-------------------------------------------------------------------------|
+| `{"press_off": true}`                  | somebody presses the board's button, which wakes it from standby, too   |
+| `{"restart": true}`                    | its supply was interrupted: all off, and in standby                     |
+| `{"overcurrent": 21}`                  | this servo draws too much while it is fed; 0: none does any more         |
+| `{"draws_ma": {"21": 0.0}}`            | these servos (and no others) draw that while fed, whatever they do      |
+| `{"error": 8}`                         | the board finds an error of this code                                   |
+| `{"converter": 2}`                     | this converter draws too much: the board switches it off                |
+| `{"clear_error": true}`                | somebody deletes the newest error at the board's own buttons            |
+| `{"stuck_on": 21}`                     | this servo has supply whatever the board does; 0: none                  |
+| `{"silent": true}`                     | no frame passes between board and adapter                               |
+| `{"lose": 0.2, "delay": 0.2, "corrupt": 0.2, "seed": 1}` | so many of the board's frames, by chance              |
+| `{"pause_ms": 500}`                    | frames of both directions wait so long, and then arrive at once         |
+| `{"frame": "t06A3000000"}`             | another node puts this frame on the bus                                 |
+| `{"flood_hz": 8000, "flood": "t1000"}` | and this one so many times a second; 0: no more                         |
+| `{"unplug": true}`, `{"plug": true}`   | the adapter goes, and returns under the same path                       |
+
+The record has a line for each frame that the adapter receives (`<`) and sends (`>`) and each change of what is fed
+(`=`, a mask), behind nanoseconds of CLOCK_MONOTONIC.
+"""
+
+import json
+import os
+import select
+import shutil
+import signal
+import sys
+import tempfile
+import time
+import tty
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Final, TextIO
+
+from gateway.host.sensed_page import SensedPage
+from gateway.host.servo_page import ServoPage
+from gateway.model.power_board import CONVERTER_OVERCURRENT, CanFrame
+from gateway.robot.power.simulated_adapter import SimulatedAdapter, SimulatedLink, frame_of, text_of
+from gateway.robot.power.simulated_board import SimulatedBoard
+from gateway.robot.power.simulated_draw import SimulatedDraw
+from schemas.robot import SERVO_IDS
+
+NS_PER_S: Final = 1_000_000_000
+JAMS_MA: Final = 4500.0
+_MOST_UNSENT: Final = 4096
+"""Bytes that wait for a client that does not read; frames beyond are lost, as in an adapter."""
+_MOST_READ: Final = 4096
+_MOST_HZ: Final = 20_000
+"""Frames a second: the shortest ones at 1 Mbit/s."""
+_MOST_AT_ONCE: Final = 500
+"""Frames of a flood that are made up for at once, after this process had to wait for a processor."""
+
+
+class Device:
+    """The adapter's end of a serial line. The client's end is a link, which goes and comes as an adapter does."""
+
+    def __init__(self, link: Path) -> None:
+        self._link = link
+        self.fd: int | None = None
+        self._theirs = -1
+        self.unsent = b""
+
+    def plug(self) -> None:
+        """From now on the device exists."""
+        if self.fd is None:
+            self.fd, self._theirs = os.openpty()
+            tty.setraw(self._theirs)  # it stays open here, so that this end outlives each client
+            os.set_blocking(self.fd, False)
+            self._link.symlink_to(os.ttyname(self._theirs))
+
+    def unplug(self) -> None:
+        """It goes; a client that has it open finds its end."""
+        if self.fd is not None:
+            self._link.unlink()
+            os.close(self.fd)
+            os.close(self._theirs)
+            self.fd, self.unsent = None, b""
+
+    def read(self) -> bytes:
+        """What the client has sent."""
+        try:
+            return os.read(self.fd, _MOST_READ) if self.fd is not None else b""
+        except BlockingIOError:
+            return b""
+
+    def write(self, data: bytes) -> None:
+        """Send this, or nothing of it where too much waits for the client."""
+        if self.fd is None or not (data or self.unsent):
+            return
+        if len(self.unsent) + len(data) <= _MOST_UNSENT:
+            self.unsent += data
+        try:
+            self.unsent = self.unsent[os.write(self.fd, self.unsent) :]
+        except BlockingIOError:
+            return
+
+
+class Simulation:
+    """The board, the adapter, what is between them, and the robot that the board feeds."""
+
+    def __init__(self, given: dict[str, Any], device: Device, record: TextIO) -> None:
+        self._outputs: tuple[int, ...] = tuple(given.get("outputs") or SERVO_IDS)
+        self._page = ServoPage(given.get("page"))
+        self._sensed = None if given.get("sensed") is None else SensedPage(given["sensed"])
+        self._record = record
+        self._device = device
+        self._board = SimulatedBoard(time.monotonic_ns())
+        self._adapter = SimulatedAdapter()
+        self._to_board, self._to_adapter = SimulatedLink(), SimulatedLink()
+        self._silent = False
+        self._draw = SimulatedDraw()
+        self._drawn_anyway_ma: dict[int, float] = {}
+        self._fed: int | None = None
+        self._flood, self._flood_ns, self._flood_due_ns = CanFrame(0x100), 0, 0
+        self.step()
+
+    def step(self) -> int:
+        """Do all that is due. Returns when the next thing is, in nanoseconds."""
+        now_ns = time.monotonic_ns()
+        frames, answers = self._adapter.take(self._device.read())
+        for frame in frames:
+            self._note("<", frame, now_ns)
+            if not self._silent:
+                self._to_board.send(frame, now_ns)
+        self._make_flood(now_ns)
+        self._board.draws_ma[:] = self._draws_ma(now_ns)
+        for frame in self._to_board.arrived(now_ns):
+            self._answer(self._board.take(frame, now_ns), now_ns)
+        self._answer(self._board.advance(now_ns), now_ns)
+        self._feed(now_ns)
+        for frame in self._to_adapter.arrived(now_ns):
+            self._note(">", frame, now_ns)
+            answers += self._adapter.text(frame)
+        self._device.write(answers)
+        dues_ns = [self._board.due_ns, *(link.due_ns for link in (self._to_board, self._to_adapter) if link)]
+        return min(dues_ns) if not self._flood_ns else min(*dues_ns, self._flood_due_ns)
+
+    def do(self, line: bytes) -> None:
+        """A fault, or its end."""
+        order: dict[str, Any] = json.loads(line)
+        for name, value in order.items():
+            self._do(name, value)
+        self.step()
+
+    def _do(self, name: str, value: Any) -> None:
+        """What somebody does to the board."""
+        board = self._board
+        match name:
+            case "press_off":
+                board.press_button(time.monotonic_ns())
+            case "restart":
+                board.restart()
+            case "overcurrent":
+                self._drawn_anyway_ma = {value: JAMS_MA} if value else {}
+            case "draws_ma":
+                self._drawn_anyway_ma = {int(servo_id): float(drawn_ma) for servo_id, drawn_ma in value.items()}
+            case "error":
+                board.fail(int(value))
+            case "converter":
+                board.fail(CONVERTER_OVERCURRENT, converters=1 << value - 1)
+            case "clear_error":
+                board.clear_by_hand()
+            case "stuck_on":
+                board.stuck = 1 << self._outputs.index(value) if value else 0
+            case _:
+                self._do_between(name, value)
+
+    def _do_between(self, name: str, value: Any) -> None:
+        """What happens between board and client."""
+        now_ns, link = time.monotonic_ns(), self._to_adapter
+        match name:
+            case "silent":
+                self._silent = bool(value)
+            case "lose" | "delay" | "corrupt":
+                setattr(link, name, float(value))
+            case "seed":
+                link.chance.seed(value)
+            case "pause_ms":
+                for each in (self._to_board, link):
+                    each.pause(now_ns + round(1e6 * value))
+            case "frame":
+                self._put(_frame(value), now_ns)
+            case "flood":
+                self._flood = _frame(value)
+            case "flood_hz":
+                if not 0 <= value <= _MOST_HZ:
+                    raise ValueError(f"{value} frames a second; 0 to {_MOST_HZ} are possible")
+                self._flood_ns, self._flood_due_ns = round(NS_PER_S / value) if value else 0, now_ns
+            case "unplug":
+                self._device.unplug()
+            case "plug":
+                self._device.plug()
+            case _:
+                raise ValueError(f"{name} is no fault")
+
+    def _put(self, frame: CanFrame, now_ns: int) -> None:
+        """Another node's frame reaches both."""
+        self._to_board.send(frame, now_ns)
+        self._to_adapter.send(frame, now_ns)
+
+    def _make_flood(self, now_ns: int) -> None:
+        if self._flood_ns:
+            self._flood_due_ns = max(self._flood_due_ns, now_ns - _MOST_AT_ONCE * self._flood_ns)
+            while self._flood_due_ns <= now_ns:
+                self._put(self._flood, now_ns)
+                self._flood_due_ns += self._flood_ns
+
+    def _answer(self, frames: Sequence[CanFrame], now_ns: int) -> None:
+        if not self._silent:
+            for frame in frames:
+                self._to_adapter.send(frame, now_ns)
+
+    def _draws_ma(self, now_ns: int) -> list[float]:
+        sensed = None if self._sensed is None else self._sensed.read()
+        drawn_ma = self._draw.draw_ma(self._page.read(), () if sensed is None else sensed.torques_nm, now_ns)
+        drawn_ma |= self._drawn_anyway_ma
+        return [drawn_ma[servo_id] for servo_id in self._outputs]
+
+    def _feed(self, now_ns: int) -> None:
+        fed = self._board.fed
+        if fed != self._fed:
+            self._fed = fed
+            self._page.feed({servo_id for place, servo_id in enumerate(self._outputs) if fed >> place & 1})
+            self._record.write(f"{now_ns} = {fed:06x}\n")
+
+    def _note(self, way: str, frame: CanFrame, now_ns: int) -> None:
+        self._record.write(f"{now_ns} {way} {text_of(frame).decode().rstrip()}\n")
+
+
+def _frame(text: str) -> CanFrame:
+    frame = frame_of(text.encode())
+    if frame is None:
+        raise ValueError(f"{text} is no frame; write it as t06A3000000")
+    return frame
+
+
+def serve(given: dict[str, Any], folder: Path, record: TextIO) -> None:
+    """Simulate until standard input ends."""
+    device = Device(folder / "can")
+    device.plug()
+    simulation = Simulation(given, device, record)
+    sys.stdout.write(f"{folder / 'can'}\n")
+    sys.stdout.flush()
+    orders, received = sys.stdin.fileno(), b""
+    due_ns = simulation.step()
+    while True:
+        line = [] if device.fd is None else [device.fd]
+        wait_s = max(0, due_ns - time.monotonic_ns()) / NS_PER_S
+        readable, _, _ = select.select([orders, *line], line if device.unsent else [], [], wait_s)
+        if orders in readable:
+            data = os.read(orders, _MOST_READ)
+            if not data:
+                return
+            *lines, received = (received + data).split(b"\n")
+            for order in lines:
+                try:
+                    simulation.do(order)
+                except (ValueError, TypeError, AttributeError) as error:
+                    sys.stderr.write(f"power board: {order.decode(errors='replace')}: {error}\n")
+        due_ns = simulation.step()
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Ctrl-C and the terminal's end are for the gateway, whose end ends this. SIGTERM leaves nothing either."""
+    for number in (signal.SIGINT, signal.SIGHUP):
+        signal.signal(number, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))
+    given: dict[str, Any] = json.loads(arguments[0]) if arguments else {}
+    folder = Path(given.get("folder") or tempfile.mkdtemp(prefix="hexapod-power-"))
+    try:
+        with open(given.get("record") or os.devnull, "a", buffering=1) as record:
+            serve(given, folder, record)
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

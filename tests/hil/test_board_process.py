@@ -1,0 +1,291 @@
+"""The simulated power board in its own process, by a real client: python-can over slcan on a pseudo terminal."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from pathlib import Path
+from typing import Final
+
+import can
+import pytest
+from can.interfaces.slcan import slcanBus
+
+from gateway.host.sensed_page import Sensed, SensedPage
+from gateway.host.servo_page import ServoPage
+from gateway.model.power_board import ALL, CanFrame, set_supply
+from gateway.onboard.board_process import BoardProcess
+from schemas.robot import SERVO_IDS
+
+MOST_S: Final = 10.0
+"""Nothing here takes a tenth of it."""
+OUTPUTS: Final = (63, *SERVO_IDS[:-1])
+"""The servo on each output: another order than the servos' own."""
+
+
+class Client:
+    """A program on the bus."""
+
+    def __init__(self, board: BoardProcess) -> None:
+        self.board = board
+        self.bus = slcanBus(board.channel, bitrate=1_000_000, sleep_after_open=0.0)
+
+    def close(self) -> None:
+        with suppress(can.CanError):  # it may be unplugged
+            self.bus.shutdown()
+        self.bus.serialPortOrig.close()
+
+    def read_on(self) -> None:
+        while True:
+            self.bus.recv(0.1)
+
+    def next(self) -> int:
+        """The identifier of the next frame."""
+        message = self.bus.recv(MOST_S)
+        assert message is not None
+        return message.arbitration_id
+
+    def send(self, frame: CanFrame) -> None:
+        self.bus.send(can.Message(arbitration_id=frame.id, data=frame.data, is_extended_id=False))
+
+    def until(self, identifier: int) -> bytes:
+        """The data of the next frame with it."""
+        deadline_s = time.monotonic() + MOST_S
+        while time.monotonic() < deadline_s:
+            message = self.bus.recv(0.1)
+            if message is not None and message.arbitration_id == identifier:
+                return bytes(message.data)
+        raise AssertionError(f"no {identifier:02X}")
+
+    def ask(self, identifier: int) -> bytes:
+        self.send(CanFrame(identifier))
+        return self.until(identifier + 1)
+
+    def asked_until(self, identifier: int, ends: Callable[[bytes], bool]) -> bytes:
+        """Ask again and again until the answer is that."""
+        deadline_s = time.monotonic() + MOST_S
+        while time.monotonic() < deadline_s:
+            if ends(data := self.ask(identifier)):
+                return data
+        raise AssertionError(data.hex())
+
+    def feed(self, mask: int) -> None:
+        """These alone, confirmed."""
+        self.send(set_supply(mask))
+        assert self.until(0x6B) == mask.to_bytes(3, "big")
+
+
+@pytest.fixture
+def board() -> Iterator[BoardProcess]:
+    with BoardProcess(OUTPUTS) as board:
+        yield board
+
+
+@pytest.fixture
+def client(board: BoardProcess) -> Iterator[Client]:
+    client = Client(board)
+    yield client
+    client.close()
+
+
+def test_a_client_switches_servos_and_the_page_shows_them(client: Client) -> None:
+    page = client.board.page
+    assert page.fed == frozenset()
+    client.feed(0b11)
+    assert page.fed == frozenset((63, 11))
+    page.write(11, 80.0)
+    page.write(12, 80.0)
+    assert page.read() == {**dict.fromkeys(SERVO_IDS), 11: 80.0}
+    # 11 holds what it carries, 63 is sent nowhere, and 12 is not fed.
+    assert client.asked_until(0x70, lambda data: data[2:4] == (200).to_bytes(2, "big")).hex() == "000800c80000"
+    client.send(set_supply(0))
+    assert client.ask(0x86) == bytes.fromhex("001e001e001e"), "a question behind the mask"
+    assert page.fed == frozenset(), "off at once: the answer is still to come"
+    assert client.until(0x6B) == bytes(3)
+
+
+def test_a_simulated_body_decides_the_currents() -> None:
+    page, sensed = ServoPage(), SensedPage()
+    torques_nm = [0.0] * 18
+    torques_nm[SERVO_IDS.index(11)] = 1.0
+    sensed.write(Sensed((1.0, 0.0, 0.0, 0.0), (0.0,) * 3, (0.0,) * 3, (0.0,) * 6, tuple(torques_nm)))
+    with BoardProcess(SERVO_IDS, page, sensed) as board:
+        client = Client(board)
+        client.feed(0b111)
+        page.write(11, 90.0)
+        page.write(12, 90.0)
+        answer = client.asked_until(0x70, lambda data: data[:2] == (1260).to_bytes(2, "big"))
+        assert answer.hex() == "04ec000a0008"
+        client.close()
+
+
+def test_what_people_do_to_the_board(client: Client) -> None:
+    board = client.board
+    board.disturb(press_off=True)
+    assert client.until(0x69) == b""
+    client.feed(0b11)
+    board.disturb(overcurrent=11)
+    assert client.until(0x65).hex() == "02000002"
+    assert client.until(0x6B).hex() == "000001"
+    board.disturb(overcurrent=0)
+    board.disturb(clear_error=True)
+    assert client.until(0x6B).hex() == "000003", "it comes on by itself"
+    board.disturb(error=8)
+    assert client.until(0x65).hex() == "08"
+    board.disturb(converter=1)
+    assert client.until(0x65).hex() == "0101"
+    board.disturb(clear_error=True, stuck_on=11)
+    client.until(0x6B)
+    client.feed(0)
+    assert board.page.fed == frozenset((11,)), "the board does not see it"
+    board.disturb(draws_ma={"11": 700.0})
+    assert client.asked_until(0x70, lambda data: data[2:4] == (700).to_bytes(2, "big")).hex() == "000002bc0000"
+
+
+def test_a_board_that_restarts_is_silent_until_somebody_presses_its_button(client: Client) -> None:
+    client.feed(ALL)
+    client.board.disturb(restart=True, frame="t1230")  # the frame shows when it was done
+    client.until(0x123)
+    assert client.board.page.fed == frozenset()
+    client.send(CanFrame(0x70))
+    client.board.disturb(frame="t1240")
+    assert client.next() == 0x124, "nothing between"
+    client.board.disturb(press_off=True)
+    client.send(CanFrame(0x70))
+    while client.bus.recv(0.05) is None:
+        client.send(CanFrame(0x70))
+    client.feed(0b1)
+
+
+def test_another_nodes_frame_reaches_board_and_client(client: Client) -> None:
+    client.board.disturb(frame="t06A3000002")
+    assert client.until(0x6A) == bytes.fromhex("000002")
+    assert client.until(0x6B) == bytes.fromhex("000002")
+    assert client.board.page.fed == frozenset((11,))
+
+
+def test_a_flood_of_another_node_leaves_the_board_as_quick_as_it_is(client: Client) -> None:
+    client.board.disturb(flood="t10080011223344556677", flood_hz=8000)
+    assert client.until(0x100) == bytes.fromhex("0011223344556677")
+    client.send(set_supply(0b10))
+    deadline_s = time.monotonic() + MOST_S
+    while client.board.page.fed != frozenset((11,)):
+        assert time.monotonic() < deadline_s
+        client.bus.recv(0.1)
+    client.board.disturb(flood_hz=0)
+    client.feed(0)
+
+
+def test_the_way_between_loses_pauses_and_is_cut(client: Client) -> None:
+    board = client.board
+    board.disturb(lose=1.0)
+    client.send(set_supply(0b10))
+    deadline_s = time.monotonic() + MOST_S
+    while board.page.fed != frozenset((11,)):
+        assert time.monotonic() < deadline_s
+    board.disturb(lose=0, pause_ms=100)
+    assert client.ask(0x70) == client.ask(0x70)
+
+
+def test_a_silent_board_neither_takes_nor_answers_its_client(client: Client) -> None:
+    board = client.board
+    client.feed(0b10)
+    board.disturb(silent=True, frame="t1230")
+    client.until(0x123)
+    client.send(set_supply(0))
+    board.disturb(press_off=True, frame="t06A3000003")
+    assert client.next() == 0x6A
+    assert 11 in board.page.fed, "the client's mask did not arrive"
+    deadline_s = time.monotonic() + MOST_S
+    while board.page.fed != frozenset((11, 63)):
+        assert time.monotonic() < deadline_s
+    board.disturb(frame="t1240")
+    assert client.next() == 0x124, "nobody hears of the button"
+
+
+def test_the_adapter_goes_and_returns_under_the_same_path(client: Client) -> None:
+    client.feed(0b10)
+    client.board.disturb(unplug=True)
+    with pytest.raises(can.CanError):
+        client.read_on()
+    assert not Path(client.board.channel).exists()
+    assert client.board.page.fed == frozenset((11,)), "the board holds what it was sent"
+    client.board.disturb(plug=True)
+    deadline_s = time.monotonic() + MOST_S
+    while not Path(client.board.channel).exists():
+        assert time.monotonic() < deadline_s
+    again = Client(client.board)
+    again.feed(0)
+    again.close()
+
+
+def test_lines_that_are_no_faults_change_nothing(capfd: pytest.CaptureFixture[str]) -> None:
+    lines = (
+        *("", "{", "[]", "1", '{"frame": "t06A"}', '{"frame": 1}'),
+        *('{"melt": 1}', '{"stuck_on": 99}', '{"pause_ms": []}', '{"flood_hz": -0.5}', '{"draws_ma": {"21": "x"}}'),
+    )
+    with BoardProcess(OUTPUTS) as board:
+        client = Client(board)
+        client.feed(0b10)
+        for line in lines:
+            board.tell(line)
+        board.disturb(press_off=True)
+        client.until(0x69)
+        client.close()
+        assert board.page.fed == frozenset((11,))
+    assert capfd.readouterr().err.count("power board: ") == len(lines)
+
+
+def test_the_record_has_what_passed_and_what_was_fed_in_order(tmp_path: Path) -> None:
+    with BoardProcess(OUTPUTS, record=tmp_path / "record") as board:
+        client = Client(board)
+        client.feed(0b10)
+        client.feed(0)
+        client.close()
+    lines = [line.split(maxsplit=1) for line in (tmp_path / "record").read_text().splitlines()]
+    times_ns = [int(at_ns) for at_ns, _ in lines]
+    assert times_ns == sorted(times_ns)
+    assert times_ns[-1] < time.monotonic_ns()
+    assert [what for _, what in lines] == [
+        *("= 000000", "< t06A3000002", "= 000002", "> t06B3000002"),
+        *("< t06A3000000", "= 000000", "> t06B3000000"),
+    ]
+
+
+@pytest.mark.parametrize(("ended", "status"), [("by its input's end", 0), ("by SIGTERM", 143)])
+def test_it_runs_by_itself_and_leaves_nothing_at_its_end(ended: str, status: int) -> None:
+    command = [sys.executable, "-m", "gateway.robot.power.simulator"]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdin is not None
+        assert process.stdout is not None
+        channel = Path(process.stdout.readline().strip())
+        assert channel.is_char_device()
+        process.send_signal(signal.SIGHUP)
+        process.send_signal(signal.SIGINT)
+        if ended == "by SIGTERM":
+            process.terminate()
+        else:
+            process.stdin.close()
+        assert process.wait(MOST_S) == status
+    assert not channel.parent.exists()
+
+
+def test_it_ends_with_its_gateway_and_leaves_nothing() -> None:
+    with BoardProcess(OUTPUTS) as board:
+        assert board.folder.exists()
+    assert not board.folder.exists()
+
+
+def test_one_that_is_killed_is_reported_and_leaves_nothing_either(capfd: pytest.CaptureFixture[str]) -> None:
+    with BoardProcess(OUTPUTS) as board:
+        os.kill(board.pid, signal.SIGKILL)
+        deadline_s = time.monotonic() + MOST_S
+        said = ""
+        while "the power board's process was killed by signal 9" not in said:
+            assert time.monotonic() < deadline_s
+            said += capfd.readouterr().err
+        assert not board.folder.exists()
+        board.disturb(press_off=True)  # which changes nothing
