@@ -5,6 +5,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 
 import can
@@ -57,8 +58,10 @@ class Owner:
         while self.line.status.supplied != ALL_SERVOS:
             self.line.want(frozenset())
             self.line.want(ALL_SERVOS)
-            before = len(self.news)
-            self.until(lambda: self.line.status.supplied == ALL_SERVOS or len(self.news) > before)
+            self.until(partial(self._fed_or_more_than, len(self.news)))
+
+    def _fed_or_more_than(self, news: int) -> bool:
+        return self.line.status.supplied == ALL_SERVOS or len(self.news) > news
 
     def cut_and_confirm(self, token: int = 1) -> Confirmed:
         asked_ns = time.monotonic_ns()
