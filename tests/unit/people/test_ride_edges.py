@@ -78,9 +78,9 @@ def test_one_that_halted_is_stopped_behind_the_time_and_not_at_its_end() -> None
     ride.wish(Wish(ride.spent), at_s)
     ride.silences = Silences(halted_s=4.0)
     ride.look(at_s + 4.0)
-    assert ride.phase is Phase.HALTED
+    assert not ride.over
     ride.look(at_s + 4.0 + BEHIND_S)
-    assert ride.phase is Phase.ENDS
+    assert ride.over
 
 
 # ---- wishes
@@ -110,6 +110,25 @@ def test_a_wish_for_what_the_legs_cannot_do_uses_its_press_up_and_says_why() -> 
     ridden.ride.wish(Wish(6, AHEAD), ridden.now_s)
     assert ridden.ride.detail == ""
     assert ridden.ride.body.height_m == pytest.approx(ROBOT.usual_m)
+
+
+def test_the_same_impossible_wish_is_refused_at_each_press() -> None:
+    ridden = standing()
+    for press in (5, 6):
+        ridden.ride.wish(Wish(press, height_m=9.0), ridden.now_s)
+        assert ridden.ride.spent == press
+
+
+def test_a_driver_who_sits_down_has_ended_the_ride_and_a_program_has_not() -> None:
+    """A program may stand up again from there without another start of its legs."""
+    driven, programmed = standing(), standing()
+    driven.ride.wish(Wish(0), driven.now_s)
+    driven.ride.wish(Wish(0, sits=True), driven.now_s)
+    programmed.ride.sit(programmed.now_s)
+    driven.run(4.0)
+    programmed.until(lambda: programmed.posture is Posture.SITTING)
+    programmed.run(0.1)
+    assert (driven.ride.over, programmed.ride.over) == (True, False)
 
 
 # ---- again
