@@ -24,6 +24,21 @@ def test_a_ride_begins_with_no_press_used_and_its_first_press_may_be_0() -> None
     assert ride.state.commanded == AHEAD
 
 
+def test_it_begins_in_the_posture_of_the_legs_that_run_already() -> None:
+    ridden = standing()
+    assert Ride(ROBOT, running=ridden.running).posture is not Posture.LYING
+
+
+def test_legs_that_run_when_the_first_command_is_given_are_held_where_they_are() -> None:
+    """No leg that runs moves while others start: somebody may have a hand there."""
+    coxa, femur, tibia = standing().running[1]
+    angles = coxa + 1, femur, tibia
+    ride = Ride(ROBOT)
+    ride.go(STILL, 0.0)
+    ride.found(ROBOT, {1: angles}, 0.0)
+    assert ride.next(0.0).pose[1] == pytest.approx(angles)
+
+
 def test_a_command_to_one_that_rested_goes_on() -> None:
     ride = Ride(ROBOT, silences=Silences(rest_s=1.0))
     ride.look(2.0)
