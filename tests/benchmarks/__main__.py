@@ -29,6 +29,7 @@ from tests.benchmarks.dense import dense
 from tests.benchmarks.landing import landing, landing_rejected
 from tests.benchmarks.lease import lease
 from tests.benchmarks.physics import physics
+from tests.benchmarks.power import power
 from tests.benchmarks.processes import Figures, Written, cpu_ns, now_ns, rss_kb, say
 from tests.benchmarks.publisher import number_of
 from tests.benchmarks.recorder import recorder
@@ -235,6 +236,7 @@ PARTS: dict[str, Callable[[Path], list[Row]]] = {
     "flood": flood,
     "dense": dense,
     "cycle": cycle,
+    "power": power,
     "landing": landing,
     "landing-rejected": landing_rejected,
     "idle": idle,

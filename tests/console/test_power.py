@@ -10,8 +10,9 @@ from gateway.client import Client
 from gateway.people.client.dangers import UNCONFIRMED
 from schemas.telemetry import Kind, ServoTelemetry, Supply, Telemetry
 from tests.console.browser import Visitor
-from tests.console.test_measured import COVERED, SIZES, expect_no_serious_violation, measures, report
+from tests.console.test_measured import COVERED, SIZES, expect_no_serious_violation, report
 from tests.support.fixtures import client_fixture
+from tests.support.measuring import measures
 from tests.support.watch_reports import WALL
 
 pytestmark = pytest.mark.browser

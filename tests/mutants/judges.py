@@ -153,6 +153,7 @@ JUDGES: Final = {
     "gateway/people/walking/distance.py": (f"{_PEOPLE}test_distance.py", _TIMES),
     "gateway/people/walking/words.py": (f"{_PEOPLE}test_words.py", _TIMES),
     "gateway/people/walking/ride.py": (
+        f"{_PEOPLE}test_ride_edges.py",
         f"{_PEOPLE}test_ride.py",
         f"{_PEOPLE}test_ride_again.py",
         f"{_PEOPLE}test_ride_course.py",

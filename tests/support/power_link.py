@@ -13,6 +13,7 @@ from schemas.robot import SERVO_IDS
 from schemas.telemetry import Kind
 
 ALL_SERVOS = frozenset(SERVO_IDS)
+NONE: frozenset[int] = frozenset()
 CONFIRM_MS = 150
 FLIGHT_NS = 200_000
 """Of a frame, with an adapter on USB."""
@@ -163,3 +164,14 @@ class Link:
                 return CanFrame(frame.id, frame.data[:-1] or b"\0"), 0
             case _:
                 return CanFrame(frame.id, self.random.randbytes(len(frame.data))), 0
+
+
+def fed(*, pass_ns: int = 1_500_000) -> Link:
+    """A link whose board feeds all servos, and is at rest."""
+    link = Link(pass_ns=pass_ns)
+    link.want(ALL_SERVOS)
+    link.run(1500)
+    assert link.fed() == link.ours.supplied == ALL_SERVOS
+    assert link.ours.alive
+    link.news.clear()
+    return link

@@ -8,6 +8,7 @@ import tty
 from contextlib import suppress
 
 from gateway.model.power_board import CanFrame
+from gateway.robot.power.simulated_adapter import SimulatedAdapter
 from gateway.robot.power.simulated_board import SimulatedBoard
 
 TICK_MS = 1
@@ -18,8 +19,6 @@ class Adapter:
 
     def __init__(self, link: str) -> None:
         """`link`: the path that leads to the terminal."""
-        self.received: list[bytes] = []
-        """Lines from the program, without their end."""
         self.each_tick = b""
         """Bytes for the program, each millisecond: a flood."""
         self.board = SimulatedBoard(time.monotonic_ns())
@@ -54,25 +53,21 @@ class Adapter:
 
     def _serve(self) -> None:
         os.set_blocking(self._ours, False)
-        left = b""
+        adapter = SimulatedAdapter()
         while not self._ends.is_set():
             self._reads.wait()
             if select.select([self._ours], [], [], TICK_MS / 1000)[0]:
-                *lines, left = (left + os.read(self._ours, 65536)).split(b"\r")
-                for line in lines:
-                    self.received.append(line)
-                    if line[:1] == b"t" and not self.silent:
-                        self._answer(CanFrame(int(line[1:4], 16), bytes.fromhex(line[5:].decode())))
-            now_ns = time.monotonic_ns()
-            self._write(b"".join(map(_line, [] if self.silent else self.board.advance(now_ns))) + self.each_tick)
+                frames, answers = adapter.take(os.read(self._ours, 65536))
+                self._write(answers)
+                for frame in frames:
+                    self._write_of(adapter, self.board.take(frame, time.monotonic_ns()) if not self.silent else [])
+            self._write_of(adapter, self.board.advance(time.monotonic_ns()))
+            self._write(self.each_tick)
 
-    def _answer(self, frame: CanFrame) -> None:
-        self._write(b"".join(map(_line, self.board.take(frame, time.monotonic_ns()))))
+    def _write_of(self, adapter: SimulatedAdapter, frames: list[CanFrame]) -> None:
+        if not self.silent:
+            self._write(b"".join(map(adapter.text, frames)))
 
     def _write(self, data: bytes) -> None:
         with suppress(BlockingIOError):  # as a USB adapter whose host does not read
             os.write(self._ours, data)
-
-
-def _line(frame: CanFrame) -> bytes:
-    return f"t{frame.id:03X}{len(frame.data)}{frame.data.hex().upper()}\r".encode()

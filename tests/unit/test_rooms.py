@@ -34,7 +34,8 @@ SHARED: Final = frozenset(room for row in ROOMS[:4] for room in row)
 KNOW_BOTH: Final = frozenset({"onboard", "cli", "__main__"})
 PURE: Final = ("model", "robot.core", "robot.protocol", "people.walking", "people.ros2")
 PURE_FILES: Final = frozenset(
-    f"robot/power/{name}.py" for name in ("board", "currents", "simulated_adapter", "simulated_board", "simulated_draw")
+    f"robot/power/{name}.py"
+    for name in ("board", "currents", "questions", "simulated_adapter", "simulated_board", "simulated_draw")
 )
 """In rooms that also do I/O."""
 ALSO_PURE: Final = frozenset({"allowance", "errors", "geometry", "text", *WINGS})

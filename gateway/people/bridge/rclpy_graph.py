@@ -108,11 +108,8 @@ class RclpyGraph:
     def publisher(self, topic: str, kind: type[Message], *, latched: bool = False) -> Publisher:
         """See Graph."""
         qos = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL) if latched else QoSProfile(depth=10)
-        return _RclpyPublisher(
-            self._node.create_publisher(
-                _ros_type(kind.TYPE), topic, qos, event_callbacks=PublisherEventCallbacks(use_default_callbacks=False)
-            )
-        )
+        quiet = PublisherEventCallbacks(use_default_callbacks=False)  # of another QoS, the subscriber's own node warns
+        return _RclpyPublisher(self._node.create_publisher(_same_type(kind), topic, qos, event_callbacks=quiet))
 
     def subscribe(
         self, topic: str, kinds: tuple[type[Message], ...], most_bytes: int, take: Take, reject: Callable[[str], None]
@@ -280,9 +277,22 @@ def _ros_type(type_name: str) -> Any:
         found = getattr(import_module(f"{package}.{kind}"), action)
         if not part:
             return found
+        if part in ("Goal", "Result", "Feedback"):
+            return getattr(found, part)
         return getattr(found.Impl, part if part.endswith("Message") else f"{part}Service")
     except ImportError as error:
         raise ConfigError(f"this ROS 2 has no {package}: {error}") from error
+
+
+def _same_type(kind: type[Message]) -> Any:
+    """rclpy's class of this type. Raises ConfigError where its fields are others: our bytes would be misread."""
+    found = _ros_type(kind.TYPE)
+    if list(found.get_fields_and_field_types()) != [field.name for field in kind.FIELDS]:
+        raise ConfigError(f"this ROS 2 has another {kind.TYPE} (of a newer release?)")
+    for field in kind.FIELDS:
+        if not isinstance(field.element, str):
+            _same_type(field.element)
+    return found
 
 
 def _gid(info: dict[str, Any]) -> bytes:

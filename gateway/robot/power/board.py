@@ -311,11 +311,11 @@ class PowerBoard:
             self._clear_tries -= 1
             self._clear_due_ns = now_ns + CLEAR_NS
             # What is deleted before the board has the mask without it comes on again.
-            without = all(
-                self._offs[place].number <= self._questions.reached for place in self._blocked if place in self._offs
-            )
-            frames.append(self._clear_next if without else ASK_ERROR)
-            self._clear_next = ASK_ERROR
+            reached = self._questions.reached
+            without = all(self._offs[place].number <= reached for place in self._blocked if place in self._offs)
+            if without or self._clear_next is ASK_ERROR:
+                frames.append(self._clear_next)
+                self._clear_next = ASK_ERROR
         if now_ns >= self._questions.due_ns:
             frames += self._questions.next(self._number, now_ns)
         return frames

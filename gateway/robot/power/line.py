@@ -92,6 +92,7 @@ class PowerLine:
         self._bus: can.BusABC | None = None
         self._received_from: can.BusABC | None = None
         self._closing = False
+        self._retry_ns = 0
         self.status = Status()
         self.fault: str | None = "it has not been opened yet"
         """Why the interface is not open; None: it is."""
@@ -186,10 +187,7 @@ class PowerLine:
             if bus is None:
                 if closing:
                     return
-                with suppress(LineError):
-                    self._use(self._opener(self._settings))
-                    continue
-                self._wake.acquire(timeout=RETRY_S)
+                self._open_again()
                 continue
             self._send_due(bus)
             if closing:
@@ -200,6 +198,13 @@ class PowerLine:
             with self._lock:
                 wait_ns = 0 if self._requests else self._board.due_ns - self._clock()
             self._wake.acquire(timeout=max(0, wait_ns) / NS_PER_S)
+
+    def _open_again(self) -> None:
+        """Try it, and no more often than RETRY_S, also where it opens and then sends nothing: the bus is off."""
+        time.sleep(max(0, self._retry_ns - time.monotonic_ns()) / NS_PER_S)
+        self._retry_ns = time.monotonic_ns() + round(RETRY_S * NS_PER_S)
+        with suppress(LineError):
+            self._use(self._opener(self._settings))
 
     def _send_due(self, bus: "can.BusABC") -> None:
         from can import CanError, Message  # noqa: PLC0415
@@ -225,19 +230,18 @@ class PowerLine:
     def _receive(self) -> None:
         realtime.prefer_thread(realtime.RECEIVER_PRIORITY)
         while not self._closing:
-            bus = self._received_from = self._bus
-            if bus is not self._bus:
-                continue
             frames: list[CanFrame] = []
-            if bus is None:
-                time.sleep(LOOK_S)
-            else:
-                frames = self._frames(bus)
-            self._received_from = None
+            bus = self._received_from = self._bus
+            try:
+                if bus is None:
+                    time.sleep(LOOK_S)
+                elif bus is self._bus:  # still: nobody closes it now
+                    frames = self._frames(bus)
+            finally:
+                self._received_from = None
             self._heard(frames)
             if len(frames) >= AT_ONCE:
                 time.sleep(PAUSE_S)
-        self._received_from = None
 
     def _frames(self, bus: "can.BusABC") -> list[CanFrame]:
         from can import CanError  # noqa: PLC0415

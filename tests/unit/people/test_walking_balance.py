@@ -12,6 +12,7 @@ from gateway.geometry import load
 from gateway.geometry.kinematics import Vector, from_rpy
 from gateway.people.walking import STILL, Posture, Robot, Velocity, Walker
 from gateway.people.walking.balance import FALLEN_DEG, LATE_S, LEANS_RAD, ReceivedTelemetry, Senses
+from gateway.people.walking.robot import LIFT_M
 from schemas.robot import LEGS
 from schemas.telemetry import Imu, Telemetry
 from tests.support.walked import TICK_S, Walked, standing
@@ -206,6 +207,26 @@ def test_feet_are_unloaded_by_a_belly_on_the_ground_and_by_no_hard_step() -> Non
         felt = senses.take(telemetry([0.0] * 6), TICK_S)
     assert "lifted" in felt.fault
     assert felt.carrying == (False,) * 6
+
+
+def test_it_sits_down_and_stands_up_although_its_belly_unloads_its_feet() -> None:
+    walked = standing(ROBOT)
+    engine = walked.engine
+    Ground(walked, flat).run(1.0)
+    for go, posture in ((engine.sit, Posture.SITTING), (engine.stand, Posture.STANDING)):
+        go()
+        while engine.posture is not posture:
+            engine.step(STILL, TICK_S, telemetry([0.0] * 6))
+            assert not engine.felt.fault
+
+
+def test_a_foot_on_a_stone_is_lifted_no_higher_than_its_disc_allows() -> None:
+    walked = standing(ROBOT)
+    ground = Ground(walked, lambda leg, _: 0.02 if leg in (1, 6) else 0.0)
+    for _ in range(300):
+        ground.run(TICK_S, AHEAD)
+        assert max(foot[2] for foot in walked.engine.feet.values()) < LIFT_M + 0.002
+    assert walked.engine.odometry.x_m > 0.2
 
 
 def test_a_contact_that_is_reported_late_at_the_lowest_point_is_no_edge() -> None:

@@ -1,6 +1,7 @@
 """Which calls the bus makes where calls fail: in what order, with what time between, and when it gives up.
 
-A call is written here as `z` for each of its zeros, a leg's number for a Stop, and `m` for a frame that moves. Of what
+A call is written here as `z` for each of its zeros, a leg's number for its Stop, `s` for a servo's, and `m` for a frame
+that moves. Of what
 a controller makes of them: test_bus.py and test_slow_failures.py.
 """
 
@@ -10,7 +11,7 @@ from collections.abc import Callable, Iterable
 import pytest
 
 from gateway.errors import SpiError
-from gateway.model.frames import OneLeg, Op, ServoOp, stop_leg
+from gateway.model.frames import OneLeg, OneServo, Op, ServoOp, stop_leg
 from gateway.model.framing import ZERO, Framing
 from gateway.robot.protocol import BatchReport
 from gateway.robot.sections import SpiSettings
@@ -22,7 +23,8 @@ PREFIXED, PLAIN = Framing.LENGTH_PREFIXED, Framing.PLAIN
 MS = 1_000_000
 MOVE = OneLeg(1, (ServoOp(Op.START, 90_00),) * 3)
 STOP_ALL = [stop_leg(leg) for leg in LEGS]
-SIGNS = {ZERO: "z", **{stop.data: str(leg) for leg, stop in zip(LEGS, STOP_ALL, strict=True)}}
+STOP_SERVO = OneServo(11, ServoOp(Op.STOP))
+SIGNS = {ZERO: "z", STOP_SERVO.data: "s", **{stop.data: str(leg) for leg, stop in zip(LEGS, STOP_ALL, strict=True)}}
 
 
 class Scene(SpiDevice):
@@ -166,6 +168,16 @@ def test_another_legs_stop_brings_the_controller_back_where_the_last_one_fails_a
     scene.fails = lambda call: "1" in call
     scene.stop()
     assert scene.made[:11] == ["123456", "6", "5", "4", "3", "2", "1", "6", "1", "6", "1"]
+
+
+def test_a_stop_that_passed_is_written_again_where_that_is_the_shortest_way_back() -> None:
+    scene = Scene()
+    scene.move_failed_in(200 * MS)
+    scene.move()
+    scene.calls.clear()
+    scene.fails = lambda call: "2" in call
+    scene.bus.write([stop_leg(2), STOP_SERVO])
+    assert scene.made[:8] == ["s", *"2222", "s", "s", "2"], "four transfers instead of fourteen"
 
 
 # ---- zeros that fail

@@ -5,6 +5,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 
 import can
@@ -54,9 +55,14 @@ class Owner:
         return found()[0]
 
     def feed_all(self) -> None:
-        self.line.want(frozenset())
-        self.line.want(ALL_SERVOS)
-        self.until(lambda: self.line.status.supplied == ALL_SERVOS)
+        """Also where the adapter's thread gets no processor for so long that the board seems silent."""
+        while self.line.status.supplied != ALL_SERVOS:
+            self.line.want(frozenset())
+            self.line.want(ALL_SERVOS)
+            self.until(partial(self._fed_or_more_than, len(self.news)))
+
+    def _fed_or_more_than(self, news: int) -> bool:
+        return self.line.status.supplied == ALL_SERVOS or len(self.news) > news
 
     def cut_and_confirm(self, token: int = 1) -> Confirmed:
         asked_ns = time.monotonic_ns()
@@ -103,7 +109,6 @@ def test_a_board_behind_an_adapter_feeds_and_is_cut_and_confirms_it(owner: Owner
     assert confirmed.confirmed
     assert adapter.board.fed == 0
     assert owner.line.status.supplied == frozenset()
-    assert adapter.received[:5] == [b"C", b"S8", b"", b"O", b"O"]
 
 
 def test_a_silent_board_is_reported_and_its_answers_are_waited_for(owner: Owner, adapter: Adapter) -> None:
@@ -161,7 +166,7 @@ def test_junk_from_the_adapter_changes_nothing(owner: Owner, adapter: Adapter) -
     ):
         adapter.say(junk)
     assert owner.cut_and_confirm().confirmed
-    assert [item for item in owner.news if isinstance(item, News) and item.kind is not Kind.POWER_RESTORED] == []
+    assert not {Kind.POWER_FAULT, Kind.OFF_BUTTON} & {item.kind for item in owner.news if isinstance(item, News)}
 
 
 @pytest.mark.parametrize("frame", [b"t12380000000000000000\r", b"t0716000000000000\r"], ids=["others'", "the board's"])
@@ -284,6 +289,19 @@ def test_an_interface_that_fails_is_closed_and_opened_again_and_the_mask_leaves_
     assert CanFrame(0x6A, bytes(3)) in second.sent
     assert second.closed.is_set()
     assert owner.mistakes == []
+
+
+def test_an_interface_that_opens_and_sends_nothing_is_opened_ten_times_a_second_at_most() -> None:
+    """The bus is off. The sender has a real-time priority, and would keep others off the processor."""
+    buses = [Bus() for _ in range(6)]
+    for bus in buses:
+        bus.fails = can.CanOperationError("bus off")
+    owner = owner_of(*buses)
+    begun_s = time.monotonic()
+    owner.line.start()
+    assert buses[-1].closed.wait(MOST_S)
+    assert time.monotonic() - begun_s >= 0.4
+    owner.line.close()
 
 
 def test_a_mistake_in_the_gateway_is_reported(bus: Bus) -> None:

@@ -1,0 +1,171 @@
+"""The power board as the second way to stop: the real service, spidev, and slcan to a simulated board in its process.
+
+Neither way waits for the other: each is shown with the other one hung.
+"""
+
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any, Final
+
+import pytest
+
+from gateway.model.power_board import ALL
+from schemas.robot import SERVO_IDS
+from schemas.telemetry import Kind, Mode, Reason
+from tests.hil.bed import SpiTestbed
+from tests.hil.elkapod_bed import ElkapodBed
+from tests.hil.wire import LATE_S, START_3, STOPS, Wire, start
+from tests.support.child import frozen
+from tests.support.gateway_process import COMMAND, Gateway
+from tests.support.heard import events
+from tests.support.recorded_board import RecordedBoard
+
+pytestmark = pytest.mark.hil
+
+LEG_3: Final = 0b111 << 6
+FLOOD: Final = 8000
+"""Frames a second of another node: a full bus of 1 Mbit/s."""
+
+
+@pytest.fixture
+def wire(spi_testbed: SpiTestbed) -> Wire:
+    return Wire(spi_testbed)
+
+
+@pytest.fixture
+def board(tmp_path: Path) -> Iterator[RecordedBoard]:
+    with RecordedBoard(tmp_path) as board:
+        yield board
+
+
+def fed(folder: Path, wire: Wire, board: RecordedBoard, **power: Any) -> Gateway:
+    """A gateway whose board feeds all servos."""
+    gateway = start(folder, wire, power={**board.settings, **power})
+    board.next("fed", ALL)
+    return gateway
+
+
+def test_the_supply_comes_behind_the_first_stops_and_goes_with_the_emergency_stop(
+    tmp_path: Path, wire: Wire, board: RecordedBoard
+) -> None:
+    gateway = start(tmp_path, wire, power=board.settings)
+    with gateway, gateway.client() as client:
+        heard = events(client)
+        first = board.next("mask")
+        assert first.mask == 0, "what an earlier run fed is taken"
+        on = board.next("mask", ALL)
+        stopped_ns = [each.monotonic_ns for each in wire.bed.transfers if each.data.hex() in STOPS]
+        assert len(stopped_ns) == len(STOPS)
+        assert on.at_ns > max(stopped_ns)
+        board.next("fed", ALL)
+        assert client.start_leg(3, 90, 45, 120).accepted
+        wire.expect(START_3)
+
+        board.disturb(flood="t1238" + 16 * "0", flood_hz=FLOOD)
+        ack = client.estop()
+        assert (ack.accepted, ack.confirmed, ack.stop_frames) == (True, True, 6)
+        assert ack.confirmed_ms is not None
+        wire.expect(*STOPS)
+        assert board.next("mask").mask == 0
+        assert board.next("fed").mask == 0
+        heard.wait(lambda event: event.kind is Kind.POWER_CUT)
+        board.disturb(flood_hz=0)
+
+        begun = board.skip()
+        board.disturb(frame="t06A303FFFF")
+        assert board.next("mask").mask == 0, "before the board has come to feed anything"
+        heard.wait(lambda event: event.kind is Kind.POWER_FAULT)
+
+        assert client.reset().accepted
+        on = board.next("mask", ALL)
+        fed_before = {each.mask for each in board.noted[begun:] if each.what == "fed" and each.at_ns < on.at_ns}
+        assert not fed_before, "what the other wanted was never fed"
+        board.next("fed", ALL)
+        state = client.state()
+        assert state.mode is Mode.IDLE
+        assert not any(servo.running for leg in state.legs for servo in leg.servos)
+
+        gateway.child.terminate()
+        assert gateway.child.wait(LATE_S) == 0
+        assert board.next("fed").mask == 0
+        assert "that their supply is off" in gateway.child.stderr + gateway.child.stdout
+
+
+def test_supply_goes_while_a_transfer_on_spi_hangs(tmp_path: Path, wire: Wire, board: RecordedBoard) -> None:
+    with fed(tmp_path, wire, board) as gateway, gateway.client() as client, ThreadPoolExecutor(2) as pool:
+        board.skip()
+        wire.bed.block()
+        count = len(wire.bed.transfers)
+        pool.submit(client.start_leg, 3, 90, 45, 120)
+        wire.bed.wait_for_count(count + 1, LATE_S)
+        estop = pool.submit(client.estop)
+        assert board.next("mask").mask == 0
+        assert board.next("fed").mask == 0
+        assert len(wire.bed.transfers) == count + 1, "nothing else has reached SPI"
+        wire.bed.release()
+        assert estop.result(LATE_S).accepted
+
+
+def test_stops_on_spi_leave_while_the_adapter_takes_nothing(tmp_path: Path, wire: Wire, board: RecordedBoard) -> None:
+    with fed(tmp_path, wire, board, confirm_ms=100) as gateway, gateway.client() as client:
+        heard = events(client)
+        assert client.start_leg(3, 90, 45, 120).accepted
+        wire.expect(START_3)
+        with frozen(board.child.pid):
+            heard.wait(lambda event: event.kind is Kind.POWER_UNCONFIRMED)
+            wire.expect(*STOPS)
+            rejected = client.start_leg(3, 90, 45, 120)
+            assert (rejected.accepted, rejected.reason) == (False, Reason.NO_POWER)
+            ack = client.estop()
+            assert (ack.accepted, ack.confirmed, ack.stop_frames) == (True, False, 6)
+            wire.expect(*STOPS)
+        assert board.next("fed", 0)
+
+
+def test_a_line_that_is_cut_is_reported_and_what_runs_is_stopped(
+    tmp_path: Path, wire: Wire, board: RecordedBoard
+) -> None:
+    with fed(tmp_path, wire, board) as gateway, gateway.client() as client:
+        heard = events(client)
+        assert client.start_leg(3, 90, 45, 120).accepted
+        wire.expect(START_3)
+        board.child.kill()
+        heard.wait(lambda event: event.kind is Kind.POWER_UNCONFIRMED)
+        wire.expect(*STOPS)
+        power = client.state().power
+        assert power is not None
+        assert not power.alive
+        assert client.start_leg(3, 90, 45, 120).reason is Reason.NO_POWER
+
+
+def test_a_gateway_that_is_killed_leaves_the_supply_to_stop_servos(
+    tmp_path: Path, wire: Wire, board: RecordedBoard
+) -> None:
+    with fed(tmp_path, wire, board) as gateway:
+        gateway.child.kill()
+        board.skip()
+        with wire.bed.spawn([*COMMAND, "stop-servos", "--config", str(gateway.config)]) as child:
+            assert board.next("mask").mask == 0
+            assert board.next("fed").mask == 0
+            assert child.wait(LATE_S) == 0, str(child)
+
+
+def test_with_elkapod_2025_a_servos_supply_is_its_start_and_its_stop(tmp_path: Path, board: RecordedBoard) -> None:
+    with ElkapodBed(tmp_path) as robot:
+        settings = robot.settings_with(watchdog={"timeout_ms": 10_000}, power=board.settings)
+        with Gateway(tmp_path, settings, bed=robot) as gateway, gateway.client() as client:
+            robot.wait_for_count(1, LATE_S)
+            since = len(robot.events)
+            assert client.start_leg(3, 91, 45, 120).accepted
+            on = board.next("fed", LEG_3)
+            angles = [each for each in robot.said_since(since) if not isinstance(each.what, str)]
+            first_ns = next(each.monotonic_ns for each in angles if each.what[6:9] == (91, 45, 120))
+            assert first_ns < on.at_ns, "the angle is on the wire before the supply comes"
+            board.skip()
+            ack = client.servo(32, "stop")
+            assert (ack.accepted, ack.confirmed) == (True, True)
+            assert board.next("fed").mask == 0b101 << 6
+            assert client.estop().confirmed
+            assert board.next("fed").mask == 0
+            assert {servo.id for leg in client.state().legs for servo in leg.servos} == set(SERVO_IDS)

@@ -1,0 +1,184 @@
+"""A ride to the second and to the number: what each silence does at its time and just behind it, and how it begins."""
+
+from typing import Final
+
+import pytest
+
+from gateway.errors import RejectedError
+from gateway.people.walking import STILL, Phase, Posture, Ride, RideTask, Silences, Velocity, Wish
+from tests.support.ridden import ROBOT, Ridden, standing
+
+AHEAD: Final = Velocity(0.06)
+BEHIND_S: Final = 2**-10
+"""A time just behind another one: of numbers that a float holds exactly."""
+
+
+# ---- how it begins
+
+
+def test_a_ride_begins_with_no_press_used_and_its_first_press_may_be_0() -> None:
+    ride = Ride(ROBOT)
+    assert (ride.spent, ride.detail, ride.phase, ride.wants_again) == (-1, "", Phase.RESTS, False)
+    ride.wish(Wish(0, AHEAD), 0.0)
+    assert ride.phase is Phase.STARTS
+    assert ride.state.commanded == AHEAD
+
+
+def test_it_begins_in_the_posture_of_the_legs_that_run_already() -> None:
+    ridden = standing()
+    assert Ride(ROBOT, running=ridden.running).posture is not Posture.LYING
+
+
+def test_legs_that_run_when_the_first_command_is_given_are_held_where_they_are() -> None:
+    """No leg that runs moves while others start: somebody may have a hand there."""
+    coxa, femur, tibia = standing().running[1]
+    angles = coxa + 1, femur, tibia
+    ride = Ride(ROBOT)
+    ride.go(STILL, 0.0)
+    ride.found(ROBOT, {1: angles}, 0.0)
+    assert ride.next(0.0).pose[1] == pytest.approx(angles)
+
+
+def test_a_command_to_one_that_rested_goes_on() -> None:
+    ride = Ride(ROBOT, silences=Silences(rest_s=1.0))
+    ride.look(2.0)
+    assert ride.over
+    ride.sit(2.0)
+    assert not ride.over
+    assert ride.phase is Phase.STARTS
+
+
+def test_its_silences_can_be_changed_at_any_time() -> None:
+    ridden = standing(Silences(rest_s=8.0))
+    ridden.ride.silences = Silences(rest_s=1.0)
+    assert ridden.ride.silences == Silences(rest_s=1.0)
+    ridden.until(lambda: ridden.posture is Posture.MOVING, 2.0)
+
+
+# ---- the silences
+
+
+def test_a_press_is_used_up_behind_the_silence_and_not_at_its_end() -> None:
+    ride = Ride(ROBOT, silences=Silences(hold_s=1.0, rest_s=8.0))
+    ride.wish(Wish(3), 4.0)
+    ride.look(5.0)
+    assert ride.spent == -1
+    ride.look(5.0 + BEHIND_S)
+    assert ride.spent == 3
+
+
+def test_a_ride_at_rest_is_over_behind_the_silence_and_not_at_its_end() -> None:
+    ride = Ride(ROBOT, silences=Silences(rest_s=1.0))
+    ride.look(1.0)
+    assert not ride.over
+    ride.look(1.0 + BEHIND_S)
+    assert ride.over
+
+
+def test_a_driver_who_presses_nothing_lets_it_sit_down_behind_the_time_and_not_at_its_end() -> None:
+    ride, at_s = standing().ride, 200.0
+    ride.wish(Wish(1), at_s)
+    ride.silences = Silences(idle_s=4.0)
+    ride.look(at_s + 4.0)
+    assert ride.detail == ""
+    ride.look(at_s + 4.0 + BEHIND_S)
+    assert "nothing was pressed for 4 s" in ride.detail
+
+
+def test_one_that_halted_is_stopped_behind_the_time_and_not_at_its_end() -> None:
+    ridden = standing()
+    ride, at_s = ridden.ride, 200.0
+    ridden.stop([1])
+    ridden.until(lambda: ride.phase is Phase.HALTED)
+    ride.wish(Wish(ride.spent), at_s)
+    ride.silences = Silences(halted_s=4.0)
+    ride.look(at_s + 4.0)
+    assert not ride.over
+    ride.look(at_s + 4.0 + BEHIND_S)
+    assert ride.over
+
+
+# ---- wishes
+
+
+def test_a_wish_changes_what_differs_from_the_wish_before_and_nothing_else() -> None:
+    ridden = standing()
+    ride = ridden.ride
+    ride.wish(Wish(1, gait="wave"), ridden.now_s)
+    ridden.run(1.0)
+    assert ride.state.gait == "wave"
+    ride.wish(Wish(2, gait="wave", height_m=0.18), ridden.now_s)
+    ridden.run(1.0)
+    assert ride.body.height_m == pytest.approx(0.18), ride.detail
+    ride.walk_as("ripple", ridden.now_s)
+    ridden.run(1.0)
+    ride.wish(Wish(3, gait="wave", height_m=0.18), ridden.now_s)
+    ridden.run(1.0)
+    assert ride.state.gait == "ripple", "what another part of the program has changed stays"
+
+
+def test_a_wish_for_what_the_legs_cannot_do_uses_its_press_up_and_says_why() -> None:
+    ridden = standing()
+    ridden.ride.wish(Wish(5, height_m=9.0), ridden.now_s)
+    assert ridden.ride.spent == 5
+    assert ridden.ride.detail
+    ridden.ride.wish(Wish(6, AHEAD), ridden.now_s)
+    assert ridden.ride.detail == ""
+    assert ridden.ride.body.height_m == pytest.approx(ROBOT.usual_m)
+
+
+def test_the_same_impossible_wish_is_refused_at_each_press() -> None:
+    ridden = standing()
+    for press in (5, 6):
+        ridden.ride.wish(Wish(press, height_m=9.0), ridden.now_s)
+        assert ridden.ride.spent == press
+
+
+def test_a_driver_who_sits_down_has_ended_the_ride_and_a_program_has_not() -> None:
+    """A program may stand up again from there without another start of its legs."""
+    driven, programmed = standing(), standing()
+    driven.ride.wish(Wish(0), driven.now_s)
+    driven.ride.wish(Wish(0, sits=True), driven.now_s)
+    programmed.ride.sit(programmed.now_s)
+    driven.run(4.0)
+    programmed.until(lambda: programmed.posture is Posture.SITTING)
+    programmed.run(0.1)
+    assert (driven.ride.over, programmed.ride.over) == (True, False)
+
+
+# ---- again
+
+
+def test_where_starting_again_failed_the_press_is_used_up_and_the_reason_is_said() -> None:
+    ride = Ride(ROBOT)
+    ride.wish(Wish(2), 0.0)
+    ride.failed(RejectedError("estopped", "engaged"))
+    ride.wish(Wish(3), 1.0)
+    assert ride.wants_again
+    ride.not_again(RejectedError("estopped", "still engaged"))
+    assert (ride.wants_again, ride.spent, ride.detail) == (False, 3, "rejected: estopped: still engaged")
+
+
+def test_what_starts_again_stands_and_is_given_the_whole_silence_once_more() -> None:
+    ride = Ride(ROBOT, silences=Silences(rest_s=4.0))
+    ride.go(AHEAD, 0.0)
+    ride.failed(RejectedError("estopped", "engaged"))
+    ride.start_again()
+    assert ride.next(100.0).do is RideTask.FIND
+    ride.found(ROBOT, {}, 100.0)
+    assert ride.state.commanded == STILL
+    assert ride.phase is Phase.RESTS
+    assert ride.next(102.0).look_s == 104.0
+    assert not ride.over
+
+
+def test_one_that_begins_with_legs_that_run_asks_again_who_runs_when_it_starts_again() -> None:
+    ridden = Ridden()
+    ridden.ride.stand(None, ridden.now_s)
+    ridden.until(lambda: ridden.ride.phase is Phase.RUNS)
+    ridden.ride.failed(RejectedError("estopped", "engaged"))
+    ridden.ride.ended()
+    ridden.ride.start_again()
+    ridden.ride.found(ROBOT, {}, ridden.now_s)
+    ridden.ride.stand(None, ridden.now_s)
+    assert ridden.ride.next(ridden.now_s).do is RideTask.FIND

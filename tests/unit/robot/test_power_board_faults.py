@@ -1,0 +1,204 @@
+"""Others that switch through the power board, and its own faults: against the simulated one, in virtual time."""
+
+import pytest
+
+from gateway.allowance import NS_PER_MS
+from gateway.model.power_board import (
+    ALL,
+    ASK_RAILS,
+    CLEAR_ERROR,
+    OVERTEMPERATURE,
+    SUPPLY_LOW,
+    CanFrame,
+    set_supply,
+)
+from gateway.robot.power.board import News, PowerBoard
+from schemas.robot import SERVO_IDS
+from schemas.telemetry import Kind
+from tests.support.power_link import ALL_SERVOS, CONFIRM_MS, NONE, Link, fed
+
+# ---- others that switch
+
+
+def test_what_another_node_switches_on_goes_off_again() -> None:
+    link = fed()
+    link.want(NONE)
+    link.run(500)
+    link.news.clear()
+    at_ns = link.now_ns
+    link.other_node(ALL)
+    link.run(500)
+    assert link.masks(at_ns)[0] == (0, 0)
+    assert link.fed() == NONE
+    assert link.ours.confirmed
+    assert [item.kind for _, item in link.news if isinstance(item, News)] == [Kind.POWER_FAULT]
+
+
+def test_what_another_node_switches_off_stays_off_until_it_is_wanted_anew() -> None:
+    link = fed()
+    link.other_node(ALL & ~0b111)
+    link.want(ALL_SERVOS)
+    link.run(1000)
+    assert link.ours.lost == {11, 12, 13}
+    assert link.fed() == ALL_SERVOS - {11, 12, 13}
+    [(_, news)] = link.events(Kind.POWER_FAULT)
+    assert news.servos == {11, 12, 13}
+    link.want_anew(ALL_SERVOS)
+    link.run(1000)
+    assert link.fed() == ALL_SERVOS
+
+
+def test_a_node_that_floods_masks_is_answered_at_a_pace_and_reported_once_a_second() -> None:
+    link = fed()
+    at_ns = link.now_ns
+    for _ in range(8000):
+        link.other_node(0)
+        link.run(0.125)
+    assert len(link.masks(at_ns)) <= 250
+    assert len(link.events(Kind.POWER_FAULT)) <= 2
+
+
+def test_what_came_on_without_a_sign_goes_off_with_the_boards_next_answer() -> None:
+    """Another node's mask that we did not receive."""
+    link = fed()
+    link.want(NONE)
+    link.run(500)
+    link.board.take(CanFrame(0x6A, ALL.to_bytes(3, "big")), link.now_ns)
+    link.run(1500)
+    assert link.fed() == NONE
+    assert link.ours.confirmed
+
+
+def test_an_output_that_the_board_takes_by_itself_is_lost() -> None:
+    """Its report was lost, and so was another node's mask; its next answer shows it."""
+    link = fed()
+    link.board.take(CanFrame(0x6A, (ALL & ~1).to_bytes(3, "big")), link.now_ns)
+    link.run(300)
+    assert link.ours.lost == {11}
+    assert link.events(Kind.POWER_FAULT)[0][1].servos == {11}
+
+
+# ---- the board's own faults
+
+
+def test_a_servo_that_is_blocked_leaves_the_mask_at_once_and_stays_off_when_the_error_is_deleted_by_hand() -> None:
+    link = fed()
+    link.board.fail(2, outputs=1 << 4)
+    link.run_until(lambda: link.ours.refused != {})
+    at_ns = link.now_ns
+    link.run(5)
+    assert link.masks(at_ns)[0] == (0, ALL & ~(1 << 4))
+    assert link.ours.lost == {22}
+    assert list(link.ours.refused) == [22]
+    assert "overcurrent" in link.ours.refused[22]
+    link.board.clear_by_hand()
+    link.run(1000)
+    assert link.fed() == ALL_SERVOS - {22}
+    assert link.ours.refused == {}
+    link.want_anew(ALL_SERVOS)
+    link.run(1000)
+    assert link.fed() == ALL_SERVOS
+
+
+def test_a_report_that_was_lost_is_asked_for() -> None:
+    link = fed()
+    link.pause()
+    link.board.fail(2, outputs=1)
+    link.run(30)
+    link.held = [frame for frame in link.held or [] if frame.id not in (0x65, 0x6B)]
+    link.resume()
+    link.run(300)
+    assert list(link.ours.refused) == [11]
+    [(_, news)] = [(at_ns, each) for at_ns, each in link.events(Kind.POWER_FAULT) if "overcurrent" in each.detail]
+    assert news.servos == {11}
+
+
+@pytest.mark.parametrize("faults", [0.0, 0.2])
+def test_a_reset_deletes_all_errors_and_gives_back_what_they_took(faults: float) -> None:
+    link = Link(faults=faults, seed=3)
+    link.alters = False
+    link.want(ALL_SERVOS)
+    link.run(2500)
+    link.board.fail(2, outputs=1 << 4)
+    link.board.fail(1, converters=1 << 1)
+    link.board.fail(SUPPLY_LOW)
+    link.run(500)
+    assert set(link.ours.refused) == {22, 31, 32, 33, 41, 42, 43}
+    assert any(frame == CLEAR_ERROR for _, frame in link.sent) is False
+    link.want(NONE)
+    link.ours.clear_errors(link.now_ns)
+    link.want(ALL_SERVOS)
+    link.run(4000)
+    assert link.ours.refused == {}
+    assert link.fed() == ALL_SERVOS
+
+
+def test_a_servo_that_is_wanted_while_it_is_blocked_is_to_be_wanted_once_more() -> None:
+    """Else it would come on when somebody deletes the error at the board."""
+    link = fed()
+    link.board.fail(2, outputs=1)
+    link.run(100)
+    link.want_anew(ALL_SERVOS)
+    link.run(100)
+    link.board.clear_by_hand()
+    link.run(1500)
+    assert link.fed() == ALL_SERVOS - {11}
+
+
+def test_no_error_is_deleted_while_masks_may_not_arrive() -> None:
+    board = PowerBoard(SERVO_IDS, confirm_ns=CONFIRM_MS * NS_PER_MS)
+    board.want(ALL_SERVOS, 0)
+    board.heard(CanFrame(0x97), 0)
+    sent = board.next_frames(0)
+    assert set_supply(ALL) in sent
+    board.heard(CanFrame(0x65, b"\2\0\0\1"), 1)
+    board.clear_errors(1)
+    asked: list[CanFrame] = []
+    for ms in range(1, 80, 10):
+        asked += board.next_frames(ms * NS_PER_MS)
+    board.heard(CanFrame(0x65, b"\2\0\0\1"), 80 * NS_PER_MS)
+    asked += board.next_frames(80 * NS_PER_MS)
+    assert set_supply(ALL & ~1) in asked
+    assert CLEAR_ERROR not in asked
+    rail = next(frame for frame in asked if frame in ASK_RAILS)
+    board.heard(CanFrame(rail.id + 1, bytes(6 if rail.id in (0x7C, 0x80, 0x86) else 4)), 80 * NS_PER_MS)
+    board.heard(CanFrame(0x65, b"\2\0\0\1"), 80 * NS_PER_MS)
+    assert CLEAR_ERROR in board.next_frames(80 * NS_PER_MS)
+
+
+def test_an_error_is_deleted_only_once_the_board_has_the_mask_without_its_servos() -> None:
+    link = fed()
+    link.board.fail(2, outputs=1)
+    link.run_until(lambda: link.ours.refused != {})
+    link.ours.clear_errors(link.now_ns)
+    at_ns = link.now_ns
+    link.run(100)
+    sent = [frame.id for when_ns, frame in link.sent if when_ns >= at_ns]
+    assert 0x96 in sent
+    assert sent.index(0x6A) < sent.index(0x96)
+    assert link.fed() == ALL_SERVOS - {11}
+
+
+def test_a_converter_that_is_too_hot_is_not_named_so_all_servos_leave_the_mask() -> None:
+    link = fed()
+    link.board.fail(OVERTEMPERATURE, converters=1)
+    link.run(100)
+    assert link.fed() == NONE
+    assert set(link.ours.refused) == ALL_SERVOS
+
+
+def test_a_low_supply_is_reported_and_takes_nothing() -> None:
+    link = fed()
+    link.board.fail(SUPPLY_LOW)
+    link.run(1000)
+    [(_, news)] = link.events(Kind.POWER_FAULT)
+    assert "too low" in news.detail
+    assert link.fed() == ALL_SERVOS
+    assert link.ours.refused == {}
+
+
+def test_the_off_button_is_news() -> None:
+    link = fed()
+    link.board.press_button(link.now_ns)
+    link.run(10)
+    assert len(link.events(Kind.OFF_BUTTON)) == 1

@@ -1,0 +1,56 @@
+"""Which question the power board is asked, and what an answer proves."""
+
+from gateway.allowance import NS_PER_MS
+from gateway.model.power_board import ASK_CURRENTS, ASK_ERROR, ASK_RAILS, CanFrame
+from gateway.robot.power.questions import Questions
+
+
+def test_all_is_asked_in_turn_while_the_board_answers() -> None:
+    questions = Questions()
+    asked: list[CanFrame] = []
+    for turn in range(14 * 6):
+        [question] = questions.next(0, turn * 10 * NS_PER_MS)
+        questions.answered(turn * 10 * NS_PER_MS)
+        questions.answered_about_rails(question)
+        asked.append(question)
+    assert [asked.count(question) for question in ASK_RAILS] == [1] * 6
+    assert asked.count(ASK_ERROR) == 6
+    assert {asked.count(question) for question in ASK_CURRENTS} == {12}
+
+
+def test_a_question_with_an_unanswered_ask_proves_nothing_so_it_is_not_asked() -> None:
+    questions = Questions()
+    asked = [question for number in range(10) for question in questions.behind(number, number)]
+    assert sorted(asked) == sorted(ASK_RAILS)
+    questions.answered_about_rails(asked[2])
+    assert (questions.reached, questions.reached_ns) == (2, 2)
+    assert questions.behind(10, 10) == [asked[2]]
+    # An answer that nobody asked for, or a second one, proves nothing.
+    questions.answered_about_rails(asked[3])
+    questions.answered_about_rails(asked[3])
+    assert questions.reached == 3
+
+
+def test_an_ask_is_lost_once_a_later_one_was_answered_or_after_2_s() -> None:
+    questions = Questions()
+    [first] = questions.behind(1, 0)
+    for _ in range(5):
+        [last] = questions.behind(1, NS_PER_MS)
+    assert questions.behind(2, 1999 * NS_PER_MS) == []
+    assert questions.behind(2, 2000 * NS_PER_MS) == [first]
+    questions = Questions()
+    [first] = questions.behind(1, 0)
+    for number in range(5):
+        [last] = questions.behind(1, number + 1)
+    questions.answered_about_rails(last)
+    assert questions.behind(2, 299 * NS_PER_MS) == [last]
+    assert questions.behind(2, 300 * NS_PER_MS) == [first]
+
+
+def test_a_new_interface_answers_no_older_question() -> None:
+    questions = Questions()
+    for _ in range(6):
+        questions.behind(1, 0)
+    questions.opened(5)
+    assert questions.due_ns == 5
+    assert questions.behind(2, 5) != []
