@@ -24,6 +24,8 @@ class Adapter:
         self.board = SimulatedBoard(time.monotonic_ns())
         self.silent = False
         """The board's cable is out."""
+        self.received: list[bytes] = []
+        """The program's lines."""
         self._ours, self._theirs = os.openpty()
         tty.setraw(self._theirs)
         os.symlink(os.ttyname(self._theirs), link + ".new")
@@ -57,7 +59,9 @@ class Adapter:
         while not self._ends.is_set():
             self._reads.wait()
             if select.select([self._ours], [], [], TICK_MS / 1000)[0]:
-                frames, answers = adapter.take(os.read(self._ours, 65536))
+                data = os.read(self._ours, 65536)
+                self.received += data.split(b"\r")[:-1]
+                frames, answers = adapter.take(data)
                 self._write(answers)
                 for frame in frames:
                     self._write_of(adapter, self.board.take(frame, time.monotonic_ns()) if not self.silent else [])
