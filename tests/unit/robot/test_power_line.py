@@ -337,3 +337,14 @@ def test_an_adapter_that_reads_nothing_is_an_error_and_hangs_nobody(adapter: Ada
         fill()
     adapter.go_on()
     bus.shutdown()
+
+
+def test_a_frame_that_comes_in_two_parts_is_one(adapter: Adapter, channel: str) -> None:
+    bus = open_bus(PowerSettings(interface="slcan", channel=channel))
+    adapter.say(b"t06")
+    assert bus.recv(0.05) is None
+    adapter.say(b"90\r")
+    message = bus.recv(MOST_S)
+    assert message is not None
+    assert message.arbitration_id == 0x69
+    bus.shutdown()
