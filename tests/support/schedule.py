@@ -75,6 +75,8 @@ EXTENDED: Final = (
     "hil/test_failing_bus.py::test_an_emergency_stop_on_a_bus_that_takes_200_ms_to_fail[length-prefixed-0.1]",
     "hil/test_elkapod.py::test_each_fault_shuts_down_is_reported_and_leaves_a_robot_at_rest",
     "hil/test_elkapod_driven.py",
+    "hil/test_board_process.py::test_a_flood_of_another_node_leaves_the_board_as_quick_as_it_is",
+    "hil/test_board_process.py::test_it_runs_by_itself_and_leaves_nothing_at_its_end",
     "hil/test_incidents.py",
     "hil/test_lists.py::test_check_move_shows_that_a_driver_ignores_cs_change_and_what_to_set",
     "net/test_hosts.py::test_a_stop_finds_the_other_host_in_mid_stream",
@@ -181,6 +183,11 @@ EXTENDED: Final = (
     "zenoh/test_watch_terminal.py::test_it_waits_for_a_gateway_that_is_not_there_yet_and_asks_one_that_publishes_no_state",
     "ros2/test_rclpy.py::test_a_peer_that_vanishes_in_mid_trajectory_has_the_robot_sit_down[it is killed]",
     "ros2/test_rclpy.py::test_the_example_walks_by_the_elkapods_own_topic_and_joint_names",
+    "ros2/test_rclpy.py::test_a_peer_that_is_killed_in_mid_walk_leaves_a_robot_that_stands_and_then_sits",
+    "ros2/test_rclpy.py::test_nodes_that_come_and_go_ten_times_a_second_disturb_no_walk",
+    "ros2/test_rclpy_action.py",
+    "console/test_power.py::test_an_event_of_the_board_is_bad_and_said_in_plain_words",
+    "console/test_power.py::test_what_each_servo_draws_is_a_bar_and_the_strip_stays_on_the_picture",
     "ros2/test_rclpy.py::test_a_flood_keeps_no_emergency_stop_waiting_and_ros_leaves_its_own_alone",
 )
 """What only `make test-all` runs: folders, files, tests, or tests with some of their parameters."""

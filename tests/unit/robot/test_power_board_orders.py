@@ -37,7 +37,7 @@ class Watched(Link):
         self.unwanted_ns = dict.fromkeys(SERVO_IDS, -LATE_NS)
         """Since when each servo is not wanted."""
         self.lost_ns: dict[int, int] = {}
-        """Since when we know that a servo was switched off, but not by us: a silent board may still carry out a mask."""
+        """Since when we know of an answering board that it switched a servo off; a silent one may still obey a mask."""
         self.before = 0
         self.watch = self.check
 
