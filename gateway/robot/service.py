@@ -422,6 +422,9 @@ async def _beat(
         if not inbox.goes_on():
             end.because("a thread that takes commands does not go on")
             return
+        if conductor.supply is not None and not conductor.supply.goes_on():
+            end.because("the thread that listens to the power board does not go on")
+            return
         notifier.alive()
         due_s = loop.time() + period_s
         await asyncio.sleep(period_s)

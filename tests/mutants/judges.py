@@ -37,6 +37,7 @@ _SUPERVISOR: Final = (
     f"{_UNIT}test_supervisor_calibration.py",
     f"{_UNIT}test_supervisor_whole.py",
     f"{_UNIT}test_body_limits.py",
+    f"{_UNIT}test_power_rule.py",
     "tests/zenoh/test_supervisor_outside.py",
     f"{_UNIT}test_lease.py",
     f"{_UNIT}test_buttons.py",
@@ -68,6 +69,10 @@ _BUS: Final = (
     "tests/unit/test_setting_effects.py",
     f"{_UNIT}test_slow_failures.py",
 )
+_POWER: Final = (
+    f"{_UNIT}test_power_board.py",
+    f"{_UNIT}test_power_conductor.py",
+)
 _PEOPLE: Final = "tests/unit/people/"
 _TIMES: Final = f"{_PEOPLE}test_times.py"
 
@@ -75,8 +80,12 @@ JUDGES: Final = {
     "gateway/model/frames.py": (f"{_MODEL}test_frames.py", "tests/unit/test_decode.py"),
     "gateway/model/framing.py": (f"{_MODEL}test_framing.py",),
     "gateway/model/elkapod.py": (f"{_MODEL}test_elkapod_bytes.py",),
-    "gateway/robot/protocol/elkapod.py": (f"{_UNIT}test_elkapod_wire.py",),
-    "gateway/robot/spi/cyclic.py": (f"{_UNIT}test_elkapod_wire.py", f"{_UNIT}test_elkapod_conductor.py"),
+    "gateway/robot/protocol/elkapod.py": (f"{_UNIT}test_elkapod_wire.py", f"{_UNIT}test_power_conductor.py"),
+    "gateway/robot/spi/cyclic.py": (
+        f"{_UNIT}test_elkapod_wire.py",
+        f"{_UNIT}test_elkapod_conductor.py",
+        f"{_UNIT}test_power_conductor.py",
+    ),
     "gateway/robot/spi/guard.py": (
         f"{_UNIT}test_guard.py",
         f"{_UNIT}test_bus_device.py",
@@ -123,6 +132,14 @@ JUDGES: Final = {
     "gateway/robot/core/supervisor.py": _SUPERVISOR,
     "gateway/robot/core/lease.py": _LEASE,
     "gateway/robot/core/buttons.py": (f"{_UNIT}test_buttons.py", f"{_UNIT}test_buttons_conductor.py"),
+    "gateway/robot/core/power.py": (f"{_UNIT}test_power_rule.py", f"{_UNIT}test_power_conductor.py"),
+    "gateway/robot/core/reset.py": (f"{_UNIT}test_supervisor_stops.py", f"{_UNIT}test_power_rule.py"),
+    "gateway/model/power_board.py": (f"{_MODEL}test_power_board_bytes.py", f"{_UNIT}test_simulated_board.py"),
+    "gateway/robot/power/board.py": _POWER,
+    "gateway/robot/power/questions.py": (f"{_UNIT}test_power_questions.py", *_POWER),
+    "gateway/robot/power/currents.py": (f"{_UNIT}test_currents.py",),
+    "gateway/robot/power/last_cut.py": (f"{_UNIT}test_last_cut.py",),
+    "gateway/robot/runtime/supply.py": (f"{_UNIT}test_power_conductor.py",),
     "gateway/robot/core/body_limits.py": (f"{_UNIT}test_body_limits.py",),
     "gateway/robot/core/nonces.py": ("tests/unit/people/test_lease_checker.py",),
     "gateway/model/angle_limits.py": (*_CALIBRATION, f"{_UNIT}test_supervisor_speed.py"),
@@ -132,9 +149,9 @@ JUDGES: Final = {
     "gateway/robot/core/targets.py": (f"{_UNIT}test_targets.py", f"{_UNIT}test_intake.py"),
     "gateway/robot/core/losses.py": _CONDUCTOR,
     "gateway/robot/runtime/calibrations.py": _CALIBRATION_REQUESTS,
-    "gateway/robot/runtime/answers.py": (*_CONDUCTOR, f"{_PEOPLE}test_recorder.py"),
+    "gateway/robot/runtime/answers.py": (*_CONDUCTOR, f"{_PEOPLE}test_recorder.py", f"{_UNIT}test_power_conductor.py"),
     "gateway/robot/runtime/executor.py": (*_CONDUCTOR, f"{_UNIT}test_meddled_conductor.py"),
-    "gateway/robot/runtime/conductor.py": _CONDUCTOR,
+    "gateway/robot/runtime/conductor.py": (*_CONDUCTOR, f"{_UNIT}test_power_conductor.py"),
     # rules of the people's wing, with the time as an argument
     "gateway/allowance.py": ("tests/unit/test_allowance.py",),
     "gateway/people/bridge/own_stop.py": (f"{_PEOPLE}test_bridge_own_stop.py", _TIMES),

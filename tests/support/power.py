@@ -26,6 +26,7 @@ class VirtualLine:
         self.simulated = SimulatedBoard()
         self.unplugged = False
         self.deaf = False
+        self.listens = True
         self.sent: list[tuple[int, CanFrame]] = []
         """With its time (ms)."""
         self.on_news: Callable[[], None] = lambda: None
@@ -52,6 +53,10 @@ class VirtualLine:
     @property
     def status(self) -> Status:
         return self._status
+
+    @property
+    def looked_ns(self) -> int:
+        return self.now_ns() if self.listens else 0
 
     def want(self, servos: frozenset[int]) -> None:
         self.board.want(servos, self.now_ns())

@@ -16,7 +16,7 @@ from gateway.people.bridge.motions import DOES_NOT_STAND, Following, JointComman
 from gateway.people.bridge.own_stop import OwnStop
 from gateway.people.client.blocking import Client
 from gateway.people.client.lease import Lease
-from gateway.people.ros2.goals import Progress
+from gateway.people.ros2.goals import GoalProgress
 from gateway.people.ros2.trajectory import Trajectory
 from gateway.people.walking import Velocity
 from schemas.telemetry import Ack, GatewayState, Mode, Reason
@@ -144,12 +144,12 @@ class Driving:
         with self._taking():
             self._using(Following, lambda: Following(self._client, self._geometry)).follow(plan, is_there)
 
-    def progress(self, plan: Trajectory) -> Progress:
+    def progress(self, plan: Trajectory) -> GoalProgress:
         """How far a trajectory is; waits for nothing that moves the robot."""
         motion = self._motion
         if isinstance(motion, Following):
             return motion.progress(plan)
-        return Progress({}, {}, "its motion has ended" if self.drives else self._why_not)
+        return GoalProgress({}, {}, "its motion has ended" if self.drives else self._why_not)
 
     def hold(self, plan: Trajectory) -> None:
         """Stay where this trajectory is now, if it is followed; waits for nothing that moves the robot."""

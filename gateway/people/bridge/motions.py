@@ -19,7 +19,7 @@ from gateway.model.telemetry import starts_whole
 from gateway.people.client.blocking import Client
 from gateway.people.client.stream import Stream
 from gateway.people.client.walk import Walk, robot_of
-from gateway.people.ros2.goals import Progress
+from gateway.people.ros2.goals import GoalProgress
 from gateway.people.ros2.joints import Degrees, JointsError, legs_deg
 from gateway.people.ros2.trajectory import Trajectory
 from gateway.people.walking import DOWN, REST_S, Pose, Ride, RideTask, Velocity
@@ -125,11 +125,11 @@ class Course:
         self._plan, self._ride, self._rests_s = plan, None, plan.ends_s + REST_S
         self._left = "a newer trajectory has replaced it"
 
-    def progress(self, plan: Trajectory, now_s: float) -> Progress:
+    def progress(self, plan: Trajectory, now_s: float) -> GoalProgress:
         """How far this plan is."""
         if plan is not self._plan:
-            return Progress({}, {}, self._left)
-        return Progress(plan.at(now_s), self._rad(self._sent))
+            return GoalProgress({}, {}, self._left)
+        return GoalProgress(plan.at(now_s), self._rad(self._sent))
 
     def hold(self, plan: Trajectory, now_s: float) -> None:
         """Stay where this plan is now, as long as at its end; then sit down."""
@@ -224,11 +224,11 @@ class Following:
             self._is_there = is_there
             self._changed.notify_all()
 
-    def progress(self, plan: Trajectory) -> Progress:
+    def progress(self, plan: Trajectory) -> GoalProgress:
         """How far this plan is."""
         with self._changed:
             if self._error is not None:
-                return Progress({}, {}, str(self._error))
+                return GoalProgress({}, {}, str(self._error))
             return self._course.progress(plan, time.monotonic())
 
     def hold(self, plan: Trajectory) -> None:

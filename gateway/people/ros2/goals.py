@@ -109,7 +109,7 @@ class Goals:
         )
 
 
-class Progress(NamedTuple):
+class GoalProgress(NamedTuple):
     """How far a trajectory is."""
 
     desired_rad: Mapping[int, float]
@@ -135,7 +135,9 @@ class Followed:
         self._goal = _tolerances(by_name, goal.goal_tolerance)
         self._late_s = seconds(goal.goal_time_tolerance)
 
-    def feedback(self, goal_id: UUID, progress: Progress, now_s: float, stamp: Time) -> FollowFeedbackMessage | None:
+    def feedback(
+        self, goal_id: UUID, progress: GoalProgress, now_s: float, stamp: Time
+    ) -> FollowFeedbackMessage | None:
         """None until all its joints run: before that nobody knows where they are."""
         desired, sent = progress.desired_rad, progress.sent_rad
         if not all(servo_id in desired and servo_id in sent for servo_id in self._servos):
@@ -149,7 +151,7 @@ class Followed:
         shown = FollowFeedback(Header(stamp), self._names, point(desired.__getitem__), point(sent.__getitem__), error)
         return FollowFeedbackMessage(goal_id, shown)
 
-    def judge(self, progress: Progress, now_s: float) -> tuple[int, FollowResult] | None:
+    def judge(self, progress: GoalProgress, now_s: float) -> tuple[int, FollowResult] | None:
         """Its status and result, or None while it goes on."""
         if progress.ended:
             return GoalStatus.STATUS_ABORTED, FollowResult(FollowResult.INVALID_GOAL, progress.ended)
@@ -164,7 +166,7 @@ class Followed:
             return _aborted(FollowResult.GOAL_TOLERANCE_VIOLATED, late)
         return None
 
-    def _exceeding(self, progress: Progress, tolerances: Mapping[int, float], otherwise: float) -> str:
+    def _exceeding(self, progress: GoalProgress, tolerances: Mapping[int, float], otherwise: float) -> str:
         """The first joint that is further off than its tolerance, as a sentence, or nothing."""
         for name, servo_id in zip(self._names, self._servos, strict=True):
             most = tolerances.get(servo_id, otherwise)

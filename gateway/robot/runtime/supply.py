@@ -33,6 +33,8 @@ from schemas.robot import LEGS, SERVO_IDS
 from schemas.telemetry import Kind, Mode, PowerReport, ServoTelemetry, Supply
 
 CarryOut = Callable[[Sequence[Effect], Request | None], Outcome]
+MOST_LOOKS: Final = 30
+"""3 s, in which a line looks three hundred times."""
 Then = Callable[[bool, float | None], None]
 """Called once: whether the board has confirmed it, and how many ms after it was asked for."""
 
@@ -55,6 +57,10 @@ class BoardLine(Protocol):
     @property
     def status(self) -> Status:
         """What is known of the board."""
+
+    @property
+    def looked_ns(self) -> int:
+        """When what receives from the board last looked at the time."""
 
     def want(self, servos: frozenset[int]) -> None:
         """Feed exactly these."""
@@ -104,6 +110,7 @@ class RobotSupply:
         self._currents = CurrentRules(settings.idle_ma, round(settings.settle_ms * NS_PER_MS))
         self._found: list[News] = []
         """What the currents say."""
+        self._looked_ns = self._looks = 0
         self._token = 0
         self._waiting: dict[int, Then] = {}
 
@@ -152,6 +159,13 @@ class RobotSupply:
             self._line.cut()
 
     # ---- what the board says
+
+    def goes_on(self) -> bool:
+        """Whether the line still listens, and has not stood still for MOST_LOOKS beats of the loop, one of them now."""
+        looked_ns = self._line.looked_ns
+        self._looks = self._looks + 1 if looked_ns == self._looked_ns else 0
+        self._looked_ns = looked_ns
+        return self._looks < MOST_LOOKS
 
     def judge_currents(self, now_ns: int) -> bool:
         """Compare what servos do with what they draw: whether there is news. A few times a second."""

@@ -19,7 +19,7 @@ from gateway.people.ros2.actions import (
     MultiDOFJointTrajectory,
     MultiDOFJointTrajectoryPoint,
 )
-from gateway.people.ros2.goals import CANCELLED, KEPT, Followed, Goals, Progress, error_code
+from gateway.people.ros2.goals import CANCELLED, KEPT, Followed, GoalProgress, Goals, error_code
 from gateway.people.ros2.joints import JointNames, JointsError
 from gateway.people.ros2.messages import Duration, Header, JointTrajectory, JointTrajectoryPoint, Time
 from gateway.people.ros2.trajectory import Trajectory
@@ -133,9 +133,9 @@ def read(goal: FollowGoal) -> Followed:
 WAY: Final = FollowGoal(trajectory((1.0, 0.0), (2.0, 0.4)))
 
 
-def sent(followed: Followed, now_s: float, behind_rad: float = 0.0) -> Progress:
+def sent(followed: Followed, now_s: float, behind_rad: float = 0.0) -> GoalProgress:
     desired = followed.plan.at(now_s)
-    return Progress(desired, {**desired, 11: desired[11] - behind_rad})
+    return GoalProgress(desired, {**desired, 11: desired[11] - behind_rad})
 
 
 def test_the_result_follows_once_the_last_point_was_sent() -> None:
@@ -150,12 +150,12 @@ def test_the_result_follows_once_the_last_point_was_sent() -> None:
 
 def test_legs_that_do_not_run_yet_have_not_reached_it() -> None:
     followed = read(WAY)
-    assert followed.judge(Progress(followed.plan.at(102.0), {}), 102.0) is None
-    assert followed.feedback(A, Progress(followed.plan.at(102.0), {}), 102.0, Time()) is None
+    assert followed.judge(GoalProgress(followed.plan.at(102.0), {}), 102.0) is None
+    assert followed.feedback(A, GoalProgress(followed.plan.at(102.0), {}), 102.0, Time()) is None
 
 
 def test_what_ends_the_motion_aborts_the_goal() -> None:
-    judged = read(WAY).judge(Progress({}, {}, "the emergency stop was engaged"), 101.0)
+    judged = read(WAY).judge(GoalProgress({}, {}, "the emergency stop was engaged"), 101.0)
     assert judged == (
         GoalStatus.STATUS_ABORTED,
         FollowResult(FollowResult.INVALID_GOAL, "the emergency stop was engaged"),
@@ -179,7 +179,7 @@ def test_what_falls_behind_its_path(position: float, behind_rad: float, code: in
     if judged is not None:
         assert judged[0] == GoalStatus.STATUS_ABORTED
         assert judged[1].error_string == "joint_11 is 0.06 rad from its plan, more than 0.05"
-    not_started = Progress(followed.plan.at(101.5), {})
+    not_started = GoalProgress(followed.plan.at(101.5), {})
     assert followed.judge(not_started, 101.5) is None, "legs start one after the other"
 
 

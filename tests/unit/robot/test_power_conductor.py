@@ -325,3 +325,15 @@ async def test_an_emergency_stop_that_waits_for_the_state_takes_the_supply_befor
     robot.put(keys.RESET, {"estop": 1})
     await asyncio.sleep(UP_S)
     assert robot.line.fed == ALL
+
+
+async def test_a_line_that_listens_no_more_is_noticed_within_thirty_beats() -> None:
+    robot = await fed()
+    supply = robot.conductor.supply
+    assert supply is not None
+    for _ in range(40):
+        await asyncio.sleep(0.1)
+        assert supply.goes_on()
+    robot.line.listens = False
+    supply.goes_on()
+    assert [supply.goes_on() for _ in range(30)] == [True] * 29 + [False]
