@@ -19,6 +19,7 @@ class Adapter:
 
     def __init__(self, link: str) -> None:
         """`link`: the path that leads to the terminal."""
+        self._bytes = b""
         self.each_tick = b""
         """Bytes for the program, each millisecond: a flood."""
         self.board = SimulatedBoard(time.monotonic_ns())
@@ -33,6 +34,11 @@ class Adapter:
         self._reads.set()
         self._thread = threading.Thread(target=self._serve, daemon=True)
         self._thread.start()
+
+    @property
+    def received(self) -> list[bytes]:
+        """Lines from the program, without their end."""
+        return self._bytes.split(b"\r")[:-1]
 
     def unplug(self) -> None:
         self._ends.set()
@@ -57,7 +63,9 @@ class Adapter:
         while not self._ends.is_set():
             self._reads.wait()
             if select.select([self._ours], [], [], TICK_MS / 1000)[0]:
-                frames, answers = adapter.take(os.read(self._ours, 65536))
+                data = os.read(self._ours, 65536)
+                self._bytes += data
+                frames, answers = adapter.take(data)
                 self._write(answers)
                 for frame in frames:
                     self._write_of(adapter, self.board.take(frame, time.monotonic_ns()) if not self.silent else [])
