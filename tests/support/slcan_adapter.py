@@ -19,12 +19,13 @@ class Adapter:
 
     def __init__(self, link: str) -> None:
         """`link`: the path that leads to the terminal."""
-        self._bytes = b""
         self.each_tick = b""
         """Bytes for the program, each millisecond: a flood."""
         self.board = SimulatedBoard(time.monotonic_ns())
         self.silent = False
         """The board's cable is out."""
+        self.received: list[bytes] = []
+        """The program's lines."""
         self._ours, self._theirs = os.openpty()
         tty.setraw(self._theirs)
         os.symlink(os.ttyname(self._theirs), link + ".new")
@@ -34,11 +35,6 @@ class Adapter:
         self._reads.set()
         self._thread = threading.Thread(target=self._serve, daemon=True)
         self._thread.start()
-
-    @property
-    def received(self) -> list[bytes]:
-        """Lines from the program, without their end."""
-        return self._bytes.split(b"\r")[:-1]
 
     def unplug(self) -> None:
         self._ends.set()
@@ -64,7 +60,7 @@ class Adapter:
             self._reads.wait()
             if select.select([self._ours], [], [], TICK_MS / 1000)[0]:
                 data = os.read(self._ours, 65536)
-                self._bytes += data
+                self.received += data.split(b"\r")[:-1]
                 frames, answers = adapter.take(data)
                 self._write(answers)
                 for frame in frames:

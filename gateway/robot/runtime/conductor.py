@@ -51,7 +51,7 @@ from gateway.robot.settings import Settings
 from gateway.robot.spi.bus import Bus
 from schemas import keys
 from schemas.robot import LEGS, SERVO_IDS
-from schemas.telemetry import Ack, Cause, GatewayState, Kind, Mode, Reason, Telemetry
+from schemas.telemetry import Ack, Cause, GatewayState, Kind, Mode, PowerReport, Reason, Telemetry
 
 REOPEN_S: Final = 0.02
 """Between two tries to open a device that is at fault, and never longer: until the Stops behind the opening are
@@ -269,6 +269,7 @@ class Conductor:
         if seen.off_pressed:
             self._emergency_stop(off_button(self._clock()), self._clock())
         self._arm()
+        self.publish_state()
 
     def _do_what_is_due(self, instant_ns: int) -> None:
         if self.supervisor.due_ns is not None and self._clock() >= self.supervisor.due_ns:
@@ -428,8 +429,12 @@ class Conductor:
             estop_source=self._events.estop_source,
             incident=self.recorder.incident,
             battery=self.telemetry.battery,
-            power=None if self.supply is None else self.supply.report(self._clock()),
+            power=self.power_report(),
         )
+
+    def power_report(self) -> PowerReport | None:
+        """The power board; None: there is none. Reading it needs no owner."""
+        return None if self.supply is None else self.supply.report(self._clock())
 
     @property
     def controller_age_s(self) -> float | None:
@@ -439,7 +444,7 @@ class Conductor:
 
     def publish_telemetry(self) -> None:
         """Publish what the robot measures, if it does."""
-        report = self._measured()
+        report = self.newest_telemetry()
         if report is not None:
             self._outbox.publish(keys.TELEMETRY, report)
 
@@ -449,11 +454,12 @@ class Conductor:
         A robot that measures nothing, one that has not measured yet, and a gateway of an older version look the same:
         there are no values. An answer without any would look like some.
         """
-        report = self._measured()
+        report = self.newest_telemetry()
         if report is not None:
             reply(report.model_dump_json().encode())
 
-    def _measured(self) -> Telemetry | None:
+    def newest_telemetry(self) -> Telemetry | None:
+        """What the robot and its power board measure; None: nothing. Reading it needs no owner."""
         now_ns = self._clock()
         return self.telemetry.report(now_ns, {} if self.supply is None else self.supply.measured(now_ns))
 

@@ -96,6 +96,9 @@ class Numbers(Collector):
         yield _histogram("spi_transfer", "Time of one SPI transfer", bus.transfer_latency)
         if reports.wire.measures:
             yield from _measured(self._conductor)
+        power = self._conductor.power_report()
+        if power is not None:
+            yield from powered(power, self._conductor.newest_telemetry(), metrics.events)
 
 
 def _measured(conductor: Conductor) -> Iterator[Metric]:

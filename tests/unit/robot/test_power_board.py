@@ -313,6 +313,17 @@ def test_an_interface_that_is_gone_is_reported_at_once_and_once() -> None:
     assert not link.ours.alive
 
 
+def test_on_a_new_interface_what_is_not_confirmed_leaves_at_once() -> None:
+    link = fed()
+    link.cable = False
+    link.cut()
+    link.run(2500)
+    at_ns = link.now_ns
+    link.ours.opened(at_ns)
+    link.run(1)
+    assert link.masks(at_ns) == [(0, 0)]
+
+
 def test_lost_answers_to_questions_are_no_silence_and_all_is_measured() -> None:
     link = Link(faults=0.2, seed=1)
     link.run(20_000)

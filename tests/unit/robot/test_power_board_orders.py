@@ -37,7 +37,7 @@ class Watched(Link):
         self.unwanted_ns = dict.fromkeys(SERVO_IDS, -LATE_NS)
         """Since when each servo is not wanted."""
         self.lost_ns: dict[int, int] = {}
-        """Since when we know that a servo was switched off, but not by us."""
+        """Since when we know that a servo was switched off, but not by us: a silent board may still carry out a mask."""
         self.before = 0
         self.watch = self.check
 
@@ -49,7 +49,8 @@ class Watched(Link):
     def check(self) -> None:
         came_on = self.board.fed & ~self.before
         self.before = self.board.fed
-        self.lost_ns = {servo: self.lost_ns.get(servo, self.now_ns) for servo in self.ours.lost}
+        lost = self.ours.lost if self.ours.alive else ()
+        self.lost_ns = {servo: self.lost_ns.get(servo, self.now_ns) for servo in lost}
         for place, servo in enumerate(SERVO_IDS):
             bit = 1 << place
             if came_on & bit and servo not in self.wanted:

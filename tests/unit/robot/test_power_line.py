@@ -338,3 +338,16 @@ def test_an_adapter_that_reads_nothing_is_an_error_and_hangs_nobody(adapter: Ada
         fill()
     adapter.go_on()
     bus.shutdown()
+
+
+def test_a_frame_that_comes_in_two_parts_is_one(adapter: Adapter, channel: str) -> None:
+    bus = open_bus(PowerSettings(interface="slcan", channel=channel))
+    bus.send(can.Message(arbitration_id=0x7C, is_extended_id=False))
+    assert bus.recv(MOST_S) is not None  # so the adapter has nothing more to say by itself
+    adapter.say(b"t06")
+    assert bus.recv(0.05) is None
+    adapter.say(b"90\r")
+    message = bus.recv(MOST_S)
+    assert message is not None
+    assert message.arbitration_id == 0x69
+    bus.shutdown()

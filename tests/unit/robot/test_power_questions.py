@@ -2,11 +2,11 @@
 
 from gateway.allowance import NS_PER_MS
 from gateway.model.power_board import ASK_CURRENTS, ASK_ERROR, ASK_RAILS, CanFrame
-from gateway.robot.power.questions import Questions
+from gateway.robot.power.questions import BoardQuestions
 
 
 def test_all_is_asked_in_turn_while_the_board_answers() -> None:
-    questions = Questions()
+    questions = BoardQuestions()
     asked: list[CanFrame] = []
     for turn in range(14 * 6):
         [question] = questions.next(0, turn * 10 * NS_PER_MS)
@@ -19,7 +19,7 @@ def test_all_is_asked_in_turn_while_the_board_answers() -> None:
 
 
 def test_a_question_with_an_unanswered_ask_proves_nothing_so_it_is_not_asked() -> None:
-    questions = Questions()
+    questions = BoardQuestions()
     asked = [question for number in range(10) for question in questions.behind(number, number)]
     assert sorted(asked) == sorted(ASK_RAILS)
     questions.answered_about_rails(asked[2])
@@ -32,13 +32,13 @@ def test_a_question_with_an_unanswered_ask_proves_nothing_so_it_is_not_asked() -
 
 
 def test_an_ask_is_lost_once_a_later_one_was_answered_or_after_2_s() -> None:
-    questions = Questions()
+    questions = BoardQuestions()
     [first] = questions.behind(1, 0)
     for _ in range(5):
         [last] = questions.behind(1, NS_PER_MS)
     assert questions.behind(2, 1999 * NS_PER_MS) == []
     assert questions.behind(2, 2000 * NS_PER_MS) == [first]
-    questions = Questions()
+    questions = BoardQuestions()
     [first] = questions.behind(1, 0)
     for number in range(5):
         [last] = questions.behind(1, number + 1)
@@ -48,7 +48,7 @@ def test_an_ask_is_lost_once_a_later_one_was_answered_or_after_2_s() -> None:
 
 
 def test_a_new_interface_answers_no_older_question() -> None:
-    questions = Questions()
+    questions = BoardQuestions()
     for _ in range(6):
         questions.behind(1, 0)
     questions.opened(5)
