@@ -20,6 +20,7 @@ class BoardBus(can.BusABC):
 
     def __init__(self) -> None:
         super().__init__("board")
+        self._is_shutdown = True  # there is nothing to close
         now_ns = time.monotonic_ns()
         self.board = SimulatedBoard(now_ns - 1_000_000_000, pass_ns=_PASS_NS)
         self.board.take(set_supply(ALL), now_ns - 1_000_000_000)
