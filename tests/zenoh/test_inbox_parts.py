@@ -19,7 +19,7 @@ from gateway.robot.core.intake import words_of_stop
 from gateway.robot.core.message import Received, Reply, Verb
 from gateway.robot.host.ownership import Ownership
 from gateway.robot.zenoh_io.inbox import FLOOD_PAUSE_S, OTHER_DEPTH, READER_DEPTH, Inbox, _received
-from gateway.robot.zenoh_io.questions import Knows
+from gateway.robot.zenoh_io.questions import MOST_OF_TOKEN, Knows
 from gateway.robot.zenoh_io.receiver import Deal, Reader
 from gateway.robot.zenoh_io.rings import RING_DEPTH, Ring
 from schemas.command import MAX_PAYLOAD_BYTES
@@ -265,9 +265,13 @@ async def test_questions_with_a_token_are_all_read_though_they_come_faster_than_
         await asyncio.to_thread(blocked.acquire, timeout=PATIENCE_S)
         for number in range(2 * READER_DEPTH):
             asked.append(session.get(key, payload=json.dumps({"lease": f"{number:032x}"}), timeout=PATIENCE_S))
+    repeated = json.dumps({"lease": "f" * 32})
+    again = [session.get(key, payload=repeated, timeout=PATIENCE_S) for key in keys for _ in range(MOST_OF_TOKEN + 2)]
     gate.set()
     for replies in asked:
         assert len(await asyncio.to_thread(list, replies)) == 1
+    answered = sum([len(await asyncio.to_thread(list, replies)) for replies in again])
+    assert answered == len(keys) * MOST_OF_TOKEN, "and none displaces another"
     await held.close()
     left = {thread.name for thread in set(threading.enumerate()) - before if thread.is_alive()}
     assert not {name for name in left if not name.startswith("asyncio")}, "no thread is left behind"
