@@ -17,7 +17,7 @@ from typing import Final
 from gateway.errors import ConfigError
 from gateway.model.protocols import SpiProtocol
 from gateway.model.telemetry import starts_whole
-from gateway.onboard.check.outputs import Currents, finding
+from gateway.onboard.check.outputs import ServoCurrents, finding
 from gateway.people.client.blocking import Client
 from gateway.people.terminal import ask, say
 from gateway.people.tools.driving import drives, rejected
@@ -101,7 +101,7 @@ def move(connect: Connection, *, agreed: bool) -> int:
             say("Nothing was moved.")
             return 1
         state = ready(client)  # the questions took their time
-        currents = Currents()
+        currents = ServoCurrents()
         with (
             _measured(client, state, currents),
             drives(client, _HOLD_S, moves=True) as lease,
@@ -146,7 +146,7 @@ def _tells_outputs(state: GatewayState) -> bool:
 
 
 @contextmanager
-def _measured(client: Client, state: GatewayState, currents: Currents) -> Iterator[None]:
+def _measured(client: Client, state: GatewayState, currents: ServoCurrents) -> Iterator[None]:
     """Take the currents meanwhile, and those at rest first."""
     if not _tells_outputs(state):
         yield

@@ -15,7 +15,7 @@ CLEAR: Final = 2.0
 """So many times the rise of any other output: legs that touch each other draw together."""
 
 
-class Currents:
+class ServoCurrents:
     """The highest current under each name, at rest and from `moves` on, in A."""
 
     def __init__(self) -> None:

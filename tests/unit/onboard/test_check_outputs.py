@@ -4,7 +4,7 @@ import datetime as dt
 
 import pytest
 
-from gateway.onboard.check.outputs import Currents, finding
+from gateway.onboard.check.outputs import ServoCurrents, finding
 from schemas.telemetry import ServoTelemetry, Telemetry
 
 REST = {"11": 0.008, "12": 0.008, "61": 0.008}
@@ -26,7 +26,7 @@ def test_what_the_currents_show(moving: dict[str, float], says: str) -> None:
 
 
 def test_the_highest_of_each_at_rest_and_moving() -> None:
-    found = Currents()
+    found = ServoCurrents()
 
     def take(amperes: float | None) -> None:
         servos = {"61": ServoTelemetry(supplied=True, current_a=amperes)}
