@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 from gateway.allowance import NS_PER_S
 from gateway.host import realtime
-from gateway.model.power_board import CanFrame
+from gateway.model.power_board import CanFrame, set_supply
 from gateway.robot.power.board import Confirmed, News, PowerBoard
 from gateway.robot.power.interface import LineError, open_bus
 from gateway.robot.sections import PowerSettings
@@ -37,6 +37,11 @@ AT_ONCE: Final = 64
 """Frames that are received before the receiver pauses: it has a real-time priority, and a flood is no reason to keep
 others off the processor."""
 PAUSE_S: Final = 0.001
+
+
+STOPS_S: Final = 0.001
+"""Behind the mask of a cut, the Stops on SPI have the interpreter to themselves for so long."""
+_NOTHING: Final = set_supply(0)
 
 
 class Status(NamedTuple):
@@ -91,7 +96,7 @@ class PowerLine:
         self._wake.acquire()
         self._bus: can.BusABC | None = None
         self._received_from: can.BusABC | None = None
-        self._closing = False
+        self._closing = self._cuts = False
         self._retry_ns = 0
         self.status = Status()
         self.fault: str | None = "it has not been opened yet"
@@ -124,7 +129,8 @@ class PowerLine:
         self._request(partial(self._board.want, servos, self._clock()))
 
     def cut(self) -> None:
-        """PowerBoard.cut, as soon as possible."""
+        """PowerBoard.cut, as soon as possible; the first mask leaves before that is asked."""
+        self._cuts = True
         self._request(partial(self._board.cut, self._clock()))
 
     def when_off(self, servos: frozenset[int], asked_ns: int, token: int) -> None:
@@ -207,14 +213,18 @@ class PowerLine:
             self._use(self._opener(self._settings))
 
     def _send_due(self, bus: "can.BusABC") -> None:
-        from can import CanError, Message  # noqa: PLC0415
+        from can import CanError  # noqa: PLC0415
 
-        with self._lock:
-            self._take_requests()
-            frames = self._board.next_frames(self._clock())
         try:
+            if self._cuts:
+                self._cuts = False
+                _send(bus, _NOTHING)
+                time.sleep(STOPS_S)
+            with self._lock:
+                self._take_requests()
+                frames = self._board.next_frames(self._clock())
             for frame in frames:
-                bus.send(Message(arbitration_id=frame.id, is_extended_id=False, data=frame.data), timeout=SEND_S)
+                _send(bus, frame)
         except (CanError, OSError, ValueError) as error:
             self._lose(bus, error)
 
@@ -285,3 +295,9 @@ class PowerLine:
             self._awake()
         if news or before[:5] != self.status[:5]:
             self._on_news()
+
+
+def _send(bus: "can.BusABC", frame: CanFrame) -> None:
+    from can import Message  # noqa: PLC0415
+
+    bus.send(Message(arbitration_id=frame.id, is_extended_id=False, data=frame.data), timeout=SEND_S)
