@@ -215,12 +215,13 @@ def test_stops_that_are_tried_without_zeros_leave_when_they_do_in_any_call() -> 
     assert [each.ns - begun_ns for each in sent[:6]] == usual
 
 
-def test_calls_of_zeros_that_took_900_ms_to_fail_are_enough_though_they_were_five() -> None:
+@pytest.mark.parametrize(("each_ms", "calls"), [(200, "111 1z zz zz 1z"), (225, "111 1z zz z1 z")])
+def test_calls_of_zeros_that_took_900_ms_to_fail_are_enough_though_they_were_few(each_ms: int, calls: str) -> None:
     scene = Scene()
-    scene.fails, scene.failure_ns = lambda _: True, 200 * MS
+    scene.fails, scene.failure_ns = lambda _: True, each_ms * MS
     for _ in range(5):
         scene.stop(1)
-    assert "".join(scene.made) == "111" + "1z" + "zz" + "zz" + "1z"
+    assert "".join(scene.made).startswith(calls.replace(" ", ""))
 
 
 # ---- what outlasts what
