@@ -16,6 +16,7 @@ firmware decides, not its DBC file, which numbers the mask's bits differently.
 """
 
 import struct
+from collections.abc import Mapping
 from typing import Final, NamedTuple
 
 OUTPUTS: Final = 18
@@ -37,6 +38,7 @@ SET_SUPPLY: Final = 0x6A
 SUPPLIED: Final = 0x6B
 ERROR: Final = 0x65
 CLEARED: Final = 0x97
+GOING_OFF: Final = 0x67
 OFF_PRESSED: Final = 0x69
 
 ASK_ERROR: Final = CanFrame(0x64)
@@ -98,7 +100,11 @@ class OffPressed(NamedTuple):
     """Somebody pressed the board's off button."""
 
 
-Answer = Supplied | Currents | Rails | BoardError | NoError | Cleared | OffPressed
+class GoingOff(NamedTuple):
+    """Somebody has asked the board to switch the whole robot off, which it does 1 s later."""
+
+
+Answer = Supplied | Currents | Rails | BoardError | NoError | Cleared | OffPressed | GoingOff
 _LAYOUTS: Final = {
     **{question.id: struct.Struct(">3H") for question in ASK_CURRENTS},
     MANIPULATOR_5V_3V3_MA: struct.Struct(">3H"),
@@ -138,11 +144,13 @@ def read(frame: CanFrame) -> Answer | None:
             return None if mask is None else Supplied(mask)
         case 0x65:
             return _error(data)
-        case 0x97 | 0x69:
-            answer = Cleared() if identifier == CLEARED else OffPressed()
-            return None if data else answer
+        case 0x97 | 0x69 | 0x67:
+            return None if data else _WITHOUT_DATA[identifier]
         case _:
             return _measured(identifier - 1, data)
+
+
+_WITHOUT_DATA: Final[Mapping[int, Answer]] = {CLEARED: Cleared(), OFF_PRESSED: OffPressed(), GOING_OFF: GoingOff()}
 
 
 def _measured(question: int, data: bytes) -> Currents | Rails | None:

@@ -26,6 +26,7 @@ from gateway.model.power_board import (
     CanFrame,
     Cleared,
     Currents,
+    GoingOff,
     NoError,
     OffPressed,
     Rails,
@@ -266,6 +267,9 @@ class PowerBoard:
                 self._clear_due_ns = now_ns
             case OffPressed():
                 self._news.append(News(Kind.OFF_BUTTON, "somebody pressed the power board's off button"))
+            case GoingOff():
+                why = "somebody has asked the power board to switch the whole robot off, and it does in 1 s"
+                self._news.append(News(Kind.OFF_BUTTON, why))
         self.look(now_ns)
 
     def look(self, now_ns: int) -> None:

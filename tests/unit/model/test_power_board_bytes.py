@@ -13,6 +13,7 @@ from gateway.model.power_board import (
     CanFrame,
     Cleared,
     Currents,
+    GoingOff,
     NoError,
     OffPressed,
     Rails,
@@ -56,6 +57,7 @@ ANSWERS: dict[str, tuple[int, str, Answer]] = {
     "supply low": (0x65, "08", BoardError(8)),
     "deleted": (0x97, "", Cleared()),
     "off button": (0x69, "", OffPressed()),
+    "going off": (0x67, "", GoingOff()),
 }
 
 

@@ -5,7 +5,7 @@ from typing import Final
 
 import pytest
 
-from gateway.model.power_board import SERVO_OVERCURRENT, set_supply
+from gateway.model.power_board import SERVO_OVERCURRENT, CanFrame, set_supply
 from gateway.robot.core.power import CutOn
 from schemas import keys
 from schemas.robot import LEGS, SERVO_IDS
@@ -191,10 +191,14 @@ async def test_a_board_that_restarts_has_all_off_and_feeds_again_once_it_answers
     assert running(robot) == [], "a start is needed"
 
 
-async def test_the_off_button_is_an_emergency_stop() -> None:
+@pytest.mark.parametrize("how", ["button", "CAN"])
+async def test_the_off_button_is_an_emergency_stop(how: str) -> None:
     robot = await fed()
     robot.put(LEG_3, START)
-    robot.line.simulated.press_button(robot.line.now_ns())
+    if how == "button":
+        robot.line.simulated.press_button(robot.line.now_ns())
+    else:
+        robot.line.hear_from_another(CanFrame(0x66))
     await asyncio.sleep(0.05)
     state = robot.conductor.state()
     assert (state.mode, state.estop, state.estop_source) == (Mode.ESTOPPED, 1, "the power board's off button")

@@ -127,6 +127,18 @@ def test_doubt_stops_all_legs_and_ends_a_landing() -> None:
     assert steps.time(1020) == []
 
 
+def test_news_that_comes_with_the_watchdog_keeps_no_leg_running() -> None:
+    steps = fed()
+    assert "watchdog 3 stop" in steps.board(260)
+    assert steps.running == []
+
+
+def test_the_last_servo_of_the_last_leg_is_stopped_like_any() -> None:
+    steps = fed()
+    steps.command(15, leg_to(6, "start 90"))
+    assert steps.board(20, lost=(63,)) == ["watchdog 6 stop"]
+
+
 def test_doubt_that_comes_with_the_watchdog_stops_each_leg_once() -> None:
     steps = fed()
     assert steps.board(300, doubt="servo 11 is not off") == all_stopped("watchdog")
