@@ -302,3 +302,12 @@ def test_repeats_of_an_emergency_stop_outlast_the_reset() -> None:
     robot.estop(100)
     robot.reset(110)
     assert robot.time(120) == all_stopped("repeat")
+
+
+def test_a_stop_that_left_ahead_of_its_legs_slot_is_not_in_the_frame_of_that_slot() -> None:
+    steps = Steps(Rules(repeats=0))
+    steps.command(100, leg_to(3, "start 90"))
+    steps.command(101, leg_to(3, "set 85"))
+    stopped = steps.command(102, leg_to(3, "set 80", "stop", "stop"))
+    assert stopped == ["command 32 stop", "command 33 stop", "completed 2 coalesced"]
+    assert steps.time(122) == ["command 31 set 80", "completed 3"]
