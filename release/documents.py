@@ -8,7 +8,7 @@ from pathlib import Path
 
 from release.build import ROOT, UV, run
 
-EXTRAS = ("--extra", "spi", "--extra", "console")
+EXTRAS = ("--extra", "spi", "--extra", "console", "--extra", "power")
 
 
 def documents(folder: Path, released: str, when: int) -> list[Path]:

@@ -75,7 +75,7 @@ def test_it_shows_a_running_leg_rejections_and_events(gateway: Gateway, terminal
         terminal.wait("rejected anna 2 (servo_stopped)", "command_rejected anna: servo 41 does not run")
         assert client.stop().accepted
         client.session.put(keys.TELEMETRY, MEASURED.model_dump_json())  # in the gateway's place
-        terminal.wait("IDLE", "7.40 V 80 % tilt 0° 31.5 °C", "feet 1 2 3 4 5 6")
+        terminal.wait("IDLE", "7.40 V 80 % tilt 0° 31.5 °C", "feet ○1 ●2 ●3 ●4 ●5 ●6")
         terminal.wait("IDLE", "3 ○ —")
 
 
