@@ -49,6 +49,7 @@ class Driving:
         """The latest when it began to drive."""
         self._own = OwnStop()
         self._received: GatewayState | None = None
+        self._estopped = False
         self._gait = "tripod"
         self._held_as = name
         self._closed = False
@@ -149,7 +150,8 @@ class Driving:
         motion = self._motion
         if isinstance(motion, Following):
             return motion.progress(plan)
-        return GoalProgress({}, {}, "its motion has ended" if self.drives else self._why_not)
+        ended = "an emergency stop was engaged" if self._estopped else "its motion has ended"
+        return GoalProgress({}, {}, ended if self.drives else self._why_not)
 
     def hold(self, plan: Trajectory) -> None:
         """Stay where this trajectory is now, if it is followed; waits for nothing that moves the robot."""
@@ -198,6 +200,7 @@ class Driving:
     def receive(self, state: GatewayState) -> None:
         """A state that the gateway has published; waits for nothing."""
         self._received = state
+        self._estopped = state.mode == Mode.ESTOPPED
 
     # ---- inside, with the lock
 
