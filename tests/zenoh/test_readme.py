@@ -81,8 +81,9 @@ def test_the_messages_of_a_robot_that_does_not_move_are_real(tmp_path: Path) -> 
 
 def test_the_keys_are_the_keys() -> None:
     table = set(re.findall(r"^\| `(hexapod/[^`]+)` \|", README, re.MULTILINE))
-    singles = {keys.LEGS_COMMAND, keys.ESTOP, keys.RESET, keys.STATE, keys.EVENT, keys.FRAME, keys.TELEMETRY, keys.ALIVE}
-    assert table == singles | {"hexapod/leg/{1..6}/cmd", "hexapod/servo/{11..63}/cmd"}
+    commands = {keys.LEGS_COMMAND, keys.ESTOP, keys.RESET}
+    reports = {keys.STATE, keys.EVENT, keys.FRAME, keys.TELEMETRY, keys.ALIVE}
+    assert table == commands | reports | {"hexapod/leg/{1..6}/cmd", "hexapod/servo/{11..63}/cmd"}
 
 
 COMMANDS = re.findall(r"(?:\$ |bin/|`)hexapod-gateway (\w[\w-]*(?: (?:init|issue|leg))?)", README + TROUBLES)
