@@ -41,6 +41,8 @@ from schemas.telemetry import Kind
 
 REPEAT_NS: Final = 20 * NS_PER_MS
 """Between two masks, until what is off is confirmed."""
+START_NS: Final = 1000 * NS_PER_MS
+"""Behind the first opening nothing is reported as not confirmed: a gateway that starts keeps its own threads waiting."""
 REPEAT_FOR_NS: Final = 2000 * NS_PER_MS
 REPEAT_ON_NS: Final = 100 * NS_PER_MS
 """Between two masks, until what is on is confirmed, and at least until the answer to the first is overdue."""
@@ -123,6 +125,7 @@ class PowerBoard:
         self._offs: dict[int, _Off] = {}
         self._waits: list[_Wait] = []
         self._unconfirmed = False
+        self._started_ns: int | None = None
         self._restoring = True
         # What was answered.
         self.alive = False
@@ -185,6 +188,7 @@ class PowerBoard:
 
     def opened(self, now_ns: int) -> None:
         """The interface was opened: nothing that was asked before is answered any more."""
+        self._started_ns = now_ns if self._started_ns is None else self._started_ns
         self._questions.opened(now_ns)
         self._again(now_ns)
 
@@ -280,7 +284,8 @@ class PowerBoard:
         for place, off in self._offs.items():
             if not off.confirmed and now_ns - off.since_ns >= self._confirm_ns:
                 late |= 1 << place
-        if late and not self._unconfirmed:
+        starts = self._started_ns is not None and now_ns - self._started_ns < START_NS
+        if late and not self._unconfirmed and not starts:
             self._unconfirmed = True
             self._news.append(
                 News(Kind.POWER_UNCONFIRMED, "the power board has not confirmed that these are off", self._named(late))

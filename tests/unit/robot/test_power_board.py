@@ -339,3 +339,23 @@ def test_questions_do_not_flood_the_bus() -> None:
     asked = [frame for when_ns, frame in link.sent if when_ns >= at_ns]
     assert len(asked) == pytest.approx(100, abs=2)
     assert sum(frame in ASK_CURRENTS for frame in asked) >= 80
+
+
+def test_what_is_not_confirmed_as_a_gateway_starts_is_reported_after_a_second() -> None:
+    link = Link()
+    link.cable = False
+    link.ours.opened(0)
+    link.want(NONE)
+    link.run(990)
+    assert link.events(Kind.POWER_UNCONFIRMED) == []
+    link.run(20)
+    assert len(link.events(Kind.POWER_UNCONFIRMED)) == 1
+    again = Link()
+    again.ours.opened(0)
+    again.want(NONE)
+    again.run(1500)
+    again.ours.opened(again.now_ns)
+    again.cable = False
+    again.cut()
+    again.run(160)
+    assert again.events(Kind.POWER_UNCONFIRMED), "one that starts later does not"
