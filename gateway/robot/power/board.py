@@ -42,7 +42,7 @@ from schemas.telemetry import Kind
 REPEAT_NS: Final = 20 * NS_PER_MS
 """Between two masks, until what is off is confirmed."""
 START_NS: Final = 1000 * NS_PER_MS
-"""Behind the first opening nothing is reported as not confirmed: a gateway that starts keeps its own threads waiting."""
+"""Behind the first opening nothing is reported as not confirmed: a gateway that starts keeps its threads waiting."""
 REPEAT_FOR_NS: Final = 2000 * NS_PER_MS
 REPEAT_ON_NS: Final = 100 * NS_PER_MS
 """Between two masks, until what is on is confirmed, and at least until the answer to the first is overdue."""
