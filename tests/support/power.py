@@ -27,6 +27,8 @@ class VirtualLine:
         self.unplugged = False
         self.deaf = False
         self.listens = True
+        self.hears = True
+        """Whether we hear the board; it hears us all the same."""
         self.sent: list[tuple[int, CanFrame]] = []
         """With its time (ms)."""
         self.on_news: Callable[[], None] = lambda: None
@@ -89,7 +91,7 @@ class VirtualLine:
             self._hear([] if lost else self.simulated.take(frame, self.now_ns()))
 
     def _hear(self, frames: list[CanFrame]) -> None:
-        for frame in () if self.unplugged else frames:
+        for frame in frames if self.hears and not self.unplugged else ():
             self.board.heard(frame, self.now_ns())
 
     def _pump(self) -> None:

@@ -196,7 +196,8 @@ class RobotSupply:
                 elif each.kind is Kind.POWER_UNCONFIRMED and self._line.status.alive:
                     doubt = each.detail
         status = self._line.status
-        self._lost = status.lost
+        # Of a silent board nobody knows: what lands keeps its supply, if it has any.
+        self._lost = status.lost if status.alive else _NONE
         if self._alive and status.alive:  # `stop-servos`, say: whoever took it knows why
             self._withheld |= dict.fromkeys(self._lost - status.refused.keys(), _TAKEN)
         newly = status.refused.keys() - self._refused.keys()

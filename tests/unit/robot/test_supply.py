@@ -1,0 +1,49 @@
+"""The supply as the service makes it: its line is begun, and its news reach the owner of the state on the loop."""
+
+import asyncio
+from pathlib import Path
+
+from gateway.robot import wires
+from gateway.robot.host.ownership import Ownership
+from gateway.robot.runtime.supply import supply_of
+from gateway.robot.settings import Settings
+from tests.support.slcan_adapter import Adapter
+
+
+async def test_without_an_interface_there_is_no_supply() -> None:
+    settings = Settings()
+    wire = wires.wire(settings, simulated=True)
+    assert supply_of(settings, wire, None, asyncio.get_running_loop(), Ownership(), failed) is None
+
+
+async def test_the_first_mask_switches_all_off_and_news_come_on_the_loop_with_the_state(tmp_path: Path) -> None:
+    channel = str(tmp_path / "can")
+    adapter = Adapter(channel)
+    settings = Settings.model_validate({"power": {"interface": "sim", "confirm_ms": 2000}})
+    owner, heard = Ownership(), asyncio.Event()
+    supply = supply_of(
+        settings, wires.wire(settings, simulated=True), channel, asyncio.get_running_loop(), owner, failed
+    )
+    assert supply is not None
+
+    def news() -> None:
+        assert owner._state.locked()
+        supply.look()
+        if supply.report(0).confirmed:
+            heard.set()
+
+    supply.on_news = news
+    await asyncio.wait_for(heard.wait(), 10)
+    report = supply.report(0)
+    assert (report.interface, report.alive, report.supplied) == ("sim", True, ())
+    masks = [line for line in adapter.received if line.startswith(b"t06A")]
+    assert set(masks) == {b"t06A3000000"}
+    await asyncio.to_thread(supply.end)
+    asked = len(adapter.received)
+    await asyncio.sleep(0.1)
+    assert len(adapter.received) - asked <= 1, "the line is closed"
+    adapter.unplug()
+
+
+def failed(error: Exception) -> None:
+    raise AssertionError(error)
