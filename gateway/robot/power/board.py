@@ -177,6 +177,7 @@ class PowerBoard:
         mask = self._mask(servos)
         offs = {place: off for place, off in self._offs.items() if mask >> place & 1}
         self._anew(sum(1 << place for place, off in offs.items() if off.confirmed), now_ns)
+        self._repeat_until_ns = now_ns + REPEAT_FOR_NS  # also of what was given up
         number = max((off.number for off in offs.values()), default=self._number)
         self._waits.append(_Wait(token, mask, asked_ns, number))
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 from gateway.allowance import NS_PER_MS, NS_PER_S
 from gateway.errors import ConfigError
 from gateway.model.power_board import CanFrame, Rails, Supplied, read, set_supply
-from gateway.robot.power.interface import Interface, LineError, open_bus
+from gateway.robot.power.interface import Interface, LineError, open_bus, received, send
 from gateway.robot.power.questions import BoardQuestions
 
 if TYPE_CHECKING:
@@ -115,7 +115,7 @@ class SupplyCut:
                 why = str(error)
                 break
             try:
-                self.confirmed = _cut(bus, end_ns)
+                self.confirmed = _cut(bus, self._settings, end_ns)
             except Exception as error:  # from any of python-can's interfaces: another attempt is all that helps
                 why = f"{self._settings.interface} {self._settings.channel}: {error}"
                 time.sleep(_RETRY_S)
@@ -131,16 +131,15 @@ def not_confirmed(why: str) -> str:
     return f"the servos' supply is NOT confirmed to be off ({why}): switch the power off by hand"
 
 
-def _cut(bus: "can.BusABC", end_ns: int) -> bool:
+def _cut(bus: "can.BusABC", settings: Interface, end_ns: int) -> bool:
     """Until it is confirmed, or the time is over."""
-    from can import Message  # noqa: PLC0415
-
     bus._is_shutdown = True  # this process ends: python-can would close the adapter's channel, and a gateway may use it
     cut = LastCut()
     while not cut.confirmed and (now_ns := time.monotonic_ns()) < end_ns:
         for frame in cut.next_frames(now_ns):
-            bus.send(Message(arbitration_id=frame.id, is_extended_id=False, data=frame.data), timeout=_SEND_S)
+            send(bus, frame, _SEND_S)
         message = bus.recv(_LOOK_S)
-        if message is not None and not (message.is_error_frame or message.is_remote_frame or message.is_extended_id):
-            cut.heard(CanFrame(message.arbitration_id, bytes(message.data)), time.monotonic_ns())
+        answer = None if message is None else received(message, settings)
+        if answer is not None:
+            cut.heard(answer, time.monotonic_ns())
     return cut.confirmed
