@@ -38,7 +38,7 @@ class ServoCurrents:
                 self._seen[name] = max(servo.current_a, self._seen.get(name, 0.0))
 
 
-class Finding(NamedTuple):
+class ServoOutput(NamedTuple):
     """What the currents show of a servo."""
 
     sentence: str
@@ -47,24 +47,24 @@ class Finding(NamedTuple):
     """The servo to which power.servos gives its output; None: its own, or not known."""
 
 
-def finding(servo_id: int, rest: Mapping[str, float], moving: Mapping[str, float]) -> Finding:
+def finding(servo_id: int, rest: Mapping[str, float], moving: Mapping[str, float]) -> ServoOutput:
     """Where this servo hangs, and what that rests on."""
     rises = {name: now - rest[name] for name, now in moving.items() if name in rest}
     first, second = [*sorted(rises, key=rises.__getitem__, reverse=True), "", ""][:2]
     if not first or rises[first] < LEAST_RISE_A:
-        return Finding(
+        return ServoOutput(
             f"The power board has measured no current of servo {servo_id}: which output feeds it is not known. Does "
             "the board feed it at all?"
         )
     shown = f"{rises[first] * 1000:.0f} mA more than at rest"
     if second and rises[first] < CLEAR * rises[second]:
-        return Finding(
+        return ServoOutput(
             f"Uncertain: servos {first} and {second} of power.servos drew more while servo {servo_id} moved. Lift the "
             "robot so that nothing touches, and do this again."
         )
     if first == str(servo_id):
-        return Finding(f"The power board's output for servo {servo_id} feeds it ({shown}).")
-    return Finding(
+        return ServoOutput(f"The power board's output for servo {servo_id} feeds it ({shown}).")
+    return ServoOutput(
         f"power.servos is WRONG: servo {servo_id} hangs on the output that it gives to servo {first} ({shown}). "
         f"Exchange the two there, restart the gateway, and do this again with servo {first}: a Stop that is confirmed "
         "for one servo would concern another.",

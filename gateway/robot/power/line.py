@@ -20,8 +20,9 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 from gateway.allowance import NS_PER_S
 from gateway.host import realtime
 from gateway.model.power_board import CanFrame, set_supply
-from gateway.robot.power.board import Confirmed, News, PowerBoard
+from gateway.robot.power.board import News, PowerBoard
 from gateway.robot.power.interface import LineError, open_bus, received, send
+from gateway.robot.power.offs import Confirmed
 from gateway.robot.sections import PowerSettings
 
 if TYPE_CHECKING:

@@ -9,7 +9,8 @@ from gateway.model.power_board import (
     CanFrame,
     set_supply,
 )
-from gateway.robot.power.board import Confirmed, News
+from gateway.robot.power.board import News
+from gateway.robot.power.offs import Confirmed
 from schemas.telemetry import Kind
 from tests.support.power_link import ALL_SERVOS, CONFIRM_MS, FLIGHT_NS, NONE, Link, fed
 
