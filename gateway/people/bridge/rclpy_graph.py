@@ -1,8 +1,8 @@
 """A ROS 2 graph by an installed ROS 2: a node of rclpy, over whatever RMW is set (FastDDS, CycloneDDS, …).
 
 Messages stay bytes: rclpy passes them on as they are serialised. A thread waits for each subscription and each service.
-So a flood on one topic delays no other, and a service that waits delays no emergency stop. An executor of rclpy calls one
-after the other, and looks through all that its node has for each message.
+So a flood on one topic delays no other, and a service that waits delays no emergency stop. An executor of rclpy would
+call one after the other, and look through all that its node has for each message.
 """
 
 import logging
@@ -39,6 +39,8 @@ from gateway.people.bridge.graph import (
     read_each,
     too_long,
 )
+from gateway.people.bridge.managed_node import ManagedNode
+from gateway.people.bridge.parameters import Parameters
 from gateway.people.client.blocking import Client
 from gateway.people.ros2.cdr import Message, encode
 from gateway.people.ros2.messages import TRIGGER_TYPE, JointState, Twist, TwistStamped
@@ -75,13 +77,7 @@ class RclpyGraph:
             rmw = rclpy.get_rmw_implementation_identifier()
             if "zenoh" in rmw:
                 raise ConfigError(f"with {rmw}, take --via zenoh: it looks who reaches ROS 2's router")
-            self._node = rclpy.create_node(
-                names.node,
-                namespace=names.namespace,
-                context=self._context,
-                enable_rosout=False,
-                start_parameter_services=False,
-            )
+            self._node = ManagedNode(names, self._context)
         except RuntimeError as error:  # an argument that rcl does not know, or no such RMW
             raise ConfigError(f"ROS 2 does not start: {str(error).partition(', at ')[0]}") from error
         self.where = rmw
@@ -104,11 +100,21 @@ class RclpyGraph:
     def check_apart(self, client: Client) -> None:
         """See Graph. The gateway speaks no DDS."""
 
-    def publisher(self, topic: str, kind: type[Message], *, latched: bool = False) -> Publisher:
+    def parameters(self, given: Parameters) -> Parameters:
         """See Graph."""
+        return self._node.declare(given)
+
+    def manage(self, activate: Callable[[], None], deactivate: Callable[[str], None]) -> None:
+        """See Graph."""
+        self._node.manage(activate, deactivate)
+
+    def publisher(self, topic: str, kind: type[Message], *, latched: bool = False, always: bool = False) -> Publisher:
+        """See Graph. Reliable, as well for sensor data: so each subscriber matches, SensorData's too."""
+        node = self._node
+        create = node.create_publisher if latched or always else node.create_lifecycle_publisher
         qos = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL) if latched else QoSProfile(depth=10)
         quiet = PublisherEventCallbacks(use_default_callbacks=False)  # of another QoS, the subscriber's own node warns
-        return _RclpyPublisher(self._node.create_publisher(_same_type(kind), topic, qos, event_callbacks=quiet))
+        return _RclpyPublisher(create(_same_type(kind), topic, qos, event_callbacks=quiet))
 
     def subscribe(
         self, topic: str, kinds: tuple[type[Message], ...], most_bytes: int, take: Take, reject: Callable[[str], None]
@@ -149,7 +155,11 @@ class RclpyGraph:
 
     def callers(self, service: str) -> Present:
         """See Graph. rclpy reports no GIDs of clients."""
-        return self._present(lambda: (b"%d" % number for number in range(self._node.count_clients(service))))
+        return self._present(
+            lambda: (
+                b"%d" % number for number in range(self._node.count_clients(self._node.resolve_service_name(service)))
+            )
+        )
 
     def _present(self, find: Callable[[], Iterable[bytes]]) -> Present:
         def present() -> Set[bytes]:
@@ -169,7 +179,7 @@ class RclpyGraph:
             guard.trigger()
         for thread in self._threads:
             thread.join(JOIN_S)
-        self._node.destroy_node()
+        self._node.close()
         self._context.try_shutdown()
 
     def _requests(self, service: str, type_name: str, take: Respond) -> None:
