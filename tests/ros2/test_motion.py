@@ -125,6 +125,11 @@ def rests(written: Heard[FrameRecord], *servos: int, count: int) -> bool:
     return all(len(angles) == count and len(set(angles)) == 1 for angles in newest)
 
 
+def strides(written: Heard[FrameRecord]) -> bool:
+    """Whether leg 1 has swung lately."""
+    return len(set(commanded(written.all[-400:], 11))) > 20
+
+
 def test_it_is_raised_leans_walks_and_stands_in_silence_and_what_legs_cannot_do_is_not_taken(
     driven: Bridge, peer: Peer, watcher: Client
 ) -> None:
@@ -150,11 +155,11 @@ def test_it_is_raised_leans_walks_and_stands_in_silence_and_what_legs_cannot_do_
     peer.publish("/hexapod/cmd_gait_type", Int32(1))
     seen: set[float] = set()
 
-    def strides() -> bool:
+    def walked() -> bool:
         seen.update(commanded(written.all[-60:], 11))
         return len(seen) > 60
 
-    keeps(lambda: velocities.publish(TwistStamped(twist=Twist(Vector3(0.05)))), strides, hz=20)
+    keeps(lambda: velocities.publish(TwistStamped(twist=Twist(Vector3(0.05)))), walked, hz=20)
     keeps(lambda: None, lambda: rests(written, 11, 12, 22, count=50))
     leans = {leg: commanded(written.all, leg * 10 + 2)[-1] for leg in (1, 2)}
     assert leans[1] + leans[2] != pytest.approx(180.0, abs=1.0)

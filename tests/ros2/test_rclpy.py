@@ -18,14 +18,14 @@ from gateway.people.ros2.messages import (
     Vector3,
 )
 from gateway.people.ros2.robot import MEASURED
-from schemas.telemetry import FrameRecord, Kind, Mode
-from tests.ros2.test_motion import LAST_DEG, plan, rests, written_by_rosbags
+from schemas.telemetry import Kind, Mode
+from tests.ros2.test_motion import LAST_DEG, plan, rests, strides, written_by_rosbags
 from tests.support import measuring
 from tests.support.bad_ros2 import BAD
 from tests.support.bridged import GEOMETRY, LONG_S, RESTS_DEG, clean, commanded, keeps, resting
 from tests.support.child import Child
 from tests.support.gateway_process import Gateway
-from tests.support.heard import Heard, events, frames, running, states
+from tests.support.heard import events, frames, running, states
 from tests.support.rclpy_peer import DOMAIN, ENV, PROFILE, PYTHON, RCLPY_COMMAND, RclpyBridge, RclpyPeer, needs_rclpy
 
 pytestmark = needs_rclpy
@@ -283,11 +283,6 @@ def test_a_peer_that_is_killed_in_mid_walk_leaves_a_robot_that_stands_and_then_s
         assert len(running(watcher)) == 6, "it stands"
         states(watcher).wait(lambda state: state.mode == Mode.IDLE, timeout_s=LONG_S)
     assert watcher.state().lease.holder == "ros2", "another may go on"
-
-
-def strides(written: Heard[FrameRecord]) -> bool:
-    """Whether leg 1 has swung lately."""
-    return len(set(commanded(written.all[-400:], 11))) > 20
 
 
 # ---- trajectories

@@ -10,7 +10,8 @@ import pytest
 from gateway.client import Client
 from gateway.people.ros2.messages import DiagnosticArray, ImuMessage, JointState, String, Twist
 from schemas.telemetry import Kind, Mode
-from tests.ros2.test_rclpy import COMMANDS, DIAGNOSTICS, WALKING, rejections, strides
+from tests.ros2.test_motion import strides
+from tests.ros2.test_rclpy import COMMANDS, DIAGNOSTICS, WALKING, rejections
 from tests.support.bridged import GEOMETRY, clean, keeps, resting
 from tests.support.child import Child
 from tests.support.gateway_process import Gateway
