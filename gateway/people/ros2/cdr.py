@@ -8,6 +8,7 @@ empty message one byte.
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from inspect import get_annotations
 from typing import Annotated, Any, ClassVar, Final, NamedTuple, TypeVar, dataclass_transform, get_args, get_origin
 
@@ -186,13 +187,18 @@ def _write_one(out: bytearray, element: str | type[Message], value: Any) -> None
     if not isinstance(element, str):
         _write(out, value)
     elif element == "string":
-        text = value.encode()
-        if b"\0" in text:
-            raise CdrError("a string ends at its first zero, and this one has a zero inside")
-        _write_numbers(out, "I", (len(text) + 1,))
-        out += text + b"\0"
+        out += bytes(-len(out) % _SIZES["I"])
+        out += _string_bytes(value)
     else:
         _write_numbers(out, NUMBERS[element], (value,))
+
+
+@lru_cache(256)  # names of joints and frames are the same in each message
+def _string_bytes(value: str) -> bytes:
+    text = value.encode()
+    if b"\0" in text:
+        raise CdrError("a string ends at its first zero, and this one has a zero inside")
+    return struct.pack("<I", len(text) + 1) + text + b"\0"
 
 
 def _write_numbers(out: bytearray, letter: str, values: Any) -> None:
