@@ -3,6 +3,7 @@
 import itertools
 import threading
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -212,20 +213,25 @@ def test_a_flood_keeps_no_emergency_stop_waiting_and_ros_leaves_its_own_alone(
     assert "leave it at the robot" in why
 
 
-def test_an_emergency_stop_waits_for_no_other_service(driven: RclpyPeer, watcher: Client) -> None:
-    """`release` sits down for some seconds before it answers."""
+@pytest.mark.parametrize("sits", ["release", "deactivate"])
+def test_an_emergency_stop_waits_for_no_other_service(sits: str, driven: RclpyPeer, watcher: Client) -> None:
+    """Both sit down for some seconds before they answer."""
     happened = events(watcher)
     driven.advertise("/hexapod/cmd_vel", Twist)
     keeps(lambda: driven.publish("/hexapod/cmd_vel", WALKING), lambda: len(running(watcher)) == 6, hz=20)
     driven.next_where(DIAGNOSTICS, lambda each: each.status[-1].message == "drives by cmd_vel")
     with RclpyPeer() as other:
-        releasing = threading.Thread(target=other.call, args=("/hexapod/release",))
+        release = partial(other.call, "/hexapod/release")
+        releasing = threading.Thread(target=release if sits == "release" else partial(other.change_state, sits))
         releasing.start()
         driven.next_where(DIAGNOSTICS, lambda each: each.status[-1].message == "drives; nothing moves")
         assert driven.call("/hexapod/estop")[0]
         releasing.join()
     both = [each.kind for each in happened.all if each.kind in (Kind.ESTOP_ENGAGED, Kind.LEASE_RELEASED)]
     assert both == [Kind.ESTOP_ENGAGED, Kind.LEASE_RELEASED]
+    if sits == "deactivate":
+        assert driven.state() == "inactive"
+        assert driven.change_state("activate")
 
 
 # ---- several nodes
