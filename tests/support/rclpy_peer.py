@@ -9,6 +9,7 @@ import sys
 import threading
 import time
 from collections import defaultdict
+from contextlib import suppress
 from importlib import import_module
 from pathlib import Path
 from typing import Any, Final
@@ -33,6 +34,8 @@ PROFILE: Final = ROOT / "examples" / "ros2" / "this_machine.xml"
 NODE: Final = "/hexapod/hexapod_gateway"
 DOMAIN: Final = os.getpid() % 100 + 1
 """The first hundred have ports that no other program is given."""
+_MADE_S: Final = 5.0
+"""Shared memory is made in a millisecond."""
 ENV: Final = {"FASTDDS_DEFAULT_PROFILES_FILE": str(PROFILE), "RMW_IMPLEMENTATION": "rmw_fastrtps_cpp"}
 
 
@@ -40,6 +43,7 @@ class RclpyPeer(Peer):
     """The end that a test holds."""
 
     def __init__(self, domain: int = DOMAIN) -> None:
+        _remove_half_made()
         self._begin("tests.support.rclpy_peer", str(domain), ENV, PYTHON)
 
     def advertise(self, topic: str, kind: type[Message], *, best_effort: bool = False) -> None:
@@ -101,6 +105,7 @@ class RclpyBridge:
         self, gateway: Gateway, *arguments: str, domain: int = DOMAIN, env: dict[str, str] | None = None
     ) -> None:
         """With `--via`, an option; `env` is added to the environment."""
+        _remove_half_made()
         link = ("--connect", gateway.endpoint, "--domain", str(domain))
         self.child = Child([*RCLPY_COMMAND, "ros2", *link, *arguments], clean() | ENV | (env or {}))
         self.child.wait_for_output(READY, timeout_s=20)
@@ -204,6 +209,14 @@ class Actor:
     def graph(self) -> dict[str, list[str]]:
         node = self._node
         return dict(node.get_topic_names_and_types()) | dict(node.get_service_names_and_types())
+
+
+def _remove_half_made() -> None:
+    """Shared memory of FastDDS whose maker was killed before it was ready: the next to open it waits for ever."""
+    for port in Path("/dev/shm").glob("fastdds_port*[0-9]"):  # noqa: S108
+        with suppress(OSError):
+            if port.stat().st_mtime < time.time() - _MADE_S and port.read_bytes()[:4] == bytes(4):
+                port.unlink()
 
 
 def _wait(condition: Any) -> None:
