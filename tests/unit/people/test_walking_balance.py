@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable
 from datetime import UTC, datetime
+from statistics import median
 from typing import Final
 
 import pytest
@@ -11,7 +12,7 @@ from gateway.errors import WalkError
 from gateway.geometry import load
 from gateway.geometry.kinematics import Vector, from_rpy
 from gateway.people.walking import STILL, Posture, Robot, Velocity, Walker
-from gateway.people.walking.balance import FALLEN_DEG, LATE_S, LEANS_RAD, ReceivedTelemetry, Senses
+from gateway.people.walking.balance import FALLEN_DEG, LATE_S, LEANS_RAD, Lateness, ReceivedTelemetry, Senses
 from gateway.people.walking.robot import LIFT_M
 from schemas.robot import LEGS
 from schemas.telemetry import Imu, Telemetry
@@ -171,6 +172,32 @@ def test_sensors_that_are_a_tenth_of_a_second_late_only_slow_it_down_on_a_flat_f
         feels.engine.step(AHEAD, TICK_S, kept.pop(0))
     assert feels.engine.odometry.x_m > 0.75 * blind.engine.odometry.x_m
     assert all(abs(foot[2]) < 0.04 for foot in feels.engine.feet.values())
+
+
+def test_a_foot_that_went_too_deep_before_its_contact_was_reported_goes_up_again() -> None:
+    walked = standing(ROBOT)
+    ground = Ground(walked, lambda leg, x_m: -0.015 if leg == 4 and x_m > 0.1 else 0.0)
+    kept, deep_m = [ground.read()] * 5, []
+    for _ in range(600):
+        kept.append(ground.read())
+        walked.engine.step(AHEAD, TICK_S, kept.pop(0))
+        if 4 in walked.engine.standing:
+            deep_m.append(walked.engine.feet[4][2])
+    assert median(deep_m[-200:]) > -0.017
+    assert walked.engine._state.lateness.certain_s >= 0.08
+
+
+def test_lateness_is_the_median_of_contacts_and_a_punctual_sensor_has_none() -> None:
+    def learned(lates_s: list[float]) -> float:
+        lateness = Lateness()
+        for late_s in lates_s * 40:
+            lateness = lateness.after(late_s)
+        return lateness.certain_s
+
+    assert learned([-0.04, 0.2, -0.1]) == 0.0
+    assert learned([0.1]) == pytest.approx(0.1, abs=0.006)
+    assert learned([0.1, 0.4, 0.02, 0.1]) == pytest.approx(0.1, abs=0.02)
+    assert learned([9.0]) == LATE_S
 
 
 @pytest.mark.parametrize(
