@@ -114,7 +114,9 @@ class Senses:
             self._tilted_s = self._lifted_s = 0.0
             return NOTHING
         roll_rad, pitch_rad, tilt_deg = _lean(telemetry)
-        carrying = None if telemetry.feet is None else self._carrying(telemetry.feet, seconds, stands=stands)
+        forces = telemetry.feet
+        known = forces is not None and all(map(math.isfinite, forces))
+        carrying = self._carrying(forces, seconds, stands=stands) if forces is not None and known else None
         self._tilted_s = self._tilted_s + seconds if (tilt_deg or 0.0) > FALLEN_DEG else 0.0
         feet = {}
         for leg, carries in zip(LEGS, carrying or (), strict=False):

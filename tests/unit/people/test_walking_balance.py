@@ -301,6 +301,42 @@ def test_an_orientation_that_is_none_levels_nothing() -> None:
     assert felt.tilt_deg == pytest.approx(FALLEN_DEG + 10)
 
 
+@pytest.mark.parametrize("number", [math.nan, math.inf, -math.inf])
+def test_measurements_that_are_no_numbers_change_nothing(number: float) -> None:
+    imu = Imu(orientation_wxyz=(1.0, number, 0.0, 0.0), angular_velocity_rad_s=_NONE, linear_acceleration_m_s2=_NONE)
+    blind, feels = standing(ROBOT), standing(ROBOT)
+    nonsense = telemetry([1.0, number, 1.0, 1.0, 1.0, 1.0]).model_copy(update={"imu": imu})
+    for _ in range(100):
+        assert feels.engine.step(AHEAD, TICK_S, nonsense) == blind.engine.step(AHEAD, TICK_S)
+        assert not feels.engine.felt.fault
+    Ground(feels, flat).run(TICK_S)
+    assert feels.engine.felt.carrying is not None
+    assert any(feels.engine.felt.carrying)
+
+
+def test_a_robot_on_its_back_or_with_an_imu_upside_down_does_not_walk() -> None:
+    feels = standing(ROBOT)
+    for _ in range(20):
+        pose = feels.engine.step(STILL, TICK_S, telemetry([1.0] * 6, roll_rad=math.pi))
+    for _ in range(100):
+        assert feels.engine.step(AHEAD, TICK_S, telemetry([1.0] * 6, roll_rad=math.pi)) == pose
+    assert feels.engine.limit == "the body leans by 180 degrees: it has fallen"
+
+
+def test_telemetry_that_ends_in_a_stride_is_blind_walking_from_there_on() -> None:
+    """Also where a foot waits on its way down: none stays in the air, and none goes deeper."""
+    walked = standing(ROBOT)
+    ground = Ground(walked, lambda leg, x_m: -0.025 if leg in (1, 4) and x_m > 0.02 else 0.0)
+    while not any(swing.late_s for swing in walked.engine._state.swings.values()):
+        ground.run(TICK_S, AHEAD)
+    at_m = walked.engine.odometry.x_m
+    for _ in range(150):
+        walked.engine.step(AHEAD, TICK_S)
+    assert walked.engine.odometry.x_m > at_m + 0.15
+    assert not walked.engine.hanging
+    assert all(abs(walked.engine.feet[leg][2]) < 0.001 for leg in walked.engine.standing)
+
+
 def test_a_walker_adapts_only_where_it_is_asked_to() -> None:
     leaning = telemetry([1.0] * 6, roll_rad=0.1)
     for terrain, tilt_deg in (("level", None), ("adapt", pytest.approx(math.degrees(0.1)))):
