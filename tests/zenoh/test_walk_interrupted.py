@@ -71,9 +71,7 @@ def test_the_first_sits_and_the_second_stops(
             stood = stopped_at(written.all)
             child.send_signal(number)
             if again:
-                next(
-                    _ for _ in written.each() if _sits_down(written.all, stood, seated)
-                )  # not before: two may be one
+                next(_ for _ in written.each() if _sits_down(written.all, stood, seated))  # not before: two may be one
                 child.send_signal(number)
             code = child.wait(60)
         finally:
