@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from gateway.client import Client
+from gateway.people.ros2.cdr import Message
 from gateway.people.ros2.messages import (
     DiagnosticArray,
     ImuMessage,
@@ -151,8 +152,12 @@ def test_bad_messages_move_nothing_and_each_is_explained(driven: RclpyPeer, watc
     for topic in dict.fromkeys(topic for topic, _, _ in BAD.values()):
         driven.advertise(f"/hexapod/{topic}", next(type(message) for name, message, _ in BAD.values() if name == topic))
     for topic, message, why in BAD.values():
-        driven.publish(f"/hexapod/{topic}", message)
-        driven.next_where(DIAGNOSTICS, lambda each, why=why: why in rejections(each))
+
+        def explained(array: DiagnosticArray, topic: str = topic, message: Message = message, why: str = why) -> bool:
+            driven.publish(f"/hexapod/{topic}", message)
+            return why in rejections(array)
+
+        driven.next_where(DIAGNOSTICS, explained)
     assert watcher.state().commands == before
     assert watcher.state().lease.holder == "ros2", "it drives on"
 

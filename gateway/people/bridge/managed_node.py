@@ -85,6 +85,7 @@ class ManagedNode(LifecycleNode):  # type: ignore[misc]
         """Somebody may call `drive` from now on."""
         if self.get_parameter("use_sim_time").value:
             self._end(SIMULATED)
+            self.get_logger().error(SIMULATED)
             return TransitionCallbackReturn.FAILURE
         self._begin()
         return super().on_activate(state)

@@ -67,11 +67,13 @@ class Reports:
         topics: Topics,
         parameters: Parameters,
         *,
+        hardware_id: str,
         with_tf: bool,
         is_open: bool,
     ) -> None:
         """`received`: the rings of `CHANNELS`, by key; `is_open`: others reach the graph without certificates."""
         self._parameters = parameters
+        self._hardware_id = hardware_id
         unknown_deg = parameters.uncommanded_deg
         self._uncommanded_rad = {} if math.isnan(unknown_deg) else all_at(geometry, unknown_deg)
         self._is_open = is_open
@@ -122,7 +124,8 @@ class Reports:
         sign = (self._state and self._state.mode, self._driving.does, self._topics.latest_rejection)
         if now_s - self._diagnosed_s >= (1 / self._parameters.diagnostics_hz if sign == self._diagnosed else CHANGED_S):
             self._diagnosed_s, self._diagnosed = now_s, sign
-            self._diagnostics.publish(diagnostic_array((*self._gateway(now_s), self._bridge()), time_ns))
+            statuses = (*self._gateway(now_s), self._bridge())
+            self._diagnostics.publish(diagnostic_array(statuses, time_ns, self._hardware_id))
 
     def _take(self, key: str, kind: type[R]) -> R | None:
         """The next report on a key, if it is one: without access control, anybody may publish there."""

@@ -87,7 +87,16 @@ def serve(
             channels = dict(zip(CHANNELS, received, strict=True))
             settings = graph.parameters(parameters)
             reports = Reports(
-                channels, graph, shape, joints, driving, topics, settings, with_tf=with_tf, is_open=is_open
+                channels,
+                graph,
+                shape,
+                joints,
+                driving,
+                topics,
+                settings,
+                hardware_id=namespace.strip("/") or NODE,
+                with_tf=with_tf,
+                is_open=is_open,
             )
             with suppress(UnansweredError):  # an older gateway has none
                 reports.begin(client.calibration())

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from dataclasses import replace
 from typing import Final
 
 from gateway.geometry import Geometry, joint_name, transforms, urdf
@@ -38,6 +39,7 @@ from schemas.telemetry import Battery, GatewayState, Mode, Telemetry, WatchdogSt
 
 UNKNOWN_DEG: Final = 90.0
 """Where a servo that was never commanded is drawn."""
+_HEXAPOD: Final = "hexapod"
 _MARK_M: Final = 0.035
 """A little thicker than a leg is drawn."""
 _OFF: Final = ColorRGBA(0.9, 0.15, 0.1, 0.85)
@@ -231,12 +233,14 @@ def diagnostics(state: GatewayState) -> tuple[DiagnosticStatus, ...]:
 def status(part: str, level: int, message: str, **values: object) -> DiagnosticStatus:
     """One part's; a value that is None is left out."""
     shown = tuple(KeyValue(key, _text(value)) for key, value in values.items() if value is not None)
-    return DiagnosticStatus(level, f"hexapod: {part}", _text(message), "hexapod", shown)
+    return DiagnosticStatus(level, f"{_HEXAPOD}: {part}", _text(message), _HEXAPOD, shown)
 
 
-def diagnostic_array(statuses: tuple[DiagnosticStatus, ...], time_ns: int) -> DiagnosticArray:
-    """The robot's diagnostics as one message of `/diagnostics`."""
-    return DiagnosticArray(Header(stamp(time_ns)), statuses)
+def diagnostic_array(
+    statuses: tuple[DiagnosticStatus, ...], time_ns: int, hardware_id: str = _HEXAPOD
+) -> DiagnosticArray:
+    """The robot's diagnostics as one message of `/diagnostics`; `hardware_id` tells it from others."""
+    return DiagnosticArray(Header(stamp(time_ns)), tuple(replace(each, hardware_id=hardware_id) for each in statuses))
 
 
 def _text(value: object) -> str:

@@ -41,6 +41,8 @@ STORE: Final = ros2_messages.store_of("jazzy")
 def test_every_state_has_diagnostics(state: GatewayState) -> None:
     found = diagnostic_array(diagnostics(state), NOW_NS)
     assert decode(DiagnosticArray, encode(found)) == found
+    others = diagnostic_array(diagnostics(state), NOW_NS, "fleet/robot_1").status
+    assert {each.hardware_id for each in others} == {"fleet/robot_1"}
     gateway = found.status[0]
     assert gateway.message == state.mode
     assert (gateway.level == DiagnosticStatus.OK) == (state.mode in (Mode.IDLE, Mode.ACTIVE))
