@@ -49,6 +49,7 @@ def test_a_peer_sees_its_topics_and_services(peer: Peer) -> None:
         "/hexapod/battery_state": ["sensor_msgs/msg/BatteryState"],
         "/hexapod/imu/data": ["sensor_msgs/msg/Imu"],
         "/hexapod/temperature": ["sensor_msgs/msg/Temperature"],
+        "/hexapod/foot_forces": ["std_msgs/msg/Float64MultiArray"],
         "/hexapod/robot_description": ["std_msgs/msg/String"],
         "/hexapod/diagnostics": ["diagnostic_msgs/msg/DiagnosticArray"],
         "/hexapod/joint_commands": ["sensor_msgs/msg/JointState"],
@@ -110,24 +111,14 @@ def test_what_the_robot_measures_is_read_by_a_peer_and_rubbish_ends_nothing(
     for topic, kind in MEASURED.items():
         peer.subscribe(f"/hexapod/{topic}", kind)
     watcher.publish(keys.TELEMETRY, {"battery": "full"})
-    ended = threading.Event()
-
-    def publish() -> None:
-        while not ended.wait(0.1):
-            watcher.session.put(keys.TELEMETRY, measuring.MEASURED.model_dump_json())
-
-    publishing = threading.Thread(target=publish)
-    publishing.start()
-    try:
-        battery, imu, temperature = (peer.next(f"/hexapod/{topic}") for topic in MEASURED)
-    finally:
-        ended.set()
-        publishing.join()
+    with measuring.measures(watcher, measuring.MEASURED):
+        battery, imu, temperature, feet = (peer.next(f"/hexapod/{topic}") for topic in MEASURED)
     assert battery["percentage"] == pytest.approx(0.8)
     assert math.isnan(battery["current"])
     assert imu["header"]["frame_id"] == "base"
     assert imu["linear_acceleration"]["z"] == 9.81
     assert temperature["temperature"] == 31.5
+    assert feet["data"] == list(measuring.MEASURED.feet or ())
 
 
 # ---- nothing moves unasked

@@ -13,15 +13,15 @@ from dataclasses import dataclass, field
 from typing import Final, Protocol
 
 from gateway.allowance import NS_PER_MS
-from gateway.model import power_board
 from gateway.robot.core.events import Announce, Completed, Effect, PowerSeen, Request, Reset
 from gateway.robot.core.message import Received, Verb
 from gateway.robot.core.power import CutOn, cut_by
 from gateway.robot.core.supervisor import Supervisor
 from gateway.robot.host.ownership import Ownership
-from gateway.robot.power.board import Confirmed, News, PowerBoard
+from gateway.robot.power.board import News, PowerBoard
 from gateway.robot.power.currents import CurrentRules
 from gateway.robot.power.line import PowerLine, Status
+from gateway.robot.power.offs import Confirmed
 from gateway.robot.protocol import Wire
 from gateway.robot.runtime.answers import legs_of
 from gateway.robot.runtime.executor import Outcome
@@ -30,7 +30,7 @@ from gateway.robot.settings import Settings
 from gateway.robot.spi.cyclic import CyclicBus
 from schemas.keys import ESTOP
 from schemas.robot import LEGS, SERVO_IDS
-from schemas.telemetry import Kind, Mode, PowerReport, ServoTelemetry, Supply
+from schemas.telemetry import Kind, Mode, PowerReport
 
 CarryOut = Callable[[Sequence[Effect], Request | None], Outcome]
 MOST_LOOKS: Final = 30
@@ -44,7 +44,6 @@ _WHY: Final = {
     CutOn.BUTTON: "since too few stop buttons are alive",
     CutOn.SHUTDOWN: "since the gateway ends",
 }
-_CONVERTERS: Final = (power_board.CONVERTERS_1_TO_3_MV, power_board.CONVERTERS_4_5_MV)
 _DREW: Final = "it drew current after its Stop; a reset feeds it again"
 _TAKEN: Final = "another program has switched it off; a reset feeds it again"
 _ALL: Final = frozenset(SERVO_IDS)
@@ -102,7 +101,6 @@ class RobotSupply:
         self._ready = ready
         self._asked = self._runs = self._lost = _NONE
         self._cause: CutOn | None = None
-        self._cut: list[Announce] = []
         self._withheld: dict[int, str] = {}
         """Servos that are not fed before a reset, and why: blocked by the board, or they drew current after a Stop."""
         self._refused: Mapping[int, str] = {}
@@ -110,38 +108,41 @@ class RobotSupply:
         self._currents = CurrentRules(settings.idle_ma, round(settings.settle_ms * NS_PER_MS))
         self._found: list[News] = []
         """What the currents say."""
+        self._gave_back = False
+        """By a reset, of which the board may never say anything: where it feeds nothing before a start."""
         self._looked_ns = self._looks = 0
         self._token = 0
         self._waiting: dict[int, Then] = {}
 
     # ---- what a step decides
 
-    def before(self, supervisor: Supervisor) -> None:
-        """Before its frames: what is to be off."""
+    def before(self, supervisor: Supervisor) -> list[Announce]:
+        """Before its frames: what is to be off. Returns what is to be published behind them."""
         servos = supervisor.legs.servos
         self._runs = frozenset([each for each, servo in servos.items() if servo.angle_cdeg is not None])
         unwatched = supervisor.buttons.closed and not self._runs
         before, self._cause = self._cause, cut_by(supervisor.mode, self._cut_on, unwatched=unwatched)
-        if self._cause is not None and self._cause is not before and self._asked:
-            detail = f"the servos' supply is taken, {_WHY[self._cause]}"
-            self._cut.append(Announce(Kind.POWER_CUT, detail, legs=tuple(LEGS)))
+        if supervisor.stopped_outside and CutOn.SHUTDOWN in self._cut_on:
+            self._withheld |= dict.fromkeys(self._asked, _TAKEN)  # `stop-servos` takes it, also where nothing shows it
+        cuts = self._cause is not None and self._cause is not before and self._asked
         self._ask(self._asked & self._wanted(supervisor.mode))
+        if self._cause is None or not cuts:
+            return []
+        return [Announce(Kind.POWER_CUT, f"the servos' supply is taken, {_WHY[self._cause]}", legs=tuple(LEGS))]
 
-    def behind(self, supervisor: Supervisor) -> list[Announce]:
-        """Behind its frames: what is to be on. Returns what is to be published."""
+    def behind(self, supervisor: Supervisor) -> None:
+        """Behind its frames: what is to be on."""
         self._lost = _NONE  # their Stops are written
         self._ask(self._wanted(supervisor.mode))
-        cut, self._cut = self._cut, []
-        return cut
 
     def _wanted(self, mode: Mode) -> frozenset[int]:
         if self._cause is not None or mode is Mode.STARTING:
             return _NONE
         if not self._line.status.alive and not self._runs:
             return _NONE  # what comes back is fed anew
-        wanted = _ALL if self._ready is None else self._ready() & self._runs
         if self._ready is not None and mode is Mode.BUS_FAULT:
             return _NONE
+        wanted = _ALL if self._ready is None else self._ready() & self._runs
         return wanted.difference(self._withheld, self._lost, self._line.status.refused)
 
     def _ask(self, servos: frozenset[int]) -> None:
@@ -151,6 +152,7 @@ class RobotSupply:
     def reset(self) -> None:
         """The emergency stop was left: what was blocked or cut is fed again."""
         self._withheld.clear()
+        self._gave_back = True
         self._line.clear_errors()
 
     def cut_early(self, cause: CutOn) -> None:
@@ -174,19 +176,21 @@ class RobotSupply:
             unfed = self._runs - status.supplied  # on its way: it may draw, and need not
             drawn = {each: ma for each, ma in status.currents_ma.items() if each not in unfed}
             self._found += self._currents.measured(drawn, self._runs, now_ns)
-        return bool(self._found)
+        return self._gave_back or bool(self._found)
 
     def look(self) -> Seen:
         """Take the news."""
         seen = Seen(PowerSeen(self._line.status.alive))
         doubt = ""
-        found, self._found = self._found, []
+        found, self._found, self._gave_back = self._found, [], False
         for each in (*self._line.news(), *found):
             if isinstance(each, Confirmed):
                 then = self._waiting.pop(each.token, None)
                 if then is not None:
                     then(each.confirmed, each.ms)
                 continue
+            if each.kind is Kind.POWER_RESTORED and self._ready is not None:
+                continue  # there, it is no more than a start of all
             seen.announcements.append(Announce(each.kind, each.detail, legs=legs_of(each.servos)))
             seen.off_pressed = seen.off_pressed or each.kind is Kind.OFF_BUTTON
             if CutOn.UNCONFIRMED in self._cut_on:
@@ -235,37 +239,19 @@ class RobotSupply:
 
     def report(self, now_ns: int) -> PowerReport:
         """For the state."""
-        answered_ns = self._line.status.answered_ns
+        status = self.status
         return PowerReport(
             interface=self._interface,
-            alive=self._line.status.alive,
-            supplied=tuple(sorted(self._line.status.supplied)),
-            confirmed=self._line.status.confirmed,
-            age_ms=None if answered_ns is None else max(0, now_ns - answered_ns) / 1e6,
+            alive=status.alive,
+            supplied=tuple(sorted(status.supplied)),
+            confirmed=status.confirmed,
+            age_ms=None if status.answered_ns is None else max(0, now_ns - status.answered_ns) / 1e6,
         )
 
-    def measured(self, now_ns: int) -> dict[str, object]:
-        """What the board measures, as `hexapod/telemetry` has it; empty: nothing yet."""
-        status = self._line.status
-        if status.answered_ns is None:
-            return {}
-        found: dict[str, object] = {"age_ms": max(0, now_ns - status.answered_ns) / 1e6}
-        if status.currents_ma:
-            found["servos"] = {
-                str(servo_id): ServoTelemetry(supplied=servo_id in status.supplied, current_a=ma / 1000)
-                for servo_id, ma in sorted(status.currents_ma.items())
-            }
-        rails = status.rails
-        currents, volts = rails.get(power_board.STANDBY_SUPPLY_MA), rails.get(power_board.SUPPLY_BATTERY_MV)
-        if currents is not None and volts is not None:
-            found["supply"] = Supply(voltage_v=volts[0] / 1000, current_a=currents[1] / 1000)
-        converters = [rails.get(each) for each in _CONVERTERS]
-        if None not in converters:
-            found["converters_v"] = tuple(mv / 1000 for each in converters if each is not None for mv in each)
-        temperatures_c = rails.get(power_board.TEMPERATURES_C)
-        if temperatures_c is not None:
-            found["board_temperatures_c"] = temperatures_c
-        return found
+    @property
+    def status(self) -> Status:
+        """What is known of the board."""
+        return self._line.status
 
 
 class Feeding:
@@ -281,13 +267,14 @@ class Feeding:
 
     def carry_out(self, effects: Sequence[Effect], heard: Request | None = None) -> Outcome:
         """As an executor's. Where the frames could not be written, nothing more is fed: the bus's fault follows."""
-        self._supply.before(self._supervisor)
+        announcements = self._supply.before(self._supervisor)
         outcome = self._carry_out(effects, heard)
         if outcome.fault is None:
             if any(type(each) is Completed and type(each.request) is Reset for each in effects):
                 self._supply.reset()
-            for each in self._supply.behind(self._supervisor):
-                self._announce(each)
+            self._supply.behind(self._supervisor)
+        for each in announcements:
+            self._announce(each)
         return outcome
 
 

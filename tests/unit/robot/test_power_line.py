@@ -1,5 +1,6 @@
 """The line to the power board: by slcan on a pseudo terminal, and by interfaces that fail as CAN does."""
 
+import os
 import sys
 import threading
 import time
@@ -14,9 +15,10 @@ import pytest
 from gateway.allowance import NS_PER_MS
 from gateway.errors import ConfigError
 from gateway.model.power_board import ALL, CanFrame
-from gateway.robot.power.board import Confirmed, News, PowerBoard
+from gateway.robot.power.board import News, PowerBoard
 from gateway.robot.power.interface import LineError, open_bus
 from gateway.robot.power.line import PowerLine
+from gateway.robot.power.offs import Confirmed
 from gateway.robot.sections import PowerSettings
 from schemas.robot import SERVO_IDS
 from schemas.telemetry import Kind
@@ -30,8 +32,10 @@ MOST_S = 20
 class Owner:
     """A line and what it has reported."""
 
-    def __init__(self, channel: str, opener: Callable[[PowerSettings], can.BusABC] = open_bus) -> None:
-        settings = PowerSettings(interface="slcan", channel=channel)
+    def __init__(
+        self, channel: str, opener: Callable[[PowerSettings], can.BusABC] = open_bus, interface: str = "slcan"
+    ) -> None:
+        settings = PowerSettings(interface=interface, channel=channel)
         board = PowerBoard(SERVO_IDS, confirm_ns=2000 * NS_PER_MS)
         self.news: list[News | Confirmed] = []
         self.mistakes: list[Exception] = []
@@ -225,7 +229,7 @@ def bus() -> Iterator[Bus]:
     bus.ended.set()
 
 
-def owner_of(*buses: can.BusABC) -> Owner:
+def owner_of(*buses: can.BusABC, interface: str = "slcan") -> Owner:
     """Of a line whose interface opens so often."""
     left = list(buses)
 
@@ -234,7 +238,7 @@ def owner_of(*buses: can.BusABC) -> Owner:
             raise LineError(settings.channel)
         return left.pop(0)
 
-    return Owner("", opener)
+    return Owner("", opener, interface)
 
 
 def test_a_sender_that_hangs_delays_no_caller_and_no_report(bus: Bus) -> None:
@@ -267,6 +271,15 @@ def test_error_frames_and_our_own_echo_are_no_answers(bus: Bus) -> None:
     owner.line.start()
     owner.until(lambda: owner.line.status.alive)
     assert not [item for item in owner.news if isinstance(item, News) and item.kind is not Kind.POWER_UNCONFIRMED]
+    owner.line.close()
+
+
+def test_on_socketcan_what_another_program_on_this_computer_sends_is_no_echo(bus: Bus) -> None:
+    """`stop-servos`, say: the kernel marks its frames as sent here, and python-can gives our own ones to nobody."""
+    owner = owner_of(bus, interface="socketcan")
+    bus.to_program.append(can.Message(is_rx=False, arbitration_id=0x6A, is_extended_id=False, data=b"\0\0\0"))
+    owner.line.start()
+    assert "another program" in owner.until_reported(Kind.POWER_FAULT).detail
     owner.line.close()
 
 
@@ -350,4 +363,29 @@ def test_a_frame_that_comes_in_two_parts_is_one(adapter: Adapter, channel: str) 
     message = bus.recv(MOST_S)
     assert message is not None
     assert message.arbitration_id == 0x69
+    bus.shutdown()
+
+
+def test_a_terminal_whose_bytes_another_reader_took_is_not_disconnected(
+    adapter: Adapter, channel: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """`stop-servos` on a gateway's adapter. Who reads second gets nothing, as from a closed terminal."""
+    assert adapter
+    bus = open_bus(PowerSettings(interface="slcan", channel=channel))
+    bus.send(can.Message(arbitration_id=0x7C, is_extended_id=False))
+    read = os.read
+    taken: list[bytes] = []
+
+    def second(descriptor: int, count: int) -> bytes:
+        if descriptor != bus.fileno():
+            return read(descriptor, count)
+        taken.append(read(descriptor, count))
+        return b""
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "read", second)
+        assert bus.recv(0.3) is None
+    assert any(taken)
+    bus.send(can.Message(arbitration_id=0x7C, is_extended_id=False))
+    assert bus.recv(MOST_S) is not None
     bus.shutdown()
