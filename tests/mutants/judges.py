@@ -79,10 +79,11 @@ _TIMES: Final = f"{_PEOPLE}test_times.py"
 JUDGES: Final = {
     "gateway/model/frames.py": (f"{_MODEL}test_frames.py", "tests/unit/test_decode.py"),
     "gateway/model/framing.py": (f"{_MODEL}test_framing.py",),
-    "gateway/model/elkapod.py": (f"{_MODEL}test_elkapod_bytes.py",),
-    "gateway/robot/protocol/elkapod.py": (f"{_UNIT}test_elkapod_wire.py", f"{_UNIT}test_power_conductor.py"),
+    "gateway/model/elkapod.py": (f"{_MODEL}test_elkapod_bytes.py", f"{_UNIT}test_elkapod_wire.py"),
+    "gateway/robot/protocol/elkapod.py": (f"{_UNIT}test_elkapod_fed_singly.py", f"{_UNIT}test_elkapod_wire.py"),
     "gateway/robot/spi/cyclic.py": (
         f"{_UNIT}test_elkapod_wire.py",
+        f"{_UNIT}test_elkapod_fed_singly.py",
         f"{_UNIT}test_elkapod_conductor.py",
         f"{_UNIT}test_power_conductor.py",
     ),
@@ -151,7 +152,14 @@ JUDGES: Final = {
     "gateway/robot/runtime/calibrations.py": _CALIBRATION_REQUESTS,
     "gateway/robot/runtime/answers.py": (*_CONDUCTOR, f"{_PEOPLE}test_recorder.py", f"{_UNIT}test_power_conductor.py"),
     "gateway/robot/runtime/executor.py": (*_CONDUCTOR, f"{_UNIT}test_meddled_conductor.py"),
-    "gateway/robot/runtime/conductor.py": (*_CONDUCTOR, f"{_UNIT}test_power_conductor.py"),
+    "gateway/robot/runtime/conductor.py": (
+        *_CONDUCTOR,
+        f"{_UNIT}test_meddled_conductor.py",
+        f"{_UNIT}test_telemetry.py",
+        f"{_UNIT}test_conductor_news.py",
+        f"{_UNIT}test_elkapod_conductor.py",
+        f"{_UNIT}test_power_conductor.py",
+    ),
     # rules of the people's wing, with the time as an argument
     "gateway/allowance.py": ("tests/unit/test_allowance.py",),
     "gateway/people/bridge/own_stop.py": (f"{_PEOPLE}test_bridge_own_stop.py", _TIMES),
