@@ -44,7 +44,7 @@ async def test_a_landing_that_a_silent_board_begins_ends_in_time_though_nothing_
     await asyncio.sleep(UP_S)
     robot.put(LEG_3, START)
     robot.line.hears = False
-    await asyncio.sleep(0.4)
+    await asyncio.sleep(0.15)
     assert robot.events(Kind.LANDING)
     await asyncio.sleep(0.5)
     assert running(robot) == []
