@@ -53,7 +53,9 @@ async def test_a_landing_that_a_silent_board_begins_ends_in_time_though_nothing_
 async def test_what_comes_after_the_end_changes_nothing() -> None:
     robot = FedRobot()
     await asyncio.sleep(UP_S)
+    assert not robot.conductor.closed, "so that frames of elkapod-2025 go on"
     robot.conductor.close()
+    assert robot.conductor.closed
     robot.reports.clear()
     robot.conductor.power_changed()
     robot.conductor.bus_failed(SpiError("timed out"))
