@@ -262,7 +262,7 @@ def check(
         from gateway.people.tools import reach
 
         connection = reach.connection(connect, zenoh_config, timeout, source="hexapod-gateway check")
-        sys.exit(move_servo(connection, agreed=yes))
+        sys.exit(move_servo(connection, config, agreed=yes))
     from gateway.onboard.check import check, check_laptop
 
     if connect is not None or zenoh_config is not None:

@@ -12,6 +12,7 @@ DRIVERS: Final = (
     "fs/netfs/netfs", "fs/fscache/fscache", "net/9p/9pnet", "drivers/virtio/virtio_ring", "drivers/virtio/virtio",
     "drivers/virtio/virtio_pci_legacy_dev", "drivers/virtio/virtio_pci_modern_dev", "drivers/virtio/virtio_pci",
     "net/9p/9pnet_virtio", "fs/9p/9p", "fs/overlayfs/overlay",
+    "net/can/can", "net/can/can-raw", "drivers/net/can/dev/can-dev", "drivers/net/can/vxcan",
 )  # fmt: skip
 """In the order in which they need each other."""
 _INIT: Final = """#!/bin/busybox sh

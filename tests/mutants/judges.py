@@ -137,6 +137,8 @@ JUDGES: Final = {
     "gateway/robot/core/reset.py": (f"{_UNIT}test_supervisor_stops.py", f"{_UNIT}test_power_rule.py"),
     "gateway/model/power_board.py": (f"{_MODEL}test_power_board_bytes.py", f"{_UNIT}test_simulated_board.py"),
     "gateway/robot/power/board.py": _POWER,
+    "gateway/robot/power/errors.py": _POWER,
+    "gateway/robot/power/offs.py": _POWER,
     "gateway/robot/power/questions.py": (f"{_UNIT}test_power_questions.py", *_POWER),
     "gateway/robot/power/currents.py": (f"{_UNIT}test_currents.py",),
     "gateway/robot/power/last_cut.py": (f"{_UNIT}test_last_cut.py",),

@@ -5,8 +5,9 @@ from collections.abc import Callable
 from typing import Any, Final
 
 from gateway.model.power_board import SET_SUPPLY, CanFrame
-from gateway.robot.power.board import Confirmed, News, PowerBoard
+from gateway.robot.power.board import News, PowerBoard
 from gateway.robot.power.line import Status
+from gateway.robot.power.offs import Confirmed
 from gateway.robot.power.simulated_board import SimulatedBoard
 from gateway.robot.runtime.supply import RobotSupply
 from gateway.robot.service import BEAT_S

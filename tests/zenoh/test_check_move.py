@@ -3,6 +3,7 @@
 import io
 import signal
 import sys
+import tomllib
 from collections import ChainMap
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
@@ -14,6 +15,7 @@ from gateway import geometry
 from gateway.client import Client
 from gateway.model.frames import OneServo, Op, ServoOp, decode
 from gateway.onboard.check import move as module
+from gateway.onboard.check.outputs import ServoCurrents
 from gateway.people.tools import kept_lease
 from gateway.people.walking.robot import Robot
 from schemas import keys
@@ -24,6 +26,7 @@ from tests.support.command import Ended
 from tests.support.fixtures import gateway_fixture
 from tests.support.gateway_process import Gateway
 from tests.support.heard import Heard, frames
+from tests.support.recorded_board import RecordedBoard
 
 # Patient, for a busy machine: no servo is stopped but by command.
 gateway = gateway_fixture({"telemetry": {"frames": True}, "watchdog": {"timeout_ms": 9000}})
@@ -275,3 +278,32 @@ def test_by_its_current_it_shows_which_output_feeds_the_servo(tmp_path: Path) ->
         end = gateway.run("check", "--move", "--yes")
     assert end.returncode == 0, str(end)
     assert "output for servo 61 feeds it" in end.stdout
+
+
+def test_a_servo_on_another_output_is_found_and_exchanged_in_the_configuration(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What is named 12 feeds 61: it is the current under that name which rises."""
+    monkeypatch.setattr(module, "_HOLD_S", 0.5)
+    named = [{12: 61, 61: 12}.get(each, each) for each in SERVO_IDS]
+    with RecordedBoard(tmp_path) as board:
+        moves = ServoCurrents.moves
+
+        def drawing(currents: ServoCurrents) -> None:
+            moves(currents)
+            board.disturb(draws_ma={"61": 400.0})
+
+        monkeypatch.setattr(ServoCurrents, "moves", drawing)
+        power = {**board.settings, "servos": named, "idle_ma": 5000}
+        with Gateway(tmp_path, {"watchdog": {"timeout_ms": 9000}, "power": power}) as gateway:
+            board.next("fed", (1 << 18) - 1)
+            gateway.config.chmod(0o640)
+            for agrees, written in (("no", named), ("yes", list(SERVO_IDS))):
+                answers = ("", "", "yes", agrees, "yes", "yes")
+                monkeypatch.setattr(sys, "stdin", io.StringIO("".join(f"{answer}\n" for answer in answers)))
+                end = gateway.run("check", "--move", "--config", str(gateway.config))
+                assert end.returncode == 0, str(end)
+                assert "power.servos is WRONG: servo 61 hangs on the output that it gives to servo 12" in end.stdout
+                assert tomllib.loads(gateway.config.read_text())["power"]["servos"] == written
+                board.disturb(draws_ma={})
+            assert gateway.config.stat().st_mode & 0o777 == 0o640

@@ -8,16 +8,20 @@ select between the transfers of a call, and a controller that needs it then obey
 that comes back to the gateway, so a person is asked whether the servo is loose.
 """
 
+import os
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import partial
+from pathlib import Path
 from typing import Final
 
+from gateway import durable
 from gateway.errors import ConfigError
+from gateway.host.plain_settings import DEFAULT_PATH
 from gateway.model.protocols import SpiProtocol
 from gateway.model.telemetry import starts_whole
-from gateway.onboard.check.outputs import ServoCurrents, finding
+from gateway.onboard.check.outputs import ServoCurrents, exchanged, finding
 from gateway.people.client.blocking import Client
 from gateway.people.terminal import ask, say
 from gateway.people.tools.driving import drives, rejected
@@ -50,6 +54,10 @@ _SILENT: Final = (
     "The controller does not answer, so nothing is moved: hexapod-gateway status names what is missing. A controller "
     'of HexapodProtocol v1.0.0 answers nothing; it needs spi.protocol = "hexapod-1.0".'
 )
+_OTHER_OUTPUT: Final = (
+    "power.servos: did another servo move, or is one stiff that you did not name? Then the board's output for yours "
+    "feeds that one: exchange the two there, and restart the gateway."
+)
 _FIRST: Final = (
     "Its Stop was the first of six in one call, so this does not show whether the others arrive: do it once more with "
     "a servo of leg 6."
@@ -58,6 +66,10 @@ _FIRST: Final = (
 
 def causes(state: GatewayState) -> tuple[str, ...]:
     """Why a servo may stand still though every frame was written; the likeliest first."""
+    return (*((_OTHER_OUTPUT,) if state.power is not None else ()), *_causes(state))
+
+
+def _causes(state: GatewayState) -> tuple[str, ...]:
     supply = (
         "Supply: have the servos one of their own, and is it switched on? A servo that runs holds against your hand."
     )
@@ -82,9 +94,10 @@ def causes(state: GatewayState) -> tuple[str, ...]:
     )
 
 
-def move(connect: Connection, *, agreed: bool) -> int:
+def move(connect: Connection, config: Path | None = None, *, agreed: bool) -> int:
     """Ask, move, stop, ask; `agreed`: without any question, so 0 then states only that all was accepted.
 
+    `config`: the configuration in which `power.servos` is put right, where somebody agrees; the usual one if None.
     0: somebody saw it move; 1: nobody did, or it was not to be. Raises ZenohError.
     """
     with connect() as client:
@@ -117,7 +130,10 @@ def move(connect: Connection, *, agreed: bool) -> int:
                 say("A simulated controller took it: no servo is there to move.")
             say(f"All six legs were stopped at once, servo {servo_id} with them.")
             if _tells_outputs(state):
-                say(finding(servo_id, currents.rest, currents.moving))
+                found = finding(servo_id, currents.rest, currents.moving)
+                say(found.sentence)
+                if found.hangs_on is not None:
+                    _correct(config, servo_id, found.hangs_on, agreed=agreed)
             if agreed:
                 say("Every frame was written, and SPI has no way back: look whether it moved, and whether it is loose.")
                 return 0
@@ -135,6 +151,27 @@ def move(connect: Connection, *, agreed: bool) -> int:
     if servo_id // 10 == LEGS[0] and not whole:
         say(_FIRST)
     return 0
+
+
+def _correct(config: Path | None, one: int, other: int, *, agreed: bool) -> None:
+    """Exchange these servos in the gateway's configuration, if it is on this computer and somebody agrees."""
+    path = (config or DEFAULT_PATH).resolve()
+    try:
+        text, before = exchanged(path.read_text(), one, other), path.stat()
+        if agreed or ask(f"Exchange {one} and {other} in {path}? yes or no: ") != "yes":
+            return
+        durable.write(path, text.encode(), prepare=partial(_like, before))
+    except FileNotFoundError:
+        return  # on another computer
+    except (OSError, ValueError) as error:
+        say(f"{path} is as it was: {error}")
+        return
+    say(f"{path} is changed: sudo systemctl restart hexapod-gateway")
+
+
+def _like(before: os.stat_result, descriptor: int) -> None:
+    os.fchown(descriptor, before.st_uid, before.st_gid)
+    os.fchmod(descriptor, before.st_mode & 0o7777)
 
 
 def _tells_outputs(state: GatewayState) -> bool:

@@ -19,12 +19,11 @@ from gateway.model.power_board import (
     SUPPLY_BATTERY_MV,
     TEMPERATURES_C,
     BoardError,
-    CanFrame,
     Rails,
 )
 from gateway.onboard.check import nodes, service_user
 from gateway.onboard.check.result import Result, failure, ok, warning
-from gateway.robot.power.interface import open_bus
+from gateway.robot.power.interface import open_bus, received, send
 from gateway.robot.sections import PowerSettings
 from gateway.robot.spi.machine import ROOT_DIR
 
@@ -71,7 +70,7 @@ def _answers(settings: PowerSettings) -> Iterator[Result]:
         yield failure(_NAME, str(error), "see dmesg, and the settings of [power]")
         return
     try:
-        rails, errors = asked(bus)
+        rails, errors = asked(bus, settings)
     except Exception as error:  # from any of python-can's interfaces
         yield failure(_NAME, f"{where}: {error}", "see dmesg")
         return
@@ -89,22 +88,19 @@ def _answers(settings: PowerSettings) -> Iterator[Result]:
 
 
 def asked(
-    bus: "can.BusABC", clock: Callable[[], int] = time.monotonic_ns
+    bus: "can.BusABC", settings: PowerSettings, clock: Callable[[], int] = time.monotonic_ns
 ) -> tuple[dict[int, tuple[int, ...]], list[BoardError]]:
     """What the board answers: its rails by the question's identifier, and its errors."""
-    from can import Message  # noqa: PLC0415
-
     rails: dict[int, tuple[int, ...]] = {}
     errors: list[BoardError] = []
     for _ in range(_ROUNDS):
         for question in (*(each for each in ASK_RAILS if each.id not in rails), ASK_ERROR):
-            bus.send(Message(arbitration_id=question.id, is_extended_id=False), timeout=_ROUND_S)
+            send(bus, question, _ROUND_S)
         end_ns = clock() + round(_ROUND_S * NS_PER_S)
         while (left_ns := end_ns - clock()) > 0:
             message = bus.recv(left_ns / NS_PER_S)
-            if message is None or message.is_error_frame or message.is_remote_frame or message.is_extended_id:
-                continue
-            match power_board.read(CanFrame(message.arbitration_id, bytes(message.data))):
+            frame = None if message is None else received(message, settings)
+            match None if frame is None else power_board.read(frame):
                 case Rails(identifier, values):
                     rails[identifier] = values
                 case BoardError() as error:

@@ -3,9 +3,9 @@
 - **Off** goes out at once, and again every 20 ms until it is confirmed, for 2 s.
 - **On** waits until the board's counter is at rest: 5 ms behind its answer. It is only sent while the board answers, so
   that no queue of a broken link delivers it later.
-- **Confirmed** is an answer 6B that was given after the mask had reached the board. The board answers questions in its
-  receive interrupt, masks later. So an output is confirmed off by a 6B that shows it off and comes behind the answer to
-  a question that was sent after the mask (questions.py).
+- **Confirmed** is an answer 6B that was given after the mask had reached the board (offs.py). The board answers
+  questions in its receive interrupt, masks later: so one that comes behind the answer to a question that was sent after
+  the mask (questions.py).
 - **Nothing comes on unasked.** When an error of the board is deleted, by whomever, it feeds all of the last mask again.
   So each mask leaves out outputs that it has blocked, that another node took, or that were off after a silence, until
   the owner has once not wanted their servos and then wants them anew.
@@ -18,8 +18,6 @@ from typing import Final, NamedTuple
 from gateway.allowance import NS_PER_MS
 from gateway.model.power_board import (
     ALL,
-    ASK_ERROR,
-    CLEAR_ERROR,
     OUTPUTS,
     SET_SUPPLY,
     BoardError,
@@ -31,11 +29,12 @@ from gateway.model.power_board import (
     OffPressed,
     Rails,
     Supplied,
-    explained,
     mask_of,
     read,
     set_supply,
 )
+from gateway.robot.power.errors import BoardErrors
+from gateway.robot.power.offs import Confirmed, OutputsOff
 from gateway.robot.power.questions import BoardQuestions
 from schemas.telemetry import Kind
 
@@ -50,9 +49,6 @@ REST_NS: Final = 5 * NS_PER_MS
 """Behind an answer 6B: within a pass of the board's loop (2 ms at most) its counter is one too far."""
 STEP_NS: Final = 54 * NS_PER_MS
 """The longest time for 27 passes of the board's loop: until the answer, and for each output that goes on."""
-CLEAR_NS: Final = 50 * NS_PER_MS
-CLEAR_TRIES: Final = 40
-"""Requests to show or delete errors: a board keeps four kinds, and a fifth of the answers may be lost."""
 MEDDLED_NS: Final = 1000 * NS_PER_MS
 """Between two reports of another node's masks."""
 
@@ -65,34 +61,6 @@ class News(NamedTuple):
     servos: frozenset[int] = frozenset()
 
 
-class Confirmed(NamedTuple):
-    """The answer to a `when_off`: whether the board confirmed that these servos are off, and how long after the ask."""
-
-    token: int
-    confirmed: bool
-    ms: float | None
-
-
-class _Wait(NamedTuple):
-    """Somebody waits until the outputs of `mask` are confirmed off, from the mask with number `number` on."""
-
-    token: int
-    mask: int
-    asked_ns: int
-    number: int
-
-
-class _Off:
-    """An output that is to be off: by which mask at first, since when, and whether that is confirmed."""
-
-    __slots__ = ("confirmed", "number", "since_ns")
-
-    def __init__(self, number: int, since_ns: int) -> None:
-        self.number = number
-        self.since_ns = since_ns
-        self.confirmed = False
-
-
 class PowerBoard:
     """One board. Each method belongs to one owner at a time; `now_ns` is monotonic and the same clock for all."""
 
@@ -100,7 +68,6 @@ class PowerBoard:
         """`outputs`: the servo on each output, from output 1 on. `confirm_ns`: what is confirmed later is reported."""
         self._servos = tuple(outputs)
         self._bit = {servo: 1 << place for place, servo in enumerate(outputs)}
-        self._confirm_ns = confirm_ns
         self._news: deque[News | Confirmed] = deque()
         # What is wanted. Nothing is sent before the first want or cut.
         self._begun = False
@@ -109,7 +76,6 @@ class PowerBoard:
         self._lost = 0
         self._unknown = 0
         """Lost to a silence: perhaps still fed, so taken by no mask of our own accord. A leg may be landing on them."""
-        self._blocked: dict[int, str] = {}
         # What was sent: 0 is also what a board feeds that has started anew.
         self._sent = 0
         self._number = 0
@@ -122,8 +88,7 @@ class PowerBoard:
         self._rest_ns = 0
         """From when on its counter is at rest."""
         self._on_until_ns = 0
-        self._offs: dict[int, _Off] = {}
-        self._waits: list[_Wait] = []
+        self._off = OutputsOff(confirm_ns)
         self._unconfirmed = False
         self._started_ns: int | None = None
         self._restoring = True
@@ -135,12 +100,8 @@ class PowerBoard:
         """Outputs that the board has confirmed to feed, and when."""
         self._milliamperes: dict[int, int] = {}
         self._rails: dict[int, tuple[int, ...]] = {}
-        # BoardQuestions.
         self._questions = BoardQuestions()
-        self._clear_tries = 0
-        self._clear_due_ns = 0
-        self._clear_next = ASK_ERROR
-        self._errors: set[BoardError] = set()
+        self._errors = BoardErrors()
         self._meddled_ns: int | None = None
 
     # ---- what the owner says
@@ -157,8 +118,8 @@ class PowerBoard:
         if mask & ~self._wanted:
             self._on_until_ns = now_ns + REPEAT_FOR_NS
         self._wanted = mask
-        if not self._clear_tries:
-            self._lost |= mask & self._blocked_mask
+        if not self._errors.deletes:
+            self._lost |= mask & self._errors.mask
         self._settle(now_ns)
 
     def cut(self, now_ns: int) -> None:
@@ -175,16 +136,13 @@ class PowerBoard:
     def when_off(self, servos: frozenset[int], asked_ns: int, token: int, now_ns: int) -> None:
         """`news` gives a `Confirmed` with this token, `confirm_ns` after `asked_ns` at the latest."""
         mask = self._mask(servos)
-        offs = {place: off for place, off in self._offs.items() if mask >> place & 1}
-        self._anew(sum(1 << place for place, off in offs.items() if off.confirmed), now_ns)
-        number = max((off.number for off in offs.values()), default=self._number)
-        self._waits.append(_Wait(token, mask, asked_ns, number))
+        self._anew(mask & self._off.mask & ~self._off.unconfirmed, now_ns)
+        self._repeat_until_ns = now_ns + REPEAT_FOR_NS  # also of what was given up
+        self._off.wait(mask, asked_ns, token, self._number)
 
     def clear_errors(self, now_ns: int) -> None:
         """Delete all errors of the board, so that it feeds what it has blocked, once that is wanted anew."""
-        self._clear_tries = CLEAR_TRIES
-        self._clear_due_ns = now_ns
-        self._clear_next = ASK_ERROR
+        self._errors.delete(now_ns)
 
     def opened(self, now_ns: int) -> None:
         """The interface was opened: nothing that was asked before is answered any more."""
@@ -207,7 +165,7 @@ class PowerBoard:
     @property
     def confirmed(self) -> bool:
         """Whether the board has confirmed that all is off which is to be off."""
-        return self._begun and all(off.confirmed for off in self._offs.values())
+        return self._begun and not self._off.unconfirmed
 
     @property
     def lost(self) -> frozenset[int]:
@@ -217,7 +175,7 @@ class PowerBoard:
     @property
     def refused(self) -> Mapping[int, str]:
         """Servos that the board feeds no more, whatever is wanted: why, in words."""
-        return {self._servos[place]: why for place, why in self._blocked.items()}
+        return {self._servos[place]: why for place, why in self._errors.blocked.items()}
 
     @property
     def currents_ma(self) -> Mapping[int, int]:
@@ -263,12 +221,9 @@ class PowerBoard:
             case BoardError():
                 self._failed(answer, now_ns)
             case NoError():
-                self._errors.clear()
-                self._blocked.clear()
-                self._clear_tries = 0
+                self._errors.none_left()
             case Cleared():
-                self._clear_next = ASK_ERROR
-                self._clear_due_ns = now_ns
+                self._errors.deleted(now_ns)
             case OffPressed():
                 self._news.append(News(Kind.OFF_BUTTON, "somebody pressed the power board's off button"))
             case GoingOff():
@@ -280,32 +235,22 @@ class PowerBoard:
         """What time alone says: the board is silent, an off is unconfirmed, a wait ends. Every 10 ms at least."""
         if self._questions.silent(now_ns) and self.alive:
             self._fall_silent("the power board does not answer", now_ns)
-        late = 0
-        for place, off in self._offs.items():
-            if not off.confirmed and now_ns - off.since_ns >= self._confirm_ns:
-                late |= 1 << place
+        late, ended = self._off.late(now_ns)
         starts = self._started_ns is not None and now_ns - self._started_ns < START_NS
         if late and not self._unconfirmed and not starts:
             self._unconfirmed = True
             self._news.append(
                 News(Kind.POWER_UNCONFIRMED, "the power board has not confirmed that these are off", self._named(late))
             )
-        for wait in [wait for wait in self._waits if now_ns - wait.asked_ns >= self._confirm_ns]:
-            self._waits.remove(wait)
-            self._news.append(Confirmed(wait.token, False, None))
+        self._news += ended
 
     # ---- what is sent
 
     @property
     def due_ns(self) -> int:
         """When `next_frames` has something to send; it may have by then."""
-        due_ns = [self._questions.due_ns]
-        mask_ns = self._mask_due_ns()
-        if mask_ns is not None:
-            due_ns.append(mask_ns)
-        if self._clear_tries:
-            due_ns.append(self._clear_due_ns)
-        return min(due_ns)
+        due_ns = (self._questions.due_ns, self._mask_due_ns(), self._errors.due_ns)
+        return min(each for each in due_ns if each is not None)
 
     def next_frames(self, now_ns: int) -> list[CanFrame]:
         """What leaves now, in this order: masks first. They count as sent."""
@@ -316,15 +261,10 @@ class PowerBoard:
             frames.append(self._send(now_ns))
             if not self.confirmed:
                 frames += self._questions.behind(self._number, now_ns)
-        if self._clear_tries and now_ns >= self._clear_due_ns:
-            self._clear_tries -= 1
-            self._clear_due_ns = now_ns + CLEAR_NS
-            # What is deleted before the board has the mask without it comes on again.
-            reached = self._questions.reached
-            without = all(self._offs[place].number <= reached for place in self._blocked if place in self._offs)
-            if without or self._clear_next is ASK_ERROR:
-                frames.append(self._clear_next)
-                self._clear_next = ASK_ERROR
+        # What is deleted before the board has the mask without it comes on again.
+        without = self._off.have_reached(self._errors.mask, self._questions.reached)
+        error_frame = self._errors.next_frame(now_ns, without=without)
+        frames += [] if error_frame is None else [error_frame]
         if now_ns >= self._questions.due_ns:
             frames += self._questions.next(self._number, now_ns)
         return frames
@@ -338,23 +278,15 @@ class PowerBoard:
         return frozenset(servo for servo, bit in self._bit.items() if mask & bit)
 
     @property
-    def _blocked_mask(self) -> int:
-        return sum(1 << place for place in self._blocked)
-
-    @property
     def _target(self) -> int:
         """The mask that the board is to have."""
-        return self._wanted & ~self._lost & ~self._blocked_mask
+        return self._wanted & ~self._lost & ~self._errors.mask
 
     def _settle(self, now_ns: int) -> None:
         """What is no longer to be fed goes off at once; what is, is no longer off."""
         target = self._target
-        for place in range(OUTPUTS):
-            bit = 1 << place
-            if target & bit:
-                self._offs.pop(place, None)
-            elif not self._unknown & bit and place not in self._offs:
-                self._anew(bit, now_ns)
+        self._off.feed(target)
+        self._anew(ALL & ~target & ~self._unknown & ~self._off.mask, now_ns)
         for place in [place for place in self._fed if not target >> place & 1]:
             del self._fed[place]
         if target != ALL:
@@ -362,18 +294,14 @@ class PowerBoard:
 
     def _anew(self, mask: int, now_ns: int) -> None:
         """These are off, and are to be confirmed by a mask that is yet to be sent."""
-        for place in range(OUTPUTS):
-            if mask >> place & 1:
-                off = self._offs.get(place)
-                since_ns = now_ns if off is None or off.confirmed else off.since_ns
-                self._offs[place] = _Off(self._number + 1, since_ns)
+        self._off.take(mask, self._number + 1, now_ns)
         if mask:
             self._repeat_until_ns = now_ns + REPEAT_FOR_NS
             self._leave_ns = now_ns
 
     def _again(self, now_ns: int) -> None:
         """The link is new, or the board answers again: what it has not confirmed is sent again, for the whole time."""
-        self._anew(sum(1 << place for place, off in self._offs.items() if not off.confirmed), now_ns)
+        self._anew(self._off.unconfirmed, now_ns)
 
     def _mask_due_ns(self) -> int | None:
         """When the next mask is due; None: none is."""
@@ -412,10 +340,8 @@ class PowerBoard:
         if self._sent_ns is None or now_ns - self._sent_ns > REST_NS:
             self._rest_ns = now_ns + REST_NS
         target = self._target
-        for place, off in self._offs.items():
-            if not mask >> place & 1:
-                off.confirmed = off.confirmed or off.number <= self._questions.reached
-        on_again = sum(1 << place for place, off in self._offs.items() if mask >> place & 1 and off.confirmed)
+        on_again, ended = self._off.answered(mask, self._questions.reached, now_ns)
+        self._news += ended
         self._anew(on_again, now_ns)
         gone = [
             place for place, at_ns in self._fed.items() if not mask >> place & 1 and at_ns < self._questions.reached_ns
@@ -425,9 +351,6 @@ class PowerBoard:
         for place in range(OUTPUTS):
             if mask & self._target & (1 << place):
                 self._fed.setdefault(place, now_ns)
-        for wait in [wait for wait in self._waits if not mask & wait.mask and wait.number <= self._questions.reached]:
-            self._waits.remove(wait)
-            self._news.append(Confirmed(wait.token, True, (now_ns - wait.asked_ns) / NS_PER_MS))
         if self.confirmed:
             self._unconfirmed = False
         if self._restoring and mask == target == ALL:
@@ -442,17 +365,10 @@ class PowerBoard:
 
     def _failed(self, error: BoardError, now_ns: int) -> None:
         """65: the board has blocked servos or converters, and leaves them so until the error is deleted."""
-        why, mask = explained(error)
-        new = mask & ~self._blocked_mask
-        for place in range(OUTPUTS):
-            if new >> place & 1:
-                self._blocked[place] = why
-        if error not in self._errors:
-            self._errors.add(error)
-            self._lose(new, why, now_ns)
-        if self._clear_tries:
-            self._clear_next = CLEAR_ERROR
-            self._clear_due_ns = now_ns
+        found = self._errors.shown(error, now_ns)
+        if found is not None:
+            why, mask = found
+            self._lose(mask, why, now_ns)
 
     def _meddled(self, mask: int, now_ns: int) -> None:
         """Another node has sent this mask: ours follows, without what that one took."""

@@ -3,6 +3,7 @@
 from typing import TYPE_CHECKING, Final, Protocol
 
 from gateway.errors import ConfigError, GatewayError
+from gateway.model.power_board import CanFrame
 
 if TYPE_CHECKING:
     import can
@@ -55,3 +56,23 @@ def open_bus(settings: Interface) -> "can.BusABC":
         raise ConfigError(f'power.interface = "{settings.interface}": {error}') from error
     except (can.CanError, OSError, ValueError, TypeError) as error:
         raise LineError(f"{settings.interface} {settings.channel} cannot be opened: {error}") from error
+
+
+def send(bus: "can.BusABC", frame: CanFrame, timeout_s: float) -> None:
+    """Raises CanError, or whatever else the interface does; waits for `timeout_s` at most, where that is kept."""
+    from can import Message  # noqa: PLC0415
+
+    bus.send(Message(arbitration_id=frame.id, is_extended_id=False, data=frame.data), timeout=timeout_s)
+
+
+def received(message: "can.Message", settings: Interface) -> CanFrame | None:
+    """The frame that another node has sent; None: an error, a remote request, or the echo of one of ours.
+
+    Adapters such as gs_usb give echoes. socketcan gives none: there, `is_rx` is false of what other programs on this
+    computer send, such as `stop-servos`.
+    """
+    if message.is_error_frame or message.is_remote_frame or message.is_extended_id:
+        return None
+    if not message.is_rx and settings.interface != "socketcan":
+        return None
+    return CanFrame(message.arbitration_id, bytes(message.data))

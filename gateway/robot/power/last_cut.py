@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 from gateway.allowance import NS_PER_MS, NS_PER_S
 from gateway.errors import ConfigError
 from gateway.model.power_board import CanFrame, Rails, Supplied, read, set_supply
-from gateway.robot.power.interface import Interface, LineError, open_bus
+from gateway.robot.power.interface import Interface, LineError, open_bus, received, send
 from gateway.robot.power.questions import BoardQuestions
 
 if TYPE_CHECKING:
@@ -21,7 +21,9 @@ REPEAT_NS: Final = 20 * NS_PER_MS
 REST_NS: Final = 5 * NS_PER_MS
 """Behind an answer 6B, in whose pass the board takes a mask 230 passes later."""
 TRY_NS: Final = 2 * NS_PER_S
-"""How long masks are sent, and the interface is opened again where it fails."""
+"""How long masks are sent, and the interface is opened again where it fails, from the end of the first opening on."""
+LOAD_S: Final = 10.0
+"""How long that may take: it loads python-can, from a card that is slow to read. systemd gives all of this 20 s."""
 START_S: Final = 0.02
 """How long the first Stops on SPI are waited for: what is loaded here must not delay them, and they may hang."""
 END_S: Final = 1.0
@@ -84,6 +86,8 @@ class SupplyCut:
         self._opener = opener
         self._begun_ns = time.monotonic_ns()
         self._stops_written = threading.Event()
+        self._tried = threading.Event()
+        """The interface was opened, or could not be."""
         self.confirmed = False
         self._thread = threading.Thread(target=self._run, name="supply cut", daemon=True)
         self._thread.start()
@@ -95,6 +99,7 @@ class SupplyCut:
     def end(self) -> bool:
         """Wait until it has ended, but not for what hangs; whether the board has confirmed it."""
         self._stops_written.set()
+        self._tried.wait(LOAD_S)
         self._thread.join((TRY_NS / NS_PER_S) + END_S)
         if self._thread.is_alive():
             self._say(not_confirmed("python-can hangs"), False)
@@ -103,19 +108,24 @@ class SupplyCut:
     def _run(self) -> None:
         self._stops_written.wait(START_S)
         why = "the power board does not answer"
-        end_ns = time.monotonic_ns() + TRY_NS
-        while not self.confirmed and time.monotonic_ns() < end_ns:
+        end_ns = None
+        while not self.confirmed and (end_ns is None or time.monotonic_ns() < end_ns):
+            bus = None
             try:
                 bus = self._opener(self._settings)
             except LineError as error:
                 why = str(error)
                 time.sleep(_RETRY_S)
-                continue
             except ConfigError as error:
                 why = str(error)
                 break
+            finally:
+                self._tried.set()
+            end_ns = end_ns or time.monotonic_ns() + TRY_NS
+            if bus is None:
+                continue
             try:
-                self.confirmed = _cut(bus, end_ns)
+                self.confirmed = _cut(bus, self._settings, end_ns)
             except Exception as error:  # from any of python-can's interfaces: another attempt is all that helps
                 why = f"{self._settings.interface} {self._settings.channel}: {error}"
                 time.sleep(_RETRY_S)
@@ -131,16 +141,15 @@ def not_confirmed(why: str) -> str:
     return f"the servos' supply is NOT confirmed to be off ({why}): switch the power off by hand"
 
 
-def _cut(bus: "can.BusABC", end_ns: int) -> bool:
+def _cut(bus: "can.BusABC", settings: Interface, end_ns: int) -> bool:
     """Until it is confirmed, or the time is over."""
-    from can import Message  # noqa: PLC0415
-
     bus._is_shutdown = True  # this process ends: python-can would close the adapter's channel, and a gateway may use it
     cut = LastCut()
     while not cut.confirmed and (now_ns := time.monotonic_ns()) < end_ns:
         for frame in cut.next_frames(now_ns):
-            bus.send(Message(arbitration_id=frame.id, is_extended_id=False, data=frame.data), timeout=_SEND_S)
+            send(bus, frame, _SEND_S)
         message = bus.recv(_LOOK_S)
-        if message is not None and not (message.is_error_frame or message.is_remote_frame or message.is_extended_id):
-            cut.heard(CanFrame(message.arbitration_id, bytes(message.data)), time.monotonic_ns())
+        answer = None if message is None else received(message, settings)
+        if answer is not None:
+            cut.heard(answer, time.monotonic_ns())
     return cut.confirmed

@@ -20,8 +20,9 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 from gateway.allowance import NS_PER_S
 from gateway.host import realtime
 from gateway.model.power_board import CanFrame, set_supply
-from gateway.robot.power.board import Confirmed, News, PowerBoard
-from gateway.robot.power.interface import LineError, open_bus
+from gateway.robot.power.board import News, PowerBoard
+from gateway.robot.power.interface import LineError, open_bus, received, send
+from gateway.robot.power.offs import Confirmed
 from gateway.robot.sections import PowerSettings
 
 if TYPE_CHECKING:
@@ -218,13 +219,13 @@ class PowerLine:
         try:
             if self._cuts:
                 self._cuts = False
-                _send(bus, _NOTHING)
+                send(bus, _NOTHING, SEND_S)
                 time.sleep(STOPS_S)
             with self._lock:
                 self._take_requests()
                 frames = self._board.next_frames(self._clock())
             for frame in frames:
-                _send(bus, frame)
+                send(bus, frame, SEND_S)
         except (CanError, OSError, ValueError) as error:
             self._lose(bus, error)
 
@@ -260,8 +261,9 @@ class PowerLine:
         try:
             message = bus.recv(LOOK_S)
             while message is not None:
-                if message.is_rx and not (message.is_error_frame or message.is_remote_frame or message.is_extended_id):
-                    frames.append(CanFrame(message.arbitration_id, bytes(message.data)))
+                frame = received(message, self._settings)
+                if frame is not None:
+                    frames.append(frame)
                 if len(frames) >= AT_ONCE:
                     break
                 message = bus.recv(0)
@@ -295,9 +297,3 @@ class PowerLine:
             self._awake()
         if news or before[:5] != self.status[:5]:
             self._on_news()
-
-
-def _send(bus: "can.BusABC", frame: CanFrame) -> None:
-    from can import Message  # noqa: PLC0415
-
-    bus.send(Message(arbitration_id=frame.id, is_extended_id=False, data=frame.data), timeout=SEND_S)

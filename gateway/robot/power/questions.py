@@ -1,6 +1,6 @@
 """Which question the power board is asked next, and what its answers prove. No I/O, no clock.
 
-BoardQuestions about currents are asked whatever is unanswered. One about rails is asked only while no ask of it is
+Questions about currents are asked whatever is unanswered. One about rails is asked only while no ask of it is
 unanswered: its answer proves that all that was sent before it has reached the board, also behind a link that paused and
 delivers older answers at once.
 """

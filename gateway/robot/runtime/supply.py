@@ -19,9 +19,10 @@ from gateway.robot.core.message import Received, Verb
 from gateway.robot.core.power import CutOn, cut_by
 from gateway.robot.core.supervisor import Supervisor
 from gateway.robot.host.ownership import Ownership
-from gateway.robot.power.board import Confirmed, News, PowerBoard
+from gateway.robot.power.board import News, PowerBoard
 from gateway.robot.power.currents import CurrentRules
 from gateway.robot.power.line import PowerLine, Status
+from gateway.robot.power.offs import Confirmed
 from gateway.robot.protocol import Wire
 from gateway.robot.runtime.answers import legs_of
 from gateway.robot.runtime.executor import Outcome

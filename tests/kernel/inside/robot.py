@@ -1,6 +1,6 @@
 """A real service in the virtual machine, and a client of it."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -48,12 +48,13 @@ def _once_ready(gateway: Gateway) -> Iterator[None]:
 
 
 @contextmanager
-def robot(framing: Framing = Framing.LENGTH_PREFIXED) -> Iterator[Robot]:
+def robot(framing: Framing = Framing.LENGTH_PREFIXED, power: Mapping[str, Any] | None = None) -> Iterator[Robot]:
     """`hexapod-gateway run` on the device, ready and at rest; a slow machine alone stops and rejects nothing."""
     settings: dict[str, dict[str, Any]] = {
         "limits": {"max_age_ms": 0},
         "spi": {"device": wire.DEVICE, "framing": str(framing), "speed_hz": SPEED_HZ},
         "watchdog": {"timeout_ms": 10_000, "repeats": 1},
+        "power": {**(power or {})},
     }
     with (
         TemporaryDirectory() as folder,

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from typing import Final, NamedTuple
 
 from gateway.model.framing import Framing
-from tests.kernel.inside import batches, failures, service
+from tests.kernel.inside import batches, failures, power, service
 
 
 class Scene(NamedTuple):
@@ -37,6 +37,9 @@ SCENES: Final = {
     "other-speed-slow": Scene("another program sets 10 kHz: no Stop leaves with it", service.slower),
     "other-mode": Scene("another program sets mode 3: no Stop leaves with it", service.other_mode),
     "unbound": Scene("the device goes while it is written, and returns: six Stops", service.unbound),
+    "power-estop": Scene("socketcan: an emergency stop takes the supply, and is confirmed", power.estop),
+    "power-others": Scene("socketcan: masks of other programs on this computer, and stop-servos", power.others),
+    "power-down": Scene("socketcan: the interface goes while legs run, and returns", power.down),
     "bufsiz": Scene(
         "with a buffer of 512 bytes, shorter lists and the same bytes", batches.small_buffer, "spidev.bufsiz=512"
     ),

@@ -12,7 +12,7 @@ from gateway.errors import ConfigError
 from gateway.host.plain_settings import PlainPower
 from gateway.model.power_board import ALL, ASK_RAILS, SET_SUPPLY, SUPPLIED, CanFrame, set_supply
 from gateway.robot.power import last_cut
-from gateway.robot.power.interface import LineError
+from gateway.robot.power.interface import Interface, LineError
 from gateway.robot.power.last_cut import LastCut, SupplyCut
 from gateway.robot.power.simulated_board import SimulatedBoard
 from tests.support.board_bus import BoardBus
@@ -106,6 +106,23 @@ def test_why_it_is_not_confirmed(monkeypatch: pytest.MonkeyPatch, failures: list
     assert not is_confirmed
     assert why in sentence
     assert "NOT confirmed" in sentence
+
+
+def test_on_a_computer_that_loads_python_can_for_long_the_mask_is_sent_all_the_same(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The emulated machine of `make kernel` takes 4 s for it, and an SD card that was not read yet may."""
+    monkeypatch.setattr(last_cut, "TRY_NS", 200 * NS_PER_MS)
+    monkeypatch.setattr(last_cut, "END_S", 0.01)
+    bus = BoardBus()
+
+    def slow(settings: Interface) -> BoardBus:
+        time.sleep(0.5)
+        return bus.opened(settings)
+
+    cut = SupplyCut(SETTINGS, lambda *_: None, slow)
+    assert cut.end()
+    assert bus.board.fed == 0
 
 
 def test_nobody_waits_for_what_hangs(monkeypatch: pytest.MonkeyPatch) -> None:

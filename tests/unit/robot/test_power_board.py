@@ -9,7 +9,8 @@ from gateway.model.power_board import (
     CanFrame,
     set_supply,
 )
-from gateway.robot.power.board import Confirmed, News
+from gateway.robot.power.board import News
+from gateway.robot.power.offs import Confirmed
 from schemas.telemetry import Kind
 from tests.support.power_link import ALL_SERVOS, CONFIRM_MS, FLIGHT_NS, NONE, Link, fed
 
@@ -61,6 +62,19 @@ def test_it_is_repeated_every_20_ms_for_2_s_and_reported_once() -> None:
     link.run(100)
     assert link.ours.confirmed
     assert link.fed() == NONE
+
+
+def test_who_asks_again_for_what_was_given_up_has_it_sent_again() -> None:
+    link = fed()
+    link.altered = lambda frame: CanFrame(0x100) if frame.id == 0x6B else frame
+    link.want(ALL_SERVOS - {11})
+    link.run(2500)
+    at_ns = link.now_ns
+    link.when_off(frozenset({11}), token=1)
+    link.altered = lambda frame: frame
+    link.run(100)
+    assert link.masks(at_ns)[0] == (0, ALL & ~1)
+    assert [each.confirmed for each in link.confirmations()] == [True]
 
 
 def test_a_stop_of_some_keeps_the_others() -> None:

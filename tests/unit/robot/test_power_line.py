@@ -14,9 +14,10 @@ import pytest
 from gateway.allowance import NS_PER_MS
 from gateway.errors import ConfigError
 from gateway.model.power_board import ALL, CanFrame
-from gateway.robot.power.board import Confirmed, News, PowerBoard
+from gateway.robot.power.board import News, PowerBoard
 from gateway.robot.power.interface import LineError, open_bus
 from gateway.robot.power.line import PowerLine
+from gateway.robot.power.offs import Confirmed
 from gateway.robot.sections import PowerSettings
 from schemas.robot import SERVO_IDS
 from schemas.telemetry import Kind
@@ -30,8 +31,10 @@ MOST_S = 20
 class Owner:
     """A line and what it has reported."""
 
-    def __init__(self, channel: str, opener: Callable[[PowerSettings], can.BusABC] = open_bus) -> None:
-        settings = PowerSettings(interface="slcan", channel=channel)
+    def __init__(
+        self, channel: str, opener: Callable[[PowerSettings], can.BusABC] = open_bus, interface: str = "slcan"
+    ) -> None:
+        settings = PowerSettings(interface=interface, channel=channel)
         board = PowerBoard(SERVO_IDS, confirm_ns=2000 * NS_PER_MS)
         self.news: list[News | Confirmed] = []
         self.mistakes: list[Exception] = []
@@ -225,7 +228,7 @@ def bus() -> Iterator[Bus]:
     bus.ended.set()
 
 
-def owner_of(*buses: can.BusABC) -> Owner:
+def owner_of(*buses: can.BusABC, interface: str = "slcan") -> Owner:
     """Of a line whose interface opens so often."""
     left = list(buses)
 
@@ -234,7 +237,7 @@ def owner_of(*buses: can.BusABC) -> Owner:
             raise LineError(settings.channel)
         return left.pop(0)
 
-    return Owner("", opener)
+    return Owner("", opener, interface)
 
 
 def test_a_sender_that_hangs_delays_no_caller_and_no_report(bus: Bus) -> None:
@@ -267,6 +270,15 @@ def test_error_frames_and_our_own_echo_are_no_answers(bus: Bus) -> None:
     owner.line.start()
     owner.until(lambda: owner.line.status.alive)
     assert not [item for item in owner.news if isinstance(item, News) and item.kind is not Kind.POWER_UNCONFIRMED]
+    owner.line.close()
+
+
+def test_on_socketcan_what_another_program_on_this_computer_sends_is_no_echo(bus: Bus) -> None:
+    """`stop-servos`, say: the kernel marks its frames as sent here, and python-can gives our own ones to nobody."""
+    owner = owner_of(bus, interface="socketcan")
+    bus.to_program.append(can.Message(is_rx=False, arbitration_id=0x6A, is_extended_id=False, data=b"\0\0\0"))
+    owner.line.start()
+    assert "another program" in owner.until_reported(Kind.POWER_FAULT).detail
     owner.line.close()
 
 

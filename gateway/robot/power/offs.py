@@ -1,0 +1,112 @@
+"""Outputs of the power board that are to be off: which of them it has confirmed, and who waits for that. Pure.
+
+Masks have numbers. An output is confirmed off by an answer 6B that shows it off and was given after the mask that took
+it, or a later one, had reached the board (questions.py).
+"""
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+from gateway.allowance import NS_PER_MS
+from gateway.model.power_board import OUTPUTS
+
+
+class Confirmed(NamedTuple):
+    """The answer to a `when_off`: whether the board confirmed that these servos are off, and how long after the ask."""
+
+    token: int
+    confirmed: bool
+    ms: float | None
+
+
+class _Wait(NamedTuple):
+    """Somebody waits until the outputs of `mask` are confirmed off, from the mask with number `number` on."""
+
+    token: int
+    mask: int
+    asked_ns: int
+    number: int
+
+
+class _Off:
+    """By which mask at first, since when, and whether that is confirmed."""
+
+    __slots__ = ("confirmed", "number", "since_ns")
+
+    def __init__(self, number: int, since_ns: int) -> None:
+        self.number = number
+        self.since_ns = since_ns
+        self.confirmed = False
+
+
+class OutputsOff:
+    """The outputs of one board; masks: bit n - 1 is output n."""
+
+    def __init__(self, confirm_ns: int) -> None:
+        """None is to be off yet. `confirm_ns`: what is confirmed later is late."""
+        self._confirm_ns = confirm_ns
+        self._offs: dict[int, _Off] = {}
+        self._waits: list[_Wait] = []
+
+    @property
+    def mask(self) -> int:
+        """Those that are to be off."""
+        return sum(1 << place for place in self._offs)
+
+    @property
+    def unconfirmed(self) -> int:
+        """Those of them that are not confirmed."""
+        return sum(1 << place for place, off in self._offs.items() if not off.confirmed)
+
+    def take(self, mask: int, number: int, now_ns: int) -> None:
+        """These are to be off, and are to be confirmed by the mask with this number, or a later one."""
+        for place in _places(mask):
+            off = self._offs.get(place)
+            since_ns = now_ns if off is None or off.confirmed else off.since_ns
+            self._offs[place] = _Off(number, since_ns)
+
+    def feed(self, mask: int) -> None:
+        """These are to be on."""
+        for place in _places(mask):
+            self._offs.pop(place, None)
+
+    def have_reached(self, mask: int, reached: int) -> bool:
+        """Whether all masks that took these have, where the newest one that has is `reached`."""
+        return all(self._offs[place].number <= reached for place in _places(mask & self.mask))
+
+    def wait(self, mask: int, asked_ns: int, token: int, newest: int) -> None:
+        """A `Confirmed` is to come once these are off, `confirm_ns` after `asked_ns` at the latest.
+
+        `newest`: the number of the newest mask.
+        """
+        number = max((self._offs[place].number for place in _places(mask & self.mask)), default=newest)
+        self._waits.append(_Wait(token, mask, asked_ns, number))
+
+    def answered(self, shown: int, reached: int, now_ns: int) -> tuple[int, list[Confirmed]]:
+        """A 6B shows these as fed, and the masks up to `reached` have reached the board.
+
+        Returns those that were confirmed off and are on again, and what who waits is to hear.
+        """
+        on_again = shown & self.mask & ~self.unconfirmed
+        for place in _places(self.mask & ~shown):
+            off = self._offs[place]
+            off.confirmed = off.confirmed or off.number <= reached
+        ended = [wait for wait in self._waits if not shown & wait.mask and wait.number <= reached]
+        return on_again, [
+            Confirmed(wait.token, True, (now_ns - wait.asked_ns) / NS_PER_MS) for wait in self._end(ended)
+        ]
+
+    def late(self, now_ns: int) -> tuple[int, list[Confirmed]]:
+        """Those that are not confirmed in time, and what who waited for too long is to hear."""
+        late = [place for place in _places(self.unconfirmed) if now_ns - self._offs[place].since_ns >= self._confirm_ns]
+        ended = [wait for wait in self._waits if now_ns - wait.asked_ns >= self._confirm_ns]
+        return sum(1 << place for place in late), [Confirmed(wait.token, False, None) for wait in self._end(ended)]
+
+    def _end(self, waits: list[_Wait]) -> list[_Wait]:
+        for wait in waits:
+            self._waits.remove(wait)
+        return waits
+
+
+def _places(mask: int) -> Iterator[int]:
+    return (place for place in range(OUTPUTS) if mask >> place & 1)

@@ -1,0 +1,150 @@
+"""A real service with its power board on socketcan: two interfaces of the kernel that a cable joins (vxcan)."""
+
+import os
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Final
+
+import can
+
+from gateway.model.power_board import ALL, CanFrame, set_supply
+from gateway.robot.power.simulated_board import SimulatedBoard
+from tests.kernel.inside import wire
+from tests.kernel.inside.robot import Robot, robot
+from tests.support.child import Child
+
+OURS: Final = "can0"
+THEIRS: Final = "board0"
+WITHIN_S: Final = 60.0
+"""Of anything; a second of a real machine is many here."""
+
+
+class CanBoard:
+    """The simulated board, on a thread of its own, behind the other interface."""
+
+    def __init__(self) -> None:
+        self._bus = can.Bus(channel=THEIRS, interface="socketcan", ignore_config=True)
+        self._board = SimulatedBoard(time.monotonic_ns())
+        self._ends = threading.Event()
+        self._thread = threading.Thread(target=self._serve, daemon=True)
+        self._thread.start()
+
+    @property
+    def fed(self) -> int:
+        return self._board.fed
+
+    def close(self) -> None:
+        self._ends.set()
+        self._thread.join()
+        self._bus.shutdown()
+
+    def _serve(self) -> None:
+        while not self._ends.is_set():
+            try:
+                self._step()
+            except (can.CanError, OSError):  # the cable is out
+                time.sleep(0.01)
+
+    def _step(self) -> None:
+        message = self._bus.recv(0.002)
+        now_ns = time.monotonic_ns()
+        frames = self._board.advance(now_ns)
+        if message is not None and not message.is_error_frame:
+            frames += self._board.take(CanFrame(message.arbitration_id, bytes(message.data)), now_ns)
+        for each in frames:
+            self._bus.send(can.Message(arbitration_id=each.id, is_extended_id=False, data=each.data))
+
+
+def link(*arguments: str) -> None:
+    subprocess.run(["ip", "link", *arguments], check=True)
+
+
+@contextmanager
+def board() -> Iterator[CanBoard]:
+    """Both interfaces, and the board."""
+    link("add", OURS, "type", "vxcan", "peer", "name", THEIRS)
+    for name in (OURS, THEIRS):
+        link("set", name, "up")
+    found = CanBoard()
+    try:
+        yield found
+    finally:
+        found.close()
+        link("delete", OURS)
+
+
+@contextmanager
+def fed_robot() -> Iterator[tuple[Robot, CanBoard]]:
+    """A robot whose servos are all fed. A slow machine alone is no silence of the board: it is waited for."""
+    power = {"interface": "socketcan", "channel": OURS, "confirm_ms": 2000}
+    with board() as theirs, robot(power=power) as ours:
+        until_fed(ours, theirs)
+        yield ours, theirs
+
+
+def until_fed(ours: Robot, theirs: CanBoard) -> None:
+    wire.wait_until(lambda: theirs.fed == ALL and supplied(ours) == ALL.bit_count(), "all fed", WITHIN_S)
+
+
+def supplied(ours: Robot) -> int:
+    """So many servos are fed, as the state has it."""
+    power = ours.client.state().power
+    return 0 if power is None else len(power.supplied)
+
+
+def until_event(ours: Robot, kind: str, words: str) -> None:
+    def come() -> bool:
+        return any(words in each.detail for each in ours.events(kind))
+
+    wire.wait_until(come, f"{kind}: {words}", WITHIN_S)
+
+
+def estop() -> str:
+    """An emergency stop takes all supply, and its answer says that the board has confirmed it."""
+    with fed_robot() as (ours, theirs):
+        ours.start()
+        ack = ours.client.estop()
+        assert theirs.fed == 0
+        assert ack.confirmed, f"the answer says confirmed: {ack.confirmed}"
+        ours.client.reset()
+        until_fed(ours, theirs)
+    return f"confirmed {ack.confirmed_ms:.0f} ms after it was asked for, under emulation; fed again by a reset"
+
+
+def others() -> str:
+    """Another program on this computer sends a mask; then `stop-servos` does, and the gateway is killed."""
+    with fed_robot() as (ours, theirs):
+        with can.Bus(channel=OURS, interface="socketcan", ignore_config=True) as bus:
+            mask = set_supply(ALL & ~1)
+            bus.send(can.Message(arbitration_id=mask.id, is_extended_id=False, data=mask.data))
+        until_event(ours, "power_fault", "another program")
+        wire.wait_until(lambda: theirs.fed == ALL & ~1, "what it took is off", WITHIN_S)
+        ours.gateway.child.kill()
+        command = [sys.executable, "-m", "gateway", "stop-servos", "--config", str(ours.gateway.config)]
+        with Child(command, os.environ) as child:
+            code = child.wait(WITHIN_S)
+        assert (code, theirs.fed) == (0, 0), f"exit code {code}, {theirs.fed:#x} is fed: {child}"
+    return "its mask is reported; with the gateway killed, stop-servos takes all supply, and it is confirmed"
+
+
+def down() -> str:
+    """The interface is switched off while legs run, and on again."""
+    with fed_robot() as (ours, theirs):
+        ours.start()
+        link("set", OURS, "down")
+        wire.wait_until(lambda: bool(ours.events("power_unconfirmed")), "the event", WITHIN_S)
+        detail = ours.events("power_unconfirmed")[0].detail
+        wire.wait_until(lambda: not running(ours), "all stopped", WITHIN_S)
+        link("set", OURS, "up")
+        until_fed(ours, theirs)
+        assert not running(ours), "a start is needed"
+    return f"{detail}; what ran is stopped; fed again once it is up, and nothing runs"
+
+
+def running(ours: Robot) -> bool:
+    """Whether any servo is, as the state has it."""
+    return any(each.running for leg in ours.client.state().legs for each in leg.servos)
