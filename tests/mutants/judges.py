@@ -71,6 +71,7 @@ _BUS: Final = (
 )
 _POWER: Final = (
     f"{_UNIT}test_power_board.py",
+    f"{_UNIT}test_power_board_faults.py",
     f"{_UNIT}test_power_conductor.py",
 )
 _PEOPLE: Final = "tests/unit/people/"
@@ -142,7 +143,11 @@ JUDGES: Final = {
     "gateway/robot/power/questions.py": (f"{_UNIT}test_power_questions.py", *_POWER),
     "gateway/robot/power/currents.py": (f"{_UNIT}test_currents.py",),
     "gateway/robot/power/last_cut.py": (f"{_UNIT}test_last_cut.py",),
-    "gateway/robot/runtime/supply.py": (f"{_UNIT}test_power_conductor.py", f"{_UNIT}test_supply.py"),
+    "gateway/robot/runtime/supply.py": (
+        f"{_UNIT}test_power_conductor.py",
+        f"{_UNIT}test_conductor_news.py",
+        f"{_UNIT}test_supply.py",
+    ),
     "gateway/robot/core/body_limits.py": (f"{_UNIT}test_body_limits.py",),
     "gateway/robot/core/nonces.py": ("tests/unit/people/test_lease_checker.py",),
     "gateway/model/angle_limits.py": (*_CALIBRATION, f"{_UNIT}test_supervisor_speed.py"),
