@@ -12,7 +12,8 @@ from gateway.robot.core.message import Verb
 from schemas import keys
 from schemas.robot import LEGS
 from schemas.telemetry import Kind, Mode, Reason
-from tests.support.elkapod import elkapod
+from tests.support.elkapod import all_legs, elkapod
+from tests.support.measured import MEASURED
 from tests.support.power import FedRobot, running
 from tests.support.robot import leg, started, started_and_quiet
 from tests.unit.people.test_recorder import contents, recorded
@@ -80,6 +81,23 @@ async def test_a_controller_is_found_silent_though_a_transfer_hangs(monkeypatch:
     robot.conductor.look_outside()
     assert robot.events(Kind.CONTROLLER_SILENT)
     assert [what for _, what in robot.said] == ["shutdown"]
+
+
+async def test_a_landing_that_a_tilt_begins_ends_in_time_though_no_measurement_follows(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    watchdog = {"timeout_ms": 10_000, "landing_ms": 500, "landing": {"31": 45}}
+    robot = await elkapod(safety={"max_tilt_deg": 30}, watchdog=watchdog)
+    robot.put(keys.LEGS_COMMAND, all_legs("start", 90))
+    await asyncio.sleep(0.1)
+    monkeypatch.setattr(robot, "_go_on", lambda: None)
+    await asyncio.sleep(0.021)
+    for _ in range(2):
+        robot.conductor.measured(MEASURED._replace(orientation_wxyz=(0.0, 1.0, 0.0, 0.0)), robot.now_ns())
+        await asyncio.sleep(0.201)
+    assert robot.events(Kind.LANDING)
+    await asyncio.sleep(0.35)
+    assert running(robot) == []
 
 
 async def test_that_settings_were_changed_is_in_the_published_state_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
