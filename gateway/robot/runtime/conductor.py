@@ -464,7 +464,7 @@ class Conductor:
     def newest_telemetry(self) -> Telemetry | None:
         """What the robot and its power board measure; None: nothing. Reading it needs no owner."""
         now_ns = self._clock()
-        return self.telemetry.report(now_ns, {} if self.supply is None else self.supply.measured(now_ns))
+        return self.telemetry.report(now_ns, None if self.supply is None else self.supply.status)
 
     def _publish_mode(self) -> None:
         mode = self.supervisor.mode

@@ -13,7 +13,6 @@ from dataclasses import dataclass, field
 from typing import Final, Protocol
 
 from gateway.allowance import NS_PER_MS
-from gateway.model import power_board
 from gateway.robot.core.events import Announce, Completed, Effect, PowerSeen, Request, Reset
 from gateway.robot.core.message import Received, Verb
 from gateway.robot.core.power import CutOn, cut_by
@@ -31,7 +30,7 @@ from gateway.robot.settings import Settings
 from gateway.robot.spi.cyclic import CyclicBus
 from schemas.keys import ESTOP
 from schemas.robot import LEGS, SERVO_IDS
-from schemas.telemetry import Kind, Mode, PowerReport, ServoTelemetry, Supply
+from schemas.telemetry import Kind, Mode, PowerReport
 
 CarryOut = Callable[[Sequence[Effect], Request | None], Outcome]
 MOST_LOOKS: Final = 30
@@ -45,7 +44,6 @@ _WHY: Final = {
     CutOn.BUTTON: "since too few stop buttons are alive",
     CutOn.SHUTDOWN: "since the gateway ends",
 }
-_CONVERTERS: Final = (power_board.CONVERTERS_1_TO_3_MV, power_board.CONVERTERS_4_5_MV)
 _DREW: Final = "it drew current after its Stop; a reset feeds it again"
 _TAKEN: Final = "another program has switched it off; a reset feeds it again"
 _ALL: Final = frozenset(SERVO_IDS)
@@ -103,7 +101,6 @@ class RobotSupply:
         self._ready = ready
         self._asked = self._runs = self._lost = _NONE
         self._cause: CutOn | None = None
-        self._cut: list[Announce] = []
         self._withheld: dict[int, str] = {}
         """Servos that are not fed before a reset, and why: blocked by the board, or they drew current after a Stop."""
         self._refused: Mapping[int, str] = {}
@@ -117,32 +114,31 @@ class RobotSupply:
 
     # ---- what a step decides
 
-    def before(self, supervisor: Supervisor) -> None:
-        """Before its frames: what is to be off."""
+    def before(self, supervisor: Supervisor) -> list[Announce]:
+        """Before its frames: what is to be off. Returns what is to be published behind them."""
         servos = supervisor.legs.servos
         self._runs = frozenset([each for each, servo in servos.items() if servo.angle_cdeg is not None])
         unwatched = supervisor.buttons.closed and not self._runs
         before, self._cause = self._cause, cut_by(supervisor.mode, self._cut_on, unwatched=unwatched)
-        if self._cause is not None and self._cause is not before and self._asked:
-            detail = f"the servos' supply is taken, {_WHY[self._cause]}"
-            self._cut.append(Announce(Kind.POWER_CUT, detail, legs=tuple(LEGS)))
+        cuts = self._cause is not None and self._cause is not before and self._asked
         self._ask(self._asked & self._wanted(supervisor.mode))
+        if self._cause is None or not cuts:
+            return []
+        return [Announce(Kind.POWER_CUT, f"the servos' supply is taken, {_WHY[self._cause]}", legs=tuple(LEGS))]
 
-    def behind(self, supervisor: Supervisor) -> list[Announce]:
-        """Behind its frames: what is to be on. Returns what is to be published."""
+    def behind(self, supervisor: Supervisor) -> None:
+        """Behind its frames: what is to be on."""
         self._lost = _NONE  # their Stops are written
         self._ask(self._wanted(supervisor.mode))
-        cut, self._cut = self._cut, []
-        return cut
 
     def _wanted(self, mode: Mode) -> frozenset[int]:
         if self._cause is not None or mode is Mode.STARTING:
             return _NONE
         if not self._line.status.alive and not self._runs:
             return _NONE  # what comes back is fed anew
-        wanted = _ALL if self._ready is None else self._ready() & self._runs
         if self._ready is not None and mode is Mode.BUS_FAULT:
             return _NONE
+        wanted = _ALL if self._ready is None else self._ready() & self._runs
         return wanted.difference(self._withheld, self._lost, self._line.status.refused)
 
     def _ask(self, servos: frozenset[int]) -> None:
@@ -188,6 +184,8 @@ class RobotSupply:
                 if then is not None:
                     then(each.confirmed, each.ms)
                 continue
+            if each.kind is Kind.POWER_RESTORED and self._ready is not None:
+                continue  # there, it is no more than a start of all
             seen.announcements.append(Announce(each.kind, each.detail, legs=legs_of(each.servos)))
             seen.off_pressed = seen.off_pressed or each.kind is Kind.OFF_BUTTON
             if CutOn.UNCONFIRMED in self._cut_on:
@@ -236,37 +234,19 @@ class RobotSupply:
 
     def report(self, now_ns: int) -> PowerReport:
         """For the state."""
-        answered_ns = self._line.status.answered_ns
+        status = self.status
         return PowerReport(
             interface=self._interface,
-            alive=self._line.status.alive,
-            supplied=tuple(sorted(self._line.status.supplied)),
-            confirmed=self._line.status.confirmed,
-            age_ms=None if answered_ns is None else max(0, now_ns - answered_ns) / 1e6,
+            alive=status.alive,
+            supplied=tuple(sorted(status.supplied)),
+            confirmed=status.confirmed,
+            age_ms=None if status.answered_ns is None else max(0, now_ns - status.answered_ns) / 1e6,
         )
 
-    def measured(self, now_ns: int) -> dict[str, object]:
-        """What the board measures, as `hexapod/telemetry` has it; empty: nothing yet."""
-        status = self._line.status
-        if status.answered_ns is None:
-            return {}
-        found: dict[str, object] = {"age_ms": max(0, now_ns - status.answered_ns) / 1e6}
-        if status.currents_ma:
-            found["servos"] = {
-                str(servo_id): ServoTelemetry(supplied=servo_id in status.supplied, current_a=ma / 1000)
-                for servo_id, ma in sorted(status.currents_ma.items())
-            }
-        rails = status.rails
-        currents, volts = rails.get(power_board.STANDBY_SUPPLY_MA), rails.get(power_board.SUPPLY_BATTERY_MV)
-        if currents is not None and volts is not None:
-            found["supply"] = Supply(voltage_v=volts[0] / 1000, current_a=currents[1] / 1000)
-        converters = [rails.get(each) for each in _CONVERTERS]
-        if None not in converters:
-            found["converters_v"] = tuple(mv / 1000 for each in converters if each is not None for mv in each)
-        temperatures_c = rails.get(power_board.TEMPERATURES_C)
-        if temperatures_c is not None:
-            found["board_temperatures_c"] = temperatures_c
-        return found
+    @property
+    def status(self) -> Status:
+        """What is known of the board."""
+        return self._line.status
 
 
 class Feeding:
@@ -282,13 +262,14 @@ class Feeding:
 
     def carry_out(self, effects: Sequence[Effect], heard: Request | None = None) -> Outcome:
         """As an executor's. Where the frames could not be written, nothing more is fed: the bus's fault follows."""
-        self._supply.before(self._supervisor)
+        announcements = self._supply.before(self._supervisor)
         outcome = self._carry_out(effects, heard)
         if outcome.fault is None:
             if any(type(each) is Completed and type(each.request) is Reset for each in effects):
                 self._supply.reset()
-            for each in self._supply.behind(self._supervisor):
-                self._announce(each)
+            self._supply.behind(self._supervisor)
+        for each in announcements:
+            self._announce(each)
         return outcome
 
 

@@ -1,12 +1,16 @@
 """Keeps the newest values that the robot measured, and makes the payload of `hexapod/telemetry` from them."""
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
+from gateway.model import power_board
 from gateway.model.elkapod import Measured
 from gateway.model.telemetry import battery_of, report_of
+from gateway.robot.power.line import Status
 from gateway.robot.runtime.report import wall_clock
-from schemas.telemetry import Battery, Telemetry
+from schemas.telemetry import Battery, ServoTelemetry, Supply, Telemetry
+
+_CONVERTERS: Final = (power_board.CONVERTERS_1_TO_3_MV, power_board.CONVERTERS_4_5_MV)
 
 
 class Measurement(NamedTuple):
@@ -35,10 +39,34 @@ class LatestTelemetry:
         """For the state."""
         return None if self.newest is None else battery_of(self.newest.values)
 
-    def report(self, now_ns: int, board: Mapping[str, Any]) -> Telemetry | None:
+    def report(self, now_ns: int, status: Status | None) -> Telemetry | None:
         """The report at this time, with what a power board measures; None: nothing was measured."""
+        board = {} if status is None else board_values(status, now_ns)
         if self.newest is None:
             return Telemetry.model_validate({"time": wall_clock(), **board}) if board else None
         report = report_of(self.newest.values, wall_clock(), max(0, now_ns - self.newest.ns) / 1e6)
         oldest_ms = max(report.age_ms, board.get("age_ms", 0.0))
         return report.model_copy(update={**board, "age_ms": oldest_ms})
+
+
+def board_values(status: Status, now_ns: int) -> Mapping[str, Any]:
+    """What a power board measures, by its names in `Telemetry`; empty: nothing yet."""
+    if status.answered_ns is None:
+        return {}
+    found: dict[str, Any] = {"age_ms": max(0, now_ns - status.answered_ns) / 1e6}
+    if status.currents_ma:
+        found["servos"] = {
+            str(servo_id): ServoTelemetry(supplied=servo_id in status.supplied, current_a=ma / 1000)
+            for servo_id, ma in sorted(status.currents_ma.items())
+        }
+    rails = status.rails
+    currents, volts = rails.get(power_board.STANDBY_SUPPLY_MA), rails.get(power_board.SUPPLY_BATTERY_MV)
+    if currents is not None and volts is not None:
+        found["supply"] = Supply(voltage_v=volts[0] / 1000, current_a=currents[1] / 1000)
+    converters = [rails.get(each) for each in _CONVERTERS]
+    if None not in converters:
+        found["converters_v"] = tuple(mv / 1000 for each in converters if each is not None for mv in each)
+    temperatures_c = rails.get(power_board.TEMPERATURES_C)
+    if temperatures_c is not None:
+        found["board_temperatures_c"] = temperatures_c
+    return found
