@@ -46,7 +46,13 @@ def test_what_was_confirmed_off_and_is_on_again_is_returned(offs: OutputsOff) ->
     assert offs.answered(BOTH | 2, 1, ns(2))[0] == ONE, "not what was never confirmed, nor what may be on"
 
 
-def test_what_is_not_confirmed_in_time_is_late(offs: OutputsOff) -> None:
+def test_each_that_is_not_confirmed_in_time_is_late(offs: OutputsOff) -> None:
+    offs.take(BOTH, 1, ns(0))
+    offs.take(2, 1, ns(1))
+    assert offs.late(ns(CONFIRM_MS))[0] == BOTH
+
+
+def test_an_output_is_late_to_the_nanosecond(offs: OutputsOff) -> None:
     offs.take(ONE, 1, ns(10))
     assert offs.late(ns(10 + CONFIRM_MS) - 1)[0] == 0
     assert offs.late(ns(10 + CONFIRM_MS))[0] == ONE
