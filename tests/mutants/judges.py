@@ -145,6 +145,7 @@ JUDGES: Final = {
     "gateway/robot/power/last_cut.py": (f"{_UNIT}test_last_cut.py",),
     "gateway/robot/runtime/supply.py": (
         f"{_UNIT}test_power_conductor.py",
+        f"{_UNIT}test_supply_rules.py",
         f"{_UNIT}test_conductor_news.py",
         f"{_UNIT}test_supply.py",
     ),
