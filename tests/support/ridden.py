@@ -25,6 +25,8 @@ from schemas.telemetry import Telemetry
 ROBOT: Final = Robot(load())
 WHOLE: Final = Robot(load(), starts_whole=True)
 """Its legs start and stop together only."""
+FED_SINGLY: Final = Robot(load(), fed_singly=True)
+"""A board feeds its servos, each from its start on."""
 TICK_S: Final = 0.02
 WATCHDOG_S: Final = 0.25
 _NEAR_M: Final = 0.045

@@ -13,7 +13,7 @@ import zenoh
 
 from gateway.errors import GatewayError, RejectedError, StoppedError, UnansweredError, WalkError
 from gateway.geometry import Geometry, load
-from gateway.model.telemetry import starts_whole
+from gateway.model.telemetry import fed_singly, starts_whole
 from gateway.people.client.lease import CONFIRM_S, Lease
 from gateway.people.client.stream import Stream, StreamClient, checked_hz
 from gateway.people.walking import (
@@ -489,8 +489,8 @@ def robot_of(client: WalkClient, geometry: Geometry, state: GatewayState) -> Rob
     with suppress(UnansweredError):  # an older gateway has none
         calibration = client.calibration()
     check_mirrored_once(geometry, calibration)
-    whole = starts_whole(state)
-    return Robot(geometry, ranges(state.limits, calibration), starts_whole=whole)
+    limits = ranges(state.limits, calibration)
+    return Robot(geometry, limits, starts_whole=starts_whole(state), fed_singly=fed_singly(state))
 
 
 def _seconds(seconds: float) -> float:

@@ -6,7 +6,7 @@ carries out the result, and reports the outcome: `sent`, `found`, `stopped`, `fa
 | phase | what runs | leaves it by |
 |---|---|---|
 | RESTS | nothing | a command: STARTS |
-| STARTS | legs that ran already, and one more each `START_PAUSE_S`; no leg that runs moves | the sixth: RUNS |
+| STARTS | legs that ran already, and one more each `START_PAUSE_S`; no leg that runs moves | the sixth is fed: RUNS |
 | RUNS | all six, by the walker | silence, after it has sat down: ENDS |
 | HALTED | some; somebody stopped the others. Feet in the air are put down, and nothing moves | `start_again` |
 | FAILED | nothing is sent; the gateway's watchdog stops what runs | `start_again` |
@@ -232,6 +232,8 @@ class Ride:
 
     def look(self, now_s: float) -> None:
         """Apply the silences. When the ride is over, its running legs are to be stopped."""
+        if self._found and now_s - self._started_s > self.robot.limp_s > 0:
+            self._run_if_started()
         silent_s = now_s - self._said_s
         if silent_s > self._silences.hold_s:
             self.spent = max(self.spent, self._press)
@@ -275,10 +277,8 @@ class Ride:
         """This pose was sent, and its starts were accepted."""
         self._running |= pose.keys()
         self._sent |= pose
-        if self.phase is Phase.STARTS and self._running == _ALL:
-            self.phase = Phase.RUNS
-            if self._walker.engine.lost:
-                self._walker.engine.resume()
+        if not self.robot.limp_s:
+            self._run_if_started()
 
     def stopped(self, error: StoppedError, running: Iterable[int]) -> frozenset[int]:
         """Legs were stopped. `running`: those that run by the gateway's state, asked for after `error`.
@@ -386,6 +386,12 @@ class Ride:
         if before is None or self._walker.sits or wish.height_m != before.height_m:
             self.stand(BodyPose(self.robot.usual_m if wish.height_m is None else wish.height_m), now_s)
         self.go(wish.velocity, now_s)
+
+    def _run_if_started(self) -> None:
+        if self.phase is Phase.STARTS and self._running == _ALL:
+            self.phase = Phase.RUNS
+            if self._walker.engine.lost:
+                self._walker.engine.resume()
 
     def _next_start(self, now_s: float) -> Pose:
         legs = self._running

@@ -53,6 +53,8 @@ class Stance(NamedTuple):
 Pose = Mapping[int, Angles]
 """Angles of legs, in the degrees of commands."""
 
+FEED_S: Final = 1.25
+"""18 servos, and the answers to the first masks: 23 times 54 ms, the board's slowest pace (docs/power.md)."""
 LIFT_M: Final = 0.035
 STRIDE_RADIUS_M: Final = 0.055
 """How far a foot goes from where it rests; with longer strides the legs of the Elkapod touch."""
@@ -75,14 +77,22 @@ class Robot:
     """Where its feet can be, and by which angles."""
 
     def __init__(
-        self, geometry: Geometry, ranges: Mapping[int, Range] = MappingProxyType({}), *, starts_whole: bool = False
+        self,
+        geometry: Geometry,
+        ranges: Mapping[int, Range] = MappingProxyType({}),
+        *,
+        starts_whole: bool = False,
+        fed_singly: bool = False,
     ) -> None:
         """`ranges`: of servos whose range is smaller than 0 to 180, or whose speed is limited. Raises WalkError.
 
-        `starts_whole`: its controller starts and stops all six legs at once, and no single one.
+        `starts_whole`: its controller starts and stops all six legs at once, and no single one. `fed_singly`: a power
+        board feeds each servo from its start on, one after the other.
         """
         self.geometry = geometry
         self.starts_whole = starts_whole
+        self.limp_s = FEED_S if fed_singly else 0.0
+        """For so long behind the last start a servo may not be fed yet."""
         self.limbs = {leg: Limb(geometry, leg) for leg in LEGS}
         self.ranges = {10 * leg + joint: self._range(10 * leg + joint, ranges) for leg in LEGS for joint in JOINTS}
         heights_m = [mount.xyz_m[2] for mount in geometry.leg_mounts.values()]

@@ -11,10 +11,11 @@ from gateway.people.console.page_walk import SILENCES as PAGE
 from gateway.people.tools.walk import screen
 from gateway.people.walking import STILL, USUAL_SILENCES, Phase, Posture, Ride, RideTask, Silences, Velocity, Wish
 from gateway.people.walking.motion import BodyPose
+from gateway.people.walking.robot import FEED_S
 from schemas.robot import LEGS
 from schemas.telemetry import Telemetry
 from tests.support.measuring import MEASURED
-from tests.support.ridden import ROBOT, TICK_S, Ridden, standing
+from tests.support.ridden import FED_SINGLY, ROBOT, TICK_S, Ridden, standing
 
 AHEAD: Final = Velocity(0.06)
 LONGEST_STRIDE_S: Final = 1.0
@@ -403,3 +404,24 @@ def test_a_robot_that_has_fallen_is_stopped_where_it_would_sit_down(
     ridden.until(lambda: not ridden.running, within_s + TICK_S)
     assert not moved(ridden, fell)
     assert (ridden.ride.over, ridden.ride.detail) == (True, "the body leans by 80 degrees: it has fallen")
+
+
+# ---- a power board that feeds one servo after another
+
+
+def test_nothing_moves_before_the_board_has_fed_the_last_servo() -> None:
+    """One that was not fed yet would jump to where the walk is by then."""
+    ridden = Ridden(robot=FED_SINGLY)
+    ridden.ride.stand(None, ridden.now_s)
+    ridden.until(lambda: ridden.running.keys() == set(LEGS))
+    last_s, first = ridden.now_s, len(ridden.sent)
+    ridden.until(lambda: moved(ridden, first), 3 * FEED_S)
+    assert ridden.now_s - last_s == pytest.approx(FEED_S, abs=3 * TICK_S)
+    ridden.until(lambda: ridden.posture is Posture.STANDING)
+
+
+def test_who_takes_over_legs_that_are_fed_waits_for_nothing() -> None:
+    taken = Ridden(Silences(rest_s=1.0), running=dict(standing().running), robot=FED_SINGLY)
+    taken.tick()
+    taken.tick()
+    assert taken.ride.phase is Phase.RUNS

@@ -11,7 +11,7 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, rule
 from gateway.errors import DisconnectedError, GatewayError, StoppedError
 from gateway.people.walking import STILL, Phase, Posture, Robot, Velocity
 from schemas.robot import LEGS
-from tests.support.ridden import ROBOT, TICK_S, WATCHDOG_S, WHOLE, Ridden, standing
+from tests.support.ridden import FED_SINGLY, ROBOT, TICK_S, WATCHDOG_S, WHOLE, Ridden, standing
 
 AHEAD: Final = Velocity(0.1)
 ALL: Final = tuple(LEGS)
@@ -231,7 +231,7 @@ def test_words_during_an_error_raise_it_and_start_nothing() -> None:
 class AnyOrder(RuleBasedStateMachine):
     """The gateway of `Ridden` judges each start and each state."""
 
-    @initialize(stands=st.booleans(), robot=st.sampled_from((ROBOT, WHOLE)))
+    @initialize(stands=st.booleans(), robot=st.sampled_from((ROBOT, WHOLE, FED_SINGLY)))
     def begin(self, stands: bool, robot: Robot) -> None:
         self.ridden = standing(robot=robot) if stands else Ridden(robot=robot)
 

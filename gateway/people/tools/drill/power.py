@@ -3,7 +3,7 @@
 import sys
 from typing import Final
 
-from gateway.model.protocols import SpiProtocol
+from gateway.model.telemetry import fed_singly
 from gateway.people.client.blocking import Client
 from gateway.people.terminal import ask, hint
 from gateway.people.tools.drill.bench import (
@@ -139,9 +139,4 @@ def is_fed(client: Client) -> bool:
     """Whether the supply is as at rest: that of all, or of none where it is a servo's start."""
     state = client.state()
     power = _power(state)
-    return state.mode is Mode.IDLE and power.alive and (_fed_one_by_one(state) or power.supplied == SERVO_IDS)
-
-
-def _fed_one_by_one(state: GatewayState) -> bool:
-    """Whether a servo's supply is its start."""
-    return state.controller.protocol == SpiProtocol.ELKAPOD_2025
+    return state.mode is Mode.IDLE and power.alive and (fed_singly(state) or power.supplied == SERVO_IDS)
