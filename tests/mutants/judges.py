@@ -71,6 +71,7 @@ _BUS: Final = (
 )
 _POWER: Final = (
     f"{_UNIT}test_power_board.py",
+    f"{_UNIT}test_power_board_masks.py",
     f"{_UNIT}test_power_board_faults.py",
     f"{_UNIT}test_power_conductor.py",
 )

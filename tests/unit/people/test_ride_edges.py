@@ -4,8 +4,10 @@ from typing import Final
 
 import pytest
 
-from gateway.errors import RejectedError
+from gateway.errors import RejectedError, StoppedError
 from gateway.people.walking import STILL, Phase, Posture, Ride, RideTask, Silences, Velocity, Wish
+from gateway.people.walking.ride import START_PAUSE_S
+from schemas.robot import LEGS
 from tests.support.ridden import ROBOT, Ridden, standing
 
 AHEAD: Final = Velocity(0.06)
@@ -182,3 +184,40 @@ def test_one_that_begins_with_legs_that_run_asks_again_who_runs_when_it_starts_a
     ridden.ride.found(ROBOT, {}, ridden.now_s)
     ridden.ride.stand(None, ridden.now_s)
     assert ridden.ride.next(ridden.now_s).do is RideTask.FIND
+
+
+def test_a_leg_that_somebody_else_starts_meanwhile_is_not_the_rides() -> None:
+    ridden = standing()
+    assert ridden.ride.stopped(StoppedError("leg 1 was stopped", (1,)), (2, 3, 4, 5, 6)) == {2, 3, 4, 5, 6}
+    assert ridden.ride.stopped(StoppedError("leg 2 was stopped", (2,)), (1, 3, 4, 5, 6)) == {3, 4, 5, 6}
+
+
+def test_one_that_halted_for_a_stop_of_no_leg_goes_on_standing_at_the_next() -> None:
+    ridden = standing()
+    for _ in range(2):
+        assert ridden.ride.stopped(StoppedError("somebody stopped it", ()), LEGS) == set(LEGS)
+        assert ridden.ride.phase is Phase.HALTED
+
+
+def test_two_legs_are_started_just_so_long_apart() -> None:
+    ride = Ride(ROBOT)
+    ride.go(STILL, 0.0)
+    ride.found(ROBOT, {}, 0.0)
+    started = []
+    for now_s in (0.0, START_PAUSE_S - BEHIND_S, START_PAUSE_S):
+        pose = ride.next(now_s).pose
+        ride.sent(pose)
+        started.append(len(pose))
+    assert started == [1, 1, 2]
+
+
+def test_one_that_has_fallen_is_stopped_behind_the_silence_and_not_at_its_end() -> None:
+    ridden = standing(robot=ROBOT)
+    ride, at_s = ridden.ride, 200.0
+    ride.silences = Silences(rest_s=4.0)
+    ride.go(STILL, at_s)
+    ride._walker.engine.felt = ride._walker.engine.felt._replace(fault="it has fallen")
+    ride.look(at_s + 4.0)
+    assert not ride.over
+    ride.look(at_s + 4.0 + BEHIND_S)
+    assert (ride.over, ride.detail) == (True, "it has fallen")

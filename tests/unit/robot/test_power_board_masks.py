@@ -1,0 +1,105 @@
+"""Which masks the power board is sent, and when, where masks are lost or cross its answers: in virtual time."""
+
+from gateway.model.power_board import ALL, SET_SUPPLY, CanFrame
+from gateway.robot.power.simulated_board import SimulatedBoard
+from schemas.telemetry import Kind
+from tests.support.power_link import ALL_SERVOS, NONE, Link, fed
+
+
+class Deaf(SimulatedBoard):
+    """Answers questions, and while it is `deaf` gets no mask."""
+
+    deaf = False
+
+    def take(self, frame: CanFrame, now_ns: int) -> list[CanFrame]:
+        return [] if self.deaf and frame.id == SET_SUPPLY else super().take(frame, now_ns)
+
+
+def at_rest() -> tuple[Link, Deaf]:
+    """A link whose board has confirmed that all is off."""
+    link, board = Link(), Deaf(pass_ns=1_500_000)
+    link.board = board
+    link.want(NONE)
+    link.run(300)
+    assert link.ours.confirmed
+    return link, board
+
+
+def test_a_mask_that_switches_on_and_is_lost_is_sent_again_for_two_seconds() -> None:
+    link, board = at_rest()
+    board.deaf = True
+    at_ns = link.now_ns
+    link.want(frozenset({11}))
+    link.run(5000)
+    times_ms = [ms for ms, mask in link.masks(at_ns) if mask == 1]
+    assert 10 <= len(times_ms) <= 20
+    assert 1800 < max(times_ms) < 2000
+    assert link.fed() == NONE
+    board.deaf = False
+    link.want_anew(frozenset({11}))
+    link.run(300)
+    assert link.fed() == {11}
+
+
+def test_a_mask_that_was_lost_once_is_made_up_for() -> None:
+    link, board = at_rest()
+    board.deaf = True
+    link.want(frozenset({11}))
+    link.run(20)
+    board.deaf = False
+    link.run(200)
+    assert link.fed() == {11}
+
+
+def test_an_on_waits_for_the_answer_to_an_off_that_crossed_the_answer_before() -> None:
+    """The counter is not at rest before: the on would be 230 passes late."""
+    link, _ = at_rest()
+    link.want(frozenset({11}))
+    answered_ms = link.run_until(lambda: link.ours.supplied == {11})
+    link, _ = at_rest()
+    link.want(frozenset({11}))
+    link.run(answered_ms - 1)
+    at_ns = link.now_ns
+    link.want(NONE)
+    link.run(0.5)
+    link.want(frozenset({12}))
+    link.run(500)
+    assert link.masks(at_ns)[0] == (0, 0)
+    assert min(ms for ms, mask in link.masks(at_ns) if mask) > 30
+    assert link.fed() == {12}
+
+
+def test_what_was_never_off_is_not_reported_as_fed_again() -> None:
+    link = fed()
+    link.want(ALL_SERVOS)
+    link.other_node(ALL)
+    link.run(500)
+    assert link.fed() == ALL_SERVOS
+    assert link.events(Kind.POWER_RESTORED) == []
+
+
+def test_a_cut_that_nobody_waits_for_is_repeated_all_the_same() -> None:
+    link, board = at_rest()
+    board.deaf = True
+    at_ns = link.now_ns
+    link.cut()
+    link.run(5000)
+    assert link.masks(at_ns) == [(20 * number, 0) for number in range(100)]
+
+
+def test_a_repeat_waits_for_5_ms_behind_an_answer() -> None:
+    """In whose pass the board would take it 230 passes late."""
+    link, _ = at_rest()
+    link.want(frozenset({11}))
+    answered_ms = link.run_until(lambda: link.ours.supplied == {11})
+    late_ms = []
+    for before_ms in range(16, 21):
+        link, _ = at_rest()
+        link.want(frozenset({11}))
+        link.run(answered_ms - before_ms)
+        at_ns = link.now_ns
+        link.want(NONE)
+        link.run(before_ms + 10)
+        late_ms += [ms - before_ms for ms, _ in link.masks(at_ns)[1:]]
+    assert late_ms
+    assert not [ms for ms in late_ms if 0 <= ms < 5]
