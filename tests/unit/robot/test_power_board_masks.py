@@ -1,9 +1,10 @@
 """Which masks the power board is sent, and when, where masks are lost or cross its answers: in virtual time."""
 
-from gateway.model.power_board import ALL, SET_SUPPLY, CanFrame
+from gateway.allowance import NS_PER_MS
+from gateway.model.power_board import ALL, SET_SUPPLY, SUPPLIED, CanFrame
 from gateway.robot.power.simulated_board import SimulatedBoard
 from schemas.telemetry import Kind
-from tests.support.power_link import ALL_SERVOS, NONE, Link, fed
+from tests.support.power_link import ALL_SERVOS, FLIGHT_NS, NONE, Link, fed
 
 
 class Deaf(SimulatedBoard):
@@ -90,16 +91,26 @@ def test_a_cut_that_nobody_waits_for_is_repeated_all_the_same() -> None:
 def test_a_repeat_waits_for_5_ms_behind_an_answer() -> None:
     """In whose pass the board would take it 230 passes late."""
     link, _ = at_rest()
-    link.want(frozenset({11}))
-    answered_ms = link.run_until(lambda: link.ours.supplied == {11})
-    late_ms = []
-    for before_ms in range(16, 21):
-        link, _ = at_rest()
-        link.want(frozenset({11}))
-        link.run(answered_ms - before_ms)
-        at_ns = link.now_ns
-        link.want(NONE)
-        link.run(before_ms + 10)
-        late_ms += [ms - before_ms for ms, _ in link.masks(at_ns)[1:]]
-    assert late_ms
-    assert not [ms for ms in late_ms if 0 <= ms < 5]
+    link.altered = lambda frame: frame if frame.id == SUPPLIED else CanFrame(0x100)
+    at_ns = link.now_ns
+    link.cut()
+    link.run(500)
+    repeats_ns = [at_ns + ms * NS_PER_MS for ms, _ in link.masks(at_ns)[1:]]
+    answers_ns = [sent_ns + FLIGHT_NS for sent_ns, frame in link.answers if frame.id == SUPPLIED]
+    behind_ns = [each - answered for each in repeats_ns for answered in answers_ns if each >= answered]
+    assert len(repeats_ns) > 10
+    assert min(behind_ns) >= 5 * NS_PER_MS
+
+
+def test_what_was_given_up_is_sent_again_for_two_seconds_where_another_node_switches() -> None:
+    link, _ = at_rest()
+    link.altered = lambda frame: frame if frame.id == SUPPLIED else CanFrame(0x100)
+    link.cut()
+    link.run(3000)
+    assert link.masks(link.now_ns - 900 * NS_PER_MS) == []
+    at_ns = link.now_ns
+    link.other_node(0)
+    link.run(3000)
+    times_ms = [ms for ms, _ in link.masks(at_ns)]
+    assert len(times_ms) > 40
+    assert 1900 < max(times_ms) < 2000
