@@ -1,7 +1,7 @@
 """Which masks the power board is sent, and when, where masks are lost or cross its answers: in virtual time."""
 
 from gateway.allowance import NS_PER_MS
-from gateway.model.power_board import ALL, SET_SUPPLY, SUPPLIED, CanFrame
+from gateway.model.power_board import ALL, ASK_RAILS, SET_SUPPLY, SUPPLIED, CanFrame
 from gateway.robot.power.simulated_board import SimulatedBoard
 from schemas.telemetry import Kind
 from tests.support.power_link import ALL_SERVOS, FLIGHT_NS, NONE, Link, fed
@@ -104,7 +104,8 @@ def test_a_repeat_waits_for_5_ms_behind_an_answer() -> None:
 
 def test_what_was_given_up_is_sent_again_for_two_seconds_where_another_node_switches() -> None:
     link, _ = at_rest()
-    link.altered = lambda frame: frame if frame.id == SUPPLIED else CanFrame(0x100)
+    answers = {question.id + 1 for question in ASK_RAILS}
+    link.altered = lambda frame: CanFrame(0x100) if frame.id in answers else frame
     link.cut()
     link.run(3000)
     assert link.masks(link.now_ns - 900 * NS_PER_MS) == []
@@ -114,3 +115,23 @@ def test_what_was_given_up_is_sent_again_for_two_seconds_where_another_node_swit
     times_ms = [ms for ms, _ in link.masks(at_ns)]
     assert len(times_ms) > 40
     assert 1900 < max(times_ms) < 2000
+
+
+def test_an_output_that_the_board_takes_by_itself_is_lost_also_behind_a_want_that_changes_nothing() -> None:
+    link = fed()
+    link.want(ALL_SERVOS)
+    link.board.take(CanFrame(SET_SUPPLY, (ALL >> 1).to_bytes(3, "big")), link.now_ns)
+    link.run(300)
+    assert link.ours.lost == {63}
+
+
+def test_a_gateway_has_a_second_to_start_whenever_that_is() -> None:
+    link = Link()
+    link.cable = False
+    link.run(3000)
+    link.ours.opened(link.now_ns)
+    link.want(NONE)
+    link.run(990)
+    assert link.events(Kind.POWER_UNCONFIRMED) == []
+    link.run(20)
+    assert len(link.events(Kind.POWER_UNCONFIRMED)) == 1

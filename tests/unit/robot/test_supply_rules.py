@@ -94,6 +94,16 @@ async def test_a_stop_that_leaves_the_supply_on_is_answered_once() -> None:
     assert [ack.confirmed for ack in answers] == [False]
 
 
+async def test_who_waits_for_all_is_answered_once_all_are_off() -> None:
+    robot = await fed()
+    told: list[bool] = []
+    robot.put(keys.ESTOP)
+    supply_of(robot).confirm_all(robot.now_ns(), lambda confirmed, _ms: told.append(confirmed))
+    assert told == []
+    await asyncio.sleep(0.14)
+    assert told == [True]
+
+
 # ---- what is known
 
 
