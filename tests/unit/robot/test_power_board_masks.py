@@ -76,7 +76,8 @@ def test_what_was_never_off_is_not_reported_as_fed_again() -> None:
     link.other_node(ALL)
     link.run(500)
     assert link.fed() == ALL_SERVOS
-    assert link.events(Kind.POWER_RESTORED) == []
+    assert link.ours.confirmed
+    assert link.events(Kind.POWER_RESTORED) == link.events(Kind.POWER_UNCONFIRMED) == []
 
 
 def test_a_cut_that_nobody_waits_for_is_repeated_all_the_same() -> None:

@@ -5,6 +5,11 @@ from gateway.model.power_board import ASK_CURRENTS, ASK_ERROR, ASK_RAILS, CanFra
 from gateway.robot.power.questions import BoardQuestions
 
 
+def test_at_first_a_question_is_due_and_no_mask_has_reached_the_board() -> None:
+    questions = BoardQuestions()
+    assert (questions.due_ns, questions.reached, questions.reached_ns) == (0, 0, 0)
+
+
 def test_all_is_asked_in_turn_while_the_board_answers() -> None:
     questions = BoardQuestions()
     asked: list[CanFrame] = []
