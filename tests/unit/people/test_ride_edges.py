@@ -8,7 +8,7 @@ from gateway.errors import RejectedError, StoppedError
 from gateway.people.walking import STILL, Phase, Posture, Ride, RideTask, Silences, Velocity, Wish
 from gateway.people.walking.ride import START_PAUSE_S
 from schemas.robot import LEGS
-from tests.support.ridden import ROBOT, Ridden, standing
+from tests.support.ridden import FED_SINGLY, ROBOT, Ridden, standing
 
 AHEAD: Final = Velocity(0.06)
 BEHIND_S: Final = 2**-10
@@ -221,3 +221,25 @@ def test_one_that_has_fallen_is_stopped_behind_the_silence_and_not_at_its_end() 
     assert not ride.over
     ride.look(at_s + 4.0 + BEHIND_S)
     assert (ride.over, ride.detail) == (True, "it has fallen")
+
+
+def test_a_robot_whose_servos_are_fed_one_after_the_other_stands_up_behind_the_time_and_not_at_its_end() -> None:
+    ride = Ride(FED_SINGLY, now_s=-1.0)
+    ride.go(STILL, -1.0)
+    ride.found(FED_SINGLY, {}, -1.0)
+    for number in range(6):
+        ride.sent(ride.next((number - 5) / 64).pose)
+    ride.look(FED_SINGLY.limp_s)
+    assert ride.phase is Phase.STARTS
+    ride.look(FED_SINGLY.limp_s + BEHIND_S)
+    assert ride.phase is Phase.RUNS
+
+
+def test_one_that_begins_with_six_legs_that_run_holds_them_before_it_moves_them() -> None:
+    running = standing().running
+    ride = Ride(ROBOT, running=running)
+    ride.found(ROBOT, running, 0.0)
+    ride.look(1.0)
+    assert ride.phase is Phase.STARTS
+    ride.sent(ride.next(1.0).pose)
+    assert ride.phase is Phase.RUNS
