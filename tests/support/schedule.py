@@ -54,6 +54,7 @@ THOROUGH: Final = (
     "unit/people/test_walking_gait.py",
     "unit/people/test_walking_postures.py",
     "unit/robot/test_ownership.py",
+    "unit/robot/test_power_robot_orders.py",
     "unit/robot/test_slow_failures.py",
     "unit/robot/test_supervisor_machine.py",
 )

@@ -68,7 +68,8 @@ class Slcan(slcanBus):
         return (self._frames.popleft(), True) if self._frames else (None, False)
 
     def _read_all(self, timeout: float | None) -> None:
-        if not self._readable.poll(timeout and timeout * 1000):
+        polled = self._readable.poll(timeout and timeout * 1000)
+        if not polled:
             return
         try:
             data = os.read(self._fd, _MOST)
@@ -76,7 +77,8 @@ class Slcan(slcanBus):
             return
         except OSError as error:
             raise CanOperationError(f"the adapter cannot be read: {error.strerror}") from error
-        if not data:
+        # Without that, another reader of the terminal was first: `stop-servos` on a gateway's.
+        if not data and polled[0][1] & (select.POLLHUP | select.POLLERR):
             raise CanOperationError("the adapter is disconnected")
         self._left += data
         end = 0

@@ -108,6 +108,8 @@ class RobotSupply:
         self._currents = CurrentRules(settings.idle_ma, round(settings.settle_ms * NS_PER_MS))
         self._found: list[News] = []
         """What the currents say."""
+        self._gave_back = False
+        """By a reset, of which the board may never say anything: where it feeds nothing before a start."""
         self._looked_ns = self._looks = 0
         self._token = 0
         self._waiting: dict[int, Then] = {}
@@ -120,6 +122,8 @@ class RobotSupply:
         self._runs = frozenset([each for each, servo in servos.items() if servo.angle_cdeg is not None])
         unwatched = supervisor.buttons.closed and not self._runs
         before, self._cause = self._cause, cut_by(supervisor.mode, self._cut_on, unwatched=unwatched)
+        if supervisor.stopped_outside and CutOn.SHUTDOWN in self._cut_on:
+            self._withheld |= dict.fromkeys(self._asked, _TAKEN)  # `stop-servos` takes it, also where nothing shows it
         cuts = self._cause is not None and self._cause is not before and self._asked
         self._ask(self._asked & self._wanted(supervisor.mode))
         if self._cause is None or not cuts:
@@ -148,6 +152,7 @@ class RobotSupply:
     def reset(self) -> None:
         """The emergency stop was left: what was blocked or cut is fed again."""
         self._withheld.clear()
+        self._gave_back = True
         self._line.clear_errors()
 
     def cut_early(self, cause: CutOn) -> None:
@@ -171,13 +176,13 @@ class RobotSupply:
             unfed = self._runs - status.supplied  # on its way: it may draw, and need not
             drawn = {each: ma for each, ma in status.currents_ma.items() if each not in unfed}
             self._found += self._currents.measured(drawn, self._runs, now_ns)
-        return bool(self._found)
+        return self._gave_back or bool(self._found)
 
     def look(self) -> Seen:
         """Take the news."""
         seen = Seen(PowerSeen(self._line.status.alive))
         doubt = ""
-        found, self._found = self._found, []
+        found, self._found, self._gave_back = self._found, [], False
         for each in (*self._line.news(), *found):
             if isinstance(each, Confirmed):
                 then = self._waiting.pop(each.token, None)

@@ -13,6 +13,7 @@ from gateway.model.power_board import (
     set_supply,
 )
 from gateway.robot.power.board import News, PowerBoard
+from gateway.robot.power.offs import Confirmed
 from schemas.robot import SERVO_IDS
 from schemas.telemetry import Kind
 from tests.support.power_link import ALL_SERVOS, CONFIRM_MS, NONE, Link, fed
@@ -76,6 +77,23 @@ def test_an_output_that_the_board_takes_by_itself_is_lost() -> None:
     link.run(300)
     assert link.ours.lost == {11}
     assert link.events(Kind.POWER_FAULT)[0][1].servos == {11}
+
+
+def test_where_we_are_not_heard_the_answers_to_another_nodes_questions_confirm_nothing() -> None:
+    """Nor are they a silence: so it is the emergency stop that is found unconfirmed."""
+    link = fed()
+    link.cable = False
+    link.cut()
+    link.when_off(ALL_SERVOS, token=1)
+    for number in range(40):
+        link.run(10)
+        for question in (ASK_RAILS[number % len(ASK_RAILS)], CanFrame(0x70)):
+            for answer in link.board.take(question, link.now_ns):
+                link.ours.heard(answer, link.now_ns)
+    assert link.ours.alive
+    assert not link.ours.confirmed
+    assert list(link.confirmations()) == [Confirmed(1, False, None)]
+    assert len(link.events(Kind.POWER_UNCONFIRMED)) == 1
 
 
 # ---- the board's own faults

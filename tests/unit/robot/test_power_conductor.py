@@ -6,7 +6,9 @@ from typing import Final
 import pytest
 
 from gateway.model.power_board import SERVO_OVERCURRENT, CanFrame, set_supply
+from gateway.robot.core.events import StoppedOutside
 from gateway.robot.core.power import CutOn
+from gateway.robot.service import BEAT_S
 from schemas import keys
 from schemas.robot import LEGS, SERVO_IDS
 from schemas.telemetry import Kind, Mode, Reason, Telemetry
@@ -181,6 +183,25 @@ async def test_what_another_node_switches_off_counts_as_stopped() -> None:
     assert robot.ask(LEG_3, START).accepted
 
 
+@pytest.mark.parametrize("cut_on", [["shutdown"], []])
+async def test_what_stop_servos_takes_is_not_given_back_before_a_reset_though_nothing_of_it_is_seen_on_can(
+    cut_on: list[str],
+) -> None:
+    """On slcan it shares the terminal, so its masks are never seen, and the board seems silent now and then."""
+    robot = await fed(power={"cut_on": cut_on})
+    robot.put(LEG_3, START)
+    robot.conductor._step(StoppedOutside(at_work=True))
+    assert robot.line.fed == (frozenset() if cut_on else ALL)
+    assert running(robot) == []
+    robot.conductor._step(StoppedOutside(at_work=False))
+    await asyncio.sleep(UP_S)
+    assert robot.line.fed == (frozenset() if cut_on else ALL)
+    assert robot.ask(LEG_3, START).reason == (Reason.NO_POWER if cut_on else None)
+    robot.put(keys.RESET, {})
+    await asyncio.sleep(UP_S)
+    assert robot.line.fed == ALL
+
+
 async def test_a_board_that_restarts_has_all_off_and_feeds_again_once_it_answers() -> None:
     robot = await fed()
     robot.put(LEG_3, START)
@@ -291,6 +312,25 @@ async def test_a_switch_that_has_melted_is_found_by_the_current_and_stops_the_wh
     assert robot.events(Kind.SERVO_DRAWS)
     assert running(robot) == []
     assert robot.said[-1][1] == "shutdown"
+
+
+async def test_a_reset_lets_an_elkapods_servo_start_that_drew_current_after_its_stop() -> None:
+    """Nothing of the board changes by it: nothing was fed, and nothing is."""
+    robot = FedElkapod()
+    await asyncio.sleep(0.5)
+    robot.put(keys.servo_command(31), servo("start", 90))
+    await keep(robot, 0.5, keys.servo_command(31), servo("set", 90))
+    robot.line.simulated.draws_ma = [300.0] * len(SERVO_IDS)
+    robot.line.simulated.stuck = 1 << SERVO_IDS.index(31)
+    robot.put(keys.servo_command(31), servo("stop"))
+    await asyncio.sleep(0.7)
+    assert robot.events(Kind.SERVO_DRAWS)
+    assert robot.ask(keys.servo_command(31), servo("start", 90)).reason == Reason.NO_POWER
+    robot.line.simulated.stuck = 0
+    await asyncio.sleep(0.5)
+    robot.put(keys.RESET, {})
+    await asyncio.sleep(BEAT_S)
+    assert robot.ask(keys.servo_command(31), servo("start", 90)).accepted
 
 
 async def test_a_servo_that_runs_and_draws_nothing_is_reported_once() -> None:

@@ -1,5 +1,6 @@
 """The line to the power board: by slcan on a pseudo terminal, and by interfaces that fail as CAN does."""
 
+import os
 import sys
 import threading
 import time
@@ -362,4 +363,29 @@ def test_a_frame_that_comes_in_two_parts_is_one(adapter: Adapter, channel: str) 
     message = bus.recv(MOST_S)
     assert message is not None
     assert message.arbitration_id == 0x69
+    bus.shutdown()
+
+
+def test_a_terminal_whose_bytes_another_reader_took_is_not_disconnected(
+    adapter: Adapter, channel: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """`stop-servos` on a gateway's adapter. Who reads second gets nothing, as from a closed terminal."""
+    assert adapter
+    bus = open_bus(PowerSettings(interface="slcan", channel=channel))
+    bus.send(can.Message(arbitration_id=0x7C, is_extended_id=False))
+    read = os.read
+    taken: list[bytes] = []
+
+    def second(descriptor: int, count: int) -> bytes:
+        if descriptor != bus.fileno():
+            return read(descriptor, count)
+        taken.append(read(descriptor, count))
+        return b""
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "read", second)
+        assert bus.recv(0.3) is None
+    assert any(taken)
+    bus.send(can.Message(arbitration_id=0x7C, is_extended_id=False))
+    assert bus.recv(MOST_S) is not None
     bus.shutdown()

@@ -234,7 +234,7 @@ async def an_emergency_stop_ends_it(judge: Judge) -> None:
     assert line.status.confirmed
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=25, deadline=None)
 @given(STEPS, st.sampled_from([FedRobot, FedElkapod]))
 def test_no_order_of_events_feeds_a_servo_that_nobody_started(
     steps: list[tuple[str, int, float]], make: Callable[[], AnyRobot]
