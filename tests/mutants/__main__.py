@@ -70,7 +70,8 @@ def judge(file: str, *, run_accepted: bool, sample: int | None, last: dict[str, 
             elif verdict.outcome in (Outcome.KILLED, Outcome.TIMED_OUT) and name in forgiven:
                 wrong.append(f"accepted, but noticed by {verdict.test}: {name}")
     except TestsFailError as error:
-        wrong.append(f"its tests fail without a mutant, so they can judge nothing: {error}")
+        print(f"{file}: its tests fail without a mutant, so they can judge nothing: {error}", flush=True)
+        return Counter(right=False)
     before = last or {"killed": 0, "by_time": 0}
     killed = before["killed"] + found[Outcome.KILLED] + found[Outcome.TIMED_OUT]
     score = Counter(

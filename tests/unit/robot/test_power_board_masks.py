@@ -151,3 +151,31 @@ def test_a_gateway_has_a_second_to_start_whenever_that_is() -> None:
     assert link.events(Kind.POWER_UNCONFIRMED) == []
     link.run(20)
     assert len(link.events(Kind.POWER_UNCONFIRMED)) == 1
+
+
+def test_what_another_node_takes_leaves_our_mask_at_once_and_is_reported_once() -> None:
+    link = fed()
+    at_ns = link.now_ns
+    link.other_node(ALL & ~0b111)
+    link.run(6)
+    assert [mask for _, mask in link.masks(at_ns)] == [ALL & ~0b111]
+    link.run(500)
+    assert len(link.events(Kind.POWER_FAULT)) == 1
+    assert link.ours.confirmed
+
+
+def test_a_frame_that_is_not_the_boards_is_no_sign_of_it() -> None:
+    link = Link()
+    for frame in (CanFrame(0x100), CanFrame(SUPPLIED, b"\0"), CanFrame(SET_SUPPLY, bytes(3))):
+        link.ours.heard(frame, 1)
+    assert not link.ours.alive
+    assert link.ours.answered_ns is None
+
+
+def test_on_a_new_interface_a_confirmation_waits_for_no_older_question() -> None:
+    link = fed()
+    for _ in ASK_RAILS:
+        link.ours._questions.behind(0, link.now_ns)
+    link.ours.opened(link.now_ns)
+    link.cut()
+    assert link.run_until(lambda: link.ours.confirmed) < 100

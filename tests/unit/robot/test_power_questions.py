@@ -79,6 +79,15 @@ def test_the_board_is_silent_once_ten_questions_and_100_ms_went_by_without_an_an
     assert not asked_every_10_ms(9).silent(1100 * NS_PER_MS)
 
 
+def test_a_board_that_was_never_heard_is_silent_after_ten_questions_too() -> None:
+    questions = BoardQuestions()
+    for number in range(9):
+        questions.next(0, (1000 + 10 * number) * NS_PER_MS)
+    assert not questions.silent(1085 * NS_PER_MS)
+    questions.next(0, 1090 * NS_PER_MS)
+    assert questions.silent(1090 * NS_PER_MS)
+
+
 def test_a_question_that_nobody_fetched_for_20_ms_counts_as_unanswered() -> None:
     questions = BoardQuestions()
     questions.opened(0)
