@@ -1,7 +1,7 @@
 """Which masks the power board is sent, and when, where masks are lost or cross its answers: in virtual time."""
 
 from gateway.allowance import NS_PER_MS
-from gateway.model.power_board import ALL, ASK_RAILS, SET_SUPPLY, SUPPLIED, CanFrame
+from gateway.model.power_board import ALL, ASK_RAILS, SET_SUPPLY, SUPPLIED, CanFrame, set_supply
 from gateway.robot.power.simulated_board import SimulatedBoard
 from schemas.telemetry import Kind
 from tests.support.power_link import ALL_SERVOS, FLIGHT_NS, NONE, Link, fed
@@ -179,3 +179,44 @@ def test_on_a_new_interface_a_confirmation_waits_for_no_older_question() -> None
     link.ours.opened(link.now_ns)
     link.cut()
     assert link.run_until(lambda: link.ours.confirmed) < 100
+
+
+def test_not_even_the_first_off_is_confirmed_by_an_answer_that_was_on_its_way() -> None:
+    ours = Link().ours
+    ours.want(NONE, 0)
+    assert ours.next_frames(0)[0] == set_supply(0)
+    ours.heard(CanFrame(SUPPLIED, bytes(3)), 1)
+    assert not ours.confirmed
+
+
+def test_each_off_that_is_not_confirmed_is_reported() -> None:
+    link, board = at_rest()
+    for number in (1, 2):
+        board.deaf = False
+        link.want(frozenset({11}))
+        link.run(300)
+        board.deaf = True
+        link.want(NONE)
+        link.run(300)
+        assert len(link.events(Kind.POWER_UNCONFIRMED)) == number
+        board.deaf = False
+        link.run(300)
+        assert link.ours.confirmed
+
+
+def test_what_another_node_switches_on_is_taken_again_until_the_board_has_confirmed_it() -> None:
+    link, board = at_rest()
+    at_ns = link.now_ns
+    link.other_node(ALL)
+    board.deaf = True
+    link.run(500)
+    assert not link.ours.confirmed
+    assert len(link.masks(at_ns)) > 10
+
+
+def test_what_servos_drew_before_a_silence_is_not_known_any_more() -> None:
+    link = fed()
+    assert len(link.ours.currents_ma) == len(ALL_SERVOS)
+    link.cable = False
+    link.run(300)
+    assert link.ours.currents_ma == {}
