@@ -104,3 +104,9 @@ def test_while_the_board_is_likely_silent_rails_are_kept_for_when_it_answers() -
     assert questions.behind(1, 0) == []
     questions.answered(0)
     assert questions.behind(1, 0) != []
+
+
+def test_an_answer_to_what_was_never_asked_proves_nothing() -> None:
+    questions = BoardQuestions()
+    questions.answered_about_rails(ASK_RAILS[0])
+    assert (questions.reached, questions.reached_ns) == (0, 0)

@@ -145,3 +145,14 @@ async def test_with_elkapod_2025_supply_that_is_back_is_no_event_and_the_news_be
     robot.line._news += [News(Kind.POWER_RESTORED, "fed again"), News(Kind.POWER_FAULT, "too hot", frozenset({31}))]
     seen = supply_of(robot).look()
     assert [(each.kind, each.detail, each.legs) for each in seen.announcements] == [(Kind.POWER_FAULT, "too hot", (3,))]
+
+
+async def test_there_is_news_once_and_none_before_the_board_has_said_anything() -> None:
+    robot = FedRobot()
+    assert not supply_of(robot).judge_currents(robot.now_ns())
+    await asyncio.sleep(UP_S)
+    assert not supply_of(robot).judge_currents(robot.now_ns())
+    supply_of(robot).reset()
+    assert supply_of(robot).judge_currents(robot.now_ns())
+    supply_of(robot).look()
+    assert not supply_of(robot).judge_currents(robot.now_ns())
