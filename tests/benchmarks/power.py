@@ -85,7 +85,6 @@ def _side(folder: Path, stack: ExitStack, *, power: bool) -> _Side:
     board = stack.enter_context(RecordedBoard(folder)) if power else None
     sections: dict[str, dict[str, Any]] = {"watchdog": _WATCHDOG, "log": {"level": "error"}}
     if board is not None:
-        board.prefer()
         sections["power"] = board.settings
     gateway = stack.enter_context(Gateway(folder, sections, bed=bed))
     side = _Side(bed, stack.enter_context(gateway.client()), board)

@@ -6,6 +6,8 @@ Of the shapes, `apart` spreads the legs evenly over time, `servos` does so with 
 all in one instant (and notes for each when the first one was), `one-message` is all legs in one message on
 `hexapod/legs/cmd`, `asked` are acknowledged commands.
 
+What is not a flood carries what the shipped client sends with it: a source, and the time by the sender's clock.
+
 It prints `ready` once it is connected. Then each line on its standard input is a number of seconds to publish for; it
 answers `done COUNT`. The log is appended to after each: three 64-bit numbers a message (leg, number, monotonic ns).
 `--hz 0` is a flood: as fast as it can. With `asked`, the third number is how long the answer took.
@@ -94,6 +96,7 @@ class Stream:
     ) -> None:
         """`token`: that of a lease, which each message then carries."""
         self._end = f',"lease":"{token}"}}' if token else "}"
+        self._as_client = hz > 0
         control = zenoh.CongestionControl.BLOCK if block else zenoh.CongestionControl.DROP
         one_message = shape == "one-message"
         self._legs = legs
@@ -120,8 +123,7 @@ class Stream:
         noted_ns = 0
         for index, send in itertools.cycle(enumerate(self._sends)):
             number = next(self._numbers)
-            text = self._text(number)
-            text = text[:-1] + self._end
+            text = self._text(number)[:-1]
             begins = self._shape != "burst" or index == 0
             if begins and self._pause_s:
                 wait_until(due_s)
@@ -131,7 +133,9 @@ class Stream:
                     return count
                 due_s += self._pause_s
                 noted_ns = now_ns
-            answered_ns = send(text)
+            if self._as_client:
+                text += f',"source":"publisher","sent_ms":{now_ns / 1e6}'
+            answered_ns = send(text + self._end)
             count += 1
             for leg in self._legs if self._shape == "one-message" else self._legs[index : index + 1]:
                 log.extend((leg, number, noted_ns if answered_ns is None else answered_ns))

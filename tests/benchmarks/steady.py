@@ -2,9 +2,11 @@
 
 from contextlib import ExitStack
 from dataclasses import dataclass, field
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
+from gateway.model.framing import Framing
 from tests.benchmarks.processes import Figures, cpu_ns, now_ns, say
 from tests.benchmarks.subjects import Publisher, Subject
 from tests.benchmarks.table import Row, ratio_row
@@ -29,10 +31,17 @@ class Scenario:
     shape: str
     legs: tuple[int, ...] = (1, 2, 3, 4, 5, 6)
     hz: int = 50
+    framing: Framing = Framing.PLAIN
+    lease: bool = False
+    """Whether each message to the gateway has the lease's token, as a walk's have; the naive script knows none."""
     aims: Aims = Aims()
     settings: dict[str, dict[str, Any]] = field(default_factory=dict)
     short: bool = True
     """Whether it is part of a quick run."""
+
+    @property
+    def title(self) -> str:
+        return f"{self.name}, {self.hz} Hz" + ("" if self.framing is Framing.PLAIN else f", {self.framing}")
 
     @property
     def measured(self) -> str:
@@ -42,12 +51,25 @@ class Scenario:
         return "publish → sixth frame" if self.shape in ("burst", "one-message") else "publish → transfer"
 
 
+_LEG_BY_LEG = Aims(p50=1.2, p99=1.3, cpu=1.6)
+_ONE_MESSAGE = Aims(p50=0.8, cpu=1.2)
 SCENARIOS = (
-    Scenario("six legs", "apart", aims=Aims(1.15, 1.3, 1.8)),
-    Scenario("one leg", "apart", legs=(3,), short=False),
+    Scenario("six legs", "apart", aims=_LEG_BY_LEG),
+    Scenario("a stream's legs/cmd", "one-message", aims=_ONE_MESSAGE),
     Scenario("six legs in one burst", "burst", aims=Aims(p50=1.15)),
-    Scenario("legs/cmd", "one-message", aims=Aims(p50=1.0, cpu=1.5)),
-    Scenario("acknowledged", "asked", short=False),
+    Scenario("six legs", "apart", framing=Framing.LENGTH_PREFIXED, aims=_LEG_BY_LEG, short=False),
+    Scenario("a stream's legs/cmd", "one-message", framing=Framing.LENGTH_PREFIXED, aims=_ONE_MESSAGE, short=False),
+    # The lease outlasts the other's rounds.
+    Scenario(
+        "a walk's legs/cmd",
+        "one-message",
+        lease=True,
+        aims=_ONE_MESSAGE,
+        settings={"lease": {"ttl_ms": 10_000}},
+        short=False,
+    ),
+    Scenario("an acked leg", "asked", legs=(3,), short=False),
+    Scenario("one leg", "apart", legs=(3,), short=False),
     Scenario("six legs", "apart", hz=200, settings={"limits": {"leg_rate_hz": 250}}, short=False),
 )
 
@@ -76,23 +98,25 @@ def _round(subject: Subject, publisher: Publisher, scenario: Scenario, duration_
 
 def run(scenario: Scenario, folder: Path, stack: ExitStack, *, rounds: int, round_s: float) -> list[Row]:
     """Alternating rounds of both: the machine changes its pace within seconds, so the ratio within a round counts."""
-    subjects = [Subject(name, folder, stack, scenario.settings) for name in ("gateway", "naive")]
+    settings = {"spi": {"framing": scenario.framing}, **scenario.settings}
+    subjects = [Subject(name, folder, stack, settings) for name in ("gateway", "naive")]
     options = ("--legs", *map(str, scenario.legs), "--hz", str(scenario.hz), "--shape", scenario.shape)
-    publishers = [subject.publisher(*options) for subject in subjects]
+    ours, theirs = subjects
+    publishers = [ours.publisher(*options, *(("--lease",) if scenario.lease else ())), theirs.publisher(*options)]
     for publisher in publishers:
         publisher.run(0.5)  # whatever is slow only once
     found: tuple[list[_Round], list[_Round]] = ([], [])
-    title = f"{scenario.name}, {scenario.hz} Hz"
+    title = scenario.title
     for number in range(rounds):
         say(f"{title}: round {number + 1} of {rounds}")
         for index in (0, 1) if number % 2 else (1, 0):
             found[index].append(_round(subjects[index], publishers[index], scenario, round_s))
-    ours, naive = found
-    what = scenario.measured
+    aims, what = scenario.aims, scenario.measured
     return [
-        ratio_row(f"{title}: {what}, p50", [r.p50 for r in ours], [r.p50 for r in naive], "µs", scenario.aims.p50),
-        ratio_row(f"{title}: {what}, p99", [r.p99 for r in ours], [r.p99 for r in naive], "µs", scenario.aims.p99),
-        ratio_row(
-            f"{title}: CPU time a message", [r.cpu for r in ours], [r.cpu for r in naive], "µs", scenario.aims.cpu
-        ),
+        ratio_row(f"{title}: {figure}", [of(each) for each in found[0]], [of(each) for each in found[1]], "µs", aim)
+        for figure, of, aim in (
+            (f"{what}, p50", attrgetter("p50"), aims.p50),
+            (f"{what}, p99", attrgetter("p99"), aims.p99),
+            ("CPU time a message", attrgetter("cpu"), aims.cpu),
+        )
     ]

@@ -71,8 +71,8 @@ def test_a_batch_is_one_call_of_cycles_with_the_pauses_that_were_asked_for(spi_t
 def scene(folder: Path, framing: Framing, *, batch: bool) -> tuple[list[str], int]:
     """Starts, a silence, an emergency stop whose Stops meet a fault, the end: the bytes that arrived, and the calls."""
     folder.mkdir()
-    # Pauses that have room for all the zeros.
-    watchdog = {"repeats": 2, "repeat_interval_ms": 60, "timeout_ms": 750}
+    # Pauses that have room for all the zeros. Leg 3 is silent long before legs at rest are due a Stop (0.8 s).
+    watchdog = {"repeats": 2, "repeat_interval_ms": 60, "timeout_ms": 550}
     with SpiTestbed() as bed:
         wire = Wire(bed, framing)
         with start(folder, wire, spi={"batch": batch}, watchdog=watchdog) as gateway, gateway.client() as client:

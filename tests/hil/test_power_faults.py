@@ -72,7 +72,8 @@ def test_an_adapter_that_opens_and_is_mute_lets_nothing_start_and_holds_up_no_st
 def test_stop_servos_on_the_same_adapter_takes_the_supply_until_a_reset(
     tmp_path: Path, wire: Wire, board: RecordedBoard
 ) -> None:
-    """Both read the one terminal, so each gets a part of the answers, and the gateway does not see the masks."""
+    """Both read the one terminal: the gateway does not see the other's masks, and may read all answers to them, so
+    that `stop-servos` says that nothing is confirmed (docs/power.md)."""
     with start(tmp_path, wire, power=board.settings) as gateway, gateway.client() as client:
         board.next("fed", ALL)
         assert client.start_leg(3, 90, 45, 120).accepted
@@ -80,7 +81,7 @@ def test_stop_servos_on_the_same_adapter_takes_the_supply_until_a_reset(
         begun = board.skip()
         with wire.bed.spawn([*COMMAND, "stop-servos", "--config", str(gateway.config)]) as child:
             assert board.next("fed").mask == 0
-            assert child.wait(LATE_S) == 0, str(child)
+            assert child.wait(LATE_S) == 0 or "NOT confirmed" in child.stderr, str(child)
         state = client.state()
         assert state.mode is Mode.IDLE
         assert not any(servo.running for leg in state.legs for servo in leg.servos)

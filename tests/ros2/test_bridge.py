@@ -49,6 +49,7 @@ def test_a_peer_sees_its_topics_and_services(peer: Peer) -> None:
         "/hexapod/battery_state": ["sensor_msgs/msg/BatteryState"],
         "/hexapod/imu/data": ["sensor_msgs/msg/Imu"],
         "/hexapod/temperature": ["sensor_msgs/msg/Temperature"],
+        "/hexapod/foot_forces": ["std_msgs/msg/Float64MultiArray"],
         "/hexapod/robot_description": ["std_msgs/msg/String"],
         "/hexapod/diagnostics": ["diagnostic_msgs/msg/DiagnosticArray"],
         "/hexapod/joint_commands": ["sensor_msgs/msg/JointState"],
@@ -75,10 +76,18 @@ def test_a_peer_sees_its_topics_and_services(peer: Peer) -> None:
 
 def test_without_a_namespace_a_peer_asks_for_the_description_itself(gateway: Gateway) -> None:
     """In a namespace, zenoh-ros2-sdk 0.1.8 looks for a token that it does not mangle."""
-    with bridged(gateway, "--ros-namespace", "/") as bare, Peer(bare.endpoint) as peer:
+    options = ("--base-frame", "base_link", "--uncommanded-deg", "45", "--joint-states-hz", "2")
+    with bridged(gateway, "--ros-namespace", "/", *options) as bare, Peer(bare.endpoint) as peer:
         peer.subscribe("/robot_description", String, latched=True)
-        assert '<robot name="elkapod"' in peer.next("/robot_description")["data"]
+        description = peer.next("/robot_description")["data"]
+        assert '<robot name="elkapod"' in description
+        assert '<parent link="base_link" />' in description
         assert "/joint_states" in peer.graph()
+        received = Received(bare, "joint_states", JointState)
+        first, second = (received.wait(lambda _: True) for _ in range(2))
+        assert len(first.name) == 18, "those that were never commanded, too"
+        apart_ns = (second.header.stamp.sec - first.header.stamp.sec) * 10**9
+        assert apart_ns + second.header.stamp.nanosec - first.header.stamp.nanosec > 400_000_000
 
 
 def test_diagnostics_say_what_the_gateway_does(bridge: Bridge, watcher: Client) -> None:
@@ -96,6 +105,7 @@ def test_diagnostics_say_what_the_gateway_does(bridge: Bridge, watcher: Client) 
         "lease",
         "ROS 2 bridge",
     }
+    assert {status.hardware_id for status in quiet.status} == {"hexapod"}, "its namespace tells it from other robots"
     assert part(quiet, "gateway").level == DiagnosticStatus.OK
     watcher.estop()
     stopped = received.wait(lambda each: part(each, "gateway").level == DiagnosticStatus.ERROR)
@@ -110,24 +120,14 @@ def test_what_the_robot_measures_is_read_by_a_peer_and_rubbish_ends_nothing(
     for topic, kind in MEASURED.items():
         peer.subscribe(f"/hexapod/{topic}", kind)
     watcher.publish(keys.TELEMETRY, {"battery": "full"})
-    ended = threading.Event()
-
-    def publish() -> None:
-        while not ended.wait(0.1):
-            watcher.session.put(keys.TELEMETRY, measuring.MEASURED.model_dump_json())
-
-    publishing = threading.Thread(target=publish)
-    publishing.start()
-    try:
-        battery, imu, temperature = (peer.next(f"/hexapod/{topic}") for topic in MEASURED)
-    finally:
-        ended.set()
-        publishing.join()
+    with measuring.measures(watcher, measuring.MEASURED):
+        battery, imu, temperature, feet = (peer.next(f"/hexapod/{topic}") for topic in MEASURED)
     assert battery["percentage"] == pytest.approx(0.8)
     assert math.isnan(battery["current"])
     assert imu["header"]["frame_id"] == "base"
     assert imu["linear_acceleration"]["z"] == 9.81
     assert temperature["temperature"] == 31.5
+    assert feet["data"] == list(measuring.MEASURED.feet or ())
 
 
 # ---- nothing moves unasked
@@ -339,17 +339,17 @@ def test_what_it_cannot_begin_with(gateway: Gateway) -> None:
     assert lonely.returncode == 4
     assert "no ROS 2 router answers on" in lonely.stderr
     assert "rmw_zenohd" in lonely.stderr
-    nobody = f"tcp/127.0.0.1:{free_port()}"
-    assert run_here("ros2", "--connect", nobody).returncode == 4
     for arguments, why in (
         (("--distro", "foxy"), "--distro foxy is not known"),
         (("--ros-namespace", "hexapod"), "'hexapod' is no ROS namespace"),
+        (("--joint-states-hz", "0"), "joint_states_hz: 0 is not between 1 and 50"),
         (("--router", gateway.endpoint), "leads to no router, where no ROS peer should be"),
     ):
         wrong = run_here("ros2", *ours, *arguments)
         assert wrong.returncode == 2, wrong
         assert why in wrong.stderr
     with zenoh_listening(router[1]), gateway.client(source="anna") as anna, anna.lease():
+        assert run_here("ros2", *router, "--connect", f"tcp/127.0.0.1:{free_port()}").returncode == 4
         refused = Child([*COMMAND, "ros2", *router, *ours, "--drive"], clean())
         refused.wait_for_output("held by anna", timeout_s=20)
         refused.send_signal(signal.SIGTERM)

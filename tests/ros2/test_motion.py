@@ -2,6 +2,7 @@
 
 import itertools
 import math
+import sys
 import threading
 import time
 from dataclasses import replace
@@ -37,14 +38,18 @@ from tests.support.bridged import (
     Bridge,
     Received,
     bridged,
+    clean,
     commanded,
     keeps,
     rejected,
     resting,
 )
+from tests.support.child import Child
 from tests.support.gateway_process import Gateway
 from tests.support.heard import Heard, events, frames, running, states
 from tests.support.ros2_peer import Peer
+
+EXAMPLES: Final = Path(__file__).parents[2] / "examples/ros2"
 
 # ---- joint commands
 
@@ -89,8 +94,15 @@ def test_what_a_link_held_back_is_not_taken(driven: Bridge, watcher: Client) -> 
 
 
 def test_a_bag_that_rosbags_has_written_is_played(driven: Bridge, watcher: Client, tmp_path: Path) -> None:
-    """With bytes behind the last field, as ROS 2's own recorder keeps them."""
-    store, path = get_typestore(Stores.ROS2_JAZZY), tmp_path / "bag"
+    recorded = written_by_rosbags(tmp_path / "bag")
+    written, publisher, played = frames(watcher), driven.publisher("joint_commands", JointState), iter(recorded)
+    keeps(lambda: publisher.put(next(played, recorded[-1])), lambda: commanded(written.all, 11)[-1:] == [LAST_DEG])
+    assert len(set(commanded(written.all, 11))) > 5
+
+
+def written_by_rosbags(path: Path) -> list[bytes]:
+    """What a bag has of joint commands, with bytes behind the last field, as ROS 2's own recorder keeps them."""
+    store = get_typestore(Stores.ROS2_JAZZY)
     with Writer(path, version=9) as writer:
         connection = writer.add_connection("/hexapod/joint_commands", JointState.TYPE, typestore=store)
         for number in range(50):
@@ -98,10 +110,7 @@ def test_a_bag_that_rosbags_has_written_is_played(driven: Bridge, watcher: Clien
             data = bytes(store.serialize_cdr(message, JointState.TYPE)) + bytes(8)
             writer.write(connection, number * 20_000_000, data)
     with Reader(path) as reader:
-        recorded = [bytes(data) for _, _, data in reader.messages()]
-    written, publisher, played = frames(watcher), driven.publisher("joint_commands", JointState), iter(recorded)
-    keeps(lambda: publisher.put(next(played, recorded[-1])), lambda: commanded(written.all, 11)[-1:] == [LAST_DEG])
-    assert len(set(commanded(written.all, 11))) > 5
+        return [bytes(data) for _, _, data in reader.messages()]
 
 
 LAST_DEG: Final = round(RESTS_DEG[1] + math.degrees(0.049), 2)
@@ -114,6 +123,11 @@ def rests(written: Heard[FrameRecord], *servos: int, count: int) -> bool:
     """Whether the newest `count` angles of each of these are the same."""
     newest = [commanded(written.all[-10 * count :], servo_id)[-count:] for servo_id in servos]
     return all(len(angles) == count and len(set(angles)) == 1 for angles in newest)
+
+
+def strides(written: Heard[FrameRecord]) -> bool:
+    """Whether leg 1 has swung lately."""
+    return len(set(commanded(written.all[-400:], 11))) > 20
 
 
 def test_it_is_raised_leans_walks_and_stands_in_silence_and_what_legs_cannot_do_is_not_taken(
@@ -141,16 +155,27 @@ def test_it_is_raised_leans_walks_and_stands_in_silence_and_what_legs_cannot_do_
     peer.publish("/hexapod/cmd_gait_type", Int32(1))
     seen: set[float] = set()
 
-    def strides() -> bool:
+    def walked() -> bool:
         seen.update(commanded(written.all[-60:], 11))
         return len(seen) > 60
 
-    keeps(lambda: velocities.publish(TwistStamped(twist=Twist(Vector3(0.05)))), strides, hz=20)
+    keeps(lambda: velocities.publish(TwistStamped(twist=Twist(Vector3(0.05)))), walked, hz=20)
     keeps(lambda: None, lambda: rests(written, 11, 12, 22, count=50))
     leans = {leg: commanded(written.all, leg * 10 + 2)[-1] for leg in (1, 2)}
     assert leans[1] + leans[2] != pytest.approx(180.0, abs=1.0)
     assert len(running(watcher)) == 6
     assert peer.call("/hexapod/release") == (True, "released")
+    assert watcher.state().mode == Mode.IDLE
+
+
+def test_the_example_without_ros_walks(bridge: Bridge, watcher: Client) -> None:
+    written = frames(watcher)
+    command = [sys.executable, str(EXAMPLES / "walk_without_ros.py"), bridge.endpoint.rpartition(":")[2]]
+    example = Child(command, clean() | {"GIT_PYTHON_REFRESH": "quiet"})
+    assert example.wait(LONG_S) == 0, example
+    example.close()
+    assert example.stdout == "drive: drives as ros2\nrelease: released\n"
+    assert len(set(commanded(written.all, 11))) > 20
     assert watcher.state().mode == Mode.IDLE
 
 
@@ -199,6 +224,7 @@ def test_a_trajectory_behind_one_that_has_just_ended_is_followed(gateway: Gatewa
     leg = replace(leg, points=(replace(leg.points[0], positions=leg.points[0].positions[:3]),))
     with gateway.client(source="ros2") as client:
         driving = Driving(client, "ros2", GEOMETRY, lambda _: None)
+        driving.activate()
         driving.drive()
         first, then = (Trajectory.read(leg, JointNames(), GEOMETRY, time.monotonic(), time.time_ns()) for _ in range(2))
         driving.follow(first, lambda: not gone.is_set())

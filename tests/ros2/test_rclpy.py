@@ -1,15 +1,18 @@
 """The bridge as a node of rclpy, with a real ROS 2 peer over FastDDS. How it moves: test_motion, by the other way."""
 
 import itertools
-import math
 import threading
 from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
 
 import pytest
 
 from gateway.client import Client
+from gateway.people.ros2.cdr import Message
 from gateway.people.ros2.messages import (
     DiagnosticArray,
+    ImuMessage,
     JointState,
     JointTrajectory,
     String,
@@ -17,14 +20,14 @@ from gateway.people.ros2.messages import (
     Vector3,
 )
 from gateway.people.ros2.robot import MEASURED
-from schemas import keys
-from schemas.telemetry import FrameRecord, Kind, Mode
-from tests.ros2.test_motion import plan, rests
+from schemas.telemetry import Kind, Mode
+from tests.ros2.test_motion import LAST_DEG, plan, rests, strides, written_by_rosbags
 from tests.support import measuring
+from tests.support.bad_ros2 import BAD
 from tests.support.bridged import GEOMETRY, LONG_S, RESTS_DEG, clean, commanded, keeps, resting
 from tests.support.child import Child
 from tests.support.gateway_process import Gateway
-from tests.support.heard import Heard, events, frames, running, states
+from tests.support.heard import events, frames, running, states
 from tests.support.rclpy_peer import DOMAIN, ENV, PROFILE, PYTHON, RCLPY_COMMAND, RclpyBridge, RclpyPeer, needs_rclpy
 
 pytestmark = needs_rclpy
@@ -76,6 +79,7 @@ def test_ros_itself_sees_its_topics_and_services(peer: RclpyPeer) -> None:
         "joint_states": "sensor_msgs/msg/JointState",
         "battery_state": "sensor_msgs/msg/BatteryState",
         "data": "sensor_msgs/msg/Imu",
+        "foot_forces": "std_msgs/msg/Float64MultiArray",
         "temperature": "sensor_msgs/msg/Temperature",
         "robot_description": "std_msgs/msg/String",
         "diagnostics": "diagnostic_msgs/msg/DiagnosticArray",
@@ -91,6 +95,12 @@ def test_ros_itself_sees_its_topics_and_services(peer: RclpyPeer) -> None:
         "reset": "std_srvs/srv/Trigger",
         "drive": "std_srvs/srv/Trigger",
         "release": "std_srvs/srv/Trigger",
+        "transition_event": "lifecycle_msgs/msg/TransitionEvent",
+        "change_state": "lifecycle_msgs/srv/ChangeState",
+        "get_state": "lifecycle_msgs/srv/GetState",
+        "get_available_states": "lifecycle_msgs/srv/GetAvailableStates",
+        "get_available_transitions": "lifecycle_msgs/srv/GetAvailableTransitions",
+        "get_transition_graph": "lifecycle_msgs/srv/GetAvailableTransitions",
     }
     peer.subscribe("/hexapod/robot_description", String, latched=True)
     assert '<robot name="elkapod"' in peer.next_where("/hexapod/robot_description", lambda _: True).data
@@ -100,22 +110,12 @@ def test_ros_itself_reads_what_the_robot_measures(peer: RclpyPeer, watcher: Clie
     """Published here in the gateway's place."""
     for topic, kind in MEASURED.items():
         peer.subscribe(f"/hexapod/{topic}", kind)
-    ended = threading.Event()
-
-    def publish() -> None:
-        while not ended.wait(0.1):
-            watcher.session.put(keys.TELEMETRY, measuring.MEASURED.model_dump_json())
-
-    publishing = threading.Thread(target=publish)
-    publishing.start()
-    try:
-        battery, imu, temperature = (peer.next_where(f"/hexapod/{topic}", lambda _: True) for topic in MEASURED)
-    finally:
-        ended.set()
-        publishing.join()
+    with measuring.measures(watcher, measuring.MEASURED):
+        battery, imu, temperature, feet = (peer.next_where(f"/hexapod/{topic}", lambda _: True) for topic in MEASURED)
     assert battery.percentage == pytest.approx(0.8)
     assert (imu.header.frame_id, imu.linear_acceleration.z) == ("base", 9.81)
     assert temperature.temperature == 31.5
+    assert feet.data == measuring.MEASURED.feet
 
 
 def test_nothing_is_taken_before_somebody_drives(peer: RclpyPeer, watcher: Client) -> None:
@@ -146,22 +146,42 @@ def test_joint_commands_become_frames_and_their_silence_stops_the_legs(
     driven.next_where("/hexapod/joint_states", lambda each: bool(each.position) and abs(each.position[0] - last) < 1e-3)
 
 
-@pytest.mark.parametrize(
-    ("message", "why"),
-    [
-        (resting(joint_32=math.nan), "the position of joint_32 is nan"),
-        (resting(joint_32=7.0), "joint_32 at"),
-        (JointState(name=("leg1_J1",), position=(0.0,)), "there is no joint 'leg1_J1'"),
-        (JointState(name=("joint_11",) * 1000), "and at most 4096 are taken"),
-    ],
-)
-def test_bad_input_moves_nothing_and_is_explained(
-    message: JointState, why: str, driven: RclpyPeer, watcher: Client
-) -> None:
+def test_bad_messages_move_nothing_and_each_is_explained(driven: RclpyPeer, watcher: Client) -> None:
+    """As over Zenoh, test_bad_input. What is no such message does not come over DDS."""
     before = watcher.state().commands
-    driven.publish(COMMANDS, message)
-    driven.next_where(DIAGNOSTICS, lambda each: why in rejections(each))
+    for topic in dict.fromkeys(topic for topic, _, _ in BAD.values()):
+        driven.advertise(f"/hexapod/{topic}", next(type(message) for name, message, _ in BAD.values() if name == topic))
+    for topic, message, why in BAD.values():
+
+        def explained(array: DiagnosticArray, topic: str = topic, message: Message = message, why: str = why) -> bool:
+            driven.publish(f"/hexapod/{topic}", message)
+            return why in rejections(array)
+
+        driven.next_where(DIAGNOSTICS, explained)
     assert watcher.state().commands == before
+    assert watcher.state().lease.holder == "ros2", "it drives on"
+
+
+def test_a_bag_that_rosbags_has_written_is_played(driven: RclpyPeer, watcher: Client, tmp_path: Path) -> None:
+    """Its bytes are published as they are, as `ros2 bag play` does."""
+    recorded = written_by_rosbags(tmp_path / "bag")
+    written, played = frames(watcher), iter(recorded)
+    keeps(
+        lambda: driven.publish_bytes(COMMANDS, next(played, recorded[-1])),
+        lambda: commanded(written.all, 11)[-1:] == [LAST_DEG],
+    )
+    assert len(set(commanded(written.all, 11))) > 5
+
+
+@pytest.mark.parametrize("best_effort", [False, True], ids=["the default", "SensorData"])
+def test_peers_of_any_quality_of_service_are_served(best_effort: bool, driven: RclpyPeer, watcher: Client) -> None:
+    topic = "/hexapod/imu/data"
+    del driven
+    with RclpyPeer() as other, measuring.measures(watcher, measuring.MEASURED):
+        other.subscribe(topic, ImuMessage, best_effort=best_effort)
+        assert other.next_where(topic, lambda _: True).linear_acceleration.z == 9.81
+        other.advertise(COMMANDS, JointState, best_effort=best_effort)
+        keeps(lambda: other.publish(COMMANDS, resting()), lambda: len(running(watcher)) == 6)
 
 
 # ---- the emergency stop
@@ -198,20 +218,25 @@ def test_a_flood_keeps_no_emergency_stop_waiting_and_ros_leaves_its_own_alone(
     assert "leave it at the robot" in why
 
 
-def test_an_emergency_stop_waits_for_no_other_service(driven: RclpyPeer, watcher: Client) -> None:
-    """`release` sits down for some seconds before it answers."""
+@pytest.mark.parametrize("sits", ["release", "deactivate"])
+def test_an_emergency_stop_waits_for_no_other_service(sits: str, driven: RclpyPeer, watcher: Client) -> None:
+    """Both sit down for some seconds before they answer."""
     happened = events(watcher)
     driven.advertise("/hexapod/cmd_vel", Twist)
     keeps(lambda: driven.publish("/hexapod/cmd_vel", WALKING), lambda: len(running(watcher)) == 6, hz=20)
     driven.next_where(DIAGNOSTICS, lambda each: each.status[-1].message == "drives by cmd_vel")
     with RclpyPeer() as other:
-        releasing = threading.Thread(target=other.call, args=("/hexapod/release",))
+        release = partial(other.call, "/hexapod/release")
+        releasing = threading.Thread(target=release if sits == "release" else partial(other.change_state, sits))
         releasing.start()
         driven.next_where(DIAGNOSTICS, lambda each: each.status[-1].message == "drives; nothing moves")
         assert driven.call("/hexapod/estop")[0]
         releasing.join()
     both = [each.kind for each in happened.all if each.kind in (Kind.ESTOP_ENGAGED, Kind.LEASE_RELEASED)]
     assert both == [Kind.ESTOP_ENGAGED, Kind.LEASE_RELEASED]
+    if sits == "deactivate":
+        assert driven.state() == "inactive"
+        assert driven.change_state("activate")
 
 
 # ---- several nodes
@@ -269,11 +294,6 @@ def test_a_peer_that_is_killed_in_mid_walk_leaves_a_robot_that_stands_and_then_s
         assert len(running(watcher)) == 6, "it stands"
         states(watcher).wait(lambda state: state.mode == Mode.IDLE, timeout_s=LONG_S)
     assert watcher.state().lease.holder == "ros2", "another may go on"
-
-
-def strides(written: Heard[FrameRecord]) -> bool:
-    """Whether leg 1 has swung lately."""
-    return len(set(commanded(written.all[-400:], 11))) > 20
 
 
 # ---- trajectories

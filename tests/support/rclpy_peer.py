@@ -9,6 +9,7 @@ import sys
 import threading
 import time
 from collections import defaultdict
+from contextlib import suppress
 from importlib import import_module
 from pathlib import Path
 from typing import Any, Final
@@ -30,8 +31,11 @@ needs_rclpy: Final = pytest.mark.skipif(
 )
 RCLPY_COMMAND: Final = (PYTHON, *COMMAND[1:])
 PROFILE: Final = ROOT / "examples" / "ros2" / "this_machine.xml"
+NODE: Final = "/hexapod/hexapod_gateway"
 DOMAIN: Final = os.getpid() % 100 + 1
 """The first hundred have ports that no other program is given."""
+_MADE_S: Final = 5.0
+"""Shared memory is made in a millisecond."""
 ENV: Final = {"FASTDDS_DEFAULT_PROFILES_FILE": str(PROFILE), "RMW_IMPLEMENTATION": "rmw_fastrtps_cpp"}
 
 
@@ -39,7 +43,20 @@ class RclpyPeer(Peer):
     """The end that a test holds."""
 
     def __init__(self, domain: int = DOMAIN) -> None:
+        _remove_half_made()
         self._begin("tests.support.rclpy_peer", str(domain), ENV, PYTHON)
+
+    def advertise(self, topic: str, kind: type[Message], *, best_effort: bool = False) -> None:
+        """Be a publisher from now on; `best_effort`: by qos_profile_sensor_data."""
+        self._ask("advertise", topic, kind.__name__, best_effort)
+
+    def subscribe(self, topic: str, kind: type[Message], *, latched: bool = False, best_effort: bool = False) -> None:
+        """`latched`: and ask for what was published before; `best_effort`: by qos_profile_sensor_data."""
+        self._ask("subscribe", topic, kind.__name__, latched, best_effort)
+
+    def publish_bytes(self, topic: str, data: bytes) -> None:
+        """These, as they are."""
+        self._ask("publish_bytes", topic, data.hex())
 
     def publish_serialized(self, topic: str, message: Message) -> None:
         """What `serialize_message` returns: bytes behind the last field, too."""
@@ -52,6 +69,23 @@ class RclpyPeer(Peer):
     def churn(self, topic: str, count: int) -> None:
         """A node that comes with a publisher, and goes, so many times, ten times a second."""
         self._ask("churn", topic, count)
+
+    def change_state(self, label: str) -> bool:
+        """A transition of the bridge's lifecycle, such as `deactivate`: whether it succeeded."""
+        return bool(self._ask("change_state", label))
+
+    def state(self) -> str:
+        """The state of the bridge's lifecycle, such as `active`."""
+        return str(self._ask("state"))
+
+    def parameter(self, name: str) -> Any:
+        """A parameter of the bridge."""
+        return self._ask("parameter", name)
+
+    def set_parameter(self, name: str, value: bool | float) -> tuple[bool, str]:
+        """Whether it was set, or why not."""
+        done, why = self._ask("set_parameter", name, value)
+        return done, why
 
     def next_where(self, topic: str, condition: Any) -> Any:
         """The next message of a topic for which it holds."""
@@ -71,6 +105,7 @@ class RclpyBridge:
         self, gateway: Gateway, *arguments: str, domain: int = DOMAIN, env: dict[str, str] | None = None
     ) -> None:
         """With `--via`, an option; `env` is added to the environment."""
+        _remove_half_made()
         link = ("--connect", gateway.endpoint, "--domain", str(domain))
         self.child = Child([*RCLPY_COMMAND, "ros2", *link, *arguments], clean() | ENV | (env or {}))
         self.child.wait_for_output(READY, timeout_s=20)
@@ -98,8 +133,9 @@ class Actor:
         executor.add_node(self._node)
         threading.Thread(target=executor.spin, daemon=True).start()
 
-    def advertise(self, topic: str, kind_name: str) -> None:
-        publisher = self._node.create_publisher(_ros_type(kind_of(kind_name).TYPE), topic, 10)
+    def advertise(self, topic: str, kind_name: str, best_effort: bool = False) -> None:
+        qos = import_module("rclpy.qos").qos_profile_sensor_data if best_effort else 10
+        publisher = self._node.create_publisher(_ros_type(kind_of(kind_name).TYPE), topic, qos)
         self._publishers[topic] = publisher
         _wait(lambda: publisher.get_subscription_count() > 0)
 
@@ -120,9 +156,12 @@ class Actor:
             message = self._serialization.serialize_message(message)
         self._publishers[topic].publish(message)
 
-    def subscribe(self, topic: str, kind_name: str, latched: bool) -> None:
+    def publish_bytes(self, topic: str, data: str) -> None:
+        self._publishers[topic].publish(bytes.fromhex(data))
+
+    def subscribe(self, topic: str, kind_name: str, latched: bool, best_effort: bool = False) -> None:
         qos = import_module("rclpy.qos")
-        profile = qos.QoSProfile(depth=1000)
+        profile = qos.qos_profile_sensor_data if best_effort else qos.QoSProfile(depth=1000)
         if latched:
             profile.durability = qos.DurabilityPolicy.TRANSIENT_LOCAL
         received = self._received[topic]
@@ -136,17 +175,48 @@ class Actor:
         return self._received[topic].get(timeout=ANSWER_S / 2)
 
     def call(self, service: str) -> tuple[bool, str]:
-        trigger = _ros_type(TRIGGER_TYPE)
-        client = self._node.create_client(trigger, service)
+        response = self._request(TRIGGER_TYPE, service)
+        return bool(response.success), str(response.message)
+
+    def change_state(self, label: str) -> bool:
+        transition = import_module("lifecycle_msgs.msg").Transition(label=label)
+        return bool(
+            self._request("lifecycle_msgs/srv/ChangeState", f"{NODE}/change_state", transition=transition).success
+        )
+
+    def state(self) -> str:
+        return str(self._request("lifecycle_msgs/srv/GetState", f"{NODE}/get_state").current_state.label)
+
+    def parameter(self, name: str) -> Any:
+        (found,) = self._request("rcl_interfaces/srv/GetParameters", f"{NODE}/get_parameters", names=[name]).values
+        return import_module("rclpy.parameter").parameter_value_to_python(found)
+
+    def set_parameter(self, name: str, value: bool | float) -> tuple[bool, str]:
+        wanted = import_module("rclpy.parameter").Parameter(name, value=value).to_parameter_msg()
+        kind, service = "rcl_interfaces/srv/SetParameters", f"{NODE}/set_parameters"
+        (result,) = self._request(kind, service, parameters=[wanted]).results
+        return bool(result.successful), str(result.reason)
+
+    def _request(self, type_name: str, service: str, **fields: Any) -> Any:
+        found = _ros_type(type_name)
+        client = self._node.create_client(found, service)
         if not client.wait_for_service(ANSWER_S / 2):
             raise TimeoutError(f"nobody serves {service}")
-        response = client.call(trigger.Request(), ANSWER_S)
+        response = client.call(found.Request(**fields), ANSWER_S)
         self._node.destroy_client(client)
-        return bool(response.success), str(response.message)
+        return response
 
     def graph(self) -> dict[str, list[str]]:
         node = self._node
         return dict(node.get_topic_names_and_types()) | dict(node.get_service_names_and_types())
+
+
+def _remove_half_made() -> None:
+    """Shared memory of FastDDS whose maker was killed before it was ready: the next to open it waits for ever."""
+    for port in Path("/dev/shm").glob("fastdds_port*[0-9]"):  # noqa: S108
+        with suppress(OSError):
+            if port.stat().st_mtime < time.time() - _MADE_S and port.read_bytes()[:4] == bytes(4):
+                port.unlink()
 
 
 def _wait(condition: Any) -> None:

@@ -49,14 +49,12 @@ class RecordedBoard(Closing):
         given = json.dumps({"folder": str(folder / "board"), "record": str(record)})
         self.child = Child([sys.executable, "-m", "gateway.robot.power.simulator", given], os.environ)
         self.child.wait_for_line(0)
+        if os.geteuid() == 0:  # it stands for hardware, which no load slows
+            os.sched_setscheduler(self.child.pid, os.SCHED_FIFO, os.sched_param(50))
 
     def close(self) -> None:
         self.child.close()
         self._reader.join()
-
-    def prefer(self) -> None:
-        """Let it come before every other process: it stands for hardware, which no load slows. Root only."""
-        os.sched_setscheduler(self.child.pid, os.SCHED_FIFO, os.sched_param(50))
 
     def disturb(self, **fault: object) -> None:
         """A fault, as `gateway.robot.power.simulator` names them."""

@@ -29,6 +29,7 @@ WANTED: Final = (
     "std_msgs/msg/String",
     "std_msgs/msg/Int32",
     "std_msgs/msg/Float64",
+    "std_msgs/msg/Float64MultiArray",
     "sensor_msgs/msg/JointState",
     "diagnostic_msgs/msg/DiagnosticArray",
     "geometry_msgs/msg/Twist",

@@ -133,9 +133,9 @@ COURSES: Final[dict[str, Course]] = {
     **{f"step {mm} mm": Course(Terrain(step_m=mm / 1000)) for mm in (10, 20, 30)},
     "kerb 30 mm down": Course(Terrain(step_m=-0.03)),
     "edge": Course(Terrain(step_m=-0.15)),
-    "stones ahead": Course(Terrain(rough_m=0.025)),
-    "stones to the left": Course(Terrain(rough_m=0.025), Velocity(0, 0.06)),
-    "stones back": Course(Terrain(rough_m=0.025), Velocity(-0.08)),
+    **{f"stones {seed} ahead": Course(Terrain(rough_m=0.025, seed=seed)) for seed in range(3)},
+    "stones 0 to the left": Course(Terrain(rough_m=0.025), Velocity(0, 0.06)),
+    "stones 0 back": Course(Terrain(rough_m=0.025), Velocity(-0.08)),
     "push": Course(Terrain(), push_n=40.0),
 }
 SENSORS: Final[dict[str, Callable[[], Sensor]]] = {

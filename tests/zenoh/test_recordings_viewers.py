@@ -44,10 +44,11 @@ def test_rosbags_reads_what_the_robot_measured(ride: Path) -> None:
         found: dict[str, Any] = {
             each.topic: reader.deserialize(raw, each.msgtype) for each, _, raw in reader.messages(connections=wanted)
         }
-    battery, imu, temperature = (found[f"/{topic}"] for topic in MEASURED)
+    battery, imu, temperature, feet = (found[f"/{topic}"] for topic in MEASURED)
     assert battery.percentage == pytest.approx(0.8)
     assert imu.linear_acceleration.z == 9.81
     assert temperature.temperature == 31.5
+    assert feet.data.tolist() == [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]
 
 
 def test_mcap_ros2_decodes_every_message(ride: Path) -> None:

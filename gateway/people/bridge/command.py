@@ -1,5 +1,6 @@
 """The command line of `ros2`."""
 
+import math
 import os
 import sys
 from enum import StrEnum
@@ -91,6 +92,26 @@ def ros2(
     tf: Annotated[
         bool, typer.Option("--tf", help="Publish /tf, too: for viewers without a robot_state_publisher.")
     ] = False,
+    joint_states_hz: Annotated[
+        float, typer.Option("--joint-states-hz", metavar="HZ", help="At most so many joint states a second, 1 to 50.")
+    ] = 50.0,
+    diagnostics_hz: Annotated[
+        float, typer.Option("--diagnostics-hz", metavar="HZ", help="At least so many diagnostics a second, 0.1 to 10.")
+    ] = 1.0,
+    base_frame: Annotated[
+        str, typer.Option("--base-frame", metavar="NAME", help="The body's frame: of the URDF, /tf and measurements.")
+    ] = "base",
+    imu_frame: Annotated[
+        str, typer.Option("--imu-frame", metavar="NAME", help="The frame of imu/data. Default: the body's.")
+    ] = "",
+    uncommanded_deg: Annotated[
+        float | None,
+        typer.Option(
+            "--uncommanded-deg",
+            metavar="DEG",
+            help="Where joint_states has servos that were never commanded, 0 to 180. Default: they are left out.",
+        ),
+    ] = None,
     geometry: OtherShapeOption = None,
     connect: ConnectOption = None,
     zenoh_config: ZenohConfigOption = None,
@@ -108,6 +129,7 @@ def ros2(
     gateway answers, or no ROS 2 router.
     """
     from gateway.people.bridge import run
+    from gateway.people.bridge.parameters import Parameters
     from gateway.people.tools import reach
 
     sys.exit(
@@ -123,6 +145,13 @@ def ros2(
             namespace=namespace,
             distribution=distribution,
             joint_names=joint_names,
+            parameters=Parameters(
+                joint_states_hz=joint_states_hz,
+                diagnostics_hz=diagnostics_hz,
+                base_frame=base_frame,
+                imu_frame=imu_frame,
+                uncommanded_deg=math.nan if uncommanded_deg is None else uncommanded_deg,
+            ),
             drives=drive,
             with_tf=tf,
             geometry=geometry,

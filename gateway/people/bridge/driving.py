@@ -1,4 +1,5 @@
-"""Whether the bridge drives, and what of it moves the robot. Nothing is taken before somebody calls `drive`.
+"""Whether the bridge drives, and what of it moves the robot. Nothing is taken before somebody calls `drive`, and while
+the node is not active nobody may.
 
 `drive` acquires the lease; `release` sits down and gives it back. What ends a motion by a fault ends the driving, too:
 a Stop of anybody's, an emergency stop, the watchdog, a lost lease or link. After that `drive` must be called again.
@@ -22,6 +23,7 @@ from gateway.people.walking import Velocity
 from schemas.telemetry import Ack, GatewayState, Mode, Reason
 
 NOBODY_DRIVES: Final = "nobody has called drive"
+NOT_ACTIVE: Final = "the node is not active yet"
 _NOT_OURS: Final = (
     "this emergency stop did not come through ROS alone, or not while the bridge drove; leave it at the robot, or "
     "start the bridge with --allow-reset"
@@ -53,7 +55,8 @@ class Driving:
         self._gait = "tripod"
         self._held_as = name
         self._closed = False
-        self._why_not = NOBODY_DRIVES
+        self._why_not = self._inactive = NOT_ACTIVE
+        """Why nobody may drive; empty: somebody may."""
 
     @property
     def drives(self) -> bool:
@@ -77,6 +80,8 @@ class Driving:
                 return "it drives already"
             if self._closed:
                 raise RejectedError(Reason.STOPPING, "the bridge ends")
+            if self._inactive:
+                raise GatewayError(self._inactive)
             state = self._client.state()
             if state.mode == Mode.ESTOPPED:
                 raise RejectedError(Reason.ESTOPPED, "the emergency stop is engaged; reset leaves it")
@@ -99,6 +104,20 @@ class Driving:
             finally:
                 self._give_back(NOBODY_DRIVES)
             return "released"
+
+    def activate(self) -> None:
+        """From now on somebody may call `drive`; nothing begins by this alone."""
+        with self._lock:
+            self._inactive, self._why_not = "", NOBODY_DRIVES
+
+    def deactivate(self, why: str) -> None:
+        """As `release`; after that nobody may drive until `activate`. Raises GatewayError."""
+        with self._lock:
+            self._inactive = why
+            try:
+                self.release()
+            finally:
+                self._why_not = why
 
     def estop(self) -> Ack:
         """Engage the emergency stop, waiting for nothing here. Raises GatewayError."""

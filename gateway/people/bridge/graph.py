@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterable, Set
 from typing import Any, Final, NamedTuple, Protocol
 
 from gateway.errors import GatewayError
+from gateway.people.bridge.parameters import Parameters
 from gateway.people.client.blocking import Client
 from gateway.people.ros2.cdr import Message
 from gateway.people.ros2.messages import TriggerResponse
@@ -54,8 +55,20 @@ class Graph(Protocol):
     def check_apart(self, client: Client) -> None:
         """Raises ConfigError where ROS peers reach the gateway itself."""
 
-    def publisher(self, topic: str, kind: type[Message], *, latched: bool = False) -> Publisher:
-        """Announce a topic; with `latched`, later subscribers receive the last message."""
+    def parameters(self, given: Parameters) -> Parameters:
+        """What holds: `given`, and what the graph's own parameters have in place of it. Raises ConfigError."""
+
+    def publisher(self, topic: str, kind: type[Message], *, latched: bool = False, always: bool = False) -> Publisher:
+        """Announce a topic; with `latched`, later subscribers receive the last message.
+
+        `always`: also while the node is not active, and so is what is latched.
+        """
+
+    def manage(self, activate: Callable[[], None], deactivate: Callable[[str], None]) -> None:
+        """Have the node's lifecycle decide from now on; where the graph has none, it is active until `close`.
+
+        `deactivate` takes the reason, and may wait for the robot to sit down.
+        """
 
     def subscribe(
         self, topic: str, kinds: tuple[type[Message], ...], most_bytes: int, take: Take, reject: Callable[[str], None]

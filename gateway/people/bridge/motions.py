@@ -67,7 +67,7 @@ class JointCommands:
         """Servo → radians, of whole legs. Raises as a stream's `set`, and JointsError where that cannot start them."""
         legs = legs_deg(self._geometry, at_rad)
         sent = next_start(legs, self._started, whole=self._whole)
-        self._stream.send(self._stream.read(sent))
+        self._stream.send({**sent})
         self._started |= sent.keys()
         self._received_s = time.monotonic()
 

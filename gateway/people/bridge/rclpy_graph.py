@@ -1,7 +1,8 @@
 """A ROS 2 graph by an installed ROS 2: a node of rclpy, over whatever RMW is set (FastDDS, CycloneDDS, …).
 
-Messages stay bytes: rclpy passes them on as they are serialised. Its executor only hands over what it receives. So a
-flood on one topic delays no other, and a service that waits delays no emergency stop.
+Messages stay bytes: rclpy passes them on as they are serialised. A thread waits for each subscription and each service.
+So a flood on one topic delays no other, and a service that waits delays no emergency stop. An executor of rclpy would
+call one after the other, and look through all that its node has for each message.
 """
 
 import logging
@@ -9,7 +10,6 @@ import os
 import socket
 import threading
 import time
-from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Set
 from contextlib import suppress
 from importlib import import_module
@@ -17,8 +17,10 @@ from pathlib import Path
 from typing import Any, Final
 
 import rclpy
+from rclpy.callback_groups import CallbackGroup
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
-from rclpy.executors import SingleThreadedExecutor
+from rclpy.guard_condition import GuardCondition
+from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message, serialize_message
 from rclpy.signals import SignalHandlerOptions
@@ -37,6 +39,8 @@ from gateway.people.bridge.graph import (
     read_each,
     too_long,
 )
+from gateway.people.bridge.managed_node import ManagedNode
+from gateway.people.bridge.parameters import Parameters
 from gateway.people.client.blocking import Client
 from gateway.people.ros2.cdr import Message, encode
 from gateway.people.ros2.messages import TRIGGER_TYPE, JointState, Twist, TwistStamped
@@ -46,7 +50,6 @@ _GID_BYTES: Final = 16
 """Of the GID's bytes that have a meaning; before Jazzy there are 24."""
 _REQUESTS: Final = 16
 """Of one service that wait; of more, the oldest have no answer. An emergency stop is engaged all the same."""
-_SPIN_S: Final = 0.5
 _ANY_MESSAGE: Final = "std_msgs/msg/Empty"
 _STREAMS: Final = (JointState, Twist, TwistStamped)
 """Sensor data: received best effort, which matches every publisher, and repeats nothing that a link has lost."""
@@ -61,7 +64,8 @@ class RclpyGraph:
         """`ros_args` are ROS's own, such as `--ros-args -r cmd_vel:=/cmd_vel_out`. Raises ConfigError."""
         self._context = rclpy.Context()
         self._closed = threading.Event()
-        self._rings: list[_Newest] = []
+        self._guards: list[GuardCondition] = []
+        self._own_threads = _OwnThreads()
         self._threads: list[threading.Thread] = []
         try:
             rclpy.init(
@@ -73,19 +77,10 @@ class RclpyGraph:
             rmw = rclpy.get_rmw_implementation_identifier()
             if "zenoh" in rmw:
                 raise ConfigError(f"with {rmw}, take --via zenoh: it looks who reaches ROS 2's router")
-            self._node = rclpy.create_node(
-                names.node,
-                namespace=names.namespace,
-                context=self._context,
-                enable_rosout=False,
-                start_parameter_services=False,
-            )
+            self._node = ManagedNode(names, self._context)
         except RuntimeError as error:  # an argument that rcl does not know, or no such RMW
             raise ConfigError(f"ROS 2 does not start: {str(error).partition(', at ')[0]}") from error
         self.where = rmw
-        self._executor = SingleThreadedExecutor(context=self._context)
-        self._executor.add_node(self._node)
-        self._start("ROS 2", self._spin)
 
     def check_closed(self) -> None:
         """See Graph: which addresses the sockets of this process have, and so whether DDS leaves this machine.
@@ -105,11 +100,21 @@ class RclpyGraph:
     def check_apart(self, client: Client) -> None:
         """See Graph. The gateway speaks no DDS."""
 
-    def publisher(self, topic: str, kind: type[Message], *, latched: bool = False) -> Publisher:
+    def parameters(self, given: Parameters) -> Parameters:
         """See Graph."""
+        return self._node.declare(given)
+
+    def manage(self, activate: Callable[[], None], deactivate: Callable[[str], None]) -> None:
+        """See Graph."""
+        self._node.manage(activate, deactivate)
+
+    def publisher(self, topic: str, kind: type[Message], *, latched: bool = False, always: bool = False) -> Publisher:
+        """See Graph. Reliable, as well for sensor data: so each subscriber matches, SensorData's too."""
+        node = self._node
+        create = node.create_publisher if latched or always else node.create_lifecycle_publisher
         qos = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL) if latched else QoSProfile(depth=10)
         quiet = PublisherEventCallbacks(use_default_callbacks=False)  # of another QoS, the subscriber's own node warns
-        return _RclpyPublisher(self._node.create_publisher(_same_type(kind), topic, qos, event_callbacks=quiet))
+        return _RclpyPublisher(create(_same_type(kind), topic, qos, event_callbacks=quiet))
 
     def subscribe(
         self, topic: str, kinds: tuple[type[Message], ...], most_bytes: int, take: Take, reject: Callable[[str], None]
@@ -150,7 +155,11 @@ class RclpyGraph:
 
     def callers(self, service: str) -> Present:
         """See Graph. rclpy reports no GIDs of clients."""
-        return self._present(lambda: (b"%d" % number for number in range(self._node.count_clients(service))))
+        return self._present(
+            lambda: (
+                b"%d" % number for number in range(self._node.count_clients(self._node.resolve_service_name(service)))
+            )
+        )
 
     def _present(self, find: Callable[[], Iterable[bytes]]) -> Present:
         def present() -> Set[bytes]:
@@ -166,69 +175,72 @@ class RclpyGraph:
         if self._closed.is_set():
             return
         self._closed.set()
-        self._executor.wake()
-        for ring in self._rings:
-            ring.close()
+        for guard in self._guards:
+            guard.trigger()
         for thread in self._threads:
             thread.join(JOIN_S)
-        self._executor.shutdown(JOIN_S)
-        self._node.destroy_node()
+        self._node.close()
         self._context.try_shutdown()
 
     def _requests(self, service: str, type_name: str, take: Respond) -> None:
-        """The executor only hands requests over, so that one that waits delays no other service."""
+        """The executor's own services get a request's answer at once; this one's may come later, from any thread."""
         found = _ros_type(type_name)
-        ring = self._ring(f"serve {service}", lambda asked: take(*asked), _REQUESTS)
-        made = self._node.create_service(found, service, lambda request, _: request)
-        send = made.send_response
+        made = self._node.create_service(
+            found, service, _nothing, qos_profile=QoSProfile(depth=_REQUESTS), callback_group=self._own_threads
+        )
 
         def reply_to(header: Any) -> Reply:
             def reply(response: Message) -> None:
                 with suppress(RuntimeError):
-                    send(deserialize_message(encode(response), found.Response), header)
+                    made.send_response(deserialize_message(encode(response), found.Response), header)
 
             return reply
 
-        def hand_over(request: Any, header: Any) -> None:
-            ring.put((Arrived(serialize_message(request), b"", time.time_ns()), reply_to(header)))
+        def receive() -> None:
+            request, header = made.handle.service_take_request(found.Request)
+            if request is not None:
+                take(Arrived(serialize_message(request), b"", time.time_ns()), reply_to(header))
 
-        made.send_response = hand_over  # the executor calls it with what the callback returns: the request
+        self._start(f"serve {service}", made.handle, "service", receive)
 
     def _listen(self, topic: str, type_name: str, take: Callable[[Any], object], *, is_stream: bool = False) -> None:
-        ring = self._ring(f"receive {topic}", take)
-
-        def hand_over(data: bytes, info: dict[str, Any]) -> None:
-            ring.put((data, info))
-
-        reliability = ReliabilityPolicy.BEST_EFFORT if is_stream else ReliabilityPolicy.RELIABLE
-        qos = QoSProfile(depth=1, reliability=reliability)
-        self._node.create_subscription(
-            _ros_type(type_name),
+        found = _ros_type(type_name)
+        made = self._node.create_subscription(
+            found,
             topic,
-            hand_over,
-            qos,
+            _nothing,
+            QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT if is_stream else ReliabilityPolicy.RELIABLE),
             raw=True,
+            callback_group=self._own_threads,
             event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
         )
 
-    def _ring(self, name: str, take: Callable[[Any], object], size: int = 1) -> "_Newest":
-        """Whose newest messages a thread takes."""
-        ring = _Newest(size)
-        self._rings.append(ring)
-        self._start(name, lambda: read_each(ring, take))
-        return ring
+        def receive() -> None:
+            message = made.handle.take_message(found, True)
+            if message is not None:
+                take(message)
 
-    def _start(self, name: str, work: Callable[[], None]) -> None:
-        thread = threading.Thread(target=work, name=name, daemon=True)
+        self._start(f"receive {topic}", made.handle, "subscription", receive)
+
+    def _start(self, name: str, handle: Any, kind: str, receive: Callable[[], None]) -> None:
+        """Wait for this entity's messages on a thread, until `close`."""
+        ends = GuardCondition(None, None, self._context)
+        self._guards.append(ends)
+        count = 1 if kind == "subscription" else 0
+        waiting = _rclpy.WaitSet(count, 1, 0, 0, 1 - count, 0, self._context.handle)
+
+        def ready() -> Iterator[None]:
+            with handle:
+                while not self._closed.is_set():
+                    waiting.clear_entities()
+                    getattr(waiting, f"add_{kind}")(handle)
+                    waiting.add_guard_condition(ends.handle)
+                    waiting.wait(-1)
+                    yield
+
+        thread = threading.Thread(target=read_each, args=(ready(), lambda _: receive()), name=name, daemon=True)
         self._threads.append(thread)
         thread.start()
-
-    def _spin(self) -> None:
-        while not self._closed.is_set():
-            try:
-                self._executor.spin_once(_SPIN_S)
-            except Exception:  # of one callback: the others go on, least of all does the emergency stop end
-                _log.exception("a call could not be handled")
 
 
 class _RclpyPublisher:
@@ -241,32 +253,17 @@ class _RclpyPublisher:
             self._publisher.publish(data)
 
 
-class _Newest:
-    """Keeps the newest messages; iterating waits for the next one, until `close`."""
+class _OwnThreads(CallbackGroup):  # type: ignore[misc]
+    """What threads of ours wait for, and no executor."""
 
-    def __init__(self, size: int) -> None:
-        self._kept: deque[Any] = deque(maxlen=size)
-        self._changed = threading.Condition()
-        self._closed = False
+    def can_execute(self, entity: Any) -> bool:
+        """See CallbackGroup."""
+        del entity
+        return False
 
-    def put(self, message: Any) -> None:
-        with self._changed:
-            self._kept.append(message)
-            self._changed.notify()
 
-    def close(self) -> None:
-        with self._changed:
-            self._closed = True
-            self._changed.notify()
-
-    def __iter__(self) -> Iterator[Any]:
-        while True:
-            with self._changed:
-                self._changed.wait_for(lambda: self._kept or self._closed)
-                if self._closed:
-                    return
-                message = self._kept.popleft()
-            yield message
+def _nothing(*_: object) -> None:
+    """The callback that no executor calls."""
 
 
 def _ros_type(type_name: str) -> Any:

@@ -5,6 +5,7 @@ Only what the gateway publishes: while it is silent, there are no joint states, 
 """
 
 import json
+import math
 import time
 from collections.abc import Mapping
 from typing import Any, Final, TypeVar
@@ -15,12 +16,14 @@ from zenoh.handlers import RingChannel
 from gateway.geometry import Geometry
 from gateway.people.bridge.driving import Driving
 from gateway.people.bridge.graph import Graph
+from gateway.people.bridge.parameters import Parameters
 from gateway.people.bridge.topics import Topics
 from gateway.people.recordings.commanded import CommandedJoints
 from gateway.people.ros2.joints import JointNames
 from gateway.people.ros2.messages import DiagnosticArray, DiagnosticStatus, JointState, String, TFMessage
 from gateway.people.ros2.robot import (
     MEASURED,
+    all_at,
     description,
     diagnostic_array,
     diagnostics,
@@ -34,12 +37,11 @@ from schemas.calibration import Calibration
 from schemas.telemetry import FrameRecord, GatewayState, Telemetry
 
 PERIOD_S: Final = 0.02
-"""At most 50 joint states a second."""
+"""Of `tick`: the most joint states a second are 50."""
 SILENT_S: Final = 1.0
 """A gateway publishes its state ten times a second, unless `telemetry.state_hz` is 0."""
-DIAGNOSTICS_S: Final = 1.0
 CHANGED_S: Final = 0.1
-"""Where the mode has changed, or what the bridge does: sooner."""
+"""Between diagnostics, where the mode has changed, or what the bridge does: sooner."""
 OPEN: Final = "; the graph is open: all who reach it can drive the robot"
 CHANNELS: Final[dict[str, Any]] = {
     keys.CALIBRATION: RingChannel(1),
@@ -63,11 +65,17 @@ class Reports:
         joint_names: JointNames,
         driving: Driving,
         topics: Topics,
+        parameters: Parameters,
         *,
+        hardware_id: str,
         with_tf: bool,
         is_open: bool,
     ) -> None:
         """`received`: the rings of `CHANNELS`, by key; `is_open`: others reach the graph without certificates."""
+        self._parameters = parameters
+        self._hardware_id = hardware_id
+        unknown_deg = parameters.uncommanded_deg
+        self._uncommanded_rad = {} if math.isnan(unknown_deg) else all_at(geometry, unknown_deg)
         self._is_open = is_open
         self._received = received
         self._geometry = geometry
@@ -76,13 +84,16 @@ class Reports:
         self._topics = topics
         self._joints = CommandedJoints(geometry)
         self._state: GatewayState | None = None
-        self._received_s = self._diagnosed_s = 0.0
+        self._received_s = self._diagnosed_s = self._published_s = 0.0
+        self._moved = False
+        """Since the latest joint states."""
         self._diagnosed: object = None
         self._joint_states = graph.publisher("joint_states", JointState)
-        self._diagnostics = graph.publisher("diagnostics", DiagnosticArray)
+        self._diagnostics = graph.publisher("diagnostics", DiagnosticArray, always=True)
         self._measured = {topic: graph.publisher(topic, kind) for topic, kind in MEASURED.items()}
         self._tf = graph.publisher("/tf", TFMessage) if with_tf else None
-        graph.publisher("robot_description", String, latched=True).publish(description(geometry, joint_names.of))
+        text = description(geometry, joint_names.of, parameters.base_frame)
+        graph.publisher("robot_description", String, latched=True).publish(text)
 
     def begin(self, calibration: Calibration) -> None:
         """The calibration that is in force; changes of it are published."""
@@ -92,24 +103,29 @@ class Reports:
         """Publish what has come since the last time."""
         self._take(keys.CALIBRATION, Calibration)
         state = self._take(keys.STATE, GatewayState)
-        moved = state is not None
         if state is not None:
+            self._moved = True
             self._state, self._received_s = state, now_s
             self._driving.receive(state)
         while self._take(keys.FRAME, FrameRecord) is not None:
-            moved = True
+            self._moved = True
         time_ns = time.time_ns()
         while (telemetry := self._take(keys.TELEMETRY, Telemetry)) is not None:
-            for topic, message in measured(telemetry, time_ns):
+            for topic, message in measured(
+                telemetry, time_ns, self._parameters.base_frame, self._parameters.measured_in
+            ):
                 self._measured[topic].publish(message)
-        if moved:
-            self._joint_states.publish(joint_state(self._joints.rad, time_ns, self._joint_names.of))
+        if self._moved and now_s - self._published_s >= 1 / self._parameters.joint_states_hz - PERIOD_S / 2:
+            self._moved, self._published_s = False, now_s
+            at_rad = self._uncommanded_rad | self._joints.rad
+            self._joint_states.publish(joint_state(at_rad, time_ns, self._joint_names.of))
             if self._tf is not None:
-                self._tf.publish(frames(self._geometry, self._joints.rad, time_ns))
+                self._tf.publish(frames(self._geometry, at_rad, time_ns, self._parameters.base_frame))
         sign = (self._state and self._state.mode, self._driving.does, self._topics.latest_rejection)
-        if now_s - self._diagnosed_s >= (DIAGNOSTICS_S if sign == self._diagnosed else CHANGED_S):
+        if now_s - self._diagnosed_s >= (1 / self._parameters.diagnostics_hz if sign == self._diagnosed else CHANGED_S):
             self._diagnosed_s, self._diagnosed = now_s, sign
-            self._diagnostics.publish(diagnostic_array((*self._gateway(now_s), self._bridge()), time_ns))
+            statuses = (*self._gateway(now_s), self._bridge())
+            self._diagnostics.publish(diagnostic_array(statuses, time_ns, self._hardware_id))
 
     def _take(self, key: str, kind: type[R]) -> R | None:
         """The next report on a key, if it is one: without access control, anybody may publish there."""

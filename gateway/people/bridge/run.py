@@ -4,13 +4,15 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import ExitStack, closing, suppress
+from functools import partial
 from pathlib import Path
 from typing import Final
 
-from gateway.errors import ConfigError, RejectedError, UnansweredError
+from gateway.errors import ConfigError, GatewayError, RejectedError, UnansweredError
 from gateway.geometry import Geometry, load
 from gateway.people.bridge.driving import Driving
 from gateway.people.bridge.graph import Graph
+from gateway.people.bridge.parameters import Parameters
 from gateway.people.client.dangers import UNCONFIRMED, confirmed_off
 from gateway.people.client.subscriptions import subscribed
 from gateway.people.ros2.joints import JointNames, JointsError
@@ -49,6 +51,7 @@ def serve(
     namespace: str,
     distribution: str,
     joint_names: str,
+    parameters: Parameters,
     drives: bool,
     allow_reset: bool,
     open_graph: bool,
@@ -82,7 +85,19 @@ def serve(
             graph.serve("estop", lambda: _estop(driving), always=True)
             received = at_the_end.enter_context(subscribed(client.session, CHANNELS))
             channels = dict(zip(CHANNELS, received, strict=True))
-            reports = Reports(channels, graph, shape, joints, driving, topics, with_tf=with_tf, is_open=is_open)
+            settings = graph.parameters(parameters)
+            reports = Reports(
+                channels,
+                graph,
+                shape,
+                joints,
+                driving,
+                topics,
+                settings,
+                hardware_id=namespace.strip("/") or NODE,
+                with_tf=with_tf,
+                is_open=is_open,
+            )
             with suppress(UnansweredError):  # an older gateway has none
                 reports.begin(client.calibration())
             topics.subscribe(graph)
@@ -96,8 +111,7 @@ def serve(
             at_the_end.callback(watch.join)
             at_the_end.callback(ended.set)
             at_the_end.callback(driving.close)  # first: what it moves is stopped before anything is waited for
-            if drives:
-                _drive(driving)
+            graph.manage(partial(_activate, driving, drives=drives), partial(_deactivate, driving))
             say(f"{names.full(NODE)} is in ROS 2's graph of {graph.where}, domain {domain}; Ctrl-C ends")
             while not ended.wait(PERIOD_S):
                 topics.turned()
@@ -139,11 +153,20 @@ def _watch(ended: threading.Event, driving: Driving) -> None:
         driving.check()
 
 
-def _drive(driving: Driving) -> None:
+def _activate(driving: Driving, *, drives: bool) -> None:
+    driving.activate()
+    if drives:
+        try:
+            driving.drive()
+        except RejectedError as error:
+            hint(visible(f"--drive: {error}; the service drive tries again"))
+
+
+def _deactivate(driving: Driving, why: str) -> None:
     try:
-        driving.drive()
-    except RejectedError as error:
-        hint(visible(f"--drive: {error}; the service drive tries again"))
+        driving.deactivate(why)
+    except GatewayError as error:  # what cannot be stopped from here is stopped by the gateway's watchdog
+        hint(visible(f"{why}: {error}"))
 
 
 def _is_open(graph: Graph, *, accepted: bool) -> bool:

@@ -4,6 +4,7 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable
+from datetime import UTC, datetime
 from functools import partial
 from typing import Any, Final
 
@@ -13,7 +14,7 @@ from gateway.people.bridge.driving import Driving, NotTakenError
 from gateway.people.bridge.graph import Arrived, Graph, Present, presence
 from gateway.people.ros2.cdr import Message, decode
 from gateway.people.ros2.joints import JointNames, check_reach, positions
-from gateway.people.ros2.messages import Float64, Int32, JointState, JointTrajectory, Twist, TwistStamped
+from gateway.people.ros2.messages import Float64, Header, Int32, JointState, JointTrajectory, Time, Twist, TwistStamped
 from gateway.people.ros2.rivals import SILENT_S, Rivals
 from gateway.people.ros2.trajectory import Trajectory
 from gateway.people.walking import Velocity
@@ -25,6 +26,10 @@ MAX_TRAJECTORY_BYTES: Final = 1_000_000
 """2000 points of 18 joints with velocities have 650 000."""
 MAX_AGE_MS: Final = 500.0
 """As `limits.max_age_ms`: what a link held back for longer is not taken."""
+
+_MOST_APART_NS: Final = 10 * 365 * 86_400_000_000_000
+"""Ten years: no clock that was ever set is so far off, and no bag is so old. Simulated time, and the clock of a machine
+that knows no time yet, begin in 1970."""
 
 Taken = Callable[[Any, Arrived], None]
 """Takes a message of the topic's types."""
@@ -104,6 +109,7 @@ class Topics:
         try:
             self.check_age(arrived)
             message = decode(kind, arrived.data)
+            _check_stamp(message)
             rivals, now_s = self._rivals.get(topic), time.monotonic()
             if rivals is not None and not rivals.may_send(arrived.sender, now_s):
                 raise NotTakenError(f"another node publishes here, and is followed until it is silent for {SILENT_S} s")
@@ -116,7 +122,8 @@ class Topics:
             self.taken[topic] += 1
 
     def check_age(self, arrived: Arrived) -> None:
-        """Raises NotTakenError where a link held it back."""
+        """Raises NotTakenError where a link held it back, or its sender's clock was never set."""
+        _check_time(arrived.time_ns, "was sent at a time")
         with self._lock:
             now_ns = time.monotonic_ns()
             old = self._ages.too_old(arrived.sender.hex(), arrived.time_ns / 1e6, now_ns, now_ns)
@@ -131,6 +138,20 @@ class Topics:
         if sign not in self._shown and len(self._shown) < _MOST_SHOWN:
             self._shown.add(sign)
             self._show(f"not taken: {topic}: {why}")
+
+
+def _check_stamp(message: Message) -> None:
+    """Raises NotTakenError where its header has a stamp of another time than the robot's; 0 is none."""
+    header = getattr(message, "header", None)
+    if isinstance(header, Header) and header.stamp != Time():
+        _check_time(header.stamp.sec * 1_000_000_000 + header.stamp.nanosec, "has a stamp")
+
+
+def _check_time(time_ns: int, what: str) -> None:
+    """Raises NotTakenError for a time since 1970 that cannot be: `what` happened then."""
+    if abs(time.time_ns() - time_ns) > _MOST_APART_NS:
+        day = datetime.fromtimestamp(time_ns // 1_000_000_000, UTC).date()
+        raise NotTakenError(f"it {what} of {day}, by its sender's clock: is that set, or its time simulated?")
 
 
 _WITHOUT_DIGITS: Final = str.maketrans("", "", "0123456789")

@@ -17,6 +17,7 @@ from zenoh.handlers import RingChannel
 
 from gateway.errors import ConfigError, ZenohError
 from gateway.people.bridge.graph import JOIN_S, Arrived, Present, Respond, Take, attempt, read_each, too_long
+from gateway.people.bridge.parameters import Parameters
 from gateway.people.bridge.router_access import check_closed
 from gateway.people.client.blocking import Client
 from gateway.people.client.requests import Identity
@@ -106,8 +107,20 @@ class ZenohGraph:
         if {str(zid) for zid in ours} & {str(zid) for zid in theirs} or gateway & there:
             raise ConfigError(f"--router leads to the gateway{_NO_ROS_PEER}")
 
-    def publisher(self, topic: str, kind: type[Message], *, latched: bool = False) -> ZenohPublisher:
+    def parameters(self, given: Parameters) -> Parameters:
+        """See Graph: parameters are services of a ROS node, which this has not."""
+        return given
+
+    def manage(self, activate: Callable[[], None], deactivate: Callable[[str], None]) -> None:
+        """See Graph: no lifecycle."""
+        del deactivate
+        activate()
+
+    def publisher(
+        self, topic: str, kind: type[Message], *, latched: bool = False, always: bool = False
+    ) -> ZenohPublisher:
         """See Graph."""
+        del always
         token = self._show(PUBLISHES, topic, kind.TYPE, kind.HASH, QOS_LATCHED if latched else QOS)
         key = self._names.topic_key(topic, kind)
         drop = zenoh.CongestionControl.DROP

@@ -343,11 +343,13 @@ class AsyncWalk(HeldTwin[Walk]):
     async def __aexit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if isinstance(error, asyncio.CancelledError) and self._interrupts.count == 1:
-            error = KeyboardInterrupt()  # at which a walk sits
         try:
+            if isinstance(error, asyncio.CancelledError) and self._interrupts.count == 1:
+                error = KeyboardInterrupt()  # at which a walk sits
+            elif isinstance(error, KeyboardInterrupt) and self._interrupts.count > 1:
+                error = asyncio.CancelledError()  # the second signal came before this
             await super().__aexit__(kind, error, trace)
-        except asyncio.CancelledError:
+        except (asyncio.CancelledError, KeyboardInterrupt):
             self._own.end_now()
             raise
         finally:

@@ -23,6 +23,8 @@ class Terrain(NamedTuple):
     slope_deg: float = 0.0
     rough_m: float = 0.0
     """How high its bumps are at most."""
+    seed: int = 0
+    """Which bumps; a terrain that is `parsed` has the first."""
     step_m: float = 0.0
     """How high a step is that it has ahead of the robot; below 0: an edge."""
 

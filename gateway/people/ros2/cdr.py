@@ -8,6 +8,7 @@ empty message one byte.
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from inspect import get_annotations
 from typing import Annotated, Any, ClassVar, Final, NamedTuple, TypeVar, dataclass_transform, get_args, get_origin
 
@@ -104,6 +105,8 @@ NUMBERS: Final = {
     "float64": "d",
 }
 """ROS 2's name → the letter of `struct`."""
+_SIZES: Final = {letter: struct.calcsize(f"<{letter}") for letter in NUMBERS.values()}
+"""Of a number, in bytes: it is aligned to this."""
 
 HEADER: Final = b"\x00\x01\x00\x00"
 """CDR, little endian."""
@@ -129,7 +132,7 @@ def decode(kind: type[M], data: bytes) -> M:
     order = _ORDERS.get(data[:2])
     if order is None or len(data) < len(HEADER):
         raise CdrError(f"{kind.TYPE}: its first bytes ({data[:4].hex(' ')}) are not those of CDR")
-    reader = _Reader(memoryview(data)[len(HEADER) :], order)
+    reader = _Reader(data[len(HEADER) :], order)
     try:
         return reader.message(kind)
     except CdrError as error:
@@ -184,26 +187,32 @@ def _write_one(out: bytearray, element: str | type[Message], value: Any) -> None
     if not isinstance(element, str):
         _write(out, value)
     elif element == "string":
-        text = value.encode()
-        if b"\0" in text:
-            raise CdrError("a string ends at its first zero, and this one has a zero inside")
-        _write_numbers(out, "I", (len(text) + 1,))
-        out += text + b"\0"
+        out += bytes(-len(out) % _SIZES["I"])
+        out += _string_bytes(value)
     else:
         _write_numbers(out, NUMBERS[element], (value,))
 
 
+@lru_cache(256)  # names of joints and frames are the same in each message
+def _string_bytes(value: str) -> bytes:
+    text = value.encode()
+    if b"\0" in text:
+        raise CdrError("a string ends at its first zero, and this one has a zero inside")
+    return struct.pack("<I", len(text) + 1) + text + b"\0"
+
+
 def _write_numbers(out: bytearray, letter: str, values: Any) -> None:
-    out += bytes(-len(out) % struct.calcsize(f"<{letter}"))
+    out += bytes(-len(out) % _SIZES[letter])
     out += struct.pack(f"<{len(values)}{letter}", *values)
 
 
 class _Reader:
     """Where it is in the bytes. Nothing is made that the bytes do not hold: a count is compared with them first."""
 
-    def __init__(self, data: memoryview, order: str) -> None:
+    def __init__(self, data: bytes, order: str) -> None:
         self._data = data
         self._order = order
+        self._count_at = struct.Struct(f"{order}I").unpack_from
         self._at = 0
 
     @property
@@ -215,19 +224,21 @@ class _Reader:
         """The next bytes as a message."""
         if not kind.FIELDS and self.left:  # some writers leave an empty message's one byte out
             self._at += 1
-        return kind(*(self._field(field) for field in kind.FIELDS))
+        return kind(*[self._field(field) for field in kind.FIELDS])
 
     def _field(self, field: Field) -> Any:
         name, element, many, length = field
         try:
             if not many:
                 return self._one(element)
-            (count,) = self._numbers("I", 1) if length is None else (length,)
+            count = self._count() if length is None else length
             if isinstance(element, str) and element in NUMBERS:
                 return self._numbers(NUMBERS[element], count) if count else ()
             if count > self.left:  # the smallest element has one byte
                 raise CdrError(f"has {count} elements in {self.left} bytes")
-            return tuple(self._one(element) for _ in range(count))
+            if element == "string":
+                return tuple([self._string() for _ in range(count)])
+            return tuple([self._one(element) for _ in range(count)])
         except CdrError as error:
             raise CdrError(f"{name}: {error}") from error
 
@@ -237,8 +248,9 @@ class _Reader:
         return self._string() if element == "string" else self._numbers(NUMBERS[element], 1)[0]
 
     def _string(self) -> str:
-        (length,) = self._numbers("I", 1)
-        text = bytes(self._take(length))
+        length = self._count()
+        begin = self._take(length, 1)
+        text = self._data[begin : begin + length]
         if text[-1:] == b"\0":  # a length of 0 is an empty string, too
             text = text[:-1]
         try:
@@ -246,13 +258,20 @@ class _Reader:
         except UnicodeDecodeError as error:
             raise CdrError("is no UTF-8") from error
 
-    def _numbers(self, letter: str, count: int) -> tuple[Any, ...]:
-        size = struct.calcsize(f"<{letter}")
-        self._take(-self._at % size)
-        return struct.unpack(f"{self._order}{count}{letter}", self._take(count * size))
+    def _count(self) -> int:
+        """Of a string's bytes, or of a sequence's elements."""
+        found: int = self._count_at(self._data, self._take(4, 4))[0]
+        return found
 
-    def _take(self, size: int) -> memoryview:
-        if size > self.left:
-            raise CdrError(f"ends {size - self.left} bytes too early")
-        self._at += size
-        return self._data[self._at - size : self._at]
+    def _numbers(self, letter: str, count: int) -> tuple[Any, ...]:
+        size = _SIZES[letter]
+        return struct.unpack_from(f"{self._order}{count}{letter}", self._data, self._take(count * size, size))
+
+    def _take(self, size: int, alignment: int) -> int:
+        """Where the next `size` bytes begin; they are read."""
+        begin = self._at + -self._at % alignment
+        end = begin + size
+        if end > len(self._data):
+            raise CdrError(f"ends {end - len(self._data)} bytes too early")
+        self._at = end
+        return begin

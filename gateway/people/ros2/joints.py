@@ -36,6 +36,8 @@ class JointNames:
             for servo_id in SERVO_IDS
         }
         self._servos = {name: servo_id for servo_id, name in self._names.items()}
+        self._latest: tuple[Sequence[str], tuple[int, ...]] = (), ()
+        """A stream of messages names the same joints each time."""
         if len(self._servos) < len(SERVO_IDS):
             raise JointsError(f"{pattern!r} gives two joints one name: it needs {{leg}} and {{joint}}")
 
@@ -45,6 +47,14 @@ class JointNames:
 
     def servos(self, names: Sequence[str]) -> tuple[int, ...]:
         """The servos of these joints, in any order, but of whole legs. Raises NamesError."""
+        latest, found = self._latest
+        if names and names == latest:
+            return found
+        found = self._find(names)
+        self._latest = names, found
+        return found
+
+    def _find(self, names: Sequence[str]) -> tuple[int, ...]:
         servos = []
         for name in names:
             if name not in self._servos:

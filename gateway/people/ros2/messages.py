@@ -29,6 +29,25 @@ class Float64(Message):
     data: float64 = 0.0
 
 
+@ros_msg("std_msgs/msg/MultiArrayDimension", "5e773a60a4c7fc8a54985f307c7837aa2994252a126c301957a24e31282c9cbe")
+class MultiArrayDimension(Message):
+    label: str = ""
+    size: uint32 = 0
+    stride: uint32 = 0
+
+
+@ros_msg("std_msgs/msg/MultiArrayLayout", "4c66e6f78e740ac103a94cf63259f968e48c617e7699e829b63c21a5cb50dac6")
+class MultiArrayLayout(Message):
+    dim: tuple[MultiArrayDimension, ...] = ()
+    data_offset: uint32 = 0
+
+
+@ros_msg("std_msgs/msg/Float64MultiArray", "1025ddc6b9552d191f89ef1a8d2f60f3d373e28b283d8891ddcc974e8c55397f")
+class Float64MultiArray(Message):
+    layout: MultiArrayLayout = MultiArrayLayout()
+    data: tuple[float64, ...] = ()
+
+
 @ros_msg("builtin_interfaces/msg/Time", "b106235e25a4c5ed35098aa0a61a3ee9c9b18d197f398b0e4206cea9acf9c197")
 class Time(Message):
     sec: int32 = 0

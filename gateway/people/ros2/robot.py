@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from dataclasses import replace
 from typing import Final
 
 from gateway.geometry import Geometry, joint_name, transforms, urdf
@@ -13,12 +14,15 @@ from gateway.people.ros2.messages import (
     ColorRGBA,
     DiagnosticArray,
     DiagnosticStatus,
+    Float64MultiArray,
     Header,
     ImuMessage,
     JointState,
     KeyValue,
     Marker,
     MarkerArray,
+    MultiArrayDimension,
+    MultiArrayLayout,
     Point,
     Pose,
     Quaternion,
@@ -35,6 +39,7 @@ from schemas.telemetry import Battery, GatewayState, Mode, Telemetry, WatchdogSt
 
 UNKNOWN_DEG: Final = 90.0
 """Where a servo that was never commanded is drawn."""
+_HEXAPOD: Final = "hexapod"
 _MARK_M: Final = 0.035
 """A little thicker than a leg is drawn."""
 _OFF: Final = ColorRGBA(0.9, 0.15, 0.1, 0.85)
@@ -43,6 +48,7 @@ MEASURED: Final[Mapping[str, type[Message]]] = {
     "battery_state": BatteryState,
     "imu/data": ImuMessage,
     "temperature": Temperature,
+    "foot_forces": Float64MultiArray,
 }
 """Topic → the type of its messages: what a robot may measure."""
 _MOST_AGE_MS: Final = 60_000.0
@@ -71,10 +77,15 @@ def joint_state(
     )
 
 
-def frames(geometry: Geometry, joints_rad: Mapping[int, float], time_ns: int) -> TFMessage:
+def frames(geometry: Geometry, joints_rad: Mapping[int, float], time_ns: int, base: str = BASE) -> TFMessage:
     """Where each part of each leg is, in its parent's frame. A joint that is not known is drawn at 90° of its servo."""
-    at_rad = {each: geometry.joint_rad(each, UNKNOWN_DEG) for each in SERVO_IDS} | dict(joints_rad)
-    return transform_message(transforms(geometry, at_rad), time_ns)
+    steps = transforms(geometry, all_at(geometry, UNKNOWN_DEG) | dict(joints_rad))
+    return transform_message((step._replace(parent=base) if step.parent == BASE else step for step in steps), time_ns)
+
+
+def all_at(geometry: Geometry, angle_deg: float) -> dict[int, float]:
+    """The joints with each servo at this angle."""
+    return {servo_id: geometry.joint_rad(servo_id, angle_deg) for servo_id in SERVO_IDS}
 
 
 def transform_message(steps: Iterable[Step], time_ns: int) -> TFMessage:
@@ -112,20 +123,22 @@ def servos_off(servos: Collection[int], time_ns: int) -> MarkerArray:
     return MarkerArray(tuple(marks))
 
 
-def description(geometry: Geometry, name_of: Callable[[int], str] = joint_name) -> String:
-    """The URDF, whose joints are those of `joint_state`."""
+def description(geometry: Geometry, name_of: Callable[[int], str] = joint_name, base: str = BASE) -> String:
+    """The URDF, whose joints are those of `joint_state`, and whose root is `base`."""
     text = urdf(geometry)
+    for place in ("link name", "parent link"):
+        text = text.replace(f'{place}="{BASE}"', f'{place}="{base}"')
     for servo_id in SERVO_IDS:
         text = text.replace(f'name="{joint_name(servo_id)}"', f'name="{name_of(servo_id)}"')
     return String(text)
 
 
-def measured(found: Telemetry, time_ns: int) -> Iterator[tuple[str, Message]]:
+def measured(found: Telemetry, time_ns: int, base: str = BASE, imu_frame: str = BASE) -> Iterator[tuple[str, Message]]:
     """The topics and messages of what the robot measures; `time_ns` is when it was received.
 
     The robot says nothing of its sensors' accuracy, and nothing of where they are: they count as the body's own.
     """
-    header = Header(stamp(time_ns - round(min(found.age_ms, _MOST_AGE_MS) * 1_000_000)), BASE)
+    header = Header(stamp(time_ns - round(min(found.age_ms, _MOST_AGE_MS) * 1_000_000)), base)
     if found.battery is not None:
         yield "battery_state", _battery(found.battery, header)
     if (imu := found.imu) is not None:
@@ -133,7 +146,7 @@ def measured(found: Telemetry, time_ns: int) -> Iterator[tuple[str, Message]]:
         yield (
             "imu/data",
             ImuMessage(
-                header,
+                Header(header.stamp, imu_frame),
                 Quaternion(x, y, z, w),
                 orientation_covariance=_NONE if found.tilt_deg is None else (0.0,) * 9,  # no tilt: no orientation yet
                 angular_velocity=Vector3(*imu.angular_velocity_rad_s),
@@ -142,6 +155,11 @@ def measured(found: Telemetry, time_ns: int) -> Iterator[tuple[str, Message]]:
         )
     if found.temperature_c is not None:
         yield "temperature", Temperature(header, found.temperature_c)
+    if (feet := found.feet) is not None:
+        yield (
+            "foot_forces",
+            Float64MultiArray(MultiArrayLayout((MultiArrayDimension("leg", len(feet), len(feet)),)), feet),
+        )
 
 
 def _battery(battery: Battery, header: Header) -> BatteryState:
@@ -215,12 +233,14 @@ def diagnostics(state: GatewayState) -> tuple[DiagnosticStatus, ...]:
 def status(part: str, level: int, message: str, **values: object) -> DiagnosticStatus:
     """One part's; a value that is None is left out."""
     shown = tuple(KeyValue(key, _text(value)) for key, value in values.items() if value is not None)
-    return DiagnosticStatus(level, f"hexapod: {part}", _text(message), "hexapod", shown)
+    return DiagnosticStatus(level, f"{_HEXAPOD}: {part}", _text(message), _HEXAPOD, shown)
 
 
-def diagnostic_array(statuses: tuple[DiagnosticStatus, ...], time_ns: int) -> DiagnosticArray:
-    """The robot's diagnostics as one message of `/diagnostics`."""
-    return DiagnosticArray(Header(stamp(time_ns)), statuses)
+def diagnostic_array(
+    statuses: tuple[DiagnosticStatus, ...], time_ns: int, hardware_id: str = _HEXAPOD
+) -> DiagnosticArray:
+    """The robot's diagnostics as one message of `/diagnostics`; `hardware_id` tells it from others."""
+    return DiagnosticArray(Header(stamp(time_ns)), tuple(replace(each, hardware_id=hardware_id) for each in statuses))
 
 
 def _text(value: object) -> str:

@@ -41,8 +41,13 @@ EARLY_M: Final = 0.010
 """Servos give way under load: a foot that touches below this height goes on to the ground that was expected."""
 LATE_S: Final = 0.12
 """So long a foot waits at most for its contact to be reported before it goes on down: sensors may be 0.1 s late."""
-LAG_FORGOTTEN: Final = 0.8
+WAIT_FORGOTTEN: Final = 0.8
 """How much of that time remains after each foot whose contact was reported at once."""
+_CERTAIN_S: Final = 0.07
+"""So late feet themselves may be on uneven ground: below it the sensors count as punctual."""
+_LEARNS_S: Final = (0.02, 0.005)
+"""By so much the known lateness changes with each of the first contacts, and with each later one."""
+_FIRST: Final = 12
 SINKS_M_S: Final = 0.10
 DEEPEST_M: Final = 0.030
 """So far below the expected ground a foot goes on down."""
@@ -109,7 +114,9 @@ class Senses:
             self._tilted_s = self._lifted_s = 0.0
             return NOTHING
         roll_rad, pitch_rad, tilt_deg = _lean(telemetry)
-        carrying = None if telemetry.feet is None else self._carrying(telemetry.feet, seconds, stands=stands)
+        forces = telemetry.feet
+        known = forces is not None and all(map(math.isfinite, forces))
+        carrying = self._carrying(forces, seconds, stands=stands) if forces is not None and known else None
         self._tilted_s = self._tilted_s + seconds if (tilt_deg or 0.0) > FALLEN_DEG else 0.0
         feet = {}
         for leg, carries in zip(LEGS, carrying or (), strict=False):
@@ -130,6 +137,30 @@ class Senses:
         if stands and not lifted:
             self._weight += (total - self._weight) * (min(1.0, seconds / _WEIGHS_S) if self._weight else 1.0)
         return tuple(force > _CARRIES * self._weight for force in forces)
+
+
+class Lateness(NamedTuple):
+    """How late the sensors of the feet are, learned from contacts: the median of how late they were reported.
+
+    Ground that is higher than expected is as frequent as lower ground, since the walk's own ground follows the mean.
+    """
+
+    median_s: float = 0.0
+    contacts: int = 0
+
+    def after(self, late_s: float) -> "Lateness":
+        """After a contact that was reported so long after its foot had arrived (below 0: before)."""
+        step_s = _LEARNS_S[self.contacts >= _FIRST]
+        median_s = self.median_s + math.copysign(step_s, late_s - self.median_s)
+        return Lateness(max(0.0, min(LATE_S, median_s)), self.contacts + 1)
+
+    @property
+    def certain_s(self) -> float:
+        """The lateness, in seconds; 0 for punctual sensors."""
+        return self.median_s if self.median_s > _CERTAIN_S else 0.0
+
+
+UNKNOWN_LATENESS: Final = Lateness()
 
 
 def levelled(body: BodyPose, wanted: BodyPose, felt: Felt, most_rad: float, seconds: float) -> BodyPose:

@@ -126,7 +126,7 @@ class Engine:
             self.limit, self.scaled = felt.fault, STILL
             return self.pose
         self._begin_what_is_wanted()
-        target = velocity if self.walks_at_once and not self._barred and not self._is_over(velocity) else STILL
+        target = velocity if self.walks_at_once and not self._barred and not self._state.goes_over(velocity) else STILL
         cap = self._capped(target)
         before, pace, slowest, holds = self._state, 1.0, 0, False
         for _ in range(_TRIES):
@@ -350,6 +350,7 @@ class Engine:
         state.hanging -= {leg for leg, touches in felt.feet.items() if touches}
         self._leans_rad = min(LEANS_RAD, self._leans_rad + LEANS_MORE_RAD_S * seconds)
         state.body = levelled(state.body, self._stance.body, felt, self._leans_rad, seconds)
+        state.rise(seconds)
         down_m = lowered_by(
             [foot[2] for leg, foot in state.feet.items() if leg not in state.swings and leg not in state.hanging],
             seconds,
@@ -370,7 +371,8 @@ class Engine:
         for leg, foot in state.feet.items():
             if leg not in state.swings and leg not in self.lost:
                 state.feet[leg] = carried(foot, velocity, seconds)
-        if (velocity.moves or state.swings) and not any(swing.late_s for swing in state.swings.values()):
+        waits = state.pause(gait.period_s, seconds)
+        if (velocity.moves or state.swings) and not waits:
             state.clock = (state.clock + (0.0 if began else seconds / gait.period_s)) % 1.0
         for leg, swing in list(state.swings.items()):
             self._swing(state, leg, swing, seconds, felt.feet.get(leg))
@@ -389,26 +391,24 @@ class Engine:
             x, y, _ = carried(state.feet[leg], velocity, seconds)
         else:
             state.rests[leg] = self._rest(leg)
-            landing = carried(state.rests[leg], velocity, -gait.stance_s / 2)
+            landing = carried(state.rests[leg], velocity, -(gait.stance_s + state.paused_s) / 2)
             lands = carried(landing, velocity, -(1.0 - part) * gait.swing_s)
             x, y, _ = between(left, lands, across(part))
         height_m = min(LIFT_M, swing.left[2] * (1.0 - across(part)) + self._lift_m * up(part, self._climb))
-        ends = swing._replace(left=left, part=part).down(height_m, state.feet[leg][2], touches, seconds, state.lag_s)
+        if swing.met_now(touches) and not swing.met:
+            state.touched(swing.late_s or (part - 1.0) * gait.swing_s)
+        swing = swing._replace(left=left, part=part)
+        ends = swing.down(height_m, state.feet[leg][2], touches, seconds, state.waits_s, state.lateness.certain_s)
         state.feet[leg] = x, y, ends.height_m
         if ends.swing is not None:
             state.swings[leg] = ends.swing
             return
-        state.landed(leg, touches, hangs=ends.hangs, over=velocity if velocity.moves else self.commanded)
+        state.landed(leg, touches, ends, velocity if velocity.moves else self.commanded)
 
     def _rest(self, leg: int) -> Vector:
         """Where its foot is to rest: further out, the more the body leans against its feet."""
         rest, part = self._stance.feet[leg], min(1.0, self.corrected_rad / WIDE_RAD)
         return between(rest, self.robot.widened(self._stance.body)[leg], part) if part else rest
-
-    def _is_over(self, velocity: Velocity) -> bool:
-        """Whether it would walk on over an edge; back from there it may."""
-        state = self._state
-        return bool(state.hanging) and sum(a * b for a, b in zip(velocity, state.over, strict=True)) > 0
 
     def _lift(self, state: State) -> None:
         """Lift the feet that are due, if the others carry the robot; else they wait."""
@@ -483,7 +483,7 @@ class Engine:
         self._pace += (pace - self._pace) * min(1.0, seconds / self._gait.period_s)
         self._slowest = slowest or self._slowest
         self.scaled = target.times(cap * self._pace)
-        if self._barred or self._is_over(self.commanded):
+        if self._barred or self._state.goes_over(self.commanded):
             self.limit = (
                 self._barred
                 or f"no ground under leg {', '.join(map(str, sorted(self.hanging)))}: it hangs over an edge"

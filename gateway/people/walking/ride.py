@@ -37,6 +37,8 @@ from schemas.telemetry import Telemetry
 
 START_PAUSE_S: Final = 0.015
 """Least pause between the starts of two legs: a servo draws most then. A tick of 50 Hz, less what it may come early."""
+GIVES_UP_S: Final = 2.0
+"""So long a robot that has fallen or was lifted stands still; then nothing is sent, so that the gateway stops it."""
 _ALL: Final = frozenset(LEGS)
 
 
@@ -147,6 +149,8 @@ class Ride:
         self._sent: dict[int, Angles] = {}
         """Where each leg was sent last."""
         self._started_s = -math.inf
+        self._sound_s = now_s
+        """When it last had neither fallen nor been lifted."""
         self._said_s = self._pressed_s = now_s
         self._walker = self._new_walker(robot, gait, running or {})
         if self._takes_over:
@@ -239,11 +243,15 @@ class Ride:
             self.spent = max(self.spent, self._press)
         ends = self._walker.sits and (self._press >= 0 or self._leaving)
         fault = self._walker.engine.felt.fault  # a robot that has fallen, or hangs in somebody's hands, cannot sit
+        if not fault or self.phase is not Phase.RUNS:
+            self._sound_s = now_s
         to_end = silent_s > self._silences.rest_s or (self._walker.sits and not self._takes_over)
         match self.phase:
             case Phase.RUNS if fault and to_end:
                 self._spend(fault)
                 self._end()
+            case Phase.RUNS if now_s - self._sound_s > GIVES_UP_S:
+                self.failed(WalkError(fault))
             case Phase.RUNS if self._walker.is_over or (ends and self._walker.engine.posture in DOWN):
                 self._end()
             case Phase.RUNS if now_s - self._pressed_s > self._silences.idle_s and not self._walker.sits:

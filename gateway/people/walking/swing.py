@@ -4,11 +4,21 @@ from dataclasses import dataclass, field
 from typing import Final, NamedTuple, Self
 
 from gateway.geometry.kinematics import Vector
-from gateway.people.walking.balance import DEEPEST_M, EARLY_M, LAG_FORGOTTEN, LATE_S, SINKS_M_S
+from gateway.people.walking.balance import (
+    DEEPEST_M,
+    EARLY_M,
+    LATE_S,
+    SINKS_M_S,
+    UNKNOWN_LATENESS,
+    WAIT_FORGOTTEN,
+    Lateness,
+)
 from gateway.people.walking.motion import ORIGIN, STILL, Odometry, Velocity
 from gateway.people.walking.ways import Figure
 
 _ALMOST: Final = 1e-9
+_PRESSED_M: Final = 0.004
+"""So far below the ground a foot that carries is commanded at least: servos give way."""
 
 
 class Swing(NamedTuple):
@@ -18,25 +28,49 @@ class Swing(NamedTuple):
     part: float = 0.0
     free: bool = False
     """Whether its foot was felt to be in the air: only then a contact is news."""
+    met: bool = False
+    """Whether it was felt on the ground after that."""
     late_s: float = 0.0
     """For how long it has been where the ground was expected."""
+    trail: tuple[tuple[float, float], ...] = ()
+    """Its latest ticks, the newest first: how long ago (seconds), and the foot's height (metres)."""
 
-    def down(self, height_m: float, now_m: float, touches: bool | None, seconds: float, waits_s: float) -> "Descent":
+    def down(
+        self, height_m: float, now_m: float, touches: bool | None, seconds: float, waits_s: float, lag_s: float
+    ) -> "Descent":
         """A tick later. `height_m`: where the gait wants the foot, which is at `now_m`; `touches`: None: unknown.
 
-        It waits for its contact for `waits_s` before it goes on down, and longer at the lowest point: sensors are late.
+        It waits for its contact for `waits_s` before it goes on down, and longer at the lowest point. A contact is
+        reported `lag_s` late: the ground is where the foot was then.
         """
-        free = self.free or touches is False
-        if free and touches and (self.late_s or (self.part > 0.5 and now_m > EARLY_M)):
-            return Descent(now_m)
+        met_m = self._height_m(lag_s, now_m)
+        if self.met_now(touches) and (self.late_s or (self.part > 0.5 and met_m > EARLY_M)):
+            return Descent(now_m, rises_m=max(0.0, met_m - now_m - _PRESSED_M))
+        swing = self._replace(
+            free=self.free or touches is False,
+            met=self.met or self.met_now(touches),
+            trail=() if touches is None else self._trail_after(now_m, seconds),
+        )
         if self.part <= 1.0 - _ALMOST:
-            return Descent(height_m, self._replace(free=free))
-        if not free or touches is not False:
+            return Descent(height_m, swing)
+        if not swing.free or touches is not False:
             return Descent(now_m if self.late_s else 0.0)
         if self.late_s > waits_s + DEEPEST_M / SINKS_M_S + LATE_S:
             return Descent(now_m, hangs=True)
         lower_m = max(-DEEPEST_M, now_m - SINKS_M_S * seconds) if self.late_s > waits_s else 0.0
-        return Descent(lower_m, self._replace(free=True, late_s=self.late_s + seconds))
+        return Descent(lower_m, swing._replace(late_s=self.late_s + seconds))
+
+    def met_now(self, touches: bool | None) -> bool:
+        """Whether its foot is felt on the ground after it was in the air."""
+        return self.free and touches is True
+
+    def _trail_after(self, now_m: float, seconds: float) -> tuple[tuple[float, float], ...]:
+        return (seconds, now_m), *((ago_s + seconds, at_m) for ago_s, at_m in self.trail if ago_s < LATE_S)
+
+    def _height_m(self, ago_s: float, now_m: float) -> float:
+        """How high the foot was then."""
+        before = (at_m for since_s, at_m in self.trail if since_s >= ago_s - _ALMOST)
+        return next(before, now_m) if ago_s else now_m
 
 
 class Descent(NamedTuple):
@@ -46,6 +80,8 @@ class Descent(NamedTuple):
     swing: Swing | None = None
     hangs: bool = False
     """It found no ground as far down as it may go."""
+    rises_m: float = 0.0
+    """By how much it went too deep before its contact was reported."""
 
 
 @dataclass(slots=True)
@@ -63,8 +99,13 @@ class State(Figure):
     """How much of the first of its moves is done, 0 to 1."""
     rests: dict[int, Vector] = field(default_factory=dict)
     """Where the feet rest that were set down further out than their stance has them, since the body leans."""
-    lag_s: float = LATE_S
-    """How much later than its feet arrive on the ground their contact is reported."""
+    rises: dict[int, float] = field(default_factory=dict)
+    """How much higher (metres) the ground is under feet that went too deep, since their contact was reported late."""
+    waits_s: float = LATE_S
+    """How long a foot waits for its contact where the ground was expected."""
+    lateness: Lateness = UNKNOWN_LATENESS
+    paused_s: float = 0.0
+    """How long feet wait in a stride: its stances last longer by that."""
     hanging: frozenset[int] = frozenset()
     """Legs whose feet found no ground, when the walk went `over`."""
     over: Velocity = STILL
@@ -73,13 +114,39 @@ class State(Figure):
 
     def copy(self) -> Self:
         new = Figure.copy(self)
-        new.swings, new.rests = dict(self.swings), dict(self.rests)
+        new.swings, new.rests, new.rises = dict(self.swings), dict(self.rests), dict(self.rises)
         return new
 
-    def landed(self, leg: int, touches: bool | None, *, hangs: bool, over: Velocity) -> None:
-        """End a swing. `touches`: whether its foot is felt on the ground; `over`: the velocity, if it `hangs`."""
+    def touched(self, late_s: float) -> None:
+        """A contact was reported so long after its foot had arrived where the ground was expected (before: below 0)."""
+        self.lateness = self.lateness.after(late_s)
+
+    def landed(self, leg: int, touches: bool | None, ends: Descent, over: Velocity) -> None:
+        """End a swing. `touches`: whether its foot is felt on the ground; `over`: the velocity, if it hangs."""
         swing = self.swings.pop(leg)
-        if touches and swing.free and swing.late_s <= LATE_S:  # it was no hole
-            self.lag_s = max(swing.late_s, LAG_FORGOTTEN * self.lag_s)
-        if hangs:
+        if swing.met_now(touches) and swing.late_s <= LATE_S:  # it was no hole
+            self.waits_s = max(swing.late_s, WAIT_FORGOTTEN * self.waits_s)
+        if ends.rises_m:
+            self.rises[leg] = ends.rises_m
+        if ends.hangs:
             self.hanging, self.over = self.hanging | {leg}, over if over.moves else self.over
+
+    def goes_over(self, velocity: Velocity) -> bool:
+        """Whether this velocity leads on over an edge; back from there it may go."""
+        return bool(self.hanging) and sum(a * b for a, b in zip(velocity, self.over, strict=True)) > 0
+
+    def rise(self, seconds: float) -> None:
+        """Feet that went too deep go up to the ground again."""
+        for leg, left_m in list(self.rises.items()):
+            (x, y, z), up_m = self.feet[leg], min(left_m, SINKS_M_S * seconds)
+            self.feet[leg] = x, y, z + up_m
+            self.rises[leg] = left_m - up_m
+            if left_m == up_m or leg in self.swings:
+                del self.rises[leg]
+
+    def pause(self, period_s: float, seconds: float) -> bool:
+        """Whether the stride waits for a foot now."""
+        waits = any(swing.late_s for swing in self.swings.values())
+        if waits or self.paused_s:
+            self.paused_s += (seconds if waits else 0.0) - self.paused_s * min(1.0, seconds / period_s)
+        return waits

@@ -7,10 +7,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from gateway.errors import WalkError
 from gateway.people.console.page_walk import SILENCES as PAGE
 from gateway.people.tools.walk import screen
 from gateway.people.walking import STILL, USUAL_SILENCES, Phase, Posture, Ride, RideTask, Silences, Velocity, Wish
 from gateway.people.walking.motion import BodyPose
+from gateway.people.walking.ride import GIVES_UP_S
 from gateway.people.walking.robot import FEED_S
 from schemas.robot import LEGS
 from schemas.telemetry import Telemetry
@@ -380,9 +382,8 @@ FELL: Final = Telemetry(time=MEASURED.time, age_ms=1.0, tilt_deg=80.0)
     [
         (lambda ride, now_s: ride.sit(now_s), TICK_S),
         (lambda ride, now_s: ride.leave(now_s), TICK_S),
-        (lambda _ride, _now_s: None, USUAL_SILENCES.rest_s + TICK_S),
     ],
-    ids=["sits", "leaves", "falls silent"],
+    ids=["sits", "leaves"],
 )
 def test_a_robot_that_has_fallen_is_stopped_where_it_would_sit_down(
     ends: Callable[[Ride, float], None], within_s: float
@@ -404,6 +405,35 @@ def test_a_robot_that_has_fallen_is_stopped_where_it_would_sit_down(
     ridden.until(lambda: not ridden.running, within_s + TICK_S)
     assert not moved(ridden, fell)
     assert (ridden.ride.over, ridden.ride.detail) == (True, "the body leans by 80 degrees: it has fallen")
+
+
+def test_a_robot_that_has_fallen_is_left_to_the_gateways_watchdog_although_its_driver_goes_on() -> None:
+    ridden = Ridden(terrain="adapt")
+    for _ in range(300):
+        ridden.ride.go(AHEAD, ridden.now_s)
+        ridden.tick()
+    ridden.telemetry, fell_s, fell = FELL, ridden.now_s, len(ridden.sent)
+    while ridden.ride.phase is Phase.RUNS:
+        ridden.ride.go(AHEAD, ridden.now_s)
+        ridden.tick()
+    assert GIVES_UP_S < ridden.now_s - fell_s < GIVES_UP_S + 0.4
+    assert not moved(ridden, fell + 15)
+    assert ridden.ride.phase is Phase.FAILED
+    with pytest.raises(WalkError, match="the body leans by 80 degrees: it has fallen"):
+        ridden.ride.go(AHEAD, ridden.now_s)
+    sent = len(ridden.sent)
+    ridden.run(1.0)
+    assert len(ridden.sent) == sent
+
+
+def test_a_robot_that_leans_for_a_moment_and_is_set_upright_goes_on() -> None:
+    ridden = Ridden(terrain="adapt")
+    for number in range(900):
+        ridden.ride.go(AHEAD if number < 400 else STILL, ridden.now_s)
+        ridden.telemetry = FELL if 300 <= number < 380 or 500 <= number < 580 else None
+        ridden.tick()
+    assert ridden.ride.phase is Phase.RUNS
+    assert ridden.ride.error is None
 
 
 # ---- a power board that feeds one servo after another

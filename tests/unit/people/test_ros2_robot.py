@@ -10,7 +10,7 @@ from gateway.geometry import foot_m, load
 from gateway.geometry.kinematics import Quaternion, Vector, plus, rotated, times
 from gateway.people.ros2.cdr import decode, encode
 from gateway.people.ros2.joints import JointNames
-from gateway.people.ros2.messages import DiagnosticArray, DiagnosticStatus, JointState, Time
+from gateway.people.ros2.messages import DiagnosticArray, DiagnosticStatus, ImuMessage, JointState, Temperature, Time
 from gateway.people.ros2.robot import (
     MEASURED,
     description,
@@ -41,6 +41,8 @@ STORE: Final = ros2_messages.store_of("jazzy")
 def test_every_state_has_diagnostics(state: GatewayState) -> None:
     found = diagnostic_array(diagnostics(state), NOW_NS)
     assert decode(DiagnosticArray, encode(found)) == found
+    others = diagnostic_array(diagnostics(state), NOW_NS, "fleet/robot_1").status
+    assert {each.hardware_id for each in others} == {"fleet/robot_1"}
     gateway = found.status[0]
     assert gateway.message == state.mode
     assert (gateway.level == DiagnosticStatus.OK) == (state.mode in (Mode.IDLE, Mode.ACTIVE))
@@ -75,6 +77,22 @@ def test_other_joint_names_are_those_of_the_urdf_too() -> None:
     text = description(GEOMETRY, names.of).data
     assert all(f'<joint name="{names.of(servo_id)}"' in text for servo_id in SERVO_IDS)
     assert "joint_11" not in text
+
+
+def test_frames_are_named_as_another_stack_names_them() -> None:
+    text = description(GEOMETRY, base="base_link").data
+    assert text.count('"base_link"') == 1 + 6, "the root, and the parent of each leg"
+    assert '"base"' not in text
+    steps = frames(GEOMETRY, {}, NOW_NS, "base_link").transforms
+    assert sum(step.header.frame_id == "base_link" for step in steps) == 6
+    assert not any("base" in (step.header.frame_id, step.child_frame_id) for step in steps)
+    found = dict(measured(measuring.MEASURED, NOW_NS, "base_link", "imu_link"))
+    assert {
+        topic: each.header.frame_id for topic, each in found.items() if isinstance(each, ImuMessage | Temperature)
+    } == {
+        "imu/data": "imu_link",
+        "temperature": "base_link",
+    }
 
 
 def test_frames_lead_to_the_feet() -> None:
@@ -121,14 +139,19 @@ def test_what_it_measures_is_in_ros_2s_units_and_what_nobody_knows_is_nan() -> N
     )
     assert [each.tolist() for each in covariances] == [[0.0] * 9] * 3
     assert (temperature.temperature, temperature.variance) == (31.5, 0.0)
-    for each in found.values():
+    assert found["foot_forces"].data.tolist() == list(measuring.MEASURED.feet or ())
+    (legs,) = found["foot_forces"].layout.dim
+    assert (legs.label, legs.size, legs.stride) == ("leg", 6, 6)
+    for each in (battery, imu, temperature):
         at_ns = each.header.stamp.sec * 10**9 + each.header.stamp.nanosec
         assert (at_ns, each.header.frame_id) == (NOW_NS - 12_500_000, "base"), "when it was measured"
 
 
-@pytest.mark.parametrize("left_out", ["battery", "imu", "temperature_c"])
-def test_what_it_does_not_measure_is_not_published(left_out: str) -> None:
-    topic = {"battery": "battery_state", "imu": "imu/data", "temperature_c": "temperature"}[left_out]
+@pytest.mark.parametrize(
+    ("left_out", "topic"),
+    [("battery", "battery_state"), ("imu", "imu/data"), ("temperature_c", "temperature"), ("feet", "foot_forces")],
+)
+def test_what_it_does_not_measure_is_not_published(left_out: str, topic: str) -> None:
     found = as_rosbags_reads(measuring.MEASURED.model_copy(update={left_out: None}))
     assert found.keys() == MEASURED.keys() - {topic}
 

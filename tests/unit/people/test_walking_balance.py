@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable
 from datetime import UTC, datetime
+from statistics import median
 from typing import Final
 
 import pytest
@@ -11,7 +12,7 @@ from gateway.errors import WalkError
 from gateway.geometry import load
 from gateway.geometry.kinematics import Vector, from_rpy
 from gateway.people.walking import STILL, Posture, Robot, Velocity, Walker
-from gateway.people.walking.balance import FALLEN_DEG, LATE_S, LEANS_RAD, ReceivedTelemetry, Senses
+from gateway.people.walking.balance import FALLEN_DEG, LATE_S, LEANS_RAD, Lateness, ReceivedTelemetry, Senses
 from gateway.people.walking.robot import LIFT_M
 from schemas.robot import LEGS
 from schemas.telemetry import Imu, Telemetry
@@ -173,6 +174,32 @@ def test_sensors_that_are_a_tenth_of_a_second_late_only_slow_it_down_on_a_flat_f
     assert all(abs(foot[2]) < 0.04 for foot in feels.engine.feet.values())
 
 
+def test_a_foot_that_went_too_deep_before_its_contact_was_reported_goes_up_again() -> None:
+    walked = standing(ROBOT)
+    ground = Ground(walked, lambda leg, x_m: -0.015 if leg == 4 and x_m > 0.1 else 0.0)
+    kept, deep_m = [ground.read()] * 5, []
+    for _ in range(600):
+        kept.append(ground.read())
+        walked.engine.step(AHEAD, TICK_S, kept.pop(0))
+        if 4 in walked.engine.standing:
+            deep_m.append(walked.engine.feet[4][2])
+    assert median(deep_m[-200:]) > -0.017
+    assert walked.engine._state.lateness.certain_s >= 0.08
+
+
+def test_lateness_is_the_median_of_contacts_and_a_punctual_sensor_has_none() -> None:
+    def learned(lates_s: list[float]) -> float:
+        lateness = Lateness()
+        for late_s in lates_s * 40:
+            lateness = lateness.after(late_s)
+        return lateness.certain_s
+
+    assert learned([-0.04, 0.2, -0.1]) == 0.0
+    assert learned([0.1]) == pytest.approx(0.1, abs=0.006)
+    assert learned([0.1, 0.4, 0.02, 0.1]) == pytest.approx(0.1, abs=0.02)
+    assert learned([9.0]) == LATE_S
+
+
 @pytest.mark.parametrize(
     ("reads", "sentence"),
     [(telemetry([1.0] * 6, roll_rad=1.2), "has fallen"), (telemetry([0.0] * 6), "somebody has lifted it")],
@@ -272,6 +299,42 @@ def test_an_orientation_that_is_none_levels_nothing() -> None:
     felt = Senses().take(telemetry(pitch_rad=math.radians(FALLEN_DEG + 10)), TICK_S)
     assert felt.pitch_rad is None
     assert felt.tilt_deg == pytest.approx(FALLEN_DEG + 10)
+
+
+@pytest.mark.parametrize("number", [math.nan, math.inf, -math.inf])
+def test_measurements_that_are_no_numbers_change_nothing(number: float) -> None:
+    imu = Imu(orientation_wxyz=(1.0, number, 0.0, 0.0), angular_velocity_rad_s=_NONE, linear_acceleration_m_s2=_NONE)
+    blind, feels = standing(ROBOT), standing(ROBOT)
+    nonsense = telemetry([1.0, number, 1.0, 1.0, 1.0, 1.0]).model_copy(update={"imu": imu})
+    for _ in range(100):
+        assert feels.engine.step(AHEAD, TICK_S, nonsense) == blind.engine.step(AHEAD, TICK_S)
+        assert not feels.engine.felt.fault
+    Ground(feels, flat).run(TICK_S)
+    assert feels.engine.felt.carrying is not None
+    assert any(feels.engine.felt.carrying)
+
+
+def test_a_robot_on_its_back_or_with_an_imu_upside_down_does_not_walk() -> None:
+    feels = standing(ROBOT)
+    for _ in range(20):
+        pose = feels.engine.step(STILL, TICK_S, telemetry([1.0] * 6, roll_rad=math.pi))
+    for _ in range(100):
+        assert feels.engine.step(AHEAD, TICK_S, telemetry([1.0] * 6, roll_rad=math.pi)) == pose
+    assert feels.engine.limit == "the body leans by 180 degrees: it has fallen"
+
+
+def test_telemetry_that_ends_in_a_stride_is_blind_walking_from_there_on() -> None:
+    """Also where a foot waits on its way down: none stays in the air, and none goes deeper."""
+    walked = standing(ROBOT)
+    ground = Ground(walked, lambda leg, x_m: -0.025 if leg in (1, 4) and x_m > 0.02 else 0.0)
+    while not any(swing.late_s for swing in walked.engine._state.swings.values()):
+        ground.run(TICK_S, AHEAD)
+    at_m = walked.engine.odometry.x_m
+    for _ in range(150):
+        walked.engine.step(AHEAD, TICK_S)
+    assert walked.engine.odometry.x_m > at_m + 0.15
+    assert not walked.engine.hanging
+    assert all(abs(walked.engine.feet[leg][2]) < 0.001 for leg in walked.engine.standing)
 
 
 def test_a_walker_adapts_only_where_it_is_asked_to() -> None:
