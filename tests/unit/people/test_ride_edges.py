@@ -211,16 +211,36 @@ def test_two_legs_are_started_just_so_long_apart() -> None:
     assert started == [1, 1, 2]
 
 
-def test_one_that_has_fallen_is_stopped_behind_the_silence_and_not_at_its_end() -> None:
-    ridden = standing(robot=ROBOT)
-    ride, at_s = ridden.ride, 200.0
-    ride.silences = Silences(rest_s=4.0)
+def phase_of(ride: Ride) -> Phase:
+    """Now: a checker of types takes an attribute for what it was."""
+    return ride.phase
+
+
+def fallen(rest_s: float, at_s: float) -> Ride:
+    """It stands, and has fallen at this time, right behind a command."""
+    ride = standing().ride
+    ride.silences = Silences(rest_s=rest_s)
     ride.go(STILL, at_s)
+    ride.look(at_s)
     ride._walker.engine.felt = ride._walker.engine.felt._replace(fault="it has fallen")
-    ride.look(at_s + 4.0)
+    return ride
+
+
+def test_one_that_has_fallen_is_stopped_behind_the_silence_and_not_at_its_end() -> None:
+    ride = fallen(rest_s=1.0, at_s=200.0)
+    ride.look(201.0)
     assert not ride.over
-    ride.look(at_s + 4.0 + BEHIND_S)
+    ride.look(201.0 + BEHIND_S)
     assert (ride.over, ride.detail) == (True, "it has fallen")
+
+
+def test_one_that_has_fallen_is_given_up_behind_two_seconds_and_not_at_their_end() -> None:
+    ride = fallen(rest_s=8.0, at_s=200.0)
+    ride.look(202.0)
+    assert phase_of(ride) is Phase.RUNS
+    ride.look(202.0 + BEHIND_S)
+    assert phase_of(ride) is Phase.FAILED
+    assert str(ride.error) == "it has fallen"
 
 
 def test_a_robot_whose_servos_are_fed_one_after_the_other_stands_up_behind_the_time_and_not_at_its_end() -> None:
@@ -230,9 +250,9 @@ def test_a_robot_whose_servos_are_fed_one_after_the_other_stands_up_behind_the_t
     for number in range(6):
         ride.sent(ride.next((number - 5) / 64).pose)
     ride.look(FED_SINGLY.limp_s)
-    assert ride.phase is Phase.STARTS
+    assert phase_of(ride) is Phase.STARTS
     ride.look(FED_SINGLY.limp_s + BEHIND_S)
-    assert ride.phase is Phase.RUNS
+    assert phase_of(ride) is Phase.RUNS
 
 
 def test_one_that_begins_with_six_legs_that_run_holds_them_before_it_moves_them() -> None:
@@ -240,6 +260,6 @@ def test_one_that_begins_with_six_legs_that_run_holds_them_before_it_moves_them(
     ride = Ride(ROBOT, running=running)
     ride.found(ROBOT, running, 0.0)
     ride.look(1.0)
-    assert ride.phase is Phase.STARTS
+    assert phase_of(ride) is Phase.STARTS
     ride.sent(ride.next(1.0).pose)
-    assert ride.phase is Phase.RUNS
+    assert phase_of(ride) is Phase.RUNS

@@ -1,7 +1,7 @@
 """Which masks the power board is sent, and when, where masks are lost or cross its answers: in virtual time."""
 
 from gateway.allowance import NS_PER_MS
-from gateway.model.power_board import ALL, ASK_RAILS, SET_SUPPLY, SUPPLIED, CanFrame, set_supply
+from gateway.model.power_board import ALL, ASK_CURRENTS, ASK_RAILS, SET_SUPPLY, SUPPLIED, CanFrame, set_supply
 from gateway.robot.power.simulated_board import SimulatedBoard
 from schemas.telemetry import Kind
 from tests.support.power_link import ALL_SERVOS, FLIGHT_NS, NONE, Link, fed
@@ -183,6 +183,7 @@ def test_on_a_new_interface_a_confirmation_waits_for_no_older_question() -> None
 
 def test_not_even_the_first_off_is_confirmed_by_an_answer_that_was_on_its_way() -> None:
     ours = Link().ours
+    ours.heard(CanFrame(ASK_CURRENTS[0].id + 1, bytes(6)), 0)
     ours.want(NONE, 0)
     assert ours.next_frames(0)[0] == set_supply(0)
     ours.heard(CanFrame(SUPPLIED, bytes(3)), 1)
@@ -220,3 +221,12 @@ def test_what_servos_drew_before_a_silence_is_not_known_any_more() -> None:
     link.cable = False
     link.run(300)
     assert link.ours.currents_ma == {}
+
+
+def test_all_that_are_fed_again_are_news_also_where_one_was_off() -> None:
+    link = fed()
+    link.want(ALL_SERVOS - {11})
+    link.run(300)
+    link.want(ALL_SERVOS)
+    link.run(500)
+    assert len(link.events(Kind.POWER_RESTORED)) == 1
