@@ -62,8 +62,8 @@ class Measured(NamedTuple):
         # A quaternion that is far from its length of 1 says no orientation: all zeros before the sensor is ready.
         if not 0.81 <= norm <= 1.21:
             return None
-        up = 1 - 2 * (x * x + y * y) / norm
-        return math.degrees(math.acos(max(-1.0, min(1.0, up))))
+        # Rounding is monotonic, so x² + y² is never more than the norm, and this never beyond -1 or 1.
+        return math.degrees(math.acos(1 - 2 * (x * x + y * y) / norm))
 
 
 def frame(angles_cdeg: Sequence[int]) -> bytes:
@@ -140,7 +140,7 @@ class Heartbeats:
         while (at := left.find(_HEARTBEAT_BEGIN, at)) >= 0 and at + HEARTBEAT_BYTES <= len(left):
             whole = left[at : at + HEARTBEAT_BYTES].endswith(_HEARTBEAT_END)
             found += whole
-            at += HEARTBEAT_BYTES if whole else 1
-        # What may be the begin of one is kept: from the place found, or a last byte that may be half of its begin.
-        self._left = left[at:] if at >= 0 else left[-1:]
+            at += HEARTBEAT_BYTES if whole else len(_HEARTBEAT_BEGIN)
+        # What may be the begin of one is kept: from the place found, or (at is -1) the last byte, half of a begin.
+        self._left = left[at:]
         return found

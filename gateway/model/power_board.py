@@ -22,9 +22,6 @@ from typing import Final, NamedTuple
 OUTPUTS: Final = 18
 ALL: Final = (1 << OUTPUTS) - 1
 """The mask that feeds all outputs."""
-FIRST_ID: Final = 0x60
-LAST_ID: Final = 0x9F
-"""The board takes and sends no other identifiers."""
 
 
 class CanFrame(NamedTuple):

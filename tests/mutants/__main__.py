@@ -12,7 +12,7 @@ import time
 from collections import Counter
 from hashlib import sha256
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from tests.case import program
 from tests.mutants.by_hand import made_by_hand
@@ -29,48 +29,60 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="make mutants", description="Does a test fail for each mutant?")
     parser.add_argument("names", nargs="*", help="only files whose name has one of these in it")
     parser.add_argument("--accepted", action="store_true", help="run those that are accepted: is one noticed by now?")
+    parser.add_argument("--survivors", action="store_true", help="where only tests were added: what survived last time")
     parser.add_argument("--sample", type=int, metavar="N", help="of each file only these many, always the same ones")
     arguments = parser.parse_args()
     files = [file for file in JUDGES if not arguments.names or any(name in file for name in arguments.names)]
     # Not a list that ends early: a survivor in one file hides none in the next.
-    scores = [judge(file, run_accepted=arguments.accepted, sample=arguments.sample) for file in files]
+    again = {file: last_score(file) if arguments.survivors else None for file in files}
+    run_accepted, sample = arguments.accepted, arguments.sample
+    scores = [judge(file, run_accepted=run_accepted, sample=sample, last=again[file]) for file in files]
     killed, wanted = (sum(score[of] for score in scores) for of in ("killed", "wanted"))
     print(f"\n{killed} of {wanted} killed ({killed / max(1, wanted):.1%}) in {len(files)} files")
     return 0 if all(score["right"] for score in scores) else 1
 
 
-def judge(file: str, *, run_accepted: bool, sample: int | None) -> Counter[str]:
-    """Judge a file's mutants, print what became of them and keep the score. `right`: all is as it should be."""
+def judge(file: str, *, run_accepted: bool, sample: int | None, last: dict[str, Any] | None) -> Counter[str]:
+    """Judge a file's mutants, print what became of them and keep the score. `right`: all is as it should be.
+
+    `last`: only those that survived then are judged, the others count as they did.
+    """
     begun_s = time.monotonic()
     source = (ROOT / file).read_text(encoding="utf-8")
     mutants = {str(mutant.name): mutant.source for mutant in (*mutants_of(source), *made_by_hand(file, source))}
     forgiven = accepted(file)
     wrong = [f"accepted, but no mutant any more: {name}" for name in forgiven.keys() - mutants.keys()]
     todo = [name for name in mutants if run_accepted or name not in forgiven]
+    if last is not None:
+        todo = [name for name in todo if name in last["survived"]]
     if sample is not None:
         todo = sorted(todo, key=lambda name: sha256(name.encode()).digest())[:sample]
     found: Counter[Outcome] = Counter()
+    survived: list[str] = []
     try:
         for number, verdict in verdicts(Subject(ROOT, file, JUDGES[file], tuple(mutants[name] for name in todo))):
             name = todo[number]
             if name not in forgiven:
                 found[verdict.outcome] += 1
             if verdict.outcome is Outcome.SURVIVED and name not in forgiven:
+                survived.append(name)
                 wrong.append(f"survived: {name}")
             elif verdict.outcome in (Outcome.KILLED, Outcome.TIMED_OUT) and name in forgiven:
                 wrong.append(f"accepted, but noticed by {verdict.test}: {name}")
     except TestsFailError as error:
-        wrong.append(f"its tests fail without a mutant, so they can judge nothing: {error}")
-    killed = found[Outcome.KILLED] + found[Outcome.TIMED_OUT]
+        print(f"{file}: its tests fail without a mutant, so they can judge nothing: {error}", flush=True)
+        return Counter(right=False)
+    before = last or {"killed": 0, "by_time": 0}
+    killed = before["killed"] + found[Outcome.KILLED] + found[Outcome.TIMED_OUT]
     score = Counter(
         killed=killed,
-        by_time=found[Outcome.TIMED_OUT],
+        by_time=before["by_time"] + found[Outcome.TIMED_OUT],
         wanted=killed + found[Outcome.SURVIVED],
         accepted=len(forgiven.keys() & mutants.keys()),
         generated=len(mutants),
     )
     if sample is None:
-        keep(file, score)
+        keep(file, score, survived)
     share = killed / max(1, score["wanted"])
     took_s = time.monotonic() - begun_s
     print(f"{file}: {killed} of {score['wanted']} ({share:.1%}), {score['accepted']} accepted, {took_s:.0f} s")
@@ -79,14 +91,27 @@ def judge(file: str, *, run_accepted: bool, sample: int | None) -> Counter[str]:
     return score
 
 
-def keep(file: str, score: Counter[str]) -> None:
+def last_score(file: str) -> dict[str, Any] | None:
+    """What was kept of a file; None: nothing, or of another text of it, so all has to be judged."""
+    last: dict[str, Any] = json.loads(SCORES.read_text(encoding="utf-8")).get(file, {})
+    return last if last.get("digest") == program.digest(ROOT / file) and "survived" in last else None
+
+
+def keep(file: str, score: Counter[str], survived: list[str]) -> None:
     """Write a file's score down: how many are killed (some by time: tests never ended) of how many that ought to be.
 
     `score` is that in per cent; `digest` and `commit` say of which text. The safety case reads these (tests/case).
+    `survived` has those that no test notices and nobody has accepted.
     """
     scores = json.loads(SCORES.read_text(encoding="utf-8"))
     share = round(100 * score["killed"] / max(1, score["wanted"]), 1)
-    scores[file] = {**score, "score": share, "digest": program.digest(ROOT / file), "commit": commit()}
+    scores[file] = {
+        **score,
+        "score": share,
+        "survived": sorted(survived),
+        "digest": program.digest(ROOT / file),
+        "commit": commit(),
+    }
     SCORES.write_text(json.dumps(scores, indent=2, sort_keys=True) + "\n", encoding="utf-8")
 
 

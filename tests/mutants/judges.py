@@ -71,6 +71,8 @@ _BUS: Final = (
 )
 _POWER: Final = (
     f"{_UNIT}test_power_board.py",
+    f"{_UNIT}test_power_board_masks.py",
+    f"{_UNIT}test_power_board_faults.py",
     f"{_UNIT}test_power_conductor.py",
 )
 _PEOPLE: Final = "tests/unit/people/"
@@ -79,10 +81,11 @@ _TIMES: Final = f"{_PEOPLE}test_times.py"
 JUDGES: Final = {
     "gateway/model/frames.py": (f"{_MODEL}test_frames.py", "tests/unit/test_decode.py"),
     "gateway/model/framing.py": (f"{_MODEL}test_framing.py",),
-    "gateway/model/elkapod.py": (f"{_MODEL}test_elkapod_bytes.py",),
-    "gateway/robot/protocol/elkapod.py": (f"{_UNIT}test_elkapod_wire.py", f"{_UNIT}test_power_conductor.py"),
+    "gateway/model/elkapod.py": (f"{_MODEL}test_elkapod_bytes.py", f"{_UNIT}test_elkapod_wire.py"),
+    "gateway/robot/protocol/elkapod.py": (f"{_UNIT}test_elkapod_fed_singly.py", f"{_UNIT}test_elkapod_wire.py"),
     "gateway/robot/spi/cyclic.py": (
         f"{_UNIT}test_elkapod_wire.py",
+        f"{_UNIT}test_elkapod_fed_singly.py",
         f"{_UNIT}test_elkapod_conductor.py",
         f"{_UNIT}test_power_conductor.py",
     ),
@@ -136,12 +139,17 @@ JUDGES: Final = {
     "gateway/robot/core/reset.py": (f"{_UNIT}test_supervisor_stops.py", f"{_UNIT}test_power_rule.py"),
     "gateway/model/power_board.py": (f"{_MODEL}test_power_board_bytes.py", f"{_UNIT}test_simulated_board.py"),
     "gateway/robot/power/board.py": _POWER,
-    "gateway/robot/power/errors.py": _POWER,
-    "gateway/robot/power/offs.py": _POWER,
+    "gateway/robot/power/errors.py": (f"{_UNIT}test_power_errors.py",),
+    "gateway/robot/power/offs.py": (f"{_UNIT}test_power_offs.py",),
     "gateway/robot/power/questions.py": (f"{_UNIT}test_power_questions.py", *_POWER),
     "gateway/robot/power/currents.py": (f"{_UNIT}test_currents.py",),
     "gateway/robot/power/last_cut.py": (f"{_UNIT}test_last_cut.py",),
-    "gateway/robot/runtime/supply.py": (f"{_UNIT}test_power_conductor.py", f"{_UNIT}test_supply.py"),
+    "gateway/robot/runtime/supply.py": (
+        f"{_UNIT}test_power_conductor.py",
+        f"{_UNIT}test_supply_rules.py",
+        f"{_UNIT}test_conductor_news.py",
+        f"{_UNIT}test_supply.py",
+    ),
     "gateway/robot/core/body_limits.py": (f"{_UNIT}test_body_limits.py",),
     "gateway/robot/core/nonces.py": ("tests/unit/people/test_lease_checker.py",),
     "gateway/model/angle_limits.py": (*_CALIBRATION, f"{_UNIT}test_supervisor_speed.py"),
@@ -153,7 +161,14 @@ JUDGES: Final = {
     "gateway/robot/runtime/calibrations.py": _CALIBRATION_REQUESTS,
     "gateway/robot/runtime/answers.py": (*_CONDUCTOR, f"{_PEOPLE}test_recorder.py", f"{_UNIT}test_power_conductor.py"),
     "gateway/robot/runtime/executor.py": (*_CONDUCTOR, f"{_UNIT}test_meddled_conductor.py"),
-    "gateway/robot/runtime/conductor.py": (*_CONDUCTOR, f"{_UNIT}test_power_conductor.py"),
+    "gateway/robot/runtime/conductor.py": (
+        *_CONDUCTOR,
+        f"{_UNIT}test_meddled_conductor.py",
+        f"{_UNIT}test_telemetry.py",
+        f"{_UNIT}test_conductor_news.py",
+        f"{_UNIT}test_elkapod_conductor.py",
+        f"{_UNIT}test_power_conductor.py",
+    ),
     # rules of the people's wing, with the time as an argument
     "gateway/allowance.py": ("tests/unit/test_allowance.py",),
     "gateway/people/bridge/own_stop.py": (f"{_PEOPLE}test_bridge_own_stop.py", _TIMES),

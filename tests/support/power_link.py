@@ -19,6 +19,8 @@ CONFIRM_MS = 150
 FLIGHT_NS = 200_000
 """Of a frame, with an adapter on USB."""
 LOOK_NS = 10 * NS_PER_MS
+MOST_AT_ONCE = 1000
+"""Events without any time between them: more are a side that is due for ever."""
 
 
 class Link:
@@ -50,6 +52,7 @@ class Link:
         self._flying: list[tuple[int, int, bool, CanFrame]] = []
         self._order = count()
         self._look_ns = 0
+        self._at_once = 0
 
     # ---- what happened
 
@@ -89,9 +92,7 @@ class Link:
         """Let so much time pass."""
         end_ns = self.now_ns + round(ms * NS_PER_MS)
         while (at_ns := self._next_ns()) <= end_ns:
-            self.now_ns = max(self.now_ns, at_ns)
-            self._happen()
-            self.watch()
+            self._go_to(at_ns)
         self.now_ns = end_ns
 
     def run_until(self, done: Callable[[], bool], most_ms: float = 3000) -> float:
@@ -99,9 +100,7 @@ class Link:
         begun_ns = self.now_ns
         while not done():
             assert self.now_ns - begun_ns < most_ms * NS_PER_MS
-            self.now_ns = max(self.now_ns, self._next_ns())
-            self._happen()
-            self.watch()
+            self._go_to(self._next_ns())
         return (self.now_ns - begun_ns) / NS_PER_MS
 
     def other_node(self, mask: int) -> None:
@@ -125,6 +124,13 @@ class Link:
         if self._flying:
             due_ns.append(self._flying[0][0])
         return min(due_ns)
+
+    def _go_to(self, at_ns: int) -> None:
+        self._at_once = 0 if at_ns > self.now_ns else self._at_once + 1
+        assert self._at_once < MOST_AT_ONCE
+        self.now_ns = max(self.now_ns, at_ns)
+        self._happen()
+        self.watch()
 
     def _happen(self) -> None:
         while self._flying and self._flying[0][0] <= self.now_ns:

@@ -290,7 +290,7 @@ async def test_min_battery_v(min_battery_v: float, reason: Reason | None) -> Non
     assert robot.ask(keys.LEGS_COMMAND, all_legs("start", 90)).reason == reason
 
 
-@pytest.mark.parametrize(("max_tilt_deg", "falls"), [(0, False), (40, False), (20, True)])
+@pytest.mark.parametrize(("max_tilt_deg", "falls"), [(0, False), (40, False), (30.2, False), (29.8, True), (20, True)])
 async def test_max_tilt_deg(max_tilt_deg: float, falls: bool) -> None:
     robot = await elkapod(safety={"max_tilt_deg": max_tilt_deg})
     assert robot.ask(keys.LEGS_COMMAND, all_legs("start", 90)).accepted

@@ -24,6 +24,7 @@ from gateway.robot.zenoh_io.receiver import Deal, Reader
 from gateway.robot.zenoh_io.rings import RING_DEPTH, Ring
 from schemas.command import MAX_PAYLOAD_BYTES
 from schemas.keys import BUTTON, COMMAND_KEYS, ESTOP, LEASE, LEGS_COMMAND, RESET, STATE, leg_command, servo_command
+from schemas.telemetry import Ack, Reason
 from tests.zenoh.test_inbox_wakeups import Taker
 
 LEG_1, SERVO_11 = leg_command(1), servo_command(11)
@@ -226,7 +227,10 @@ async def test_a_put_by_wildcard_is_an_emergency_stop_and_a_get_is_none(session:
     await held.until(lambda: len(held.estops) == 1)
     (answer,) = await asyncio.to_thread(list, session.get("hexapod/estop/*", timeout=PATIENCE_S))
     assert answer.ok is not None
-    assert b'"accepted":false,"reason":"invalid"' in answer.ok.payload.to_bytes()
+    ack = Ack.model_validate_json(answer.ok.payload.to_bytes())
+    assert (ack.accepted, ack.reason) == (False, Reason.INVALID)
+    assert ack.detail is not None
+    assert ack.detail.endswith(f"get or put on {ESTOP}"), "what to do instead"
     assert len(held.estops) == 1
 
 

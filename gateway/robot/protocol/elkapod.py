@@ -91,8 +91,7 @@ class SignsOfLife:
         self._begun_ns = begun_ns
         self._heartbeats = Heartbeats()
         self._heartbeat_ns: int | None = None
-        self._answer = b""
-        self._changed_ns = begun_ns
+        self._answer, self._changed_ns = b"", begun_ns
         self._why = "none has come"
         self.answered_ns: int | None = None
         """When the last well-formed answer came."""

@@ -104,7 +104,7 @@ class Conductor:
         self._carry_out: CarryOut = executor.carry_out
         if supply is not None:
             supply.on_news = self.power_changed
-            self._carry_out = Feeding(executor.carry_out, supply, supervisor, self._events.announce).carry_out
+            self._carry_out = Feeding(executor.carry_out, supply, supervisor, self._announce_power).carry_out
         self._clock = clock
         self._instant_ns = clock()
         self.reports = StateReports(
@@ -264,12 +264,15 @@ class Conductor:
         seen = self.supply.look()
         self._step(seen.event)
         for each in seen.announcements:
-            self.metrics.events[each.kind] += 1
-            self._events.announce(each)
+            self._announce_power(each)
         if seen.off_pressed:
             self._emergency_stop(off_button(self._clock()), self._clock())
         self._arm()
         self.publish_state()
+
+    def _announce_power(self, what: Announce) -> None:
+        self.metrics.events[what.kind] += 1
+        self._events.announce(what)
 
     def _do_what_is_due(self, instant_ns: int) -> None:
         if self.supervisor.due_ns is not None and self._clock() >= self.supervisor.due_ns:

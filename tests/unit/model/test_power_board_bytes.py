@@ -1,5 +1,7 @@
 """The bytes of the power board: literals from its firmware, and whatever else a bus may carry."""
 
+from collections.abc import Collection
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -8,6 +10,10 @@ from gateway.model.power_board import (
     ALL,
     ASK_CURRENTS,
     ASK_RAILS,
+    CONVERTER_OVERCURRENT,
+    OVERTEMPERATURE,
+    SERVO_OVERCURRENT,
+    SUPPLY_LOW,
     Answer,
     BoardError,
     CanFrame,
@@ -18,6 +24,7 @@ from gateway.model.power_board import (
     OffPressed,
     Rails,
     Supplied,
+    explained,
     mask_of,
     read,
     set_supply,
@@ -53,6 +60,8 @@ ANSWERS: dict[str, tuple[int, str, Answer]] = {
     "no error": (0x65, "", NoError()),
     "converter 2": (0x65, "01 02", BoardError(1, 2)),
     "servo 18": (0x65, "02 020000", BoardError(2, 1 << 17)),
+    "all converters": (0x65, "01 1f", BoardError(1, 0b11111)),
+    "all servos": (0x65, "02 03ffff", BoardError(2, ALL)),
     "too hot": (0x65, "04", BoardError(4)),
     "supply low": (0x65, "08", BoardError(8)),
     "deleted": (0x97, "", Cleared()),
@@ -97,6 +106,38 @@ def test_whatever_comes_is_read_or_none(identifier: int, data: bytes) -> None:
         assert set_supply(answer.mask).data == data
     mask = mask_of(CanFrame(identifier, data))
     assert mask is None or (identifier in (0x6A, 0x6B) and mask <= ALL)
+
+
+@pytest.mark.parametrize(
+    "frame", [CanFrame(0x70, bytes(3)), CanFrame(0x6A, bytes(2)), CanFrame(0x6A, bytes(4)), CanFrame(0x6A, b"\4\0\0")]
+)
+def test_what_is_no_mask_is_none(frame: CanFrame) -> None:
+    assert mask_of(frame) is None
+
+
+@pytest.mark.parametrize(
+    ("error", "named", "outputs"),
+    [
+        (BoardError(SERVO_OVERCURRENT, 0b101), "overcurrent: the power board has switched these servos off", (1, 3)),
+        (BoardError(CONVERTER_OVERCURRENT, 0b1), "overcurrent: … its converter 1", range(1, 7)),
+        (BoardError(CONVERTER_OVERCURRENT, 0b10), "overcurrent: … its converter 2", range(7, 13)),
+        (BoardError(CONVERTER_OVERCURRENT, 0b100), "overcurrent: … its converter 3", range(13, 19)),
+        (BoardError(CONVERTER_OVERCURRENT, 0b1000), "overcurrent: … its converter 4", ()),
+        (BoardError(CONVERTER_OVERCURRENT, 0b10000), "overcurrent: … its converter 5", ()),
+        (BoardError(CONVERTER_OVERCURRENT, 0b11), "overcurrent: … its converter 1 and 2", range(1, 13)),
+        (BoardError(OVERTEMPERATURE), "… a converter that is too hot", range(1, 19)),
+        (BoardError(SUPPLY_LOW), "the power board's supply is too low", ()),
+    ],
+    ids=str,
+)
+def test_an_error_is_explained_and_says_which_outputs_are_off(
+    error: BoardError, named: str, outputs: Collection[int]
+) -> None:
+    begin, _, end = named.rpartition("…")
+    sentence, mask = explained(error)
+    assert sentence.startswith(begin.strip())
+    assert sentence.endswith(end)
+    assert {number for number in range(1, 32) if mask >> (number - 1) & 1} == set(outputs)
 
 
 def test_each_question_is_named_once() -> None:

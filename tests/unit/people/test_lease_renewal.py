@@ -69,11 +69,11 @@ def test_a_gateway_that_is_silent_for_as_long_as_it_lives_has_lost_it() -> None:
 
 
 def test_it_is_lost_that_long_after_what_the_gateway_last_confirmed_left() -> None:
-    renewal = granted()
+    renewal = granted(1000.0)
     renewal.answered(DONE, BEGUN_S + 5)  # it may have come at once, and its answer late
     renewal.answered(DONE, BEGUN_S + 4)  # by another thread, which was delayed
-    for late_s, lost in ((-0.001, False), (0.001, True)):
-        renewal.unanswered(BEGUN_S + 5 + TTL_S + late_s)
+    for late_s, lost in ((0.0, False), (0.001, True)):
+        renewal.unanswered(BEGUN_S + 5 + 1 + late_s)
         assert (renewal.lost is not None) is lost
 
 
@@ -92,7 +92,8 @@ def test_an_answer_has_a_third_of_its_life_and_a_tenth_of_a_second_at_least(ttl_
 
 
 def test_what_nobody_has_is_never_due() -> None:
-    assert Renewal().due_s == float("inf")
+    renewal = Renewal()
+    assert (renewal.holds, renewal.due_s, renewal.elsewhere) == (Holds.NOT_YET, float("inf"), False)
 
 
 STEPS = st.sampled_from(["confirmed", "taken", "silent", "gives", "keeps", "handed over", "released"])

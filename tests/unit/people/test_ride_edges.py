@@ -4,9 +4,11 @@ from typing import Final
 
 import pytest
 
-from gateway.errors import RejectedError
+from gateway.errors import RejectedError, StoppedError
 from gateway.people.walking import STILL, Phase, Posture, Ride, RideTask, Silences, Velocity, Wish
-from tests.support.ridden import ROBOT, Ridden, standing
+from gateway.people.walking.ride import START_PAUSE_S
+from schemas.robot import LEGS
+from tests.support.ridden import FED_SINGLY, ROBOT, Ridden, standing
 
 AHEAD: Final = Velocity(0.06)
 BEHIND_S: Final = 2**-10
@@ -182,3 +184,82 @@ def test_one_that_begins_with_legs_that_run_asks_again_who_runs_when_it_starts_a
     ridden.ride.found(ROBOT, {}, ridden.now_s)
     ridden.ride.stand(None, ridden.now_s)
     assert ridden.ride.next(ridden.now_s).do is RideTask.FIND
+
+
+def test_a_leg_that_somebody_else_starts_meanwhile_is_not_the_rides() -> None:
+    ridden = standing()
+    assert ridden.ride.stopped(StoppedError("leg 1 was stopped", (1,)), (2, 3, 4, 5, 6)) == {2, 3, 4, 5, 6}
+    assert ridden.ride.stopped(StoppedError("leg 2 was stopped", (2,)), (1, 3, 4, 5, 6)) == {3, 4, 5, 6}
+
+
+def test_one_that_halted_for_a_stop_of_no_leg_goes_on_standing_at_the_next() -> None:
+    ridden = standing()
+    for _ in range(2):
+        assert ridden.ride.stopped(StoppedError("somebody stopped it", ()), LEGS) == set(LEGS)
+        assert ridden.ride.phase is Phase.HALTED
+
+
+def test_two_legs_are_started_just_so_long_apart() -> None:
+    ride = Ride(ROBOT)
+    ride.go(STILL, 0.0)
+    ride.found(ROBOT, {}, 0.0)
+    started = []
+    for now_s in (0.0, START_PAUSE_S - BEHIND_S, START_PAUSE_S):
+        pose = ride.next(now_s).pose
+        ride.sent(pose)
+        started.append(len(pose))
+    assert started == [1, 1, 2]
+
+
+def phase_of(ride: Ride) -> Phase:
+    """Now: a checker of types takes an attribute for what it was."""
+    return ride.phase
+
+
+def fallen(rest_s: float, at_s: float) -> Ride:
+    """It stands, and has fallen at this time, right behind a command."""
+    ride = standing().ride
+    ride.silences = Silences(rest_s=rest_s)
+    ride.go(STILL, at_s)
+    ride.look(at_s)
+    ride._walker.engine.felt = ride._walker.engine.felt._replace(fault="it has fallen")
+    return ride
+
+
+def test_one_that_has_fallen_is_stopped_behind_the_silence_and_not_at_its_end() -> None:
+    ride = fallen(rest_s=1.0, at_s=200.0)
+    ride.look(201.0)
+    assert not ride.over
+    ride.look(201.0 + BEHIND_S)
+    assert (ride.over, ride.detail) == (True, "it has fallen")
+
+
+def test_one_that_has_fallen_is_given_up_behind_two_seconds_and_not_at_their_end() -> None:
+    ride = fallen(rest_s=8.0, at_s=200.0)
+    ride.look(202.0)
+    assert phase_of(ride) is Phase.RUNS
+    ride.look(202.0 + BEHIND_S)
+    assert phase_of(ride) is Phase.FAILED
+    assert str(ride.error) == "it has fallen"
+
+
+def test_a_robot_whose_servos_are_fed_one_after_the_other_stands_up_behind_the_time_and_not_at_its_end() -> None:
+    ride = Ride(FED_SINGLY, now_s=-1.0)
+    ride.go(STILL, -1.0)
+    ride.found(FED_SINGLY, {}, -1.0)
+    for number in range(6):
+        ride.sent(ride.next((number - 5) / 64).pose)
+    ride.look(FED_SINGLY.limp_s)
+    assert phase_of(ride) is Phase.STARTS
+    ride.look(FED_SINGLY.limp_s + BEHIND_S)
+    assert phase_of(ride) is Phase.RUNS
+
+
+def test_one_that_begins_with_six_legs_that_run_holds_them_before_it_moves_them() -> None:
+    running = standing().running
+    ride = Ride(ROBOT, running=running)
+    ride.found(ROBOT, running, 0.0)
+    ride.look(1.0)
+    assert phase_of(ride) is Phase.STARTS
+    ride.sent(ride.next(1.0).pose)
+    assert phase_of(ride) is Phase.RUNS

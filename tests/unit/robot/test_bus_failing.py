@@ -111,6 +111,18 @@ def test_stops_leave_together_again_once_all_have_passed_and_a_frame_that_moves_
     assert scene.made == ["123456"]
 
 
+def test_where_a_call_takes_few_transfers_the_preamble_behind_slow_stops_has_its_sixteen_zeros_all_the_same() -> None:
+    scene = Scene()
+    scene.most_transfers = 5
+    scene.bus.open()
+    scene.stop(preamble=True)
+    scene.move_failed_in(200 * MS)
+    assert scene.move().fault is None
+    scene.calls.clear()
+    assert scene.stop().fault is None
+    assert scene.made == ["6", "5", "4", "3", "2", "1", "zzzzz", "zzzzz", "zzzzz", "z"]
+
+
 def test_the_first_failure_among_stops_that_are_written_one_by_one_is_reported_and_they_stay_so() -> None:
     scene = Scene(PLAIN)
     scene.move_failed_in(200 * MS)

@@ -56,7 +56,7 @@ def test_what_was_never_started_is_judged_too() -> None:
     assert len(Robot().measure(900, ms=600, runs=False)) == 1
 
 
-@pytest.mark.parametrize(("ma", "ms", "events"), [(0, 900, 0), (0, 3000, 1), (4, 3000, 1), (8, 3000, 0)])
+@pytest.mark.parametrize(("ma", "ms", "events"), [(0, 900, 0), (0, 3000, 1), (4, 3000, 1), (5, 3000, 0), (8, 3000, 0)])
 def test_a_servo_that_runs_and_draws_nothing_for_a_second_is_named_once(ma: float, ms: float, events: int) -> None:
     news = Robot().measure(ma, ms=ms, runs=True)
     assert [item.kind for item in news] == [Kind.SERVO_SILENT] * events
@@ -68,3 +68,19 @@ def test_a_pause_of_its_silence_begins_the_second_anew() -> None:
     for _ in range(5):
         assert robot.measure(0, ms=900, runs=True) == []
         assert robot.measure(30, ms=1, runs=True) == []
+
+
+@pytest.mark.parametrize("settle_ms", [0, 300])
+def test_the_second_measurement_behind_the_time_to_settle_takes_the_supply(settle_ms: int) -> None:
+    rules = CurrentRules(150.0, settle_ms * NS_PER_MS)
+    end_ns = settle_ms * NS_PER_MS
+    early = [rules.measured({11: 151.0}, NONE, at_ns) for at_ns in range(0, end_ns, 10 * NS_PER_MS)]
+    assert not any(early)
+    assert rules.measured({11: 151.0}, NONE, end_ns) == []
+    assert [each.kind for each in rules.measured({11: 151.0}, NONE, end_ns + 1)] == [Kind.SERVO_DRAWS]
+
+
+def test_a_servo_that_draws_nothing_is_silent_after_a_second() -> None:
+    rules, running = CurrentRules(150.0, 0), frozenset({11})
+    found = [rules.measured({11: 0.0}, running, at_ms * NS_PER_MS) for at_ms in (7, 8, 1006, 1007, 1008)]
+    assert [len(news) for news in found] == [0, 0, 0, 1, 0]

@@ -158,7 +158,7 @@ def test_each_sign_is_needed(missing: str) -> None:
 class Parts(DuplexDevice, Uart):
     """Both sides of a controller, which fail as they are told to."""
 
-    def __init__(self) -> None:
+    def __init__(self, **more: bool) -> None:
         self.said: list[bytes] = []
         self.now_ns = 0
         self.opened = self.closed = 0
@@ -170,6 +170,7 @@ class Parts(DuplexDevice, Uart):
             silent_ns=SILENT_NS,
             before_frames_ns=70 * MS,
             clock=lambda: self.now_ns,
+            **more,
         )
 
     def _open(self) -> DuplexDevice:
@@ -350,6 +351,7 @@ def test_a_device_that_fails_while_the_controller_is_silent_opens_anew(parts: Pa
 def test_without_a_device_only_stops_are_written() -> None:
     parts = Parts()
     bus = CyclicBus(None, lambda: parts)
+    assert (bus.answered_ns, bus.ended_ns) == (None, 0)
     bus.open()
     assert bus.write(STOPS, preamble=True).fault is None
     assert parts.said == [SHUTDOWN] * 2

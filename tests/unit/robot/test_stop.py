@@ -8,13 +8,16 @@ import pytest
 
 from gateway.errors import SpiError
 from gateway.host.plain_settings import PlainController, PlainRepeats, PlainSpi
+from gateway.model.elkapod import SHUTDOWN
 from gateway.model.frames import stop_leg
 from gateway.model.framing import PREAMBLE_ZEROS, ZERO, Framing
+from gateway.model.protocols import SpiProtocol
 from gateway.robot.host import stop_note
 from gateway.robot.sections import SpiSettings
 from gateway.robot.spi import ByteDevice, stop_all
 from gateway.robot.spi.bus import Bus
 from gateway.robot.spi.stop_all import stop_once, stop_servos
+from gateway.robot.spi.uart import Uart
 from schemas.robot import LEGS
 
 MISTAKES = [SpiError("told to fail"), SystemError("returned NULL"), TypeError("a mistake of our own"), KeyError(3)]
@@ -110,6 +113,10 @@ class Rounds:
     log: list[str] = field(default_factory=list)
     sleeps_ms: list[float] = field(default_factory=list)
 
+    def written(self) -> None:
+        """As `stop-servos` has it called, to take the supply from a power board."""
+        self.log.append("written")
+
     def monotonic_ns(self) -> int:
         return len(self.sleeps_ms) + 1
 
@@ -118,6 +125,10 @@ class Rounds:
 
     def device(self, path: str, speed_hz: int, *, exclusive: bool = True) -> "OfRounds":
         assert (path, speed_hz, exclusive) == ("/dev/spidev0.0", 2_500_000, False)
+        return OfRounds(self)
+
+    def uart(self, path: str, *, exclusive: bool = True) -> "OfRounds":
+        assert (path, exclusive) == ("/dev/ttyAMA1", False), "a gateway may hold it"
         return OfRounds(self)
 
     def notice(self, path: str) -> "Rounds":
@@ -132,30 +143,41 @@ class Rounds:
         return True
 
 
-class OfRounds(ByteDevice):
-    """That device, opened."""
+class OfRounds(ByteDevice, Uart):
+    """That device, opened; or its UART."""
 
     def __init__(self, rounds: Rounds) -> None:
         self._rounds = rounds
-        self._failing = {stop_leg(leg).to_bytes() for leg in rounds.failing}
+        self._failing = {*(stop_leg(leg).to_bytes() for leg in rounds.failing), *(SHUTDOWN for _ in rounds.failing)}
 
     def take(self, data: bytes) -> None:
         if len(self._rounds.sleeps_ms) < self._rounds.failing_rounds and data in self._failing:
             raise SpiError("told to fail")
         self._rounds.log.append("stop")
 
+    def write(self, data: bytes) -> None:
+        self.take(data)
+
+    def read(self) -> bytes:
+        return b""
+
     def close(self) -> None:
         self._rounds.log.append("closed")
 
 
+Stops = Callable[..., bool | None]
+
+
 @pytest.fixture
-def stops(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[[Rounds], bool | None]:
+def stops(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Stops:
     monkeypatch.setenv("RUNTIME_DIRECTORY", str(tmp_path))
 
-    def run(rounds: Rounds) -> bool | None:
-        for name, replaced in (("KernelDevice", rounds.device), ("Notice", rounds.notice), ("time", rounds)):
-            monkeypatch.setattr(stop_all, name, replaced)
-        return stop_servos(PlainSpi(Framing.PLAIN), PlainRepeats(repeats=2, repeat_interval_ms=30), PlainController())
+    def run(rounds: Rounds, spi: PlainSpi = PlainSpi()) -> bool | None:  # noqa: B008
+        replaced = {"KernelDevice": rounds.device, "SerialUart": rounds.uart, "Notice": rounds.notice, "time": rounds}
+        for name, instead in replaced.items():
+            monkeypatch.setattr(stop_all, name, instead)
+        repeats = PlainRepeats(repeats=2, repeat_interval_ms=30)
+        return stop_servos(spi, repeats, PlainController(), rounds.written)
 
     return run
 
@@ -180,7 +202,7 @@ def stops(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[[Rounds],
     ],
 )
 def test_it_repeats_its_stops_and_goes_on_while_a_leg_got_none(
-    failing: set[int], rounds: int, pauses_ms: list[float], first_ns: int, stops: Callable[[Rounds], bool | None]
+    failing: set[int], rounds: int, pauses_ms: list[float], first_ns: int, stops: Stops
 ) -> None:
     scene = Rounds(failing, rounds)
     assert stops(scene) is None, "no gateway runs"
@@ -191,9 +213,7 @@ def test_it_repeats_its_stops_and_goes_on_while_a_leg_got_none(
 
 
 @pytest.mark.parametrize("failing", [{3}, set(LEGS)])
-def test_it_ends_with_the_fault_where_a_leg_got_no_stop(
-    failing: set[int], stops: Callable[[Rounds], bool | None]
-) -> None:
+def test_it_ends_with_the_fault_where_a_leg_got_no_stop(failing: set[int], stops: Stops) -> None:
     scene = Rounds(failing, 1000)
     with pytest.raises(SpiError, match="told to fail"):
         stops(scene)
@@ -202,7 +222,23 @@ def test_it_ends_with_the_fault_where_a_leg_got_no_stop(
     assert stop_note.take() is None
 
 
-def test_the_notice_is_given_after_the_first_stops(stops: Callable[[Rounds], bool | None]) -> None:
+def test_the_supply_is_taken_and_the_notice_given_after_the_first_stops(stops: Stops) -> None:
     scene = Rounds(set(), 0, gateway_runs=True)
     assert stops(scene) is True, "the gateway has noticed"
-    assert [line for line in scene.log if line != "closed"] == [*[*["stop"] * 6, "given"] * 3, "ended"]
+    assert [line for line in scene.log if line != "closed"] == [*[*["stop"] * 6, "written", "given"] * 3, "ended"]
+
+
+def test_the_supply_is_taken_also_where_each_stop_fails(stops: Stops) -> None:
+    scene = Rounds(set(LEGS), 1000)
+    with pytest.raises(SpiError):
+        stops(scene)
+    assert scene.log.count("written") == 13
+
+
+@pytest.mark.parametrize("failing_rounds", [0, 2])
+def test_elkapod_2025_is_shut_down_over_a_uart_that_a_gateway_may_hold(failing_rounds: int, stops: Stops) -> None:
+    scene = Rounds(set(LEGS), failing_rounds)
+    assert stops(scene, PlainSpi(protocol=SpiProtocol.ELKAPOD_2025)) is None
+    assert scene.log.count("stop") == 2 * (3 - failing_rounds), "opening it is one, too"
+    assert scene.sleeps_ms == [30, 30]
+    assert scene.log[-2:] == ["closed", "ended"]

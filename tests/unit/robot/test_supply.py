@@ -1,6 +1,7 @@
 """The supply as the service makes it: its line is begun, and its news reach the owner of the state on the loop."""
 
 import asyncio
+import time
 from pathlib import Path
 
 from gateway.robot import wires
@@ -38,6 +39,9 @@ async def test_the_first_mask_switches_all_off_and_news_come_on_the_loop_with_th
     assert (report.interface, report.alive, report.supplied) == ("sim", True, ())
     masks = [line for line in adapter.received if line.startswith(b"t06A")]
     assert set(masks) == {b"t06A3000000"}
+    told: asyncio.Future[bool] = asyncio.get_running_loop().create_future()
+    supply.confirm(frozenset({11}), time.monotonic_ns(), lambda confirmed, _ms: told.set_result(confirmed))
+    assert await asyncio.wait_for(told, 10), "within confirm_ms"
     await asyncio.to_thread(supply.end)
     asked = len(adapter.received)
     await asyncio.sleep(0.1)

@@ -125,6 +125,7 @@ async def test_the_page_of_a_robot_that_measures_is_the_list_in_the_docs(monkeyp
     names = {name for name, _, _ in documented("that measures")}
     assert not names & samples(other).keys()
     assert {name for name, _, _ in described(page(robot)) - described(page(other))} == names, "also before any answer"
+    await asyncio.sleep(1)
     says(robot, monkeypatch, alive=False)
     robot.conductor.measured(MEASURED, robot.now_ns())
     await asyncio.sleep(0.5)

@@ -1,0 +1,157 @@
+"""What the conductor learns besides commands: of the power board, of the controller, of others on the device."""
+
+import asyncio
+from pathlib import Path
+
+import pytest
+
+from gateway.errors import SpiError
+from gateway.model.black_box import format as form
+from gateway.model.frames import stop_leg
+from gateway.robot.core.message import Verb
+from schemas import keys
+from schemas.robot import LEGS
+from schemas.telemetry import Kind, Mode, Reason
+from tests.support.elkapod import all_legs, elkapod
+from tests.support.measured import MEASURED
+from tests.support.power import FedRobot, running
+from tests.support.robot import leg, started, started_and_quiet
+from tests.unit.people.test_recorder import contents, recorded
+
+pytestmark = pytest.mark.virtual_time
+
+LEG_3 = keys.leg_command(3)
+START = leg("start", 90, 90, 90)
+UP_S = 1.0
+"""The board switches eighteen servos on in three quarters of a second."""
+
+
+# ---- the power board
+
+
+async def test_what_the_board_says_is_counted_once_and_is_in_the_state_at_once() -> None:
+    robot = FedRobot()
+    await asyncio.sleep(UP_S)
+    robot.reports.clear()
+    robot.put(keys.ESTOP)
+    await asyncio.sleep(0.15)
+    assert len(robot.events(Kind.POWER_CUT)) == robot.conductor.metrics.events[Kind.POWER_CUT] == 1
+    assert robot.states[-1].power is not None
+    assert robot.states[-1].power.supplied == ()
+
+
+async def test_a_landing_that_a_silent_board_begins_ends_in_time_though_nothing_else_happens() -> None:
+    robot = FedRobot(watchdog={"timeout_ms": 10_000, "landing_ms": 500, "landing": {"31": 45}})
+    await asyncio.sleep(UP_S)
+    robot.put(LEG_3, START)
+    robot.line.hears = False
+    await asyncio.sleep(0.15)
+    assert robot.events(Kind.LANDING)
+    await asyncio.sleep(0.5)
+    assert running(robot) == []
+
+
+async def test_what_comes_after_the_end_changes_nothing() -> None:
+    robot = FedRobot()
+    await asyncio.sleep(UP_S)
+    assert not robot.conductor.closed, "so that frames of elkapod-2025 go on"
+    robot.conductor.close()
+    assert robot.conductor.closed
+    robot.reports.clear()
+    robot.conductor.power_changed()
+    robot.conductor.bus_failed(SpiError("timed out"))
+    assert robot.reports == []
+    assert robot.mode == Mode.IDLE
+
+
+async def test_without_a_board_there_is_no_news_of_one() -> None:
+    robot = started()
+    robot.reports.clear()
+    robot.conductor.power_changed()
+    assert robot.reports == []
+
+
+# ---- the controller, and the device
+
+
+async def test_a_controller_is_found_silent_though_a_transfer_hangs(monkeypatch: pytest.MonkeyPatch) -> None:
+    robot = await elkapod()
+    monkeypatch.setattr(robot, "_go_on", lambda: None)
+    await asyncio.sleep(0.5)
+    robot.conductor.look_outside()
+    assert robot.events(Kind.CONTROLLER_SILENT)
+    assert [what for _, what in robot.said] == ["shutdown"]
+
+
+async def test_a_landing_that_a_tilt_begins_ends_in_time_though_no_measurement_follows(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    watchdog = {"timeout_ms": 10_000, "landing_ms": 500, "landing": {"31": 45}}
+    robot = await elkapod(safety={"max_tilt_deg": 30}, watchdog=watchdog)
+    robot.put(keys.LEGS_COMMAND, all_legs("start", 90))
+    await asyncio.sleep(0.1)
+    monkeypatch.setattr(robot, "_go_on", lambda: None)
+    await asyncio.sleep(0.021)
+    for _ in range(2):
+        robot.conductor.measured(MEASURED._replace(orientation_wxyz=(0.0, 1.0, 0.0, 0.0)), robot.now_ns())
+        await asyncio.sleep(0.201)
+    assert robot.events(Kind.LANDING)
+    await asyncio.sleep(0.35)
+    assert running(robot) == []
+
+
+async def test_that_settings_were_changed_is_in_the_published_state_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    robot = await started_and_quiet()
+    monkeypatch.setattr(robot.controller, "put_right", lambda: "mode 3")
+    robot.conductor.look_outside()
+    assert [state.mode for state in robot.states] == [Mode.BUS_FAULT]
+
+
+async def test_changed_settings_do_not_end_what_is_known_of_stop_servos(monkeypatch: pytest.MonkeyPatch) -> None:
+    robot = await started_and_quiet()
+    found = ["mode 3"]
+    monkeypatch.setattr(robot.controller, "stop_servos_at_work", lambda: True)
+    robot.conductor.look_outside()
+    monkeypatch.setattr(robot.controller, "put_right", lambda: found.pop() if found else None)
+    robot.conductor.look_outside()
+    assert not found
+    assert robot.conductor.supervisor.stopped_outside
+    await asyncio.sleep(0.1)
+    assert robot.ask(LEG_3, START).reason is Reason.SERVO_STOPPED, "one of its Stops may still come"
+
+
+async def test_stops_for_stop_servos_are_repeated_though_nothing_else_happens(monkeypatch: pytest.MonkeyPatch) -> None:
+    robot = await started_and_quiet(watchdog={"repeats": 2})
+    monkeypatch.setattr(robot.controller, "stop_servos_at_work", lambda: True)
+    robot.conductor.look_outside()
+    await asyncio.sleep(0.2)
+    assert [frame for _, frame in robot.frames] == [stop_leg(number) for number in LEGS] * 3
+
+
+# ---- what is known later
+
+
+async def test_lost_stops_that_cannot_be_written_are_reported_for_their_key() -> None:
+    robot = await started_and_quiet()
+    robot.put(LEG_3, START)
+    robot.controller.fail_where(lambda _: True)
+    robot.put(LEG_3, verb=Verb.LOST)
+    (event,) = robot.events(Kind.COMMAND_REJECTED)
+    assert (event.key, event.legs, event.reason) == (LEG_3, (3,), Reason.BUS_FAULT)
+
+
+async def test_the_black_box_tells_lost_stops_from_what_was_rejected_unread(folder: Path) -> None:
+    robot = recorded(folder)
+    robot.put(LEG_3, START)
+    robot.put(LEG_3, verb=Verb.LOST)
+    numbers = [record.number for record in contents(folder, form.FrameWritten) if record.cause == "command"]
+    assert len(numbers) == 2
+    assert all(numbers)
+
+
+@pytest.mark.parametrize("verb", [Verb.PUT, Verb.GET, Verb.DELETE])
+async def test_the_black_box_has_how_an_emergency_stop_came(folder: Path, verb: Verb) -> None:
+    robot = recorded(folder)
+    robot.put(keys.ESTOP, verb=verb)
+    (record,) = contents(folder, form.CommandRecord)
+    assert (record.key, record.verb) == (keys.ESTOP, verb)

@@ -1,0 +1,112 @@
+"""elkapod-2025 with a power board that feeds each servo: which may be fed, and when the UART speaks."""
+
+import pytest
+
+from gateway.model.elkapod import SHUTDOWN, START
+from gateway.model.frames import SETS, STARTS, Frame, OneServo
+from gateway.robot.protocol.elkapod import Commanded
+from tests.unit.robot.test_elkapod_wire import MS, STOPS, Parts, starts
+
+
+def start(servo_id: int, angle_cdeg: int = 80_00) -> Frame:
+    return OneServo(servo_id, STARTS[angle_cdeg])
+
+
+@pytest.fixture
+def commanded() -> Commanded:
+    return Commanded(fed_singly=True)
+
+
+def cycle(commanded: Commanded) -> bytes | None:
+    """A frame leaves; what the UART says behind it."""
+    commanded.frame()
+    return commanded.left()
+
+
+def test_a_servo_may_be_fed_once_its_angle_was_in_two_frames_and_the_uart_said_start(commanded: Commanded) -> None:
+    commanded.take([start(11)])
+    assert (cycle(commanded), commanded.ready) == (None, frozenset())
+    commanded.take([start(63)])
+    assert (cycle(commanded), commanded.ready) == (START, frozenset({11}))
+    assert (cycle(commanded), commanded.ready) == (START, frozenset({11, 63}))
+    assert cycle(commanded) is None, "each is said once"
+
+
+def test_a_set_is_no_start(commanded: Commanded) -> None:
+    commanded.take([OneServo(11, SETS[80_00])])
+    assert [cycle(commanded) for _ in range(3)] == [None] * 3
+    assert commanded.ready == frozenset()
+
+
+def test_a_stop_of_one_is_the_boards_alone_while_others_run_or_wait(commanded: Commanded) -> None:
+    commanded.take([start(11), start(12)])
+    assert commanded.stop([12]) is None, "11 waits"
+    assert [cycle(commanded) for _ in range(3)] == [None, START, None]
+    assert commanded.ready == {11}, "12 does not come after its Stop"
+    commanded.take([start(12)])
+    assert commanded.stop([12]) is None, "11 runs"
+    assert commanded.stop([11]) == SHUTDOWN, "the last one"
+    assert commanded.ready == frozenset()
+
+
+def test_a_stop_in_the_middle_of_a_transfer_stops_what_the_frame_would_start(commanded: Commanded) -> None:
+    commanded.take([start(11), start(12)])
+    cycle(commanded)
+    commanded.frame()
+    commanded.stop([11])
+    assert commanded.left() == START
+    assert commanded.ready == {12}
+
+
+def test_a_shutdown_leaves_none_that_may_be_fed(commanded: Commanded) -> None:
+    commanded.take([start(11)])
+    cycle(commanded)
+    cycle(commanded)
+    assert commanded.ready == {11}
+    assert commanded.shut_down() == SHUTDOWN
+    assert commanded.ready == frozenset()
+
+
+def test_a_start_with_another_angle_in_the_middle_of_a_transfer_counts_its_own_frames(commanded: Commanded) -> None:
+    commanded.take([start(11, 80_00)])
+    commanded.frame()
+    commanded.take([start(11, 70_00)])
+    said = [commanded.left(), cycle(commanded)]
+    assert (said, commanded.ready) == ([None, None], frozenset()), "70 degrees were in one frame"
+    assert (cycle(commanded), commanded.ready) == (START, frozenset({11}))
+
+
+def test_a_frame_counts_once(commanded: Commanded) -> None:
+    commanded.take([start(11)])
+    commanded.frame()
+    assert [commanded.left(), commanded.left()] == [None, None]
+    assert cycle(commanded) == START
+
+
+# ---- the bus
+
+
+def said_for_a_stop_of_leg_1(parts: Parts) -> list[bytes]:
+    """What the UART says for it while all eighteen servos run."""
+    parts.bus.open()
+    parts.now_ns = 100 * MS
+    assert parts.bus.write(starts()).fault is None
+    parts.cycle()
+    parts.cycle()
+    assert parts.said[-1] == START
+    parts.said.clear()
+    (sent,) = parts.bus.write(STOPS[:1]).sent
+    assert sent.heard
+    return parts.said
+
+
+def test_the_board_stops_one_leg_and_the_others_go_on() -> None:
+    parts = Parts(fed_singly=True)
+    assert said_for_a_stop_of_leg_1(parts) == []
+    assert len(parts.bus.ready_servos()) == 15
+
+
+def test_without_a_board_that_feeds_each_a_stop_of_one_leg_shuts_down_all() -> None:
+    parts = Parts()
+    assert said_for_a_stop_of_leg_1(parts) == [SHUTDOWN]
+    assert parts.bus.ready_servos() == frozenset()
