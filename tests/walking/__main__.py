@@ -7,7 +7,10 @@ from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from pathlib import Path
 from typing import Final
 
+from gateway.geometry import MAX_SPEED_DEG_S
+from gateway.model.servo import NO_LOAD_DEG_S
 from gateway.people.walking import Velocity
+from tests.walking.fast import LIMITS, reached
 from tests.walking.judge import judge, table
 from tests.walking.physics import VARIATIONS
 from tests.walking.picture import draw
@@ -39,6 +42,14 @@ def uneven(name: str) -> str:
     return row(name, [walk(course, adapts=False), walk(course, adapts=True), *faulty])
 
 
+def fast(gait: str) -> str:
+    """A gait, with servos of the usual limit and of their own speed."""
+    both = [(speed, reached(gait, speed)) for speed in (MAX_SPEED_DEG_S, NO_LOAD_DEG_S)]
+    return f"{gait:8}" + "".join(
+        f"  at {speed:.0f}°/s {100 * it.forward:3.0f} % {100 * it.turn:3.0f} %" for speed, it in both
+    )
+
+
 def main() -> int:
     print(f"Three gateways write the frames of {len(course('wave'))} parts of {SECONDS:g} s each …")
     with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor() as threads:
@@ -59,6 +70,9 @@ def main() -> int:
     print("\nuneven ground, way and tilt (mean/worst): blind, by sensors, one stuck on, one stuck off, all late")
     with ProcessPoolExecutor() as processes:
         print("\n".join(processes.map(uneven, COURSES)))
+    print("\nboth of the Elkapod's limits at once, in physics: forward and turn, of what was commanded")
+    with ProcessPoolExecutor() as processes:
+        print("\n".join(processes.map(fast, LIMITS)))
     faults = [fault for verdict in verdicts for fault in verdict.faults]
     for fault in faults:
         print(fault)

@@ -490,9 +490,9 @@ class Engine:
             )
         elif not target.moves:
             self._pace, self.limit = 1.0, self.limit if self._stuck else ""
+        elif self._pace < min(cap, SPEED_SPARE):
+            self.limit = f"the speed of servo {self._slowest} allows {100 * cap * self._pace:.0f} % of it"
         elif cap < 1.0:
             self.limit = f"the legs' strides reach {100 * cap:.0f} % of it"
-        elif self._pace < SPEED_SPARE:
-            self.limit = f"the speed of servo {self._slowest} allows {100 * self._pace:.0f} % of it"
         else:
             self.limit = ""
