@@ -2,6 +2,7 @@
 
 import gc
 import re
+import threading
 import time
 from itertools import pairwise
 from pathlib import Path
@@ -147,6 +148,9 @@ def test_nobody_waits_for_what_hangs(monkeypatch: pytest.MonkeyPatch) -> None:
     bus = BoardBus()
     bus.hangs.clear()
     confirmed, said = told(bus)
+    hanging = [thread for thread in threading.enumerate() if thread.name == "supply cut"]
+    assert hanging
+    assert all(thread.daemon for thread in hanging), "the process ends all the same"
     bus.hangs.set()
     assert not confirmed
     ((sentence, is_confirmed),) = said
