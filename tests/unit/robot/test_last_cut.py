@@ -192,4 +192,4 @@ def test_it_begins_behind_the_first_stops_or_at_the_end(monkeypatch: pytest.Monk
     cut.stops_written()
     assert bus.first_sent.wait(10)
     assert cut.end()
-    assert SupplyCut(SETTINGS, lambda *_: None, BoardBus().opened).end(), "whoever waits for its end wants it to begin"
+    assert SupplyCut(SETTINGS, lambda *_: None, BoardBus().opened).end(), "to wait for its end has it begin"

@@ -70,7 +70,7 @@ class Judged(SimulatedBoard):
 
 
 class Judge:
-    """What each servo was told, and when it lost its supply."""
+    """Each servo's last command, and when it lost its supply."""
 
     def __init__(self, robot: AnyRobot) -> None:
         self.robot = robot
