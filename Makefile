@@ -10,7 +10,7 @@ DEBIAN_PACKAGES := umockdev gir1.2-umockdev-1.0 python3-gi iproute2 tmux systemd
 # And what only `make test-all` needs: the other two browsers, and a display with a window manager for WebKit.
 test-all: DEBIAN_PACKAGES += webkit2gtk-driver xvfb matchbox-window-manager firefox-esr
 
-.PHONY: dist lock help run quick test test-all check case bench kernel walk soak mutants schemas docs format clean wheels debian-packages
+.PHONY: dist lock help run quick test test-all check bench kernel walk soak mutants schemas docs format clean wheels debian-packages
 
 help:
 	@echo "make run      the service with a simulated controller and a black box, and the console in the browser (makes $(VENV))"
@@ -20,11 +20,9 @@ help:
 	@echo "              (PYTEST_ARGS=\"tests/hil -k estop\": only these, one after the other)"
 	@echo "make test-all and what searches or repeats: twenty minutes on two cores; installs WebKit and Firefox, too"
 	@echo "make check    ruff, mypy, and the JSON Schemas compared with the models"
-	@echo "make case     the safety case (docs/safety.md): which claims the last make test has shown for these files"
-	@echo "              (RUN=yes: runs the tests that it needs first)"
 	@echo "make bench    the benchmark: this gateway beside the naive script (QUICK=1: in a minute)"
 	@echo "make kernel   a virtual machine (QEMU) with Debian's kernel: lists, Stops and failures on its real spidev; some minutes"
-	@echo "              (SCENES=\"atomic killed\": only these; safety/kernel.json then stays as it is)"
+	@echo "              (SCENES=\"atomic killed\": only these)"
 	@echo "make walk     a simulated robot (MuJoCo) walks by a gateway's frames: every gait, direction and assumption; a picture"
 	@echo "make falls    what a stop does to that robot: each gait, every way of stopping, 24 phases; a table and a picture"
 	@echo "make soak     an hour of mixed traffic at ten times the real rate: does anything drift?"
@@ -62,10 +60,6 @@ check: $(VENV)/dev
 	$(BIN)/mypy
 	$(BIN)/mypy examples
 	$(BIN)/python -m schemas --check
-
-# Judges what `make test` and `make bench` have left for these files; RUN=yes runs the tests that it needs first.
-case: $(VENV)/dev
-	@$(BIN)/python -m tests.case $(if $(RUN),--run)
 
 bench: $(VENV)/dev debian-packages
 	$(BIN)/python -m tests.benchmarks $(if $(QUICK),--quick)

@@ -1,13 +1,12 @@
 """`python -m tests`: what each commit has to show, in stages (tests/support/schedule.py), for `make test`.
 
 python -m tests            # make test
-python -m tests --all      # make test-all: searches and repetitions as well; leaves a record for the safety case
+python -m tests --all      # make test-all: searches and repetitions as well
 python -m tests --quick    # make quick: ruff, mypy and the unit tests, at once
 
 Exit code 1: a test failed. One that failed beside others is run once more, alone: on two processors three workers, a
-browser and a robot with physics may hold a program up for longer than any patience. It is named as flaky then, and a
-claim of the safety case that leans on it is not shown, but waits for a person to find out why. What runs alone has no
-second chance.
+browser and a robot with physics may hold a program up for longer than any patience. It is named as flaky then. What
+runs alone has no second chance.
 
 The model check's searches run behind the stages that leave processors idle, and only take these.
 """
@@ -27,7 +26,6 @@ from typing import Final
 
 import pytest
 
-from tests.case import extended, left
 from tests.support import descendants, schedule, seconds
 from tests.support.descendants import Run
 
@@ -52,7 +50,7 @@ def main() -> int:
         run.pass_on()
         green = _quick() if chosen.quick else _test(chosen.workers, everything=chosen.all)
     if not chosen.quick:
-        print(seconds.report(left.cases(), schedule.SECONDS if not chosen.all else {}))
+        print(seconds.report(seconds.cases(), schedule.SECONDS if not chosen.all else {}))
     used = resource.getrusage(resource.RUSAGE_CHILDREN)
     print(f"{time.monotonic() - begun_s:.0f} s, {used.ru_utime + used.ru_stime:.0f} s of processors")
     return 0 if green else 1
@@ -65,7 +63,7 @@ def _quick() -> bool:
 
 
 def _test(workers: int, *, everything: bool) -> bool:
-    left.begin()
+    seconds.begin()
     only = "" if everything else " and not extended"
     beside = [_stage("together", "--cache-clear", "-n", str(workers), "-m", TOGETHER + only)]
     search = _command("searches", "-n", "auto", "-p", "no:cacheprovider", "-m", "searches")
@@ -73,12 +71,11 @@ def _test(workers: int, *, everything: bool) -> bool:
         beside.append(_stage("attended", "-n", "2", "-m", f"attended{only}"))
         green = all(beside)
         flaky: list[str] = []
-        if not green and len(failed := _failed()) <= MOST_AGAIN and _stage(left.AGAIN, "--last-failed"):
+        if not green and len(failed := _failed()) <= MOST_AGAIN and _stage("again", "--last-failed"):
             green, flaky = True, failed
         green = _stage("alone", "-m", f"alone{only}") and green
     if searches:
         green = searches.returncode == pytest.ExitCode.OK and green
-        extended.leave(extended.commit())
     for test in flaky:
         print(f"FLAKY: {test} failed beside others and passed alone")
     return green
@@ -122,7 +119,7 @@ def _behind(command: list[str], *, idle: bool = False) -> Iterator[subprocess.Po
 
 
 def _command(name: str, *arguments: str) -> list[str]:
-    return [*_PYTEST, *arguments, f"--junitxml={left.LEFT / name}.xml"]
+    return [*_PYTEST, *arguments, f"--junitxml={seconds.LEFT / name}.xml"]
 
 
 def _failed() -> list[str]:

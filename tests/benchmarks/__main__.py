@@ -16,7 +16,7 @@ import tempfile
 import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
 
@@ -36,7 +36,6 @@ from tests.benchmarks.recorder import recorder
 from tests.benchmarks.steady import SCENARIOS, Scenario, run
 from tests.benchmarks.subjects import Subject
 from tests.benchmarks.table import Row, as_markdown, as_text, microseconds
-from tests.case.left import leave_bench
 from tests.hil.bed import missing_packages
 
 ROUNDS = 7
@@ -274,7 +273,6 @@ def main() -> int:
         if options.only in (None, name):
             with tempfile.TemporaryDirectory() as folder:
                 rows += part(Path(folder))
-    leave_bench(asdict(row) for row in rows)
     print(as_markdown(rows) if options.markdown else as_text(rows))
     print(
         f"\n{where}; the run took {time.monotonic() - begun_s:.0f} s;"

@@ -1,4 +1,4 @@
-"""`make kernel`: prepares, boots once for each set of kernel options, prints a table, and writes safety/kernel.json.
+"""`make kernel`: prepares, boots once for each set of kernel options, prints a table; writes build/kernel/report.json.
 
 python -m tests.kernel                # all scenes; exit code 1: one does not hold
 python -m tests.kernel atomic killed  # only these; the report stays as it is
@@ -13,11 +13,11 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
 
-from tests.case.kernel import REPORT
-from tests.case.left import mark
 from tests.kernel.inside.scenes import SCENES
 from tests.kernel.machine import boot
 from tests.kernel.parts import ROOT, Parts, PartsError, prepare
+
+REPORT: Final = ROOT / "build" / "kernel" / "report.json"
 
 
 def main() -> int:
@@ -68,13 +68,12 @@ def table(found: list[dict[str, Any]]) -> str:
 
 
 def _report(parts: Parts, found: list[dict[str, Any]]) -> dict[str, Any]:
-    """What is committed: when, with what, and each scene. `files` is the mark of the tree that was judged."""
+    """When, with what, and each scene."""
     commit = subprocess.run(["git", "rev-parse", "HEAD"], cwd=ROOT, capture_output=True, text=True, check=False)
     return {
         "date": datetime.now(UTC).date().isoformat(),
         "kernel": parts.release,
         "commit": commit.stdout.strip(),
-        "files": mark(),
         "scenes": [{name: row[name] for name in ("scene", "holds", "found")} for row in found],
     }
 

@@ -10,5 +10,6 @@ each, and a robot's program with a fault in it where somebody ends the run. Here
 tests loaded, and no file is written (judging.py, exchange.py).
 
 judges.py: which tests judge which file. accepted.toml: who may survive, and why. by_hand.py: what no operator can make.
-scores.json: what the last runs found.
+(A file and not comments in the code: a reason often covers mutants of several lines, and a name keeps to its function.)
+Scores are left in build/mutants, and are judged by one floor (__main__.py).
 """

@@ -1,27 +1,30 @@
 """`python -m tests.mutants [PART OF A FILE'S NAME …]`: does a test fail for each mutant?
 
-Prints what survives and a score for each file, and keeps the scores in scores.json. Ends with 1 where a mutant survives
-that is not accepted, or where an accepted one is none any more.
+Prints what survives and a score for each file, and leaves the scores in build/mutants/scores.json. Ends with 1 where a
+room of FLOORED is below FLOOR, or a file's tests fail without a mutant.
 """
 
 import argparse
 import json
-import subprocess
 import sys
 import time
 from collections import Counter
+from collections.abc import Iterator, Mapping
 from hashlib import sha256
 from pathlib import Path
 from typing import Any, Final
 
-from tests.case import program
 from tests.mutants.by_hand import made_by_hand
 from tests.mutants.generated import accepted, mutants_of
 from tests.mutants.judges import JUDGES
 from tests.mutants.judging import Outcome, Subject, TestsFailError, verdicts
 
 ROOT: Final = Path(__file__).parents[2]
-SCORES: Final = Path(__file__).with_name("scores.json")
+SCORES: Final = ROOT / "build" / "mutants" / "scores.json"
+FLOOR: Final = 0.97
+"""The share of a room's mutants that some test has to notice, without those that accepted.toml explains."""
+FLOORED: Final = ("gateway/model", "gateway/robot/core", "gateway/robot/spi", "gateway/robot/power")
+"""The rooms that keep the robot safe."""
 
 
 def main() -> int:
@@ -39,11 +42,22 @@ def main() -> int:
     scores = [judge(file, run_accepted=run_accepted, sample=sample, last=again[file]) for file in files]
     killed, wanted = (sum(score[of] for score in scores) for of in ("killed", "wanted"))
     print(f"\n{killed} of {wanted} killed ({killed / max(1, wanted):.1%}) in {len(files)} files")
-    return 0 if all(score["right"] for score in scores) else 1
+    low = list(below_floor(dict(zip(files, scores, strict=True))))
+    print("".join(f"below {FLOOR:.0%}: {room}: {share:.1%}\n" for room, share in low), end="")
+    return 0 if not low and all(score["right"] for score in scores) else 1
+
+
+def below_floor(scores: Mapping[str, Counter[str]]) -> Iterator[tuple[str, float]]:
+    """The rooms of FLOORED of which too little is noticed, with the share that is."""
+    for room in FLOORED:
+        of_room = [score for file, score in scores.items() if file.startswith(f"{room}/")]
+        killed, wanted = (sum(score[of] for score in of_room) for of in ("killed", "wanted"))
+        if killed < FLOOR * wanted:
+            yield room, killed / wanted
 
 
 def judge(file: str, *, run_accepted: bool, sample: int | None, last: dict[str, Any] | None) -> Counter[str]:
-    """Judge a file's mutants, print what became of them and keep the score. `right`: all is as it should be.
+    """Judge a file's mutants, print what became of them and keep the score. `right`: its tests pass without one.
 
     `last`: only those that survived then are judged, the others count as they did.
     """
@@ -87,43 +101,32 @@ def judge(file: str, *, run_accepted: bool, sample: int | None, last: dict[str, 
     took_s = time.monotonic() - begun_s
     print(f"{file}: {killed} of {score['wanted']} ({share:.1%}), {score['accepted']} accepted, {took_s:.0f} s")
     print("".join(f"  {line}\n" for line in wrong), end="", flush=True)
-    score["right"] = not wrong
+    score["right"] = True
     return score
 
 
 def last_score(file: str) -> dict[str, Any] | None:
     """What was kept of a file; None: nothing, or of another text of it, so all has to be judged."""
-    last: dict[str, Any] = json.loads(SCORES.read_text(encoding="utf-8")).get(file, {})
-    return last if last.get("digest") == program.digest(ROOT / file) and "survived" in last else None
+    last: dict[str, Any] = kept().get(file, {})
+    return last if last.get("digest") == digest(file) else None
 
 
 def keep(file: str, score: Counter[str], survived: list[str]) -> None:
-    """Write a file's score down: how many are killed (some by time: tests never ended) of how many that ought to be.
-
-    `score` is that in per cent; `digest` and `commit` say of which text. The safety case reads these (tests/case).
-    `survived` has those that no test notices and nobody has accepted.
-    """
-    scores = json.loads(SCORES.read_text(encoding="utf-8"))
+    """Leave a file's score for those who read it afterwards, and for `--survivors`."""
     share = round(100 * score["killed"] / max(1, score["wanted"]), 1)
-    scores[file] = {
-        **score,
-        "score": share,
-        "survived": sorted(survived),
-        "digest": program.digest(ROOT / file),
-        "commit": commit(),
-    }
-    SCORES.write_text(json.dumps(scores, indent=2, sort_keys=True) + "\n", encoding="utf-8")
+    entry = {**score, "score": share, "survived": sorted(survived), "digest": digest(file)}
+    SCORES.parent.mkdir(parents=True, exist_ok=True)
+    SCORES.write_text(json.dumps(kept() | {file: entry}, indent=2, sort_keys=True) + "\n", encoding="utf-8")
 
 
-def commit() -> str:
-    """The commit that is judged; with a `+` where files differ from it."""
-    return subprocess.run(
-        ["git", "describe", "--always", "--dirty=+", "--exclude=*"],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        check=True,
-    ).stdout.strip()
+def kept() -> dict[str, Any]:
+    """What earlier runs have left, by file."""
+    return dict(json.loads(SCORES.read_text(encoding="utf-8"))) if SCORES.exists() else {}
+
+
+def digest(file: str) -> str:
+    """By which an unchanged file is known."""
+    return sha256((ROOT / file).read_bytes()).hexdigest()[:16]
 
 
 if __name__ == "__main__":

@@ -3,11 +3,11 @@
 A sample of them is judged here, so that nothing of it rots between two runs of `make mutants`.
 """
 
-import json
 import re
 import subprocess
 import sys
 import tomllib
+from collections import Counter
 from itertools import count
 from pathlib import Path
 from typing import Final
@@ -16,7 +16,7 @@ import pytest
 from cosmic_ray.mutating import mutate_code
 from cosmic_ray.operators.provider import OperatorProvider
 
-from tests.mutants.__main__ import ROOT, SCORES
+from tests.mutants.__main__ import ROOT, below_floor
 from tests.mutants.by_hand import MADE, made_by_hand
 from tests.mutants.generated import ACCEPTED, MODULE_LEVEL, mutants_of, mutations
 from tests.mutants.judges import JUDGES
@@ -54,8 +54,14 @@ def test_every_accepted_one_has_a_reason() -> None:
             assert group["mutants"]
 
 
-def test_the_scores_that_are_kept_are_of_files_that_are_judged() -> None:
-    assert json.loads(SCORES.read_text(encoding="utf-8")).keys() <= JUDGES.keys()
+def test_a_room_below_the_floor_is_named() -> None:
+    full, low = Counter(killed=97, wanted=100), Counter(killed=96, wanted=100)
+    scores = {
+        "gateway/robot/core/legs.py": full,
+        "gateway/model/frames.py": low,
+        "gateway/allowance.py": Counter(wanted=9),
+    }
+    assert dict(below_floor(scores)) == {"gateway/model": 0.96}
 
 
 SMALL = '''

@@ -1,12 +1,47 @@
 """What a run's seconds went into: its ten slowest tests, each folder's seconds, and what was skipped."""
 
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Final
+from xml.etree import ElementTree
 
-from tests.case.left import Outcome
-
+LEFT: Final = Path(__file__).parents[2] / "build" / "tests"
+"""Where each stage leaves its JUnit record."""
 SLOWEST: Final = 10
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of one test, with one set of parameters."""
+
+    name: str
+    result: str
+    """`passed`, `failed` or `skipped`."""
+    seconds: float = 0.0
+    why: str = ""
+    """Why it was skipped."""
+
+
+def begin(left: Path = LEFT) -> None:
+    """Forget what was left before."""
+    left.mkdir(parents=True, exist_ok=True)
+    for record in left.glob("*.xml"):
+        record.unlink()
+
+
+def cases(left: Path = LEFT) -> Iterator[tuple[str, Outcome]]:
+    """What became of each test (`tests/unit/test_x.py::test_y`) in the last run."""
+    for record in sorted(left.glob("*.xml")):
+        for case in ElementTree.parse(record).iter("testcase"):
+            name = case.get("name", "")
+            test = f"{case.get('classname', '').replace('.', '/')}.py::{name.partition('[')[0]}"
+            skipped = case.find("skipped")
+            why = "" if skipped is None else skipped.get("message", "")
+            failed = case.find("failure") is not None or case.find("error") is not None
+            result = "failed" if failed else "passed" if skipped is None else "skipped"
+            yield test, Outcome(name, result, float(case.get("time", 0)), why)
 
 
 def report(cases: Iterable[tuple[str, Outcome]], most: Mapping[str, int]) -> str:

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.case.left import Outcome
 from tests.support import schedule, seconds
+from tests.support.seconds import Outcome
 
 TESTS = Path(__file__).parents[1]
 

@@ -54,7 +54,7 @@ class DrillStep(NamedTuple):
     does: str
     run: Callable[[Bench], Figures]
     shows: str
-    """The claim of the safety case (safety/case.toml) that it shows on this robot."""
+    """The claim of the safety case (docs/safety.md) that it shows on this robot."""
     drives: bool = True
     """Under the lease, so that nobody else moves the robot meanwhile."""
 

@@ -1,0 +1,71 @@
+"""What docs/safety.md names exists: tests, scenes of `make kernel`, settings. (Links: test_docs.py.)"""
+
+import ast
+import re
+from pathlib import Path
+from typing import Final
+
+import pytest
+
+from gateway.robot.settings import Settings
+from tests.kernel.inside.scenes import SCENES
+
+ROOT: Final = Path(__file__).parents[2]
+PAGE: Final = (ROOT / "docs" / "safety.md").read_text(encoding="utf-8")
+
+
+def always_skipped(text: str, function: str) -> bool | None:
+    """Of a test in a file with this text; None: there is no such test."""
+    marked = None
+    for node in ast.parse(text).body:
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef) and node.name == function:
+            marked = [*node.decorator_list]
+    if marked is None:
+        return None
+    return any(re.search(r"mark\.(skip|xfail)\b", ast.unparse(mark)) for mark in marked) or bool(
+        re.search(r"^pytestmark\b.*\b(skip|xfail)\b|^pytest\.skip\(", text, re.MULTILINE)
+    )
+
+
+def test_each_test_that_it_names_exists_and_is_not_skipped() -> None:
+    def text(file: str) -> str:
+        path = ROOT / "tests" / file
+        return path.read_text(encoding="utf-8") if path.exists() else ""
+
+    named = sorted({tuple(name.split("::")) for name in re.findall(r"`([\w/]+\.py::\w+)`", PAGE)})
+    assert named
+    assert [f"{file}::{test}" for file, test in named if always_skipped(text(file), test) is not False] == []
+
+
+def test_each_claim_names_what_shows_it() -> None:
+    rows = [row for row in PAGE.partition("\n## The case\n")[2].partition("\n## ")[0].splitlines() if row[:2] == "| "]
+    assert len(rows) > len(("hazard", "and one claim"))
+    assert [row for row in rows[1:] if len(cells := row.split(" | ")) != len("hctd") or "::" not in cells[2]] == []
+
+
+def test_each_setting_that_it_names_exists() -> None:
+    sections = {name: getattr(Settings(), name) for name in Settings.model_fields}
+    named = [each for each in re.findall(r"`([a-z_]+)\.([a-z_]+)\b(?!\()", PAGE) if each[0] in sections]
+    assert named
+    assert [f"{section}.{name}" for section, name in named if name not in type(sections[section]).model_fields] == []
+
+
+def test_each_kernel_scene_that_it_names_exists() -> None:
+    named = [scene for row in re.findall(r"`make kernel`: ([^|<]+)", PAGE) for scene in re.findall(r"`([\w-]+)`", row)]
+    assert named
+    assert [scene for scene in named if scene not in SCENES] == []
+
+
+@pytest.mark.parametrize(
+    ("text", "skipped"),
+    [
+        ("def test_a(): ...", False),
+        ("def test_b(): ...", None),
+        ("@pytest.mark.skip(reason='later')\ndef test_a(): ...", True),
+        ("@pytest.mark.xfail\nasync def test_a(): ...", True),
+        ("pytestmark = pytest.mark.skip\ndef test_a(): ...", True),
+        ("@pytest.mark.skipif(not HERE, reason='no root')\ndef test_a(): ...", False),
+    ],
+)
+def test_one_that_is_gone_or_skipped_is_noticed(text: str, skipped: bool | None) -> None:
+    assert always_skipped(text, "test_a") is skipped
