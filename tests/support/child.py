@@ -10,6 +10,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO
 
+from tests.support import zygote
 from tests.support.closing import Closing
 from tests.support.descendants import MARK
 
@@ -22,21 +23,23 @@ class Child(Closing):
     ) -> None:
         """`descriptors` stay open in it, under the same numbers."""
         self.command = list(command)
-        self._popen = subprocess.Popen(
-            self.command,
-            env={
-                MARK: os.environ.get(MARK, ""),
-                **env,
-            },  # so that it ends with the run, whatever becomes of this process
-            cwd=cwd,
-            pass_fds=descriptors,
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-            errors="replace",
-            bufsize=1,
-        )
+        env = {MARK: os.environ.get(MARK, ""), **env}  # so that it ends with the run, whatever becomes of this process
+        self._popen: zygote.Forked | subprocess.Popen[str]
+        if zygote.fits(self.command, env):
+            self._popen = zygote.Forked(self.command, env, cwd, descriptors)
+        else:
+            self._popen = subprocess.Popen(
+                self.command,
+                env=env,
+                cwd=cwd,
+                pass_fds=descriptors,
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE,
+                text=True,
+                errors="replace",
+                bufsize=1,
+            )
         self._heard = threading.Condition()
         self._stdout: list[str] = []
         self._stderr: list[str] = []

@@ -202,12 +202,13 @@ def leave(exit_code: int) -> NoReturn:
 
 
 def start_anew() -> NoReturn:
-    """Execute this program again, with the same arguments, in the same process; this ends all of its threads.
+    """Execute the gateway again, with the same arguments, in the same process; this ends all of its threads.
 
     systemd sees no end of the service, so the restart takes only as long as Python's start. On a new thread, since the
     program inherits its thread's scheduling class, and ours may not give up its own (SCHED_RESET_ON_FORK).
     """
     logs.close(LAST_WORDS_S)
-    threading.Thread(target=os.execv, args=(sys.executable, sys.orig_argv), daemon=True).start()
+    command = (sys.executable, "-m", "gateway", *sys.argv[1:])
+    threading.Thread(target=os.execv, args=(sys.executable, command), daemon=True).start()
     threading.Event().wait(EXEC_S)
     os._exit(GatewayError.exit_code)
