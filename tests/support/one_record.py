@@ -11,7 +11,7 @@ from gateway.robot.core.events import Command, Transmit
 from gateway.robot.protocol import Sent
 from gateway.robot.settings import Settings
 from schemas.keys import leg_command
-from schemas.telemetry import Cause
+from schemas.telemetry import Cause, Reason
 
 
 def writers(folder: Path) -> dict[str, Callable[[], None]]:
@@ -26,8 +26,8 @@ def writers(folder: Path) -> dict[str, Callable[[], None]]:
     transmit = Transmit(OneLeg(3, (target, target, target)), Cause.COMMAND, None, (heard,), (heard,))
 
     return {
-        "setpoint with its frame": lambda: recorder.step(heard, [(transmit, sent)], [(heard, ACCEPTED)]),
+        "setpoint with its frame": lambda: recorder.step(heard, [(transmit, sent)], [(heard, ACCEPTED, "")]),
         "command": lambda: recorder.step(heard, (), ()),
-        "decision": lambda: recorder.step(None, (), [(heard, "estopped")]),
+        "decision": lambda: recorder.step(None, (), [(heard, Reason.ESTOPPED, "")]),
         "frame": lambda: recorder.step(None, [(transmit, sent)], ()),
     }

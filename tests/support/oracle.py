@@ -43,6 +43,7 @@ from tests.support.history import (
     told,
 )
 from tests.support.motion import LandingHistory, stepped
+from tests.support.outcome_judge import judge_results
 from tests.support.robot_history import RobotHistory
 
 
@@ -66,6 +67,7 @@ class Oracle(RobotHistory):
         """
         self.instant_ns = now_ns if instant_ns is None else instant_ns
         kept = self.calibration.kept(event, effects, self.alive) if isinstance(event, CalibrationSaved) else None
+        judge_results(effects)
         effects = self.calibration.read(effects)
         self._lost = frozenset()
         stops = [isinstance(effect, Transmit) and effect.frame.is_stop for effect in effects]

@@ -111,6 +111,20 @@ def test_its_death_is_its_end(device: Path) -> None:
     assert not gateway.look()
 
 
+def test_what_a_vanished_device_does_not_say_is_not_known(device: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    fd = opened(device)
+    gateway = Listener(fd)
+    os.close(fd)
+    assert gateway.look() is None
+    monkeypatch.setattr(outside, "PATIENCE_S", 0.01)
+    notice = Notice(str(device))
+    notice.give()
+    assert notice._fd is not None
+    os.close(notice._fd)
+    notice._fd = os.open(device, os.O_PATH)  # takes no locks
+    assert not notice.end(), "nobody is known to have seen it"
+
+
 # ---- what the gateway says
 
 

@@ -22,6 +22,7 @@ from gateway.model.elkapod import Measured
 from gateway.robot.blackbox import paths
 from gateway.robot.blackbox.ring import RecordRing
 from gateway.robot.core.events import Announce, Request, Transmit
+from gateway.robot.core.outcome import Result
 from gateway.robot.protocol import Sent
 from gateway.robot.settings import Settings
 from schemas.telemetry import Kind, Mode
@@ -42,8 +43,6 @@ logger = logging.getLogger(__name__)
 
 Written = tuple[Transmit, Sent]
 """A written frame: the effect behind it, and the bus's data."""
-Decided = tuple[Request, str]
-"""A request and its outcome; number 0: it was rejected before the supervisor."""
 
 
 class Recorder:
@@ -111,14 +110,17 @@ class Recorder:
             self._ring.close()
             self._ring = None
 
-    def step(self, received: Request | None, written: Sequence[Written], decided: Sequence[Decided]) -> None:
-        """Record a step: the command that it took, if any, its frames, and the outcomes of commands."""
+    def step(self, received: Request | None, written: Sequence[Written], decided: Sequence[Result]) -> None:
+        """Record a step: the command that it took, if any, its frames, and the outcomes of commands.
+
+        A request with the number 0 was rejected before the supervisor.
+        """
         if not self._on:
             return
         accepted = 0  # with the only frame of this step: it then needs no Decision
         if len(written) == 1:
             commands = written[0][0].commands
-            for request, verdict in decided:
+            for request, verdict, _ in decided:
                 if verdict == ACCEPTED and commands == (request,):
                     accepted = request.number
         if (one := received) is not None:
@@ -129,7 +131,7 @@ class Recorder:
         for transmit, sent in written:
             late_ns = 0 if transmit.deadline_ns is None else sent.ns - transmit.deadline_ns
             self._append(form.FRAME, sent.ns, form.frame(sent.data, transmit.cause, sent.call_ns, late_ns, accepted))
-        for request, verdict in decided:
+        for request, verdict, _ in decided:
             number = request.number
             if not number or number != accepted:
                 self._append(form.DECISION, self._clock(), form.decision(number, verdict, request.key, request.source))

@@ -73,8 +73,8 @@ class Wire(Protocol):
         self.close()
 
     @abstractmethod
-    def stop_servos_at_work(self) -> bool:
-        """Whether `stop-servos` stops the servos through the same device now."""
+    def stop_servos_at_work(self) -> bool | None:
+        """Whether `stop-servos` stops the servos through the same device now; None: not known (closed)."""
 
     @abstractmethod
     def put_right(self) -> str | None:

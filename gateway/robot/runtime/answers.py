@@ -2,12 +2,12 @@
 
 from collections.abc import Callable, Collection, Iterable, Sequence
 
-from gateway.errors import SpiError
-from gateway.model.black_box.format import ACCEPTED, COALESCED
+from gateway.model.black_box.format import COALESCED
 from gateway.model.frames import leg_of
-from gateway.robot.blackbox.recorder import Decided, Recorder
-from gateway.robot.core.events import Announce, Command, Completed, Effect, Rejected, Request, Transmit
+from gateway.robot.blackbox.recorder import Recorder
+from gateway.robot.core.events import Announce, Request
 from gateway.robot.core.intake import echo_of
+from gateway.robot.core.outcome import Result
 from gateway.robot.runtime.event_publisher import EventPublisher
 from gateway.robot.runtime.metrics import Metrics
 from schemas.telemetry import Ack, Kind, Reason
@@ -34,26 +34,13 @@ class PendingCommands:
         self._number += 1
         return self._number
 
-    def decided(self, effects: Sequence[Effect], fault: SpiError | None) -> Sequence[Decided]:
-        """The outcomes of this step's requests for the black box; `fault`: the bus failed in it."""
-        found: list[Decided] = []
-        for effect in effects:
-            match effect:
-                case Transmit() | Completed():
-                    for request in effect.done:
-                        accepted = COALESCED if _is_coalesced(request) else ACCEPTED
-                        found += [(request, accepted if fault is None else Reason.BUS_FAULT)]
-                case Rejected():
-                    found += [(effect.request, effect.reason)]
-        return found
-
-    def complete(self, effect: Transmit | Completed, fault: SpiError | None) -> None:
-        """Answer the requests that this effect completes; `fault`: the step's frames failed, so all are rejected."""
-        for request in effect.done:
-            if fault is not None:
-                self.end(request, Reason.BUS_FAULT, f"the frame could not be written: {fault}")
+    def take(self, results: Sequence[Result]) -> None:
+        """Count and answer what a step has ended."""
+        for request, verdict, detail in results:
+            if type(verdict) is Reason:
+                self.end(request, verdict, detail)
                 continue
-            coalesced = _is_coalesced(request)
+            coalesced = verdict == COALESCED
             self._metrics.accepted += 1
             self._metrics.coalesced += coalesced
             if request.reply is not None:
@@ -83,7 +70,7 @@ class PendingCommands:
 
     def reject(self, request: Request, reason: Reason, detail: str, received: Request | None = None) -> None:
         """Reject a message before the supervisor decides; `received`: the command, if it was read."""
-        self._recorder.step(received, (), ((request, reason),))
+        self._recorder.step(received, (), ((request, reason, detail),))
         self.end(request, reason, detail)
 
     def end(self, request: Request, reason: Reason, detail: str) -> None:
@@ -98,10 +85,6 @@ class PendingCommands:
             request.reply(ack.model_dump_json().encode())
         legs_named = legs_of(request.servo_ids)
         self._events.announce(Announce(Kind.COMMAND_REJECTED, detail, request.source, request.key, legs_named, reason))
-
-
-def _is_coalesced(request: Request) -> bool:
-    return type(request) is Command and request.coalesced
 
 
 def legs_of(servo_ids: Iterable[int]) -> tuple[int, ...]:

@@ -138,6 +138,7 @@ class Conductor:
         fault = self._carry_out(self.supervisor.step(BusOpened(), self._clock()), None).fault
         if fault is not None:
             raise fault
+        self._look_for_stop_servos()
         self._arm()
 
     def connect(self, messages: Messages) -> None:
@@ -238,8 +239,12 @@ class Conductor:
             self._publish_mode()
             self._arm()
             return  # whether `stop-servos` is at work, the device says when it is open again
+        self._look_for_stop_servos()
+
+    def _look_for_stop_servos(self) -> None:
+        """Believe what the device says of it. Not known (the device is closed, say) ends no belief."""
         at_work = self.bus.stop_servos_at_work()
-        if at_work is not self.supervisor.stopped_outside:
+        if at_work is not None and at_work is not self.supervisor.stopped_outside:
             self._step(StoppedOutside(at_work))
             self._arm()
 
@@ -306,7 +311,7 @@ class Conductor:
         except Exception:
             self.recorder.step(command, (), ())  # what broke the gateway
             raise
-        if self._losses.key and command not in outcome.rejected:
+        if self._losses.key and not outcome.rejects(command):
             self._losses.accepted(command.targets)
 
     def _stop_what_lost_stops_named(self, instant_ns: int) -> None:
@@ -388,6 +393,7 @@ class Conductor:
             logger.debug("the SPI device does not answer yet: %s", error)
             self._reopen_timer.set_in(REOPEN_S)
             return
+        self._look_for_stop_servos()  # before commands are taken: its next Stop would undo a start unseen
         self._step(BusOpened())
         if self.supervisor.mode is not Mode.BUS_FAULT:
             self._in_fault = False

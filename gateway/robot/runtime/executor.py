@@ -16,32 +16,42 @@ from gateway.robot.core.events import (
     SaveCalibration,
     Transmit,
 )
+from gateway.robot.core.outcome import Result, results
 from gateway.robot.protocol import Wire
 from gateway.robot.runtime.answers import PendingCommands
 from gateway.robot.runtime.event_publisher import EventPublisher
 from gateway.robot.runtime.metrics import Metrics
-from schemas.telemetry import Cause, Kind
+from schemas.telemetry import Cause, Kind, Reason
 
 _REPEAT: Final = Cause.REPEAT  # see `frames.OP_STOP`
 
 
 @dataclass(slots=True)
 class Outcome:
-    """A step's result: its frames, the requests that it rejected, and what its caller has to do."""
+    """A step's result: its frames, what became of its requests, and what its caller has to do."""
 
     written: list[Written] = field(default_factory=list)
     fault: SpiError | None = None
-    """Why not all frames were written; commands that were completed are rejected for it."""
+    """Why not all frames were written. It rejects the commands of those that were not."""
     unbatched: str | None = None
     """Why each transfer is a call of its own from now on, if that is new."""
     meddled: str | None = None
     """What another program had set on the device, until just before these frames were written."""
-    rejected: list[Request] = field(default_factory=list)
-    """What the supervisor rejected."""
+    results: list[Result] = field(default_factory=list)
+    """The requests that the step has ended: what the black box, the answers and the metrics read."""
     answer: RequestAnswer | None = None
     """For the caller to send."""
     keep: SaveCalibration | None = None
     """For the caller to write to the disk."""
+
+    def failed(self, effects: Sequence[Effect]) -> Sequence[Transmit]:
+        """The frames that the controller is not known to have been sent."""
+        received = {id(transmit) for transmit, sent in self.written if sent.heard}
+        return [each for each in effects if type(each) is Transmit and id(each) not in received]
+
+    def rejects(self, request: Request) -> bool:
+        """Whether the step has rejected this request; False also while it is pending."""
+        return any(each is request and type(verdict) is Reason for each, verdict, _ in self.results)
 
     def stop_frames(self, cause: Cause) -> int:
         """How many frames with this cause a controller is known to have been sent."""
@@ -75,20 +85,19 @@ class Executor:
         """
         outcome = Outcome()
         self._write(effects, outcome)
-        self._recorder.step(heard, outcome.written, self._answers.decided(effects, outcome.fault))
+        failed = () if outcome.fault is None else outcome.failed(effects)
+        outcome.results = results(effects, failed, f"the frame could not be written: {outcome.fault}" if failed else "")
+        self._recorder.step(heard, outcome.written, outcome.results)
+        if outcome.results:
+            self._answers.take(outcome.results)
         if outcome.unbatched is not None:
             self._events.announce(Announce(Kind.BUS_UNBATCHED, outcome.unbatched))
         if outcome.meddled is not None:
             self._events.announce(Announce(Kind.BUS_MEDDLED, outcome.meddled))
         for effect in effects:
             match effect:
-                case Transmit() if not effect.done:
-                    pass  # written above
-                case Transmit() | Completed():
-                    self._answers.complete(effect, outcome.fault)
-                case Rejected():
-                    outcome.rejected.append(effect.request)
-                    self._answers.end(effect.request, effect.reason, effect.detail)
+                case Transmit() | Completed() | Rejected():
+                    pass  # written, and answered
                 case Announce(kind=Kind.BUS_RECOVERED | Kind.CONTROLLER_RETURNED) if outcome.fault is not None:
                     pass  # it opened, but did not take six Stops: the fault goes on, and has been published
                 case Announce():

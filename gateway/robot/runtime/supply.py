@@ -13,7 +13,8 @@ from dataclasses import dataclass, field
 from typing import Final, Protocol
 
 from gateway.allowance import NS_PER_MS
-from gateway.robot.core.events import Announce, Completed, Effect, PowerSeen, Request, Reset
+from gateway.model.black_box.format import ACCEPTED
+from gateway.robot.core.events import Announce, Effect, PowerSeen, Request, Reset
 from gateway.robot.core.message import Received, Verb
 from gateway.robot.core.power import CutOn, cut_by
 from gateway.robot.core.supervisor import Supervisor
@@ -269,9 +270,9 @@ class Feeding:
         """As an executor's. Where the frames could not be written, nothing more is fed: the bus's fault follows."""
         announcements = self._supply.before(self._supervisor)
         outcome = self._carry_out(effects, heard)
+        if any(type(request) is Reset and verdict == ACCEPTED for request, verdict, _ in outcome.results):
+            self._supply.reset()
         if outcome.fault is None:
-            if any(type(each) is Completed and type(each.request) is Reset for each in effects):
-                self._supply.reset()
             self._supply.behind(self._supervisor)
         for each in announcements:
             self._announce(each)

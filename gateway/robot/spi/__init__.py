@@ -13,8 +13,11 @@ Batch = Sequence[Transfer]
 class OpenDevice(Protocol):
     """An opened SPI device. No other program reaches it, unless a device says so."""
 
-    def stop_servos_at_work(self) -> bool:
-        """Whether `stop-servos` stops the servos through the same device now. Takes microseconds, never raises."""
+    def stop_servos_at_work(self) -> bool | None:
+        """Whether `stop-servos` stops the servos through the same device now; None: not known.
+
+        Takes microseconds, never raises.
+        """
         return False
 
     def put_right(self) -> str | None:

@@ -196,9 +196,8 @@ class Bus(Wire):
         while self.announces and report.fault is None and not self.just_resynchronised:
             self._call(report, min(ZEROS_AT_ONCE, self._most, PREAMBLE_ZEROS - self._zeros))
 
-    def stop_servos_at_work(self) -> bool:
-        """Whether `stop-servos` stops the servos through the same device now."""
-        return self._device is not None and self._device.stop_servos_at_work()
+    def stop_servos_at_work(self) -> bool | None:
+        return None if self._device is None else self._device.stop_servos_at_work()
 
     def put_right(self) -> str | None:
         """Set again what another program has changed on the device, and return what was found; None: nothing."""

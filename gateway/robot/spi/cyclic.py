@@ -151,8 +151,8 @@ class CyclicBus(Wire):
         self._shut_down_at_once()
         return self._silent
 
-    def stop_servos_at_work(self) -> bool:
-        return self._device is not None and self._device.stop_servos_at_work()
+    def stop_servos_at_work(self) -> bool | None:
+        return None if self._device is None else self._device.stop_servos_at_work()
 
     def put_right(self) -> str | None:
         """Not during a transfer: the kernel lets whoever asks for a setting wait for its end, and a Stop with it."""

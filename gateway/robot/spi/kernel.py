@@ -155,9 +155,9 @@ class KernelDevice(SpiDevice, DuplexDevice):
         """The device's file."""
         return int(self._spi.fileno())
 
-    def stop_servos_at_work(self) -> bool:
-        """Whether `stop-servos` stops the servos through the same device now; False if not opened as `exclusive`."""
-        return self._listener is not None and self._listener.look()
+    def stop_servos_at_work(self) -> bool | None:
+        """Whether `stop-servos` stops the servos through the same device now; None also if not `exclusive`."""
+        return None if self._listener is None else self._listener.look()
 
     def put_right(self) -> str | None:
         """Set the mode again if another program has changed it; what was found then. Takes microseconds; never raises.

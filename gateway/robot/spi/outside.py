@@ -27,8 +27,8 @@ class Listener:
         self._fd = fd
         self._waits = _lock(fd, fcntl.F_WRLCK, _UNSEEN)
 
-    def look(self) -> bool:
-        """Whether `stop-servos` is at work; takes some microseconds. Never raises."""
+    def look(self) -> bool | None:
+        """Whether `stop-servos` is at work; None: the device does not say. Takes some microseconds, never raises."""
         # UNSEEN before AT_WORK: when `stop-servos` finds UNSEEN free after its last Stop, a look has seen it at work.
         self._waits = self._waits or _lock(self._fd, fcntl.F_WRLCK, _UNSEEN)
         at_work = _held(self._fd, _AT_WORK)
@@ -52,7 +52,7 @@ class Notice:
             with suppress(OSError):
                 self._fd = os.open(self._path, os.O_RDWR | os.O_CLOEXEC)
                 _lock(self._fd, fcntl.F_RDLCK, _AT_WORK)  # shared: two may be at work
-                self.gateway_runs = _held(self._fd, _UNSEEN)
+                self.gateway_runs = _held(self._fd, _UNSEEN) is not False  # not known: wait for one
 
     def end(self) -> bool:
         """Wait until a gateway has seen it, then unlock AT_WORK. False: not seen in time. Call it after all Stops."""
@@ -88,10 +88,10 @@ def _lock(fd: int, kind: int, place: int) -> bool:
     return True
 
 
-def _held(fd: int, place: int) -> bool:
-    """Whether another program holds a lock there."""
+def _held(fd: int, place: int) -> bool | None:
+    """Whether another program holds a lock there; None: not known."""
     try:
         answer = fcntl.fcntl(fd, fcntl.F_OFD_GETLK, _FLOCK.pack(fcntl.F_WRLCK, os.SEEK_SET, place, 1, 0))
     except OSError:  # the device is going away
-        return False
+        return None
     return bool(_FLOCK.unpack(answer)[0] != fcntl.F_UNLCK)

@@ -314,7 +314,7 @@ def test_stop_servos_is_seen_by_the_device_that_is_open() -> None:
     devices = Devices()
     bus = Bus(SpiSettings(framing=PREFIXED), devices.open)
     for devices.stops_at_work in (True, False):
-        assert not bus.stop_servos_at_work()
+        assert bus.stop_servos_at_work() is None
         bus.open()
         assert bus.stop_servos_at_work() is devices.stops_at_work
         bus.close()

@@ -8,6 +8,7 @@ import pytest
 from gateway.errors import SpiError
 from gateway.model.black_box import format as form
 from gateway.model.frames import stop_leg
+from gateway.robot.core.events import StoppedOutside
 from gateway.robot.core.message import Verb
 from schemas import keys
 from schemas.robot import LEGS
@@ -15,7 +16,7 @@ from schemas.telemetry import Kind, Mode, Reason
 from tests.support.elkapod import all_legs, elkapod
 from tests.support.measured import MEASURED
 from tests.support.power import FedRobot, running
-from tests.support.robot import leg, started, started_and_quiet
+from tests.support.robot import Robot, leg, started, started_and_quiet
 from tests.unit.people.test_recorder import contents, recorded
 
 pytestmark = pytest.mark.virtual_time
@@ -118,6 +119,67 @@ async def test_changed_settings_do_not_end_what_is_known_of_stop_servos(monkeypa
     assert robot.conductor.supervisor.stopped_outside
     await asyncio.sleep(0.1)
     assert robot.ask(LEG_3, START).reason is Reason.SERVO_STOPPED, "one of its Stops may still come"
+
+
+@pytest.mark.parametrize("known", [None, False])
+async def test_only_an_open_device_ends_what_is_known_of_stop_servos(
+    monkeypatch: pytest.MonkeyPatch, known: bool | None
+) -> None:
+    robot = await started_and_quiet()
+    at_work: list[bool | None] = [True]
+    monkeypatch.setattr(robot.controller, "stop_servos_at_work", lambda: at_work[0])
+    robot.conductor.look_outside()
+    at_work[0] = known
+    robot.conductor.look_outside()
+    assert robot.conductor.supervisor.stopped_outside is (known is None)
+    assert robot.ask(LEG_3, START).reason is (Reason.SERVO_STOPPED if known is None else None)
+
+
+async def test_after_a_bus_fault_no_start_is_taken_while_stop_servos_is_at_work(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    robot = await started_and_quiet()
+    at_work = True
+    monkeypatch.setattr(robot.controller, "stop_servos_at_work", lambda: at_work)
+    robot.conductor.look_outside()
+    robot.conductor.bus_failed(SpiError("unplugged"))
+    robot.conductor.look_outside()  # the device is closed
+    assert robot.conductor.supervisor.stopped_outside
+    await asyncio.sleep(0.01)
+    assert robot.mode == Mode.IDLE
+    assert robot.ask(LEG_3, START).reason is Reason.SERVO_STOPPED
+    at_work = False
+    robot.conductor.look_outside()
+    assert robot.ask(LEG_3, START).accepted
+
+
+async def test_stop_servos_that_began_during_a_bus_fault_is_found_before_a_command_is_taken(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    robot = await started_and_quiet()
+    monkeypatch.setattr(robot.controller, "stop_servos_at_work", lambda: True)
+    robot.conductor.bus_failed(SpiError("unplugged"))
+    await asyncio.sleep(0.01)
+    assert robot.mode == Mode.IDLE
+    assert robot.ask(LEG_3, START).reason is Reason.SERVO_STOPPED
+    assert len(robot.events(Kind.STOPPED_OUTSIDE)) == 1
+
+
+async def test_stop_servos_at_work_at_the_start_is_found_before_a_command_is_taken(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    robot = Robot()
+    monkeypatch.setattr(robot.controller, "stop_servos_at_work", lambda: True)
+    robot.conductor.start()
+    assert robot.ask(LEG_3, START).reason is Reason.SERVO_STOPPED
+
+
+async def test_a_silent_controller_of_elkapod_ends_nothing_that_is_known_of_stop_servos() -> None:
+    robot = await elkapod()
+    robot.conductor._step(StoppedOutside(at_work=True))
+    robot.conductor.bus.close()
+    robot.conductor.look_outside()
+    assert robot.conductor.supervisor.stopped_outside
 
 
 async def test_stops_for_stop_servos_are_repeated_though_nothing_else_happens(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -472,7 +472,7 @@ def test_a_frame_that_the_encoder_should_not_have_made_does_not_leave(
 
 
 def test_other_programs_are_seen_on_the_device(parts: Parts) -> None:
-    assert (parts.bus.stop_servos_at_work(), parts.bus.put_right()) == (False, None)
+    assert (parts.bus.stop_servos_at_work(), parts.bus.put_right()) == (None, None)
     parts.bus.open()
     assert (parts.bus.stop_servos_at_work(), parts.bus.put_right()) == (True, "mode 0")
 
