@@ -3,7 +3,7 @@
 | request                | answer | data of the answer, big endian                                            |
 |------------------------|--------|---------------------------------------------------------------------------|
 | 6A mask                | 6B     | the mask of 18 bits as it is; bit n - 1 feeds the servo on output n       |
-| 64                     | 65     | the newest error, the next one at the next 64; none: no bytes             |
+| 64                     | 65     | the newest error, the next one at the next 64; none: no bytes (see below) |
 | 96                     | 97     | none; the error shown last is deleted                                     |
 | 70, 72, 74, 76, 78, 7A | + 1    | currents of outputs 1-3, 4-6, … 16-18: three uint16, mA                   |
 | 7C, 7E                 | + 1    | currents manipulator, 5 V, 3.3 V; standby, supply: uint16, mA             |
@@ -11,8 +11,16 @@
 | 86                     | 87     | three temperatures: int16, °C                                             |
 | -                      | 69     | none; the off button was pressed                                          |
 
-65 also comes unasked, when an error comes. All requests but 6A are answered in the board's receive interrupt. Its
-firmware decides, not its DBC file, which numbers the mask's bits differently.
+| error (65)              | data                                                                              |
+|-------------------------|-----------------------------------------------------------------------------------|
+| converter overcurrent   | 01, mask of converters (bit 0: converter 1)                                        |
+| servo overcurrent       | 02, mask of outputs, as in 6B                                                      |
+| overtemperature         | 04, mask of converters: sensor 1 switches off 07, sensor 2 10, sensor 3 08          |
+| supply too low          | 08                                                                                |
+| cannot be read          | anything else; it may concern any output                                          |
+
+65 also comes unasked: when an error comes, and every 140 ms while it is too hot. All requests but 6A are answered in
+the board's receive interrupt. Its firmware decides, not its DBC file, which numbers the mask's bits differently.
 """
 
 import struct
@@ -56,6 +64,10 @@ SERVO_OVERCURRENT: Final = 2
 OVERTEMPERATURE: Final = 4
 SUPPLY_LOW: Final = 8
 """Codes of errors."""
+UNREADABLE: Final = 0
+"""Of an error whose frame has another code or length than the table: it may concern any output."""
+TWO_BOARDS: Final = -1
+"""No board sends it: two boards answer, so nobody knows what either of them feeds."""
 
 
 class Supplied(NamedTuple):
@@ -79,7 +91,7 @@ class Rails(NamedTuple):
 
 
 class BoardError(NamedTuple):
-    """An error of the board; `mask` names converters (overcurrent of a converter) or outputs (of a servo)."""
+    """An error of the board; `mask` names outputs for SERVO_OVERCURRENT, converters for the other codes."""
 
     code: int
     mask: int = 0
@@ -111,7 +123,7 @@ _LAYOUTS: Final = {
     SUPPLY_BATTERY_MV: struct.Struct(">2H"),
     TEMPERATURES_C: struct.Struct(">3h"),
 }
-_ERROR_BYTES: Final = {CONVERTER_OVERCURRENT: 2, SERVO_OVERCURRENT: 4, OVERTEMPERATURE: 1, SUPPLY_LOW: 1}
+_ERROR_BYTES: Final = {CONVERTER_OVERCURRENT: 2, SERVO_OVERCURRENT: 4, OVERTEMPERATURE: 2, SUPPLY_LOW: 1}
 _CONVERTERS: Final = (1 << 5) - 1
 _OUTPUTS_OF_CONVERTER: Final = (0b111111, 0b111111 << 6, 0b111111 << 12, 0, 0)
 """Converters 4 and 5 feed no servo."""
@@ -161,24 +173,26 @@ def _measured(question: int, data: bytes) -> Currents | Rails | None:
     return Currents(1 + 3 * ((question - ASK_CURRENTS[0].id) // 2), (one, two, three))
 
 
-def _error(data: bytes) -> BoardError | NoError | None:
+def _error(data: bytes) -> BoardError | NoError:
     if not data:
         return NoError()
-    if len(data) != _ERROR_BYTES.get(data[0]):
-        return None
     mask = int.from_bytes(data[1:], "big")
-    return BoardError(data[0], mask) if mask <= (ALL if data[0] == SERVO_OVERCURRENT else _CONVERTERS) else None
+    most = ALL if data[0] == SERVO_OVERCURRENT else _CONVERTERS
+    readable = len(data) == _ERROR_BYTES.get(data[0]) and mask <= most
+    return BoardError(data[0], mask) if readable else BoardError(UNREADABLE)
 
 
 def explained(error: BoardError) -> tuple[str, int]:
-    """An error in words, and the outputs that have no supply until it is deleted."""
+    """Return an error in words, and the outputs that have no supply until it is deleted."""
     if error.code == SERVO_OVERCURRENT:
         return "overcurrent: the power board has switched these servos off", error.mask
-    if error.code == CONVERTER_OVERCURRENT:
-        numbers = [number for number in range(1, 6) if error.mask >> (number - 1) & 1]
-        mask = sum(_OUTPUTS_OF_CONVERTER[number - 1] for number in numbers)
-        named = " and ".join(map(str, numbers))
-        return f"overcurrent: the power board has switched off its converter {named}", mask
-    if error.code == OVERTEMPERATURE:  # of one converter, and nothing says which
-        return "the power board has switched off a converter that is too hot", ALL
-    return "the power board's supply is too low", 0
+    if error.code == SUPPLY_LOW:
+        return "the power board's supply is too low", 0
+    if error.code == UNREADABLE:
+        return "the power board reports an error that cannot be read", ALL
+    if error.code == TWO_BOARDS:
+        return "two power boards answer on this bus; unplug one of them, and reset", ALL
+    numbers = [number for number in range(1, 6) if error.mask >> (number - 1) & 1]
+    mask = sum(_OUTPUTS_OF_CONVERTER[number - 1] for number in numbers)
+    cause = "overcurrent" if error.code == CONVERTER_OVERCURRENT else "overtemperature"
+    return f"{cause}: the power board has switched off its converter {' and '.join(map(str, numbers))}", mask

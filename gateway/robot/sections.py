@@ -156,7 +156,7 @@ class PowerSettings(Section):
     servos: tuple[int, ...] = ()
     cut_on: tuple[CutOn, ...] = get_args(CutOn)
     # It answers within 55 ms, and not at all where a mask was lost: that one comes again after 20 ms.
-    confirm_ms: Annotated[float, Finite, Field(ge=60, le=2000)] = 150.0
+    confirm_ms: Annotated[float, Finite, Field(ge=60, le=2000)] = 450.0
     idle_ma: Annotated[float, Finite, Field(ge=0, le=5000)] = 150.0
     settle_ms: Annotated[float, Finite, Field(ge=0, le=5000)] = 300.0
 

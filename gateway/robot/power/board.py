@@ -12,7 +12,7 @@
 """
 
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Final, NamedTuple
 
 from gateway.allowance import NS_PER_MS
@@ -20,6 +20,7 @@ from gateway.model.power_board import (
     ALL,
     OUTPUTS,
     SET_SUPPLY,
+    TWO_BOARDS,
     BoardError,
     CanFrame,
     Cleared,
@@ -49,8 +50,14 @@ REST_NS: Final = 5 * NS_PER_MS
 """Behind an answer 6B: within a pass of the board's loop (2 ms at most) its counter is one too far."""
 STEP_NS: Final = 54 * NS_PER_MS
 """The longest time for 27 passes of the board's loop: until the answer, and for each output that goes on."""
-MEDDLED_NS: Final = 1000 * NS_PER_MS
-"""Between two reports of another node's masks."""
+LASTS_NS: Final = 1000 * NS_PER_MS
+"""Without a frame of its kind for this long, a state that was reported once has ended, and is reported again."""
+
+
+_OFF_PRESSED: Final = "somebody pressed the power board's off button"
+_GOING_OFF: Final = "somebody has asked the power board to switch the whole robot off, and it does in 1 s"
+NOTHING: Final = -1
+"""No mask has this number, or a smaller one."""
 
 
 class News(NamedTuple):
@@ -102,7 +109,8 @@ class PowerBoard:
         self._rails: dict[int, tuple[int, ...]] = {}
         self._questions = BoardQuestions()
         self._errors = BoardErrors()
-        self._meddled_ns: int | None = None
+        self._seen_ns: dict[str, int] = {}
+        """When each state that is reported once was last seen."""
 
     # ---- what the owner says
 
@@ -143,6 +151,16 @@ class PowerBoard:
     def clear_errors(self, now_ns: int) -> None:
         """Delete all errors of the board, so that it feeds what it has blocked, once that is wanted anew."""
         self._errors.delete(now_ns)
+        self._questions.judge_boards_anew()
+        self._seen_ns.clear()
+
+    def not_sent(self, frames: Iterable[CanFrame], now_ns: int) -> None:
+        """The interface has no room for these yet. The mask leaves first once there is, as it is to be by then."""
+        for frame in frames:
+            self._questions.not_sent(frame)
+            if frame.id == SET_SUPPLY:
+                self._anew(self._off.unconfirmed, now_ns)
+                self._leave_ns = now_ns
 
     def opened(self, now_ns: int) -> None:
         """The interface was opened: nothing that was asked before is answered any more."""
@@ -165,7 +183,7 @@ class PowerBoard:
     @property
     def confirmed(self) -> bool:
         """Whether the board has confirmed that all is off which is to be off."""
-        return self._begun and not self._off.unconfirmed
+        return self._begun and not self._off.unconfirmed and not self._errors.two_boards
 
     @property
     def lost(self) -> frozenset[int]:
@@ -197,11 +215,10 @@ class PowerBoard:
 
     def heard(self, frame: CanFrame, now_ns: int) -> None:
         """A frame was on the bus; those that are not the board's, or are malformed, change nothing."""
-        if frame.id == SET_SUPPLY:
-            mask = mask_of(frame)
-            if mask is not None:
-                self._meddled(mask, now_ns)
-            return
+        foreign = mask_of(frame) if frame.id == SET_SUPPLY else None
+        if foreign is not None:
+            self._meddled(foreign, now_ns)
+        self._questions.asked_by_another(frame, now_ns)
         answer = read(frame)
         if answer is None:
             return
@@ -217,18 +234,19 @@ class PowerBoard:
                 self._milliamperes.update(zip(range(first - 1, first + 2), ma, strict=True))
             case Rails(question, values):
                 self._rails[question] = values
-                self._questions.answered_about_rails(CanFrame(question))
+                self._questions.answered_about_rails(CanFrame(question), now_ns)
+                if self._questions.two_boards:
+                    self._failed(BoardError(TWO_BOARDS), now_ns)
             case BoardError():
                 self._failed(answer, now_ns)
             case NoError():
                 self._errors.none_left()
             case Cleared():
                 self._errors.deleted(now_ns)
-            case OffPressed():
-                self._news.append(News(Kind.OFF_BUTTON, "somebody pressed the power board's off button"))
-            case GoingOff():
-                why = "somebody has asked the power board to switch the whole robot off, and it does in 1 s"
-                self._news.append(News(Kind.OFF_BUTTON, why))
+            case OffPressed() | GoingOff():
+                why = _OFF_PRESSED if isinstance(answer, OffPressed) else _GOING_OFF
+                if self._begins(why, now_ns):
+                    self._news.append(News(Kind.OFF_BUTTON, why))
         self.look(now_ns)
 
     def look(self, now_ns: int) -> None:
@@ -340,7 +358,8 @@ class PowerBoard:
         if self._sent_ns is None or now_ns - self._sent_ns > REST_NS:
             self._rest_ns = now_ns + REST_NS
         target = self._target
-        on_again, ended = self._off.answered(mask, self._questions.reached, now_ns)
+        reached = NOTHING if self._errors.two_boards else self._questions.reached
+        on_again, ended = self._off.answered(mask, reached, now_ns)
         self._news += ended
         self._anew(on_again, now_ns)
         gone = [
@@ -349,7 +368,7 @@ class PowerBoard:
         if gone:
             self._lose(sum(1 << place for place in gone), "the power board has switched these off by itself", now_ns)
         for place in range(OUTPUTS):
-            if mask & self._target & (1 << place):
+            if mask & self._target & (1 << place):  # none where two boards answer: nothing is wanted then
                 self._fed.setdefault(place, now_ns)
         if self.confirmed:
             self._unconfirmed = False
@@ -357,34 +376,38 @@ class PowerBoard:
             self._restoring = False
             self._news.append(News(Kind.POWER_RESTORED, "the power board feeds all servos again", self._named(mask)))
 
-    def _lose(self, mask: int, why: str, now_ns: int) -> None:
+    def _lose(self, mask: int, why: str, now_ns: int, *, report: bool = True) -> None:
         """These are off, and not by us: they stay off until they are wanted anew."""
         self._lost |= mask & self._wanted
         self._settle(now_ns)
-        self._news.append(News(Kind.POWER_FAULT, why, self._named(mask)))
+        if report:
+            self._news.append(News(Kind.POWER_FAULT, why, self._named(mask)))
 
     def _failed(self, error: BoardError, now_ns: int) -> None:
         """65: the board has blocked servos or converters, and leaves them so until the error is deleted."""
-        found = self._errors.shown(error, now_ns)
-        if found is not None:
-            why, mask = found
-            self._lose(mask, why, now_ns)
+        why, mask, new = self._errors.shown(error, now_ns)
+        begins = self._begins(f"{why} {error.mask}", now_ns)
+        if mask or (new and begins):
+            self._lose(mask, why, now_ns, report=new and begins)
 
     def _meddled(self, mask: int, now_ns: int) -> None:
-        """Another node has sent this mask: ours follows, without what that one took."""
-        taken = self._sent & self._target & ~mask
-        self._lost |= taken & self._wanted
+        """Another node has sent this mask: ours follows, without what that one took, also where ours still waits."""
+        taken = self._target & ~mask
+        self._lost |= taken
         self._settle(now_ns)
         if self._begun:
             self._anew(mask & ~self._target & ~self._unknown, now_ns)
             self._repeat_until_ns = now_ns + REPEAT_FOR_NS
             # Our own masks never wait; answers to a node that floods the bus do.
             self._leave_ns = max(now_ns, (self._sent_ns or 0) + REST_NS)
-        if self._meddled_ns is None or now_ns - self._meddled_ns >= MEDDLED_NS:
-            self._meddled_ns = now_ns
-            self._news.append(
-                News(Kind.POWER_FAULT, "another program switches servos through the power board", self._named(taken))
-            )
+        why = "another program switches servos through the power board"
+        if self._begins(why, now_ns):
+            self._news.append(News(Kind.POWER_FAULT, why, self._named(taken)))
+
+    def _begins(self, state: str, now_ns: int) -> bool:
+        """Whether a state that is seen now is to be reported: it had ended, or a reset came since it was reported."""
+        seen_ns, self._seen_ns[state] = self._seen_ns.get(state), now_ns
+        return seen_ns is None or now_ns - seen_ns >= LASTS_NS
 
     def _fall_silent(self, why: str, now_ns: int) -> None:
         """The board may have started anew, with all off: what was fed counts as lost."""

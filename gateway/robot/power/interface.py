@@ -1,5 +1,6 @@
 """The power board's interface, opened by python-can. Loads no more than that: `stop-servos` waits for it."""
 
+import errno
 from typing import TYPE_CHECKING, Final, Protocol
 
 from gateway.errors import ConfigError, GatewayError
@@ -17,6 +18,10 @@ FILTERS: Final = [
 
 class LineError(GatewayError):
     """The interface cannot be opened; the sentence says why."""
+
+
+class BusyError(GatewayError):
+    """The transmit queue is full: the frame was not sent, and may be sent later."""
 
 
 class Interface(Protocol):
@@ -59,10 +64,16 @@ def open_bus(settings: Interface) -> "can.BusABC":
 
 
 def send(bus: "can.BusABC", frame: CanFrame, timeout_s: float) -> None:
-    """Raises CanError, or whatever else the interface does; waits for `timeout_s` at most, where that is kept."""
-    from can import Message  # noqa: PLC0415
+    """Send a frame; wait for `timeout_s` at most, where the interface keeps that. Raises BusyError if the kernel has no
+    room for it, CanError or whatever else the interface does for other faults."""
+    from can import CanOperationError, Message  # noqa: PLC0415
 
-    bus.send(Message(arbitration_id=frame.id, is_extended_id=False, data=frame.data), timeout=timeout_s)
+    try:
+        bus.send(Message(arbitration_id=frame.id, is_extended_id=False, data=frame.data), timeout=timeout_s)
+    except CanOperationError as error:
+        if error.error_code in (errno.ENOBUFS, errno.EAGAIN):
+            raise BusyError(str(error)) from error
+        raise
 
 
 def received(message: "can.Message", settings: Interface) -> CanFrame | None:

@@ -6,12 +6,13 @@
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from typing import TYPE_CHECKING, Final
 
 from gateway.allowance import NS_PER_MS, NS_PER_S
 from gateway.errors import ConfigError
 from gateway.model.power_board import CanFrame, Rails, Supplied, read, set_supply
-from gateway.robot.power.interface import Interface, LineError, open_bus, received, send
+from gateway.robot.power.interface import BusyError, Interface, LineError, open_bus, received, send
 from gateway.robot.power.questions import BoardQuestions
 
 if TYPE_CHECKING:
@@ -60,15 +61,18 @@ class LastCut:
 
     def heard(self, frame: CanFrame, now_ns: int) -> None:
         """A frame was on the bus."""
+        self._questions.asked_by_another(frame, now_ns)
         answer = read(frame)
         if answer is not None:
             self._questions.answered(now_ns)
         match answer:
             case Supplied(mask):
-                self.confirmed = self.confirmed or (mask == 0 and self._questions.reached > 0)
+                self.confirmed = self.confirmed or (
+                    mask == 0 and self._questions.reached > 0 and not self._questions.two_boards
+                )
                 self._due_ns = max(self._due_ns, now_ns + REST_NS)
             case Rails(question):
-                self._questions.answered_about_rails(CanFrame(question))
+                self._questions.answered_about_rails(CanFrame(question), now_ns)
 
 
 class SupplyCut:
@@ -146,8 +150,9 @@ def _cut(bus: "can.BusABC", settings: Interface, end_ns: int) -> bool:
     bus._is_shutdown = True  # this process ends: python-can would close the adapter's channel, and a gateway may use it
     cut = LastCut()
     while not cut.confirmed and (now_ns := time.monotonic_ns()) < end_ns:
-        for frame in cut.next_frames(now_ns):
-            send(bus, frame, _SEND_S)
+        with suppress(BusyError):  # it is sent again
+            for frame in cut.next_frames(now_ns):
+                send(bus, frame, _SEND_S)
         message = bus.recv(_LOOK_S)
         answer = None if message is None else received(message, settings)
         if answer is not None:

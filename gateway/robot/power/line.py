@@ -21,7 +21,7 @@ from gateway.allowance import NS_PER_S
 from gateway.host import realtime
 from gateway.model.power_board import CanFrame, set_supply
 from gateway.robot.power.board import News, PowerBoard
-from gateway.robot.power.interface import LineError, open_bus, received, send
+from gateway.robot.power.interface import BusyError, LineError, open_bus, received, send
 from gateway.robot.power.offs import Confirmed
 from gateway.robot.sections import PowerSettings
 
@@ -34,6 +34,9 @@ RETRY_S: Final = 0.1
 """Between two attempts to open the interface."""
 SEND_S: Final = 0.1
 """How long a frame may wait to be sent, where python-can keeps that: it hangs then, or the bus is off."""
+BUSY_S: Final = 0.002
+"""Before the next attempt, where the kernel's transmit queue is full: ten frames, which leave within 1.3 ms at
+1 Mbit/s."""
 AT_ONCE: Final = 64
 """Frames that are received before the receiver pauses: it has a real-time priority, and a flood is no reason to keep
 others off the processor."""
@@ -219,13 +222,21 @@ class PowerLine:
         try:
             if self._cuts:
                 self._cuts = False
-                send(bus, _NOTHING, SEND_S)
+                with suppress(BusyError):  # the mask of `cut` follows
+                    send(bus, _NOTHING, SEND_S)
                 time.sleep(STOPS_S)
             with self._lock:
                 self._take_requests()
                 frames = self._board.next_frames(self._clock())
-            for frame in frames:
-                send(bus, frame, SEND_S)
+            left = deque(frames)
+            try:
+                while left:
+                    send(bus, left[0], SEND_S)
+                    left.popleft()
+            except BusyError:
+                with self._lock:
+                    self._board.not_sent(left, self._clock())
+                time.sleep(BUSY_S)
         except (CanError, OSError, ValueError) as error:
             self._lose(bus, error)
 

@@ -2,9 +2,15 @@
 
 Questions about currents are asked whatever is unanswered. One about rails is asked only while no ask of it is
 unanswered: its answer proves that all that was sent before it has reached the board, also behind a link that paused and
-delivers older answers at once.
+delivers older answers at once. Where another node asks the same, the first answer counts as that node's: its question
+stands ahead of its answer in what we receive.
+
+Two answers to one question come from two boards. One of them may be unplugged and feed servos while the other confirms.
+A single second answer proves nothing: on slcan, `stop-servos` and the gateway read one terminal, and its questions are
+not seen here.
 """
 
+from collections import Counter
 from typing import Final
 
 from gateway.allowance import NS_PER_MS
@@ -18,6 +24,9 @@ LIKELY_SILENT: Final = 5
 """Questions without an answer: some about rails are kept unasked, to prove something as soon as the board answers."""
 LOST_NS: Final = 300 * NS_PER_MS
 """An unanswered question is lost once it is so old and a later one was answered: links keep the order."""
+DOUBLE_NS: Final = 10 * NS_PER_MS
+"""Boards answer in their receive interrupt, so two answers to one question are no further apart."""
+DOUBLES: Final = 3
 FORGOTTEN_NS: Final = 2000 * NS_PER_MS
 """An unanswered question is lost, whatever came since: else a link that lost six answers could confirm nothing more."""
 
@@ -38,11 +47,23 @@ class BoardQuestions:
         self._rail_turn = 0
         self._asked: dict[CanFrame, tuple[int, int]] = {}
         """Unanswered questions about rails: when each was asked, and the newest mask of then."""
+        self._foreign: dict[CanFrame, tuple[int, int]] = {}
+        """Of another node, about rails: how many are unanswered, and when the newest was received."""
+        self._owed: Counter[CanFrame] = Counter()
+        """Answers about rails that may still come: one for each question, of whichever node."""
+        self._latest: tuple[CanFrame, int] | None = None
+        """The newest answer that was owed, and when it came; None: a second one has come to it."""
+        self._doubles = 0
 
     def opened(self, now_ns: int) -> None:
         """On a new interface no older question is answered."""
         self._asked.clear()
         self.due_ns = now_ns
+
+    def not_sent(self, question: CanFrame) -> None:
+        """This question has not left."""
+        if self._asked.pop(question, None):
+            self._owed[question] -= 1
 
     def next(self, newest: int, now_ns: int) -> list[CanFrame]:
         """The question in turn, which counts as sent: six about currents, one about rails or errors."""
@@ -64,6 +85,7 @@ class BoardQuestions:
             if question not in self._asked or self._is_lost(self._asked[question][0], now_ns):
                 self._rail_turn += step + 1
                 self._asked[question] = (now_ns, newest)
+                self._owed[question] += 1
                 return [question]
         return []
 
@@ -75,11 +97,41 @@ class BoardQuestions:
         self._answered_ns = now_ns
         self._unanswered = 0
 
-    def answered_about_rails(self, question: CanFrame) -> None:
-        """The one unanswered ask of this question is answered."""
-        asked_ns, newest = self._asked.pop(question, (0, 0))
-        self.reached_ns = max(self.reached_ns, asked_ns)
-        self.reached = max(self.reached, newest)
+    def asked_by_another(self, question: CanFrame, now_ns: int) -> None:
+        """Another node has asked this; only questions about rails matter."""
+        if question in ASK_RAILS:
+            self._owed[question] += 1
+            self._foreign[question] = (self._foreign_unanswered(question, now_ns) + 1, now_ns)
+
+    def _foreign_unanswered(self, question: CanFrame, now_ns: int) -> int:
+        number, newest_ns = self._foreign.get(question, (0, 0))
+        return number if now_ns - newest_ns < FORGOTTEN_NS else 0
+
+    def answered_about_rails(self, question: CanFrame, now_ns: int) -> None:
+        """Take an answer to this question."""
+        others = self._foreign_unanswered(question, now_ns)
+        if others:
+            self._foreign[question] = (others - 1, self._foreign[question][1])
+        else:
+            asked_ns, newest = self._asked.pop(question, (0, 0))
+            self.reached_ns = max(self.reached_ns, asked_ns)
+            self.reached = max(self.reached, newest)
+        if self._owed[question]:
+            self._owed[question] -= 1
+            self._doubles = 0 if self._latest else self._doubles
+            self._latest = (question, now_ns)
+        elif self._latest and self._latest[0] == question and now_ns - self._latest[1] < DOUBLE_NS:
+            self._latest = None
+            self._doubles += 1
+
+    @property
+    def two_boards(self) -> bool:
+        """Whether the newest questions were each answered twice."""
+        return self._doubles >= DOUBLES
+
+    def judge_boards_anew(self) -> None:
+        """Somebody may have unplugged one of two boards."""
+        self._doubles = 0
 
     def silent(self, now_ns: int) -> bool:
         """Whether the board is; to be asked every 10 ms, since a question that nobody fetched counts as unanswered.

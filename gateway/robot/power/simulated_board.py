@@ -9,6 +9,8 @@
 * An output that draws too much ten measurements running is switched off and blocked. Up to four kinds of error wait in
   a queue: each 64 shows the next one, and 96 deletes the one shown last. **Then outputs of the newest mask that were
   blocked go on by themselves**, as they do when somebody deletes the error at the board's own buttons.
+* A sensor at 70 °C switches converters off: the first one 1 to 3, the second 5, the third 4. While that lasts, the
+  board shows this error every 140 ms.
 * Without power it forgets everything, and is then in standby, in which it receives nothing, until its button is
   pressed. Switched off by 66, it forgets nothing: the mask of before counts once something changes.
 
@@ -68,6 +70,11 @@ THREE_VOLT_MA: Final = 60
 STANDBY_MA: Final = 20
 TEMPERATURE_C: Final = 30
 """Assumed, from the battery on."""
+TOO_HOT_C: Final = 70
+_HOT_CONVERTERS: Final = (0b00111, 0b10000, 0b01000)
+"""Which converters each temperature sensor switches off."""
+HOT_NS: Final = 140_000_000
+"""Between two frames 65 about an overtemperature that lasts."""
 
 _POWER_OFF: Final = CanFrame(0x66)
 
@@ -80,7 +87,7 @@ class _Error:
 
     @property
     def data(self) -> bytes:
-        if self.code == CONVERTER_OVERCURRENT:
+        if self.code in (CONVERTER_OVERCURRENT, OVERTEMPERATURE):
             return bytes((self.code, self.converters))
         if self.code == SERVO_OVERCURRENT:
             return bytes((self.code,)) + self.outputs.to_bytes(3, "big")
@@ -102,6 +109,7 @@ class SimulatedBoard:
         self._pass_ns = pass_ns
         self._pass_due_ns = now_ns + pass_ns
         self._measure_due_ns = now_ns + MEASURE_NS
+        self._hot_due_ns = now_ns
         self._awake_ns: int | None = now_ns
         """When it takes frames; None: in standby."""
         self._forget()
@@ -195,7 +203,7 @@ class SimulatedBoard:
             if due_ns == self._measure_due_ns:
                 self._measure_due_ns += MEASURE_NS
                 if self._is_awake(due_ns):
-                    self._measure()
+                    self._measure(due_ns)
             else:
                 self._pass_due_ns += self._pass_ns
                 if self._is_awake(due_ns):
@@ -267,7 +275,12 @@ class SimulatedBoard:
 
     # ---- what it measures
 
-    def _measure(self) -> None:
+    def _measure(self, now_ns: int) -> None:
+        hot = sum(each for each, c in zip(_HOT_CONVERTERS, self.temperatures_c, strict=True) if c >= TOO_HOT_C)
+        if hot and now_ns >= self._hot_due_ns:
+            self._hot_due_ns = now_ns + HOT_NS
+            self.fail(OVERTEMPERATURE, converters=hot)
+            self._show = True
         fed = self.fed
         for place in range(OUTPUTS):
             drawn_ma = self._measured_ma[place] = self.draws_ma[place] if fed >> place & 1 else 0.0

@@ -12,6 +12,7 @@ ends with its standard input, on which lines of JSON are faults:
 | `{"overcurrent": 21}`                  | this servo draws too much while it is fed; 0: none does any more         |
 | `{"draws_ma": {"21": 0.0}}`            | these servos (and no others) draw that while fed, whatever they do      |
 | `{"error": 8}`                         | the board finds an error of this code                                   |
+| `{"temperatures_c": [70, 30, 30]}`     | its three sensors show that                                             |
 | `{"converter": 2}`                     | this converter draws too much: the board switches it off                |
 | `{"clear_error": true}`                | somebody deletes the newest error at the board's own buttons            |
 | `{"stuck_on": 21}`                     | this servo has supply whatever the board does; 0: none                  |
@@ -163,6 +164,8 @@ class Simulation:
                 self._drawn_anyway_ma = {int(servo_id): float(drawn_ma) for servo_id, drawn_ma in value.items()}
             case "error":
                 board.fail(int(value))
+            case "temperatures_c":
+                board.temperatures_c[:] = value
             case "converter":
                 board.fail(CONVERTER_OVERCURRENT, converters=1 << value - 1)
             case "clear_error":

@@ -14,6 +14,8 @@ from gateway.model.power_board import (
     OVERTEMPERATURE,
     SERVO_OVERCURRENT,
     SUPPLY_LOW,
+    TWO_BOARDS,
+    UNREADABLE,
     Answer,
     BoardError,
     CanFrame,
@@ -62,7 +64,9 @@ ANSWERS: dict[str, tuple[int, str, Answer]] = {
     "servo 18": (0x65, "02 020000", BoardError(2, 1 << 17)),
     "all converters": (0x65, "01 1f", BoardError(1, 0b11111)),
     "all servos": (0x65, "02 03ffff", BoardError(2, ALL)),
-    "too hot": (0x65, "04", BoardError(4)),
+    "too hot, sensor 1": (0x65, "04 07", BoardError(4, 0b111)),
+    "too hot, sensor 2": (0x65, "04 10", BoardError(4, 0b10000)),
+    "too hot, sensor 3": (0x65, "04 08", BoardError(4, 0b1000)),
     "supply low": (0x65, "08", BoardError(8)),
     "deleted": (0x97, "", Cleared()),
     "off button": (0x69, "", OffPressed()),
@@ -71,12 +75,15 @@ ANSWERS: dict[str, tuple[int, str, Answer]] = {
 
 
 @pytest.mark.parametrize(("identifier", "data", "answer"), ANSWERS.values(), ids=ANSWERS)
-def test_an_answer_is_read_and_none_of_another_length(identifier: int, data: str, answer: Answer) -> None:
+def test_an_answer_is_read_and_one_of_another_length_is_none_or_an_unknown_error(
+    identifier: int, data: str, answer: Answer
+) -> None:
     whole = bytes.fromhex(data)
     assert read(CanFrame(identifier, whole)) == answer
-    assert read(CanFrame(identifier, whole + b"\0")) is None
+    other = BoardError(UNREADABLE) if identifier == 0x65 else None
+    assert read(CanFrame(identifier, whole + b"\0")) == other
     if len(whole) > 1:
-        assert read(CanFrame(identifier, whole[:-1])) is None
+        assert read(CanFrame(identifier, whole[:-1])) == other
 
 
 @pytest.mark.parametrize(
@@ -84,10 +91,6 @@ def test_an_answer_is_read_and_none_of_another_length(identifier: int, data: str
     [
         (0x6B, "040000"),  # a bit that no output has
         (0x6B, "ffffff"),
-        (0x65, "03 01"),  # no code of theirs
-        (0x65, "00"),
-        (0x65, "01 20"),  # there are five converters
-        (0x65, "02 040000"),
         (0x6A, "000000"),  # a request, of another node
         (0x70, ""),
         (0x72, "0000 0000 0000"),
@@ -97,6 +100,18 @@ def test_an_answer_is_read_and_none_of_another_length(identifier: int, data: str
 )
 def test_what_is_no_answer_is_none(identifier: int, data: str) -> None:
     assert read(CanFrame(identifier, bytes.fromhex(data))) is None
+
+
+@pytest.mark.parametrize("data", ["03 01", "00", "04", "01", "08 00", "02 0001", "01 20", "04 20", "02 040000"])
+def test_an_error_frame_that_is_not_in_the_table_is_an_unknown_error_that_may_concern_every_output(data: str) -> None:
+    error = read(CanFrame(0x65, bytes.fromhex(data)))
+    assert error == BoardError(UNREADABLE)
+    assert explained(BoardError(UNREADABLE)) == ("the power board reports an error that cannot be read", ALL)
+
+
+@given(st.binary(max_size=8))
+def test_no_error_frame_is_nothing(data: bytes) -> None:
+    assert isinstance(read(CanFrame(0x65, data)), BoardError if data else NoError)
 
 
 @given(st.integers(0, 0x7FF), st.binary(max_size=8))
@@ -125,7 +140,10 @@ def test_what_is_no_mask_is_none(frame: CanFrame) -> None:
         (BoardError(CONVERTER_OVERCURRENT, 0b1000), "overcurrent: … its converter 4", ()),
         (BoardError(CONVERTER_OVERCURRENT, 0b10000), "overcurrent: … its converter 5", ()),
         (BoardError(CONVERTER_OVERCURRENT, 0b11), "overcurrent: … its converter 1 and 2", range(1, 13)),
-        (BoardError(OVERTEMPERATURE), "… a converter that is too hot", range(1, 19)),
+        (BoardError(OVERTEMPERATURE, 0b111), "overtemperature: … its converter 1 and 2 and 3", range(1, 19)),
+        (BoardError(OVERTEMPERATURE, 0b10000), "overtemperature: … its converter 5", ()),
+        (BoardError(OVERTEMPERATURE, 0b1000), "overtemperature: … its converter 4", ()),
+        (BoardError(TWO_BOARDS), "two power boards answer on this bus; … and reset", range(1, 19)),
         (BoardError(SUPPLY_LOW), "the power board's supply is too low", ()),
     ],
     ids=str,

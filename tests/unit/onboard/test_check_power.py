@@ -63,7 +63,7 @@ def test_its_errors_are_named_with_their_servos(adapter: Adapter, channel: str) 
     sentences = " ".join(result.sentence for result in errors)
     assert "overcurrent" in sentences
     assert "no supply for 11, 13" in sentences
-    assert "too hot" in sentences
+    assert "overtemperature: the power board has switched off its converter 1" in sentences
 
 
 def test_a_board_that_is_silent(adapter: Adapter, channel: str) -> None:

@@ -7,13 +7,13 @@ from gateway.model.power_board import (
     ALL,
     ASK_RAILS,
     CLEAR_ERROR,
-    OVERTEMPERATURE,
     SUPPLY_LOW,
     CanFrame,
     set_supply,
 )
 from gateway.robot.power.board import News, PowerBoard
 from gateway.robot.power.offs import Confirmed
+from gateway.robot.power.simulated_board import SimulatedBoard
 from schemas.robot import SERVO_IDS
 from schemas.telemetry import Kind
 from tests.support.power_link import ALL_SERVOS, CONFIRM_MS, NONE, Link, fed
@@ -197,12 +197,139 @@ def test_an_error_is_deleted_only_once_the_board_has_the_mask_without_its_servos
     assert link.fed() == ALL_SERVOS - {11}
 
 
-def test_a_converter_that_is_too_hot_is_not_named_so_all_servos_leave_the_mask() -> None:
+def test_at_70_degrees_all_servos_leave_the_mask_and_are_reported_once() -> None:
     link = fed()
-    link.board.fail(OVERTEMPERATURE, converters=1)
-    link.run(100)
+    link.board.temperatures_c[0] = 70
+    link.run(1000)
     assert link.fed() == NONE
     assert set(link.ours.refused) == ALL_SERVOS
+    assert "overtemperature" in link.ours.refused[11]
+    [(_, news)] = link.events(Kind.POWER_FAULT)
+    assert news.servos == ALL_SERVOS
+    link.board.temperatures_c[0] = 69
+    link.board.clear_by_hand()
+    link.run(1000)
+    assert link.fed() == NONE, "nothing comes on by itself"
+
+
+def test_an_error_that_cannot_be_read_takes_all_until_it_is_deleted() -> None:
+    link = fed()
+    link.ours.heard(CanFrame(0x65, b"\x10\x01"), link.now_ns)
+    link.run(20)
+    assert link.fed() == NONE
+    [(_, news)] = link.events(Kind.POWER_FAULT)
+    assert (news.servos, "cannot be read" in news.detail) == (ALL_SERVOS, True)
+
+
+# ---- another node, and a second board
+
+
+def test_an_answer_to_another_nodes_question_confirms_nothing() -> None:
+    """That question was asked before our mask, which has not reached the board."""
+    board = PowerBoard(SERVO_IDS, confirm_ns=CONFIRM_MS * NS_PER_MS)
+    board.heard(CanFrame(0x97), 0)
+    board.cut(0)
+    asked = [frame for frame in board.next_frames(0) if frame in ASK_RAILS]
+    assert len(asked) == 1
+    answer = CanFrame(asked[0].id + 1, bytes(6 if asked[0].id in (0x7C, 0x80, 0x86) else 4))
+    board.heard(asked[0], 1)
+    board.heard(answer, 2)
+    board.heard(CanFrame(0x6B, bytes(3)), 3)
+    assert not board.confirmed
+    board.heard(answer, 4)
+    board.heard(CanFrame(0x6B, bytes(3)), 5)
+    assert board.confirmed, "the second answer is ours"
+
+
+@pytest.mark.parametrize("hz", [1, 7, 50, 200])
+def test_beside_a_node_that_asks_all_the_time_stops_are_confirmed_and_it_is_no_second_board(hz: int) -> None:
+    link = fed()
+    for number in range(hz):
+        link.run(1000 / hz)
+        question = ASK_RAILS[number % len(ASK_RAILS)]
+        link.ours.heard(question, link.now_ns)
+        link._answered(link.board.take(question, link.now_ns))
+    assert link.events(Kind.POWER_FAULT) == []
+    link.cut()
+    link.run(400)
+    assert link.ours.confirmed
+
+
+def test_two_boards_on_one_bus_are_a_fault_and_confirm_nothing_until_a_reset() -> None:
+    link = fed()
+    second = SimulatedBoard(link.now_ns)
+    take, advance = link.board.take, link.board.advance
+    link.board.take = lambda frame, now_ns: [*take(frame, now_ns), *second.take(frame, now_ns)]  # type: ignore[method-assign]
+    link.board.advance = lambda now_ns: [*advance(now_ns), *second.advance(now_ns)]  # type: ignore[method-assign]
+    link.run(1000)
+    [(_, news)] = link.events(Kind.POWER_FAULT)
+    assert (news.servos, "two power boards" in news.detail) == (ALL_SERVOS, True)
+    assert set(link.ours.refused) == ALL_SERVOS
+    # The real one is unplugged, and feeds what it fed.
+    link.board = second
+    link.cut()
+    link.when_off(ALL_SERVOS, token=1)
+    link.run(1000)
+    assert not link.ours.confirmed
+    assert list(link.confirmations()) == [Confirmed(1, False, None)]
+    link.want(NONE)
+    link.ours.clear_errors(link.now_ns)
+    link.run(1000)
+    assert link.ours.confirmed
+    assert link.ours.refused == {}
+
+
+@pytest.mark.parametrize("frame", ["69", "67", "6508", "650420"])
+def test_a_frame_that_is_repeated_4000_times_a_second_is_one_announcement(frame: str) -> None:
+    link = fed()
+    data = bytes.fromhex(frame)
+    for _ in range(4000):
+        link.ours.heard(CanFrame(data[0], data[1:]), link.now_ns)
+        link.run(0.25)
+    kinds = [item.kind for _, item in link.news if isinstance(item, News)]
+    assert len(kinds) == 1
+    link.run(1000)
+    link.ours.heard(CanFrame(data[0], data[1:]), link.now_ns)
+    link.run(100)
+    assert len([item for _, item in link.news if isinstance(item, News)]) == 2, "it had ended"
+
+
+def test_the_off_button_is_an_emergency_stop_again_behind_a_reset_whatever_was_before() -> None:
+    link = fed()
+    for _ in range(2):
+        link.board.press_button(link.now_ns)
+        link.run(100)
+        link.ours.clear_errors(link.now_ns)
+    assert len(link.events(Kind.OFF_BUTTON)) == 2
+
+
+def test_what_another_node_switches_off_while_our_on_waits_stays_off() -> None:
+    link = Link()
+    link.want(NONE)
+    link.run(100)
+    link.cut()
+    link.want(NONE)
+    link.run(1)
+    link.want(ALL_SERVOS)  # it waits for the board's counter
+    link.other_node(0b111)
+    link.run(1500)
+    assert link.fed() == {11, 12, 13}
+    assert link.ours.lost == ALL_SERVOS - {11, 12, 13}
+
+
+def test_a_mask_for_which_there_was_no_room_leaves_first_and_is_confirmed_by_no_question_of_before() -> None:
+    board = PowerBoard(SERVO_IDS, confirm_ns=CONFIRM_MS * NS_PER_MS)
+    board.heard(CanFrame(0x97), 0)
+    board.cut(0)
+    refused = board.next_frames(0)
+    assert refused[0] == set_supply(0)
+    board.not_sent(refused, 1)
+    again = board.next_frames(2)
+    assert again[0] == set_supply(0), "it is not waited for the next repeat"
+    (asked,) = (frame for frame in again if frame in ASK_RAILS)
+    board.heard(CanFrame(asked.id + 1, bytes(6 if asked.id in (0x7C, 0x80, 0x86) else 4)), 3)
+    board.heard(CanFrame(0x6B, bytes(3)), 4)
+    assert board.confirmed
 
 
 def test_a_low_supply_is_reported_and_takes_nothing() -> None:

@@ -134,7 +134,7 @@ async def test_nothing_starts_while_the_board_is_silent_and_what_runs_is_stopped
     ack = robot.ask(LEG_3, START)
     assert (ack.accepted, ack.reason) == (False, Reason.NO_POWER)
     answers = robot.get(LEG_3, leg("stop"))
-    await asyncio.sleep(0.16)
+    await asyncio.sleep(0.46)
     assert [(ack.accepted, ack.confirmed) for ack in answers] == [(True, False)]
     robot.line.unplugged = False
     await asyncio.sleep(UP_S)
@@ -272,7 +272,7 @@ async def test_a_stop_that_is_not_confirmed_stops_the_whole_robot_over_the_uart(
     robot.line.deaf = True  # it answers questions, and does not obey masks
     robot.put(LEG_3, leg("stop"))
     shutdowns = len([said for said in robot.said if said[1] == "shutdown"])
-    await keep(robot, 0.3, keys.leg_command(1), leg("set", 90, 90, 90))
+    await keep(robot, 0.6, keys.leg_command(1), leg("set", 90, 90, 90))
     assert len([said for said in robot.said if said[1] == "shutdown"]) > shutdowns
     assert running(robot) == []
 

@@ -9,9 +9,12 @@ from gateway.model.power_board import (
     ALL,
     ASK_ERROR,
     CLEAR_ERROR,
+    CONVERTER_OVERCURRENT,
     OVERTEMPERATURE,
     SERVO_OVERCURRENT,
     SUPPLY_LOW,
+    TWO_BOARDS,
+    UNREADABLE,
     BoardError,
     CanFrame,
 )
@@ -35,21 +38,19 @@ def frames(errors: BoardErrors, at_ms: range, *, without: bool = True) -> list[t
 
 def test_an_error_blocks_its_outputs_and_is_news_once(errors: BoardErrors) -> None:
     assert errors.mask == 0
-    assert errors.shown(FIRST, 0) == (WHY, 0b1)
-    assert errors.shown(FIRST, 1) is None
-    assert errors.shown(LAST, 2) == (WHY, 1 << 17)
+    assert errors.shown(FIRST, 0) == (WHY, 0b1, True)
+    assert errors.shown(FIRST, 1) == (WHY, 0, False)
+    assert errors.shown(LAST, 2) == (WHY, 1 << 17, True)
     assert errors.blocked == {0: WHY, 17: WHY}
     assert errors.mask == 1 | 1 << 17
 
 
 def test_an_output_is_blocked_by_the_first_error_that_names_it(errors: BoardErrors) -> None:
     errors.shown(FIRST, 0)
-    found = errors.shown(BoardError(OVERTEMPERATURE), 1)
-    assert found is not None
-    why, new = found
+    why, new, _ = errors.shown(BoardError(OVERTEMPERATURE, 0b111), 1)
     assert new == ALL & ~1
     assert errors.blocked == {0: WHY, **dict.fromkeys(range(1, 18), why)}
-    assert errors.shown(BoardError(SUPPLY_LOW), 2) is not None, "which blocks none"
+    assert errors.shown(BoardError(SUPPLY_LOW), 2)[1:] == (0, True), "which blocks none"
 
 
 def test_nothing_is_deleted_unasked(errors: BoardErrors) -> None:
@@ -59,7 +60,8 @@ def test_nothing_is_deleted_unasked(errors: BoardErrors) -> None:
 
 
 def test_each_is_shown_and_then_deleted_until_the_board_has_none(errors: BoardErrors) -> None:
-    errors.shown(FIRST, 0)
+    first = BoardError(CONVERTER_OVERCURRENT, 0b1)
+    errors.shown(first, 0)
     errors.shown(LAST, 0)
     errors.delete(10 * NS_PER_MS)
     assert (errors.deletes, errors.due_ns) == (True, 10 * NS_PER_MS)
@@ -68,13 +70,14 @@ def test_each_is_shown_and_then_deleted_until_the_board_has_none(errors: BoardEr
     assert frames(errors, range(30, 40)) == [(30, CLEAR_ERROR)]
     errors.deleted(40 * NS_PER_MS)
     assert frames(errors, range(40, 50)) == [(40, ASK_ERROR)]
-    errors.shown(FIRST, 50 * NS_PER_MS)
+    errors.shown(first, 50 * NS_PER_MS)
     assert frames(errors, range(50, 60)) == [(50, CLEAR_ERROR)]
+    assert errors.mask == 0b111111
     errors.deleted(60 * NS_PER_MS)
-    assert errors.mask == 1 | 1 << 17, "until the board has said that there is none"
+    assert errors.mask == 0, "each is free again with its own error"
     errors.none_left()
     assert (errors.deletes, errors.mask, errors.due_ns) == (False, 0, None)
-    assert errors.shown(FIRST, 70 * NS_PER_MS) is not None, "what comes again is news again"
+    assert errors.shown(FIRST, 70 * NS_PER_MS)[2], "what comes again is news again"
 
 
 def test_without_an_answer_it_asks_again_every_50_ms_for_two_seconds(errors: BoardErrors) -> None:
@@ -117,3 +120,32 @@ def test_what_is_shown_to_a_question_in_turn_is_not_deleted_later(errors: BoardE
     errors.shown(FIRST, 0)
     errors.delete(10 * NS_PER_MS)
     assert frames(errors, range(20))[0] == (10, ASK_ERROR)
+
+
+def test_a_servo_is_free_again_with_its_own_error_while_another_lasts(errors: BoardErrors) -> None:
+    hot = BoardError(OVERTEMPERATURE, 0b100)
+    errors.shown(FIRST, 0)
+    errors.shown(hot, 0)
+    errors.delete(0)
+    errors.shown(FIRST, 1)
+    errors.deleted(2)
+    errors.shown(hot, 3)
+    assert sorted(errors.blocked) == list(range(12, 18))
+    for _ in range(100):
+        errors.deleted(4)
+        assert not errors.shown(hot, 5)[2], "it lasts, and was reported"
+
+
+def test_an_error_that_cannot_be_read_blocks_all_and_is_reported_once(errors: BoardErrors) -> None:
+    assert errors.shown(BoardError(UNREADABLE), 0)[1:] == (ALL, True)
+    assert errors.shown(BoardError(UNREADABLE), 1)[1:] == (0, False)
+    errors.deleted(2)
+    assert errors.mask == 0
+
+
+def test_two_boards_are_no_error_of_a_board_and_end_with_a_reset(errors: BoardErrors) -> None:
+    assert errors.shown(BoardError(TWO_BOARDS), 0)[1:] == (ALL, True)
+    errors.none_left()
+    assert (errors.mask, errors.two_boards) == (ALL, True)
+    errors.delete(1)
+    assert (errors.mask, errors.two_boards) == (0, False)

@@ -1,5 +1,6 @@
 """The line to the power board: by slcan on a pseudo terminal, and by interfaces that fail as CAN does."""
 
+import errno
 import os
 import sys
 import threading
@@ -197,11 +198,13 @@ class Bus(can.BusABC):
         self.sent: list[CanFrame] = []
         self.hangs = threading.Event()
         self.fails: Exception | None = None
+        self.tries = 0
         self.ended = threading.Event()
         self.closed = threading.Event()
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
         assert timeout
+        self.tries += 1
         if self.fails is not None:
             raise self.fails
         self.sent.append(CanFrame(msg.arbitration_id, bytes(msg.data)))
@@ -301,6 +304,27 @@ def test_an_interface_that_fails_is_closed_and_opened_again_and_the_mask_leaves_
     owner.line.close()
     assert CanFrame(0x6A, bytes(3)) in second.sent
     assert second.closed.is_set()
+    assert owner.mistakes == []
+
+
+def test_a_full_transmit_queue_ends_nothing_and_the_mask_of_a_stop_leaves_first_once_there_is_room(bus: Bus) -> None:
+    owner = owner_of(bus)
+    bus.answer(0x97)
+    owner.line.start()
+    owner.until(lambda: owner.line.status.alive)
+    bus.fails = can.CanOperationError("Failed to transmit: No buffer space available", errno.ENOBUFS)
+    owner.line.cut()
+    tried = bus.tries
+    while bus.tries < tried + 3:
+        time.sleep(0.001)
+    sent = len(bus.sent)
+    bus.fails = None
+    while len(bus.sent) == sent:
+        time.sleep(0.001)
+    assert bus.sent[sent] == CanFrame(0x6A, bytes(3))
+    assert owner.line.fault is None
+    assert not bus.closed.is_set()
+    owner.line.close()
     assert owner.mistakes == []
 
 

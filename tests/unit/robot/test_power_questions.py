@@ -16,7 +16,7 @@ def test_all_is_asked_in_turn_while_the_board_answers() -> None:
     for turn in range(14 * 6):
         [question] = questions.next(0, turn * 10 * NS_PER_MS)
         questions.answered(turn * 10 * NS_PER_MS)
-        questions.answered_about_rails(question)
+        questions.answered_about_rails(question, 0)
         asked.append(question)
     assert [asked.count(question) for question in ASK_RAILS] == [1] * 6
     assert asked.count(ASK_ERROR) == 6
@@ -27,12 +27,12 @@ def test_a_question_with_an_unanswered_ask_proves_nothing_so_it_is_not_asked() -
     questions = BoardQuestions()
     asked = [question for number in range(10) for question in questions.behind(number, number)]
     assert sorted(asked) == sorted(ASK_RAILS)
-    questions.answered_about_rails(asked[2])
+    questions.answered_about_rails(asked[2], 0)
     assert (questions.reached, questions.reached_ns) == (2, 2)
     assert questions.behind(10, 10) == [asked[2]]
     # An answer that nobody asked for, or a second one, proves nothing.
-    questions.answered_about_rails(asked[3])
-    questions.answered_about_rails(asked[3])
+    questions.answered_about_rails(asked[3], 0)
+    questions.answered_about_rails(asked[3], 0)
     assert questions.reached == 3
 
 
@@ -47,7 +47,7 @@ def test_an_ask_is_lost_once_a_later_one_was_answered_or_after_2_s() -> None:
     [first] = questions.behind(1, 0)
     for number in range(5):
         [last] = questions.behind(1, number + 1)
-    questions.answered_about_rails(last)
+    questions.answered_about_rails(last, 0)
     assert questions.behind(2, 299 * NS_PER_MS) == [last]
     assert questions.behind(2, 300 * NS_PER_MS) == [first]
 
@@ -108,5 +108,5 @@ def test_while_the_board_is_likely_silent_rails_are_kept_for_when_it_answers() -
 
 def test_an_answer_to_what_was_never_asked_proves_nothing() -> None:
     questions = BoardQuestions()
-    questions.answered_about_rails(ASK_RAILS[0])
+    questions.answered_about_rails(ASK_RAILS[0], 0)
     assert (questions.reached, questions.reached_ns) == (0, 0)

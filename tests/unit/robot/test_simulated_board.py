@@ -1,5 +1,7 @@
 """The simulated power board against what its firmware does, in passes of the main loop and in literal bytes."""
 
+from collections.abc import Iterable
+
 import pytest
 
 from gateway.model.power_board import CanFrame
@@ -245,6 +247,38 @@ def test_a_converter_that_fails_feeds_none_of_its_six_though_the_mask_shows_them
     assert fed.until(0x6B)[1] == ALL_ON
     fed.board.clear_by_hand()
     assert fed.board.fed == 0x3FFFF, "all six at once"
+
+
+@pytest.mark.parametrize(
+    ("code", "converters", "named", "data"),
+    [(1, 0b10, 0, "0102"), (2, 0, 0b100000000000000000, "02020000"), (4, 0b111, 0, "0407"), (8, 0, 0, "08")],
+)
+def test_each_kind_of_error_is_sent_as_the_table_has_it(
+    bench: Bench, code: int, converters: int, named: int, data: str
+) -> None:
+    bench.board.fail(code, converters=converters, outputs=named)
+    (frame,) = [frame for frame in bench.passes(1) if frame.id == 0x65]
+    assert frame.data.hex() == data
+
+
+@pytest.mark.parametrize(
+    ("sensor", "data", "off"), [(0, "0407", range(1, 19)), (1, "0410", ()), (2, "0408", ())], ids=["1", "2", "3"]
+)
+def test_a_sensor_at_70_degrees_switches_converters_off_and_says_so_every_140_ms_while_that_lasts(
+    fed: Bench, sensor: int, data: str, off: Iterable[int]
+) -> None:
+    fed.board.temperatures_c[sensor] = 69
+    fed.measure(20)
+    assert fed.said == []
+    fed.board.temperatures_c[sensor] = 70
+    fed.measure(43)  # 430 ms: at 10, 150, 290 and 430 ms
+    errors = [frame.data.hex() for frame in fed.said + fed.passes(1) if frame.id == 0x65]
+    assert errors == [data] * 4
+    assert fed.board.fed == 0x3FFFF & ~outputs(*off)
+    fed.board.temperatures_c[sensor] = 69
+    fed.measure(20)
+    fed.board.clear_by_hand()
+    assert fed.board.fed == 0x3FFFF, "all that the newest mask has, at once"
 
 
 # ---- its button, its own supply
