@@ -11,7 +11,7 @@
 #                                          unpacked; --allow-downgrade: also one that is older; --trust SHA256:…: signed by
 #                                          another key than the releases before
 #   sudo deploy/install.sh --certs DIR     besides, bring the gateway's certificates (`hexapod-gateway certs init`), or
-#                                          those of a robot of a fleet (`certs robot`)
+#                                          those of a further robot (`certs issue --role robot`)
 #   sudo deploy/install.sh --console       besides, the web console as a service of its own
 #   sudo deploy/install.sh --rollback      back to the release before this one
 #   sudo deploy/install.sh --force …       also while a servo runs (all legs stop)
@@ -48,7 +48,7 @@ run() { [ "$dry" = yes ] || "$@"; }
 
 usage() { sed -n '2,/^set/{s/^# \{0,1\}//;/^set/d;p}' "$0"; }
 
-dry=no spidev=yes bundle='' opened='' unpacked='' own_wheel='' allow_downgrade=no trust='' handed_on=("$@") uninstall=no rollback=no force=no console=no before='' earlier='' to='' python='' wheels='' certs='' identity=gateway certificates='' framing='' protocol='' setting='' value=''
+dry=no spidev=yes bundle='' opened='' unpacked='' own_wheel='' allow_downgrade=no trust='' handed_on=("$@") uninstall=no rollback=no force=no console=no before='' earlier='' to='' python='' wheels='' certs='' certificates='' framing='' protocol='' setting='' value=''
 while [ $# -gt 0 ]; do
 	case $1 in
 	--dry-run) dry=yes ;;
@@ -157,19 +157,9 @@ check_sources() {
 	[ -z "$certs" ] || check_certificates
 }
 
-# The gateway's own files are called gateway; those of a robot of a fleet, which are alone in their folder, as the robot.
 check_certificates() {
 	local file made="make one with: $NAME certs init --dir $certs --host …"
-	[ ! -f "$certs/router.json5" ] ||
-		fail "$certs is a fleet's, with the router's own files; copy NAME.json5, NAME.pem, NAME.key and ca.pem of this robot into a folder of their own"
-	if [ ! -f "$certs/gateway.json5" ] && compgen -G "$certs/*.json5" >/dev/null; then
-		[ "$(compgen -G "$certs/*.json5" | wc -l)" = 1 ] || fail "$certs has files of several robots; copy this one's alone"
-		identity=$(basename "$(compgen -G "$certs/*.json5")" .json5)
-		[[ $identity =~ ^[A-Za-z0-9_-]+$ ]] || fail "$certs/$identity.json5 has no robot's name"
-		made="copy it from where ca.key is"
-		! grep -q '^  mode: "client"' "$certs/$identity.json5" || fail "$certs/$identity.json5 is a person's, and no robot's"
-	fi
-	certificates=${CERTIFICATES//gateway/$identity}
+	certificates=$CERTIFICATES
 	for file in $certificates; do
 		[ -f "$certs/$file" ] || fail "$certs has no $file; $made"
 	done
@@ -270,7 +260,7 @@ write_configuration() {
 	[ -n "$certs" ] || return 0
 	run install -d -m 0750 -o root -g $NAME $ETC/zenoh
 	for file in $certificates; do
-		if [ "$file" = "$identity.json5" ] && [ -e "$ETC/zenoh/$file" ] && ! is_blank "$ETC/zenoh/$file"; then
+		if [ "$file" = gateway.json5 ] && [ -e "$ETC/zenoh/$file" ] && ! is_blank "$ETC/zenoh/$file"; then
 			say "keep $ETC/zenoh/$file, your configuration"
 		else
 			put_for_service "$certs/$file" $ETC/zenoh/"$file" 0640 $NAME
@@ -278,22 +268,19 @@ write_configuration() {
 	done
 	# The file that is there, or in a dry run the one that would be.
 	local example='config = "/etc/hexapod-gateway/zenoh/gateway.json5"' present=$ETC/gateway.toml
-	local setting="config = \"$ETC/zenoh/$identity.json5\"" listen='' of='' taken='config'
-	if [ "$identity" != gateway ]; then
-		listen="listen = []" of=" --robot $identity" taken='(config|listen)'
-	fi
+	local setting="config = \"$ETC/zenoh/gateway.json5\""
 	[ -e "$present" ] || present=$stated
 	if ! grep -q "^$setting" "$present"; then
-		if grep -q "^# $example\$" "$present" && ! grep -qE "^[[:space:]]*$taken[[:space:]]*=" "$present"; then
+		if grep -q "^# $example\$" "$present" && ! grep -qE "^[[:space:]]*config[[:space:]]*=" "$present"; then
 			will_restart
-			say "use the certificates: $setting${listen:+ and $listen} in $ETC/gateway.toml"
-			run use_certificates "$example" "${listen:+$listen\\n}$setting"
+			say "use the certificates: $setting in $ETC/gateway.toml"
+			run use_certificates "$example" "$setting"
 		else
-			hint="To use the certificates, in $ETC/gateway.toml under [zenoh]: $setting${listen:+ and $listen}"
+			hint="To use the certificates, in $ETC/gateway.toml under [zenoh]: $setting"
 			return 0
 		fi
 	fi
-	next="where ca.key is: $NAME certs issue NAME --role operator$of --dir DIR --bundle NAME.zip
+	next="where ca.key is: $NAME certs issue NAME --role operator --dir DIR --bundle NAME.zip
 Then on the laptop: $NAME check --zenoh-config NAME.json5"
 }
 

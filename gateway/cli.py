@@ -27,7 +27,7 @@ _PANELS = {
     "Look": ("status", "watch", "console", "foxglove", "incidents"),
     "Drive": ("walk", "send", "lease", "button", "ros2"),
     "The robot": ("run", "check", "drill", "calibrate", "stop-servos", "install-service"),
-    "People": ("certs", "revoke"),
+    "People": ("certs",),
     "Files": ("record", "recordings", "replay", "decode"),
 }
 """Commands as `--help` groups them, the urgent ones first."""
@@ -312,7 +312,8 @@ def console(
     zenoh_config: ZenohConfigOption = None,
     timeout: TimeoutOption = 2.0,
     cert: Annotated[
-        Path | None, typer.Option(metavar="PATH", help="Its TLS certificate (PEM); `certs console` makes it.")
+        Path | None,
+        typer.Option(metavar="PATH", help="Its TLS certificate (PEM), of `certs issue --role console`."),
     ] = None,
     key: Annotated[Path | None, typer.Option(metavar="PATH", help="The certificate's private key.")] = None,
     role: Annotated[
@@ -347,24 +348,6 @@ def console(
         sys.exit(command.revoke() if revoke else command.link(listen))
     options = Options(connect, zenoh_config, timeout, listen, cert, key, role, geometry, terrain, open_browser)
     command.console(options)
-
-
-@app.command()
-def revoke(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="revoked.crl, which `certs revoke` has signed.")],
-    config: ConfigOption = None,
-) -> None:
-    """On the robot: shut out whom this list names, and restart the service: all legs stop, others are back in 3 s.
-
-    The list has to be signed by the CA in the robot's ca.pem, and newer than the one in force. The robot's clock does
-    not matter. From a laptop, `hexapod-gateway certs revoke NAME` does the same.
-
-    Exit codes: 0 it is in force, 1 an older list, or the service does not restart, 2 the file or the configuration is
-    wrong.
-    """
-    from gateway.onboard import revoke
-
-    sys.exit(revoke.take(file, config))
 
 
 @app.command(

@@ -11,7 +11,7 @@ from typing import Any, Final
 MOST_LEVELS: Final = 100
 """gateway.json5 has 6."""
 MOST_BYTES: Final = 1_000_000
-"""The router.json5 of a hundred robots has some 200 000."""
+"""Far more than any Zenoh file needs: one with rules for a hundred robots had some 200 000."""
 MOST_DOTS: Final = 1000
 """In a line of TOML; a key with so many parts takes 50 ms."""
 

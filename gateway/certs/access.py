@@ -19,9 +19,7 @@ from schemas.keys import (
     ALL_COMMANDS,
     ASKABLE,
     CALIBRATION,
-    COMMAND_KEYS,
     ESTOP,
-    GET_ONLY,
     PUBLISHED,
     SIM_BODY,
     SIM_UPRIGHT,
@@ -41,9 +39,6 @@ class Traffic(NamedTuple):
     keys: tuple[str, ...]
     roles: tuple[str, ...] = LAPTOP_ROLES
     """The people's roles."""
-    robots_keys: tuple[str, ...] = ()
-    """The keys at a router's end of the link to the robot, if they differ: a router accepts only exact declarations,
-    even from a compromised robot."""
 
 
 TRAFFIC: Final = (
@@ -55,7 +50,6 @@ TRAFFIC: Final = (
         ("declare_subscriber", "declare_queryable"),
         (ALL_COMMANDS,),
         (OPERATOR,),
-        robots_keys=(*COMMAND_KEYS, *GET_ONLY),
     ),
     Traffic("setting a simulated robot upright", True, ("query",), (SIM_UPRIGHT,), (OPERATOR,)),
     Traffic("set upright", False, ("reply", "declare_queryable"), (SIM_UPRIGHT,), (OPERATOR,)),
@@ -83,39 +77,19 @@ BODY: Final = (
 """Between a gateway and the process that simulates its robot's body."""
 
 
-def rules(prefix: str = "", namespace: str = "", *, robots_side: bool = False) -> str:
-    """The rules as JSON5, their names after `prefix`, for the robot's or router's end of the links to people.
-
-    With `robots_side`, for a router's end of the link to the robot, where the directions are reversed.
-    """
-    return "".join(
-        str(_rule(each, prefix, namespace, robots_side=robots_side)) for each in _on(robots_side=robots_side)
-    )
+def rules() -> str:
+    """Return the rules of TRAFFIC as JSON5."""
+    return "".join(str(_rule(each, "")) for each in TRAFFIC)
 
 
 def body_rules(namespace: str = "") -> list[dict[str, Any]]:
-    """The rules of BODY for the gateway's end."""
-    return [_rule(each, "", namespace, robots_side=False)._asdict() for each in BODY]
+    """Return the rules of BODY for the gateway's end."""
+    return [_rule(each, namespace)._asdict() for each in BODY]
 
 
-def names(prefix: str = "", *, roles: tuple[str, ...]) -> str:
-    """The names of the rules for exactly these roles, as a JSON5 list."""
-    return listed([f"{prefix}{each.what}" for each in TRAFFIC if each.roles == roles])
-
-
-def robots_names(prefix: str) -> str:
-    """The names of all rules at a router's end of the link to the robot."""
-    return listed([f"{prefix}{each.what}" for each in _on(robots_side=True)])
-
-
-def _on(*, robots_side: bool) -> list[Traffic]:
-    """The traffic at this end. The rule for commands covers a button's presses at the robot's side."""
-    return [each for each in TRAFFIC if not (robots_side and each.roles == (BUTTON,))]
-
-
-def subject(name: str, common_names: list[str]) -> str:
-    """A subject as JSON5: the certificates with these common names."""
-    return f'      {{ id: "{name}",\n        cert_common_names: {listed(common_names)} }},\n'
+def rules_for(*roles: str) -> str:
+    """Return the names of the rules for exactly these roles, as a JSON5 list."""
+    return listed([each.what for each in TRAFFIC if each.roles == roles])
 
 
 def listed(texts: Sequence[str]) -> str:
@@ -141,12 +115,11 @@ class _Rule(NamedTuple):
         )
 
 
-def _rule(each: Traffic, prefix: str, namespace: str, *, robots_side: bool) -> _Rule:
-    named = (each.robots_keys if robots_side else ()) or each.keys
+def _rule(each: Traffic, namespace: str) -> _Rule:
     return _Rule(
-        f"{prefix}{each.what}",
+        each.what,
         "allow",
-        ("ingress" if each.from_people is not robots_side else "egress",),
+        ("ingress" if each.from_people else "egress",),
         each.messages,
-        tuple(f"{namespace}/{key}" if namespace else key for key in named),
+        tuple(f"{namespace}/{key}" if namespace else key for key in each.keys),
     )

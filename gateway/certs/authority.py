@@ -1,7 +1,7 @@
 """X.509 without files: a private CA, the gateway's and laptops' certificates, and reading them back.
 
-Zenoh's access control identifies a laptop by the first common name of its certificate, one of a pool (pool.py). The
-laptop's own name, or its person's, is in the organizational unit.
+Zenoh's access control identifies a laptop by the first common name of its certificate, its own (names.py). The
+laptop's name, or its person's, is in the organizational unit.
 """
 
 import datetime as dt
@@ -29,7 +29,6 @@ CONSOLE = "console"
 BACKDATE = dt.timedelta(days=365)
 
 _ORGANIZATION = "hexapod-gateway"
-_FROM = " from "
 _LABEL = re.compile(r"[a-z0-9]([a-z0-9-]{0,61}[a-z0-9])?")
 
 
@@ -50,19 +49,9 @@ class KeyPair:
         )
 
 
-def make_ca(now: dt.datetime, first: int = 0) -> KeyPair:
-    """A CA for leaf certificates only; its name has a random part, so that two CAs are never confused.
-
-    `first`: the first number of its part of the pool. A replacement CA has numbers of its own, so that a common name
-    shows which CA issued a certificate.
-    """
-    return _make_ca(now, f"{CA}{_FROM}{first}" if first else CA, [])
-
-
-def first_number(ca: x509.Certificate) -> int:
-    """The first number of this CA's part of the pool."""
-    number = _attribute(ca.subject, NameOID.ORGANIZATIONAL_UNIT_NAME).partition(_FROM)[2]
-    return int(number) if number.isdecimal() else 0
+def make_ca(now: dt.datetime) -> KeyPair:
+    """A CA for leaf certificates only; its name has a random part, so that two CAs are never confused."""
+    return _make_ca(now, CA, [])
 
 
 def make_web_ca(hosts: Sequence[str], now: dt.datetime) -> KeyPair:
@@ -112,7 +101,7 @@ def _make_ca(now: dt.datetime, unit: str, more: Sequence[tuple[x509.ExtensionTyp
 
 
 def make_gateway(ca: KeyPair, hosts: Sequence[str], days: int, now: dt.datetime) -> KeyPair:
-    """The gateway's certificate: a server for `hosts`, and a client when it dials a fleet's router."""
+    """The gateway's certificate: a server for `hosts`, and a client where it dials another Zenoh program."""
     usages = [ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH]
     return _make_leaf(ca, _name(GATEWAY, GATEWAY), usages, hosts, days, now)
 

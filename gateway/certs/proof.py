@@ -1,7 +1,7 @@
 """Proofs of the sender of a request for the lease or of a button: signed with a certificate's key.
 
-The certificate has the person's name and role (see `authority`). Zenoh checks the certificate of the link, but behind a
-router that is the router's; so the gateway checks the person's, once for each lease or button.
+The certificate has the person's name and role (see `authority`). Zenoh checks the certificate of a link, and messages
+carry no identity of their link; so the gateway checks the person's, once for each lease or button.
 """
 
 import base64
@@ -15,9 +15,9 @@ from cryptography.exceptions import InvalidSignature
 from cryptography.hazmat.primitives import hashes
 from cryptography.hazmat.primitives.asymmetric import ec, padding, rsa
 
-from gateway.certs import BUTTON, OPERATOR, pool
+from gateway.certs import BUTTON, OPERATOR, names
 from gateway.certs.authority import common_name_and_name, is_ca, is_issued
-from gateway.certs.files import read_certificate, read_certificates
+from gateway.certs.files import read_certificates
 from gateway.certs.revocation import RevocationList
 from schemas import button, lease
 from schemas.lease import Proof
@@ -40,18 +40,14 @@ WATCHING: Final = Purpose((OPERATOR, BUTTON), button.signed_text, own_names=True
 class ProofChecker:
     """Checks proofs against the CAs of one gateway. Immutable."""
 
-    def __init__(self, cas: Sequence[x509.Certificate], robot: str = "", revoked: RevocationList | None = None) -> None:
-        """`robot`: its name in a fleet, where certificates are valid for certain robots; else ""."""
+    def __init__(self, cas: Sequence[x509.Certificate], revoked: RevocationList | None = None) -> None:
         self._revoked = revoked
         self._cas = [ca for ca in cas if is_ca(ca)]
-        self._robot = robot
 
     @classmethod
-    def of(cls, ca_file: Path, own_certificate: Path | None, revoked: RevocationList | None = None) -> "ProofChecker":
-        """A checker with the gateway's own files. Raises ConfigError."""
-        common_name = common_name_and_name(read_certificate(own_certificate))[0] if own_certificate is not None else ""
-        kind, _, robot = common_name.partition(".")
-        return cls(read_certificates(ca_file), robot if kind == "robot" else "", revoked)
+    def of(cls, ca_file: Path, revoked: RevocationList | None = None) -> "ProofChecker":
+        """Return a checker with the gateway's own file of CAs. Raises ConfigError."""
+        return cls(read_certificates(ca_file), revoked)
 
     def clock_fault(self, now: dt.datetime) -> str | None:
         """A sentence if this robot's clock must be wrong; None: it may be right."""
@@ -96,26 +92,21 @@ class ProofChecker:
     def _holders_fault(self, certificate: x509.Certificate, common_name: str, roles: Sequence[str]) -> str | None:
         if self._revoked is not None and self._revoked.holds(common_name, certificate.serial_number):
             return f"proof.certificate is revoked ({common_name}); get another from the person with the CA's key"
-        found = pool.holder(common_name)
-        if found.role not in roles or not found.is_for(self._robot):
-            wanted = [f"{each}.{self._robot}" if self._robot else each for each in roles]
-            return (
-                f"proof.certificate is not that of an {' or a '.join(roles)} of this robot "
-                f"(its role must be {' or '.join(wanted)})"
-            )
+        if names.role_of(common_name) not in roles:
+            return f"proof.certificate is not that of an {' or a '.join(roles)} of this robot"
         return None
 
 
 class CertificateHolder(NamedTuple):
-    """Both, since in the old layout people share a common name, and one person may have several certificates."""
+    """Both, since one person may have several certificates."""
 
     common_name: str
     person: str
 
     @property
     def role(self) -> str:
-        """The role without number and robot."""
-        return pool.holder(self.common_name).role
+        """The role without the number."""
+        return names.role_of(self.common_name)
 
 
 def holder(proof: Proof) -> CertificateHolder:

@@ -8,18 +8,18 @@ import ipaddress
 import json
 from collections.abc import Sequence
 
-from gateway.certs import BUTTON, LAPTOP_ROLES, OBSERVER, OPERATOR, access, pool
+from gateway.certs import BUTTON, LAPTOP_ROLES, OBSERVER, OPERATOR, access
 from gateway.limits import ACCEPT_TIMEOUT_MS, MAX_MESSAGE_SIZE, MAX_SESSIONS, SIZE_LIMIT
 
 DEFAULT_PORT = 7447
 
 _GATEWAY = """\
-// The gateway's Zenoh configuration, made by `hexapod-gateway certs init` for @HOSTS@.
+// The gateway's Zenoh configuration, made by `hexapod-gateway certs` for @HOSTS@.
 // In gateway.toml:  [zenoh]  config = "/etc/hexapod-gateway/zenoh/gateway.json5"
 // The robot needs this file, ca.pem, gateway.pem and gateway.key. Keep ca.key off the robot: with it,
 // anyone can be let in. Paths are relative to this file's folder.
 {
-  mode: "peer",@NAMESPACE@
+  mode: "peer",
   // All addresses, IPv4 and IPv6. On a kernel without IPv6: tls/0.0.0.0:@PORT@
   listen: { endpoints: ["tls/[::]:@PORT@"] },
   connect: { endpoints: [] },
@@ -41,7 +41,7 @@ _GATEWAY = """\
         root_ca_certificate: "ca.pem",
         listen_certificate: "gateway.pem",
         listen_private_key: "gateway.key",
-        // For a fleet, where the gateway dials a router.
+        // Where the gateway dials another Zenoh program, too.
         connect_certificate: "gateway.pem",
         connect_private_key: "gateway.key",
         enable_mtls: true,
@@ -50,8 +50,8 @@ _GATEWAY = """\
       },
     },
   },
-  // Who may do what. A laptop's certificate has one of these common names, its own, so a new laptop needs no change
-  // here. Those that are revoked stay listed: the gateway leaves them out when it starts (hexapod-gateway revoke).
+  // Who may do what. The gateway replaces each role by its laptops' common names (operator-00, operator-01, …) when it
+  // starts, but for those that are revoked, so a new laptop needs no change here.
   // Keys are exact: subscribe to hexapod/state, not to hexapod/*.
   access_control: {
     enabled: true,
@@ -59,7 +59,10 @@ _GATEWAY = """\
     rules: [
 @RULES@    ],
     subjects: [
-@SUBJECTS@    ],
+      { id: "operator", cert_common_names: ["operator"] },
+      { id: "observer", cert_common_names: ["observer"] },
+      { id: "button", cert_common_names: ["button"] },
+    ],
     policies: [
       { subjects: ["operator"],
         rules: @OPERATORS_RULES@ },
@@ -82,7 +85,7 @@ _LAPTOP = """\
 //   hexapod-gateway watch --zenoh-config @FILE@
 // Paths are relative to this file's folder: keep ca.pem, @NAME@.pem and @NAME@.key beside it.
 {
-  mode: "client",@NAMESPACE@
+  mode: "client",
   connect: {
     // hexapod-gateway and its Client try them side by side, other Zenoh programs in turn; when the link breaks, Zenoh
     // tries them in turn, again every 0.1 to 0.5 s.
@@ -115,7 +118,7 @@ _COMMANDS = {OPERATOR: ("walk", "estop"), OBSERVER: (), BUTTON: ("button", "esto
 """Commands in a bundle's README, besides `watch`."""
 
 _README = """\
-The files of @NAME@, @ROLE@ of the hexapod at @HOSTS@. Valid until @EXPIRY@.
+The files of @NAME@, @ROLE@ of a hexapod. Valid until @EXPIRY@.
 
 Unzip them anywhere, together, and keep @NAME@.key secret: it proves to be @NAME@.
 
@@ -131,60 +134,37 @@ Other Zenoh programs read the paths in @FILE@ from the folder they are started i
 """
 
 
-def gateway_json5(hosts: Sequence[str], port: int, namespace: str = "", size: int = pool.SIZE) -> bytes:
-    """The robot's Zenoh configuration: mTLS on all addresses, access control by role, size limit, no scouting.
-
-    `size`: of each role's pool of common names.
-    """
-    return fill(
+def gateway_json5(hosts: Sequence[str], port: int) -> bytes:
+    """Return the robot's Zenoh configuration: mTLS on all addresses, access by role, a size limit, no scouting."""
+    return _fill(
         _GATEWAY,
         HOSTS=", ".join(hosts),
         PORT=str(port),
-        NAMESPACE=_namespace(namespace),
-        RULES=access.rules(namespace=namespace),
-        SUBJECTS="".join(access.subject(role, pool.names(role, range(size))) for role in LAPTOP_ROLES),
-        OPERATORS_RULES=access.names(roles=(OPERATOR,)),
-        BUTTONS_RULES=access.names(roles=(BUTTON,)),
-        EVERYONES_RULES=access.names(roles=LAPTOP_ROLES),
+        RULES=access.rules(),
+        OPERATORS_RULES=access.rules_for(OPERATOR),
+        BUTTONS_RULES=access.rules_for(BUTTON),
+        EVERYONES_RULES=access.rules_for(*LAPTOP_ROLES),
     )
 
 
-def command_for_new_rules(file: str, port: int, namespace: str = "", program: str = "hexapod-gateway") -> str:
-    """A shell command that rewrites gateway.json5 with this release's rules; certificates and keys stay."""
-    named = f" --namespace {namespace}" if namespace else ""
-    made = f"d=$(mktemp -d) && {program} certs init --dir $d --host $(hostname) --port {port}{named}"
+def command_for_new_rules(file: str, port: int, program: str = "hexapod-gateway") -> str:
+    """Return a shell command that rewrites gateway.json5 with this release's rules; certificates and keys stay."""
+    made = f"d=$(mktemp -d) && {program} certs init --dir $d --host $(hostname) --port {port}"
     return f"{made} && sudo cp $d/gateway.json5 {file} && rm -r $d"
 
 
-def laptop_json5(name: str, role: str, hosts: Sequence[str], port: int, namespace: str, file: str) -> bytes:
-    """A laptop's Zenoh configuration, with the name `file`, an endpoint for each host and its robot's `namespace`."""
+def laptop_json5(name: str, role: str, hosts: Sequence[str], port: int, file: str) -> bytes:
+    """Return a laptop's Zenoh configuration, with the name `file` and an endpoint for each of the robot's hosts."""
     endpoints = json.dumps([endpoint(host, port) for host in hosts])
-    return fill(_LAPTOP, NAME=name, FILE=file, ROLE=role, ENDPOINTS=endpoints, NAMESPACE=_namespace(namespace))
+    return _fill(_LAPTOP, NAME=name, FILE=file, ROLE=role, ENDPOINTS=endpoints)
 
 
-def _namespace(namespace: str) -> str:
-    if not namespace:
-        return ""
-    return f"""
-  // On the wire, and in the rules of access control, its keys are {namespace}/hexapod/…; for programs, hexapod/…
-  namespace: "{namespace}","""
-
-
-def laptop_readme(name: str, role: str, hosts: Sequence[str], expiry: str, files: Sequence[str]) -> bytes:
-    """A bundle's README. `files`: a Zenoh configuration for each robot."""
+def laptop_readme(name: str, role: str, expiry: str, files: Sequence[str]) -> bytes:
+    """Return a bundle's README. `files`: a Zenoh configuration for each robot."""
     file = files[0]
     commands = "".join(f"\n  hexapod-gateway {each} --zenoh-config path/to/{file}" for each in _COMMANDS[role])
     others = f"\nEach robot has a file of its own: {', '.join(files)}.\n" if len(files) > 1 else ""
-    return fill(
-        _README,
-        NAME=name,
-        ROLE=role,
-        HOSTS=" or ".join(hosts),
-        EXPIRY=expiry,
-        COMMANDS=commands,
-        FILE=file,
-        OTHERS=others,
-    )
+    return _fill(_README, NAME=name, ROLE=role, EXPIRY=expiry, COMMANDS=commands, FILE=file, OTHERS=others)
 
 
 def endpoint(host: str, port: int) -> str:
@@ -196,7 +176,7 @@ def endpoint(host: str, port: int) -> str:
     return f"tls/{bracketed}:{port}"
 
 
-def fill(template: str, **values: str) -> bytes:
+def _fill(template: str, **values: str) -> bytes:
     """The template with each @NAME@ replaced by its value, and the limits of all files filled in."""
     limits = {"SIZE_LIMIT": str(SIZE_LIMIT), "MAX_MESSAGE_SIZE": str(MAX_MESSAGE_SIZE)}
     limits |= {"MAX_SESSIONS": str(MAX_SESSIONS), "ACCEPT_TIMEOUT_MS": str(ACCEPT_TIMEOUT_MS)}

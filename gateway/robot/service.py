@@ -52,7 +52,7 @@ from gateway.robot.zenoh_io.connection_limiter import ConnectionLimiter
 from gateway.robot.zenoh_io.inbox import Inbox
 from gateway.robot.zenoh_io.outbox import ZenohOutbox
 from gateway.robot.zenoh_io.proofs import checker_of
-from gateway.robot.zenoh_io.revoked import OlderCa, RevocationState, leave_out, revocation_state
+from gateway.robot.zenoh_io.revoked import RevocationState, list_common_names, revocation_state
 from gateway.robot.zenoh_io.rings import put_depth
 from gateway.robot.zenoh_io.session import service_config
 from gateway.robot.zenoh_io.unknown_keys import UnknownKeys
@@ -175,7 +175,7 @@ def _configured(
     config = service_config(settings)
     shut_out = revocation_state(config, settings)
     revoked = None if shut_out is None else shut_out.known
-    leave_out(config, revoked)
+    list_common_names(config, revoked)
     if physics is not None:
         simulated_body.admit(config, physics.folder)
     if revoked is not None:
@@ -257,7 +257,7 @@ async def _run(
             "real-time priority %s", "granted" if realtime.prefer_thread(realtime.LOOP_PRIORITY) else "not allowed"
         )
         with owner:
-            for announce in (conductor.announce_start, calibrations.announce_start, revocations.announce_start):
+            for announce in (conductor.announce_start, calibrations.announce_start):
                 announce()
         notifier.ready("takes commands")
         connection_limiter, upkeep = _attendants(session, config, conductor, notifier, shut_out)
@@ -374,8 +374,7 @@ def _attendants(
     upkeep = Upkeep(session, config, notifier.status, wall_clock)
     conductor.reports.certificate = upkeep.certificate
     revoked = frozenset() if shut_out is None or shut_out.known is None else shut_out.known.common_names
-    older = OlderCa(shut_out, conductor.metrics.count_older_ca)
-    return ConnectionLimiter(session, conductor.metrics.count_sessions, revoked, older.note), upkeep
+    return ConnectionLimiter(session, conductor.metrics.count_sessions, revoked), upkeep
 
 
 def _report_tasks(settings: Settings, conductor: Conductor, outbox: ZenohOutbox) -> list[asyncio.Task[None]]:

@@ -89,7 +89,7 @@ class ListenerStand(Closing):
             self.network = stack.enter_context(Network(laptops=2))
             hosts = [self.network.robot_address(laptop) for laptop in self.network.laptops]
             certs.folder.init(folder / "certs", hosts)
-            certs.folder.console(folder / "certs", "web", hosts)
+            certs.folder.issue(folder / "certs", "web", "console", hosts=hosts)
             self.folder = folder
             self.gateway = stack.enter_context(
                 Gateway(folder, {"zenoh": {"listen": [GATEWAY]}}, prefix=self.network.robot)

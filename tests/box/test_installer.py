@@ -303,48 +303,6 @@ def test_certificates(machine: Machine, tmp_path: Path) -> None:
     assert box.run(*command, "--timeout", "0.5", check=False).returncode == 4
 
 
-def test_certificates_of_a_robot_of_a_fleet(machine: Machine, tmp_path: Path) -> None:
-    """Neither the whole fleet's folder nor a person's is taken for it, and its people reach it through the router."""
-    box, fleet, own = machine.box, tmp_path / "fleet", "/root/robot-certs"
-    certs.folder.init(fleet, ["127.0.0.1"], port=7448)
-    certs.folder.add_robots(fleet, ["robot-1", "robot-2"])
-    certs.folder.issue(fleet, "anna", "operator", robots=["robot-1", "robot-2"])
-    certs.folder.issue(fleet, "olga", "operator", robots=["robot-1"])
-    certs.moving.revoke(fleet, "operator-40.robot-1")
-    folder = share(box, fleet)
-    rejected = {
-        "is a fleet's": ["router.json5", "robot-1.json5"],
-        "anna.robot-1.json5 has no robot's name": ["anna.robot-1.json5"],
-        "olga.json5 is a person's": ["olga.json5"],
-        "has files of several robots": ["robot-1.json5", "robot-2.json5"],
-        "has no robot-1.pem; copy it from where ca.key is": ["robot-1.json5"],
-    }
-    own_files = ["robot-1.json5", "robot-1.pem", "robot-1.key", "ca.pem", "revoked.crl"]
-    for sentence, names in {**rejected, "": own_files}.items():
-        box.run("rm", "-rf", own)
-        box.run("mkdir", own)
-        box.run("cp", *(f"{folder}/{name}" for name in names), own)
-        if sentence:
-            assert sentence in machine.install("--dry-run", "--certs", own, check=False)[0]
-    said = machine.install("--certs", own)
-    settings = ["listen = []", f'config = "/etc/{NAME}/zenoh/robot-1.json5"']
-    assert f"use the certificates: {settings[1]} and {settings[0]} in {CONFIGURATION}" in said
-    assert "certs issue NAME --role operator --robot robot-1 --dir DIR" in "\n".join(said[-2:])
-    assert [line for line in box.read(CONFIGURATION).splitlines() if line in settings] == settings
-    files = box.run("ls", "-l", f"/etc/{NAME}/zenoh").stdout
-    assert re.search(rf"^-rw-r----- 1 root {NAME} .* robot-1.key$", files, re.MULTILINE), files
-    assert "gateway" not in files.replace(NAME, "")
-    again = machine.install("--certs", own)
-    assert f"keep /etc/{NAME}/zenoh/robot-1.json5, your configuration" in again
-    router = "import signal, zenoh; _ = zenoh.open(zenoh.Config.from_file('router.json5')); signal.pause()"
-    python = f"/opt/{NAME}/venv/bin/python"
-    box.run("systemd-run", "--unit=router", f"--working-directory={folder}", python, "-c", router)
-    machine.simulate()
-    anna = ("--zenoh-config", f"{folder}/anna.robot-1.json5", "--timeout", "20")
-    assert "accepted" in box.run(NAME, "send", "leg", "3", "stop", *anna).stdout
-    assert "list 1 of " in box.run(NAME, "check", *anna).stdout, "it came with the certificates"
-
-
 @pytest.mark.parametrize(
     ("before", "after"),
     [("[cm4]\notg_mode=1\n[all]\ndtparam=spi=on\n", None), ("dtparam=spi=off\n", "dtparam=spi=on\n")],

@@ -83,7 +83,7 @@ def test_a_tap_anywhere_stops(visitor: Visitor, watcher: Client) -> None:
 
 def test_with_a_buttons_certificate_and_tls_a_tap_stops_by_its_own_name(browser: Browser, tmp_path: Path) -> None:
     with Secured(tmp_path, {"buttons": {"required": 1, "timeout_ms": 2000}}) as secured, secured.client("otto") as otto:
-        certs.folder.console(secured.folder, "web", ["127.0.0.1"])
+        certs.folder.issue(secured.folder, "web", "console", hosts=["127.0.0.1"])
         certs.folder.issue(secured.folder, "kitchen", "button")
         files = [f"--cert={secured.folder / 'web.pem'}", f"--key={secured.folder / 'web.key'}"]
         heard = events(otto)

@@ -39,18 +39,8 @@ MADE: Final[Mapping[str, tuple[ByHand, ...]]] = {
             "tx: { lease: 1000 },\n      // Limit",
             "tx: { lease: 10000 },\n      // Limit",
         ),
-        ByHand(
-            "robots share their keys",
-            "        NAMESPACE=_namespace(namespace),\n        RULES",
-            '        NAMESPACE="",\n        RULES',
-        ),
-        ByHand(
-            "a laptop commands all robots, or none",
-            "ENDPOINTS=endpoints, NAMESPACE=_namespace(namespace))",
-            'ENDPOINTS=endpoints, NAMESPACE="")',
-        ),
         ByHand("a second host is never tried", "for host in hosts])\n", "for host in hosts[:1]])\n"),
-        ByHand("a laptop listens, too", 'mode: "client",@NAMESPACE@', 'mode: "peer",@NAMESPACE@'),
+        ByHand("a laptop listens, too", 'mode: "client",', 'mode: "peer",'),
         ByHand(
             "an IPv6 address cannot be dialled",
             "ip_address(host).version == 6 else host",

@@ -135,7 +135,7 @@ def _state_with_a_list() -> str:
         directory, port = Path(scratch) / "certs", free_port()
         certs.folder.init(directory, ["127.0.0.1"], port=port)
         certs.folder.issue(directory, "anna", "operator")
-        certs.moving.revoke(directory, "operator-40")
+        certs.folder.revoke(directory, "operator-40")
         settings = {"zenoh": {"config": str(directory / "gateway.json5"), "listen": [f"tls/127.0.0.1:{port}"]}}
         with (
             Gateway(Path(scratch), settings),

@@ -113,7 +113,6 @@ EXTENDED: Final = (
     "box/test_installer.py::test_the_protocol_without_a_framing",
     "box/test_installer.py::test_an_upgrade_that_does_not_start_leaves_the_old_one_running",
     "box/test_installer.py::test_certificates",
-    "box/test_installer.py::test_certificates_of_a_robot_of_a_fleet",
     "box/test_installer.py::test_config_txt",
     "box/test_installer.py::test_rejections",
     "box/test_installer.py::test_the_exact_interpreter",
@@ -132,9 +131,6 @@ EXTENDED: Final = (
     # what README, docs and docstrings show
     "zenoh/test_client.py::test_the_examples_run",
     "zenoh/test_examples.py",
-    "zenoh/test_fleet.py::test_robots_with_lists_of_two_copies_of_the_folder_all_get_one_with_both",
-    "zenoh/test_fleet.py::test_whoever_leaves_is_shut_out_at_all_robots_and_one_that_is_away_is_named",
-    "zenoh/test_fleet_page.py",
     "zenoh/test_first_steps.py::test_a_type_checker_finds_the_types_from_any_folder",
     "zenoh/test_first_steps.py::test_an_unfit_virtual_environment_is_made_anew",
     "zenoh/test_readme.py",

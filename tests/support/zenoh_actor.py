@@ -16,6 +16,7 @@ from typing import Any
 import zenoh
 from zenoh.handlers import RingChannel
 
+from gateway.robot.zenoh_io.revoked import list_common_names
 from gateway.zenoh_config import load_config
 from tests.support.child import Child
 from tests.support.closing import Closing
@@ -65,6 +66,7 @@ class Actor:
     def open(self, path: str, overrides: dict[str, Any], resolve: bool = True) -> str:
         """Opens the Zenoh file at `path`, as our programs do or (not `resolve`) as it stands; the session's id."""
         config = load_config(Path(path)) if resolve else zenoh.Config.from_file(path)
+        list_common_names(config, None)  # as the service does with its own file
         for key, value in overrides.items():
             config.insert_json5(key, json.dumps(value))
         self._session = zenoh.open(config)

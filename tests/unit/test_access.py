@@ -10,7 +10,6 @@ from typing import Any
 import pytest
 import zenoh
 
-from gateway.certs.fleet_files import robot_json5, router_json5
 from gateway.certs.zenoh_files import gateway_json5, laptop_json5
 from gateway.errors import ConfigError
 from gateway.robot.zenoh_io import simulated_body
@@ -119,7 +118,6 @@ PRESSING = (
         ("operator", WATCHING | COMMANDING),
         ("observer", WATCHING),
         ("button", WATCHING | PRESSING),
-        ("button-07", WATCHING | PRESSING),
         ("somebody", set()),
     ],
 )
@@ -127,46 +125,14 @@ def test_each_role_may_do_this_and_nothing_else(gateway: zenoh.Config, role: str
     assert allowed(gateway, role) == expected
 
 
-def test_with_a_namespace_the_same_holds_behind_it_and_nothing_without_it(tmp_path: Path) -> None:
-    made = config(gateway_json5(["robot.local"], 7447, "robot1"), tmp_path)
-    assert get(made, "namespace") == "robot1"
-    assert allowed(made, "operator", "robot1/") == WATCHING | COMMANDING
-    assert allowed(made, "operator") == allowed(made, "operator", "robot2/") == set()
-
-
-TAKEN_BY_A_ROBOT = {
-    ({"ingress": "egress", "egress": "ingress"}[flow], message, key)
-    for flow, message, key in WATCHING | COMMANDING
-    if key not in WILD or "declare" not in message
-}
-"""At a router's end of the link to the robot: what comes in from people goes out, and declared is what is exact."""
-
-
-@pytest.mark.parametrize(
-    ("role", "expected"),
-    [
-        ("robot", TAKEN_BY_A_ROBOT),
-        ("operator", WATCHING | COMMANDING),
-        ("observer", WATCHING),
-        ("button", WATCHING | PRESSING),
-    ],
-)
-def test_a_router_lets_a_robot_and_its_people_reach_each_other_and_nobody_else(
-    tmp_path: Path, role: str, expected: set[Said]
+def test_a_simulated_body_comes_in_by_its_socket_and_changes_nothing_for_people(
+    tmp_path: Path, gateway: zenoh.Config
 ) -> None:
-    made = config(router_json5(["robot1", "robot2"], 7447), tmp_path)
-    assert allowed(made, f"{role}.robot1", "robot1/") == expected
-    assert allowed(made, f"{role}.robot1") == allowed(made, f"{role}.robot1", "robot2/") == set()
-
-
-@pytest.mark.parametrize("namespace", ["", "robot1"])
-def test_a_simulated_body_comes_in_by_its_socket_and_changes_nothing_for_people(tmp_path: Path, namespace: str) -> None:
-    made = config(gateway_json5(["robot.local"], 7447, namespace), tmp_path)
-    prefix = f"{namespace}/" if namespace else ""
-    before = {role: allowed(made, role, prefix) for role in ("operator", "observer", "button")}
+    made, roles = gateway, ("operator", "observer", "button")
+    before = {role: allowed(made, role) for role in roles}
     simulated_body.admit(made, tmp_path)
-    assert allowed(made, simulated_body.SUBJECT, prefix) == LYING
-    assert {role: allowed(made, role, prefix) for role in before} == before
+    assert allowed(made, simulated_body.SUBJECT) == LYING
+    assert {role: allowed(made, role) for role in before} == before
     (subject,) = (each for each in get(made, "access_control/subjects") if each["id"] == simulated_body.SUBJECT)
     assert {name: value for name, value in subject.items() if value} == {
         "id": simulated_body.SUBJECT,
@@ -191,9 +157,7 @@ def test_nobody_declares_a_wildcard(gateway: zenoh.Config) -> None:
 
 FILES: dict[str, bytes] = {
     "gateway": gateway_json5(["robot.local"], 7447),
-    "laptop": laptop_json5("anna", "operator", ["robot.local", "fd00::1"], 7447, "robot1", "anna.json5"),
-    "router": router_json5(["robot-1"], 7447),
-    "robot": robot_json5("robot-1", "router.local", 7447),
+    "laptop": laptop_json5("anna", "operator", ["robot.local", "fd00::1"], 7447, "anna.json5"),
 }
 FOR_ALL: dict[str, object] = {
     "scouting/multicast/enabled": False,
@@ -219,14 +183,11 @@ ITS_OWN: dict[str, dict[str, object]] = {
     "gateway": {"mode": "peer", **LISTENS, **HOLDS},
     "laptop": {
         "mode": "client",
-        "namespace": "robot1",
         "connect/endpoints": ["tls/robot.local:7447", "tls/[fd00::1]:7447"],
         "transport/unicast/open_timeout": 1000,
         "transport/link/tls/connect_certificate": "anna.pem",
         "transport/link/tls/connect_private_key": "anna.key",
     },
-    "router": {"mode": "router", **LISTENS, **HOLDS},
-    "robot": {"mode": "peer", "namespace": "robot-1", "listen/endpoints": [], **HOLDS},
 }
 
 
@@ -237,7 +198,7 @@ def test_who_comes_in_and_with_how_much(tmp_path: Path, name: str) -> None:
     assert {key: get(made, key) for key in wanted} == wanted
 
 
-@pytest.mark.parametrize("name", ["gateway", "router", "robot"])
+@pytest.mark.parametrize("name", ["gateway"])
 def test_what_is_far_too_large_is_dropped_before_it_reaches_the_gateway(tmp_path: Path, name: str) -> None:
     (limit,) = get(config(FILES[name], tmp_path), "low_pass_filter")
     assert limit["flows"] == ["ingress"]

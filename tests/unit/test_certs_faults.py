@@ -130,7 +130,7 @@ def test_a_file_system_without_modes_is_rejected(tmp_path: Path, monkeypatch: py
     ["", "ca", "CA", "gateway", "../x", "a/b", "a b", ".a", "-a", "a.b", "ä", "a\n", "x" * 64],
 )
 def test_names_that_cannot_be(folder: Path, name: str) -> None:
-    assert "cannot name a laptop" in fault(lambda: certs.folder.issue(folder, name, "operator"))
+    assert "cannot be a name here" in fault(lambda: certs.folder.issue(folder, name, "operator"))
     assert names(folder) == MADE_BY_INIT
 
 
@@ -186,7 +186,6 @@ def test_hosts_are_brought_into_one_form(text: str, host: str) -> None:
         ({"hosts": []}, "at least one host"),
         ({"hosts": ["robot.local", "::1"]}, "Zenoh dials no IPv6 address over TLS"),
         ({"hosts": ["robot.local", "[2001:DB8::7]"]}, "Zenoh dials no IPv6 address over TLS"),
-        *(({"namespace": name}, "cannot be a namespace") for name in ("a/b", "*", "-x", "x" * 64, 'a"')),
     ],
 )
 def test_what_init_rejects(tmp_path: Path, options: dict[str, Any], sentence: str) -> None:
@@ -239,7 +238,7 @@ def test_a_ca_that_expired(folder: Path) -> None:
 
 def test_renewing_what_is_not_there_or_anothers(folder: Path, tmp_path: Path) -> None:
     assert "cannot read the certificate" in fault(lambda: certs.folder.renew(folder, "nobody"))
-    assert "cannot name a laptop" in fault(lambda: certs.folder.renew(folder, "ca"))
+    assert "cannot be a name here" in fault(lambda: certs.folder.renew(folder, "ca"))
     certs.folder.init(tmp_path / "E", HOSTS)
     certs.folder.issue(tmp_path / "E", "eve", "operator")
     (folder / "eve.pem").write_bytes((tmp_path / "E" / "eve.pem").read_bytes())

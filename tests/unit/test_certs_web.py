@@ -24,7 +24,7 @@ def test_what_people_import_into_a_browser_is_good_for_the_console_only(
     folder: Path, hosts: Sequence[str], other: str
 ) -> None:
     """With a stolen key, no other site can be impersonated; judged by OpenSSL, in a real handshake."""
-    certs.folder.console(folder, "web", hosts)
+    certs.folder.issue(folder, "web", "console", hosts=hosts)
     ca = authority.KeyPair(certs.files.read_certificate(folder / "web-ca.pem"), read_key(folder / "web-ca.key"))
     for host in hosts:
         assert trusted(folder / "web-ca.pem", folder / "web.pem", folder / "web.key", host)
@@ -35,11 +35,11 @@ def test_what_people_import_into_a_browser_is_good_for_the_console_only(
 
 
 def test_a_console_is_renewed_by_its_own_ca_and_for_its_own_hosts(folder: Path) -> None:
-    certs.folder.console(folder, "web", WEB_HOSTS)
+    certs.folder.issue(folder, "web", "console", hosts=WEB_HOSTS)
     certs.folder.renew(folder, "web", hosts=["192.0.2.7"])
     assert trusted(folder / "web-ca.pem", folder / "web.pem", folder / "web.key", "robot.local")
     assert not trusted(folder / "ca.pem", folder / "web.pem", folder / "web.key", "robot.local")
-    assert "is good for robot.local, 192.0.2.7 only" in fault(
+    assert "is valid for robot.local, 192.0.2.7 only" in fault(
         lambda: certs.folder.renew(folder, "web", hosts=["192.0.2.8"])
     )
 

@@ -29,13 +29,10 @@ MADE_ELSEWHERE = frozenset(
     {
         "gateway.toml",
         "calibration.toml",
-        "router.json5",
-        "robot-1.json5",
         "anna.json5",
-        "anna.robot-1.json5",
-        "anna.robot-6.json5",
         "ros2.json5",
         "NAME.json5",
+        "NAME.robot-2.json5",
         "build/falls.md",
     }
 )

@@ -266,7 +266,7 @@ def test_the_address_is_taken(console: Console) -> None:
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (["--listen", "0.0.0.0:8080"], "certs console --host"),
+        (["--listen", "0.0.0.0:8080"], "certs issue web --role console --host"),
         (["--listen", "nonsense:x"], "no HOST:PORT"),
         (["--role", "admin"], "an operator's (drive, stop), a button's"),
         (["--geometry", "/nonexistent"], "cannot be read"),

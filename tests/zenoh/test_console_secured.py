@@ -19,7 +19,7 @@ from tests.support.secured import Secured
 @pytest.fixture(scope="module")
 def secured(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Secured]:
     with Secured(tmp_path_factory.mktemp("secured")) as running:
-        certs.folder.console(running.folder, "web", ["127.0.0.1"])
+        certs.folder.issue(running.folder, "web", "console", hosts=["127.0.0.1"])
         yield running
 
 
@@ -65,7 +65,7 @@ def begun_after(time: datetime, state: dict[str, Any]) -> bool:
 
 def test_sessions_of_a_console_end_when_its_certificate_is_revoked(tmp_path: Path) -> None:
     with Secured(tmp_path) as running:
-        certs.folder.console(running.folder, "web", ["127.0.0.1"])
+        certs.folder.issue(running.folder, "web", "console", hosts=["127.0.0.1"])
         certs.folder.issue(running.folder, "bert", "operator")
         context = ssl.create_default_context(cafile=running.folder / "web-ca.pem")
         with serving(running, tmp_path, "anna") as console, httpx.Client(verify=context) as browser:
@@ -78,7 +78,7 @@ def test_sessions_of_a_console_end_when_its_certificate_is_revoked(tmp_path: Pat
                     assert browser.get(f"{console.url}/session", headers=session.headers).status_code == 200
                     changed = datetime.now(UTC)
                     with running.client("bert") as bert:
-                        assert bert.revocation(certs.moving.revoke(running.folder, name).pem.decode()).accepted
+                        assert bert.revocation(certs.folder.revoke(running.folder, name).pem.decode()).accepted
                     if name == "anna":
                         console.child.wait_for_output("(operator-00) is revoked: all its sessions end", 20)
                         with pytest.raises(ConnectionClosed):

@@ -5,23 +5,19 @@ import select
 import signal
 import stat
 from collections.abc import Iterator
-from contextlib import ExitStack
 from pathlib import Path
 from typing import Final
 
 import pytest
 import zenoh
 
-from gateway import certs
 from gateway.client import Client
 from gateway.errors import UnansweredError
 from gateway.people.client.live import set_upright
 from schemas import keys
-from tests.support.child import Child
-from tests.support.gateway_process import COMMAND, READY, Gateway, free_port, write_settings
+from tests.support.gateway_process import Gateway
 from tests.support.heard import bodies
-from tests.support.secured import HOST, Secured
-from tests.support.zenoh_actor import Remote
+from tests.support.secured import Secured
 
 PHYSICS: Final = ("--sim=physics",)
 
@@ -84,22 +80,3 @@ def test_with_passwords(tmp_path: Path) -> None:
         bodies(anna).wait(lambda _: True)
         assert set_upright(anna).accepted
     assert (tmp_path / "users.txt").read_text() == "anna:secret\n"
-
-
-def test_behind_a_router_and_a_namespace(tmp_path: Path) -> None:
-    """As in a fleet: the robot dials the router, and so do its people."""
-    folder, port = tmp_path / "D", free_port()
-    certs.folder.init(folder, [HOST], port=port)
-    certs.folder.add_robots(folder, ["robot-1"])
-    certs.folder.issue(folder, "anna", "operator", robots=["robot-1"])
-    settings = {"zenoh": {"listen": [], "config": str(folder / "robot-1.json5")}}
-    config = write_settings(tmp_path / "gateway.toml", settings)
-    with ExitStack() as end:
-        router = end.enter_context(Remote())
-        router.open(str(folder / "router.json5"), {"listen/endpoints": [f"tls/{HOST}:{port}"]})
-        gateway = Child([*COMMAND, "run", *PHYSICS, "--config", str(config)], os.environ)
-        end.callback(gateway.close)
-        gateway.wait_for_output(READY, timeout_s=20)
-        anna = end.enter_context(Client(None, zenoh_config=folder / "anna.json5", timeout_s=10))
-        bodies(anna).wait(lambda _: True, timeout_s=20)
-        assert set_upright(anna).accepted

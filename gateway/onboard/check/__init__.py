@@ -188,7 +188,6 @@ def _of_settings(settings: Settings) -> Iterator[Result]:
     gateway_runs = device.held(spi_device)
     if zenoh_config is not None:
         yield from access.passes(zenoh_config, settings.zenoh.config)
-        yield from holders.at_the_robot(zenoh_config, settings.zenoh.config)
         if all(each.name != "revoked" for each in mismatched):
             yield from holders.shut_out_at_the_robot(zenoh_config, settings.zenoh)
         endpoints = listen_endpoints(zenoh_config)

@@ -109,5 +109,5 @@ def _fix(config: zenoh.Config, file: str, keys: list[str]) -> str:
 
 def _anew(config: zenoh.Config, file: str) -> str:
     ports = (int(found[1]) for each in listen_endpoints(config) if (found := re.search(r":(\d+)$", each)))
-    rules = command_for_new_rules(file, next(ports, 7447), get(config, "namespace") or "", this_command())
+    rules = command_for_new_rules(file, next(ports, 7447), this_command())
     return f"{rules} && sudo systemctl restart hexapod-gateway"

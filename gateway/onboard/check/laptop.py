@@ -38,7 +38,6 @@ def checks(connect: str | None, zenoh_config: Path | None, timeout_s: float) -> 
         yield _result(finding)
     if (soon := diagnosis.own_expiry(config)) is not None:
         yield warning(Stage.CERTIFICATE, soon, "hexapod-gateway certs renew, where ca.key is, and copy it here")
-    yield from holders.on_the_laptop(identity)
     try:
         client = Client(connect, zenoh_config=zenoh_config, source=_SOURCE, timeout_s=timeout_s, explain=False)
     except ZenohError:

@@ -79,7 +79,7 @@ def site(listen: str, certificate: Path | None, key: Path | None) -> Site:
         if not _is_loopback(address):
             raise ConfigError(
                 f"{listen} is reached from other machines, so the console needs TLS: --cert and --key\n"
-                "where ca.key is, hexapod-gateway certs console --host NAME --dir DIR makes both\n"
+                "where ca.key is, hexapod-gateway certs issue web --role console --host NAME --dir DIR makes both\n"
                 "or keep it on this machine (--listen 127.0.0.1:8080), and reach it through ssh -L 8080:127.0.0.1:8080"
             )
         hosts = (*LOCALHOST, "localhost") if address == "localhost" else tuple(dict.fromkeys((address, "localhost")))
@@ -88,7 +88,7 @@ def site(listen: str, certificate: Path | None, key: Path | None) -> Site:
     if not names:
         raise ConfigError(
             f"{certificate} names no host, so no browser accepts it: "
-            "make one with hexapod-gateway certs console --host NAME"
+            "make one with hexapod-gateway certs issue web --role console --host NAME"
         )
     _check_pair(certificate, key)
     own = (address,) if address.lower() in names else ()

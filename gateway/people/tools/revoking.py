@@ -1,11 +1,12 @@
-"""Brings a list of revoked certificates to robots: it is signed where the CA is, and sent to each service."""
+"""Signs a list of revoked certificates where the CA is, and sends it to the robots."""
 
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Final
 
-from gateway.certs import OPERATOR, confirmed, folder, moving, pool, zenoh_files
-from gateway.certs.files import read_certificates
-from gateway.certs.revocation import REVOCATION_FILE, parse
+from gateway.certs import OPERATOR, folder, zenoh_files
+from gateway.certs.authority import hosts_of
+from gateway.certs.files import read_certificate, read_certificates
+from gateway.certs.revocation import REVOCATION_FILE, RevocationList, parse
 from gateway.errors import ConfigError, GatewayError, RejectedError
 from gateway.people.client.blocking import Client
 from gateway.people.terminal import hint, say, this_command
@@ -14,122 +15,83 @@ from schemas.revocation import MAX_REVOCATION_BYTES
 ANSWER_S: Final = 5.0
 
 
-def revoke(directory: Path, name: str | None, to: list[str], zenoh_config: Path | None, *, others_too: bool) -> int:
-    """Sign a newer list that shuts `name` out, and bring it to all robots of the folder, or to these; the exit code."""
-    ways = _ways(directory, to, zenoh_config)
-    if name is not None:
-        found = moving.revoke(directory, name, others_too=others_too)
-        say(f"{directory / REVOCATION_FILE}: list {found.number} shuts out {', '.join(sorted(found.common_names))}.")
-    elif folder.revoked(directory) is None:
+def revoke(directory: Path, name: str | None, to: list[str], zenoh_config: Path | None) -> int:
+    """Sign a list that shuts `name` out, and send it to `to`, or to all robots of the folder. Return the exit code.
+
+    Without a name, the list is sent as it is. Raises ConfigError.
+    """
+    config, robots = zenoh_config or _operators_file(directory, but=name), _endpoints(directory, to)
+    known = folder.revoked(directory) if name is None else folder.revoke(directory, name)
+    if known is None:
         say(f"{directory} has no list: nobody was revoked.")
         return 0
-    missing = _bring(directory, ways)
-    if (directory / folder.ROUTER_FILE).exists():
-        say(f"The router has to know, too: copy {directory / folder.ROUTER_FILE} to it, and restart it.")
+    shut_out = ", ".join(sorted(known.common_names))
+    say(f"{directory / REVOCATION_FILE}: list {known.number} shuts out {shut_out}.")
+    missing = []
+    for robot, endpoints in robots.items():
+        faults = []
+        for endpoint in endpoints:
+            try:
+                say(f"{robot}: list {_send(directory, endpoint, config)} is in force.")
+                break
+            except GatewayError as error:
+                faults.append(str(error).splitlines()[0])
+        else:
+            missing.append(robot)
+            hint(f"{robot}: {'; '.join(faults)}")
     if missing:
-        later = f"{this_command()} certs revoke --dir {directory}"
-        hint(f"Not confirmed by {', '.join(missing)}. Once they are there: {later}")
-        hint(f"or copy the file, and there: sudo hexapod-gateway revoke {REVOCATION_FILE}")
+        hint(f"Not confirmed by {', '.join(missing)}. Later: {this_command()} certs revoke --dir {directory}")
+        hint(f"or copy {REVOCATION_FILE} to /etc/hexapod-gateway/zenoh/ there: sudo systemctl restart hexapod-gateway")
     return 1 if missing else 0
 
 
-class _Way(NamedTuple):
-    """How to reach a robot; None: as an operator's file in the folder does."""
-
-    robot: str
-    endpoint: str | None = None
-    config: Path | None = None
-
-
-def _ways(directory: Path, to: list[str], config: Path | None) -> list[_Way]:
-    """`to`: robots of a fleet by name; hosts or endpoints of a single one. Raises ConfigError."""
-    known, fleet = folder.robots(directory), folder.robots_of(directory)
-    if not fleet:
-        port = folder.port_of(directory)
-        endpoints = [host if "/" in host else zenoh_files.endpoint(host, port) for host in to]
-        return [_Way(known[0], endpoint, config) for endpoint in endpoints or (None,)]
-    unknown = [robot for robot in to if robot not in fleet]
-    if unknown:
-        raise ConfigError(
-            f"{directory} has no robot {', '.join(unknown)}; in a fleet, --to is one of {', '.join(fleet)}"
-        )
-    if config is not None and len(to) != 1:
-        raise ConfigError("--zenoh-config leads to one robot: name it with --to")
-    return [_Way(robot, None, config) for robot in to or fleet]
+def _endpoints(directory: Path, to: list[str]) -> dict[str, list[str]]:
+    """How to reach each robot: `to` has names of the folder, hosts or endpoints; without it, all of the folder."""
+    robots = folder.robots_of(directory)
+    found: dict[str, list[str]] = {}
+    for each in to or robots:
+        if "/" in each:
+            found[each] = [each]
+            continue
+        home = robots.get(each)
+        hosts = [each] if home is None else hosts_of(read_certificate(home / "gateway.pem"))
+        port = folder.port_of((home or directory) / "gateway.json5")
+        found[each] = [zenoh_files.endpoint(host, port) for host in hosts]
+    return found
 
 
-def _bring(directory: Path, ways: list[_Way]) -> list[str]:
-    """One after the other; the robots that have not confirmed the folder's list.
-
-    A robot may have a list of another copy of the folder. Then the folder's becomes a newer one with both, and those
-    that have confirmed the one before get it in a second round.
-    """
-    in_force: dict[_Way, int] = {}
-    silent: set[_Way] = set()
-    for _ in range(2):
-        for way in ways:
-            if way in silent or in_force.get(way) == _number(directory):
-                continue
-            try:
-                in_force[way] = _bring_to(directory, way)
-            except GatewayError as error:
-                silent.add(way)
-                for line in str(error).splitlines():
-                    hint(f"{way.robot}: {line}")
-    return list(dict.fromkeys(way.robot for way in ways if in_force.get(way) != _number(directory)))
-
-
-def _bring_to(directory: Path, way: _Way) -> int:
-    """Its number, once it is in force there and the folder has noted so."""
-    config, person = (way.config, way.config.stem) if way.config else _operators_file(directory, way.robot)
-    with Client(way.endpoint, zenoh_config=config, source="hexapod-gateway certs revoke", timeout_s=ANSWER_S) as client:
-        client.state()  # a robot that starts anew is awaited
-        number = _send(client, directory, way.robot)
-    confirmed.note(directory, way.robot, number)
-    say(f"{way.robot}: list {number} is in force (brought as {person}).")
-    return number
-
-
-def _send(client: Client, directory: Path, robot: str) -> int:
-    found = folder.revoked(directory)
-    if found is None:
-        raise ConfigError(f"{directory} has no list yet: nobody was revoked")
-    cas, there = read_certificates(directory / "ca.pem"), client.revocation()
-    known_there = None if there.revoked is None else parse(there.revoked.encode(), cas)
-    before, number = confirmed.numbers(directory).get(robot, 0), 0 if known_there is None else known_there.number
-    if number < before:
-        hint(f"{robot} had list {before}, and has {f'list {number}' if number else 'none'} now: was a backup restored?")
-    if (known_there is not None and found.pem != known_there.pem) and (
-        known_there.common_names - found.common_names or found.number <= known_there.number
-    ):
-        found = moving.merge(directory, known_there)
-        hint(f"{robot} had list {known_there.number}; list {found.number} has both.")
-    if len(found.pem) > MAX_REVOCATION_BYTES - 100:
-        raise ConfigError(
-            f"the list is too long for a message: copy {REVOCATION_FILE}, and: sudo hexapod-gateway revoke FILE"
-        )
-    ack = client.revocation(found.pem.decode())
+def _send(directory: Path, endpoint: str, config: Path) -> int:
+    """Return the number of the list that this robot now has in force. Raises GatewayError."""
+    with Client(endpoint, zenoh_config=config, source="hexapod-gateway certs revoke", timeout_s=ANSWER_S) as client:
+        client.state()  # a robot that is starting is awaited
+        newest = _newest(directory, client.revocation().revoked)
+        if len(newest.pem) > MAX_REVOCATION_BYTES - 100:
+            raise ConfigError(f"the list is too long for a message: copy {REVOCATION_FILE} to the robot")
+        ack = client.revocation(newest.pem.decode())
     if not ack.accepted:
         raise RejectedError(str(ack.reason), ack.detail or "")
-    return found.number
+    return newest.number
 
 
-def _number(directory: Path) -> int:
-    found = folder.revoked(directory)
-    return 0 if found is None else found.number
+def _newest(directory: Path, there: str | None) -> RevocationList:
+    """The folder's list. It takes in what only the robot's list has, after a backup of the folder was restored."""
+    known = folder.revoked(directory)
+    if known is None:
+        raise ConfigError(f"{directory} has no list: nobody was revoked")
+    if there is None or there == known.pem.decode():
+        return known
+    theirs = parse(there.encode(), read_certificates(directory / "ca.pem"))
+    if theirs.number < known.number and theirs.common_names <= known.common_names:
+        return known
+    return folder.adopt(directory, theirs)
 
 
-def _operators_file(directory: Path, robot: str) -> tuple[Path, str]:
-    """The Zenoh file for this robot of an operator of the folder who is not shut out, and who that is."""
-    known, fleet, now = folder.revoked(directory), folder.robots_of(directory), folder.now_utc()
-    for each in folder.expiries(directory):
-        holder = pool.holder(each.common_name)
-        shut_out = known is not None and known.holds(each.common_name, int(each.serial, 16))
-        if holder.role == OPERATOR and holder.is_for(robot if fleet else "") and not shut_out and each.not_after > now:
-            config = folder.config_files(directory, each.path.stem, holder)[robot if fleet else ""]
-            if config.exists():
-                return config, each.name
+def _operators_file(directory: Path, but: str | None) -> Path:
+    """The Zenoh file of an operator of the folder whose certificate is valid, and who is not to be shut out."""
+    for each, state in folder.states(directory, folder.now_utc()):
+        config = directory / f"{each.path.stem}.json5"
+        if each.role == OPERATOR and state == "good" and but not in (each.name, each.common_name) and config.exists():
+            return config
     raise ConfigError(
-        f"{directory} has no files of an operator of it: issue one, or name your own: --zenoh-config NAME.json5"
-        + (f" --to {robot}" if fleet else "")
+        f"{directory} has no files of another operator: issue one, or name your own: --zenoh-config NAME.json5"
     )

@@ -27,14 +27,8 @@ class Metrics:
     """From the request received to the sixth Stop written, of requests whose Stops were written."""
     sessions: int = 0
     """Open Zenoh sessions: laptops, routers, programs on this machine."""
-    older_ca: int = 0
-    """Laptops that connected with a certificate of the older of two CAs."""
     loop_lag: Latency = field(default_factory=Latency)
     """How late the loop's timers run."""
-
-    def count_older_ca(self, number: int) -> None:
-        """Without owning the state: no decision depends on it."""
-        self.older_ca = number
 
     def count_sessions(self, number: int) -> None:
         """Without owning the state: no decision depends on it."""

@@ -49,11 +49,6 @@ class Numbers(Collector):
         lease, buttons, calibrating = supervisor.lease, supervisor.buttons, supervisor.calibrating
         yield InfoMetricFamily(f"{_PREFIX}_build", "What runs", {"version": __version__, "protocol": reports.protocol})
         yield _gauge("sessions", "Zenoh sessions that are open", metrics.sessions)
-        yield _gauge(
-            "older_ca_laptops",
-            "Laptops that came with a certificate of the older of two CAs since the start",
-            metrics.older_ca,
-        )
         yield _counter("incidents", "Incidents that the black box has begun", recorder.incidents)
         yield _gauge(
             "certificate_expiry_timestamp_seconds",

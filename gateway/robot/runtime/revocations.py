@@ -11,7 +11,6 @@ from pydantic import ValidationError
 
 from gateway import certs
 from gateway.errors import ConfigError
-from gateway.host.directories import state_directory
 from gateway.robot.core.message import Reply
 from gateway.robot.host.disk_writer import DiskWriter
 from gateway.robot.runtime.conductor import Conductor
@@ -55,22 +54,6 @@ class Revocations(RequestAnswers):
         known = None if kept is None else kept.known
         if known is not None:
             conductor.reports.revocations = RevocationsReport(number=known.number, date=known.date)
-
-    def announce_start(self) -> None:
-        """Write the list in force to the state directory; publish if an older one was found in its place."""
-        kept = self._kept
-        if kept is None or kept.known is None:
-            return
-        if kept.stale is not None:
-            found = f"list {kept.stale}" if kept.stale else "no list"
-            detail = f"{found} was in the place of list {kept.known.number}, which this robot has seen"
-            self._conductor.announce(Kind.REVOKED, f"{detail} and keeps to: was a backup restored?", self.key)
-        if state_directory() is not None:
-            self._disk.write(partial(revoked.keep, kept.path, kept.known), self._remembered)
-
-    def _remembered(self, fault: str | None) -> None:
-        if fault is not None:
-            logger.warning("an older backup could bring an older list: %s", fault)
 
     def read(self, payload: bytes, _now_ns: int, reply: Reply, source: str | None = None, /) -> Deal:
         try:

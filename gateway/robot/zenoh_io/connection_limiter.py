@@ -23,7 +23,7 @@ import zenoh
 from zenoh.handlers import RingChannel
 
 from gateway.allowance import Allowance
-from gateway.certs import BUTTON, OPERATOR, pool
+from gateway.certs import BUTTON, OPERATOR, names
 from gateway.endpoints import host_and_port
 from gateway.host.realtime import PAGE_PRIORITY, prefer_thread
 from gateway.limits import MAX_SESSIONS, OPERATORS_PLACES
@@ -43,14 +43,9 @@ class ConnectionLimiter:
         session: zenoh.Session,
         count: Callable[[int], None],
         revoked: Collection[str] = frozenset(),
-        note: Callable[[Collection[str]], None] = lambda _: None,
     ) -> None:
-        """After each change of the links, `count` gets the number of sessions, `note` the connected common names.
-
-        `revoked`: common names that are shut out.
-        """
+        """After each change of the links, `count` gets the number of sessions. `revoked`: common names to shut out."""
         self._revoked = revoked
-        self._note = note
         self._session = session
         self._count = count
         self._since: dict[str, int] = {}
@@ -79,7 +74,6 @@ class ConnectionLimiter:
         links = self._session.info.links()
         self._since = {str(link.zid): self._arrival(str(link.zid)) for link in links}
         self._count(len(self._since))
-        self._note({name for link in links if (name := link.auth_identifier)})
         shut_out = [link for link in links if link.auth_identifier in self._revoked]
         visitors = [
             link
@@ -110,8 +104,8 @@ class ConnectionLimiter:
 
 
 def is_operator(identity: str) -> bool:
-    """Whether this common name may stop the robot: `operator-07`, `button-07`, in a fleet `operator-07.ROBOT`."""
-    return pool.holder(identity).role in (OPERATOR, BUTTON)
+    """Whether this common name may stop the robot: `operator-07`, `button-07`."""
+    return names.role_of(identity) in (OPERATOR, BUTTON)
 
 
 def shut_down(addresses: Collection[Any]) -> None:

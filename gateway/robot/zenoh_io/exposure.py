@@ -72,7 +72,7 @@ def _check_namespace(config: zenoh.Config) -> None:
     if not any(key.startswith((f"{namespace}/", "*")) for key in keys):
         raise ConfigError(
             f"the Zenoh file has the namespace {namespace}, but no key in its access control begins with it, so nobody "
-            f"could command the robot: make the file with `hexapod-gateway certs init --namespace {namespace}`"
+            f"could command the robot: write it before each key in the rules"
         )
 
 

@@ -79,14 +79,5 @@ class Proofs:
 
 def checker_of(config: zenoh.Config, revoked: "RevocationList | None" = None) -> "ProofChecker | None":
     """A checker with the CA of the Zenoh file; None if that names no CA. Raises ConfigError."""
-    ca = _path(config, "root_ca_certificate")
-    if ca is None:
-        return None
-    return certs.proof.ProofChecker.of(
-        ca, _path(config, "connect_certificate") or _path(config, "listen_certificate"), revoked
-    )
-
-
-def _path(config: zenoh.Config, name: str) -> Path | None:
-    value: Any = get(config, f"transport/link/tls/{name}")
-    return Path(value) if isinstance(value, str) else None
+    ca: Any = get(config, "transport/link/tls/root_ca_certificate")
+    return certs.proof.ProofChecker.of(Path(ca), revoked) if isinstance(ca, str) else None

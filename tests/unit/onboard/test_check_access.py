@@ -3,10 +3,8 @@
 import re
 from pathlib import Path
 
-import pytest
 import zenoh
 
-from gateway.certs.fleet_files import robot_json5
 from gateway.certs.zenoh_files import gateway_json5
 from gateway.onboard.check.access import passes
 from gateway.onboard.check.result import Result, Verdict
@@ -19,8 +17,8 @@ def checked(text: str | bytes, folder: Path) -> list[Result]:
     return passes(zenoh.Config.from_file(str(file)), "gateway.json5")
 
 
-def made(namespace: str = "") -> str:
-    return gateway_json5(["robot.local"], 7448, namespace).decode()
+def made() -> str:
+    return gateway_json5(["robot.local"], 7448).decode()
 
 
 def without(text: str, key: str) -> str:
@@ -29,23 +27,19 @@ def without(text: str, key: str) -> str:
     return older
 
 
-@pytest.mark.parametrize("namespace", ["", "robot1"])
-def test_what_this_release_makes_passes(tmp_path: Path, namespace: str) -> None:
-    (result,) = checked(made(namespace), tmp_path)
+def test_what_this_release_makes_passes(tmp_path: Path) -> None:
+    (result,) = checked(made(), tmp_path)
     assert result.verdict is Verdict.OK
 
 
-@pytest.mark.parametrize("before", ["", "robot1/"])
-def test_a_key_that_came_later_is_named_with_what_fixes_it(tmp_path: Path, before: str) -> None:
-    namespace = before.rstrip("/")
-    (result,) = checked(without(made(namespace), f"{before}{CALIBRATION}"), tmp_path)
+def test_a_key_that_came_later_is_named_with_what_fixes_it(tmp_path: Path) -> None:
+    (result,) = checked(without(made(), CALIBRATION), tmp_path)
     assert result.verdict is Verdict.WARNING
-    assert f"does not let {before}{CALIBRATION} through" in result.sentence
+    assert f"does not let {CALIBRATION} through" in result.sentence
     for message in ("declare_subscriber", "put", "query", "reply", "declare_queryable"):
         assert message in result.sentence
-    assert f'write "{before}{CALIBRATION}" next to each "{before}{STATE}"' in result.fix
+    assert f'write "{CALIBRATION}" next to each "{STATE}"' in result.fix
     assert "--port 7448" in result.fix
-    assert (f"--namespace {namespace}" in result.fix) is bool(namespace)
 
 
 def test_the_line_that_it_names_fixes_it(tmp_path: Path) -> None:
@@ -80,24 +74,13 @@ def test_one_that_was_made_by_hand_key_by_key_passes_but_for_what_it_lacks(tmp_p
     assert f"does not let {ESTOP} through (put, delete, query, reply, declare_subscriber, " in result.sentence
 
 
-def test_a_file_of_before_there_were_buttons_is_named_with_the_command_that_makes_it_anew() -> None:
-    folder = Path(__file__).parents[2] / "data" / "certs" / "1.1"
-    older = zenoh.Config.from_file(str(folder / "gateway.json5"))
-    found = passes(older, "/etc/x.json5")[-1]
-    assert (found.verdict, found.name) == (Verdict.WARNING, "stop buttons")
-    assert "does not let a certificate of the role button through (put, query, reply, " in found.sentence
-    assert "certs init --dir $d --host $(hostname) --port 7447 && sudo cp $d/gateway.json5 /etc/x.json5" in found.fix
-
-
-@pytest.mark.parametrize("namespace", ["", "robot1"])
-def test_a_rule_that_buttons_lack_is_named(tmp_path: Path, namespace: str) -> None:
-    (found,) = checked(re.sub(r'"presses and check-ins",(?! permission)', "", made(namespace)), tmp_path)
+def test_a_rule_that_buttons_lack_is_named(tmp_path: Path) -> None:
+    (found,) = checked(re.sub(r'"presses and check-ins",(?! permission)', "", made()), tmp_path)
     assert (found.verdict, found.name) == (Verdict.WARNING, "stop buttons")
     assert "(query)" in found.sentence
 
 
 def test_without_access_control_there_is_nothing_to_say(tmp_path: Path) -> None:
     assert checked("{}", tmp_path) == []
-    assert checked(robot_json5("robot-1", "router.local", 7447), tmp_path) == [], "the fleet's router has it"
     off = made().replace("access_control: {\n    enabled: true", "access_control: {\n    enabled: false")
     assert checked(off, tmp_path) == []

@@ -151,7 +151,7 @@ class Folders:
         for each in (self.own, self.other):
             certs.folder.init(each, ["127.0.0.1"])
             certs.folder.issue(each, "anna", "operator")
-            certs.moving.revoke(each, "anna")
+            certs.folder.revoke(each, "anna")
 
     def bring(self, *names: str) -> list[str]:
         """What is said once these of the other's files have taken the place of the robot's own."""

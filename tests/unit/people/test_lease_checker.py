@@ -138,26 +138,6 @@ def test_who_may_watch_with_a_hand_on_a_stop_and_under_which_names(
     assert found is None if fault is None else fault in str(found)
 
 
-def test_in_a_fleet_the_role_names_the_robot() -> None:
-    first, second = (ProofChecker([CA.certificate], robot) for robot in ("robot-1", "robot-2"))
-    carla = authority.make_laptop(CA, "carla", "operator.robot-1", 30, NOW)
-    made = proof(carla, source="carla")
-    assert first.fault(made, "acquire", "carla", NOW) is None
-    assert "role must be operator.robot-2" in str(second.fault(made, "acquire", "carla", NOW))
-    assert "role must be operator)" in str(CHECKER.fault(made, "acquire", "carla", NOW))
-    assert first.fault(proof(), "acquire", "anna", NOW)
-
-
-@pytest.mark.parametrize(("common_name", "role"), [("gateway", "operator"), ("robot.robot-1", "operator.robot-1")])
-def test_the_robots_name_stands_in_its_own_certificate(tmp_path: Path, common_name: str, role: str) -> None:
-    own = authority.make_laptop(CA, "it", common_name, 30, NOW)
-    (tmp_path / "ca.pem").write_bytes(CA.certificate_pem())
-    (tmp_path / "own.pem").write_bytes(own.certificate_pem())
-    checker = ProofChecker.of(tmp_path / "ca.pem", tmp_path / "own.pem")
-    carla = authority.make_laptop(CA, "carla", role, 30, NOW)
-    assert checker.fault(proof(carla, source="carla"), "acquire", "carla", NOW) is None
-
-
 # ---- what is none
 
 SELF_SIGNED = ec.generate_private_key(ec.SECP256R1())
