@@ -25,6 +25,7 @@ from gateway.robot.power.line import PowerLine, Status
 from gateway.robot.power.offs import Confirmed
 from gateway.robot.protocol import Wire
 from gateway.robot.runtime.answers import legs_of
+from gateway.robot.runtime.confirmations import Confirmations, Then
 from gateway.robot.runtime.executor import Outcome
 from gateway.robot.sections import PowerSettings
 from gateway.robot.settings import Settings
@@ -36,9 +37,6 @@ from schemas.telemetry import Kind, Mode, PowerReport
 CarryOut = Callable[[Sequence[Effect], Request | None], Outcome]
 MOST_LOOKS: Final = 30
 """3 s, in which a line looks three hundred times."""
-Then = Callable[[bool, float | None], None]
-"""Called once: whether the board has confirmed it, and how many ms after it was asked for."""
-
 _WHY: Final = {
     CutOn.ESTOP: "for the emergency stop",
     CutOn.BUS_FAULT: "since the controller cannot be told to stop",
@@ -112,8 +110,7 @@ class RobotSupply:
         self._gave_back = False
         """By a reset, of which the board may never say anything: where it feeds nothing before a start."""
         self._looked_ns = self._looks = 0
-        self._token = 0
-        self._waiting: dict[int, Then] = {}
+        self.confirmations = Confirmations(line.when_off)
 
     # ---- what a step decides
 
@@ -149,6 +146,7 @@ class RobotSupply:
     def _ask(self, servos: frozenset[int]) -> None:
         self._asked = servos
         self._line.want(servos)
+        self.confirmations.feeds(servos)
 
     def reset(self) -> None:
         """The emergency stop was left: what was blocked or cut is fed again."""
@@ -186,9 +184,7 @@ class RobotSupply:
         found, self._found, self._gave_back = self._found, [], False
         for each in (*self._line.news(), *found):
             if isinstance(each, Confirmed):
-                then = self._waiting.pop(each.token, None)
-                if then is not None:
-                    then(each.confirmed, each.ms)
+                self.confirmations.answered(each)
                 continue
             if each.kind is Kind.POWER_RESTORED and self._ready is not None:
                 continue  # there, it is no more than a start of all
@@ -221,9 +217,7 @@ class RobotSupply:
         if not self._asked.isdisjoint(servos):
             then(False, None)
             return
-        self._token += 1
-        self._waiting[self._token] = then
-        self._line.when_off(frozenset(servos), asked_ns, self._token)
+        self.confirmations.wait(servos, asked_ns, then)
 
     def confirm_all(self, asked_ns: int, then: Then) -> None:
         """The same for all servos."""
@@ -231,8 +225,7 @@ class RobotSupply:
 
     def close(self) -> None:
         """Nobody waits any longer: nothing is confirmed."""
-        while self._waiting:
-            self._waiting.popitem()[1](False, None)
+        self.confirmations.close()
 
     def end(self) -> None:
         """Close the line; not for the owner, as it waits."""
