@@ -59,6 +59,7 @@ def setpoint(key: str) -> dict[str, Any]:
     return legs_payload("set", {3: POSE}) if key == keys.LEGS_COMMAND else leg_payload("set", POSE)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(
     ("stream_hz", "key", "timeout_ms"),
     [

@@ -21,6 +21,8 @@ from tests.support.fixtures import gateway_fixture
 from tests.support.gateway_process import Gateway
 from tests.support.heard import events
 
+pytestmark = [pytest.mark.full, pytest.mark.alone]
+
 ASKERS = 3
 QUESTIONS = 400
 MOST_LOST = 8

@@ -5,7 +5,7 @@ import pytest
 from tests.box.installed import NAME, STOPS, InstalledGateway
 from tests.box.test_systemd import has_started
 
-pytestmark = pytest.mark.systemd
+pytestmark = [pytest.mark.systemd, pytest.mark.nightly]
 
 CALIBRATE = """
 from gateway.client import Client

@@ -34,7 +34,7 @@ from tests.support.child import Child
 from tests.support.gateway_process import COMMAND, Gateway, free_port, write_settings
 from tests.support.transfers import on_wire
 
-pytestmark = pytest.mark.hil
+pytestmark = [pytest.mark.hil, pytest.mark.alone]
 
 MS = 1_000_000
 ROUNDS = 4  # of stop-servos: one, and `watchdog.repeats`, which is 3

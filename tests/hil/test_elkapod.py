@@ -359,6 +359,7 @@ FAULTS = {
 """What is wrong, and words of the event that reports it."""
 
 
+@pytest.mark.nightly
 def test_each_fault_shuts_down_is_reported_and_leaves_a_robot_at_rest(robot: ElkapodBed, tmp_path: Path) -> None:
     with run(robot, tmp_path, controller={"silent_ms": 1000}) as gateway, gateway.client() as client:
         for name, words in FAULTS.items():

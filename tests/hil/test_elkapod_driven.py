@@ -11,7 +11,7 @@ from tests.hil.elkapod_bed import AT_REST, ElkapodBed
 from tests.hil.wire import LATE_S
 from tests.support.gateway_process import COMMAND, Gateway
 
-pytestmark = pytest.mark.hil
+pytestmark = [pytest.mark.hil, pytest.mark.nightly]
 
 
 def test_it_is_started_once_moved_and_shut_down(tmp_path: Path) -> None:

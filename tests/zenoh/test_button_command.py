@@ -17,6 +17,8 @@ from tests.support.heard import states
 from tests.support.tmux import Terminal, at_terminal
 from tests.support.watch_reports import event
 
+pytestmark = [pytest.mark.full, pytest.mark.attended]
+
 READY = "ANY KEY STOPS THE ROBOT"
 SETTINGS = patient(10_000, buttons={"required": 1, "timeout_ms": 2000})
 

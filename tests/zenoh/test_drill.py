@@ -24,6 +24,8 @@ from tests.support.heard import frames
 from tests.support.planted_gateway import MISTAKES
 from tests.support.secured import Secured
 
+pytestmark = pytest.mark.full
+
 LATE_MS: Final = 70
 """For a machine that is busy with other tests; what is planted is later."""
 FRAMES: Final[dict[str, dict[str, Any]]] = {"telemetry": {"frames": True}}

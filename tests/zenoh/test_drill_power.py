@@ -17,6 +17,8 @@ from tests.support.command import Ended
 from tests.support.gateway_process import Gateway
 from tests.support.heard import Heard
 
+pytestmark = pytest.mark.full
+
 LATE_MS = 70
 """For a machine that is busy with other tests."""
 

@@ -21,6 +21,8 @@ from tests.support.gateway_process import COMMAND, READY, Gateway, free_port
 from tests.support.heard import Heard, events, frames
 from tests.unit.people.test_recordings import recorded
 
+pytestmark = pytest.mark.full
+
 EXAMPLES = Path(__file__).parents[2] / "examples"
 ELKAPOD: Final = EXAMPLES / "elkapod" / "gateway.toml"
 MIRRORED: Final = ("22", "23", "42", "43", "62", "63")

@@ -106,6 +106,7 @@ def test_without_its_extra_it_says_what_to_install(tmp_path: Path, gateway: Gate
         assert "pip install 'hexapod-gateway[foxglove]'" in child.stderr
 
 
+@pytest.mark.full
 def test_a_gateway_that_ends_and_starts_again_is_reported_in_the_viewers_log(tmp_path: Path) -> None:
     """Without a word, the robot in the viewer would just stand still."""
     with Gateway(tmp_path) as first:

@@ -15,6 +15,8 @@ from tests.support.child import Child
 from tests.support.descendants import Run
 from tests.support.interrupted_scene import READY
 
+pytestmark = pytest.mark.full
+
 PYTEST = (sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "tests/support/interrupted_scene.py")
 STAGE = """
 import subprocess, sys

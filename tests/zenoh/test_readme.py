@@ -18,6 +18,8 @@ from tests.support.command import run_here
 from tests.support.gateway_process import Gateway
 from tests.support.pages import blocks
 
+pytestmark = pytest.mark.full
+
 ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text()
 TROUBLES = (ROOT / "docs" / "troubles.md").read_text()

@@ -20,6 +20,8 @@ from tests.support.gateway_process import READY, Gateway, free_port
 from tests.support.router import zenoh_listening
 from tests.support.watch_reports import screen
 
+pytestmark = pytest.mark.full
+
 DAY = dt.timedelta(days=1)
 MINUTE = dt.timedelta(minutes=1)
 

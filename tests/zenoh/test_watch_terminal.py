@@ -25,6 +25,8 @@ from tests.support.heard import events
 from tests.support.measuring import MEASURED
 from tests.support.tmux import LATE_S, Terminal
 
+pytestmark = [pytest.mark.full, pytest.mark.attended]
+
 PATIENT = patient(10_000, watchdog={"repeats": 0})
 """So that a leg that was started once runs while the test looks at it, and nothing is written that nobody asked for."""
 

@@ -42,6 +42,8 @@ from schemas.telemetry import Ack, GatewayState
 from tests.support.mcap_file import checked
 from tests.support.measuring import MEASURED
 
+pytestmark = pytest.mark.full
+
 WIRE: Final = Path(__file__).parents[2] / "data" / "wire"
 START_NS: Final = 1_700_000_000_000_000_000
 PERIOD_NS: Final = 3_333_333

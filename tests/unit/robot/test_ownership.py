@@ -36,6 +36,8 @@ from tests.support.interleaved import (
     SteppedLoop,
 )
 
+pytestmark = pytest.mark.full
+
 START = Payload(b'{"servos": [' + b", ".join([b'{"op": "start", "angle_deg": 90}'] * 3) + b"]}")
 RECEIVERS = ("estop-put", "estop-get", "wakeup-put", "wakeup-get", "state-get")
 ORDERS = 150

@@ -6,6 +6,7 @@ deadlines, and any transfer may fail.
 
 from dataclasses import replace
 
+import pytest
 from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
@@ -46,6 +47,8 @@ from tests.support.history import demand, is_coalesced
 from tests.support.model_check import pending
 from tests.support.oracle import Oracle
 from tests.support.transitions import TRANSITIONS
+
+pytestmark = pytest.mark.full
 
 MOVES = st.builds(ServoOp, st.sampled_from([Op.START, Op.START, Op.SET]), st.sampled_from([0, 45_00, 90_00, 180_00]))
 OPS = st.one_of(MOVES, MOVES, st.just(STOP))
