@@ -87,6 +87,7 @@ class Kind(StrEnum):
     BUTTON_LEFT = "button_left"
     BUTTON_RETURNED = "button_returned"
     CONTROLLER_SILENT = "controller_silent"
+    CONTROLLER_RESTARTED = "controller_restarted"
     CONTROLLER_RETURNED = "controller_returned"
     BATTERY_LOW = "battery_low"
     FALLEN = "fallen"

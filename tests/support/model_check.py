@@ -72,7 +72,7 @@ _ROBOT: Final = Supervisor(Rules())
 _KNOWN: Final = (
     (
         _ROBOT,
-        "_rules legs lease buttons body power calibrating _reach _opened _bus_ok _silent estops _latched_ns _ended",
+        "_rules legs lease buttons body power calibrating _reach _opened _bus_ok _fault estops _latched_ns _ended",
     ),
     (_ROBOT, "stopped_outside wants_measurements expirations mode due_ns"),
     (_ROBOT.lease, "_rules holder verified since_ns due_ns guards _token _askers"),
@@ -175,7 +175,7 @@ def key(supervisor: Supervisor, now_ns: int, rank: dict[int, int]) -> tuple[obje
         supervisor.mode,
         supervisor._opened,
         supervisor._bus_ok,
-        supervisor._silent,
+        supervisor._fault,
         supervisor._ended,
         supervisor.stopped_outside,
         min(now_ns - legs.instant_ns, oldest_ns),  # an emergency stop that is still to come counts from its instant
@@ -257,6 +257,7 @@ def events(
     yield "bus failed", BusFailed("a test's fault")
     if configuration.bodies:
         yield "controller silent", BusFailed("a test's fault", Kind.CONTROLLER_SILENT)
+        yield "controller restarted", BusFailed("a test's fault", Kind.CONTROLLER_RESTARTED)
     if configuration.ends:
         yield "shut down", ShutDown()
 

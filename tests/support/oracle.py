@@ -104,8 +104,9 @@ class Oracle(RobotHistory):
                 self._all_stopped(effects, Cause.REPEAT, Reason.SERVO_STOPPED, now_ns)
                 demand(told(effects, Kind.STOPPED_OUTSIDE) != known, "Stops from outside are announced once")
             case BusOpened():
-                back = Kind.CONTROLLER_RETURNED if self.silent else Kind.BUS_RECOVERED
+                back = Kind.BUS_RECOVERED if self.fault is Kind.BUS_FAULT else Kind.CONTROLLER_RETURNED
                 demand(told(effects, back) == self.opened, "that the bus is back is announced as its fault was")
+                self.fault = Kind.BUS_FAULT
                 self.opened = self.bus_ok = True
                 self._all_stopped(effects, Cause.STARTUP, Reason.BUS_FAULT, now_ns)
             case ShutDown():
@@ -114,8 +115,10 @@ class Oracle(RobotHistory):
                 self._all_stopped(effects, Cause.SHUTDOWN, Reason.STOPPING, now_ns)
             case BusFailed():
                 first = self.bus_ok or not self.opened
-                self.silent = event.kind is Kind.CONTROLLER_SILENT if first else self.silent
-                demand(told(effects, event.kind) == first, "a fault of the bus is announced once")
+                stays_away = (self.fault, event.kind) == (Kind.CONTROLLER_RESTARTED, Kind.CONTROLLER_SILENT)
+                announced = first or stays_away
+                self.fault = event.kind if announced else self.fault
+                demand(told(effects, event.kind) == announced, "a fault of the bus is announced once")
                 self.opened, self.bus_ok = True, False
                 self._all_stopped(effects, Cause.COMMAND, Reason.BUS_FAULT, now_ns)
         keeps = any(isinstance(effect, SaveCalibration) for effect in effects)

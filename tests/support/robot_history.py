@@ -8,7 +8,7 @@ from gateway.model.frames import Frame, Op, servo_ids_of, stop_leg
 from gateway.robot.core.events import Command, Effect, Transmit
 from gateway.robot.core.leg import Rules
 from schemas.robot import LEGS
-from schemas.telemetry import Mode, Reason
+from schemas.telemetry import Kind, Mode, Reason
 from tests.support.body_history import BodyHistory
 from tests.support.buttons_history import ButtonsHistory
 from tests.support.calibration_history import CalibrationHistory
@@ -42,7 +42,7 @@ class RobotHistory:
         self.buttons = ButtonsHistory(rules)
         self.body = BodyHistory(rules)
         self.power = PowerHistory(rules)
-        self.silent = False
+        self.fault = Kind.BUS_FAULT
         """Whether the bus is at fault because the controller does not answer."""
         self.calibration = CalibrationHistory(rules, calibration or RobotCalibration(), fault)
         self.landing: LandingHistory | None = None
@@ -84,7 +84,7 @@ class RobotHistory:
         return (
             self.opened,
             self.bus_ok,
-            self.silent,
+            self.fault,
             self.ended,
             self.outside,
             latched,

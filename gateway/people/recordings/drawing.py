@@ -168,6 +168,7 @@ _LEVELS: Final = {
     Kind.ESTOP_ENGAGED: Log.ERROR,
     Kind.BUS_FAULT: Log.ERROR,
     Kind.CONTROLLER_SILENT: Log.ERROR,
+    Kind.CONTROLLER_RESTARTED: Log.ERROR,
     Kind.FALLEN: Log.ERROR,
     Kind.BATTERY_LOW: Log.WARN,
     Kind.POWER_CUT: Log.WARN,

@@ -121,7 +121,10 @@ class BusOpened:
 
 @value
 class BusFailed:
-    """A transfer failed, or the device could not be opened again; CONTROLLER_SILENT: the controller does not answer."""
+    """A transfer failed, or the device could not be opened again.
+
+    CONTROLLER_SILENT: the controller does not answer; CONTROLLER_RESTARTED: it may have forgotten all it was told.
+    """
 
     detail: str
     kind: Kind = Kind.BUS_FAULT

@@ -129,7 +129,7 @@ class Supervisor:
         """Whether `BodyMeasured` decides anything."""
         self._opened = False  # ever
         self._bus_ok = False
-        self._silent = False  # the bus is at fault since the controller does not answer
+        self._fault = Kind.BUS_FAULT  # the one that was announced, while there is one
         self._latched_ns: int | None = None
         self._ended = False
         self.stopped_outside = False
@@ -361,16 +361,19 @@ class Supervisor:
         recovered, self._opened, self._bus_ok = self._opened, True, True
         effects = self._stop_all(Cause.STARTUP, now_ns, Reason.BUS_FAULT, _BUS_FAULT)
         if recovered:
-            who, kind = ("controller", Kind.CONTROLLER_RETURNED) if self._silent else ("SPI bus", Kind.BUS_RECOVERED)
+            of_bus, self._fault = self._fault is Kind.BUS_FAULT, Kind.BUS_FAULT
+            who, kind = ("SPI bus", Kind.BUS_RECOVERED) if of_bus else ("controller", Kind.CONTROLLER_RETURNED)
             effects.append(Announce(kind, f"the {who} answers again; all servos are stopped"))
         return effects
 
     def _bus_failed(self, event: BusFailed) -> list[Effect]:
         first, self._bus_ok, self._opened = self._bus_ok or not self._opened, False, True
+        # One that restarted and does not come back is silent, which a person has to see to.
+        stays_away = event.kind is Kind.CONTROLLER_SILENT and self._fault is Kind.CONTROLLER_RESTARTED
         self.legs.landing = None  # the bus that opens again stops everything, and lands nothing
         effects = self.legs.drop(self.legs.servos.values(), Reason.BUS_FAULT, _BUS_FAULT)
-        if first:
-            self._silent = event.kind is Kind.CONTROLLER_SILENT
+        if first or stays_away:
+            self._fault = event.kind
             effects.append(Announce(event.kind, event.detail))
         return effects
 

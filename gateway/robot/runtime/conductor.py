@@ -12,7 +12,7 @@ from typing import Final
 from pydantic import BaseModel
 
 from gateway import __version__
-from gateway.errors import ControllerSilentError, SpiError
+from gateway.errors import ControllerRestartedError, ControllerSilentError, SpiError
 from gateway.model.elkapod import Measured
 from gateway.model.staleness import Staleness
 from gateway.robot.blackbox.recorder import Recorder
@@ -58,6 +58,11 @@ REOPEN_S: Final = 0.02
 written, nobody knows that a leg is stopped. The first try comes at once: what a controller needs after a fault is the
 preamble ahead of these Stops (docs/protocol.md), and no pause."""
 
+_KINDS: Final[dict[type[SpiError], Kind]] = {
+    ControllerSilentError: Kind.CONTROLLER_SILENT,
+    ControllerRestartedError: Kind.CONTROLLER_RESTARTED,
+}
+"""Which event reports a fault; any other is of the bus."""
 _LOST: Final = Verb.LOST  # see `frames.OP_STOP`
 
 logger = logging.getLogger(__name__)
@@ -360,10 +365,10 @@ class Conductor:
 
     def _bus_failed(self, fault: SpiError) -> None:
         self.bus.release()
-        kind = Kind.CONTROLLER_SILENT if isinstance(fault, ControllerSilentError) else Kind.BUS_FAULT
+        kind = _KINDS.get(type(fault), Kind.BUS_FAULT)
         effects = self.supervisor.step(BusFailed(str(fault), kind), self._clock())
         again, self._in_fault = self._in_fault, True
-        if again:
+        if again and kind is not Kind.CONTROLLER_SILENT:
             effects = [each for each in effects if not (isinstance(each, Announce) and each.kind is kind)]
         self._carry_out(effects, None)
         if self.supervisor.mode is Mode.BUS_FAULT:

@@ -55,12 +55,16 @@ class Cycle:
         """One cycle, without the state."""
         conductor = self._conductor
         with conductor.owner:
+            frame = self._bus.begin_cycle(self._clock())
+        if frame is not None:
+            self._exchange(frame)
+        with conductor.owner:  # only now: what came while this process was delayed has been read
             silent = self._bus.silent(self._clock())
             if silent is not None:
                 conductor.bus_failed(silent)
-            frame = self._bus.begin_cycle(self._clock())
-        if frame is None:
-            return
+
+    def _exchange(self, frame: bytes) -> None:
+        conductor = self._conductor
         begun_ns = self._clock()
         try:
             answer = self._bus.exchange(frame)

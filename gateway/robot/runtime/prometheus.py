@@ -114,7 +114,7 @@ def _measured(conductor: Conductor) -> Iterator[Metric]:
     yield _counter(
         "controller_changes",
         "What happened to the controller",
-        {kind: events[kind] for kind in (Kind.CONTROLLER_SILENT, Kind.CONTROLLER_RETURNED)},
+        {kind: events[kind] for kind in (Kind.CONTROLLER_SILENT, Kind.CONTROLLER_RESTARTED, Kind.CONTROLLER_RETURNED)},
         "kind",
     )
     yield _counter("falls", "Times that all legs were stopped since the body tilted too far", events[Kind.FALLEN])

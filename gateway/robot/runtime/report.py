@@ -51,6 +51,7 @@ WARNINGS: Final = frozenset(
         Kind.BUTTON_SILENT,
         Kind.BUTTON_LEFT,
         Kind.CONTROLLER_SILENT,
+        Kind.CONTROLLER_RESTARTED,
         Kind.BATTERY_LOW,
         Kind.FALLEN,
         Kind.POWER_UNCONFIRMED,

@@ -54,6 +54,7 @@ MOVES = st.builds(ServoOp, st.sampled_from([Op.START, Op.START, Op.SET]), st.sam
 OPS = st.one_of(MOVES, MOVES, st.just(STOP))
 FEW_LEGS = st.sampled_from([1, 1, 2, 2, 3, 6])
 """Mostly the same ones, so that commands meet."""
+BUS_FAULTS = [Kind.BUS_FAULT, Kind.CONTROLLER_SILENT, Kind.CONTROLLER_RESTARTED]
 WAITS_NS = st.one_of(
     st.just(0),
     st.integers(1, 25 * NS_PER_MS),
@@ -316,7 +317,7 @@ class SupervisorMachine(RuleBasedStateMachine):
             self.controller.fail_next(0)
         self.step(BusOpened(), wait_ns)
 
-    @rule(rarely=st.integers(0, 5), kind=st.sampled_from([Kind.BUS_FAULT, Kind.CONTROLLER_SILENT]), wait_ns=WAITS_NS)
+    @rule(rarely=st.integers(0, 5), kind=st.sampled_from(BUS_FAULTS), wait_ns=WAITS_NS)
     def bus_fails(self, rarely: int, kind: Kind, wait_ns: int) -> None:
         if rarely == 0:
             self.step(BusFailed("a test's fault", kind), wait_ns)
