@@ -249,8 +249,8 @@ def _absolute(path: str) -> str:
 AbsolutePath = Annotated[str, AfterValidator(_absolute)]
 
 
-class CalibrationSettings(Section):
-    """The calibration's file; "": in the state directory, or in memory only."""
+class StateSettings(Section):
+    """The folder of what outlasts the gateway; "": systemd's state directory, without which nothing outlasts it."""
 
     path: AbsolutePath = ""
 
@@ -258,7 +258,6 @@ class CalibrationSettings(Section):
 class RecorderSettings(Section):
     """The black box: at least the 10 s before an incident; for more than ten minutes there are recordings."""
 
-    path: AbsolutePath = ""
     seconds: Annotated[float, Finite, Field(ge=10, le=600)] = 60.0
 
 

@@ -17,7 +17,7 @@ import zenoh
 from gateway import __version__
 from gateway.allowance import NS_PER_MS, NS_PER_S
 from gateway.host import descriptors, effective, logs, realtime
-from gateway.host.directories import runtime_directory
+from gateway.host.directories import runtime_directory, state_directory
 from gateway.host.sensed_page import SensedPage
 from gateway.host.servo_page import ServoPage
 from gateway.model.black_box.format import STOP_FACTS
@@ -43,7 +43,6 @@ from gateway.robot.runtime.request_answers import ButtonAnswers, LeaseAnswers
 from gateway.robot.runtime.revocations import Revocations
 from gateway.robot.runtime.shutdown import SHUTDOWN_S, ServiceEnd, close_within, stop_the_robot
 from gateway.robot.runtime.supply import supply_of
-from gateway.robot.sections import ZenohSettings
 from gateway.robot.settings import Settings
 from gateway.robot.spi.cyclic import CyclicBus
 from gateway.robot.spi.unreliable import Faults
@@ -169,10 +168,10 @@ def run(
 
 
 def _configured(
-    settings: ZenohSettings, physics: Physics | None
+    settings: Settings, physics: Physics | None
 ) -> tuple[zenoh.Config, "ProofChecker | None", RevocationState | None]:
     """Zenoh's configuration, and if it names a CA, the checker of proofs and the revocations. Raises ConfigError."""
-    config = service_config(settings)
+    config = service_config(settings.zenoh)
     shut_out = revocation_state(config, settings)
     revoked = None if shut_out is None else shut_out.known
     list_common_names(config, revoked)
@@ -212,7 +211,7 @@ async def _run(
     loop, owner, servos = asyncio.get_running_loop(), Ownership(), ServosFile(runtime_directory())
     end = ServiceEnd(loop, owner, recorder)
     notifier = SystemdNotifier()
-    config, checker, shut_out = _configured(settings.zenoh, physics)
+    config, checker, shut_out = _configured(settings, physics)
     bus = _wire(settings, simulated=simulated, physics=physics, board=board, faults=faults)
     supply = supply_of(settings, bus, board and board.channel, loop, owner, end.mistake)
     outbox = ZenohOutbox()
@@ -227,7 +226,7 @@ async def _run(
         physics=physics and physics.zenoh_id,
         recorder=recorder,
         owner=owner,
-        calibration_kept=calibration_file.path_of(settings) is not None,
+        calibration_kept=state_directory(settings.state.path) is not None,
         supply=supply,
     )
     calibrations = _calibrations(settings, conductor, loop)

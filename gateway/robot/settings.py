@@ -21,7 +21,6 @@ from gateway.robot.sections import (
     FOR_STOPS,
     SERVOS,
     ButtonSettings,
-    CalibrationSettings,
     ControllerSettings,
     LeaseSettings,
     LimitSettings,
@@ -32,6 +31,7 @@ from gateway.robot.sections import (
     Section,
     ServoLimits,
     SpiSettings,
+    StateSettings,
     TelemetrySettings,
     WatchdogSettings,
     ZenohSettings,
@@ -52,7 +52,7 @@ class Settings(Section):
     watchdog: WatchdogSettings = WatchdogSettings()
     lease: LeaseSettings = LeaseSettings()
     buttons: ButtonSettings = ButtonSettings()
-    calibration: CalibrationSettings = CalibrationSettings()
+    state: StateSettings = StateSettings()
     recorder: RecorderSettings = RecorderSettings()
     telemetry: TelemetrySettings = TelemetrySettings()
     safety: SafetySettings = SafetySettings()
@@ -122,7 +122,7 @@ def load(path: Path | None = None, *, simulated: bool = False, for_stops: bool =
     lines: list[str] = []
     unread = False
     try:
-        from_file = _read(path)
+        from_file = _without_emptied(_read(path))
     except ConfigError as error:
         lines.append(str(error))
         unread = True
@@ -173,6 +173,19 @@ def _read(path: Path | None) -> dict[str, Any]:
         raise ConfigError(f"{found}: {error}") from error
 
 
+_IN_STATE: Final = "was removed; name its folder with state.path, which has all that outlasts the gateway"
+_REMOVED: Final[Mapping[Place, str]] = {
+    ("calibration",): f"{_IN_STATE} (the calibration as calibration.toml)",
+    ("recorder", "path"): _IN_STATE,
+}
+"""Settings, and whole sections, of earlier versions, and what takes their place."""
+
+
+def _without_emptied(tables: dict[str, Any]) -> dict[str, Any]:
+    """The same without removed sections that set nothing: the file that was installed earlier has their names."""
+    return {name: table for name, table in tables.items() if table != {} or (name,) not in _REMOVED}
+
+
 def _faults_of_file(values: dict[str, Any], context: Context) -> list[Fault]:
     """Strict, since a TOML value has a type: "50" is no number."""
     # Validated as JSON, since strict Python types reject TOML's arrays and strings for tuples and enumerations; and
@@ -198,7 +211,8 @@ def _environment() -> tuple[dict[Place, tuple[str, Any]], list[str]]:
             continue
         place = tuple(variable.removeprefix(ENV_PREFIX).lower().split("__"))
         if variable != variable.upper() or not _is_setting(place):
-            faults.append(f"{key_name(variable)}: is no setting; {_NAMES}")
+            why = _REMOVED.get(place) or _REMOVED.get(place[:1]) or f"is no setting; {_NAMES}"
+            faults.append(f"{key_name(variable)}: {why}")
             continue
         try:
             found[place] = variable, json.loads(text) if place in _LISTS else text
@@ -288,7 +302,7 @@ def _sentence(fault: ErrorDetails) -> str:
     if fault["type"] == "missing":
         return MISSING
     if fault["type"] == "extra_forbidden":
-        return "is no setting"
+        return _REMOVED.get(fault["loc"], "is no setting")
     if fault["type"] == "value_error":  # a sentence of our own
         return str(fault["ctx"]["error"])
     return f"{echo(fault['input'])} will not do: {fault['msg'][0].lower()}{fault['msg'][1:]}"

@@ -21,7 +21,7 @@ def recorder(folder: Path) -> list[Row]:
     with ExitStack() as stack:
         ring = stack.enter_context(TemporaryDirectory(dir=MEMORY if MEMORY.is_dir() else folder))
         os.environ["XDG_RUNTIME_DIR"] = ring
-        sides = started(folder, stack, {"recorder": {"path": str(folder / "with")}})
+        sides = started(folder, stack, {"state": {"path": str(folder / "with")}})
         measure(sides)
         rows = _records(folder / "records")
     return [

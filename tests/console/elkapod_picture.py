@@ -2,6 +2,7 @@
 
 import os
 import re
+import shutil
 import sys
 import tempfile
 from pathlib import Path
@@ -26,11 +27,11 @@ STANDS: Final = 1000
 def main() -> None:
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     with tempfile.TemporaryDirectory() as name:
+        shutil.copy(ELKAPOD / "calibration.toml", name)
         env = {
             **os.environ,
             "HEXAPOD_ZENOH__LISTEN": f'["{endpoint}"]',
-            "HEXAPOD_RECORDER__PATH": name,
-            "HEXAPOD_CALIBRATION__PATH": str(ELKAPOD / "calibration.toml"),
+            "HEXAPOD_STATE__PATH": name,
         }
         gateway = Child([*COMMAND, "run", "--sim", "--config", str(ELKAPOD / "gateway.toml")], env)
         gateway.wait_for_output(READY)

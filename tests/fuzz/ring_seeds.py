@@ -73,7 +73,7 @@ def _recorded(happens: Callable[[Robot], Awaitable[None]]) -> Written:
     """What a gateway records while this happens, as its ring has it."""
 
     async def run(folder: str) -> None:
-        robot = Robot({"recorder": {"path": folder, "seconds": 10}})
+        robot = Robot({"state": {"path": folder}, "recorder": {"seconds": 10}})
         robot.conductor.start()
         robot.conductor.recorder.open()
         robot.conductor.announce_start()

@@ -180,7 +180,8 @@ def loaded(framing: Framing, endpoint: str, folder: Path) -> dict[str, dict[str,
         # On a busy machine the publisher pauses for longer than the default, and the legs would stop before the kill.
         "watchdog": {"timeout_ms": 10_000},
         "zenoh": {"listen": [f"tcp/127.0.0.1:{free_port()}"], "connect": [endpoint]},
-        "recorder": {"path": str(folder / "box"), "seconds": 10},
+        "state": {"path": str(folder / "box")},
+        "recorder": {"seconds": 10},
     }
 
 

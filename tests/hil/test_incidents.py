@@ -88,7 +88,8 @@ def test_one_of_each_kind(tmp_path: Path, spi_testbed: SpiTestbed, monkeypatch: 
             # A repeated Stop whose preamble met the planted fault would be tried nevertheless, and counts as failed.
             # And a busy machine must not stop the leg before the fault does.
             "watchdog": {"repeats": 0, "timeout_ms": 1000},
-            "recorder": {"path": str(tmp_path / "box"), "seconds": 60},
+            "state": {"path": str(tmp_path / "box")},
+            "recorder": {"seconds": 60},
         },
     )
     for happens in KINDS.values():

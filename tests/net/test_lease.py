@@ -64,7 +64,7 @@ def scene(hosts_network: Network, tmp_path_factory: pytest.TempPathFactory) -> I
         "lease": {"ttl_ms": TTL_MS},
         "telemetry": {"metrics": METRICS},
         "log": {"level": "debug", "format": "json"},
-        "recorder": {"path": str(folder / "black box")},
+        "state": {"path": str(folder / "black box")},
     }
     with with_certificates(hosts_network, folder, "anna", "bert", port=PORT, settings=settings) as (robot, laptops):
         anna, bert = laptops

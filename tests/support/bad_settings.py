@@ -1,7 +1,7 @@
 """Settings that will not do: in a file (its text), or in a variable; and the line that says so, after the place."""
 
 SECTIONS = (
-    "the sections are zenoh, spi, controller, limits, watchdog, lease, buttons, calibration, recorder, telemetry,"
+    "the sections are zenoh, spi, controller, limits, watchdog, lease, buttons, state, recorder, telemetry,"
     " safety, power, log"
 )
 NO_VARIABLE = f"is no setting; a variable is named like HEXAPOD_SPI__DEVICE; {SECTIONS}"

@@ -82,6 +82,9 @@ class Gateway(Closing):
         zenoh.setdefault("listen", [f"tcp/127.0.0.1:{free_port()}"])
         if bed is not None:
             sections.setdefault("spi", {}).setdefault("framing", "plain")
+        state = sections.get("state", {}).get("path")
+        if state:
+            Path(state).mkdir(parents=True, exist_ok=True)  # of a missing one the gateway cannot tell what it had
         self.endpoint: str = zenoh["listen"][0]
         self.config = write_settings(folder / f"gateway-{self.endpoint.rpartition(':')[2]}.toml", sections)
         command = [*prefix, *program, "run", "--config", str(self.config)]

@@ -34,6 +34,7 @@ MADE_ELSEWHERE = frozenset(
         "NAME.json5",
         "NAME.robot-2.json5",
         "build/falls.md",
+        "estop.json",
     }
 )
 """Files of the reader's own, which the pages tell how to make or fill."""

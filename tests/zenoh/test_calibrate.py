@@ -17,7 +17,7 @@ from tests.support.gateway_process import COMMAND, Gateway
 @pytest.fixture(scope="module")
 def gateway(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Gateway]:
     kept = tmp_path_factory.mktemp("kept") / "calibration.toml"
-    settings = patient(10_000, watchdog={"repeats": 0}, telemetry={"frames": True}, calibration={"path": str(kept)})
+    settings = patient(10_000, watchdog={"repeats": 0}, telemetry={"frames": True}, state={"path": str(kept.parent)})
     with Gateway(tmp_path_factory.mktemp("gateway"), settings) as running:
         yield running
 
@@ -95,7 +95,7 @@ def test_the_landing_pose_under_this_users_own_lease(gateway: Gateway, anna: Cli
 def test_a_broken_file_is_shown_and_replaced_by_the_default_once_somebody_says_so(tmp_path: Path) -> None:
     kept = tmp_path / "calibration.toml"
     kept.write_text("half a fi")
-    with Gateway(tmp_path, {"calibration": {"path": str(kept)}}) as gateway:
+    with Gateway(tmp_path, {"state": {"path": str(kept.parent)}}) as gateway:
         asked = gateway.run("calibrate", "accept-default")
         assert asked.returncode == 1
         assert "calibration.toml: is not TOML" in asked.stdout

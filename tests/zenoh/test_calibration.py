@@ -30,7 +30,7 @@ def gateway(path: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Ga
     settings: dict[str, dict[str, Any]] = {
         "telemetry": {"frames": True},
         "watchdog": {"timeout_ms": 10_000, "repeats": 0},
-        "calibration": {"path": str(path)},
+        "state": {"path": str(path.parent)},
     }
     with Gateway(tmp_path_factory.mktemp("gateway"), settings) as running:
         yield running
@@ -102,7 +102,7 @@ def test_for_asyncio_the_same(gateway: Gateway) -> None:
 
 def test_a_restart_finds_it_and_the_ten_before_it(tmp_path: Path) -> None:
     path = tmp_path / "state" / "calibration.toml"
-    settings = {"calibration": {"path": str(path)}}
+    settings = {"state": {"path": str(path.parent)}}
     with Gateway(tmp_path, settings) as first, first.client() as client:
         for angle_deg in range(1, 14):
             assert client.calibrate({11: ServoChange(trim_deg=angle_deg)}).accepted

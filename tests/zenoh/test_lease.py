@@ -76,7 +76,7 @@ class Running:
             {
                 "telemetry": {"frames": True, "metrics": self.metrics},
                 "log": {"level": "debug", "format": "json"},
-                "recorder": {"path": str(folder / "recorder")},
+                "state": {"path": str(folder / "recorder")},
             },
         )
         self.client = Client(self.gateway.endpoint, timeout_s=5)

@@ -64,7 +64,7 @@ def test_the_list_in_the_docs_is_the_page(tmp_path: Path) -> None:
     settings: dict[str, dict[str, Any]] = {
         "telemetry": {"metrics": address},
         "zenoh": {"config": str(zenoh / "gateway.json5"), "listen": [listen.split('"')[1]]},
-        "recorder": {"path": str(tmp_path / "box")},
+        "state": {"path": str(tmp_path / "box")},
     }
     with (
         Gateway(tmp_path, settings),

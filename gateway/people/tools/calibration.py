@@ -213,7 +213,7 @@ def _change(client: Client, done: str, state: GatewayState, payload: Mapping[str
         return driving.rejected(ack)
     say(f"{done}: revision {client.calibration().revision}")
     if not state.calibration.kept:
-        hint("The calibration is in memory only, and lost at a restart (calibration.path).")
+        hint("The calibration is in memory only, and lost at a restart (state.path).")
     return 0
 
 

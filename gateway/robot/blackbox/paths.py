@@ -24,14 +24,12 @@ def slots_for(settings: Settings) -> int:
 
 def folder_of(settings: Settings) -> Path | None:
     """The folder that the gateway itself uses; None: the black box is off."""
-    if settings.recorder.path:
-        return Path(settings.recorder.path)
-    return state_directory()
+    return state_directory(settings.state.path)
 
 
 def folder_to_read(settings: Settings) -> Path | None:
     """The same for a program that reads it: also the service's, or else that of `make run`."""
-    return folder_of(settings) or state_to_read() or (tried() if tried().is_dir() else None)
+    return state_to_read(settings.state.path) or (tried() if tried().is_dir() else None)
 
 
 def tried() -> Path:

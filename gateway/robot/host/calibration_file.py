@@ -48,17 +48,15 @@ _HEAD: Final = """\
 
 def path_of(settings: Settings) -> Path | None:
     """The file in which the gateway itself keeps its calibration; None: in memory only."""
-    return _path(settings, state_directory())
+    return _path(state_directory(settings.state.path))
 
 
 def path_to_read(settings: Settings) -> Path | None:
     """The same for a program that reads it, which systemd need not have started."""
-    return _path(settings, state_to_read())
+    return _path(state_to_read(settings.state.path))
 
 
-def _path(settings: Settings, folder: Path | None) -> Path | None:
-    if settings.calibration.path:
-        return Path(settings.calibration.path)
+def _path(folder: Path | None) -> Path | None:
     return None if folder is None else folder / CALIBRATION_FILE
 
 

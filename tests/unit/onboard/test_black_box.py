@@ -26,7 +26,7 @@ NAME = "20260921-141320-123-watchdog"
 
 
 def settings(folder: Path) -> Settings:
-    return Settings.model_validate({"recorder": {"path": str(folder)}})
+    return Settings.model_validate({"state": {"path": str(folder)}})
 
 
 @contextmanager

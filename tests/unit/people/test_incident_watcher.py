@@ -76,7 +76,7 @@ async def test_after_the_clock_was_set_back_the_last_is_still_what_happened_last
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     filled(folder / INCIDENTS_FOLDER, 100)
-    settings = Settings.model_validate({"recorder": {"path": str(folder)}})
+    settings = Settings.model_validate({"state": {"path": str(folder)}})
     first = recorded(folder)
     first.put(keys.ESTOP)
     first.conductor.recorder.close()

@@ -35,7 +35,7 @@ START = leg("start", 90, 45, 120, source="anna", sent_ms=0)
 
 def recorded(folder: Path, **sections: Any) -> Robot:
     """A gateway with a black box, as the service makes it; its start's repeats are still to come."""
-    robot = Robot({"recorder": {"path": str(folder), "seconds": 10}, **sections})
+    robot = Robot({"state": {"path": str(folder)}, "recorder": {"seconds": 10}, **sections})
     robot.conductor.start()
     robot.conductor.recorder.open()
     robot.conductor.announce_start()
@@ -341,7 +341,7 @@ def test_it_is_off_without_a_folder_and_in_the_state_directory_under_systemd(mon
     assert paths.folder_of(Settings()) is None
     monkeypatch.setenv("STATE_DIRECTORY", "/var/lib/hexapod-gateway")
     assert paths.folder_of(Settings()) == Path("/var/lib/hexapod-gateway")
-    named = Settings.model_validate({"recorder": {"path": "/mnt/box"}})
+    named = Settings.model_validate({"state": {"path": "/mnt/box"}})
     assert paths.folder_of(named) == Path("/mnt/box")
 
 

@@ -16,7 +16,14 @@ from pydantic import BaseModel, ValidationError
 from gateway.errors import ConfigError
 from gateway.model.framing import Framing
 from gateway.robot import settings
-from gateway.robot.sections import LimitSettings, PowerSettings, ServoLimits, SpiSettings, WatchdogSettings
+from gateway.robot.sections import (
+    LimitSettings,
+    PowerSettings,
+    RecorderSettings,
+    ServoLimits,
+    SpiSettings,
+    WatchdogSettings,
+)
 from gateway.robot.settings import FramingNotSetError, Settings
 from tests.support.bad_settings import ENVIRONMENT_FAULTS, FILE_FAULTS
 from tests.support.settings_file import faults, load
@@ -87,10 +94,9 @@ takeover = "never"
 required = 8
 timeout_ms = 200
 names = ["kitchen", "operator"]
-[calibration]
-path = "/mnt/calibration.toml"
+[state]
+path = "/mnt/state"
 [recorder]
-path = "/mnt/box"
 seconds = 10
 [telemetry]
 state_hz = 0
@@ -447,3 +453,35 @@ def test_what_cannot_be_read_is_told_for_itself(file: Path, text: str) -> None:
     with pytest.raises(ConfigError) as raised:
         framing_of(file)
     assert str(raised.value).splitlines() == [line.replace("file", str(file), 1) for line in faults(file)]
+
+
+@pytest.mark.parametrize(
+    ("text", "lines"),
+    [
+        ("[calibration]\n[recorder]\nseconds = 30\n", []),  # as an earlier version installed it, without a change
+        (
+            '[calibration]\npath = "/mnt/own.toml"\n',
+            ["file: calibration: was removed; name its folder with state.path, which has all that outlasts the gateway "
+             "(the calibration as calibration.toml)"],
+        ),
+        (
+            '[recorder]\npath = "/mnt/box"\n',
+            ["file: recorder.path: was removed; name its folder with state.path, which has all that outlasts the "
+             "gateway"],
+        ),
+    ],
+)  # fmt: skip
+def test_a_removed_setting_names_what_takes_its_place(tmp_path: Path, text: str, lines: list[str]) -> None:
+    path = tmp_path / "gateway.toml"
+    path.write_text(text)
+    if lines:
+        assert faults(path) == lines
+    else:
+        assert load(path) == Settings(recorder=RecorderSettings(seconds=30))
+
+
+def test_a_variable_of_a_removed_setting_names_it_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HEXAPOD_CALIBRATION__PATH", "/mnt/own.toml")
+    monkeypatch.setenv("HEXAPOD_RECORDER__PATH", "/mnt/box")
+    for line, variable in zip(faults(), ("HEXAPOD_CALIBRATION__PATH", "HEXAPOD_RECORDER__PATH"), strict=True):
+        assert line.startswith(f"{variable}: was removed; name its folder with state.path")
