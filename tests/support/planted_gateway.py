@@ -7,7 +7,7 @@ import sys
 import time
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Final
+from typing import Any, Final
 
 from gateway import cli
 from gateway.model.frames import STOP, Frame, OneLeg, OneServo, Op, ServoOp
@@ -15,11 +15,48 @@ from gateway.model.staleness import Staleness
 from gateway.robot import service
 from gateway.robot.core.events import Announce, Command, Effect, EmergencyStop, Event, Reset, Transmit
 from gateway.robot.core.lease import RobotLease
+from gateway.robot.core.leg import Rules
 from gateway.robot.core.supervisor import Supervisor
 from schemas.telemetry import Cause, Kind, Reason
-from tests.fuzz.planted import Make, losing, taking, wanting
 
 NS_PER_MS: Final = 1_000_000
+Make = Callable[[Rules], Supervisor]
+
+
+def changed(
+    taken: Callable[[Supervisor, Event], Event],
+    wanted: Callable[[Supervisor, Event, list[Effect]], list[Effect]],
+) -> Make:
+    """A supervisor that takes other events than come, or wants other things done."""
+
+    class Changed(Supervisor):
+        def step(self, event: Event, now_ns: int, instant_ns: int | None = None) -> list[Effect]:
+            return wanted(self, event, super().step(taken(self, event), now_ns, instant_ns))
+
+    return Changed
+
+
+def taking(kind: type[Event], taken: Callable[[Supervisor, Any], Event]) -> Make:
+    """Events of this kind are taken for others."""
+
+    def take(robot: Supervisor, event: Event) -> Event:
+        return taken(robot, event) if isinstance(event, kind) else event
+
+    return changed(take, lambda _, __, effects: effects)
+
+
+def wanting(wanted: Callable[[Supervisor, Event, list[Effect]], list[Effect]]) -> Make:
+    """Other effects come of an event."""
+    return changed(lambda _, event: event, wanted)
+
+
+def losing(**named: Any) -> Make:
+    """Effects are lost that have all of these."""
+
+    def lost(effect: Effect) -> bool:
+        return all(getattr(effect, name, None) == value for name, value in named.items())
+
+    return wanting(lambda _, __, effects: [effect for effect in effects if not lost(effect)])
 
 
 def _later(by_ms: int, of: str = "timeout_ns") -> Make:
