@@ -11,9 +11,9 @@ import pytest
 import zenoh
 
 from gateway.client import Client, leg_payload, legs_payload
-from gateway.people.tools.drill.cut_link import CutLink
 from schemas import keys
 from schemas.telemetry import Kind
+from tests.support.cut_link import CutLink
 from tests.support.gateway_process import Gateway
 from tests.support.heard import Heard, events
 

@@ -142,9 +142,7 @@ def test_without_a_gateway_it_is_4_and_one_line(arguments: tuple[str, ...]) -> N
         (("run", "--config", "/nowhere.toml"), "/nowhere.toml: there is no such file"),
         (("stop-servos", "--config", "/nowhere.toml"), "/nowhere.toml: there is no such file"),
         (("send", "stop", "--zenoh-config", "/nowhere.json5"), "/nowhere.json5"),
-        (("revoke", "/nowhere.crl"), "cannot read the list of revoked certificates /nowhere.crl: No such file"),
         (("frobnicate",), "No such command"),
-        (("drill", "--only", "nosuch"), "Invalid value for '--only': 'nosuch' is not one of 'command',"),
     ],
 )
 def test_a_mistake_in_the_arguments_is_2_and_says_what_is_right(arguments: tuple[str, ...], said: str) -> None:

@@ -109,7 +109,7 @@ def move(connect: Connection, config: Path | None = None, *, agreed: bool) -> in
             return 1
         held = lying(client, state) if whole else {}
         motion = _motion(DEFAULT_SERVO, "", held) if agreed else _asked(held)
-        servo_id = motion.servo_ids[0]
+        servo_id = motion.servo_id
         if not consents(motion, state, agreed=agreed):
             say("Nothing was moved.")
             return 1
@@ -203,7 +203,7 @@ def _asked(held: Mapping[int, float]) -> ServoMotion:
 
 
 def _motion(servo_id: int, text: str, held: Mapping[int, float]) -> ServoMotion:
-    return ServoMotion([servo_id], _angle(text, held.get(servo_id, DEFAULT_ANGLE_DEG)), held)
+    return ServoMotion(servo_id, _angle(text, held.get(servo_id, DEFAULT_ANGLE_DEG)), held)
 
 
 def _moved(client: Client, motion: ServoMotion, timeout_ms: float, lease: dict[str, str]) -> bool:
@@ -214,7 +214,7 @@ def _moved(client: Client, motion: ServoMotion, timeout_ms: float, lease: dict[s
 
     # Only one start: a set is rejected for what somebody else has stopped.
     return _accepted(ask("start", motion.start_deg)) and all(
-        _held(client, motion.servo_ids[0], partial(ask, "set", angle_deg), timeout_ms)
+        _held(client, motion.servo_id, partial(ask, "set", angle_deg), timeout_ms)
         for angle_deg in (motion.start_deg, motion.end_deg)
     )
 

@@ -4,9 +4,7 @@ import sys
 from typing import Final
 
 from gateway.model.telemetry import fed_singly
-from gateway.people.client.blocking import Client
-from gateway.people.terminal import ask, hint
-from gateway.people.tools.drill.bench import (
+from gateway.onboard.check.stops.bench import (
     EVIDENCE_S,
     Bench,
     FailedError,
@@ -16,6 +14,8 @@ from gateway.people.tools.drill.bench import (
     demand_accepted,
     demand_rejected,
 )
+from gateway.people.client.blocking import Client
+from gateway.people.terminal import ask, hint
 from schemas.robot import LEGS, SERVO_IDS
 from schemas.telemetry import Ack, GatewayState, Kind, Mode, PowerReport, Reason
 

@@ -7,7 +7,7 @@ from contextlib import suppress
 from typing import Final, NamedTuple
 
 from gateway.errors import GatewayError
-from gateway.people.tools.drill.bench import STREAM_S, Bench, FailedError, Figures, Skipped, demand
+from gateway.onboard.check.stops.bench import STREAM_S, Bench, FailedError, Figures, Skipped, demand
 from schemas.robot import LEGS
 from schemas.telemetry import GatewayState, Mode
 
@@ -76,7 +76,7 @@ def _ended(bench: Bench, before: _Unit) -> str:
 
 
 def _unit_of(state: GatewayState) -> _Unit:
-    """The service of the gateway that is drilled. Raises Skipped where it is not of this machine."""
+    """The service of the gateway that is checked. Raises Skipped where it is not of this machine."""
     try:
         unit = _unit()
     except FailedError as failed:

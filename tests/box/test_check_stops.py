@@ -1,4 +1,4 @@
-"""The drill kills the real service under a real systemd: Stops from outside and at the new start, and nothing moves."""
+"""`check --stops` kills the real service under a real systemd: Stops from outside and at the new start, no motion."""
 
 import pytest
 
@@ -19,7 +19,7 @@ def test_the_service_is_killed_and_its_stops_are_counted(robot: InstalledGateway
     robot.unit.systemctl("start")
     robot.box.run(f"/opt/{NAME}/venv/bin/python", "-c", CALIBRATE)
     before = robot.bed.transfers[-1].opening
-    said = robot.gateway("drill", "--restart", "--yes", "--only", "restart", "--late", "70")
+    said = robot.gateway("check", "--stops", "--restart", "--yes", "--only", "restart", "--late", "70")
     assert "PASS     restart" in said
     assert "stops_of_stop_servos 24" in said, said
     assert robot.unit.properties("ActiveState", "NRestarts") == ["active", "1"]

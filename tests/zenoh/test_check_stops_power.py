@@ -1,4 +1,4 @@
-"""The drill's steps for a power board: what it confirms, and one of the two ways unplugged. The board is simulated."""
+"""The steps of `check --stops` for a power board: what it confirms, and one of its two ways unplugged."""
 
 import json
 import subprocess
@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from gateway.people.tools.drill import power, service
+from gateway.onboard.check.stops import power, service
 from schemas import keys
 from schemas.telemetry import GatewayState
 from tests.support.command import Ended
@@ -51,8 +51,8 @@ class Robot:
     def close(self) -> None:
         self._board.communicate()
 
-    def drill(self, step: str) -> Ended:
-        return self.gateway.run("drill", "--unplug", "--late", str(LATE_MS), "--only", step)
+    def check(self, step: str) -> Ended:
+        return self.gateway.run("check", "--stops", "--unplug", "--late", str(LATE_MS), "--only", step)
 
 
 @pytest.fixture
@@ -82,13 +82,13 @@ def person(monkeypatch: pytest.MonkeyPatch) -> Callable[[Callable[[str], str]], 
 
 
 def test_the_board_confirms_an_emergency_stop(robot: Callable[..., Robot]) -> None:
-    done = robot().drill("power")
+    done = robot().check("power")
     assert done.returncode == 0, str(done)
     assert "PASS     power          confirmed_after_ms " in done.stdout
 
 
 def test_one_that_does_not_take_the_supply_fails(robot: Callable[..., Robot]) -> None:
-    done = robot(cut_on=["bus_fault"]).drill("power")
+    done = robot(cut_on=["bus_fault"]).check("power")
     assert done.returncode == 1, str(done)
     assert "FAIL     power          the board has not confirmed" in done.stdout
     assert "SWITCH IT OFF BY HAND" in done.stdout
@@ -97,8 +97,8 @@ def test_one_that_does_not_take_the_supply_fails(robot: Callable[..., Robot]) ->
 def test_without_a_board_and_without_a_person_there_is_nothing_to_show(robot: Callable[..., Robot]) -> None:
     found = robot()
     for step in ("spi-unplugged", "can-unplugged"):
-        assert "SKIPPED" in found.drill(step).stdout
-    assert "SKIPPED" in found.gateway.run("drill", "--only", "can-unplugged").stdout
+        assert "SKIPPED" in found.check(step).stdout
+    assert "SKIPPED" in found.gateway.run("check", "--stops", "--only", "can-unplugged").stdout
 
 
 @pytest.mark.parametrize(("loose", "code"), [("yes", 0), ("no", 1)])
@@ -117,7 +117,7 @@ def test_spi_unplugged(
         return loose
 
     person(answer)
-    done = found.drill("spi-unplugged")
+    done = found.check("spi-unplugged")
     assert done.returncode == code, str(done)
     assert fed_when["Unplug"]
     assert fed_when["Turn"] == fed_when["Plug"] == 0
@@ -131,7 +131,7 @@ def test_can_unplugged(robot: Callable[..., Robot], person: Callable[[Callable[[
         return ""
 
     person(answer)
-    done = found.drill("can-unplugged")
+    done = found.check("can-unplugged")
     assert done.returncode == 0, str(done)
     assert "silent_when_reported_ms" in done.stdout
 

@@ -1,4 +1,4 @@
-"""The means of a step: one leg, a client, a stop button, and all that the gateway writes and publishes meanwhile."""
+"""The means of a step: one servo, a client, and all that the gateway writes and publishes meanwhile."""
 
 import threading
 import time
@@ -7,13 +7,11 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from typing import Any, Final, NamedTuple
 
-from gateway.errors import ConfigError, GatewayError, RejectedError, UnansweredError
+from gateway.errors import GatewayError, UnansweredError
 from gateway.model.calibration import RobotCalibration, calibration_of
 from gateway.model.frames import Frame, FrameError, OneLeg, OneServo, Op, ServoOp, centidegrees, decode
 from gateway.people.client.blocking import Client
 from gateway.people.client.subscriptions import reports, subscribed
-from gateway.people.tools import kept_lease
-from gateway.people.tools.button.check_ins import CheckIns
 from gateway.people.tools.moving import ServoMotion
 from schemas import keys
 from schemas.robot import JOINTS
@@ -76,38 +74,12 @@ class WrittenFrame(NamedTuple):
         return any(command.op is not Op.STOP for _, command in self.frame.servos)
 
 
-class Watching:
-    """A button of the drill's own, which can fall silent."""
-
-    def __init__(self, client: Client) -> None:
-        """Its own name lets the same person hold another button. Raises ConfigError where denied."""
-        button = client.button(f"{client.button_requests.person(kept_lease.me())}/drill")
-        try:
-            button.register()
-        except RejectedError as error:
-            raise ConfigError(f"the drill cannot be a stop button: {error}") from error
-        self.name = button.name
-        self._silent = False
-        self.check_ins = CheckIns(button, lambda: not self._silent, lambda: client.state().uptime_s)
-
-    @contextmanager
-    def silent(self) -> Iterator[None]:
-        """It checks in no more meanwhile."""
-        self._silent = True
-        try:
-            yield
-        finally:
-            self._silent = False
-
-
 @dataclass(slots=True)
 class Bench:
     """One leg of one robot."""
 
     client: Client
     motion: ServoMotion
-    reaches: dict[str, Any]
-    """How `Client` reaches the gateway."""
     late_ms: float
     """How late a Stop may be. With every core busy 2.9 ms were measured; 100 ms are a fault."""
     lands: bool = False
@@ -124,9 +96,7 @@ class Bench:
     answer_ms: float = 0.0
     """How long the gateway takes to answer at rest."""
     estop: int = 0
-    """The number of the drill's own emergency stop."""
-    watches: Watching | None = None
-    """The drill's own stop button, where the robot wants one."""
+    """The number of this program's own emergency stop."""
     lease: dict[str, str] = field(default_factory=dict)
     """Added to commands, where this user has acquired the lease beforehand."""
     frames: list[WrittenFrame] = field(default_factory=list)
@@ -142,12 +112,10 @@ class Bench:
         """The frame that such a command is to cause, in the servos' own angles; the leg's, where the others hold."""
         command = ServoOp(op, centidegrees(angle_deg))
         if holding := self.motion.holding:
-            angles_deg = {**holding, **dict.fromkeys(self.motion.servo_ids, angle_deg)}
+            angles_deg = {**holding, self.motion.servo_id: angle_deg}
             one, two, three = (ServoOp(op, centidegrees(angles_deg[10 * self.motion.leg + joint])) for joint in JOINTS)
             return self.calibration.frame(OneLeg(self.motion.leg, (one, two, three)))
-        if len(self.motion.servo_ids) > 1:
-            return self.calibration.frame(OneLeg(self.motion.leg, (command, command, command)))
-        return self.calibration.frame(OneServo(self.motion.servo_ids[0], command))
+        return self.calibration.frame(OneServo(self.motion.servo_id, command))
 
     def ask(self, op: str, angle_deg: float) -> Ack:
         """An acknowledged start or set."""
@@ -166,15 +134,14 @@ class Bench:
         demand(self.client.stop().accepted, "a Stop was rejected")
 
     @contextmanager
-    def streaming(self, client: Client | None = None, op: str = "set") -> Iterator[None]:
+    def streaming(self) -> Iterator[None]:
         """Publish setpoints at 50 Hz meanwhile, whatever the gateway answers."""
         ended = threading.Event()
-        sender = client or self.client
 
         def stream() -> None:
             with suppress(GatewayError):
                 while not ended.wait(SETPOINT_PERIOD_S):
-                    sender.publish(self.motion.key, self.payload(op, self.motion.start_deg))
+                    self.client.publish(self.motion.key, self.payload("set", self.motion.start_deg))
 
         thread = threading.Thread(target=stream, name="stream")
         thread.start()

@@ -1,4 +1,4 @@
-"""A link to the gateway that the drill can cut: bytes on their way wait, as in a Wi-Fi without reception.
+"""A link to the gateway that a test can cut: bytes on their way wait, as in a Wi-Fi without reception.
 
 It forwards bytes and not TLS, so both ends verify each other's certificate.
 """
