@@ -18,12 +18,12 @@ from websockets.sync.client import ClientConnection, connect
 
 from gateway.people.recordings import REPORTS
 from gateway.people.recordings.drawing import DRAWN, LOG, SIM_JOINT_STATES
-from gateway.people.ros2.cdr import decode
 from schemas.keys import SIM_BODY, STATE, TELEMETRY
 from tests.support.child import Child
 from tests.support.fixtures import gateway_fixture
 from tests.support.gateway_process import COMMAND, Gateway
 from tests.support.measuring import MEASURED
+from tests.support.ros2_bytes import decode
 
 PATIENCE_S = 10
 

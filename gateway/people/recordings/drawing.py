@@ -21,8 +21,7 @@ from gateway.geometry import Geometry, transforms
 from gateway.geometry.kinematics import BASE, FramePose
 from gateway.people.recordings.commanded import CommandedJoints
 from gateway.people.ros2 import robot
-from gateway.people.ros2.cdr import Message
-from gateway.people.ros2.messages import DiagnosticArray, JointState, Log, MarkerArray, String, TFMessage
+from gateway.people.ros2.messages import DiagnosticArray, JointState, Log, MarkerArray, Message, String, TFMessage
 from schemas.keys import EVENT, SIM_BODY, STATE, TELEMETRY
 from schemas.robot import SERVO_IDS
 from schemas.telemetry import BodyReport, GatewayState, Kind, Telemetry

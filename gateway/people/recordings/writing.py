@@ -28,7 +28,8 @@ from gateway.geometry import Geometry, load, urdf
 from gateway.people.recordings.drawing import DRAWN, DRAWN_FROM, Drawing
 from gateway.people.recordings.plain_schema import Schema, plain_schema, without_nulls
 from gateway.people.recordings.reading import LIBRARY_NAME
-from gateway.people.ros2.cdr import Message, definition, encode
+from gateway.people.ros2.cdr import definition, encode
+from gateway.people.ros2.messages import Message
 from schemas.calibration import Calibration
 from schemas.keys import CALIBRATION, EVENT, FRAME, SIM_BODY, STATE, TELEMETRY
 from schemas.telemetry import BodyReport, Event, FrameRecord, GatewayState, Telemetry

@@ -10,14 +10,22 @@ import pytest
 from gateway.client import Client
 from gateway.people.ros2.messages import DiagnosticArray, ImuMessage, JointState, String, Twist
 from schemas.telemetry import Kind, Mode
-from tests.ros2.test_motion import strides
-from tests.ros2.test_rclpy import COMMANDS, DIAGNOSTICS, WALKING, rejections
-from tests.support.bridged import GEOMETRY, clean, keeps, resting
+from tests.ros2.test_motion import WALKING
+from tests.support.bridged import GEOMETRY, clean, does, keeps, rejections, resting, strides
 from tests.support.child import Child
 from tests.support.gateway_process import Gateway
 from tests.support.heard import events, frames, running
 from tests.support.measuring import MEASURED, measures
-from tests.support.rclpy_peer import DOMAIN, ENV, RCLPY_COMMAND, RclpyBridge, RclpyPeer, needs_rclpy
+from tests.support.rclpy_peer import (
+    COMMANDS,
+    DIAGNOSTICS,
+    DOMAIN,
+    ENV,
+    RCLPY_COMMAND,
+    RclpyBridge,
+    RclpyPeer,
+    needs_rclpy,
+)
 
 pytestmark = needs_rclpy
 OWN_DOMAIN = DOMAIN % 100 + 1
@@ -30,11 +38,6 @@ def managed(gateway: Gateway, *arguments: str) -> Iterator[RclpyPeer]:
     with RclpyBridge(gateway, *arguments, domain=OWN_DOMAIN), RclpyPeer(OWN_DOMAIN) as peer:
         peer.subscribe(DIAGNOSTICS, DiagnosticArray)
         yield peer
-
-
-def does(array: DiagnosticArray) -> str:
-    """What the bridge says of itself."""
-    return str(array.status[-1].message)
 
 
 def test_a_node_that_is_deactivated_sits_down_and_only_an_activation_and_drive_move_it_again(
@@ -55,12 +58,12 @@ def test_a_node_that_is_deactivated_sits_down_and_only_an_activation_and_drive_m
         assert not accepted
         assert "the node is not active" in why
         peer.publish("/hexapod/cmd_vel", WALKING)
-        peer.next_where(DIAGNOSTICS, lambda each: "cmd_vel: the node is not active" in rejections(each))
+        peer.next(DIAGNOSTICS, lambda each: "cmd_vel: the node is not active" in rejections(each))
         assert peer.call("/hexapod/estop")[0], "in any state"
         assert watcher.reset().accepted
         assert peer.change_state("activate")
         peer.publish("/hexapod/cmd_vel", WALKING)
-        peer.next_where(DIAGNOSTICS, lambda each: "cmd_vel: nobody has called drive" in rejections(each))
+        peer.next(DIAGNOSTICS, lambda each: "cmd_vel: nobody has called drive" in rejections(each))
         assert not running(watcher), "by an activation alone nothing begins"
         assert peer.call("/hexapod/drive")[0]
         assert peer.change_state("shutdown")
@@ -75,7 +78,7 @@ def test_one_that_others_manage_waits_for_them_and_publishes_no_joints_until_the
     with managed(gateway, "--drive", "--", "--ros-args", "-p", "autostart:=false") as peer:
         peer.subscribe(JOINT_STATES, JointState)
         assert peer.state() == "unconfigured"
-        assert "nobody has activated it" in does(peer.next_where(DIAGNOSTICS, lambda _: True))
+        assert "nobody has activated it" in does(peer.next(DIAGNOSTICS))
         assert watcher.state().lease.holder is None
         assert not peer.change_state("activate"), "first it has to be configured"
         assert peer.change_state("configure")
@@ -85,7 +88,7 @@ def test_one_that_others_manage_waits_for_them_and_publishes_no_joints_until_the
         assert peer.change_state("activate")
         assert watcher.state().lease.holder == "ros2", "--drive"
         assert not running(watcher)
-        assert peer.next_where(JOINT_STATES, lambda _: True)
+        assert peer.next(JOINT_STATES)
 
 
 def test_parameters_by_file_and_by_name_are_rates_frames_and_where_other_joints_are(
@@ -105,9 +108,9 @@ def test_parameters_by_file_and_by_name_are_rates_frames_and_where_other_joints_
         peer.subscribe("/hexapod/robot_description", String, latched=True)
         peer.subscribe("/hexapod/imu/data", ImuMessage)
         peer.subscribe(JOINT_STATES, JointState)
-        assert '<parent link="base_link" />' in peer.next_where("/hexapod/robot_description", lambda _: True).data
-        assert peer.next_where("/hexapod/imu/data", lambda _: True).header.frame_id == "imu_link"
-        first, second = (peer.next_where(JOINT_STATES, lambda _: True) for _ in range(2))
+        assert '<parent link="base_link" />' in peer.next("/hexapod/robot_description").data
+        assert peer.next("/hexapod/imu/data").header.frame_id == "imu_link"
+        first, second = (peer.next(JOINT_STATES) for _ in range(2))
         assert len(first.name) == 18
         known = {servo.id for leg in watcher.state().legs for servo in leg.servos if servo.angle_deg is not None}
         for name, at_rad in zip(first.name, first.position, strict=True):
@@ -142,12 +145,12 @@ def test_a_parameter_that_cannot_be_is_a_sentence(parameter: str, why: str, gate
 def test_in_simulated_time_nobody_may_drive(gateway: Gateway, watcher: Client) -> None:
     with managed(gateway, "--drive", "--", "--ros-args", "-p", "use_sim_time:=true") as peer:
         peer.advertise(COMMANDS, JointState)
-        assert "the time of a robot is real" in does(peer.next_where(DIAGNOSTICS, lambda _: True))
+        assert "the time of a robot is real" in does(peer.next(DIAGNOSTICS))
         accepted, why = peer.call("/hexapod/drive")
         assert not accepted
         assert "use_sim_time is set" in why
         peer.publish(COMMANDS, resting())
-        peer.next_where(DIAGNOSTICS, lambda each: "joint_commands: use_sim_time is set" in rejections(each))
+        peer.next(DIAGNOSTICS, lambda each: "joint_commands: use_sim_time is set" in rejections(each))
         assert not running(watcher)
         assert watcher.state().lease.holder is None
         assert not peer.change_state("activate")
