@@ -152,6 +152,9 @@ class Ack(Answer):
 
     coalesced: Literal[True] | None = None
     written: list[int] | None = None
+    stopped: Annotated[
+        Literal[True] | None, Field(description="with accepted false: what it may stop is stopped all the same")
+    ] = None
     stop_frames: Count | None = None
     estop: Count | None = None
     latency_us: Annotated[float, Field(ge=0)] | None = None

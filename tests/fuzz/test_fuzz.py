@@ -49,7 +49,7 @@ WANTED = {
 @pytest.mark.usefixtures("_atheris")
 @pytest.mark.parametrize(("target", "module", "right", "wrong"), [
     ("decode", "model/frames.py", "if hundredths > _MAX_FLOAT:", "if hundredths > 250:"),
-    ("intake", "robot/core/intake.py", "if name in seen:", "if name in ():"),
+    ("intake", "robot/core/intake.py", "if name in found:", "if name in ():"),
     ("simulator", "robot/spi/simulator.py", "< self._give_up_ns", "<= self._give_up_ns"),
 ])  # fmt: skip
 def test_a_broken_line_is_found(target: str, module: str, right: str, wrong: str, tmp_path: Path) -> None:

@@ -23,6 +23,8 @@ from gateway.robot.core.events import (
     Command,
     EmergencyStop,
     Event,
+    Rejected,
+    Request,
     Reset,
     ShutDown,
     TimePassed,
@@ -31,7 +33,7 @@ from gateway.robot.core.leg import Leg, Rules, Servo
 from gateway.robot.core.legs import Legs
 from gateway.robot.core.pacing import RateSlots, StartQueue
 from gateway.robot.core.supervisor import Supervisor
-from schemas.telemetry import Kind, Mode
+from schemas.telemetry import Kind, Mode, Reason
 from tests.support.buttons_history import ButtonsHistory
 from tests.support.calibration_history import CalibrationHistory
 from tests.support.history import STOP_SERVOS, Violation, cloned, demand, speed_age_ns
@@ -92,8 +94,11 @@ _KNOWN: Final = (
     (Servo, "stopped_ns stopped_by"),
     (RateSlots, "period_ns oldest_ns next_ns"),
     (StartQueue, "pause_ns next_ns legs"),
-    (Command, "targets key source sent_ms lease reply verb received_ns number lost moves by_leg"),  # these never change
-    (Command, "written"),  # by the executor
+    (
+        Command,
+        "targets key source sent_ms lease reply verb received_ns number lost rejected moves by_leg",
+    ),  # these never change
+    (Command, "written stopped"),  # by the executor
     (Command, "left coalesced"),
 )
 """All that a supervisor has. A field that is not named here may matter to what states are equal: then say so below."""
@@ -236,6 +241,9 @@ def events(
     for which, (channel, targets) in enumerate(commands):
         for whose, token in tokens(configuration.drivers, lease):
             yield f"{channel} command {which}{whose}", Command(targets, key=channel, number=number, lease=token)
+    for stops in configuration.unread:
+        unread = Rejected(Request(number=number), Reason.MALFORMED, "a test's")
+        yield f"what may stop {len(stops)}", Command(stops, key="unread", number=number, rejected=unread)
     yield from measurements(configuration.bodies)
     for seen in configuration.boards:
         yield str(seen), seen

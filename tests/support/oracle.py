@@ -204,8 +204,8 @@ class Oracle(RobotHistory):
                     self._answers(effect)
         if self.bus_ok:
             self.rest(effects, unowed, now_ns, ran=ran, silent=bool(watchdog))
-        stopped_all = isinstance(event, Command) and stops == {servo_id for servo_id, _ in event.targets}
-        if self.rules.start_pause_ns and (stopped_all or watchdog):
+        only_stops = isinstance(event, Command) and (not event.moves or bool(rejections_of(event.number, effects)))
+        if self.rules.start_pause_ns and ((stops and only_stops) or watchdog):
             self._queue_ended(event)
 
     def _drop_starts(self) -> None:
@@ -316,17 +316,29 @@ class Oracle(RobotHistory):
             self.landing.judge(transmit, self.servos, now_ns, self.rules, self.calibration.gap)
 
     def _command(self, command: Command, now_ns: int, effects: Sequence[Effect]) -> frozenset[int]:
-        """Whether it must be accepted, and what it then wants. Returns the servos that it stops."""
+        """Whether it must be accepted, and what it then wants: of a rejected one, its Stops. Returns what it stops."""
         reason, targets = self.reason_to_reject(command), command.targets
-        has_stop = any(op.op is Op.STOP for _, op in targets)
-        stops_whole = reason is None and self.rules.starts_whole and has_stop
-        mixed = stops_whole and any(op.op is not Op.STOP for _, op in targets)
+        reason = reason if command.rejected is None else command.rejected.reason
+        named = tuple(target for target in targets if target[1].op is Op.STOP)
+        mixed = reason is None and self.rules.starts_whole and 0 < len(named) < len(targets)
         self._must_be_rejected(command, effects, Reason.WHOLE_ROBOT if mixed else reason)
+        if reason is not None or mixed:
+            stopped = [
+                effect.request.stopped
+                for effect in effects
+                if isinstance(effect, Rejected)
+                if effect.request.number == command.number
+            ]
+            expected = [tuple(servo_id for servo_id, _ in named) if self.bus_ok else ()]
+            demand(stopped == expected, f"a rejected command stops what it names: {expected}, not {stopped}")
         if reason is not None:
-            return frozenset()
-        if stops_whole:
+            targets = named if self.bus_ok and not self.ended else ()
+            if not targets:
+                return frozenset()
+        else:
+            self.lease.heard(command.lease, now_ns)
+        if self.rules.starts_whole and named:
             targets = tuple((servo_id, STOP) for servo_id in self.servos)
-        self.lease.heard(command.lease, now_ns)
         running = [number for number in self.legs if self.armed(number)]
         change_hands(self.legs, running, command, targets, effects)
         told_to_stop: set[int] = set()

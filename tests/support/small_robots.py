@@ -45,6 +45,8 @@ class Configuration:
     """What the robot may measure: (tilt in hundredths of a degree, battery in mV)."""
     boards: tuple[PowerSeen, ...] = ()
     """What the power board may be seen to say."""
+    unread: tuple[Targets, ...] = ()
+    """Stops that may be in a message that cannot be read."""
     calm: bool = False
     """Whether the bus answers, and nobody wants an emergency stop or stops servos past the gateway."""
 
@@ -103,6 +105,14 @@ _DOUBT = PowerSeen(alive=True, doubt="it is not confirmed")
 
 CONFIGURATIONS: Final = (
     Configuration("one servo, two channels", _rules(repeats=2), (1,), _ONE_SERVO, _WAITS),
+    Configuration(
+        "one leg, and what cannot be read",
+        _rules(),
+        (1,),
+        (("leg", _each(START, 11, 12, 13)), ("leg", ((11, STOP), (12, SET), (13, SET)))),
+        _WAITS,
+        unread=(_each(STOP, 11, 12, 13), _each(STOP, 11)),
+    ),
     Configuration(
         "one servo, instants in which time passes",
         _rules(repeats=0),
@@ -219,6 +229,7 @@ CONFIGURATIONS: Final = (
             ("leg", ((11, STOP), (12, START))),
         ),
         _WAITS[1:],
+        unread=(_each(STOP, 11),),
     ),
     Configuration(
         "two legs that start and stop as one, rate slots later than the watchdog, and landing",

@@ -23,6 +23,7 @@ from gateway.robot.core.events import (
     LeaseRequest,
     PowerSeen,
     Rejected,
+    Request,
     RequestAnswer,
     Reset,
     SaveCalibration,
@@ -33,7 +34,7 @@ from gateway.robot.core.events import (
 )
 from gateway.robot.core.leg import Rules
 from gateway.robot.core.supervisor import Supervisor
-from schemas.telemetry import Kind
+from schemas.telemetry import Kind, Reason
 from tests.support.history import is_coalesced, spelled_out
 from tests.support.oracle import Oracle
 
@@ -72,7 +73,7 @@ def said(effect: Effect) -> str:
         case Completed():
             return f"completed {effect.request.number}{' coalesced' if is_coalesced(effect.request) else ''}"
         case Rejected():
-            return f"rejected {effect.request.number} {effect.reason}"
+            return f"rejected {effect.request.number} {effect.reason}{' stopped' if effect.request.stopped else ''}"
         case Announce():
             return f"announce {effect.kind}"
         case RequestAnswer():
@@ -156,6 +157,12 @@ class Steps:
         """A command with the next number."""
         self.number += 1
         return self.take(at_ms, Command(targets, key=channel, number=self.number, lease=lease))
+
+    def unread(self, at_ms: float, targets: Targets, channel: str = "leg") -> list[str]:
+        """A message that could not be read, and may stop these."""
+        self.number += 1
+        rejected = Rejected(Request(number=self.number), Reason.MALFORMED, "it is no JSON")
+        return self.take(at_ms, Command(targets, key=channel, number=self.number, rejected=rejected))
 
     def lease(self, at_ms: float, words: str, token: str | None = None, *, fresh: str = "") -> list[str]:
         """A request such as `acquire anna`, `renew` or `release to bert`."""

@@ -42,6 +42,8 @@ class Request:
     """Its own, from 1 on, for the supervisor and the black box; 0: it is rejected before."""
     written: tuple[int, ...] = ()
     """The legs that a frame of it was written for; should it be rejected after that, its answer names them."""
+    stopped: tuple[int, ...] = ()
+    """The servos that it stops, or may stop, and that are stopped though it is rejected."""
 
     @property
     def servo_ids(self) -> Iterable[int]:
@@ -61,6 +63,9 @@ class Command(Request):
 
     lost: bool = False
     """Nobody's command: Stops that stand for messages of the channel which were lost."""
+    rejected: "Rejected | None" = field(default=None, repr=False)
+    """Why it was rejected before the supervisor takes it: only its Stops are carried out. For a message that could not
+    be read, these are the Stops that it may contain, and another request is answered in its place."""
     moves: Targets = field(init=False)
     """Those of its targets that are no Stops."""
     by_leg: dict[int, Targets] = field(init=False)
@@ -79,6 +84,11 @@ class Command(Request):
             self.left += 1
             if op.op is not OP_STOP:
                 self.moves += (target,)
+
+    @property
+    def stops(self) -> Targets:
+        """Its targets that are Stops."""
+        return tuple(target for target in self.targets if target[1].op is OP_STOP)
 
     @property
     def channel(self) -> str:
@@ -287,7 +297,7 @@ class Completed:
 
 @value
 class Rejected:
-    """It takes no effect (any more)."""
+    """It takes no effect (any more), except for its Stops."""
 
     request: Request
     reason: Reason

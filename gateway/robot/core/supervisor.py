@@ -10,6 +10,7 @@ The rules, by their numbers in docs/interface.md, *Behaviour*:
     rejected, and the whole command with it. A Stop ends what waits for its servo: no older Start or Set comes after it.
  3. Starts and Sets wait for their leg's rate slot (`pacing`), newest target per servo. A Stop waits for nothing, and
     in what one step wants sent, all Stops come first.
+    Of a command that is rejected, for whatever reason, the Stops are carried out, and nothing else (`Legs.stop_for`).
  4. A leg that runs, or waits to be started, is stopped when no accepted command starts or sets one of its servos for
     the timeout. A Stop for one servo does not keep the others of its leg running.
     Deadlines come before a command of the same step: a command that was late does not save its leg.
@@ -48,7 +49,7 @@ Within one instant, the order of what came by different channels is unknown. So 
 or Set that came by another channel, and the emergency stop wins over a reset.
 """
 
-from typing import Final, assert_never, get_args
+from typing import Final, assert_never
 
 from gateway.allowance import NS_PER_MS
 from gateway.model.angle_limits import AngleLimits
@@ -81,6 +82,7 @@ from gateway.robot.core.events import (
 )
 from gateway.robot.core.lease import RobotLease
 from gateway.robot.core.leg import Rules
+from gateway.robot.core.legal import LEGAL, IllegalEvent
 from gateway.robot.core.legs import Legs
 from gateway.robot.core.power import LOST, SILENT, PowerRule
 from gateway.robot.core.reset import may_be_older
@@ -99,21 +101,6 @@ _REJECTING: Final = {
     Mode.STOPPING: (Reason.STOPPING, _STOPPING),
 }
 """The modes in which every command that comes is rejected, and why."""
-
-_AT_START: Final[frozenset[type[Event]]] = frozenset(
-    {EmergencyStop, BusOpened, BusFailed, BodyMeasured, PowerSeen, TimePassed, ShutDown}
-)
-_ANY: Final[frozenset[type[Event]]] = frozenset(get_args(Event))
-LEGAL: Final = {mode: _ANY - {BusOpened} for mode in (Mode.IDLE, Mode.ACTIVE, Mode.ESTOPPED)} | {
-    Mode.STARTING: _AT_START,
-    Mode.BUS_FAULT: _ANY,
-    Mode.STOPPING: _ANY,
-}
-"""In which mode which event may come; any other is a mistake of the caller. Tests have where each leads."""
-
-
-class IllegalEvent(RuntimeError):  # noqa: N818  (h11 and friends: it names what happened)
-    """The caller sent an event that has no place in this mode; the state is as it was."""
 
 
 class Supervisor:
@@ -238,12 +225,15 @@ class Supervisor:
     # ---- events
 
     def _command(self, command: Command, now_ns: int) -> list[Effect]:
-        rejection = self._rejection(command)
-        if rejection is not None:
-            return [Rejected(command, *rejection)]
-        if command.lease is not None:
-            self.lease.heard(command.lease, now_ns)
-        return self.legs.apply(command, now_ns)
+        rejected = command.rejected
+        if rejected is None:
+            rejection = self._rejection(command)
+            if rejection is None:
+                if command.lease is not None:
+                    self.lease.heard(command.lease, now_ns)
+                return self.legs.apply(command, now_ns)
+            rejected = Rejected(command, *rejection)
+        return self.legs.stop_for(command, rejected, now_ns, write=not self._ended) if self._bus_ok else [rejected]
 
     def _rejection(self, command: Command) -> tuple[Reason, str] | None:
         """Why the command as a whole takes no effect; None: it does. Asked before anything of it takes effect."""

@@ -28,13 +28,14 @@ from gateway.robot.core.events import (
     EmergencyStop,
     Event,
     LeaseRequest,
+    Rejected,
     Request,
     ShutDown,
     StoppedOutside,
     TimePassed,
 )
 from gateway.robot.core.intake import Rejection, echo_of, read
-from gateway.robot.core.losses import DETAIL, Losses
+from gateway.robot.core.losses import DETAIL, Losses, stops_in
 from gateway.robot.core.message import Messages, NoMessages, Outbox, Received, Reply, Verb
 from gateway.robot.core.supervisor import Supervisor
 from gateway.robot.host.ownership import Ownership, OwnersTimer
@@ -301,15 +302,16 @@ class Conductor:
             return
         command = read(received)
         if type(command) is Rejection:
-            unread = Request(key=echo_of(received.expression), source=received.source, reply=received.reply)
-            self.answers.reject(unread, command.reason, command.detail)
+            self._reject_unread(received, command, instant_ns)
             return
         now_ns = self._clock()
         judge = self._staleness
         too_old = None if judge is None else judge.too_old(command.source, command.sent_ms, now_ns, instant_ns)
         if too_old is not None and not command.only_stops:  # to stop once too often harms nobody
-            self.answers.reject(command, Reason.STALE, too_old, command)
-            return
+            if type(command) is not Command or not command.stops:
+                self.answers.reject(command, Reason.STALE, too_old, command)
+                return
+            command.rejected = Rejected(command, Reason.STALE, too_old)
         command.number = self.answers.next_number()
         try:
             outcome = self._step(command, instant_ns, now_ns, command)
@@ -318,6 +320,19 @@ class Conductor:
             raise
         if self._losses.key and not outcome.rejects(command):
             self._losses.accepted(command.targets)
+
+    def _reject_unread(self, received: Received, why: Rejection, instant_ns: int) -> None:
+        """Reject what could not be read, and stop what it may stop."""
+        unread = Request(key=echo_of(received.expression), source=received.source, reply=received.reply)
+        stops = stops_in(received)
+        if not stops:
+            self.answers.reject(unread, why.reason, why.detail)
+            return
+        command = Command(stops, key=received.key, verb=received.verb, received_ns=received.received_ns)
+        command.source, command.rejected = received.source, Rejected(unread, why.reason, why.detail)
+        command.number = unread.number = self.answers.next_number()
+        unread.received_ns = received.received_ns
+        self._step(command, instant_ns, heard=command)
 
     def _stop_what_lost_stops_named(self, instant_ns: int) -> None:
         key, targets = self._losses.take()

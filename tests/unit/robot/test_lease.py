@@ -60,7 +60,10 @@ def test_only_its_holder_moves_and_resets_and_everybody_stops(token: str | None)
     assert robot.command(30, SET, lease=token) == ["rejected 2 not_holder"]
     assert robot.command(30, leg_to(2, "start 90"), lease=token) == ["rejected 3 not_holder"]
     assert robot.command(31, servo_to(11, "stop"), lease=token) == ["command 11 stop", "completed 4"]
-    assert robot.command(32, leg_to(1, "stop", "set 1", "set 1"), lease=token) == ["rejected 5 not_holder"]
+    assert robot.command(32, leg_to(1, "stop", "set 1", "set 1"), lease=token) == [
+        "command 11 stop",
+        "rejected 5 not_holder stopped",
+    ]
     assert robot.estop(33) == [*all_stopped("estop"), "announce estop_engaged"]
     assert robot.reset(34, lease=token) == ["rejected 6 not_holder"]
     assert robot.reset(35, lease=ANNA) == ["announce estop_reset", "completed 7"]

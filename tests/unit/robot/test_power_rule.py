@@ -57,7 +57,7 @@ def test_a_stop_and_a_reset_need_no_board() -> None:
     steps = fed()
     steps.estop(20)
     steps.board(30, alive=False)
-    assert steps.command(35, leg_to(3, "stop")) == ["rejected 2 estopped"]
+    assert steps.command(35, leg_to(3, "stop")) == ["command 3 stop", "rejected 2 estopped stopped"]
     assert steps.reset(40) == ["announce estop_reset", "completed 3"]
     assert steps.command(50, leg_to(3, "stop"))[0] == "command 3 stop"
     assert steps.command(60, leg_to(3, "start 90")) == ["rejected 5 no_power"]

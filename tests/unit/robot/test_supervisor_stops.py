@@ -212,8 +212,13 @@ def test_the_emergency_stop_stops_all_and_latches() -> None:
     robot.command(101, legs_to("135", "set 80"))
     assert robot.estop(102) == [*all_stopped("estop"), "rejected 2 estopped", "announce estop_engaged"]
     assert robot.supervisor.mode is Mode.ESTOPPED
-    for at_ms, targets in ((103, leg_to(1, "start 90")), (104, leg_to(1, "set 90")), (105, leg_to(1, "stop"))):
+    for at_ms, targets in ((103, leg_to(1, "start 90")), (104, leg_to(1, "set 90"))):
         assert robot.command(at_ms, targets) == [f"rejected {robot.number} estopped"]
+    assert robot.command(105, leg_to(1, "stop")) == ["command 1 stop", "rejected 5 estopped stopped"]
+    assert robot.command(106, leg_to(1, "stop", "start 9", "set 9")) == [
+        "command 11 stop",
+        "rejected 6 estopped stopped",
+    ]
     assert robot.time(1000) == []
 
 
