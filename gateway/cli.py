@@ -24,7 +24,7 @@ from gateway.people.tools.options import ConfigOption, ConnectOption, OtherShape
 
 _PANELS = {
     "Stop": ("estop", "stop", "reset"),
-    "Look": ("status", "watch", "console", "foxglove", "incidents"),
+    "Look": ("status", "console", "foxglove", "incidents"),
     "Drive": ("walk", "send", "lease", "button", "ros2"),
     "The robot": ("run", "check", "calibrate", "stop-servos", "install-service"),
     "People": ("certs",),
@@ -308,29 +308,28 @@ def check(
 
 
 @app.command()
-def watch(connect: ConnectOption = None, zenoh_config: ZenohConfigOption = None, timeout: TimeoutOption = 2.0) -> None:
-    """Show the robot live in the terminal: legs, servos, rates, rejections, events; SPACE is the emergency stop.
-
-    It waits for a gateway that is not there yet. Press q to end it.
-
-    Exit codes: 0 ended by q; 1 the terminal cannot show it; 2 there is no terminal, or the --zenoh-config is faulty.
-    """
-    from gateway.people.tools.watch import watch
-
-    watch(connect, zenoh_config, timeout)
-
-
-@app.command()
 def status(
     connect: ConnectOption = None,
     zenoh_config: ZenohConfigOption = None,
     timeout: TimeoutOption = 2.0,
-    as_json: Annotated[bool, typer.Option("--json", help="As the gateway publishes it.")] = False,
+    follow: Annotated[
+        bool, typer.Option("--follow", "-f", help="Go on: a line for each change, rejection and event, until Ctrl-C.")
+    ] = False,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="As the gateway publishes it; with --follow, an object a line.")
+    ] = False,
 ) -> None:
-    """Show the robot's state once, in sentences: may it move, what runs, who drives, what has gone wrong.
+    """Show the robot's state in sentences: may it move, what runs, who drives, what has gone wrong.
 
-    Exit codes: 0 shown; 2 the --zenoh-config is faulty; 4 no gateway answers.
+    With --follow it goes on, with a line for each change, rejection and event, and its reason. It waits for a gateway
+    that is not there yet. Nothing here stops the robot: keep `estop` or a page within reach.
+
+    Exit codes: 0 shown, or ended on request; 2 the --zenoh-config is faulty; 4 no gateway answers.
     """
+    if follow:
+        from gateway.people.tools.follow import follow as follow_state
+
+        follow_state(connect, zenoh_config, timeout, as_json=as_json)
     from gateway.people.tools.status import status
 
     status(connect, zenoh_config, timeout, as_json=as_json)

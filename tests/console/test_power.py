@@ -13,7 +13,7 @@ from tests.console.browser import Visitor
 from tests.console.test_measured import COVERED, SIZES, expect_no_serious_violation, report
 from tests.support.fixtures import client_fixture
 from tests.support.measuring import measures
-from tests.support.watch_reports import WALL
+from tests.support.published import WALL
 
 pytestmark = pytest.mark.browser
 

@@ -14,8 +14,8 @@ from schemas.telemetry import GatewayState, Kind, Mode
 from tests.support.fixtures import patient
 from tests.support.gateway_process import Gateway, free_port
 from tests.support.heard import states
+from tests.support.published import event
 from tests.support.tmux import Terminal, at_terminal
-from tests.support.watch_reports import event
 
 pytestmark = [pytest.mark.full, pytest.mark.attended]
 

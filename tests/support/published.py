@@ -1,9 +1,7 @@
-"""Reports for the tests of `watch`, and what it shows of them."""
+"""What a gateway publishes, made by hand."""
 
 from datetime import UTC, datetime, timedelta
 
-from gateway.people.tools.watch.model import Model
-from gateway.people.tools.watch.view import picture
 from schemas.telemetry import (
     CommandCounts,
     Event,
@@ -11,12 +9,10 @@ from schemas.telemetry import (
     Kind,
     LegReport,
     Mode,
-    PowerReport,
     Reason,
     ServoReport,
     SpiReport,
     StopLatency,
-    Telemetry,
     WatchdogReport,
     WatchdogState,
 )
@@ -81,23 +77,3 @@ def event(
 
 def rejected(source: str | None, detail: str = "no", reason: Reason = Reason.INVALID, left_out: int = 0) -> Event:
     return event(Kind.COMMAND_REJECTED, detail, source, reason, left_out)
-
-
-def kinds(model: Model) -> list[str]:
-    return [line.kind for line in model.lines]
-
-
-def screen(model: Model, now_ns: int = 0, width: int = 80, height: int = 24) -> str:
-    return picture(model, now_ns, "tcp/robot:7447", width, height).plain
-
-
-def model_with_power(power: PowerReport, telemetry: Telemetry) -> Model:
-    model = Model()
-    model.received_state(state().model_copy(update={"power": power}), 0, WALL)
-    model.received_telemetry(telemetry, 0)
-    return model
-
-
-def model_with_state(model: Model) -> Model:
-    model.received_state(state(), 0, WALL)
-    return model
