@@ -25,7 +25,7 @@ from gateway.people.tools.options import ConfigOption, ConnectOption, OtherShape
 _PANELS = {
     "Stop": ("estop", "stop", "reset"),
     "Look": ("status", "console", "foxglove", "incidents"),
-    "Drive": ("walk", "send", "lease", "button", "ros2"),
+    "Drive": ("walk", "send", "lease", "ros2"),
     "The robot": ("run", "check", "calibrate", "stop-servos", "install-service"),
     "People": ("certs",),
     "Files": ("record", "recordings", "replay", "decode"),

@@ -114,7 +114,7 @@ _LAPTOP = """\
 }
 """
 
-_COMMANDS = {OPERATOR: ("walk", "estop"), OBSERVER: (), BUTTON: ("button", "estop")}
+_COMMANDS = {OPERATOR: ("walk", "estop"), OBSERVER: (), BUTTON: ("estop",)}
 """Commands in a bundle's README, besides `status`."""
 
 _README = """\

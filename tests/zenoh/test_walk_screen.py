@@ -10,12 +10,15 @@ from pathlib import Path
 
 import pytest
 
-from schemas.telemetry import Mode
+from gateway.people.client.dangers import UNCONFIRMED
+from schemas import keys
+from schemas.telemetry import Kind, Mode
 from tests.support.command import run_here
 from tests.support.fixtures import gateway_fixture, patient
-from tests.support.gateway_process import COMMAND, Gateway
+from tests.support.gateway_process import COMMAND, Gateway, free_port
 from tests.support.heard import states
-from tests.support.tmux import LATE_S, Terminal
+from tests.support.published import event
+from tests.support.tmux import LATE_S, Terminal, at_terminal
 
 pytestmark = [pytest.mark.full, pytest.mark.attended]
 
@@ -92,3 +95,18 @@ def test_without_a_terminal_it_says_what_else_there_is(monkeypatch: pytest.Monke
     monkeypatch.setitem(sys.modules, "termios", None)
     unix = "walk from the keyboard needs a Unix terminal; on Windows, run it in WSL, or give --seconds"
     assert run_here("walk") == (1, "", f"hexapod-gateway: {unix}\n")
+
+
+def test_a_stop_that_the_power_board_does_not_confirm_is_red(tmp_path: Path) -> None:
+    """States come at changes only, and this robot has no board, so the event's alarm stays."""
+    listen = {"listen": [f"tcp/127.0.0.1:{free_port()}"]}
+    with (
+        Gateway(tmp_path, {"zenoh": listen, "telemetry": {"state_hz": 0}}) as gateway,
+        gateway.client(source="watcher") as watcher,
+        at_terminal(tmp_path, "walk", gateway.endpoint) as terminal,
+    ):
+        terminal.wait("forward, backward")
+        watcher.session.put(keys.EVENT, event(Kind.POWER_UNCONFIRMED).model_dump_json())
+        terminal.wait(UNCONFIRMED)
+        terminal.press("C-c")
+        assert terminal.wait_for_end() == 0

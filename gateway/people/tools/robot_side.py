@@ -1,4 +1,4 @@
-"""The command lines of programs for a person next to the robot: `walk`, `button`."""
+"""The command line of a program for a person next to the robot: `walk`."""
 
 import sys
 from typing import Annotated
@@ -60,30 +60,3 @@ def walk(
     from gateway.people.tools.walk import screen
 
     sys.exit(screen.drive(connection, gait, geometry, terrain, height))
-
-
-@app.command()
-def button(
-    name: Annotated[
-        str | None,
-        typer.Option("--name", metavar="N", help="By which name; with a certificate it is that of its person."),
-    ] = None,
-    connect: ConnectOption = None,
-    zenoh_config: ZenohConfigOption = None,
-    timeout: TimeoutOption = 2.0,
-) -> None:
-    """Be a stop button: any key stops the robot, and so does this terminal's silence.
-
-    It checks in with the gateway as long as this terminal is drawn. Where `buttons.required` asks for a button, nothing
-    moves without one; if this laptop leaves the Wi-Fi, sleeps or dies, all six legs stop within `buttons.timeout_ms`.
-
-    Ctrl-C leaves on purpose; the robot stops then, too, if too few buttons remain. A certificate for this alone, which
-    moves nothing: `hexapod-gateway certs issue NAME --role button`.
-
-    Exit codes: 0 left on purpose, 1 rejected (or no terminal), 4 no gateway.
-    """
-    from gateway.people.tools import kept_lease, reach
-    from gateway.people.tools.button import screen
-
-    name = name or kept_lease.me()
-    sys.exit(screen.hold(reach.connection(connect, zenoh_config, timeout, source=name), name))

@@ -8,8 +8,6 @@ import pytest
 
 from gateway.errors import UnansweredError
 from gateway.model.telemetry import currents_a
-from gateway.people.client.blocking import Client
-from gateway.people.client.button import Button
 from gateway.people.client.dangers import (
     PATIENCE_NS,
     UNCONFIRMED,
@@ -18,12 +16,9 @@ from gateway.people.client.dangers import (
     power_now,
     tone_of,
 )
-from gateway.people.client.requests import ButtonRequests
 from gateway.people.client.stream import ALL_STOPPED
 from gateway.people.console.pages import Page, Pages
-from gateway.people.terminal.screen import ALARM
 from gateway.people.terminal.stop_status import SHOWN_NS, StopStatus, Tone
-from gateway.people.tools.button.screen import ButtonScreen
 from gateway.people.tools.send import command_report, estop_report
 from gateway.people.tools.status import sentences
 from schemas.telemetry import Ack, GatewayState, Kind, Mode, PowerReport, ServoTelemetry, Telemetry
@@ -168,23 +163,6 @@ def test_status_has_the_board_and_the_alarm() -> None:
     assert "Power (slcan): 18 fed." in sentences(of(FED))
     assert f"Power (slcan): does not answer. {UNCONFIRMED}" in sentences(of(SILENT))
     assert not [line for line in sentences(state()) if line.startswith("Power")]
-
-
-def test_a_button_in_a_terminal_is_red_and_reports_it_once_more_at_its_end() -> None:
-    button = Button(cast("ButtonRequests", None), lambda _: STOPPED, "kitchen")
-    button.timeout_ms = 60_000
-    shown = ButtonScreen(cast("Client", None), button)
-    assert UNCONFIRMED not in shown.picture(80, 24).plain
-    shown.take_event(event(Kind.POWER_UNCONFIRMED))
-    assert shown.picture(80, 24).plain.split("\n")[10].strip() == UNCONFIRMED
-    assert shown.picture(80, 24).style == ALARM
-    assert shown.last_words() == [UNCONFIRMED]
-    shown.take_state(of(OFF))
-    assert "ANY KEY STOPS THE ROBOT" in shown.picture(80, 24).plain
-    shown.take_state(of(SILENT))
-    assert shown.picture(80, 24).style == ALARM
-    shown.take_state(of(OFF))
-    assert shown.last_words() == []
 
 
 async def test_a_page_gets_the_sentence_with_the_state_and_at_once_with_the_event() -> None:
