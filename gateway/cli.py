@@ -19,13 +19,13 @@ from gateway.onboard import incidents
 from gateway.people.bridge import command as bridge
 from gateway.people.console import calibrate_command
 from gateway.people.terminal import hint
-from gateway.people.tools import certs, lease, recordings, robot_side
+from gateway.people.tools import certs, recordings, robot_side
 from gateway.people.tools.options import ConfigOption, ConnectOption, OtherShapeOption, TimeoutOption, ZenohConfigOption
 
 _PANELS = {
     "Stop": ("estop", "stop", "reset"),
     "Look": ("status", "console", "foxglove", "incidents"),
-    "Drive": ("walk", "send", "lease", "ros2"),
+    "Drive": ("walk", "send", "ros2"),
     "The robot": ("run", "check", "calibrate", "stop-servos", "install-service"),
     "People": ("certs",),
     "Files": ("record", "recordings", "replay", "decode"),
@@ -420,7 +420,6 @@ def decode(
 
 app.add_typer(calibrate_command.app, name="calibrate")
 app.add_typer(certs.app, name="certs")
-app.add_typer(lease.app, name="lease")
 app.add_typer(recordings.app)
 app.add_typer(incidents.app, name="incidents")
 app.add_typer(robot_side.app)
@@ -429,7 +428,7 @@ app.add_typer(bridge.app)
 send_app = typer.Typer(
     help="Send one acknowledged command through a running gateway.\n\n"
     "Without a further command the watchdog stops the leg (after watchdog.timeout_ms); --hold repeats the command "
-    "every 50 ms, and holds the lease meanwhile (see `lease`), if it is free.\n\n"
+    "every 50 ms, and holds the lease meanwhile, if it is free: nobody else drives then.\n\n"
     "Exit codes: 0 accepted, 1 rejected (the reason is printed), or the power board does not confirm a Stop, 4 no "
     "gateway answers.",
     no_args_is_help=True,

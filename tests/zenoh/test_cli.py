@@ -13,7 +13,7 @@ import typer.main
 from typer.core import TyperGroup
 
 from gateway import certs, cli
-from gateway.people.tools.kept_lease import me
+from gateway.people.tools.reach import me
 from gateway.people.tools.send import person_of
 from schemas.telemetry import GatewayState, Kind, Mode
 from tests.support.command import run_here

@@ -13,7 +13,6 @@ from gateway import geometry
 from gateway.errors import ConfigError, GatewayError
 from gateway.people.client.blocking import Client
 from gateway.people.terminal import ask, hint, this_command
-from gateway.people.tools import kept_lease
 from gateway.people.tools.reach import check_at_rest
 from gateway.people.walking.planning import Planner
 from gateway.people.walking.robot import Robot, ranges
@@ -84,10 +83,10 @@ def ready(client: Client) -> GatewayState:
     state = client.state()
     check_at_rest(state)
     holder = state.lease.holder
-    if holder is not None and kept_lease.token_of(client) is None:
+    if holder is not None:
         raise ConfigError(
-            f"{visible(holder)} drives, and nothing is moved: wait until the lease is released, or ask for it "
-            f"({this_command()} lease ask)"
+            f"{visible(holder)} drives, and nothing is moved: wait until the lease is released "
+            f"({this_command()} status --follow)"
         )
     return state
 

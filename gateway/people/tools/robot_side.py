@@ -36,7 +36,7 @@ def walk(
     """Make the robot walk: from the keyboard, or with --seconds without a person.
 
     W S and the arrows walk and turn while you hold them, A D step sideways, space or e is the emergency stop; the
-    screen shows the other keys. It holds the lease meanwhile (see `lease`). Lay the robot on its belly first: its legs
+    screen shows the other keys. It holds the lease meanwhile. Lay the robot on its belly first: its legs
     go to their first pose as fast as they can, one after the other.
 
     A terminal does not report that a key is released. So a key counts for 0.7 s when it is pressed, which bridges the

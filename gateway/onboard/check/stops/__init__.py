@@ -97,7 +97,7 @@ def _do(bench: Bench, step: CheckStep, place: str, *, as_json: bool) -> StepOutc
     hint(f"{place} {step.name}: {does} …")
     result, figures = "PASS", Figures()
     try:
-        with drives(bench.client, LEASE_S, moves=True) as bench.lease:
+        with drives(bench.client, LEASE_S, moves=True):
             figures = step.run(bench)
         detail = ", ".join(f"{name} {_short(value)}" for name, value in figures.items())
     except FailedError as failed:

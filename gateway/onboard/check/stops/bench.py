@@ -97,8 +97,6 @@ class Bench:
     """How long the gateway takes to answer at rest."""
     estop: int = 0
     """The number of this program's own emergency stop."""
-    lease: dict[str, str] = field(default_factory=dict)
-    """Added to commands, where this user has acquired the lease beforehand."""
     frames: list[WrittenFrame] = field(default_factory=list)
     events: list[Event] = field(default_factory=list)
 
@@ -106,7 +104,7 @@ class Bench:
 
     def payload(self, op: str, angle_deg: float) -> dict[str, Any]:
         """A start or a set, under the lease."""
-        return {**self.motion.payload(op, angle_deg), **self.lease}
+        return self.motion.payload(op, angle_deg)
 
     def frame(self, op: Op, angle_deg: float) -> Frame:
         """The frame that such a command is to cause, in the servos' own angles; the leg's, where the others hold."""
@@ -127,7 +125,7 @@ class Bench:
 
     def reset(self, estop: int) -> Ack:
         """Ask to leave the emergency stop of this number."""
-        return self.client.ask(keys.RESET, {"estop": estop, **self.lease})
+        return self.client.ask(keys.RESET, {"estop": estop})
 
     def stop(self) -> None:
         """Stop all legs. Fails the step where that is rejected."""
