@@ -10,7 +10,7 @@ from contextlib import suppress
 from functools import partial
 from math import ceil
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeVar
 
 import zenoh
 
@@ -67,6 +67,9 @@ BEAT_S = 0.1
 
 T = TypeVar("T")
 
+REPORTS_HZ: Final = 10.0
+"""Of the state and of telemetry: what people and pages can follow; a change of mode is published at once."""
+
 logger = logging.getLogger(__name__)
 
 
@@ -115,7 +118,6 @@ def rules(settings: Settings) -> Rules:
         landing_cdeg={int(servo): centidegrees(angle) for servo, angle in settings.watchdog.landing.items()},
         lease_required=settings.lease.required,
         lease_ttl_ns=round(settings.lease.ttl_ms * NS_PER_MS),
-        lease_takeover=settings.lease.takeover == "stop",
         buttons_required=settings.buttons.required,
         buttons_timeout_ns=round(settings.buttons.timeout_ms * NS_PER_MS),
         min_battery_mv=round(settings.safety.min_battery_v * 1000),
@@ -151,7 +153,7 @@ def run(
     descriptors.ensure()
     realtime.prefer_process()
     realtime.limit_malloc_arenas()
-    logs.set_up(settings.log.level, settings.log.format)
+    logs.set_up(settings.log.level)
     logs.keep_stacks()
     if not simulated:
         _show_settings(settings)  # before the first frame
@@ -304,7 +306,7 @@ def _wire(
 def _go_on(bus: Wire, conductor: Conductor, settings: Settings, end: ServiceEnd, *, simulated: bool) -> None:
     """What a wire says of its own accord from now on."""
     if isinstance(bus, CyclicBus):
-        Cycle(bus, conductor, settings.controller.cycle_hz, end.mistake).start()
+        Cycle(bus, conductor, end.mistake).start()
     wires.warn_of_driver(settings.spi, simulated=simulated)
 
 
@@ -325,7 +327,7 @@ def _calibrations(settings: Settings, conductor: Conductor, loop: asyncio.Abstra
 def _open(settings: Settings, config: zenoh.Config, conductor: Conductor) -> zenoh.Session:
     """Open the metrics page and Zenoh. Waits for name servers, and for routers if the Zenoh file demands it."""
     if settings.telemetry.metrics:
-        exposition.serve(settings.telemetry.metrics, settings.telemetry.metrics_hosts, conductor)
+        exposition.serve(settings.telemetry.metrics, conductor)
     return open_session(config)
 
 
@@ -379,9 +381,9 @@ def _attendants(
 def _report_tasks(settings: Settings, conductor: Conductor, outbox: ZenohOutbox) -> list[asyncio.Task[None]]:
     """Publish the state, and what the robot measures if it does."""
     measures = settings.spi.protocol.measures or settings.power.interface
-    telemetry_hz = settings.telemetry.rate_hz if measures else 0.0
+    telemetry_hz = REPORTS_HZ if measures else 0.0
     return [
-        asyncio.create_task(_report(STATE, settings.telemetry.state_hz, conductor.publish_state, conductor, outbox)),
+        asyncio.create_task(_report(STATE, REPORTS_HZ, conductor.publish_state, conductor, outbox)),
         asyncio.create_task(_report(TELEMETRY, telemetry_hz, conductor.publish_telemetry, conductor, outbox)),
     ]
 

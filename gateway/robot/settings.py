@@ -26,7 +26,6 @@ from gateway.robot.sections import (
     LimitSettings,
     LogSettings,
     PowerSettings,
-    RecorderSettings,
     SafetySettings,
     Section,
     ServoLimits,
@@ -53,7 +52,6 @@ class Settings(Section):
     lease: LeaseSettings = LeaseSettings()
     buttons: ButtonSettings = ButtonSettings()
     state: StateSettings = StateSettings()
-    recorder: RecorderSettings = RecorderSettings()
     telemetry: TelemetrySettings = TelemetrySettings()
     safety: SafetySettings = SafetySettings()
     power: PowerSettings = PowerSettings()
@@ -176,7 +174,13 @@ def _read(path: Path | None) -> dict[str, Any]:
 _IN_STATE: Final = "was removed; name its folder with state.path, which has all that outlasts the gateway"
 _REMOVED: Final[Mapping[Place, str]] = {
     ("calibration",): f"{_IN_STATE} (the calibration as calibration.toml)",
-    ("recorder", "path"): _IN_STATE,
+    ("recorder",): f"{_IN_STATE} (the black box keeps 60 s)",
+    ("controller", "cycle_hz"): "was removed; the controller's cycle is 50 Hz",
+    ("lease", "takeover"): "was removed; everybody may take the lease, which stops all legs first",
+    ("telemetry", "state_hz"): "was removed; the state comes ten times a second",
+    ("telemetry", "rate_hz"): "was removed; what the robot measures comes ten times a second",
+    ("telemetry", "metrics_hosts"): "was removed; the page answers to this machine's name and addresses",
+    ("log", "format"): "was removed; a terminal and the journal get text, everything else JSON",
 }
 """Settings, and whole sections, of earlier versions, and what takes their place."""
 
@@ -237,7 +241,6 @@ _LISTS: Final[Mapping[Place, str]] = {
     ("zenoh", "connect"): '["tcp/127.0.0.1:7447"]',
     ("spi", "avoid_deg"): "[1.0, 4.0]",
     ("buttons", "names"): '["kitchen"]',
-    ("telemetry", "metrics_hosts"): '["robot.local"]',
     ("power", "servos"): "[]",
     ("power", "cut_on"): '["estop"]',
 }

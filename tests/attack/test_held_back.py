@@ -27,7 +27,7 @@ class HeldBack:
     """A gateway, and a laptop behind a link that can hold back what it sends."""
 
     def __init__(self, folder: Path, stack: ExitStack, timeout_ms: float) -> None:
-        settings: dict[str, dict[str, Any]] = {"telemetry": {"state_hz": 0}, "watchdog": {"timeout_ms": timeout_ms}}
+        settings: dict[str, dict[str, Any]] = {"watchdog": {"timeout_ms": timeout_ms}}
         self.gateway = stack.enter_context(Gateway(folder, settings))
         self.link = stack.enter_context(CutLink(self.gateway.endpoint))
         self.laptop = stack.enter_context(Client(self.link.endpoint, source="laptop"))

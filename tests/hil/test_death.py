@@ -181,7 +181,6 @@ def loaded(framing: Framing, endpoint: str, folder: Path) -> dict[str, dict[str,
         "watchdog": {"timeout_ms": 10_000},
         "zenoh": {"listen": [f"tcp/127.0.0.1:{free_port()}"], "connect": [endpoint]},
         "state": {"path": str(folder / "box")},
-        "recorder": {"seconds": 10},
     }
 
 

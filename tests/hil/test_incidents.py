@@ -89,7 +89,6 @@ def test_one_of_each_kind(tmp_path: Path, spi_testbed: SpiTestbed, monkeypatch: 
             # And a busy machine must not stop the leg before the fault does.
             "watchdog": {"repeats": 0, "timeout_ms": 1000},
             "state": {"path": str(tmp_path / "box")},
-            "recorder": {"seconds": 60},
         },
     )
     for happens in KINDS.values():

@@ -168,8 +168,8 @@ CONFIGURATIONS: Final = (
         calm=True,
     ),
     Configuration(
-        "a lease that must be held and is never taken, and whatever else may happen",
-        _rules(repeats=0, timeout_ns=2 * TICK, lease_ttl_ns=3 * TICK, lease_required=True, lease_takeover=False),
+        "a lease that must be held, and whatever else may happen",
+        _rules(repeats=0, timeout_ns=2 * TICK, lease_ttl_ns=3 * TICK, lease_required=True),
         (1,),
         (_ONE_SERVO[0], _ONE_SERVO[2]),
         (TICK, 3 * TICK),

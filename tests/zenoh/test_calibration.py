@@ -116,7 +116,7 @@ def test_a_restart_finds_it_and_the_ten_before_it(tmp_path: Path) -> None:
 
 
 def test_in_memory_only_a_restart_forgets_it_and_the_log_says_so(tmp_path: Path) -> None:
-    with Gateway(tmp_path, {"log": {"format": "json"}}) as gateway, gateway.client() as client:
+    with Gateway(tmp_path) as gateway, gateway.client() as client:
         gateway.child.wait_for_output("the calibration is kept in memory only")
         assert client.calibrate({11: ServoChange(trim_deg=1)}).accepted
         assert (client.calibration().revision, client.state().calibration.kept) == (1, False)

@@ -75,7 +75,7 @@ class Running:
             folder,
             {
                 "telemetry": {"frames": True, "metrics": self.metrics},
-                "log": {"level": "debug", "format": "json"},
+                "log": {"level": "debug"},
                 "state": {"path": str(folder / "recorder")},
             },
         )

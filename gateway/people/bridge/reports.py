@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 PERIOD_S: Final = 0.02
 """Of `tick`: the most joint states a second are 50."""
 SILENT_S: Final = 1.0
-"""A gateway publishes its state ten times a second, unless `telemetry.state_hz` is 0."""
+"""A gateway publishes its state ten times a second."""
 CHANGED_S: Final = 0.1
 """Between diagnostics, where the mode has changed, or what the bridge does: sooner."""
 OPEN: Final = "; the graph is open: all who reach it can drive the robot"

@@ -16,10 +16,14 @@ for coalesced commands and their Decisions."""
 OTHER_RECORDS_PER_S: Final = 100
 
 
+RING_S: Final = 60.0
+"""The 10 s before an incident must still be there when it is copied; for more than a minute there are recordings."""
+
+
 def slots_for(settings: Settings) -> int:
-    """The number of records of `recorder.seconds` with all legs commanded at their rate."""
+    """The number of records of `RING_S` with all legs commanded at their rate."""
     per_s = RECORDS_PER_FRAME * len(LEGS) * settings.limits.leg_rate_hz + OTHER_RECORDS_PER_S
-    return min(MAX_SLOTS, round(settings.recorder.seconds * per_s))
+    return min(MAX_SLOTS, round(RING_S * per_s))
 
 
 def folder_of(settings: Settings) -> Path | None:

@@ -293,15 +293,6 @@ def test_a_takeover_stops_all_legs_also_where_nobody_holds_it_or_it_is_handed_ov
     assert robot.lease(5, "acquire bert", fresh=BERT) == ["lease_held"]
 
 
-def test_where_takeovers_are_not_allowed_only_a_free_lease_is_taken() -> None:
-    rules = Rules(repeats=0, lease_takeover=False)
-    robot = driven_by_anna(rules)
-    assert robot.lease(2, "take bert", fresh=BERT) == ["lease_denied"]
-    assert robot.command(30, SET, lease=ANNA) == ["command 1 set 45", "completed 2"]
-    assert robot.lease(31, "release", ANNA) == ["announce lease_released", GRANTED]
-    assert robot.lease(32, "take bert", fresh=BERT) == [*all_stopped("command"), *ACQUIRED]
-
-
 def test_a_takeover_at_fault_is_granted_and_the_stops_follow() -> None:
     robot = driven_by_anna()
     robot.fail(2)

@@ -19,7 +19,6 @@ from gateway.robot import settings
 from gateway.robot.sections import (
     LimitSettings,
     PowerSettings,
-    RecorderSettings,
     ServoLimits,
     SpiSettings,
     WatchdogSettings,
@@ -73,7 +72,6 @@ resync_ms = 0
 avoid_deg = []
 [controller]
 uart = "/dev/ttyAMA0"
-cycle_hz = 100
 silent_ms = 2000
 [limits]
 leg_rate_hz = 1000
@@ -89,21 +87,15 @@ landing = { 11 = 90 }
 [lease]
 required = true
 ttl_ms = 200
-takeover = "never"
 [buttons]
 required = 8
 timeout_ms = 200
 names = ["kitchen", "operator"]
 [state]
 path = "/mnt/state"
-[recorder]
-seconds = 10
 [telemetry]
-state_hz = 0
-rate_hz = 100
 frames = true
 metrics = "127.0.0.1:9464"
-metrics_hosts = ["robot.local"]
 [safety]
 min_battery_v = 6.4
 max_tilt_deg = 45
@@ -118,7 +110,6 @@ idle_ma = 100
 settle_ms = 500
 [log]
 level = "debug"
-format = "json"
 """
 
 
@@ -308,9 +299,9 @@ def test_a_fault_of_the_file(file: Path, text: str, line: str) -> None:
 
 
 def test_each_fault_has_its_line(file: Path) -> None:
-    file.write_text('y = 1\n[telemetry]\nstate_hz = -1\nframes = "no"\n[log]\nlevel = "loud"\n[spi]\nx = 1\n')
+    file.write_text('y = 1\n[telemetry]\nframes = "no"\n[log]\nlevel = "loud"\n[spi]\nx = 1\n')
     assert [line.split(": ")[1] for line in faults(file)] == [
-        "spi.x", "telemetry.state_hz", "telemetry.frames", "log.level", "y"
+        "spi.x", "telemetry.frames", "log.level", "y"
     ]  # fmt: skip
 
 
@@ -458,7 +449,7 @@ def test_what_cannot_be_read_is_told_for_itself(file: Path, text: str) -> None:
 @pytest.mark.parametrize(
     ("text", "lines"),
     [
-        ("[calibration]\n[recorder]\nseconds = 30\n", []),  # as an earlier version installed it, without a change
+        ("[calibration]\n[recorder]\n", []),  # as an earlier version installed it, without a change
         (
             '[calibration]\npath = "/mnt/own.toml"\n',
             ["file: calibration: was removed; name its folder with state.path, which has all that outlasts the gateway "
@@ -466,8 +457,15 @@ def test_what_cannot_be_read_is_told_for_itself(file: Path, text: str) -> None:
         ),
         (
             '[recorder]\npath = "/mnt/box"\n',
-            ["file: recorder.path: was removed; name its folder with state.path, which has all that outlasts the "
-             "gateway"],
+            ["file: recorder: was removed; name its folder with state.path, which has all that outlasts the gateway "
+             "(the black box keeps 60 s)"],
+        ),
+        (
+            '[telemetry]\nstate_hz = 5\n[lease]\ntakeover = "never"\n',
+            [
+                "file: lease.takeover: was removed; everybody may take the lease, which stops all legs first",
+                "file: telemetry.state_hz: was removed; the state comes ten times a second",
+            ],
         ),
     ],
 )  # fmt: skip
@@ -477,7 +475,7 @@ def test_a_removed_setting_names_what_takes_its_place(tmp_path: Path, text: str,
     if lines:
         assert faults(path) == lines
     else:
-        assert load(path) == Settings(recorder=RecorderSettings(seconds=30))
+        assert load(path) == Settings()
 
 
 def test_a_variable_of_a_removed_setting_names_it_too(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -77,7 +77,6 @@ RULES = st.builds(
     landing_cdeg=st.sampled_from([{}, {11: 0, 12: 180_00, 21: 30_00, 62: 0}]),
     lease_required=st.sampled_from([False, False, True]),
     lease_ttl_ns=st.sampled_from([30, 200, 1000]).map(lambda ms: ms * NS_PER_MS),
-    lease_takeover=st.booleans(),
     min_battery_mv=st.sampled_from([0, 0, 7000]),
     max_tilt_cdeg=st.sampled_from([0, 0, 30_00]),
     tilt_ns=st.sampled_from([20, 200]).map(lambda ms: ms * NS_PER_MS),
