@@ -231,8 +231,7 @@ class Conductor:
         return None if judge is None else judge.too_old(request.source, request.sent_ms, now_ns, instant_ns)
 
     def look_outside(self) -> None:
-        """Learn of `stop-servos` on the same device and of its end, of settings that another program changed, and what
-        the servos' currents say."""
+        """Look for `stop-servos` on the same device, for changed settings, and for servos that draw current."""
         if self.supply is not None and self.supply.judge_currents(self._clock()):
             self.power_changed()
         silent = self.bus.silent(self._clock())  # here, too: a transfer that hangs keeps the cycle from looking
