@@ -40,7 +40,6 @@ class Rules:
     """The landing pose; a servo that is not named holds its angle."""
     lease_required: bool = False
     lease_ttl_ns: int = NS_PER_S
-    """Whether the lease may be taken from its holder, with a Stop of all legs."""
     buttons_required: int = 0
     """How many buttons must be alive for anything to move (Behaviour 14)."""
     buttons_timeout_ns: int = NS_PER_S
