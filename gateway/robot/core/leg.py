@@ -53,6 +53,8 @@ class Rules:
     tilt_ns: int = 200 * NS_PER_MS
     """For how long it must be tilted beyond that: longer than a stumble or a single bad value takes."""
 
+    estop_kept: bool = False
+    """Whether an earlier run may have left an emergency stop engaged; `EstopKept` then says so (Behaviour 5)."""
     power: bool = False
     """Whether a power board feeds the servos (Behaviour 18)."""
 
