@@ -38,6 +38,9 @@ PROGRAMS: Final = {
 }
 
 
+pytestmark = pytest.mark.full
+
+
 @pytest.fixture(scope="module")
 def shown() -> set[str]:
     """The names on the page of `gateway.client`, of the site as `make docs` builds it."""

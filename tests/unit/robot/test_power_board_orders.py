@@ -62,6 +62,7 @@ class Watched(Link):
             assert not self.fed() - self.ours.lost - self.wanted, "what is confirmed to be off is on"
 
 
+@pytest.mark.full
 @settings(max_examples=40, deadline=None)
 @given(STEPS, st.sampled_from([0.0, 0.2]), st.integers(0, 1000), st.sampled_from([1_000_000, 1_500_000, 2_000_000]))
 def test_nothing_comes_on_unasked_and_what_is_confirmed_is_so(
