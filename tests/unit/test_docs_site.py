@@ -24,6 +24,7 @@ OURS: Final = {
     "Walk.use",
 }
 PROGRAMS: Final = {
+    "AsyncClient.lease",
     "AsyncWalk.ahead",
     "AsyncWalk.go",
     "AsyncWalk.turn",
