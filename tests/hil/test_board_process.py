@@ -127,10 +127,10 @@ def test_what_people_do_to_the_board(client: Client) -> None:
     board.disturb(press_off=True)
     assert client.until(0x69) == b""
     client.feed(0b11)
-    board.disturb(overcurrent=11)
+    board.disturb(draws_ma={"11": 4500.0})
     assert client.until(0x65).hex() == "02000002"
     assert client.until(0x6B).hex() == "000001"
-    board.disturb(overcurrent=0)
+    board.disturb(draws_ma={})
     board.disturb(clear_error=True)
     assert client.until(0x6B).hex() == "000003", "it comes on by itself"
     board.disturb(error=8)
@@ -180,17 +180,6 @@ def test_a_flood_of_another_node_leaves_the_board_as_quick_as_it_is(client: Clie
     client.feed(0)
 
 
-def test_the_way_between_loses_pauses_and_is_cut(client: Client) -> None:
-    board = client.board
-    board.disturb(lose=1.0)
-    client.send(set_supply(0b10))
-    deadline_s = time.monotonic() + MOST_S
-    while board.page.fed != frozenset((11,)):
-        assert time.monotonic() < deadline_s
-    board.disturb(lose=0, pause_ms=100)
-    assert client.ask(0x70) == client.ask(0x70)
-
-
 def test_a_silent_board_neither_takes_nor_answers_its_client(client: Client) -> None:
     board = client.board
     client.feed(0b10)
@@ -226,7 +215,7 @@ def test_the_adapter_goes_and_returns_under_the_same_path(client: Client) -> Non
 def test_lines_that_are_no_faults_change_nothing(capfd: pytest.CaptureFixture[str]) -> None:
     lines = (
         *("", "{", "[]", "1", '{"frame": "t06A"}', '{"frame": 1}'),
-        *('{"melt": 1}', '{"stuck_on": 99}', '{"pause_ms": []}', '{"flood_hz": -0.5}', '{"draws_ma": {"21": "x"}}'),
+        *('{"melt": 1}', '{"stuck_on": 99}', '{"flood_hz": -0.5}', '{"draws_ma": {"21": "x"}}'),
     )
     with BoardProcess(OUTPUTS) as board:
         client = Client(board)

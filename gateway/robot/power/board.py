@@ -53,7 +53,6 @@ STEP_NS: Final = 54 * NS_PER_MS
 LASTS_NS: Final = 1000 * NS_PER_MS
 """Without a frame of its kind for this long, a state that was reported once has ended, and is reported again."""
 
-
 _OFF_PRESSED: Final = "somebody pressed the power board's off button"
 _GOING_OFF: Final = "somebody has asked the power board to switch the whole robot off, and it does in 1 s"
 NOTHING: Final = -1
@@ -68,6 +67,31 @@ class News(NamedTuple):
     servos: frozenset[int] = frozenset()
 
 
+class Status(NamedTuple):
+    """What is known of the board at one time. Servos by their ids."""
+
+    alive: bool = False
+    """Whether it answers."""
+    supplied: frozenset[int] = frozenset()
+    """Fed, when it last said so."""
+    confirmed: bool = False
+    """It has confirmed that all is off which is to be off."""
+    lost: frozenset[int] = frozenset()
+    """Wanted, and not fed, though we have not taken their supply."""
+    refused: Mapping[int, str] = {}
+    """Blocked by the board, so not fed whatever is wanted: why."""
+    fed: frozenset[int] = frozenset()
+    """Confirmed to be fed, since that was last wanted."""
+    changes: int = 0
+    """The number of the newest `want`."""
+    answered_ns: int | None = None
+    """When it last answered; None: never."""
+    currents_ma: Mapping[int, int] = {}
+    """What each servo draws, as far as measured since the board answers."""
+    rails: Mapping[int, tuple[int, ...]] = {}
+    """The newest answers about rails, by the question's identifier, in mA, mV and °C."""
+
+
 class PowerBoard:
     """One board. Each method belongs to one owner at a time; `now_ns` is monotonic and the same clock for all."""
 
@@ -77,8 +101,8 @@ class PowerBoard:
         self._bit = {servo: 1 << place for place, servo in enumerate(outputs)}
         self._news: deque[News | Confirmed] = deque()
         # What is wanted. Nothing is sent before the first want or cut.
-        self._begun = False
-        self._cut = False
+        self._begun = self._cut = False
+        self._changes = 0
         self._wanted = 0
         self._lost = 0
         self._unknown = 0
@@ -101,7 +125,7 @@ class PowerBoard:
         self._started_ns: int | None = None
         # What was answered.
         self.alive = False
-        self.answered_ns: int | None = None
+        self._answered_ns: int | None = None
         self._shown = 0
         self._fed: dict[int, int] = {}
         """Outputs that the board has confirmed to feed, and when."""
@@ -114,10 +138,13 @@ class PowerBoard:
 
     # ---- what the owner says
 
-    def want(self, servos: frozenset[int], now_ns: int) -> None:
-        """From now on exactly these are to be fed. After `cut`, nothing until this was called with no servos."""
+    def want(self, servos: frozenset[int], number: int, now_ns: int) -> None:
+        """From now on exactly these are to be fed. After `cut`, nothing until this was called with no servos.
+
+        `number`: of this change of what is wanted, for `status`.
+        """
         mask = self._mask(servos)
-        self._begun = True
+        self._begun, self._changes = True, number
         self._lost &= mask
         self._unknown &= mask
         if self._cut and mask:
@@ -126,7 +153,7 @@ class PowerBoard:
         if mask & ~self._wanted:
             self._on_until_ns = now_ns + REPEAT_FOR_NS
         self._wanted = mask
-        if not self._errors.deletes:
+        if self._errors.due_ns is None:
             self._lost |= mask & self._errors.mask
         self._settle(now_ns)
 
@@ -166,7 +193,7 @@ class PowerBoard:
         """The interface was opened: nothing that was asked before is answered any more."""
         self._started_ns = now_ns if self._started_ns is None else self._started_ns
         self._questions.opened(now_ns)
-        self._again(now_ns)
+        self._anew(self._off.unconfirmed, now_ns)
 
     def closed(self, why: str, now_ns: int) -> None:
         """The interface is gone, so the board is silent."""
@@ -176,39 +203,25 @@ class PowerBoard:
     # ---- what the owner reads
 
     @property
-    def supplied(self) -> frozenset[int]:
-        """The servos that the board fed when it last said so."""
-        return self._named(self._shown)
-
-    @property
-    def fed(self) -> frozenset[int]:
-        """The servos that the board has confirmed to feed, since they were last wanted."""
-        return self._named(sum(1 << place for place in self._fed))
-
-    @property
     def confirmed(self) -> bool:
         """Whether the board has confirmed that all is off which is to be off."""
         return self._begun and not self._off.unconfirmed and not self._errors.two_boards
 
     @property
-    def lost(self) -> frozenset[int]:
-        """Wanted servos that are not fed, though we have not taken their supply."""
-        return self._named(self._lost)
-
-    @property
-    def refused(self) -> Mapping[int, str]:
-        """Servos that the board feeds no more, whatever is wanted: why, in words."""
-        return {self._servos[place]: why for place, why in self._errors.blocked.items()}
-
-    @property
-    def currents_ma(self) -> Mapping[int, int]:
-        """What each servo draws, as far as measured since the board answers."""
-        return {self._servos[place]: ma for place, ma in self._milliamperes.items()}
-
-    @property
-    def rails(self) -> Mapping[int, tuple[int, ...]]:
-        """The newest answers to questions about rails, by the question's identifier, in mA, mV and °C."""
-        return self._rails
+    def status(self) -> Status:
+        """What is known of the board now."""
+        return Status(
+            self.alive,
+            self._named(self._shown),
+            self.confirmed,
+            self._named(self._lost),
+            {self._servos[place]: why for place, why in self._errors.blocked.items()},
+            self._named(sum(1 << place for place in self._fed)),
+            self._changes,
+            self._answered_ns,
+            {self._servos[place]: ma for place, ma in self._milliamperes.items()},
+            dict(self._rails),
+        )
 
     def news(self) -> list[News | Confirmed]:
         """What has happened since the last call."""
@@ -229,8 +242,8 @@ class PowerBoard:
             return
         if not self.alive:
             self.alive = True
-            self._again(now_ns)
-        self.answered_ns = now_ns
+            self._anew(self._off.unconfirmed, now_ns)
+        self._answered_ns = now_ns
         self._questions.answered(now_ns)
         match answer:
             case Supplied(mask):
@@ -319,10 +332,6 @@ class PowerBoard:
         if mask:
             self._repeat_until_ns = now_ns + REPEAT_FOR_NS
             self._leave_ns = now_ns
-
-    def _again(self, now_ns: int) -> None:
-        """The link is new, or the board answers again: what it has not confirmed is sent again, for the whole time."""
-        self._anew(self._off.unconfirmed, now_ns)
 
     def _mask_due_ns(self) -> int | None:
         """When the next mask is due; None: none is."""

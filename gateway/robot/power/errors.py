@@ -41,10 +41,7 @@ class BoardErrors:
     @property
     def mask(self) -> int:
         """The outputs that are blocked."""
-        mask = 0
-        for error in self._errors.values():
-            mask |= explained(error)[1]
-        return mask
+        return sum(1 << place for place in self.blocked)
 
     @property
     def two_boards(self) -> bool:
@@ -52,13 +49,8 @@ class BoardErrors:
         return TWO_BOARDS in self._errors
 
     @property
-    def deletes(self) -> bool:
-        """Whether they are being deleted."""
-        return self._tries > 0
-
-    @property
     def due_ns(self) -> int | None:
-        """When `next_frame` has something to send; None: never."""
+        """While they are deleted: when `next_frame` has something to send. None: they are not."""
         return self._due_ns if self._tries else None
 
     def delete(self, now_ns: int) -> None:

@@ -10,7 +10,6 @@ A single second answer proves nothing: on slcan, `stop-servos` and the gateway r
 not seen here.
 """
 
-from collections import Counter
 from typing import Final
 
 from gateway.allowance import NS_PER_MS
@@ -49,10 +48,8 @@ class BoardQuestions:
         """Unanswered questions about rails: when each was asked, and the newest mask of then."""
         self._foreign: dict[CanFrame, tuple[int, int]] = {}
         """Of another node, about rails: how many are unanswered, and when the newest was received."""
-        self._owed: Counter[CanFrame] = Counter()
-        """Answers about rails that may still come: one for each question, of whichever node."""
         self._latest: tuple[CanFrame, int] | None = None
-        """The newest answer that was owed, and when it came; None: a second one has come to it."""
+        """The newest answer that somebody had asked for, and when it came; None: a second one has come to it."""
         self._doubles = 0
 
     def opened(self, now_ns: int) -> None:
@@ -62,8 +59,7 @@ class BoardQuestions:
 
     def not_sent(self, question: CanFrame) -> None:
         """This question has not left."""
-        if self._asked.pop(question, None):
-            self._owed[question] -= 1
+        self._asked.pop(question, None)
 
     def next(self, newest: int, now_ns: int) -> list[CanFrame]:
         """The question in turn, which counts as sent: six about currents, one about rails or errors."""
@@ -85,7 +81,6 @@ class BoardQuestions:
             if question not in self._asked or self._is_lost(self._asked[question][0], now_ns):
                 self._rail_turn += step + 1
                 self._asked[question] = (now_ns, newest)
-                self._owed[question] += 1
                 return [question]
         return []
 
@@ -100,7 +95,6 @@ class BoardQuestions:
     def asked_by_another(self, question: CanFrame, now_ns: int) -> None:
         """Another node has asked this; only questions about rails matter."""
         if question in ASK_RAILS:
-            self._owed[question] += 1
             self._foreign[question] = (self._foreign_unanswered(question, now_ns) + 1, now_ns)
 
     def _foreign_unanswered(self, question: CanFrame, now_ns: int) -> int:
@@ -109,15 +103,14 @@ class BoardQuestions:
 
     def answered_about_rails(self, question: CanFrame, now_ns: int) -> None:
         """Take an answer to this question."""
-        others = self._foreign_unanswered(question, now_ns)
+        others, ours = self._foreign_unanswered(question, now_ns), question in self._asked
         if others:
             self._foreign[question] = (others - 1, self._foreign[question][1])
         else:
             asked_ns, newest = self._asked.pop(question, (0, 0))
             self.reached_ns = max(self.reached_ns, asked_ns)
             self.reached = max(self.reached, newest)
-        if self._owed[question]:
-            self._owed[question] -= 1
+        if others or ours:
             self._doubles = 0 if self._latest else self._doubles
             self._latest = (question, now_ns)
         elif self._latest and self._latest[0] == question and now_ns - self._latest[1] < DOUBLE_NS:

@@ -6,7 +6,7 @@ from typing import Any, Final, NamedTuple
 from gateway.model import power_board
 from gateway.model.elkapod import Measured
 from gateway.model.telemetry import battery_of, report_of
-from gateway.robot.power.line import Status
+from gateway.robot.power.board import Status
 from gateway.robot.runtime.report import wall_clock
 from schemas.telemetry import Battery, ServoTelemetry, Supply, Telemetry
 

@@ -173,7 +173,7 @@ def second_on_ms(pass_us: int, after_ms: float) -> float:
 def test_an_off_waits_for_no_on_and_takes_none_along_before_its_time() -> None:
     link = Link()
     link.want(frozenset({11}))
-    link.run_until(lambda: link.ours.supplied == {11})
+    link.run_until(lambda: link.ours.status.supplied == {11})
     at_ns = link.now_ns
     link.want(frozenset({12}))
     link.run(700)
@@ -216,7 +216,7 @@ def test_nothing_is_sent_but_questions_until_something_is_wanted_or_cut() -> Non
     link.want(ALL_SERVOS)
     link.run(500)
     assert {mask for _, mask in link.masks(at_ns)} == {ALL}
-    assert link.ours.supplied == ALL_SERVOS
+    assert link.ours.status.supplied == ALL_SERVOS
 
 
 # ---- answers that are late, lost or others'
@@ -253,7 +253,7 @@ def test_a_board_that_falls_silent_is_reported_within_200_ms_and_feeds_nothing_u
     assert took_ms < 150
     link.run(1)
     [(_, news)] = link.events(Kind.POWER_UNCONFIRMED)
-    assert news.servos == link.ours.lost == ALL_SERVOS
+    assert news.servos == link.ours.status.lost == ALL_SERVOS
     link.run(300)
     link.want(ALL_SERVOS)  # as each step says, until its owner has seen the news
     link.board.press_button(link.now_ns)
@@ -263,7 +263,7 @@ def test_a_board_that_falls_silent_is_reported_within_200_ms_and_feeds_nothing_u
     link.want_anew(ALL_SERVOS)
     link.run(1500)
     assert link.fed() == ALL_SERVOS
-    assert link.ours.lost == NONE
+    assert link.ours.status.lost == NONE
 
 
 def test_a_silence_of_the_link_alone_takes_no_supply_of_a_leg_that_lands() -> None:
@@ -323,8 +323,8 @@ def test_lost_answers_to_questions_are_no_silence_and_all_is_measured() -> None:
     link.alters = False  # an error frame that was altered is an unknown error
     link.run(20_000)
     assert link.events(Kind.POWER_UNCONFIRMED) == []
-    assert len(link.ours.currents_ma) == 18
-    assert len(link.ours.rails) == 6
+    assert len(link.ours.status.currents_ma) == 18
+    assert len(link.ours.status.rails) == 6
 
 
 def test_questions_do_not_flood_the_bus() -> None:
