@@ -40,7 +40,7 @@ END
 chown -R root:$service $etc && chmod -R u=rwX,g=rX,o= $etc
 cp -p $toml /root
 systemctl restart $service
-{NAME} revoke {CERTS}/revoked.crl
+{NAME} certs revoke --dir {CERTS}
 tar -cpf /root/kept.tar {KEPT} $state
 cp -a /opt/{NAME} /root/opt
 """

@@ -117,6 +117,7 @@ def test_what_the_black_box_shows(robot: InstalledGateway) -> None:
     robot.configure("watchdog.timeout_ms = 10_000\n")  # else the watchdog is first each time
     restart_and_move(robot)
     robot.gateway("estop")
+    robot.gateway("reset")
 
     restart_and_move(robot)
     with robot.journal() as service:
@@ -421,7 +422,7 @@ def test_a_list_of_revoked_certificates_starts_it_anew_and_systemd_sees_no_end(r
     assert "Not confirmed by 127.0.0.1" in robot.gateway(
         "certs", "revoke", "carl", "--dir", folder, *nowhere, check=False
     )
-    assert "list 2 is in force" in robot.gateway("revoke", f"{folder}/revoked.crl")
+    assert "list 2 is in force" in robot.gateway("certs", "revoke", "--dir", folder, "--to", "127.0.0.1", *bert)
     robot.wait_for_stops(before)
     assert "accepted" in robot.gateway(*MOVE_LEG_3, *bert, "--timeout", "10")
     assert box.run("stat", "--format=%U", f"/var/lib/{NAME}/revoked.crl").stdout.strip() == NAME
