@@ -419,7 +419,7 @@ def test_a_list_of_revoked_certificates_starts_it_anew_and_systemd_sees_no_end(r
 
     before = len(robot.bed.transfers)
     nowhere = ("--to", "tls/127.0.0.1:1")
-    assert "Not confirmed by 127.0.0.1" in robot.gateway(
+    assert "Not confirmed by tls/127.0.0.1:1" in robot.gateway(
         "certs", "revoke", "carl", "--dir", folder, *nowhere, check=False
     )
     assert "list 2 is in force" in robot.gateway("certs", "revoke", "--dir", folder, "--to", "127.0.0.1", *bert)
