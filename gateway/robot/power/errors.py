@@ -41,7 +41,10 @@ class BoardErrors:
     @property
     def mask(self) -> int:
         """The outputs that are blocked."""
-        return sum(1 << place for place in self.blocked)
+        mask = 0
+        for error in self._errors.values():  # thousands of times a second in a flood
+            mask |= explained(error)[1]
+        return mask
 
     @property
     def two_boards(self) -> bool:

@@ -67,9 +67,8 @@ class LastCut:
             self._questions.answered(now_ns)
         match answer:
             case Supplied(mask):
-                self.confirmed = self.confirmed or (
-                    mask == 0 and self._questions.reached > 0 and not self._questions.two_boards
-                )
+                proven = self._questions.reached > 0 and not self._questions.doubles  # another board may feed them
+                self.confirmed = self.confirmed or (mask == 0 and proven)
                 self._due_ns = max(self._due_ns, now_ns + REST_NS)
             case Rails(question):
                 self._questions.answered_about_rails(CanFrame(question), now_ns)

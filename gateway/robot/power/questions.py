@@ -50,7 +50,8 @@ class BoardQuestions:
         """Of another node, about rails: how many are unanswered, and when the newest was received."""
         self._latest: tuple[CanFrame, int] | None = None
         """The newest answer that somebody had asked for, and when it came; None: a second one has come to it."""
-        self._doubles = 0
+        self.doubles = 0
+        """How many of the newest questions were answered twice."""
 
     def opened(self, now_ns: int) -> None:
         """On a new interface no older question is answered."""
@@ -111,20 +112,20 @@ class BoardQuestions:
             self.reached_ns = max(self.reached_ns, asked_ns)
             self.reached = max(self.reached, newest)
         if others or ours:
-            self._doubles = 0 if self._latest else self._doubles
+            self.doubles = 0 if self._latest else self.doubles
             self._latest = (question, now_ns)
         elif self._latest and self._latest[0] == question and now_ns - self._latest[1] < DOUBLE_NS:
             self._latest = None
-            self._doubles += 1
+            self.doubles += 1
 
     @property
     def two_boards(self) -> bool:
         """Whether the newest questions were each answered twice."""
-        return self._doubles >= DOUBLES
+        return self.doubles >= DOUBLES
 
     def judge_boards_anew(self) -> None:
         """Somebody may have unplugged one of two boards."""
-        self._doubles = 0
+        self.doubles = 0
 
     def silent(self, now_ns: int) -> bool:
         """Whether the board is; to be asked every 10 ms, since a question that nobody fetched counts as unanswered.
