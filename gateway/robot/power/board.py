@@ -1,8 +1,9 @@
 """What is sent to the power board and when, and what its answers mean. No I/O, no clock: frames and times in and out.
 
 - **Off** goes out at once, and again every 20 ms until it is confirmed, for 2 s.
-- **On** waits until the board's counter is at rest: 5 ms behind its answer. It is only sent while the board answers, so
-  that no queue of a broken link delivers it later.
+- **On** waits until each off is confirmed, or late, and the board's counter is at rest: 5 ms behind its answer. The
+  board answers once all are on, so that six go on at a time. It is only sent while the board answers, so that no queue
+  of a broken link delivers it later.
 - **Confirmed** is an answer 6B that was given after the mask had reached the board (offs.py). The board answers
   questions in its receive interrupt, masks later: so one that comes behind the answer to a question that was sent after
   the mask (questions.py).
@@ -55,6 +56,7 @@ LASTS_NS: Final = 1000 * NS_PER_MS
 
 _OFF_PRESSED: Final = "somebody pressed the power board's off button"
 _GOING_OFF: Final = "somebody has asked the power board to switch the whole robot off, and it does in 1 s"
+_SIXES: Final = (0o77, 0o77 << 6, 0o77 << 12)
 NOTHING: Final = -1
 """No mask has this number, or a smaller one."""
 
@@ -178,7 +180,7 @@ class PowerBoard:
     def clear_errors(self, now_ns: int) -> None:
         """Delete all errors of the board, so that it feeds what it has blocked, once that is wanted anew."""
         self._errors.delete(now_ns)
-        self._questions.judge_boards_anew()
+        self._questions.doubles = 0  # somebody may have unplugged one of two boards
         self._seen_ns.clear()
 
     def not_sent(self, frames: Iterable[CanFrame], now_ns: int) -> None:
@@ -323,8 +325,7 @@ class PowerBoard:
         target = self._target
         self._off.feed(target)
         self._anew(ALL & ~target & ~self._unknown & ~self._off.mask, now_ns)
-        for place in [place for place in self._fed if not target >> place & 1]:
-            del self._fed[place]
+        self._fed = {place: at_ns for place, at_ns in self._fed.items() if target >> place & 1}
 
     def _anew(self, mask: int, now_ns: int) -> None:
         """These are off, and are to be confirmed by a mask that is yet to be sent."""
@@ -344,17 +345,23 @@ class PowerBoard:
             repeat_ns = max(sent_ns + REPEAT_NS, self._answer_ns + REST_NS)
             due_ns += [repeat_ns] if repeat_ns < self._repeat_until_ns else []
         target = self._target if self.alive else 0
-        if target & ~self._sent:
+        if self._next_on:
             due_ns.append(self._rest_ns)
         elif any(target >> place & 1 and place not in self._fed for place in range(OUTPUTS)):
             repeat_ns = max(sent_ns + REPEAT_ON_NS, self._rest_ns)
             due_ns += [repeat_ns] if repeat_ns < self._on_until_ns else []
         return min(due_ns, default=None)
 
+    @property
+    def _next_on(self) -> int:
+        waits = not self.alive or (self._off.unconfirmed and not self._unconfirmed)
+        on = 0 if waits else self._target & ~self._sent
+        return next((on & six for six in _SIXES if on & six), 0)
+
     def _send(self, now_ns: int) -> CanFrame:
-        """The mask as it may be now: what goes off always, what comes on only while the counter is at rest."""
-        target = self._target
-        before, self._sent = self._sent, target if self.alive and now_ns >= self._rest_ns else self._sent & target
+        """The mask as it may be now."""
+        before = self._sent
+        self._sent = before & self._target | (self._next_on if now_ns >= self._rest_ns else 0)
         self._number += 1
         if self._sent & ~before:
             self._on_number = self._number

@@ -123,10 +123,6 @@ class BoardQuestions:
         """Whether the newest questions were each answered twice."""
         return self.doubles >= DOUBLES
 
-    def judge_boards_anew(self) -> None:
-        """Somebody may have unplugged one of two boards."""
-        self.doubles = 0
-
     def silent(self, now_ns: int) -> bool:
         """Whether the board is; to be asked every 10 ms, since a question that nobody fetched counts as unanswered.
 
