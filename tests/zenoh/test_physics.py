@@ -19,7 +19,6 @@ from gateway.model.elkapod import Measured
 from gateway.model.protocols import SpiProtocol
 from gateway.onboard.body_process import BodyProcess
 from gateway.people.physics.assumed import MASS_KG, Assumed
-from gateway.people.recordings import read
 from gateway.robot.spi.elkapod_simulator import SimulatedElkapod
 from schemas import keys
 from schemas.robot import SERVO_IDS
@@ -29,6 +28,7 @@ from tests.support.command import run_here
 from tests.support.fixtures import gateway_fixture
 from tests.support.gateway_process import COMMAND, Gateway
 from tests.support.heard import bodies, events
+from tests.support.mcap_file import read
 
 pytestmark = pytest.mark.full
 
