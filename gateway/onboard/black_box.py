@@ -143,7 +143,7 @@ def keep(settings: Settings, *, once: bool) -> int:
         signal.signal(number, lambda *_: ended.set())
     while not ended.wait(LOOK_S):
         keeper.look()
-    keeper.keep(whole_only=False)  # nobody will look again if the machine goes down
+    keeper.keep()  # nobody will look again if the machine goes down
     return 0
 
 

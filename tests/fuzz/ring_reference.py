@@ -109,6 +109,8 @@ def encoded(content: form.Content) -> bytes:
             made = form.event(kind, source, key, reason, detail, left_out)
         case form.Lag(ns) | form.Clock(ns):
             made = form.number(ns)
+        case form.LeftOut(count, source):
+            made = form.left_out(count, source)
         case form.IncidentBegun(wall_ns, name):
             made = form.incident(wall_ns, name)
         case form.Calibrated(report):

@@ -127,6 +127,8 @@ HOSTILE: Final[Written] = [
     (form.FRAME, 4, form.frame(stop_leg(3).to_bytes(), "watchdog", 1, 2**32 - 1)),
     (form.EVENT, 5, form.event("watchdog_expired", "\x00", "\n", "'", "é" * 70, 2**32 - 1)),
     (form.LAG, 6, form.number(-(2**63))),
+    (form.LEFT_OUT, 6, form.left_out(2**32 - 1, "\x1b[2J")),
+    (form.LEFT_OUT, 6, form.left_out(1, None)[:-1]),
     (form.INCIDENT, 7, form.incident(2**62 - 1, "20260921-141320-123-watchdog")),
     (form.INCIDENT, 2**62 - 1, form.incident(0, "20260921-141320-123-estop")),
     (form.CLOCK, 8, form.number(0)),

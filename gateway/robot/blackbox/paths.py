@@ -16,10 +16,21 @@ for coalesced commands and their Decisions."""
 OTHER_RECORDS_PER_S: Final = 100
 
 
+REACH_S: Final = 50.0
+"""An incident reaches 10 s back and lasts 30 s at most, and hexapod-recorder looks twice a second. So long the ring
+keeps what messages have made of it, whoever floods; what the gateway records by itself is bounded by its own rates."""
+
+
 def slots_for(settings: Settings) -> int:
     """The number of records of `recorder.seconds` with all legs commanded at their rate."""
     per_s = RECORDS_PER_FRAME * len(LEGS) * settings.limits.leg_rate_hz + OTHER_RECORDS_PER_S
     return min(MAX_SLOTS, round(settings.recorder.seconds * per_s))
+
+
+def client_records_a_second(settings: Settings) -> int:
+    """How many records messages may make: those of all legs at their rate, and no more than the ring has room for."""
+    room = slots_for(settings) / min(settings.recorder.seconds, REACH_S) - OTHER_RECORDS_PER_S
+    return max(1, round(min(RECORDS_PER_FRAME * len(LEGS) * settings.limits.leg_rate_hz, room)))
 
 
 def folder_of(settings: Settings) -> Path | None:
