@@ -30,18 +30,19 @@ from tests.benchmarks.landing import landing, landing_rejected
 from tests.benchmarks.lease import lease
 from tests.benchmarks.physics import physics
 from tests.benchmarks.power import power
-from tests.benchmarks.processes import Figures, Written, cpu_ns, now_ns, rss_kb, say
+from tests.benchmarks.processes import Figures, cpu_ns, now_ns, rss_kb, say
 from tests.benchmarks.publisher import number_of
 from tests.benchmarks.recorder import recorder
 from tests.benchmarks.steady import SCENARIOS, Scenario, run
+from tests.benchmarks.stops import sixth_stop_us
 from tests.benchmarks.subjects import Subject
 from tests.benchmarks.table import Row, as_markdown, as_text, microseconds
+from tests.benchmarks.wildcards import wildcards
 from tests.hil.bed import missing_packages
 
 ROUNDS = 7
 ROUND_S = 2.0
 FLOOD_S = 3.0
-STOP_FRAME_OP = 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,17 +71,6 @@ def _flood(subject: Subject) -> tuple[tuple[Figures | None, Figures | None], flo
     ages = [publisher.latencies_ns(written) for publisher in (flood, other)]
     first, second = (Figures.of(each) if each else None for each in ages)
     return (first, second), sum(each.monotonic_ns < end_ns for each in flooded) / FLOOD_S
-
-
-def _sixth_stop_us(written: list[Written], begun_ns: int) -> float | None:
-    """From then until all six legs have been written a Stop since."""
-    legs: set[int] = set()
-    for transfer in written:
-        if transfer.monotonic_ns >= begun_ns and len(transfer.data) == 14 and transfer.data[3] == STOP_FRAME_OP:
-            legs.add(transfer.data[2] // 10)
-            if len(legs) == 6:
-                return (transfer.monotonic_ns - begun_ns) / 1000
-    return None
 
 
 def _age(figures: Figures | None) -> str:
@@ -122,7 +112,7 @@ def _stops_in_flood(subject: Subject) -> list[float | None]:
     flood.wait()
     time.sleep(1.0)
     written = subject.device.written()
-    return [_sixth_stop_us(written, requested_ns) for requested_ns in requests]
+    return [sixth_stop_us(written, requested_ns) for requested_ns in requests]
 
 
 def flood(folder: Path) -> list[Row]:
@@ -233,6 +223,7 @@ PARTS: dict[str, Callable[[Path], list[Row]]] = {
     "button": button,
     "recorder": recorder,
     "flood": flood,
+    "wildcards": wildcards,
     "dense": dense,
     "cycle": cycle,
     "power": power,
