@@ -3,28 +3,30 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 WHEELS ?= dist/wheels
-# What the tests need of Debian: an emulated kernel device (for the system's own Python), network namespaces, a browser, a
+# What `make test-all` needs of Debian: an emulated kernel device (for the system's own Python), network namespaces, a browser, a
 # terminal, a systemd to start in a box of its own, and a compiler for a robot's processor, which `make wheels` needs, too.
 DEBIAN_PACKAGES := umockdev gir1.2-umockdev-1.0 python3-gi iproute2 tmux systemd dbus chromium \
 	gcc-aarch64-linux-gnu libc6-dev-arm64-cross
-# And what only `make test-all` needs: the other two browsers, and a display with a window manager for WebKit.
-test-all: DEBIAN_PACKAGES += webkit2gtk-driver xvfb matchbox-window-manager firefox-esr
+# And what only `make nightly` needs: the other two browsers, and a display with a window manager for WebKit.
+nightly: DEBIAN_PACKAGES += webkit2gtk-driver xvfb matchbox-window-manager firefox-esr
 
-.PHONY: dist lock help run quick test test-all check bench kernel walk soak mutants schemas docs format clean wheels debian-packages
+.PHONY: dist lock help run quick test test-all nightly check bench kernel walk soak mutants schemas docs format clean wheels debian-packages
 
 help:
 	@echo "make run      the service with a simulated controller and a black box, and the console in the browser (makes $(VENV))"
 	@echo "              (CONSOLE=\"--listen 127.0.0.1:9000 --open\": options of the console; CONSOLE=no: without it)"
-	@echo "make quick    ruff, mypy and the tests that start no process: under a minute, no root"
-	@echo "make test     what each commit has to show; installs Debian packages for the hardware tests (APT=no: does not)"
-	@echo "              (PYTEST_ARGS=\"tests/hil -k estop\": only these, one after the other)"
-	@echo "make test-all and what searches or repeats: twenty minutes on two cores; installs WebKit and Firefox, too"
+	@echo "make quick    ruff, mypy and the unit tests: half a minute"
+	@echo "make test     what needs only Python and a shell: three minutes on two cores, as any user, on any Linux"
+	@echo "              (PYTEST_ARGS=\"tests/zenoh -k estop\": only these, one after the other)"
+	@echo "make test-all and what needs root or Debian packages (it installs them; APT=no: it does not), or searches:"
+	@echo "              twelve minutes in all"
+	@echo "make nightly  and what takes long: falls, walks, releases, the kernel's spidev, all mutants, an hour's soak, benchmarks"
 	@echo "make check    ruff, mypy, and the JSON Schemas compared with the models"
 	@echo "make bench    the benchmark: this gateway beside the naive script (QUICK=1: in a minute)"
 	@echo "make kernel   a virtual machine (QEMU) with Debian's kernel: lists, Stops and failures on its real spidev; some minutes"
 	@echo "              (SCENES=\"atomic killed\": only these)"
-	@echo "make walk     a simulated robot (MuJoCo) walks by a gateway's frames: every gait, direction and assumption; a picture"
-	@echo "make falls    what a stop does to that robot: each gait, every way of stopping, 24 phases; a table and a picture"
+	@echo "make walk     a simulated robot (MuJoCo) walks by a gateway's frames: every gait, direction and assumption"
+	@echo "make falls    what a stop does to that robot: each gait, every way of stopping, 24 phases; a table"
 	@echo "make soak     an hour of mixed traffic at ten times the real rate: does anything drift?"
 	@echo "make mutants  small faults in the files that keep the robot safe, one at a time: does a test fail for each?"
 	@echo "              (MUTANTS=\"spi zenoh_io\": only files whose name has one of these in it)"
@@ -44,7 +46,7 @@ quick: $(VENV)/dev
 	@$(BIN)/python -m tests --quick
 
 WORKERS ?= 3
-test: $(VENV)/dev $(VENV)/rclpy debian-packages
+test: $(VENV)/dev
 ifdef PYTEST_ARGS
 	$(BIN)/pytest $(PYTEST_ARGS)
 else
@@ -53,6 +55,11 @@ endif
 
 test-all: $(VENV)/dev $(VENV)/rclpy debian-packages
 	@$(BIN)/python -m tests --all --workers $(WORKERS)
+
+nightly: $(VENV)/dev $(VENV)/rclpy debian-packages
+	@$(BIN)/python -m tests --nightly --workers $(WORKERS)
+	ZYGOTE=no $(BIN)/pytest tests/hil/test_service.py tests/zenoh/test_service.py
+	@$(MAKE) --no-print-directory kernel mutants bench soak
 
 check: $(VENV)/dev
 	$(BIN)/ruff format --check .
@@ -126,7 +133,7 @@ $(VENV)/bin/python:
 
 $(VENV)/run: $(VENV)/bin/python pyproject.toml
 	@echo "Installing hexapod-gateway into $(VENV) (half a minute) …"
-	@$(INSTALL) -e '.[console]'
+	@$(INSTALL) -e '.[console,record]'
 	@touch $@
 
 $(VENV)/dev: $(VENV)/bin/python pyproject.toml
@@ -160,7 +167,7 @@ debian-packages:
 		echo "Not installed (APT=no), so the tests that need them are skipped: $$missing"; \
 	elif [ -n "$$missing" ] && command -v apt-get >/dev/null; then \
 		if [ "$$(id -u)" = 0 ]; then sudo=; elif sudo -n true 2>/dev/null; then sudo=sudo; else exit 0; fi; \
-		echo "Installing Debian packages (make test APT=no does not): $$missing"; \
+		echo "Installing Debian packages (APT=no does not): $$missing"; \
 		echo "They emulate a kernel SPI device, make network namespaces, a terminal, a browser and a systemd of the tests' own, and compile."; \
 		$$sudo apt-get update -qq && $$sudo env DEBIAN_FRONTEND=noninteractive \
 			apt-get install -y -qq --no-install-recommends $$missing >/dev/null; \

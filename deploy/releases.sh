@@ -14,8 +14,9 @@ try:
     from gateway.robot.settings import Settings
 except ImportError:  # a release that is kept from before the two wings
     from gateway.settings import Settings
-if "recorder" in Settings.model_fields:
-    own["HEXAPOD_RECORDER__PATH"] = ""  # that of the service, which root must not begin
+fields = Settings.model_fields
+# The state belongs to the service, and root must not begin it. A release that is kept may be from before state.path.
+own |= {"HEXAPOD_STATE__PATH": ""} if "state" in fields else {"HEXAPOD_RECORDER__PATH": ""} if "recorder" in fields else {}
 own |= {"HEXAPOD_ZENOH__CONFIG": "", "HEXAPOD_TELEMETRY__METRICS": "", "HEXAPOD_LOG__LEVEL": "error"}
 gateway = subprocess.Popen([*sys.argv[1:]], env={**os.environ, **own}, stdout=subprocess.PIPE, text=True)
 signal.signal(signal.SIGALRM, lambda *_: gateway.kill())

@@ -7,10 +7,11 @@
 
 # Sets `venv`: a folder named after what is in it, complete before anything refers to it.
 build_venv() {
-	local inputs name
+	local inputs name wheel=''
 	if [ -n "$wheels" ]; then
 		inputs=$(cat "$wheels/requirements.txt")
-		to=$(basename "$(compgen -G "$wheels/hexapod_gateway-*.whl" | tail -n 1)" | cut -d- -f2)
+		wheel=$(compgen -G "$wheels/hexapod_gateway-*.whl" | tail -n 1)
+		to=$(basename "$wheel" | cut -d- -f2)
 	elif [ -n "$own_wheel" ]; then
 		inputs=$(sha256sum <"$own_wheel" && cat "$HERE/lock/requirements.txt")
 		to=$(basename "$own_wheel" | cut -d- -f2)
@@ -45,7 +46,7 @@ build_venv() {
 	{ "$venv/bin/$NAME" --version >/dev/null &&
 		{ [ $spidev = no ] || "$venv/bin/python" -c 'import spidev'; }; } ||
 		fail "what was installed does not run (above is why); nothing else was changed"
-	time_of "$(compgen -G "${wheels:+$wheels/hexapod_gateway-*.whl}" || echo "$own_wheel")" >"$venv/commit-time"
+	time_of "${wheel:-$own_wheel}" >"$venv/commit-time"
 	mark_whole "$venv"
 	unfinished=''
 }
@@ -71,7 +72,10 @@ install_from_network() {
 	install_hashed install -r "$HERE/lock/build.txt" || return
 	if [ -z "$own_wheel" ]; then
 		mkdir "$sources/own"
-		SOURCE_DATE_EPOCH=$(epoch_of "$ROOT") copy_sources "$ROOT" "$sources/own" || return
+		local SOURCE_DATE_EPOCH
+		SOURCE_DATE_EPOCH=$(epoch_of "$ROOT")
+		export SOURCE_DATE_EPOCH # of all files, those that pip makes too
+		copy_sources "$ROOT" "$sources/own" || return
 		"$venv/bin/pip" wheel --quiet --disable-pip-version-check --no-deps --no-build-isolation --no-index \
 			--wheel-dir "$sources" "$sources/own" || return
 		own_wheel=$(compgen -G "$sources/hexapod_gateway-*.whl")

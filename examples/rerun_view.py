@@ -6,16 +6,16 @@ It needs `pip install rerun-sdk` as well as hexapod-gateway. `--save FILE.rrd` m
 import argparse
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 from mcap.reader import make_reader
+from rosbags.typesys import Stores, get_typestore
 
 from gateway.geometry import load
 from gateway.people.recordings.drawing import JOINT_COMMANDS, LOG, SERVOS_OFF, SIM_JOINT_STATES, WORLD
-from gateway.people.ros2.cdr import decode
 from gateway.people.ros2.messages import Marker, MarkerArray
 
 TIMELINE: Final = "message_log_time"
@@ -48,11 +48,12 @@ def blueprint(robot: str, *, is_simulated: bool) -> rrb.Blueprint:
     )
 
 
-def marks(path: Path) -> Iterator[tuple[int, MarkerArray]]:
+def marks(path: Path) -> Iterator[tuple[int, Any]]:
     """When servos went off or on (ns since 1970), and the marks from then on: Rerun does not draw ROS 2's markers."""
+    store = get_typestore(Stores.ROS2_JAZZY)
     with path.open("rb") as file:
         for _, _, message in make_reader(file).iter_messages([SERVOS_OFF]):
-            yield message.log_time, decode(MarkerArray, message.data)
+            yield message.log_time, store.deserialize_cdr(message.data, MarkerArray.TYPE)
 
 
 def draw_marks(path: Path) -> None:

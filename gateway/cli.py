@@ -15,18 +15,18 @@ from typer.core import TyperCommand, TyperGroup
 from gateway import __version__
 from gateway.errors import ConfigError, GatewayError
 from gateway.model.frames import PROTOCOL_VERSION
-from gateway.onboard import incidents
+from gateway.onboard import check_command, incidents
 from gateway.people.bridge import command as bridge
 from gateway.people.console import calibrate_command
 from gateway.people.terminal import hint
-from gateway.people.tools import certs, lease, recordings, robot_side
+from gateway.people.tools import certs, recordings, walk_command
 from gateway.people.tools.options import ConfigOption, ConnectOption, OtherShapeOption, TimeoutOption, ZenohConfigOption
 
 _PANELS = {
     "Stop": ("estop", "stop", "reset"),
-    "Look": ("status", "watch", "console", "foxglove", "incidents"),
-    "Drive": ("walk", "send", "lease", "button", "ros2"),
-    "The robot": ("run", "check", "drill", "calibrate", "stop-servos", "install-service"),
+    "Look": ("status", "console", "foxglove", "incidents"),
+    "Drive": ("walk", "send", "ros2"),
+    "The robot": ("run", "check", "calibrate", "stop-servos", "install-service"),
     "People": ("certs",),
     "Files": ("record", "recordings", "replay", "decode"),
 }
@@ -231,69 +231,28 @@ def reset(connect: ConnectOption = None, zenoh_config: ZenohConfigOption = None,
 
 
 @app.command()
-def check(
-    config: ConfigOption = None,
-    connect: ConnectOption = None,
-    zenoh_config: ZenohConfigOption = None,
-    timeout: TimeoutOption = 2.0,
-    move: Annotated[
-        bool,
-        typer.Option(
-            "--move", help="Through the gateway that runs: start one servo, move it by 5°, stop all; with consent."
-        ),
-    ] = False,
-    yes: Annotated[bool, typer.Option("--yes", help="With --move: servo 61 at 90°, without any question.")] = False,
-) -> None:
-    """Show whether this machine can run the service, line by line, and how to fix what it lacks.
-
-    With --zenoh-config or --connect: whether this laptop reaches the gateway, and what it may do there. Where a
-    simulated gateway runs (`make run`) it looks at that, unless --config names a file.
-
-    Without --move it changes nothing: no byte reaches the servos, and a running gateway is not disturbed. With
-    elkapod-2025, and no gateway running, it shuts all servos down once the controller's heartbeat has come, and clocks
-    frames, since its answers need them. As root it looks with the rights of the service's user.
-
-    Exit codes: 0 it can (--move: it moved, and its Stop arrived; with --yes: every frame was written), 1 it cannot,
-    2 spi.framing is not set, the configuration may not be read, the robot is not at rest, or somebody else drives,
-    4 with --move: no gateway answers.
-    """
-    if move:
-        from gateway.onboard.check.move import move as move_servo
-        from gateway.people.tools import reach
-
-        connection = reach.connection(connect, zenoh_config, timeout, source="hexapod-gateway check")
-        sys.exit(move_servo(connection, config, agreed=yes))
-    from gateway.onboard.check import check, check_laptop
-
-    if connect is not None or zenoh_config is not None:
-        sys.exit(check_laptop(connect, zenoh_config, timeout))
-    sys.exit(check(config))
-
-
-@app.command()
-def watch(connect: ConnectOption = None, zenoh_config: ZenohConfigOption = None, timeout: TimeoutOption = 2.0) -> None:
-    """Show the robot live in the terminal: legs, servos, rates, rejections, events; SPACE is the emergency stop.
-
-    It waits for a gateway that is not there yet. Press q to end it.
-
-    Exit codes: 0 ended by q; 1 the terminal cannot show it; 2 there is no terminal, or the --zenoh-config is faulty.
-    """
-    from gateway.people.tools.watch import watch
-
-    watch(connect, zenoh_config, timeout)
-
-
-@app.command()
 def status(
     connect: ConnectOption = None,
     zenoh_config: ZenohConfigOption = None,
     timeout: TimeoutOption = 2.0,
-    as_json: Annotated[bool, typer.Option("--json", help="As the gateway publishes it.")] = False,
+    follow: Annotated[
+        bool, typer.Option("--follow", "-f", help="Go on: a line for each change, rejection and event, until Ctrl-C.")
+    ] = False,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="As the gateway publishes it; with --follow, an object a line.")
+    ] = False,
 ) -> None:
-    """Show the robot's state once, in sentences: may it move, what runs, who drives, what has gone wrong.
+    """Show the robot's state in sentences: may it move, what runs, who drives, what has gone wrong.
 
-    Exit codes: 0 shown; 2 the --zenoh-config is faulty; 4 no gateway answers.
+    With --follow it goes on, with a line for each change, rejection and event, and its reason. It waits for a gateway
+    that is not there yet. Nothing here stops the robot: keep `estop` or a page within reach.
+
+    Exit codes: 0 shown, or ended on request; 2 the --zenoh-config is faulty; 4 no gateway answers.
     """
+    if follow:
+        from gateway.people.tools.follow import follow as follow_state
+
+        follow_state(connect, zenoh_config, timeout, as_json=as_json)
     from gateway.people.tools.status import status
 
     status(connect, zenoh_config, timeout, as_json=as_json)
@@ -384,16 +343,16 @@ def decode(
 
 app.add_typer(calibrate_command.app, name="calibrate")
 app.add_typer(certs.app, name="certs")
-app.add_typer(lease.app, name="lease")
 app.add_typer(recordings.app)
 app.add_typer(incidents.app, name="incidents")
-app.add_typer(robot_side.app)
+app.add_typer(check_command.app)
+app.add_typer(walk_command.app)
 app.add_typer(bridge.app)
 
 send_app = typer.Typer(
     help="Send one acknowledged command through a running gateway.\n\n"
     "Without a further command the watchdog stops the leg (after watchdog.timeout_ms); --hold repeats the command "
-    "every 50 ms, and holds the lease meanwhile (see `lease`), if it is free.\n\n"
+    "every 50 ms, and holds the lease meanwhile, if it is free: nobody else drives then.\n\n"
     "Exit codes: 0 accepted, 1 rejected (the reason is printed), or the power board does not confirm a Stop, 4 no "
     "gateway answers.",
     no_args_is_help=True,

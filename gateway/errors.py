@@ -27,6 +27,10 @@ class ControllerSilentError(SpiError):
     """The controller gives no signs of life, over a wire that brings some back."""
 
 
+class ControllerRestartedError(ControllerSilentError):
+    """The controller may have restarted, and its servos be slack while the gateway believes that they run."""
+
+
 class BatchRejectedError(SpiError):
     """The kernel rejected a list of transfers, or one of this length. Nothing of it was written."""
 

@@ -13,7 +13,7 @@ import pytest
 from hypothesis import HealthCheck
 from hypothesis import settings as hypothesis_settings
 
-from tests.support import schedule
+from tests.support import schedule, seconds
 from tests.support.descendants import Run
 from tests.support.lacks import skip_where_lacking
 
@@ -22,6 +22,8 @@ hypothesis_settings.register_profile(
     "any machine", hypothesis_settings(), deadline=None, suppress_health_check=[HealthCheck.too_slow]
 )
 hypothesis_settings.load_profile("any machine")
+MANY = 1000
+"""Reports, of which each test makes three."""
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -78,3 +80,12 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     """pytest's hook."""
     del config
     schedule.arrange(items)
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """pytest's hook: what took the time, above the closing line of a run of many tests."""
+    cases = [each for kind in ("passed", "failed", "skipped", "") for each in terminalreporter.stats.get(kind, [])]
+    if len(cases) > MANY:
+        terminalreporter.section("seconds")
+        for line in seconds.report(cases):
+            terminalreporter.line(line)

@@ -1,4 +1,4 @@
-"""Sentences about a certificate that expires, for the log, systemd, `check` and `watch`."""
+"""Sentences about a certificate that expires, for the log, systemd, `check` and `status`."""
 
 import datetime as dt
 from typing import Final

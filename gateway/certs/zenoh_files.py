@@ -82,7 +82,7 @@ _GATEWAY = """\
 
 _LAPTOP = """\
 // @NAME@ as @ROLE@, made by `hexapod-gateway certs issue`.
-//   hexapod-gateway watch --zenoh-config @FILE@
+//   hexapod-gateway status --zenoh-config @FILE@
 // Paths are relative to this file's folder: keep ca.pem, @NAME@.pem and @NAME@.key beside it.
 {
   mode: "client",
@@ -114,15 +114,15 @@ _LAPTOP = """\
 }
 """
 
-_COMMANDS = {OPERATOR: ("walk", "estop"), OBSERVER: (), BUTTON: ("button", "estop")}
-"""Commands in a bundle's README, besides `watch`."""
+_COMMANDS = {OPERATOR: ("walk", "estop"), OBSERVER: (), BUTTON: ("estop",)}
+"""Commands in a bundle's README, besides `status`."""
 
 _README = """\
 The files of @NAME@, @ROLE@ of a hexapod. Valid until @EXPIRY@.
 
 Unzip them anywhere, together, and keep @NAME@.key secret: it proves to be @NAME@.
 
-  hexapod-gateway watch --zenoh-config path/to/@FILE@@COMMANDS@
+  hexapod-gateway status --zenoh-config path/to/@FILE@@COMMANDS@
 @OTHERS@
 In Python:
 

@@ -10,14 +10,17 @@ SERVICE_RUNTIME: Final = Path("/run/hexapod-gateway")
 """The service's runtime directory, likewise."""
 
 
-def state_directory() -> Path | None:
-    """The state directory that systemd made for this process; None: systemd did not start it, or made none."""
-    return _named("STATE_DIRECTORY")
+def state_directory(path: str) -> Path | None:
+    """The folder of what outlasts the gateway: the setting `state.path`, else the one that systemd made.
+
+    None: nothing outlasts it, since systemd did not start this process, or made no such folder.
+    """
+    return Path(path) if path else _named("STATE_DIRECTORY")
 
 
-def state_to_read() -> Path | None:
+def state_to_read(path: str) -> Path | None:
     """The same for a program that reads it: also the service's folder, if systemd did not start this program."""
-    return state_directory() or (SERVICE_STATE if SERVICE_STATE.is_dir() else None)
+    return state_directory(path) or (SERVICE_STATE if SERVICE_STATE.is_dir() else None)
 
 
 def runtime_directory() -> Path | None:

@@ -1,7 +1,7 @@
 """The settings that the service uses: its file and its unit's variables, as they were at its start.
 
 The file may be edited since, and a shell does not have the variables of a drop-in. Bare frames make a controller that
-expects announced ones deaf, so `stop-servos`, `check` and `drill` read these. The service writes them into its runtime
+expects announced ones deaf, so `stop-servos` and `check` read these. The service writes them into its runtime
 directory before its first frame, and names its process there: they are current while that process runs, and for the
 commands that systemd runs after its end. They stay after that, for a `stop-servos` that finds no other settings. This
 loads as little as `plain_settings`.

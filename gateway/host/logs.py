@@ -28,14 +28,14 @@ FLUSH_S: Final = 0.3
 _log_writers: list[LogWriter] = []
 
 
-def set_up(level: str, layout: str) -> None:
-    """Log to stderr from this level on; the format is auto, console or json, as in the settings `log`.
+def set_up(level: str) -> None:
+    """Log to stderr from this level on.
 
     From now on two background threads write to stdout and stderr.
     """
     journal = _is_journal(2)
-    render = _formatter(layout, os.isatty(2), journal).format
-    condenser = Condenser() if journal and layout == "auto" else None
+    render = _formatter(terminal=os.isatty(2), journal=journal).format
+    condenser = Condenser() if journal else None
     out, err = LogWriter(1), LogWriter(2, _with_priority(render) if journal else render, condenser)
     _log_writers[:] = [out, err]
     sys.stdout, sys.stderr = LogStream(out), LogStream(err)
@@ -113,12 +113,10 @@ class _Handler(logging.Handler):
         return True
 
 
-def _formatter(layout: str, terminal: bool, journal: bool) -> logging.Formatter:
-    if layout == "auto" and journal:
+def _formatter(*, terminal: bool, journal: bool) -> logging.Formatter:
+    if journal:
         return _LinesForJournal(colours=False)
-    if layout == "json" or (layout == "auto" and not terminal):
-        return _JsonLines()
-    return _LinesForPeople(colours=terminal)
+    return _LinesForPeople(colours=True) if terminal else _JsonLines()
 
 
 class _JsonLines(logging.Formatter):

@@ -38,6 +38,18 @@ _HEARTBEAT_BEGIN: Final = bytes((BEGIN, 0xAA))
 _HEARTBEAT_END: Final = bytes((0xFF, END))
 
 
+VALUE_NAMES: Final = (
+    "temperature",
+    "battery voltage",
+    "battery percentage",
+    *("orientation",) * 4,
+    *("angular velocity",) * 3,
+    *("linear acceleration",) * 3,
+    *("feet",) * 6,
+)
+"""What each value of an answer is, in its order."""
+
+
 class AnswerError(ValueError):
     """The bytes are no answer; the message says why."""
 
@@ -106,6 +118,11 @@ def measured(data: bytes) -> Measured:
     return Measured(
         temperature_c, voltage_v, percent, (w, x, y, z), (p, q, r), (a, b, c), (one, two, three, four, five, six)
     )
+
+
+def values_of(data: bytes) -> tuple[float, ...]:
+    """The values of a well-formed answer, one for each of `VALUE_NAMES`."""
+    return _ANSWER.unpack(data)[1:-1]
 
 
 def answer(values: Measured) -> bytes:

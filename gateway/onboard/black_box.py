@@ -143,7 +143,7 @@ def keep(settings: Settings, *, once: bool) -> int:
         signal.signal(number, lambda *_: ended.set())
     while not ended.wait(LOOK_S):
         keeper.look()
-    keeper.keep()  # nobody will look again if the machine goes down
+    keeper.keep(whole_only=False)  # nobody will look again if the machine goes down
     return 0
 
 
@@ -153,7 +153,8 @@ def _folder(settings: Settings) -> Path:
         raise ConfigError(
             "the black box is off: no gateway has kept one on this machine. `make run` and the installed service keep "
             "one; for a gateway that you start yourself, type:\n"
-            f"HEXAPOD_RECORDER__PATH=$HOME/black-box {this_command()} run --sim, and the same before `incidents`"
+            f"mkdir -p ~/hexapod && HEXAPOD_STATE__PATH=$HOME/hexapod {this_command()} run --sim\n"
+            "and HEXAPOD_STATE__PATH=$HOME/hexapod before `incidents`"
         )
     return folder
 

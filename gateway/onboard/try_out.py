@@ -75,8 +75,10 @@ def _is_ready(gateway: subprocess.Popen[bytes], notified: socket.socket) -> bool
 
 
 def _environment(given: Mapping[str, str]) -> dict[str, str]:
-    """What is recorded, and where, unless somebody wants something else."""
-    return {"HEXAPOD_RECORDER__PATH": str(tried()), "HEXAPOD_TELEMETRY__FRAMES": "true", **given}
+    """What is recorded, and where it is kept, unless somebody wants something else."""
+    if "HEXAPOD_STATE__PATH" not in given:
+        tried().mkdir(mode=0o700, parents=True, exist_ok=True)
+    return {"HEXAPOD_STATE__PATH": str(tried()), "HEXAPOD_TELEMETRY__FRAMES": "true", **given}
 
 
 def _command() -> str:

@@ -7,17 +7,18 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import replace
 from functools import partial
 from math import ceil
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeVar
 
 import zenoh
 
 from gateway import __version__
 from gateway.allowance import NS_PER_MS, NS_PER_S
 from gateway.host import descriptors, effective, logs, realtime
-from gateway.host.directories import runtime_directory
+from gateway.host.directories import runtime_directory, state_directory
 from gateway.host.sensed_page import SensedPage
 from gateway.host.servo_page import ServoPage
 from gateway.model.black_box.format import STOP_FACTS
@@ -38,12 +39,12 @@ from gateway.robot.runtime import prometheus as exposition
 from gateway.robot.runtime.calibrations import Calibrations
 from gateway.robot.runtime.conductor import Conductor
 from gateway.robot.runtime.cycle import Cycle
+from gateway.robot.runtime.estop_keeper import EstopKeeper
 from gateway.robot.runtime.report import wall_clock
 from gateway.robot.runtime.request_answers import ButtonAnswers, LeaseAnswers
 from gateway.robot.runtime.revocations import Revocations
 from gateway.robot.runtime.shutdown import SHUTDOWN_S, ServiceEnd, close_within, stop_the_robot
 from gateway.robot.runtime.supply import supply_of
-from gateway.robot.sections import ZenohSettings
 from gateway.robot.settings import Settings
 from gateway.robot.spi.cyclic import CyclicBus
 from gateway.robot.spi.unreliable import Faults
@@ -67,6 +68,9 @@ BEAT_S = 0.1
 """Period of measuring the loop's lag and notifying systemd, unless systemd's watchdog needs a shorter one."""
 
 T = TypeVar("T")
+
+REPORTS_HZ: Final = 10.0
+"""Of the state and of telemetry: what people and pages can follow; a change of mode is published at once."""
 
 logger = logging.getLogger(__name__)
 
@@ -116,7 +120,6 @@ def rules(settings: Settings) -> Rules:
         landing_cdeg={int(servo): centidegrees(angle) for servo, angle in settings.watchdog.landing.items()},
         lease_required=settings.lease.required,
         lease_ttl_ns=round(settings.lease.ttl_ms * NS_PER_MS),
-        lease_takeover=settings.lease.takeover == "stop",
         buttons_required=settings.buttons.required,
         buttons_timeout_ns=round(settings.buttons.timeout_ms * NS_PER_MS),
         min_battery_mv=round(settings.safety.min_battery_v * 1000),
@@ -152,7 +155,7 @@ def run(
     descriptors.ensure()
     realtime.prefer_process()
     realtime.limit_malloc_arenas()
-    logs.set_up(settings.log.level, settings.log.format)
+    logs.set_up(settings.log.level)
     logs.keep_stacks()
     if not simulated:
         _show_settings(settings)  # before the first frame
@@ -169,10 +172,10 @@ def run(
 
 
 def _configured(
-    settings: ZenohSettings, physics: Physics | None
+    settings: Settings, physics: Physics | None
 ) -> tuple[zenoh.Config, "ProofChecker | None", RevocationState | None]:
     """Zenoh's configuration, and if it names a CA, the checker of proofs and the revocations. Raises ConfigError."""
-    config = service_config(settings)
+    config = service_config(settings.zenoh)
     shut_out = revocation_state(config, settings)
     revoked = None if shut_out is None else shut_out.known
     list_common_names(config, revoked)
@@ -210,15 +213,15 @@ async def _run(
 ) -> ServiceEnd:
     # The servos file exists before systemd counts the service as active, when the installer reads it.
     loop, owner, servos = asyncio.get_running_loop(), Ownership(), ServosFile(runtime_directory())
-    end = ServiceEnd(loop, owner, recorder)
-    notifier = SystemdNotifier()
-    config, checker, shut_out = _configured(settings.zenoh, physics)
+    state = state_directory(settings.state.path)
+    end, notifier = ServiceEnd(loop, owner, recorder), SystemdNotifier()
+    config, checker, shut_out = _configured(settings, physics)
     bus = _wire(settings, simulated=simulated, physics=physics, board=board, faults=faults)
     supply = supply_of(settings, bus, board and board.channel, loop, owner, end.mistake)
     outbox = ZenohOutbox()
     conductor = Conductor(
         settings,
-        Supervisor(rules(settings)),
+        Supervisor(replace(rules(settings), estop_kept=state is not None)),
         bus,
         outbox,
         loop,
@@ -227,10 +230,10 @@ async def _run(
         physics=physics and physics.zenoh_id,
         recorder=recorder,
         owner=owner,
-        calibration_kept=calibration_file.path_of(settings) is not None,
+        calibration_kept=state is not None,
         supply=supply,
     )
-    calibrations = _calibrations(settings, conductor, loop)
+    keeper, calibrations = EstopKeeper(conductor, state, loop), _calibrations(settings, conductor, loop)
     revocations = Revocations(conductor, shut_out, loop, end.begin_again)
     try:
         # Stops before Zenoh: servos that move at the start are stopped before any command can arrive.
@@ -238,16 +241,16 @@ async def _run(
             conductor.start()
             recorder.open()
         _go_on(bus, conductor, settings, end, simulated=simulated)
-        opening = _in_thread(partial(_open, settings, config, conductor))
+        opening = asyncio.gather(_in_thread(partial(_open, settings, config, conductor)), keeper.known())
         ended = asyncio.ensure_future(end.wait())
-        first: tuple[asyncio.Future[Any], ...] = (opening, ended)
-        await asyncio.wait(first, return_when=asyncio.FIRST_COMPLETED)
+        await asyncio.wait((opening, ended), return_when=asyncio.FIRST_COMPLETED)
         if not opening.done():
             notifier.stopping()
             await stop_the_robot(conductor, bus, settings.watchdog)
+            keeper.flush()
             end.leave()
         ended.cancel()
-        session = opening.result()
+        session, _ = opening.result()
         outbox.open(session)
         with owner:  # its threads receive at once, and have to wait until the conductor is connected
             inbox = _inbox(session, loop, conductor, checker, settings, calibrations, revocations)
@@ -257,8 +260,8 @@ async def _run(
             "real-time priority %s", "granted" if realtime.prefer_thread(realtime.LOOP_PRIORITY) else "not allowed"
         )
         with owner:
-            for announce in (conductor.announce_start, calibrations.announce_start):
-                announce()
+            for part in (conductor, keeper, calibrations):
+                part.announce_start()
         notifier.ready("takes commands")
         connection_limiter, upkeep = _attendants(session, config, conductor, notifier, shut_out)
         on_ready(config)
@@ -281,6 +284,7 @@ async def _run(
         await close_within(
             deadline - loop.time(),
             end.leave,
+            keeper.flush,
             outbox.close,
             connection_limiter.close,
             upkeep.close,
@@ -305,7 +309,7 @@ def _wire(
 def _go_on(bus: Wire, conductor: Conductor, settings: Settings, end: ServiceEnd, *, simulated: bool) -> None:
     """What a wire says of its own accord from now on."""
     if isinstance(bus, CyclicBus):
-        Cycle(bus, conductor, settings.controller.cycle_hz, end.mistake).start()
+        Cycle(bus, conductor, end.mistake).start()
     wires.warn_of_driver(settings.spi, simulated=simulated)
 
 
@@ -326,7 +330,7 @@ def _calibrations(settings: Settings, conductor: Conductor, loop: asyncio.Abstra
 def _open(settings: Settings, config: zenoh.Config, conductor: Conductor) -> zenoh.Session:
     """Open the metrics page and Zenoh. Waits for name servers, and for routers if the Zenoh file demands it."""
     if settings.telemetry.metrics:
-        exposition.serve(settings.telemetry.metrics, settings.telemetry.metrics_hosts, conductor)
+        exposition.serve(settings.telemetry.metrics, conductor)
     return open_session(config)
 
 
@@ -380,9 +384,9 @@ def _attendants(
 def _report_tasks(settings: Settings, conductor: Conductor, outbox: ZenohOutbox) -> list[asyncio.Task[None]]:
     """Publish the state, and what the robot measures if it does."""
     measures = settings.spi.protocol.measures or settings.power.interface
-    telemetry_hz = settings.telemetry.rate_hz if measures else 0.0
+    telemetry_hz = REPORTS_HZ if measures else 0.0
     return [
-        asyncio.create_task(_report(STATE, settings.telemetry.state_hz, conductor.publish_state, conductor, outbox)),
+        asyncio.create_task(_report(STATE, REPORTS_HZ, conductor.publish_state, conductor, outbox)),
         asyncio.create_task(_report(TELEMETRY, telemetry_hz, conductor.publish_telemetry, conductor, outbox)),
     ]
 

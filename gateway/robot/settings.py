@@ -21,17 +21,16 @@ from gateway.robot.sections import (
     FOR_STOPS,
     SERVOS,
     ButtonSettings,
-    CalibrationSettings,
     ControllerSettings,
     LeaseSettings,
     LimitSettings,
     LogSettings,
     PowerSettings,
-    RecorderSettings,
     SafetySettings,
     Section,
     ServoLimits,
     SpiSettings,
+    StateSettings,
     TelemetrySettings,
     WatchdogSettings,
     ZenohSettings,
@@ -52,8 +51,7 @@ class Settings(Section):
     watchdog: WatchdogSettings = WatchdogSettings()
     lease: LeaseSettings = LeaseSettings()
     buttons: ButtonSettings = ButtonSettings()
-    calibration: CalibrationSettings = CalibrationSettings()
-    recorder: RecorderSettings = RecorderSettings()
+    state: StateSettings = StateSettings()
     telemetry: TelemetrySettings = TelemetrySettings()
     safety: SafetySettings = SafetySettings()
     power: PowerSettings = PowerSettings()
@@ -122,7 +120,7 @@ def load(path: Path | None = None, *, simulated: bool = False, for_stops: bool =
     lines: list[str] = []
     unread = False
     try:
-        from_file = _read(path)
+        from_file = _without_emptied(_read(path))
     except ConfigError as error:
         lines.append(str(error))
         unread = True
@@ -173,6 +171,25 @@ def _read(path: Path | None) -> dict[str, Any]:
         raise ConfigError(f"{found}: {error}") from error
 
 
+_IN_STATE: Final = "was removed; name its folder with state.path, which has all that outlasts the gateway"
+_REMOVED: Final[Mapping[Place, str]] = {
+    ("calibration",): f"{_IN_STATE} (the calibration as calibration.toml)",
+    ("recorder",): f"{_IN_STATE} (the black box keeps 60 s)",
+    ("controller", "cycle_hz"): "was removed; the controller's cycle is 50 Hz",
+    ("lease", "takeover"): "was removed; everybody may take the lease, which stops all legs first",
+    ("telemetry", "state_hz"): "was removed; the state comes ten times a second",
+    ("telemetry", "rate_hz"): "was removed; what the robot measures comes ten times a second",
+    ("telemetry", "metrics_hosts"): "was removed; the page answers to this machine's name and addresses",
+    ("log", "format"): "was removed; a terminal and the journal get text, everything else JSON",
+}
+"""Settings, and whole sections, of earlier versions, and what takes their place."""
+
+
+def _without_emptied(tables: dict[str, Any]) -> dict[str, Any]:
+    """The same without removed sections that set nothing: the file that was installed earlier has their names."""
+    return {name: table for name, table in tables.items() if table != {} or (name,) not in _REMOVED}
+
+
 def _faults_of_file(values: dict[str, Any], context: Context) -> list[Fault]:
     """Strict, since a TOML value has a type: "50" is no number."""
     # Validated as JSON, since strict Python types reject TOML's arrays and strings for tuples and enumerations; and
@@ -198,7 +215,8 @@ def _environment() -> tuple[dict[Place, tuple[str, Any]], list[str]]:
             continue
         place = tuple(variable.removeprefix(ENV_PREFIX).lower().split("__"))
         if variable != variable.upper() or not _is_setting(place):
-            faults.append(f"{key_name(variable)}: is no setting; {_NAMES}")
+            why = _REMOVED.get(place) or _REMOVED.get(place[:1]) or f"is no setting; {_NAMES}"
+            faults.append(f"{key_name(variable)}: {why}")
             continue
         try:
             found[place] = variable, json.loads(text) if place in _LISTS else text
@@ -223,7 +241,6 @@ _LISTS: Final[Mapping[Place, str]] = {
     ("zenoh", "connect"): '["tcp/127.0.0.1:7447"]',
     ("spi", "avoid_deg"): "[1.0, 4.0]",
     ("buttons", "names"): '["kitchen"]',
-    ("telemetry", "metrics_hosts"): '["robot.local"]',
     ("power", "servos"): "[]",
     ("power", "cut_on"): '["estop"]',
 }
@@ -288,7 +305,7 @@ def _sentence(fault: ErrorDetails) -> str:
     if fault["type"] == "missing":
         return MISSING
     if fault["type"] == "extra_forbidden":
-        return "is no setting"
+        return _REMOVED.get(fault["loc"], "is no setting")
     if fault["type"] == "value_error":  # a sentence of our own
         return str(fault["ctx"]["error"])
     return f"{echo(fault['input'])} will not do: {fault['msg'][0].lower()}{fault['msg'][1:]}"

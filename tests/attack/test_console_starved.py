@@ -17,6 +17,8 @@ from tests.support.closing import Closing
 from tests.support.console_process import Page, sign_in
 from tests.support.gateway_process import COMMAND, Gateway, free_port
 
+pytestmark = [pytest.mark.full, pytest.mark.alone]
+
 LATE_S = 60
 PAGES = 8
 STOP = {"servos": [{"op": "stop"}] * 3}

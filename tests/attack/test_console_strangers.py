@@ -13,7 +13,7 @@ from gateway.people.console.listener import MAX_SIGNED_IN, MAX_UNKNOWN
 from tests.attack.console_listener import CASES, FLOODS, ListenerStand, spread
 from tests.benchmarks.processes import fds, rss_kb, threads
 
-pytestmark = pytest.mark.net
+pytestmark = [pytest.mark.net, pytest.mark.full, pytest.mark.alone]
 
 PRESSES = 20
 USUAL_MS = 100

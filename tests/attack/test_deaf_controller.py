@@ -65,6 +65,7 @@ def test_an_announcement_or_a_zero_lost_costs_no_controller_and_a_body_does() ->
     assert tallies["a body"].dead.total() > 0.1 * tallies["a body"].faults
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(("run", "least", "most"), [(1, 0, 0), (2, 0.01, 0.2), (3, 0.3, 0.7), (5, 0.5, 0.9)])
 def test_what_more_than_one_lost_byte_does_is_known(run: int, least: float, most: float) -> None:
     """It may kill the firmware, with servos on that no Stop reaches; docs/protocol.md has the figures."""
@@ -75,6 +76,7 @@ def test_what_more_than_one_lost_byte_does_is_known(run: int, least: float, most
         assert abs(tally.on_for_good - tally.dead.total()) <= 0.02 * tally.faults
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("run", [2, 3, 5, 14])
 def test_a_firmware_that_rejects_other_lengths_than_6_and_14_survives_them(run: int) -> None:
     """The check that docs/protocol.md proposes to the firmware's owners."""

@@ -11,9 +11,9 @@ import pytest
 import zenoh
 
 from gateway.client import Client, leg_payload, legs_payload
-from gateway.people.tools.drill.cut_link import CutLink
 from schemas import keys
 from schemas.telemetry import Kind
+from tests.support.cut_link import CutLink
 from tests.support.gateway_process import Gateway
 from tests.support.heard import Heard, events
 
@@ -27,7 +27,7 @@ class HeldBack:
     """A gateway, and a laptop behind a link that can hold back what it sends."""
 
     def __init__(self, folder: Path, stack: ExitStack, timeout_ms: float) -> None:
-        settings: dict[str, dict[str, Any]] = {"telemetry": {"state_hz": 0}, "watchdog": {"timeout_ms": timeout_ms}}
+        settings: dict[str, dict[str, Any]] = {"watchdog": {"timeout_ms": timeout_ms}}
         self.gateway = stack.enter_context(Gateway(folder, settings))
         self.link = stack.enter_context(CutLink(self.gateway.endpoint))
         self.laptop = stack.enter_context(Client(self.link.endpoint, source="laptop"))
@@ -59,6 +59,7 @@ def setpoint(key: str) -> dict[str, Any]:
     return legs_payload("set", {3: POSE}) if key == keys.LEGS_COMMAND else leg_payload("set", POSE)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(
     ("stream_hz", "key", "timeout_ms"),
     [

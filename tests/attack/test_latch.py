@@ -10,9 +10,9 @@ import pytest
 import zenoh
 
 from gateway.client import Client, leg_payload
-from gateway.people.tools.drill.cut_link import CutLink
 from schemas import keys
 from schemas.telemetry import Event, Kind, Mode, Reason
+from tests.support.cut_link import CutLink
 from tests.support.fixtures import client_fixture, gateway_fixture
 from tests.support.gateway_process import Gateway
 from tests.support.heard import Heard, events

@@ -1,7 +1,7 @@
 """What the driver and the buttons ask is answered, however much others ask on the same key.
 
-A client renews three times before its lease ends, and a button checks in four times before it is silent. A lease that
-nobody may take (`takeover = "never"`) was lost by that: its renewals were pushed out.
+A client renews three times before its lease ends, and a button checks in four times before it is silent. A lease was
+lost by that: its renewals were pushed out.
 """
 
 import json
@@ -21,19 +21,19 @@ from tests.support.fixtures import gateway_fixture
 from tests.support.gateway_process import Gateway
 from tests.support.heard import events
 
+pytestmark = [pytest.mark.full, pytest.mark.alone]
+
 ASKERS = 3
 QUESTIONS = 400
 MOST_LOST = 8
 """While this machine puts the gateway aside for more than 25 ms. It was 21 to 66, on a busy one."""
 SETTINGS: dict[str, dict[str, Any]] = {
-    "lease": {"takeover": "never"},
     "buttons": {"timeout_ms": 10_000},
     "log": {"level": "error"},
 }
 ASKED = {
     "challenges": {"do": "challenge"},
     "claims": {"do": "acquire", "source": "mallory"},
-    "takeovers": {"do": "take", "source": "mallory"},
     "renewals by no token": {"do": "renew", "lease": "0" * 32},
 }
 

@@ -15,7 +15,6 @@ from tests.support.child import Child
 from tests.support.gateway_process import Gateway
 
 SETTINGS: dict[str, dict[str, Any]] = {
-    "telemetry": {"state_hz": 0},
     "watchdog": {"timeout_ms": 10_000, "repeats": 0},
     "log": {"level": "error"},
 }

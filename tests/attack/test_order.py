@@ -22,7 +22,6 @@ from tests.benchmarks.subjects import program
 from tests.support.gateway_process import Gateway
 
 SETTINGS = {
-    "telemetry": {"state_hz": 0},
     "watchdog": {"timeout_ms": 10_000, "repeats": 0},
     "limits": {"leg_rate_hz": 1000},
 }

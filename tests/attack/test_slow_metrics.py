@@ -82,6 +82,7 @@ def let_expire(client: Client, times: int) -> None:
         heard.wait(lambda frame: frame.cause is Cause.WATCHDOG, count=count)
 
 
+@pytest.mark.full
 def test_who_asks_again_and_again_is_answered_so_often_a_second_and_no_more(tmp_path: Path) -> None:
     """80 slow readers, each of which connects anew as soon as its connection ends."""
     with attacked(tmp_path) as (gateway, address), gateway.client() as client:

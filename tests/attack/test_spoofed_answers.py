@@ -10,14 +10,13 @@ from pathlib import Path
 import pytest
 import zenoh
 
-from gateway.client import Client, leg_payload
+from gateway.client import Client
 from gateway.errors import ZenohError
 from gateway.zenoh_config import client_config, open_session
 from schemas import keys
 from schemas.telemetry import GatewayState, Mode
 from tests.support.fixtures import gateway_fixture
 from tests.support.gateway_process import Gateway, free_port
-from tests.support.tmux import at_terminal
 
 FALSE = '{"accepted": true, "stop_frames": 6, "latency_us": 1}'
 NONSENSE = ["{}", "nonsense", '{"accepted": true}', '{"accepted": true, "stop_frames": 6}', "[]", ""]
@@ -157,13 +156,3 @@ def test_reports_that_are_none_are_passed_over(gateway: Gateway, caplog: pytest.
         assert real.wait(10)
         subscriber.undeclare()
     assert "ValidationError" not in caplog.text
-
-
-def test_watch_says_that_another_answers(gateway: Gateway, tmp_path: Path) -> None:
-    with answering(gateway.endpoint, FALSE, keys.ESTOP), gateway.client() as client:
-        client.publish(keys.leg_command(1), leg_payload("stop"))
-        with at_terminal(tmp_path, "watch", gateway.endpoint) as terminal:
-            terminal.wait(" 1 ○")
-            terminal.press("Space")
-            shown = terminal.wait("STOPPED: 6 Stop frames", "2 programs answer on hexapod/estop/cmd")
-            assert "within 1 µs" not in shown

@@ -1,6 +1,6 @@
 """The benchmark: this gateway beside the naive script, in one run, on emulated SPI devices.
 
-    python -m tests.benchmarks [--quick] [--only PART] [--markdown]    # PART: steady, calls, lease, …; see --help
+    python -m tests.benchmarks [--quick] [--only PART] [--markdown]    # PART: steady, flood, wildcards, idle, memory
 
 Each is a process of its own, and so is each publisher. A message carries its number in its angles, so that a transfer
 is matched with the moment when its message was published; all clocks are the machine's one monotonic clock. The two
@@ -21,18 +21,8 @@ from pathlib import Path
 from typing import Self
 
 from schemas.keys import leg_command
-from tests.benchmarks.batches import batches
-from tests.benchmarks.button import button
-from tests.benchmarks.calls import calls
-from tests.benchmarks.cycle import cycle
-from tests.benchmarks.dense import dense
-from tests.benchmarks.landing import landing, landing_rejected
-from tests.benchmarks.lease import lease
-from tests.benchmarks.physics import physics
-from tests.benchmarks.power import power
 from tests.benchmarks.processes import Figures, cpu_ns, now_ns, rss_kb, say
 from tests.benchmarks.publisher import number_of
-from tests.benchmarks.recorder import recorder
 from tests.benchmarks.steady import SCENARIOS, Scenario, run
 from tests.benchmarks.stops import sixth_stop_us
 from tests.benchmarks.subjects import Subject
@@ -217,20 +207,9 @@ def _steady(folder: Path, rounds: int, round_s: float, scenarios: Sequence[Scena
 
 PARTS: dict[str, Callable[[Path], list[Row]]] = {
     "steady": steady,
-    "calls": calls,
-    "batches": batches,
-    "lease": lease,
-    "button": button,
-    "recorder": recorder,
     "flood": flood,
     "wildcards": wildcards,
-    "dense": dense,
-    "cycle": cycle,
-    "power": power,
-    "landing": landing,
-    "landing-rejected": landing_rejected,
     "idle": idle,
-    "physics": physics,
     "memory": memory,
 }
 
@@ -251,7 +230,7 @@ def main() -> int:
     """Run all parts, or one; the exit status is 0 whatever the figures, for a benchmark is no test."""
     parser = argparse.ArgumentParser(description="Measure the gateway beside a naive script.")
     parser.add_argument("--only", choices=PARTS)
-    parser.add_argument("--quick", action="store_true", help="the streams that matter most, and calls: a minute")
+    parser.add_argument("--quick", action="store_true", help="the streams that matter most: a minute")
     parser.add_argument("--markdown", action="store_true")
     options = parser.parse_args()
     if lack := missing_packages():
@@ -259,7 +238,7 @@ def main() -> int:
         return 0
     where, begun_s = machine(), time.monotonic()
     rows: list[Row] = []
-    parts = {"quick": quick, "calls": calls} if options.quick else PARTS
+    parts = {"quick": quick} if options.quick else PARTS
     for name, part in parts.items():
         if options.only in (None, name):
             with tempfile.TemporaryDirectory() as folder:

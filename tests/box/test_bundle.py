@@ -18,7 +18,7 @@ from tests.box.bundles import Bundles
 from tests.box.installed import INSTALLER, NAME
 from tests.box.machine import CONFIG_TXT, STOCK, Machine
 
-pytestmark = pytest.mark.systemd
+pytestmark = [pytest.mark.systemd, pytest.mark.nightly]
 
 KILLS = int(os.environ.get("HEXAPOD_KILLS", "1"))
 OPT = f"/opt/{NAME}"

@@ -10,7 +10,7 @@ import pytest
 from tests.box.faults import CERTS, FAULTS, GIVEN, NAMES, OTHER, TAKE_A_STOP, Fault
 from tests.box.installed import NAME, InstalledGateway
 
-pytestmark = pytest.mark.systemd
+pytestmark = [pytest.mark.systemd, pytest.mark.nightly]
 
 PROGRAM = f"/opt/{NAME}/venv/bin/{NAME}"
 KEPT = "/etc/passwd /etc/group /etc/shadow /etc/gshadow /etc/hexapod-gateway /etc/systemd/system /etc/udev/rules.d"

@@ -20,6 +20,7 @@ rm -f /run/small/*gcc* /run/small/*g++* /run/small/cc /run/small/c[89]9* /run/sm
 """A PATH with all that this machine has, but no compiler."""
 
 
+@pytest.mark.nightly
 def test_rejections(bare: Machine) -> None:
     """One sentence each, and nothing half made."""
     box = bare.box
@@ -103,6 +104,7 @@ def test_life(machine: Machine, prepared: Prepared) -> None:
     ]
 
 
+@pytest.mark.nightly
 def test_without_a_compiler(bare: Machine) -> None:
     """A bundle without spidev, on a machine that could not compile it: the service runs, and nothing was compiled."""
     box = bare.box
@@ -120,6 +122,7 @@ def test_without_a_compiler(bare: Machine) -> None:
     assert "leave spidev out (it would have to be compiled, and gcc is missing): the gateway makes" in said
 
 
+@pytest.mark.nightly
 def test_an_upgrade_that_does_not_start_leaves_the_old_one_running(machine: Machine) -> None:
     """Found out with a simulated controller, nothing is changed; found out by systemd, it goes back by itself."""
     box = machine.box
@@ -194,6 +197,7 @@ def start_holding(machine: Machine, folder: str) -> str:
     return held
 
 
+@pytest.mark.nightly
 def test_an_installation_that_was_ended_is_noticed(machine: Machine) -> None:
     """Killed between the switch and the restart: run again, it restarts, and `check` says what runs until then."""
     box = machine.box
@@ -225,6 +229,7 @@ def test_an_installation_that_was_ended_is_noticed(machine: Machine) -> None:
     assert machine.unit.property("MainPID") != old
 
 
+@pytest.mark.nightly
 def test_what_a_power_cut_has_emptied_is_made_anew(machine: Machine) -> None:
     """Files of the release, its mark, the configuration and the unit, in whatever combination."""
     box = machine.box
@@ -250,6 +255,7 @@ def test_what_a_power_cut_has_emptied_is_made_anew(machine: Machine) -> None:
     assert any(line.startswith(f"make anew what is in {second}") for line in machine.install("--dry-run", "--force"))
 
 
+@pytest.mark.nightly
 def test_the_exact_interpreter(machine: Machine) -> None:
     """A system whose python3 becomes another one takes nothing from the service."""
     box = machine.box
@@ -267,6 +273,7 @@ def test_the_exact_interpreter(machine: Machine) -> None:
         box.run("ln", "-sf", exact, "/usr/bin/python3")
 
 
+@pytest.mark.nightly
 def test_certificates(machine: Machine, tmp_path: Path) -> None:
     """Brought with --certs or by hand, the service's user can read them, and the service takes only certificates."""
     box = machine.box
@@ -303,6 +310,7 @@ def test_certificates(machine: Machine, tmp_path: Path) -> None:
     assert box.run(*command, "--timeout", "0.5", check=False).returncode == 4
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("before", "after"),
     [("[cm4]\notg_mode=1\n[all]\ndtparam=spi=on\n", None), ("dtparam=spi=off\n", "dtparam=spi=on\n")],
@@ -330,6 +338,7 @@ def test_no_framing_no_installation(bare: Machine) -> None:
     assert bare.box.read(CONFIG_TXT) == STOCK
 
 
+@pytest.mark.nightly
 def test_a_terminal_is_asked_and_the_framing_stays(machine: Machine) -> None:
     """Until it says one of the two. Installed again it needs no option, and another one is rejected at once."""
     wheels = ("--wheels", machine.wheels)
@@ -345,6 +354,7 @@ def test_a_terminal_is_asked_and_the_framing_stays(machine: Machine) -> None:
     assert machine.box.read(CONFIGURATION) == written
 
 
+@pytest.mark.nightly
 def test_a_robot_from_before_there_was_a_framing(machine: Machine) -> None:
     """It goes on as it is until somebody says the framing, which is then added to its configuration; Stops included."""
     box, wheels = machine.box, ("--wheels", machine.wheels)
@@ -370,6 +380,7 @@ def test_a_robot_from_before_there_was_a_framing(machine: Machine) -> None:
 ELKAPOD = ("--protocol", "elkapod-2025")
 
 
+@pytest.mark.nightly
 def test_the_protocol_without_a_framing(machine: Machine) -> None:
     """Nobody is asked for a framing, a new configuration states the protocol, and one that states another stays."""
     box, wheels = machine.box, ("--wheels", machine.wheels)
@@ -390,6 +401,7 @@ def test_the_protocol_without_a_framing(machine: Machine) -> None:
     assert groups == ["spi", "dialout"]
 
 
+@pytest.mark.nightly
 def test_another_controller_for_an_installed_robot(machine: Machine) -> None:
     """The service that runs keeps its own way to stop: its kept configuration gets no other protocol."""
     box = machine.box

@@ -11,7 +11,7 @@ from tests.box.installed import NAME
 from tests.box.machine import Machine
 from tests.support.pages import SCP, SSH, SUDO, commands
 
-pytestmark = pytest.mark.systemd
+pytestmark = [pytest.mark.systemd, pytest.mark.nightly]
 
 FOLDER = "/root/hexapod-certs"
 OWN = f"/etc/{NAME}/zenoh"

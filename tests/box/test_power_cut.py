@@ -14,7 +14,7 @@ from tests.box.disk import Disk
 from tests.box.installed import CONFIGURATION, NAME
 from tests.box.machine import Machine
 
-pytestmark = pytest.mark.systemd
+pytestmark = [pytest.mark.systemd, pytest.mark.nightly]
 
 MOMENTS = int(os.environ.get("HEXAPOD_POWER_CUTS", "2"))
 FILES = f"find /opt/{NAME} /etc/{NAME} /etc/systemd/system -type f -print0 | sort -z | xargs -0 sha256sum | sha256sum"

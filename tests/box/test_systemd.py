@@ -105,6 +105,7 @@ def test_sandbox(robot: InstalledGateway) -> None:
     assert limits == (["30", "20"] if raised else ["0", "0"]), "systemd gives what its own machine lets it"
 
 
+@pytest.mark.nightly
 def test_what_the_recorder_keeps(robot: InstalledGateway) -> None:
     """The service's incidents are on the disk, as the wire was; one of each kind is in tests/hil/test_incidents.py."""
     recorder = Unit(robot.box, "hexapod-recorder.service")
@@ -349,6 +350,7 @@ def mode(robot: InstalledGateway, path: str, meanwhile: str, afterwards: str) ->
         robot.box.run("chmod", afterwards, path)
 
 
+@pytest.mark.nightly
 def test_a_configuration_that_the_service_may_not_read(robot: InstalledGateway) -> None:
     """The journal has cat's words for it, and each end is still cleaned up with what the service ran with last."""
     robot.configure("[watchdog]\nrepeats = 1\n")
@@ -366,6 +368,7 @@ def test_a_configuration_that_the_service_may_not_read(robot: InstalledGateway) 
     assert "repeats = 1" in robot.box.read(f"/run/{NAME}/gateway.toml")
 
 
+@pytest.mark.nightly
 def test_no_device(robot: InstalledGateway) -> None:
     """Exit code 3: tried again as often as the unit's limit has it, then given up."""
     assert robot.unit.property("StartLimitBurst") == "10"
@@ -378,6 +381,7 @@ def test_no_device(robot: InstalledGateway) -> None:
     assert robot.unit.properties("ActiveState", "ExecMainStatus") == ["failed", "3"]
 
 
+@pytest.mark.nightly
 def test_device_that_comes_late(robot: InstalledGateway) -> None:
     """Not there at the first start, there at a later one."""
     robot.bed.remove_node()

@@ -9,7 +9,7 @@ from tests.box.box import SHARED_INSIDE, Unit
 from tests.box.installed import INSTALLER, NAME, InstalledGateway
 from tests.support.child import Child
 
-pytestmark = pytest.mark.systemd
+pytestmark = [pytest.mark.systemd, pytest.mark.nightly]
 
 CONSOLE = "hexapod-console"
 SIGN_IN = """

@@ -17,7 +17,7 @@ from tests.box.test_installer import SERVO_RUNS
 from tests.box.test_power_cut import folder
 from tests.support.child import Child
 
-pytestmark = pytest.mark.systemd
+pytestmark = [pytest.mark.systemd, pytest.mark.nightly]
 
 LIFE_S = 2400  # on a busy machine each of the scenes takes a minute
 

@@ -157,6 +157,7 @@ def test_a_page_that_is_hidden_is_silent_and_checks_in_again_when_it_is_seen(vis
     assert page.page.evaluate("window.wakes") == 2, "the browser let go of the screen when it was hidden"
 
 
+@pytest.mark.nightly
 def test_a_page_whose_timer_comes_once_a_second_is_silent_and_does_not_flutter(
     visitor: Visitor, watcher: Client
 ) -> None:

@@ -48,6 +48,7 @@ def expect_rest(page: Opened) -> None:
     page.expect_status(3, "rests")
 
 
+@pytest.mark.nightly
 def test_a_servo_is_started_alone_jogged_trimmed_turned_round_and_written(visitor: Visitor, gateway: Gateway) -> None:
     page = visitor.open(viewport=PHONE)
     with gateway.client() as robot:
@@ -78,6 +79,7 @@ def test_a_servo_is_started_alone_jogged_trimmed_turned_round_and_written(visito
         assert (written.trim_deg, written.inverted, written.min_deg, written.max_deg) == (3, False, 0, 90)
 
 
+@pytest.mark.nightly
 def test_it_is_within_reach_of_everybody(visitor: Visitor) -> None:
     page = visitor.open(viewport=PHONE)
     start_32(page)
@@ -122,6 +124,7 @@ LATER: Final = """(ms) => {
 """As if so much time had passed since everything that the page has noted."""
 
 
+@pytest.mark.nightly
 def test_it_begins_where_the_last_test_ended_and_ends_two_minutes_after_the_last_click(visitor: Visitor) -> None:
     page = visitor.open()
     start_32(page)
@@ -150,6 +153,7 @@ def test_a_lease_that_is_taken_and_somebody_elses_stop_end_it(visitor: Visitor, 
             expect_rest(page)
 
 
+@pytest.mark.nightly
 def test_on_a_phone_the_pads_in_its_place_end_it(visitor: Visitor) -> None:
     page = visitor.open(viewport=PHONE)
     start_32(page)

@@ -12,11 +12,11 @@ from playwright.sync_api import Browser, Playwright, expect
 from playwright.sync_api import TimeoutError as PlaywrightTimeoutError
 
 from gateway.model.frames import Frame, OneLeg, Op, decode, stop_leg
-from gateway.people.tools.drill.cut_link import CutLink
 from tests.console.browser import ARGUMENTS, CHROMIUM, GAMEPAD, HIDE, LATE_MS, Opened, Visitor
 from tests.hil.bed import SpiTestbed, Transfer
 from tests.support.child import Child, frozen
 from tests.support.console_process import Console
+from tests.support.cut_link import CutLink
 from tests.support.fixtures import patient
 from tests.support.gateway_process import Gateway
 

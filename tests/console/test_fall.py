@@ -13,7 +13,7 @@ from tests.support.console_process import Console
 from tests.support.fixtures import patient
 from tests.support.gateway_process import Gateway
 
-pytestmark = pytest.mark.browser
+pytestmark = [pytest.mark.browser, pytest.mark.nightly]
 
 PATIENT: Final = patient(10_000)
 """A browser that draws on the processor leaves little of it to others."""

@@ -51,6 +51,7 @@ def test_two_pages_ask_hand_over_and_take(visitor: Visitor, gateway: Gateway) ->
         assert robot.state().mode == "estopped"
 
 
+@pytest.mark.nightly
 def test_a_handover_to_a_hidden_page_ends_and_whoever_looks_again_reads_that_it_is_free(visitor: Visitor) -> None:
     anna, bert = visitor.open(), visitor.open()
     anna["lease-acquire"].click()

@@ -92,6 +92,7 @@ def expect_no_serious_violation(page: Opened) -> None:
         assert [(each["id"], each["nodes"][0]["html"]) for each in serious] == []
 
 
+@pytest.mark.nightly
 def test_a_controller_that_is_silent_is_shown_in_red_and_the_strip_stays_on_the_picture(
     visitor: Visitor, robot: Client
 ) -> None:
@@ -112,6 +113,7 @@ def test_a_controller_that_is_silent_is_shown_in_red_and_the_strip_stays_on_the_
     expect(page["measured"]).to_be_hidden()
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("kind", "said"),
     [
@@ -164,6 +166,7 @@ def running(state: GatewayState) -> set[int]:
     return {servo.id for leg in state.legs for servo in leg.servos if servo.running}
 
 
+@pytest.mark.nightly
 def test_a_rejections_reason_is_said_in_plain_words(visitor: Visitor) -> None:
     said: Any = visitor.open().module(
         "words",
@@ -180,6 +183,7 @@ def test_a_rejections_reason_is_said_in_plain_words(visitor: Visitor) -> None:
     ]
 
 
+@pytest.mark.nightly
 def test_feet_carry_by_comparison_and_the_horizon_turns_as_it_is_seen_from_behind(visitor: Visitor) -> None:
     page = visitor.open()
     carried: Any = page.module(

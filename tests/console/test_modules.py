@@ -12,7 +12,7 @@ from schemas.robot import LEGS, SERVO_IDS
 from tests.console.browser import Opened, Visitor
 from tests.support.console_process import Console, SignedIn
 
-pytestmark = pytest.mark.browser
+pytestmark = [pytest.mark.browser, pytest.mark.nightly]
 
 
 @pytest.fixture(scope="module")

@@ -14,7 +14,7 @@ from tests.support.fixtures import client_fixture
 from tests.support.gateway_process import Gateway
 from tests.support.heard import states
 
-pytestmark = pytest.mark.other_browsers
+pytestmark = [pytest.mark.other_browsers, pytest.mark.nightly]
 
 PAD: Final = "Walk:"
 WALKS: Final = "It walks"

@@ -128,6 +128,7 @@ def test_a_thumb_that_lay_on_the_pad_while_the_page_was_hidden_counts_no_more(vi
     assert page.page.evaluate("window.wishes") == []
 
 
+@pytest.mark.nightly
 def test_slow_bounds_what_a_thumb_asks_for_at_its_pads_end_and_fast_asks_for_more(visitor: Visitor) -> None:
     page = driving(visitor)
     asked = "Math.max(...window.wishes.map((each) => Math.hypot(each.forward_m_s, each.left_m_s)))"
@@ -150,6 +151,7 @@ def throttle(devtools: CDPSession, bytes_a_second: int) -> None:
     devtools.send("Network.emulateNetworkConditions", {"offline": False, "latency": 0, **speeds})
 
 
+@pytest.mark.nightly
 def test_a_network_that_is_throttled_while_it_walks_stands_still_until_a_new_press(visitor: Visitor) -> None:
     page = driving(visitor)
     thumb = pushing(page, -20)
@@ -169,6 +171,7 @@ def test_a_network_that_is_throttled_while_it_walks_stands_still_until_a_new_pre
     walks(page, lambda _: thumb.push(-20))
 
 
+@pytest.mark.nightly
 def test_a_second_phone_that_takes_the_lease_while_a_thumb_is_held_stops_all(visitor: Visitor, robot: Client) -> None:
     page, other = driving(visitor), visitor.open()
     thumb = pushing(page, -20)
@@ -183,6 +186,7 @@ def test_a_second_phone_that_takes_the_lease_while_a_thumb_is_held_stops_all(vis
     assert not any(servo.running for leg in robot.state().legs for servo in leg.servos)
 
 
+@pytest.mark.nightly
 def test_a_driver_has_a_screen_that_stays_on_and_feels_what_ends_a_walk(visitor: Visitor) -> None:
     page = driving(visitor)
     page.page.wait_for_function("() => window.wakes === 1")
@@ -198,6 +202,7 @@ def test_a_driver_has_a_screen_that_stays_on_and_feels_what_ends_a_walk(visitor:
     page.page.wait_for_function("() => window.shakes.length > 0")
 
 
+@pytest.mark.nightly
 def test_leaving_the_full_screen_by_a_key_is_stop_all_and_by_its_button_is_not(visitor: Visitor, robot: Client) -> None:
     """The browser keeps Escape for itself there."""
     page = visitor.open(**PHONE)
@@ -213,6 +218,7 @@ def test_leaving_the_full_screen_by_a_key_is_stop_all_and_by_its_button_is_not(v
     expect(page["stop-known"]).to_contain_text("6 Stops written within")
 
 
+@pytest.mark.nightly
 def test_it_installs_as_an_app(visitor: Visitor) -> None:
     """As far as Chromium judges; a test's profile keeps nothing, and installs nothing."""
     devtools = visitor.open().devtools()

@@ -35,6 +35,7 @@ window.WebSocket = class extends Real {
 PHONE: Final = {"width": 360, "height": 740}
 
 
+@pytest.mark.nightly
 def test_eighteen_servos_are_seen_in_three_dimensions_and_in_words(visitor: Visitor, gateway: Gateway) -> None:
     page = visitor.open(webgl=True)
     page.insist_on_three_dimensions()
@@ -56,6 +57,7 @@ def test_eighteen_servos_are_seen_in_three_dimensions_and_in_words(visitor: Visi
     expect(page["events"].locator("li", has_text="leg 3 was not heard for 2000 ms")).to_have_count(1)
 
 
+@pytest.mark.nightly
 def test_without_webgl_it_is_drawn_from_above_and_without_physics_there_is_nobody_to_set_upright(
     visitor: Visitor,
 ) -> None:
@@ -111,6 +113,7 @@ def test_a_reset_asks_first_and_stop_all_answers_no(visitor: Visitor, gateway: G
         assert robot.state().mode == "idle"
 
 
+@pytest.mark.nightly
 def test_poses_are_kept_in_the_browser_and_a_space_that_is_typed_into_a_name_stops_nothing(
     visitor: Visitor, gateway: Gateway
 ) -> None:
@@ -131,6 +134,7 @@ def test_poses_are_kept_in_the_browser_and_a_space_that_is_typed_into_a_name_sto
         assert robot.state().mode == "idle"
 
 
+@pytest.mark.nightly
 def test_nothing_flickers_while_nothing_changes(visitor: Visitor) -> None:
     """Ten states come in time, and no text changes besides ages."""
     page = visitor.open(script=COUNT_MESSAGES)
@@ -175,6 +179,7 @@ def test_a_phone_has_all_of_it(visitor: Visitor) -> None:
     expect(page["stop-known"]).to_contain_text("6 Stops written within")
 
 
+@pytest.mark.nightly
 def test_axe_finds_nothing_serious(visitor: Visitor) -> None:
     page = visitor.open()
     page["lease-acquire"].click()

@@ -13,7 +13,7 @@ from tests.console.browser import Visitor
 from tests.console.test_measured import COVERED, SIZES, expect_no_serious_violation, report
 from tests.support.fixtures import client_fixture
 from tests.support.measuring import measures
-from tests.support.watch_reports import WALL
+from tests.support.published import WALL
 
 pytestmark = pytest.mark.browser
 
@@ -78,6 +78,7 @@ def test_the_button_of_a_robot_whose_stop_is_not_confirmed_is_red(visitor: Visit
     page["leave"].click()
 
 
+@pytest.mark.nightly
 def test_what_each_servo_draws_is_a_bar_and_the_strip_stays_on_the_picture(visitor: Visitor, robot: Client) -> None:
     width, height = SIZES[0]
     page = visitor.open(
@@ -99,6 +100,7 @@ def test_what_each_servo_draws_is_a_bar_and_the_strip_stays_on_the_picture(visit
     expect(page["draws"]).to_be_hidden()
 
 
+@pytest.mark.nightly
 def test_an_event_of_the_board_is_bad_and_said_in_plain_words(visitor: Visitor, robot: Client) -> None:
     page = visitor.open()
     report(robot, Kind.POWER_UNCONFIRMED)

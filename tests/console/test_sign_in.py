@@ -79,6 +79,7 @@ def test_a_page_at_another_port_gets_the_cookie_and_nothing_by_it(victim: Page, 
             Thief(console.url, thief)
 
 
+@pytest.mark.nightly
 def test_without_its_key_a_page_says_how_to_go_on(victim: Page) -> None:
     victim.evaluate("localStorage.clear()")
     victim.reload()

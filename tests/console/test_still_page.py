@@ -7,7 +7,7 @@ from playwright.sync_api import expect
 
 from tests.console.browser import Opened, Visitor
 
-pytestmark = pytest.mark.browser
+pytestmark = [pytest.mark.browser, pytest.mark.nightly]
 
 HELD: Final = ((320, 568), (568, 320), (360, 640), (640, 360), (390, 844), (844, 390), (768, 1024), (1024, 768))
 DESK: Final = (1280, 800)

@@ -47,6 +47,7 @@ def sit(page: Opened) -> None:
     expect(page.said).to_have_text("It sits, and its servos are stopped.")
 
 
+@pytest.mark.nightly
 def test_on_a_small_phone_nothing_scrolls_to_walk_or_to_stop(visitor: Visitor, robot: Client) -> None:
     page = visitor.open(has_touch=True, is_mobile=True)
     drive(page)
@@ -105,6 +106,7 @@ def test_keys_walk_and_turn_and_letting_go_stands(visitor: Visitor, robot: Clien
     assert robot.state().mode == "idle"
 
 
+@pytest.mark.nightly
 def test_a_gamepads_sticks_walk_and_its_b_button_is_stop_all(visitor: Visitor, robot: Client) -> None:
     """A stick that is held while the console hears nothing of the page moves nothing until it was in the middle."""
     page = visitor.open(script=GAMEPAD + WISHES)

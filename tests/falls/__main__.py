@@ -1,4 +1,4 @@
-"""`make falls`: each gait and a stand, stopped in every way in 24 phases of the stride; a table and a picture."""
+"""`make falls`: each gait and a stand, stopped in every way in 24 phases of the stride; a table."""
 
 import sys
 from collections.abc import Iterable
@@ -10,7 +10,6 @@ from typing import Final, NamedTuple
 
 from gateway.people.physics.assumed import Assumed
 from tests.falls.fall import Fall, fall
-from tests.falls.picture import draw
 from tests.falls.stride import PHASES, SETTINGS, STANCES, moments
 from tests.falls.ways import WAYS
 
@@ -94,9 +93,8 @@ def main() -> int:
     folder = Path("build")
     folder.mkdir(exist_ok=True)
     (folder / "falls.md").write_text("\n".join(text))
-    draw(folder / "falls.svg", [(row.stance, row.way, row.falls) for row in found if row.world == USUAL])
     print("\n".join(text))
-    print("build/falls.md, and as a picture build/falls.svg")
+    print("build/falls.md")
     too_hard = faults(found)
     for each in too_hard:
         print(each)

@@ -4,11 +4,9 @@ import json
 from pathlib import Path
 from typing import Any
 
-from gateway.model.black_box import format as form
 from schemas import keys
 from schemas.command import MAX_PAYLOAD_BYTES
-from tests.fuzz import ring_image, ring_seeds
-from tests.fuzz.targets import KEYS, PAUSES_NS, RING_TARGETS
+from tests.fuzz.targets import KEYS, PAUSES_NS
 
 VECTORS: dict[str, list[dict[str, Any]]] = json.loads((Path(__file__).parents[1] / "data" / "frames.json").read_text())
 
@@ -33,12 +31,8 @@ WORDS = (
     *("{", "}", "[", "]", ":", ",", "null", "true", "NaN", "-Infinity", "1e999", "-0.0", "180", "180.01", "1e-400"),
     *('"\\ud800"', '"\\u0000"', "\ufeff", '{"op":"stop"}', '{"op":"set","angle_deg":1}', "0x", "06 02", "0e01"),
 )
-MAX_LEN = {
-    **{"intake": 2 + MAX_PAYLOAD_BYTES + 16, "decode": 96, "simulator": 600},
-    **dict.fromkeys(RING_TARGETS, ring_image.BODY + (ring_image.MAX_SLOTS + 1) * form.SLOT),
-}
-"""Bytes of one input: past the largest payload; past any frame, in hexadecimal; some forty frames and pauses; some
-twenty slots."""
+MAX_LEN = {"intake": 2 + MAX_PAYLOAD_BYTES + 16, "decode": 96, "simulator": 600}
+"""Bytes of one input: past the largest payload; past any frame, in hexadecimal; some forty frames and pauses."""
 
 
 def seeds(target: str) -> list[bytes]:
@@ -48,8 +42,6 @@ def seeds(target: str) -> list[bytes]:
         good = [bytes((index_of[key], 0)) + json.dumps(payload).encode() for key, payload in PAYLOADS]
         sizes = [bytes((0, 0)) + b" " * size for size in (MAX_PAYLOAD_BYTES, MAX_PAYLOAD_BYTES + 1)]
         return [*good, *sizes, bytes((0, 3)), bytes((index_of[keys.RESET], 1))]
-    if target in RING_TARGETS:
-        return list(ring_seeds.seeds())
     frames = [bytes.fromhex(vector["bytes"]) for vector in VECTORS["legal"] + VECTORS["illegal"]]
     if target == "decode":
         return [b"\0" + frame for frame in frames] + [b"\1" + frame.hex(" ").encode() for frame in frames]

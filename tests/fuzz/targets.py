@@ -21,7 +21,6 @@ from schemas.command import MAX_SENT_MS
 from schemas.keys import COMMAND_KEYS, CommandKey, Target
 from schemas.robot import SERVO_IDS
 from schemas.telemetry import Reason
-from tests.fuzz import ring
 from tests.fuzz.reference import ReferenceController
 from tests.support.reading import Intent, decode
 
@@ -188,14 +187,8 @@ def fuzz_simulator(data: bytes) -> str:
 
 PAUSES_NS: Final = (0, 1, 1_000_000, 400_000_000, 999_999_999, 1_000_000_000, 3_000_000_000)
 
-RING_TARGETS: Final = ("ring", "incidents", "export", "ring-file")
-"""Those whose inputs are a ring's bytes."""
 TARGETS: Final[dict[str, Callable[[bytes], str]]] = {
     "intake": fuzz_intake,
     "decode": fuzz_decode,
     "simulator": fuzz_simulator,
-    "ring": ring.fuzz_ring,
-    "incidents": ring.fuzz_incidents,
-    "export": ring.fuzz_export,
-    "ring-file": ring.fuzz_ring_file,
 }

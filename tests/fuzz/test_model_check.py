@@ -1,4 +1,4 @@
-"""The exhaustive check of the supervisor finds nothing (where something is planted, it does: test_planted.py)."""
+"""The exhaustive check of the supervisor finds nothing."""
 
 from collections import deque
 

@@ -12,8 +12,7 @@ import atheris
 from tests.fuzz.mutate import mutate_json
 
 with atheris.instrument_imports(include=["gateway", "schemas"]):
-    from tests.fuzz.ring_image import cross_rings, mutate_ring
-    from tests.fuzz.targets import RING_TARGETS, TARGETS
+    from tests.fuzz.targets import TARGETS
 
 
 def rss_mb() -> float:
@@ -38,8 +37,6 @@ def main(target: str, runs: int, notes: Path, libfuzzer: list[str]) -> None:
         extra: dict[str, Callable[..., bytes]] = {}
         if target == "intake":
             extra = {"custom_mutator": mutate_command}
-        elif target in RING_TARGETS:
-            extra = {"custom_mutator": mutate_image, "custom_crossover": cross_rings}
         atheris.Setup(["tests.fuzz", *libfuzzer, f"-runs={runs}"], counted, **extra)
         atheris.Fuzz()
 
@@ -51,11 +48,6 @@ def mutate_command(data: bytes, max_size: int, seed: int) -> bytes:
         if payload is not None:
             return (data[:2] + payload)[:max_size]
     return bytes(atheris.Mutate(data, max_size))
-
-
-def mutate_image(data: bytes, max_size: int, seed: int) -> bytes:
-    """A change that knows a ring's format."""
-    return mutate_ring(data, max_size, seed, lambda part, size: bytes(atheris.Mutate(part, size)))
 
 
 if __name__ == "__main__":

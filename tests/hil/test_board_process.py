@@ -167,6 +167,7 @@ def test_another_nodes_frame_reaches_board_and_client(client: Client) -> None:
     assert client.board.page.fed == frozenset((11,))
 
 
+@pytest.mark.nightly
 def test_a_flood_of_another_node_leaves_the_board_as_quick_as_it_is(client: Client) -> None:
     client.board.disturb(flood="t10080011223344556677", flood_hz=8000)
     assert client.until(0x100) == bytes.fromhex("0011223344556677")
@@ -255,6 +256,7 @@ def test_the_record_has_what_passed_and_what_was_fed_in_order(tmp_path: Path) ->
     ]
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(("ended", "status"), [("by its input's end", 0), ("by SIGTERM", 143)])
 def test_it_runs_by_itself_and_leaves_nothing_at_its_end(ended: str, status: int) -> None:
     command = [sys.executable, "-m", "gateway.robot.power.simulator"]

@@ -34,7 +34,7 @@ from tests.support.child import Child
 from tests.support.gateway_process import COMMAND, Gateway, free_port, write_settings
 from tests.support.transfers import on_wire
 
-pytestmark = pytest.mark.hil
+pytestmark = [pytest.mark.hil, pytest.mark.alone]
 
 MS = 1_000_000
 ROUNDS = 4  # of stop-servos: one, and `watchdog.repeats`, which is 3
@@ -180,7 +180,7 @@ def loaded(framing: Framing, endpoint: str, folder: Path) -> dict[str, dict[str,
         # On a busy machine the publisher pauses for longer than the default, and the legs would stop before the kill.
         "watchdog": {"timeout_ms": 10_000},
         "zenoh": {"listen": [f"tcp/127.0.0.1:{free_port()}"], "connect": [endpoint]},
-        "recorder": {"path": str(folder / "box"), "seconds": 10},
+        "state": {"path": str(folder / "box")},
     }
 
 

@@ -1,17 +1,17 @@
-"""A robot of elkapod-2025 that people drive: a walk, and the drill. It starts as a whole, and ends shut down."""
+"""A robot of elkapod-2025 that people drive: a walk, and `check --stops`. It starts as a whole, and ends shut down."""
 
 from pathlib import Path
 
 import pytest
 
 from gateway.model.elkapod import SHUTDOWN, START
-from gateway.people.tools.drill.steps import STEPS
+from gateway.onboard.check.stops.steps import STEPS
 from schemas.robot import SERVO_IDS
 from tests.hil.elkapod_bed import AT_REST, ElkapodBed
 from tests.hil.wire import LATE_S
 from tests.support.gateway_process import COMMAND, Gateway
 
-pytestmark = pytest.mark.hil
+pytestmark = [pytest.mark.hil, pytest.mark.nightly]
 
 
 def test_it_is_started_once_moved_and_shut_down(tmp_path: Path) -> None:
@@ -38,21 +38,19 @@ def test_it_is_started_once_moved_and_shut_down(tmp_path: Path) -> None:
         assert not robot.controller.corruptions
 
 
-def test_the_drill_passes_and_leaves_nothing_energised(tmp_path: Path) -> None:
+def test_check_stops_passes_and_leaves_nothing_energised(tmp_path: Path) -> None:
     with ElkapodBed(tmp_path) as robot:
-        sections = robot.settings_with(
-            telemetry={"frames": True}, watchdog={"timeout_ms": 400}, buttons={"required": 1, "timeout_ms": 600}
-        )
+        sections = robot.settings_with(telemetry={"frames": True}, watchdog={"timeout_ms": 400})
         with Gateway(tmp_path, sections, bed=robot) as gateway:
             options = ("--yes", "--late", "70", "--config", str(gateway.config), "--connect", gateway.endpoint)
-            drill = robot.spawn([*COMMAND, "drill", *options])
-            assert drill.wait(90) == 0, str(drill)
-            assert drill.stdout.count("PASS ") == len(STEPS) - 4, str(
-                drill
+            check = robot.spawn([*COMMAND, "check", "--stops", *options])
+            assert check.wait(90) == 0, str(check)
+            assert check.stdout.count("PASS ") == len(STEPS) - 4, str(
+                check
             )  # all but --restart, and those of a power board
-            assert "starts and stops as a whole" in drill.stderr
+            assert "starts and stops as a whole" in check.stderr
             messages = robot.messages_since(0)
-            assert messages.count(START) >= 5
+            assert messages.count(START) >= 3
             assert messages[-1] == SHUTDOWN
             assert robot.controller.energised == frozenset()
         assert not robot.controller.corruptions

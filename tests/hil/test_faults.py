@@ -91,7 +91,7 @@ class Scene:
 
 @contextmanager
 def scene(folder: Path, wire: Wire, **sections: dict[str, Any]) -> Iterator[Scene]:
-    sections = {"limits": {"start_stagger_ms": 2000}, "telemetry": {"state_hz": 50}, **sections}
+    sections = {"limits": {"start_stagger_ms": 2000}, **sections}
     with (
         start(folder, wire, **sections) as gateway,
         gateway.client() as client,

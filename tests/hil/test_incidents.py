@@ -88,7 +88,7 @@ def test_one_of_each_kind(tmp_path: Path, spi_testbed: SpiTestbed, monkeypatch: 
             # A repeated Stop whose preamble met the planted fault would be tried nevertheless, and counts as failed.
             # And a busy machine must not stop the leg before the fault does.
             "watchdog": {"repeats": 0, "timeout_ms": 1000},
-            "recorder": {"path": str(tmp_path / "box"), "seconds": 60},
+            "state": {"path": str(tmp_path / "box")},
         },
     )
     for happens in KINDS.values():
@@ -131,6 +131,7 @@ def run(bed: SpiTestbed, config: Path, endpoint: str, happens: Callable[[Client,
     gateway = bed.spawn([sys.executable, "-c", FAULTY, "run", "--config", str(config)])
     gateway.wait_for_output(READY, LATE_S)
     with Client(endpoint, source="hil", timeout_s=5) as client:
+        assert client.ask(keys.RESET, {"estop": client.state().estop}).accepted, "of the run before"
         assert client.start_leg(3, 90, 45, 120).accepted
         happens(client, bed, gateway)
     if gateway.returncode is None:

@@ -22,7 +22,7 @@ from tests.support.gateway_process import Gateway
 from tests.support.heard import events
 from tests.support.way_down import Seen, Way, transferred
 
-pytestmark = pytest.mark.hil
+pytestmark = [pytest.mark.hil, pytest.mark.alone]
 
 TIMEOUT_MS, LANDING_MS, HZ = 400.0, 500.0, 50.0
 """On a busy machine three starts, each answered before the next, take longer than half of this timeout."""

@@ -14,6 +14,7 @@ pytestmark = [
     pytest.mark.hil,
     # Priority is what makes the tail short: without it, a spinning process may keep the processor for several turns.
     pytest.mark.skipif(os.geteuid() != 0, reason="the gateway gets real-time priority only as root, or from systemd"),
+    pytest.mark.alone,
 ]
 
 

@@ -6,6 +6,7 @@ room of FLOORED is below FLOOR, or a file's tests fail without a mutant.
 
 import argparse
 import json
+import subprocess
 import sys
 import time
 from collections import Counter
@@ -31,11 +32,16 @@ def main() -> int:
     """Judge all mutants, or those of the files that are named in part. Returns the exit code."""
     parser = argparse.ArgumentParser(prog="make mutants", description="Does a test fail for each mutant?")
     parser.add_argument("names", nargs="*", help="only files whose name has one of these in it")
+    parser.add_argument(
+        "--changed", action="store_true", help="only files that the last commit or nobody yet has changed"
+    )
     parser.add_argument("--accepted", action="store_true", help="run those that are accepted: is one noticed by now?")
     parser.add_argument("--survivors", action="store_true", help="where only tests were added: what survived last time")
     parser.add_argument("--sample", type=int, metavar="N", help="of each file only these many, always the same ones")
     arguments = parser.parse_args()
     files = [file for file in JUDGES if not arguments.names or any(name in file for name in arguments.names)]
+    if arguments.changed:
+        files = [file for file in files if file in changed()]
     # Not a list that ends early: a survivor in one file hides none in the next.
     again = {file: last_score(file) if arguments.survivors else None for file in files}
     run_accepted, sample = arguments.accepted, arguments.sample
@@ -103,6 +109,12 @@ def judge(file: str, *, run_accepted: bool, sample: int | None, last: dict[str, 
     print("".join(f"  {line}\n" for line in wrong), end="", flush=True)
     score["right"] = True
     return score
+
+
+def changed() -> set[str]:
+    """Files that differ from the commit before the last one; none in a clone without it."""
+    command = ["git", "diff", "--name-only", "HEAD~1"]
+    return {*subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False).stdout.splitlines()}
 
 
 def last_score(file: str) -> dict[str, Any] | None:

@@ -136,7 +136,7 @@ JUDGES: Final = {
     "gateway/robot/core/lease.py": _LEASE,
     "gateway/robot/core/buttons.py": (f"{_UNIT}test_buttons.py", f"{_UNIT}test_buttons_conductor.py"),
     "gateway/robot/core/power.py": (f"{_UNIT}test_power_rule.py", f"{_UNIT}test_power_conductor.py"),
-    "gateway/robot/core/reset.py": (f"{_UNIT}test_supervisor_stops.py", f"{_UNIT}test_power_rule.py"),
+    "gateway/robot/core/latch.py": (f"{_UNIT}test_supervisor_stops.py", f"{_UNIT}test_power_rule.py"),
     "gateway/model/power_board.py": (f"{_MODEL}test_power_board_bytes.py", f"{_UNIT}test_simulated_board.py"),
     "gateway/robot/power/board.py": _POWER,
     "gateway/robot/power/errors.py": (f"{_UNIT}test_power_errors.py",),
@@ -183,7 +183,6 @@ JUDGES: Final = {
     "gateway/people/client/renewal.py": (f"{_PEOPLE}test_lease_renewal.py", _TIMES),
     "gateway/people/client/silence.py": (f"{_PEOPLE}test_silence.py", _TIMES),
     "gateway/people/console/presence.py": (f"{_PEOPLE}test_silence.py", _TIMES),
-    "gateway/people/tools/button/known.py": (f"{_PEOPLE}test_button_known.py", _TIMES),
     "gateway/people/walking/distance.py": (f"{_PEOPLE}test_distance.py", _TIMES),
     "gateway/people/walking/words.py": (f"{_PEOPLE}test_words.py", _TIMES),
     "gateway/people/walking/ride.py": (

@@ -65,7 +65,7 @@ class RobotHost(Closing):
         zenoh = {"listen": [*listen, observer], "allow_insecure": certificates is None, "config": str(file)}
         sections: dict[str, dict[str, Any]] = {
             "zenoh": zenoh,
-            "telemetry": {"frames": True, "state_hz": 50},
+            "telemetry": {"frames": True},
             "limits": {"leg_rate_hz": 1000, "max_age_ms": 0, **(limits or {})},
             "watchdog": {"timeout_ms": TIMEOUT_MS, "repeats": 0},
         }

@@ -80,6 +80,7 @@ def test_a_stop_goes_by_the_second_host(hosts_network: Network, addresses: tuple
     assert max(took_s.values()) - took_s["straight"] < LATER_S + SLACK_S
 
 
+@pytest.mark.nightly
 def test_a_stop_finds_the_other_host_in_mid_stream(
     hosts_network: Network, addresses: tuple[str, str], tmp_path: Path
 ) -> None:

@@ -91,7 +91,7 @@ def running_scene(hosts_network: Network, tmp_path_factory: pytest.TempPathFacto
         "watchdog.landing": {str(servo_id): angle for servo_id, angle in POSE.items()},
         "limits": {"leg_rate_hz": HZ},
         "lease": {"ttl_ms": 10_000},
-        "recorder": {"path": str(folder / "black box")},
+        "state": {"path": str(folder / "black box")},
     }
     with with_certificates(hosts_network, folder, "anna", "bert", port=PORT, settings=settings) as (robot, laptops):
         anna, bert = laptops

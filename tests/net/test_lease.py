@@ -63,8 +63,8 @@ def scene(hosts_network: Network, tmp_path_factory: pytest.TempPathFactory) -> I
     settings: dict[str, dict[str, Any]] = {
         "lease": {"ttl_ms": TTL_MS},
         "telemetry": {"metrics": METRICS},
-        "log": {"level": "debug", "format": "json"},
-        "recorder": {"path": str(folder / "black box")},
+        "log": {"level": "debug"},
+        "state": {"path": str(folder / "black box")},
     }
     with with_certificates(hosts_network, folder, "anna", "bert", port=PORT, settings=settings) as (robot, laptops):
         anna, bert = laptops

@@ -5,9 +5,10 @@ from collections.abc import Iterator
 import pytest
 
 from gateway.client import Client
-from tests.support.bridged import PATIENT, Bridge, bridged
+from gateway.people.ros2.messages import DiagnosticArray, Float64, Int32, JointState, JointTrajectory, Twist
+from tests.support.bridged import PATIENT
 from tests.support.gateway_process import Gateway
-from tests.support.ros2_peer import Peer
+from tests.support.rclpy_peer import COMMANDS, DIAGNOSTICS, RclpyBridge, RclpyPeer
 
 
 @pytest.fixture(scope="package")
@@ -17,15 +18,23 @@ def gateway(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Gateway]:
 
 
 @pytest.fixture(scope="package")
-def shared(gateway: Gateway) -> Iterator[Bridge]:
-    with bridged(gateway, "--tf") as running:
-        yield running
+def bridge(gateway: Gateway) -> Iterator[RclpyBridge]:
+    with RclpyBridge(gateway) as running_one:
+        yield running_one
 
 
 @pytest.fixture(scope="package")
-def shared_peer(shared: Bridge) -> Iterator[Peer]:
-    with Peer(shared.endpoint) as running:
-        yield running
+def one_peer(bridge: RclpyBridge) -> Iterator[RclpyPeer]:
+    del bridge
+    with RclpyPeer() as running_one:
+        running_one.subscribe(DIAGNOSTICS, DiagnosticArray)
+        running_one.advertise(COMMANDS, JointState)
+        running_one.advertise("/hexapod/joint_trajectory", JointTrajectory)
+        running_one.advertise("/hexapod/cmd_vel", Twist)
+        running_one.advertise("/hexapod/cmd_gait_type", Int32)
+        for topic in ("roll_setpoint", "pitch_setpoint", "cmd_base_height"):
+            running_one.advertise(f"/hexapod/{topic}", Float64)
+        yield running_one
 
 
 @pytest.fixture
@@ -36,23 +45,16 @@ def watcher(gateway: Gateway) -> Iterator[Client]:
 
 
 @pytest.fixture
-def bridge(shared: Bridge, shared_peer: Peer, watcher: Client) -> Iterator[Bridge]:
-    """Not driving, whatever the test before it has left."""
-    shared_peer.call("/hexapod/release")
-    yield shared
+def peer(one_peer: RclpyPeer, watcher: Client) -> Iterator[RclpyPeer]:
+    """Beside a bridge that does not drive, whatever the test before has left."""
+    one_peer.call("/hexapod/release")
+    yield one_peer
     watcher.reset()
-    shared_peer.call("/hexapod/release")
+    one_peer.call("/hexapod/release")
 
 
 @pytest.fixture
-def peer(bridge: Bridge, shared_peer: Peer) -> Peer:
-    """One that is not ours."""
-    del bridge
-    return shared_peer
-
-
-@pytest.fixture
-def driven(peer: Peer, bridge: Bridge) -> Bridge:
-    """A bridge that drives."""
+def driven(peer: RclpyPeer) -> RclpyPeer:
+    """Beside a bridge that drives."""
     assert peer.call("/hexapod/drive") == (True, "drives as ros2")
-    return bridge
+    return peer

@@ -4,7 +4,6 @@ import math
 from dataclasses import replace
 from typing import Final
 
-from gateway.people.ros2.cdr import Message
 from gateway.people.ros2.messages import (
     Duration,
     Float64,
@@ -13,6 +12,7 @@ from gateway.people.ros2.messages import (
     JointState,
     JointTrajectory,
     JointTrajectoryPoint,
+    Message,
     Time,
     Twist,
     TwistStamped,

@@ -80,7 +80,7 @@ class _Gateway:
 
     def __init__(self, session: zenoh.Session, folder: Path, stack: ExitStack) -> None:
         sections = {"watchdog": {"timeout_ms": 10_000}, "spi": {"frame_gap_us": 0}, "limits": {"leg_rate_hz": 1000}}
-        settings = Settings.model_validate({**sections, "recorder": {"path": str(folder)}})
+        settings = Settings.model_validate({**sections, "state": {"path": str(folder)}})
         recorder = stack.enter_context(Recorder(settings, {}, time.monotonic_ns, time.time_ns))
         device = KernelDevice("/dev/null", settings.spi.speed_hz, exclusive=False)
         loop = asyncio.new_event_loop()

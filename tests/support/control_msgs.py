@@ -18,7 +18,41 @@ from tests.support.rclpy_peer import PYTHON, ROOT
 
 NAME: Final = "control_msgs"
 RCLPY: Final = Path(PYTHON).parents[1]
-FOLLOW: Final = "FollowJointTrajectory"
+_TOLERANCE: Final = "float64 position\nfloat64 velocity\nfloat64 acceleration"
+_STATE: Final = "trajectory_msgs/JointTrajectoryPoint"
+_MULTI: Final = "trajectory_msgs/MultiDOFJointTrajectoryPoint"
+DEFINITIONS: Final = {
+    "msg/JointTolerance": f"string name\n{_TOLERANCE}",
+    "msg/JointComponentTolerance": f"string joint_name\nuint16 component\n{_TOLERANCE}",
+    "action/FollowJointTrajectory": f"""
+        trajectory_msgs/JointTrajectory trajectory
+        trajectory_msgs/MultiDOFJointTrajectory multi_dof_trajectory
+        control_msgs/JointTolerance[] path_tolerance
+        control_msgs/JointComponentTolerance[] component_path_tolerance
+        control_msgs/JointTolerance[] goal_tolerance
+        control_msgs/JointComponentTolerance[] component_goal_tolerance
+        builtin_interfaces/Duration goal_time_tolerance
+        ---
+        int32 SUCCESSFUL=0
+        int32 INVALID_GOAL=-1
+        int32 INVALID_JOINTS=-2
+        int32 OLD_HEADER_TIMESTAMP=-3
+        int32 PATH_TOLERANCE_VIOLATED=-4
+        int32 GOAL_TOLERANCE_VIOLATED=-5
+        int32 error_code
+        string error_string
+        ---
+        std_msgs/Header header
+        string[] joint_names
+        {_STATE} desired
+        {_STATE} actual
+        {_STATE} error
+        string[] multi_dof_joint_names
+        {_MULTI} multi_dof_desired
+        {_MULTI} multi_dof_actual
+        {_MULTI} multi_dof_error""",
+}
+"""As control_msgs 4 and 5 (Humble, Jazzy) and 6 up to 6.2 have them."""
 DEPENDENCIES: Final = (
     "trajectory_msgs",
     "geometry_msgs",
@@ -38,9 +72,8 @@ LIBRARIES: Final = {
 """What each generator's library is linked with, besides those before it and those of `DEPENDENCIES`."""
 
 
-def made(folder: Path, definitions: dict[str, str]) -> dict[str, str]:
-    """Make the package of these definitions, by names such as `msg/JointTolerance`; returns its environment."""
-    (folder / "definitions.json").write_text(json.dumps(definitions))
+def made(folder: Path) -> dict[str, str]:
+    """Make the package; returns its environment."""
     own = {"PYTHONPATH": f"{folder / 'made'}:{ROOT}", "LD_LIBRARY_PATH": str(folder / "made")}
     making = [PYTHON, "-m", "tests.support.control_msgs", str(folder)]
     done = subprocess.run(making, env=os.environ | own, capture_output=True, text=True, check=False)
@@ -50,10 +83,9 @@ def made(folder: Path, definitions: dict[str, str]) -> dict[str, str]:
 
 
 def _make(folder: Path) -> None:
-    definitions: dict[str, str] = json.loads((folder / "definitions.json").read_text())
     adapter: Any = import_module("rosidl_adapter")
     kinds = {}
-    for name, text in definitions.items():
+    for name, text in DEFINITIONS.items():
         kind = name.partition("/")[0]
         file = folder / f"{name}.{kind}"
         file.parent.mkdir(exist_ok=True)

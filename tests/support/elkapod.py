@@ -7,7 +7,7 @@ from typing import Any
 from gateway.errors import SpiError
 from gateway.model.elkapod import SHUTDOWN, START
 from gateway.robot.protocol import Wire
-from gateway.robot.runtime.cycle import Cycle
+from gateway.robot.runtime.cycle import CYCLE_HZ, Cycle
 from gateway.robot.spi import DuplexDevice
 from gateway.robot.spi.cyclic import CyclicBus
 from gateway.robot.spi.elkapod_simulator import SimulatedElkapod, SimulatedUart
@@ -34,7 +34,7 @@ class ElkapodRobot(Robot):
         sections = sections or {}
         super().__init__({**sections, "spi": {"protocol": "elkapod-2025", **sections.get("spi", {})}})
         self.failed: list[Exception] = []
-        self._cycle = Cycle(self.cyclic, self.conductor, self._hz, self.failed.append, clock=self.now_ns)
+        self._cycle = Cycle(self.cyclic, self.conductor, self.failed.append, clock=self.now_ns)
         self.conductor.start()
         self.conductor.announce_start()
         self.loop.call_later(1 / self._hz, self._go_on)
@@ -53,7 +53,7 @@ class ElkapodRobot(Robot):
 
     @property
     def _hz(self) -> float:
-        return self.settings.controller.cycle_hz
+        return CYCLE_HZ
 
     def _device(self) -> DuplexDevice:
         return self.elkapod

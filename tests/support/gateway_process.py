@@ -48,7 +48,13 @@ def free_port() -> int:
 
 
 def write_settings(path: Path, settings: Mapping[str, Mapping[str, Any]]) -> Path:
-    """Write a TOML file with these sections."""
+    """Write a TOML file with these sections, and make the state directory that they name.
+
+    Of a missing one the gateway cannot tell what an earlier run has left, and starts estopped.
+    """
+    state = settings.get("state", {}).get("path")
+    if state:
+        Path(state).mkdir(parents=True, exist_ok=True)
     lines = []
     for section, values in settings.items():
         lines.append(f"[{section}]")

@@ -94,8 +94,6 @@ class LeaseHistory:
                     reason = Reason.LEASE_HELD
             case Do.TAKE:
                 kind = Kind.LEASE_ACQUIRED if free else Kind.LEASE_TAKEN
-                if not free and not self.rules.lease_takeover:
-                    reason = Reason.LEASE_DENIED
             case Do.ASK:
                 kind = Kind.LEASE_ASKED
                 if self.token is None:

@@ -9,7 +9,7 @@ from jsonschema import Draft202012Validator
 from mcap.reader import make_reader
 
 from gateway.people.recordings.drawing import DRAWN
-from gateway.people.ros2.cdr import decode
+from tests.support.ros2_bytes import decode
 
 _SUFFIX = ".schema.json"
 

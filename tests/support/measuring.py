@@ -11,8 +11,8 @@ import zenoh
 from gateway.client import Client
 from schemas import keys
 from schemas.telemetry import Battery, GatewayState, Imu, Telemetry
+from tests.support.published import WALL, state
 from tests.support.router import zenoh_listening
-from tests.support.watch_reports import WALL, state
 
 MEASURED: Final = Telemetry(
     time=WALL,

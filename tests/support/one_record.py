@@ -16,7 +16,7 @@ from schemas.telemetry import Cause, Reason
 
 def writers(folder: Path) -> dict[str, Callable[[], None]]:
     """What writes a record each time that it is called, by the record's name."""
-    settings = Settings.model_validate({"recorder": {"path": str(folder)}})
+    settings = Settings.model_validate({"state": {"path": str(folder)}})
     recorder = Recorder(settings, {}, time.monotonic_ns, time.time_ns)
     recorder.open()
     key, target = leg_command(3), ServoOp(Op.SET, 90_00)

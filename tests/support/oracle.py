@@ -19,6 +19,7 @@ from gateway.robot.core.events import (
     Completed,
     Effect,
     EmergencyStop,
+    EstopKept,
     Event,
     LeaseRequest,
     PowerSeen,
@@ -96,16 +97,17 @@ class Oracle(RobotHistory):
                 self.estops += 1
                 self._all_stopped(effects, Cause.ESTOP, Reason.ESTOPPED, now_ns)
                 demand(told(effects, Kind.ESTOP_ENGAGED) != engaged, "an emergency stop is announced once")
-            case StoppedOutside(at_work=False):
-                self.outside = False
+            case EstopKept() | StoppedOutside(at_work=False):
+                self.learn(event)
                 self._in_time(event, now_ns, effects)
             case StoppedOutside():
                 known, self.outside = self.outside, True
                 self._all_stopped(effects, Cause.REPEAT, Reason.SERVO_STOPPED, now_ns)
                 demand(told(effects, Kind.STOPPED_OUTSIDE) != known, "Stops from outside are announced once")
             case BusOpened():
-                back = Kind.CONTROLLER_RETURNED if self.silent else Kind.BUS_RECOVERED
+                back = Kind.BUS_RECOVERED if self.fault is Kind.BUS_FAULT else Kind.CONTROLLER_RETURNED
                 demand(told(effects, back) == self.opened, "that the bus is back is announced as its fault was")
+                self.fault = Kind.BUS_FAULT
                 self.opened = self.bus_ok = True
                 self._all_stopped(effects, Cause.STARTUP, Reason.BUS_FAULT, now_ns)
             case ShutDown():
@@ -114,8 +116,10 @@ class Oracle(RobotHistory):
                 self._all_stopped(effects, Cause.SHUTDOWN, Reason.STOPPING, now_ns)
             case BusFailed():
                 first = self.bus_ok or not self.opened
-                self.silent = event.kind is Kind.CONTROLLER_SILENT if first else self.silent
-                demand(told(effects, event.kind) == first, "a fault of the bus is announced once")
+                stays_away = (self.fault, event.kind) == (Kind.CONTROLLER_RESTARTED, Kind.CONTROLLER_SILENT)
+                announced = first or stays_away
+                self.fault = event.kind if announced else self.fault
+                demand(told(effects, event.kind) == announced, "a fault of the bus is announced once")
                 self.opened, self.bus_ok = True, False
                 self._all_stopped(effects, Cause.COMMAND, Reason.BUS_FAULT, now_ns)
         keeps = any(isinstance(effect, SaveCalibration) for effect in effects)
@@ -123,7 +127,9 @@ class Oracle(RobotHistory):
         calibrated = told(effects, Kind.CALIBRATED)
         demand(isinstance(event, CalibrationSaved) or not calibrated, "a calibration is in force once it is kept")
         demand(after.mode is self.mode, f"the mode is {self.mode}, not {after.mode}")
-        demand(after.estops == self.estops, f"{self.estops} emergency stops were requested, not {after.estops}")
+        demand(
+            after.latch.number == self.estops, f"{self.estops} emergency stops were requested, not {after.latch.number}"
+        )
         holder, alive = after.lease.holder, after.buttons.alive
         demand(holder == self.lease.holder, f"{self.lease.holder} holds the lease, not {holder}")
         demand(alive == self.buttons.alive, f"{self.buttons.alive} are alive, not {alive}")
@@ -158,6 +164,7 @@ class Oracle(RobotHistory):
         | ButtonRequest
         | TimePassed
         | StoppedOutside
+        | EstopKept
         | Calibrate
         | CalibrationSaved
         | BodyMeasured
@@ -201,8 +208,8 @@ class Oracle(RobotHistory):
                     self._answers(effect)
         if self.bus_ok:
             self.rest(effects, unowed, now_ns, ran=ran, silent=bool(watchdog))
-        stopped_all = isinstance(event, Command) and stops == {servo_id for servo_id, _ in event.targets}
-        if self.rules.start_pause_ns and (stopped_all or watchdog):
+        only_stops = isinstance(event, Command) and (not event.moves or bool(rejections_of(event.number, effects)))
+        if self.rules.start_pause_ns and ((stops and only_stops) or watchdog):
             self._queue_ended(event)
 
     def _drop_starts(self) -> None:
@@ -313,17 +320,29 @@ class Oracle(RobotHistory):
             self.landing.judge(transmit, self.servos, now_ns, self.rules, self.calibration.gap)
 
     def _command(self, command: Command, now_ns: int, effects: Sequence[Effect]) -> frozenset[int]:
-        """Whether it must be accepted, and what it then wants. Returns the servos that it stops."""
+        """Whether it must be accepted, and what it then wants: of a rejected one, its Stops. Returns what it stops."""
         reason, targets = self.reason_to_reject(command), command.targets
-        has_stop = any(op.op is Op.STOP for _, op in targets)
-        stops_whole = reason is None and self.rules.starts_whole and has_stop
-        mixed = stops_whole and any(op.op is not Op.STOP for _, op in targets)
+        reason = reason if command.rejected is None else command.rejected.reason
+        named = tuple(target for target in targets if target[1].op is Op.STOP)
+        mixed = reason is None and self.rules.starts_whole and 0 < len(named) < len(targets)
         self._must_be_rejected(command, effects, Reason.WHOLE_ROBOT if mixed else reason)
+        if reason is not None or mixed:
+            stopped = [
+                effect.request.stopped
+                for effect in effects
+                if isinstance(effect, Rejected)
+                if effect.request.number == command.number
+            ]
+            expected = [tuple(servo_id for servo_id, _ in named) if self.bus_ok else ()]
+            demand(stopped == expected, f"a rejected command stops what it names: {expected}, not {stopped}")
         if reason is not None:
-            return frozenset()
-        if stops_whole:
+            targets = named if self.bus_ok and not self.ended else ()
+            if not targets:
+                return frozenset()
+        else:
+            self.lease.heard(command.lease, now_ns)
+        if self.rules.starts_whole and named:
             targets = tuple((servo_id, STOP) for servo_id in self.servos)
-        self.lease.heard(command.lease, now_ns)
         running = [number for number in self.legs if self.armed(number)]
         change_hands(self.legs, running, command, targets, effects)
         told_to_stop: set[int] = set()
@@ -368,7 +387,7 @@ class Oracle(RobotHistory):
         reason = CLOSED.get(self.mode)
         if reason in (None, Reason.ESTOPPED):
             reason = self.lease.reason_to_reject(reset.lease, reset=True) or self.too_few_buttons or reason
-        if reason is Reason.ESTOPPED and self.latched_ns is not None:
+        if reason is Reason.ESTOPPED and self.latched_ns is not None and not self.unknown:
             age_ns = self.instant_ns - self.latched_ns
             reason = None if is_newer(reset, age_ns, self.estops, self.rules) else reason
         self._must_be_rejected(reset, effects, reason)
@@ -392,7 +411,10 @@ class Oracle(RobotHistory):
         leg_number = leg_of(transmit.frame.servos[0][0])
         leg = self.legs[leg_number]
         if not transmit.frame.is_stop:
-            demand(not self.ended and self.latched_ns is None, "nothing moves after an emergency stop or at the end")
+            demand(
+                not (self.ended or self.latched_ns or self.unknown),
+                "nothing moves after an emergency stop or at the end",
+            )
             leg.moved(now_ns, self.rules.period_ns)
         for servo_id, op in transmit.frame.servos:
             servo = self.servos[servo_id]

@@ -1,28 +1,27 @@
 """A client of the action follow_joint_trajectory: rclpy's own ActionClient, in a process that has control_msgs."""
 
+import pickle
 import sys
 import threading
 from importlib import import_module
 from typing import Any
 
-from gateway.people.ros2.actions import FollowGoal
-from gateway.people.ros2.cdr import encode
-from tests.support.rclpy_peer import DOMAIN, ENV, PYTHON
+from gateway.people.ros2.messages import FollowGoal
+from tests.support.rclpy_peer import ANSWER_S, DOMAIN, RclpyPeer, act, packed
 from tests.support.rclpy_peer import Actor as RclpyActor
-from tests.support.ros2_peer import ANSWER_S, Peer, act
 
 NAME = "/hexapod/follow_joint_trajectory"
 
 
-class ActionPeer(Peer):
+class ActionPeer(RclpyPeer):
     """The end that a test holds; goals are numbered from 0."""
 
     def __init__(self, env: dict[str, str], domain: int = DOMAIN) -> None:
-        self._begin("tests.support.rclpy_action_peer", str(domain), ENV | env, PYTHON)
+        super().__init__(domain, "tests.support.rclpy_action_peer", **env)
 
     def send(self, goal: FollowGoal) -> bool:
         """Whether it is accepted."""
-        return bool(self._ask("send", encode(goal).hex()))
+        return bool(self._ask("send", packed(goal)))
 
     def cancel(self, number: int) -> int:
         """How many goals are cancelled."""
@@ -49,10 +48,10 @@ class Actor(RclpyActor):
         self._handles: list[Any] = []
         self._results: list[Any] = []
 
-    def send(self, cdr: str) -> bool:
+    def send(self, packed_goal: str) -> bool:
         if not self._client.wait_for_server(ANSWER_S / 2):
             raise TimeoutError(f"nobody serves {NAME}")
-        goal = self._serialization.deserialize_message(bytes.fromhex(cdr), self._type.Goal)
+        goal = self._values.to_ros(pickle.loads(bytes.fromhex(packed_goal)))  # noqa: S301 - our own test's
         handle = self._done(self._client.send_goal_async(goal, feedback_callback=self._feed))
         self._handles.append(handle)
         self._results.append(handle.get_result_async() if handle.accepted else None)

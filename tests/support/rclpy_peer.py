@@ -1,9 +1,12 @@
-"""A ROS 2 peer that is ROS 2: rclpy over FastDDS in a process of its own, told what to do as `ros2_peer`'s.
+"""A ROS 2 peer that is not ours: rclpy over FastDDS in a process of its own, told what to do over stdin.
 
+A JSON list a line, [name, arguments …], a JSON value back; messages are pickled. It ends as a peer that vanishes does.
 Nothing of it leaves this machine, and each run of the tests has a domain of its own.
 """
 
+import json
 import os
+import pickle
 import queue
 import sys
 import threading
@@ -12,17 +15,20 @@ from collections import defaultdict
 from contextlib import suppress
 from importlib import import_module
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Self
 
 import pytest
 
-from gateway.people.ros2.cdr import Message, decode, encode
-from gateway.people.ros2.messages import TRIGGER_TYPE, Twist
+from gateway.people.ros2 import messages
+from gateway.people.ros2.messages import Message, Twist
 from tests.support.bridged import READY, clean
 from tests.support.child import Child
 from tests.support.gateway_process import COMMAND, Gateway
-from tests.support.ros2_peer import ANSWER_S, Peer, act, kind_of
 
+TRIGGER: Final = "std_srvs/srv/Trigger"
+ANSWER_S: Final = 40.0
+"""Sitting down takes a while on a busy machine."""
+PEER_READY: Final = "the peer is ready"
 ROOT: Final = Path(__file__).parents[2]
 PYTHON: Final = str(ROOT / ".venv/rclpy/bin/python")
 """`make .venv/rclpy` installs it. ROS 2's wheels have each Python beside them start twice, with other libraries."""
@@ -32,6 +38,8 @@ needs_rclpy: Final = pytest.mark.skipif(
 RCLPY_COMMAND: Final = (PYTHON, *COMMAND[1:])
 PROFILE: Final = ROOT / "examples" / "ros2" / "this_machine.xml"
 NODE: Final = "/hexapod/hexapod_gateway"
+COMMANDS: Final = "/hexapod/joint_commands"
+DIAGNOSTICS: Final = "/hexapod/diagnostics"
 DOMAIN: Final = os.getpid() % 100 + 1
 """The first hundred have ports that no other program is given."""
 _MADE_S: Final = 5.0
@@ -39,12 +47,20 @@ _MADE_S: Final = 5.0
 ENV: Final = {"FASTDDS_DEFAULT_PROFILES_FILE": str(PROFILE), "RMW_IMPLEMENTATION": "rmw_fastrtps_cpp"}
 
 
-class RclpyPeer(Peer):
+class RclpyPeer:
     """The end that a test holds."""
 
-    def __init__(self, domain: int = DOMAIN) -> None:
+    def __init__(self, domain: int = DOMAIN, module: str = "tests.support.rclpy_peer", **env: str) -> None:
         _remove_half_made()
-        self._begin("tests.support.rclpy_peer", str(domain), ENV, PYTHON)
+        own = {**clean(), "PYTHONPATH": str(ROOT), **ENV, **env}
+        self.child = Child([PYTHON, "-m", module, str(domain)], own)
+        self.child.wait_for_output(PEER_READY, timeout_s=30)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.child.close()
 
     def advertise(self, topic: str, kind: type[Message], *, best_effort: bool = False) -> None:
         """Be a publisher from now on; `best_effort`: by qos_profile_sensor_data."""
@@ -54,13 +70,30 @@ class RclpyPeer(Peer):
         """`latched`: and ask for what was published before; `best_effort`: by qos_profile_sensor_data."""
         self._ask("subscribe", topic, kind.__name__, latched, best_effort)
 
+    def publish(self, topic: str, message: Message) -> None:
+        """One message of a topic that is advertised."""
+        self._ask("publish", topic, packed(message))
+
+    def publish_empty(self, topic: str) -> None:
+        """One std_msgs/Empty."""
+        self._ask("publish_empty", topic)
+
     def publish_bytes(self, topic: str, data: bytes) -> None:
         """These, as they are."""
         self._ask("publish_bytes", topic, data.hex())
 
     def publish_serialized(self, topic: str, message: Message) -> None:
         """What `serialize_message` returns: bytes behind the last field, too."""
-        self._ask("publish", topic, type(message).__name__, encode(message).hex(), True)
+        self._ask("publish", topic, packed(message), True)
+
+    def call(self, service: str) -> tuple[bool, str]:
+        """A Trigger's `success` and `message`."""
+        success, message = self._ask("call", service)
+        return success, message
+
+    def graph(self) -> Any:
+        """Topics and services with their types, as its own discovery finds them."""
+        return self._ask("graph")
 
     def withdraw(self, topic: str) -> None:
         """Publish there no more."""
@@ -87,15 +120,25 @@ class RclpyPeer(Peer):
         done, why = self._ask("set_parameter", name, value)
         return done, why
 
-    def next_where(self, topic: str, condition: Any) -> Any:
+    def next(self, topic: str, condition: Any = lambda _: True) -> Any:
         """The next message of a topic for which it holds."""
         end_s = time.monotonic() + ANSWER_S
         while time.monotonic() < end_s:
-            name, data = self.next(topic)
-            message = decode(kind_of(name), bytes.fromhex(data))
+            message = pickle.loads(bytes.fromhex(self._ask("next", topic)))  # noqa: S301 - our own process's
             if condition(message):
                 return message
         raise TimeoutError(f"no such message on {topic}")
+
+    def _ask(self, *words: object) -> Any:
+        answer = json.loads(self.child.ask(json.dumps(words), ANSWER_S))
+        if "error" in answer:
+            raise RuntimeError(answer["error"])
+        return answer["ok"]
+
+
+def packed(message: Message) -> str:
+    """As a line can hold it."""
+    return pickle.dumps(message).hex()
 
 
 class RclpyBridge:
@@ -104,7 +147,7 @@ class RclpyBridge:
     def __init__(
         self, gateway: Gateway, *arguments: str, domain: int = DOMAIN, env: dict[str, str] | None = None
     ) -> None:
-        """With `--via`, an option; `env` is added to the environment."""
+        """`env` is added to the environment."""
         _remove_half_made()
         link = ("--connect", gateway.endpoint, "--domain", str(domain))
         self.child = Child([*RCLPY_COMMAND, "ros2", *link, *arguments], clean() | ENV | (env or {}))
@@ -127,6 +170,7 @@ class Actor:
         self._rclpy.init(domain_id=domain)
         self._node = self._rclpy.create_node("peer")
         self._serialization = import_module("rclpy.serialization")
+        self._values: Any = import_module("gateway.people.bridge.values")
         self._publishers: dict[str, Any] = {}
         self._received: defaultdict[str, queue.SimpleQueue[Any]] = defaultdict(queue.SimpleQueue)
         executor = import_module("rclpy.executors").SingleThreadedExecutor()
@@ -149,12 +193,15 @@ class Actor:
             threading.Event().wait(0.1)
             node.destroy_node()
 
-    def publish(self, topic: str, kind_name: str, cdr: str, serialized: bool = False) -> None:
-        """ROS 2 reads our bytes, and writes its own."""
-        message = self._serialization.deserialize_message(bytes.fromhex(cdr), _ros_type(kind_of(kind_name).TYPE))
-        if serialized:
-            message = self._serialization.serialize_message(message)
-        self._publishers[topic].publish(message)
+    def publish(self, topic: str, message: str, serialized: bool = False) -> None:
+        made = self._values.to_ros(pickle.loads(bytes.fromhex(message)))  # noqa: S301 - our own test's
+        self._publishers[topic].publish(self._serialization.serialize_message(made) if serialized else made)
+
+    def publish_empty(self, topic: str) -> None:
+        kind = _ros_type("std_msgs/msg/Empty")
+        publisher = self._node.create_publisher(kind, topic, 10)
+        _wait(lambda: publisher.get_subscription_count() > 0)
+        publisher.publish(kind())
 
     def publish_bytes(self, topic: str, data: str) -> None:
         self._publishers[topic].publish(bytes.fromhex(data))
@@ -167,7 +214,7 @@ class Actor:
         received = self._received[topic]
 
         def take(message: Any) -> None:
-            received.put((kind_name, self._serialization.serialize_message(message).hex()))
+            received.put(packed(self._values.from_ros(kind_of(kind_name), message)))
 
         self._node.create_subscription(_ros_type(kind_of(kind_name).TYPE), topic, take, profile)
 
@@ -175,7 +222,7 @@ class Actor:
         return self._received[topic].get(timeout=ANSWER_S / 2)
 
     def call(self, service: str) -> tuple[bool, str]:
-        response = self._request(TRIGGER_TYPE, service)
+        response = self._request(TRIGGER, service)
         return bool(response.success), str(response.message)
 
     def change_state(self, label: str) -> bool:
@@ -232,6 +279,23 @@ def _wait(condition: Any) -> None:
 def _ros_type(type_name: str) -> Any:
     package, kind, name = type_name.split("/")
     return getattr(import_module(f"{package}.{kind}"), name)
+
+
+def kind_of(name: str) -> type[Message]:
+    found: type[Message] = getattr(messages, name)
+    return found
+
+
+def act(actor: object) -> None:
+    """Do what stdin says, until it ends."""
+    print(PEER_READY, flush=True)
+    for line in sys.stdin:
+        name, *arguments = json.loads(line)
+        try:
+            answer = {"ok": getattr(actor, name)(*arguments)}
+        except Exception as error:
+            answer = {"error": f"{type(error).__name__}: {error}"}
+        print(json.dumps(answer), flush=True)
 
 
 if __name__ == "__main__":

@@ -5,10 +5,10 @@ from typing import Self
 
 from gateway.model.calibration import RobotCalibration
 from gateway.model.frames import Frame, Op, servo_ids_of, stop_leg
-from gateway.robot.core.events import Command, Effect, Transmit
+from gateway.robot.core.events import Command, Effect, EstopKept, StoppedOutside, Transmit
 from gateway.robot.core.leg import Rules
 from schemas.robot import LEGS
-from schemas.telemetry import Mode, Reason
+from schemas.telemetry import Kind, Mode, Reason
 from tests.support.body_history import BodyHistory
 from tests.support.buttons_history import ButtonsHistory
 from tests.support.calibration_history import CalibrationHistory
@@ -36,13 +36,17 @@ class RobotHistory:
         self.opened = self.bus_ok = self.ended = self.outside = False
         self.estops = 0
         self.latched_ns: int | None = None
+        self.unknown = rules.estop_kept
+        """Whether an earlier run may have left an emergency stop engaged."""
+        self.disk = 0, False
+        """The number of the latest emergency stop that the disk has, and whether it has it as engaged."""
         self.instant_ns = 0
         """When the present instant began: that of all that was collected together."""
         self.lease = LeaseHistory(rules)
         self.buttons = ButtonsHistory(rules)
         self.body = BodyHistory(rules)
         self.power = PowerHistory(rules)
-        self.silent = False
+        self.fault = Kind.BUS_FAULT
         """Whether the bus is at fault because the controller does not answer."""
         self.calibration = CalibrationHistory(rules, calibration or RobotCalibration(), fault)
         self.landing: LandingHistory | None = None
@@ -84,10 +88,12 @@ class RobotHistory:
         return (
             self.opened,
             self.bus_ok,
-            self.silent,
+            self.fault,
             self.ended,
             self.outside,
             latched,
+            self.unknown,
+            (self.disk[1], self.disk == (self.estops, self.latched_ns is not None)),
             pause,
             pending,
             legs,
@@ -123,7 +129,7 @@ class RobotHistory:
             return Mode.STOPPING
         if not self.bus_ok:
             return Mode.BUS_FAULT if self.opened else Mode.STARTING
-        if self.latched_ns is not None:
+        if self.latched_ns is not None or self.unknown:
             return Mode.ESTOPPED
         return Mode.ACTIVE if self.energised else Mode.IDLE
 
@@ -133,6 +139,15 @@ class RobotHistory:
         return frozenset(servo_id for servo_id, servo in self.servos.items() if servo.on or servo.starts)
 
     # ---- what is taken
+
+    def learn(self, event: EstopKept | StoppedOutside) -> None:
+        """What an earlier run has left; or that `stop-servos` has ended."""
+        if isinstance(event, StoppedOutside):
+            self.outside = False
+            return
+        self.unknown, self.estops = False, self.estops + event.number
+        if event.engaged and self.latched_ns is None:
+            self.latched_ns = self.instant_ns
 
     def reason_to_reject(self, command: Command) -> Reason | None:
         """Why a command takes no effect."""

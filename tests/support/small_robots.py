@@ -45,6 +45,8 @@ class Configuration:
     """What the robot may measure: (tilt in hundredths of a degree, battery in mV)."""
     boards: tuple[PowerSeen, ...] = ()
     """What the power board may be seen to say."""
+    unread: tuple[Targets, ...] = ()
+    """Stops that may be in a message that cannot be read."""
     calm: bool = False
     """Whether the bus answers, and nobody wants an emergency stop or stops servos past the gateway."""
 
@@ -104,6 +106,14 @@ _DOUBT = PowerSeen(alive=True, doubt="it is not confirmed")
 CONFIGURATIONS: Final = (
     Configuration("one servo, two channels", _rules(repeats=2), (1,), _ONE_SERVO, _WAITS),
     Configuration(
+        "one leg, and what cannot be read",
+        _rules(),
+        (1,),
+        (("leg", _each(START, 11, 12, 13)), ("leg", ((11, STOP), (12, SET), (13, SET)))),
+        _WAITS,
+        unread=(_each(STOP, 11, 12, 13), _each(STOP, 11)),
+    ),
+    Configuration(
         "one servo, instants in which time passes",
         _rules(repeats=0),
         (1,),
@@ -148,6 +158,13 @@ CONFIGURATIONS: Final = (
         ends=False,
     ),
     Configuration(
+        "one servo, and an emergency stop that outlasts the gateway",
+        _rules(repeats=0, timeout_ns=2 * TICK, estop_kept=True),
+        (1,),
+        (_ONE_SERVO[0], _ONE_SERVO[2]),
+        (0, 3 * TICK),
+    ),
+    Configuration(
         "two drivers and one lease",
         _rules(repeats=0, timeout_ns=2 * TICK, lease_ttl_ns=3 * TICK),
         (1,),
@@ -158,8 +175,8 @@ CONFIGURATIONS: Final = (
         calm=True,
     ),
     Configuration(
-        "a lease that must be held and is never taken, and whatever else may happen",
-        _rules(repeats=0, timeout_ns=2 * TICK, lease_ttl_ns=3 * TICK, lease_required=True, lease_takeover=False),
+        "a lease that must be held, and whatever else may happen",
+        _rules(repeats=0, timeout_ns=2 * TICK, lease_ttl_ns=3 * TICK, lease_required=True),
         (1,),
         (_ONE_SERVO[0], _ONE_SERVO[2]),
         (TICK, 3 * TICK),
@@ -219,6 +236,7 @@ CONFIGURATIONS: Final = (
             ("leg", ((11, STOP), (12, START))),
         ),
         _WAITS[1:],
+        unread=(_each(STOP, 11),),
     ),
     Configuration(
         "two legs that start and stop as one, rate slots later than the watchdog, and landing",

@@ -23,6 +23,7 @@ from gateway.robot.core.events import (
     LeaseRequest,
     PowerSeen,
     Rejected,
+    Request,
     RequestAnswer,
     Reset,
     SaveCalibration,
@@ -33,7 +34,7 @@ from gateway.robot.core.events import (
 )
 from gateway.robot.core.leg import Rules
 from gateway.robot.core.supervisor import Supervisor
-from schemas.telemetry import Kind
+from schemas.telemetry import Kind, Reason
 from tests.support.history import is_coalesced, spelled_out
 from tests.support.oracle import Oracle
 
@@ -72,7 +73,7 @@ def said(effect: Effect) -> str:
         case Completed():
             return f"completed {effect.request.number}{' coalesced' if is_coalesced(effect.request) else ''}"
         case Rejected():
-            return f"rejected {effect.request.number} {effect.reason}"
+            return f"rejected {effect.request.number} {effect.reason}{' stopped' if effect.request.stopped else ''}"
         case Announce():
             return f"announce {effect.kind}"
         case RequestAnswer():
@@ -157,6 +158,12 @@ class Steps:
         self.number += 1
         return self.take(at_ms, Command(targets, key=channel, number=self.number, lease=lease))
 
+    def unread(self, at_ms: float, targets: Targets, channel: str = "leg") -> list[str]:
+        """A message that could not be read, and may stop these."""
+        self.number += 1
+        rejected = Rejected(Request(number=self.number), Reason.MALFORMED, "it is no JSON")
+        return self.take(at_ms, Command(targets, key=channel, number=self.number, rejected=rejected))
+
     def lease(self, at_ms: float, words: str, token: str | None = None, *, fresh: str = "") -> list[str]:
         """A request such as `acquire anna`, `renew` or `release to bert`."""
         verb, _, name = words.partition(" ")
@@ -183,7 +190,7 @@ class Steps:
     def reset(self, at_ms: float, *, newer: int = 0, lease: str | None = None) -> list[str]:
         """A reset that names the latest emergency stop, or one that is newer (or older, if negative) by so many."""
         self.number += 1
-        return self.take(at_ms, Reset(number=self.number, estop=self.supervisor.estops + newer, lease=lease))
+        return self.take(at_ms, Reset(number=self.number, estop=self.supervisor.latch.number + newer, lease=lease))
 
     def reset_without_number(self, at_ms: float) -> list[str]:
         self.number += 1

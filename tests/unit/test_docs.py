@@ -34,6 +34,7 @@ MADE_ELSEWHERE = frozenset(
         "NAME.json5",
         "NAME.robot-2.json5",
         "build/falls.md",
+        "estop.json",
     }
 )
 """Files of the reader's own, which the pages tell how to make or fill."""
@@ -64,3 +65,23 @@ def headings(page: Path) -> set[str]:
     """As GitHub makes them: lower case, punctuation gone, spaces as hyphens."""
     lines = re.findall(r"^#+ (.*)$", page.read_text(), re.MULTILINE)
     return {re.sub(r"[^\w -]", "", line.lower()).replace(" ", "-") for line in lines}
+
+
+README = ROOT.joinpath("README.md").read_text()
+
+
+def test_readmes_first_screen_has_its_two_commands() -> None:
+    """`make run` and `make test`, each a line to copy, and each a target of the Makefile."""
+    first_screen = README.splitlines()[:25]
+    targets = re.findall(r"^(\w+):", ROOT.joinpath("Makefile").read_text(), re.MULTILINE)
+    for target in ("run", "test"):
+        assert [line for line in first_screen if re.match(rf"\$ make {target}\b", line)], f"no `make {target}`"
+        assert target in targets
+
+
+def test_readmes_commands_come_behind_the_line_that_puts_them_on_the_path() -> None:
+    activated = README.index("$ source .venv/bin/activate\n")
+    first = re.search(r"(\$ |`)(hexapod-gateway [a-z]|python )", README)
+    assert first is not None
+    assert first.start() > activated
+    assert "`.venv/bin/" not in README, "one way to name a command"

@@ -1,72 +1,64 @@
-"""Which tests run when: what every commit shows, and what is left to `make test-all`; which of them keep together."""
+"""Which tests run when: the tiers by marks and folders, and which tests keep together."""
 
-import re
 from pathlib import Path
 
 import pytest
 
 from tests.support import schedule, seconds
-from tests.support.seconds import Outcome
 
 TESTS = Path(__file__).parents[1]
+TEST, ALL = "not full and not nightly", "not alone and not attended and not searches and not nightly"
 
 
 def test_what_is_named_is_there() -> None:
-    for place in (*schedule.ORDER, *schedule.ALONE, *schedule.SEARCHES, *schedule.APART, *schedule.TOGETHER):
+    for place in (*schedule.FOLDERS, *schedule.APART, *schedule.TOGETHER, *schedule.SECOND_BOX):
         assert (TESTS / place).exists(), place
 
 
-@pytest.mark.parametrize("place", schedule.EXTENDED)
-def test_each_test_of_test_all_alone_is_there(place: str) -> None:
-    """A parameter that is renamed comes back to every commit."""
-    file, _, test = place.partition("::")
-    assert (TESTS / file).exists()
-    assert not test or f"def {test.partition('[')[0]}(" in (TESTS / file).read_text()
-
-
-def test_a_place_may_be_a_folder_a_file_a_test_or_one_of_its_parameters() -> None:
-    assert schedule.is_extended("tests/falls/test_falls.py::test_any")
-    assert schedule.is_extended("tests/zenoh/test_drill.py::test_any[x]")
-    assert schedule.is_extended("tests/attack/test_console_strangers.py::test_stop_all_beside_strangers[get-50]")
-    assert not schedule.is_extended(
-        "tests/attack/test_console_strangers.py::test_stop_all_beside_strangers[garbage-100]"
-    )
-    assert not schedule.is_extended("tests/attack/test_console_strangers.py::test_stop_all_beside_strangers")
-
-
-def test_a_file_is_imported_only_where_it_has_tests_that_run() -> None:
-    """`pytest -m` would import it, to find that none of its tests is wanted."""
-    drill, load, page = (TESTS / file for file in ("zenoh/test_drill.py", "hil/test_load.py", "console/test_page.py"))
-    assert schedule.is_elsewhere(drill, "not alone and not extended")
-    assert not schedule.is_elsewhere(drill, "not alone")
-    assert schedule.is_elsewhere(load, "attended and not extended")
-    assert schedule.is_elsewhere(load, "alone and not extended")
-    assert not schedule.is_elsewhere(page, "attended and not extended")
-
-
-def test_the_table_of_seconds_is_that_of_the_runs() -> None:
-    page = (TESTS.parent / "CONTRIBUTING.md").read_text()
-    rows = re.findall(r"^\| `(\w+)/` \|.*\| (\d+) \|$", page, re.MULTILINE)
-    assert {folder: int(seconds) for folder, seconds in rows} == schedule.SECONDS
+@pytest.mark.parametrize(
+    ("file", "text", "marks", "elsewhere"),
+    [
+        ("zenoh/test_a.py", "", TEST, False),
+        ("zenoh/test_a.py", "@pytest.mark.full\ndef test_a(): ...", TEST, False),
+        ("zenoh/test_a.py", "pytestmark = pytest.mark.full", TEST, True),
+        ("zenoh/test_a.py", "pytestmark = pytest.mark.full", ALL, False),
+        ("zenoh/test_a.py", "pytestmark = [\n    pytest.mark.hil,\n    pytest.mark.nightly,\n]", ALL, True),
+        ("hil/test_a.py", "", TEST, True),
+        ("hil/test_a.py", "", ALL, False),
+        ("falls/test_a.py", "", ALL, True),
+        ("zenoh/test_a.py", "", "alone and not nightly", True),
+        ("zenoh/test_a.py", "@pytest.mark.alone\ndef test_a(): ...", "alone and not nightly", False),
+        ("net/test_a.py", "", "alone and not nightly", False),
+        ("net/data.json", "", "attended", False),
+    ],
+)
+def test_a_file_is_imported_only_where_it_has_tests_that_run(
+    file: str, text: str, marks: str, elsewhere: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(schedule, "TESTS", tmp_path)
+    (tmp_path / file).parent.mkdir()
+    (tmp_path / file).write_text(text)
+    assert schedule.is_elsewhere(tmp_path / file, marks) is elsewhere
 
 
 def test_a_run_says_where_its_time_went_and_what_was_skipped() -> None:
+    def case(nodeid: str, when: str, duration: float, why: str = "") -> pytest.TestReport:
+        skipped = ("a.py", 1, f"Skipped: {why}") if why else None
+        outcome = "skipped" if why else "passed"
+        return pytest.TestReport(nodeid, ("a.py", 1, ""), {}, outcome, skipped, when, duration=duration)  # type: ignore[arg-type]
+
     cases = [
-        ("tests/hil/test_a.py::test_b", Outcome("test_b[1]", "passed", seconds=3)),
-        ("tests/hil/test_a.py::test_b", Outcome("test_b[2]", "skipped", seconds=0, why="no umockdev")),
-        ("tests/unit/test_c.py::test_d", Outcome("test_d", "passed", seconds=2)),
+        case("tests/hil/test_a.py::test_b[1]", "setup", 1),
+        case("tests/hil/test_a.py::test_b[1]", "call", 2),
+        case("tests/hil/test_a.py::test_b[2]", "setup", 0, "no umockdev"),
+        case("tests/unit/test_c.py::test_d", "call", 2),
     ]
-    assert seconds.report(cases, {"hil": 2, "unit": 5}).splitlines() == [
-        "",
+    assert seconds.report(cases) == [
         "slowest:",
         "    3.0 s  tests/hil/test_a.py::test_b[1]",
         "    2.0 s  tests/unit/test_c.py::test_d",
         "    0.0 s  tests/hil/test_a.py::test_b[2]",
-        "",
-        "folders, in seconds of their tests:",
-        "      3 s  hil, may take 2",
-        "      2 s  unit",
-        "",
+        "seconds of tests: hil 3, unit 2",
         "1 skipped (1: no umockdev)",
     ]
 

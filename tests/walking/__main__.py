@@ -1,4 +1,4 @@
-"""`make walk`: every gait, direction and assumption; a table, and a picture of the paths. Exit code 1: one is off."""
+"""`make walk`: every gait, direction and assumption; a table. Exit code 1: one is off."""
 
 import itertools
 import sys
@@ -13,7 +13,6 @@ from gateway.people.walking import Velocity
 from tests.walking.fast import LIMITS, reached
 from tests.walking.judge import judge, table
 from tests.walking.physics import VARIATIONS
-from tests.walking.picture import draw
 from tests.walking.recorded import Leg, directions, record
 from tests.walking.uneven import COURSES, SENSORS, row, walk
 
@@ -59,14 +58,6 @@ def main() -> int:
     with ProcessPoolExecutor() as processes:
         verdicts = list(processes.map(judge, *zip(*jobs, strict=True)))
     print(table([result for verdict in verdicts for result in verdict.results]))
-    tracks = {
-        recording.gait: [verdict.track for (one, _), verdict in zip(jobs, verdicts, strict=True) if one is recording]
-        for recording in recordings
-    }
-    picture = Path("build") / "walk.svg"
-    picture.parent.mkdir(exist_ok=True)
-    draw(picture, tracks)
-    print(f"the paths: {picture}")
     print("\nuneven ground, way and tilt (mean/worst): blind, by sensors, one stuck on, one stuck off, all late")
     with ProcessPoolExecutor() as processes:
         print("\n".join(processes.map(uneven, COURSES)))

@@ -17,7 +17,7 @@ from tests.support.gateway_process import COMMAND, Gateway
 @pytest.fixture(scope="module")
 def gateway(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Gateway]:
     kept = tmp_path_factory.mktemp("kept") / "calibration.toml"
-    settings = patient(10_000, watchdog={"repeats": 0}, telemetry={"frames": True}, calibration={"path": str(kept)})
+    settings = patient(10_000, watchdog={"repeats": 0}, telemetry={"frames": True}, state={"path": str(kept.parent)})
     with Gateway(tmp_path_factory.mktemp("gateway"), settings) as running:
         yield running
 
@@ -83,19 +83,10 @@ def test_the_landing_pose_waits_for_who_drives(gateway: Gateway, anna: Client) -
     assert anna.calibration().landing["53"] == 70
 
 
-def test_the_landing_pose_under_this_users_own_lease(gateway: Gateway, anna: Client) -> None:
-    with gateway.begin("lease", "acquire") as holder:
-        holder.wait_for_line(0)
-        assert gateway.run("send", "leg", "6", "start", "50", "60", "70").returncode == 0
-        end = gateway.run("calibrate", "landing", "--leg", "6", "--yes")
-        assert end.returncode == 0, str(end)
-    assert anna.calibration().landing["63"] == 70
-
-
 def test_a_broken_file_is_shown_and_replaced_by_the_default_once_somebody_says_so(tmp_path: Path) -> None:
     kept = tmp_path / "calibration.toml"
     kept.write_text("half a fi")
-    with Gateway(tmp_path, {"calibration": {"path": str(kept)}}) as gateway:
+    with Gateway(tmp_path, {"state": {"path": str(kept.parent)}}) as gateway:
         asked = gateway.run("calibrate", "accept-default")
         assert asked.returncode == 1
         assert "calibration.toml: is not TOML" in asked.stdout

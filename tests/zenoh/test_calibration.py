@@ -30,7 +30,7 @@ def gateway(path: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Ga
     settings: dict[str, dict[str, Any]] = {
         "telemetry": {"frames": True},
         "watchdog": {"timeout_ms": 10_000, "repeats": 0},
-        "calibration": {"path": str(path)},
+        "state": {"path": str(path.parent)},
     }
     with Gateway(tmp_path_factory.mktemp("gateway"), settings) as running:
         yield running
@@ -102,7 +102,7 @@ def test_for_asyncio_the_same(gateway: Gateway) -> None:
 
 def test_a_restart_finds_it_and_the_ten_before_it(tmp_path: Path) -> None:
     path = tmp_path / "state" / "calibration.toml"
-    settings = {"calibration": {"path": str(path)}}
+    settings = {"state": {"path": str(path.parent)}}
     with Gateway(tmp_path, settings) as first, first.client() as client:
         for angle_deg in range(1, 14):
             assert client.calibrate({11: ServoChange(trim_deg=angle_deg)}).accepted
@@ -116,7 +116,7 @@ def test_a_restart_finds_it_and_the_ten_before_it(tmp_path: Path) -> None:
 
 
 def test_in_memory_only_a_restart_forgets_it_and_the_log_says_so(tmp_path: Path) -> None:
-    with Gateway(tmp_path, {"log": {"format": "json"}}) as gateway, gateway.client() as client:
+    with Gateway(tmp_path) as gateway, gateway.client() as client:
         gateway.child.wait_for_output("the calibration is kept in memory only")
         assert client.calibrate({11: ServoChange(trim_deg=1)}).accepted
         assert (client.calibration().revision, client.state().calibration.kept) == (1, False)

@@ -25,7 +25,7 @@ OWN = RobotCalibration(4, {32: ServoMapping(7_50, inverted=True)})
 
 
 def settings(path: Path, **more: dict[str, Any]) -> dict[str, dict[str, Any]]:
-    return {"calibration": {"path": str(path)}, **more}
+    return {"state": {"path": str(path.parent)}, **more}
 
 
 def staged(path: Path) -> Path:

@@ -205,6 +205,7 @@ def taken() -> Iterator[int]:
         yield port
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(
     "endpoint", ["tcp/127.0.0.1:{}", "tls/127.0.0.1:{}", "tcp/localhost:{}#iface=lo", "quic/127.0.0.1:{}"]
 )

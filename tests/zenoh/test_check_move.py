@@ -16,7 +16,6 @@ from gateway.client import Client
 from gateway.model.frames import OneServo, Op, ServoOp, decode
 from gateway.onboard.check import move as module
 from gateway.onboard.check.outputs import ServoCurrents
-from gateway.people.tools import kept_lease
 from gateway.people.walking.robot import Robot
 from schemas import keys
 from schemas.robot import JOINTS, LEGS, SERVO_IDS
@@ -183,10 +182,8 @@ def test_a_robot_that_is_not_at_rest_is_left_alone(move: Callable[..., Ended], c
     assert servo_frames(heard) == []
 
 
-@pytest.mark.parametrize("kept", [False, True], ids=["its own", "of `lease acquire`"])
-def test_it_moves_under_the_lease(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kept: bool) -> None:
+def test_it_moves_under_the_lease(tmp_path: Path) -> None:
     """So that nobody else moves the robot meanwhile, and a robot that requires a lease can be tried."""
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     settings: dict[str, dict[str, object]] = {
         "telemetry": {"frames": True},
         "watchdog": {"timeout_ms": 9000},
@@ -195,13 +192,11 @@ def test_it_moves_under_the_lease(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     with ExitStack() as stack:
         gateway = stack.enter_context(Gateway(tmp_path, settings))
         client = stack.enter_context(gateway.client())
-        if kept:
-            stack.enter_context(kept_lease.acquired(stack.enter_context(gateway.client())))
         heard = frames(client)
         with moving(gateway, heard) as child:
             assert client.servo(12, "start", 90).reason == Reason.NOT_HOLDER
             assert child.wait() == 0, str(child)
-        assert (client.state().lease.holder is None) is not kept
+        assert client.state().lease.holder is None
 
 
 # ---- a robot that starts and stops as a whole

@@ -44,6 +44,7 @@ gateway = gateway_fixture()
 robot = client_fixture("test", rests=True)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(
     ("module", "examples"),
     [(client_module, 2), (blocking, 1), (stream, 2), (lease, 1), (aio, 10)],

@@ -12,9 +12,9 @@ import pytest
 
 from gateway.client import Client, DisconnectedError, RejectedError, StoppedError, Stream
 from gateway.model.frames import decode
-from gateway.people.tools.drill.cut_link import CutLink
 from schemas.robot import LEGS
 from schemas.telemetry import Cause, Event, FrameRecord, Kind, Mode, Reason
+from tests.support.cut_link import CutLink
 from tests.support.fixtures import client_fixture, gateway_fixture, patient
 from tests.support.gateway_process import Gateway
 from tests.support.heard import Heard, events, frames, running, states

@@ -6,7 +6,11 @@ How long is measured by `python -m tests.benchmarks.console`; here the bounds ar
 from pathlib import Path
 from typing import Final
 
+import pytest
+
 from tests.benchmarks.console import measure, p99
+
+pytestmark = [pytest.mark.full, pytest.mark.alone]
 
 MOST_MS: Final = 3000
 """Of which a busy machine has the half."""

@@ -15,6 +15,8 @@ from gateway.certs import authority
 from tests.support.command import Ended, run_here
 from tests.support.gateway_process import Gateway, free_port
 
+pytestmark = pytest.mark.full
+
 HOST = "127.0.0.1"
 
 

@@ -3,6 +3,7 @@
 import os
 import re
 import runpy
+import shutil
 import signal
 import subprocess
 import sys
@@ -20,6 +21,8 @@ from tests.support.fixtures import gateway_fixture
 from tests.support.gateway_process import COMMAND, READY, Gateway, free_port
 from tests.support.heard import Heard, events, frames
 from tests.unit.people.test_recordings import recorded
+
+pytestmark = pytest.mark.full
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 ELKAPOD: Final = EXAMPLES / "elkapod" / "gateway.toml"
@@ -147,11 +150,11 @@ def test_the_session(gateway: Gateway) -> None:
 def test_the_elkapod_whose_gait_is_killed_lands_and_is_stopped(tmp_path: Path) -> None:
     """With its own limits, speed, landing and calibration; and the incident tells it."""
     endpoint = f"tcp/127.0.0.1:{free_port()}"
+    shutil.copy(ELKAPOD.with_name("calibration.toml"), tmp_path)
     env = {
         **os.environ,
         "HEXAPOD_ZENOH__LISTEN": f'["{endpoint}"]',
-        "HEXAPOD_RECORDER__PATH": str(tmp_path / "box"),
-        "HEXAPOD_CALIBRATION__PATH": str(ELKAPOD.with_name("calibration.toml")),
+        "HEXAPOD_STATE__PATH": str(tmp_path),
         "HEXAPOD_WATCHDOG__TIMEOUT_MS": "1000",  # outlasts a moment in which this machine is busy
     }
     gateway = Child([*COMMAND, "run", "--sim", "--config", str(ELKAPOD)], env)

@@ -46,6 +46,7 @@ def test_the_copy_lines_of_certs_bring_what_the_installer_asks_for(tmp_path: Pat
     assert (robot / "robot-certs").stat().st_mode & 0o777 == 0o700
 
 
+@pytest.mark.full
 def test_an_unfit_virtual_environment_is_made_anew(tmp_path: Path) -> None:
     (tmp_path / "Makefile").write_text((REPOSITORY / "Makefile").read_text())
     (tmp_path / "pyproject.toml").touch()
@@ -64,6 +65,7 @@ def test_an_unfit_virtual_environment_is_made_anew(tmp_path: Path) -> None:
     assert "pip install" in planned.stdout
 
 
+@pytest.mark.full
 def test_a_type_checker_finds_the_types_from_any_folder(tmp_path: Path) -> None:
     """Installed as `make` installs them, but without what they need."""
     clone, bin_folder = tmp_path / "clone", tmp_path / "venv" / "bin"

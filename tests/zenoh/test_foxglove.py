@@ -18,12 +18,12 @@ from websockets.sync.client import ClientConnection, connect
 
 from gateway.people.recordings import REPORTS
 from gateway.people.recordings.drawing import DRAWN, LOG, SIM_JOINT_STATES
-from gateway.people.ros2.cdr import decode
 from schemas.keys import SIM_BODY, STATE, TELEMETRY
 from tests.support.child import Child
 from tests.support.fixtures import gateway_fixture
 from tests.support.gateway_process import COMMAND, Gateway
 from tests.support.measuring import MEASURED
+from tests.support.ros2_bytes import decode
 
 PATIENCE_S = 10
 
@@ -106,6 +106,7 @@ def test_without_its_extra_it_says_what_to_install(tmp_path: Path, gateway: Gate
         assert "pip install 'hexapod-gateway[foxglove]'" in child.stderr
 
 
+@pytest.mark.full
 def test_a_gateway_that_ends_and_starts_again_is_reported_in_the_viewers_log(tmp_path: Path) -> None:
     """Without a word, the robot in the viewer would just stand still."""
     with Gateway(tmp_path) as first:

@@ -1,18 +1,18 @@
 """Today's tools beside tomorrow's gateway: more fields, new words, and they go on working."""
 
 import json
+import os
 from collections.abc import Iterator
 from contextlib import closing
-from pathlib import Path
 from typing import Any
 
 import pytest
 import zenoh
 
 from schemas import keys
+from tests.support.child import Child
 from tests.support.command import run_here
-from tests.support.gateway_process import free_port
-from tests.support.tmux import at_terminal
+from tests.support.gateway_process import COMMAND, free_port
 from tests.unit.test_wire import WIRE, from_the_future
 
 STATE = json.loads((WIRE / "1.0" / "state.jsonl").read_text().splitlines()[0])
@@ -79,11 +79,8 @@ def test_send_and_estop_show_answers_in_words_that_they_do_not_know(tomorrow: To
     assert stopped.stdout.startswith("stopped: 6 Stop frames")
 
 
-def test_watch_shows_new_words_and_believes_the_answer_to_its_stop(tomorrow: Tomorrow, tmp_path: Path) -> None:
-    with at_terminal(tmp_path, "watch", tomorrow.endpoint) as terminal:
-        terminal.wait("HOVERING")
+def test_status_shows_new_words(tomorrow: Tomorrow) -> None:
+    with Child([*COMMAND, "status", "--follow", "--connect", tomorrow.endpoint], os.environ) as child:
+        child.wait_for_output("Nobody drives.")
         tomorrow.tell()
-        terminal.wait("lifted", "two hands")
-        terminal.press("Space")
-        shown = terminal.wait("STOPPED: 6 Stop frames")
-        assert "NOT STOPPED" not in shown
+        assert "two hands" in child.wait_for_output("lifted")

@@ -23,9 +23,7 @@ START = leg_payload("start", (90, 45, 120))
 RATE_HZ = 50
 
 
-gateway = gateway_fixture(
-    {"telemetry": {"frames": True, "state_hz": 0}, "watchdog": {"timeout_ms": 10_000, "repeats": 0}}
-)
+gateway = gateway_fixture({"telemetry": {"frames": True}, "watchdog": {"timeout_ms": 10_000, "repeats": 0}})
 
 
 @pytest.fixture

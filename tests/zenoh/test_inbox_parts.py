@@ -108,11 +108,11 @@ def test_put_and_delete_of_a_key_are_in_order_and_a_get_is_another_channel() -> 
 async def test_as_many_as_a_ring_is_deep_are_kept_in_their_order(session: zenoh.Session, held: Held) -> None:
     assert RING_DEPTH == 8
     for number in range(RING_DEPTH + 3):
-        session.put(LEG_1, f"{number}")
+        session.put(LEG_1, f'{{"x": {number}}}')
     session.put("hexapod/legs/cmd", b"{}")
     await held.woken()
     taken = [each for each in held.inbox.take() if each.key == LEG_1]
-    assert [each.payload for each in taken] == [b"%d" % number for number in range(3, RING_DEPTH + 3)]
+    assert [each.payload for each in taken] == [b'{"x": %d}' % number for number in range(3, RING_DEPTH + 3)]
 
 
 async def test_several_questions_are_kept(session: zenoh.Session, held: Held) -> None:
@@ -453,7 +453,7 @@ async def test_what_may_be_a_stop_is_seen_at_a_glance(session: zenoh.Session) ->
         samples = [await asyncio.to_thread(subscriber.recv) for _ in range(5)]
     answers: Any = None
     messages = [_received(answers, LEG_1, sample) for sample in samples]
-    assert [words_of_stop(message) is not None for message in messages] == [True, True, False, False, True]
+    assert [words_of_stop(message) is not None for message in messages] == [True, True, False, True, True]
 
 
 async def test_a_wildcard_is_taken_from_each_ring_that_it_names(session: zenoh.Session, held: Held) -> None:

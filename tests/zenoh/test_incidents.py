@@ -21,7 +21,7 @@ LEG_3 = keys.leg_command(3)
 @pytest.fixture
 def gateway(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Gateway]:
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-    with Gateway(tmp_path, {"recorder": {"path": str(tmp_path / "box"), "seconds": 10}}) as gateway:
+    with Gateway(tmp_path, {"state": {"path": str(tmp_path / "box")}}) as gateway:
         yield gateway
 
 

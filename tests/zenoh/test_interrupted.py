@@ -15,6 +15,8 @@ from tests.support.child import Child
 from tests.support.descendants import Run
 from tests.support.interrupted_scene import READY
 
+pytestmark = pytest.mark.full
+
 PYTEST = (sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "tests/support/interrupted_scene.py")
 STAGE = """
 import subprocess, sys
@@ -42,7 +44,8 @@ def run(monkeypatch: pytest.MonkeyPatch) -> Run:
 def test_nothing_is_left(how: str, number: signal.Signals, run: Run, tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "ready")
     ready = os.open(tmp_path / "ready", os.O_RDWR)
-    with Child(HOW[how], {**os.environ, READY: str(tmp_path / "ready")}) as tests:
+    # ZYGOTE=no: each program has a command line of its own, by which it is looked for.
+    with Child(HOW[how], {**os.environ, "ZYGOTE": "no", READY: str(tmp_path / "ready")}) as tests:
         assert select.select([ready], [], [], LATE_S)[0], str(tests)
         os.close(ready)
         held = "".join(Path(f"/proc/{pid}/cmdline").read_text() for pid in run.processes())

@@ -75,8 +75,8 @@ class Running:
             folder,
             {
                 "telemetry": {"frames": True, "metrics": self.metrics},
-                "log": {"level": "debug", "format": "json"},
-                "recorder": {"path": str(folder / "recorder")},
+                "log": {"level": "debug"},
+                "state": {"path": str(folder / "recorder")},
             },
         )
         self.client = Client(self.gateway.endpoint, timeout_s=5)

@@ -18,7 +18,7 @@ SPEAKER = """
 import logging, sys, threading, warnings
 from gateway.host import logs
 from schemas.telemetry import Kind, Reason
-logs.set_up(sys.argv[2], sys.argv[1])
+logs.set_up(sys.argv[1])
 logger = logging.getLogger("gateway.test")
 logger.debug("detail")
 logger.info("hexapod-gateway %s takes commands", 1, extra={
@@ -47,18 +47,18 @@ threading.Thread(target=lambda: 1 / 0).start()
 HOSTILE = "\x1b\x07\x9b\u2028"
 
 
-def spoken(form: str, level: str = "info", program: str = SPEAKER) -> list[str]:
+def spoken(level: str = "info", program: str = SPEAKER) -> list[str]:
     """What SPEAKER writes to a pipe."""
-    command = [sys.executable, "-c", program, form, level]
+    command = [sys.executable, "-c", program, level]
     ran = subprocess.run(command, capture_output=True, text=True, check=True, timeout=30)
     assert ran.stdout == "", "results go to stdout, the log to stderr"
     return ran.stderr.removesuffix("\n").split("\n")
 
 
-def spoken_on_a_terminal(form: str) -> str:
+def spoken_on_a_terminal() -> str:
     """What SPEAKER writes to a terminal."""
     ours, theirs = pty.openpty()
-    with subprocess.Popen([sys.executable, "-c", SPEAKER, form, "info"], stderr=theirs) as speaker:
+    with subprocess.Popen([sys.executable, "-c", SPEAKER, "info"], stderr=theirs) as speaker:
         os.close(theirs)
         written = b""
         while chunk := read(ours):
@@ -79,7 +79,7 @@ def read(terminal: int) -> bytes:
 @pytest.fixture(scope="module")
 def written() -> list[str]:
     """SPEAKER's lines to a pipe, where the format is chosen for it."""
-    return spoken("auto", "debug")
+    return spoken("debug")
 
 
 @pytest.fixture(scope="module")
@@ -124,11 +124,11 @@ def test_a_traceback_is_one_line_without_anyones_variables(lines: list[dict[str,
 
 
 def test_the_level_is_the_least_that_is_told() -> None:
-    assert [json.loads(line)["level"] for line in spoken("json", "error")] == ["error", "error"]
+    assert [json.loads(line)["level"] for line in spoken("error")] == ["error", "error"]
 
 
 def test_a_terminal_gets_lines_for_people_and_what_others_wrote_does_not_steer_it() -> None:
-    written = spoken_on_a_terminal("auto")
+    written = spoken_on_a_terminal()
     assert "\x1b[" in written, "colours"
     assert "hexapod-gateway 1 takes commands" in written
     assert "ValueError: broken" in written
@@ -140,31 +140,15 @@ def test_a_terminal_gets_lines_for_people_and_what_others_wrote_does_not_steer_i
     assert r"hostile \x1b[2J\nsecond line" in written
 
 
-def test_console_to_a_pipe_has_no_colours_and_one_line_per_message() -> None:
-    written = spoken("console")
-    assert not any(char in line for line in written for char in HOSTILE)
-    told = [line for line in written if line.startswith("20")]
-    assert [line.split()[1].strip("[]") for line in told] == ["info", "warning", "warning", "error", "error"]
-    assert "kind=command_rejected" in told[1]
-    assert "reason=invalid" in told[1]
-    assert "source='lap top'" in told[1]
-    assert "hunter2" not in "".join(written)
-
-
-def test_json_on_a_terminal_where_it_is_asked_for() -> None:
-    written = spoken_on_a_terminal("json")
-    assert [json.loads(line)["level"] for line in written.splitlines()] == ["info", *["warning"] * 2, *["error"] * 2]
-
-
 def test_a_line_is_as_it_was_said_though_it_is_written_later() -> None:
     head = SPEAKER.partition("logger.debug")[0]
-    words, long_ago = map(json.loads, spoken("json", program=head + MORE.partition("for number")[0]))
+    words, long_ago = map(json.loads, spoken(program=head + MORE.partition("for number")[0]))
     assert words["message"] == "['said']"
     assert long_ago["timestamp"] == "1970-01-01T00:00:00.500000Z"
 
 
 def test_all_that_was_said_is_written_before_the_process_goes() -> None:
-    program = "import logging, sys, threading, warnings\nfrom gateway.host import logs\nlogs.set_up('info', 'auto')\n"
+    program = "import logging, sys, threading, warnings\nfrom gateway.host import logs\nlogs.set_up('info')\n"
     program += "logger = logging.getLogger('test')" + MORE
     ran = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=30)
     assert ran.stdout.splitlines() == [f"printed {number}" for number in range(400)]
@@ -190,19 +174,13 @@ def test_lines_for_the_journal_begin_with_their_priority() -> None:
     """Only where stderr is the journal's own, as systemd says it by device and inode."""
     journal = "os.environ['JOURNAL_STREAM'] = f'{found.st_dev}:{found.st_ino}'"
     program = f"import os\nfound = os.fstat(2)\n{journal}\n{SPEAKER}"
-    lines = spoken("json", "debug", program)
-    assert {json.loads(line[3:])["level"]: line[:3] for line in lines} == {
-        "debug": "<7>",
-        "info": "<6>",
-        "warning": "<4>",
-        "error": "<3>",
-    }
-    plain = spoken("auto", "info", program)
+    plain = spoken("info", program)
     assert plain[:2] == [
         "<6>hexapod-gateway 1 takes commands kind=started",
         "<4>leg 7 does not exist key=hexapod/leg/7/cmd kind=command_rejected reason=invalid source='lap top'",
     ]
     assert not any(char in line for line in plain for char in ("\x1b", *HOSTILE))
-    assert all(line.startswith("<") for line in spoken("console", "debug", program)), "each line of a traceback, too"
-    other = spoken("json", "debug", "import os\nos.environ['JOURNAL_STREAM'] = '1:1'\n" + SPEAKER)
+    detailed = spoken("debug", program)
+    assert {line[:3] for line in detailed} == {"<7>", "<6>", "<4>", "<3>"}, "each line of a traceback, too"
+    other = spoken("debug", "import os\nos.environ['JOURNAL_STREAM'] = '1:1'\n" + SPEAKER)
     assert all(line.startswith("{") for line in other)

@@ -1,6 +1,7 @@
 """Percentiles, histograms, and what Prometheus reads over HTTP."""
 
 import http.client
+import socket
 import time
 import urllib.error
 import urllib.request
@@ -64,7 +65,7 @@ def test_the_list_in_the_docs_is_the_page(tmp_path: Path) -> None:
     settings: dict[str, dict[str, Any]] = {
         "telemetry": {"metrics": address},
         "zenoh": {"config": str(zenoh / "gateway.json5"), "listen": [listen.split('"')[1]]},
-        "recorder": {"path": str(tmp_path / "box")},
+        "state": {"path": str(tmp_path / "box")},
     }
     with (
         Gateway(tmp_path, settings),
@@ -139,13 +140,15 @@ def test_a_port_that_is_taken_is_a_fault_of_the_configuration(tmp_path: Path) ->
 def test_no_web_page_reads_them_by_a_name_of_its_own(tmp_path: Path) -> None:
     """A page whose name points at this machine (DNS rebinding), or one of another origin."""
     port = free_port()
-    telemetry = {"metrics": f"0.0.0.0:{port}", "metrics_hosts": ["Robot.local"]}
+    telemetry = {"metrics": f"0.0.0.0:{port}"}
     with Gateway(tmp_path, {"telemetry": telemetry}):
         for headers, status in (
             ({"Host": f"127.0.0.1:{port}"}, 200),
             ({"Host": f"127.0.0.2:{port}"}, 200),
             ({"Host": "localhost:9999"}, 200),
-            ({"Host": f"robot.local:{port}"}, 200),
+            ({"Host": f"{socket.gethostname().upper()}:{port}"}, 200),
+            ({"Host": f"{socket.gethostname().partition('.')[0]}.local:{port}"}, 200),
+            ({"Host": f"robot.example:{port}"}, 403),
             ({"Host": f"evil.example:{port}"}, 403),
             ({"Host": f"127.0.0.1:{port}", "Origin": "http://evil.example"}, 403),
         ):

@@ -30,6 +30,8 @@ from tests.support.fixtures import gateway_fixture
 from tests.support.gateway_process import COMMAND, Gateway
 from tests.support.heard import bodies, events
 
+pytestmark = pytest.mark.full
+
 PHYSICS: Final = ("--sim=physics",)
 PATIENT: Final[dict[str, dict[str, object]]] = {"watchdog": {"timeout_ms": 10_000}, "lease": {"ttl_ms": 10_000}}
 """A machine that is busy with other tests stops no walk."""

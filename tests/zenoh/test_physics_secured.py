@@ -19,6 +19,8 @@ from tests.support.gateway_process import Gateway
 from tests.support.heard import bodies
 from tests.support.secured import Secured
 
+pytestmark = pytest.mark.full
+
 PHYSICS: Final = ("--sim=physics",)
 
 

@@ -18,6 +18,8 @@ from tests.support.command import run_here
 from tests.support.gateway_process import Gateway
 from tests.support.pages import blocks
 
+pytestmark = pytest.mark.full
+
 ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text()
 TROUBLES = (ROOT / "docs" / "troubles.md").read_text()
@@ -40,6 +42,29 @@ def test_the_first_payload_and_the_python_example_work(tmp_path: Path) -> None:
         assert 50 < state.commands.accepted <= 2 + 100 + 2
         assert state.commands.rejected == 0
         assert state.watchdog.expirations == 0, "a first program leaves nothing to the watchdog"
+
+
+def test_the_second_terminal_works_as_printed(tmp_path: Path) -> None:
+    """Its lines, in a shell whose PATH has neither the command nor its Python; only the endpoint is this test's."""
+    lines = next(block for block in blocks(README, "console") if "source .venv" in block).splitlines()
+    with Gateway(tmp_path, {"watchdog": {"timeout_ms": 10_000}, "lease": {"ttl_ms": 10_000}}) as gateway:
+        (tmp_path / ".venv").symlink_to(sys.prefix)
+        commands = [line.removeprefix("$ ").replace("--seconds 5", "--seconds 0.5") for line in lines]
+        commands = [f"{each} --connect {gateway.endpoint}" if "hexapod-gateway" in each else each for each in commands]
+        commands += ["python -c 'import gateway.client'"]
+        environment = {"PATH": "/usr/bin:/bin", "HOME": str(tmp_path)}
+        done = subprocess.run(
+            ["bash", "-ec", "\n".join(commands)],
+            cwd=tmp_path,
+            env=environment,
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=60,
+        )
+        assert done.returncode == 0, done.stdout + done.stderr
+        with gateway.client() as client:
+            assert client.state().commands.accepted > 0
 
 
 def test_the_walk_walks(tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final
 
+import pytest
 from mcap.reader import make_reader
 
 from gateway.client import Client
@@ -111,6 +112,7 @@ def test_all_that_the_gateway_publishes_is_in_the_file_and_as_the_files_own_sche
     assert "exists" in again.stderr
 
 
+@pytest.mark.full
 def test_a_killed_recorder_leaves_all_but_the_newest(gateway: Gateway, robot: Client, tmp_path: Path) -> None:
     written = frames(robot)
     chance = random.Random()  # noqa: S311

@@ -17,6 +17,8 @@ from release.build import ROOT, UV
 from tests.support.child import Child
 from tests.support.gateway_process import READY, free_port
 
+pytestmark = pytest.mark.nightly
+
 LEFT_OUT = shutil.ignore_patterns(".git", ".venv", "__pycache__", ".*_cache", "dist", "build", "*.egg-info", "tests")
 WHEN = "1700000000"
 

@@ -14,6 +14,8 @@ from release import spidev
 from release.build import ROOT
 from release.bundle import SYSTEM_PYTHON
 
+pytestmark = pytest.mark.nightly
+
 WHEN = 1_700_000_000
 THIS = f"{sys.version_info.major}.{sys.version_info.minor}"
 AARCH64 = 183  # e_machine of an ELF file

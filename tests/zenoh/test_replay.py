@@ -22,6 +22,8 @@ from tests.support.fixtures import gateway_fixture
 from tests.support.gateway_process import Gateway
 from tests.support.heard import events, frames
 
+pytestmark = [pytest.mark.full, pytest.mark.alone]
+
 WATCHDOG_MS: Final = 400
 SETTINGS: Final[dict[str, dict[str, Any]]] = {"telemetry": {"frames": True}, "watchdog": {"timeout_ms": WATCHDOG_MS}}
 gateway = gateway_fixture(SETTINGS)

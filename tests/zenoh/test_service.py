@@ -17,10 +17,8 @@ import pytest
 from gateway import certs
 from gateway.client import Client
 from schemas import keys
-from schemas.telemetry import Mode
 from tests.support.child import Child
 from tests.support.gateway_process import COMMAND, READY, Gateway, free_port, write_settings
-from tests.support.heard import states
 from tests.support.zenoh_actor import Remote
 
 
@@ -61,12 +59,13 @@ def test_a_frozen_peer_does_not_hold_the_end(tmp_path: Path) -> None:
         "import sys, time\n"
         "from gateway.client import Client\n"
         "client = Client(sys.argv[1])\n"
-        "heard = client.on_state(lambda state: None)\n"
+        "heard = client.session.declare_subscriber('hexapod/frame', lambda frame: None)\n"
+        "client.state()\n"
         "print('listening', flush=True)\n"
         "time.sleep(60)\n"
     )
     with (
-        Gateway(tmp_path, {"telemetry": {"state_hz": 1000}}) as gateway,
+        Gateway(tmp_path, {"telemetry": {"frames": True}, "limits": {"leg_rate_hz": 1000}}) as gateway,
         subprocess.Popen(
             [sys.executable, "-c", publisher, gateway.endpoint], stdout=subprocess.PIPE, text=True
         ) as peer,
@@ -77,27 +76,15 @@ def test_a_frozen_peer_does_not_hold_the_end(tmp_path: Path) -> None:
         try:
             with gateway.client() as client:
                 # Until the frozen one's queues are full: then closing takes Zenoh ten seconds.
-                states(client).wait(lambda _: True, count=2000, timeout_s=30)
+                client.start_leg(1, 90, 45, 120)
+                for _ in range(2000):
+                    client.set_leg(1, 90, 45, 120)
             begun = time.monotonic()
             gateway.child.terminate()
             assert gateway.child.wait() == 0
             assert time.monotonic() - begun < 1.5
         finally:
             peer.kill()
-
-
-@pytest.mark.parametrize("state_hz", [0, 100])
-def test_state_hz(tmp_path: Path, state_hz: float) -> None:
-    with Gateway(tmp_path, {"telemetry": {"state_hz": state_hz}}) as gateway, gateway.client() as client:
-        heard = states(client)
-        if state_hz:
-            first = heard.wait(lambda _: True)
-            last = heard.wait(lambda _: True, count=1 + int(state_hz))
-            assert last.uptime_s - first.uptime_s == pytest.approx(1, abs=0.3)
-        client.estop()
-        heard.wait(lambda state: state.mode is Mode.ESTOPPED)
-        if not state_hz:
-            assert [state.mode for state in heard.all] == [Mode.ESTOPPED]
 
 
 def test_it_listens_at_several_endpoints_and_dials_a_router(tmp_path: Path) -> None:

@@ -73,7 +73,7 @@ def answers(laptop: zenoh.Session, key: str) -> list[bytes]:
 
 
 async def test_what_is_measured_is_published_while_somebody_listens_and_answered() -> None:
-    async with served(spi={"protocol": "elkapod-2025"}, telemetry={"rate_hz": 100}) as (conductor, laptop):
+    async with served(spi={"protocol": "elkapod-2025"}) as (conductor, laptop):
         assert await asyncio.to_thread(answers, laptop, TELEMETRY) == [], "nothing was measured yet"
         assert len(await asyncio.to_thread(answers, laptop, CALIBRATION)) == 1
         with closing(Watching(laptop)) as watching:

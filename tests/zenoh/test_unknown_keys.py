@@ -32,7 +32,7 @@ def test_the_nearest_key(key: str, meant: str) -> None:
 
 
 def test_a_put_beside_the_keys_is_told_with_the_key_that_was_meant(tmp_path: Path) -> None:
-    with Gateway(tmp_path, {"telemetry": {"state_hz": 100, "frames": True}}) as gateway, gateway.client() as client:
+    with Gateway(tmp_path, {"telemetry": {"frames": True}}) as gateway, gateway.client() as client:
         heard = events(client)
         client.state()
         for count, key in enumerate(("hexapod/leg/3", "Hexapod/leg/3/cmd"), start=1):

@@ -18,6 +18,8 @@ from tests.support.gateway_process import Gateway
 from tests.support.heard import frames, states
 from tests.support.tmux import at_terminal
 
+pytestmark = [pytest.mark.full, pytest.mark.attended]
+
 gateway = gateway_fixture(patient(10_000, telemetry={"frames": True}))
 watcher = client_fixture("watcher")
 

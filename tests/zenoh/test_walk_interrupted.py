@@ -48,6 +48,7 @@ BY_HAND = ASYNC.replace("asyncio.run(main())", "asyncio.new_event_loop().run_unt
 """Nobody there handles Ctrl-C."""
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(
     ("program", "number"),
     [

@@ -18,6 +18,7 @@ INCIDENT_NAMES: Final = {
     Kind.ESTOP_ENGAGED: "estop",
     Kind.BUS_FAULT: "bus-fault",
     Kind.CONTROLLER_SILENT: "controller-silent",
+    Kind.CONTROLLER_RESTARTED: "controller-restarted",
     Kind.FALLEN: "fallen",
     Kind.OVERFLOW: "overflow",
     Kind.LEASE_TAKEN: "lease-taken",

@@ -14,6 +14,7 @@ from typing import Final
 
 from gateway.errors import ConfigError
 from gateway.host import effective
+from gateway.host.directories import state_to_read
 from gateway.onboard import stop
 from gateway.onboard.check import (
     access,
@@ -181,7 +182,7 @@ def _of_settings(settings: Settings) -> Iterator[Result]:
         yield from calibration.landing_pose(settings)
     certificates = network.certificates(settings.zenoh, dt.datetime.now(dt.UTC))
     yield from certificates
-    mismatched = trust.results(settings.zenoh)
+    mismatched = trust.results(settings.zenoh, state=state_to_read(settings.state.path))
     yield from mismatched
     zenoh_config, found = network.zenoh_configuration(settings.zenoh)
     yield from (result for result in found if result.sentence not in {known.sentence for known in certificates})
@@ -189,7 +190,7 @@ def _of_settings(settings: Settings) -> Iterator[Result]:
     if zenoh_config is not None:
         yield from access.passes(zenoh_config, settings.zenoh.config)
         if all(each.name != "revoked" for each in mismatched):
-            yield from holders.shut_out_at_the_robot(zenoh_config, settings.zenoh)
+            yield from holders.shut_out_at_the_robot(zenoh_config, settings)
         endpoints = listen_endpoints(zenoh_config)
         ports = network.ports(endpoints, gateway_runs=gateway_runs)
         yield from ports

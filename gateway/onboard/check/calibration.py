@@ -22,7 +22,7 @@ def kept(settings: Settings) -> Result:
     """Whether it can be used; without one that can, the service starts, and moves nothing."""
     path = path_to_read(settings)
     if path is None:
-        return ok(_NAME, "is kept in memory only, until the gateway ends (calibration.path)")
+        return ok(_NAME, "is kept in memory only, until the gateway ends (state.path)")
     if path.parent.exists() and not os.access(path.parent, os.X_OK):
         return warning(_NAME, f"{path} is not for you to read", "sudo hexapod-gateway check")
     found, fault = load(path)

@@ -209,7 +209,7 @@ def _answers(
             line.write(SHUTDOWN)
             pause(pause_s)
         signs, measured, well, badly = SignsOfLife(silent_ns, clock()), None, 0, 0
-        # Long enough that one which freezes falls silent.
+        # Long enough that one which freezes falls silent, and that a sensor which measures changes its values.
         until_ns = clock() + silent_ns + FROZEN_NS + round(5e9 * _CYCLE_S)
         while clock() < until_ns:
             measured = signs.answered(device.exchange(_MIDDLE), clock())
@@ -223,7 +223,21 @@ def _answers(
         return failure("answers", f"{signs.silent(clock()) or 'the last one is not well formed'}; {count}", _WIRES)
     if badly > 1:  # the first one after power-up may be anything
         return warning("answers", count, _WIRES)
-    return ok("answers", f"{count}: {_values(measured)}")
+    count += f": {_values(measured)}"
+    constant = signs.changes.constant
+    if constant:
+        count += f"; constant all the time: {', '.join(constant)}"
+    if set(constant) >= _NOISY:
+        return warning("answers", count, _IMU)
+    return ok("answers", count)
+
+
+_NOISY: Final = frozenset({"angular velocity", "linear acceleration"})
+"""Without noise there is no gyroscope and no accelerometer."""
+_IMU: Final = (
+    "see that the inertial sensor is connected, and that its part of the firmware runs; the robot walks without it, "
+    "but safety.max_tilt_deg then sees no fall"
+)
 
 
 _WIRES: Final = (

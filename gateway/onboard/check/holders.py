@@ -11,7 +11,7 @@ from gateway.errors import ConfigError
 from gateway.onboard.check.result import Result, failure, ok, warning
 from gateway.people.client.requests import Identity
 from gateway.people.terminal import this_command
-from gateway.robot.sections import ZenohSettings
+from gateway.robot.settings import Settings
 from gateway.robot.zenoh_io import revoked
 from schemas.telemetry import RevocationsReport
 
@@ -19,7 +19,7 @@ _LIST: Final = "revoked"
 _BRING: Final = "where ca.key is: hexapod-gateway certs revoke --dir DIR brings the newest list"
 
 
-def shut_out_at_the_robot(config: zenoh.Config, settings: ZenohSettings) -> Iterator[Result]:
+def shut_out_at_the_robot(config: zenoh.Config, settings: Settings) -> Iterator[Result]:
     """The list in force; nothing where the Zenoh file names no CA."""
     try:
         kept = revoked.revocation_state(config, settings, started_by_systemd=False)

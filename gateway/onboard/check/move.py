@@ -109,7 +109,7 @@ def move(connect: Connection, config: Path | None = None, *, agreed: bool) -> in
             return 1
         held = lying(client, state) if whole else {}
         motion = _motion(DEFAULT_SERVO, "", held) if agreed else _asked(held)
-        servo_id = motion.servo_ids[0]
+        servo_id = motion.servo_id
         if not consents(motion, state, agreed=agreed):
             say("Nothing was moved.")
             return 1
@@ -117,14 +117,14 @@ def move(connect: Connection, config: Path | None = None, *, agreed: bool) -> in
         currents = ServoCurrents()
         with (
             _measured(client, state, currents),
-            drives(client, _HOLD_S, moves=True) as lease,
+            drives(client, _HOLD_S, moves=True),
             stopped_after(
                 "all servos are" if whole else f"servo {servo_id} is",
                 partial(_stop, client, None if whole else servo_id),
             ),
         ):
             currents.moves()
-            if not (_moved(client, motion, state.watchdog.timeout_ms, lease) and _accepted(client.stop())):
+            if not (_moved(client, motion, state.watchdog.timeout_ms) and _accepted(client.stop())):
                 return 1
             if state.simulated:
                 say("A simulated controller took it: no servo is there to move.")
@@ -203,18 +203,18 @@ def _asked(held: Mapping[int, float]) -> ServoMotion:
 
 
 def _motion(servo_id: int, text: str, held: Mapping[int, float]) -> ServoMotion:
-    return ServoMotion([servo_id], _angle(text, held.get(servo_id, DEFAULT_ANGLE_DEG)), held)
+    return ServoMotion(servo_id, _angle(text, held.get(servo_id, DEFAULT_ANGLE_DEG)), held)
 
 
-def _moved(client: Client, motion: ServoMotion, timeout_ms: float, lease: dict[str, str]) -> bool:
+def _moved(client: Client, motion: ServoMotion, timeout_ms: float) -> bool:
     """Whether all that was asked for was accepted."""
 
     def ask(op: str, angle_deg: float) -> Ack:
-        return client.ask(motion.key, {**motion.payload(op, angle_deg), **lease})
+        return client.ask(motion.key, motion.payload(op, angle_deg))
 
     # Only one start: a set is rejected for what somebody else has stopped.
     return _accepted(ask("start", motion.start_deg)) and all(
-        _held(client, motion.servo_ids[0], partial(ask, "set", angle_deg), timeout_ms)
+        _held(client, motion.servo_id, partial(ask, "set", angle_deg), timeout_ms)
         for angle_deg in (motion.start_deg, motion.end_deg)
     )
 

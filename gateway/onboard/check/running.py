@@ -60,5 +60,5 @@ def _gateway(state: GatewayState) -> Result:
 def _black_box(settings: Settings) -> Result:
     folder = paths.folder_to_read(settings)
     if folder is None or not (folder / RING_FILE).exists():
-        return warning("black box", "is off", "`make run` keeps one; for another gateway set recorder.path")
+        return warning("black box", "is off", "`make run` keeps one; for another gateway set state.path")
     return ok("black box", f"{folder}; hexapod-gateway incidents shows what it kept")

@@ -10,7 +10,6 @@ from cryptography import x509
 from gateway import certs
 from gateway.certs import revocation
 from gateway.errors import ConfigError
-from gateway.host.directories import SERVICE_STATE
 from gateway.onboard.check.installation import RESTART, SERVICE
 from gateway.onboard.check.result import Result, failure, warning
 from gateway.robot.sections import ZenohSettings
@@ -24,7 +23,7 @@ _TLS: Final = "transport/link/tls"
 _CA: Final = f"{_TLS}/root_ca_certificate"
 
 
-def results(settings: ZenohSettings, *, state: Path = SERVICE_STATE) -> list[Result]:
+def results(settings: ZenohSettings, *, state: Path | None) -> list[Result]:
     """What does not belong together; nothing where no certificates are in use, or one cannot be read."""
     if not settings.config:
         return []
@@ -67,9 +66,9 @@ def _of_one_folder(*files: Path) -> str:
     )
 
 
-def _lists(beside: Path, state: Path, cas: list[x509.Certificate]) -> Iterator[Result]:
+def _lists(beside: Path, state: Path | None, cas: list[x509.Certificate]) -> Iterator[Result]:
     """Each list that the service reads at its start: its own, and one that came with the certificates."""
-    for path in (each / revocation.REVOCATION_FILE for each in (state, beside)):
+    for path in (each / revocation.REVOCATION_FILE for each in (state, beside) if each is not None):
         fix = (
             f"copy {revocation.REVOCATION_FILE} from the folder of certificates (where ca.key is) to FILE here, then: "
             f"sudo install -m 644 -o {SERVICE} -g {SERVICE} FILE {path} && {RESTART}"

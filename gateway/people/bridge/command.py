@@ -1,62 +1,22 @@
 """The command line of `ros2`."""
 
 import math
-import os
 import sys
-from enum import StrEnum
 from functools import partial
-from importlib.util import find_spec
-from pathlib import Path
-from typing import Annotated, Final
+from typing import Annotated
 
 import typer
 
 from gateway.people.tools.options import ConnectOption, OtherShapeOption, TimeoutOption, ZenohConfigOption
 
 app = typer.Typer()
-ZENOH_RMW: Final = "rmw_zenoh_cpp"
-
-
-class Via(StrEnum):
-    """How the bridge is in ROS 2's graph."""
-
-    ZENOH = "zenoh"
-    RCLPY = "rclpy"
-
-    @classmethod
-    def usual(cls) -> "Via":
-        """By rclpy where it is installed and another RMW than Zenoh is set; else the way that needs no ROS."""
-        other = os.environ.get("RMW_IMPLEMENTATION") not in (None, "", ZENOH_RMW)
-        return cls.RCLPY if other and find_spec("rclpy") is not None else cls.ZENOH
 
 
 @app.command()
 def ros2(
     ros_args: Annotated[
         list[str] | None,
-        typer.Argument(
-            metavar="[-- ROS_ARGS]", help="With --via rclpy, ROS 2's own: -- --ros-args -r cmd_vel:=/cmd_vel_out"
-        ),
-    ] = None,
-    via: Annotated[
-        Via | None,
-        typer.Option(
-            "--via",
-            help="zenoh: as rmw_zenoh speaks, without ROS on this machine. rclpy: by the ROS 2 that is installed, with "
-            "its RMW. Default: rclpy where it is installed and RMW_IMPLEMENTATION names another than Zenoh.",
-        ),
-    ] = None,
-    router: Annotated[
-        str | None,
-        typer.Option(
-            "--router",
-            metavar="ENDPOINT",
-            help="Where ROS 2's Zenoh router (rmw_zenohd) listens. Default: tcp/localhost:7447, or as --router-config.",
-        ),
-    ] = None,
-    router_config: Annotated[
-        Path | None,
-        typer.Option("--router-config", metavar="PATH", help="A Zenoh configuration with certificates for the router."),
+        typer.Argument(metavar="[-- ROS_ARGS]", help="ROS 2's own arguments: -- --ros-args -r cmd_vel:=/cmd_vel_out"),
     ] = None,
     domain: Annotated[
         int, typer.Option("--domain", metavar="N", min=0, max=232, envvar="ROS_DOMAIN_ID", help="The ROS domain.")
@@ -64,12 +24,6 @@ def ros2(
     namespace: Annotated[
         str, typer.Option("--ros-namespace", metavar="NAME", help="Of its topics and services; / for none.")
     ] = "/hexapod",
-    distribution: Annotated[
-        str,
-        typer.Option(
-            "--distro", metavar="NAME", envvar="ROS_DISTRO", help="Of the peers: jazzy, kilted, lyrical or humble."
-        ),
-    ] = "jazzy",
     joint_names: Annotated[
         str,
         typer.Option(
@@ -82,12 +36,6 @@ def ros2(
     allow_reset: Annotated[
         bool,
         typer.Option("--allow-reset", help="Let the service reset leave any emergency stop, a person's, too."),
-    ] = False,
-    open_graph: Annotated[
-        bool,
-        typer.Option(
-            "--open-graph", help="Start although others reach the graph without certificates: they can drive."
-        ),
     ] = False,
     tf: Annotated[
         bool, typer.Option("--tf", help="Publish /tf, too: for viewers without a robot_state_publisher.")
@@ -117,7 +65,7 @@ def ros2(
     zenoh_config: ZenohConfigOption = None,
     timeout: TimeoutOption = 2.0,
 ) -> None:
-    """Put the robot into a ROS 2 graph: over Zenoh (rmw_zenoh) without ROS on this machine, or as a node of rclpy.
+    """Put the robot into a ROS 2 graph: a node of the ROS 2 that is installed here, over whatever RMW is set.
 
     It publishes joint_states, robot_description and diagnostics, and what the robot measures: battery_state, imu/data
     and temperature. It takes joint_commands, joint_trajectory, cmd_vel (cmd_vel_stamped), cmd_base_height,
@@ -125,8 +73,7 @@ def ros2(
     called its service drive; it holds the lease then, until release. The service estop is for everybody, always. reset
     leaves an emergency stop that came through ROS alone while the bridge drove.
 
-    Exit codes: 0 ended on request, 2 the extra \\[ros2] or rclpy is missing, or an argument or a file is wrong, 4 no
-    gateway answers, or no ROS 2 router.
+    Exit codes: 0 ended on request, 2 ROS 2 is missing, or an argument or a file is wrong, 4 no gateway answers.
     """
     from gateway.people.bridge import run
     from gateway.people.bridge.parameters import Parameters
@@ -135,15 +82,10 @@ def ros2(
     sys.exit(
         run.serve(
             partial(reach.connection, connect, zenoh_config, timeout),
-            by_rclpy=(via or Via.usual()) is Via.RCLPY,
             ros_args=ros_args or [],
-            router=router,
-            router_config=router_config,
             allow_reset=allow_reset,
-            open_graph=open_graph,
             domain=domain,
             namespace=namespace,
-            distribution=distribution,
             joint_names=joint_names,
             parameters=Parameters(
                 joint_states_hz=joint_states_hz,

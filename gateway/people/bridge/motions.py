@@ -91,10 +91,18 @@ class JointCommands:
 class Course:
     """Where a trajectory's joints are to be, and what its end, or its sender's, leads to. Pure: time is an argument."""
 
-    def __init__(self, geometry: Geometry, ride: Callable[[Pose], Ride], *, whole: bool = False) -> None:
-        """`ride` makes one of legs that run already; it may raise WalkError. `whole`: only all legs start together."""
+    def __init__(
+        self, geometry: Geometry, ride: Callable[[Pose], Ride], *, whole: bool = False, limp_s: float = 0.0
+    ) -> None:
+        """`ride` makes one of legs that run already; it may raise WalkError. `whole`: only all legs start together.
+
+        `limp_s`: for so long after its start a servo may have no supply yet (`Robot.limp_s`). Until then a plan waits.
+        """
         self._geometry = geometry
         self._whole = whole
+        self._limp_s = limp_s
+        self._fed_s = self._looked_s = -math.inf
+        """When all that run have their supply; when the plan was looked at last."""
         self._make_ride = ride
         self._plan: Trajectory | None = None
         self._at_rad: dict[int, float] = {}
@@ -129,6 +137,7 @@ class Course:
         """How far this plan is."""
         if plan is not self._plan:
             return GoalProgress({}, {}, self._left)
+        self._look(now_s)
         return GoalProgress(plan.at(now_s), self._rad(self._sent))
 
     def hold(self, plan: Trajectory, now_s: float) -> None:
@@ -150,6 +159,8 @@ class Course:
     def next(self, now_s: float) -> Pose | None:
         """What to send; None: it is over, and what runs is to be stopped."""
         self._look(now_s)
+        if self._limp_s and self._ride is None and not self._at_rad.keys() <= self._rad(self._sent).keys():
+            self._fed_s = now_s + self._limp_s
         if self._ride is None and now_s >= self._rests_s:
             self._ride = self._sitting(now_s)
             if self._ride is None:
@@ -176,7 +187,12 @@ class Course:
 
     def _look(self, now_s: float) -> None:
         if self._plan is not None and self._ride is None:
+            if self._looked_s < self._fed_s:  # the plan stands still until then
+                waited_s = min(now_s, self._fed_s) - self._looked_s
+                self._plan.postpone(waited_s)
+                self._rests_s += waited_s
             self._at_rad = {**self._at_rad, **self._plan.at(now_s)}
+        self._looked_s = now_s
 
     def _sitting(self, now_s: float) -> Ride | None:
         """What lies down from where the legs are; None where it cannot: then they are stopped as they are.
@@ -199,10 +215,12 @@ class Following:
     title = "joint_trajectory"
 
     def __init__(self, client: Client, geometry: Geometry) -> None:
+        robot = robot_of(client, geometry, client.state())
         self._course = Course(
             geometry,
             lambda pose: Ride(robot_of(client, geometry, client.state()), running=pose),
-            whole=starts_whole(client.state()),
+            whole=robot.starts_whole,
+            limp_s=robot.limp_s,
         )
         self._changed = threading.Condition()
         self._is_there: Callable[[], bool] = lambda: True

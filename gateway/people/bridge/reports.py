@@ -8,14 +8,13 @@ import json
 import math
 import time
 from collections.abc import Mapping
-from typing import Any, Final, TypeVar
+from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 from pydantic import BaseModel, ValidationError
 from zenoh.handlers import RingChannel
 
 from gateway.geometry import Geometry
 from gateway.people.bridge.driving import Driving
-from gateway.people.bridge.graph import Graph
 from gateway.people.bridge.parameters import Parameters
 from gateway.people.bridge.topics import Topics
 from gateway.people.recordings.commanded import CommandedJoints
@@ -36,10 +35,13 @@ from schemas import keys
 from schemas.calibration import Calibration
 from schemas.telemetry import FrameRecord, GatewayState, Telemetry
 
+if TYPE_CHECKING:
+    from gateway.people.bridge.node import Node
+
 PERIOD_S: Final = 0.02
 """Of `tick`: the most joint states a second are 50."""
 SILENT_S: Final = 1.0
-"""A gateway publishes its state ten times a second, unless `telemetry.state_hz` is 0."""
+"""A gateway publishes its state ten times a second."""
 CHANGED_S: Final = 0.1
 """Between diagnostics, where the mode has changed, or what the bridge does: sooner."""
 OPEN: Final = "; the graph is open: all who reach it can drive the robot"
@@ -60,7 +62,7 @@ class Reports:
     def __init__(
         self,
         received: Mapping[str, Any],
-        graph: Graph,
+        node: "Node",
         geometry: Geometry,
         joint_names: JointNames,
         driving: Driving,
@@ -71,7 +73,7 @@ class Reports:
         with_tf: bool,
         is_open: bool,
     ) -> None:
-        """`received`: the rings of `CHANNELS`, by key; `is_open`: others reach the graph without certificates."""
+        """`received`: the rings of `CHANNELS`, by key; `is_open`: other machines may reach the graph."""
         self._parameters = parameters
         self._hardware_id = hardware_id
         unknown_deg = parameters.uncommanded_deg
@@ -88,12 +90,12 @@ class Reports:
         self._moved = False
         """Since the latest joint states."""
         self._diagnosed: object = None
-        self._joint_states = graph.publisher("joint_states", JointState)
-        self._diagnostics = graph.publisher("diagnostics", DiagnosticArray, always=True)
-        self._measured = {topic: graph.publisher(topic, kind) for topic, kind in MEASURED.items()}
-        self._tf = graph.publisher("/tf", TFMessage) if with_tf else None
+        self._joint_states = node.publisher("joint_states", JointState)
+        self._diagnostics = node.publisher("diagnostics", DiagnosticArray, always=True)
+        self._measured = {topic: node.publisher(topic, kind) for topic, kind in MEASURED.items()}
+        self._tf = node.publisher("/tf", TFMessage) if with_tf else None
         text = description(geometry, joint_names.of, parameters.base_frame)
-        graph.publisher("robot_description", String, latched=True).publish(text)
+        node.publisher("robot_description", String, latched=True)(text)
 
     def begin(self, calibration: Calibration) -> None:
         """The calibration that is in force; changes of it are published."""
@@ -114,18 +116,18 @@ class Reports:
             for topic, message in measured(
                 telemetry, time_ns, self._parameters.base_frame, self._parameters.measured_in
             ):
-                self._measured[topic].publish(message)
+                self._measured[topic](message)
         if self._moved and now_s - self._published_s >= 1 / self._parameters.joint_states_hz - PERIOD_S / 2:
             self._moved, self._published_s = False, now_s
             at_rad = self._uncommanded_rad | self._joints.rad
-            self._joint_states.publish(joint_state(at_rad, time_ns, self._joint_names.of))
+            self._joint_states(joint_state(at_rad, time_ns, self._joint_names.of))
             if self._tf is not None:
-                self._tf.publish(frames(self._geometry, at_rad, time_ns, self._parameters.base_frame))
+                self._tf(frames(self._geometry, at_rad, time_ns, self._parameters.base_frame))
         sign = (self._state and self._state.mode, self._driving.does, self._topics.latest_rejection)
         if now_s - self._diagnosed_s >= (1 / self._parameters.diagnostics_hz if sign == self._diagnosed else CHANGED_S):
             self._diagnosed_s, self._diagnosed = now_s, sign
             statuses = (*self._gateway(now_s), self._bridge())
-            self._diagnostics.publish(diagnostic_array(statuses, time_ns, self._hardware_id))
+            self._diagnostics(diagnostic_array(statuses, time_ns, self._hardware_id))
 
     def _take(self, key: str, kind: type[R]) -> R | None:
         """The next report on a key, if it is one: without access control, anybody may publish there."""

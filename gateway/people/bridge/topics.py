@@ -6,19 +6,31 @@ from collections import Counter
 from collections.abc import Callable
 from datetime import UTC, datetime
 from functools import partial
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from gateway.geometry import Geometry
 from gateway.model.staleness import Staleness
 from gateway.people.bridge.driving import Driving, NotTakenError
-from gateway.people.bridge.graph import Arrived, Graph, Present, presence
-from gateway.people.ros2.cdr import Message, decode
+from gateway.people.bridge.graph import Arrived, Present, presence
 from gateway.people.ros2.joints import JointNames, check_reach, positions
-from gateway.people.ros2.messages import Float64, Header, Int32, JointState, JointTrajectory, Time, Twist, TwistStamped
+from gateway.people.ros2.messages import (
+    Float64,
+    Header,
+    Int32,
+    JointState,
+    JointTrajectory,
+    Message,
+    Time,
+    Twist,
+    TwistStamped,
+)
 from gateway.people.ros2.rivals import SILENT_S, Rivals
 from gateway.people.ros2.trajectory import Trajectory
 from gateway.people.walking import Velocity
 from gateway.people.walking.gaits import NUMBERS
+
+if TYPE_CHECKING:
+    from gateway.people.bridge.node import Node
 
 _MAX_BYTES: Final = 4096
 """As a command to the gateway; 18 joints with velocity and effort have 1000."""
@@ -32,7 +44,7 @@ _MOST_APART_NS: Final = 10 * 365 * 86_400_000_000_000
 that knows no time yet, begin in 1970."""
 
 Taken = Callable[[Any, Arrived], None]
-"""Takes a message of the topic's types."""
+"""Takes a message of the topic's type."""
 
 
 class Topics:
@@ -56,22 +68,22 @@ class Topics:
         self.rejected: Counter[str] = Counter()
         self.latest_rejection = ""
 
-    def subscribe(self, graph: Graph) -> None:
+    def subscribe(self, node: "Node") -> None:
         """Take messages from now on; they move nothing before the bridge drives."""
         stand = self._driving.stand
-        table: dict[str, tuple[Taken, tuple[type[Message], ...]]] = {
-            "joint_commands": (self._joint_commands, (JointState,)),
-            "joint_trajectory": (self._joint_trajectory, (JointTrajectory,)),
-            "cmd_vel": (self._go, (Twist, TwistStamped)),
-            "cmd_vel_stamped": (self._go, (TwistStamped, Twist)),
-            "cmd_base_height": (lambda found, _: stand(height_m=found.data), (Float64,)),
-            "roll_setpoint": (lambda found, _: stand(roll_rad=found.data), (Float64,)),
-            "pitch_setpoint": (lambda found, _: stand(pitch_rad=found.data), (Float64,)),
-            "cmd_gait_type": (self._gait, (Int32,)),
+        table: dict[str, tuple[Taken, type[Message]]] = {
+            "joint_commands": (self._joint_commands, JointState),
+            "joint_trajectory": (self._joint_trajectory, JointTrajectory),
+            "cmd_vel": (self._go, Twist),
+            "cmd_vel_stamped": (self._go, TwistStamped),
+            "cmd_base_height": (lambda found, _: stand(height_m=found.data), Float64),
+            "roll_setpoint": (lambda found, _: stand(roll_rad=found.data), Float64),
+            "pitch_setpoint": (lambda found, _: stand(pitch_rad=found.data), Float64),
+            "cmd_gait_type": (self._gait, Int32),
         }
-        for topic, (take, kinds) in table.items():
-            most = MAX_TRAJECTORY_BYTES if JointTrajectory in kinds else _MAX_BYTES
-            graph.subscribe(topic, kinds, most, partial(self._take, topic, take), partial(self.reject, topic))
+        for topic, (take, kind) in table.items():
+            most = MAX_TRAJECTORY_BYTES if kind is JointTrajectory else _MAX_BYTES
+            node.subscribe(topic, kind, most, partial(self._take, topic, take), partial(self.reject, topic))
 
     def turned(self) -> None:
         """Ten times a second and more: else what comes after a pause of this process is held for old."""
@@ -105,10 +117,9 @@ class Topics:
 
     # ---- all of them
 
-    def _take(self, topic: str, take: Taken, kind: type[Message], arrived: Arrived) -> None:
+    def _take(self, topic: str, take: Taken, message: Message, arrived: Arrived) -> None:
         try:
             self.check_age(arrived)
-            message = decode(kind, arrived.data)
             _check_stamp(message)
             rivals, now_s = self._rivals.get(topic), time.monotonic()
             if rivals is not None and not rivals.may_send(arrived.sender, now_s):

@@ -43,8 +43,6 @@ class Button:
         self._count = 0
         self._ends_s = 0.0
         """When to register anew, monotonic."""
-        self.registered_s = 0.0
-        """When it was registered, monotonic. @private"""
         self.name = ""
         """Its name at the gateway: the certificate's person, else the name that the program chose."""
         self.timeout_ms = 0.0
@@ -69,8 +67,8 @@ class Button:
             ack = _granted(self._requests.register(self._wanted))
             self._token, self._count = ack.button, 0
             self.timeout_ms = ack.timeout_ms or 0.0
-            self.registered_s = self._ends_s = time.monotonic()
-            if self.registered_s - began_s <= REGISTERED_WITHIN * self.timeout_ms / 1000:
+            registered_s = self._ends_s = time.monotonic()
+            if registered_s - began_s <= REGISTERED_WITHIN * self.timeout_ms / 1000:
                 self._ends_s += LIFE * self.timeout_ms / 1000
                 return
         raise RejectedError(Reason.STALE, "registering takes longer than half the time that a check-in counts")

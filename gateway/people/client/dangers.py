@@ -14,6 +14,7 @@ _BAD: Final = frozenset(
         Kind.BUS_FAULT,
         Kind.BUS_MEDDLED,
         Kind.CONTROLLER_SILENT,
+        Kind.CONTROLLER_RESTARTED,
         Kind.FALLEN,
         Kind.STOPPED_OUTSIDE,
         Kind.BUTTON_SILENT,

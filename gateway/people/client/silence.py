@@ -10,7 +10,7 @@ from typing import Final
 LOOK_EVERY_S: Final = 0.1
 """How often to check the age of the newest state."""
 QUIET_MS: Final = 250.0
-"""After this time without a state the gateway is asked for it: it may publish none (`telemetry.state_hz = 0`)."""
+"""After this time without a state the gateway is asked for it: it may be delayed."""
 SILENT_MS: Final = 1000.0
 """After this time without a state the cause is looked for."""
 WHY_EVERY_S: Final = 3.0

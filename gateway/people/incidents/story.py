@@ -37,6 +37,7 @@ _WHAT: Final = {
     "bus-fault": "the SPI bus failed",
     "off-button": "somebody pressed the robot's off button, and all legs were stopped",
     "controller-silent": "the controller fell silent, and all legs were stopped",
+    "controller-restarted": "the controller may have restarted, and all legs were stopped",
     "power-fault": "the power board reported a fault",
     "servo-draws": "a servo that was stopped still drew current",
     "power-unconfirmed": "the power board did not confirm a Stop",

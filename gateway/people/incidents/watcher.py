@@ -34,28 +34,23 @@ class IncidentWatcher:
         self._due_ns: int | None = None
         self._from_ns = 0  # the oldest record that was read last
         self._failed: set[str] = set()
-        self._reach_ns: dict[str, int] = {}
-        """Since when an incident's file has what precedes it, of those that are not over."""
 
     def look(self) -> list[Path]:
-        """Keep what is new: an incident once it is announced, and once more when nothing can be added to it.
-
-        Returns the files that were written. Raises nothing.
-        """
+        """Keep what is to be kept now; returns the files that were written. Raises nothing."""
         seen = _glance(self._ring)
         due = self._due_ns is not None and self._clock() > self._due_ns
         if seen is None or (seen == self._seen and not due):
             return []
         self._seen = seen
-        return self.keep()
+        return self.keep(whole_only=True)
 
     def keep_all(self) -> None:
         """Keep all that is there now, the end first: its caller may not wait for a full ring."""
-        self.keep(most=NEWEST)
-        self.keep()
+        self.keep(whole_only=False, most=NEWEST)
+        self.keep(whole_only=False)
 
-    def keep(self, *, most: int = MAX_SLOTS) -> list[Path]:
-        """Read the ring and keep its incidents, also those that more can be added to.
+    def keep(self, *, whole_only: bool, most: int = MAX_SLOTS) -> list[Path]:
+        """Read the ring and keep its incidents; `whole_only`: those that nothing can be added to any more.
 
         With `most`, the incidents of its newest so many slots; those that began earlier are then kept anew when it is
         read whole.
@@ -75,17 +70,13 @@ class IncidentWatcher:
         made = [
             self._keep(each, content, names[place:], anew=further_back and each.begin_ns < cut_ns)
             for place, each in enumerate(found, 1)
+            if each.whole or not whole_only
         ]
-        still_open = {each.name for each in found if not each.whole}
-        self._reach_ns = {name: since_ns for name, since_ns in self._reach_ns.items() if name in still_open}
         return [path for path in made if path is not None]
 
     def _keep(self, incident: Incident, content: ring_reader.Content, later: list[str], *, anew: bool) -> Path | None:
         if archive.is_kept(self._folder, incident) and not anew:
             return None
-        reach_ns = max(incident.begin_ns, min(content.records.times_ns[:1], default=0))
-        if reach_ns > self._reach_ns.get(incident.name, reach_ns):
-            return None  # the ring has lost what the file has
         again = archive.path_of(self._folder, incident).exists()
         try:
             path = archive.keep(self._folder, incident, content.records, later, over=self._clock() > incident.end_ns)
@@ -95,7 +86,6 @@ class IncidentWatcher:
                 self._failed.add(incident.name)
                 logger.warning("incident %s cannot be kept: %s", incident.name, error.strerror or error)
             return None
-        self._reach_ns[incident.name] = reach_ns
         if not again:  # else with what came later, such as the next start
             logger.info("incident %s is kept: %s", incident.name, path)
         return path

@@ -21,8 +21,7 @@ from gateway.geometry import Geometry, transforms
 from gateway.geometry.kinematics import BASE, FramePose
 from gateway.people.recordings.commanded import CommandedJoints
 from gateway.people.ros2 import robot
-from gateway.people.ros2.cdr import Message
-from gateway.people.ros2.messages import DiagnosticArray, JointState, Log, MarkerArray, String, TFMessage
+from gateway.people.ros2.messages import DiagnosticArray, JointState, Log, MarkerArray, Message, String, TFMessage
 from schemas.keys import EVENT, SIM_BODY, STATE, TELEMETRY
 from schemas.robot import SERVO_IDS
 from schemas.telemetry import BodyReport, GatewayState, Kind, Telemetry
@@ -163,11 +162,14 @@ class Drawing:
 _LEVELS: Final = {
     Kind.COMMAND_REJECTED: Log.WARN,
     Kind.WATCHDOG_EXPIRED: Log.WARN,
+    Kind.ESTOP_KEPT: Log.WARN,
+    Kind.ESTOP_NOT_KEPT: Log.WARN,
     Kind.STOPPED_OUTSIDE: Log.WARN,
     Kind.BUS_MEDDLED: Log.WARN,
     Kind.ESTOP_ENGAGED: Log.ERROR,
     Kind.BUS_FAULT: Log.ERROR,
     Kind.CONTROLLER_SILENT: Log.ERROR,
+    Kind.CONTROLLER_RESTARTED: Log.ERROR,
     Kind.FALLEN: Log.ERROR,
     Kind.BATTERY_LOW: Log.WARN,
     Kind.POWER_CUT: Log.WARN,

@@ -1,4 +1,4 @@
-"""ROS 2's messages and how they travel over Zenoh (rmw_zenoh), without ROS. Pure: bytes and values, and no session.
+"""ROS 2's messages and this robot in them, without ROS 2. Pure: bytes and values.
 
-`messages` has the types, `cdr` turns them into bytes and back. A bridge and a recording use the same.
+`messages` has the types, `cdr` turns them into bytes. The bridge and a recording use the same.
 """

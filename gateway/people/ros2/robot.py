@@ -8,7 +8,6 @@ from typing import Final
 from gateway.geometry import Geometry, joint_name, transforms, urdf
 from gateway.geometry.kinematics import BASE, LINKS, link_name
 from gateway.geometry.kinematics import FramePose as Step
-from gateway.people.ros2.cdr import Message
 from gateway.people.ros2.messages import (
     BatteryState,
     ColorRGBA,
@@ -21,6 +20,7 @@ from gateway.people.ros2.messages import (
     KeyValue,
     Marker,
     MarkerArray,
+    Message,
     MultiArrayDimension,
     MultiArrayLayout,
     Point,

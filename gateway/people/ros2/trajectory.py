@@ -103,6 +103,10 @@ class Trajectory:
             _check_speed(servo_id, (after.positions_rad[servo_id] - at) / length_s, "from where it is")
         self._from = before
 
+    def postpone(self, by_s: float) -> None:
+        """Reach each point so much later: the joints wait where they are."""
+        self._begins_s += by_s
+
     def at(self, now_s: float) -> dict[int, float]:
         """Servo → radians, after `begin`."""
         index = self._next(now_s)

@@ -13,7 +13,7 @@ from gateway.model.frames import centidegrees
 from gateway.people.client.blocking import Client
 from gateway.people.client.payloads import calibration_payload
 from gateway.people.terminal import agrees, hint, say, this_command
-from gateway.people.tools import driving, kept_lease
+from gateway.people.tools import driving, reach
 from gateway.people.tools.reach import Connection
 from schemas import calibration as wire
 from schemas import keys
@@ -203,8 +203,7 @@ def _change(client: Client, done: str, state: GatewayState, payload: Mapping[str
     fall.
     """
     try:
-        with driving.drives(client, 0, moves=True) as kept:  # this user's own, from another terminal
-            ack = once_kept(client, lambda: client.ask(keys.CALIBRATION_CMD, {**payload, **kept}))
+        ack = once_kept(client, lambda: client.ask(keys.CALIBRATION_CMD, payload))
         if ack.reason in (Reason.NOT_HOLDER, Reason.NO_LEASE):
             ack = _when_free(client, payload)
     except LeaseError as error:
@@ -213,7 +212,7 @@ def _change(client: Client, done: str, state: GatewayState, payload: Mapping[str
         return driving.rejected(ack)
     say(f"{done}: revision {client.calibration().revision}")
     if not state.calibration.kept:
-        hint("The calibration is in memory only, and lost at a restart (calibration.path).")
+        hint("The calibration is in memory only, and lost at a restart (state.path).")
     return 0
 
 
@@ -223,7 +222,7 @@ def _when_free(client: Client, payload: Mapping[str, Any]) -> Ack:
     if holder is not None:
         hint(f"{holder} drives, and is asked for the lease: it is written as soon as that is free, and the")
         hint(f"servos need not run any more then. Waiting for up to {WAIT_S:g} s.")
-    with client.lease(wait_s=WAIT_S, source=kept_lease.me()):
+    with client.lease(wait_s=WAIT_S, source=reach.me()):
         return once_kept(client, lambda: client.ask(keys.CALIBRATION_CMD, payload))
 
 

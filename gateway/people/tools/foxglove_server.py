@@ -16,7 +16,8 @@ from gateway.people.client.live import Order, ReportQueue, Starts
 from gateway.people.recordings.drawing import DESCRIPTION, DRAWN, LOG, Drawing, warning
 from gateway.people.recordings.plain_schema import plain_schema, without_nulls
 from gateway.people.recordings.writing import REPORTS, ROS_ENCODING, ROS_SCHEMA_ENCODING
-from gateway.people.ros2.cdr import Message, definition, encode
+from gateway.people.ros2.cdr import definition, encode
+from gateway.people.ros2.messages import Message
 from gateway.people.terminal import hint, on_end_signals, say
 from gateway.people.tools.reach import Connection
 from gateway.people.tools.viewer_access import Pair, ViewerAccess

@@ -1,4 +1,4 @@
-"""Moving one servo by a few degrees, with consent: what `drill` and `check --move` have in common.
+"""Moving one servo by a few degrees, with consent: what `check --move` and `check --stops` have in common.
 
 People stand next to the robot. Nothing moves unless it is at rest and nobody else drives; a person agrees to which
 servo goes where; and however it ends, a sentence reports whether all is stopped.
@@ -13,7 +13,6 @@ from gateway import geometry
 from gateway.errors import ConfigError, GatewayError
 from gateway.people.client.blocking import Client
 from gateway.people.terminal import ask, hint, this_command
-from gateway.people.tools import kept_lease
 from gateway.people.tools.reach import check_at_rest
 from gateway.people.walking.planning import Planner
 from gateway.people.walking.robot import Robot, ranges
@@ -24,14 +23,12 @@ from schemas.telemetry import GatewayState
 
 STEP_DEG: Final = 5.0
 """How far one servo moves: enough to be seen, too little to do harm."""
-LEG_STEP_DEG: Final = 15.0
-"""How far a whole leg moves."""
 
 
 class ServoMotion(NamedTuple):
-    """What moves: servos of one leg, from `start_deg` to `end_deg` and back."""
+    """What moves: one servo, from `start_deg` to `end_deg` and back."""
 
-    servo_ids: list[int]
+    servo_id: int
     start_deg: float
     """0 to 180. A start sends a servo there at once, wherever it stands."""
     holding: Mapping[int, float] = MappingProxyType({})
@@ -40,46 +37,35 @@ class ServoMotion(NamedTuple):
     @property
     def end_deg(self) -> float:
         """The other angle, within 0 to 180."""
-        by_deg = STEP_DEG if len(self.servo_ids) == 1 else LEG_STEP_DEG
-        return self.start_deg + (by_deg if self.start_deg + by_deg <= MAX_DEG else -by_deg)
+        return self.start_deg + (STEP_DEG if self.start_deg + STEP_DEG <= MAX_DEG else -STEP_DEG)
 
     @property
     def leg(self) -> int:
-        """The leg of its servos, 1 to 6."""
-        return self.servo_ids[0] // 10
+        """The servo's leg, 1 to 6."""
+        return self.servo_id // 10
 
     @property
     def started_ids(self) -> list[int]:
         """All servos that a start starts."""
-        return sorted(self.holding) or self.servo_ids
+        return sorted(self.holding) or [self.servo_id]
 
     @property
     def key(self) -> str:
-        """Where commands for them go."""
-        if self.holding:
-            return keys.LEGS_COMMAND
-        return keys.leg_command(self.leg) if len(self.servo_ids) > 1 else keys.servo_command(self.servo_ids[0])
+        """Where commands for the servo go."""
+        return keys.LEGS_COMMAND if self.holding else keys.servo_command(self.servo_id)
 
     def payload(self, op: str, angle_deg: float) -> dict[str, Any]:
-        """A start or a set of all of them, and of those that hold."""
-        servo = {"op": op, "angle_deg": angle_deg}
-        if self.holding:
-            angles_deg = {**self.holding, **dict.fromkeys(self.servo_ids, angle_deg)}
-            held = {
-                str(leg): [{"op": op, "angle_deg": angles_deg[10 * leg + joint]} for joint in JOINTS] for leg in LEGS
-            }
-            return {"legs": {leg: {"servos": servos} for leg, servos in held.items()}}
-        return {"servos": [servo] * len(self.servo_ids)} if len(self.servo_ids) > 1 else servo
+        """A start or a set of the servo, and of those that hold."""
+        if not self.holding:
+            return {"op": op, "angle_deg": angle_deg}
+        angles_deg = {**self.holding, self.servo_id: angle_deg}
+        held = {leg: [{"op": op, "angle_deg": angles_deg[10 * leg + joint]} for joint in JOINTS] for leg in LEGS}
+        return {"legs": {str(leg): {"servos": servos} for leg, servos in held.items()}}
 
     @property
     def which(self) -> str:
-        """`servo 61`, or `leg 3`."""
-        return f"servo {self.servo_ids[0]}" if len(self.servo_ids) == 1 else f"leg {self.leg}"
-
-
-def of_leg(leg: int, start_deg: float, *, whole: bool, holding: Mapping[int, float]) -> ServoMotion:
-    """The leg's three servos, or its first one."""
-    return ServoMotion([10 * leg + joint for joint in JOINTS][: 3 if whole else 1], start_deg, holding)
+        """`servo 61`."""
+        return f"servo {self.servo_id}"
 
 
 def lying(client: Client, state: GatewayState) -> dict[int, float]:
@@ -97,10 +83,10 @@ def ready(client: Client) -> GatewayState:
     state = client.state()
     check_at_rest(state)
     holder = state.lease.holder
-    if holder is not None and kept_lease.token_of(client) is None:
+    if holder is not None:
         raise ConfigError(
-            f"{visible(holder)} drives, and nothing is moved: wait until the lease is released, or ask for it "
-            f"({this_command()} lease ask)"
+            f"{visible(holder)} drives, and nothing is moved: wait until the lease is released "
+            f"({this_command()} status --follow)"
         )
     return state
 

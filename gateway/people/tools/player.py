@@ -4,7 +4,7 @@ import gc
 import threading
 import time
 from collections import deque
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Final
 
@@ -60,15 +60,15 @@ class Player:
         self._slipped_ns = 0
         """By how much all that is still to come is later than in the recording."""
 
-    def run(self, lease: Mapping[str, str]) -> None:
-        """Commands carry the `lease` that this user has acquired beforehand.
+    def run(self) -> None:
+        """Play it to its end.
 
         Raises RejectedError or StoppedError where something ends it before its time.
         """
         interrupted = StoppedError("the replay was ended; all legs are stopped", ())
         with self._receives(), on_end_signals(lambda: self._end(interrupted)):
             self._begun_ns = time.monotonic_ns() + round(BEGIN_S * 1e9)
-            sender = threading.Thread(target=self._send, args=(lease,), name="sender")
+            sender = threading.Thread(target=self._send, name="sender")
             try:
                 sender.start()
                 while not self._over.wait(_PROGRESS_S):
@@ -81,16 +81,16 @@ class Player:
         if self._ended is not None:
             raise self._ended
 
-    def _send(self, lease: Mapping[str, str]) -> None:
+    def _send(self) -> None:
         try:
-            if self._play(lease):
+            if self._play():
                 self._wait_until(time.monotonic_ns() + LAST_NS)
         except GatewayError as error:
             self._end(error)
         finally:
             self._over.set()
 
-    def _play(self, lease: Mapping[str, str]) -> bool:
+    def _play(self) -> bool:
         """False: something has ended it."""
         while self._ahead or self._read_a_step():
             step = self._ahead.popleft()
@@ -103,7 +103,7 @@ class Player:
                 return False
             if late_ns > SLIP_NS:
                 self._slipped_ns += late_ns
-            self._client.publish(step.key, {**step.payload(), **lease})
+            self._client.publish(step.key, step.payload())
             self.sent += 1
         return True
 

@@ -3,6 +3,8 @@
 A program's own `Client` raises at once when a question is not answered; a command ends then, so it has time to look.
 """
 
+import getpass
+import socket
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from functools import partial
@@ -17,7 +19,18 @@ from schemas.telemetry import GatewayState, Mode
 
 _WAIT: Final = "wait until it is idle"
 
+_MAX_SOURCE: Final = 64
+
 Connection = Callable[[], AbstractContextManager[Client]]
+
+
+def me() -> str:
+    """Return `user@host`, 64 characters at most: the driver's name where no certificate has one."""
+    try:
+        user = getpass.getuser()
+    except (KeyError, OSError):  # a container's user without a name
+        user = "somebody"
+    return f"{user}@{socket.gethostname()}"[:_MAX_SOURCE]
 
 
 def connection(connect: str | None, zenoh_config: Path | None, timeout_s: float, *, source: str) -> Connection:

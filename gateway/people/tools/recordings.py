@@ -101,7 +101,7 @@ def replay(
 ) -> None:
     """Drive a gateway with the frames of a recording, in their time; asks before it moves a real robot.
 
-    It drives (see `lease`) meanwhile, and stops all legs at the end, also on Ctrl-C.
+    It holds the lease meanwhile, and stops all legs at the end, also on Ctrl-C.
 
     Exit codes: 0 all was sent, 1 it was rejected or stopped,
     2 there is nothing to replay, the robot is not at rest, or nobody agreed, 4 no gateway answers.

@@ -36,8 +36,8 @@ def replay(connect: Connection, path: Path, *, speed: float, agreed: bool) -> in
             _ask(recorded, speed, agreed=agreed)
         player = Player(client, recorded, recording.steps(), speed)
         try:
-            with without_pauses(), drives(client, recorded.duration_ns / speed / 1e9 + 1, moves=True) as lease:
-                player.run(lease)
+            with without_pauses(), drives(client, recorded.duration_ns / speed / 1e9 + 1, moves=True):
+                player.run()
         except LeaseError as error:
             return rejected(error)
     say(f"replayed: {player.sent} commands in {recorded.duration_ns / speed / 1e9:.1f} s")

@@ -13,8 +13,7 @@ from gateway.people.client.payloads import leg_payload, servo_payload
 from gateway.people.client.requests import Identity
 from gateway.people.terminal import hint, say, this_command
 from gateway.people.tools import reach
-from gateway.people.tools.kept_lease import me
-from gateway.people.tools.reach import Connection
+from gateway.people.tools.reach import Connection, me
 from gateway.zenoh_config import client_config
 from schemas import keys
 from schemas.robot import JOINTS, LEGS
@@ -85,8 +84,8 @@ def _send(connect: Connection, key: str, payload: dict[str, object], *, moves: b
 
     with connect() as client:
         try:
-            with driving.drives(client, hold_s, moves=moves) as lease:
-                code = _send_for(client, key, {**payload, **lease}, moves=moves, hold_s=hold_s)
+            with driving.drives(client, hold_s, moves=moves):
+                code = _send_for(client, key, payload, moves=moves, hold_s=hold_s)
         except LeaseError as error:
             code = driving.rejected(error)
         _warn_of_others(client, key)
@@ -161,11 +160,8 @@ def _alarm(ack: Ack, look: Callable[[], GatewayState]) -> str:
 
 def reset(connect: Connection) -> int:
     """Leave the latest emergency stop. Returns the exit code."""
-    from gateway.people.tools import driving
-
     with connect() as client:
-        with driving.drives(client, 0, moves=True) as lease:
-            ack = client.ask(keys.RESET, {"estop": client.state().estop, **lease})
+        ack = client.ask(keys.RESET, {"estop": client.state().estop})
         code = command_report(ack, "reset; nothing moves until it is started again", client.state)
         _warn_of_others(client, keys.RESET)
         return code

@@ -1,13 +1,14 @@
-"""`hexapod-gateway status`: one look at the state, in sentences or as published."""
+"""`hexapod-gateway status`: one look at the state, in sentences or as published; `follow` has what comes after it."""
 
 import sys
 from pathlib import Path
 
+from gateway.certs import expiry
 from gateway.people.client.dangers import PowerAlarm, power_now
 from gateway.people.terminal import say
 from gateway.people.tools.reach import connection
 from gateway.people.walking import robot_now
-from schemas.telemetry import GatewayState, LegReport
+from schemas.telemetry import ControllerReport, GatewayState, LegReport
 
 
 def status(connect: str | None, zenoh_config: Path | None, timeout_s: float, *, as_json: bool) -> None:
@@ -21,39 +22,53 @@ def status(connect: str | None, zenoh_config: Path | None, timeout_s: float, *, 
         say(sentence)
 
 
+def topics(state: GatewayState) -> dict[str, str]:
+    """What a person asks of a robot that moves, a sentence each; "": there is nothing to say."""
+    lease, buttons, certificate = state.lease, state.buttons, state.certificate
+    drives = "drives" if lease.held_s is not None else "is handed the lease"
+    soon = None if certificate is None else expiry.soon(certificate.file, certificate.expires, state.time)
+    watched = f"Stop buttons: {buttons.alive} alive, {buttons.required} required."
+    return {
+        "robot": f"{robot_now(state)}.",
+        "lease": "Nobody drives." if lease.holder is None else f"{lease.holder} {drives}.",
+        "buttons": watched if buttons.required or buttons.alive else "",
+        "calibration": "" if state.calibration.fault is None else f"Nothing can be started: {state.calibration.fault}",
+        "controller": _controller(state.controller),
+        "power": "" if state.power is None else f"Power ({state.power.interface}): {power_now(state.power)}.",
+        "certificate": "" if soon is None else f"The robot's {soon}: see `certs renew`.",
+    }
+
+
 def sentences(state: GatewayState) -> list[str]:
     """What a person asks first, a line each: may it move, what runs, who drives, what has gone wrong."""
-    found = [f"{robot_now(state)}. Gateway {state.version}, up {state.uptime_s:.0f} s."]
+    asked, spi, watchdog, battery = topics(state), state.spi, state.watchdog, state.battery
+    found = [f"{asked['robot']} Gateway {state.version}, up {state.uptime_s:.0f} s."]
     found += (_leg(leg) for leg in state.legs if any(servo.running for servo in leg.servos))
-    lease, buttons, spi, watchdog = state.lease, state.buttons, state.spi, state.watchdog
-    if lease.holder is not None:
-        found.append(f"{lease.holder} {'drives' if lease.held_s is not None else 'is handed the lease'}.")
-    if buttons.required or buttons.alive:
-        found.append(f"Stop buttons: {buttons.alive} alive, {buttons.required} required.")
-    if state.calibration.fault is not None:
-        found.append(f"Nothing can be started: {state.calibration.fault}")
+    found += (asked["lease"], asked["buttons"], asked["calibration"])
     device = "a simulated controller" if state.simulated else spi.device
     spoken = state.protocol if spi.framing == "none" else spi.framing
     found.append(f"{spi.frames} frames to {device} ({spoken}), {spi.errors} SPI errors.")
-    controller, battery = state.controller, state.battery
-    if controller.alive is not None:
-        silence = "" if controller.age_ms is None else f", its last answer {controller.age_ms / 1000:.1f} s ago"
-        found.append(
-            f"The controller ({controller.protocol}) {'is alive' if controller.alive else f'is SILENT{silence}'}."
-        )
+    found.append(_controller(state.controller, state.controller.age_ms))
     if battery is not None:
         found.append(f"Battery: {battery.voltage_v:.2f} V, {battery.percent:.0f} %.")
-    if state.power is not None:
-        alarm = PowerAlarm()
-        alarm.received_state(state, 0)
-        found.append(" ".join((f"Power ({state.power.interface}): {power_now(state.power)}.", alarm.sentence)).strip())
+    alarm = PowerAlarm()
+    alarm.received_state(state, 0)
+    found.append(f"{asked['power']} {alarm.sentence}".strip())
     found.append(
         f"{state.commands.accepted} commands accepted, {state.commands.rejected} rejected; "
         f"the watchdog ({watchdog.timeout_ms:g} ms) has stopped {watchdog.expirations} legs."
     )
+    found.append(asked["certificate"])
     if state.incident is not None:
         found.append(f"Latest incident: {state.incident} (hexapod-gateway incidents show {state.incident}).")
-    return found
+    return [each for each in found if each]
+
+
+def _controller(controller: ControllerReport, age_ms: float | None = None) -> str:
+    if controller.alive is None:
+        return ""
+    silence = "" if age_ms is None else f", its last answer {age_ms / 1000:.1f} s ago"
+    return f"The controller ({controller.protocol}) {'is alive' if controller.alive else f'is SILENT{silence}'}."
 
 
 def _leg(leg: LegReport) -> str:

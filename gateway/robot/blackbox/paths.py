@@ -16,33 +16,33 @@ for coalesced commands and their Decisions."""
 OTHER_RECORDS_PER_S: Final = 100
 
 
+RING_S: Final = 60.0
+"""The 10 s before an incident must still be there when it is copied; for more than a minute there are recordings."""
 REACH_S: Final = 50.0
-"""An incident reaches 10 s back and lasts 30 s at most, and hexapod-recorder looks twice a second. So long the ring
-keeps what messages have made of it, whoever floods; what the gateway records by itself is bounded by its own rates."""
+"""The ring keeps what messages have made of it for this time, whoever floods: an incident reaches 10 s back and lasts
+30 s at most. What the gateway records by itself is bounded by its own rates."""
 
 
 def slots_for(settings: Settings) -> int:
-    """The number of records of `recorder.seconds` with all legs commanded at their rate."""
+    """The number of records of `RING_S` with all legs commanded at their rate."""
     per_s = RECORDS_PER_FRAME * len(LEGS) * settings.limits.leg_rate_hz + OTHER_RECORDS_PER_S
-    return min(MAX_SLOTS, round(settings.recorder.seconds * per_s))
+    return min(MAX_SLOTS, round(RING_S * per_s))
 
 
 def client_records_a_second(settings: Settings) -> int:
     """How many records messages may make: those of all legs at their rate, and no more than the ring has room for."""
-    room = slots_for(settings) / min(settings.recorder.seconds, REACH_S) - OTHER_RECORDS_PER_S
+    room = slots_for(settings) / REACH_S - OTHER_RECORDS_PER_S
     return max(1, round(min(RECORDS_PER_FRAME * len(LEGS) * settings.limits.leg_rate_hz, room)))
 
 
 def folder_of(settings: Settings) -> Path | None:
     """The folder that the gateway itself uses; None: the black box is off."""
-    if settings.recorder.path:
-        return Path(settings.recorder.path)
-    return state_directory()
+    return state_directory(settings.state.path)
 
 
 def folder_to_read(settings: Settings) -> Path | None:
     """The same for a program that reads it: also the service's, or else that of `make run`."""
-    return folder_of(settings) or state_to_read() or (tried() if tried().is_dir() else None)
+    return state_to_read(settings.state.path) or (tried() if tried().is_dir() else None)
 
 
 def tried() -> Path:
@@ -52,8 +52,11 @@ def tried() -> Path:
 
 
 def prepare(folder: Path) -> Path:
-    """Make the folder and a link in it to the ring; returns the ring's path. Raises OSError."""
-    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    """Make a link in the folder to the ring; returns the ring's path. Raises OSError.
+
+    A missing folder stays missing: nothing is known of what an earlier run has kept there.
+    """
+    os.listdir(folder)
     place, link = in_memory(folder), folder / RING_FILE
     if place == link:
         return place

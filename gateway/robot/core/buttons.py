@@ -110,7 +110,7 @@ class Buttons:
 
     def rejection(self) -> tuple[Reason, str]:
         """Why nothing starts while they are too few."""
-        return Reason.NO_BUTTON, f"{self._count()}; nothing moves until enough check in (hexapod-gateway button)"
+        return Reason.NO_BUTTON, f"{self._count()}; nothing moves until enough check in (a page's /button)"
 
     # ---- time
 

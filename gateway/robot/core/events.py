@@ -42,6 +42,8 @@ class Request:
     """Its own, from 1 on, for the supervisor and the black box; 0: it is rejected before."""
     written: tuple[int, ...] = ()
     """The legs that a frame of it was written for; should it be rejected after that, its answer names them."""
+    stopped: tuple[int, ...] = ()
+    """The servos that it stops, or may stop, and that are stopped though it is rejected."""
 
     @property
     def servo_ids(self) -> Iterable[int]:
@@ -61,6 +63,9 @@ class Command(Request):
 
     lost: bool = False
     """Nobody's command: Stops that stand for messages of the channel which were lost."""
+    rejected: "Rejected | None" = field(default=None, repr=False)
+    """Why it was rejected before the supervisor takes it: only its Stops are carried out. For a message that could not
+    be read, these are the Stops that it may contain, and another request is answered in its place."""
     moves: Targets = field(init=False)
     """Those of its targets that are no Stops."""
     by_leg: dict[int, Targets] = field(init=False)
@@ -79,6 +84,11 @@ class Command(Request):
             self.left += 1
             if op.op is not OP_STOP:
                 self.moves += (target,)
+
+    @property
+    def stops(self) -> Targets:
+        """Its targets that are Stops."""
+        return tuple(target for target in self.targets if target[1].op is OP_STOP)
 
     @property
     def channel(self) -> str:
@@ -121,7 +131,10 @@ class BusOpened:
 
 @value
 class BusFailed:
-    """A transfer failed, or the device could not be opened again; CONTROLLER_SILENT: the controller does not answer."""
+    """A transfer failed, or the device could not be opened again.
+
+    CONTROLLER_SILENT: the controller does not answer; CONTROLLER_RESTARTED: it may have forgotten all it was told.
+    """
 
     detail: str
     kind: Kind = Kind.BUS_FAULT
@@ -226,6 +239,17 @@ class StoppedOutside:
 
 
 @value
+class EstopKept:
+    """What an earlier run has left of its emergency stops. Comes once, where `Rules.estop_kept`.
+
+    `number` is that of its latest (0: none), and `engaged` whether nobody has left it.
+    """
+
+    number: int
+    engaged: bool
+
+
+@value
 class TimePassed:
     """Only time has passed; send it when `due_ns` has come."""
 
@@ -246,6 +270,7 @@ Event = (
     | Calibrate
     | CalibrationSaved
     | StoppedOutside
+    | EstopKept
     | BodyMeasured
     | PowerSeen
     | TimePassed
@@ -284,7 +309,7 @@ class Completed:
 
 @value
 class Rejected:
-    """It takes no effect (any more)."""
+    """It takes no effect (any more), except for its Stops."""
 
     request: Request
     reason: Reason

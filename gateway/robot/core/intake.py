@@ -10,7 +10,7 @@ from pydantic_core import from_json
 
 from gateway.robot.core.events import Command, Reset
 from gateway.robot.core.message import Received, Verb
-from gateway.robot.core.targets import TARGETS, Row, stops_of
+from gateway.robot.core.targets import TARGETS, Row, may_contain_stop, stops_of
 from gateway.robot.core.value import value
 from schemas import keys
 from schemas.calibration import MAX_TRIM_DEG
@@ -20,7 +20,8 @@ from schemas.robot import JOINTS, SERVO_IDS
 from schemas.telemetry import Reason
 
 ENCODINGS: Final = frozenset({"application/json", "zenoh/bytes"})
-"""JSON, and what Zenoh reports when the publisher gave no encoding."""
+"""JSON, and what Zenoh reports if the publisher gave no encoding. `is_json` knows JSON's other names."""
+_JSON: Final = re.compile(r"application/(json|[\w.+-]+\+json)\s*(;.*)?", re.ASCII | re.DOTALL)
 MAX_COLONS_OF_SOURCE: Final = 64
 MAX_KEY: Final = 100
 """Characters of a key of the sender's own making that an event repeats; ours have at most 20."""
@@ -64,11 +65,19 @@ def deleted(key: CommandKey) -> Command | Rejection:
 
 
 def words_of_stop(received: Received) -> bytes | None:
-    """The payload of what may be a Stop; None: it is none. What is too large has no payload, and is rejected."""
+    """The payload of what may be a Stop; None: it is none. A payload that is too large to be read may be one."""
     if received.verb is _DELETE:
         return b""
-    key, words = received.target, received.payload
-    return words if key is not None and TARGETS[key.target].may_stop(words) else None
+    key = received.target
+    may_stop = False if key is None else TARGETS[key.target].may_stop
+    if may_stop is None:
+        may_stop = received.size > MAX_PAYLOAD_BYTES or may_contain_stop(received.payload)
+    return received.payload if may_stop else None
+
+
+def is_json(encoding: str) -> bool:
+    """Return whether an encoding is JSON: `application/json` or `application/*+json` with any parameters, or none."""
+    return encoding in ENCODINGS or _JSON.fullmatch(encoding) is not None
 
 
 def _decoded(row: Row, number: int, received: Received) -> Command | Reset | Rejection:
@@ -77,7 +86,7 @@ def _decoded(row: Row, number: int, received: Received) -> Command | Reset | Rej
         return Command()
     if received.size > MAX_PAYLOAD_BYTES:
         return too_large(received.size)
-    if received.encoding not in ENCODINGS:
+    if received.encoding not in ENCODINGS and not is_json(received.encoding):
         name = _name(received.encoding)
         return Rejection(Reason.BAD_ENCODING, f"the encoding is {name}; it must be application/json, or left out")
     payload = received.payload
@@ -131,7 +140,7 @@ def _fields(row: Row, command: Command | Reset) -> int:
     return fields + once
 
 
-class _GivenTwiceError(Exception):
+class _GivenTwiceError(ValueError):
     """Carries the name that one of a payload's objects has twice."""
 
 
@@ -142,18 +151,20 @@ def name_given_twice(payload: bytes) -> str | None:
     """
     if payload:
         try:
-            json.loads(payload, object_pairs_hook=_reject_doubles)
+            json.loads(payload, object_pairs_hook=each_name_once)
         except _GivenTwiceError as error:
             return str(error)
     return None
 
 
-def _reject_doubles(pairs: list[tuple[str, object]]) -> None:
-    seen = set()
-    for name, _ in pairs:
-        if name in seen:
+def each_name_once(pairs: list[tuple[str, object]]) -> dict[str, object]:
+    """Make a JSON object. Raises ValueError if a name is given twice."""
+    found: dict[str, object] = {}
+    for name, each in pairs:
+        if name in found:
             raise _GivenTwiceError(name)
-        seen.add(name)
+        found[name] = each
+    return found
 
 
 # ---- rejections in words

@@ -8,7 +8,7 @@ The rules (docs/interface.md, *Behaviour 9*), by state:
 - Asked: held, and others have asked for it. The latest `MOST_ASKERS` are known: the holder may hand over to each.
 - Handed over: for `ttl_ns` it waits for one of them. Nobody else acquires it, and no token is good.
 
-A takeover succeeds in any state, if takeovers are allowed; the supervisor stops all legs before. A token is
+A takeover succeeds in any state; the supervisor stops all legs before. A token is
 good as long as its lease lasts. After that it is rejected in every state, for commands of its holder may still be on
 their way. Stops, deletes and emergency stops are not asked for a token.
 """
@@ -99,7 +99,7 @@ class RobotLease:
 
     def is_takeover(self, request: LeaseRequest) -> bool:
         """Whether all legs have to be stopped before this request is granted."""
-        return request.do is Do.TAKE and (self._rules.lease_takeover or self.holder is None)
+        return request.do is Do.TAKE
 
     def grant(self, request: LeaseRequest, now_ns: int) -> Decision:
         """The events of one request, and its answer."""
@@ -124,9 +124,6 @@ class RobotLease:
 
     def _take(self, request: LeaseRequest, now_ns: int) -> Decision:
         name, before = request.source, self.holder
-        if not self.is_takeover(request):
-            detail = f"{before} holds the lease, and lease.takeover lets nobody take it"
-            return [], RequestAnswer(Reason.LEASE_DENIED, detail)
         self._give(name, request.fresh_token, now_ns, verified=request.verified)
         if before is None:
             detail = f"{name} has stopped all legs and acquired the lease"

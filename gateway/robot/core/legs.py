@@ -6,6 +6,7 @@ commands are thereby done.
 """
 
 from collections.abc import Collection, Iterator, Mapping
+from dataclasses import replace
 from typing import Final
 
 from gateway.model.angle_limits import AngleLimits
@@ -52,6 +53,13 @@ def _taken_over(leg: Leg, source: str | None, moves: bool) -> list[Effect]:
     new, old = ("somebody without a name" if name is None else name for name in (source, before))
     detail = f"leg {leg.number} is commanded by {new}, and was by {old}"
     return [Announce(Kind.SOURCE_CHANGED, detail, source, legs=(leg.number,))]
+
+
+def _withdrawn(command: Command, reason: Reason, detail: str) -> Rejected:
+    """The rejection of a command of which no more is written. Its Stops were, unless the bus failed."""
+    if reason is not Reason.BUS_FAULT:
+        command.stopped = tuple(servo_id for servo_id, _ in command.stops)
+    return Rejected(command, reason, detail)
 
 
 class Legs:
@@ -219,8 +227,20 @@ class Legs:
         elif not self._rules.start_pause_ns:  # else a leg that starts delays others
             self._moved = moved
         if whole and command.moves:
-            effects.append(Rejected(command, Reason.WHOLE_ROBOT, _MIXED))
+            effects.append(_withdrawn(command, Reason.WHOLE_ROBOT, _MIXED))
         return effects + taken if taken else effects
+
+    def stop_for(self, command: Command, rejected: Rejected, now_ns: int, *, write: bool) -> list[Effect]:
+        """Carry out the Stops of a rejected command, and nothing else of it; not `write`: all are written already."""
+        if not command.stops:
+            return [rejected]
+        effects: list[Effect] = []
+        if write:
+            stops = replace(command, targets=command.stops)
+            stops.left += 1  # it is never completed, but rejected
+            effects = self.apply(stops, now_ns)
+        rejected.request.stopped = tuple(servo_id for servo_id, _ in command.stops)
+        return [*effects, rejected]
 
     def why_not_whole(self, command: Command) -> tuple[Reason, str] | None:
         """Why a robot that can only be started as a whole does not take these starts; None: it does, or it runs.
@@ -237,7 +257,7 @@ class Legs:
 
         Its moves, if any, are never written, so it is not completed.
         """
-        command.left = len(self.servos) + len(command.moves)
+        command.left += len(self.servos) - len(command.stops)
         return {leg.number: tuple((servo.servo_id, STOP) for servo in leg.servos) for leg in self}
 
     def _stop_on_command(self, leg: Leg, servos: list[Servo], command: Command, now_ns: int) -> list[Effect]:
@@ -464,7 +484,7 @@ class Legs:
         for number in tuple(self._queue.legs):
             if not self.by_number[number].waits_to_start:
                 self._queue.leave(number)
-        return [Rejected(command, reason, detail) for command in rejected]
+        return [_withdrawn(command, reason, detail) for command in rejected]
 
     def _repeat(self, leg: Leg, now_ns: int) -> list[Effect]:
         due = [servo for servo in leg.servos if servo.repeats_left and now_ns >= servo.repeat_ns]

@@ -1,16 +1,23 @@
-"""Which servos a lost Stop may have named: pure.
+"""Which servos a Stop may have named that was lost, or that was rejected for its form: pure.
 
 A flood pushes older messages out of its key's ring, and a Stop may be among them. It would have stopped what its key
 names, until a Start on the same key came after it. So these servos are stopped, except those that one of the messages
 that were left starts.
+
+A message that is rejected for its form, and may contain a Stop, stops the servos that its payload names; all servos of
+its key where that cannot be told. To stop once too often harms nobody.
 """
 
+import json
 from typing import Final
 
-from gateway.model.frames import OP_START
+from gateway.model.frames import OP_START, STOP, servo_ids_of
 from gateway.robot.core.events import Targets
-from gateway.robot.core.targets import stops_of
+from gateway.robot.core.intake import each_name_once, words_of_stop
+from gateway.robot.core.message import Received
+from gateway.robot.core.targets import TARGETS, stops_of
 from schemas.keys import COMMAND_KEYS
+from schemas.robot import JOINTS, LEGS, SERVO_IDS
 
 DETAIL: Final = (
     "messages were lost on the way to the gateway: more came at once than it keeps, and a stop may be among them, "
@@ -39,3 +46,42 @@ class Losses:
         found = self.key, self._stops
         self.key, self._stops = "", ()
         return found
+
+
+def stops_in(rejected: Received) -> Targets:
+    """Return Stops for the servos that a rejected message may stop."""
+    key = rejected.target
+    if key is None or words_of_stop(rejected) is None:
+        return ()
+    servo_ids = TARGETS[key.target].servos(key.number)
+    try:
+        payload = json.loads(rejected.payload, object_pairs_hook=each_name_once)
+        if isinstance(payload, dict) and isinstance(payload.get("source"), str):
+            del payload["source"]  # a name, whatever words it has
+        servo_ids = _stopped_by(payload, servo_ids)
+    except (ValueError, RecursionError):
+        pass  # it cannot be told
+    return tuple((servo_id, STOP) for servo_id in servo_ids)
+
+
+_FIELDS: Final = {len(SERVO_IDS): "legs", len(JOINTS): "servos"}
+_NUMBERS: Final = {str(leg): servo_ids_of(leg) for leg in LEGS}
+
+
+def _stopped_by(part: object, servo_ids: tuple[int, ...]) -> tuple[int, ...]:
+    """Return those of these servos that a part of a payload may stop: all, unless it has a place for each of them."""
+    if "stop" not in json.dumps(part, ensure_ascii=False).casefold():
+        return ()
+    if not isinstance(part, dict) or len(servo_ids) not in _FIELDS:
+        return servo_ids
+    rest = dict(part)
+    inner = rest.pop(_FIELDS[len(servo_ids)], None)
+    if _stopped_by(rest, servo_ids[:1]):
+        return servo_ids
+    if isinstance(inner, dict) and len(servo_ids) > len(JOINTS) and inner.keys() <= _NUMBERS.keys():
+        parts: list[tuple[tuple[int, ...], object]] = [(_NUMBERS[leg], each) for leg, each in inner.items()]
+    elif isinstance(inner, list) and len(inner) == len(servo_ids) == len(JOINTS):
+        parts = [((servo_id,), each) for servo_id, each in zip(servo_ids, inner, strict=True)]
+    else:
+        return servo_ids
+    return tuple(servo_id for its_ids, each in parts for servo_id in _stopped_by(each, its_ids))

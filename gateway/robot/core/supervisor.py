@@ -10,6 +10,7 @@ The rules, by their numbers in docs/interface.md, *Behaviour*:
     rejected, and the whole command with it. A Stop ends what waits for its servo: no older Start or Set comes after it.
  3. Starts and Sets wait for their leg's rate slot (`pacing`), newest target per servo. A Stop waits for nothing, and
     in what one step wants sent, all Stops come first.
+    Of a command that is rejected, for whatever reason, the Stops are carried out, and nothing else (`Legs.stop_for`).
  4. A leg that runs, or waits to be started, is stopped when no accepted command starts or sets one of its servos for
     the timeout. A Stop for one servo does not keep the others of its leg running.
     Deadlines come before a command of the same step: a command that was late does not save its leg.
@@ -19,6 +20,7 @@ The rules, by their numbers in docs/interface.md, *Behaviour*:
     None goes to a leg that runs or waits to be started, none takes a rate slot, and none precedes a first Stop.
  5. The emergency stop stops six legs and latches; `Reset` leaves the latch and nothing else. Each request is numbered,
     and a reset names the latest number, so that no reset that was sent before an emergency stop leaves it.
+    What an earlier run has left engaged is engaged; until that is known (`EstopKept`), it counts as engaged.
  6. After `BusFailed` nothing is sent and everything is rejected until `BusOpened`; what waited is dropped.
     The latch of an emergency stop stays through it.
  7. `ShutDown` stops six legs and rejects everything from then on, except an emergency stop. A bus that answers again
@@ -48,7 +50,7 @@ Within one instant, the order of what came by different channels is unknown. So 
 or Set that came by another channel, and the emergency stop wins over a reset.
 """
 
-from typing import Final, assert_never, get_args
+from typing import Final, assert_never
 
 from gateway.allowance import NS_PER_MS
 from gateway.model.angle_limits import AngleLimits
@@ -68,6 +70,7 @@ from gateway.robot.core.events import (
     Completed,
     Effect,
     EmergencyStop,
+    EstopKept,
     Event,
     LeaseRequest,
     PowerSeen,
@@ -79,11 +82,12 @@ from gateway.robot.core.events import (
     TimePassed,
     Transmit,
 )
+from gateway.robot.core.latch import Latch
 from gateway.robot.core.lease import RobotLease
 from gateway.robot.core.leg import Rules
+from gateway.robot.core.legal import LEGAL, IllegalEvent
 from gateway.robot.core.legs import Legs
 from gateway.robot.core.power import LOST, SILENT, PowerRule
-from gateway.robot.core.reset import may_be_older
 from schemas.robot import LEGS
 from schemas.telemetry import Cause, Kind, Mode, Reason
 
@@ -100,21 +104,6 @@ _REJECTING: Final = {
 }
 """The modes in which every command that comes is rejected, and why."""
 
-_AT_START: Final[frozenset[type[Event]]] = frozenset(
-    {EmergencyStop, BusOpened, BusFailed, BodyMeasured, PowerSeen, TimePassed, ShutDown}
-)
-_ANY: Final[frozenset[type[Event]]] = frozenset(get_args(Event))
-LEGAL: Final = {mode: _ANY - {BusOpened} for mode in (Mode.IDLE, Mode.ACTIVE, Mode.ESTOPPED)} | {
-    Mode.STARTING: _AT_START,
-    Mode.BUS_FAULT: _ANY,
-    Mode.STOPPING: _ANY,
-}
-"""In which mode which event may come; any other is a mistake of the caller. Tests have where each leads."""
-
-
-class IllegalEvent(RuntimeError):  # noqa: N818  (h11 and friends: it names what happened)
-    """The caller sent an event that has no place in this mode; the state is as it was."""
-
 
 class Supervisor:
     """Decides what reaches the robot. One owner, one thread."""
@@ -129,19 +118,11 @@ class Supervisor:
         """Whether `BodyMeasured` decides anything."""
         self._opened = False  # ever
         self._bus_ok = False
-        self._silent = False  # the bus is at fault since the controller does not answer
-        self._latched_ns: int | None = None
+        self._fault = Kind.BUS_FAULT  # the one that was announced, while there is one
+        self.latch = Latch(rules)
         self._ended = False
         self.stopped_outside = False
         """Whether `stop-servos` is known to be at work on the same device."""
-        self.estops = 0
-        """The number of the latest emergency stop; 0 before the first.
-
-        Each run of the gateway counts from 1, so a reset that was sent to an earlier run may name a number of this one.
-        A client that is connected to the gateway cannot send one: what was on its way to the earlier run was lost with
-        that run's sockets. A router can, for as long as it keeps a silent link (10 s), and only once this run has come
-        to the same number. The latch is then left, and nothing moves until somebody starts it.
-        """
         self.expirations = 0
         self.mode = Mode.STARTING
         """What the gateway as a whole is doing."""
@@ -158,6 +139,8 @@ class Supervisor:
             raise IllegalEvent(f"{type(event).__name__} while {self.mode}")
         if type(event) is CalibrationSaved and not self.calibrating.awaits(event.number):
             raise IllegalEvent(f"calibration {event.number} is not on its way to the disk")
+        if type(event) is EstopKept and not self.latch.unknown:
+            raise IllegalEvent("what an earlier run has left of its emergency stops is known")
         self.legs.begin(now_ns if instant_ns is None else instant_ns)
         lease_ns, button_ns = self.lease.due_ns, self.buttons.due_ns
         late = (lease_ns is not None and now_ns >= lease_ns) or (button_ns is not None and now_ns >= button_ns)
@@ -193,8 +176,8 @@ class Supervisor:
         match event:
             case Command():
                 effects = self._command(event, now_ns)
-            case TimePassed():
-                effects = []
+            case TimePassed() | EstopKept():
+                effects = self.latch.kept(event, self.legs.instant_ns) if isinstance(event, EstopKept) else []
             case EmergencyStop():
                 effects = self._emergency_stop(event, now_ns)
             case Reset():
@@ -231,19 +214,22 @@ class Supervisor:
             return Mode.STOPPING
         if not self._bus_ok:
             return Mode.BUS_FAULT if self._opened else Mode.STARTING
-        if self._latched_ns is not None:
+        if self.latch.since_ns is not None or self.latch.unknown:
             return Mode.ESTOPPED
         return Mode.IDLE if self.legs.at_rest else Mode.ACTIVE
 
     # ---- events
 
     def _command(self, command: Command, now_ns: int) -> list[Effect]:
-        rejection = self._rejection(command)
-        if rejection is not None:
-            return [Rejected(command, *rejection)]
-        if command.lease is not None:
-            self.lease.heard(command.lease, now_ns)
-        return self.legs.apply(command, now_ns)
+        rejected = command.rejected
+        if rejected is None:
+            rejection = self._rejection(command)
+            if rejection is None:
+                if command.lease is not None:
+                    self.lease.heard(command.lease, now_ns)
+                return self.legs.apply(command, now_ns)
+            rejected = Rejected(command, *rejection)
+        return self.legs.stop_for(command, rejected, now_ns, write=not self._ended) if self._bus_ok else [rejected]
 
     def _rejection(self, command: Command) -> tuple[Reason, str] | None:
         """Why the command as a whole takes no effect; None: it does. Asked before anything of it takes effect."""
@@ -300,9 +286,9 @@ class Supervisor:
         return effects
 
     def _emergency_stop(self, event: EmergencyStop, now_ns: int) -> list[Effect]:
-        first = self._latched_ns is None
-        self.estops += 1
-        self._latched_ns = self.legs.instant_ns  # not `now_ns`: a reset of the same instant may be the older of the two
+        latch, first = self.latch, self.latch.since_ns is None
+        latch.number += 1
+        latch.since_ns = self.legs.instant_ns  # not `now_ns`: a reset of the same instant may be the older of the two
         effects = self._stop_all(Cause.ESTOP, now_ns, Reason.ESTOPPED, _ESTOPPED)
         if first:
             detail = "emergency stop; all commands are rejected until a reset"
@@ -317,14 +303,14 @@ class Supervisor:
         closed = self.lease.rejection(event.lease, reset=True) or self._why_unwatched()
         if closed is not None:
             return [Rejected(event, *closed)]
-        older = may_be_older(event.estop, self.estops, self._latched_ns, self.legs.instant_ns, self._rules)
-        if older is not None:
-            return [Rejected(event, Reason.ESTOPPED, older)]
+        why_not = self.latch.why_not_left(event.estop, self.legs.instant_ns)
+        if why_not is not None:
+            return [Rejected(event, Reason.ESTOPPED, why_not)]
         if event.lease is not None:
             self.lease.heard(event.lease, now_ns)
-        if self._latched_ns is None:
+        if self.latch.since_ns is None:
             return [Completed(event)]
-        self._latched_ns = None
+        self.latch.since_ns = None
         detail = "emergency stop left; nothing moves until it is started again"
         return [Announce(Kind.ESTOP_RESET, detail, event.source, event.key), Completed(event)]
 
@@ -361,16 +347,19 @@ class Supervisor:
         recovered, self._opened, self._bus_ok = self._opened, True, True
         effects = self._stop_all(Cause.STARTUP, now_ns, Reason.BUS_FAULT, _BUS_FAULT)
         if recovered:
-            who, kind = ("controller", Kind.CONTROLLER_RETURNED) if self._silent else ("SPI bus", Kind.BUS_RECOVERED)
+            of_bus, self._fault = self._fault is Kind.BUS_FAULT, Kind.BUS_FAULT
+            who, kind = ("SPI bus", Kind.BUS_RECOVERED) if of_bus else ("controller", Kind.CONTROLLER_RETURNED)
             effects.append(Announce(kind, f"the {who} answers again; all servos are stopped"))
         return effects
 
     def _bus_failed(self, event: BusFailed) -> list[Effect]:
         first, self._bus_ok, self._opened = self._bus_ok or not self._opened, False, True
+        # One that restarted and does not come back is silent, which a person has to see to.
+        stays_away = event.kind is Kind.CONTROLLER_SILENT and self._fault is Kind.CONTROLLER_RESTARTED
         self.legs.landing = None  # the bus that opens again stops everything, and lands nothing
         effects = self.legs.drop(self.legs.servos.values(), Reason.BUS_FAULT, _BUS_FAULT)
-        if first:
-            self._silent = event.kind is Kind.CONTROLLER_SILENT
+        if first or stays_away:
+            self._fault = event.kind
             effects.append(Announce(event.kind, event.detail))
         return effects
 

@@ -74,17 +74,17 @@ def _own(servo_id: int) -> tuple[int, ...]:
     return (servo_id,)
 
 
-def _has_stop(payload: bytes) -> bool:
-    """In JSON a word may be written with escapes, and each of them has a backslash."""
-    return b"stop" in payload or b"\\" in payload
+def may_contain_stop(payload: bytes) -> bool:
+    """Return whether a payload may contain a Stop, however it is written. Takes others for one, but misses none.
 
-
-def _always(_payload: bytes) -> bool:
-    return True
-
-
-def _never(_payload: bytes) -> bool:
-    return False
+    In JSON a word may be written with escapes, and each of them has a backslash. A payload that does not begin like a
+    JSON object (binary, a byte order mark) or has a NUL (UTF-16) cannot be searched for a word.
+    """
+    if b"stop" in payload or b"\\" in payload or b"\0" in payload:
+        return True
+    if payload[:1] == b"{" and payload.islower():
+        return False  # a usual setpoint
+    return payload.lstrip()[:1] not in (b"", b"{") or b"stop" in payload.lower()
 
 
 class Row(NamedTuple):
@@ -96,10 +96,11 @@ class Row(NamedTuple):
     """The servos whose older messages, on any key, are taken before a message of this one takes effect."""
     read: Callable[[int, bytes], Command | Reset] | None
     """Reads a payload; None: any payload will do."""
-    may_stop: Callable[[bytes], bool]
-    """Whether a payload may be a Stop: it may take others for one, but misses none, and reads nothing.
+    may_stop: bool | None
+    """Whether a message may be a Stop; None: its payload decides (`may_contain_stop`).
 
-    Such a message keeps its place before an older Start, and is dealt with though newer ones of its key are waiting.
+    Such a message keeps its place before an older Start, is handled though newer ones of its key are waiting, and stops
+    its servos even if it is rejected.
     """
     most_fields: int
     """Of a payload with all that it may have; each takes a colon, and `source` may have 64 more.
@@ -117,13 +118,13 @@ _SENDER, _SETPOINT, _LEG = 3, 2, 2 * len(JOINTS)
 """Fields: source, sent_ms and lease; op and angle_deg of a servo; the same of a leg."""
 
 TARGETS: Final[dict[Target, Row]] = {
-    Target.LEGS: Row(_all, _all, _read_legs, _has_stop, _SENDER + 1 + len(LEGS) * (2 + _LEG), (1, 2)),
-    Target.LEG: Row(servo_ids_of, servo_ids_of, _read_leg, _has_stop, _SENDER + 1 + _LEG, (1, 0)),
-    Target.SERVO: Row(_own, _own, _read_servo, _has_stop, _SENDER + _SETPOINT),
-    Target.ESTOP: Row(_all, _all, None, _always, 0),
+    Target.LEGS: Row(_all, _all, _read_legs, None, _SENDER + 1 + len(LEGS) * (2 + _LEG), (1, 2)),
+    Target.LEG: Row(servo_ids_of, servo_ids_of, _read_leg, None, _SENDER + 1 + _LEG, (1, 0)),
+    Target.SERVO: Row(_own, _own, _read_servo, None, _SENDER + _SETPOINT),
+    Target.ESTOP: Row(_all, _all, None, True, 0),
     # What was sent while the emergency stop was engaged is rejected, also where the reset after it is seen first.
     Target.RESET: Row(
-        _none, _all, _read_reset, _never, _SENDER + 1, only_meant=f"does not reset; put {{}} on {keys.RESET}"
+        _none, _all, _read_reset, False, _SENDER + 1, only_meant=f"does not reset; put {{}} on {keys.RESET}"
     ),
 }
 """Every target. Without a row for one, `unit/robot/test_targets.py` fails, and no gateway starts."""

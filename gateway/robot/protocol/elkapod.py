@@ -1,4 +1,4 @@
-"""What elkapod-2025 says next, and whether the controller is alive: pure, time as an argument.
+"""What elkapod-2025 says next, and whether the controller is alive or has restarted: pure, time as an argument.
 
 All eighteen angles stand in each frame, and a UART message starts or shuts down all servos. So the order is what keeps
 servos from moving unasked: a shutdown comes before the first frame, and a start only behind START_CYCLES frames with
@@ -6,6 +6,7 @@ the angles that were commanded. While all are shut down, frames go on with each 
 whose shutdown was lost must not move for it.
 """
 
+from collections import deque
 from collections.abc import Collection, Sequence
 from typing import Final
 
@@ -18,7 +19,9 @@ from schemas.robot import SERVO_IDS
 START_CYCLES: Final = 2
 """Frames with a start's angles ahead of the UART's start: the controller may still work on the one before."""
 FROZEN_NS: Final = 500 * NS_PER_MS
-"""An answer that stays the same to the last bit for so long is no measurement: a gyroscope's noise changes it."""
+"""A controller is frozen if values that never rested keep still for this long: a gyroscope's noise changes always."""
+_BEATS: Final = 9
+"""So many heartbeats show their period: to see one of them a cycle late changes it by an eighth of a cycle."""
 _PLACES: Final = {servo_id: place for place, servo_id in enumerate(SERVO_IDS)}
 
 
@@ -83,23 +86,108 @@ class Commanded:
         return elkapod.START
 
 
+class Changes:
+    """Which values of the answers change, and whether the answers are frozen.
+
+    A sensor that is missing never changes its values, and a quiet battery or foot keeps still for long. So only values
+    that have changed before, and never rested while the controller was alive, are evidence: those of a sensor that is
+    never without noise.
+    """
+
+    def __init__(self, begun_ns: int) -> None:
+        self._answer = b""
+        self._values: tuple[float, ...] = ()
+        self._changed_ns = [begun_ns] * len(elkapod.VALUE_NAMES)
+        self._newest_ns = begun_ns
+        self._changed: set[int] = set()
+        self._rested: set[int] = set()
+
+    def note(self, answer: bytes, now_ns: int) -> bool:
+        """Take a well-formed answer. Returns whether it is a measurement; False: the controller is frozen."""
+        witnesses = self._changed - self._rested
+        frozen = bool(witnesses) and now_ns - self._newest_ns >= FROZEN_NS
+        if answer == self._answer:
+            return not frozen
+        before, self._values, self._answer = self._values, elkapod.values_of(answer), answer
+        for place, value in enumerate(self._values):
+            changed = bool(before) and value != before[place]
+            if before and now_ns - self._changed_ns[place] >= FROZEN_NS and not (changed and frozen):
+                self._rested.add(place)
+            if changed:
+                self._changed.add(place)
+            if changed or not before:
+                self._changed_ns[place] = now_ns
+        self._newest_ns = now_ns
+        return True
+
+    @property
+    def constant(self) -> tuple[str, ...]:
+        """What has never changed, in the order of an answer."""
+        moved = {elkapod.VALUE_NAMES[place] for place in self._changed}
+        return tuple(name for name in dict.fromkeys(elkapod.VALUE_NAMES) if name not in moved)
+
+
+class Beats:
+    """Heartbeats, and whether two in a row are missing.
+
+    A heartbeat waits in the kernel until somebody looks, so a late look finds it all the same. It may have been lost if
+    the whole machine stood still. So a look counts for at most an eighth of `silent_ns`, and no gap below a third of
+    that is one: for so long a busy machine may keep heartbeats back.
+    """
+
+    def __init__(self, silent_ns: int, begun_ns: int) -> None:
+        self._least_ns, self._look_ns = silent_ns // 3, silent_ns // 8
+        self._heartbeats = Heartbeats()
+        self._looked_ns = begun_ns
+        self._came_ns: deque[int] = deque(maxlen=_BEATS)
+        self._quiet_ns = 0
+        self.missing = False
+        """Whether none came for two and a half of their periods, once these were known."""
+
+    @property
+    def newest_ns(self) -> int | None:
+        """When the newest was found."""
+        return self._came_ns[-1] if self._came_ns else None
+
+    def look(self, data: bytes, now_ns: int) -> None:
+        """Take what the UART has received since the last look."""
+        count, since_ns = self._heartbeats.feed(data), now_ns - self._looked_ns
+        self._looked_ns = now_ns
+        self._quiet_ns += min(since_ns, self._look_ns)
+        if len(self._came_ns) == _BEATS:
+            two_and_a_half_ns = 5 * (self._came_ns[-1] - self._came_ns[0]) // (2 * (_BEATS - 1))
+            self.missing = self._quiet_ns >= max(two_and_a_half_ns, self._least_ns)
+        if not count:
+            return
+        self._quiet_ns = 0
+        if since_ns > self._look_ns:  # when these came, nobody knows
+            self._came_ns.clear()
+            count = 1
+        self._came_ns.extend([now_ns] * count)
+
+
 class SignsOfLife:
-    """Whether the controller is alive: both its answers and its heartbeats have to come, from `begun_ns` on."""
+    """Whether the controller is alive: both its answers and its heartbeats have to come, from `begun_ns` on.
+
+    And whether it may have restarted: behind good ones, an answer was malformed or two heartbeats are missing.
+    """
 
     def __init__(self, silent_ns: int, begun_ns: int) -> None:
         self._silent_ns = silent_ns
         self._begun_ns = begun_ns
-        self._heartbeats = Heartbeats()
-        self._heartbeat_ns: int | None = None
-        self._answer, self._changed_ns = b"", begun_ns
+        self._beats = Beats(silent_ns, begun_ns)
+        self.changes = Changes(begun_ns)
         self._why = "none has come"
         self.answered_ns: int | None = None
         """When the last well-formed answer came."""
+        self.restarted = ""
+        """Why it counts as restarted; "": it does not. `anew` has the signs of its next life."""
 
     def heard(self, data: bytes, now_ns: int) -> None:
         """Take what the UART has received."""
-        if self._heartbeats.feed(data):
-            self._heartbeat_ns = now_ns
+        self._beats.look(data, now_ns)
+        if self._beats.missing:
+            self.restarted = "two of its heartbeats are missing"
 
     def answered(self, data: bytes, now_ns: int) -> Measured | None:
         """Take an answer; None: it counts as none."""
@@ -107,24 +195,30 @@ class SignsOfLife:
             found = elkapod.measured(data)
         except AnswerError as error:
             self._why = str(error)
+            if self.answered_ns is not None:
+                self.restarted = f"behind well-formed answers came one that is not: {error}"
             return None
-        if data != self._answer:
-            self._answer, self._changed_ns = data, now_ns
-        elif now_ns - self._changed_ns >= FROZEN_NS:
+        if not self.changes.note(data, now_ns):
             self._why = f"it has not changed for {FROZEN_NS // NS_PER_MS} ms"
             return None
         self.answered_ns = now_ns
         return found
 
+    def anew(self) -> "SignsOfLife":
+        """Those of a controller that has restarted: its next signs are due as these would have been."""
+        newest = [ns for ns in (self.answered_ns, self._beats.newest_ns) if ns is not None]
+        return SignsOfLife(self._silent_ns, min(newest, default=self._begun_ns))
+
     def alive(self, now_ns: int) -> bool:
         """Whether both have come, and go on."""
-        return self.answered_ns is not None and self._heartbeat_ns is not None and self.silent(now_ns) is None
+        return self.answered_ns is not None and self._beats.newest_ns is not None and self.silent(now_ns) is None
 
     def silent(self, now_ns: int) -> str | None:
         """A sentence that says what has not come for too long; None: it is alive."""
         silent_ms = self._silent_ns // NS_PER_MS
         if now_ns - (self._begun_ns if self.answered_ns is None else self.answered_ns) >= self._silent_ns:
             return f"no well-formed answer of the controller for {silent_ms} ms (the last one: {self._why})"
-        if now_ns - (self._begun_ns if self._heartbeat_ns is None else self._heartbeat_ns) >= self._silent_ns:
+        beat_ns = self._beats.newest_ns
+        if now_ns - (self._begun_ns if beat_ns is None else beat_ns) >= self._silent_ns:
             return f"no heartbeat of the controller for {silent_ms} ms"
         return None

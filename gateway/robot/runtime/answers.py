@@ -82,7 +82,11 @@ class PendingCommands:
         self._metrics.rejected[reason] += 1
         if request.reply is not None:
             ack = Ack(accepted=False, reason=reason, detail=detail, written=written or None)
-            request.reply(ack.model_dump_json().encode())
+            if request.stopped:
+                ack = ack.model_copy(update={"stopped": True})
+                self.stopped(request.stopped, request, ack)
+            else:
+                request.reply(ack.model_dump_json().encode())
         legs_named = legs_of(request.servo_ids)
         self._events.announce(Announce(Kind.COMMAND_REJECTED, detail, request.source, request.key, legs_named, reason))
 

@@ -49,7 +49,7 @@ class Calibrations(RequestAnswers):
     def announce_start(self) -> None:
         """Publish what is in force at the start; log if it is in memory only."""
         if self._keep is None:
-            logger.info("the calibration is kept in memory only, until this process ends (calibration.path)")
+            logger.info("the calibration is kept in memory only, until this process ends (state.path)")
         self.publish()
 
     def publish(self) -> None:

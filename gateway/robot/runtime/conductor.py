@@ -7,12 +7,13 @@ transfer.
 import asyncio
 import logging
 from collections.abc import Callable
+from datetime import datetime
 from typing import Final
 
 from pydantic import BaseModel
 
 from gateway import __version__
-from gateway.errors import ControllerSilentError, SpiError
+from gateway.errors import ControllerRestartedError, ControllerSilentError, SpiError
 from gateway.model.elkapod import Measured
 from gateway.model.staleness import Staleness
 from gateway.robot.blackbox.recorder import Recorder
@@ -26,15 +27,17 @@ from gateway.robot.core.events import (
     CalibrationSaved,
     Command,
     EmergencyStop,
+    EstopKept,
     Event,
     LeaseRequest,
+    Rejected,
     Request,
     ShutDown,
     StoppedOutside,
     TimePassed,
 )
 from gateway.robot.core.intake import Rejection, echo_of, read
-from gateway.robot.core.losses import DETAIL, Losses
+from gateway.robot.core.losses import DETAIL, Losses, stops_in
 from gateway.robot.core.message import Messages, NoMessages, Outbox, Received, Reply, Verb
 from gateway.robot.core.supervisor import Supervisor
 from gateway.robot.host.ownership import Ownership, OwnersTimer
@@ -44,7 +47,7 @@ from gateway.robot.runtime.event_publisher import EventPublisher
 from gateway.robot.runtime.executor import Executor, Outcome
 from gateway.robot.runtime.metrics import Metrics
 from gateway.robot.runtime.preamble import PreambleInPauses
-from gateway.robot.runtime.report import StateReports
+from gateway.robot.runtime.report import StateReports, wall_clock
 from gateway.robot.runtime.supply import CarryOut, Feeding, RobotSupply, off_button
 from gateway.robot.runtime.telemetry import LatestTelemetry
 from gateway.robot.settings import Settings
@@ -58,6 +61,11 @@ REOPEN_S: Final = 0.02
 written, nobody knows that a leg is stopped. The first try comes at once: what a controller needs after a fault is the
 preamble ahead of these Stops (docs/protocol.md), and no pause."""
 
+_KINDS: Final[dict[type[SpiError], Kind]] = {
+    ControllerSilentError: Kind.CONTROLLER_SILENT,
+    ControllerRestartedError: Kind.CONTROLLER_RESTARTED,
+}
+"""Which event reports a fault; any other is of the bus."""
 _LOST: Final = Verb.LOST  # see `frames.OP_STOP`
 
 logger = logging.getLogger(__name__)
@@ -125,6 +133,9 @@ class Conductor:
         if isinstance(bus, Bus) and bus.announces:
             self._preamble = PreambleInPauses(bus, loop, self.owner, clock, self.bus_failed)
         self._in_fault = self._closed = False
+        self._engaged = 0  # the number of the emergency stop; 0: none is engaged
+        self.on_latch: Callable[[], None] = lambda: None
+        """Called as owner, behind its Stops, when an emergency stop is engaged or left."""
         self._published_mode: Mode | None = None
         """None until the start is announced: however long that takes, it is starting."""
         self.done = asyncio.Event()
@@ -211,7 +222,7 @@ class Conductor:
             self._staleness.turned(now_ns)
         return now_ns
 
-    def ask(self, event: LeaseRequest | ButtonRequest | Calibrate | CalibrationSaved) -> Outcome:
+    def ask(self, event: LeaseRequest | ButtonRequest | Calibrate | CalibrationSaved | EstopKept) -> Outcome:
         """Let the supervisor take what commands nothing that moves."""
         if self._closed:
             return Outcome()
@@ -225,8 +236,7 @@ class Conductor:
         return None if judge is None else judge.too_old(request.source, request.sent_ms, now_ns, instant_ns)
 
     def look_outside(self) -> None:
-        """Learn of `stop-servos` on the same device and of its end, of settings that another program changed, and what
-        the servos' currents say."""
+        """Look for `stop-servos` on the same device, for changed settings, and for servos that draw current."""
         if self.supply is not None and self.supply.judge_currents(self._clock()):
             self.power_changed()
         silent = self.bus.silent(self._clock())  # here, too: a transfer that hangs keeps the cycle from looking
@@ -296,15 +306,16 @@ class Conductor:
             return
         command = read(received)
         if type(command) is Rejection:
-            unread = Request(key=echo_of(received.expression), source=received.source, reply=received.reply)
-            self.answers.reject(unread, command.reason, command.detail)
+            self._reject_unread(received, command, instant_ns)
             return
         now_ns = self._clock()
         judge = self._staleness
         too_old = None if judge is None else judge.too_old(command.source, command.sent_ms, now_ns, instant_ns)
         if too_old is not None and not command.only_stops:  # to stop once too often harms nobody
-            self.answers.reject(command, Reason.STALE, too_old, command)
-            return
+            if type(command) is not Command or not command.stops:
+                self.answers.reject(command, Reason.STALE, too_old, command)
+                return
+            command.rejected = Rejected(command, Reason.STALE, too_old)
         command.number = self.answers.next_number()
         try:
             outcome = self._step(command, instant_ns, now_ns, command)
@@ -313,6 +324,19 @@ class Conductor:
             raise
         if self._losses.key and not outcome.rejects(command):
             self._losses.accepted(command.targets)
+
+    def _reject_unread(self, received: Received, why: Rejection, instant_ns: int) -> None:
+        """Reject what could not be read, and stop what it may stop."""
+        unread = Request(key=echo_of(received.expression), source=received.source, reply=received.reply)
+        stops = stops_in(received)
+        if not stops:
+            self.answers.reject(unread, why.reason, why.detail)
+            return
+        command = Command(stops, key=received.key, verb=received.verb, received_ns=received.received_ns)
+        command.source, command.rejected = received.source, Rejected(unread, why.reason, why.detail)
+        command.number = unread.number = self.answers.next_number()
+        unread.received_ns = received.received_ns
+        self._step(command, instant_ns, heard=command)
 
     def _stop_what_lost_stops_named(self, instant_ns: int) -> None:
         key, targets = self._losses.take()
@@ -337,7 +361,7 @@ class Conductor:
         if stop_frames >= len(LEGS):
             self.metrics.emergency_stops.record(latency_ns)
         if received.reply is not None:
-            number = self.supervisor.estops
+            number = self.supervisor.latch.number
             ack = Ack(accepted=True, stop_frames=stop_frames, estop=number, latency_us=latency_ns / 1000)
             heard.reply = received.reply
             self.answers.stopped(SERVO_IDS, heard, ack)
@@ -352,18 +376,38 @@ class Conductor:
             self._bus_failed(outcome.fault)
         elif outcome.meddled is not None:
             self._meddled(outcome.meddled)
+        latch = self.supervisor.latch
+        if self._engaged != (0 if latch.since_ns is None else latch.number):
+            self._latch_changed(0 if latch.since_ns is None else latch.number)
         if self.supervisor.mode is not self._published_mode:
             self._publish_mode()
         return outcome
+
+    def _latch_changed(self, number: int) -> None:
+        """The emergency stop with this number is engaged (0: it was left); its Stops are written."""
+        if not (number and self._engaged):
+            self.reports.estop_since = self.reports.estop_since or wall_clock() if number else None
+        self._engaged = number
+        self.on_latch()
+
+    def restore_estop(self, source: str | None, since: datetime | None) -> None:
+        """Take who had requested the emergency stop that an earlier run has left, and since when it is engaged."""
+        self._events.restore_estop(source)
+        self.reports.estop_since = since
+
+    @property
+    def estop_source(self) -> str | None:
+        """The source of the latest emergency stop; read it after its Stops are written."""
+        return self._events.estop_source
 
     # ---- the bus
 
     def _bus_failed(self, fault: SpiError) -> None:
         self.bus.release()
-        kind = Kind.CONTROLLER_SILENT if isinstance(fault, ControllerSilentError) else Kind.BUS_FAULT
+        kind = _KINDS.get(type(fault), Kind.BUS_FAULT)
         effects = self.supervisor.step(BusFailed(str(fault), kind), self._clock())
         again, self._in_fault = self._in_fault, True
-        if again:
+        if again and kind is not Kind.CONTROLLER_SILENT:
             effects = [each for each in effects if not (isinstance(each, Announce) and each.kind is kind)]
         self._carry_out(effects, None)
         if self.supervisor.mode is Mode.BUS_FAULT:

@@ -7,6 +7,7 @@ the UART.
 import threading
 import time
 from collections.abc import Callable
+from typing import Final
 
 from gateway.allowance import NS_PER_S
 from gateway.errors import SpiError
@@ -14,15 +15,17 @@ from gateway.host import realtime
 from gateway.robot.runtime.conductor import Conductor
 from gateway.robot.spi.cyclic import CyclicBus
 
+CYCLE_HZ: Final = 50.0
+"""Of the robot's own driver, and of the servos' PWM: more frames change nothing."""
+
 
 class Cycle:
-    """Exchanges a frame each `1 / cycle_hz` seconds, from `start` until the conductor is closed."""
+    """Exchanges a frame each `1 / CYCLE_HZ` seconds, from `start` until the conductor is closed."""
 
     def __init__(
         self,
         bus: CyclicBus,
         conductor: Conductor,
-        cycle_hz: float,
         failed: Callable[[Exception], None],
         *,
         clock: Callable[[], int] = time.monotonic_ns,
@@ -30,7 +33,7 @@ class Cycle:
         """`failed` is called, on its thread, with a mistake in the gateway that ended it."""
         self._bus = bus
         self._conductor = conductor
-        self._cycle_ns = round(NS_PER_S / cycle_hz)
+        self._cycle_ns = round(NS_PER_S / CYCLE_HZ)
         self._failed = failed
         self._clock = clock
         self._thread = threading.Thread(target=self._run, name="cycle", daemon=True)
@@ -55,12 +58,16 @@ class Cycle:
         """One cycle, without the state."""
         conductor = self._conductor
         with conductor.owner:
+            frame = self._bus.begin_cycle(self._clock())
+        if frame is not None:
+            self._exchange(frame)
+        with conductor.owner:  # only now: what came while this process was delayed has been read
             silent = self._bus.silent(self._clock())
             if silent is not None:
                 conductor.bus_failed(silent)
-            frame = self._bus.begin_cycle(self._clock())
-        if frame is None:
-            return
+
+    def _exchange(self, frame: bytes) -> None:
+        conductor = self._conductor
         begun_ns = self._clock()
         try:
             answer = self._bus.exchange(frame)

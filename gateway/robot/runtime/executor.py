@@ -87,6 +87,8 @@ class Executor:
         self._write(effects, outcome)
         failed = () if outcome.fault is None else outcome.failed(effects)
         outcome.results = results(effects, failed, f"the frame could not be written: {outcome.fault}" if failed else "")
+        for request, _, _ in outcome.results if failed else ():
+            request.stopped = ()
         self._recorder.step(heard, outcome.written, outcome.results)
         if outcome.results:
             self._answers.take(outcome.results)

@@ -1,6 +1,7 @@
 """The service's numbers for Prometheus, over HTTP (`telemetry.metrics`)."""
 
 import logging
+import socket
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final
@@ -114,7 +115,7 @@ def _measured(conductor: Conductor) -> Iterator[Metric]:
     yield _counter(
         "controller_changes",
         "What happened to the controller",
-        {kind: events[kind] for kind in (Kind.CONTROLLER_SILENT, Kind.CONTROLLER_RETURNED)},
+        {kind: events[kind] for kind in (Kind.CONTROLLER_SILENT, Kind.CONTROLLER_RESTARTED, Kind.CONTROLLER_RETURNED)},
         "kind",
     )
     yield _counter("falls", "Times that all legs were stopped since the body tilted too far", events[Kind.FALLEN])
@@ -179,7 +180,7 @@ def _guarded(ours: Collection[str], page: "WSGIApplication") -> "WSGIApplication
         known = {*ours, environ["SERVER_NAME"]}
         if not may_ask(environ.get("HTTP_HOST"), environ.get("HTTP_ORIGIN"), known):
             start_response("403 Forbidden", [("Content-Type", "text/plain")])
-            return [b"not under this name: telemetry.metrics_hosts lists more\n"]
+            return [b"not under this name: ask by this machine's name or address\n"]
         if environ["PATH_INFO"] != METRICS_PATH:
             start_response("404 Not Found", [("Content-Type", "text/plain")])
             return [f"the numbers are at {METRICS_PATH}\n".encode()]
@@ -188,15 +189,17 @@ def _guarded(ours: Collection[str], page: "WSGIApplication") -> "WSGIApplication
     return answer
 
 
-def serve(address: str, hosts: Collection[str], conductor: Conductor) -> None:
-    """Serve the numbers on `address` (`host:port`) from a thread of its own, also under the names in `hosts`.
+def serve(address: str, conductor: Conductor) -> None:
+    """Serve the numbers on `address` (`host:port`) from a thread of its own.
 
+    A request may name that host, the loopback, or this machine (its host name, also with `.local`).
     Raises ConfigError if the address cannot be opened. May wait for a name server, so not for the loop's thread.
     """
     registry = CollectorRegistry()
     registry.register(Numbers(conductor))
     ProcessCollector(registry=registry)
-    ours = {*LOOPBACK, address.rpartition(":")[0].strip("[]").lower(), *map(str.lower, hosts)}
+    machine = socket.gethostname().lower()
+    ours = {*LOOPBACK, address.rpartition(":")[0].strip("[]").lower(), machine, f"{machine.partition('.')[0]}.local"}
     MetricsPage(address, _guarded(ours, make_wsgi_app(registry))).start()
     if not is_local(f"tcp/{address}"):
         logger.warning("telemetry.metrics: anyone who reaches %s can read how the robot is used", address)

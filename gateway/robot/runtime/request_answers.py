@@ -14,7 +14,7 @@ import zenoh
 from pydantic import BaseModel, ValidationError
 
 from gateway.robot.core.events import ButtonDo, ButtonRequest, Do, LeaseRequest
-from gateway.robot.core.intake import ENCODINGS, Rejection, too_large
+from gateway.robot.core.intake import Rejection, is_json, too_large
 from gateway.robot.core.message import Reply
 from gateway.robot.runtime.conductor import Conductor
 from gateway.robot.runtime.report import wall_clock
@@ -60,7 +60,7 @@ def payload_of(query: zenoh.Query, most: int) -> bytes | Rejection:
         return BY_WILDCARD
     if payload is not None and len(payload) > most:
         return too_large(len(payload), most)
-    if query.encoding is not None and str(query.encoding) not in ENCODINGS:
+    if query.encoding is not None and not is_json(str(query.encoding)):
         return BAD_ENCODING
     return b"" if payload is None else payload.to_bytes()
 

@@ -5,7 +5,8 @@ a transfer that takes 300 ms to fail delays none. Frames go over SPI on a thread
 owns the state only between two transfers. What a step wants moved is in the next frame; what it wants started, the UART
 says once the angles were on the wire (`protocol.elkapod.Commanded`).
 
-Where SPI fails, or the controller falls silent, the UART says shut down at once, before anything else learns of it.
+Where SPI fails, or the controller falls silent or restarts, the UART says shut down at once, before anything else
+learns of it.
 """
 
 import time
@@ -13,7 +14,7 @@ from collections.abc import Callable, Sequence
 from typing import Final
 
 from gateway.allowance import NS_PER_S
-from gateway.errors import ControllerSilentError, SpiError
+from gateway.errors import ControllerRestartedError, ControllerSilentError, SpiError
 from gateway.model import elkapod
 from gateway.model.elkapod import SHUTDOWN, UART_BAUD, Measured
 from gateway.model.frames import Frame
@@ -59,6 +60,7 @@ class CyclicBus(Wire):
         self._signs = SignsOfLife(silent_ns, 0)
         self._silent: ControllerSilentError | None = None
         self._frames_ns = 0  # from when on frames are clocked
+        self._looked_ns = 0  # when `silent` was last asked
         self._device_failed = self._exchanging = self._abandoned = False
         self.frames = 0
         self.errors = 0
@@ -140,16 +142,22 @@ class CyclicBus(Wire):
         return self._signs.answered_ns
 
     def silent(self, now_ns: int) -> ControllerSilentError | None:
-        """Why the controller counts as silent, once: the first time, it is shut down here."""
-        if self._device is None or self._silent is not None:
+        """Why the controller counts as silent, once: the first time, it is shut down here.
+
+        One that restarted, and does not come back, is silent after that. To be called often: where this process was
+        delayed, what came meanwhile is not read yet.
+        """
+        delayed_ns, self._looked_ns = now_ns - self._looked_ns, now_ns
+        if self._device is None or type(self._silent) is ControllerSilentError or delayed_ns >= self._silent_ns:
             return None
         why = self._signs.silent(now_ns)
-        if why is None:
-            return None
-        self._silent = ControllerSilentError(why)
+        return None if why is None else self._is_lost(ControllerSilentError(why))
+
+    def _is_lost(self, fault: ControllerSilentError) -> ControllerSilentError:
+        self._silent = fault
         self.errors += 1
         self._shut_down_at_once()
-        return self._silent
+        return fault
 
     def stop_servos_at_work(self) -> bool | None:
         return None if self._device is None else self._device.stop_servos_at_work()
@@ -192,22 +200,35 @@ class CyclicBus(Wire):
         return device.exchange(frame)
 
     def end_cycle(self, answer: bytes, took_ns: int, now_ns: int) -> Measured | None:
-        """The transfer has ended well: say what follows the frame, and take the answer. Raises SpiError."""
+        """The transfer has ended well: take the answer, and say what follows the frame. Raises SpiError.
+
+        A controller that has restarted is not started by what was meant for it before.
+        """
         if self._was_abandoned():
             return None
         self.frames += 1
         self.transfer_latency.record(took_ns)
-        message = self._commanded.left()
+        measured, message = self._signs.answered(answer, now_ns), self._commanded.left()
         try:
             if self._uart is not None:
-                if message is not None:
-                    self._uart.write(message)
                 self._signs.heard(self._uart.read(), now_ns)
+                if message is not None and not self._signs.restarted:
+                    self._uart.write(message)
         except SpiError:
             self.errors += 1
             self._drop_uart()
             raise
-        return self._signs.answered(answer, now_ns)
+        if self._signs.restarted:
+            raise self._has_restarted()
+        return measured
+
+    def _has_restarted(self) -> ControllerRestartedError:
+        """Shut down, unless it was lost already, and let its signs of life begin anew."""
+        fault = ControllerRestartedError(f"the controller may have restarted: {self._signs.restarted}")
+        self._signs = self._signs.anew()
+        if self._silent is None:
+            self._is_lost(fault)
+        return fault
 
     def failed_cycle(self) -> bool:
         """The transfer has failed: shut down at once. Whether that is news: False where its device was given up."""

@@ -94,7 +94,7 @@ class SimulatedElkapod(DuplexDevice):
         self._noise = random.Random(0)  # noqa: S311  (a sensor's, no secrets)
         self._lock = threading.Lock()
         now_ns = clock()
-        self._begun_ns = self._advanced_ns = self._beat_ns = now_ns
+        self._begun_ns = self._advanced_ns = self._beat_ns = self._on_ns = now_ns
         self._servos = SimulatedServos(now_ns, page)
         self._answer = GARBAGE
         self._received = b""
@@ -107,6 +107,8 @@ class SimulatedElkapod(DuplexDevice):
             now_ns = self._clock()
             self.transfers.append((now_ns, data))
             self._advance(now_ns)
+            if now_ns < self._on_ns:
+                return bytes(len(data))
             if len(data) == FRAME_BYTES and data[0] == BEGIN and data[-1] == END:
                 self._take(_ANGLES.unpack_from(data, 1))
             answer = self._answer
@@ -121,6 +123,8 @@ class SimulatedElkapod(DuplexDevice):
         with self._lock:
             now_ns = self._clock()
             self._advance(now_ns)
+            if now_ns < self._on_ns:
+                return
             self._received += data
             while (found := _first_message(self._received)) is not None:
                 message, self._received = found
@@ -131,7 +135,7 @@ class SimulatedElkapod(DuplexDevice):
     def uart_read(self) -> bytes:
         """The bytes that it has sent since the last call."""
         with self._lock:
-            due = (self._clock() - self._beat_ns) // HEARTBEAT_NS
+            due = max(0, (self._clock() - self._beat_ns) // HEARTBEAT_NS)
             self._beat_ns += due * HEARTBEAT_NS
             return b"" if self.silent else elkapod.heartbeat() * min(due, MOST_HEARTBEATS)
 
@@ -152,13 +156,17 @@ class SimulatedElkapod(DuplexDevice):
         """The ids of the servos that are driven now: all or none."""
         return frozenset(servo_id for servo_id, servo in self.servos.items() if servo.energised)
 
-    def power_cycle(self) -> None:
-        """Somebody switches it off and on: servos slack, and all angles forgotten."""
+    def power_cycle(self, *, off_ns: int = 0, first_answer: bytes = GARBAGE) -> None:
+        """Somebody switches it off, and on after `off_ns`: servos slack, and all angles forgotten.
+
+        Meanwhile it hears nothing, sends no heartbeat, and MISO is low.
+        """
         with self._lock:
             now_ns = self._clock()
             self._advance(now_ns)
             self._servos.power_cycle()
-            self._beat_ns, self._answer, self._received = now_ns, GARBAGE, b""
+            self._on_ns = self._beat_ns = now_ns + off_ns
+            self._answer, self._received = first_answer, b""
             self._say("it was switched off and on")
 
     # ---- the firmware

@@ -15,7 +15,7 @@ from gateway import certs, durable
 from gateway.certs import LAPTOP_ROLES, names
 from gateway.errors import ConfigError
 from gateway.host.directories import state_directory, state_to_read
-from gateway.robot.sections import ZenohSettings
+from gateway.robot.settings import Settings
 from gateway.zenoh_config import get
 
 if TYPE_CHECKING:
@@ -39,7 +39,7 @@ class RevocationState(NamedTuple):
 
 
 def revocation_state(
-    config: zenoh.Config, settings: ZenohSettings, *, started_by_systemd: bool = True
+    config: zenoh.Config, settings: Settings, *, started_by_systemd: bool = True
 ) -> RevocationState | None:
     """What is in force; None if the Zenoh file names no CA. Raises ConfigError for a list that cannot be read.
 
@@ -47,11 +47,12 @@ def revocation_state(
     too: it is copied along with a folder of certificates.
     """
     ca = get(config, _CA)
-    if not isinstance(ca, str) or not settings.config:
+    if not isinstance(ca, str) or not settings.zenoh.config:
         return None
     cas = tuple(certs.files.read_certificates(Path(ca)))
-    beside = Path(settings.config).absolute().parent
-    state = state_directory() if started_by_systemd else state_to_read()
+    beside = Path(settings.zenoh.config).absolute().parent
+    find = state_directory if started_by_systemd else state_to_read
+    state = find(settings.state.path)
     folders = [beside] if state is None else [state, beside]
     lists = [each for folder in folders if (each := _read(folder / certs.revocation.REVOCATION_FILE, cas)) is not None]
     newest = max(lists, key=lambda each: each.number, default=None)

@@ -44,7 +44,7 @@ ELKAPOD = 'spi.protocol = "elkapod-2025"\n'
         'spi.framing = "length-prefixed"\nwatchdog = {}\n',
         ELKAPOD,
         'spi.framing = "plain"\n[power]\ninterface = "slcan"\nchannel = "/dev/ttyACM0"\ncut_on = []\nidle_ma = 5\n',
-        ELKAPOD + 'spi.speed_hz = 2_000_000\n[controller]\nuart = "/dev/ttyS3"\ncycle_hz = 20\n',
+        ELKAPOD + 'spi.speed_hz = 2_000_000\n[controller]\nuart = "/dev/ttyS3"\nsilent_ms = 400\n',
     ],
 )
 def test_the_same_as_the_settings(file: Path, text: str) -> None:

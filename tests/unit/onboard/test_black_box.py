@@ -26,7 +26,7 @@ NAME = "20260921-141320-123-watchdog"
 
 
 def settings(folder: Path) -> Settings:
-    return Settings.model_validate({"recorder": {"path": str(folder)}})
+    return Settings.model_validate({"state": {"path": str(folder)}})
 
 
 @contextmanager
@@ -78,7 +78,7 @@ def test_a_ring_that_somebody_else_has_made_is_neither_shown_nor_kept(
     assert NAME not in said.out
     assert "another user has made this file, or may write to it" in said.err
     with caplog.at_level(logging.INFO):
-        assert not IncidentWatcher(folder).keep()
+        assert not IncidentWatcher(folder).keep(whole_only=False)
     assert "another user has made this file" in caplog.text
     assert not (folder / INCIDENTS_FOLDER).exists()
 

@@ -17,7 +17,7 @@ from gateway.robot.settings import Settings
 
 
 def checked(path: Path) -> tuple[Verdict, str, str]:
-    result = kept(Settings.model_validate({"calibration": {"path": str(path)}}))
+    result = kept(Settings.model_validate({"state": {"path": str(path.parent)}}))
     return result.verdict, result.sentence, result.fix
 
 
@@ -70,7 +70,7 @@ def test_a_landing_pose_that_is_never_sent_is_reported(tmp_path: Path) -> None:
     path = tmp_path / "calibration.toml"
     calibration_file.write(path, RobotCalibration(3, {12: ServoMapping(-3_00)}, {21: 2_50}))
     sections = {
-        "calibration": {"path": str(path)},
+        "state": {"path": str(path.parent)},
         "spi": {"framing": "length-prefixed"},
         "watchdog": {"landing_ms": 500, "landing": {"11": 90, "12": 5, "13": 4}},
     }

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from gateway.model import elkapod
-from gateway.model.elkapod import SHUTDOWN
+from gateway.model.elkapod import SHUTDOWN, VALUE_NAMES
 from gateway.onboard.check import controller, nodes
 from gateway.onboard.check.result import Result, Verdict
 from gateway.robot.spi import DuplexDevice
@@ -187,7 +187,9 @@ def test_a_controller_that_answers_is_shut_down_first() -> None:
     )
     assert answers.verdict is Verdict.OK, "though its first answer after power-up was garbage"
     assert answers.sentence.startswith("44 of 45 are well formed, with all servos shut down: 8.")
-    assert answers.sentence.endswith(" %, 25 °C, a tilt of 0 degrees")
+    told, constant = answers.sentence.split("; constant all the time: ")
+    assert told.endswith(" %, 25 °C, a tilt of 0 degrees")
+    assert constant == "orientation, feet"
     assert bench.written[:4] == [SHUTDOWN] * 4
     assert set(bench.written[4:]) == {elkapod.frame([90_00] * 18)}
     assert not bench.controller.energised
@@ -235,12 +237,28 @@ def test_answers_that_are_none(garbage: bytes, why: str) -> None:
 
 
 def test_answers_that_stay_the_same() -> None:
+    bench, count = Bench(), 0
+
+    def exchange(data: bytes) -> bytes:
+        nonlocal count
+        count += 1
+        bench.controller.frozen = count > 3
+        return bench.controller.exchange(data)
+
+    bench.answers = exchange
+    _, answers = bench.found()
+    assert answers.verdict is Verdict.FAILURE
+    assert "it has not changed for 500 ms" in answers.sentence
+
+
+def test_a_robot_whose_inertial_sensor_is_missing_is_well_but_for_that() -> None:
     bench = Bench()
     bench.exchange(bytes(80))
     bench.controller.frozen = True
     _, answers = bench.found()
-    assert answers.verdict is Verdict.FAILURE
-    assert "it has not changed for 500 ms" in answers.sentence
+    assert answers.verdict is Verdict.WARNING
+    assert answers.sentence.endswith("constant all the time: " + ", ".join(dict.fromkeys(VALUE_NAMES)))
+    assert answers.fix.startswith("see that the inertial sensor is connected")
 
 
 def test_heartbeats_that_end_once_frames_come() -> None:

@@ -9,6 +9,7 @@ from gateway.onboard.check import holders
 from gateway.onboard.check.result import Result, Verdict
 from gateway.people.client.requests import Identity
 from gateway.robot.sections import ZenohSettings
+from gateway.robot.settings import Settings
 from gateway.robot.zenoh_io import revoked
 from gateway.zenoh_config import load_config
 from schemas.telemetry import RevocationsReport
@@ -19,7 +20,7 @@ __all__ = ["make_folder"]  # a fixture
 
 def shut_out(directory: Path) -> list[Result]:
     file = directory / "gateway.json5"
-    return list(holders.shut_out_at_the_robot(load_config(file), ZenohSettings(config=str(file))))
+    return list(holders.shut_out_at_the_robot(load_config(file), Settings(zenoh=ZenohSettings(config=str(file)))))
 
 
 def test_the_list_in_force_is_named_with_its_number_and_date_and_that_there_is_none(folder: Path) -> None:

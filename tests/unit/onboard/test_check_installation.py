@@ -175,4 +175,4 @@ def test_certificate_key_authority_and_lists_have_to_belong_together(tmp_path: P
     ]
     (folders.own / "ca.pem").write_text("")
     assert folders.bring() == [], "another line says it"
-    assert trust.results(ZenohSettings()) == []
+    assert trust.results(ZenohSettings(), state=None) == []

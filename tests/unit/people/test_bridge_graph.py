@@ -1,28 +1,10 @@
-"""Which graph the bridge is in, and whether a sender is still there."""
+"""Whether a sender is still there, and what an error in one message ends."""
 
 import logging
-from importlib.machinery import ModuleSpec
 
 import pytest
 
-from gateway.people.bridge import command
-from gateway.people.bridge.command import Via
 from gateway.people.bridge.graph import presence, read_each
-
-
-@pytest.mark.parametrize("there", [True, False])
-@pytest.mark.parametrize(
-    ("rmw", "usual"), [(None, False), ("", False), ("rmw_zenoh_cpp", False), ("rmw_fastrtps_cpp", True)]
-)
-def test_by_rclpy_where_another_rmw_is_set_and_rclpy_is_there(
-    rmw: str | None, usual: bool, there: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.delenv("RMW_IMPLEMENTATION", raising=False)
-    if rmw is not None:
-        monkeypatch.setenv("RMW_IMPLEMENTATION", rmw)
-    monkeypatch.setattr(command, "find_spec", lambda name: ModuleSpec(name, None) if there else None)
-    assert Via.usual() is (Via.RCLPY if usual and there else Via.ZENOH)
-
 
 A, B, C = b"a", b"b", b"c"
 

@@ -6,7 +6,7 @@ import pytest
 
 from gateway.people.bridge.own_stop import OwnStop
 from schemas.telemetry import GatewayState
-from tests.support.watch_reports import state as published
+from tests.support.published import state as published
 
 
 def state(estop: int, uptime_s: float = 100.0) -> GatewayState:

@@ -132,7 +132,7 @@ def test_a_bundle_holds_what_the_laptop_needs_and_nothing_more(folder: Path, tmp
 
 @pytest.mark.parametrize(
     ("role", "commands"),
-    [("operator", ["watch", "walk", "estop"]), ("observer", ["watch"]), ("button", ["watch", "button", "estop"])],
+    [("operator", ["status", "walk", "estop"]), ("observer", ["status"]), ("button", ["status", "estop"])],
 )
 def test_a_bundles_readme_suggests_what_its_role_may(role: str, commands: list[str]) -> None:
     readme = laptop_readme("alice", role, "2028", ["alice.json5"]).decode()

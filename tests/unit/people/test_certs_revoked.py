@@ -18,6 +18,7 @@ from gateway.certs.revocation import RevocationList, Revoked
 from gateway.errors import ConfigError
 from gateway.robot.runtime.revocations import Revocations
 from gateway.robot.sections import ZenohSettings
+from gateway.robot.settings import Settings
 from gateway.robot.zenoh_io import revoked
 from gateway.zenoh_config import get, load_config
 from schemas.revocation import RevocationAck
@@ -165,8 +166,8 @@ def test_two_folders_that_each_revoked_somebody_are_merged(folder: Path) -> None
 # ---- on the robot
 
 
-def robot(directory: Path) -> ZenohSettings:
-    return ZenohSettings(config=str(directory / "gateway.json5"))
+def robot(directory: Path) -> Settings:
+    return Settings(zenoh=ZenohSettings(config=str(directory / "gateway.json5")))
 
 
 def test_rules_list_each_roles_common_names_but_for_revoked_ones(folder: Path) -> None:

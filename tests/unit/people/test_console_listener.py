@@ -16,6 +16,8 @@ from gateway.people.console.listener import MAX_UNKNOWN, READS, Admitted, HttpLi
 from gateway.people.console.sessions import Sessions, SignIn
 from gateway.people.console.site import Site
 
+pytestmark = pytest.mark.full
+
 URL = "http://127.0.0.1:8080"
 UPGRADE = (
     "Host: 127.0.0.1:8080\r\nOrigin: http://127.0.0.1:8080\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"

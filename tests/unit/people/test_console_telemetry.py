@@ -12,7 +12,7 @@ from gateway.people.console.pages import Page, Pages
 from gateway.people.walking import Engine, Robot
 from schemas.robot import LEGS
 from schemas.telemetry import ControllerReport, Report, Telemetry
-from tests.support.watch_reports import WALL, state
+from tests.support.published import WALL, state
 
 SECOND_NS = 1_000_000_000
 

@@ -1,7 +1,6 @@
 """What means danger: a Stop that the power board does not confirm, and events."""
 
 import re
-from datetime import timedelta
 from pathlib import Path
 from typing import cast
 
@@ -9,8 +8,6 @@ import pytest
 
 from gateway.errors import UnansweredError
 from gateway.model.telemetry import currents_a
-from gateway.people.client.blocking import Client
-from gateway.people.client.button import Button
 from gateway.people.client.dangers import (
     PATIENCE_NS,
     UNCONFIRMED,
@@ -19,16 +16,13 @@ from gateway.people.client.dangers import (
     power_now,
     tone_of,
 )
-from gateway.people.client.requests import ButtonRequests
 from gateway.people.client.stream import ALL_STOPPED
 from gateway.people.console.pages import Page, Pages
-from gateway.people.terminal.screen import ALARM
 from gateway.people.terminal.stop_status import SHOWN_NS, StopStatus, Tone
-from gateway.people.tools.button.screen import ButtonScreen
 from gateway.people.tools.send import command_report, estop_report
 from gateway.people.tools.status import sentences
 from schemas.telemetry import Ack, GatewayState, Kind, Mode, PowerReport, ServoTelemetry, Telemetry
-from tests.support.watch_reports import WALL, event, model_with_power, screen, state
+from tests.support.published import WALL, event, state
 from tests.unit.people.test_console_telemetry import OpenPage
 
 MS = 1_000_000
@@ -169,37 +163,6 @@ def test_status_has_the_board_and_the_alarm() -> None:
     assert "Power (slcan): 18 fed." in sentences(of(FED))
     assert f"Power (slcan): does not answer. {UNCONFIRMED}" in sentences(of(SILENT))
     assert not [line for line in sentences(state()) if line.startswith("Power")]
-
-
-def test_watch_is_red_by_event_and_by_state_and_shows_what_each_servo_draws() -> None:
-    drawn = {"11": ServoTelemetry(supplied=True, current_a=0.5), "32": ServoTelemetry(supplied=True, current_a=2.0)}
-    model = model_with_power(FED, Telemetry(time=WALL, age_ms=3.0, servos=drawn))
-    row = next(line for line in screen(model).splitlines() if "power" in line)
-    assert row.strip() == "power 18 fed  ▃·· ··· ·█· ··· ··· ···  most 32: 2.00 A"
-    assert UNCONFIRMED not in screen(model)
-    model.received_event(event(Kind.POWER_UNCONFIRMED, "no answer"), 0, WALL)
-    assert screen(model).splitlines()[1] == f" {UNCONFIRMED} "
-    later = of(OFF).model_copy(update={"uptime_s": 10.1, "time": WALL + timedelta(seconds=10.1)})
-    model.received_state(later, MS, WALL)
-    assert UNCONFIRMED not in screen(model)
-    assert "power confirmed off" in screen(model)
-
-
-def test_a_button_in_a_terminal_is_red_and_reports_it_once_more_at_its_end() -> None:
-    button = Button(cast("ButtonRequests", None), lambda _: STOPPED, "kitchen")
-    button.timeout_ms = 60_000
-    shown = ButtonScreen(cast("Client", None), button)
-    assert UNCONFIRMED not in shown.picture(80, 24).plain
-    shown.take_event(event(Kind.POWER_UNCONFIRMED))
-    assert shown.picture(80, 24).plain.split("\n")[10].strip() == UNCONFIRMED
-    assert shown.picture(80, 24).style == ALARM
-    assert shown.last_words() == [UNCONFIRMED]
-    shown.take_state(of(OFF))
-    assert "ANY KEY STOPS THE ROBOT" in shown.picture(80, 24).plain
-    shown.take_state(of(SILENT))
-    assert shown.picture(80, 24).style == ALARM
-    shown.take_state(of(OFF))
-    assert shown.last_words() == []
 
 
 async def test_a_page_gets_the_sentence_with_the_state_and_at_once_with_the_event() -> None:

@@ -11,7 +11,7 @@ from gateway.errors import DisconnectedError, LeaseError, LeaseLostError
 from gateway.people.client.lease import Lease
 from schemas.lease import LeaseAck
 from schemas.telemetry import Ack, Event, Kind, Reason
-from tests.support.watch_reports import event
+from tests.support.published import event
 
 TOKEN = "0123456789abcdef" * 2
 TTL_MS = 60.0

@@ -15,7 +15,7 @@ from gateway.people.client.live import Live, OnLoop, Order, Receiver, ReportQueu
 from gateway.people.client.subscriptions import KEPT_EVENTS
 from schemas.keys import EVENT, STATE
 from schemas.telemetry import BodyReport, Event, GatewayState, Kind, Telemetry
-from tests.support.watch_reports import WALL, event, state
+from tests.support.published import WALL, event, state
 
 MODELS: dict[str, type[BaseModel]] = {STATE: GatewayState, EVENT: Event}
 

@@ -32,8 +32,8 @@ from gateway.people.recordings.drawing import (
 )
 from gateway.people.recordings.plain_schema import plain_schema, without_nulls
 from gateway.people.recordings.writing import about
-from gateway.people.ros2.cdr import Message, decode, definition
-from gateway.people.ros2.messages import JointState, Marker, MarkerArray, String, TFMessage, TransformStamped
+from gateway.people.ros2.cdr import definition
+from gateway.people.ros2.messages import JointState, Marker, MarkerArray, Message, String, TFMessage, TransformStamped
 from gateway.people.tools.recordings import info
 from schemas import keys
 from schemas.command import SERVO_COMMAND, LegCommand, LegsCommand, ResetCommand
@@ -41,6 +41,9 @@ from schemas.robot import SERVO_IDS
 from schemas.telemetry import Ack, GatewayState
 from tests.support.mcap_file import checked
 from tests.support.measuring import MEASURED
+from tests.support.ros2_bytes import decode
+
+pytestmark = pytest.mark.full
 
 WIRE: Final = Path(__file__).parents[2] / "data" / "wire"
 START_NS: Final = 1_700_000_000_000_000_000
@@ -264,7 +267,7 @@ def test_a_state_marks_what_it_states_to_be_off() -> None:
     state = next(report for topic, report, _ in reports(1) if topic == keys.STATE)
     off = [servo["id"] for leg in state["legs"] for servo in leg["servos"] if not servo["running"]]
     found = marks(dict(drawing.take(keys.STATE, state, START_NS)))
-    assert [mark.id for mark in found if mark.type == Marker.SPHERE and mark.action == Marker.ADD] == off
+    assert [mark.id for mark in found if mark.type == Marker.SPHERE and mark.action != Marker.DELETEALL] == off
     assert 0 < len(off) < len(SERVO_IDS)
 
 

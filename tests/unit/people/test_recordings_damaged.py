@@ -28,6 +28,8 @@ from gateway.people.recordings.unpacking import MAX_UNPACKED_BYTES
 from schemas import keys
 from tests.unit.people.test_recordings import START_NS, recorded, reports
 
+pytestmark = pytest.mark.full
+
 Contents = list[tuple[str, bytes]]
 HEAD_BYTES: Final = 9
 """Of a record: its type and length."""

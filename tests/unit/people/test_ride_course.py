@@ -13,7 +13,7 @@ from gateway.people.ros2.joints import JointsError
 from gateway.people.ros2.trajectory import Trajectory, Waypoint
 from gateway.people.walking import REST_S, Pose, Ride
 from schemas.robot import LEGS
-from tests.support.ridden import ROBOT, TICK_S, WHOLE, standing
+from tests.support.ridden import FED_SINGLY, ROBOT, TICK_S, WHOLE, standing
 
 GEOMETRY: Final = load()
 STOOD: Final[Pose] = dict(standing().running)
@@ -207,3 +207,25 @@ def test_a_plan_that_ends_early_has_a_reason(leaves: bool, why: str) -> None:
     else:
         one.course.lose_sender(one.now_s)
     assert one.course.progress(way, one.now_s).ended.startswith(why)
+
+
+def test_a_plan_waits_until_the_last_servo_that_it_starts_has_its_supply() -> None:
+    """As a walk does: whatever moves before that is one leap, once the supply comes."""
+    fed = Followed(Course(GEOMETRY, lambda pose: Ride(FED_SINGLY, running=pose), limp_s=FED_SINGLY.limp_s))
+    fed.course.follow(waiting := plan(0.0, (0.2, 0.0), (1.2, 0.2)), 0.0)
+    last_start_s = len(LEGS) * TICK_S
+    fed.run(last_start_s + FED_SINGLY.limp_s - TICK_S)
+    assert [len(pose) for pose in fed.sent[:7]] == [1, 2, 3, 4, 5, 6, 6]
+    assert {pose[1] for pose in fed.sent} == {fed.sent[0][1]}, "nothing moves"
+    assert fed.course.progress(waiting, fed.now_s).desired_rad == pytest.approx(rad(fed.sent[-1]))
+    fed.run(0.8)
+    half = GEOMETRY.servos[11].servo_deg(rad(STOOD)[11] + 0.1)
+    assert fed.first_deg == pytest.approx(half, abs=1.5)
+    fed.run(0.5)
+    there = GEOMETRY.servos[11].servo_deg(rad(STOOD)[11] + 0.2)
+    assert fed.first_deg == pytest.approx(there)
+    fed.run(REST_S - 0.3)
+    assert not fed.sinks, "its last point is held for as long as without the pause"
+    fed.course.follow(plan(fed.now_s, (0.5, 0.2), (1.0, 0.3)), fed.now_s)
+    fed.run(1.1)
+    assert fed.first_deg > there, "what runs has its supply: a further plan begins at once"

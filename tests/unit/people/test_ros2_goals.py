@@ -1,4 +1,4 @@
-"""The goals of FollowJointTrajectory in virtual time: which is followed, how it ends, and what asking returns."""
+"""The goals of FollowJointTrajectory in virtual time: how far one is, and how it ends."""
 
 import math
 from dataclasses import replace
@@ -7,104 +7,25 @@ from typing import Final
 import pytest
 
 from gateway.geometry import load
-from gateway.people.ros2.actions import (
-    UUID,
-    CancelGoalRequest,
-    CancelGoalResponse,
+from gateway.people.ros2.goals import Followed, GoalProgress, error_code
+from gateway.people.ros2.joints import JointNames, JointsError
+from gateway.people.ros2.messages import (
+    Duration,
     FollowGoal,
     FollowResult,
-    GoalInfo,
-    GoalStatus,
+    Header,
     JointTolerance,
+    JointTrajectory,
+    JointTrajectoryPoint,
     MultiDOFJointTrajectory,
     MultiDOFJointTrajectoryPoint,
+    Time,
 )
-from gateway.people.ros2.goals import CANCELLED, KEPT, Followed, GoalProgress, Goals, error_code
-from gateway.people.ros2.joints import JointNames, JointsError
-from gateway.people.ros2.messages import Duration, Header, JointTrajectory, JointTrajectoryPoint, Time
 from gateway.people.ros2.trajectory import Trajectory
 
 GEOMETRY: Final = load()
 LEG: Final = ("joint_13", "joint_11", "joint_12")
-NIL: Final = UUID()
 NO_STAMP: Final = Time()
-DONE: Final = FollowResult(FollowResult.SUCCESSFUL, "done")
-A, B, C = (UUID((number,) * 16) for number in (1, 2, 3))
-
-
-def cancel(goal_id: UUID = NIL, until_s: int = 0) -> CancelGoalRequest:
-    return CancelGoalRequest(GoalInfo(goal_id, Time(until_s)))
-
-
-# ---- which one is followed
-
-
-def test_a_new_goal_cancels_the_one_before() -> None:
-    goals = Goals()
-    goals.begin(A, Time(1))
-    assert (goals.active, goals.result(A)) == (A, None)
-    goals.begin(B, Time(2))
-    first = goals.result(A)
-    assert first is not None
-    assert (first.status, first.result.error_code) == (GoalStatus.STATUS_CANCELED, FollowResult.INVALID_GOAL)
-    assert [(each.goal_info.goal_id, each.status) for each in goals.statuses().status_list] == [
-        (A, GoalStatus.STATUS_CANCELED),
-        (B, GoalStatus.STATUS_EXECUTING),
-    ]
-
-
-def test_one_that_cannot_be_followed_leaves_the_other_alone() -> None:
-    goals = Goals()
-    goals.begin(A, Time(1))
-    goals.refuse(B, Time(2), FollowResult(FollowResult.INVALID_JOINTS, "no"))
-    found = goals.result(B)
-    assert found is not None
-    assert (goals.active, found.status) == (A, GoalStatus.STATUS_ABORTED)
-    assert goals.knows(B)
-    assert not goals.knows(C)
-
-
-def test_as_many_ended_goals_are_kept_as_have_room_and_the_one_that_is_followed() -> None:
-    goals = Goals()
-    goals.begin(A, Time(1))
-    for number in range(10, 10 + 2 * KEPT):
-        goals.refuse(UUID((number,) * 16), Time(number), DONE)
-    assert len(goals.statuses().status_list) == KEPT + 1
-    forgotten = goals.result(UUID((10,) * 16))
-    assert forgotten is not None
-    assert forgotten.status == GoalStatus.STATUS_UNKNOWN
-    assert goals.result(A) is None
-
-
-@pytest.mark.parametrize(
-    ("request_", "code"),
-    [
-        (cancel(), CancelGoalResponse.ERROR_NONE),
-        (cancel(B), CancelGoalResponse.ERROR_NONE),
-        (cancel(B, until_s=1), CancelGoalResponse.ERROR_NONE),
-        (cancel(until_s=5), CancelGoalResponse.ERROR_NONE),
-        (cancel(until_s=4), CancelGoalResponse.ERROR_REJECTED),
-        (cancel(A), CancelGoalResponse.ERROR_GOAL_TERMINATED),
-        (cancel(A, until_s=5), CancelGoalResponse.ERROR_NONE),
-        (cancel(C), CancelGoalResponse.ERROR_UNKNOWN_GOAL_ID),
-        (cancel(C, until_s=4), CancelGoalResponse.ERROR_UNKNOWN_GOAL_ID),
-    ],
-)
-def test_which_goals_a_request_cancels(request_: CancelGoalRequest, code: int) -> None:
-    """As action_msgs/srv/CancelGoal has it."""
-    goals = Goals()
-    goals.refuse(A, Time(3), DONE)
-    goals.begin(B, Time(5))
-    answer = goals.cancels(request_)
-    assert answer.return_code == code
-    assert answer.goals_canceling == ((GoalInfo(B, Time(5)),) if code == CancelGoalResponse.ERROR_NONE else ())
-
-
-def test_with_no_goal_there_is_nothing_to_cancel() -> None:
-    goals = Goals()
-    assert goals.cancels(cancel()).return_code == CancelGoalResponse.ERROR_REJECTED
-    with pytest.raises(ValueError, match="no goal is followed"):
-        goals.end(GoalStatus.STATUS_CANCELED, CANCELLED)
 
 
 # ---- how far it is
@@ -145,21 +66,18 @@ def test_the_result_follows_once_the_last_point_was_sent() -> None:
     assert followed.judge(sent(followed, 300.0, behind_rad=0.01), 300.0) is None, "no time was given"
     judged = followed.judge(sent(followed, 102.0), 102.0)
     assert judged is not None
-    assert (judged[0], judged[1].error_code) == (GoalStatus.STATUS_SUCCEEDED, FollowResult.SUCCESSFUL)
+    assert judged.error_code == FollowResult.SUCCESSFUL
 
 
 def test_legs_that_do_not_run_yet_have_not_reached_it() -> None:
     followed = read(WAY)
     assert followed.judge(GoalProgress(followed.plan.at(102.0), {}), 102.0) is None
-    assert followed.feedback(A, GoalProgress(followed.plan.at(102.0), {}), 102.0, Time()) is None
+    assert followed.feedback(GoalProgress(followed.plan.at(102.0), {}), 102.0, Time()) is None
 
 
 def test_what_ends_the_motion_aborts_the_goal() -> None:
     judged = read(WAY).judge(GoalProgress({}, {}, "the emergency stop was engaged"), 101.0)
-    assert judged == (
-        GoalStatus.STATUS_ABORTED,
-        FollowResult(FollowResult.INVALID_GOAL, "the emergency stop was engaged"),
-    )
+    assert judged == FollowResult(FollowResult.INVALID_GOAL, "the emergency stop was engaged")
 
 
 @pytest.mark.parametrize(
@@ -175,10 +93,9 @@ def test_what_ends_the_motion_aborts_the_goal() -> None:
 def test_what_falls_behind_its_path(position: float, behind_rad: float, code: int | None) -> None:
     followed = read(replace(WAY, path_tolerance=(JointTolerance("joint_11", position),)))
     judged = followed.judge(sent(followed, 101.5, behind_rad), 101.5)
-    assert (judged and judged[1].error_code) == code
+    assert (judged and judged.error_code) == code
     if judged is not None:
-        assert judged[0] == GoalStatus.STATUS_ABORTED
-        assert judged[1].error_string == "joint_11 is 0.06 rad from its plan, more than 0.05"
+        assert judged.error_string == "joint_11 is 0.06 rad from its plan, more than 0.05"
     not_started = GoalProgress(followed.plan.at(101.5), {})
     assert followed.judge(not_started, 101.5) is None, "legs start one after the other"
 
@@ -186,26 +103,25 @@ def test_what_falls_behind_its_path(position: float, behind_rad: float, code: in
 @pytest.mark.parametrize(
     ("now_s", "behind_rad", "expected"),
     [
-        (102.0, 0.01, (GoalStatus.STATUS_SUCCEEDED, FollowResult.SUCCESSFUL)),
+        (102.0, 0.01, FollowResult.SUCCESSFUL),
         (102.4, 0.06, None),
         (102.5, 0.06, None),
-        (102.6, 0.06, (GoalStatus.STATUS_ABORTED, FollowResult.GOAL_TOLERANCE_VIOLATED)),
-        (102.6, 0.05, (GoalStatus.STATUS_SUCCEEDED, FollowResult.SUCCESSFUL)),
+        (102.6, 0.06, FollowResult.GOAL_TOLERANCE_VIOLATED),
+        (102.6, 0.05, FollowResult.SUCCESSFUL),
     ],
 )
 def test_the_goals_own_tolerance_and_time(now_s: float, behind_rad: float, expected: object) -> None:
     tolerance = (JointTolerance("joint_11", 0.05 + 1e-9),)
     followed = read(replace(WAY, goal_tolerance=tolerance, goal_time_tolerance=Duration(0, 500_000_000)))
     judged = followed.judge(sent(followed, now_s, behind_rad), now_s)
-    assert (judged and (judged[0], judged[1].error_code)) == expected
+    assert (judged and judged.error_code) == expected
 
 
 def test_feedback_has_the_goals_order_of_joints() -> None:
     followed = read(WAY)
-    message = followed.feedback(A, sent(followed, 101.5, behind_rad=0.05), 101.5, Time(7))
-    assert message is not None
-    found = message.feedback
-    assert (message.goal_id, found.header.stamp, found.joint_names) == (A, Time(7), LEG)
+    found = followed.feedback(sent(followed, 101.5, behind_rad=0.05), 101.5, Time(7))
+    assert found is not None
+    assert (found.header.stamp, found.joint_names) == (Time(7), LEG)
     assert found.desired.positions == pytest.approx((-1.5, 0.2, 0.5))
     assert found.actual.positions == pytest.approx((-1.5, 0.15, 0.5))
     assert found.error.positions == pytest.approx((0.0, 0.05, 0.0))

@@ -8,7 +8,7 @@ import pytest
 
 from gateway.geometry import foot_m, load
 from gateway.geometry.kinematics import Quaternion, Vector, plus, rotated, times
-from gateway.people.ros2.cdr import decode, encode
+from gateway.people.ros2.cdr import encode
 from gateway.people.ros2.joints import JointNames
 from gateway.people.ros2.messages import DiagnosticArray, DiagnosticStatus, ImuMessage, JointState, Temperature, Time
 from gateway.people.ros2.robot import (
@@ -24,7 +24,8 @@ from gateway.people.ros2.robot import (
 )
 from schemas.robot import SERVO_IDS
 from schemas.telemetry import Battery, GatewayState, Mode, Telemetry
-from tests.support import measuring, ros2_messages
+from tests.support import measuring
+from tests.support.ros2_bytes import STORE, decode
 
 WIRE: Final = Path(__file__).parents[2] / "data/wire"
 STATES: Final = {
@@ -34,7 +35,6 @@ STATES: Final = {
 }
 GEOMETRY: Final = load()
 NOW_NS: Final = 1_700_000_000_123_456_789
-STORE: Final = ros2_messages.store_of("jazzy")
 
 
 @pytest.mark.parametrize("state", STATES.values(), ids=range(len(STATES)))

@@ -4,7 +4,7 @@ import pytest
 
 from gateway.people.tools.status import sentences
 from schemas.telemetry import Battery, ButtonsReport, ControllerReport, LeaseReport, Mode
-from tests.support.watch_reports import state
+from tests.support.published import state
 
 
 def test_at_rest_nothing_runs() -> None:

@@ -10,7 +10,7 @@ from gateway.errors import DisconnectedError, RejectedError, StoppedError, Unans
 from gateway.people.client.pace import SILENCE_S
 from gateway.people.client.stream import AGAIN, WHOLE, Stream, happened
 from schemas.telemetry import Ack, ControllerReport, Event, GatewayState, Kind, Mode, Reason, WatchdogState
-from tests.support.watch_reports import WALL, event, state
+from tests.support.published import WALL, event, state
 
 HZ = 50
 PERIOD_S = 1 / HZ

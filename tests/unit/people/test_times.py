@@ -10,17 +10,12 @@ import pytest
 
 from gateway.people.bridge import own_stop
 from gateway.people.client import confirmed_stop, pace, patience, renewal, silence
-from gateway.people.tools.button import known
 from gateway.people.walking import ride, words
 
 TIMES: dict[tuple[ModuleType, str], float] = {
     (confirmed_stop, "AGAIN_NS"): 100_000_000,
     (confirmed_stop, "REQUESTS_AT_ONCE"): 4,
     (confirmed_stop, "MAX_PRESSES"): 16,
-    (known, "CHECK_IN_AGAIN_S"): 0.2,
-    (known, "DENIED_S"): 1.0,
-    (known, "LATE_SHARE"): 0.25,
-    (known, "SHARE"): 4,
     (own_stop, "SAME_RUN_S"): 1.0,
     (pace, "LATE_PART"): 0.5,
     (pace, "RADIANS_S"): 1.0,

@@ -21,6 +21,8 @@ from schemas.calibration import Calibration
 from schemas.robot import LEGS
 from tests.support.walked import TICK_S, standing
 
+pytestmark = pytest.mark.full
+
 ELKAPOD: Final = Path(__file__).parents[3] / "examples" / "elkapod"
 
 

@@ -14,6 +14,8 @@ from gateway.people.walking.ways import ON_GROUND_M
 from schemas.robot import LEGS
 from tests.support.walked import Walked, standing
 
+pytestmark = pytest.mark.full
+
 ROBOT: Final = Robot(load())
 WAY_S: Final = 12.0
 """The longest way: folded legs, up, steps and the pose, each with slow servos."""

@@ -9,7 +9,7 @@ from gateway.people.walking import STILL, Odometry, Posture, WalkState, ground_n
 from gateway.people.walking.words import NEWS_S, Newest
 from schemas.robot import LEGS
 from schemas.telemetry import ControllerReport, GatewayState, Mode
-from tests.support.watch_reports import servo, state
+from tests.support.published import servo, state
 
 ALL = frozenset(LEGS)
 LIMP = "All six legs are stopped, and hold no weight"

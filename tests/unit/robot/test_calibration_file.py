@@ -168,13 +168,13 @@ def test_an_earlier_one_that_was_put_back_by_hand_is_newer_than_all(tmp_path: Pa
 
 
 def test_where_it_is_kept(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    named = Settings.model_validate({"calibration": {"path": "/mnt/own.toml"}})
+    named = Settings.model_validate({"state": {"path": "/mnt/own"}})
     monkeypatch.delenv("STATE_DIRECTORY", raising=False)
     assert path_of(Settings()) is None
-    assert path_of(named) == Path("/mnt/own.toml")
+    assert path_of(named) == Path("/mnt/own/calibration.toml")
     monkeypatch.setenv("STATE_DIRECTORY", f"{tmp_path}:/var/lib/other")
     assert path_of(Settings()) == path_to_read(Settings()) == tmp_path / "calibration.toml"
-    assert path_of(named) == Path("/mnt/own.toml")
+    assert path_of(named) == Path("/mnt/own/calibration.toml")
 
 
 def test_where_it_is_looked_for(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 import asyncio
 import itertools
+from typing import Any
 
 import pytest
 
@@ -110,6 +111,8 @@ async def test_a_silent_controller_is_a_fault_and_nothing_runs_when_it_is_back(f
     robot = await walking(watchdog={"timeout_ms": 5000})
     setattr(robot.elkapod, fault, wire.answer(robot.elkapod._measure(0))[1:] + b"\0" if fault == "garbage" else True)
     await asyncio.sleep(0.9)
+    restarted = robot.events(Kind.CONTROLLER_RESTARTED)
+    assert len(restarted) == (0 if fault == "frozen" else 1), "which it may be, until it stays away"
     (event,) = robot.events(Kind.CONTROLLER_SILENT)
     assert ("heartbeat" if fault == "silent" else "well-formed answer") in event.detail
     assert robot.mode == Mode.BUS_FAULT
@@ -125,12 +128,77 @@ async def test_a_silent_controller_is_a_fault_and_nothing_runs_when_it_is_back(f
     assert "start" not in [what for _, what in robot.said]
 
 
-async def test_a_controller_that_was_switched_off_and_on_while_it_walked_moves_nothing_by_itself() -> None:
-    robot = await walking(watchdog={"timeout_ms": 5000})
-    robot.elkapod.power_cycle()
+HALF = wire.answer(wire.Measured(30, 8, 80, (1, 0, 0, 0), (0,) * 3, (0, 0, 9.81), (0,) * 6))[:40] + bytes(40)
+RESTARTS: dict[str, dict[str, Any]] = {
+    "at once, with garbage": {},
+    "at once, in the middle of an answer": {"first_answer": HALF},
+    "off for a cycle": {"off_ns": 20_000_000},
+    "off for 250 ms": {"off_ns": 250_000_000},
+}
+
+
+@pytest.mark.parametrize("restart", RESTARTS)
+@pytest.mark.parametrize("doing", ["walking", "starting", "idle", "estopped"])
+async def test_a_controller_that_restarts_is_shut_down_and_moves_only_after_a_new_start(
+    doing: str, restart: str
+) -> None:
+    robot = await elkapod(watchdog={"timeout_ms": 5000})
+    if doing in {"walking", "starting"}:
+        assert robot.ask(keys.LEGS_COMMAND, START).accepted
+    if doing == "walking":
+        await asyncio.sleep(0.1)
+        assert len(robot.elkapod.energised) == 18
+    elif doing == "estopped":
+        assert robot.ask(keys.ESTOP, {}).accepted
+        await asyncio.sleep(0.2)
+    robot.elkapod.messages.clear()
+    robot.elkapod.power_cycle(**RESTARTS[restart])
+    await asyncio.sleep(0.045)
+    assert [what for _, what in robot.said] or restart == "off for 250 ms", "a shutdown in the cycle that shows it"
+    assert robot.mode == Mode.BUS_FAULT
     await asyncio.sleep(1)
-    assert not robot.elkapod.energised
-    assert "start" not in [what for _, what in robot.said]
+    assert [event.kind for event in robot.events() if "controller" in str(event.kind)] == [
+        Kind.CONTROLLER_RESTARTED,
+        Kind.CONTROLLER_RETURNED,
+    ]
+    assert {what for _, what in robot.said} == {"shutdown"}
+    assert robot.mode == (Mode.ESTOPPED if doing == "estopped" else Mode.IDLE)
+    assert not any(each.running for leg in robot.conductor.state().legs for each in leg.servos)
+    if doing != "estopped":
+        assert robot.ask(keys.LEGS_COMMAND, all_legs("set", 81)).reason == "servo_stopped"
+        assert robot.ask(keys.LEGS_COMMAND, START).accepted
+        await asyncio.sleep(0.1)
+        assert len(robot.elkapod.energised) == 18
+
+
+async def test_each_restart_is_one_event() -> None:
+    robot = await walking(watchdog={"timeout_ms": 5000})
+    for _ in range(2):
+        robot.elkapod.power_cycle()
+        await asyncio.sleep(0.5)
+    kinds = [event.kind for event in robot.events() if "controller" in str(event.kind)]
+    assert kinds == [Kind.CONTROLLER_RESTARTED, Kind.CONTROLLER_RETURNED] * 2
+
+
+async def test_a_single_corrupted_answer_costs_a_stop() -> None:
+    """Nothing tells it from a restart: no answer has a checksum, and the first one after power-up may be anything."""
+    robot = await walking(watchdog={"timeout_ms": 5000})
+    robot.elkapod.garbage = b"\x7f" + HALF[1:]
+    await asyncio.sleep(0.02)
+    robot.elkapod.garbage = None
+    await asyncio.sleep(0.2)
+    assert [event.kind for event in robot.events(Kind.CONTROLLER_RESTARTED)]
+    assert robot.mode == Mode.IDLE, "and no more"
+
+
+async def test_a_controller_whose_values_never_change_drives_the_robot() -> None:
+    robot = ElkapodRobot({"watchdog": {"timeout_ms": 10_000}})
+    robot.elkapod.garbage = wire.answer(robot.elkapod._measure(0))
+    await asyncio.sleep(2)
+    assert robot.ask(keys.LEGS_COMMAND, START).accepted
+    await asyncio.sleep(9)
+    assert robot.kinds() == [Kind.STARTED]
+    assert len(robot.elkapod.energised) == 18
 
 
 async def test_no_frame_ever_has_an_angle_that_nobody_commanded_while_servos_are_driven() -> None:

@@ -1,14 +1,14 @@
 """elkapod-2025: what is said when, and whether the controller is alive."""
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 
 import pytest
 
-from gateway.errors import SpiError
+from gateway.errors import ControllerRestartedError, ControllerSilentError, SpiError
 from gateway.model import elkapod
 from gateway.model.elkapod import SHUTDOWN, START, Measured
 from gateway.model.frames import SETS, STARTS, Frame, OneLeg, OneServo, stop_leg
-from gateway.robot.protocol.elkapod import FROZEN_NS, Commanded, SignsOfLife
+from gateway.robot.protocol.elkapod import Commanded, SignsOfLife
 from gateway.robot.spi import DuplexDevice
 from gateway.robot.spi.cyclic import CyclicBus
 from gateway.robot.spi.guard import IllegalTransferError
@@ -123,19 +123,125 @@ def test_what_is_no_answer_is_none_and_says_why(bad: str) -> None:
     assert "no well-formed answer of the controller for 300 ms (the last one: it " in str(signs.silent(310 * MS))
 
 
-def test_an_answer_that_never_changes_is_none_after_half_a_second() -> None:
-    begun_ns = 10_000 * MS
-    signs, frozen = SignsOfLife(SILENT_NS, begun_ns), elkapod.answer(AT_REST)
-    times_ns = range(begun_ns, begun_ns + FROZEN_NS + SILENT_NS, 20 * MS)
+def judged(signs: SignsOfLife, values: Iterable[Measured], begun_ms: int = 0) -> list[bool]:
+    """Which of these answers, one in each cycle, counts as a measurement; heartbeats come all the time."""
     taken = []
-    for now_ns in times_ns:
+    for cycle, each in enumerate(values, 1):
+        now_ns = (begun_ms + 20 * cycle) * MS
         signs.heard(elkapod.heartbeat(), now_ns)
-        taken += [answered(signs, now_ns, frozen) is not None]
-    assert taken == [True] * 25 + [False] * 15
+        taken += [answered(signs, now_ns, elkapod.answer(each)) is not None]
+    return taken
+
+
+def noisy(cycles: int, first: int = 0) -> list[Measured]:
+    """Answers of a robot at rest, whose gyroscope is never without noise."""
+    return [AT_REST._replace(angular_velocity_rad_s=(0.001 * each, 0, 0)) for each in range(first, first + cycles)]
+
+
+def test_what_has_changed_and_then_does_not_for_half_a_second_is_frozen() -> None:
+    signs = SignsOfLife(SILENT_NS, 0)
+    assert judged(signs, [*noisy(50), *noisy(1, 49) * 40]) == [True] * 74 + [False] * 16
+    now_ns = 90 * 20 * MS
     why = "(the last one: it has not changed for 500 ms)"
-    assert str(signs.silent(begun_ns + 780 * MS)).endswith(why)
-    assert signs.silent(begun_ns + 779 * MS) is None
-    assert answered(signs, begun_ns + 800 * MS) is not None, "and counts again once it changes"
+    assert str(signs.silent(now_ns)).endswith(why)
+    assert judged(signs, noisy(100, 50), 1800) == [True] * 100, "and counts again once it changes"
+    assert judged(signs, noisy(1, 149) * 40, 3800).count(False) == 16, "as often as it freezes"
+
+
+QUIET = {
+    "nothing ever changes": [AT_REST] * 500,
+    "a battery that empties": [AT_REST._replace(voltage_v=7.4 - each // 100 / 10) for each in range(500)],
+    "feet while it walks, and then none": [
+        AT_REST._replace(feet=(min(each, 400) if each > 100 else 0, 2, 3, 4, 5, 6)) for each in range(600)
+    ],
+    "a sensor that fails while the battery empties": [
+        each._replace(voltage_v=7.4 - place // 20 / 100)
+        for place, each in enumerate([*noisy(100), *noisy(1, 99) * 400])
+    ],
+}
+
+
+@pytest.mark.parametrize("quiet", QUIET)
+def test_a_robot_whose_values_rest_is_alive(quiet: str) -> None:
+    signs = SignsOfLife(SILENT_NS, 0)
+    assert all(judged(signs, QUIET[quiet]))
+    assert signs.restarted == ""
+
+
+def test_what_never_changed_is_named() -> None:
+    signs = SignsOfLife(SILENT_NS, 0)
+    judged(signs, noisy(5))
+    expected = ("temperature", "battery voltage", "battery percentage", "orientation", "linear acceleration", "feet")
+    assert signs.changes.constant == expected
+
+
+# ---- whether it has restarted
+
+
+@pytest.mark.parametrize("bad", BAD)
+def test_a_malformed_answer_behind_a_good_one_is_a_restart(bad: str) -> None:
+    signs = SignsOfLife(SILENT_NS, 0)
+    answered(signs, 20 * MS, BAD[bad])
+    assert signs.restarted == "", "the first ones after power-up may be anything"
+    answered(signs, 40 * MS)
+    answered(signs, 60 * MS, BAD[bad])
+    assert signs.restarted.startswith("behind well-formed answers came one that is not: it ")
+    again = signs.anew()
+    assert (again.restarted, again.alive(60 * MS)) == ("", False)
+
+
+def beaten(
+    signs: SignsOfLife, until_ms: int, begun_ms: int = 0, *, without: Collection[int] = (), late: int = 0
+) -> None:
+    """Heartbeats of each 50 ms but `without` these, looked for in each cycle; `late`: whose cycle came late, in ms."""
+    came_ms = [at_ms for at_ms in range(50, 100_000, 50) if at_ms not in without]
+    seen_ms = begun_ms
+    for cycle_ms in range(begun_ms + 20, until_ms, 20):
+        now_ms = cycle_ms + (late if cycle_ms % 400 == 0 else 0)
+        count = sum(seen_ms < at_ms <= now_ms for at_ms in came_ms)
+        seen_ms = now_ms
+        signs.heard(elkapod.heartbeat() * count, now_ms * MS)
+
+
+@pytest.mark.parametrize(
+    ("without", "restarted"),
+    [((), False), ((1000,), False), ((1000, 1100, 1200), False), ((1000, 1050), True), (range(1000, 2000), True)],
+    ids=["none", "one", "each second one", "two", "a second"],
+)
+def test_two_missing_heartbeats_are_a_restart_and_one_is_none(without: Collection[int], *, restarted: bool) -> None:
+    signs = SignsOfLife(SILENT_NS, 0)
+    beaten(signs, 2000, without=without)
+    assert bool(signs.restarted) is restarted
+
+
+def test_a_gap_is_noticed_before_the_controller_counts_as_silent() -> None:
+    signs = SignsOfLife(SILENT_NS, 0)
+    beaten(signs, 1100, without=range(1000, 2000))
+    assert signs.restarted == ""
+    beaten(signs, 1140, 1080, without=range(1000, 2000))
+    assert signs.restarted, "some 130 ms behind the last one"
+
+
+@pytest.mark.parametrize("late_ms", [10, 19])
+def test_late_looks_are_no_gap(late_ms: int) -> None:
+    signs = SignsOfLife(SILENT_NS, 0)
+    beaten(signs, 9000, late=late_ms)
+    assert signs.restarted == ""
+
+
+@pytest.mark.parametrize("kept", [True, False], ids=["what came is read", "the whole machine stood still"])
+@pytest.mark.parametrize("paused_ms", [80, 150, 3000])
+def test_a_pause_of_ours_is_no_restart(paused_ms: int, *, kept: bool) -> None:
+    signs = SignsOfLife(SILENT_NS, 0)
+    beaten(signs, 1010)
+    now_ms = 1000 + paused_ms
+    signs.heard(elkapod.heartbeat() * (paused_ms // 50 if kept else 0), now_ms * MS)
+    for cycle in range(1, 60):
+        signs.heard(elkapod.heartbeat() * (cycle % 3 != 0), (now_ms + cycle * 20) * MS)
+    assert signs.restarted == ""
+    for cycle in range(60, 70):
+        signs.heard(b"", (now_ms + cycle * 20) * MS)
+    assert signs.restarted, "but the next gap is one"
 
 
 @pytest.mark.parametrize("missing", ["heartbeat", "well-formed answer"])
@@ -163,6 +269,7 @@ class Parts(DuplexDevice, Uart):
         self.now_ns = 0
         self.opened = self.closed = 0
         self.write_takes_ns = 0
+        self.answers: list[bytes] = []
         self.spi_fails = self.uart_fails = self.write_fails = self.hangs_up = self.beats = False
         self.bus = CyclicBus(
             self._open,
@@ -193,6 +300,8 @@ class Parts(DuplexDevice, Uart):
     def exchange(self, _data: bytes) -> bytes:
         if self.spi_fails:
             raise SpiError("timed out")
+        if self.answers:
+            return self.answers.pop()
         return elkapod.answer(AT_REST._replace(temperature_c=self.now_ns / 1e9))
 
     def write(self, data: bytes) -> None:
@@ -208,6 +317,14 @@ class Parts(DuplexDevice, Uart):
 
     def close(self) -> None:
         self.closed += 1
+
+    def wait(self, until_ms: int) -> ControllerSilentError | None:
+        """Ask in each cycle whether it is silent, until it is, while no frame is exchanged."""
+        while self.now_ns < until_ms * MS:
+            self.now_ns += 20 * MS
+            if (silent := self.bus.silent(self.now_ns)) is not None:
+                return silent
+        return None
 
     def cycle(self) -> bytes | None:
         """A cycle, 20 ms later; the frame."""
@@ -333,10 +450,54 @@ def test_a_silent_controller_is_shut_down_and_counts_as_back_when_both_signs_are
     assert parts.bus.controller_alive is True
 
 
+def test_a_restart_is_shut_down_in_its_cycle_and_nothing_that_waited_is_started(parts: Parts) -> None:
+    parts.bus.open()
+    parts.beats, parts.now_ns = True, 100 * MS
+    parts.cycle()
+    parts.bus.write(starts())
+    parts.cycle()
+    before = len(parts.said)
+    parts.answers = [bytes(80)]
+    with pytest.raises(ControllerRestartedError, match="it goes from 00 to 00"):
+        parts.cycle()  # behind which START would follow
+    assert parts.said[before:] == [SHUTDOWN]
+    assert parts.bus.controller_alive is False
+    parts.bus.release()
+    assert parts.closed == 0
+    with pytest.raises(ControllerRestartedError):
+        parts.bus.open()
+    parts.cycle()
+    parts.bus.open()
+    assert parts.bus.controller_alive is True
+    assert [parts.cycle() for _ in range(4)]
+    assert START not in parts.said
+    assert parts.bus.errors == 1, "it is counted once"
+
+
+def test_one_that_restarts_twice_is_shut_down_twice_and_one_that_stays_away_is_silent(parts: Parts) -> None:
+    parts.bus.open()
+    parts.beats, parts.now_ns = True, 100 * MS
+    for _ in range(2):
+        parts.cycle()
+        parts.answers = [bytes(80), bytes(80)]
+        with pytest.raises(ControllerRestartedError):
+            parts.cycle()
+        parts.cycle()  # no good one has come since, so this is the same restart
+        parts.cycle()
+        parts.bus.open()
+    parts.answers = [bytes(80)] * 100
+    with pytest.raises(ControllerRestartedError):
+        parts.cycle()
+    silent = None
+    for _ in range(20):
+        parts.cycle()
+        silent = silent or parts.bus.silent(parts.now_ns)
+    assert type(silent) is ControllerSilentError
+
+
 def test_a_device_that_fails_while_the_controller_is_silent_opens_anew(parts: Parts) -> None:
     parts.bus.open()
-    parts.now_ns = 400 * MS
-    assert parts.bus.silent(parts.now_ns) is not None
+    assert parts.wait(400) is not None
     parts.spi_fails = True
     with pytest.raises(SpiError):
         parts.cycle()
@@ -346,6 +507,18 @@ def test_a_device_that_fails_while_the_controller_is_silent_opens_anew(parts: Pa
     with pytest.raises(SpiError, match="no well-formed answer"):
         parts.bus.open()
     assert parts.opened == 2
+
+
+def test_a_delay_of_this_process_is_no_silence(parts: Parts) -> None:
+    parts.bus.open()
+    parts.beats = True
+    while parts.cycle() is None:
+        pass
+    assert parts.bus.silent(parts.now_ns) is None
+    parts.now_ns += 3000 * MS
+    assert parts.bus.silent(parts.now_ns) is None, "what came meanwhile is not read yet"
+    parts.cycle()
+    assert parts.bus.silent(parts.now_ns) is None
 
 
 def test_without_a_device_only_stops_are_written() -> None:
@@ -407,8 +580,7 @@ def test_each_fault_is_counted_once(parts: Parts) -> None:
     parts.bus.release()
     parts.spi_fails = False
     parts.bus.open()
-    parts.now_ns = 1000 * MS
-    assert parts.bus.silent(parts.now_ns) is not None
+    assert parts.wait(1000) is not None
     counts += [parts.bus.errors]
     assert counts == [0, 1, 2, 3, 4, 5]
 
@@ -492,7 +664,8 @@ def test_a_device_that_came_back_has_its_time_to_answer(parts: Parts) -> None:
     parts.bus.release()
     parts.spi_fails, parts.now_ns = False, 5000 * MS
     parts.bus.open()
-    assert parts.bus.silent(5069 * MS + 300 * MS) is None
-    assert parts.bus.silent(5070 * MS + 300 * MS) is not None
+    assert parts.wait(5360) is None
+    assert parts.bus.silent(5369 * MS) is None
+    assert parts.bus.silent(5370 * MS) is not None
     parts.bus.release()
     assert parts.closed == 1, "its signs of life would come there"

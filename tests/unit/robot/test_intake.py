@@ -157,8 +157,10 @@ def test_the_largest_payload_and_one_byte_more() -> None:
     ("encoding", "named"),
     [
         ("text/plain", "text/plain"),
-        ("application/json;charset=utf-8", '"application/json;charset=utf-8"'),
         ("Application/JSON", "Application/JSON"),
+        ("application/+json", '"application/+json"'),
+        ("application/jsonl", "application/jsonl"),
+        ("text/x+json", '"text/x+json"'),
         ("", '""'),
         ("text/json\n\x1b[2J", r'"text/json\n\u001b[2J"'),
         ("x" * 5000, '"' + "x" * 39 + "…"),
@@ -168,6 +170,22 @@ def test_other_encodings(encoding: str, named: str) -> None:
     assert rejection(SERVO_32, STOP, encoding) == Rejection(
         Reason.BAD_ENCODING, f"the encoding is {named}; it must be application/json, or left out"
     )
+
+
+@pytest.mark.parametrize(
+    "encoding",
+    [
+        *(
+            "application/json;charset=utf-8",
+            "application/json; charset=utf-8",
+            "application/json ;x=1;y",
+            "zenoh/bytes",
+        ),
+        *("application/vnd.robot+json", "application/ld+json; profile=a", "application/json-patch+json"),
+    ],
+)
+def test_json_by_its_other_names(encoding: str) -> None:
+    assert decode(SERVO_32, as_json(STOP), encoding) == Intent(((32, STOP_OP),))
 
 
 def test_the_order_of_reasons() -> None:
@@ -319,6 +337,14 @@ def test_only_a_payload_with_more_colons_than_fields_is_read_twice(
         ("hexapod/estop/cmd", Verb.PUT, b"", True),
         ("hexapod/reset/cmd", Verb.PUT, b'{"source": "stop"}', False),
         ("hexapod/leg/9/cmd", Verb.PUT, b'{"op": "stop"}', False),
+        ("hexapod/leg/3/cmd", Verb.PUT, b'{"servos": [{"op": "sToP"}]}', True),
+        ("hexapod/leg/3/cmd", Verb.PUT, b'{"SERVOS": [{"OP": "SET"}]}', False),
+        ("hexapod/leg/3/cmd", Verb.PUT, b' \n{"servos": []}', False),
+        ("hexapod/leg/3/cmd", Verb.PUT, b"", False),
+        ("hexapod/leg/3/cmd", Verb.GET, b"\n", False),
+        ("hexapod/leg/3/cmd", Verb.PUT, b"\x1f\x8b\x08", True),
+        ("hexapod/leg/3/cmd", Verb.PUT, '{"op": "set"}'.encode("utf-16-le"), True),
+        ("hexapod/legs/cmd", Verb.PUT, b"[]", True),
     ],
 )
 def test_what_may_be_a_stop_keeps_its_place(expression: str, verb: Verb, payload: bytes, words: bool) -> None:

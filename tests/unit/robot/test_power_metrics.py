@@ -12,7 +12,7 @@ from gateway.robot.runtime.prometheus import powered
 from schemas.robot import SERVO_IDS
 from schemas.telemetry import Kind, PowerReport, ServoTelemetry, Supply, Telemetry
 from tests.support.metrics_page import described, documented
-from tests.support.watch_reports import WALL
+from tests.support.published import WALL
 
 BOARD = PowerReport(interface="slcan", alive=True, supplied=(11, 63), confirmed=False, age_ms=40.0)
 DRAWN = Telemetry(

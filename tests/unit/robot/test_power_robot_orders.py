@@ -9,6 +9,7 @@ from collections.abc import Callable
 from typing import Any, Final
 
 import async_solipsism
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -22,6 +23,8 @@ from schemas.robot import LEGS, SERVO_IDS
 from tests.support.elkapod import all_legs
 from tests.support.power import FedElkapod, FedRobot
 from tests.support.robot import leg, servo
+
+pytestmark = pytest.mark.full
 
 LINK_NS: Final = 1_100_000_000
 """So long behind a fault of the link a board may still carry out an old mask, one output after the other."""

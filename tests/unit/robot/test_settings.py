@@ -16,7 +16,13 @@ from pydantic import BaseModel, ValidationError
 from gateway.errors import ConfigError
 from gateway.model.framing import Framing
 from gateway.robot import settings
-from gateway.robot.sections import LimitSettings, PowerSettings, ServoLimits, SpiSettings, WatchdogSettings
+from gateway.robot.sections import (
+    LimitSettings,
+    PowerSettings,
+    ServoLimits,
+    SpiSettings,
+    WatchdogSettings,
+)
 from gateway.robot.settings import FramingNotSetError, Settings
 from tests.support.bad_settings import ENVIRONMENT_FAULTS, FILE_FAULTS
 from tests.support.settings_file import faults, load
@@ -66,7 +72,6 @@ resync_ms = 0
 avoid_deg = []
 [controller]
 uart = "/dev/ttyAMA0"
-cycle_hz = 100
 silent_ms = 2000
 [limits]
 leg_rate_hz = 1000
@@ -82,22 +87,15 @@ landing = { 11 = 90 }
 [lease]
 required = true
 ttl_ms = 200
-takeover = "never"
 [buttons]
 required = 8
 timeout_ms = 200
 names = ["kitchen", "operator"]
-[calibration]
-path = "/mnt/calibration.toml"
-[recorder]
-path = "/mnt/box"
-seconds = 10
+[state]
+path = "/mnt/state"
 [telemetry]
-state_hz = 0
-rate_hz = 100
 frames = true
 metrics = "127.0.0.1:9464"
-metrics_hosts = ["robot.local"]
 [safety]
 min_battery_v = 6.4
 max_tilt_deg = 45
@@ -112,7 +110,6 @@ idle_ma = 100
 settle_ms = 500
 [log]
 level = "debug"
-format = "json"
 """
 
 
@@ -302,9 +299,9 @@ def test_a_fault_of_the_file(file: Path, text: str, line: str) -> None:
 
 
 def test_each_fault_has_its_line(file: Path) -> None:
-    file.write_text('y = 1\n[telemetry]\nstate_hz = -1\nframes = "no"\n[log]\nlevel = "loud"\n[spi]\nx = 1\n')
+    file.write_text('y = 1\n[telemetry]\nframes = "no"\n[log]\nlevel = "loud"\n[spi]\nx = 1\n')
     assert [line.split(": ")[1] for line in faults(file)] == [
-        "spi.x", "telemetry.state_hz", "telemetry.frames", "log.level", "y"
+        "spi.x", "telemetry.frames", "log.level", "y"
     ]  # fmt: skip
 
 
@@ -447,3 +444,42 @@ def test_what_cannot_be_read_is_told_for_itself(file: Path, text: str) -> None:
     with pytest.raises(ConfigError) as raised:
         framing_of(file)
     assert str(raised.value).splitlines() == [line.replace("file", str(file), 1) for line in faults(file)]
+
+
+@pytest.mark.parametrize(
+    ("text", "lines"),
+    [
+        ("[calibration]\n[recorder]\n", []),  # as an earlier version installed it, without a change
+        (
+            '[calibration]\npath = "/mnt/own.toml"\n',
+            ["file: calibration: was removed; name its folder with state.path, which has all that outlasts the gateway "
+             "(the calibration as calibration.toml)"],
+        ),
+        (
+            '[recorder]\npath = "/mnt/box"\n',
+            ["file: recorder: was removed; name its folder with state.path, which has all that outlasts the gateway "
+             "(the black box keeps 60 s)"],
+        ),
+        (
+            '[telemetry]\nstate_hz = 5\n[lease]\ntakeover = "never"\n',
+            [
+                "file: lease.takeover: was removed; everybody may take the lease, which stops all legs first",
+                "file: telemetry.state_hz: was removed; the state comes ten times a second",
+            ],
+        ),
+    ],
+)  # fmt: skip
+def test_a_removed_setting_names_what_takes_its_place(tmp_path: Path, text: str, lines: list[str]) -> None:
+    path = tmp_path / "gateway.toml"
+    path.write_text(text)
+    if lines:
+        assert faults(path) == lines
+    else:
+        assert load(path) == Settings()
+
+
+def test_a_variable_of_a_removed_setting_names_it_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HEXAPOD_CALIBRATION__PATH", "/mnt/own.toml")
+    monkeypatch.setenv("HEXAPOD_RECORDER__PATH", "/mnt/box")
+    for line, variable in zip(faults(), ("HEXAPOD_CALIBRATION__PATH", "HEXAPOD_RECORDER__PATH"), strict=True):
+        assert line.startswith(f"{variable}: was removed; name its folder with state.path")

@@ -21,7 +21,7 @@ from schemas.telemetry import Kind, Mode
 from tests.support.faulty_controller import FaultyController
 from tests.support.robot import MS, Robot, leg, started_and_quiet
 
-pytestmark = pytest.mark.virtual_time
+pytestmark = [pytest.mark.virtual_time, pytest.mark.full]
 
 PREFIXED = Framing.LENGTH_PREFIXED
 COST_MS = 200.0

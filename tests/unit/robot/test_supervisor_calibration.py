@@ -9,7 +9,7 @@ from gateway.allowance import NS_PER_MS
 from gateway.model.calibration import CalibrationChange, MappingChange, RobotCalibration, ServoMapping
 from gateway.robot.core.events import Announce, CalibrationSaved, Transmit
 from gateway.robot.core.leg import Rules
-from gateway.robot.core.supervisor import IllegalEvent
+from gateway.robot.core.legal import IllegalEvent
 from schemas.telemetry import Kind, Mode
 from tests.support.steps import Steps, all_stopped, leg_to, servo_to
 

@@ -17,7 +17,7 @@ from gateway.robot.core.events import (
     TimePassed,
 )
 from gateway.robot.core.leg import Rules
-from gateway.robot.core.supervisor import IllegalEvent
+from gateway.robot.core.legal import IllegalEvent
 from schemas.telemetry import Mode
 from tests.support.model_check import copied, key, pending
 from tests.support.steps import Steps, all_stopped, leg_to, legs_to, servo_to, staggered

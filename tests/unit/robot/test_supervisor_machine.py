@@ -6,6 +6,7 @@ deadlines, and any transfer may fail.
 
 from dataclasses import replace
 
+import pytest
 from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
@@ -47,10 +48,13 @@ from tests.support.model_check import pending
 from tests.support.oracle import Oracle
 from tests.support.transitions import TRANSITIONS
 
+pytestmark = pytest.mark.full
+
 MOVES = st.builds(ServoOp, st.sampled_from([Op.START, Op.START, Op.SET]), st.sampled_from([0, 45_00, 90_00, 180_00]))
 OPS = st.one_of(MOVES, MOVES, st.just(STOP))
 FEW_LEGS = st.sampled_from([1, 1, 2, 2, 3, 6])
 """Mostly the same ones, so that commands meet."""
+BUS_FAULTS = [Kind.BUS_FAULT, Kind.CONTROLLER_SILENT, Kind.CONTROLLER_RESTARTED]
 WAITS_NS = st.one_of(
     st.just(0),
     st.integers(1, 25 * NS_PER_MS),
@@ -73,7 +77,6 @@ RULES = st.builds(
     landing_cdeg=st.sampled_from([{}, {11: 0, 12: 180_00, 21: 30_00, 62: 0}]),
     lease_required=st.sampled_from([False, False, True]),
     lease_ttl_ns=st.sampled_from([30, 200, 1000]).map(lambda ms: ms * NS_PER_MS),
-    lease_takeover=st.booleans(),
     min_battery_mv=st.sampled_from([0, 0, 7000]),
     max_tilt_cdeg=st.sampled_from([0, 0, 30_00]),
     tilt_ns=st.sampled_from([20, 200]).map(lambda ms: ms * NS_PER_MS),
@@ -287,7 +290,7 @@ class SupervisorMachine(RuleBasedStateMachine):
     @rule(newer=st.sampled_from([0, 0, 0, -1, 1, None]), wait_ns=WAITS_NS)
     def reset(self, newer: int | None, wait_ns: int) -> None:
         self.number += 1
-        estop = None if newer is None else self.supervisor.estops + newer
+        estop = None if newer is None else self.supervisor.latch.number + newer
         self.step(Reset(number=self.number, estop=estop, lease=self.token(self.carries)), wait_ns)
 
     @rule()
@@ -313,7 +316,7 @@ class SupervisorMachine(RuleBasedStateMachine):
             self.controller.fail_next(0)
         self.step(BusOpened(), wait_ns)
 
-    @rule(rarely=st.integers(0, 5), kind=st.sampled_from([Kind.BUS_FAULT, Kind.CONTROLLER_SILENT]), wait_ns=WAITS_NS)
+    @rule(rarely=st.integers(0, 5), kind=st.sampled_from(BUS_FAULTS), wait_ns=WAITS_NS)
     def bus_fails(self, rarely: int, kind: Kind, wait_ns: int) -> None:
         if rarely == 0:
             self.step(BusFailed("a test's fault", kind), wait_ns)

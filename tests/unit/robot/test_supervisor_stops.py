@@ -212,8 +212,13 @@ def test_the_emergency_stop_stops_all_and_latches() -> None:
     robot.command(101, legs_to("135", "set 80"))
     assert robot.estop(102) == [*all_stopped("estop"), "rejected 2 estopped", "announce estop_engaged"]
     assert robot.supervisor.mode is Mode.ESTOPPED
-    for at_ms, targets in ((103, leg_to(1, "start 90")), (104, leg_to(1, "set 90")), (105, leg_to(1, "stop"))):
+    for at_ms, targets in ((103, leg_to(1, "start 90")), (104, leg_to(1, "set 90"))):
         assert robot.command(at_ms, targets) == [f"rejected {robot.number} estopped"]
+    assert robot.command(105, leg_to(1, "stop")) == ["command 1 stop", "rejected 5 estopped stopped"]
+    assert robot.command(106, leg_to(1, "stop", "start 9", "set 9")) == [
+        "command 11 stop",
+        "rejected 6 estopped stopped",
+    ]
     assert robot.time(1000) == []
 
 
@@ -261,10 +266,10 @@ def test_of_one_instant_an_emergency_stop_is_the_newer_however_long_it_takes_to_
 
 def test_emergency_stops_are_numbered_and_a_reset_must_name_the_latest() -> None:
     robot = Steps()
-    assert robot.supervisor.estops == 0
+    assert robot.supervisor.latch.number == 0
     for number in (1, 2):
         robot.estop(100 + number)
-        assert robot.supervisor.estops == number
+        assert robot.supervisor.latch.number == number
     assert robot.reset(110, newer=-1) == ["rejected 1 estopped"]
     assert robot.detail == "a newer emergency stop was requested: estop is 1, and the latest is 2"
     assert robot.reset(111, newer=1) == ["rejected 2 estopped"]
@@ -272,7 +277,7 @@ def test_emergency_stops_are_numbered_and_a_reset_must_name_the_latest() -> None
     assert robot.supervisor.mode is Mode.ESTOPPED
     assert robot.reset(112) == ["announce estop_reset", "completed 3"]
     robot.estop(113)
-    assert robot.supervisor.estops == 3
+    assert robot.supervisor.latch.number == 3
 
 
 def test_a_reset_without_a_number_is_taken_2_s_after_the_latest_emergency_stop() -> None:

@@ -58,7 +58,10 @@ def test_a_stop_of_any_servo_stops_all_six_legs(targets: Targets) -> None:
 @pytest.mark.parametrize("other", ["start 80", "set 80"])
 def test_a_command_that_stops_and_moves_stops_and_its_moves_are_dropped(other: str) -> None:
     steps = running()
-    assert steps.command(40, leg_to(1, "stop", other, other)) == [*all_stopped("command"), "rejected 2 whole_robot"]
+    assert steps.command(40, leg_to(1, "stop", other, other)) == [
+        *all_stopped("command"),
+        "rejected 2 whole_robot stopped",
+    ]
     assert steps.detail == (
         "this robot can only be stopped as a whole: a Stop in this command stopped it, and its moves are dropped"
     )
@@ -68,7 +71,7 @@ def test_a_command_that_stops_and_moves_stops_and_its_moves_are_dropped(other: s
 def test_a_whole_start_with_one_stop_in_it_starts_nothing() -> None:
     steps = whole()
     words = steps.command(10, (*leg_to(1, "stop", "start 90", "start 90"), *legs_to("23456", "start 90")))
-    assert words == [*all_stopped("command"), "rejected 1 whole_robot"]
+    assert words == [*all_stopped("command"), "rejected 1 whole_robot stopped"]
     assert steps.running == []
 
 

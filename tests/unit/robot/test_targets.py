@@ -9,7 +9,7 @@ import pytest
 from gateway.model.frames import STOP
 from gateway.robot.core import targets
 from gateway.robot.core.events import Command
-from gateway.robot.core.intake import Rejection, deleted, read
+from gateway.robot.core.intake import Rejection, deleted, read, words_of_stop
 from gateway.robot.core.losses import Losses
 from gateway.robot.core.message import Received, Verb
 from gateway.robot.core.targets import TARGETS, follows, servos_of, stops_of
@@ -24,9 +24,12 @@ from tests.support.reading import Intent, decode, meant
 BODY = "hexapod/body/cmd"
 BODY_KEY = CommandKey(cast("Target", "body"))
 """A key that somebody adds: it moves all servos."""
-BODY_ROW = targets.Row(
-    lambda _: SERVO_IDS, lambda _: SERVO_IDS, lambda _number, _payload: Command(), lambda _payload: True, 9
-)
+BODY_ROW = targets.Row(lambda _: SERVO_IDS, lambda _: SERVO_IDS, lambda _number, _payload: Command(), True, 9)
+
+
+def may_stop(key: str, payload: bytes, size: int | None = None) -> bool:
+    size = len(payload) if size is None else size
+    return words_of_stop(Received(key, key, COMMAND_KEYS[key], Verb.PUT, payload, size, "", None, 0)) is not None
 
 
 def test_every_target_has_its_row() -> None:
@@ -49,10 +52,10 @@ def test_what_each_row_says(key: str, servos: tuple[int, ...], followed: tuple[i
     target = COMMAND_KEYS[key]
     assert servos_of(target) == set(servos), "without one, a message would never be done, but for a reset"
     assert follows(target) == set(followed), "an older Start on another key must not come after a Stop on this one"
-    may_stop = TARGETS[target.target].may_stop
-    assert may_stop(b'{"op": "stop"}') is (key != keys.RESET), "else it would lose its place before an older start"
-    assert may_stop(b'{"op": "\\u0073top"}') is (key != keys.RESET)
-    assert may_stop(b'{"op": "set", "angle_deg": 90}') is (key == keys.ESTOP), "else a stream would be dealt with whole"
+    assert may_stop(key, b'{"op": "stop"}') is (key != keys.RESET), "else it would lose its place before an older start"
+    assert may_stop(key, b'{"op": "\\u0073top"}') is (key != keys.RESET)
+    assert may_stop(key, b"", size=4097) is (key != keys.RESET), "what it says is not known"
+    assert may_stop(key, b'{"op": "set", "angle_deg": 9}') is (key == keys.ESTOP), "else a stream would be taken whole"
     stops = tuple((servo_id, STOP) for servo_id in servos)
     assert stops_of(target) == stops
     no_reset = Rejection(Reason.INVALID, "a delete does not reset; put {} on hexapod/reset/cmd")

@@ -13,7 +13,7 @@ import { Feet } from "./measured.js";
 
 /** A simulated body that is older than this is not shown. */
 const BODY_MS = 1000;
-/** Nor are measured values: at `telemetry.rate_hz` = 1 they come once a second. */
+/** Nor are measured values. */
 const MEASURED_MS = 2000;
 export const HISTORY_MS = 60_000;
 /** Older than this, what the page shows is the past. */

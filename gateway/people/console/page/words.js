@@ -12,6 +12,7 @@ const REASONS = {
 /** @type {Record<string, string>} */
 const NEWS = {
   controller_silent: "The controller is silent: whether its servos stop is not known. Keep clear of the legs, or use the switch.",
+  controller_restarted: "The controller may have restarted, so its servos may be slack. Nothing moves until something is pressed.",
   controller_returned: "The controller answers again. Nothing moves until something is pressed.",
   battery_low: "The battery is low. What runs goes on; nothing new starts until it is charged.",
   fallen: "It has fallen, or was lifted: its legs are stopped. Put it on its feet before you start it.",

@@ -15,7 +15,7 @@ from gateway.people.client.blocking import Client
 from gateway.people.client.walk import Walk
 from gateway.people.terminal import check_terminal
 from gateway.people.terminal.screen import STYLES, Screen, fitted
-from gateway.people.tools import driving, kept_lease
+from gateway.people.tools import driving, reach
 from gateway.people.tools.reach import Connection
 from gateway.people.tools.walk.keypad import Keypad
 from gateway.people.tools.walk.script import went
@@ -185,7 +185,7 @@ def drive(connect: Connection, gait: str, geometry: Path | None, terrain: str, h
     check_terminal("walk from the keyboard", without_one, on_windows=", or give --seconds")
     with connect() as client:
         try:
-            with client.lease(source=kept_lease.me()) as lease:
+            with client.lease(source=reach.me()) as lease:
                 return WalkScreen(client, lease.holder, gait, geometry, terrain, height_m).run()
         except LeaseError as error:
-            return driving.not_acquired(client, error)
+            return driving.rejected(error)

@@ -11,7 +11,7 @@ from typing import Final, Protocol
 
 from gateway.errors import LeaseError, RejectedError, StoppedError
 from gateway.people.terminal import Progress, clear_line, hint, on_end_signals, say, show_line
-from gateway.people.tools import driving, kept_lease
+from gateway.people.tools import driving, reach
 from gateway.people.tools.reach import Connection
 from gateway.people.walking import Posture, Velocity, WalkState
 
@@ -57,13 +57,13 @@ def walk(
     with connect() as client:
         try:
             with (
-                client.lease(source=kept_lease.me()),
+                client.lease(source=reach.me()),
                 on_end_signals(end.ask),
                 client.walk(gait, geometry, terrain=terrain) as robot,
             ):
                 whole = go(robot, wanted, seconds, height_m, end)
         except LeaseError as error:
-            return driving.not_acquired(client, error)
+            return driving.rejected(error)
         except (StoppedError, RejectedError) as error:
             say(str(error))
             return 1

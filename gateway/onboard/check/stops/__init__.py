@@ -1,0 +1,161 @@
+"""`check --stops`: prove on this robot, step by step, that it stops. Ends with everything stopped."""
+
+import json
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from functools import partial
+from pathlib import Path
+from typing import Final, NamedTuple
+
+from gateway.errors import ConfigError, GatewayError
+from gateway.model.telemetry import starts_whole
+from gateway.onboard.check.stops.bench import Bench, FailedError, Figures, Skipped
+from gateway.onboard.check.stops.steps import STEPS, CheckStep
+from gateway.people.terminal import NOBODY, hint, on_end_signals, rows, say
+from gateway.people.tools.driving import drives
+from gateway.people.tools.moving import ServoMotion, consents, lying, ready, stopped_after
+from gateway.people.tools.reach import Connection, show_differences
+from schemas.telemetry import GatewayState, Mode
+
+START_DEG: Final = 90.0
+_IDLE_S: Final = 2.0
+LEASE_S: Final = 1.0
+"""Any time: a step holds the lease until it ends."""
+_STYLES: Final = {"PASS": rows.GOOD, "FAIL": rows.BAD, "SKIPPED": rows.NOTE}
+
+
+class StepOutcome(NamedTuple):
+    """The result of one step, as `--json` prints it."""
+
+    step: str
+    result: str
+    """PASS, FAIL or SKIPPED."""
+    detail: str
+    figures: Figures
+
+
+def stops(
+    connect: Connection,
+    *,
+    leg: int,
+    agreed: bool,
+    only: Sequence[str],
+    late_ms: float,
+    restart: bool,
+    unplug: bool,
+    config: Path | None,
+    as_json: bool,
+) -> int:
+    """Do the steps. Return the exit code.
+
+    Raises ConfigError if nothing may be moved, ZenohError if no gateway answers, also where it is lost on the way.
+    """
+    unknown = set(only) - {step.name for step in STEPS}
+    if unknown:
+        raise ConfigError(f"no step {', '.join(sorted(unknown))}; there are {', '.join(step.name for step in STEPS)}")
+    steps = [step for step in STEPS if not only or step.name in only]
+    outcomes: list[StepOutcome] = []
+    with connect() as client:
+        state = ready(client)
+        show_differences(config)
+        holding = lying(client, state) if starts_whole(state) else {}
+        bench = Bench(
+            client,
+            ServoMotion(10 * leg + 1, START_DEG, holding),
+            late_ms=late_ms,
+            lands=bool(state.watchdog.landing_ms),
+            restart=restart,
+            unplug=unplug,
+            config=() if config is None else ("--config", str(config)),
+        )
+        if not state.simulated:
+            _agree(bench, state, agreed=agreed)
+        with bench.receives():
+            bench.measure()  # no motion yet: without the right to command it ends here
+            if not bench.frames_published:
+                hint("The gateway publishes no frames (telemetry.frames), so what is measured comes from its state.")
+            with _ended_stopped(bench):
+                for number, step in enumerate(steps, 1):
+                    outcomes.append(_do(bench, step, f"{number}/{len(steps)}", as_json=as_json))
+    failed = [outcome.step for outcome in outcomes if outcome.result == "FAIL"]
+    passed = len(outcomes) == len(steps) and not failed
+    sentence = "all passed" if passed else f"NOT passed: {', '.join(failed) or 'not finished'}"
+    if as_json:
+        say(json.dumps({"passed": passed, "steps": [outcome._asdict() for outcome in outcomes]}))
+        return 0 if passed else 1
+    return rows.conclude(sentence, well=passed)
+
+
+def _do(bench: Bench, step: CheckStep, place: str, *, as_json: bool) -> StepOutcome:
+    does = step.does.format(
+        servos=bench.motion.which,
+        start=bench.motion.start_deg,
+        end=bench.motion.end_deg,
+        end_of_silence="land the robot, then stop it" if bench.lands else "stop it",
+    )
+    hint(f"{place} {step.name}: {does} …")
+    result, figures = "PASS", Figures()
+    try:
+        with drives(bench.client, LEASE_S, moves=True):
+            figures = step.run(bench)
+        detail = ", ".join(f"{name} {_short(value)}" for name, value in figures.items())
+    except FailedError as failed:
+        result, detail = "FAIL", str(failed)
+    except Skipped as skipped:
+        result, detail = "SKIPPED", str(skipped)
+    except GatewayError as error:
+        result, detail = "FAIL", f"the check could not go on: {error}"
+    if not as_json:
+        rows.show(rows.row(result, _STYLES[result], step.name, detail))
+    with suppress(GatewayError):  # the end tries again, and reports it
+        _rest(bench)
+    return StepOutcome(step.name, result, detail, figures)
+
+
+def _short(value: float | int | str) -> str:
+    return f"{value:.1f}" if isinstance(value, float) else str(value)
+
+
+def _rest(bench: Bench) -> None:
+    """Stop all legs, and leave the emergency stop that this program has engaged."""
+    bench.client.stop()
+    if bench.estop and bench.client.state().mode == Mode.ESTOPPED:
+        bench.reset(bench.estop)  # rejected where somebody else has engaged a newer one
+    bench.wait(lambda: bench.client.state().mode in (Mode.IDLE, Mode.ESTOPPED), _IDLE_S)
+
+
+@contextmanager
+def _ended_stopped(bench: Bench) -> Iterator[None]:
+    """However it ends, also by a signal, all legs are stopped, and a sentence reports it."""
+    stopping = False
+
+    def end() -> None:
+        nonlocal stopping
+        if not stopping:  # a second Ctrl-C must not cost the Stop that the first one asks for
+            stopping = True
+            raise KeyboardInterrupt
+
+    with on_end_signals(end), stopped_after("all legs are", partial(_all_stopped, bench)):
+        try:
+            yield
+        except KeyboardInterrupt:
+            hint("The check was ended.")
+        finally:
+            stopping = True
+
+
+def _all_stopped(bench: Bench) -> str:
+    """Stop all legs. Returns the sentence that reports it."""
+    _rest(bench)
+    if running := bench.running():
+        return f"Servos still run: {', '.join(map(str, running))}: switch their power off."
+    return "All legs are stopped."
+
+
+def _agree(bench: Bench, state: GatewayState, *, agreed: bool) -> None:
+    """Raises ConfigError where nobody agrees."""
+    if not agreed and not sys.stdin.isatty():
+        raise ConfigError(NOBODY)
+    if not consents(bench.motion, state, agreed=agreed):
+        raise ConfigError("nothing was moved")

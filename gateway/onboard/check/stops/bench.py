@@ -1,0 +1,216 @@
+"""The means of a step: one servo, a client, and all that the gateway writes and publishes meanwhile."""
+
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from typing import Any, Final, NamedTuple
+
+from gateway.errors import GatewayError, UnansweredError
+from gateway.model.calibration import RobotCalibration, calibration_of
+from gateway.model.frames import Frame, FrameError, OneLeg, OneServo, Op, ServoOp, centidegrees, decode
+from gateway.people.client.blocking import Client
+from gateway.people.client.subscriptions import reports, subscribed
+from gateway.people.tools.moving import ServoMotion
+from schemas import keys
+from schemas.robot import JOINTS
+from schemas.telemetry import Ack, Cause, Event, FrameRecord, GatewayState, Reason
+
+SETPOINT_PERIOD_S: Final = 0.02
+STREAM_S: Final = 0.3
+"""How long setpoints stream before the step acts."""
+QUIET_S: Final = 0.15
+"""After this time all pending frames are sent: a leg's rate slot comes every 20 ms."""
+POLL_S: Final = 0.01
+EVIDENCE_S: Final = 5.0
+
+Figures = dict[str, float | int | str]
+"""Measured by a step; names carry the units."""
+
+
+class FailedError(Exception):
+    """A step fails; the sentence states what was seen instead."""
+
+
+class Skipped(Exception):  # noqa: N818  (it is no error)
+    """A step cannot be done here; the sentence states why."""
+
+
+def demand(true: object, sentence: str) -> None:
+    """Fail the step with this sentence, unless it is true."""
+    if not true:
+        raise FailedError(sentence)
+
+
+def demand_accepted(ack: Ack, what: str) -> None:
+    """Fail the step unless the command was accepted. `what`: `a start`."""
+    demand(ack.accepted, f"{what} was rejected: {ack.reason}: {ack.detail}")
+
+
+def demand_rejected(ack: Ack, reason: Reason, what: str) -> None:
+    """Fail the step unless the command was rejected for this reason. `what`: `a start, although …`."""
+    demand(not ack.accepted, f"{what} was accepted")
+    demand(ack.reason == reason, f"{what} was rejected for another reason: {ack.reason}: {ack.detail}")
+
+
+class WrittenFrame(NamedTuple):
+    """A frame that the gateway wrote."""
+
+    at_ns: int
+    frame: Frame
+    cause: str
+    came_s: float
+    """When its report came here, by this machine's monotonic clock."""
+
+    @property
+    def leg(self) -> int:
+        """Whose servos it is for."""
+        return self.frame.leg
+
+    @property
+    def moves(self) -> bool:
+        """Whether it starts or sets a servo."""
+        return any(command.op is not Op.STOP for _, command in self.frame.servos)
+
+
+@dataclass(slots=True)
+class Bench:
+    """One leg of one robot."""
+
+    client: Client
+    motion: ServoMotion
+    late_ms: float
+    """How late a Stop may be. With every core busy 2.9 ms were measured; 100 ms are a fault."""
+    lands: bool = False
+    """Whether silence lands the robot before it stops it."""
+    restart: bool = False
+    """Whether the service may be killed."""
+    unplug: bool = False
+    """Whether a person is there who unplugs things."""
+    config: Sequence[str] = ()
+    """Arguments of `stop-servos`."""
+    calibration: RobotCalibration = field(default_factory=RobotCalibration)
+    """In force on the robot."""
+    frames_published: bool = False
+    answer_ms: float = 0.0
+    """How long the gateway takes to answer at rest."""
+    estop: int = 0
+    """The number of this program's own emergency stop."""
+    frames: list[WrittenFrame] = field(default_factory=list)
+    events: list[Event] = field(default_factory=list)
+
+    # ---- commands
+
+    def payload(self, op: str, angle_deg: float) -> dict[str, Any]:
+        """A start or a set, under the lease."""
+        return self.motion.payload(op, angle_deg)
+
+    def frame(self, op: Op, angle_deg: float) -> Frame:
+        """The frame that such a command is to cause, in the servos' own angles; the leg's, where the others hold."""
+        command = ServoOp(op, centidegrees(angle_deg))
+        if holding := self.motion.holding:
+            angles_deg = {**holding, self.motion.servo_id: angle_deg}
+            one, two, three = (ServoOp(op, centidegrees(angles_deg[10 * self.motion.leg + joint])) for joint in JOINTS)
+            return self.calibration.frame(OneLeg(self.motion.leg, (one, two, three)))
+        return self.calibration.frame(OneServo(self.motion.servo_id, command))
+
+    def ask(self, op: str, angle_deg: float) -> Ack:
+        """An acknowledged start or set."""
+        return self.client.ask(self.motion.key, self.payload(op, angle_deg))
+
+    def start(self) -> None:
+        """Start the leg. Fails the step where that is rejected."""
+        demand_accepted(self.ask("start", self.motion.start_deg), "a start")
+
+    def reset(self, estop: int) -> Ack:
+        """Ask to leave the emergency stop of this number."""
+        return self.client.ask(keys.RESET, {"estop": estop})
+
+    def stop(self) -> None:
+        """Stop all legs. Fails the step where that is rejected."""
+        demand(self.client.stop().accepted, "a Stop was rejected")
+
+    @contextmanager
+    def streaming(self) -> Iterator[None]:
+        """Publish setpoints at 50 Hz meanwhile, whatever the gateway answers."""
+        ended = threading.Event()
+
+        def stream() -> None:
+            with suppress(GatewayError):
+                while not ended.wait(SETPOINT_PERIOD_S):
+                    self.client.publish(self.motion.key, self.payload("set", self.motion.start_deg))
+
+        thread = threading.Thread(target=stream, name="stream")
+        thread.start()
+        try:
+            yield
+        finally:
+            ended.set()
+            thread.join()
+
+    # ---- their effect
+
+    def mark(self) -> int:
+        """The present, for `since`."""
+        return len(self.frames)
+
+    def since(self, mark: int) -> list[WrittenFrame]:
+        """Frames written since a mark."""
+        return self.frames[mark:]
+
+    def wait(self, condition: Callable[[], object], timeout_s: float) -> bool:
+        """Wait until it holds. Returns False after `timeout_s`."""
+        end_s = time.monotonic() + timeout_s
+        while not condition():
+            if time.monotonic() >= end_s:
+                return False
+            time.sleep(POLL_S)
+        return True
+
+    def running(self, state: GatewayState | None = None) -> list[int]:
+        """The servos that run, of all legs, as the gateway reports them."""
+        state = state or self.client.state()
+        return [servo.id for leg in state.legs for servo in leg.servos if servo.running]
+
+    def demand_no_motion(self, mark: int, when: str) -> None:
+        """Fail the step if a frame since `mark` starts or sets a servo, or one runs."""
+        time.sleep(QUIET_S)
+        moving = [seen for seen in self.since(mark) if seen.moves]
+        demand(not moving, f"{when}, {len(moving)} frames moved a servo: {moving and moving[0].frame.to_bytes().hex()}")
+        running = self.running()
+        demand(not running, f"{when}, servos run: {', '.join(map(str, running))}")
+
+    # ---- received
+
+    @contextmanager
+    def receives(self) -> Iterator[None]:
+        """Frames and events are kept meanwhile."""
+        taken = {keys.FRAME: reports(FrameRecord, self._take_frame), keys.EVENT: reports(Event, self.events.append)}
+        with subscribed(self.client.session, taken):
+            self.client.state()  # its reply shows that it knows the subscriptions, which were declared before
+            yield
+
+    def measure(self) -> None:
+        """How soon the gateway answers, its calibration, and whether it publishes frames (a Stop shows it)."""
+        took_ms = []
+        for _ in range(5):
+            begun_s = time.monotonic()
+            self.client.state()
+            took_ms.append((time.monotonic() - begun_s) * 1000)
+        self.answer_ms = sorted(took_ms)[2]
+        self.stop()
+        self.frames_published = self.wait(lambda: self.frames, 1.0)
+        with suppress(UnansweredError):  # a gateway that knows of no calibration
+            self.calibration = calibration_of(self.client.calibration())
+
+    def _take_frame(self, record: FrameRecord) -> None:
+        came_s = time.monotonic()
+        with suppress(FrameError, ValueError):
+            frame = decode(bytes.fromhex(record.bytes))
+            self.frames.append(WrittenFrame(record.monotonic_ns, frame, str(record.cause), came_s))
+
+
+def caused(frames: Sequence[WrittenFrame], cause: Cause) -> list[WrittenFrame]:
+    """Those frames that were written for this reason."""
+    return [seen for seen in frames if seen.cause == cause]

@@ -1,0 +1,331 @@
+"""The bridge's node in a ROS 2 graph: by rclpy, over whatever RMW is set (FastDDS, CycloneDDS, Zenoh, …).
+
+A thread waits for each subscription and each service. So a flood on one topic delays no other, and a service that waits
+delays no emergency stop: an executor of rclpy would call one after the other. Its lifecycle, its parameters and the
+action have an executor, since a transition may wait until the robot sits.
+"""
+
+import logging
+import os
+import socket
+import threading
+from collections.abc import Callable, Iterable, Iterator, Set
+from contextlib import suppress
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, Final
+
+import rclpy
+from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
+from rclpy.callback_groups import CallbackGroup
+from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
+from rclpy.exceptions import InvalidNamespaceException, ParameterException
+from rclpy.executors import MultiThreadedExecutor
+from rclpy.guard_condition import GuardCondition
+from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
+from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.serialization import deserialize_message
+from rclpy.signals import SignalHandlerOptions
+from std_msgs.msg import Empty
+from std_srvs.srv import Trigger
+
+from gateway.endpoints import is_local
+from gateway.errors import ConfigError
+from gateway.people.bridge.graph import Arrived, Present, attempt, read_each, too_long
+from gateway.people.bridge.parameters import DESCRIPTIONS, Parameters
+from gateway.people.bridge.values import from_ros, ros_type, to_ros
+from gateway.people.ros2.messages import JointState, Message, Twist, TwistStamped
+
+NAME: Final = "hexapod_gateway"
+SIMULATED: Final = "use_sim_time is set, and the time of a robot is real"
+Take = Callable[[Any, Arrived], None]
+
+_JOIN_S: Final = 1.0
+_SPIN_S: Final = 0.5
+_THREADS: Final = 4
+"""Of the executor: a goal that is followed keeps one, a transition another."""
+_GID_BYTES: Final = 16
+"""Of the GID's bytes that have a meaning; before Jazzy there are 24."""
+_REQUESTS: Final = 16
+"""Of one service that wait; of more, the oldest have no answer. An emergency stop is engaged all the same."""
+_STREAMS: Final = (JointState, Twist, TwistStamped)
+"""Sensor data: received best effort, which matches every publisher, and repeats nothing that a link has lost."""
+_INACTIVE: Final = "the node is not active: its lifecycle is managed, and nobody has activated it"
+
+_log: Final = logging.getLogger(__name__)
+
+
+class Node(LifecycleNode):  # type: ignore[misc]
+    """One node, until `close`. Active once `manage` was called, unless the parameter `autostart` is false."""
+
+    def __init__(self, domain: int, namespace: str, ros_args: list[str]) -> None:
+        """`ros_args` are ROS's own, such as `--ros-args -r cmd_vel:=/cmd_vel_out`. Raises ConfigError."""
+        self._ros = rclpy.Context()
+        self._closed = threading.Event()
+        self._guards: list[GuardCondition] = []
+        self._own_threads = _OwnThreads()
+        self._threads: list[threading.Thread] = []
+        self._begin: Callable[[], None]
+        self._end: Callable[[str], None]
+        try:
+            rclpy.init(
+                args=["hexapod-gateway", *ros_args],
+                context=self._ros,
+                domain_id=domain,
+                signal_handler_options=SignalHandlerOptions.NO,
+            )
+            super().__init__(NAME, namespace=namespace, context=self._ros, enable_rosout=False)
+        except InvalidNamespaceException as error:
+            raise ConfigError(f"--ros-namespace: {namespace!r} is no ROS namespace, such as /hexapod") from error
+        except RuntimeError as error:  # an argument that rcl does not know, or no such RMW
+            raise ConfigError(f"ROS 2 does not start: {str(error).partition(', at ')[0]}") from error
+        self.rmw = rclpy.get_rmw_implementation_identifier()
+        self._executor = MultiThreadedExecutor(_THREADS, context=self._ros)
+        self._spinning = threading.Thread(target=self._spin, name="ROS 2", daemon=True)
+
+    def open_on(self) -> list[str]:
+        """The addresses beyond this machine on which sockets of this process are bound: there others may reach it.
+
+        ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST does not count: FastDDS's sockets are still open on all addresses.
+        """
+        return sorted({address for address in _own_addresses() if not is_local(f"udp/{address}:1")})
+
+    def parameters(self, given: Parameters) -> Parameters:
+        """The node's parameters, which are read at the start; `given` are their defaults. Raises ConfigError."""
+        return Parameters(
+            **{name: self._declared(name, value, DESCRIPTIONS[name]) for name, value in asdict(given).items()}
+        )
+
+    # ---- topics and services
+
+    def publisher(
+        self, topic: str, kind: type[Message], *, latched: bool = False, always: bool = False
+    ) -> Callable[[Message], None]:
+        """Announce a topic, and return what publishes on it. `latched`: later subscribers receive the last message.
+
+        `always`: also while the node is not active, and so is what is latched. Reliable, so each subscriber matches,
+        SensorData's too.
+        """
+        create = self.create_publisher if latched or always else self.create_lifecycle_publisher
+        qos = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL) if latched else QoSProfile(depth=10)
+        quiet = PublisherEventCallbacks(use_default_callbacks=False)  # of another QoS, the subscriber's own node warns
+        made = create(ros_type(kind.TYPE), topic, qos, event_callbacks=quiet)
+
+        def publish(message: Message) -> None:
+            with suppress(RuntimeError):  # the context is shut down
+                made.publish(to_ros(message))
+
+        return publish
+
+    def subscribe(
+        self, topic: str, kind: type[Message], most_bytes: int, take: Take, reject: Callable[[str], None]
+    ) -> None:
+        """Call `take` with the newest message, or `reject` with the reason why it cannot be read."""
+        found = ros_type(kind.TYPE)
+
+        def received(message: tuple[bytes, dict[str, Any]]) -> None:
+            data, info = message
+            if len(data) > most_bytes:
+                reject(too_long(len(data), most_bytes))
+            else:
+                try:
+                    read = from_ros(kind, deserialize_message(data, found))
+                except RuntimeError as error:
+                    reject(f"it cannot be read: {error}")
+                else:
+                    take(read, Arrived(_gid(info), info["source_timestamp"]))
+
+        self._listen(topic, found, received, is_stream=kind in _STREAMS)
+
+    def serve(self, service: str, call: Callable[[], str], *, always: bool = False) -> None:
+        """Serve a std_srvs/Trigger. `call` returns what it did, or raises GatewayError.
+
+        `always`: a std_msgs/Empty on a topic of that name calls it, too.
+        """
+        qos = QoSProfile(depth=_REQUESTS)
+        made = self.create_service(Trigger, service, _nothing, qos_profile=qos, callback_group=self._own_threads)
+
+        def receive() -> None:
+            request, header = made.handle.service_take_request(Trigger.Request)
+            if request is not None:
+                success, message = attempt(call)
+                with suppress(RuntimeError):
+                    made.send_response(Trigger.Response(success=success, message=message), header)
+
+        self._start(f"serve {service}", made.handle, "service", receive)
+        if always:
+            self._listen(service, Empty, lambda _: attempt(call))
+
+    def senders(self, topic: str) -> Present:
+        """Return who publishes on a topic, at each call."""
+        return _present(
+            lambda: (bytes(each.endpoint_gid[:_GID_BYTES]) for each in self.get_publishers_info_by_topic(topic))
+        )
+
+    def callers(self, service: str) -> Present:
+        """Return how many may call a service, at each call: rclpy reports no GIDs of clients."""
+        name = self.resolve_service_name(service)
+        return _present(lambda: (b"%d" % number for number in range(self.count_clients(name))))
+
+    def _listen(self, topic: str, found: Any, take: Callable[[Any], object], *, is_stream: bool = False) -> None:
+        made = self.create_subscription(
+            found,
+            topic,
+            _nothing,
+            QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT if is_stream else ReliabilityPolicy.RELIABLE),
+            raw=True,
+            callback_group=self._own_threads,
+            event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
+        )
+
+        def receive() -> None:
+            message = made.handle.take_message(found, True)
+            if message is not None:
+                take(message)
+
+        self._start(f"receive {topic}", made.handle, "subscription", receive)
+
+    def _start(self, name: str, handle: Any, kind: str, receive: Callable[[], None]) -> None:
+        """Wait for this entity's messages on a thread, until `close`."""
+        ends = GuardCondition(None, None, self._ros)
+        self._guards.append(ends)
+        count = 1 if kind == "subscription" else 0
+        waiting = _rclpy.WaitSet(count, 1, 0, 0, 1 - count, 0, self._ros.handle)
+
+        def ready() -> Iterator[None]:
+            with handle:
+                while not self._closed.is_set():
+                    waiting.clear_entities()
+                    getattr(waiting, f"add_{kind}")(handle)
+                    waiting.add_guard_condition(ends.handle)
+                    waiting.wait(-1)
+                    yield
+
+        thread = threading.Thread(target=read_each, args=(ready(), lambda _: receive()), name=name, daemon=True)
+        self._threads.append(thread)
+        thread.start()
+
+    # ---- its lifecycle
+
+    def manage(self, activate: Callable[[], None], deactivate: Callable[[str], None]) -> None:
+        """Have the lifecycle decide from now on. `deactivate` takes the reason, and may wait for the robot to sit down.
+
+        Raises ConfigError.
+        """
+        self._begin, self._end = activate, deactivate
+        deactivate(_INACTIVE)
+        self.add_on_set_parameters_callback(_keep_time_real)
+        if self._declared("autostart", True, "whether it configures and activates itself at its start"):
+            self.trigger_configure()
+            self.trigger_activate()
+        self._executor.add_node(self)
+        self._spinning.start()
+
+    def close(self) -> None:
+        """Leave the graph and wait for the threads; a second call does nothing."""
+        if self._closed.is_set():
+            return
+        self._closed.set()
+        for guard in self._guards:
+            guard.trigger()
+        for thread in self._threads:
+            thread.join(_JOIN_S)
+        self._executor.wake()
+        if self._spinning.is_alive():
+            self._spinning.join(_JOIN_S)
+        self._executor.shutdown(_JOIN_S)
+        self.destroy_node()
+        self._ros.try_shutdown()
+
+    def _spin(self) -> None:
+        while not self._closed.is_set():
+            try:
+                self._executor.spin_once(_SPIN_S)
+            except Exception:  # of one request: others are answered
+                _log.exception("a request to the node could not be answered")
+
+    def _declared(self, name: str, value: Any, description: str) -> Any:
+        try:
+            return self.declare_parameter(
+                name, value, ParameterDescriptor(description=description, read_only=True)
+            ).value
+        except ParameterException as error:
+            raise ConfigError(f"parameter {name}: {error}") from error
+
+    # each transition takes the state before it
+
+    def on_activate(self, state: Any) -> Any:
+        """Somebody may call `drive` from now on."""
+        if self.get_parameter("use_sim_time").value:
+            self._end(SIMULATED)
+            self.get_logger().error(SIMULATED)
+            return TransitionCallbackReturn.FAILURE
+        self._begin()
+        return super().on_activate(state)
+
+    def on_deactivate(self, state: Any) -> Any:
+        """The robot sits down, its servos are stopped, and nobody may drive."""
+        self._end(_INACTIVE)
+        return super().on_deactivate(state)
+
+    def on_shutdown(self, state: Any) -> Any:
+        """The same, for the rest of its life; the emergency stop is still served."""
+        self._end("the node was shut down")
+        return super().on_shutdown(state)
+
+    def on_error(self, state: Any) -> Any:
+        """The same, until it is configured and activated again."""
+        self._end(_INACTIVE)
+        return super().on_error(state)
+
+
+class _OwnThreads(CallbackGroup):  # type: ignore[misc]
+    """What threads of ours wait for, and no executor."""
+
+    def can_execute(self, entity: Any) -> bool:
+        """See CallbackGroup."""
+        del entity
+        return False
+
+
+def _nothing(*_: object) -> None:
+    """The callback that no executor calls."""
+
+
+def _present(find: Callable[[], Iterable[bytes]]) -> Present:
+    def present() -> Set[bytes]:
+        try:
+            return frozenset(find())
+        except RuntimeError:  # the context is shut down: then nobody is seen
+            return frozenset()
+
+    return present
+
+
+def _keep_time_real(parameters: list[Any]) -> Any:
+    simulated = any(each.name == "use_sim_time" and each.value for each in parameters)
+    return SetParametersResult(successful=not simulated, reason=SIMULATED if simulated else "")
+
+
+def _gid(info: dict[str, Any]) -> bytes:
+    """The sender's; rclpy before Kilted does not report it."""
+    found = info.get("publisher_gid")
+    return bytes(found["data"][:_GID_BYTES]) if found else b""
+
+
+def _own_addresses() -> Iterator[str]:
+    """The addresses of this process's sockets; any, if the system does not show them."""
+    try:
+        names = os.listdir("/proc/self/fd")
+    except OSError:
+        yield "0.0.0.0"  # noqa: S104
+        return
+    for name in names:
+        with suppress(OSError):  # closed meanwhile
+            if Path("/proc/self/fd", name).readlink().name.startswith("socket:"):
+                with socket.socket(fileno=os.dup(int(name))) as found:
+                    if found.family in (socket.AF_INET, socket.AF_INET6):
+                        host, port, *_ = found.getsockname()
+                        if port:  # else it is bound to none, and nothing reaches it
+                            yield f"[{host}]" if found.family == socket.AF_INET6 else host

@@ -1,1 +1,0 @@
-"""`button`: a terminal that is a stop button."""

@@ -1,0 +1,32 @@
+"""In which mode which event may come to the supervisor: pure."""
+
+from typing import Final, get_args
+
+from gateway.robot.core.events import (
+    BodyMeasured,
+    BusFailed,
+    BusOpened,
+    EmergencyStop,
+    EstopKept,
+    Event,
+    PowerSeen,
+    ShutDown,
+    TimePassed,
+)
+from schemas.telemetry import Mode
+
+_AT_START: Final[frozenset[type[Event]]] = frozenset(
+    {EmergencyStop, EstopKept, BusOpened, BusFailed, BodyMeasured, PowerSeen, TimePassed, ShutDown}
+)
+_ANY: Final[frozenset[type[Event]]] = frozenset(get_args(Event))
+LEGAL: Final = {mode: _ANY - {BusOpened, EstopKept} for mode in (Mode.IDLE, Mode.ACTIVE)} | {
+    Mode.ESTOPPED: _ANY - {BusOpened},
+    Mode.STARTING: _AT_START,
+    Mode.BUS_FAULT: _ANY,
+    Mode.STOPPING: _ANY,
+}
+"""In which mode which event may come; any other is a mistake of the caller. Tests have where each leads."""
+
+
+class IllegalEvent(RuntimeError):  # noqa: N818  (h11 and friends: it names what happened)
+    """The caller sent an event that has no place in this mode; the state is as it was."""

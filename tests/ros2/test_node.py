@@ -1,0 +1,162 @@
+"""The bridge as ROS 2 manages its nodes: its lifecycle, its parameters, and what it says of simulated time."""
+
+import math
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from gateway.client import Client
+from gateway.people.ros2.messages import DiagnosticArray, ImuMessage, JointState, String, Twist
+from schemas.telemetry import Kind, Mode
+from tests.ros2.test_motion import WALKING
+from tests.support.bridged import GEOMETRY, clean, does, keeps, rejections, resting, strides
+from tests.support.child import Child
+from tests.support.gateway_process import Gateway
+from tests.support.heard import events, frames, running
+from tests.support.measuring import MEASURED, measures
+from tests.support.rclpy_peer import (
+    COMMANDS,
+    DIAGNOSTICS,
+    DOMAIN,
+    ENV,
+    RCLPY_COMMAND,
+    RclpyBridge,
+    RclpyPeer,
+    needs_rclpy,
+)
+
+pytestmark = needs_rclpy
+OWN_DOMAIN = DOMAIN % 100 + 1
+JOINT_STATES = "/hexapod/joint_states"
+
+
+@contextmanager
+def managed(gateway: Gateway, *arguments: str) -> Iterator[RclpyPeer]:
+    """A bridge with these arguments, and a peer beside it that hears its diagnostics."""
+    with RclpyBridge(gateway, *arguments, domain=OWN_DOMAIN), RclpyPeer(OWN_DOMAIN) as peer:
+        peer.subscribe(DIAGNOSTICS, DiagnosticArray)
+        yield peer
+
+
+def test_a_node_that_is_deactivated_sits_down_and_only_an_activation_and_drive_move_it_again(
+    gateway: Gateway, watcher: Client
+) -> None:
+    happened, written = events(watcher), frames(watcher)
+    with managed(gateway) as peer:
+        assert peer.state() == "active"
+        assert peer.call("/hexapod/drive")[0]
+        peer.advertise("/hexapod/cmd_vel", Twist)
+        keeps(lambda: peer.publish("/hexapod/cmd_vel", WALKING), lambda: strides(written), hz=20)
+        assert peer.change_state("deactivate")
+        assert watcher.state().mode == Mode.IDLE
+        assert watcher.state().lease.holder is None
+        assert Kind.WATCHDOG_EXPIRED not in {each.kind for each in happened.all}, "it sat down in order"
+        assert peer.state() == "inactive"
+        accepted, why = peer.call("/hexapod/drive")
+        assert not accepted
+        assert "the node is not active" in why
+        peer.publish("/hexapod/cmd_vel", WALKING)
+        peer.next(DIAGNOSTICS, lambda each: "cmd_vel: the node is not active" in rejections(each))
+        assert peer.call("/hexapod/estop")[0], "in any state"
+        assert watcher.reset().accepted
+        assert peer.change_state("activate")
+        peer.publish("/hexapod/cmd_vel", WALKING)
+        peer.next(DIAGNOSTICS, lambda each: "cmd_vel: nobody has called drive" in rejections(each))
+        assert not running(watcher), "by an activation alone nothing begins"
+        assert peer.call("/hexapod/drive")[0]
+        assert peer.change_state("shutdown")
+        assert watcher.state().lease.holder is None
+        assert peer.state() == "finalized"
+        assert peer.call("/hexapod/estop")[0]
+
+
+def test_one_that_others_manage_waits_for_them_and_publishes_no_joints_until_then(
+    gateway: Gateway, watcher: Client
+) -> None:
+    with managed(gateway, "--drive", "--", "--ros-args", "-p", "autostart:=false") as peer:
+        peer.subscribe(JOINT_STATES, JointState)
+        assert peer.state() == "unconfigured"
+        assert "nobody has activated it" in does(peer.next(DIAGNOSTICS))
+        assert watcher.state().lease.holder is None
+        assert not peer.change_state("activate"), "first it has to be configured"
+        assert peer.change_state("configure")
+        assert peer.state() == "inactive"
+        with pytest.raises(RuntimeError, match="Empty"):
+            peer.next(JOINT_STATES)
+        assert peer.change_state("activate")
+        assert watcher.state().lease.holder == "ros2", "--drive"
+        assert not running(watcher)
+        assert peer.next(JOINT_STATES)
+
+
+def test_parameters_by_file_and_by_name_are_rates_frames_and_where_other_joints_are(
+    gateway: Gateway, watcher: Client, tmp_path: Path
+) -> None:
+    file = tmp_path / "hexapod.yaml"
+    file.write_text(
+        "/hexapod/hexapod_gateway:\n  ros__parameters:\n    base_frame: base_link\n    uncommanded_deg: 45.0\n"
+    )
+    arguments = ("--ros-args", "--params-file", str(file), "-p", "imu_frame:=imu_link", "-p", "joint_states_hz:=2.0")
+    with managed(gateway, "--", *arguments) as peer, measures(watcher, MEASURED):
+        assert (peer.parameter("base_frame"), peer.parameter("joint_states_hz")) == ("base_link", 2.0)
+        assert math.isclose(peer.parameter("diagnostics_hz"), 1.0)
+        done, why = peer.set_parameter("joint_states_hz", 10.0)
+        assert not done
+        assert "read-only" in why
+        peer.subscribe("/hexapod/robot_description", String, latched=True)
+        peer.subscribe("/hexapod/imu/data", ImuMessage)
+        peer.subscribe(JOINT_STATES, JointState)
+        assert '<parent link="base_link" />' in peer.next("/hexapod/robot_description").data
+        assert peer.next("/hexapod/imu/data").header.frame_id == "imu_link"
+        first, second = (peer.next(JOINT_STATES) for _ in range(2))
+        assert len(first.name) == 18
+        known = {servo.id for leg in watcher.state().legs for servo in leg.servos if servo.angle_deg is not None}
+        for name, at_rad in zip(first.name, first.position, strict=True):
+            servo_id = int(name.removeprefix("joint_"))
+            if servo_id not in known:
+                assert at_rad == pytest.approx(GEOMETRY.joint_rad(servo_id, 45.0))
+        apart_s = (
+            second.header.stamp.sec
+            - first.header.stamp.sec
+            + (second.header.stamp.nanosec - first.header.stamp.nanosec) / 1e9
+        )
+        assert apart_s > 0.4
+
+
+@pytest.mark.parametrize(
+    ("parameter", "why"),
+    [
+        ("joint_states_hz:=0.0", "joint_states_hz: 0 is not between 1 and 50"),
+        ("joint_states_hz:=fast", "parameter joint_states_hz"),
+        ("base_frame:=/base", "is no name of a frame"),
+        ("uncommanded_deg:=181.0", "uncommanded_deg: 181 is not between 0 and 180"),
+    ],
+)
+def test_a_parameter_that_cannot_be_is_a_sentence(parameter: str, why: str, gateway: Gateway) -> None:
+    command = ("ros2", "--connect", gateway.endpoint, "--domain", str(OWN_DOMAIN), "--", "--ros-args", "-p", parameter)
+    tried = Child([*RCLPY_COMMAND, *command], clean() | ENV)
+    assert tried.wait() == 2, tried
+    tried.close()
+    assert why in tried.stderr
+
+
+def test_in_simulated_time_nobody_may_drive(gateway: Gateway, watcher: Client) -> None:
+    with managed(gateway, "--drive", "--", "--ros-args", "-p", "use_sim_time:=true") as peer:
+        peer.advertise(COMMANDS, JointState)
+        assert "the time of a robot is real" in does(peer.next(DIAGNOSTICS))
+        accepted, why = peer.call("/hexapod/drive")
+        assert not accepted
+        assert "use_sim_time is set" in why
+        peer.publish(COMMANDS, resting())
+        peer.next(DIAGNOSTICS, lambda each: "joint_commands: use_sim_time is set" in rejections(each))
+        assert not running(watcher)
+        assert watcher.state().lease.holder is None
+        assert not peer.change_state("activate")
+        assert peer.set_parameter("use_sim_time", False)[0]
+        assert peer.change_state("activate")
+        assert watcher.state().lease.holder == "ros2", "--drive"
+        done, why = peer.set_parameter("use_sim_time", True)
+        assert not done
+        assert "the time of a robot is real" in why

@@ -1,0 +1,87 @@
+"""A link to the gateway that a test can cut: bytes on their way wait, as in a Wi-Fi without reception.
+
+It forwards bytes and not TLS, so both ends verify each other's certificate.
+"""
+
+import select
+import socket
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from typing import Final, Self
+
+_CHUNK: Final = 65536
+
+
+class CutLink:
+    """Forwards between a client, which connects to `endpoint`, and the gateway, while it is not cut."""
+
+    def __init__(self, gateway: str) -> None:
+        """`gateway` is its endpoint over TCP, such as "tcp/127.0.0.1:7447" or "tls/192.0.2.7:7447"."""
+        protocol, _, address = gateway.partition("/")
+        host, _, port = address.rpartition(":")
+        self._gateway = host.strip("[]"), int(port)
+        self._listener = socket.create_server(("127.0.0.1", 0))
+        self.endpoint = f"{protocol}/127.0.0.1:{self._listener.getsockname()[1]}"
+        self._to_gateway, self._to_client = threading.Event(), threading.Event()
+        self.fix()
+        self._sockets = [self._listener]
+        threading.Thread(target=self._accept, name="cut link", daemon=True).start()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.drop()
+
+    def drop(self) -> None:
+        """End it for good; what waits is lost."""
+        for each in self._sockets:
+            with suppress(OSError):
+                each.shutdown(socket.SHUT_RDWR)
+            each.close()
+        self.fix()
+
+    @contextmanager
+    def dropped_on_error(self) -> Iterator[None]:
+        """What waits never arrives if this fails or is interrupted."""
+        try:
+            yield
+        except BaseException:
+            self.drop()
+            raise
+
+    def cut(self) -> None:
+        """Nothing passes from now on, in either direction."""
+        self._to_gateway.clear()
+        self._to_client.clear()
+
+    def hold(self) -> None:
+        """What the client sends waits from now on; what the gateway sends still arrives."""
+        self._to_gateway.clear()
+
+    def fix(self) -> None:
+        """What has waited passes, and what comes."""
+        self._to_gateway.set()
+        self._to_client.set()
+
+    def _accept(self) -> None:
+        with suppress(OSError):  # closed
+            while True:
+                client, _ = self._listener.accept()
+                gateway = socket.create_connection(self._gateway, timeout=5)
+                gateway.settimeout(None)
+                self._sockets += [client, gateway]
+                for way in ((client, gateway, self._to_gateway), (gateway, client, self._to_client)):
+                    threading.Thread(target=self._forward, args=way, name="cut link", daemon=True).start()
+
+    def _forward(self, source: socket.socket, sink: socket.socket, up: threading.Event) -> None:
+        with suppress(OSError, ValueError):  # closed
+            while True:
+                select.select([source], [], [])
+                up.wait()  # before it is read: what was sent just before the cut may have passed, nothing later
+                data = source.recv(_CHUNK)
+                if not data:
+                    sink.shutdown(socket.SHUT_WR)
+                    return
+                sink.sendall(data)

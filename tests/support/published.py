@@ -1,0 +1,79 @@
+"""What a gateway publishes, made by hand."""
+
+from datetime import UTC, datetime, timedelta
+
+from schemas.telemetry import (
+    CommandCounts,
+    Event,
+    GatewayState,
+    Kind,
+    LegReport,
+    Mode,
+    Reason,
+    ServoReport,
+    SpiReport,
+    StopLatency,
+    WatchdogReport,
+    WatchdogState,
+)
+
+NS_PER_MS = 1_000_000
+WALL = datetime(2026, 1, 2, 3, 4, 5, tzinfo=UTC)
+
+
+def state(
+    uptime_s: float = 10.0,
+    mode: Mode = Mode.IDLE,
+    *,
+    counts: tuple[int, int, int] = (0, 0, 0),
+    frames: int = 0,
+    age_ms: float | None = None,
+    watchdog: WatchdogState = WatchdogState.IDLE,
+    running: bool = False,
+    started_s: float = 0.0,
+) -> GatewayState:
+    """A state of the gateway that was started at `started_s`, as far as `WALL` goes.
+
+    What is said of a leg is said of leg 3; the others never heard anything.
+    """
+    accepted, rejected, coalesced = counts
+    return GatewayState(
+        mode=mode,
+        time=WALL + timedelta(seconds=started_s + uptime_s),
+        uptime_s=uptime_s,
+        version="0.1.0",
+        protocol="1.0.0",
+        simulated=True,
+        legs=tuple(
+            LegReport(
+                leg=leg,
+                watchdog=watchdog if leg == 3 else WatchdogState.IDLE,
+                age_ms=age_ms if leg == 3 else None,
+                servos=(
+                    servo(10 * leg + 1, running and leg == 3),
+                    servo(10 * leg + 2, running and leg == 3),
+                    servo(10 * leg + 3, running and leg == 3),
+                ),
+            )
+            for leg in range(1, 7)
+        ),
+        commands=CommandCounts(accepted=accepted, rejected=rejected, coalesced=coalesced),
+        spi=SpiReport(device="simulated controller", framing="plain", frames=frames, errors=0),
+        watchdog=WatchdogReport(
+            timeout_ms=250, expirations=0, stop_latency_us=StopLatency(p50=None, p99=None, max=None)
+        ),
+    )
+
+
+def servo(servo_id: int, running: bool) -> ServoReport:
+    return ServoReport(id=servo_id, running=running, angle_deg=90.0 if running else None)
+
+
+def event(
+    kind: Kind, detail: str = "", source: str | None = None, reason: Reason | None = None, left_out: int = 0
+) -> Event:
+    return Event(time=WALL, kind=kind, source=source, key=None, reason=reason, detail=detail, left_out=left_out)
+
+
+def rejected(source: str | None, detail: str = "no", reason: Reason = Reason.INVALID, left_out: int = 0) -> Event:
+    return event(Kind.COMMAND_REJECTED, detail, source, reason, left_out)

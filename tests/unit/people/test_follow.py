@@ -1,0 +1,158 @@
+"""`status --follow`: which lines come of states, events and silence."""
+
+import json
+from collections.abc import Iterator, Mapping
+from datetime import timedelta
+
+import pytest
+
+from gateway.people.client.dangers import UNCONFIRMED
+from gateway.people.tools.follow import SILENT_AFTER_NS, NewsLine, StatusChanges
+from schemas.telemetry import (
+    ButtonsReport,
+    CalibrationReport,
+    CertificateReport,
+    ControllerReport,
+    Event,
+    GatewayState,
+    Kind,
+    LeaseReport,
+    Mode,
+    PowerReport,
+    Reason,
+)
+from tests.support.published import NS_PER_MS, WALL, event, rejected, state
+
+
+class Followed:
+    """What is printed, 100 ms after each other."""
+
+    def __init__(self) -> None:
+        self.changes = StatusChanges()
+        self.now_ns = 0
+        self.lines: list[NewsLine] = []
+
+    def _take(self, lines: Iterator[NewsLine]) -> list[str]:
+        found = list(lines)
+        self.lines += found
+        return [line.text for line in found]
+
+    def state(self, published: GatewayState | None = None, changed: Mapping[str, object] | None = None) -> list[str]:
+        """A state comes, of a gateway that has been up since the beginning."""
+        self.now_ns += 100 * NS_PER_MS
+        if published is None:
+            published = state(self.now_ns / 1e9)
+        return self._take(self.changes.received_state(published.model_copy(update=changed or {}), self.now_ns, WALL))
+
+    def event(self, published: Event) -> list[str]:
+        return self._take(self.changes.received_event(published, self.now_ns, WALL))
+
+    def token(self, alive: bool) -> list[str]:
+        return self._take(self.changes.received_token(alive, self.now_ns, WALL))
+
+    def look(self, after_ns: int) -> list[str]:
+        self.now_ns += after_ns
+        return self._take(self.changes.look(self.now_ns, WALL))
+
+    def note(self, text: str) -> list[str]:
+        return self._take(self.changes.note(text, WALL))
+
+
+@pytest.fixture
+def followed() -> Followed:
+    return Followed()
+
+
+def test_it_begins_with_what_is_and_goes_on_with_what_changes(followed: Followed) -> None:
+    assert followed.state() == ["No servo runs.", "Nobody drives."]
+    assert followed.state() == []
+    runs = state(followed.now_ns / 1e9 + 0.1, Mode.ACTIVE, running=True)
+    assert followed.state(runs) == ["Leg 3 runs."]
+    assert followed.state() == ["No servo runs."]
+
+
+@pytest.mark.parametrize(
+    ("changed", "lines"),
+    [
+        ({"lease": LeaseReport(holder="anna", held_s=1.0)}, ["anna drives."]),
+        ({"lease": LeaseReport(holder="bert")}, ["bert is handed the lease."]),
+        ({"buttons": ButtonsReport(alive=1, required=2)}, ["Stop buttons: 1 alive, 2 required."]),
+        ({"calibration": CalibrationReport(fault="it is torn")}, ["Nothing can be started: it is torn"]),
+        ({"mode": Mode.ESTOPPED, "estop_source": "bert"}, ["Emergency stop by bert: nothing runs until a reset."]),
+        ({"controller": ControllerReport(protocol="x", alive=True, age_ms=3.0)}, ["The controller (x) is alive."]),
+        ({"controller": ControllerReport(protocol="x", alive=False, age_ms=9.0)}, ["The controller (x) is SILENT."]),
+        (
+            {"power": PowerReport(interface="can0", alive=False, age_ms=3000.0)},
+            ["Power (can0): does not answer.", UNCONFIRMED],
+        ),
+        (
+            {"certificate": CertificateReport(file="gateway.pem", expires=WALL + timedelta(days=3))},
+            ["The robot's gateway.pem expires on 2026-01-05, in 2 days: see `certs renew`."],
+        ),
+    ],
+)
+def test_each_change_is_a_line_once(followed: Followed, changed: dict[str, object], lines: list[str]) -> None:
+    followed.state()
+    assert followed.state(changed=changed) == lines
+    assert followed.state(changed=changed) == []
+
+
+def test_each_event_is_a_line_with_its_reason(followed: Followed) -> None:
+    followed.state()
+    assert followed.event(rejected("anna", "servo 31 does not run", Reason.SERVO_STOPPED, left_out=4)) == [
+        "anna: servo_stopped: servo 31 does not run (and 4 more that are left out)"
+    ]
+    assert followed.event(rejected(None, "no")) == ["invalid: no"]
+    assert followed.event(event(Kind.LEASE_ACQUIRED, "anna has acquired the lease", "anna")) == [
+        "anna has acquired the lease"
+    ]
+    assert followed.event(event(Kind.POWER_UNCONFIRMED, "no answer")) == ["no answer", UNCONFIRMED]
+    assert followed.lines[-1].plain.endswith(f" alarm              {UNCONFIRMED}")
+
+
+def test_no_source_controls_the_terminal(followed: Followed) -> None:
+    followed.event(rejected("\x1b[2Janna", "a\nb"))
+    assert followed.lines[0].plain.endswith(r"command_rejected   \x1b[2Janna: invalid: a\nb")
+
+
+def test_a_line_of_json_is_the_event_as_published_or_a_change(followed: Followed) -> None:
+    published = rejected("anna", "no")
+    followed.event(published)
+    followed.state(changed={"lease": LeaseReport(holder="anna", held_s=1.0)})
+    first, *_, last = followed.lines
+    assert Event.model_validate_json(first.as_json) == published
+    assert json.loads(last.as_json) == {
+        "time": WALL.isoformat(),
+        "kind": "change",
+        "what": "lease",
+        "detail": "anna drives.",
+    }
+
+
+@pytest.mark.parametrize("how", ["its token goes", "nothing comes"])
+def test_a_gateway_that_falls_silent_and_comes_back(followed: Followed, how: str) -> None:
+    assert followed.look(SILENT_AFTER_NS) == [], "none was there yet"
+    followed.state()
+    assert followed.look(SILENT_AFTER_NS) == []
+    silent = ["The gateway is SILENT: what the robot does is not known."]
+    assert (followed.token(alive=False) if how == "its token goes" else followed.look(1)) == silent
+    assert followed.look(SILENT_AFTER_NS) == [], "once"
+    assert followed.token(alive=True)[0].startswith("The gateway publishes again, after ")
+    assert followed.state() == []
+
+
+def test_a_gateway_that_was_started_again(followed: Followed) -> None:
+    followed.state(state(100.0))
+    assert followed.state(state(0.1, started_s=100.0)) == ["The gateway was started again."]
+
+
+def test_an_answer_that_was_overtaken_changes_nothing(followed: Followed) -> None:
+    followed.state(state(10.0))
+    assert followed.state(state(9.9, Mode.ACTIVE, running=True)) == []
+
+
+def test_why_nothing_comes_is_said_once_until_something_does(followed: Followed) -> None:
+    assert followed.note("nobody listens there") == ["nobody listens there"]
+    assert followed.note("nobody listens there") == []
+    followed.state()
+    assert followed.note("nobody listens there") == ["nobody listens there"]

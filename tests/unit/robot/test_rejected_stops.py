@@ -1,0 +1,292 @@
+"""What is rejected and may contain a Stop stops the servos that it names; all of its key where that cannot be told."""
+
+import asyncio
+import itertools
+import json
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from gateway.model.frames import Op
+from gateway.robot.core.losses import stops_in
+from gateway.robot.core.message import Received, Verb
+from schemas import keys
+from schemas.command import MAX_PAYLOAD_BYTES
+from schemas.keys import COMMAND_KEYS
+from schemas.robot import JOINTS, LEGS, SERVO_IDS
+from schemas.telemetry import Kind, Mode, Reason
+from tests.support.robot import Robot, leg, servo, started_and_quiet
+from tests.support.stop_forms import FORMS, GOOD, Form
+
+LEG_3 = keys.leg_command(3)
+STOP, SET = {"op": "stop"}, {"op": "set", "angle_deg": 80}
+STOPPED_LEG = {"op": "stop", "angle_deg": None}
+"""A Stop that is rejected for its form."""
+
+
+async def running(**sections: Any) -> Robot:
+    """A robot of which all servos run, and nothing is recorded yet."""
+    robot = await started_and_quiet(**sections)
+    assert robot.ask(keys.LEGS_COMMAND, {"legs": {str(number): leg("start", 90, 90, 90) for number in LEGS}}).accepted
+    await asyncio.sleep(0.06)
+    robot.controller.transfers.clear()
+    robot.reports.clear()
+    return robot
+
+
+def stopped(robot: Robot) -> set[int]:
+    return set(SERVO_IDS) - robot.controller.energised
+
+
+def named(payload: object, key: str = LEG_3, encoding: str = "application/json") -> set[int]:
+    """The servos that a rejected payload stops."""
+    data = payload if isinstance(payload, bytes) else json.dumps(payload).encode()
+    received = Received(key, key, COMMAND_KEYS.get(key), Verb.PUT, data, len(data), encoding, None, 0)
+    return {servo_id for servo_id, op in stops_in(received) if op.op is Op.STOP}
+
+
+# ---- forms
+
+
+@pytest.mark.virtual_time
+@pytest.mark.parametrize("verb", [Verb.PUT, Verb.GET])
+@pytest.mark.parametrize(("key", "form"), FORMS.values(), ids=FORMS)
+async def test_a_stop_is_a_stop_in_whatever_form(key: str, form: Form, verb: Verb) -> None:
+    robot = await running()
+    source = "d00d" if verb is Verb.PUT else None
+    size = len(form.payload)
+    payload = form.payload if size <= MAX_PAYLOAD_BYTES else b""  # as the inbox hands it over
+    more: dict[str, Any] = {"encoding": form.encoding, "source": source, "size": size}
+    if verb is Verb.PUT:
+        robot.put(key, payload, **more)
+    else:
+        ack = robot.ask(key, payload, **more)
+        assert (ack.accepted, ack.reason, ack.stopped, ack.written) == (False, form.reason, True, None)
+        assert ack.detail
+    expected = {32} if "servo" in key else {31, 32, 33}
+    assert stopped(robot) >= expected
+    assert stopped(robot) in (expected, set(SERVO_IDS) if key == keys.LEGS_COMMAND else expected)
+    (rejection,) = robot.events(Kind.COMMAND_REJECTED)
+    assert (rejection.reason, rejection.key, rejection.source, rejection.legs) == (form.reason, key, source, ())
+    assert robot.conductor.state().commands.rejected == 1
+    first = len(robot.frames)
+    await asyncio.sleep(0.1)
+    assert len(robot.frames) > first, "it is repeated like any Stop"
+
+
+@pytest.mark.virtual_time
+@pytest.mark.parametrize("encoding", GOOD)
+async def test_json_by_another_name_is_json(encoding: str) -> None:
+    robot = await running()
+    assert robot.ask(LEG_3, leg("set", 80, 80, 80), encoding=encoding).accepted
+    ack = robot.ask(LEG_3, leg("stop"), encoding=encoding)
+    assert (ack.accepted, ack.stopped) == (True, None)
+    assert stopped(robot) == {31, 32, 33}
+
+
+@pytest.mark.virtual_time
+@pytest.mark.parametrize(
+    ("payload", "more"),
+    [
+        (leg("set", 80, 80, 190), {}),
+        (leg("start", 80, 80, 80, comment="x"), {}),
+        (leg("set", 80, 80, 190, source="nonstop"), {}),
+        (leg("set", 80, 80, 190, source="a\\b"), {}),
+        (leg("set", 80, 80, 80), {"encoding": "text/plain"}),
+        (b"", {}),
+        (b" ", {"encoding": "text/plain"}),
+        (b'{"servos": [', {}),
+    ],
+    ids=repr,
+)
+async def test_what_names_no_stop_stops_nothing(payload: object, more: dict[str, Any]) -> None:
+    """An empty payload is what `get hexapod/**` sends, from whoever lists what there is."""
+    robot = await running()
+    ack = robot.ask(LEG_3, payload, **more)
+    assert (ack.accepted, ack.stopped) == (False, None)
+    assert (stopped(robot), robot.frames) == (set(), [])
+
+
+ODD = {"op": "Stop"}
+NAMED: list[tuple[str, object, str]] = [
+    # the key, the payload, and the servos that it names
+    (LEG_3, {"servos": [ODD, SET, SET]}, "31"),
+    (LEG_3, {"servos": [SET, ODD, STOP]}, "32 33"),
+    (LEG_3, {"servos": [STOP, SET, SET], "comment": "x"}, "31"),
+    (LEG_3, {"servos": [STOP, SET, SET], "source": "x" * 65}, "31"),
+    (LEG_3, {"servos": [SET, SET, SET], "op": "stop"}, "31 32 33"),
+    (LEG_3, {"servos": [SET, SET, SET], "stop": True}, "31 32 33"),
+    (LEG_3, {"servos": [STOP, SET]}, "31 32 33"),
+    (LEG_3, {"servos": [STOP, SET, SET, SET]}, "31 32 33"),
+    (LEG_3, {"servos": {"1": STOP}}, "31 32 33"),
+    (LEG_3, {"Servos": [ODD, SET, SET]}, "31 32 33"),
+    (LEG_3, {"servos": ["stop", SET, SET]}, "31"),
+    (LEG_3, {"servos": [SET, SET, {"op": "set", "angle_deg": 9, "x": ["stop"]}]}, "33"),
+    (LEG_3, {"servos": [SET, SET, {"op": "set", "angle_deg": 999}], "source": "stop"}, ""),
+    (LEG_3, {"servos": [SET, SET, {"op": "set", "angle_deg": 999}], "source": {"op": "stop"}}, "31 32 33"),
+    (LEG_3, {"op": "stop"}, "31 32 33"),
+    (LEG_3, b'{"servos": [{"op": "stop", "op": "set"}, {}, {}]}', "31 32 33"),
+    (LEG_3, b'{"servos": [{"op": "st\\u006fp"}, {"op": "set"}, {}]}', "31"),
+    (LEG_3, b'{"servos": [{"op": "st\\x6fp"}, {"op": "set"}, {}]}', "31 32 33"),
+    (keys.LEGS_COMMAND, {"legs": {"3": {"servos": [ODD, SET, SET]}, "5": {"servos": [SET] * 3}}}, "31"),
+    (keys.LEGS_COMMAND, {"legs": {"3": {"servos": [ODD] * 3}, "5": {"servos": [SET, ODD, SET]}}}, "31 32 33 52"),
+    (keys.LEGS_COMMAND, {"legs": {"3": ODD, "5": {"servos": [SET] * 3}}}, "31 32 33"),
+    (keys.LEGS_COMMAND, {"legs": {"3": "stop"}}, "31 32 33"),
+    (keys.LEGS_COMMAND, {"legs": {"7": ODD}}, "all"),
+    (keys.LEGS_COMMAND, {"legs": [ODD]}, "all"),
+    (keys.LEGS_COMMAND, {"servos": [STOP] * 3}, "all"),
+    (keys.LEGS_COMMAND, {"op": "stop"}, "all"),
+    (keys.LEGS_COMMAND, b"stop", "all"),
+    (keys.servo_command(32), {"op": "stop", "angle_deg": 0}, "32"),
+    (keys.servo_command(32), {"op": "set", "angle_deg": 999, "source": "stop"}, ""),
+    (keys.servo_command(32), {"op": "set", "angle_deg": 999, "stop": 1}, "32"),
+    (keys.RESET, {"op": "stop"}, ""),
+    ("hexapod/leg/9/cmd", {"op": "stop"}, ""),
+]
+
+
+@pytest.mark.parametrize(("key", "payload", "expected"), NAMED, ids=repr)
+def test_which_servos_a_rejected_payload_names(key: str, payload: object, expected: str) -> None:
+    everything = " ".join(map(str, SERVO_IDS))
+    assert named(payload, key) == {int(word) for word in expected.replace("all", everything).split()}
+
+
+json_values = st.recursive(
+    st.one_of(st.none(), st.integers(), st.sampled_from(["stop", "STOP", "x", "op"])),
+    lambda inner: st.one_of(
+        st.lists(inner, max_size=4),
+        st.dictionaries(st.sampled_from(["op", "servos", "legs", "1", "3", "x"]), inner, max_size=4),
+    ),
+    max_leaves=12,
+)
+
+
+@given(json_values, st.sampled_from([keys.LEGS_COMMAND, LEG_3, keys.servo_command(32)]))
+def test_a_payload_that_mentions_a_stop_names_a_servo_and_no_other_does(payload: object, key: str) -> None:
+    assert bool(named(payload, key)) == ("stop" in json.dumps(payload).lower())
+
+
+@given(st.binary(max_size=300), st.sampled_from(sorted(COMMAND_KEYS)))
+def test_any_bytes_are_judged(payload: bytes, key: str) -> None:
+    assert named(payload, key) <= set(SERVO_IDS)
+
+
+@pytest.mark.parametrize("stops", list(itertools.product((True, False), repeat=len(JOINTS))), ids=repr)
+def test_each_joint_is_told_from_the_others(stops: tuple[bool, ...]) -> None:
+    payload = {"servos": [ODD if stop else SET for stop in stops]}
+    assert named(payload) == {servo_id for servo_id, stop in zip((31, 32, 33), stops, strict=True) if stop}
+
+
+# ---- rejected for another reason than the form
+
+MIXED: dict[str, Any] = {"servos": [STOP, SET, SET]}
+
+
+def _limited() -> dict[str, Any]:
+    return {"limits": {"servos": {"32": {"max_deg": 100}}}}
+
+
+@pytest.mark.virtual_time
+@pytest.mark.parametrize("verb", [Verb.PUT, Verb.GET])
+async def test_the_stops_of_a_stale_command_come(verb: Verb) -> None:
+    robot = await running()
+    robot.put(LEG_3, leg("set", 90, 90, 90, source="bert", sent_ms=1000))
+    await asyncio.sleep(0.15)
+    robot.put(LEG_3, leg("set", 90, 90, 90, source="bert", sent_ms=1150))
+    late = {**MIXED, "source": "bert", "sent_ms": 300}
+    if verb is Verb.PUT:
+        robot.put(LEG_3, late)
+    else:
+        ack = robot.ask(LEG_3, late)
+        assert (ack.accepted, ack.reason, ack.stopped, ack.written) == (False, Reason.STALE, True, None)
+    assert stopped(robot) == {31}
+    (rejection,) = robot.events(Kind.COMMAND_REJECTED)
+    assert (rejection.reason, rejection.legs) == (Reason.STALE, (3,))
+
+
+@pytest.mark.virtual_time
+async def test_the_stops_of_a_command_beyond_a_joints_limit_come() -> None:
+    robot = await running(**_limited())
+    ack = robot.ask(LEG_3, {"servos": [STOP, {"op": "set", "angle_deg": 120}, SET]})
+    assert (ack.reason, ack.stopped, ack.written) == (Reason.JOINT_LIMIT, True, None)
+    assert stopped(robot) == {31}
+    assert "written" not in (ack.detail or "")
+
+
+@pytest.mark.virtual_time
+@pytest.mark.parametrize("token", [None, "f" * 32])
+async def test_the_stops_of_a_command_without_the_lease_come(token: str | None) -> None:
+    robot = await running()
+    assert robot.lease("acquire", "anna").accepted
+    ack = robot.ask(LEG_3, {**MIXED, "source": "bert", **({} if token is None else {"lease": token})})
+    assert (ack.reason, ack.stopped) == (Reason.NOT_HOLDER, True)
+    assert stopped(robot) == {31}
+
+
+@pytest.mark.virtual_time
+async def test_the_stops_of_a_command_that_sets_what_does_not_run_come() -> None:
+    robot = await running()
+    robot.put(keys.servo_command(11), servo("stop"))
+    ack = robot.ask(keys.LEGS_COMMAND, {"legs": {"1": {"servos": [SET] * 3}, "3": leg("stop")}})
+    assert (ack.reason, ack.stopped) == (Reason.SERVO_STOPPED, True)
+    assert stopped(robot) == {11, 31, 32, 33}
+
+
+@pytest.mark.virtual_time
+async def test_a_stop_while_the_emergency_stop_is_engaged_is_written_and_rejected() -> None:
+    """Bytes may have been lost, and a servo may run that counts as stopped."""
+    robot = await running()
+    robot.put(keys.ESTOP)
+    await asyncio.sleep(1)
+    before = len(robot.frames)
+    ack = robot.ask(LEG_3, leg("stop"))
+    assert (ack.reason, ack.stopped) == (Reason.ESTOPPED, True)
+    assert len(robot.frames) == before + 1
+    assert robot.mode == Mode.ESTOPPED
+    assert robot.ask(LEG_3, STOPPED_LEG).stopped
+
+
+@pytest.mark.virtual_time
+@pytest.mark.parametrize("payload", [leg("stop"), STOPPED_LEG, b"stop"])
+async def test_nothing_counts_as_stopped_while_the_bus_is_at_fault(payload: object) -> None:
+    robot = await running()
+    robot.controller.fail_for_ms(10_000)
+    robot.put(keys.servo_command(11), servo("set", 80))
+    assert robot.mode == Mode.BUS_FAULT
+    ack = robot.ask(LEG_3, payload)
+    assert (ack.accepted, ack.stopped) == (False, None)
+    assert ack.reason in (Reason.BUS_FAULT, Reason.INVALID, Reason.MALFORMED)
+
+
+@pytest.mark.virtual_time
+async def test_nothing_counts_as_stopped_whose_frame_failed() -> None:
+    robot = await running()
+    robot.controller.fail_for_ms(10_000)
+    ack = robot.ask(LEG_3, STOPPED_LEG)
+    assert (ack.reason, ack.stopped) == (Reason.INVALID, None)
+    assert robot.mode == Mode.BUS_FAULT
+
+
+@pytest.mark.virtual_time
+async def test_a_rejected_stop_does_not_feed_the_watchdog_and_a_later_start_of_its_channel_starts() -> None:
+    robot = await running()
+    await asyncio.sleep(0.2)
+    robot.put(LEG_3, {"servos": [ODD, SET, SET]})
+    robot.put_later(LEG_3, {"servos": [ODD] * 3})
+    robot.put_later(LEG_3, leg("start", 10, 10, 10))
+    robot.conductor.tick()
+    await asyncio.sleep(0.1)
+    assert stopped(robot) == set(SERVO_IDS) - {31, 32, 33}, "the others fell silent"
+
+
+@pytest.mark.virtual_time
+async def test_an_unreadable_stop_wins_over_a_start_of_the_same_instant_on_another_key() -> None:
+    robot = await started_and_quiet()
+    robot.put_later(keys.LEGS_COMMAND, b"STOP")
+    robot.put_later(LEG_3, leg("start", 10, 10, 10))
+    robot.conductor.tick()
+    await asyncio.sleep(0.1)
+    assert robot.controller.energised == set()
+    assert [event.reason for event in robot.events()] == [Reason.MALFORMED, Reason.SERVO_STOPPED]

@@ -1,0 +1,212 @@
+"""`check --stops` passes on a gateway that works, finds each planted mistake by its step, and ends stopped."""
+
+import json
+import os
+import signal
+import sys
+import threading
+from collections.abc import Callable
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any, Final
+
+import pytest
+
+from gateway.onboard.check.stops import steps
+from gateway.onboard.check.stops.steps import STEPS
+from schemas.calibration import ServoChange
+from tests.support.fixtures import gateway_fixture
+from tests.support.gateway_process import Gateway, free_port
+from tests.support.heard import frames
+from tests.support.planted_gateway import MISTAKES
+from tests.support.secured import Secured
+
+pytestmark = pytest.mark.full
+
+LATE_MS: Final = 70
+"""For a machine that is busy with other tests; what is planted is later."""
+FRAMES: Final[dict[str, dict[str, Any]]] = {"telemetry": {"frames": True}}
+
+
+gateway = gateway_fixture(FRAMES)
+
+
+def test_it_passes_on_a_robot_that_works(tmp_path: Path) -> None:
+    """With certificates, and where silence lands the robot before it stops it."""
+    watchdog = {"timeout_ms": 100, "landing_ms": 300}
+    settings = {**FRAMES, "watchdog": watchdog, "watchdog.landing": {"11": 60.0, "31": 60.0}}
+    with Secured(tmp_path, settings) as robot:
+        operator = ("--zenoh-config", str(robot.folder / "anna.json5"))
+        done = robot.gateway.run("check", "--stops", *operator, "--leg", "3", "--late", str(LATE_MS), "--json")
+        assert done.returncode == 0, str(done)
+        with robot.client("anna") as client:
+            assert client.state().mode == "idle"
+    found = json.loads(done.stdout)
+    assert found["passed"] is True
+    results = {each["step"]: each["result"] for each in found["steps"]}
+    assert list(results) == [step.name for step in STEPS]
+    assert {name for name, result in results.items() if result == "PASS"} == {"command", "silence", "estop"}
+    assert set(results.values()) == {"PASS", "SKIPPED"}, "the others need a device, systemd, or a power board"
+    (silence,) = (each for each in found["steps"] if each["step"] == "silence")
+    assert silence["figures"]["landing_ms"] == 300
+    assert abs(silence["figures"]["later_us"]) < LATE_MS * 1000
+    assert "must land the robot, then stop it" in done.stderr
+
+
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_a_planted_mistake_fails_its_step(mistake: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(steps, "EVIDENCE_S", 1.5)  # what does not come is waited for
+    step = MISTAKES[mistake][1]
+    program = (sys.executable, "-m", "tests.support.planted_gateway", mistake)
+    with Gateway(tmp_path, FRAMES, program=program) as planted:
+        done = planted.run("check", "--stops", "--late", str(LATE_MS), "--only", step)
+    assert done.returncode == 1, str(done)
+    assert done.stdout.startswith(f"FAIL     {step:14} "), str(done)
+
+
+def test_where_the_gateway_is_gone_it_says_that_nobody_has_confirmed(tmp_path: Path) -> None:
+    with Gateway(tmp_path, FRAMES) as running, running.client() as client:
+        heard = frames(client)
+        with running.begin("check", "--stops", "--only", "silence", "--timeout", "0.3") as child:
+            heard.wait(lambda record: record.bytes == STARTED)
+            running.child.kill()
+            assert child.wait() == 4, str(child)
+        assert "FAIL     silence" in child.stdout
+        assert "Nobody has confirmed that all legs are stopped" in child.stderr
+
+
+def test_without_frames_it_measures_by_the_state(tmp_path: Path) -> None:
+    with Gateway(tmp_path) as running:
+        done = running.run("check", "--stops", "--late", str(LATE_MS), "--only", "silence", "--only", "estop")
+        assert done.returncode == 0, str(done)
+        assert "publishes no frames" in done.stderr
+
+
+ENDS: Final = {"command": signal.SIGINT, "estop": signal.SIGTERM, "silence": signal.SIGHUP}
+"""Ctrl-C, a request to end, and the end of the terminal: with one client, with a stream, and with what a link holds."""
+STARTED: Final = "06020b015a00"
+
+
+@pytest.mark.parametrize("step", ENDS)
+def test_whoever_ends_it_finds_all_legs_stopped(gateway: Gateway, step: str) -> None:
+    """Also whoever is impatient, and ends it twice."""
+    with gateway.client() as client:
+        heard = frames(client)
+        with gateway.begin("check", "--stops", "--only", step, "--only", "stop-servos") as child:
+            heard.wait(lambda record: record.bytes == STARTED)
+            child.send_signal(ENDS[step])
+            child.send_signal(ENDS[step])
+            assert child.wait() == 1, str(child)
+        assert "All legs are stopped." in child.stderr, str(child)
+        assert "NOT passed" in child.stdout
+        assert client.state().mode == "idle"
+
+
+def test_where_the_lease_is_taken_from_it_all_legs_are_stopped(gateway: Gateway) -> None:
+    with gateway.client() as client:
+        heard = frames(client)
+        with gateway.begin("check", "--stops", "--only", "estop", "--only", "command") as child:
+            child.wait_for_output("estop: engages", timeout_s=20)
+            heard.wait(lambda record: record.bytes == STARTED)
+            with client.lease(take=True):
+                assert child.wait() == 1, str(child)
+        assert "FAIL     estop" in child.stdout, str(child)
+        assert "All legs are stopped." in child.stderr
+        state = client.state()
+        assert not any(servo.running for leg in state.legs for servo in leg.servos)
+        if state.mode == "estopped":
+            assert client.reset().accepted
+
+
+def test_a_calibrated_servo_with_a_greatest_speed_passes(tmp_path: Path) -> None:
+    with Gateway(tmp_path, {**FRAMES, "limits.servos.11": {"max_speed_deg_s": 20.0}}) as running:
+        with running.client() as client:
+            assert client.calibrate({11: ServoChange(trim_deg=3, inverted=True)}).accepted
+        done = running.run("check", "--stops", "--late", str(LATE_MS), "--only", "command")
+        assert done.returncode == 0, str(done)
+        assert "frame 06020b015d00" in done.stdout, "180 - 90 + 3 = 93 degrees"
+
+
+def test_a_robot_that_is_not_at_rest_is_left_alone(gateway: Gateway) -> None:
+    with gateway.client() as client:
+        client.estop()
+        done = gateway.run("check", "--stops")
+        assert done.returncode == 2
+        assert "estopped" in done.stderr
+        assert client.reset().accepted
+        with client.lease():
+            done = gateway.run("check", "--stops")
+        assert done.returncode == 2, str(done)
+        assert "drives, and nothing is moved" in done.stderr
+    assert gateway.run("check", "--stops", "--only", "nonsense").returncode == 2
+
+
+# ---- the step that kills the service (with a real systemd: tests/box/test_check_stops.py)
+
+SYSTEMCTL = """#!/bin/sh
+[ -z "{load}" ] && echo System has not been booted with systemd >&2 && exit 1
+echo "$@" >> {folder}/asked
+case $1 in
+kill) kill -9 {pid} ;;
+show) echo "LoadState={load}"
+    echo "ExecMainStartTimestampMonotonic=$(($(cut -d. -f1 /proc/uptime) - {ago}))000000"
+    echo "InvocationID=$(grep -c kill {folder}/asked)"
+    echo "ExecStopPost={{ path=/opt/x ; argv[]=/opt/x stop-servos ; pid=7 ; {ended} }}"
+    echo "ExecStopPost={{ path=/bin/cat ; argv[]=/bin/cat ; pid=8 ; code=exited ; status=0 }}" ;;
+esac
+"""
+
+
+@pytest.fixture
+def systemctl(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
+    """A systemctl of the test's own, which shows this, and kills this process."""
+
+    def install(pid: int, load: str = "loaded", ago: int = 0, ended: str = "") -> None:
+        program = tmp_path / "systemctl"
+        program.write_text(SYSTEMCTL.format(folder=tmp_path, pid=pid, ended=ended, load=load, ago=ago))
+        program.chmod(0o755)
+        monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
+
+    return install
+
+
+@pytest.mark.parametrize(
+    ("load", "ago", "says"),
+    [
+        ("", 0, "systemd on this machine reports no service"),
+        ("not-found", 0, "this machine has no hexapod-gateway.service"),
+        ("loaded", -1000, "hexapod-gateway.service of this machine is not the gateway that answers"),
+    ],
+)
+def test_a_laptop_skips_the_step_that_kills_the_service(
+    gateway: Gateway, systemctl: Callable[..., None], load: str, ago: int, says: str
+) -> None:
+    """Also one that has a service of its own, which would die in the place of the robot's."""
+    systemctl(gateway.child.pid, load, ago)
+    done = gateway.run("check", "--stops", "--yes", "--restart", "--only", "restart")
+    assert done.returncode == 0, str(done)
+    assert f"SKIPPED  restart        {says}" in done.stdout
+    with gateway.client() as client:
+        assert client.state().mode == "idle"
+
+
+@pytest.mark.parametrize("ended", ["code=exited ; status=3", "code=(null) ; status=0/0"], ids=["failed", "not run"])
+def test_a_stop_servos_that_did_not_stop_after_the_end_fails(
+    tmp_path: Path, systemctl: Callable[..., None], ended: str
+) -> None:
+    """As systemd 252 shows it; the test is in the place of systemd, which starts the service again."""
+    settings = {**FRAMES, "zenoh": {"listen": [f"tcp/127.0.0.1:{free_port()}"]}}
+    with ExitStack() as stack:
+        first = stack.enter_context(Gateway(tmp_path, settings))
+        systemctl(first.child.pid, ended=ended)
+
+        def start_again() -> None:
+            first.child.wait(20)
+            stack.enter_context(Gateway(tmp_path, settings, wait=False))
+
+        systemd = threading.Thread(target=start_again)
+        systemd.start()
+        done = first.run("check", "--stops", "--restart", "--only", "restart", timeout_s=60)
+        systemd.join()
+        assert done.stdout.startswith("FAIL     restart        stop-servos did not stop the servos"), str(done)
+    assert "kill --signal=KILL hexapod-gateway.service" in (tmp_path / "asked").read_text()

@@ -1,0 +1,124 @@
+"""The terminal that `walk` fills: stuck, too small for UTF-8, or none at all."""
+
+import os
+import pty
+import subprocess
+import sys
+import threading
+import time
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+
+from gateway.people.client.dangers import UNCONFIRMED
+from schemas import keys
+from schemas.telemetry import Kind, Mode
+from tests.support.command import run_here
+from tests.support.fixtures import gateway_fixture, patient
+from tests.support.gateway_process import COMMAND, Gateway, free_port
+from tests.support.heard import states
+from tests.support.published import event
+from tests.support.tmux import LATE_S, Terminal, at_terminal
+
+pytestmark = [pytest.mark.full, pytest.mark.attended]
+
+gateway = gateway_fixture(patient(10_000))
+
+
+def test_the_stop_key_works_when_the_terminal_takes_no_more_and_so_does_the_end(gateway: Gateway) -> None:
+    """A terminal that nobody reads: drawing blocks in the middle of a picture, and the key still stops the robot."""
+    master, slave = pty.openpty()
+    os.set_blocking(master, True)
+    with gateway.client() as client:
+        seen = states(client)
+        command = [*COMMAND, "walk", "--connect", gateway.endpoint]
+        shown = subprocess.Popen(command, stdin=slave, stdout=slave, stderr=slave)
+        try:
+            os.close(slave)
+            # Its first bytes say that keys come one by one now; the rest stays unread, and fills the pty's 4 KB.
+            assert os.read(master, 1)
+            wait_for_stuck_writer(shown.pid)
+            os.write(master, b" ")
+            seen.wait(lambda state: state.mode is Mode.ESTOPPED)
+            deadline = time.monotonic() + LATE_S
+            while shown.poll() is None and time.monotonic() < deadline:
+                os.write(master, b"\x03")  # Ctrl-C; one that is read together with the stop does not count
+                with suppress(subprocess.TimeoutExpired):
+                    shown.wait(0.2)
+            assert shown.returncode is not None
+        finally:
+            shown.kill()
+            shown.wait()
+            os.close(master)
+
+
+def wait_for_stuck_writer(pid: int) -> None:
+    """Until a thread of the process waits in the terminal's write, as its kernel stack or wait channel says."""
+    deadline = time.monotonic() + LATE_S
+    while time.monotonic() < deadline:
+        for task in Path(f"/proc/{pid}/task").iterdir():
+            with suppress(FileNotFoundError, ProcessLookupError):  # a thread that has ended meanwhile
+                number, descriptor = [*(task / "syscall").read_text(encoding="ascii").split(), "", ""][:2]
+                if number == str(_WRITE) and int(descriptor, 16) == 1:
+                    return
+        time.sleep(0.05)
+    raise TimeoutError("its drawing never blocked")
+
+
+_WRITE = {"x86_64": 1, "aarch64": 64}.get(os.uname().machine, 1)
+
+
+def test_a_picture_that_cannot_be_drawn_does_not_stand_still(gateway: Gateway, tmp_path: Path) -> None:
+    walk = ["env", "PYTHONIOENCODING=ascii", *COMMAND, "walk", "--connect", gateway.endpoint]
+    with Terminal(tmp_path, walk) as terminal:
+        assert terminal.wait_for_end() == 1
+        assert "hexapod-gateway: this terminal cannot be drawn on ('ascii' codec can't encode" in terminal.words
+
+
+def test_it_leaves_the_terminal_as_it_found_it(gateway: Gateway, tmp_path: Path) -> None:
+    walk = " ".join([*COMMAND, "walk", "--connect", gateway.endpoint])
+    with Terminal(tmp_path, ["sh", "-c", f"echo before; {walk}"]) as terminal:
+        terminal.wait("EMERGENCY STOP")
+        terminal.press("C-c")
+        terminal.wait_for_end()
+        shown = terminal.wait("before", "icanon")
+        assert " echo " in shown
+        assert "-icanon" not in shown
+        assert " isig " in shown
+
+
+def test_without_a_terminal_it_says_what_else_there_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    end = run_here("walk")
+    assert (end.returncode, end.stdout) == (1, "")
+    otherwise = "hexapod-gateway: walk from the keyboard needs a terminal; without one: --forward 0.1 --seconds 5"
+    assert end.stderr.startswith(otherwise), end.stderr
+    monkeypatch.setitem(sys.modules, "termios", None)
+    unix = "walk from the keyboard needs a Unix terminal; on Windows, run it in WSL, or give --seconds"
+    assert run_here("walk") == (1, "", f"hexapod-gateway: {unix}\n")
+
+
+def test_a_stop_that_the_power_board_does_not_confirm_is_red(tmp_path: Path) -> None:
+    """This robot has no board, so each state ends the event's alarm: the event is published again until it is shown."""
+    listen = {"listen": [f"tcp/127.0.0.1:{free_port()}"]}
+    shown = threading.Event()
+    with (
+        Gateway(tmp_path, {"zenoh": listen}) as gateway,
+        gateway.client(source="watcher") as watcher,
+        at_terminal(tmp_path, "walk", gateway.endpoint) as terminal,
+    ):
+        terminal.wait("forward, backward")
+
+        def publish() -> None:
+            while not shown.wait(0.01):
+                watcher.session.put(keys.EVENT, event(Kind.POWER_UNCONFIRMED).model_dump_json())
+
+        publisher = threading.Thread(target=publish)
+        publisher.start()
+        try:
+            terminal.wait(UNCONFIRMED)
+        finally:
+            shown.set()
+            publisher.join()
+        terminal.press("C-c")
+        assert terminal.wait_for_end() == 0
