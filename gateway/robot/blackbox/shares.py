@@ -17,7 +17,7 @@ SOURCES_COUNTED: Final = 64
 
 
 @dataclass(slots=True)
-class _Source:
+class _Share:
     full_ns: int = 0
     """When its share will be whole again."""
     left_out: int = 0
@@ -31,7 +31,7 @@ class RecordShares:
         self._of_all_ns = NS_PER_S // a_second
         self._of_one_ns = int(NS_PER_S / (a_second * SHARE))
         self._all_full_ns = 0
-        self._sources: dict[str | None, _Source] = {}
+        self._sources: dict[str | None, _Share] = {}
 
     def admit(self, source: str | None, count: int, now_ns: int) -> bool:
         """Whether this source's next `count` records are written; if not, they are counted."""
@@ -52,11 +52,11 @@ class RecordShares:
             self._sources[name].left_out = 0
         return found
 
-    def _known(self, source: str | None, now_ns: int) -> _Source:
+    def _known(self, source: str | None, now_ns: int) -> _Share:
         if len(self._sources) >= SOURCES_COUNTED:
             self._sources = {
                 name: each for name, each in self._sources.items() if each.left_out or each.full_ns > now_ns
             }
             if len(self._sources) >= SOURCES_COUNTED:
                 source = None
-        return self._sources.setdefault(source, _Source())
+        return self._sources.setdefault(source, _Share())
