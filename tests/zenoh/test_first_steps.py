@@ -104,7 +104,7 @@ def test_the_first_incident_of_a_newcomer_is_kept_and_the_console_finds_a_port(t
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     env = {**os.environ, "XDG_STATE_HOME": str(tmp_path), "HEXAPOD_ZENOH__LISTEN": f'["{endpoint}"]'}
     env.pop("STATE_DIRECTORY", None)
-    start = ["make", "--old-file", f"{sys.prefix}/run", "run", f"VENV={sys.prefix}", f"CONSOLE=--connect {endpoint}"]
+    start = ["make", "--old-file", f"{sys.prefix}/run", "run", f"VENV={sys.prefix}"]
     with socket.socket() as other:
         with suppress(OSError):  # somebody else may have it already
             other.bind(("127.0.0.1", 8080))
@@ -117,6 +117,8 @@ def test_the_first_incident_of_a_newcomer_is_kept_and_the_console_finds_a_port(t
             assert port > 8080
             child.wait_for_output(f"Port 8080 is taken by another program, so the console listens on {port}.")
             assert child.stdout.splitlines()[-1].startswith(LINK)
+            walk = child.wait_for_output("or, from the keyboard: ")
+            assert walk.rstrip().endswith(f"bin/hexapod-gateway walk --connect {endpoint}")
             with Client(endpoint, timeout_s=5) as client:
                 seen = frames(client)
                 assert client.start_leg(3, 90, 45, 120).accepted
