@@ -134,3 +134,17 @@ async def test_what_waits_in_a_stopped_process_saves_nobody() -> None:
     assert robot.mode == Mode.IDLE
     kinds = [event.kind for event in robot.events()]
     assert kinds[-2:] == [Kind.BUTTON_SILENT, Kind.BUTTON_RETURNED]
+
+
+@pytest.mark.parametrize(
+    ("names", "counts"),
+    [((), True), (("kitchen",), True), (("door", "kitchen"), True), (("door",), False), (("button",), False)],
+)
+async def test_where_names_are_wanted_others_do_not_count(names: tuple[str, ...], counts: bool) -> None:
+    """Without certificates nobody has a role, and a person is what stands before the slash."""
+    robot = await started_and_quiet(buttons={"required": 1, "names": names})
+    ack = robot.button("register", "kitchen/phone")
+    alive = robot.button("alive", button=ack.button, count=1)
+    assert (alive.accepted, alive.alive, alive.detail is None) == (True, int(counts), counts)
+    assert robot.conductor.state().buttons.names == ("kitchen/phone",)
+    assert robot.ask(LEG_3, START).accepted is counts
