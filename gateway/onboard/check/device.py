@@ -13,6 +13,7 @@ from gateway.model.framing import Framing
 from gateway.onboard.check import nodes, service_user
 from gateway.onboard.check.installation import RESTART
 from gateway.onboard.check.result import Result, failure, ok, warning
+from gateway.own_command import command
 from gateway.robot.sections import SpiSettings
 from gateway.robot.spi import ioctls
 from gateway.robot.spi.bus import CS_CHANGE_NS
@@ -191,7 +192,7 @@ def lists(spi: SpiSettings, *, root: Path = ROOT_DIR) -> Result:
     return warning(
         name,
         f"nobody has seen whether {driver or 'this driver'} releases chip select between the transfers of a call",
-        "hexapod-gateway check --move shows it: set spi.batch = false if servo 61 still holds when all are stopped",
+        f"{command('check --move')} shows it: set spi.batch = false if servo 61 still holds when all are stopped",
     )
 
 
