@@ -49,12 +49,6 @@ def test_each_frame_is_read_by_the_calibration_before_it() -> None:
     _same_angles(PATH, angles, OTHER)
 
 
-def test_an_older_gateway_had_no_calibration() -> None:
-    angles, found = read(state(None), frame(RobotCalibration()))
-    assert (found, angles.known, angles.translated) == ([USERS], True, False)
-    _same_angles(PATH, angles, MIRRORED)
-
-
 @pytest.mark.parametrize(
     "messages",
     [
