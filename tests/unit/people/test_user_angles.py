@@ -41,13 +41,6 @@ def test_each_frame_is_read_by_the_calibration_before_it() -> None:
     assert found == [USERS, USERS, USERS, stop, OneServo(31, ServoOp(Op.SET, 30_00))]
 
 
-def test_an_older_gateway_had_no_calibration() -> None:
-    angles = UserAngles()
-    angles.take(STATE, state(None).content)
-    assert angles.consistent
-    assert read(state(None), frame(RobotCalibration())) == [USERS]
-
-
 @pytest.mark.parametrize(
     "message",
     [
