@@ -13,8 +13,7 @@ from gateway.model.black_box.incidents import INCIDENT_NAMES, MISTAKE
 from gateway.model.frames import Op
 from gateway.people.incidents.incidents import kind_of
 from gateway.people.incidents.messages import COMMAND_TOPICS, INCIDENT, RECORDER, incident_of
-from gateway.people.recordings import RecordedMessage
-from gateway.people.recordings.user_angles import FrameIn, frames_in
+from gateway.people.ros2.user_angles import FrameIn, RecordedMessage, frames_in
 from gateway.text import visible
 from schemas import keys
 from schemas.robot import LEGS
@@ -403,6 +402,9 @@ def _notes(messages: list[RecordedMessage]) -> Iterator[Line]:
                 text = "the gateway's last record; its process ended without a word"
             case "stop-servos":
                 text = f"stop-servos has written a Stop to each of the six legs, {detail}"
+            case "left_out":
+                sender = message.content.get("source") or "senders without a name"
+                text = f"{detail} of {sender} were left out, more than the black box has room for"
             case "lag":
                 text = f"the loop was {detail} late"
             case _:
