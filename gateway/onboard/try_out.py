@@ -1,4 +1,4 @@
-"""What `make run` starts: a simulated robot with a black box, what keeps its incidents, and the console.
+"""What `make run` starts: a simulated robot with a black box, and the console.
 
 They end together, on Ctrl-C or SIGTERM, or when the gateway ends; the end of the others does not end the gateway. Each
 is a process of its own, as on a robot. The console begins when the gateway is ready, so that its link is printed last.
@@ -25,7 +25,7 @@ _END_S: Final = 5.0
 
 
 def try_out(console: Sequence[str]) -> int:
-    """Run all three until the gateway has ended; its exit code. `console`: its options, or `no`."""
+    """Run both until the gateway has ended; its exit code. `console`: its options, or `no`."""
     children: list[subprocess.Popen[bytes]] = []
     ended = False
 
@@ -51,7 +51,6 @@ def try_out(console: Sequence[str]) -> int:
         notified.settimeout(_LOOK_S)
         gateway = start("run", "--sim", NOTIFY_SOCKET=f"{folder}/notify")
         if _is_ready(gateway, notified) and not ended:
-            start("incidents", "keep")
             say(f"or, from the keyboard: {_command()} walk")
             if list(console) != [NO_CONSOLE]:
                 start("console", *console)

@@ -97,7 +97,7 @@ def test_life(machine: Machine, prepared: Prepared) -> None:
     assert box.read(CONFIGURATION).endswith("# mine\n")
     assert box.run("stat", "--format=%A %U:%G", CONFIGURATION).stdout == "-rw------- root:root\n"
     assert machine.run("--uninstall") == [
-        f"keep /var/lib/{NAME}, your incidents, for root only",
+        f"keep /var/lib/{NAME}, your calibration, for root only",
         f"keep /etc/{NAME}, your configuration, for root only",
         f"keep {DROP_IN}, your change to the service",
         "SPI and the group spi stay as they are",

@@ -86,10 +86,14 @@ _KNOWN: Final = (
     (_ROBOT.calibrating, "_delay"),  # words for people, which decide nothing
     (_ROBOT.legs, "_rules _reach by_number _all servos _queue instant_ns landing land_ns rest_ns"),
     (_ROBOT.legs, "due_ns repeat_ns at_rest"),  # these follow from the others: `take` sees to that
-    (_ROBOT.legs, "_moved given _silent"),  # these count within a step
-    (Leg, "number servos slots heard_ns expired source landed_ns"),
+    (_ROBOT.legs, "_moved given _silent _fed"),  # these count within a step
+    (Leg, "number servos slots heard_ns expired source landed_ns unfed_ns"),
     (Leg, "due_ns repeat_ns runs rests"),  # these follow, too
-    (Servo, "servo_id leg angle_cdeg waiting waiting_for target_cdeg since_ns passing_cdeg repeats_left repeat_ns"),
+    (
+        Servo,
+        "servo_id leg angle_cdeg waiting waiting_for announced_cdeg target_cdeg since_ns passing_cdeg repeats_left "
+        "repeat_ns",
+    ),
     (Servo, "stopped_ns stopped_by"),
     (RateSlots, "period_ns oldest_ns next_ns"),
     (StartQueue, "pause_ns next_ns legs"),
@@ -192,7 +196,7 @@ def key(supervisor: Supervisor, now_ns: int, rank: dict[int, int]) -> tuple[obje
         lease_key(supervisor.lease, now_ns),
         buttons_key(supervisor.buttons, now_ns),
         body_key(supervisor, now_ns),
-        power_key(supervisor),
+        (*power_key(supervisor), legs._fed),
         calibrating_key(supervisor),
         legs.landing and (*landing_key(legs.landing, now_ns), legs.land_ns - now_ns),
         (tuple(queue.legs), max(0, queue.next_ns - now_ns)) if queue.pause_ns else None,
@@ -201,6 +205,7 @@ def key(supervisor: Supervisor, now_ns: int, rank: dict[int, int]) -> tuple[obje
             (
                 min(now_ns - leg.heard_ns, legs._rules.timeout_ns) if leg.heard_ns is not None and leg.armed else None,
                 leg.expired,
+                leg.unfed_ns is not None and now_ns - leg.unfed_ns,
                 legs.landing and leg.landed_ns,
                 max(leg.slots.oldest_ns - now_ns, -2 * leg.slots.period_ns),  # then the bucket is full
                 max(leg.slots.next_ns - now_ns, 0),
@@ -208,6 +213,7 @@ def key(supervisor: Supervisor, now_ns: int, rank: dict[int, int]) -> tuple[obje
                     (
                         servo.angle_cdeg,
                         servo.waiting and (servo.waiting, rank[servo.waiting_for.number]),
+                        servo.announced_cdeg,
                         servo.target_cdeg,
                         servo.passing_cdeg,
                         speed_age_ns(servo.since_ns, now_ns, legs._rules) if servo.running else None,

@@ -35,22 +35,21 @@ from gateway.onboard.check.table import (
 )
 from gateway.onboard.whole import SHOWN, Whole
 
-_RECORDER: Final = "hexapod-recorder"
 STATE_FOLDER: Final = f"/var/lib/{SERVICE}"
 _COMMAND: Final = f"/usr/local/bin/{SERVICE}"
-_UNITS: Final = (SERVICE, _RECORDER)
+_UNITS: Final = (SERVICE,)
 _PROPERTIES: Final = (
     "LoadState,ActiveState,SubState,UnitFileState,NeedDaemonReload,DropInPaths,LimitNOFILE,MemoryMax,Environment"
 )
 _GROUPS: Final = ("spi", SERVICE)
 _MOST_FILES: Final = 20_000
-"""Of the state directory: some incidents have hundreds of files each; a look ends in any case."""
+"""Of the state directory: a look ends in any case."""
 _LEAST_FILES: Final = 220
 """Descriptors that the service needs, for 64 sessions and 100 handshakes."""
 _LEAST_MEMORY_MB: Final = 128
 """It was seen to take 97 MB."""
 _LEAST_FREE_MB: Final = 20
-"""For an incident or two."""
+"""For some calibrations and lists."""
 _LEAST_INODES: Final = 100
 _FORGETS: Final = frozenset({"overlay", "tmpfs", "ramfs"})
 """File systems that are empty, or as before, after a boot."""
@@ -70,11 +69,6 @@ def _enabled(unit: str, restart: str) -> str:
 
 SHIPPED: Final = (
     Shipped(f"systemd/{SERVICE}.service", f"/etc/systemd/system/{SERVICE}.service", _enabled(SERVICE, RESTART)),
-    Shipped(
-        f"systemd/{_RECORDER}.service",
-        f"/etc/systemd/system/{_RECORDER}.service",
-        _enabled(_RECORDER, f"sudo systemctl restart {_RECORDER}"),
-    ),
     Shipped(
         f"udev/60-{SERVICE}.rules",
         f"/etc/udev/rules.d/60-{SERVICE}.rules",
@@ -200,7 +194,7 @@ def _missing_groups(look: Installation) -> Iterator[Seen]:
 
 
 def _shipped(look: Installation) -> Iterator[Seen]:
-    """An older release has no recorder; a damaged one is another line."""
+    """A damaged release is another line."""
     for each in SHIPPED:
         unit, source = Path(each.place).stem, look.deploy / each.source
         wanted, found = _content(source), _content(look.path(each.place))
@@ -299,15 +293,6 @@ def _foreign(look: Installation) -> list[str]:
     return found
 
 
-def _recorder(look: Installation) -> Iterator[Seen]:
-    """It is skipped where the release has no black box; then systemd shows no failure, and it is inactive."""
-    if look.shows(_RECORDER, "LoadState") == "loaded":
-        active = look.shows(_RECORDER, "ActiveState")
-        begins = active == "activating" and look.shows(_RECORDER, "SubState") != "auto-restart"
-        enabled = look.shows(_RECORDER, "UnitFileState").startswith("enabled")
-        yield Seen(enabled=enabled, active=active, works=active == "active" or begins)
-
-
 def _keys(look: Installation) -> list[Path]:
     return sorted(path for path in look.path(ETC).rglob("*.key") if path.is_file())
 
@@ -345,8 +330,7 @@ def _is_of(key: Path, certificate: Path) -> bool:
 
 _ASIDE: Final = f"sudo mv {{path}} {{path}}.off && sudo systemctl daemon-reload && {RESTART}"
 _OWN_STATE: Final = (
-    f"sudo chown -R {SERVICE}:{SERVICE} {STATE_FOLDER} && sudo chmod -R u+rwX {STATE_FOLDER} && {RESTART} && "
-    f"sudo systemctl restart {_RECORDER}"
+    f"sudo chown -R {SERVICE}:{SERVICE} {STATE_FOLDER} && sudo chmod -R u+rwX {STATE_FOLDER} && {RESTART}"
 )
 _CANNOT_START: Final = "the service cannot start, nor stop the servos after its end"
 
@@ -404,28 +388,24 @@ PROBES: Final = (
            f"{{undo}}{RESTART}")),
     _wrong("state", _state,
            failure(lambda r: not r.is_folder, f"{STATE_FOLDER} is no folder: {_CANNOT_START}",
-                   f"sudo mv {STATE_FOLDER} {STATE_FOLDER}.old && {RESTART} && sudo systemctl restart {_RECORDER}"),
-           failure(lambda r: r.read_only, f"{STATE_FOLDER} is on a file system that is read-only: no calibration, list "
-                   "or incident is kept", "see why (dmesg), then: sudo mount -o remount,rw {mount}"),
+                   f"sudo mv {STATE_FOLDER} {STATE_FOLDER}.old && {RESTART}"),
+           failure(lambda r: r.read_only,
+                   f"{STATE_FOLDER} is on a file system that is read-only: no calibration or list is kept",
+                   "see why (dmesg), then: sudo mount -o remount,rw {mount}"),
            failure(lambda r: not r.own, f"{STATE_FOLDER} is not the service's to write: it may not start, nor stop the "
                    "servos after its end", _OWN_STATE),
            failure(lambda r: r.free_mb < _LEAST_FREE_MB,
-                   f"{STATE_FOLDER} has {{free_mb}} MB free on its disk: no calibration, list or incident is kept",
+                   f"{STATE_FOLDER} has {{free_mb}} MB free on its disk: no calibration or list is kept",
                    "find what fills it (sudo du -xh {mount} | sort -h | tail); the journal's part goes by: "
                    "sudo journalctl --vacuum-size=50M"),
            failure(lambda r: r.inodes < _LEAST_INODES, f"{STATE_FOLDER} has {{inodes}} files left on its disk: no "
-                   "calibration, list or incident is kept", "find the folder with most files, and empty it: "
+                   "calibration or list is kept", "find the folder with most files, and empty it: "
                    "sudo du -x --inodes {mount} | sort -n | tail"),
            warning(lambda r: r.forgets, f"{STATE_FOLDER} is on {{kind}}, which a boot empties: calibration, "
-                   "revocations, incidents and the emergency stop are lost then",
+                   "revocations and the emergency stop are lost then",
                    "keep the folder on a partition of its own (docs/troubles.md)")),
     _wrong("state", _some(_foreign), failure(always,
            f"in {STATE_FOLDER}, not the service's to read and write: {{some}}", _OWN_STATE)),
-    _wrong("recorder", _recorder,
-           warning(lambda r: not r.enabled, f"{_RECORDER} does not start with the machine, so incidents are not kept",
-                   f"sudo systemctl enable --now {_RECORDER}"),
-           warning(lambda r: not r.works, f"{_RECORDER} is {{active}}, so incidents are not kept",
-                   f"sudo systemctl reset-failed {_RECORDER}; sudo systemctl restart {_RECORDER}")),
     _wrong("private key", _some(_exposed), warning(always,
            "others than root and the service may read {some}", "make a new one if others use this machine; else: "
            f"sudo chown root:{SERVICE} {{all}} && sudo chmod 640 {{all}}")),

@@ -21,7 +21,7 @@ from gateway.model.power_board import (
 )
 from gateway.onboard.check.device import JOIN_GROUP, denied, no_node, node
 from gateway.onboard.check.table import CheckedRobot, Probe, Seen, always, failure, warning
-from gateway.robot.power.interface import open_bus, received, send
+from gateway.robot.power.interface import BITRATE, open_bus, received, send
 from gateway.robot.sections import PowerSettings
 
 if TYPE_CHECKING:
@@ -41,7 +41,7 @@ def _board(robot: CheckedRobot) -> Iterator[Seen]:
     if not power.interface:
         return
     seen = node(power.channel) if power.interface == "slcan" else Seen(lack="")
-    seen.absent, seen.channel, seen.bitrate = _PLUG, power.channel, power.bitrate
+    seen.absent, seen.channel, seen.bitrate = _PLUG, power.channel, BITRATE
     seen.where, seen.says = f"{power.interface} {power.channel}", ""
     seen.simulated = power.interface == "sim"
     seen.error = seen.silent = seen.answers = seen.board_error = ""

@@ -56,11 +56,18 @@ class Rules:
     estop_kept: bool = False
     """Whether an earlier run may have left an emergency stop engaged; `EstopKept` then says so (Behaviour 5)."""
     power: bool = False
-    """Whether a power board feeds the servos (Behaviour 18)."""
+    """Whether a power board feeds the servos (Behaviour 18): a start then waits until its servo is fed."""
+    angles_first: bool = False
+    """Whether supply is what starts a servo: its angle is on the wire before it is fed."""
+    feed_ns: int = 1800 * NS_PER_MS
+    """How long a start waits for its supply. The board takes up to 1 s for 18 servos, and 0.4 s for the one that is
+    judged first; a client waits 2 s for its answer."""
 
     def __post_init__(self) -> None:
         if self.starts_whole and self.start_pause_ns:
             raise ValueError("a robot that starts as a whole cannot start leg by leg")
+        if self.starts_whole and self.power:
+            raise ValueError("a power board starts servos one by one")
 
     @property
     def stops_whole(self) -> bool:
@@ -79,6 +86,8 @@ class Servo:
     """Its newest target, until that is sent."""
     waiting_for: Command = NO_COMMAND
     """Which command set it; NO_COMMAND: none, it is a step on the way to a target that a command was answered for."""
+    announced_cdeg: int | None = None
+    """Where it stands once it is fed, where its supply starts it: the angle that was on the wire before."""
     target_cdeg: int | None = None
     """Where it is bound for, while its speed is limited and it is not there yet."""
     since_ns: int = 0
@@ -120,6 +129,8 @@ class Leg:
     """Whose command is in force: the latest accepted one's; None once the gateway has stopped the leg itself."""
     landed_ns: int = 0
     """Which part of the way down its frames have said."""
+    unfed_ns: int | None = None
+    """Since when a start of it waits for supply, as of the last `Legs.look`; None: none does."""
     due_ns: int = NEVER
     """When its deadline, its rate slot or a repeated Stop comes; like the next three as of the last `Legs.look`."""
     repeat_ns: int = NEVER
@@ -147,8 +158,9 @@ class Leg:
         return first.will_run or second.will_run or third.will_run
 
     def deadline_ns(self, timeout_ns: int) -> int | None:
-        """When the watchdog stops this leg; None while there is nothing to stop."""
-        return self.heard_ns + timeout_ns if self.heard_ns is not None and self.armed else None
+        """When the watchdog stops this leg; None while there is nothing to stop, or it waits for its supply alone."""
+        waits = self.unfed_ns is not None and not self.runs
+        return self.heard_ns + timeout_ns if self.heard_ns is not None and self.armed and not waits else None
 
     @property
     def watchdog(self) -> WatchdogState:

@@ -11,55 +11,23 @@ from typing import Final
 
 from gateway.model.angle_limits import AngleLimits
 from gateway.model.frames import OP_STOP, SETS, STOP, OneLeg, OneServo, ServoOp, stop_leg
-from gateway.robot.core.events import Announce, Command, Completed, Effect, Rejected, Targets, Transmit
+from gateway.robot.core.events import Command, Completed, Effect, Rejected, Targets, Transmit
 from gateway.robot.core.landing import Landing, landing
 from gateway.robot.core.leg import NO_COMMAND, Leg, Rules, Servo, servos_of
+from gateway.robot.core.leg_effects import as_it_is, stops, taken_over, withdrawn
 from gateway.robot.core.pacing import NEVER, RateSlots, StartQueue, merged
+from gateway.robot.core.power import held_starts, look_at_supply
 from gateway.robot.core.speed import step
 from schemas.keys import LEGS_COMMAND
 from schemas.robot import LEGS
-from schemas.telemetry import Cause, Kind, Reason
+from schemas.telemetry import Cause, Reason
 
 _LOST: Final = "messages of the same key were lost, and a stop may be among them"
 _PARTLY: Final = (
     "this robot can only be started as a whole: send one command with a start for each joint of all six legs to "
     f"{LEGS_COMMAND}"
 )
-_MIXED: Final = (
-    "this robot can only be stopped as a whole: a Stop in this command stopped it, and its moves are dropped"
-)
-
-
-def _as_it_is(servo: Servo) -> ServoOp:
-    """The operation that changes nothing."""
-    return STOP if servo.angle_cdeg is None else SETS[servo.angle_cdeg]
-
-
-def _stops(leg: Leg, servos: list[Servo], cause: Cause, commands: tuple[Command, ...] = ()) -> list[Effect]:
-    """Stops for these servos of a leg, in one frame where they are all of it."""
-    if len(servos) == len(leg.servos):
-        return [Transmit(stop_leg(leg.number), cause, None, commands)]
-    return [Transmit(OneServo(servo.servo_id, STOP), cause, None, commands) for servo in servos]
-
-
-def _taken_over(leg: Leg, source: str | None, moves: bool) -> list[Effect]:
-    """Another source's command is in force from now on. A stopped leg has no previous source.
-
-    A Stop without a name (a delete has none) may be from the leg's previous source.
-    """
-    before, leg.source = leg.source, source
-    if not leg.armed or (source is None and not moves):
-        return []
-    new, old = ("somebody without a name" if name is None else name for name in (source, before))
-    detail = f"leg {leg.number} is commanded by {new}, and was by {old}"
-    return [Announce(Kind.SOURCE_CHANGED, detail, source, legs=(leg.number,))]
-
-
-def _withdrawn(command: Command, reason: Reason, detail: str) -> Rejected:
-    """The rejection of a command of which no more is written. Its Stops were, unless the bus failed."""
-    if reason is not Reason.BUS_FAULT:
-        command.stopped = tuple(servo_id for servo_id, _ in command.stops)
-    return Rejected(command, reason, detail)
+_MIXED: Final = "this robot only stops as a whole: a Stop in this command stopped it, and its moves are dropped"
 
 
 class Legs:
@@ -90,6 +58,8 @@ class Legs:
         self._queue = StartQueue(rules.start_pause_ns)
         self.landing: Landing | None = None
         """The landing that is under way."""
+        self._fed: frozenset[int] | None = frozenset() if rules.power else None
+        """Servos that the power board feeds; None: there is no board."""
         self.land_ns = 0
         """When its next frames are due: each leg gets one in a period, however slowly it goes."""
 
@@ -101,16 +71,15 @@ class Legs:
     def begin(self, instant_ns: int) -> None:
         """A step begins."""
         self.instant_ns = instant_ns
+        if self._fed:  # the supply of what was stopped went with it
+            self._fed = frozenset([each for each in self._fed if each in self.servos and self.servos[each].will_run])
         self.given = set()
         self._silent = False
 
     def look(self, now_ns: int) -> None:
-        """A step ends: see what is due next, and whether anything runs.
-
-        A command that only moves its own legs has changed nothing of the others, so these are not looked at.
-        """
+        """A step ends: see what is due next, and whether anything runs. Legs that did not change are left out."""
         for leg in self._all if self._moved is None else self._moved:
-            due_ns = repeat_ns = NEVER
+            repeat_ns = NEVER
             runs = waits = armed = False
             for servo in leg.servos:
                 if servo.angle_cdeg is not None:
@@ -120,8 +89,9 @@ class Legs:
                     armed = armed or servo.will_run
                 if servo.repeats_left and servo.repeat_ns < repeat_ns:
                     repeat_ns = servo.repeat_ns
-            if armed and leg.heard_ns is not None:
-                due_ns = leg.heard_ns + self._rules.timeout_ns
+            due_ns = NEVER if leg.heard_ns is None or not armed else leg.heard_ns + self._rules.timeout_ns
+            if self._fed is not None:
+                due_ns, waits = look_at_supply(leg, self._held(leg), now_ns, due_ns if runs else NEVER, self._rules)
             if self.landing is not None and runs:
                 due_ns = self._land_due_ns(self.landing, leg)
             if waits:
@@ -156,6 +126,20 @@ class Legs:
         if not leg.waits_to_start:
             return leg.slots.next_ns
         return max(each.slots.next_ns for each in self if not each.servos[0].running)
+
+    def note_fed(self, fed: frozenset[int]) -> None:
+        """The power board has confirmed to feed these."""
+        self._fed = None if self._fed is None else fed
+
+    def start_fed(self, now_ns: int) -> list[Effect]:
+        """Send the starts that waited for supply, with their legs' rate slots, and watch these legs from now on."""
+        for leg in self:
+            if leg.unfed_ns is not None and not leg.runs and not self._held(leg):
+                leg.heard_ns = now_ns
+        return self.take_slots(now_ns)
+
+    def _held(self, leg: Leg) -> list[Servo]:
+        return held_starts(leg, self.servos.values(), self._fed)
 
     def _land_due_ns(self, landing: Landing, leg: Leg) -> int:
         """When a leg that lands gets its next frame; if it moves no more, when the landing ends."""
@@ -204,6 +188,7 @@ class Legs:
         stops: list[tuple[Leg, list[Servo]]] = []
         taken: list[Effect] = []
         whole = self._rules.starts_whole and len(command.moves) < len(command.targets)
+        fed, self._fed = self._fed, self._fed and frozenset()  # its starts leave together, below
         for number, targets in (self._stop_whole(command) if whole else command.by_leg).items():
             leg = self.by_number[number]
             moves = False
@@ -212,7 +197,7 @@ class Legs:
             if command.lost:
                 leg.source = None
             elif leg.source != command.source:
-                taken += _taken_over(leg, command.source, moves)
+                taken += taken_over(leg, command.source, moves)
             if moves:
                 # A Stop does not count: it does not say that the leg's other servos shall go on running.
                 leg.heard_ns = now_ns
@@ -222,12 +207,13 @@ class Legs:
                 stops.append((leg, [self.servos[servo_id] for servo_id, _ in targets]))
         for leg, servos in stops:  # after the moves, so that they are known as what came with these Stops
             effects += self._stop_on_command(leg, servos, command, now_ns)
-        if stops:  # they may have ended what its own starts queued behind
+        self._fed = fed
+        if stops or fed:  # Stops may have ended what its own starts queued behind
             effects += self.take_slots(now_ns)
-        elif not self._rules.start_pause_ns:  # else a leg that starts delays others
+        elif not self._rules.start_pause_ns and self._fed is None:  # else a leg that starts delays others
             self._moved = moved
         if whole and command.moves:
-            effects.append(_withdrawn(command, Reason.WHOLE_ROBOT, _MIXED))
+            effects.append(withdrawn(command, Reason.WHOLE_ROBOT, _MIXED))
         return effects + taken if taken else effects
 
     def stop_for(self, command: Command, rejected: Rejected, now_ns: int, *, write: bool) -> list[Effect]:
@@ -262,7 +248,7 @@ class Legs:
 
     def _stop_on_command(self, leg: Leg, servos: list[Servo], command: Command, now_ns: int) -> list[Effect]:
         """A command that only stops: its frames go out now, whatever waits."""
-        effects = _stops(leg, servos, Cause.COMMAND, (command,))
+        effects = stops(leg, servos, Cause.COMMAND, (command,))
         if command.lost:
             effects += self.drop(servos, Reason.OVERFLOW, _LOST)
         for servo in servos:
@@ -300,6 +286,9 @@ class Legs:
 
     def _send(self, leg: Leg, now_ns: int, cause: Cause = Cause.COMMAND) -> list[Effect]:
         """Send what waits for this leg, if it may go now."""
+        held = None if self._fed is None else self._held(leg)
+        if held:
+            return self._send_beside(leg, held, now_ns, cause)
         waiting: list[tuple[Servo, ServoOp]] = []
         for servo in leg.servos:
             if servo.waiting is not None:
@@ -316,8 +305,8 @@ class Legs:
         frame: OneLeg | OneServo
         if waiting[1:]:  # a servo that nothing waits for is sent what it does already
             first, second, third = leg.servos
-            one, two = first.waiting or _as_it_is(first), second.waiting or _as_it_is(second)
-            frame = OneLeg(leg.number, (one, two, third.waiting or _as_it_is(third)))
+            one, two = first.waiting or as_it_is(first), second.waiting or as_it_is(second)
+            frame = OneLeg(leg.number, (one, two, third.waiting or as_it_is(third)))
         else:
             only, op = waiting[0]
             frame = OneServo(only.servo_id, op)
@@ -329,7 +318,7 @@ class Legs:
             if target.op is OP_STOP:
                 self._stopped(servo, now_ns)
             else:
-                servo.angle_cdeg = target.angle_cdeg
+                servo.angle_cdeg, servo.announced_cdeg = target.angle_cdeg, None
                 servo.repeats_left = 0  # started again: a repeated Stop would undo it
                 leg.expired = False
             command = servo.waiting_for
@@ -338,6 +327,16 @@ class Legs:
                 command.left -= 1
                 done += () if command.left else (command,)
         return [Transmit(frame if wire is None else wire.frame(frame), cause, None, commands, done)]
+
+    def _send_beside(self, leg: Leg, held: list[Servo], now_ns: int, cause: Cause) -> list[Effect]:
+        """Send what waits for this leg, but for starts that wait for their supply."""
+        starts = [(servo, servo.waiting) for servo in held]
+        for servo in held:
+            servo.waiting = None
+        effects = self._send(leg, now_ns, cause)
+        for servo, start in starts:
+            servo.waiting = start
+        return effects
 
     def _passes_queue(self, leg: Leg, now_ns: int) -> bool:
         """Whether the queue of the legs that wait to be energised lets this one's frame go now."""
@@ -361,10 +360,13 @@ class Legs:
             speed_cdeg_s = self._rules.max_speed_cdeg_s.get(servo.servo_id)
             if servo.waiting.op is not OP_STOP:
                 target_cdeg, servo.target_cdeg = servo.waiting.angle_cdeg, None
-                if speed_cdeg_s is None or servo.angle_cdeg is None:
+                stands_cdeg = servo.angle_cdeg
+                if stands_cdeg is None and self._rules.angles_first:
+                    stands_cdeg, servo.since_ns = servo.announced_cdeg, now_ns
+                if speed_cdeg_s is None or stands_cdeg is None:
                     servo.since_ns = now_ns  # a servo that does not run may be anywhere, so its start is no step
                 else:
-                    angle_cdeg = self._step(servo, servo.angle_cdeg, target_cdeg, speed_cdeg_s, now_ns)
+                    angle_cdeg = self._step(servo, stands_cdeg, target_cdeg, speed_cdeg_s, now_ns)
                     servo.waiting = ServoOp(servo.waiting.op, angle_cdeg)
                     servo.target_cdeg = None if angle_cdeg == target_cdeg else target_cdeg
             said.append((servo, servo.waiting))
@@ -443,7 +445,7 @@ class Legs:
 
     def _stopped(self, servo: Servo, now_ns: int) -> None:
         self.given.add(servo.servo_id)
-        servo.angle_cdeg = servo.target_cdeg = None
+        servo.angle_cdeg = servo.target_cdeg = servo.announced_cdeg = None
         servo.repeats_left = self._rules.repeats
         servo.passing_cdeg = None
         servo.repeat_ns = now_ns + self._rules.repeat_interval_ns
@@ -453,7 +455,9 @@ class Legs:
 
         Unless the Stop's own command wants it.
         """
-        servos = (servo for number in self._queue.legs for servo in self.by_number[number].servos)
+        pauses = self._queue.pause_ns > 0
+        legs = [leg for leg in self if leg.number in self._queue.legs or (pauses and leg.unfed_ns is not None)]
+        servos = (servo for leg in legs for servo in leg.servos)
         waiting = [servo for servo in servos if servo.waiting is not None and servo.waiting_for is not own]
         return self.drop(waiting, Reason.SERVO_STOPPED, "a Stop came before it was started")
 
@@ -480,11 +484,11 @@ class Legs:
             servo.passing_cdeg = None
         for servo in self.servos.values():  # what is rejected here must not take effect on another leg
             if servo.waiting is not None and servo.waiting_for in rejected:
-                servo.waiting = None
+                servo.waiting = servo.announced_cdeg = None
         for number in tuple(self._queue.legs):
             if not self.by_number[number].waits_to_start:
                 self._queue.leave(number)
-        return [_withdrawn(command, reason, detail) for command in rejected]
+        return [withdrawn(command, reason, detail) for command in rejected]
 
     def _repeat(self, leg: Leg, now_ns: int) -> list[Effect]:
         due = [servo for servo in leg.servos if servo.repeats_left and now_ns >= servo.repeat_ns]
@@ -492,4 +496,4 @@ class Legs:
             self.given.add(servo.servo_id)
             servo.repeats_left -= 1
             servo.repeat_ns = now_ns + self._rules.repeat_interval_ns
-        return _stops(leg, due, Cause.REPEAT)
+        return stops(leg, due, Cause.REPEAT)

@@ -238,9 +238,6 @@ FACTS = (
            ({"inodes": 9}, "failure … has 9 files left on its disk … sudo du -x --inodes /"),
            ({"forgets": True, "kind": "overlay"}, "warning … is on overlay, which a boot empties")),
     *facts(installed("state", 1), SOME, ({}, "failure … not the service's to read and write: a.py")),
-    *facts(installed("recorder"), {"enabled": True, "works": True, "active": "failed"},
-           ({"enabled": False}, "warning recorder: hexapod-recorder does not start with the machine"),
-           ({"works": False}, "warning recorder: hexapod-recorder is failed, so incidents are not kept")),
     *facts(installed("private key"), SOME, ({}, "others than root and the service may read a.py")),
     *facts(installed("private key", 1), SOME, ({}, "a.py is the authority's key … sudo shred -u /opt/R/a.py")),
 )

@@ -47,7 +47,7 @@ class Installed(Installation):
         super().__init__(root)
         self.service = os.getuid(), os.getgid()
         self.groups = ["spi", "hexapod-gateway"]
-        self.units = {"hexapod-gateway": dict(UP), "hexapod-recorder": dict(UP)}
+        self.units = {"hexapod-gateway": dict(UP)}
 
     def drop_in(self, text: str) -> None:
         path = self.path(DROP_IN)
@@ -57,9 +57,6 @@ class Installed(Installation):
 
     def shown(self, **properties: str) -> None:
         self.units["hexapod-gateway"].update(properties)
-
-    def recorder(self, **properties: str) -> None:
-        self.units["hexapod-recorder"].update(properties)
 
     def write(self, name: str, text: str = "", mode: int = 0o600) -> None:
         path = self.root / name
@@ -88,7 +85,7 @@ PLANTED: tuple[tuple[Plant, str], ...] = (
     (lambda robot: robot.write("opt/hexapod-gateway/venv-1/bin/hexapod-gateway", "#", 0o666), "not for all to read"),
     (lambda robot: robot.forget("usr/local/bin/hexapod-gateway"), "/usr/local/bin/hexapod-gateway is missing"),
     (lambda robot: robot.forget("etc/systemd/system/hexapod-gateway.service"), "hexapod-gateway.service is missing"),
-    (lambda robot: robot.write("etc/systemd/system/hexapod-recorder.service"), "recorder.service is not as this"),
+    (lambda robot: robot.write("etc/systemd/system/hexapod-gateway.service"), "gateway.service is not as this"),
     (lambda robot: setattr(robot, "groups", ["spi"]), "there is no group hexapod-gateway"),
     (lambda robot: robot.shown(LoadState="masked"), "hexapod-gateway is masked, or its unit is empty"),
     (lambda robot: robot.shown(NeedDaemonReload="yes"), "hexapod-gateway was edited, and systemd still"),
@@ -103,16 +100,12 @@ PLANTED: tuple[tuple[Plant, str], ...] = (
     (lambda robot: robot.file_for_folder(), "is no folder"),
     (lambda robot: robot.path(STATE).chmod(0o500), "is not the service's to write"),
     (lambda robot: robot.write(f"{STATE}/a", mode=0o400), "not the service's to read and write: a"),
-    (lambda robot: robot.recorder(UnitFileState="disabled", ActiveState="inactive"), "does not start with the machine"),
-    (lambda robot: robot.recorder(ActiveState="failed"), "hexapod-recorder is failed"),
-    (lambda robot: robot.recorder(ActiveState="activating", SubState="auto-restart"), "hexapod-recorder is activating"),
     (lambda robot: robot.write("etc/hexapod-gateway/a.key", mode=0o604), "others than root and the service may read"),
     (lambda robot: robot.keys("old.key"), "zenoh/old.key is the authority's key"),
     (lambda robot: robot.keys("ca.key"), "zenoh/ca.key is the authority's key"),
 )
 FINE: tuple[Plant, ...] = (
     lambda _: None,
-    lambda robot: robot.recorder(ActiveState="activating", SubState="condition"),
     lambda robot: robot.shown(LimitNOFILE="512", MemoryMax="infinity", Environment="LANG=C"),
     lambda robot: robot.drop_in("# ExecStopPost=\n;User=root\nMemoryMax=1G"),
     lambda robot: robot.drop_in("Environment=LANG=C"),
