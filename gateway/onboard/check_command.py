@@ -56,10 +56,6 @@ def check(
 
     --stops moves one servo by 5°, after a change and before people come near, and ends with everything stopped, also on
     Ctrl-C. It measures from the frames, where the gateway publishes them (telemetry.frames).
-
-    Exit codes: 0 it can (--move: it moved, and its Stop arrived; with --yes: every frame was written; --stops: all
-    passed), 1 it cannot, 2 spi.framing is not set, the configuration may not be read, the robot is not at rest, nobody
-    agreed, or somebody else drives, 4 with --move and --stops: no gateway answers.
     """
     if not stops and (only or restart or unplug):
         raise ConfigError("--only, --restart and --unplug go with --stops")

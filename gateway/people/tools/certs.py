@@ -18,8 +18,7 @@ app = typer.Typer(
     help="Certificates: who may reach the robot over the network, and as what.\n\n"
     "`init` makes a private certificate authority (CA) and the robot's files, once. `issue` makes a laptop's files and "
     "changes nothing on the robot. `revoke` shuts a lost laptop out.\n\n"
-    "Keep the folder on a machine you trust, not on the robot: anyone with its ca.key can admit anyone.\n\n"
-    "Exit codes: 0 done, 2 an argument or the folder is wrong, and nothing was changed.",
+    "Keep the folder on a machine you trust, not on the robot: anyone with its ca.key can admit anyone.",
 )
 
 Directory = Annotated[
@@ -230,8 +229,6 @@ def revoke(
 
     A robot that is off gets it later, by the same command without the name, or by a copy of revoked.crl in
     /etc/hexapod-gateway/zenoh and a restart of the service.
-
-    Exit codes: 0 each robot has it in force, 1 one has not, 2 an argument or the folder is wrong.
     """
     from gateway.people.tools import revoking
 

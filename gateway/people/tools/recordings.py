@@ -36,8 +36,6 @@ def record(
 
     Foxglove and Lichtblick open it, and so do twenty lines of Python (docs/recordings.md). Frames are in it where the
     gateway publishes them (telemetry.frames).
-
-    Exit codes: 0 ended on request, 1 the disk does not take it, 2 the file exists or is none, 4 no gateway answers.
     """
     from gateway.people.tools import reach
     from gateway.people.tools.record import record
@@ -57,10 +55,7 @@ def info(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="A recording, or an incident that was exported")],
     as_json: JsonOption = False,
 ) -> None:
-    """Show when it was recorded, with which versions and settings, and how many messages it has of what.
-
-    Exit codes: 0 shown, 2 it is no such file or cannot be read.
-    """
+    """Show when it was recorded, with which versions and settings, and how many messages it has of what."""
     from gateway.people.recordings.contents import contents
 
     found = contents(file)
@@ -81,8 +76,6 @@ def cut(
     """Make a file of a piece of it; the robot's description and the calibration come along.
 
     Without --from and --to: a whole file of all that can be read of one that was cut off, or is damaged.
-
-    Exit codes: 0 made, 2 nothing is there, or a file cannot be read or written, or exists.
     """
     from gateway.people.recordings.contents import cut
 
@@ -102,9 +95,6 @@ def replay(
     """Drive a gateway with the frames of a recording, in their time; asks before it moves a real robot.
 
     It holds the lease meanwhile, and stops all legs at the end, also on Ctrl-C.
-
-    Exit codes: 0 all was sent, 1 it was rejected or stopped,
-    2 there is nothing to replay, the robot is not at rest, or nobody agreed, 4 no gateway answers.
     """
     from gateway.people.tools import reach
     from gateway.people.tools.replay import REPLAY_SOURCE, replay
@@ -129,11 +119,7 @@ def foxglove(
     zenoh_config: ZenohConfigOption = None,
     timeout: TimeoutOption = 2.0,
 ) -> None:
-    """Show the robot live in Foxglove or Lichtblick, with the channels of a recording. Read only.
-
-    Exit codes: 0 ended on request, 2 the extra \\[foxglove] is missing or a file is faulty, 4 no gateway answers,
-    5 the address is taken.
-    """
+    """Show the robot live in Foxglove or Lichtblick, with the channels of a recording. Read only."""
     from gateway.people.tools import reach
     from gateway.people.tools.foxglove_server import serve
 
