@@ -17,6 +17,7 @@ from gateway.errors import ConfigError
 from gateway.host import plain_settings
 from gateway.model.framing import Framing
 from gateway.model.protocols import SpiProtocol
+from gateway.own_command import CONNECT_VARIABLE
 from gateway.robot.sections import (
     FOR_STOPS,
     SERVOS,
@@ -209,13 +210,14 @@ def _faults_of_file(values: dict[str, Any], context: Context) -> list[Fault]:
 def _environment() -> tuple[dict[Place, tuple[str, Any]], list[str]]:
     """Variables that begin with ENV_PREFIX: by place, the variable and its value as in a file; and faults.
 
-    A variable that names no setting is a fault. pydantic-settings would ignore it, accept lower case, name no variable
-    for a list that is no JSON, and take 0.1 s at each start.
+    A variable that names no setting is a fault, but for CONNECT_VARIABLE, which is for client commands.
+    pydantic-settings would ignore it, accept lower case, name no variable for a list that is no JSON, and take 0.1 s at
+    each start.
     """
     found: dict[Place, tuple[str, Any]] = {}
     faults: list[str] = []
     for variable, text in sorted(os.environ.items()):
-        if not variable.upper().startswith(ENV_PREFIX):
+        if not variable.upper().startswith(ENV_PREFIX) or variable == CONNECT_VARIABLE:
             continue
         place = tuple(variable.removeprefix(ENV_PREFIX).lower().split("__"))
         if variable != variable.upper() or not _is_setting(place):

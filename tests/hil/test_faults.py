@@ -17,14 +17,11 @@ from typing import Any
 import pytest
 
 from gateway.client import Client
-from gateway.model.framing import Framing
 from schemas import keys
 from schemas.telemetry import Ack, Event, Kind, Mode, Reason, WatchdogState
 from tests.hil.bed import Opened, SpiTestbed, Transfer
 from tests.hil.wire import (
-    LAST_STOP_3,
     LATE_S,
-    SET_3,
     START_3,
     STOPS,
     Replay,
@@ -32,9 +29,8 @@ from tests.hil.wire import (
     opening_of,
     settings_for,
     start,
-    transfers_of,
 )
-from tests.support.gateway_process import COMMAND, Gateway, write_settings
+from tests.support.gateway_process import Gateway
 from tests.support.heard import Heard, events, states
 
 pytestmark = pytest.mark.hil
@@ -130,21 +126,6 @@ def test_transfers_that_fail_once_and_ten_times(tmp_path: Path, wire: Wire, coun
         at.goes_on()
 
 
-@pytest.mark.parametrize("batch", [True, False])
-def test_a_short_write_is_a_fault_like_any_other(tmp_path: Path, wire: Wire, batch: bool) -> None:
-    """The kernel states how many bytes it wrote, of a list as of a single transfer."""
-    with scene(tmp_path, wire, spi={"batch": batch}) as at:
-        wire.bed.shorten(count=1)
-        at.touch()
-        half = transfers_of(wire.framing, SET_3)[0]
-        wire.expect_transfers([half[: len(half) // 2]])
-        at.recovered()
-        detail = next(event.detail for event in at.heard.all if event.kind is Kind.BUS_FAULT)
-        assert "bytes were written" in detail
-        at.goes_on()
-        assert at.gateway.child.returncode is None
-
-
 # ---- the device goes and comes back
 
 
@@ -219,43 +200,6 @@ def test_the_last_attempt_outlasts_a_fault_that_begins_with_it(tmp_path: Path, w
         assert [each.data.hex() for each in wire.skip() if len(each.data) == 14][-6:] == STOPS
 
 
-# ---- slow transfers
-
-
-def test_transfers_of_300_ms_delay_a_stop_and_lose_none(tmp_path: Path, wire: Wire) -> None:
-    with start(tmp_path, wire, watchdog={"repeats": 0, "timeout_ms": 250}) as gateway, gateway.client() as client:
-        heard = events(client)
-        wire.bed.delay_ms(300)
-        assert client.start_leg(3, 90, 45, 120).accepted
-        wire.expect(START_3, *LAST_STOP_3)
-        assert heard.wait(lambda event: event.kind is Kind.WATCHDOG_EXPIRED)
-        stopped = client.ask(keys.ESTOP, {})  # once: `estop` would ask again before it is answered
-        assert (stopped.accepted, stopped.stop_frames) == (True, 6)
-        wire.expect(*STOPS)
-        assert client.estop().accepted
-        wire.bed.delay_ms(0)
-        assert client.ask(keys.ESTOP, {}).accepted  # once, and behind all that `estop` had asked
-        assert {each.data for each in wire.skip()} <= set(transfers_of(wire.framing, *STOPS))
-        assert client.reset().accepted
-        assert client.set_leg(3, 91, 45, 120).reason is Reason.SERVO_STOPPED
-        wire.expect_nothing()
-        assert Kind.BUS_FAULT not in {event.kind for event in heard.all}
-        assert client.start_leg(3, 90, 45, 120).accepted
-        wire.expect(START_3)
-
-
-# ---- stop-servos
-
-
-def test_stop_servos_says_what_failed(tmp_path: Path, wire: Wire) -> None:
-    wire.bed.fail(errno.EIO)
-    config = write_settings(tmp_path / "gateway.toml", settings_for(wire))
-    child = wire.bed.spawn([*COMMAND, "stop-servos", "--config", str(config)])
-    assert child.wait(LATE_S) == 3
-    assert child.stderr == "hexapod-gateway: /dev/spidev0.0: the transfer failed: Input/output error\n"
-    assert child.stdout == ""
-
-
 # ---- lists of transfers
 
 
@@ -300,11 +244,3 @@ def test_a_device_that_vanishes_within_a_list(tmp_path: Path, wire: Wire) -> Non
         wire.bed.heal()
         wire.bed.restore_node()
         at.recovered(mode=Mode.ESTOPPED)
-
-
-def test_a_buffer_of_the_kernel_that_is_smaller_than_its_default(tmp_path: Path, spi_testbed: SpiTestbed) -> None:
-    """Twenty transfers of 128 bytes: the preamble and six Stops are rejected as one list, and lose nothing."""
-    wire = Wire(spi_testbed, Framing.LENGTH_PREFIXED)
-    spi_testbed.set_bufsiz(20 * 128)
-    with Gateway(tmp_path, settings_for(wire), bed=spi_testbed):
-        assert [each.data for each in spi_testbed.transfers if not each.errno] == opening_of(wire.framing, *STOPS)

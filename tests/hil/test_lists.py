@@ -1,6 +1,5 @@
 """Lists of transfers on the emulated device: what the kernel side of a batch sends, and what a driver makes of it."""
 
-import itertools
 import json
 import sys
 from pathlib import Path
@@ -10,7 +9,6 @@ import pytest
 from gateway.client import leg_payload
 from gateway.model.frames import OneServo, Op, ServoOp
 from gateway.model.framing import Framing
-from gateway.robot.spi.bus import CS_CHANGE_NS
 from schemas import keys
 from schemas.robot import LEGS
 from tests.hil.bed import SpiTestbed, Transfer
@@ -53,19 +51,6 @@ def write(child: Child, batch: list[list[object]], count: int = 1) -> str:
 
 def data_of(transfers: list[Transfer]) -> list[str]:
     return [each.data.hex() for each in transfers]
-
-
-def test_a_batch_is_one_call_of_cycles_with_the_pauses_that_were_asked_for(spi_testbed: SpiTestbed) -> None:
-    child = writer(spi_testbed)
-    assert write(child, [*ZEROS, *FRAME]) == "written"
-    transfers = spi_testbed.transfers
-    assert data_of(transfers) == [str(data) for data, _ in [*ZEROS, *FRAME]]
-    assert [each.pause_us for each in transfers] == [pause for _, pause in [*ZEROS, *FRAME]]
-    assert {(each.kind, each.call) for each in transfers} == {("message", 1)}
-    assert [each.segments[0].cs_change for each in transfers] == [True] * 5 + [False], "else chip select would be kept"
-    for before, after in itertools.pairwise(transfers):
-        lasts_ns = 3200 * len(before.data) + before.pause_us * 1000 + CS_CHANGE_NS
-        assert after.monotonic_ns - before.monotonic_ns == lasts_ns
 
 
 def scene(folder: Path, framing: Framing, *, batch: bool) -> tuple[list[str], int]:

@@ -9,7 +9,7 @@ import pytest
 from schemas import keys
 from schemas.telemetry import Kind, Mode, Reason
 from tests.hil.bed import SpiTestbed, Transfer
-from tests.hil.wire import EACH_FRAMING, LATE_S, START_3, STOPS, Wire, opening_of, settings_for, start
+from tests.hil.wire import EACH_FRAMING, LATE_S, START_3, STOPS, Wire, start
 from tests.support.child import Child
 from tests.support.heard import events
 
@@ -162,27 +162,3 @@ def test_what_the_kernel_adds_to_the_mode_is_no_other_program_s(spi_testbed: Spi
     colleague.opens(mode=1)
     assert "SPI mode 0x05 instead of 0x04" in str(stops(child)[2])
     assert stops(child) == (6, "None", None)
-
-
-@EACH_FRAMING
-def test_a_controller_that_loses_edges_of_what_is_not_received_gets_all_bytes(tmp_path: Path, wire: Wire) -> None:
-    wire.bed.add_quirk("loses-edges")
-    with start(tmp_path, wire) as gateway, gateway.client() as client:
-        assert client.start_leg(3, 90, 45, 120.01).accepted
-        wire.expect(START_3[:-2] + "01")
-
-
-def test_a_controller_that_does_not_receive_while_it_sends_gets_the_same_lists(tmp_path: Path, wire: Wire) -> None:
-    wire.bed.add_quirk("half-duplex")
-    with start(tmp_path, wire) as gateway, gateway.client() as client:
-        assert client.ask(keys.ESTOP, {}).stop_frames == len(STOPS)
-        assert len({each.call for each in wire.expect(*STOPS)}) == 1
-        assert len(wire.bed.transfers) == len(opening_of(wire.framing, *STOPS)) + len(STOPS) * 2
-
-
-def test_one_by_one_has_the_same_settings(tmp_path: Path, wire: Wire) -> None:
-    settings = settings_for(wire)["spi"] | {"batch": False}
-    with start(tmp_path, wire, spi=settings) as gateway, gateway.client() as client:
-        Colleague(wire.bed).opens(**SLOWER)
-        assert client.ask(keys.ESTOP, {}).stop_frames == len(STOPS)
-        assert settings_of(wire.expect(*STOPS)) == OWN

@@ -1,6 +1,7 @@
 """The commands of this program in a text for people, each parsed by the program's own parser."""
 
 import re
+from functools import cache
 from typing import Any
 
 import typer
@@ -8,6 +9,7 @@ import typer
 from gateway.cli import app
 
 _COMMAND = re.compile(r"(?P<quoted>`?)hexapod-gateway (?P<rest>[^`→]*)")
+_OWN = re.compile(r"\{run\[([^]]*)\]\}")
 _PLACEHOLDER = re.compile(r"\{[^}]*\}")
 _VALUE = re.compile(r"[A-Z][A-Z_0-9]*\b|.*[/.\d]")
 """No word of a sentence."""
@@ -21,7 +23,7 @@ def parse_commands(text: str) -> list[list[str]]:
     A name in `backticks` without arguments is no command to copy: it has to exist.
     """
     commands = []
-    for each in _COMMAND.finditer(_PLACEHOLDER.sub("7", text)):
+    for each in _COMMAND.finditer(_PLACEHOLDER.sub("7", _OWN.sub(r"hexapod-gateway \1", text))):
         words = _words(each["rest"])
         named = each["quoted"] and " ".join(words) == each["rest"]
         if words and not named:
@@ -30,9 +32,14 @@ def parse_commands(text: str) -> list[list[str]]:
     return commands
 
 
+@cache
+def _program() -> Any:
+    return typer.main.get_command(app)
+
+
 def _words(rest: str) -> list[str]:
     """The words up to where the sentence goes on."""
-    command: Any = typer.main.get_command(app)
+    command = _program()
     words: list[str] = []
     value, arguments = False, list[Any]()
     for each in rest.split():
@@ -54,7 +61,7 @@ def _words(rest: str) -> list[str]:
 
 
 def _parse(words: list[str]) -> None:
-    command: Any = typer.main.get_command(app)
+    command = _program()
     context = command.make_context("hexapod-gateway", words)
     while hasattr(command, "commands"):
         left = [*context._protected_args, *context.args]

@@ -301,7 +301,7 @@ FRAMES: Final = (
     ), "{framing}, as {wants} wants it; wire angles from {low:g} up to {high:g} degrees are never sent"),
     Probe("SPI lists", _lists, (
         warning(lambda r: r.unseen, "nobody has seen whether {driver} releases chip select between the transfers of a "
-                "call", "hexapod-gateway check --move shows it: set spi.batch = false if servo 61 still holds when all "
+                "call", "{run[check --move]} shows it: set spi.batch = false if servo 61 still holds when all "
                 "are stopped"),
     ), "{how}"),
 )
@@ -309,13 +309,13 @@ CALIBRATION: Final = (
     Probe("calibration", _calibration, (
         warning(lambda r: r.hidden, "{path} is not for you to read", "sudo hexapod-gateway check"),
         failure(lambda r: r.fault, "{fault}; nothing can be started",
-                f"put a good one in its place and restart, or, if the robot is as drawn: {ACCEPT_DEFAULT}"),
+                f"put a good one in its place and restart, or, if the robot is as drawn: {{run[{ACCEPT_DEFAULT}]}}"),
         warning(lambda r: r.late_at, "a change of {late_at} was not kept, and revision {revision} is ({path})",
                 "if the gateway runs, its disk hangs (dmesg): restart it once that is fixed; else nothing is wrong"),
     ), "{which}"),
     Probe("landing pose", _landing, (
         warning(lambda r: r.why, "{why}; in a landing it holds its angle", "choose another angle: watchdog.landing in "
-                "the configuration, or hexapod-gateway calibrate landing"),
+                "the configuration, or {run[calibrate landing]}"),
     )),
 )
 # fmt: on

@@ -10,11 +10,11 @@ from gateway.certs import expiry
 from gateway.errors import ConfigError, ZenohError
 from gateway.onboard.check.machine import CLOCK, PYTHON
 from gateway.onboard.check.table import Result, Verdict, results
+from gateway.own_command import this_command
 from gateway.people.client import diagnosis
 from gateway.people.client.blocking import Client
 from gateway.people.client.diagnosis import Finding, Stage
 from gateway.people.client.requests import Identity
-from gateway.people.terminal import this_command
 from gateway.people.tools import why
 from gateway.zenoh_config import client_config, connect_endpoints
 from schemas.telemetry import CertificateReport, RevocationsReport

@@ -18,6 +18,7 @@ from gateway.errors import ConfigError
 from gateway.model.protocols import SpiProtocol
 from gateway.model.telemetry import starts_whole
 from gateway.onboard.check.outputs import ServoCurrents, finding
+from gateway.own_command import command
 from gateway.people.client.blocking import Client
 from gateway.people.terminal import ask, say
 from gateway.people.tools.driving import drives, rejected
@@ -47,7 +48,7 @@ _WHOLE_HOLDS: Final = (
     "and see that the Pi's TX leads to the controller's RX (controller.uart names the UART)."
 )
 _SILENT: Final = (
-    "The controller does not answer, so nothing is moved: hexapod-gateway status names what is missing. A controller "
+    "The controller does not answer, so nothing is moved: {status} names what is missing. A controller "
     'of HexapodProtocol v1.0.0 answers nothing; it needs spi.protocol = "hexapod-1.0".'
 )
 _OTHER_OUTPUT: Final = (
@@ -100,7 +101,7 @@ def move(connect: Connection, *, agreed: bool) -> int:
         show_differences()
         whole = starts_whole(state)
         if whole and not state.controller.alive:
-            say(_SILENT)
+            say(_SILENT.format(status=command("status")))
             return 1
         held = lying(client, state) if whole else {}
         motion = _motion(DEFAULT_SERVO, "", held) if agreed else _asked(held)

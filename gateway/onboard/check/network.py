@@ -21,11 +21,11 @@ from gateway.host.sockets import listening
 from gateway.onboard.check import certificates, service_user
 from gateway.onboard.check.certificates import DENIED
 from gateway.onboard.check.table import LET_READ, RESTART, CheckedRobot, Probe, Seen, always, failure, warning
+from gateway.own_command import this_command
 from gateway.people.client import diagnosis
 from gateway.people.client.blocking import Client
 from gateway.people.client.diagnosis import Stage
 from gateway.people.client.requests import Identity
-from gateway.people.terminal import this_command
 from gateway.robot.zenoh_io.session import service_config
 from gateway.zenoh_config import connect_endpoints, get, listen_endpoints, one_line, open_session
 from schemas.keys import ALL_COMMANDS, COMMAND_KEYS, GET_ONLY, PUBLISHED, STATE

@@ -6,7 +6,7 @@ What the machine would need for a real robot shows nothing about it, and it need
 from collections.abc import Iterator
 from typing import Final
 
-from gateway import __version__
+from gateway import __version__, own_command
 from gateway.errors import ConfigError
 from gateway.model.black_box.files import RING_FILE
 from gateway.onboard.check import certificates, device, machine, network
@@ -28,6 +28,7 @@ def found() -> tuple[Settings, GatewayState] | None:
         return None
     for endpoint in endpoints:
         if endpoint.startswith("tcp/") and (state := network.state_at(endpoint)) is not None and state.simulated:
+            own_command.reach_by(connect=endpoint)
             return settings, state
     return None
 
@@ -55,7 +56,7 @@ _RUNS: Final = "{version} runs on a simulated controller, and is {mode}"
 _GATEWAY: Final = (
     Probe("gateway", _same, (
         warning(lambda r: r.version != r.own, f"{_RUNS}; this program is {{own}}", "end it, and start it again"),
-        warning(lambda r: r.estopped, _RUNS, "hexapod-gateway reset leaves the emergency stop"),
+        warning(lambda r: r.estopped, _RUNS, "{run[reset]} leaves the emergency stop"),
     ), _RUNS),
     Probe("SPI device", _same, (), "none: its controller is simulated. For a real robot, end it and check again"),
 )

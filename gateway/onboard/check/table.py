@@ -12,6 +12,7 @@ from pathlib import Path
 from types import SimpleNamespace as Seen
 from typing import Any, Final, NamedTuple
 
+from gateway.own_command import command
 from gateway.robot.settings import Settings
 from gateway.robot.spi.machine import ROOT_DIR
 
@@ -87,7 +88,7 @@ def results(probes: Sequence[Probe], looked_at: object) -> Iterator[Result]:
 
 def judged(probe: Probe, seen: Seen) -> Iterator[Result]:
     """The line for one reading."""
-    values = vars(seen)
+    values = {"run": _OwnCommands(), **vars(seen)}
     for fault in probe.faults:
         if fault.when(seen):
             yield Result(
@@ -96,6 +97,13 @@ def judged(probe: Probe, seen: Seen) -> Iterator[Result]:
             return
     if probe.well:
         yield Result(probe.name, Verdict.OK, probe.well.format_map(values))
+
+
+class _OwnCommands:
+    """`{run[check --move]}` in a text is this program's command, with what it needs to reach the gateway."""
+
+    def __getitem__(self, arguments: str) -> str:
+        return command(arguments)
 
 
 def always(_: Seen) -> bool:

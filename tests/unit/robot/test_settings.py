@@ -38,9 +38,10 @@ def in_toml(made: Settings) -> str:
     )
 
 
-def test_the_defaults_may_be_written_down(file: Path) -> None:
+def test_the_defaults_may_be_written_down(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Which they are is in docs/interface.md (tests/unit/test_interface.py)."""
     file.write_text(in_toml(Settings()))
+    monkeypatch.setenv("HEXAPOD_CONNECT", "tcp/192.0.2.7:7447")  # for client commands, and no setting
     assert load(file) == load() == Settings()
 
 

@@ -231,7 +231,7 @@ def test_nothing_starts_by_a_calibration_that_cannot_be_read() -> None:
     steps = Steps(fault=BROKEN)
     assert steps.command(0.5, servo_to(11, "start 90")) == ["rejected 1 servo_stopped"]
     why = (
-        "/var/lib/x/calibration.toml: is not TOML; nothing is started until `hexapod-gateway calibrate "
+        "/var/lib/x/calibration.toml: is not TOML; nothing is started until `calibrate "
         "accept-default` takes the default calibration as this robot's"
     )
     assert steps.detail == why
