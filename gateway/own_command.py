@@ -33,9 +33,10 @@ def reach_by(**options: str | Path | None) -> None:
 def this_command() -> str:
     """The name by which this program was called, to be copied from messages: `.venv/bin/…` after `make run`."""
     called, found = sys.argv[0], shutil.which("hexapod-gateway")
-    if called.endswith("__main__.py") or (found is not None and Path(called).absolute() == Path(found).absolute()):
-        return "hexapod-gateway"
-    return called
+    here = Path(called).name == "hexapod-gateway" and (
+        found is None or Path(called).absolute() != Path(found).absolute()
+    )
+    return called if here else "hexapod-gateway"
 
 
 def command(arguments: str) -> str:

@@ -125,8 +125,11 @@ def load(path: Path | None = None, *, simulated: bool = False, for_stops: bool =
     except ConfigError as error:
         lines.append(str(error))
         unread = True
-    in_file = _faults_of_file(from_file, context)
     variables, faults = _environment()
+    if for_stops:  # which no file of an earlier version may prevent
+        from_file = _without_removed(from_file)
+        faults = [fault for fault in faults if not fault.endswith(tuple(_REMOVED.values()))]
+    in_file = _faults_of_file(from_file, context)
     merged = from_file
     for place, (_, value) in variables.items():
         merged = _put(merged, place, value)
@@ -176,6 +179,9 @@ _IN_STATE: Final = "was removed; name its folder with state.path, which has all 
 _REMOVED: Final[Mapping[Place, str]] = {
     ("calibration",): f"{_IN_STATE} (the calibration as calibration.toml)",
     ("recorder",): f"{_IN_STATE} (the black box keeps 60 s)",
+    ("spi", "batch"): "was removed; lists of transfers are written, and single ones where the kernel takes no lists",
+    ("spi", "resync_ms"): "was removed; length-prefixed framing synchronises a stream once a second",
+    ("spi", "avoid_deg"): "was removed; it follows from the framing",
     ("controller", "cycle_hz"): "was removed; the controller's cycle is 50 Hz",
     ("lease", "takeover"): "was removed; everybody may take the lease, which stops all legs first",
     ("telemetry", "state_hz"): "was removed; the state comes ten times a second",
@@ -193,6 +199,17 @@ _REMOVED: Final[Mapping[Place, str]] = {
 def _without_emptied(tables: dict[str, Any]) -> dict[str, Any]:
     """The same without removed sections that set nothing: the file that was installed earlier has their names."""
     return {name: table for name, table in tables.items() if table != {} or (name,) not in _REMOVED}
+
+
+def _without_removed(tables: dict[str, Any]) -> dict[str, Any]:
+    """The same without all settings of earlier versions."""
+    kept = {name: table for name, table in tables.items() if (name,) not in _REMOVED}
+    return {
+        section: {name: value for name, value in table.items() if (section, name) not in _REMOVED}
+        if isinstance(table, dict)
+        else table
+        for section, table in kept.items()
+    }
 
 
 def _faults_of_file(values: dict[str, Any], context: Context) -> list[Fault]:
@@ -245,7 +262,6 @@ def _put(table: Mapping[str, Any], place: Place, value: Any) -> dict[str, Any]:
 _LISTS: Final[Mapping[Place, str]] = {
     ("zenoh", "listen"): '["tcp/127.0.0.1:7447"]',
     ("zenoh", "connect"): '["tcp/127.0.0.1:7447"]',
-    ("spi", "avoid_deg"): "[1.0, 4.0]",
     ("buttons", "names"): '["kitchen"]',
     ("power", "servos"): "[]",
 }

@@ -84,7 +84,7 @@ def warn_of_driver(spi: SpiSettings, *, simulated: bool) -> None:
     if not simulated and ioctls.are_used():
         logger.info("%s", ioctls.USED)
     framed = spi.protocol is SpiProtocol.HEXAPOD_1_0
-    needed = framed and spi.batch and spi.framing.needs_chip_select and not simulated
+    needed = framed and spi.framing.needs_chip_select and not simulated
     if needed and not gpio_selects(spi.device):
         logger.warning(
             "it is not known whether %s releases chip select between the transfers of one call; if it does not, an "

@@ -31,7 +31,7 @@ def _quiet() -> Iterator[None]:
 def check(tally: Tally) -> None:
     assert tally.stops_after_repeat == [], "each Stop is executed at the latest with its first repeat"
     assert tally.left_on == []
-    assert tally.deaf_ms <= 1000, "a stream is synchronised again within resync_ms"
+    assert tally.deaf_ms <= 1000, "a stream is synchronised again within a second"
     assert [what for what in tally.unasked if "out of sync" in what] == [], "nothing moves but by half a body"
 
 

@@ -1,7 +1,6 @@
 """The service unit under a real systemd: it starts, is watched, is stopped from outside after every end, gives up."""
 
 import json
-import signal
 import subprocess
 import time
 from collections.abc import Iterator
@@ -247,20 +246,6 @@ def test_a_stuck_journal_holds_no_stop(robot: InstalledGateway) -> None:
     assert robot.unit.properties("ActiveState", "Result", "ExecMainStatus") == ["inactive", "success", "0"]
 
 
-@pytest.mark.usefixtures("stuck_journal")
-def test_hanging_with_a_stuck_journal(robot: InstalledGateway) -> None:
-    """It dies of the watchdog's SIGABRT, stacks and all, and need not be killed another second later."""
-    opening = robot.bed.transfers[-1].opening
-    robot.bed.block()
-    hung_ns = time.monotonic_ns()
-    assert "accepted" not in robot.gateway(*MOVE_LEG_3, "--timeout", "0.1", check=False)
-    robot.bed.wait_for_opening(opening + 1)
-    robot.bed.release()
-    stops = stopped_by(robot, opening + 1)
-    print(f"first Stop {(stops[0].monotonic_ns - hung_ns) / 1e6:.0f} ms after the hang")
-    assert robot.unit.properties("Result", "ExecMainStatus") == ["watchdog", str(int(signal.SIGABRT))]
-
-
 def test_stop_servos_beside_the_service(robot: InstalledGateway) -> None:
     """By root and by somebody in the group spi, beside the sandboxed service: it takes its servos as stopped."""
     robot.unit.systemctl("start")
@@ -340,33 +325,6 @@ def test_broken_configuration(robot: InstalledGateway) -> None:
     assert robot.unit.properties("ActiveState", "ExecMainStatus") == ["failed", "2"]
 
 
-@contextmanager
-def mode(robot: InstalledGateway, path: str, meanwhile: str, afterwards: str) -> Iterator[None]:
-    robot.box.run("chmod", meanwhile, path)
-    try:
-        yield
-    finally:
-        robot.box.run("chmod", afterwards, path)
-
-
-@pytest.mark.nightly
-def test_a_configuration_that_the_service_may_not_read(robot: InstalledGateway) -> None:
-    """The journal has cat's words for it, and each end is still cleaned up with what the service ran with last."""
-    robot.configure("[watchdog]\nrepeats = 1\n")
-    robot.unit.systemctl("start")
-    with robot.journal() as journal, mode(robot, CONFIGURATION, "600", "640"):
-        robot.unit.systemctl("kill", "--signal=SIGKILL")
-        journal.wait_for_output("gateway.toml: Permission denied")
-        since = len(robot.bed.transfers)
-        robot.unit.systemctl("stop", check=False)  # ends an attempt to start, or the pause before the next one
-        robot.unit.systemctl("start", check=False)
-        robot.wait_for_stops(since)
-        with mode(robot, f"/etc/{NAME}", "700", "750"):
-            robot.unit.systemctl("start", check=False)
-        assert "framing" not in journal.stdout, "which would be the wrong cause"
-    assert "repeats = 1" in robot.box.read(f"/run/{NAME}/gateway.toml")
-
-
 @pytest.mark.nightly
 def test_no_device(robot: InstalledGateway) -> None:
     """Exit code 3: tried again as often as the unit's limit has it, then given up."""
@@ -378,19 +336,6 @@ def test_no_device(robot: InstalledGateway) -> None:
         journal.wait_for_output("Start request repeated too quickly", timeout_s=60)
         assert journal.stdout.count("Main process exited, code=exited, status=3") == 3
     assert robot.unit.properties("ActiveState", "ExecMainStatus") == ["failed", "3"]
-
-
-@pytest.mark.nightly
-def test_device_that_comes_late(robot: InstalledGateway) -> None:
-    """Not there at the first start, there at a later one."""
-    robot.bed.remove_node()
-    with robot.journal() as journal:
-        robot.unit.systemctl("start", check=False)
-        journal.wait_for_output("status=3")
-        robot.bed.restore_node()
-        robot.allow_device()
-        journal.wait_for_output("Started ")
-    assert "accepted" in robot.gateway(*MOVE_LEG_3)
 
 
 def test_a_list_of_revoked_certificates_starts_it_anew_and_systemd_sees_no_end(robot: InstalledGateway) -> None:

@@ -27,7 +27,10 @@ for line in sys.stdin:
     device = spidev.SpiDev()
     device.open(0, 0)
     for name, value in settings["set"].items():
-        setattr(device, name, value)
+        try:
+            setattr(device, name, value)
+        except OSError:
+            pass  # spidev reads a mode back, and the gateway may have put it right by then
     print(json.dumps([device.mode, device.bits_per_word, device.max_speed_hz]), flush=True)
     sys.stdin.readline()
     device.close()
@@ -124,8 +127,8 @@ def test_another_program_s_mode_is_put_right_published_and_a_fault(
         assert client.start_leg(3, 90, 45, 120).accepted
         wire.expect(START_3)
         colleague = Colleague(wire.bed)
-        mode, bits, speed_hz = colleague.opens(**settings)
-        mode = 0x40 if "no_cs" in settings else mode  # spidev shows two bits of it
+        _, bits, speed_hz = colleague.opens(**settings)
+        mode = 0x40 if "no_cs" in settings else settings["mode"]
         colleague.closes()
         found = heard.wait(lambda event: event.kind is Kind.BUS_MEDDLED, timeout_s=LATE_S)
         assert found.detail == (
@@ -138,8 +141,8 @@ def test_another_program_s_mode_is_put_right_published_and_a_fault(
         assert client.set_leg(3, 91, 45, 120).reason is Reason.SERVO_STOPPED
         assert client.start_leg(3, 90, 45, 120).accepted
         assert settings_of(wire.expect(START_3)) == OWN
-        kinds = [event.kind for event in heard.all if event.kind is not Kind.COMMAND_REJECTED]
-        assert kinds == [Kind.BUS_MEDDLED, Kind.BUS_FAULT, Kind.BUS_RECOVERED]
+        of_the_bus = [Kind.BUS_MEDDLED, Kind.BUS_FAULT, Kind.BUS_RECOVERED]
+        assert [event.kind for event in heard.all if event.kind in of_the_bus] == of_the_bus
 
 
 def test_a_first_stop_after_a_pause_leaves_with_the_mode_put_right(spi_testbed: SpiTestbed) -> None:

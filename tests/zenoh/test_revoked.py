@@ -105,7 +105,8 @@ def shut_out(robot: Robot, file: Path) -> None:
         laptop.state()
 
 
-MOMENT: Final = dt.timedelta(seconds=0.1)
+MOMENT: Final = dt.timedelta(seconds=0.4)
+"""By which two gateways' beginnings differ at least, since a start takes longer; a busy machine blurs it by less."""
 
 
 def since(state: GatewayState) -> dt.datetime:

@@ -30,8 +30,6 @@ from gateway.robot.spi.bus import CS_CHANGE_NS
 from gateway.robot.spi.kernel import KernelDevice
 from schemas.robot import LEGS
 
-CALL_NS: Final = 90_000
-"""What a transfer takes longer that is a call of its own (140 µs were seen with a pause of 50)."""
 SLOW_STOPS_MS: Final = 20.0
 """Six Stops should not take longer to write than the shortest watchdog timeout that can be set; nor should a frame of
 elkapod-2025 than its default cycle."""
@@ -157,7 +155,7 @@ def wire_ms(spi: SpiSettings, speed_hz: int) -> float:
     if spi.protocol.measures:
         return 8 * FRAME_BYTES / speed_hz * 1e3
     announced = spi.framing is Framing.LENGTH_PREFIXED
-    each_ns = spi.frame_gap_us * 1e3 + CS_CHANGE_NS + (0 if spi.batch else CALL_NS)
+    each_ns = spi.frame_gap_us * 1e3 + CS_CHANGE_NS
     bits = 8 * (ONE_LEG_LEN + announced)
     return len(LEGS) * (bits / speed_hz * 1e3 + (1 + announced) * each_ns / 1e6)
 
@@ -195,13 +193,10 @@ def _megahertz(hz: int) -> str:
 
 
 def _framing(robot: CheckedRobot) -> Iterator[Seen]:
-    spi = robot.settings.spi
-    if not spi.protocol.measures:
-        (deadly_low, deadly_high), (low, high) = spi.framing.avoid_cdeg or (0, 0), spi.avoid_cdeg or (0, 0)
-        yield Seen(
-            framing=spi.framing, wants=spi.framing.controller, low=low / 100, high=high / 100,
-            plain=spi.framing is Framing.PLAIN, deadly=low > deadly_low or high < deadly_high,
-        )  # fmt: skip
+    framing = robot.settings.spi.framing
+    if not robot.settings.spi.protocol.measures:
+        low, high = robot.settings.spi.avoid_cdeg or (0, 0)
+        yield Seen(framing=framing, wants=framing.controller, low=low / 100, high=high / 100)
 
 
 def _lists(robot: CheckedRobot) -> Iterator[Seen]:
@@ -209,13 +204,10 @@ def _lists(robot: CheckedRobot) -> Iterator[Seen]:
     spi = robot.settings.spi
     if not spi.protocol.measures:
         driver, gpio = machine.driver_of(spi.device, robot.root), machine.gpio_selects(spi.device, robot.root)
-        how = "chip select is a GPIO, which Linux releases between the transfers of a call"
-        if not spi.batch:
-            how = "spi.batch is false: one system call for each transfer"
-        elif not gpio:
-            how = f"{driver or 'the driver'} may keep chip select within a call; {spi.framing.controller} ignores it"
-        unseen = spi.batch and not gpio and spi.framing.needs_chip_select
-        yield Seen(how=how, driver=driver or "this driver", unseen=unseen)
+        how = f"{driver or 'the driver'} may keep chip select within a call; {spi.framing.controller} ignores it"
+        if gpio:
+            how = "chip select is a GPIO, which Linux releases between the transfers of a call"
+        yield Seen(how=how, driver=driver or "this driver", unseen=not gpio and spi.framing.needs_chip_select)
 
 
 # ---- the calibration
@@ -292,17 +284,14 @@ BUS: Final = (
 )
 FRAMES: Final = (
     Probe("framing", _framing, (
-        warning(lambda r: r.plain,
+        warning(lambda r: r.framing is Framing.PLAIN,
                 "plain, as in the protocol's document; the published STM32 firmware jams in it until it is reset",
                 'set spi.framing = "length-prefixed" for that firmware, and reset it'),
-        warning(lambda r: r.deadly, "{framing}, and spi.avoid_deg lets some of 1 to 3.99 degrees on the wire: the "
-                "published STM32 firmware dies of these where one byte is lost, with its servos on",
-                "leave spi.avoid_deg out, unless the controller's firmware is another"),
     ), "{framing}, as {wants} wants it; wire angles from {low:g} up to {high:g} degrees are never sent"),
     Probe("SPI lists", _lists, (
         warning(lambda r: r.unseen, "nobody has seen whether {driver} releases chip select between the transfers of a "
-                "call", "{run[check --move]} shows it: set spi.batch = false if servo 61 still holds when all "
-                "are stopped"),
+                "call", "{run[check --move]} shows it: if servo 61 still holds when all are stopped, "
+                f"{machine.SELECT_BY_GPIO}"),
     ), "{how}"),
 )
 CALIBRATION: Final = (

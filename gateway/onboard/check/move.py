@@ -24,6 +24,7 @@ from gateway.people.terminal import ask, say
 from gateway.people.tools.driving import drives, rejected
 from gateway.people.tools.moving import ServoMotion, consents, lying, ready, stopped_after
 from gateway.people.tools.reach import Connection, show_differences
+from gateway.robot.spi.machine import SELECT_BY_GPIO
 from schemas.robot import LEGS, MAX_DEG, SERVO_IDS
 from schemas.telemetry import Ack, GatewayState, Reason, WatchdogState
 
@@ -40,8 +41,8 @@ _PERIOD_S: Final = 0.05
 _HOLDS: Final = (
     "A Stop does not reach it together with others: the driver of this SPI bus does not release chip select between "
     "the transfers of one call, and of six Stops the controller obeys the first. AN EMERGENCY STOP WOULD STOP ONE LEG. "
-    "Set spi.batch = false in the configuration, restart the gateway, and do this again. It was now stopped alone: if "
-    "it holds even so, switch its power off, for then the cause is another one."
+    f"To have all stop, {SELECT_BY_GPIO}. "
+    "It was now stopped alone: if it holds even so, switch its power off, for then the cause is another one."
 )
 _WHOLE_HOLDS: Final = (
     "The shutdown does not reach the controller: AN EMERGENCY STOP WOULD STOP NOTHING. Switch the servos' power off, "

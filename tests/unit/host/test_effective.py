@@ -15,9 +15,6 @@ USED = Settings.model_validate(
             "device": '/dev/spi"dev1.0',
             "speed_hz": 500_000,
             "frame_gap_us": 60.5,
-            "batch": False,
-            "resync_ms": 10.0,
-            "avoid_deg": [2.0, 3.0],
         },
         "watchdog": {"repeats": 7, "repeat_interval_ms": 33.5},
         "controller": {"uart": "/dev/ttyS0"},
@@ -67,17 +64,16 @@ def test_where_a_file_differs(folder: Path) -> None:
     found = effective.read()
     assert found is not None
     file = folder / "gateway.toml"
-    rest = 'device = "/dev/spi\\"dev1.0"\nspeed_hz = 500_000\nframe_gap_us = 60.5\nbatch = false\nresync_ms = 10\n'
+    rest = 'device = "/dev/spi\\"dev1.0"\nspeed_hz = 500_000\nframe_gap_us = 60.5\n'
     uart = "[controller]\nuart = '/dev/ttyS0'\n"
     uart += "[power]\ninterface = 'slcan'\nchannel = '/dev/ttyACM0'\n"
     watchdog = f"[watchdog]\nrepeats = 7\nrepeat_interval_ms = 33.5\n{uart}"
-    file.write_text(f'[spi]\nframing = "length-prefixed"\navoid_deg = [2.0, 3.0]\n{rest}{watchdog}')
+    file.write_text(f'[spi]\nframing = "length-prefixed"\n{rest}{watchdog}')
     assert effective.differences(found, file) == []
     assert effective.differs_here(file) == []
     file.write_text(f'[spi]\nframing = "plain"\n{rest}[watchdog]\nrepeat_interval_ms = 33.5\n{uart}')
     assert effective.differs_here(file) == [
         f'{file} has spi.framing = "plain", and the service uses "length-prefixed"',
-        f"{file} does not set spi.avoid_deg, and the service uses [2.0, 3.0]",
         f"{file} has watchdog.repeats = 3, and the service uses 7",
     ]
     for text in ("spi = 3\n", "no TOML"):

@@ -6,7 +6,7 @@ import pytest
 
 from gateway.errors import ConfigError
 from gateway.host import plain_settings
-from gateway.host.plain_settings import NOT_FOR_STOPS, PlainPower, PlainRepeats, PlainSpi
+from gateway.host.plain_settings import PlainPower, PlainRepeats, PlainSpi
 from gateway.model.framing import Framing
 from gateway.robot import settings
 
@@ -17,6 +17,7 @@ device = "/dev/spidev1.2"
 speed_hz = 500_000
 frame_gap_us = 60
 resync_ms = 0.5
+batch = false
 avoid_deg = [2.0, 3.0]
 [watchdog]
 timeout_ms = 300
@@ -52,10 +53,8 @@ def test_the_same_as_the_settings(file: Path, text: str) -> None:
     found = plain_settings.read(file)
     assert found is not None
     spi, repeats, controller, power = found
-    theirs = settings.load(file)
-    assert spi._asdict() == {
-        name: getattr(theirs.spi, name) for name in type(theirs.spi).model_fields if name not in NOT_FOR_STOPS
-    }
+    theirs = settings.load(file, for_stops=True)
+    assert spi._asdict() == {name: getattr(theirs.spi, name) for name in type(theirs.spi).model_fields}
     assert repeats._asdict() == {name: getattr(theirs.watchdog, name) for name in PlainRepeats._fields}
     assert controller.uart == theirs.controller.uart
     assert power is not None
@@ -135,3 +134,19 @@ def test_a_variable_that_is_too_fast_is_rejected_by_its_name_and_stops_all_the_s
     with pytest.raises(ConfigError, match="HEXAPOD_SPI__SPEED_HZ: speed_hz is 8000000"):
         settings.load(file)
     assert settings.load(file, for_stops=True).spi.speed_hz == 8_000_000
+
+
+def test_no_setting_of_an_earlier_version_prevents_a_stop(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Which the service rejects."""
+    file.write_text(WHOLE + "[lease]\ntakeover = 'never'\n")
+    monkeypatch.setenv("HEXAPOD_SPI__BATCH", "false")
+    assert settings.load(file, for_stops=True).spi.framing is Framing.LENGTH_PREFIXED
+    with pytest.raises(ConfigError) as raised:
+        settings.load(file)
+    assert [line.rpartition(": ")[0].rpartition(": ")[2] for line in str(raised.value).splitlines()] == [
+        "spi.resync_ms",
+        "spi.batch",
+        "spi.avoid_deg",
+        "lease.takeover",
+        "HEXAPOD_SPI__BATCH",
+    ]

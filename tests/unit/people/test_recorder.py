@@ -140,7 +140,7 @@ async def test_what_the_core_rejects_has_its_reason_too(folder: Path) -> None:
 async def test_nothing_is_recorded_before_a_frame_is_written(
     folder: Path, framing: Framing, only_stops: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    robot = recorded(folder, spi={"framing": framing, "batch": False})
+    robot = recorded(folder, spi={"framing": framing})
     await asyncio.sleep(1)  # the repeats of the start's Stops, with their preambles
     there: list[list[Any]] = []
     monkeypatch.setattr(robot.controller, "transfer", lambda _: there.append(contents(folder)))
@@ -152,9 +152,8 @@ async def test_nothing_is_recorded_before_a_frame_is_written(
 
 
 @pytest.mark.parametrize("framing", Framing)
-@pytest.mark.parametrize("batch", [True, False])
-async def test_a_setpoint_is_one_record(folder: Path, framing: Framing, batch: bool) -> None:
-    robot = recorded(folder, spi={"framing": framing, "batch": batch}, watchdog={"repeats": 0})
+async def test_a_setpoint_is_one_record(folder: Path, framing: Framing) -> None:
+    robot = recorded(folder, spi={"framing": framing}, watchdog={"repeats": 0})
     robot.put(LEG_3, START)
     before = ring_reader.read(folder / RING_FILE).records
     for angle in (0.01, 90, 180):

@@ -17,7 +17,6 @@ from gateway.robot.sections import (
     LimitSettings,
     PowerSettings,
     ServoLimits,
-    SpiSettings,
     WatchdogSettings,
 )
 from gateway.robot.settings import FramingNotSetError, Settings
@@ -129,12 +128,10 @@ def test_gateway_toml_says_the_defaults(tmp_path: Path) -> None:
     lines = [line for line in installed.read_text().splitlines() if "json5" not in line]  # the example of another
     uncommented = tmp_path / "gateway.toml"
     uncommented.write_text("\n".join(re.sub(r"^# (\w+ = |\[)", r"\1", line) for line in lines))
-    spi = SpiSettings(avoid_deg=(1, 4))  # the default of one framing, which the file names
-    assert spi.avoid_cdeg == SpiSettings(framing=Framing.LENGTH_PREFIXED).avoid_cdeg
     servo = ServoLimits(min_deg=20, max_deg=160)  # and the two examples that are no defaults
     limits = LimitSettings(servos={"11": servo})
     watchdog = WatchdogSettings(landing={"11": 90})
-    expected = Settings(spi=spi, limits=limits, watchdog=watchdog)
+    expected = Settings(limits=limits, watchdog=watchdog)
     assert settings.load(uncommented).model_dump() == expected.model_dump()
     shown = {match[1] for line in lines if (match := re.match(r"# (\w+) = ", line))}
     sections = [*(getattr(Settings(), name) for name in Settings.model_fields if name != "power"), servo]
