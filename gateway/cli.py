@@ -18,17 +18,18 @@ from gateway.model.frames import PROTOCOL_VERSION
 from gateway.onboard import check_command, incidents
 from gateway.people.bridge import command as bridge
 from gateway.people.console import calibrate_command
+from gateway.people.recorder import command as recorder
 from gateway.people.terminal import hint
-from gateway.people.tools import certs, recordings, walk_command
+from gateway.people.tools import certs, walk_command
 from gateway.people.tools.options import ConfigOption, ConnectOption, OtherShapeOption, TimeoutOption, ZenohConfigOption
 
 _PANELS = {
     "Stop": ("estop", "stop", "reset"),
-    "Look": ("status", "console", "foxglove", "incidents"),
+    "Look": ("status", "console", "record", "incidents"),
     "Drive": ("walk", "send", "ros2"),
     "The robot": ("run", "check", "calibrate", "stop-servos", "install-service"),
     "People": ("certs",),
-    "Files": ("record", "recordings", "replay", "decode"),
+    "Files": ("decode",),
 }
 """Commands as `--help` groups them, the urgent ones first."""
 
@@ -159,7 +160,7 @@ def run(
     It stops all six legs first, then takes commands.
 
     With --sim=physics the simulated robot has a body (MuJoCo, in a process of its own): it walks, and falls. Where it
-    is goes out on hexapod/sim/body, and the console, `record` and `foxglove` draw it. What is simulated is assumed:
+    is goes out on hexapod/sim/body, and the console and `record` draw it. What is simulated is assumed:
     nobody has weighed the Elkapod.
 
     --sim-fault 0.1 is a bad contact, as slow as Linux is to notice one; --sim-fault 0.01:2000 a driver that hangs for
@@ -323,7 +324,7 @@ def decode(
 
 app.add_typer(calibrate_command.app, name="calibrate")
 app.add_typer(certs.app, name="certs")
-app.add_typer(recordings.app)
+app.add_typer(recorder.app)
 app.add_typer(incidents.app, name="incidents")
 app.add_typer(check_command.app)
 app.add_typer(walk_command.app)
