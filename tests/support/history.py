@@ -100,7 +100,9 @@ class ServoHistory:
     written_cdeg: int | None = None
     want: Want | None = None
     bound_cdeg: int | None = None
-    """Where an answered command sends it, while its speed is limited and it is not there."""
+    """Where a command sends it, while its speed is limited and it is not there."""
+    bound_for: int = 0
+    """Which command that is."""
     said_ns: int = 0
     """When a frame last named it."""
     edge_ns: int | None = None
@@ -119,7 +121,7 @@ class ServoHistory:
         return (
             self.written_cdeg,
             self.want and (self.want.op, self.want.angle_cdeg, rank[self.want.number]),
-            self.bound_cdeg,
+            None if self.bound_cdeg is None else (self.bound_cdeg, rank.get(self.bound_for)),
             speed_age_ns(self.said_ns, now_ns, rules) if self.on else None,
             speed_age_ns(self.edge_ns, now_ns, rules) if self.on and self.edge_ns is not None else None,
             self.owed and (self.owed, self.owed_ns - now_ns),
@@ -141,8 +143,9 @@ class ServoHistory:
         self.stopped_ns = instant_ns
 
     def owe(self, rules: Rules, now_ns: int) -> None:
-        """A Stop was written, and is to be repeated."""
-        self.owed, self.owed_ns = rules.repeats, now_ns + rules.repeat_interval_ns
+        """A Stop was written, and is to be repeated. A repeat that is owed already does not move."""
+        self.owed_ns = self.owed_ns if self.owed else now_ns + rules.repeat_interval_ns
+        self.owed = rules.repeats
 
 
 @dataclass(slots=True)

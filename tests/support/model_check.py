@@ -85,13 +85,14 @@ _KNOWN: Final = (
     (_ROBOT._reach, "_limits_cdeg _landing_cdeg _avoid_cdeg calibration wire limited"),
     (_ROBOT.calibrating, "_reach fault guards _on_its_way"),
     (_ROBOT.calibrating, "_delay"),  # words for people, which decide nothing
-    (_ROBOT.legs, "_rules _reach by_number _all servos _queue instant_ns landing land_ns rest_ns"),
+    (_ROBOT.legs, "_rules _reach by_number _all servos _queue instant_ns landing land_ns"),
+    (_ROBOT.legs, "_speeds rest_ns more_runs _runs_left _settle_ns _settled_ns"),
     (_ROBOT.legs, "due_ns repeat_ns at_rest"),  # these follow from the others: `take` sees to that
-    (_ROBOT.legs, "_moved given _silent"),  # these count within a step
+    (_ROBOT.legs, "_moved given _silent _stops"),  # these count within a step
     (Leg, "number servos slots heard_ns expired source landed_ns"),
     (Leg, "due_ns repeat_ns runs rests"),  # these follow, too
     (Servo, "servo_id leg angle_cdeg waiting waiting_for target_cdeg since_ns passing_cdeg repeats_left repeat_ns"),
-    (Servo, "stopped_ns stopped_by"),
+    (Servo, "target_for stopped_ns stopped_by"),
     (RateSlots, "period_ns oldest_ns next_ns"),
     (StartQueue, "pause_ns next_ns legs"),
     (
@@ -139,12 +140,18 @@ def copied_servo(servo: Servo, commands: dict[int, Command]) -> Servo:
     """A copy that waits for the copy of its command, of which each servo has the same."""
     other = type(servo)(*_servo_fields(servo))
     if servo.waiting is not None:
-        command = servo.waiting_for
-        if command.number not in commands:
-            commands[command.number] = replace(command)
-            commands[command.number].left = command.left
-        other.waiting_for = commands[command.number]
+        other.waiting_for = copied_command(servo.waiting_for, commands)
+    if servo.target_cdeg is not None:
+        other.target_for = copied_command(servo.target_for, commands)
     return other
+
+
+def copied_command(command: Command, commands: dict[int, Command]) -> Command:
+    """Its copy, the same for each servo."""
+    if command.number not in commands:
+        commands[command.number] = replace(command)
+        commands[command.number].left = command.left
+    return commands[command.number]
 
 
 def copied(supervisor: Supervisor) -> Supervisor:
@@ -187,7 +194,8 @@ def key(supervisor: Supervisor, now_ns: int, rank: dict[int, int]) -> tuple[obje
         # How old it is for a reset of this instant, and of one that begins now.
         latched_ns and (min(legs.instant_ns - latched_ns, oldest_ns), min(now_ns - latched_ns, oldest_ns)),
         due_ns and max(0, due_ns - now_ns),
-        supervisor._bus_ok and legs.rest_ns and legs.rest_ns - now_ns,
+        supervisor._bus_ok and legs.rest_ns and max(0, legs.rest_ns - now_ns),
+        supervisor._bus_ok and legs._runs_left and (legs._runs_left, max(0, legs._settled_ns - now_ns)),
         lease_key(supervisor.lease, now_ns),
         buttons_key(supervisor.buttons, now_ns),
         body_key(supervisor, now_ns),
@@ -207,7 +215,7 @@ def key(supervisor: Supervisor, now_ns: int, rank: dict[int, int]) -> tuple[obje
                     (
                         servo.angle_cdeg,
                         servo.waiting and (servo.waiting, rank[servo.waiting_for.number]),
-                        servo.target_cdeg,
+                        None if servo.target_cdeg is None else (servo.target_cdeg, rank.get(servo.target_for.number)),
                         servo.passing_cdeg,
                         speed_age_ns(servo.since_ns, now_ns, legs._rules) if servo.running else None,
                         # A bus that opens again is told to stop everything anew.

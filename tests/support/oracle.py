@@ -70,6 +70,9 @@ class Oracle(RobotHistory):
         judge_results(effects)
         effects = self.calibration.read(effects)
         self._lost = frozenset()
+        ran = bool(self.energised)
+        due = any(servo.owed and now_ns >= servo.owed_ns for servo in self.servos.values())
+        self.owing, self.put_off, self.together = [], False, due and not ran
         stops = [isinstance(effect, Transmit) and effect.frame.is_stop for effect in effects]
         demand(stops == sorted(stops, reverse=True), "in every step, all Stops come before anything else")
         self.lease.pass_time(now_ns, effects)
@@ -119,7 +122,7 @@ class Oracle(RobotHistory):
                 announced = first or stays_away
                 self.fault = event.kind if announced else self.fault
                 demand(told(effects, event.kind) == announced, "a fault of the bus is announced once")
-                self.opened, self.bus_ok = True, False
+                self.opened, self.bus_ok, self.rest_ns, self.runs_left = True, False, None, 0
                 self._all_stopped(effects, Cause.COMMAND, Reason.BUS_FAULT, now_ns)
         keeps = any(isinstance(effect, SaveCalibration) for effect in effects)
         demand(isinstance(event, Calibrate) or not keeps, "only a change of the calibration is kept")
@@ -130,19 +133,21 @@ class Oracle(RobotHistory):
         holder, alive = after.lease.holder, after.buttons.alive
         demand(holder == self.lease.holder, f"{self.lease.holder} holds the lease, not {holder}")
         demand(alive == self.buttons.alive, f"{self.buttons.alive} are alive, not {alive}")
-        self._after(now_ns, after.due_ns)
+        self._after(now_ns, after.due_ns, ran=ran)
 
     def _all_stopped(self, effects: Sequence[Effect], cause: Cause, reason: Reason, now_ns: int) -> None:
         frames = [(effect.frame, effect.cause) for effect in effects if isinstance(effect, Transmit)]
         expected = [(stop_leg(leg), cause) for leg in self.legs] if self.bus_ok else []
         demand(frames == expected, f"{cause}: a Stop to each leg and nothing else; nothing to a bus at fault")
-        self.landing = None
+        self.landing, self.put_off = None, True
+        if self.energised or (self.rest_ns is not None and now_ns >= self.rest_ns):
+            self.rest_ns = None  # these Stops are the ones for legs at rest
         for servo in self.servos.values():
             servo.want = servo.bound_cdeg = None
             if self.bus_ok:
                 servo.written_cdeg = None
                 servo.stop(cause, self.instant_ns)
-                servo.owe(self.rules, now_ns)
+                self.owe((servo,), now_ns)
             else:
                 servo.owed = 0  # the bus that opens again is told to stop everything
         for leg in self.legs.values():
@@ -197,7 +202,7 @@ class Oracle(RobotHistory):
                     self._named(effect, event.number if isinstance(event, Command) else 0)
                     self._moved(effect, stops, now_ns)
                 case Transmit(cause=Cause.REPEAT):
-                    unowed += self._repeated(effect, now_ns)
+                    unowed += self.repeated(effect, now_ns)
                 case Transmit():
                     self._unasked(effect, now_ns)
                 case Completed() | Rejected():
@@ -283,7 +288,7 @@ class Oracle(RobotHistory):
                 if servo.want is not None:
                     self._lost |= {servo.want.number}
                 servo.stop(Cause.WATCHDOG, self.instant_ns)
-                servo.owe(self.rules, now_ns)
+                self.owe((servo,), now_ns)
         if stopped and self.rules.start_pause_ns:
             self._drop_starts()
 
@@ -416,31 +421,19 @@ class Oracle(RobotHistory):
                 demand(servo.want is None, f"{servo_id} is stopped although a newer command wants it to move")
                 servo.written_cdeg = None
                 if servo_id in stops:
-                    servo.owe(self.rules, now_ns)
+                    self.owe((servo,), now_ns)
                 continue
             demand(servo.on or op.op is Op.START, f"{servo_id} is set although it does not run")
             if servo.want is None and servo.bound_cdeg is None:
                 demand(op.op is Op.SET and op.angle_cdeg == servo.written_cdeg, f"nobody asked for {op} of {servo_id}")
             else:
                 wanted, target = (Op.SET, servo.bound_cdeg or 0) if servo.want is None else servo.want[:2]
+                servo.bound_for = servo.bound_for if servo.want is None else servo.want.number
                 demand(op.op is wanted, f"{servo_id}: the newest target is sent")
                 stepped(servo, servo_id, op.angle_cdeg, target, now_ns, self.rules, self.calibration.gap)
             if not servo.on:
                 self.energise(leg_number, now_ns)
             servo.written_cdeg, servo.want, servo.owed, servo.said_ns = op.angle_cdeg, None, 0, now_ns
-
-    def _repeated(self, transmit: Transmit, now_ns: int) -> list[Transmit]:
-        """A Stop without a command: returns it if it is no repetition, and so must be for a leg at rest."""
-        demand(transmit.frame.is_stop, "only Stops are repeated")
-        servos = [self.servos[servo_id] for servo_id, _ in transmit.frame.servos]
-        for servo_id, _ in transmit.frame.servos:
-            demand(not self.servos[servo_id].on, f"{servo_id} runs: its Stops are not repeated any more")
-        if transmit.joins or not all(servo.owed > 0 and servo.owed_ns <= now_ns for servo in servos):
-            return [transmit]
-        for servo in servos:
-            servo.owed -= 1
-            servo.owed_ns = now_ns + self.rules.repeat_interval_ns
-        return []
 
     # ---- answers, and what holds after every step
 
@@ -457,8 +450,11 @@ class Oracle(RobotHistory):
             demand(replaced == is_coalesced(effect.request), "replaced commands are answered as such")
         for servo in waits:
             servo.want = None  # a rejected command takes no effect any more
+        for servo in self.servos.values() if isinstance(effect, Rejected) else ():
+            if servo.bound_for == effect.request.number:
+                servo.bound_cdeg = servo.edge_ns = None  # nor does a servo go on to where it has sent it
 
-    def _after(self, now_ns: int, due_ns: int | None) -> None:
+    def _after(self, now_ns: int, due_ns: int | None, *, ran: bool) -> None:
         waited_for = {servo.want.number for servo in self.servos.values() if servo.want is not None}
         if self.rules.starts_whole:
             states = self.energised, self.alive
@@ -471,7 +467,7 @@ class Oracle(RobotHistory):
             return
         latest = self.head_of_queue(now_ns) + theirs
         self.landing = self.landing if self.energised else None
-        latest += self.next_rest(now_ns)
+        latest += self.next_rest(now_ns, ran=ran)
         watched = not self.buttons.closed or self.landing is not None
         demand(watched or not self.alive, "nothing runs while fewer buttons are alive than are required")
         self.power.after(self.alive, lands=self.landing is not None)
@@ -492,7 +488,7 @@ class Oracle(RobotHistory):
                 latest.append(slot_ns)
             for servo in servos:
                 if servo.owed:
-                    demand(now_ns < servo.owed_ns, "a Stop is repeated in time")
+                    demand(now_ns < servo.owed_ns or self.put_off, "a Stop is repeated in time")
                     latest.append(servo.owed_ns)
         in_time = due_ns is None if not latest else due_ns is not None and due_ns <= min(latest)
         demand(in_time, f"wakes up in time, if for anything: {due_ns}, not {latest}")

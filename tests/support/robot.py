@@ -223,9 +223,9 @@ def started(**sections: Mapping[str, Any]) -> Robot:
 
 
 async def started_and_quiet(**sections: Mapping[str, Any]) -> Robot:
-    """The same, after the repeats of the Stops at the start, with nothing recorded yet."""
+    """The same, after the Stops at the start and all that follow them, with nothing recorded yet."""
     robot = started(**sections)
-    await asyncio.sleep(1)
+    await asyncio.sleep(6)
     robot.controller.transfers.clear()
     robot.reports.clear()
     return robot

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Sequence
 from typing import Self
 
 from gateway.model.calibration import RobotCalibration
-from gateway.model.frames import Frame, Op, servo_ids_of, stop_leg
+from gateway.model.frames import STOP, Frame, OneServo, Op, servo_ids_of, stop_leg
 from gateway.robot.core.events import Command, Effect, Transmit
 from gateway.robot.core.leg import Rules
 from schemas.robot import LEGS
@@ -49,7 +49,17 @@ class RobotHistory:
         self.energised_leg: int | None = None
         self.energised_ns = 0
         self.rest_ns: int | None = None
-        """When the legs at rest must get a Stop, since others run."""
+        """When the legs at rest must get a Stop."""
+        self.runs_left = 0
+        """How many more runs of Stops are owed while nothing runs."""
+        self.settled_ns = 0
+        """From when a run is one of them: far enough behind the last Stop and its repeats."""
+        self.owing: list[ServoHistory] = []
+        """The servos that get a Stop in this step which is no repetition."""
+        self.together = False
+        """Whether all repeats may go with one that is due, since nothing runs."""
+        self.put_off = False
+        """Whether the repeats that are due may wait for the next step, since this one stops all legs."""
         self.queue: tuple[int, ...] = ()
         """Legs with a start that waits, in the order in which they came."""
 
@@ -95,7 +105,8 @@ class RobotHistory:
             landing,
             others,
             self.power.key(),
-            self.bus_ok and self.rest_ns and self.rest_ns - now_ns,
+            self.bus_ok and self.rest_ns and max(0, self.rest_ns - now_ns),
+            self.bus_ok and self.runs_left and (self.runs_left, max(0, self.settled_ns - now_ns)),
         )
 
     def _ages(self, latched_ns: int, now_ns: int) -> tuple[int, int]:
@@ -176,6 +187,31 @@ class RobotHistory:
 
     # ---- legs at rest
 
+    def owe(self, servos: Iterable[ServoHistory], now_ns: int) -> None:
+        """These get a Stop now, which is to be repeated."""
+        for servo in servos:
+            servo.owe(self.rules, now_ns)
+            self.owing.append(servo)
+
+    def repeated(self, transmit: Transmit, now_ns: int) -> list[Transmit]:
+        """A Stop without a command: returns it if it is no repetition, and so must be for a leg at rest."""
+        demand(transmit.frame.is_stop, "only Stops are repeated")
+        servos = [self.servos[servo_id] for servo_id, _ in transmit.frame.servos]
+        for servo_id, _ in transmit.frame.servos:
+            demand(not self.servos[servo_id].on, f"{servo_id} runs: its Stops are not repeated any more")
+        owed = all(servo.owed > 0 and (self.together or servo.owed_ns <= now_ns) for servo in servos)
+        if transmit.joins or not owed:
+            return [transmit]
+        for servo in servos:
+            servo.owed -= not any(each is servo for each in self.owing)
+            servo.owed_ns = now_ns + self.rules.repeat_interval_ns
+        return []
+
+    @property
+    def resting(self) -> list[int]:
+        """The legs of which no servo runs or waits to be started."""
+        return [number for number in self.legs if not self.armed(number)]
+
     def rest(
         self, effects: Sequence[Effect], unowed: Sequence[Transmit], now_ns: int, *, ran: bool, silent: bool
     ) -> None:
@@ -192,16 +228,24 @@ class RobotHistory:
             if isinstance(effect, Transmit) and effect.frame.is_stop and effect not in unowed
             for servo_id, _ in effect.frame.servos
         }
-        if at_once or (self.rest_ns is not None and now_ns >= self.rest_ns):
-            self.rest_ns = None
-            for number in self.legs:
+        started = not ran and bool(self.energised)
+        due = self.rest_ns is not None and now_ns >= self.rest_ns and not started
+        if (at_once or due) and self.resting:
+            final = False
+            if due and not ran and now_ns >= self.settled_ns:
+                self.runs_left -= 1
+                final = self.runs_left == 0
+            if due or ran:
+                self.rest_ns = None
+            for number in self.resting:
                 servos = servo_ids_of(number)
                 alone = any(not self.servos[each].owed and each not in stopped for each in servos)
-                if alone and not self.armed(number):
-                    expected += [(stop_leg(number), at_once)]
-                if not self.armed(number) and (came or (alone and at_once)):
-                    for servo in self.servos_of(number):
-                        servo.owe(self.rules, now_ns)
+                if alone:
+                    whole: list[Frame] = [stop_leg(number)]
+                    singly: list[Frame] = [OneServo(each, STOP) for each in servos]
+                    expected += [(frame, at_once) for frame in (singly if final else whole)]
+                if came or (alone and at_once):
+                    self.owe(self.servos_of(number), now_ns)
         found = [(transmit.frame, transmit.joins) for transmit in unowed]
         for frame, joins in found:
             demand((frame, joins) in expected, f"a Stop to {frame.servos[0][0]} that nobody owes")
@@ -209,13 +253,25 @@ class RobotHistory:
         last = [effect.joins for effect in effects if isinstance(effect, Transmit) and effect.frame.is_stop]
         demand(last == sorted(last), "Stops to legs at rest come after all others")
 
-    def next_rest(self, now_ns: int) -> list[int]:
-        """When legs at rest get a Stop, while others run."""
-        if not self.energised or all(self.armed(number) for number in self.legs):
-            self.rest_ns = None
+    def next_rest(self, now_ns: int, *, ran: bool) -> list[int]:
+        """When legs at rest get a Stop: while others run, and for a while after the last Stop."""
+        if self.energised:
+            self.runs_left = 0
+            if self.rest_ns is None or not ran:
+                self.rest_ns = now_ns + self.rules.rest_ns
+        else:
+            if self.owing:
+                more = not self.ended and self.rules.rest_runs > 0
+                self.runs_left = self.rules.rest_runs + 1 if more else 0
+                repeated_ns = now_ns + self.rules.repeats * self.rules.repeat_interval_ns
+                self.settled_ns = repeated_ns + self.rules.rest_run_ns
+            if not self.runs_left:
+                self.rest_ns = None
+            elif self.rest_ns is None:
+                self.rest_ns = max(self.settled_ns, now_ns + self.rules.rest_run_ns)
+        if self.rest_ns is None or not self.resting:
             return []
-        self.rest_ns = now_ns + self.rules.rest_ns if self.rest_ns is None else self.rest_ns
-        demand(now_ns < self.rest_ns, "legs at rest get a Stop in time, while others run")
+        demand(now_ns < self.rest_ns, "legs at rest get a Stop in time")
         return [self.rest_ns]
 
     # ---- starts one after the other

@@ -61,6 +61,8 @@ def _rules(**changes: Any) -> Rules:
         "repeats": 1,
         "repeat_interval_ns": TICK,
         "rest_ns": 3 * TICK,
+        "rest_runs": 0,
+        "rest_run_ns": 3 * TICK,
         "period_ns": 2 * TICK,
         "unnumbered_reset_ns": 2 * TICK,
     }
@@ -140,6 +142,13 @@ CONFIGURATIONS: Final = (
         _WAITS[1:],
     ),
     Configuration("two legs", _rules(repeats=0), (1, 2), _TWO_LEGS[1:], _WAITS[1:], ends=False),
+    Configuration(
+        "two legs, more runs of Stops at rest",
+        _rules(repeats=0, rest_runs=1),
+        (1, 2),
+        (("servo", _each(START, 11)), ("servo", _each(STOP, 11)), ("servo", _each(STOP, 21))),
+        (TICK, 3 * TICK),
+    ),
     Configuration("two legs, repeated Stops", _rules(), (1, 2), _TWO_LEGS[:4], _WAITS[1:], ends=False),
     Configuration(
         "two legs, rate slots later than the watchdog",
@@ -310,6 +319,24 @@ CONFIGURATIONS: Final = (
         (
             *(("servo", ((11, op),)) for op in (ServoOp(Op.START, 0), ServoOp(Op.SET, 180_00), STOP)),
             ("leg", ((11, ServoOp(Op.SET, 0)), (12, START))),
+        ),
+        (TICK, 3 * TICK),
+        ends=False,
+        calm=True,
+    ),
+    Configuration(
+        "two legs, a limited speed, started one after the other",
+        _rules(
+            repeats=0,
+            timeout_ns=5 * TICK,
+            start_pause_ns=4 * TICK,
+            max_speed_cdeg_s={11: 180_00 * NS_PER_S // (8 * TICK)},
+        ),
+        (1, 2),
+        (
+            ("servo", ((11, ServoOp(Op.START, 0)),)),
+            ("legs", ((11, ServoOp(Op.SET, 180_00)), (21, START))),
+            ("servo", _each(STOP, 22)),
         ),
         (TICK, 3 * TICK),
         ends=False,

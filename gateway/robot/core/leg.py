@@ -4,10 +4,10 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from gateway.allowance import NS_PER_MS, NS_PER_S
-from gateway.model.frames import OP_START, ServoOp, servo_ids_of
-from gateway.robot.core.events import Command
+from gateway.model.frames import OP_START, SETS, STOP, OneServo, ServoOp, servo_ids_of, stop_leg
+from gateway.robot.core.events import Announce, Command, Effect, Rejected, Transmit
 from gateway.robot.core.pacing import NEVER, RateSlots
-from schemas.telemetry import WatchdogState
+from schemas.telemetry import Cause, Kind, Reason, WatchdogState
 
 NO_COMMAND: Final = Command(())
 
@@ -25,6 +25,13 @@ class Rules:
 
     Shorter than the default of `spi.resync_ms`: with the preamble ahead of these Stops, the stream needs no other one.
     """
+    rest_runs: int = 3
+    """How many more runs of Stops follow the last Stop's repeats while nothing runs (Behaviour 4); no setting.
+
+    One more follows these, with a frame for each servo: no bytes that are lost of it can start one.
+    """
+    rest_run_ns: int = 1_100 * NS_PER_MS
+    """How far these runs are apart: the published firmware gives up a frame after 1000 ms, and then reads lengths."""
     period_ns: int = NS_PER_S // 50
     start_pause_ns: int = 0
     unnumbered_reset_ns: int = 2 * NS_PER_S
@@ -80,6 +87,8 @@ class Servo:
     """Which command set it; NO_COMMAND: none, it is a step on the way to a target that a command was answered for."""
     target_cdeg: int | None = None
     """Where it is bound for, while its speed is limited and it is not there yet."""
+    target_for: Command = NO_COMMAND
+    """Which command set that target."""
     since_ns: int = 0
     """From when the time for its next step counts."""
     passing_cdeg: int | None = None
@@ -160,3 +169,42 @@ def servos_of(leg: int) -> tuple[Servo, Servo, Servo]:
     """A leg's three servos, at rest."""
     first, second, third = servo_ids_of(leg)
     return Servo(first, leg), Servo(second, leg), Servo(third, leg)
+
+
+def as_it_is(servo: Servo) -> ServoOp:
+    """The operation that changes nothing."""
+    return STOP if servo.angle_cdeg is None else SETS[servo.angle_cdeg]
+
+
+def stops_of(leg: Leg, servos: list[Servo], cause: Cause, commands: tuple[Command, ...] = ()) -> list[Effect]:
+    """Stops for these servos of a leg, in one frame where they are all of it."""
+    if len(servos) == len(leg.servos):
+        return [Transmit(stop_leg(leg.number), cause, None, commands)]
+    return [Transmit(OneServo(servo.servo_id, STOP), cause, None, commands) for servo in servos]
+
+
+def rest_stops(leg: Leg, *, joins: bool, singly: bool) -> list[Transmit]:
+    """Stops for a leg at rest: one frame, or `singly` one for each servo, of which no lost bytes make a start."""
+    if singly:
+        return [Transmit(OneServo(servo.servo_id, STOP), Cause.REPEAT, joins=joins) for servo in leg.servos]
+    return [Transmit(stop_leg(leg.number), Cause.REPEAT, joins=joins)]
+
+
+def taken_over(leg: Leg, source: str | None, moves: bool) -> list[Effect]:
+    """Another source's command is in force from now on. A stopped leg has no previous source.
+
+    A Stop without a name (a delete has none) may be from the leg's previous source.
+    """
+    before, leg.source = leg.source, source
+    if not leg.armed or (source is None and not moves):
+        return []
+    new, old = ("somebody without a name" if name is None else name for name in (source, before))
+    detail = f"leg {leg.number} is commanded by {new}, and was by {old}"
+    return [Announce(Kind.SOURCE_CHANGED, detail, source, legs=(leg.number,))]
+
+
+def withdrawn(command: Command, reason: Reason, detail: str) -> Rejected:
+    """The rejection of a command of which no more is written. Its Stops were, unless the bus failed."""
+    if reason is not Reason.BUS_FAULT:
+        command.stopped = tuple(servo_id for servo_id, _ in command.stops)
+    return Rejected(command, reason, detail)

@@ -11,14 +11,25 @@ from typing import Final
 
 from gateway.model.angle_limits import AngleLimits
 from gateway.model.frames import OP_STOP, SETS, STOP, OneLeg, OneServo, ServoOp, stop_leg
-from gateway.robot.core.events import Announce, Command, Completed, Effect, Rejected, Targets, Transmit
+from gateway.robot.core.events import Command, Completed, Effect, Rejected, Targets, Transmit
 from gateway.robot.core.landing import Landing, landing
-from gateway.robot.core.leg import NO_COMMAND, Leg, Rules, Servo, servos_of
+from gateway.robot.core.leg import (
+    NO_COMMAND,
+    Leg,
+    Rules,
+    Servo,
+    as_it_is,
+    rest_stops,
+    servos_of,
+    stops_of,
+    taken_over,
+    withdrawn,
+)
 from gateway.robot.core.pacing import NEVER, RateSlots, StartQueue, merged
-from gateway.robot.core.speed import step
+from gateway.robot.core.speed import LimitedSpeeds
 from schemas.keys import LEGS_COMMAND
 from schemas.robot import LEGS
-from schemas.telemetry import Cause, Kind, Reason
+from schemas.telemetry import Cause, Reason
 
 _LOST: Final = "messages of the same key were lost, and a stop may be among them"
 _PARTLY: Final = (
@@ -30,44 +41,13 @@ _MIXED: Final = (
 )
 
 
-def _as_it_is(servo: Servo) -> ServoOp:
-    """The operation that changes nothing."""
-    return STOP if servo.angle_cdeg is None else SETS[servo.angle_cdeg]
-
-
-def _stops(leg: Leg, servos: list[Servo], cause: Cause, commands: tuple[Command, ...] = ()) -> list[Effect]:
-    """Stops for these servos of a leg, in one frame where they are all of it."""
-    if len(servos) == len(leg.servos):
-        return [Transmit(stop_leg(leg.number), cause, None, commands)]
-    return [Transmit(OneServo(servo.servo_id, STOP), cause, None, commands) for servo in servos]
-
-
-def _taken_over(leg: Leg, source: str | None, moves: bool) -> list[Effect]:
-    """Another source's command is in force from now on. A stopped leg has no previous source.
-
-    A Stop without a name (a delete has none) may be from the leg's previous source.
-    """
-    before, leg.source = leg.source, source
-    if not leg.armed or (source is None and not moves):
-        return []
-    new, old = ("somebody without a name" if name is None else name for name in (source, before))
-    detail = f"leg {leg.number} is commanded by {new}, and was by {old}"
-    return [Announce(Kind.SOURCE_CHANGED, detail, source, legs=(leg.number,))]
-
-
-def _withdrawn(command: Command, reason: Reason, detail: str) -> Rejected:
-    """The rejection of a command of which no more is written. Its Stops were, unless the bus failed."""
-    if reason is not Reason.BUS_FAULT:
-        command.stopped = tuple(servo_id for servo_id, _ in command.stops)
-    return Rejected(command, reason, detail)
-
-
 class Legs:
     """The six legs, and the commands under way on them."""
 
     def __init__(self, rules: Rules, reach: AngleLimits) -> None:
         self._rules = rules
         self._reach = reach
+        self._speeds = LimitedSpeeds(rules, reach)
         self.by_number = {number: Leg(number, servos_of(number), RateSlots(rules.period_ns)) for number in LEGS}
         self._all = tuple(self.by_number.values())
         self.servos = {servo.servo_id: servo for leg in self._all for servo in leg.servos}
@@ -76,11 +56,19 @@ class Legs:
         self.due_ns: int | None = None
         """When a deadline, a repeat or a rate slot comes next; like the next two as of the last `look`."""
         self.repeat_ns: int | None = None
-        """When the next repeated Stop comes."""
+        """When the next repeated Stop comes, or one for legs at rest."""
         self.at_rest = True
         """Whether no servo of any leg runs."""
         self.rest_ns: int | None = None
-        """When legs at rest get their next Stop; None: none is at rest, or none runs."""
+        """When legs at rest get their next Stop; None: they are owed none."""
+        self.more_runs = rules.rest_runs + 1 if rules.rest_runs else 0
+        """How many runs of Stops follow a Stop while nothing runs; 0 once the service ends: it waits for none."""
+        self._runs_left = 0
+        self._settle_ns = rules.repeats * rules.repeat_interval_ns + rules.rest_run_ns
+        self._settled_ns = 0
+        """From when a run counts as one of them: the last Stop and its repeats are far enough behind."""
+        self._stops = False
+        """Whether a servo gets a first Stop in this step."""
         self._moved: list[Leg] | None = None
         """The only legs that this step has changed; None: any may have changed."""
         self.given: set[int] = set()
@@ -102,7 +90,7 @@ class Legs:
         """A step begins."""
         self.instant_ns = instant_ns
         self.given = set()
-        self._silent = False
+        self._silent = self._stops = False
 
     def look(self, now_ns: int) -> None:
         """A step ends: see what is due next, and whether anything runs.
@@ -139,14 +127,31 @@ class Legs:
             repeat_ns = leg.repeat_ns if leg.repeat_ns < repeat_ns else repeat_ns
             at_rest = at_rest and not leg.runs
             rests = rests or leg.rests
-        if at_rest or not rests:
-            self.rest_ns = None
-        else:
-            self.rest_ns = now_ns + self._rules.rest_ns if self.rest_ns is None else self.rest_ns
-            due_ns, repeat_ns = min(due_ns, self.rest_ns), min(repeat_ns, self.rest_ns)
+        if at_rest or self.at_rest or self.rest_ns is None:
+            self._plan_rest(now_ns, at_rest=at_rest)
+        if rests and self.rest_ns is not None:
+            due_ns = self.rest_ns if self.rest_ns < due_ns else due_ns
+            repeat_ns = self.rest_ns if self.rest_ns < repeat_ns else repeat_ns
         self.due_ns = None if due_ns == NEVER else due_ns
         self.repeat_ns = None if repeat_ns == NEVER else repeat_ns
         self.at_rest = at_rest
+
+    def _plan_rest(self, now_ns: int, *, at_rest: bool) -> None:
+        """Set when legs at rest get their next Stop. A time that is set stays: moved by others, it might never come.
+
+        A leg that begins to run ends the runs of Stops, and begins the rounds.
+        """
+        if not at_rest:
+            self._runs_left, self.rest_ns = 0, now_ns + self._rules.rest_ns
+            return
+        if self._stops:
+            self._stops = False
+            self._runs_left, self._settled_ns = self.more_runs, now_ns + self._settle_ns
+        if not self._runs_left:
+            self.rest_ns = None
+        elif self.rest_ns is None:
+            next_ns = now_ns + self._rules.rest_run_ns
+            self.rest_ns = self._settled_ns if self._settled_ns > next_ns else next_ns
 
     def _slot_ns(self, leg: Leg) -> int:
         """When the leg's next frame may leave. A robot that starts as a whole waits for the last leg's rate slot.
@@ -162,8 +167,13 @@ class Legs:
         return min(landing.ends_ns, max(self.land_ns, leg.slots.next_ns) if landing.moves(leg.servos) else NEVER)
 
     def repeat_stops(self, now_ns: int) -> list[Effect]:
-        """The repeated Stops that are due."""
-        return [effect for leg in self for effect in self._repeat(leg, now_ns)]
+        """The repeated Stops that are due.
+
+        Where nothing runs, all that are owed go with the first of them: one run, with one preamble.
+        """
+        due = any(servo.repeats_left and now_ns >= servo.repeat_ns for servo in self.servos.values())
+        together = due and self.at_rest
+        return [effect for leg in self for effect in self._repeat(leg, now_ns, together=together)] if due else []
 
     def take_slots(self, now_ns: int) -> list[Effect]:
         """The frames of the legs whose rate slot has come."""
@@ -173,27 +183,40 @@ class Legs:
     def stop_at_rest(self, now_ns: int) -> list[Effect]:
         """Stops to legs at rest, since a servo may run that nobody started; to be called at the end of a step.
 
-        A controller that lost bytes may take a frame for another servo's start. A leg for which a Stop leaves in this
+        A controller that lost bytes may take a frame, also a Stop, for a start. A leg for which a Stop leaves in this
         step anyway, or is still to be repeated, gets no other.
         """
         ran = not self.at_rest and bool(self.given)
         come_to_rest = ran and not any(servo.running for servo in self.servos.values())
         at_once = come_to_rest or self._silent
-        if not at_once and (self.rest_ns is None or now_ns < self.rest_ns):
+        due = self.rest_ns is not None and now_ns >= self.rest_ns
+        if due and self.at_rest:  # a start ends these runs, and waits for none
+            due = not any(servo.running for servo in self.servos.values())
+        resting = [leg for leg in self if not leg.armed] if at_once or due else []
+        if not resting:
             return []
-        self.rest_ns, self._moved = None, None
-        effects: list[Effect] = []
-        for leg in self:
-            if leg.armed:
-                continue
+        counts = due and self.at_rest and now_ns >= self._settled_ns
+        self._runs_left -= counts
+        singly = counts and not self._runs_left
+        if due or not self.at_rest:
+            self.rest_ns = None
+        self._moved, effects = None, list[Effect]()
+        for leg in resting:
             stops = any(not servo.repeats_left and servo.servo_id not in self.given for servo in leg.servos)
             if stops:
-                effects += [Transmit(stop_leg(leg.number), Cause.REPEAT, joins=at_once)]
+                effects += rest_stops(leg, joins=at_once, singly=singly)
                 self.given.update(servo.servo_id for servo in leg.servos)
             if come_to_rest or (stops and at_once):
                 for servo in leg.servos:
                     self._stopped(servo, now_ns)
         return effects
+
+    def lose_bus(self, reason: Reason, detail: str) -> list[Effect]:
+        """The bus is at fault: nothing waits or is owed any more. Once it opens again, all are stopped anew."""
+        for servo in self.servos.values():
+            servo.repeats_left = 0
+        self.rest_ns, self._runs_left = None, 0
+        return self.drop(self.servos.values(), reason, detail)
 
     # ---- commands
 
@@ -212,7 +235,7 @@ class Legs:
             if command.lost:
                 leg.source = None
             elif leg.source != command.source:
-                taken += _taken_over(leg, command.source, moves)
+                taken += taken_over(leg, command.source, moves)
             if moves:
                 # A Stop does not count: it does not say that the leg's other servos shall go on running.
                 leg.heard_ns = now_ns
@@ -227,7 +250,7 @@ class Legs:
         elif not self._rules.start_pause_ns:  # else a leg that starts delays others
             self._moved = moved
         if whole and command.moves:
-            effects.append(_withdrawn(command, Reason.WHOLE_ROBOT, _MIXED))
+            effects.append(withdrawn(command, Reason.WHOLE_ROBOT, _MIXED))
         return effects + taken if taken else effects
 
     def stop_for(self, command: Command, rejected: Rejected, now_ns: int, *, write: bool) -> list[Effect]:
@@ -262,7 +285,7 @@ class Legs:
 
     def _stop_on_command(self, leg: Leg, servos: list[Servo], command: Command, now_ns: int) -> list[Effect]:
         """A command that only stops: its frames go out now, whatever waits."""
-        effects = _stops(leg, servos, Cause.COMMAND, (command,))
+        effects = stops_of(leg, servos, Cause.COMMAND, (command,))
         if command.lost:
             effects += self.drop(servos, Reason.OVERFLOW, _LOST)
         for servo in servos:
@@ -312,12 +335,12 @@ class Legs:
             return []
         leg.slots.take(now_ns)
         if limited:
-            waiting = self._in_steps(leg, now_ns)
+            waiting = self._speeds.in_steps(leg, now_ns)
         frame: OneLeg | OneServo
         if waiting[1:]:  # a servo that nothing waits for is sent what it does already
             first, second, third = leg.servos
-            one, two = first.waiting or _as_it_is(first), second.waiting or _as_it_is(second)
-            frame = OneLeg(leg.number, (one, two, third.waiting or _as_it_is(third)))
+            one, two = first.waiting or as_it_is(first), second.waiting or as_it_is(second)
+            frame = OneLeg(leg.number, (one, two, third.waiting or as_it_is(third)))
         else:
             only, op = waiting[0]
             frame = OneServo(only.servo_id, op)
@@ -349,41 +372,6 @@ class Legs:
             return False
         self._queue.started(leg.number, now_ns)
         return True
-
-    def _in_steps(self, leg: Leg, now_ns: int) -> list[tuple[Servo, ServoOp]]:
-        """What the frame that goes out now says, where speeds are limited: for each servo a step towards its target."""
-        said: list[tuple[Servo, ServoOp]] = []
-        for servo in leg.servos:
-            if servo.waiting is None and servo.target_cdeg is not None:
-                servo.waiting, servo.waiting_for = SETS[servo.target_cdeg], NO_COMMAND
-            if servo.waiting is None:
-                continue
-            speed_cdeg_s = self._rules.max_speed_cdeg_s.get(servo.servo_id)
-            if servo.waiting.op is not OP_STOP:
-                target_cdeg, servo.target_cdeg = servo.waiting.angle_cdeg, None
-                if speed_cdeg_s is None or servo.angle_cdeg is None:
-                    servo.since_ns = now_ns  # a servo that does not run may be anywhere, so its start is no step
-                else:
-                    angle_cdeg = self._step(servo, servo.angle_cdeg, target_cdeg, speed_cdeg_s, now_ns)
-                    servo.waiting = ServoOp(servo.waiting.op, angle_cdeg)
-                    servo.target_cdeg = None if angle_cdeg == target_cdeg else target_cdeg
-            said.append((servo, servo.waiting))
-        if len(said) > 1:
-            for servo in leg.servos:
-                if servo.waiting is None:
-                    servo.since_ns = now_ns  # the frame repeats its angle, and the next step counts from here
-        return said
-
-    def _step(self, servo: Servo, stands_cdeg: int, target_cdeg: int, speed_cdeg_s: int, now_ns: int) -> int:
-        """Where the next frame takes a running servo whose speed is limited."""
-        crosses = self._reach.crosses(servo.servo_id, stands_cdeg, target_cdeg)
-        from_cdeg = servo.passing_cdeg if crosses and servo.passing_cdeg is not None else stands_cdeg
-        at_cdeg, servo.since_ns = step(
-            from_cdeg, target_cdeg, speed_cdeg_s, servo.since_ns, now_ns, self._rules.period_ns
-        )
-        sent_cdeg = self._reach.near_side(servo.servo_id, stands_cdeg, at_cdeg)
-        servo.passing_cdeg = None if sent_cdeg == at_cdeg else at_cdeg
-        return sent_cdeg
 
     # ---- landing
 
@@ -439,14 +427,17 @@ class Legs:
         for number in deadlines_ns:
             self.by_number[number].expired = False
             self.by_number[number].source = None
-        return [*transmits, *self.drop(servos, reason, detail), *self._empty_start_queue()]
+        dropped = self.drop(servos, reason, detail)
+        return [*transmits, *dropped, *(self._empty_start_queue() if self._queue.legs else ())]
 
     def _stopped(self, servo: Servo, now_ns: int) -> None:
+        self._stops = True
         self.given.add(servo.servo_id)
         servo.angle_cdeg = servo.target_cdeg = None
+        if not servo.repeats_left:  # else the next one stays where it is
+            servo.repeat_ns = now_ns + self._rules.repeat_interval_ns
         servo.repeats_left = self._rules.repeats
         servo.passing_cdeg = None
-        servo.repeat_ns = now_ns + self._rules.repeat_interval_ns
 
     def _empty_start_queue(self, own: Command | None = None) -> list[Effect]:
         """A Stop anywhere ends what waits to be energised: who stops one leg does not want another to start now.
@@ -481,15 +472,17 @@ class Legs:
         for servo in self.servos.values():  # what is rejected here must not take effect on another leg
             if servo.waiting is not None and servo.waiting_for in rejected:
                 servo.waiting = None
+            if servo.target_cdeg is not None and servo.target_for in rejected:  # nor go on where it has begun to
+                servo.target_cdeg = servo.passing_cdeg = None
         for number in tuple(self._queue.legs):
             if not self.by_number[number].waits_to_start:
                 self._queue.leave(number)
-        return [_withdrawn(command, reason, detail) for command in rejected]
+        return [withdrawn(command, reason, detail) for command in rejected]
 
-    def _repeat(self, leg: Leg, now_ns: int) -> list[Effect]:
-        due = [servo for servo in leg.servos if servo.repeats_left and now_ns >= servo.repeat_ns]
+    def _repeat(self, leg: Leg, now_ns: int, *, together: bool) -> list[Effect]:
+        due = [servo for servo in leg.servos if servo.repeats_left and (together or now_ns >= servo.repeat_ns)]
         for servo in due:
+            servo.repeats_left -= servo.servo_id not in self.given  # a first Stop of this step owes all of its repeats
             self.given.add(servo.servo_id)
-            servo.repeats_left -= 1
             servo.repeat_ns = now_ns + self._rules.repeat_interval_ns
-        return _stops(leg, due, Cause.REPEAT)
+        return stops_of(leg, due, Cause.REPEAT)

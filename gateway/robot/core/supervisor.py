@@ -15,9 +15,9 @@ The rules, by their numbers in docs/interface.md, *Behaviour*:
     the timeout. A Stop for one servo does not keep the others of its leg running.
     Deadlines come before a command of the same step: a command that was late does not save its leg.
     Every Stop is repeated, until its servo is started again.
-    Legs at rest get Stops as well, since a controller that lost bytes may run a servo that nobody started: when the
-    watchdog stops a leg, when the last servo comes to rest, and every 0.8 s while others run (`Legs.stop_at_rest`).
-    None goes to a leg that runs or waits to be started, none takes a rate slot, and none precedes a first Stop.
+    Legs at rest get Stops as well, since lost bytes may run a servo that nobody started (`Legs.stop_at_rest`): with a
+    silent leg's Stop and the last one's, every 0.8 s while others run, and four times after the last Stop. None takes a
+    rate slot or precedes a first Stop. No Stop that is owed moves to a later time.
  5. The emergency stop stops six legs and latches; `Reset` leaves the latch and nothing else. Each request is numbered,
     and a reset names the latest number, so that no reset that was sent before an emergency stop leaves it.
  6. After `BusFailed` nothing is sent and everything is rejected until `BusOpened`; what waited is dropped.
@@ -361,7 +361,7 @@ class Supervisor:
         # One that restarted and does not come back is silent, which a person has to see to.
         stays_away = event.kind is Kind.CONTROLLER_SILENT and self._fault is Kind.CONTROLLER_RESTARTED
         self.legs.landing = None  # the bus that opens again stops everything, and lands nothing
-        effects = self.legs.drop(self.legs.servos.values(), Reason.BUS_FAULT, _BUS_FAULT)
+        effects = self.legs.lose_bus(Reason.BUS_FAULT, _BUS_FAULT)
         if first or stays_away:
             self._fault = event.kind
             effects.append(Announce(event.kind, event.detail))
@@ -369,6 +369,7 @@ class Supervisor:
 
     def _shut_down(self, now_ns: int) -> list[Effect]:
         self._ended = True
+        self.legs.more_runs = 0
         self.lease.end()
         stopped = "all servos are stopped" if self._bus_ok else "the SPI bus does not answer, so no Stop can be sent"
         announcement = Announce(Kind.STOPPING, f"the gateway ends; {stopped}")
