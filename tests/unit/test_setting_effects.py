@@ -150,7 +150,7 @@ async def test_landing_ms_and_landing(landing_ms: float, landing_deg: float) -> 
     robot = await started_and_quiet(watchdog={"landing_ms": landing_ms, "landing": {"31": landing_deg}, "repeats": 0})
     began = len(robot.frames)
     robot.put(LEG_3, START)
-    await asyncio.sleep(2)
+    await asyncio.sleep(1)
     times_ms = [at_ms for at_ms, _ in robot.frames[began:]]
     assert times_ms[-1] - times_ms[0] == pytest.approx(250 + landing_ms, abs=1)
     told = [frame.command.angle_cdeg for _, frame in robot.frames[began:] if isinstance(frame, OneServo)]
@@ -161,7 +161,7 @@ async def test_landing_ms_and_landing(landing_ms: float, landing_deg: float) -> 
 async def test_timeout_ms(timeout_ms: float) -> None:
     robot = await started_and_quiet(watchdog={"timeout_ms": timeout_ms, "repeats": 0})
     robot.put(LEG_3, START)
-    await asyncio.sleep(2)
+    await asyncio.sleep(timeout_ms / 1000 + 0.5)
     begun_ms, stopped_ms = [at_ms for at_ms, frame in robot.frames if frame.leg == 3]
     assert stopped_ms - begun_ms == pytest.approx(timeout_ms, abs=0.01)
     assert robot.conductor.state().watchdog.timeout_ms == timeout_ms
