@@ -310,12 +310,26 @@ def test_emergency_stops_that_keep_coming_postpone_no_repeat() -> None:
 
 
 def test_a_start_that_is_dropped_again_and_again_does_not_postpone_the_round() -> None:
-    robot = Steps(Rules(repeats=0, timeout_ns=10_000 * NS_PER_MS, start_pause_ns=5000 * NS_PER_MS))
-    robot.command(100, legs_to("1", "start 90"))
-    for at_ms in range(200, 900, 100):  # leg 2 waits in the queue, and a Stop ends that
-        robot.command(at_ms, leg_to(2, "start 90"))
-        robot.command(at_ms + 50, leg_to(3, "stop"))
-    assert robot.time(900) == REPEATED[1:]
+    """Of leg 6, the only one at rest: it waits to be started, and a Stop elsewhere ends that."""
+    second = 1000 * NS_PER_MS
+    robot = Steps(Rules(repeats=0, rest_runs=0, timeout_ns=10 * second, start_pause_ns=second))
+    for number in range(1, 6):
+        assert f"command {number} start 90" in robot.command(1000 * number - 900, leg_to(number, "start 90"))
+        while number < 5 and robot.due_ms is not None and robot.due_ms < 1000 * number + 100:
+            robot.time(robot.due_ms)
+    for at_ms in range(4200, 4900, 100):
+        assert robot.command(at_ms, leg_to(6, "start 90")) == []
+        robot.command(at_ms + 50, servo_to(11, "stop"))
+    assert robot.time(4900) == ["repeat 6 stop"], "0.8 s behind the one before"
+
+
+def test_a_bus_that_opens_again_owes_the_repeats_of_its_own_stops() -> None:
+    robot = at_rest()
+    robot.estop(5000)
+    robot.time(5020)
+    robot.fail(5025)
+    robot.open(5050)
+    assert runs_of(robot)[:3] == [5070, 5090, 5110]
 
 
 # ---- on the wire, where a controller loses five bytes
