@@ -133,7 +133,7 @@ $(VENV)/bin/python:
 
 $(VENV)/run: $(VENV)/bin/python pyproject.toml
 	@echo "Installing hexapod-gateway into $(VENV) (half a minute) …"
-	@$(INSTALL) -e '.[console]'
+	@$(INSTALL) -e '.[console,record]'
 	@touch $@
 
 $(VENV)/dev: $(VENV)/bin/python pyproject.toml

@@ -2,6 +2,7 @@
 
 import os
 import secrets
+import stat
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -32,6 +33,27 @@ def replacing(path: Path, staged: Path | None = None) -> Iterator[Path]:
         with suppress(OSError):
             staged.unlink()
         raise
+
+
+def read(path: Path, most_bytes: int) -> bytes | None:
+    """Return a file's content; None: there is no file. Waits only for the disk: a FIFO is rejected without blocking.
+
+    Raises OSError, and ValueError with a sentence for what is no file, or is larger than `most_bytes`.
+    """
+    try:
+        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+    except FileNotFoundError:
+        return None
+    try:
+        if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+            raise ValueError("is no file")
+        with open(descriptor, "rb", closefd=False) as file:
+            data = file.read(most_bytes + 1)
+    finally:
+        os.close(descriptor)
+    if len(data) > most_bytes:
+        raise ValueError(f"is larger than {most_bytes} bytes")
+    return data
 
 
 def write(

@@ -66,6 +66,8 @@ class Kind(StrEnum):
     WATCHDOG_EXPIRED = "watchdog_expired"
     ESTOP_ENGAGED = "estop_engaged"
     ESTOP_RESET = "estop_reset"
+    ESTOP_KEPT = "estop_kept"
+    ESTOP_NOT_KEPT = "estop_not_kept"
     BUS_FAULT = "bus_fault"
     BUS_RECOVERED = "bus_recovered"
     STOPPING = "stopping"
@@ -396,6 +398,10 @@ class GatewayState(Report):
     watchdog: WatchdogReport
     estop: Annotated[Count, Field(description="the number of the latest emergency stop; 0 before the first")] = 0
     estop_source: Annotated[str | None, Field(description="who requested that, as far as known")] = None
+    estop_since: Annotated[AwareDatetime | None, Field(description="since when it is engaged; null: it is not")] = None
+    estop_fault: Annotated[
+        str | None, Field(description="why it may not outlast a restart, or counts as engaged; null: nothing is wrong")
+    ] = None
     lease: Annotated[LeaseReport, Field(description="who is driving; an older gateway does not say")] = LeaseReport()
     buttons: Annotated[ButtonsReport, Field(description="an older gateway has none")] = ButtonsReport()
     calibration: Annotated[CalibrationReport, Field(description="an older gateway has none")] = CalibrationReport()

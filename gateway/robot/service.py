@@ -7,6 +7,7 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import replace
 from functools import partial
 from math import ceil
 from pathlib import Path
@@ -38,6 +39,7 @@ from gateway.robot.runtime import prometheus as exposition
 from gateway.robot.runtime.calibrations import Calibrations
 from gateway.robot.runtime.conductor import Conductor
 from gateway.robot.runtime.cycle import Cycle
+from gateway.robot.runtime.estop_keeper import EstopKeeper
 from gateway.robot.runtime.report import wall_clock
 from gateway.robot.runtime.request_answers import ButtonAnswers, LeaseAnswers
 from gateway.robot.runtime.revocations import Revocations
@@ -211,15 +213,15 @@ async def _run(
 ) -> ServiceEnd:
     # The servos file exists before systemd counts the service as active, when the installer reads it.
     loop, owner, servos = asyncio.get_running_loop(), Ownership(), ServosFile(runtime_directory())
-    end = ServiceEnd(loop, owner, recorder)
-    notifier = SystemdNotifier()
+    state = state_directory(settings.state.path)
+    end, notifier = ServiceEnd(loop, owner, recorder), SystemdNotifier()
     config, checker, shut_out = _configured(settings, physics)
     bus = _wire(settings, simulated=simulated, physics=physics, board=board, faults=faults)
     supply = supply_of(settings, bus, board and board.channel, loop, owner, end.mistake)
     outbox = ZenohOutbox()
     conductor = Conductor(
         settings,
-        Supervisor(rules(settings)),
+        Supervisor(replace(rules(settings), estop_kept=state is not None)),
         bus,
         outbox,
         loop,
@@ -228,10 +230,10 @@ async def _run(
         physics=physics and physics.zenoh_id,
         recorder=recorder,
         owner=owner,
-        calibration_kept=state_directory(settings.state.path) is not None,
+        calibration_kept=state is not None,
         supply=supply,
     )
-    calibrations = _calibrations(settings, conductor, loop)
+    keeper, calibrations = EstopKeeper(conductor, state, loop), _calibrations(settings, conductor, loop)
     revocations = Revocations(conductor, shut_out, loop, end.begin_again)
     try:
         # Stops before Zenoh: servos that move at the start are stopped before any command can arrive.
@@ -239,16 +241,16 @@ async def _run(
             conductor.start()
             recorder.open()
         _go_on(bus, conductor, settings, end, simulated=simulated)
-        opening = _in_thread(partial(_open, settings, config, conductor))
+        opening = asyncio.gather(_in_thread(partial(_open, settings, config, conductor)), keeper.known())
         ended = asyncio.ensure_future(end.wait())
-        first: tuple[asyncio.Future[Any], ...] = (opening, ended)
-        await asyncio.wait(first, return_when=asyncio.FIRST_COMPLETED)
+        await asyncio.wait((opening, ended), return_when=asyncio.FIRST_COMPLETED)
         if not opening.done():
             notifier.stopping()
             await stop_the_robot(conductor, bus, settings.watchdog)
+            keeper.flush()
             end.leave()
         ended.cancel()
-        session = opening.result()
+        session, _ = opening.result()
         outbox.open(session)
         with owner:  # its threads receive at once, and have to wait until the conductor is connected
             inbox = _inbox(session, loop, conductor, checker, settings, calibrations, revocations)
@@ -258,8 +260,8 @@ async def _run(
             "real-time priority %s", "granted" if realtime.prefer_thread(realtime.LOOP_PRIORITY) else "not allowed"
         )
         with owner:
-            for announce in (conductor.announce_start, calibrations.announce_start):
-                announce()
+            for part in (conductor, keeper, calibrations):
+                part.announce_start()
         notifier.ready("takes commands")
         connection_limiter, upkeep = _attendants(session, config, conductor, notifier, shut_out)
         on_ready(config)
@@ -282,6 +284,7 @@ async def _run(
         await close_within(
             deadline - loop.time(),
             end.leave,
+            keeper.flush,
             outbox.close,
             connection_limiter.close,
             upkeep.close,

@@ -131,6 +131,7 @@ def run(bed: SpiTestbed, config: Path, endpoint: str, happens: Callable[[Client,
     gateway = bed.spawn([sys.executable, "-c", FAULTY, "run", "--config", str(config)])
     gateway.wait_for_output(READY, LATE_S)
     with Client(endpoint, source="hil", timeout_s=5) as client:
+        assert client.ask(keys.RESET, {"estop": client.state().estop}).accepted, "of the run before"
         assert client.start_leg(3, 90, 45, 120).accepted
         happens(client, bed, gateway)
     if gateway.returncode is None:

@@ -110,8 +110,8 @@ MADE: Final[Mapping[str, tuple[ByHand, ...]]] = {
         ),
         ByHand(
             "a reset that was sent before the second emergency stop leaves it",
-            "        self.estops += 1\n",
-            "        self.estops += first\n",
+            "        latch.number += 1\n",
+            "        latch.number += first\n",
         ),
     ),
     "gateway/model/calibration.py": (

@@ -48,7 +48,13 @@ def free_port() -> int:
 
 
 def write_settings(path: Path, settings: Mapping[str, Mapping[str, Any]]) -> Path:
-    """Write a TOML file with these sections."""
+    """Write a TOML file with these sections, and make the state directory that they name.
+
+    Of a missing one the gateway cannot tell what an earlier run has left, and starts estopped.
+    """
+    state = settings.get("state", {}).get("path")
+    if state:
+        Path(state).mkdir(parents=True, exist_ok=True)
     lines = []
     for section, values in settings.items():
         lines.append(f"[{section}]")
@@ -82,9 +88,6 @@ class Gateway(Closing):
         zenoh.setdefault("listen", [f"tcp/127.0.0.1:{free_port()}"])
         if bed is not None:
             sections.setdefault("spi", {}).setdefault("framing", "plain")
-        state = sections.get("state", {}).get("path")
-        if state:
-            Path(state).mkdir(parents=True, exist_ok=True)  # of a missing one the gateway cannot tell what it had
         self.endpoint: str = zenoh["listen"][0]
         self.config = write_settings(folder / f"gateway-{self.endpoint.rpartition(':')[2]}.toml", sections)
         command = [*prefix, *program, "run", "--config", str(self.config)]

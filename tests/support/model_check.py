@@ -22,6 +22,7 @@ from gateway.robot.core.events import (
     BusOpened,
     Command,
     EmergencyStop,
+    EstopKept,
     Event,
     Rejected,
     Request,
@@ -34,10 +35,7 @@ from gateway.robot.core.legs import Legs
 from gateway.robot.core.pacing import RateSlots, StartQueue
 from gateway.robot.core.supervisor import Supervisor
 from schemas.telemetry import Kind, Mode, Reason
-from tests.support.buttons_history import ButtonsHistory
-from tests.support.calibration_history import CalibrationHistory
 from tests.support.history import STOP_SERVOS, Violation, cloned, demand, speed_age_ns
-from tests.support.lease_history import LeaseHistory
 from tests.support.model_parts import (
     body_key,
     button_requests,
@@ -74,9 +72,10 @@ _ROBOT: Final = Supervisor(Rules())
 _KNOWN: Final = (
     (
         _ROBOT,
-        "_rules legs lease buttons body power calibrating _reach _opened _bus_ok _fault estops _latched_ns _ended",
+        "_rules legs lease buttons body power calibrating _reach _opened _bus_ok _fault latch _ended",
     ),
     (_ROBOT, "stopped_outside wants_measurements expirations mode due_ns"),
+    (_ROBOT.latch, "_rules number since_ns unknown"),
     (_ROBOT.lease, "_rules holder verified since_ns due_ns guards _token _askers"),
     (_ROBOT.buttons, "required _timeout_ns _rise_ns _by_token closed fell_ns alive due_ns"),
     (_ROBOT.body, "_rules watches low fallen beyond_ns"),
@@ -167,7 +166,8 @@ def copied(supervisor: Supervisor) -> Supervisor:
     _with_legs(legs, by_number)
     lease, buttons = copied_lease(supervisor.lease), copied_buttons(supervisor.buttons)
     body, power = cloned(supervisor.body), cloned(supervisor.power)
-    other = cloned(supervisor, legs=legs, lease=lease, buttons=buttons, body=body, power=power)
+    latch = cloned(supervisor.latch)
+    other = cloned(supervisor, legs=legs, latch=latch, lease=lease, buttons=buttons, body=body, power=power)
     copy_calibrating(supervisor, other)
     queue = supervisor.legs._queue
     legs._queue = type(queue)(queue.pause_ns, queue.next_ns, list(queue.legs))
@@ -182,13 +182,14 @@ def key(supervisor: Supervisor, now_ns: int, rank: dict[int, int]) -> tuple[obje
     legs = supervisor.legs
     queue = legs._queue
     due_ns = supervisor.due_ns
-    latched_ns, oldest_ns = supervisor._latched_ns, legs._rules.unnumbered_reset_ns
+    latched_ns, oldest_ns = supervisor.latch.since_ns, legs._rules.unnumbered_reset_ns
     return (
         supervisor.mode,
         supervisor._opened,
         supervisor._bus_ok,
         supervisor._fault,
         supervisor._ended,
+        supervisor.latch.unknown,
         supervisor.stopped_outside,
         min(now_ns - legs.instant_ns, oldest_ns),  # an emergency stop that is still to come counts from its instant
         # How old it is for a reset of this instant, and of one that begins now.
@@ -238,12 +239,14 @@ def events(
     mode: Mode,
     number: int,
     estops: int,
-    lease: LeaseHistory,
-    calibration: CalibrationHistory,
-    buttons: ButtonsHistory,
+    oracle: Oracle,
     now_ns: int,
 ) -> Iterator[tuple[str, Event]]:
     """Everything that can happen, with a name. The next command is `number`, the latest emergency stop `estops`."""
+    lease, calibration, buttons = oracle.lease, oracle.calibration, oracle.buttons
+    if oracle.unknown:
+        yield "the disk is read", EstopKept(*oracle.disk)
+        yield "the disk cannot be read", EstopKept(oracle.disk[0] + 1000, engaged=True)
     # Where every command is rejected, one is as good as another.
     commands = configuration.commands if mode in (Mode.IDLE, Mode.ACTIVE) else configuration.commands[:1]
     for which, (channel, targets) in enumerate(commands):
@@ -288,6 +291,8 @@ class State:
     instant_ns: int = 1000
     number: int = 1
     way: "Way | None" = None
+    make: Callable[[Rules], Supervisor] = Supervisor
+    """Starts a gateway."""
 
     def path(self) -> str:
         """The way there in words: how many nanoseconds later came which event."""
@@ -308,12 +313,35 @@ def start(configuration: Configuration, make: Callable[[Rules], Supervisor] = Su
     supervisor = small(make(configuration.rules), configuration.legs)
     kept, fault = configuration.calibration or RobotCalibration(), configuration.fault
     supervisor.calibrating.load(kept, fault)
-    return State(supervisor, Oracle(configuration.rules, configuration.legs, kept, fault))
+    return State(supervisor, Oracle(configuration.rules, configuration.legs, kept, fault), make=make)
+
+
+def outlasting(configuration: Configuration, state: State) -> Iterator[State]:
+    """What the disk has of the emergency stop, and another gateway that starts with it: at any time."""
+    wanted = state.oracle.estops, state.oracle.latched_ns is not None
+    if not configuration.rules.estop_kept:
+        return
+    if not state.oracle.unknown and state.oracle.disk != wanted:
+        oracle = state.oracle.clone()
+        oracle.disk = wanted
+        yield replace(state, oracle=oracle, way=(state.way, "the disk has it"))
+    again = start(configuration, state.make)
+    again.oracle.disk = state.oracle.disk
+    way = (state.way, "the gateway is killed and starts again")
+    yield replace(again, now_ns=state.now_ns, instant_ns=state.now_ns, number=state.number, way=way)
+
+
+def looks(state: State) -> "Key":
+    """What tells it apart."""
+    rank = {number: age for age, number in enumerate(sorted(state.oracle.pending))}
+    return key(state.supervisor, state.now_ns, rank), state.oracle.key(state.now_ns, rank)
 
 
 def successors(configuration: Configuration, state: State) -> Iterator[tuple[Key, State]]:
     """Everything that can come next. Raises Violation where a promise is broken."""
     mode = state.supervisor.mode
+    for after in outlasting(configuration, state):
+        yield looks(after), after
     waits = [(wait_ns, wait_ns == 0) for wait_ns in configuration.waits_ns]
     waits += [(wait_ns, True) for wait_ns in configuration.within_ns]
     for wait_ns, same_instant in waits:
@@ -321,10 +349,8 @@ def successors(configuration: Configuration, state: State) -> Iterator[tuple[Key
             configuration,
             mode,
             state.number,
-            state.supervisor.estops,
-            state.oracle.lease,
-            state.oracle.calibration,
-            state.oracle.buttons,
+            state.supervisor.latch.number,
+            state.oracle,
             state.now_ns + wait_ns,
         ):
             if type(event) not in TRANSITIONS[mode]:
@@ -333,13 +359,12 @@ def successors(configuration: Configuration, state: State) -> Iterator[tuple[Key
             way = (state.way, f"+{wait_ns}{' in the same instant' if wait_ns and same_instant else ''} {name}")
             now_ns = state.now_ns + wait_ns
             instant_ns = state.instant_ns if same_instant else now_ns
-            after = State(supervisor, oracle, now_ns, instant_ns, state.number + 1, way)
+            after = State(supervisor, oracle, now_ns, instant_ns, state.number + 1, way, state.make)
             try:
                 take(supervisor, oracle, event, now_ns, instant_ns)
             except (Violation, LookupError, ValueError) as broken:
                 raise Violation(f"{configuration.name}: {broken!r}; the way there: {after.path()}") from broken
-            rank = {number: age for age, number in enumerate(sorted(oracle.pending))}
-            yield (key(supervisor, after.now_ns, rank), oracle.key(after.now_ns, rank)), after
+            yield looks(after), after
 
 
 def take(supervisor: Supervisor, oracle: Oracle, event: Event, now_ns: int, instant_ns: int) -> None:

@@ -19,6 +19,7 @@ from gateway.robot.core.events import (
     Completed,
     Effect,
     EmergencyStop,
+    EstopKept,
     Event,
     LeaseRequest,
     PowerSeen,
@@ -99,8 +100,8 @@ class Oracle(RobotHistory):
                 self.estops += 1
                 self._all_stopped(effects, Cause.ESTOP, Reason.ESTOPPED, now_ns)
                 demand(told(effects, Kind.ESTOP_ENGAGED) != engaged, "an emergency stop is announced once")
-            case StoppedOutside(at_work=False):
-                self.outside = False
+            case EstopKept() | StoppedOutside(at_work=False):
+                self.learn(event)
                 self._in_time(event, now_ns, effects)
             case StoppedOutside():
                 known, self.outside = self.outside, True
@@ -129,7 +130,9 @@ class Oracle(RobotHistory):
         calibrated = told(effects, Kind.CALIBRATED)
         demand(isinstance(event, CalibrationSaved) or not calibrated, "a calibration is in force once it is kept")
         demand(after.mode is self.mode, f"the mode is {self.mode}, not {after.mode}")
-        demand(after.estops == self.estops, f"{self.estops} emergency stops were requested, not {after.estops}")
+        demand(
+            after.latch.number == self.estops, f"{self.estops} emergency stops were requested, not {after.latch.number}"
+        )
         holder, alive = after.lease.holder, after.buttons.alive
         demand(holder == self.lease.holder, f"{self.lease.holder} holds the lease, not {holder}")
         demand(alive == self.buttons.alive, f"{self.buttons.alive} are alive, not {alive}")
@@ -166,6 +169,7 @@ class Oracle(RobotHistory):
         | ButtonRequest
         | TimePassed
         | StoppedOutside
+        | EstopKept
         | Calibrate
         | CalibrationSaved
         | BodyMeasured
@@ -388,7 +392,7 @@ class Oracle(RobotHistory):
         reason = CLOSED.get(self.mode)
         if reason in (None, Reason.ESTOPPED):
             reason = self.lease.reason_to_reject(reset.lease, reset=True) or self.too_few_buttons or reason
-        if reason is Reason.ESTOPPED and self.latched_ns is not None:
+        if reason is Reason.ESTOPPED and self.latched_ns is not None and not self.unknown:
             age_ns = self.instant_ns - self.latched_ns
             reason = None if is_newer(reset, age_ns, self.estops, self.rules) else reason
         self._must_be_rejected(reset, effects, reason)
@@ -412,7 +416,10 @@ class Oracle(RobotHistory):
         leg_number = leg_of(transmit.frame.servos[0][0])
         leg = self.legs[leg_number]
         if not transmit.frame.is_stop:
-            demand(not self.ended and self.latched_ns is None, "nothing moves after an emergency stop or at the end")
+            demand(
+                not (self.ended or self.latched_ns or self.unknown),
+                "nothing moves after an emergency stop or at the end",
+            )
             leg.moved(now_ns, self.rules.period_ns)
         for servo_id, op in transmit.frame.servos:
             servo = self.servos[servo_id]

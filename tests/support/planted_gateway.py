@@ -45,7 +45,7 @@ def _late_stops(_robot: Supervisor, event: Event, effects: list[Effect]) -> list
 
 def _unlatched(robot: Supervisor, event: Event, effects: list[Effect]) -> list[Effect]:
     if isinstance(event, EmergencyStop):
-        robot._latched_ns = None
+        robot.latch.since_ns = None
     return effects
 
 

@@ -5,7 +5,7 @@ from typing import Self
 
 from gateway.model.calibration import RobotCalibration
 from gateway.model.frames import STOP, Frame, OneServo, Op, servo_ids_of, stop_leg
-from gateway.robot.core.events import Command, Effect, Transmit
+from gateway.robot.core.events import Command, Effect, EstopKept, StoppedOutside, Transmit
 from gateway.robot.core.leg import Rules
 from schemas.robot import LEGS
 from schemas.telemetry import Kind, Mode, Reason
@@ -36,6 +36,10 @@ class RobotHistory:
         self.opened = self.bus_ok = self.ended = self.outside = False
         self.estops = 0
         self.latched_ns: int | None = None
+        self.unknown = rules.estop_kept
+        """Whether an earlier run may have left an emergency stop engaged."""
+        self.disk = 0, False
+        """The number of the latest emergency stop that the disk has, and whether it has it as engaged."""
         self.instant_ns = 0
         """When the present instant began: that of all that was collected together."""
         self.lease = LeaseHistory(rules)
@@ -98,6 +102,8 @@ class RobotHistory:
             self.ended,
             self.outside,
             latched,
+            self.unknown,
+            (self.disk[1], self.disk == (self.estops, self.latched_ns is not None)),
             pause,
             pending,
             legs,
@@ -134,7 +140,7 @@ class RobotHistory:
             return Mode.STOPPING
         if not self.bus_ok:
             return Mode.BUS_FAULT if self.opened else Mode.STARTING
-        if self.latched_ns is not None:
+        if self.latched_ns is not None or self.unknown:
             return Mode.ESTOPPED
         return Mode.ACTIVE if self.energised else Mode.IDLE
 
@@ -144,6 +150,15 @@ class RobotHistory:
         return frozenset(servo_id for servo_id, servo in self.servos.items() if servo.on or servo.starts)
 
     # ---- what is taken
+
+    def learn(self, event: EstopKept | StoppedOutside) -> None:
+        """What an earlier run has left; or that `stop-servos` has ended."""
+        if isinstance(event, StoppedOutside):
+            self.outside = False
+            return
+        self.unknown, self.estops = False, self.estops + event.number
+        if event.engaged and self.latched_ns is None:
+            self.latched_ns = self.instant_ns
 
     def reason_to_reject(self, command: Command) -> Reason | None:
         """Why a command takes no effect."""

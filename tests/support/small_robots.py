@@ -167,6 +167,13 @@ CONFIGURATIONS: Final = (
         ends=False,
     ),
     Configuration(
+        "one servo, and an emergency stop that outlasts the gateway",
+        _rules(repeats=0, timeout_ns=2 * TICK, estop_kept=True),
+        (1,),
+        (_ONE_SERVO[0], _ONE_SERVO[2]),
+        (0, 3 * TICK),
+    ),
+    Configuration(
         "two drivers and one lease",
         _rules(repeats=0, timeout_ns=2 * TICK, lease_ttl_ns=3 * TICK),
         (1,),

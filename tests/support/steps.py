@@ -193,7 +193,7 @@ class Steps:
     def reset(self, at_ms: float, *, newer: int = 0, lease: str | None = None) -> list[str]:
         """A reset that names the latest emergency stop, or one that is newer (or older, if negative) by so many."""
         self.number += 1
-        return self.take(at_ms, Reset(number=self.number, estop=self.supervisor.estops + newer, lease=lease))
+        return self.take(at_ms, Reset(number=self.number, estop=self.supervisor.latch.number + newer, lease=lease))
 
     def reset_without_number(self, at_ms: float) -> list[str]:
         self.number += 1

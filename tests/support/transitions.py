@@ -15,6 +15,7 @@ from gateway.robot.core.events import (
     CalibrationSaved,
     Command,
     EmergencyStop,
+    EstopKept,
     Event,
     LeaseRequest,
     PowerSeen,
@@ -27,6 +28,7 @@ from schemas.telemetry import Mode
 
 _QUIET: Final = frozenset({Mode.IDLE, Mode.ACTIVE})
 _FAULT: Final = frozenset({Mode.BUS_FAULT})
+_LEFT_OR_NOT: Final = frozenset({Mode.IDLE, Mode.ESTOPPED})
 _TAKEN: Final = (
     Command,
     Reset,
@@ -56,7 +58,8 @@ def _opened(
 TRANSITIONS: Final[dict[Mode, dict[type[Event], frozenset[Mode]]]] = {
     Mode.STARTING: {
         EmergencyStop: frozenset({Mode.STARTING}),
-        BusOpened: frozenset({Mode.IDLE, Mode.ESTOPPED}),
+        EstopKept: frozenset({Mode.STARTING}),
+        BusOpened: _LEFT_OR_NOT,
         BusFailed: _FAULT,
         BodyMeasured: frozenset({Mode.STARTING}),
         PowerSeen: frozenset({Mode.STARTING}),
@@ -65,8 +68,8 @@ TRANSITIONS: Final[dict[Mode, dict[type[Event], frozenset[Mode]]]] = {
     },
     Mode.IDLE: _opened(_QUIET, {}),
     Mode.ACTIVE: _opened(_QUIET, {}),
-    Mode.ESTOPPED: _opened(frozenset({Mode.ESTOPPED}), {Reset: frozenset({Mode.IDLE, Mode.ESTOPPED})}),
-    Mode.BUS_FAULT: _opened(_FAULT, {BusOpened: frozenset({Mode.IDLE, Mode.ESTOPPED})}, estopped=Mode.BUS_FAULT),
+    Mode.ESTOPPED: _opened(frozenset({Mode.ESTOPPED}), dict.fromkeys((Reset, EstopKept), _LEFT_OR_NOT)),
+    Mode.BUS_FAULT: _opened(_FAULT, {BusOpened: _LEFT_OR_NOT, EstopKept: _FAULT}, estopped=Mode.BUS_FAULT),
     Mode.STOPPING: {event: frozenset({Mode.STOPPING}) for event in get_args(Event)},
 }
 """In which mode which event may come, and which modes it may lead to. Any other event is a mistake of the caller."""

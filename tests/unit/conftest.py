@@ -38,4 +38,6 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A black box's; its ring is beside it."""
     monkeypatch.setenv("RUNTIME_DIRECTORY", str(tmp_path))
     monkeypatch.delenv("STATE_DIRECTORY", raising=False)
-    return tmp_path / "state"
+    made = tmp_path / "state"
+    made.mkdir()
+    return made

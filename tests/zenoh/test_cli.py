@@ -142,6 +142,7 @@ def test_without_a_gateway_it_is_4_and_one_line(arguments: tuple[str, ...]) -> N
         (("run", "--config", "/nowhere.toml"), "/nowhere.toml: there is no such file"),
         (("stop-servos", "--config", "/nowhere.toml"), "/nowhere.toml: there is no such file"),
         (("send", "stop", "--zenoh-config", "/nowhere.json5"), "/nowhere.json5"),
+        (("check", "--unplug"), "--only, --restart, --unplug and --json go with --stops"),
         (("frobnicate",), "No such command"),
     ],
 )

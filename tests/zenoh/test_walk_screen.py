@@ -4,6 +4,7 @@ import os
 import pty
 import subprocess
 import sys
+import threading
 import time
 from contextlib import suppress
 from pathlib import Path
@@ -98,15 +99,26 @@ def test_without_a_terminal_it_says_what_else_there_is(monkeypatch: pytest.Monke
 
 
 def test_a_stop_that_the_power_board_does_not_confirm_is_red(tmp_path: Path) -> None:
-    """States come at changes only, and this robot has no board, so the event's alarm stays."""
+    """This robot has no board, so each state ends the event's alarm: the event is published again until it is shown."""
     listen = {"listen": [f"tcp/127.0.0.1:{free_port()}"]}
+    shown = threading.Event()
     with (
-        Gateway(tmp_path, {"zenoh": listen, "telemetry": {"state_hz": 0}}) as gateway,
+        Gateway(tmp_path, {"zenoh": listen}) as gateway,
         gateway.client(source="watcher") as watcher,
         at_terminal(tmp_path, "walk", gateway.endpoint) as terminal,
     ):
         terminal.wait("forward, backward")
-        watcher.session.put(keys.EVENT, event(Kind.POWER_UNCONFIRMED).model_dump_json())
-        terminal.wait(UNCONFIRMED)
+
+        def publish() -> None:
+            while not shown.wait(0.01):
+                watcher.session.put(keys.EVENT, event(Kind.POWER_UNCONFIRMED).model_dump_json())
+
+        publisher = threading.Thread(target=publish)
+        publisher.start()
+        try:
+            terminal.wait(UNCONFIRMED)
+        finally:
+            shown.set()
+            publisher.join()
         terminal.press("C-c")
         assert terminal.wait_for_end() == 0

@@ -162,6 +162,8 @@ class Drawing:
 _LEVELS: Final = {
     Kind.COMMAND_REJECTED: Log.WARN,
     Kind.WATCHDOG_EXPIRED: Log.WARN,
+    Kind.ESTOP_KEPT: Log.WARN,
+    Kind.ESTOP_NOT_KEPT: Log.WARN,
     Kind.STOPPED_OUTSIDE: Log.WARN,
     Kind.BUS_MEDDLED: Log.WARN,
     Kind.ESTOP_ENGAGED: Log.ERROR,

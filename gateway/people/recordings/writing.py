@@ -28,7 +28,7 @@ from gateway.geometry import Geometry, load, urdf
 from gateway.people.recordings.drawing import DRAWN, DRAWN_FROM, Drawing
 from gateway.people.recordings.plain_schema import Schema, plain_schema, without_nulls
 from gateway.people.recordings.reading import LIBRARY_NAME
-from gateway.people.ros2.cdr import definition, encode
+from gateway.people.ros2.cdr import INSTALLED, definition, encode
 from gateway.people.ros2.messages import Message
 from schemas.calibration import Calibration
 from schemas.keys import CALIBRATION, EVENT, FRAME, SIM_BODY, STATE, TELEMETRY
@@ -104,7 +104,7 @@ class Recording:
         self._declared: list[McapRecord] = []
         self._drawing = Drawing(geometry)
         self._writer.add_attachment(time_ns, time_ns, URDF_NAME, "application/xml", urdf(geometry).encode())
-        for topic, kind in DRAWN.items():
+        for topic, kind in DRAWN.items() if INSTALLED else ():
             if topic not in DRAWN_FROM or DRAWN_FROM[topic] in reports:  # viewers list channels that are empty
                 self._declare_drawn(topic, kind)
         for topic, model in reports.items():
@@ -165,7 +165,7 @@ class Recording:
         self._add(topic, data, time_ns, time_ns if publish_ns is None else publish_ns)
 
     def _draw(self, drawn: Iterable[tuple[str, Message]], time_ns: int) -> None:
-        for topic, message in drawn:
+        for topic, message in drawn if INSTALLED else ():
             self._add(topic, encode(message), time_ns, time_ns)
 
     def _add(self, topic: str, data: bytes, time_ns: int, publish_ns: int) -> None:

@@ -1,19 +1,26 @@
 """ROS 2's messages as bytes (CDR), and their types as text (`ros2msg`), by `rosbags`: what a recording holds."""
 
+from importlib.util import find_spec
 from typing import Any, Final
 
 from gateway.errors import ConfigError
 from gateway.people.ros2.messages import Message
 
-try:
+INSTALLED: Final = find_spec("rosbags") is not None
+"""A robot has no rosbags: it needs NumPy and a dozen more. There incidents are kept without ROS 2's messages."""
+if INSTALLED:
     import numpy as np
     from rosbags.interfaces import Nodetype
     from rosbags.typesys import Stores, get_typestore
-except ImportError as error:
-    raise ConfigError("a recording needs: pip install 'hexapod-gateway[record]'") from error
 
-_STORE: Final = get_typestore(Stores.ROS2_JAZZY)
-"""The types used here are the same in Humble, Jazzy, Kilted and Lyrical."""
+    _STORE: Final = get_typestore(Stores.ROS2_JAZZY)
+    """The types used here are the same in Humble, Jazzy, Kilted and Lyrical."""
+
+
+def require() -> None:
+    """Raise ConfigError, with the command that installs it, if rosbags is missing."""
+    if not INSTALLED:
+        raise ConfigError("a recording for viewers needs: pip install 'hexapod-gateway[record]'")
 
 
 def encode(message: Message) -> bytes:

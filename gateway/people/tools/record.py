@@ -12,6 +12,7 @@ from gateway.geometry import load
 from gateway.people.client.live import ReportQueue
 from gateway.people.recordings import REPORTS, Recording
 from gateway.people.recordings.writing import about
+from gateway.people.ros2 import cdr
 from gateway.people.terminal import clear_line, hint, on_end_signals, say, show_line, this_command
 from gateway.people.tools.reach import Connection
 from schemas.keys import CALIBRATION, EVENT, FRAME, STATE
@@ -27,6 +28,7 @@ _NAMES: Final = {STATE: "states", EVENT: "events", FRAME: "frames"}
 
 def record(connect: Connection, path: Path, *, geometry: Path | None, overwrite: bool, seconds: float | None) -> int:
     """Record until a signal, or for `seconds`. Returns the exit code."""
+    cdr.require()
     shape = load(geometry)
     if path.exists() and not overwrite:
         raise ConfigError(f"{path}: exists; name another file, or overwrite it with --force")

@@ -43,8 +43,11 @@ def tried() -> Path:
 
 
 def prepare(folder: Path) -> Path:
-    """Make the folder and a link in it to the ring; returns the ring's path. Raises OSError."""
-    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    """Make a link in the folder to the ring; returns the ring's path. Raises OSError.
+
+    A missing folder stays missing: nothing is known of what an earlier run has kept there.
+    """
+    os.listdir(folder)
     place, link = in_memory(folder), folder / RING_FILE
     if place == link:
         return place

@@ -239,6 +239,17 @@ class StoppedOutside:
 
 
 @value
+class EstopKept:
+    """What an earlier run has left of its emergency stops. Comes once, where `Rules.estop_kept`.
+
+    `number` is that of its latest (0: none), and `engaged` whether nobody has left it.
+    """
+
+    number: int
+    engaged: bool
+
+
+@value
 class TimePassed:
     """Only time has passed; send it when `due_ns` has come."""
 
@@ -259,6 +270,7 @@ Event = (
     | Calibrate
     | CalibrationSaved
     | StoppedOutside
+    | EstopKept
     | BodyMeasured
     | PowerSeen
     | TimePassed

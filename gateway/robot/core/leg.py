@@ -47,7 +47,6 @@ class Rules:
     """The landing pose; a servo that is not named holds its angle."""
     lease_required: bool = False
     lease_ttl_ns: int = NS_PER_S
-    """Whether the lease may be taken from its holder, with a Stop of all legs."""
     buttons_required: int = 0
     """How many buttons must be alive for anything to move (Behaviour 14)."""
     buttons_timeout_ns: int = NS_PER_S
@@ -61,6 +60,8 @@ class Rules:
     tilt_ns: int = 200 * NS_PER_MS
     """For how long it must be tilted beyond that: longer than a stumble or a single bad value takes."""
 
+    estop_kept: bool = False
+    """Whether an earlier run may have left an emergency stop engaged; `EstopKept` then says so (Behaviour 5)."""
     power: bool = False
     """Whether a power board feeds the servos (Behaviour 18)."""
 

@@ -7,6 +7,7 @@ from gateway.robot.core.events import (
     BusFailed,
     BusOpened,
     EmergencyStop,
+    EstopKept,
     Event,
     PowerSeen,
     ShutDown,
@@ -15,10 +16,11 @@ from gateway.robot.core.events import (
 from schemas.telemetry import Mode
 
 _AT_START: Final[frozenset[type[Event]]] = frozenset(
-    {EmergencyStop, BusOpened, BusFailed, BodyMeasured, PowerSeen, TimePassed, ShutDown}
+    {EmergencyStop, EstopKept, BusOpened, BusFailed, BodyMeasured, PowerSeen, TimePassed, ShutDown}
 )
 _ANY: Final[frozenset[type[Event]]] = frozenset(get_args(Event))
-LEGAL: Final = {mode: _ANY - {BusOpened} for mode in (Mode.IDLE, Mode.ACTIVE, Mode.ESTOPPED)} | {
+LEGAL: Final = {mode: _ANY - {BusOpened, EstopKept} for mode in (Mode.IDLE, Mode.ACTIVE)} | {
+    Mode.ESTOPPED: _ANY - {BusOpened},
     Mode.STARTING: _AT_START,
     Mode.BUS_FAULT: _ANY,
     Mode.STOPPING: _ANY,

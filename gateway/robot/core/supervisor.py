@@ -20,6 +20,7 @@ The rules, by their numbers in docs/interface.md, *Behaviour*:
     rate slot or precedes a first Stop. No Stop that is owed moves to a later time.
  5. The emergency stop stops six legs and latches; `Reset` leaves the latch and nothing else. Each request is numbered,
     and a reset names the latest number, so that no reset that was sent before an emergency stop leaves it.
+    What an earlier run has left engaged is engaged; until that is known (`EstopKept`), it counts as engaged.
  6. After `BusFailed` nothing is sent and everything is rejected until `BusOpened`; what waited is dropped.
     The latch of an emergency stop stays through it.
  7. `ShutDown` stops six legs and rejects everything from then on, except an emergency stop. A bus that answers again
@@ -69,6 +70,7 @@ from gateway.robot.core.events import (
     Completed,
     Effect,
     EmergencyStop,
+    EstopKept,
     Event,
     LeaseRequest,
     PowerSeen,
@@ -80,12 +82,12 @@ from gateway.robot.core.events import (
     TimePassed,
     Transmit,
 )
+from gateway.robot.core.latch import Latch
 from gateway.robot.core.lease import RobotLease
 from gateway.robot.core.leg import Rules
 from gateway.robot.core.legal import LEGAL, IllegalEvent
 from gateway.robot.core.legs import Legs
 from gateway.robot.core.power import LOST, SILENT, PowerRule
-from gateway.robot.core.reset import may_be_older
 from schemas.robot import LEGS
 from schemas.telemetry import Cause, Kind, Mode, Reason
 
@@ -117,18 +119,10 @@ class Supervisor:
         self._opened = False  # ever
         self._bus_ok = False
         self._fault = Kind.BUS_FAULT  # the one that was announced, while there is one
-        self._latched_ns: int | None = None
+        self.latch = Latch(rules)
         self._ended = False
         self.stopped_outside = False
         """Whether `stop-servos` is known to be at work on the same device."""
-        self.estops = 0
-        """The number of the latest emergency stop; 0 before the first.
-
-        Each run of the gateway counts from 1, so a reset that was sent to an earlier run may name a number of this one.
-        A client that is connected to the gateway cannot send one: what was on its way to the earlier run was lost with
-        that run's sockets. A router can, for as long as it keeps a silent link (10 s), and only once this run has come
-        to the same number. The latch is then left, and nothing moves until somebody starts it.
-        """
         self.expirations = 0
         self.mode = Mode.STARTING
         """What the gateway as a whole is doing."""
@@ -145,6 +139,8 @@ class Supervisor:
             raise IllegalEvent(f"{type(event).__name__} while {self.mode}")
         if type(event) is CalibrationSaved and not self.calibrating.awaits(event.number):
             raise IllegalEvent(f"calibration {event.number} is not on its way to the disk")
+        if type(event) is EstopKept and not self.latch.unknown:
+            raise IllegalEvent("what an earlier run has left of its emergency stops is known")
         self.legs.begin(now_ns if instant_ns is None else instant_ns)
         lease_ns, button_ns = self.lease.due_ns, self.buttons.due_ns
         late = (lease_ns is not None and now_ns >= lease_ns) or (button_ns is not None and now_ns >= button_ns)
@@ -180,8 +176,8 @@ class Supervisor:
         match event:
             case Command():
                 effects = self._command(event, now_ns)
-            case TimePassed():
-                effects = []
+            case TimePassed() | EstopKept():
+                effects = self.latch.kept(event, self.legs.instant_ns) if isinstance(event, EstopKept) else []
             case EmergencyStop():
                 effects = self._emergency_stop(event, now_ns)
             case Reset():
@@ -218,7 +214,7 @@ class Supervisor:
             return Mode.STOPPING
         if not self._bus_ok:
             return Mode.BUS_FAULT if self._opened else Mode.STARTING
-        if self._latched_ns is not None:
+        if self.latch.since_ns is not None or self.latch.unknown:
             return Mode.ESTOPPED
         return Mode.IDLE if self.legs.at_rest else Mode.ACTIVE
 
@@ -290,9 +286,9 @@ class Supervisor:
         return effects
 
     def _emergency_stop(self, event: EmergencyStop, now_ns: int) -> list[Effect]:
-        first = self._latched_ns is None
-        self.estops += 1
-        self._latched_ns = self.legs.instant_ns  # not `now_ns`: a reset of the same instant may be the older of the two
+        latch, first = self.latch, self.latch.since_ns is None
+        latch.number += 1
+        latch.since_ns = self.legs.instant_ns  # not `now_ns`: a reset of the same instant may be the older of the two
         effects = self._stop_all(Cause.ESTOP, now_ns, Reason.ESTOPPED, _ESTOPPED)
         if first:
             detail = "emergency stop; all commands are rejected until a reset"
@@ -307,14 +303,14 @@ class Supervisor:
         closed = self.lease.rejection(event.lease, reset=True) or self._why_unwatched()
         if closed is not None:
             return [Rejected(event, *closed)]
-        older = may_be_older(event.estop, self.estops, self._latched_ns, self.legs.instant_ns, self._rules)
-        if older is not None:
-            return [Rejected(event, Reason.ESTOPPED, older)]
+        why_not = self.latch.why_not_left(event.estop, self.legs.instant_ns)
+        if why_not is not None:
+            return [Rejected(event, Reason.ESTOPPED, why_not)]
         if event.lease is not None:
             self.lease.heard(event.lease, now_ns)
-        if self._latched_ns is None:
+        if self.latch.since_ns is None:
             return [Completed(event)]
-        self._latched_ns = None
+        self.latch.since_ns = None
         detail = "emergency stop left; nothing moves until it is started again"
         return [Announce(Kind.ESTOP_RESET, detail, event.source, event.key), Completed(event)]
 

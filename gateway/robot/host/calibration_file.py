@@ -7,7 +7,6 @@ would move to an angle that was not commanded.
 import glob
 import json
 import os
-import stat
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
@@ -89,19 +88,10 @@ def read(path: Path) -> RobotCalibration | None:
     Waits only for the disk: a FIFO at `path` is rejected without blocking.
     """
     try:
-        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
-        with open(descriptor, "rb") as file:
-            if not stat.S_ISREG(os.fstat(descriptor).st_mode):
-                raise ConfigError(f"{path}: is no file")
-            data = file.read(MAX_CALIBRATION_BYTES + 1)
-    except FileNotFoundError:
-        return None
+        data = durable.read(path, MAX_CALIBRATION_BYTES)
+        return None if data is None else from_toml(data)
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read ({error.strerror})") from error
-    if len(data) > MAX_CALIBRATION_BYTES:
-        raise ConfigError(f"{path}: is larger than {MAX_CALIBRATION_BYTES} bytes; that is no calibration")
-    try:
-        return from_toml(data)
     except ValueError as error:
         raise ConfigError(f"{path}: {error}") from error
 

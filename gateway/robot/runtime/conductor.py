@@ -7,6 +7,7 @@ transfer.
 import asyncio
 import logging
 from collections.abc import Callable
+from datetime import datetime
 from typing import Final
 
 from pydantic import BaseModel
@@ -26,6 +27,7 @@ from gateway.robot.core.events import (
     CalibrationSaved,
     Command,
     EmergencyStop,
+    EstopKept,
     Event,
     LeaseRequest,
     Rejected,
@@ -45,7 +47,7 @@ from gateway.robot.runtime.event_publisher import EventPublisher
 from gateway.robot.runtime.executor import Executor, Outcome
 from gateway.robot.runtime.metrics import Metrics
 from gateway.robot.runtime.preamble import PreambleInPauses
-from gateway.robot.runtime.report import StateReports
+from gateway.robot.runtime.report import StateReports, wall_clock
 from gateway.robot.runtime.supply import CarryOut, Feeding, RobotSupply, off_button
 from gateway.robot.runtime.telemetry import LatestTelemetry
 from gateway.robot.settings import Settings
@@ -131,6 +133,9 @@ class Conductor:
         if isinstance(bus, Bus) and bus.announces:
             self._preamble = PreambleInPauses(bus, loop, self.owner, clock, self.bus_failed)
         self._in_fault = self._closed = False
+        self._engaged = 0  # the number of the emergency stop; 0: none is engaged
+        self.on_latch: Callable[[], None] = lambda: None
+        """Called as owner, behind its Stops, when an emergency stop is engaged or left."""
         self._published_mode: Mode | None = None
         """None until the start is announced: however long that takes, it is starting."""
         self.done = asyncio.Event()
@@ -217,7 +222,7 @@ class Conductor:
             self._staleness.turned(now_ns)
         return now_ns
 
-    def ask(self, event: LeaseRequest | ButtonRequest | Calibrate | CalibrationSaved) -> Outcome:
+    def ask(self, event: LeaseRequest | ButtonRequest | Calibrate | CalibrationSaved | EstopKept) -> Outcome:
         """Let the supervisor take what commands nothing that moves."""
         if self._closed:
             return Outcome()
@@ -231,8 +236,7 @@ class Conductor:
         return None if judge is None else judge.too_old(request.source, request.sent_ms, now_ns, instant_ns)
 
     def look_outside(self) -> None:
-        """Learn of `stop-servos` on the same device and of its end, of settings that another program changed, and what
-        the servos' currents say."""
+        """Look for `stop-servos` on the same device, for changed settings, and for servos that draw current."""
         if self.supply is not None and self.supply.judge_currents(self._clock()):
             self.power_changed()
         silent = self.bus.silent(self._clock())  # here, too: a transfer that hangs keeps the cycle from looking
@@ -357,7 +361,7 @@ class Conductor:
         if stop_frames >= len(LEGS):
             self.metrics.emergency_stops.record(latency_ns)
         if received.reply is not None:
-            number = self.supervisor.estops
+            number = self.supervisor.latch.number
             ack = Ack(accepted=True, stop_frames=stop_frames, estop=number, latency_us=latency_ns / 1000)
             heard.reply = received.reply
             self.answers.stopped(SERVO_IDS, heard, ack)
@@ -372,9 +376,29 @@ class Conductor:
             self._bus_failed(outcome.fault)
         elif outcome.meddled is not None:
             self._meddled(outcome.meddled)
+        latch = self.supervisor.latch
+        if self._engaged != (0 if latch.since_ns is None else latch.number):
+            self._latch_changed(0 if latch.since_ns is None else latch.number)
         if self.supervisor.mode is not self._published_mode:
             self._publish_mode()
         return outcome
+
+    def _latch_changed(self, number: int) -> None:
+        """The emergency stop with this number is engaged (0: it was left); its Stops are written."""
+        if not (number and self._engaged):
+            self.reports.estop_since = self.reports.estop_since or wall_clock() if number else None
+        self._engaged = number
+        self.on_latch()
+
+    def restore_estop(self, source: str | None, since: datetime | None) -> None:
+        """Take who had requested the emergency stop that an earlier run has left, and since when it is engaged."""
+        self._events.restore_estop(source)
+        self.reports.estop_since = since
+
+    @property
+    def estop_source(self) -> str | None:
+        """The source of the latest emergency stop; read it after its Stops are written."""
+        return self._events.estop_source
 
     # ---- the bus
 

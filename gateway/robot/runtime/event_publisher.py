@@ -55,6 +55,10 @@ class EventPublisher:
             self._unread = None
         return self._estop_source
 
+    def restore_estop(self, source: str | None) -> None:
+        """Take the source of an emergency stop that an earlier run has left engaged."""
+        self._estop_source = source
+
     def announce(self, what: Announce) -> None:
         """Publish an event, unless its kind and source exceed their rate limit."""
         kind = what.kind

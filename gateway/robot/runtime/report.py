@@ -42,6 +42,8 @@ WARNINGS: Final = frozenset(
         Kind.WATCHDOG_EXPIRED,
         Kind.LANDING,
         Kind.ESTOP_ENGAGED,
+        Kind.ESTOP_KEPT,
+        Kind.ESTOP_NOT_KEPT,
         Kind.BUS_FAULT,
         Kind.BUS_UNBATCHED,
         Kind.BUS_MEDDLED,
@@ -86,6 +88,10 @@ class StateReports:
         self.protocol = self.wire.version(settings.spi.framing)
         self.certificate: CertificateReport | None = None
         """The first certificate in use to expire; None: none is in use."""
+        self.estop_since: datetime | None = None
+        """Since when the emergency stop is engaged; None: it is not."""
+        self.estop_fault: str | None = None
+        """Why the emergency stop may not outlast a restart, or counts as engaged."""
         self.revocations: RevocationsReport | None = None
         """The list in force; None: there is none."""
 
@@ -132,8 +138,10 @@ class StateReports:
                 expirations=supervisor.expirations,
                 stop_latency_us=StopLatency(p50=p50_us, p99=p99_us, max=metrics.watchdog_stops.max_us),
             ),
-            estop=supervisor.estops,
+            estop=supervisor.latch.number,
             estop_source=estop_source,
+            estop_since=self.estop_since,
+            estop_fault=self.estop_fault,
             incident=incident,
             loop_lag_us=LoopLag(
                 p50=metrics.loop_lag.at_most_us(0.5), p99=metrics.loop_lag.at_most_us(0.99), max=metrics.loop_lag.max_us

@@ -304,6 +304,7 @@ def a_folder_in_its_place(folder: Path) -> None:
 async def test_without_a_ring_it_drives_all_the_same_and_says_so_once(
     folder: Path, spoil: Callable[[Path], None], caplog: pytest.LogCaptureFixture
 ) -> None:
+    os.rmdir(folder)
     spoil(folder)
     robot = recorded(folder)
     assert robot.ask(LEG_3, START).accepted
@@ -349,7 +350,8 @@ def test_the_ring_is_in_memory_and_the_folder_names_it(tmp_path: Path, monkeypat
     """On a disk, a write would wait for the disk, and a Stop with it."""
     monkeypatch.delenv("RUNTIME_DIRECTORY", raising=False)
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / "memory"))
-    (tmp_path / "memory").mkdir()
+    for name in ("memory", "one", "other"):
+        (tmp_path / name).mkdir()
     one, other = paths.prepare(tmp_path / "one"), paths.prepare(tmp_path / "other")
     assert one != other
     assert one.parent == other.parent == tmp_path / "memory"

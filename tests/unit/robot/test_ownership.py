@@ -170,7 +170,7 @@ def test_whoever_owns_the_state_serves_an_emergency_stop_before_the_next_command
     gateway.play(zenoh)
     assert gateway.conductor.supervisor.mode is Mode.ESTOPPED
     assert gateway.controller.energised == set()
-    assert gateway.conductor.supervisor.estops == 1, "noted once, served once"
+    assert gateway.conductor.supervisor.latch.number == 1, "noted once, served once"
     (noted,) = gateway.noted
     assert gateway.kinds[noted:].count(False) <= 1, "the frame that was under way"
     (state,) = map(GatewayState.model_validate_json, gateway.answers)

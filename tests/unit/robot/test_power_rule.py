@@ -9,9 +9,9 @@ import pytest
 
 from gateway.allowance import NS_PER_MS
 from gateway.robot.core.events import Announce
+from gateway.robot.core.latch import Latch
 from gateway.robot.core.leg import Rules
 from gateway.robot.core.power import CutOn, PowerRule, cut_by
-from gateway.robot.core.reset import may_be_older
 from schemas.telemetry import Mode
 from tests.support.steps import Steps, all_stopped, leg_to, legs_to, servo_to
 
@@ -223,9 +223,11 @@ def test_a_reset_leaves_the_emergency_stop_that_it_was_certainly_sent_after(
 ) -> None:
     rules = Rules(unnumbered_reset_ns=2000 * NS_PER_MS)
     latched_ns = 5 * NS_PER_MS
-    assert may_be_older(names, 3, latched_ns, latched_ns + age_ms * NS_PER_MS, rules) == why
+    latch = Latch(rules)
+    latch.number, latch.since_ns = 3, latched_ns
+    assert latch.why_not_left(names, latched_ns + age_ms * NS_PER_MS) == why
 
 
 def test_without_an_emergency_stop_no_reset_is_too_old() -> None:
-    assert may_be_older(None, 0, None, 0, Rules()) is None
-    assert may_be_older(7, 0, None, 0, Rules()) is None
+    assert Latch(Rules()).why_not_left(None, 0) is None
+    assert Latch(Rules()).why_not_left(7, 0) is None

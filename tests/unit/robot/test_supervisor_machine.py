@@ -292,7 +292,7 @@ class SupervisorMachine(RuleBasedStateMachine):
     @rule(newer=st.sampled_from([0, 0, 0, -1, 1, None]), wait_ns=WAITS_NS)
     def reset(self, newer: int | None, wait_ns: int) -> None:
         self.number += 1
-        estop = None if newer is None else self.supervisor.estops + newer
+        estop = None if newer is None else self.supervisor.latch.number + newer
         self.step(Reset(number=self.number, estop=estop, lease=self.token(self.carries)), wait_ns)
 
     @rule()

@@ -266,10 +266,10 @@ def test_of_one_instant_an_emergency_stop_is_the_newer_however_long_it_takes_to_
 
 def test_emergency_stops_are_numbered_and_a_reset_must_name_the_latest() -> None:
     robot = Steps()
-    assert robot.supervisor.estops == 0
+    assert robot.supervisor.latch.number == 0
     for number in (1, 2):
         robot.estop(100 + number)
-        assert robot.supervisor.estops == number
+        assert robot.supervisor.latch.number == number
     assert robot.reset(110, newer=-1) == ["rejected 1 estopped"]
     assert robot.detail == "a newer emergency stop was requested: estop is 1, and the latest is 2"
     assert robot.reset(111, newer=1) == ["rejected 2 estopped"]
@@ -277,7 +277,7 @@ def test_emergency_stops_are_numbered_and_a_reset_must_name_the_latest() -> None
     assert robot.supervisor.mode is Mode.ESTOPPED
     assert robot.reset(112) == ["announce estop_reset", "completed 3"]
     robot.estop(113)
-    assert robot.supervisor.estops == 3
+    assert robot.supervisor.latch.number == 3
 
 
 def test_a_reset_without_a_number_is_taken_2_s_after_the_latest_emergency_stop() -> None:

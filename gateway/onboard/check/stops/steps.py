@@ -173,6 +173,7 @@ def estop(bench: Bench) -> Figures:
     if bench.frames_published:
         _demand_six_stops(bench.since(mark))
     demand_rejected(bench.ask("start", bench.motion.start_deg), Reason.ESTOPPED, "a start in the emergency stop")
+    mark = bench.mark()  # a setpoint may have been written between the first mark and the emergency stop
     demand_accepted(bench.reset(bench.estop), "the reset")
     bench.demand_no_motion(mark, "after the reset")
     return {"request_to_sixth_stop_us": latency_us, "request_to_answer_ms": took_ms, "stop_frames": len(LEGS)}

@@ -1,4 +1,4 @@
-"""The command line of a program for a person next to the robot: `walk`."""
+"""The command line of `walk`, apart from its parts: an emergency stop from a shell does not load these."""
 
 import sys
 from typing import Annotated

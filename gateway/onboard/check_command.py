@@ -1,0 +1,90 @@
+"""The command line of `check`, apart from its parts: an emergency stop from a shell does not load these."""
+
+import sys
+from typing import Annotated
+
+import typer
+
+from gateway.errors import ConfigError
+from gateway.people.tools.options import ConfigOption, ConnectOption, TimeoutOption, ZenohConfigOption
+
+app = typer.Typer()
+
+
+@app.command()
+def check(
+    config: ConfigOption = None,
+    connect: ConnectOption = None,
+    zenoh_config: ZenohConfigOption = None,
+    timeout: TimeoutOption = 2.0,
+    move: Annotated[
+        bool,
+        typer.Option(
+            "--move", help="Through the gateway that runs: start one servo, move it by 5°, stop all; with consent."
+        ),
+    ] = False,
+    stops: Annotated[
+        bool,
+        typer.Option("--stops", help="Through the gateway that runs: prove step by step that it stops; with consent."),
+    ] = False,
+    leg: Annotated[int, typer.Option("--leg", metavar="N", min=1, max=6, help="With --stops: the leg that moves.")] = 1,
+    only: Annotated[
+        list[str] | None, typer.Option("--only", metavar="STEP", help="With --stops: only this step; repeat it.")
+    ] = None,
+    late: Annotated[
+        float, typer.Option("--late", metavar="MS", min=1, help="With --stops: how late a Stop may be.")
+    ] = 20.0,
+    restart: Annotated[
+        bool, typer.Option("--restart", help="With --stops: also kill the service; as root, on the robot.")
+    ] = False,
+    unplug: Annotated[
+        bool, typer.Option("--unplug", help="With --stops: also ask for SPI and the power board's CAN to be unplugged.")
+    ] = False,
+    yes: Annotated[
+        bool, typer.Option("--yes", help="With --move (servo 61, 90°) and --stops: without asking.")
+    ] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="With --stops: the result as JSON.")] = False,
+) -> None:
+    """Show whether this machine can run the service, line by line, and how to fix what it lacks.
+
+    With --zenoh-config or --connect: whether this laptop reaches the gateway, and what it may do there. Where a
+    simulated gateway runs (`make run`) it looks at that, unless --config names a file.
+
+    Without --move and --stops it changes nothing: no byte reaches the servos, and a running gateway is not disturbed.
+    With elkapod-2025, and no gateway running, it shuts all servos down once the controller's heartbeat has come, and
+    clocks frames, since its answers need them. As root it looks with the rights of the service's user.
+
+    --stops moves one servo by 5°, after a change and before people come near, and ends with everything stopped, also on
+    Ctrl-C. It measures from the frames, where the gateway publishes them (telemetry.frames).
+
+    Exit codes: 0 it can (--move: it moved, and its Stop arrived; with --yes: every frame was written; --stops: all
+    passed), 1 it cannot, 2 spi.framing is not set, the configuration may not be read, the robot is not at rest, nobody
+    agreed, or somebody else drives, 4 with --move and --stops: no gateway answers.
+    """
+    if not stops and (only or restart or unplug or as_json):
+        raise ConfigError("--only, --restart, --unplug and --json go with --stops")
+    if move or stops:
+        from gateway.onboard.check.move import move as move_servo
+        from gateway.onboard.check.stops import stops as prove_stops
+        from gateway.people.tools import reach
+
+        connection = reach.connection(connect, zenoh_config, timeout, source="hexapod-gateway check")
+        if move:
+            sys.exit(move_servo(connection, config, agreed=yes))
+        proved = prove_stops(
+            connection,
+            leg=leg,
+            agreed=yes,
+            only=only or (),
+            late_ms=late,
+            restart=restart,
+            unplug=unplug,
+            config=config,
+            as_json=as_json,
+        )
+        sys.exit(proved)
+    from gateway.onboard.check import check, check_laptop
+
+    if connect is not None or zenoh_config is not None:
+        sys.exit(check_laptop(connect, zenoh_config, timeout))
+    sys.exit(check(config))

@@ -1,0 +1,181 @@
+"""Keeps the emergency stop in the state directory: behind its Stops, on a thread of its own.
+
+One write is on its way at a time, and the next one writes what holds by then, so no older state follows a newer one.
+"""
+
+import asyncio
+import logging
+import threading
+from datetime import UTC
+from functools import partial
+from pathlib import Path
+from typing import Final
+
+from gateway.robot.core.events import EstopKept
+from gateway.robot.host import estop_file
+from gateway.robot.host.calibration_file import SLOW_S
+from gateway.robot.host.disk_writer import DiskWriter
+from gateway.robot.host.estop_file import KeptEstop
+from gateway.robot.host.ownership import OwnersTimer
+from gateway.robot.runtime.conductor import Conductor
+from schemas.keys import ESTOP
+from schemas.telemetry import Kind
+
+READ_S: Final = 2.0
+"""How long the start waits for the disk: it answers within milliseconds, a worn card within a second."""
+PAUSE_S: Final = 0.1
+"""Between two writes that change no more than the number: a flood of requests must not wear out the card."""
+RETRY_S: Final = 1.0
+"""A disk that is full may have space again."""
+FLUSH_S: Final = 0.2
+"""How long the end of the service waits for a write."""
+_LOOK: Final = "look that nobody is in danger, then reset it (hexapod-gateway reset)"
+
+logger = logging.getLogger(__name__)
+
+
+class EstopKeeper:
+    """Reads what an earlier run has left, and writes what changes. Without a folder it keeps nothing."""
+
+    def __init__(self, conductor: Conductor, folder: Path | None, loop: asyncio.AbstractEventLoop) -> None:
+        """Begin to read: on another thread, so that no first Stop waits for the disk."""
+        self._conductor = conductor
+        self._folder = folder
+        self._wanted: KeptEstop | None = None
+        self._written: KeptEstop | None = None
+        self._writing: KeptEstop | None = None
+        self._unknown: str | None = None
+        """Why it is not known what an earlier run has left; until a reset."""
+        self._fault: str | None = None
+        """Why the latest write failed."""
+        self._idle = threading.Event()
+        self._idle.set()
+        self._ending = False
+        self._read: asyncio.Future[KeptEstop] = loop.create_future()
+        if folder is None:
+            return
+        self._next = OwnersTimer(loop, conductor.owner, self._write_next)
+        self._slow = OwnersTimer(loop, conductor.owner, self._note_delay)
+        self._disk = DiskWriter("keep estop", loop, conductor.owner)
+        found: list[KeptEstop] = []
+        self._disk.write(
+            lambda: found.append(estop_file.read(folder)),
+            lambda _: loop.call_soon_threadsafe(self._take, found[0]),
+        )
+
+    # ---- the start
+
+    def _take(self, found: KeptEstop) -> None:
+        if not self._read.done():
+            self._read.set_result(found)
+
+    async def known(self) -> None:
+        """Return once the supervisor knows what an earlier run has left, READ_S later at most. Before any command."""
+        if self._folder is None:
+            return
+        try:
+            found = await asyncio.wait_for(self._read, READ_S)
+        except TimeoutError:
+            found = estop_file.unknown(f"{self._folder}: the disk has not answered for {READ_S:g} s")
+        conductor = self._conductor
+        with conductor.owner:
+            if not conductor.supervisor.latch.number:  # else the source and the time are those of a newer one
+                conductor.restore_estop(found.source, found.time)
+            self._unknown = found.fault
+            self._written = None if found.fault else found
+            conductor.on_latch = self._changed
+            conductor.ask(EstopKept(found.number, found.engaged))
+            self._show()
+
+    def announce_start(self) -> None:
+        """Publish that an earlier run's emergency stop is engaged, or that it counts as engaged."""
+        if self._folder is None:
+            logger.info("an emergency stop is kept in memory only, until this process ends (state.path)")
+            return
+        found = self._written or self._writing or self._wanted
+        if self._unknown is not None:
+            number = self._conductor.supervisor.latch.number
+            what = f"emergency stop {number} is engaged, since it is not known what an earlier run has left"
+            self._conductor.announce(Kind.ESTOP_KEPT, f"{what} ({self._unknown}); {_LOOK}", ESTOP)
+        elif found is not None and found.engaged and found.time is not None:
+            since = f"{found.time.astimezone(UTC):%Y-%m-%d %H:%M:%S} UTC"
+            by = "" if found.source is None else f", by {found.source}"
+            detail = f"emergency stop {found.number} of {since}{by} is engaged still; {_LOOK}"
+            self._conductor.announce(Kind.ESTOP_KEPT, detail, ESTOP)
+
+    # ---- what changes
+
+    def _changed(self) -> None:
+        """Behind the Stops of an emergency stop, and behind a reset."""
+        latch = self._conductor.supervisor.latch
+        if latch.since_ns is None:
+            self._unknown = None
+            self._wanted = KeptEstop(latch.number)
+            self._show()
+        else:
+            reports = self._conductor.reports
+            self._wanted = KeptEstop(latch.number, True, self._conductor.estop_source, reports.estop_since)
+        if self._wanted != self._written:
+            self._idle.clear()
+            if not (self._next.armed and _only_number(self._written, self._wanted)):
+                self._write_next()
+
+    def _write_next(self) -> None:
+        wanted = self._wanted
+        if self._writing is not None or wanted is None or self._folder is None:
+            return
+        if wanted == self._written:
+            self._idle.set()
+            return
+        self._writing = wanted
+        self._slow.set_in(SLOW_S)
+        self._disk.write(partial(estop_file.write, self._folder, wanted), self._ended)
+
+    def _ended(self, fault: str | None) -> None:
+        writing, self._writing = self._writing, None
+        self._slow.cancel()
+        self._report(fault)
+        if fault is not None:
+            self._idle.set()  # nobody waits for the next try
+            self._next.set_in(RETRY_S)
+            return
+        self._written = writing
+        if self._wanted != writing and _only_number(writing, self._wanted) and not self._ending:
+            self._next.set_in(PAUSE_S)
+        else:
+            self._write_next()
+
+    def _note_delay(self) -> None:
+        self._report(f"the disk has not answered for {SLOW_S:g} s")
+
+    def _report(self, fault: str | None) -> None:
+        """Publish why the emergency stop, or its end, is not kept; or that it is."""
+        before, self._fault = self._fault, fault
+        if self._conductor.closed or before == fault:
+            return
+        self._show()
+        if before is None:
+            engaged = self._wanted is not None and self._wanted.engaged
+            what = "the emergency stop" if engaged else "the end of the emergency stop"
+            then = "may forget it" if engaged else "engages it again"
+            detail = f"{what} is not kept, so a restart {then}: {fault}"
+            self._conductor.announce(Kind.ESTOP_NOT_KEPT, detail, ESTOP)
+        self._conductor.publish_state()
+
+    def _show(self) -> None:
+        self._conductor.reports.estop_fault = self._fault or self._unknown
+
+    # ---- the end
+
+    def flush(self) -> None:
+        """Wait until all is written, FLUSH_S at most. For a thread that does not own the state."""
+        with self._conductor.owner:
+            self._ending = True
+            if not self._idle.is_set():
+                self._write_next()
+        self._idle.wait(FLUSH_S)
+
+
+def _only_number(on_disk: KeptEstop | None, wanted: KeptEstop | None) -> bool:
+    """Whether an emergency stop is engaged on the disk, and still is."""
+    return on_disk is not None and on_disk.engaged and wanted is not None and wanted.engaged

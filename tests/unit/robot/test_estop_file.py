@@ -1,0 +1,175 @@
+"""The emergency stop on disk: what a start makes of whatever it finds, and in which order it is written."""
+
+import os
+from collections.abc import Callable
+from datetime import UTC, datetime
+from pathlib import Path
+
+import pytest
+
+from gateway import durable
+from gateway.errors import ConfigError
+from gateway.robot.host.estop_file import ESTOP_FILE, LAST_FILE, MAX_BYTES, KeptEstop, read, write
+
+SINCE = datetime(2026, 11, 26, 4, 30, tzinfo=UTC)
+ENGAGED = KeptEstop(7, True, "anna", SINCE)
+UNHEARD_OF = 10**9
+
+
+def test_a_first_start_has_none_and_a_number_to_go_on_from(tmp_path: Path) -> None:
+    assert read(tmp_path) == KeptEstop(0)
+    assert (tmp_path / LAST_FILE).read_text() == '{"number":0}'
+
+
+def test_an_engaged_one_comes_back_whole(tmp_path: Path) -> None:
+    write(tmp_path, ENGAGED)
+    assert read(tmp_path) == read(tmp_path) == ENGAGED
+
+
+def test_one_that_was_left_is_gone_and_its_number_is_not(tmp_path: Path) -> None:
+    write(tmp_path, ENGAGED)
+    write(tmp_path, KeptEstop(7))
+    assert not (tmp_path / ESTOP_FILE).exists()
+    assert read(tmp_path) == KeptEstop(7)
+    write(tmp_path, ENGAGED._replace(number=8))
+    assert read(tmp_path).number == 8
+
+
+def test_a_source_that_is_no_text_does_not_spoil_the_file(tmp_path: Path) -> None:
+    write(tmp_path, ENGAGED._replace(source="a\ud800"))
+    assert read(tmp_path) == ENGAGED._replace(source="a?")
+
+
+def test_a_crash_before_the_file_is_removed_leaves_it_engaged(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write(tmp_path, ENGAGED)
+
+    def crash(_path: Path, missing_ok: bool = False) -> None:
+        del missing_ok
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Path, "unlink", crash)
+    with pytest.raises(KeyboardInterrupt):
+        write(tmp_path, KeptEstop(7))
+    monkeypatch.undo()
+    assert read(tmp_path) == ENGAGED
+
+
+def gone(folder: Path) -> None:
+    folder.rmdir()
+
+
+def a_file_in_its_place(folder: Path) -> None:
+    folder.rmdir()
+    folder.touch()
+
+
+def empty(folder: Path) -> None:
+    (folder / ESTOP_FILE).touch()
+
+
+def half_of_it(folder: Path) -> None:
+    (folder / ESTOP_FILE).write_text('{"number":7,"sour')
+
+
+def foreign(folder: Path) -> None:
+    (folder / ESTOP_FILE).write_text('{"number":7}')
+
+
+def no_number(folder: Path) -> None:
+    (folder / ESTOP_FILE).write_text('{"number":"7","source":null,"time":"2026-11-26T04:30:00Z"}')
+
+
+def without_a_zone(folder: Path) -> None:
+    (folder / ESTOP_FILE).write_text('{"number":7,"source":null,"time":"2026-11-26T04:30:00"}')
+
+
+def huge(folder: Path) -> None:
+    (folder / ESTOP_FILE).write_bytes(b" " * (MAX_BYTES + 1))
+
+
+def a_folder(folder: Path) -> None:
+    (folder / ESTOP_FILE).mkdir()
+
+
+def a_pipe(folder: Path) -> None:
+    os.mkfifo(folder / ESTOP_FILE)
+
+
+def a_loop_of_links(folder: Path) -> None:
+    (folder / ESTOP_FILE).symlink_to(ESTOP_FILE)
+
+
+def no_space(folder: Path) -> None:
+    """An earlier run could not keep one, either."""
+    durable.staged_for(folder / LAST_FILE).symlink_to("/dev/full")
+
+
+def not_writable(folder: Path) -> None:
+    durable.staged_for(folder / LAST_FILE).mkdir()
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        gone, a_file_in_its_place, empty, half_of_it, foreign, no_number, without_a_zone, huge, a_folder, a_pipe,
+        a_loop_of_links, no_space, not_writable,
+    ],
+)  # fmt: skip
+def test_where_it_cannot_be_told_one_is_engaged_with_a_new_number_and_the_place_is_named(
+    tmp_path: Path, damage: Callable[[Path], None]
+) -> None:
+    folder = tmp_path / "state"
+    folder.mkdir()
+    damage(folder)
+    found, again = read(folder), read(folder)
+    assert found.engaged
+    assert found.time is not None
+    assert str(folder) in str(found.fault)
+    assert UNHEARD_OF <= found.number != again.number
+
+
+def test_a_folder_that_may_not_be_entered_tells_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def denied(path: Path) -> list[str]:
+        raise PermissionError(13, "Permission denied", str(path))
+
+    monkeypatch.setattr(os, "listdir", denied)  # root may enter any folder
+    assert read(tmp_path).fault == f"{tmp_path}: Permission denied"
+
+
+def test_a_damaged_last_number_is_replaced_by_one_that_nobody_has_heard_of(tmp_path: Path) -> None:
+    (tmp_path / LAST_FILE).write_text("seven")
+    found = read(tmp_path)
+    assert (found.engaged, found.fault) == (False, None)
+    assert found.number >= UNHEARD_OF
+    assert read(tmp_path) == found, "it is kept"
+
+
+def test_one_that_is_killed_while_it_writes_has_left_it_engaged(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A new file is there before it is synced."""
+
+    def crash(_descriptor: int) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(os, "fsync", crash)
+    with pytest.raises(KeyboardInterrupt):
+        write(tmp_path, ENGAGED)
+    monkeypatch.undo()
+    assert read(tmp_path) == ENGAGED
+
+
+def test_the_greater_number_counts(tmp_path: Path) -> None:
+    write(tmp_path, KeptEstop(9))
+    write(tmp_path, ENGAGED)
+    assert read(tmp_path) == ENGAGED._replace(number=9)
+
+
+@pytest.mark.parametrize("kept", [ENGAGED, KeptEstop(7)])
+@pytest.mark.parametrize("place", [ESTOP_FILE, LAST_FILE])
+def test_what_cannot_be_written_is_a_sentence(tmp_path: Path, kept: KeptEstop, place: str) -> None:
+    (tmp_path / place).mkdir()
+    if kept.engaged == (place == LAST_FILE):
+        return  # the one that is not written
+    with pytest.raises(ConfigError, match="cannot be written"):
+        write(tmp_path, kept)

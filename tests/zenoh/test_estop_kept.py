@@ -1,0 +1,250 @@
+"""An emergency stop outlasts the gateway, however that ends, and whatever the disk does; all with real processes."""
+
+import json
+import os
+import signal
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from gateway import durable
+from gateway.client import Client
+from gateway.robot.host.calibration_file import SLOW_S
+from gateway.robot.host.estop_file import ESTOP_FILE, LAST_FILE
+from schemas import keys
+from schemas.telemetry import GatewayState, Kind, Mode, Reason
+from tests.support.gateway_process import Gateway
+from tests.support.heard import events, states
+
+LATE_S = 15.0
+
+
+@pytest.fixture
+def state(tmp_path: Path) -> Path:
+    folder = tmp_path / "state"
+    folder.mkdir()
+    return folder
+
+
+@pytest.fixture
+def gateway(tmp_path: Path, state: Path) -> Iterator["Gateways"]:
+    made = Gateways(tmp_path, state)
+    yield made
+    made.close()
+
+
+class Gateways:
+    """One after the other, on the same state directory."""
+
+    def __init__(self, folder: Path, state: Path) -> None:
+        self._folder, self.state = folder, state
+        self._running: list[Gateway] = []
+
+    def start(self) -> Gateway:
+        self.close()
+        self._running = [Gateway(self._folder, env={"HEXAPOD_STATE__PATH": str(self.state)})]
+        return self._running[0]
+
+    def close(self) -> None:
+        for each in self._running:
+            each.close()
+
+
+def until(condition: Callable[[], bool]) -> None:
+    give_up_s = time.monotonic() + LATE_S
+    while not condition():
+        assert time.monotonic() < give_up_s
+        time.sleep(0.001)
+
+
+def press(client: Client, source: str = "anna") -> int:
+    """Engage it; its number."""
+    ack = client.ask(keys.ESTOP, {"source": source})
+    assert ack.stop_frames == 6
+    assert ack.estop is not None
+    return ack.estop
+
+
+def is_kept(folder: Path, number: int) -> bool:
+    path = folder / ESTOP_FILE
+    return path.exists() and json.loads(path.read_text())["number"] == number
+
+
+def engaged_still(gateway: Gateway, number: int) -> GatewayState:
+    with gateway.client() as client:
+        found = client.state()
+        assert (found.mode, found.estop) == (Mode.ESTOPPED, number)
+        assert client.start_leg(3, 90, 90, 90).reason is Reason.ESTOPPED
+    gateway.child.wait_for_output("is engaged still")
+    return found
+
+
+@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGABRT, signal.SIGTERM])
+def test_it_is_engaged_again_however_the_gateway_ended(gateway: Gateways, how: signal.Signals) -> None:
+    first = gateway.start()
+    with first.client() as client:
+        assert press(client, "anna") == 1
+        since = client.state().estop_since
+    if how is not signal.SIGTERM:
+        until(lambda: is_kept(gateway.state, 1))
+    first.child.send_signal(how)
+    first.child.wait(LATE_S)
+    assert is_kept(gateway.state, 1), "an end in order waits for the write"
+    found = engaged_still(gateway.start(), 1)
+    assert (found.estop_source, found.estop_since, found.estop_fault) == ("anna", since, None)
+
+
+def test_a_reset_ends_it_for_good_and_numbers_go_on(gateway: Gateways) -> None:
+    first = gateway.start()
+    with first.client() as client:
+        press(client)
+        until(lambda: is_kept(gateway.state, 1))
+        assert client.ask(keys.RESET, {"estop": 1}).accepted
+        until(lambda: not (gateway.state / ESTOP_FILE).exists())
+    os.kill(first.child.pid, signal.SIGKILL)
+    second = gateway.start()
+    with second.client() as client:
+        found = client.state()
+        assert (found.mode, found.estop, found.estop_since) == (Mode.IDLE, 1, None)
+        assert press(client) == 2
+        assert client.ask(keys.RESET, {"estop": 1}).reason is Reason.ESTOPPED, "it was sent to the first run"
+
+
+def test_engaged_left_and_engaged_at_once_is_engaged(gateway: Gateways) -> None:
+    """Nothing older is written behind something newer."""
+    first = gateway.start()
+    with first.client() as client:
+        for number in range(1, 21):
+            assert press(client) == number
+            if number < 20:
+                assert client.ask(keys.RESET, {"estop": number}).accepted
+        until(lambda: is_kept(gateway.state, 20))
+    os.kill(first.child.pid, signal.SIGKILL)
+    engaged_still(gateway.start(), 20)
+
+
+def test_a_flood_of_requests_costs_the_disk_few_writes_and_the_last_number_is_kept(gateway: Gateways) -> None:
+    with gateway.start().client() as client:
+        number, seen = press(client), set[int]()
+        until(lambda: is_kept(gateway.state, number))
+        begun = time.monotonic()
+        for _ in range(200):
+            number = press(client)
+            seen.add((gateway.state / ESTOP_FILE).stat().st_mtime_ns)
+        took_s = time.monotonic() - begun
+        until(lambda: is_kept(gateway.state, number))
+    assert len(seen) <= 3 + took_s / 0.1
+
+
+def test_an_end_in_order_keeps_the_last_number(gateway: Gateways) -> None:
+    """Which waits for its turn, behind that of the request before it."""
+    first = gateway.start()
+    with first.client() as client:
+        number = press(client)
+        until(lambda: is_kept(gateway.state, number))
+        for _ in range(3):
+            number = press(client)
+        first.child.send_signal(signal.SIGTERM)
+    assert first.child.wait(LATE_S) == 0
+    assert is_kept(gateway.state, number)
+
+
+# ---- the disk
+
+
+def test_without_a_state_directory_nothing_is_kept_and_the_log_says_so(tmp_path: Path) -> None:
+    with Gateway(tmp_path) as first, first.client() as client:
+        first.child.wait_for_output("an emergency stop is kept in memory only")
+        press(client)
+    with Gateway(tmp_path) as again, again.client() as client:
+        assert (client.state().mode, client.state().estop) == (Mode.IDLE, 0)
+
+
+@pytest.mark.parametrize("what", ["damaged", "missing", "full"])
+def test_where_it_cannot_tell_it_starts_estopped_says_so_and_a_person_may_reset_it(
+    gateway: Gateways, what: str
+) -> None:
+    if what == "damaged":
+        (gateway.state / ESTOP_FILE).write_text("{")
+    elif what == "full":
+        durable.staged_for(gateway.state / LAST_FILE).symlink_to("/dev/full")
+    else:
+        gateway.state.rmdir()
+    first = gateway.start()
+    with first.client() as client:
+        found = client.state()
+        assert found.mode is Mode.ESTOPPED
+        assert found.estop_since is not None
+        assert str(gateway.state) in str(found.estop_fault)
+        first.child.wait_for_output("since it is not known what an earlier run has left")
+        assert client.start_leg(3, 90, 90, 90).reason is Reason.ESTOPPED
+        assert client.ask(keys.RESET, {"estop": 1}).reason is Reason.ESTOPPED
+        assert client.ask(keys.RESET, {"estop": found.estop}).accepted
+        assert client.start_leg(3, 90, 90, 90).accepted
+
+
+def test_a_disk_that_goes_is_reported_and_an_emergency_stop_is_not_forgotten(gateway: Gateways) -> None:
+    first = gateway.start()
+    away = gateway.state.with_name("unmounted")
+    with first.client() as client:
+        heard, seen = events(client), states(client)
+        gateway.state.rename(away)
+        press(client)
+        event = heard.wait(lambda each: each.kind == Kind.ESTOP_NOT_KEPT, timeout_s=LATE_S)
+        assert "the emergency stop is not kept, so a restart may forget it" in event.detail
+        seen.wait(lambda each: "No such file or directory" in str(each.estop_fault), timeout_s=LATE_S)
+    os.kill(first.child.pid, signal.SIGKILL)
+    with gateway.start().client() as client:
+        seen = states(client)
+        assert client.state().mode is Mode.ESTOPPED, "it cannot tell"
+        assert not gateway.state.exists(), "nobody makes it anew"
+        away.rename(gateway.state)
+        until((gateway.state / ESTOP_FILE).exists)  # tried again within a second
+
+
+def test_an_end_that_is_not_kept_is_reported_and_engaged_again(gateway: Gateways) -> None:
+    first = gateway.start()
+    with first.client() as client:
+        heard = events(client)
+        press(client)
+        until(lambda: is_kept(gateway.state, 1))
+        durable.staged_for(gateway.state / LAST_FILE).symlink_to("/dev/full")
+        assert client.ask(keys.RESET, {"estop": 1}).accepted
+        event = heard.wait(lambda each: each.kind == Kind.ESTOP_NOT_KEPT, timeout_s=LATE_S)
+        assert "the end of the emergency stop is not kept, so a restart engages it again" in event.detail
+        assert "No space left on device" in event.detail
+        assert client.start_leg(3, 90, 90, 90).accepted
+    os.kill(first.child.pid, signal.SIGKILL)
+    engaged_still(gateway.start(), 1)
+
+
+def test_no_stop_waits_for_a_disk_that_hangs_while_it_runs(gateway: Gateways) -> None:
+    first = gateway.start()
+    os.mkfifo(durable.staged_for(gateway.state / ESTOP_FILE))
+    with first.client() as client:
+        heard = events(client)
+        for number in (1, 2, 3):
+            begun = time.monotonic()
+            assert press(client) == number
+            assert time.monotonic() - begun < 1
+        assert client.state().mode is Mode.ESTOPPED
+        event = heard.wait(lambda each: each.kind == Kind.ESTOP_NOT_KEPT, timeout_s=SLOW_S + LATE_S)
+        assert "has not answered for 5 s" in event.detail
+        assert client.ask(keys.RESET, {"estop": 3}).accepted
+    first.child.send_signal(signal.SIGTERM)
+    begun = time.monotonic()
+    assert first.child.wait(LATE_S) == 0
+    assert time.monotonic() - begun < 2
+
+
+def test_a_disk_that_hangs_at_the_start_delays_no_stop_and_the_gateway_starts_estopped(gateway: Gateways) -> None:
+    os.mkfifo(durable.staged_for(gateway.state / LAST_FILE))
+    with gateway.start().client() as client:
+        found = client.state()
+        assert found.mode is Mode.ESTOPPED
+        assert "has not answered for 2 s" in str(found.estop_fault)
+        assert found.spi.frames >= 6
+        assert client.ask(keys.RESET, {"estop": found.estop}).accepted
+        assert client.start_leg(3, 90, 90, 90).accepted
