@@ -357,7 +357,7 @@ def _inbox(
         readers={
             **{each.key: each.note for each in (lease, button, calibrations, revocations)},
             CALIBRATION: lambda _query, _ns, reply: partial(calibrations.answer, reply),
-            **({TELEMETRY: lambda _query, _ns, reply: partial(conductor.answer_telemetry, reply)} if measures else {}),
+            **({TELEMETRY: lambda _query, _ns, reply: partial(conductor.telemetry.answer, reply)} if measures else {}),
         },
         tokens={lease.key: conductor.supervisor.lease.holds, button.key: conductor.supervisor.buttons.knows},
         depth=put_depth(settings.limits.leg_rate_hz, settings.watchdog.timeout_ms),
@@ -387,7 +387,7 @@ def _report_tasks(settings: Settings, conductor: Conductor, outbox: ZenohOutbox)
     telemetry_hz = REPORTS_HZ if measures else 0.0
     return [
         asyncio.create_task(_report(STATE, REPORTS_HZ, conductor.publish_state, conductor, outbox)),
-        asyncio.create_task(_report(TELEMETRY, telemetry_hz, conductor.publish_telemetry, conductor, outbox)),
+        asyncio.create_task(_report(TELEMETRY, telemetry_hz, conductor.telemetry.publish, conductor, outbox)),
     ]
 
 

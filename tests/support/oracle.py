@@ -161,22 +161,7 @@ class Oracle(RobotHistory):
                 self._answered(effect.request.number)
         demand(not self.pending, "nothing waits any more")
 
-    def _in_time(
-        self,
-        event: Command
-        | Reset
-        | LeaseRequest
-        | ButtonRequest
-        | TimePassed
-        | StoppedOutside
-        | EstopKept
-        | Calibrate
-        | CalibrationSaved
-        | BodyMeasured
-        | PowerSeen,
-        now_ns: int,
-        effects: Sequence[Effect],
-    ) -> None:
+    def _in_time(self, event: Event, now_ns: int, effects: Sequence[Effect]) -> None:
         frames = [effect for effect in effects if isinstance(effect, Transmit)]
         if not self.bus_ok:
             demand(not frames, "nothing is sent while the bus is at fault")
