@@ -14,7 +14,7 @@ from collections.abc import Iterator
 from copy import copy
 from html.parser import HTMLParser
 from importlib import import_module
-from inspect import iscoroutinefunction
+from inspect import iscoroutinefunction, isfunction
 from pathlib import Path, PurePosixPath
 from typing import Any, Final
 from urllib.parse import unquote, urlsplit
@@ -173,21 +173,21 @@ def _owners(owner: griffe.Object) -> Iterator[griffe.Object]:
 
 
 def _complete(package: griffe.Module, module: griffe.Module) -> None:
-    """Methods made at import (`go = waits(Walk.go)`) are shown as the method that they wait for, with `async`."""
+    """Methods made at import (`go = waits(Walk.go)`) are shown as those that they are made of, some with `async`."""
     made = [
         (owner, name)
         for owner in module.classes.values()
         if not owner.is_alias
         for name, member in owner.members.items()
-        if not name.startswith("_")
+        if (name == "__init__" or not name.startswith("_"))
         and isinstance(member, griffe.Attribute)
         and isinstance(member.value, griffe.ExprCall)
     ]
     for owner, name in made:
         method = getattr(getattr(import_module(module.path), owner.name), name, None)
-        if iscoroutinefunction(method):
+        if isfunction(method):
             function = copy(package[method.__module__.removeprefix(f"{package.path}.")][method.__qualname__])
-            function.labels = {*function.labels, "async"}
+            function.labels = {*function.labels, *(("async",) if iscoroutinefunction(method) else ())}
             owner.set_member(name, function)
 
 

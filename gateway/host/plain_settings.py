@@ -52,8 +52,6 @@ class PlainPower(NamedTuple):
 
     interface: str = ""
     channel: str = "can0"
-    bitrate: int = 1_000_000
-    cut_on: tuple[str, ...] = ("estop", "bus_fault", "button", "shutdown", "unconfirmed")
 
 
 class SpiValues(Protocol):
@@ -100,10 +98,6 @@ class PowerValues(Protocol):
     def interface(self) -> str: ...
     @property
     def channel(self) -> str: ...
-    @property
-    def bitrate(self) -> int: ...
-    @property
-    def cut_on(self) -> tuple[str, ...]: ...
 
 
 class Plain(NamedTuple):
@@ -122,11 +116,10 @@ LIMITS: Final[Mapping[str, tuple[float, float]]] = {
     "resync_ms": (0, 10_000),
     "repeats": (0, 100),
     "repeat_interval_ms": (1, 1000),
-    "bitrate": (10_000, 1_000_000),
 }
 NOT_FOR_STOPS: Final = frozenset({"avoid_deg"})
 """Settings of [spi] that no Stop depends on; they are not looked at."""
-_WHOLE: Final = frozenset({"speed_hz", "repeats", "bitrate"})
+_WHOLE: Final = frozenset({"speed_hz", "repeats"})
 
 _KNOWN: Final = NOT_FOR_STOPS | set(PlainSpi._fields)
 
@@ -175,8 +168,6 @@ def _power(table: Any) -> PlainPower | None:
     stated: dict[str, Any] = {name: table[name] for name in PlainPower._fields if name in table}
     if not all(_is_right(name, value) for name, value in stated.items()):
         return None
-    if "cut_on" in stated:
-        stated["cut_on"] = tuple(stated["cut_on"])
     return PlainPower(**stated)
 
 
@@ -197,8 +188,6 @@ def within_limits(spi: SpiValues) -> tuple[SpiValues, str]:
 def _is_right(name: str, value: Any) -> bool:
     if name in {"protocol", "framing", "interface", "channel"}:
         return isinstance(value, str) and "\0" not in value
-    if name == "cut_on":
-        return isinstance(value, list) and all(each in PlainPower().cut_on for each in value)
     if name in {"device", "uart"}:
         return isinstance(value, str) and value.startswith("/") and "\0" not in value
     if name == "batch":

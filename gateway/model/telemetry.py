@@ -37,16 +37,13 @@ def starts_whole(state: GatewayState) -> bool:
 
     Where a board feeds each servo by itself, each can be started and stopped.
     """
-    return state.power is None and _controller_starts_whole(state)
+    protocol = state.controller.protocol
+    return state.power is None and any(protocol == each and each.starts_whole for each in SpiProtocol)
 
 
 def fed_singly(state: GatewayState) -> bool:
-    """Whether a board feeds each servo from its own start to its own Stop."""
-    return state.power is not None and _controller_starts_whole(state)
-
-
-def _controller_starts_whole(state: GatewayState) -> bool:
-    return any(state.controller.protocol == each and each.starts_whole for each in SpiProtocol)
+    """Whether a board feeds each servo from its own start to its own Stop: a start then takes a while."""
+    return state.power is not None
 
 
 def currents_a(telemetry: Telemetry | None) -> dict[int, float]:

@@ -70,7 +70,7 @@ def check(
 
         connection = reach.connection(connect, zenoh_config, timeout, source="hexapod-gateway check")
         if move:
-            sys.exit(move_servo(connection, config, agreed=yes))
+            sys.exit(move_servo(connection, agreed=yes))
         proved = prove_stops(
             connection,
             leg=leg,

@@ -73,7 +73,7 @@ def _cut(power: PowerValues | None) -> "SupplyCut | None":
     """Take the supply from now on, where the settings want that. Loads little: the first Stops wait for it."""
     if power is None:
         raise ConfigError("[power] of the configuration is wrong")
-    if power.interface in {"", "sim"} or "shutdown" not in power.cut_on:
+    if power.interface in {"", "sim"}:
         return None
     from gateway.robot.power.last_cut import SupplyCut
 

@@ -27,7 +27,6 @@ from gateway.robot import wires
 from gateway.robot.blackbox.recorder import Recorder
 from gateway.robot.core.calibrating import ACCEPT_DEFAULT
 from gateway.robot.core.leg import Rules
-from gateway.robot.core.power import CutOn
 from gateway.robot.core.supervisor import Supervisor
 from gateway.robot.host import calibration_file, stop_note
 from gateway.robot.host.disk_writer import DiskWriter
@@ -125,6 +124,7 @@ def rules(settings: Settings) -> Rules:
         min_battery_mv=round(settings.safety.min_battery_v * 1000),
         max_tilt_cdeg=centidegrees(settings.safety.max_tilt_deg),
         power=bool(settings.power.interface),
+        angles_first=settings.spi.protocol.starts_whole,
     )
 
 
@@ -361,7 +361,7 @@ def _inbox(
         },
         tokens={lease.key: conductor.supervisor.lease.holds, button.key: conductor.supervisor.buttons.knows},
         depth=put_depth(settings.limits.leg_rate_hz, settings.watchdog.timeout_ms),
-        on_estop_heard=None if conductor.supply is None else partial(conductor.supply.cut_early, CutOn.ESTOP),
+        on_estop_heard=None if conductor.supply is None else conductor.supply.cut_early,
     )
     conductor.connect(inbox)
     return inbox

@@ -181,6 +181,10 @@ _REMOVED: Final[Mapping[Place, str]] = {
     ("telemetry", "rate_hz"): "was removed; what the robot measures comes ten times a second",
     ("telemetry", "metrics_hosts"): "was removed; the page answers to this machine's name and addresses",
     ("log", "format"): "was removed; a terminal and the journal get text, everything else JSON",
+    ("power", "cut_on"): "was removed: a Stop takes the supply of what it stops",
+    ("power", "bitrate"): "was removed: the board's bus runs at 1 Mbit/s",
+    ("power", "idle_ma"): "was removed: a servo at rest may draw 150 mA",
+    ("power", "settle_ms"): "was removed: a stopped servo may draw current for 300 ms",
 }
 """Settings, and whole sections, of earlier versions, and what takes their place."""
 
@@ -242,7 +246,6 @@ _LISTS: Final[Mapping[Place, str]] = {
     ("spi", "avoid_deg"): "[1.0, 4.0]",
     ("buttons", "names"): '["kitchen"]',
     ("power", "servos"): "[]",
-    ("power", "cut_on"): '["estop"]',
 }
 _NAMES: Final = f"a variable is named like {ENV_PREFIX}SPI__DEVICE; the sections are {', '.join(Settings.model_fields)}"
 

@@ -168,7 +168,7 @@ def test_a_part_of_the_robot_is_not_started_and_its_angles_are_never_sent(robot:
     for name, start in PARTS.items():
         ack = start(client)
         assert ack.reason is Reason.WHOLE_ROBOT, f"{name}: {ack}"
-        assert ("stopped as a whole" if "Stop" in name else "all six legs") in (ack.detail or ""), name
+        assert ("only stops as a whole" if "Stop" in name else "all six legs") in (ack.detail or ""), name
     robot.wait_for_frames(ENOUGH, len(robot.events))
     assert {each.what for each in robot.said_since(since)} <= {AT_REST, "shutdown"}
     assert robot.controller.energised == frozenset()

@@ -10,16 +10,17 @@ from typing import Any, Final
 
 import pytest
 
-from gateway.model.power_board import ALL
+from gateway.people.client.blocking import Client
+from schemas import keys
 from schemas.robot import SERVO_IDS
-from schemas.telemetry import Kind, Mode, Reason
+from schemas.telemetry import GatewayState, Kind, Mode, Reason
 from tests.hil.bed import SpiTestbed
 from tests.hil.elkapod_bed import ElkapodBed
 from tests.hil.wire import LATE_S, START_3, STOPS, Wire, start
 from tests.support.child import frozen
 from tests.support.gateway_process import COMMAND, Gateway
-from tests.support.heard import events
-from tests.support.recorded_board import RecordedBoard
+from tests.support.heard import Heard, events
+from tests.support.recorded_board import RecordedBoard, answers_steadily
 
 pytestmark = pytest.mark.hil
 
@@ -39,28 +40,32 @@ def board(tmp_path: Path) -> Iterator[RecordedBoard]:
         yield board
 
 
-def fed(folder: Path, wire: Wire, board: RecordedBoard, **power: Any) -> Gateway:
-    """A gateway whose board feeds all servos."""
-    gateway = start(folder, wire, power={**board.settings, **power})
-    board.next("fed", ALL)
+def alive(folder: Path, wire: Wire, board: RecordedBoard, **power: Any) -> Gateway:
+    """A gateway whose board answers."""
+    gateway = start(folder, wire, power={**board.settings, **power}, watchdog={"timeout_ms": 10_000})
+    with gateway.client() as client:
+        Heard(client, keys.STATE, GatewayState).wait(answers_steadily())
     return gateway
 
 
-def test_the_supply_comes_behind_the_first_stops_and_goes_with_the_emergency_stop(
+def leg_3_runs(client: Client, wire: Wire, board: RecordedBoard) -> None:
+    assert client.start_leg(3, 90, 45, 120).accepted
+    wire.expect(START_3)
+    board.next("fed", LEG_3)
+
+
+def test_a_servo_is_fed_from_its_start_on_and_its_supply_goes_with_its_stop(
     tmp_path: Path, wire: Wire, board: RecordedBoard
 ) -> None:
-    gateway = start(tmp_path, wire, power=board.settings)
-    with gateway, gateway.client() as client:
+    with alive(tmp_path, wire, board) as gateway, gateway.client() as client:
         heard = events(client)
-        first = board.next("mask")
-        assert first.mask == 0, "what an earlier run fed is taken"
-        on = board.next("mask", ALL)
-        stopped_ns = [each.monotonic_ns for each in wire.bed.transfers if each.data.hex() in STOPS]
-        assert len(stopped_ns) == len(STOPS)
-        assert on.at_ns > max(stopped_ns)
-        board.next("fed", ALL)
+        assert {each.mask for each in board.noted if each.what == "mask"} == {0}, "what an earlier run fed is taken"
         assert client.start_leg(3, 90, 45, 120).accepted
         wire.expect(START_3)
+        fed = board.next("fed", LEG_3)
+        stopped_ns = [each.monotonic_ns for each in wire.bed.transfers if each.data.hex() in STOPS]
+        (started_ns,) = [each.monotonic_ns for each in wire.bed.transfers if each.data.hex() == START_3]
+        assert max(stopped_ns) < fed.at_ns < started_ns, "its Stop, its supply, its start"
 
         board.disturb(flood="t1238" + 16 * "0", flood_hz=FLOOD)
         ack = client.estop()
@@ -76,15 +81,10 @@ def test_the_supply_comes_behind_the_first_stops_and_goes_with_the_emergency_sto
         board.disturb(frame="t06A303FFFF")
         assert board.next("mask").mask == 0, "before the board has come to feed anything"
         heard.wait(lambda event: event.kind is Kind.POWER_FAULT)
-
         assert client.reset().accepted
-        on = board.next("mask", ALL)
-        fed_before = {each.mask for each in board.noted[begun:] if each.what == "fed" and each.at_ns < on.at_ns}
-        assert not fed_before, "what the other wanted was never fed"
-        board.next("fed", ALL)
-        state = client.state()
-        assert state.mode is Mode.IDLE
-        assert not any(servo.running for leg in state.legs for servo in leg.servos)
+        assert client.state().mode is Mode.IDLE
+        assert not {each.mask for each in board.noted[begun:] if each.what == "fed"} - {0}, "a reset feeds nothing"
+        leg_3_runs(client, wire, board)
 
         gateway.child.terminate()
         assert gateway.child.wait(LATE_S) == 0
@@ -93,11 +93,12 @@ def test_the_supply_comes_behind_the_first_stops_and_goes_with_the_emergency_sto
 
 
 def test_supply_goes_while_a_transfer_on_spi_hangs(tmp_path: Path, wire: Wire, board: RecordedBoard) -> None:
-    with fed(tmp_path, wire, board) as gateway, gateway.client() as client, ThreadPoolExecutor(2) as pool:
+    with alive(tmp_path, wire, board) as gateway, gateway.client() as client, ThreadPoolExecutor(2) as pool:
+        leg_3_runs(client, wire, board)
         board.skip()
         wire.bed.block()
         count = len(wire.bed.transfers)
-        pool.submit(client.start_leg, 3, 90, 45, 120)
+        pool.submit(client.set_leg, 3, 91, 45, 120)
         wire.bed.wait_for_count(count + 1, LATE_S)
         estop = pool.submit(client.estop)
         assert board.next("mask").mask == 0
@@ -108,10 +109,9 @@ def test_supply_goes_while_a_transfer_on_spi_hangs(tmp_path: Path, wire: Wire, b
 
 
 def test_stops_on_spi_leave_while_the_adapter_takes_nothing(tmp_path: Path, wire: Wire, board: RecordedBoard) -> None:
-    with fed(tmp_path, wire, board, confirm_ms=100) as gateway, gateway.client() as client:
+    with alive(tmp_path, wire, board, confirm_ms=100) as gateway, gateway.client() as client:
         heard = events(client)
-        assert client.start_leg(3, 90, 45, 120).accepted
-        wire.expect(START_3)
+        leg_3_runs(client, wire, board)
         with frozen(board.child.pid):
             heard.wait(lambda event: event.kind is Kind.POWER_UNCONFIRMED)
             wire.expect(*STOPS)
@@ -126,10 +126,9 @@ def test_stops_on_spi_leave_while_the_adapter_takes_nothing(tmp_path: Path, wire
 def test_a_line_that_is_cut_is_reported_and_what_runs_is_stopped(
     tmp_path: Path, wire: Wire, board: RecordedBoard
 ) -> None:
-    with fed(tmp_path, wire, board) as gateway, gateway.client() as client:
+    with alive(tmp_path, wire, board) as gateway, gateway.client() as client:
         heard = events(client)
-        assert client.start_leg(3, 90, 45, 120).accepted
-        wire.expect(START_3)
+        leg_3_runs(client, wire, board)
         board.child.kill()
         heard.wait(lambda event: event.kind is Kind.POWER_UNCONFIRMED)
         wire.expect(*STOPS)
@@ -142,7 +141,9 @@ def test_a_line_that_is_cut_is_reported_and_what_runs_is_stopped(
 def test_a_gateway_that_is_killed_leaves_the_supply_to_stop_servos(
     tmp_path: Path, wire: Wire, board: RecordedBoard
 ) -> None:
-    with fed(tmp_path, wire, board) as gateway:
+    with alive(tmp_path, wire, board) as gateway:
+        with gateway.client() as client:
+            leg_3_runs(client, wire, board)
         gateway.child.kill()
         board.skip()
         with wire.bed.spawn([*COMMAND, "stop-servos", "--config", str(gateway.config)]) as child:

@@ -158,10 +158,12 @@ class LegHistory:
     """After the frame; a rate slot is a period."""
     source: str | None = None
     """Whose command is in force."""
+    unfed_ns: int | None = None
+    """Since when a start of it waits for its supply."""
 
     def clone(self) -> Self:
         """A copy."""
-        return type(self)(self.heard_ns, self.moved_ns, self.bucket_ns, self.source)
+        return type(self)(self.heard_ns, self.moved_ns, self.bucket_ns, self.source, self.unfed_ns)
 
     def key(self, now_ns: int, rules: Rules, *, armed: bool) -> tuple[object, ...]:
         """What of it still matters; see `Oracle.key`."""
@@ -169,6 +171,7 @@ class LegHistory:
             min(now_ns - self.heard_ns, rules.timeout_ns) if self.heard_ns is not None and armed else None,
             self.held_ns(now_ns, rules.period_ns),
             max(0, self.slot_ns(rules.period_ns) - now_ns),
+            None if self.unfed_ns is None else now_ns - self.unfed_ns,
         )
 
     # The rate is a token bucket: it fills by a rate slot in a period, up to three.

@@ -49,6 +49,7 @@ from tests.support.model_parts import (
     lease_requests,
     measurements,
     power_key,
+    rest_key,
     tokens,
 )
 from tests.support.motion import landing_key
@@ -85,13 +86,14 @@ _KNOWN: Final = (
     (_ROBOT.calibrating, "_reach fault guards _on_its_way"),
     (_ROBOT.calibrating, "_delay"),  # words for people, which decide nothing
     (_ROBOT.legs, "_rules _reach by_number _all servos _queue instant_ns landing land_ns"),
-    (_ROBOT.legs, "_speeds rest_ns more_runs _runs_left _settle_ns _settled_ns"),
+    (_ROBOT.legs, "_speeds rest"),
+    (_ROBOT.legs.rest, "_round_ns _run_ns _settle_ns _settled_ns _runs_left runs due_ns"),
     (_ROBOT.legs, "due_ns repeat_ns at_rest"),  # these follow from the others: `take` sees to that
-    (_ROBOT.legs, "_moved given _silent _stops"),  # these count within a step
-    (Leg, "number servos slots heard_ns expired source landed_ns"),
+    (_ROBOT.legs, "_moved given _silent _stops _fed"),  # these count within a step
+    (Leg, "number servos slots heard_ns expired source landed_ns unfed_ns"),
     (Leg, "due_ns repeat_ns runs rests"),  # these follow, too
-    (Servo, "servo_id leg angle_cdeg waiting waiting_for target_cdeg since_ns passing_cdeg repeats_left repeat_ns"),
-    (Servo, "target_for stopped_ns stopped_by"),
+    (Servo, "servo_id leg angle_cdeg waiting waiting_for announced_cdeg target_cdeg since_ns passing_cdeg"),
+    (Servo, "target_for repeats_left repeat_ns stopped_ns stopped_by"),
     (RateSlots, "period_ns oldest_ns next_ns"),
     (StartQueue, "pause_ns next_ns legs"),
     (
@@ -155,7 +157,7 @@ def copied_command(command: Command, commands: dict[int, Command]) -> Command:
 
 def copied(supervisor: Supervisor) -> Supervisor:
     """A copy that shares nothing that changes; copy.deepcopy takes fifty times as long."""
-    legs = cloned(supervisor.legs)
+    legs = cloned(supervisor.legs, rest=cloned(supervisor.legs.rest))
     by_number: dict[int, Leg] = {}
     commands: dict[int, Command] = {}
     for number, leg in supervisor.legs.by_number.items():
@@ -195,12 +197,11 @@ def key(supervisor: Supervisor, now_ns: int, rank: dict[int, int]) -> tuple[obje
         # How old it is for a reset of this instant, and of one that begins now.
         latched_ns and (min(legs.instant_ns - latched_ns, oldest_ns), min(now_ns - latched_ns, oldest_ns)),
         due_ns and max(0, due_ns - now_ns),
-        supervisor._bus_ok and legs.rest_ns and max(0, legs.rest_ns - now_ns),
-        supervisor._bus_ok and legs._runs_left and (legs._runs_left, max(0, legs._settled_ns - now_ns)),
+        supervisor._bus_ok and rest_key(legs.rest, now_ns),
         lease_key(supervisor.lease, now_ns),
         buttons_key(supervisor.buttons, now_ns),
         body_key(supervisor, now_ns),
-        power_key(supervisor),
+        (*power_key(supervisor), legs._fed),
         calibrating_key(supervisor),
         legs.landing and (*landing_key(legs.landing, now_ns), legs.land_ns - now_ns),
         (tuple(queue.legs), max(0, queue.next_ns - now_ns)) if queue.pause_ns else None,
@@ -209,6 +210,7 @@ def key(supervisor: Supervisor, now_ns: int, rank: dict[int, int]) -> tuple[obje
             (
                 min(now_ns - leg.heard_ns, legs._rules.timeout_ns) if leg.heard_ns is not None and leg.armed else None,
                 leg.expired,
+                leg.unfed_ns is not None and now_ns - leg.unfed_ns,
                 legs.landing and leg.landed_ns,
                 max(leg.slots.oldest_ns - now_ns, -2 * leg.slots.period_ns),  # then the bucket is full
                 max(leg.slots.next_ns - now_ns, 0),
@@ -216,6 +218,7 @@ def key(supervisor: Supervisor, now_ns: int, rank: dict[int, int]) -> tuple[obje
                     (
                         servo.angle_cdeg,
                         servo.waiting and (servo.waiting, rank[servo.waiting_for.number]),
+                        servo.announced_cdeg,
                         None if servo.target_cdeg is None else (servo.target_cdeg, rank.get(servo.target_for.number)),
                         servo.passing_cdeg,
                         speed_age_ns(servo.since_ns, now_ns, legs._rules) if servo.running else None,

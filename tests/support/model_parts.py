@@ -18,6 +18,7 @@ from gateway.robot.core.events import (
     LeaseRequest,
 )
 from gateway.robot.core.lease import RobotLease
+from gateway.robot.core.rest import RestStops
 from gateway.robot.core.supervisor import Supervisor
 from tests.support.buttons_history import ButtonsHistory
 from tests.support.calibration_history import CalibrationHistory
@@ -117,6 +118,12 @@ def measurements(bodies: Sequence[tuple[int | None, int]]) -> Iterator[tuple[str
     """What the robot may measure: each tilt with each voltage that it has."""
     for tilt_cdeg, battery_mv in bodies:
         yield f"tilt {tilt_cdeg}, battery {battery_mv}", BodyMeasured(tilt_cdeg, battery_mv)
+
+
+def rest_key(rest: RestStops, now_ns: int) -> tuple[object, ...]:
+    """When the next Stops to legs at rest come, and how many runs are left, from when on."""
+    due_ns = None if rest.due_ns is None else max(0, rest.due_ns - now_ns)
+    return due_ns, rest._runs_left, rest._runs_left and max(0, rest._settled_ns - now_ns)
 
 
 def power_key(supervisor: Supervisor) -> tuple[object, ...]:

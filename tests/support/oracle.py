@@ -188,7 +188,7 @@ class Oracle(RobotHistory):
         for effect in effects:
             match effect:
                 case Transmit(cause=Cause.COMMAND):
-                    self._named(effect, event.number if isinstance(event, Command) else 0)
+                    self.named(effect, event.number if isinstance(event, Command) else 0)
                     self._moved(effect, stops, now_ns)
                 case Transmit(cause=Cause.REPEAT):
                     unowed += self.repeated(effect, now_ns)
@@ -200,31 +200,38 @@ class Oracle(RobotHistory):
             self.rest(effects, unowed, now_ns, ran=ran, silent=bool(watchdog))
         only_stops = isinstance(event, Command) and (not event.moves or bool(rejections_of(event.number, effects)))
         if self.rules.start_pause_ns and ((stops and only_stops) or watchdog):
-            self._queue_ended(event)
+            self.queue_ended(event)
 
     def _drop_starts(self) -> None:
         """With staggered starts, the watchdog's Stop ends what waits to be energised, before a command of the step."""
         numbers = {servo.want.number for servo in self.servos.values() if servo.want is not None and not servo.on}
         self._lost |= numbers
-        for servo in self.servos.values():
-            if servo.want is not None and servo.want.number in numbers:
-                servo.want = None
+        self._forget_lost()
 
-    def _queue_ended(self, event: Event) -> None:
-        """Whoever stops a leg does not want another to start a moment later."""
-        own = event.number if isinstance(event, Command) else None
+    def _forget_lost(self) -> None:
+        """Commands are rejected as a whole."""
         for servo in self.servos.values():
-            waits = servo.want is not None and servo.want.number != own and servo.starts and not servo.on
-            demand(not waits, "with staggered starts, a Stop ends what waits to be energised")
+            servo.want = None if servo.want is not None and servo.want.number in self._lost else servo.want
 
     def _expired(self, now_ns: int) -> list[int]:
         """The legs that the watchdog must stop now, before anything else; they count as stopped from here on."""
         if not self.bus_ok:
             return []
+        unfed = [number for number in self.legs if self.fed_late(number, now_ns)]
+        if unfed:
+            unfed = list(self.legs) if self.rules.whole_robot else unfed
+            self._stopped_unasked(unfed, now_ns)
+            self._forget_lost()
+        return unfed + self._silent_legs(now_ns)
+
+    def _silent_legs(self, now_ns: int) -> list[int]:
+        """Those of them that were not heard for the timeout."""
         silent = [
             number
             for number, leg in self.legs.items()
-            if self.armed(number) and (leg.heard_ns is None or now_ns - leg.heard_ns >= self.rules.timeout_ns)
+            if self.armed(number)
+            and (leg.unfed_ns is None or any(servo.on for servo in self.servos_of(number)))
+            and (leg.heard_ns is None or now_ns - leg.heard_ns >= self.rules.timeout_ns)
         ]
         stopped = list(self.legs) if silent and (self.rules.whole_robot or self.rules.starts_whole) else silent
         if self.landing is not None:
@@ -257,9 +264,13 @@ class Oracle(RobotHistory):
             return []
         if not event.alive:
             return [] if self.landing is not None else self._down(now_ns, now_ns)
+        waited = [number for number in self.legs if self.legs[number].unfed_ns is not None]
         unfed = sorted({leg_of(servo_id) for servo_id in self.alive & (event.lost | self.power.refused)})
         stopped = list(self.legs) if unfed and (self.rules.whole_robot or self.rules.starts_whole) else unfed
         self._stopped_unasked(stopped, now_ns)
+        for number in waited:
+            if not self.held(number) and not any(servo.on for servo in self.servos_of(number)):
+                self.legs[number].heard_ns = now_ns  # its start leaves with the rate slot, and is watched from now on
         return stopped
 
     def _down(self, since_ns: int, now_ns: int) -> list[int]:
@@ -387,15 +398,6 @@ class Oracle(RobotHistory):
 
     # ---- frames
 
-    def _named(self, transmit: Transmit, command: int) -> None:
-        """A frame names the commands that it carries out, so that the answer of one that fails later names its leg."""
-        wants = {want.number for servo_id, _ in transmit.frame.servos if (want := self.servos[servo_id].want)}
-        named = {each.number for each in transmit.commands}
-        demand(named >= {each.number for each in transmit.done}, "a frame completes what it carries out, if anything")
-        its = {command} if command else set[int]()
-        demand(wants <= named <= wants | its, f"a frame of commands {wants} names {named}")
-        demand(named == {command} or not transmit.frame.is_stop, f"a Stop of command {command} names {named}")
-
     def _moved(self, transmit: Transmit, stops: frozenset[int], now_ns: int) -> None:
         """A frame that a command caused: each servo is told what was wanted of it, or what it does already."""
         leg_number = leg_of(transmit.frame.servos[0][0])
@@ -406,15 +408,20 @@ class Oracle(RobotHistory):
                 "nothing moves after an emergency stop or at the end",
             )
             leg.moved(now_ns, self.rules.period_ns)
+        held = self.held(leg_number)
         for servo_id, op in transmit.frame.servos:
             servo = self.servos[servo_id]
             if op.op is Op.STOP:
                 demand(servo_id in stops or not servo.on, f"nobody asked to stop {servo_id}")
-                demand(servo.want is None, f"{servo_id} is stopped although a newer command wants it to move")
+                demand(
+                    servo.want is None or servo_id in held,
+                    f"{servo_id} is stopped although a newer command wants it to move",
+                )
                 servo.written_cdeg = None
                 if servo_id in stops:
                     self.owe((servo,), now_ns)
                 continue
+            demand(servo_id not in held, f"{servo_id} is started before the power board has confirmed that it feeds it")
             demand(servo.on or op.op is Op.START, f"{servo_id} is set although it does not run")
             if servo.want is None and servo.bound_cdeg is None:
                 demand(op.op is Op.SET and op.angle_cdeg == servo.written_cdeg, f"nobody asked for {op} of {servo_id}")
@@ -468,11 +475,17 @@ class Oracle(RobotHistory):
             if self.landing is not None:
                 demand(now_ns < self.landing.ends_ns, "a landing ends in time")
                 latest.append(self.landing.ends_ns)
-            elif self.armed(number):
+            held = self.held(number)
+            leg.unfed_ns = (now_ns if leg.unfed_ns is None else leg.unfed_ns) if held else None
+            if leg.unfed_ns is not None:
+                demand(now_ns < leg.unfed_ns + self.rules.feed_ns, "a start that nobody feeds ends")
+                latest.append(leg.unfed_ns + self.rules.feed_ns)
+            if self.landing is None and self.armed(number) and not self.waits_for_supply(number):
                 deadline_ns = (leg.heard_ns or 0) + self.rules.timeout_ns
                 demand(now_ns < deadline_ns, "a leg that was not heard for the timeout is off")
                 latest.append(deadline_ns)
-            under_way = any(servo.want is not None or servo.bound_cdeg is not None for servo in servos)
+            waits = [servo for each, servo in self.servos.items() if leg_of(each) == number and each not in held]
+            under_way = any(servo.want is not None or servo.bound_cdeg is not None for servo in waits)
             if under_way and not self.rules.start_pause_ns:
                 together = self.legs.values() if self.rules.starts_whole and not self.energised else (leg,)
                 slot_ns = max(each.slot_ns(self.rules.period_ns) for each in together)

@@ -1,7 +1,7 @@
 """A robot with a power board in virtual time: the real rules of both sides, and a line that takes no time."""
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, Final
 
 from gateway.model.power_board import SET_SUPPLY, CanFrame
@@ -25,6 +25,8 @@ class VirtualLine:
         self._outputs = outputs
         self.board = PowerBoard(outputs, confirm_ns=confirm_ns)
         self.simulated = SimulatedBoard()
+        self.second: SimulatedBoard | None = None
+        """Another board on the same bus."""
         self.unplugged = False
         self.deaf = False
         self.listens = True
@@ -36,6 +38,7 @@ class VirtualLine:
         self._status = Status()
         self._seen: tuple[object, ...] = ()
         self._news: list[News | Confirmed] = []
+        self._changes = 0
         self._pump()
 
     def now_ns(self) -> int:
@@ -48,8 +51,11 @@ class VirtualLine:
 
     def hear_from_another(self, frame: CanFrame) -> None:
         """Another node sends this."""
-        answers = self.simulated.take(frame, self.now_ns())
-        self._hear([frame, *answers])
+        self._hear([frame, *self._taken(frame)])
+
+    def _taken(self, frame: CanFrame) -> list[CanFrame]:
+        boards = [self.simulated] if self.second is None else [self.simulated, self.second]
+        return [answer for board in boards for answer in board.take(frame, self.now_ns())]
 
     # ---- the line's side
 
@@ -61,7 +67,8 @@ class VirtualLine:
     def looked_ns(self) -> int:
         return self.now_ns() if self.listens else 0
 
-    def want(self, servos: frozenset[int]) -> None:
+    def want(self, servos: frozenset[int], number: int) -> None:
+        self._changes = number
         self.board.want(servos, self.now_ns())
         self._send()
 
@@ -89,7 +96,7 @@ class VirtualLine:
         for frame in self.board.next_frames(self.now_ns()):
             self.sent.append((self.now_ns() // MS, frame))
             lost = self.unplugged or (self.deaf and frame.id == SET_SUPPLY)
-            self._hear([] if lost else self.simulated.take(frame, self.now_ns()))
+            self._hear([] if lost else self._taken(frame))
 
     def _hear(self, frames: list[CanFrame]) -> None:
         for frame in frames if self.hears and not self.unplugged else ():
@@ -97,11 +104,14 @@ class VirtualLine:
 
     def _pump(self) -> None:
         self._hear(self.simulated.advance(self.now_ns()))
+        self._hear([] if self.second is None else self.second.advance(self.now_ns()))
         self._send()
         self.board.look(self.now_ns())
         board = self.board
-        seen = (board.alive, board.supplied, board.confirmed, board.lost, dict(board.refused))
-        self._status = Status(*seen, board.answered_ns, board.currents_ma, dict(board.rails))
+        known = board.alive, board.supplied, board.confirmed, board.lost, dict(board.refused)
+        fed = board.fed, self._changes
+        seen = *known, *fed
+        self._status = Status(*known, board.answered_ns, *fed, board.currents_ma, dict(board.rails))
         self._news += board.news()
         if self._news or seen != self._seen:
             self._seen = seen
@@ -140,10 +150,12 @@ class FedElkapod(ElkapodRobot):
         return _feed(self, self.cyclic.ready_servos)
 
 
-def _feed(robot: FedRobot | FedElkapod, ready: Callable[[], frozenset[int]] | None) -> RobotSupply:
+def _feed(
+    robot: FedRobot | FedElkapod, ready: Callable[[Mapping[int, int | None]], frozenset[int]] | None
+) -> RobotSupply:
     power = robot.settings.power
     robot.line = VirtualLine(robot.loop, power.outputs, round(power.confirm_ms * MS))
-    robot.line.want(frozenset())
+    robot.line.want(frozenset(), 0)
 
     def beat() -> None:
         """The service's."""
@@ -151,6 +163,6 @@ def _feed(robot: FedRobot | FedElkapod, ready: Callable[[], frozenset[int]] | No
         robot.loop.call_later(BEAT_S, beat)
 
     robot.loop.call_later(BEAT_S, beat)
-    supply = RobotSupply(robot.line, power, ready)
+    supply = RobotSupply(robot.line, power.interface, ready)
     robot.line.on_news = lambda: supply.on_news()  # noqa: PLW0108  (it is set behind this)
     return supply

@@ -5,11 +5,13 @@ import os
 import sys
 import threading
 import time
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import Final, NamedTuple
 
 from gateway.model.power_board import SET_SUPPLY, SUPPLIED
+from schemas.telemetry import GatewayState
 from tests.support.child import Child
 from tests.support.closing import Closing
 
@@ -27,6 +29,18 @@ class Noted(NamedTuple):
     what: str
     at_ns: int
     mask: int
+
+
+def answers_steadily() -> Callable[[GatewayState], bool]:
+    """Whether the board has answered in each state of a second: a gateway that starts keeps its threads waiting."""
+    row = 0
+
+    def answers(state: GatewayState) -> bool:
+        nonlocal row
+        row = row + 1 if state.power is not None and state.power.alive else 0
+        return row >= 10
+
+    return answers
 
 
 class RecordedBoard(Closing):

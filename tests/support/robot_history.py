@@ -4,7 +4,7 @@ from collections.abc import Iterable, Sequence
 from typing import Self
 
 from gateway.model.calibration import RobotCalibration
-from gateway.model.frames import STOP, Frame, OneServo, Op, servo_ids_of, stop_leg
+from gateway.model.frames import STOP, Frame, OneServo, Op, leg_of, servo_ids_of, stop_leg
 from gateway.robot.core.events import Command, Effect, EstopKept, StoppedOutside, Transmit
 from gateway.robot.core.leg import Rules
 from schemas.robot import LEGS
@@ -128,6 +128,23 @@ class RobotHistory:
     def servos_of(self, leg: int) -> list[ServoHistory]:
         return [self.servos[servo_id] for servo_id in servo_ids_of(leg)]
 
+    def held(self, leg: int) -> list[int]:
+        """The servos of a leg whose starts wait for supply: a command starts all its servos together."""
+        starting = {
+            each: servo.want for each, servo in self.servos.items() if servo.want and servo.starts and not servo.on
+        }
+        unfed = {want.number for each, want in starting.items() if self.power.has_not_fed(each)}
+        return [each for each in servo_ids_of(leg) if each in starting and starting[each].number in unfed]
+
+    def fed_late(self, number: int, now_ns: int) -> bool:
+        """Whether a start of this leg has waited for its supply for as long as it may."""
+        unfed_ns = self.legs[number].unfed_ns
+        return unfed_ns is not None and now_ns - unfed_ns >= self.rules.feed_ns
+
+    def waits_for_supply(self, leg: int) -> bool:
+        """Whether nothing of a leg runs, and a start of it waits for supply."""
+        return bool(self.held(leg)) and not any(servo.on for servo in self.servos_of(leg))
+
     @property
     def energised(self) -> frozenset[int]:
         """The servos that the frames so far have energised."""
@@ -200,13 +217,18 @@ class RobotHistory:
         """Why no start, set or reset is taken while fewer buttons are alive than are required."""
         return Reason.NO_BUTTON if self.buttons.closed else None
 
-    # ---- legs at rest
+    # ---- frames
 
-    def owe(self, servos: Iterable[ServoHistory], now_ns: int) -> None:
-        """These get a Stop now, which is to be repeated."""
-        for servo in servos:
-            servo.owe(self.rules, now_ns)
-            self.owing.append(servo)
+    def named(self, transmit: Transmit, command: int) -> None:
+        """A frame names the commands that it carries out, so that the answer of one that fails later names its leg."""
+        held = self.held(leg_of(transmit.frame.servos[0][0]))
+        says = [servo_id for servo_id, _ in transmit.frame.servos if servo_id not in held or transmit.frame.is_stop]
+        wants = {want.number for servo_id in says if (want := self.servos[servo_id].want)}
+        named = {each.number for each in transmit.commands}
+        demand(named >= {each.number for each in transmit.done}, "a frame completes what it carries out, if anything")
+        its = {command} if command else set[int]()
+        demand(wants <= named <= wants | its, f"a frame of commands {wants} names {named}")
+        demand(named == {command} or not transmit.frame.is_stop, f"a Stop of command {command} names {named}")
 
     def repeated(self, transmit: Transmit, now_ns: int) -> list[Transmit]:
         """A Stop without a command: returns it if it is no repetition, and so must be for a leg at rest."""
@@ -221,6 +243,14 @@ class RobotHistory:
             servo.owed -= not any(each is servo for each in self.owing)
             servo.owed_ns = now_ns + self.rules.repeat_interval_ns
         return []
+
+    # ---- legs at rest
+
+    def owe(self, servos: Iterable[ServoHistory], now_ns: int) -> None:
+        """These get a Stop now, which is to be repeated."""
+        for servo in servos:
+            servo.owe(self.rules, now_ns)
+            self.owing.append(servo)
 
     @property
     def resting(self) -> list[int]:
@@ -296,9 +326,20 @@ class RobotHistory:
             demand(now_ns - self.energised_ns >= self.rules.start_pause_ns, "two legs are energised with a pause")
         self.energised_leg, self.energised_ns = leg, now_ns
 
+    def queue_ended(self, event: object) -> None:
+        """Whoever stops a leg does not want another to start a moment later."""
+        own = event.number if isinstance(event, Command) else None
+        for servo in self.servos.values():
+            waits = servo.want is not None and servo.want.number != own and servo.starts and not servo.on
+            demand(not waits, "with staggered starts, a Stop ends what waits to be energised")
+
     def head_of_queue(self, now_ns: int) -> list[int]:
         """With staggered starts: when the first leg that waits to be started must be sent at the latest."""
-        starting = [number for number in self.legs if any(s.starts and not s.on for s in self.servos_of(number))]
+        starting = [
+            number
+            for number in self.legs
+            if any(s.starts and not s.on for s in self.servos_of(number)) and not self.held(number)
+        ]
         self.queue = tuple(number for number in dict.fromkeys((*self.queue, *starting)) if number in starting)
         if not self.queue or not self.rules.start_pause_ns:
             return []

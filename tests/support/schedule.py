@@ -14,6 +14,8 @@ from typing import Final
 
 import pytest
 
+from tests.support.lacks import LACKS
+
 TESTS: Final = Path(__file__).parents[1]
 FOLDERS: Final[Mapping[str, tuple[str, ...]]] = {
     "box": ("full",),
@@ -41,9 +43,11 @@ SECOND_BOX: Final = ("box/test_upgrade.py", "box/test_check_faults.py", "box/tes
 
 
 def arrange(items: list[pytest.Item]) -> None:
-    """Sort the tests, and give each the marks of its folder."""
+    """Sort the tests, and give each the marks of its folder; one that needs root or Debian's packages is `full`."""
     for item in items:
         own = {mark.name for mark in item.iter_markers()}
+        if own & LACKS.keys() and own.isdisjoint(TIERS):
+            item.add_marker("full")
         for mark in FOLDERS.get(_folder(item.nodeid), ()):
             if mark not in TIERS or own.isdisjoint(TIERS):
                 item.add_marker(mark)

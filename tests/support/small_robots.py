@@ -101,7 +101,11 @@ _RECALIBRATED = (
 )
 """What it then is: as drawn, so that any angle goes; with a limit below HIGH; and impossible."""
 
-_FED, _SILENT = PowerSeen(alive=True), PowerSeen(alive=False)
+_FED, _ALIVE, _SILENT = (
+    PowerSeen(alive=True, fed=frozenset({11, 12, 21})),
+    PowerSeen(alive=True),
+    PowerSeen(alive=False),
+)
 _BLOCKED = PowerSeen(alive=True, refused=((11, "overcurrent"),), lost=frozenset({11}))
 _DOUBT = PowerSeen(alive=True, doubt="it is not confirmed")
 
@@ -285,30 +289,30 @@ CONFIGURATIONS: Final = (
     ),
     Configuration(
         "one servo, and a board that feeds it",
-        _rules(repeats=0, timeout_ns=2 * TICK, period_ns=3 * TICK, power=True),
+        _rules(repeats=0, timeout_ns=2 * TICK, period_ns=3 * TICK, power=True, feed_ns=4 * TICK),
         (1,),
         (_ONE_SERVO[0], _ONE_SERVO[1], _ONE_SERVO[2]),
         (0, TICK, 3 * TICK),
-        boards=(_FED, _SILENT, _BLOCKED, _DOUBT),
+        boards=(_FED, _ALIVE, _SILENT, _BLOCKED, _DOUBT),
     ),
     Configuration(
         "two legs, landing, and a board that feeds them",
-        _rules(repeats=0, landing_ns=6 * TICK, landing_cdeg={11: HIGH}, power=True),
+        _rules(repeats=0, landing_ns=6 * TICK, landing_cdeg={11: HIGH}, power=True, feed_ns=3 * TICK),
         (1, 2),
         (("legs", _each(START, 11, 21)), ("servo", _each(START, 12)), ("servo", _each(STOP, 21))),
         (TICK, 3 * TICK),
         ends=False,
-        boards=(_FED, _SILENT, PowerSeen(alive=True, lost=frozenset({11})), _DOUBT),
+        boards=(_FED, replace(_FED, fed=frozenset({11})), _SILENT, PowerSeen(alive=True, lost=frozenset({11})), _DOUBT),
         calm=True,
     ),
     Configuration(
-        "two legs that start and stop as one, and a board that feeds them",
-        _rules(repeats=0, period_ns=3 * TICK, starts_whole=True, power=True),
-        (1, 2),
-        (("legs", _each(START, *_BOTH)), ("servo", _each(SET, 21)), ("servo", _each(STOP, 11))),
+        "two servos of a leg, and a board whose supply starts each",
+        _rules(repeats=0, timeout_ns=3 * TICK, power=True, angles_first=True, feed_ns=4 * TICK),
+        (1,),
+        (("leg", ((11, START), (12, START))), ("servo", _each(SET, 12)), ("servo", _each(STOP, 11))),
         (TICK, 3 * TICK),
         ends=False,
-        boards=(_FED, _SILENT, replace(_BLOCKED, lost=frozenset()), PowerSeen(alive=True, lost=frozenset({22}))),
+        boards=(_FED, _SILENT, replace(_FED, fed=frozenset({11})), PowerSeen(alive=True, lost=frozenset({12}))),
         calm=True,
     ),
     Configuration(

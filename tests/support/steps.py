@@ -1,5 +1,6 @@
 """A supervisor to talk to in short words, with milliseconds for time; every step is also judged by the oracle."""
 
+from collections.abc import Collection
 from typing import TypeVar
 
 from gateway.allowance import NS_PER_MS
@@ -34,6 +35,7 @@ from gateway.robot.core.events import (
 )
 from gateway.robot.core.leg import Rules
 from gateway.robot.core.supervisor import Supervisor
+from schemas.robot import SERVO_IDS
 from schemas.telemetry import Kind, Reason
 from tests.support.history import is_coalesced, spelled_out
 from tests.support.oracle import Oracle
@@ -237,11 +239,18 @@ class Steps:
         return self.take(at_ms, BodyMeasured(tilt_cdeg, round(battery_v * 1000)))
 
     def board(
-        self, at_ms: float, *, alive: bool = True, refused: str = "", lost: tuple[int, ...] = (), doubt: str = ""
+        self,
+        at_ms: float,
+        *,
+        alive: bool = True,
+        refused: str = "",
+        fed: Collection[int] = SERVO_IDS,
+        lost: tuple[int, ...] = (),
+        doubt: str = "",
     ) -> list[str]:
         """The power board is seen; `refused` are servo ids that it will not feed, for overcurrent."""
         why = tuple((int(servo_id), "overcurrent") for servo_id in refused.split())
-        return self.take(at_ms, PowerSeen(alive, why, frozenset(lost), doubt))
+        return self.take(at_ms, PowerSeen(alive, why, frozenset(fed), frozenset(lost), doubt))
 
     def fail(self, at_ms: float, kind: Kind = Kind.BUS_FAULT) -> list[str]:
         return self.take(at_ms, BusFailed("EIO", kind))

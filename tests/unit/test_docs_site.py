@@ -24,6 +24,7 @@ OURS: Final = {
     "Walk.use",
 }
 PROGRAMS: Final = {
+    "AsyncClient.lease",
     "AsyncWalk.ahead",
     "AsyncWalk.go",
     "AsyncWalk.turn",
@@ -36,6 +37,9 @@ PROGRAMS: Final = {
     "Walk.turn",
     "WalkState.odometry",
 }
+
+
+pytestmark = pytest.mark.full
 
 
 @pytest.fixture(scope="module")

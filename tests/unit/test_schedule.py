@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.support import schedule, seconds
+from tests.support import lacks, schedule, seconds
 
 TESTS = Path(__file__).parents[1]
 TEST, ALL = "not full and not nightly", "not alone and not attended and not searches and not nightly"
@@ -39,6 +39,22 @@ def test_a_file_is_imported_only_where_it_has_tests_that_run(
     (tmp_path / file).parent.mkdir()
     (tmp_path / file).write_text(text)
     assert schedule.is_elsewhere(tmp_path / file, marks) is elsewhere
+
+
+@pytest.mark.parametrize(
+    ("marks", "tiers"),
+    [([], set()), (["nightly"], {"nightly"}), (["hil", "nightly"], {"nightly"})]
+    + [([name], {"full"}) for name in lacks.LACKS],
+)
+def test_what_needs_root_or_packages_is_never_in_make_test(
+    request: pytest.FixtureRequest, marks: list[str], tiers: set[str]
+) -> None:
+    """Also a single test, in a folder of which all others need nothing."""
+    item = pytest.Function.from_parent(request.node.parent, name="test_one", callobj=lambda: None)
+    for mark in marks:
+        item.add_marker(mark)
+    schedule.arrange([item])
+    assert {mark.name for mark in item.iter_markers()} & {*schedule.TIERS} == tiers
 
 
 def test_a_run_says_where_its_time_went_and_what_was_skipped() -> None:

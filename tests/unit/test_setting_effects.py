@@ -56,12 +56,8 @@ SHOWN_ELSEWHERE = {
     "telemetry.metrics": "test_metrics.py",
     "power.interface": "hil/test_power.py",
     "power.channel": "hil/test_power.py",
-    "power.bitrate": "test_power_line.py",
     "power.servos": "test_power_line.py",
-    "power.cut_on": "test_power_conductor.py",
     "power.confirm_ms": "test_power_board.py",
-    "power.idle_ma": "test_currents.py",
-    "power.settle_ms": "test_currents.py",
     "log.level": "test_logs.py",
 }
 

@@ -1,19 +1,18 @@
 """The calibration of a real gateway: changed by real clients, on the wire, on the disk, and after a restart."""
 
-import asyncio
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from gateway.client import AsyncClient, Client
+from gateway.client import Client
 from gateway.model.calibration import ServoMapping
 from gateway.model.frames import OneLeg, decode
 from gateway.robot.host import calibration_file
 from schemas import keys
 from schemas.calibration import Calibration, ServoChange
-from schemas.telemetry import Ack, FrameRecord, Reason
+from schemas.telemetry import FrameRecord, Reason
 from tests.support.gateway_process import Gateway
 from tests.support.heard import Heard, events, frames
 
@@ -85,19 +84,6 @@ def test_of_two_who_change_the_same_revision_one_is_told_so(gateway: Gateway, cl
         rejected = bert.calibrate(landing={11: 50}, revision=revision)
         assert rejected.reason == Reason.STALE
         assert client.calibration().landing["11"] == 40
-
-
-def test_for_asyncio_the_same(gateway: Gateway) -> None:
-    async def change() -> tuple[Ack, Calibration]:
-        async with AsyncClient(gateway.endpoint, timeout_s=5) as robot:
-            before = await robot.calibration()
-            return await robot.calibrate({51: ServoChange(min_deg=12.34)}, revision=before.revision), (
-                await robot.calibration()
-            )
-
-    ack, after = asyncio.run(change())
-    assert ack.accepted
-    assert after.servos["51"].min_deg == 12.34
 
 
 def test_a_restart_finds_it_and_the_ten_before_it(tmp_path: Path) -> None:

@@ -3,7 +3,6 @@
 import io
 import signal
 import sys
-import tomllib
 from collections import ChainMap
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
@@ -15,7 +14,6 @@ from gateway import geometry
 from gateway.client import Client
 from gateway.model.frames import OneServo, Op, ServoOp, decode
 from gateway.onboard.check import move as module
-from gateway.onboard.check.outputs import ServoCurrents
 from gateway.people.walking.robot import Robot
 from schemas import keys
 from schemas.robot import JOINTS, LEGS, SERVO_IDS
@@ -25,7 +23,7 @@ from tests.support.command import Ended
 from tests.support.fixtures import gateway_fixture
 from tests.support.gateway_process import Gateway
 from tests.support.heard import Heard, frames
-from tests.support.recorded_board import RecordedBoard
+from tests.support.recorded_board import answers_steadily
 
 # Patient, for a busy machine: no servo is stopped but by command.
 gateway = gateway_fixture({"telemetry": {"frames": True}, "watchdog": {"timeout_ms": 9000}})
@@ -269,36 +267,7 @@ def test_by_its_current_it_shows_which_output_feeds_the_servo(tmp_path: Path) ->
     settings: dict[str, dict[str, object]] = {"watchdog": {"timeout_ms": 9000}, "power": {"interface": "sim"}}
     with Gateway(tmp_path, settings) as gateway, gateway.client() as client:
         heard = Heard(client, keys.STATE, GatewayState)
-        heard.wait(lambda state: state.power is not None and state.power.supplied == SERVO_IDS)
+        heard.wait(answers_steadily())
         end = gateway.run("check", "--move", "--yes")
     assert end.returncode == 0, str(end)
     assert "output for servo 61 feeds it" in end.stdout
-
-
-def test_a_servo_on_another_output_is_found_and_exchanged_in_the_configuration(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """What is named 12 feeds 61: it is the current under that name which rises."""
-    monkeypatch.setattr(module, "_HOLD_S", 0.5)
-    named = [{12: 61, 61: 12}.get(each, each) for each in SERVO_IDS]
-    with RecordedBoard(tmp_path) as board:
-        moves = ServoCurrents.moves
-
-        def drawing(currents: ServoCurrents) -> None:
-            moves(currents)
-            board.disturb(draws_ma={"61": 400.0})
-
-        monkeypatch.setattr(ServoCurrents, "moves", drawing)
-        power = {**board.settings, "servos": named, "idle_ma": 5000}
-        with Gateway(tmp_path, {"watchdog": {"timeout_ms": 9000}, "power": power}) as gateway:
-            board.next("fed", (1 << 18) - 1)
-            gateway.config.chmod(0o640)
-            for agrees, written in (("no", named), ("yes", list(SERVO_IDS))):
-                answers = ("", "", "yes", agrees, "yes", "yes")
-                monkeypatch.setattr(sys, "stdin", io.StringIO("".join(f"{answer}\n" for answer in answers)))
-                end = gateway.run("check", "--move", "--config", str(gateway.config))
-                assert end.returncode == 0, str(end)
-                assert "power.servos is WRONG: servo 61 hangs on the output that it gives to servo 12" in end.stdout
-                assert tomllib.loads(gateway.config.read_text())["power"]["servos"] == written
-                board.disturb(draws_ma={})
-            assert gateway.config.stat().st_mode & 0o777 == 0o640

@@ -63,7 +63,7 @@ def robot(tmp_path: Path) -> Iterator[Callable[..., Robot]]:
             robot = Robot(tmp_path, **settings)
             stack.callback(robot.close)
             client = stack.enter_context(stack.enter_context(robot.gateway).client())
-            Heard(client, keys.STATE, GatewayState).wait(lambda _: power.is_fed(client))
+            Heard(client, keys.STATE, GatewayState).wait(lambda _: power.is_at_rest(client))
             return robot
 
         yield made
@@ -85,13 +85,6 @@ def test_the_board_confirms_an_emergency_stop(robot: Callable[..., Robot]) -> No
     done = robot().check("power")
     assert done.returncode == 0, str(done)
     assert "PASS     power          confirmed_after_ms " in done.stdout
-
-
-def test_one_that_does_not_take_the_supply_fails(robot: Callable[..., Robot]) -> None:
-    done = robot(cut_on=["bus_fault"]).check("power")
-    assert done.returncode == 1, str(done)
-    assert "FAIL     power          the board has not confirmed" in done.stdout
-    assert "SWITCH IT OFF BY HAND" in done.stdout
 
 
 def test_without_a_board_and_without_a_person_there_is_nothing_to_show(robot: Callable[..., Robot]) -> None:

@@ -21,7 +21,7 @@ from gateway import certs
 from gateway import client as client_module
 from gateway.client import Client, leg_payload
 from gateway.errors import ConfigError, UnansweredError, ZenohError
-from gateway.people.client import aio, blocking, lease, stream
+from gateway.people.client import blocking, lease, stream
 from schemas import keys
 from schemas.telemetry import Ack, Event, GatewayState, Mode, Telemetry
 from tests.support.child import Child
@@ -47,7 +47,7 @@ robot = client_fixture("test", rests=True)
 @pytest.mark.full
 @pytest.mark.parametrize(
     ("module", "examples"),
-    [(client_module, 2), (blocking, 1), (stream, 2), (lease, 1), (aio, 10)],
+    [(client_module, 2), (blocking, 1), (stream, 2), (lease, 1)],
 )
 def test_the_examples_run(gateway: Gateway, module: ModuleType, examples: int) -> None:
     failed, tried = doctest.testmod(module, extraglobs={"endpoint": gateway.endpoint, "Client": Client})

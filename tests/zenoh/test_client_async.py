@@ -6,9 +6,9 @@ import re
 import subprocess
 import sys
 import threading
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import pytest
 
@@ -27,14 +27,11 @@ from gateway.client import (
     Walk,
 )
 from gateway.errors import ZenohError
-from gateway.people.client.aio import MAX_CALLS
-from gateway.people.client.subscriptions import KEPT_EVENTS
-from gateway.people.client.twin import CallThreads
 from schemas import keys
-from schemas.telemetry import Event, Kind, Mode, Telemetry
+from schemas.calibration import ServoChange
+from schemas.telemetry import Event, Kind, Mode, Reason
 from tests.support.fixtures import gateway_fixture, patient
 from tests.support.gateway_process import Gateway, free_port
-from tests.support.measuring import MEASURED, measuring
 
 POSE = (90, 45, 120)
 HZ = 50
@@ -56,12 +53,10 @@ async def running(client: AsyncClient) -> list[int]:
 
 
 def public(kind: type) -> dict[str, list[str]]:
-    """The methods and properties of programs: each parameter with its type and default; "value" for a setter."""
+    """The methods and properties of programs: each parameter with its type and default."""
 
     def taken(member: Any) -> list[str]:
-        if isinstance(member, property):
-            return ["value"] if member.fset else []
-        parameters = inspect.signature(member).parameters
+        parameters = {} if isinstance(member, property) else inspect.signature(member).parameters
         return [re.sub(r"""["']|\b(\w+\.)+""", "", str(parameter)) for parameter in parameters.values()]
 
     return {
@@ -76,23 +71,39 @@ def public(kind: type) -> dict[str, list[str]]:
     [(AsyncClient, Client), (AsyncStream, Stream), (AsyncLease, Lease), (AsyncWalk, Walk), (AsyncButton, Button)],
 )
 def test_both_have_the_same_names_and_arguments(twin: type, own: type) -> None:
-    wanted = public(own)
+    wanted = {name: taken for name, taken in public(own).items() if not isinstance(getattr(twin, name, None), property)}
     assert {name: taken for name, taken in public(twin).items() if name in wanted} == wanted
+    assert public(own).keys() <= vars(twin).keys()
 
 
-async def test_each_command_is_there(robot: AsyncClient) -> None:
-    assert robot.connected
-    assert (await robot.wait_ready()).mode == Mode.IDLE
-    assert (await robot.start_leg(3, *POSE)).accepted
-    assert (await robot.set_leg(3, *POSE)).accepted
-    assert (await robot.start_legs({1: POSE, 2: POSE})).accepted
-    assert (await robot.set_legs({1: POSE, 4: POSE})).reason == "servo_stopped"
-    assert (await robot.servo(51, "start", 9)).accepted
-    assert (await robot.servo(51, "stop")).accepted
-    assert (await robot.stop()).accepted
-    assert (await robot.estop()).stop_frames == 6
-    assert (await robot.reset()).accepted
-    assert len(await robot.answerers(keys.RESET)) == 1
+CALLS: Final[list[tuple[str, tuple[Any, ...], Callable[[Any], object]]]] = [
+    ("wait_ready", (), lambda state: state.mode == Mode.IDLE),
+    ("start_leg", (3, *POSE), lambda ack: ack.accepted),
+    ("set_leg", (3, *POSE), lambda ack: ack.accepted),
+    ("start_legs", ({1: POSE, 2: POSE},), lambda ack: ack.accepted),
+    ("set_legs", ({1: POSE, 4: POSE},), lambda ack: ack.reason == Reason.SERVO_STOPPED),
+    ("servo", (51, "start", 9), lambda ack: ack.accepted),
+    ("publish", (keys.leg_command(1), {"servos": [{"op": "stop"}] * 3}), lambda none: none is None),
+    ("ask", (keys.leg_command(2), {"servos": [{"op": "stop"}] * 3}), lambda ack: ack.accepted),
+    ("stop", (), lambda ack: ack.accepted),
+    ("calibrate", ({51: ServoChange(min_deg=12.34)},), lambda ack: ack.accepted),
+    ("calibration", (), lambda calibration: calibration.servos["51"].min_deg == 12.34),
+    ("ask_for_lease", (), lambda ack: ack.reason == Reason.NO_LEASE),
+    ("revocation", (), lambda ack: ack.number == 0),
+    ("telemetry", (), lambda telemetry: telemetry is None),
+    ("estop", (), lambda ack: ack.stop_frames == 6),
+    ("state", (), lambda state: state.mode == Mode.ESTOPPED),
+    ("reset", (), lambda ack: ack.accepted),
+    ("answerers", (keys.RESET,), lambda found: len(found) == 1),
+]
+
+
+async def test_each_call_has_the_answer_of_the_blocking_one(robot: AsyncClient) -> None:
+    for name, args, expected in CALLS:
+        answer = await getattr(robot, name)(*args)
+        assert expected(answer), (name, answer)
+    waiting = {name for name in public(AsyncClient) if inspect.iscoroutinefunction(getattr(AsyncClient, name))}
+    assert {name for name, *_ in CALLS} == waiting - {"close"}
 
 
 async def go_on(stream: AsyncStream) -> None:
@@ -101,13 +112,16 @@ async def go_on(stream: AsyncStream) -> None:
             await stream.set({1: POSE, 6: POSE})
 
 
-async def test_a_stream(robot: AsyncClient) -> None:
-    loop = asyncio.get_running_loop()
-    async with robot.stream(HZ) as stream:
-        begun_s = loop.time()
+async def test_what_is_used_in_a_with(robot: AsyncClient) -> None:
+    events: asyncio.Queue[Event] = asyncio.Queue()
+    subscriber = robot.on_event(events.put_nowait)
+    async with robot.button("kitchen") as button, robot.lease() as lease, robot.stream(HZ) as stream:
+        assert (button.name, (await button.alive()).alive) == ("kitchen", 1)
+        assert (lease.held, lease.holder, lease.lost) == (True, "async", None)
+        begun_s = asyncio.get_running_loop().time()
         for _ in range(26):
             await stream.set({1: POSE, 6: POSE})
-        assert loop.time() - begun_s >= 24 / HZ
+        assert asyncio.get_running_loop().time() - begun_s >= 24 / HZ
         assert await running(robot) == [1, 6]
         await robot.stop(6)
         with pytest.raises(StoppedError, match="leg 6"):
@@ -115,7 +129,16 @@ async def test_a_stream(robot: AsyncClient) -> None:
         stream.start_again()
         await stream.set({6: POSE})
         assert 6 in await running(robot)
-    assert await running(robot) == []
+        assert (await button.press()).accepted
+    async with asyncio.timeout(10):
+        while (event := await events.get()).kind != Kind.ESTOP_ENGAGED:
+            pass
+    assert event.source == "kitchen"
+    subscriber.undeclare()
+    assert not lease.held
+    walk = robot.walk()
+    walk.hold_s = 0.25
+    assert walk.hold_s == 0.25
 
 
 @pytest.mark.parametrize("turns", range(0, 12, 2))
@@ -142,66 +165,30 @@ async def test_cancelled_anywhere_it_leaves_nothing_running(gateway: Gateway, ro
     assert (await robot.state()).watchdog.expirations == expirations, "the stream's own Stop has stopped it"
 
 
-async def test_events_are_kept_until_they_are_read(robot: AsyncClient) -> None:
-    found: list[Event] = []
-    events = robot.events()
-    await robot.state()  # the gateway knows of the subscription
-    assert (await robot.start_leg(3, *POSE)).accepted
-    async with asyncio.timeout(10):
-        async for event in events:
-            found.append(event)
-            if len(found) == 1:
-                await robot.estop()
-            else:
-                break
-    assert [event.kind for event in found] == [Kind.WATCHDOG_EXPIRED, Kind.ESTOP_ENGAGED]
-    for _ in range(KEPT_EVENTS + 5):
-        events.add(found[0])
-    await robot.close()
-    assert len([event async for event in events]) == KEPT_EVENTS
+async def test_a_stop_does_not_wait_behind_questions_and_closing_waits_for_it(gateway: Gateway) -> None:
+    answered, order = threading.Event(), list[str]()
 
-
-async def test_what_the_robot_measures_is_called_back_on_the_loop() -> None:
-    endpoint = f"tcp/127.0.0.1:{free_port()}"
-    received: asyncio.Queue[Telemetry] = asyncio.Queue()
-    with measuring(endpoint) as robot:
-        async with AsyncClient(endpoint, timeout_s=10) as client:
-            subscriber = client.watch_telemetry(received.put_nowait)
-            assert await client.telemetry() is None
-            robot.publish(MEASURED)
-            async with asyncio.timeout(10):
-                assert await received.get() == await client.telemetry() == MEASURED
-            subscriber.undeclare()
-
-
-async def test_a_stop_does_not_wait_behind_questions(robot: AsyncClient) -> None:
-    for _ in range(MAX_CALLS):
-        await robot._turns.acquire()  # as if so many were being asked
-    question = asyncio.create_task(robot.state())
-    async with asyncio.timeout(10):
-        assert (await robot.estop()).accepted
-        assert (await robot.stop(3)).reason == "estopped"
-    assert not question.done()
-    robot._turns.release()
-    assert (await question).mode == Mode.ESTOPPED
-
-
-async def test_closing_waits_for_a_stop_that_is_under_way() -> None:
-    threads, done = CallThreads(), threading.Event()
-    order: list[str] = []
+    def question() -> None:
+        answered.wait(10)
 
     def stop() -> None:
-        done.wait(10)
+        answered.wait(10)
         order.append("stopped")
 
-    stopping = asyncio.create_task(threads.run(stop, stops=True))
-    await asyncio.sleep(0)
-    stopping.cancel()
-    await asyncio.wait([stopping])
-    closing = asyncio.create_task(threads.run_last(lambda: order.append("closed")))
-    await asyncio.wait([closing], timeout=0.1)
-    done.set()
-    await closing
+    async with AsyncClient(gateway.endpoint, timeout_s=5) as client:
+        calls = client._calls
+        pending = [asyncio.create_task(calls.run(question)) for _ in range(40)]
+        await asyncio.sleep(0)  # now all are asked
+        async with asyncio.timeout(5):
+            assert (await client.stop(3)).accepted
+        stopping = asyncio.create_task(calls.run(stop, stops=True))
+        await asyncio.sleep(0)
+        stopping.cancel()
+        await asyncio.wait([stopping])
+        closing = asyncio.create_task(asyncio.to_thread(calls.wait_for_stops, lambda: order.append("closed")))
+        await asyncio.wait([closing], timeout=0.1)
+        answered.set()
+        await asyncio.gather(closing, *pending)
     assert order == ["stopped", "closed"]
 
 

@@ -8,20 +8,16 @@ select between the transfers of a call, and a controller that needs it then obey
 that comes back to the gateway, so a person is asked whether the servo is loose.
 """
 
-import os
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import partial
-from pathlib import Path
 from typing import Final
 
-from gateway import durable
 from gateway.errors import ConfigError
-from gateway.host.plain_settings import DEFAULT_PATH
 from gateway.model.protocols import SpiProtocol
 from gateway.model.telemetry import starts_whole
-from gateway.onboard.check.outputs import ServoCurrents, exchanged, finding
+from gateway.onboard.check.outputs import ServoCurrents, finding
 from gateway.people.client.blocking import Client
 from gateway.people.terminal import ask, say
 from gateway.people.tools.driving import drives, rejected
@@ -94,10 +90,9 @@ def _causes(state: GatewayState) -> tuple[str, ...]:
     )
 
 
-def move(connect: Connection, config: Path | None = None, *, agreed: bool) -> int:
+def move(connect: Connection, *, agreed: bool) -> int:
     """Ask, move, stop, ask; `agreed`: without any question, so 0 then states only that all was accepted.
 
-    `config`: the configuration in which `power.servos` is put right, where somebody agrees; the usual one if None.
     0: somebody saw it move; 1: nobody did, or it was not to be. Raises ZenohError.
     """
     with connect() as client:
@@ -130,10 +125,7 @@ def move(connect: Connection, config: Path | None = None, *, agreed: bool) -> in
                 say("A simulated controller took it: no servo is there to move.")
             say(f"All six legs were stopped at once, servo {servo_id} with them.")
             if _tells_outputs(state):
-                found = finding(servo_id, currents.rest, currents.moving)
-                say(found.sentence)
-                if found.hangs_on is not None:
-                    _correct(config, servo_id, found.hangs_on, agreed=agreed)
+                say(finding(servo_id, currents.rest, currents.moving))
             if agreed:
                 say("Every frame was written, and SPI has no way back: look whether it moved, and whether it is loose.")
                 return 0
@@ -153,31 +145,10 @@ def move(connect: Connection, config: Path | None = None, *, agreed: bool) -> in
     return 0
 
 
-def _correct(config: Path | None, one: int, other: int, *, agreed: bool) -> None:
-    """Exchange these servos in the gateway's configuration, if it is on this computer and somebody agrees."""
-    path = (config or DEFAULT_PATH).resolve()
-    try:
-        text, before = exchanged(path.read_text(), one, other), path.stat()
-        if agreed or ask(f"Exchange {one} and {other} in {path}? yes or no: ") != "yes":
-            return
-        durable.write(path, text.encode(), prepare=partial(_like, before))
-    except FileNotFoundError:
-        return  # on another computer
-    except (OSError, ValueError) as error:
-        say(f"{path} is as it was: {error}")
-        return
-    say(f"{path} is changed: sudo systemctl restart hexapod-gateway")
-
-
-def _like(before: os.stat_result, descriptor: int) -> None:
-    os.fchown(descriptor, before.st_uid, before.st_gid)
-    os.fchmod(descriptor, before.st_mode & 0o7777)
-
-
 def _tells_outputs(state: GatewayState) -> bool:
-    """Whether the board feeds all servos, so that the current shows which one moves.
+    """Whether the current shows if the board's output for a servo feeds it.
 
-    Where it feeds each by its start, the output that feeds the servo is the one that was chosen for it.
+    Where supply is what starts a servo, the one at that output moves, whichever it is.
     """
     return state.power is not None and state.controller.protocol == SpiProtocol.HEXAPOD_1_0
 

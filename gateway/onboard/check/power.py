@@ -23,7 +23,7 @@ from gateway.model.power_board import (
 )
 from gateway.onboard.check import nodes, service_user
 from gateway.onboard.check.result import Result, failure, ok, warning
-from gateway.robot.power.interface import open_bus, received, send
+from gateway.robot.power.interface import BITRATE, open_bus, received, send
 from gateway.robot.sections import PowerSettings
 from gateway.robot.spi.machine import ROOT_DIR
 
@@ -145,7 +145,7 @@ def _terminal(node: Path) -> Result | None:
 def _network(settings: PowerSettings, folder: Path) -> Result | None:
     """Of a CAN interface of the kernel: anybody may use it, and only root can switch it on."""
     name = settings.channel
-    up = f"sudo ip link set {name} up type can bitrate {settings.bitrate} restart-ms 100"
+    up = f"sudo ip link set {name} up type can bitrate {BITRATE} restart-ms 100"
     try:
         kind, flags = (folder / "type").read_text().strip(), int((folder / "flags").read_text(), 16)
     except (OSError, ValueError):

@@ -6,8 +6,10 @@ Python delivers signals to the main thread only. A handler that the program inst
 import asyncio
 import signal
 import threading
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
 from types import FrameType
-from typing import Any, ClassVar, Final
+from typing import Any, ClassVar, Final, Self
 
 from gateway.people.client.walk import Terminated
 
@@ -30,10 +32,10 @@ class Interrupts:
         self._ours: int | None = None
         self._task: asyncio.Task[Any] | None = None
 
-    def open(self) -> None:
+    def open(self) -> Self:
         """Begin; to be called in the task that uses the walk."""
         if threading.current_thread() is not threading.main_thread():
-            return
+            return self
         self._task = asyncio.current_task()
         if not self._open:
             for number in (signal.SIGINT, signal.SIGTERM):
@@ -42,6 +44,7 @@ class Interrupts:
                     self._before[number] = before
                     signal.signal(number, self._received)
         self._open.append(self)
+        return self
 
     def close(self) -> None:
         """End. Raises KeyboardInterrupt or Terminated if this has cancelled the task."""
@@ -52,6 +55,25 @@ class Interrupts:
                     self._restore(number)
         if self._ours is not None:
             raise KeyboardInterrupt if self._ours == signal.SIGINT else Terminated
+
+    def meant(self, error: BaseException | None) -> BaseException | None:
+        """The error that a blocking walk would end with, in place of that of a cancelled task."""
+        if isinstance(error, asyncio.CancelledError) and self.count == 1:
+            return KeyboardInterrupt()  # at which a walk sits
+        if isinstance(error, KeyboardInterrupt) and self.count > 1:
+            return asyncio.CancelledError()  # the second signal came before this
+        return error
+
+    @asynccontextmanager
+    async def closing(self, end_now: Callable[[], None]) -> AsyncIterator[None]:
+        """While a walk is closed, another signal or cancellation calls `end_now`. Raises as `close`."""
+        try:
+            yield
+        except (asyncio.CancelledError, KeyboardInterrupt):
+            end_now()
+            raise
+        finally:
+            self.close()
 
     @classmethod
     def _received(cls, number: int, frame: FrameType | None) -> None:

@@ -165,7 +165,7 @@ class Stream:
         self._over = None
         self._started -= frozenset(legs)
 
-    # ---- the parts of `set`, which AsyncStream calls as well
+    # ---- the parts of `with` and of `set`
 
     def open(self) -> None:
         """Subscribe. Raises DisconnectedError, and ValueError for a rate below the watchdog's. @private
@@ -230,11 +230,6 @@ class Stream:
     def due_s(self) -> float:
         """When (monotonic) to send the setpoint; to be called once for each. @private"""
         return self._pace.next_s(time.monotonic())
-
-    def must_ask(self, angles: LegAngles) -> bool:
-        """Whether `send` would wait for an answer of the gateway. @private"""
-        starts = not angles.keys() <= self._started
-        return starts or self._in_doubt() or bool(self._events) or self._sending.locked()
 
     def send(self, angles: LegAngles) -> None:
         """Check and send, with the errors of `set`. @private"""

@@ -53,8 +53,8 @@ class Stance(NamedTuple):
 Pose = Mapping[int, Angles]
 """Angles of legs, in the degrees of commands."""
 
-FEED_S: Final = 1.25
-"""18 servos, and the answers to the first masks: 23 times 54 ms, the board's slowest pace (docs/power.md)."""
+FEED_S: Final = 1.5
+"""One servo that is fed alone and judged (0.3 s), and 18 at the board's slowest pace of 54 ms each (docs/power.md)."""
 LIFT_M: Final = 0.035
 STRIDE_RADIUS_M: Final = 0.055
 """How far a foot goes from where it rests; with longer strides the legs of the Elkapod touch."""

@@ -108,6 +108,10 @@ class Buttons:
         """Whether this is the token of a registration. From any thread."""
         return token in self._by_token
 
+    def bar(self) -> tuple[Reason, str] | None:
+        """Why too few watch for a start, a set or a reset; None: enough do."""
+        return self.rejection() if self.closed else None
+
     def rejection(self) -> tuple[Reason, str]:
         """Why nothing starts while they are too few."""
         return Reason.NO_BUTTON, f"{self._count()}; nothing moves until enough check in (a page's /button)"

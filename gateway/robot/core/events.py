@@ -157,6 +157,8 @@ class PowerSeen:
     """Whether it answers."""
     refused: tuple[tuple[int, str], ...] = ()
     """Servos that it will not feed, and why."""
+    fed: frozenset[int] = frozenset()
+    """Servos that it has confirmed to feed, since they were last started: their starts may leave."""
     lost: frozenset[int] = frozenset()
     """Servos that it feeds no longer, though they were to be fed."""
     doubt: str = ""

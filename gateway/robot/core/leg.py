@@ -4,10 +4,10 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from gateway.allowance import NS_PER_MS, NS_PER_S
-from gateway.model.frames import OP_START, SETS, STOP, OneServo, ServoOp, servo_ids_of, stop_leg
-from gateway.robot.core.events import Announce, Command, Effect, Rejected, Transmit
+from gateway.model.frames import OP_START, ServoOp, servo_ids_of
+from gateway.robot.core.events import Command
 from gateway.robot.core.pacing import NEVER, RateSlots
-from schemas.telemetry import Cause, Kind, Reason, WatchdogState
+from schemas.telemetry import WatchdogState
 
 NO_COMMAND: Final = Command(())
 
@@ -63,11 +63,18 @@ class Rules:
     estop_kept: bool = False
     """Whether an earlier run may have left an emergency stop engaged; `EstopKept` then says so (Behaviour 5)."""
     power: bool = False
-    """Whether a power board feeds the servos (Behaviour 18)."""
+    """Whether a power board feeds the servos (Behaviour 18): a start then waits until its servo is fed."""
+    angles_first: bool = False
+    """Whether supply is what starts a servo: its angle is on the wire before it is fed."""
+    feed_ns: int = 1800 * NS_PER_MS
+    """How long a start waits for its supply. The board takes up to 1 s for 18 servos, and 0.4 s for the one that is
+    judged first; a client waits 2 s for its answer."""
 
     def __post_init__(self) -> None:
         if self.starts_whole and self.start_pause_ns:
             raise ValueError("a robot that starts as a whole cannot start leg by leg")
+        if self.starts_whole and self.power:
+            raise ValueError("a power board starts servos one by one")
 
     @property
     def stops_whole(self) -> bool:
@@ -86,6 +93,8 @@ class Servo:
     """Its newest target, until that is sent."""
     waiting_for: Command = NO_COMMAND
     """Which command set it; NO_COMMAND: none, it is a step on the way to a target that a command was answered for."""
+    announced_cdeg: int | None = None
+    """Where it stands once it is fed, where its supply starts it: the angle that was on the wire before."""
     target_cdeg: int | None = None
     """Where it is bound for, while its speed is limited and it is not there yet."""
     target_for: Command = NO_COMMAND
@@ -129,6 +138,8 @@ class Leg:
     """Whose command is in force: the latest accepted one's; None once the gateway has stopped the leg itself."""
     landed_ns: int = 0
     """Which part of the way down its frames have said."""
+    unfed_ns: int | None = None
+    """Since when a start of it waits for supply, as of the last `Legs.look`; None: none does."""
     due_ns: int = NEVER
     """When its deadline, its rate slot or a repeated Stop comes; like the next three as of the last `Legs.look`."""
     repeat_ns: int = NEVER
@@ -156,8 +167,9 @@ class Leg:
         return first.will_run or second.will_run or third.will_run
 
     def deadline_ns(self, timeout_ns: int) -> int | None:
-        """When the watchdog stops this leg; None while there is nothing to stop."""
-        return self.heard_ns + timeout_ns if self.heard_ns is not None and self.armed else None
+        """When the watchdog stops this leg; None while there is nothing to stop, or it waits for its supply alone."""
+        waits = self.unfed_ns is not None and not self.runs
+        return self.heard_ns + timeout_ns if self.heard_ns is not None and self.armed and not waits else None
 
     @property
     def watchdog(self) -> WatchdogState:
@@ -170,42 +182,3 @@ def servos_of(leg: int) -> tuple[Servo, Servo, Servo]:
     """A leg's three servos, at rest."""
     first, second, third = servo_ids_of(leg)
     return Servo(first, leg), Servo(second, leg), Servo(third, leg)
-
-
-def as_it_is(servo: Servo) -> ServoOp:
-    """The operation that changes nothing."""
-    return STOP if servo.angle_cdeg is None else SETS[servo.angle_cdeg]
-
-
-def stops_of(leg: Leg, servos: list[Servo], cause: Cause, commands: tuple[Command, ...] = ()) -> list[Effect]:
-    """Stops for these servos of a leg, in one frame where they are all of it."""
-    if len(servos) == len(leg.servos):
-        return [Transmit(stop_leg(leg.number), cause, None, commands)]
-    return [Transmit(OneServo(servo.servo_id, STOP), cause, None, commands) for servo in servos]
-
-
-def rest_stops(leg: Leg, *, joins: bool, singly: bool) -> list[Transmit]:
-    """Stops for a leg at rest: one frame, or `singly` one for each servo, of which no lost bytes make a start."""
-    if singly:
-        return [Transmit(OneServo(servo.servo_id, STOP), Cause.REPEAT, joins=joins) for servo in leg.servos]
-    return [Transmit(stop_leg(leg.number), Cause.REPEAT, joins=joins)]
-
-
-def taken_over(leg: Leg, source: str | None, moves: bool) -> list[Effect]:
-    """Another source's command is in force from now on. A stopped leg has no previous source.
-
-    A Stop without a name (a delete has none) may be from the leg's previous source.
-    """
-    before, leg.source = leg.source, source
-    if not leg.armed or (source is None and not moves):
-        return []
-    new, old = ("somebody without a name" if name is None else name for name in (source, before))
-    detail = f"leg {leg.number} is commanded by {new}, and was by {old}"
-    return [Announce(Kind.SOURCE_CHANGED, detail, source, legs=(leg.number,))]
-
-
-def withdrawn(command: Command, reason: Reason, detail: str) -> Rejected:
-    """The rejection of a command of which no more is written. Its Stops were, unless the bus failed."""
-    if reason is not Reason.BUS_FAULT:
-        command.stopped = tuple(servo_id for servo_id, _ in command.stops)
-    return Rejected(command, reason, detail)

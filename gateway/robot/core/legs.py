@@ -13,19 +13,11 @@ from gateway.model.angle_limits import AngleLimits
 from gateway.model.frames import OP_STOP, SETS, STOP, OneLeg, OneServo, ServoOp, stop_leg
 from gateway.robot.core.events import Command, Completed, Effect, Rejected, Targets, Transmit
 from gateway.robot.core.landing import Landing, landing
-from gateway.robot.core.leg import (
-    NO_COMMAND,
-    Leg,
-    Rules,
-    Servo,
-    as_it_is,
-    rest_stops,
-    servos_of,
-    stops_of,
-    taken_over,
-    withdrawn,
-)
+from gateway.robot.core.leg import NO_COMMAND, Leg, Rules, Servo, servos_of
+from gateway.robot.core.leg_effects import as_it_is, stops, taken_over, withdrawn
 from gateway.robot.core.pacing import NEVER, RateSlots, StartQueue, merged
+from gateway.robot.core.power import held_starts, look_at_supply
+from gateway.robot.core.rest import RestStops, rest_stops
 from gateway.robot.core.speed import LimitedSpeeds
 from schemas.keys import LEGS_COMMAND
 from schemas.robot import LEGS
@@ -36,9 +28,7 @@ _PARTLY: Final = (
     "this robot can only be started as a whole: send one command with a start for each joint of all six legs to "
     f"{LEGS_COMMAND}"
 )
-_MIXED: Final = (
-    "this robot can only be stopped as a whole: a Stop in this command stopped it, and its moves are dropped"
-)
+_MIXED: Final = "this robot only stops as a whole: a Stop in this command stopped it, and its moves are dropped"
 
 
 class Legs:
@@ -59,14 +49,7 @@ class Legs:
         """When the next repeated Stop comes, or one for legs at rest."""
         self.at_rest = True
         """Whether no servo of any leg runs."""
-        self.rest_ns: int | None = None
-        """When legs at rest get their next Stop; None: they are owed none."""
-        self.more_runs = rules.rest_runs + 1 if rules.rest_runs else 0
-        """How many runs of Stops follow a Stop while nothing runs; 0 once the service ends: it waits for none."""
-        self._runs_left = 0
-        self._settle_ns = rules.repeats * rules.repeat_interval_ns + rules.rest_run_ns
-        self._settled_ns = 0
-        """From when a run counts as one of them: the last Stop and its repeats are far enough behind."""
+        self.rest = RestStops(rules)
         self._stops = False
         """Whether a servo gets a first Stop in this step."""
         self._moved: list[Leg] | None = None
@@ -78,6 +61,8 @@ class Legs:
         self._queue = StartQueue(rules.start_pause_ns)
         self.landing: Landing | None = None
         """The landing that is under way."""
+        self._fed: frozenset[int] | None = frozenset() if rules.power else None
+        """Servos that the power board feeds; None: there is no board."""
         self.land_ns = 0
         """When its next frames are due: each leg gets one in a period, however slowly it goes."""
 
@@ -89,16 +74,15 @@ class Legs:
     def begin(self, instant_ns: int) -> None:
         """A step begins."""
         self.instant_ns = instant_ns
+        if self._fed:  # the supply of what was stopped went with it
+            self._fed = frozenset([each for each in self._fed if each in self.servos and self.servos[each].will_run])
         self.given = set()
         self._silent = self._stops = False
 
     def look(self, now_ns: int) -> None:
-        """A step ends: see what is due next, and whether anything runs.
-
-        A command that only moves its own legs has changed nothing of the others, so these are not looked at.
-        """
+        """A step ends: see what is due next, and whether anything runs. Legs that did not change are left out."""
         for leg in self._all if self._moved is None else self._moved:
-            due_ns = repeat_ns = NEVER
+            repeat_ns = NEVER
             runs = waits = armed = False
             for servo in leg.servos:
                 if servo.angle_cdeg is not None:
@@ -108,8 +92,9 @@ class Legs:
                     armed = armed or servo.will_run
                 if servo.repeats_left and servo.repeat_ns < repeat_ns:
                     repeat_ns = servo.repeat_ns
-            if armed and leg.heard_ns is not None:
-                due_ns = leg.heard_ns + self._rules.timeout_ns
+            due_ns = NEVER if leg.heard_ns is None or not armed else leg.heard_ns + self._rules.timeout_ns
+            if self._fed is not None:
+                due_ns, waits = look_at_supply(leg, self._held(leg), now_ns, due_ns if runs else NEVER, self._rules)
             if self.landing is not None and runs:
                 due_ns = self._land_due_ns(self.landing, leg)
             if waits:
@@ -127,31 +112,15 @@ class Legs:
             repeat_ns = leg.repeat_ns if leg.repeat_ns < repeat_ns else repeat_ns
             at_rest = at_rest and not leg.runs
             rests = rests or leg.rests
-        if at_rest or self.at_rest or self.rest_ns is None:
-            self._plan_rest(now_ns, at_rest=at_rest)
-        if rests and self.rest_ns is not None:
-            due_ns = self.rest_ns if self.rest_ns < due_ns else due_ns
-            repeat_ns = self.rest_ns if self.rest_ns < repeat_ns else repeat_ns
+        if at_rest or self.at_rest or self.rest.due_ns is None:
+            self.rest.plan(now_ns, at_rest=at_rest, stopped=self._stops)
+            self._stops = False
+        if rests and self.rest.due_ns is not None:
+            due_ns = self.rest.due_ns if self.rest.due_ns < due_ns else due_ns
+            repeat_ns = self.rest.due_ns if self.rest.due_ns < repeat_ns else repeat_ns
         self.due_ns = None if due_ns == NEVER else due_ns
         self.repeat_ns = None if repeat_ns == NEVER else repeat_ns
         self.at_rest = at_rest
-
-    def _plan_rest(self, now_ns: int, *, at_rest: bool) -> None:
-        """Set when legs at rest get their next Stop. A time that is set stays: moved by others, it might never come.
-
-        A leg that begins to run ends the runs of Stops, and begins the rounds.
-        """
-        if not at_rest:
-            self._runs_left, self.rest_ns = 0, now_ns + self._rules.rest_ns
-            return
-        if self._stops:
-            self._stops = False
-            self._runs_left, self._settled_ns = self.more_runs, now_ns + self._settle_ns
-        if not self._runs_left:
-            self.rest_ns = None
-        elif self.rest_ns is None:
-            next_ns = now_ns + self._rules.rest_run_ns
-            self.rest_ns = self._settled_ns if self._settled_ns > next_ns else next_ns
 
     def _slot_ns(self, leg: Leg) -> int:
         """When the leg's next frame may leave. A robot that starts as a whole waits for the last leg's rate slot.
@@ -161,6 +130,20 @@ class Legs:
         if not leg.waits_to_start:
             return leg.slots.next_ns
         return max(each.slots.next_ns for each in self if not each.servos[0].running)
+
+    def note_fed(self, fed: frozenset[int]) -> None:
+        """The power board has confirmed to feed these."""
+        self._fed = None if self._fed is None else fed
+
+    def start_fed(self, now_ns: int) -> list[Effect]:
+        """Send the starts that waited for supply, with their legs' rate slots, and watch these legs from now on."""
+        for leg in self:
+            if leg.unfed_ns is not None and not leg.runs and not self._held(leg):
+                leg.heard_ns = now_ns
+        return self.take_slots(now_ns)
+
+    def _held(self, leg: Leg) -> list[Servo]:
+        return held_starts(leg, self.servos.values(), self._fed)
 
     def _land_due_ns(self, landing: Landing, leg: Leg) -> int:
         """When a leg that lands gets its next frame; if it moves no more, when the landing ends."""
@@ -189,17 +172,13 @@ class Legs:
         ran = not self.at_rest and bool(self.given)
         come_to_rest = ran and not any(servo.running for servo in self.servos.values())
         at_once = come_to_rest or self._silent
-        due = self.rest_ns is not None and now_ns >= self.rest_ns
+        due = self.rest.due_ns is not None and now_ns >= self.rest.due_ns
         if due and self.at_rest:  # a start ends these runs, and waits for none
             due = not any(servo.running for servo in self.servos.values())
         resting = [leg for leg in self if not leg.armed] if at_once or due else []
         if not resting:
             return []
-        counts = due and self.at_rest and now_ns >= self._settled_ns
-        self._runs_left -= counts
-        singly = counts and not self._runs_left
-        if due or not self.at_rest:
-            self.rest_ns = None
+        singly = (due or not self.at_rest) and self.rest.take(now_ns, is_run=due and self.at_rest)
         self._moved, effects = None, list[Effect]()
         for leg in resting:
             stops = any(not servo.repeats_left and servo.servo_id not in self.given for servo in leg.servos)
@@ -215,7 +194,7 @@ class Legs:
         """The bus is at fault: nothing waits or is owed any more. Once it opens again, all are stopped anew."""
         for servo in self.servos.values():
             servo.repeats_left = 0
-        self.rest_ns, self._runs_left = None, 0
+        self.rest.forget()
         return self.drop(self.servos.values(), reason, detail)
 
     # ---- commands
@@ -227,6 +206,7 @@ class Legs:
         stops: list[tuple[Leg, list[Servo]]] = []
         taken: list[Effect] = []
         whole = self._rules.starts_whole and len(command.moves) < len(command.targets)
+        fed, self._fed = self._fed, self._fed and frozenset()  # its starts leave together, below
         for number, targets in (self._stop_whole(command) if whole else command.by_leg).items():
             leg = self.by_number[number]
             moves = False
@@ -245,9 +225,10 @@ class Legs:
                 stops.append((leg, [self.servos[servo_id] for servo_id, _ in targets]))
         for leg, servos in stops:  # after the moves, so that they are known as what came with these Stops
             effects += self._stop_on_command(leg, servos, command, now_ns)
-        if stops:  # they may have ended what its own starts queued behind
+        self._fed = fed
+        if stops or fed:  # Stops may have ended what its own starts queued behind
             effects += self.take_slots(now_ns)
-        elif not self._rules.start_pause_ns:  # else a leg that starts delays others
+        elif not self._rules.start_pause_ns and self._fed is None:  # else a leg that starts delays others
             self._moved = moved
         if whole and command.moves:
             effects.append(withdrawn(command, Reason.WHOLE_ROBOT, _MIXED))
@@ -285,7 +266,7 @@ class Legs:
 
     def _stop_on_command(self, leg: Leg, servos: list[Servo], command: Command, now_ns: int) -> list[Effect]:
         """A command that only stops: its frames go out now, whatever waits."""
-        effects = stops_of(leg, servos, Cause.COMMAND, (command,))
+        effects = stops(leg, servos, Cause.COMMAND, (command,))
         if command.lost:
             effects += self.drop(servos, Reason.OVERFLOW, _LOST)
         for servo in servos:
@@ -323,6 +304,9 @@ class Legs:
 
     def _send(self, leg: Leg, now_ns: int, cause: Cause = Cause.COMMAND) -> list[Effect]:
         """Send what waits for this leg, if it may go now."""
+        held = None if self._fed is None else self._held(leg)
+        if held:
+            return self._send_beside(leg, held, now_ns, cause)
         waiting: list[tuple[Servo, ServoOp]] = []
         for servo in leg.servos:
             if servo.waiting is not None:
@@ -352,7 +336,7 @@ class Legs:
             if target.op is OP_STOP:
                 self._stopped(servo, now_ns)
             else:
-                servo.angle_cdeg = target.angle_cdeg
+                servo.angle_cdeg, servo.announced_cdeg = target.angle_cdeg, None
                 servo.repeats_left = 0  # started again: a repeated Stop would undo it
                 leg.expired = False
             command = servo.waiting_for
@@ -361,6 +345,16 @@ class Legs:
                 command.left -= 1
                 done += () if command.left else (command,)
         return [Transmit(frame if wire is None else wire.frame(frame), cause, None, commands, done)]
+
+    def _send_beside(self, leg: Leg, held: list[Servo], now_ns: int, cause: Cause) -> list[Effect]:
+        """Send what waits for this leg, but for starts that wait for their supply."""
+        starts = [(servo, servo.waiting) for servo in held]
+        for servo in held:
+            servo.waiting = None
+        effects = self._send(leg, now_ns, cause)
+        for servo, start in starts:
+            servo.waiting = start
+        return effects
 
     def _passes_queue(self, leg: Leg, now_ns: int) -> bool:
         """Whether the queue of the legs that wait to be energised lets this one's frame go now."""
@@ -427,13 +421,12 @@ class Legs:
         for number in deadlines_ns:
             self.by_number[number].expired = False
             self.by_number[number].source = None
-        dropped = self.drop(servos, reason, detail)
-        return [*transmits, *dropped, *(self._empty_start_queue() if self._queue.legs else ())]
+        return [*transmits, *self.drop(servos, reason, detail), *self._empty_start_queue()]
 
     def _stopped(self, servo: Servo, now_ns: int) -> None:
         self._stops = True
         self.given.add(servo.servo_id)
-        servo.angle_cdeg = servo.target_cdeg = None
+        servo.angle_cdeg = servo.target_cdeg = servo.announced_cdeg = None
         if not servo.repeats_left:  # else the next one stays where it is
             servo.repeat_ns = now_ns + self._rules.repeat_interval_ns
         servo.repeats_left = self._rules.repeats
@@ -444,7 +437,9 @@ class Legs:
 
         Unless the Stop's own command wants it.
         """
-        servos = (servo for number in self._queue.legs for servo in self.by_number[number].servos)
+        pauses = self._queue.pause_ns > 0
+        legs = [leg for leg in self if leg.number in self._queue.legs or (pauses and leg.unfed_ns is not None)]
+        servos = (servo for leg in legs for servo in leg.servos)
         waiting = [servo for servo in servos if servo.waiting is not None and servo.waiting_for is not own]
         return self.drop(waiting, Reason.SERVO_STOPPED, "a Stop came before it was started")
 
@@ -471,7 +466,7 @@ class Legs:
             servo.passing_cdeg = None
         for servo in self.servos.values():  # what is rejected here must not take effect on another leg
             if servo.waiting is not None and servo.waiting_for in rejected:
-                servo.waiting = None
+                servo.waiting = servo.announced_cdeg = None
             if servo.target_cdeg is not None and servo.target_for in rejected:  # nor go on where it has begun to
                 servo.target_cdeg = servo.passing_cdeg = None
         for number in tuple(self._queue.legs):
@@ -485,4 +480,4 @@ class Legs:
             servo.repeats_left -= servo.servo_id not in self.given  # a first Stop of this step owes all of its repeats
             self.given.add(servo.servo_id)
             servo.repeat_ns = now_ns + self._rules.repeat_interval_ns
-        return stops_of(leg, due, Cause.REPEAT)
+        return stops(leg, due, Cause.REPEAT)

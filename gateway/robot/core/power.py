@@ -1,44 +1,74 @@
 """What the power board's answers allow, and which servos it is to feed. Pure.
 
-A servo that is not fed must not count as running: fed again, it would jump to its angle, and nobody asked for that. So
-what the board feeds no longer is stopped on the wire as well, and a start is needed.
+One rule for both wires: a servo is fed while it runs or waits to be started, and at no other time. Its start leaves
+once the board has confirmed that it is fed. A servo that is not fed does not count as running: fed again, it would jump
+to its angle, and nobody asked for that. So what the board feeds no longer is stopped on the wire as well.
 """
 
-from collections.abc import Collection, Mapping
-from enum import StrEnum
+from collections.abc import Collection, Iterable, Mapping
 from typing import Final
 
+from gateway.model.calibration import RobotCalibration
+from gateway.model.frames import OP_START, STARTS, OneServo
 from gateway.robot.core.events import PowerSeen, Targets
-from gateway.robot.core.leg import Rules
-from schemas.telemetry import Mode, Reason
+from gateway.robot.core.leg import Leg, Rules, Servo
+from schemas.telemetry import Reason
 
 SILENT: Final = "the power board does not answer"
 LOST: Final = "the power board does not feed it any more"
+UNFED: Final = "the power board has not confirmed that it is fed"
 
 
-class CutOn(StrEnum):
-    """What takes the servos' supply (`power.cut_on`)."""
-
-    ESTOP = "estop"
-    BUS_FAULT = "bus_fault"
-    BUTTON = "button"
-    SHUTDOWN = "shutdown"
-    UNCONFIRMED = "unconfirmed"
+def starts(servo: Servo) -> bool:
+    """Whether a start of this servo waits."""
+    return servo.angle_cdeg is None and servo.waiting is not None and servo.waiting.op is OP_START
 
 
-_IN_MODE: Final = {
-    Mode.ESTOPPED: CutOn.ESTOP,
-    Mode.BUS_FAULT: CutOn.BUS_FAULT,
-    Mode.STOPPING: CutOn.SHUTDOWN,
-}
+def held_starts(leg: Leg, servos: Iterable[Servo], fed: Collection[int] | None) -> list[Servo]:
+    """Return the servos of a leg whose starts wait for supply: those of a command that starts a servo of `servos` that
+    the board does not feed. So a command starts all its servos at once, or none. `fed` None: there is no board."""
+    if fed is None:
+        return []
+    unfed = [each.waiting_for for each in servos if starts(each) and each.servo_id not in fed]
+    return [each for each in leg.servos if starts(each) and each.waiting_for in unfed] if unfed else []
 
 
-def cut_by(mode: Mode, cut_on: Collection[str], *, unwatched: bool) -> CutOn | None:
-    """What takes the supply of all servos now; None: nothing does. `unwatched`: too few buttons, and nothing runs."""
-    cause = _IN_MODE.get(mode)
-    if cause in cut_on:
-        return cause
-    return CutOn.BUTTON if unwatched and CutOn.BUTTON in cut_on else None
+def look_at_supply(leg: Leg, held: list[Servo], now_ns: int, watched_ns: int, rules: Rules) -> tuple[int, bool]:
+    """Note since when a leg waits for supply. Return when it is to be stopped at the latest, and whether something of
+    it waits for its rate slot alone.
+
+    `held`: its starts that wait for supply. `watched_ns`: when the watchdog stops it; NEVER if nothing of it runs.
+    """
+    under_way = sum(each.waiting is not None or each.target_cdeg is not None for each in leg.servos)
+    if not held:
+        leg.unfed_ns = None
+        heard = leg.armed and leg.heard_ns is not None
+        return (leg.heard_ns or 0) + rules.timeout_ns if heard else watched_ns, under_way > 0
+    leg.unfed_ns = now_ns if leg.unfed_ns is None else leg.unfed_ns
+    return min(watched_ns, leg.unfed_ns + rules.feed_ns), under_way > len(held)
+
+
+def unfed_since(legs: Iterable[Leg], ns: int) -> list[int]:
+    """Return the legs with a start that has waited for its supply since then, or longer."""
+    return [leg.number for leg in legs if leg.unfed_ns is not None and leg.unfed_ns <= ns]
+
+
+def servos_to_feed(servos: Iterable[Servo], wire: RobotCalibration | None) -> dict[int, int | None]:
+    """Return the servos that are to be fed: those that run (None), and those that wait to be started, each with the
+    wire's angle (hundredths of a degree) at which supply would start it.
+
+    That angle stays the same while the start waits, whatever is set meanwhile.
+    """
+    found: dict[int, int | None] = {}
+    for servo in servos:
+        if servo.angle_cdeg is not None:
+            found[servo.servo_id] = None
+        elif servo.waiting is not None and starts(servo):
+            if servo.announced_cdeg is None:
+                servo.announced_cdeg = servo.waiting.angle_cdeg
+            frame = OneServo(servo.servo_id, STARTS[servo.announced_cdeg])
+            found[servo.servo_id] = (frame if wire is None else wire.frame(frame)).servos[0][1].angle_cdeg
+    return found
 
 
 class PowerRule:

@@ -52,10 +52,13 @@ class LimitedSpeeds:
             speed_cdeg_s = self._rules.max_speed_cdeg_s.get(servo.servo_id)
             if servo.waiting.op is not OP_STOP:
                 target_cdeg, servo.target_cdeg = servo.waiting.angle_cdeg, None
-                if speed_cdeg_s is None or servo.angle_cdeg is None:
+                stands_cdeg = servo.angle_cdeg
+                if stands_cdeg is None and self._rules.angles_first:
+                    stands_cdeg, servo.since_ns = servo.announced_cdeg, now_ns
+                if speed_cdeg_s is None or stands_cdeg is None:
                     servo.since_ns = now_ns  # a servo that does not run may be anywhere, so its start is no step
                 else:
-                    angle_cdeg = self._step(servo, servo.angle_cdeg, target_cdeg, speed_cdeg_s, now_ns)
+                    angle_cdeg = self._step(servo, stands_cdeg, target_cdeg, speed_cdeg_s, now_ns)
                     servo.waiting = ServoOp(servo.waiting.op, angle_cdeg)
                     servo.target_cdeg = None if angle_cdeg == target_cdeg else target_cdeg
                     if servo.waiting_for is not NO_COMMAND:

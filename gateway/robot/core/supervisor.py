@@ -39,17 +39,18 @@ The rules, by their numbers in docs/interface.md, *Behaviour*:
     what runs is then stopped, or lands (`body_limits`).
 16. Where the wire can start and stop the whole robot only, all servos run or wait to be started, or none does: a start
     names all of them, and leaves with the last leg's rate slot; whatever stops one of them stops all in the same step.
-17. With a power board, nothing starts or moves that it does not feed; what it feeds no longer is stopped, and all that
-    runs is stopped, or lands, when it does not answer (`power`).
+17. With a power board, a start waits until its servo is fed, and its leg's watchdog with it (`power`); what the board
+    feeds no longer is stopped, and all that runs is stopped, or lands, when it does not answer.
 
 `StoppedOutside` reports `stop-servos` at work on the same device. All legs count as stopped and get a Stop from here
 too, since one may have been started after its Stop from outside. Until that program is known to have ended, no Start or
 Set is taken: one of its Stops may still come, and would undo it unseen.
 
-Within one instant, the order of what came by different channels is unknown. So a Stop wins over a Start
-or Set that came by another channel, and the emergency stop wins over a reset.
+Within one instant, the order of what came by different channels is unknown. So a Stop wins over a Start or Set of
+another channel, and the emergency stop wins over a reset.
 """
 
+from collections.abc import Collection
 from typing import Final, assert_never
 
 from gateway.allowance import NS_PER_MS
@@ -87,7 +88,7 @@ from gateway.robot.core.lease import RobotLease
 from gateway.robot.core.leg import Rules
 from gateway.robot.core.legal import LEGAL, IllegalEvent
 from gateway.robot.core.legs import Legs
-from gateway.robot.core.power import LOST, SILENT, PowerRule
+from gateway.robot.core.power import LOST, SILENT, UNFED, PowerRule, servos_to_feed, unfed_since
 from schemas.robot import LEGS
 from schemas.telemetry import Cause, Kind, Mode, Reason
 
@@ -131,9 +132,7 @@ class Supervisor:
 
     def step(self, event: Event, now_ns: int, instant_ns: int | None = None) -> list[Effect]:
         """Take one event. Raises IllegalEvent, and changes nothing, where it has no place in this mode (`LEGAL`).
-
-        Events with the same `instant_ns` (their own time, if not given) were collected together, and nobody knows in
-        which order they were sent; to deal with them takes time, and deadlines do not wait for that.
+        Events with the same `instant_ns` (their own time, if not given) were collected together, in an unknown order.
         """
         if type(event) not in LEGAL[self.mode]:
             raise IllegalEvent(f"{type(event).__name__} while {self.mode}")
@@ -232,7 +231,7 @@ class Supervisor:
         return self.legs.stop_for(command, rejected, now_ns, write=not self._ended) if self._bus_ok else [rejected]
 
     def _rejection(self, command: Command) -> tuple[Reason, str] | None:
-        """Why the command as a whole takes no effect; None: it does. Asked before anything of it takes effect."""
+        """Why the command as a whole takes no effect; None: it does."""
         if self.mode in _REJECTING:
             return _REJECTING[self.mode]
         moves = command.moves
@@ -241,7 +240,7 @@ class Supervisor:
         if moves and (guarded or closed or command.lease is not None):
             rejection = self._why_closed(command.lease)
             if rejection is None and closed:
-                rejection = self._why_unwatched() or self.body.rejection(moves, self.legs.servos)
+                rejection = self.buttons.bar() or self.body.rejection(moves, self.legs.servos)
                 rejection = rejection or self.power.rejection(moves)
             rejection = rejection or self.calibrating.rejection(moves)
             if rejection is not None:
@@ -268,10 +267,6 @@ class Supervisor:
         if rejection is not None:
             return rejection
         return None if self.legs.landing is None else (Reason.LANDING, _LANDING)
-
-    def _why_unwatched(self) -> tuple[Reason, str] | None:
-        """Why too few watch for a start, a set or a reset; None: enough do."""
-        return self.buttons.rejection() if self.buttons.closed else None
 
     def _calibration(self, event: Calibrate | CalibrationSaved, now_ns: int) -> list[Effect]:
         return self.calibrating.kept(event) if isinstance(event, CalibrationSaved) else self._calibrate(event, now_ns)
@@ -300,7 +295,7 @@ class Supervisor:
     def _reset(self, event: Reset, now_ns: int) -> list[Effect]:
         if self.mode in _REJECTING and self.mode is not Mode.ESTOPPED:
             return [Rejected(event, *_REJECTING[self.mode])]
-        closed = self.lease.rejection(event.lease, reset=True) or self._why_unwatched()
+        closed = self.lease.rejection(event.lease, reset=True) or self.buttons.bar()
         if closed is not None:
             return [Rejected(event, *closed)]
         why_not = self.latch.why_not_left(event.estop, self.legs.instant_ns)
@@ -365,7 +360,7 @@ class Supervisor:
 
     def _shut_down(self, now_ns: int) -> list[Effect]:
         self._ended = True
-        self.legs.more_runs = 0
+        self.legs.rest.runs = 0
         self.lease.end()
         stopped = "all servos are stopped" if self._bus_ok else "the SPI bus does not answer, so no Stop can be sent"
         announcement = Announce(Kind.STOPPING, f"the gateway ends; {stopped}")
@@ -374,14 +369,12 @@ class Supervisor:
     # ---- Stops for the gateway's own reasons
 
     def _stop_unwatched(self, now_ns: int) -> list[Effect]:
-        """While too few buttons are alive, nothing runs, but for a landing."""
         if self._nothing_to_stop():
             return []
         fell_ns = now_ns if self.buttons.fell_ns is None else self.buttons.fell_ns
         return self._bring_down("too few buttons are alive", fell_ns, now_ns, *self.buttons.rejection())
 
     def _sensed(self, event: BodyMeasured | PowerSeen, now_ns: int) -> list[Effect]:
-        """A body that has fallen in this step is stopped, or lands; so is a robot whose power board does not answer."""
         if isinstance(event, PowerSeen):
             return self._power_seen(event, now_ns)
         published = self.body.note(event, now_ns, self._then())
@@ -391,8 +384,8 @@ class Supervisor:
         return [*down, *published]
 
     def _power_seen(self, event: PowerSeen, now_ns: int) -> list[Effect]:
-        """What the board does not feed is stopped: fed again, it would move unasked."""
         self.power.note(event)
+        self.legs.note_fed(event.fed)
         if not self._bus_ok or self._ended:
             return []
         if event.doubt:
@@ -400,8 +393,15 @@ class Supervisor:
         if not event.alive:
             return [] if self._nothing_to_stop() else self._bring_down(SILENT, now_ns, now_ns, Reason.NO_POWER, SILENT)
         lost = {each // 10 for each in (*event.lost, *dict(event.refused)) if self.legs.servos[each].will_run}
-        due = dict.fromkeys(self.legs.by_number if lost and self._rules.stops_whole else lost)
-        return self.legs.stop(due, Cause.WATCHDOG, now_ns, Reason.NO_POWER, LOST) if due else []
+        return [*self._stop_unfed(lost, LOST, now_ns), *self.legs.start_fed(now_ns)]
+
+    def to_feed(self) -> dict[int, int | None]:
+        """See `servos_to_feed`; nothing is fed while the bus is at fault."""
+        return servos_to_feed(self.legs.servos.values(), self._reach.wire) if self._bus_ok else {}
+
+    def _stop_unfed(self, legs: Collection[int], detail: str, now_ns: int) -> list[Effect]:
+        due = dict.fromkeys(self.legs.by_number if legs and self._rules.stops_whole else sorted(legs))
+        return self.legs.stop(due, Cause.WATCHDOG, now_ns, Reason.NO_POWER, detail) if due else []
 
     def _bring_down(self, why: str, since_ns: int, now_ns: int, reason: Reason, detail: str) -> list[Effect]:
         """The robot lands, if something runs and there is time left; else all six legs are stopped."""
@@ -419,12 +419,15 @@ class Supervisor:
         return "the robot lands" if lands else "all six legs are stopped"
 
     def _nothing_to_stop(self) -> bool:
-        """Whether all is stopped, or it lands already, or the bus sends nothing."""
         return not self._bus_ok or self.legs.landing is not None or not any(leg.armed for leg in self.legs)
 
     def _expire(self, now_ns: int) -> list[Effect]:
         if self.legs.landing is not None:
             return self._touch_down(self.legs.landing.ends_ns, now_ns)
+        unfed = unfed_since(self.legs, now_ns - self._rules.feed_ns)
+        return [*self._stop_unfed(unfed, UNFED, now_ns), *self._expire_silent(now_ns)]
+
+    def _expire_silent(self, now_ns: int) -> list[Effect]:
         deadlines = {
             leg.number: deadline
             for leg in self.legs
@@ -456,7 +459,6 @@ class Supervisor:
 
     def _begin_landing(self, why: str, ends_ns: int, now_ns: int) -> list[Effect]:
         """A leg or a button fell silent, or the body is tilted: the whole robot goes down, also legs still commanded.
-
         On five legs, one limp, it would fall. Nothing can make the landing longer: neither a link that comes back (what
         comes is rejected) nor a second leg's silence (whose own Stop would come later than this one).
         """

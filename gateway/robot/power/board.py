@@ -85,7 +85,8 @@ class PowerBoard:
         """Lost to a silence: perhaps still fed, so taken by no mask of our own accord. A leg may be landing on them."""
         # What was sent: 0 is also what a board feeds that has started anew.
         self._sent = 0
-        self._number = 0
+        self._number = self._on_number = 0
+        """Of the newest mask, and of the newest one that switches something on."""
         self._sent_ns: int | None = None
         self._leave_ns: int | None = None
         """When the next mask leaves; None: none has to."""
@@ -98,7 +99,6 @@ class PowerBoard:
         self._off = OutputsOff(confirm_ns)
         self._unconfirmed = False
         self._started_ns: int | None = None
-        self._restoring = True
         # What was answered.
         self.alive = False
         self.answered_ns: int | None = None
@@ -135,7 +135,7 @@ class PowerBoard:
 
         A mask leaves at once even if all is off already: the emergency stop is to be confirmed anew.
         """
-        self._begun = self._cut = self._restoring = True
+        self._begun = self._cut = True
         self._wanted = self._unknown = 0
         self._unconfirmed = False
         self._settle(now_ns)
@@ -179,6 +179,11 @@ class PowerBoard:
     def supplied(self) -> frozenset[int]:
         """The servos that the board fed when it last said so."""
         return self._named(self._shown)
+
+    @property
+    def fed(self) -> frozenset[int]:
+        """The servos that the board has confirmed to feed, since they were last wanted."""
+        return self._named(sum(1 << place for place in self._fed))
 
     @property
     def confirmed(self) -> bool:
@@ -277,7 +282,7 @@ class PowerBoard:
         mask_ns = self._mask_due_ns()
         if mask_ns is not None and now_ns >= mask_ns:
             frames.append(self._send(now_ns))
-            if not self.confirmed:
+            if not self.confirmed or self._on_number == self._number:
                 frames += self._questions.behind(self._number, now_ns)
         # What is deleted before the board has the mask without it comes on again.
         without = self._off.have_reached(self._errors.mask, self._questions.reached)
@@ -307,8 +312,6 @@ class PowerBoard:
         self._anew(ALL & ~target & ~self._unknown & ~self._off.mask, now_ns)
         for place in [place for place in self._fed if not target >> place & 1]:
             del self._fed[place]
-        if target != ALL:
-            self._restoring = True
 
     def _anew(self, mask: int, now_ns: int) -> None:
         """These are off, and are to be confirmed by a mask that is yet to be sent."""
@@ -342,8 +345,10 @@ class PowerBoard:
     def _send(self, now_ns: int) -> CanFrame:
         """The mask as it may be now: what goes off always, what comes on only while the counter is at rest."""
         target = self._target
-        self._sent = target if self.alive and now_ns >= self._rest_ns else self._sent & target
+        before, self._sent = self._sent, target if self.alive and now_ns >= self._rest_ns else self._sent & target
         self._number += 1
+        if self._sent & ~before:
+            self._on_number = self._number
         self._sent_ns = now_ns
         self._leave_ns = None
         steps = 1 + (self._sent & ~self._shown).bit_count()
@@ -357,7 +362,6 @@ class PowerBoard:
         # A mask that was on its way when this answer left it has an answer of its own.
         if self._sent_ns is None or now_ns - self._sent_ns > REST_NS:
             self._rest_ns = now_ns + REST_NS
-        target = self._target
         reached = NOTHING if self._errors.two_boards else self._questions.reached
         on_again, ended = self._off.answered(mask, reached, now_ns)
         self._news += ended
@@ -367,14 +371,13 @@ class PowerBoard:
         ]
         if gone:
             self._lose(sum(1 << place for place in gone), "the power board has switched these off by itself", now_ns)
+        on = mask & self._target & self._sent if reached >= self._on_number else 0
         for place in range(OUTPUTS):
-            if mask & self._target & (1 << place):  # none where two boards answer: nothing is wanted then
-                self._fed.setdefault(place, now_ns)
+            if on >> place & 1 and place not in self._fed:
+                self._fed[place] = now_ns
+                self._milliamperes.pop(place, None)  # measured before it was fed
         if self.confirmed:
             self._unconfirmed = False
-        if self._restoring and mask == target == ALL:
-            self._restoring = False
-            self._news.append(News(Kind.POWER_RESTORED, "the power board feeds all servos again", self._named(mask)))
 
     def _lose(self, mask: int, why: str, now_ns: int, *, report: bool = True) -> None:
         """These are off, and not by us: they stay off until they are wanted anew."""
@@ -418,6 +421,5 @@ class PowerBoard:
         self._sent = 0
         self._fed.clear()
         self._milliamperes.clear()
-        self._restoring = True
         self._settle(now_ns)
         self._news.append(News(Kind.POWER_UNCONFIRMED, why, self._named(target)))

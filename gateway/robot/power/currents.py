@@ -6,10 +6,14 @@ A stopped servo that draws was not stopped on its wire; a running one that draws
 from collections.abc import Mapping
 from typing import Final
 
-from gateway.allowance import NS_PER_S
+from gateway.allowance import NS_PER_MS, NS_PER_S
 from gateway.robot.power.board import News
 from schemas.telemetry import Kind
 
+IDLE_MA: Final = 150
+"""A fed servo at rest draws some 8 mA, and one that holds its share of a standing robot some 200 mA (assumed)."""
+SETTLE_NS: Final = 300 * NS_PER_MS
+"""Behind a Stop: a servo that swings out may draw, and its current is asked for every 140 ms."""
 NOTHING_MA: Final = 5
 """A servo that is fed and at rest draws some 8 mA for its own electronics."""
 SILENT_NS: Final = 1 * NS_PER_S
@@ -31,10 +35,8 @@ class _Judged:
 class CurrentRules:
     """Compares what servos do with what they draw; each finding is reported once for each start and Stop."""
 
-    def __init__(self, idle_ma: float, settle_ns: int) -> None:
-        """A stopped servo may draw `idle_ma`, and `settle_ns` after its Stop no more than that."""
-        self._idle_ma = idle_ma
-        self._settle_ns = settle_ns
+    def __init__(self) -> None:
+        """Nothing was measured yet."""
         self._servos: dict[int, _Judged] = {}
 
     def measured(self, currents_ma: Mapping[int, float], running: frozenset[int], now_ns: int) -> list[News]:
@@ -47,11 +49,11 @@ class CurrentRules:
             found = self._silent(servo, ma, now_ns) if servo.running else self._draws(servo, ma, now_ns)
             if found is not None and not servo.reported:
                 servo.reported = True
-                news.append(News(found, self._sentence(found, servo_id, ma), frozenset({servo_id})))
+                news.append(News(found, _sentence(found, servo_id, ma), frozenset({servo_id})))
         return news
 
     def _draws(self, servo: _Judged, ma: float, now_ns: int) -> Kind | None:
-        too_much = ma > self._idle_ma and now_ns - servo.since_ns >= self._settle_ns
+        too_much = ma > IDLE_MA and now_ns - servo.since_ns >= SETTLE_NS
         servo.drawing = servo.drawing + 1 if too_much else 0
         return Kind.SERVO_DRAWS if servo.drawing >= IN_A_ROW else None
 
@@ -63,7 +65,8 @@ class CurrentRules:
             servo.nothing_since_ns = now_ns
         return Kind.SERVO_SILENT if now_ns - servo.nothing_since_ns >= SILENT_NS else None
 
-    def _sentence(self, kind: Kind, servo_id: int, ma: float) -> str:
-        if kind is Kind.SERVO_DRAWS:
-            return f"servo {servo_id} is stopped and draws {ma:.0f} mA, more than power.idle_ma ({self._idle_ma:g})"
-        return f"servo {servo_id} runs and has drawn nothing for 1 s: it is unplugged, or broken"
+
+def _sentence(kind: Kind, servo_id: int, ma: float) -> str:
+    if kind is Kind.SERVO_DRAWS:
+        return f"servo {servo_id} is stopped and draws {ma:.0f} mA, more than {IDLE_MA} mA"
+    return f"servo {servo_id} runs and has drawn nothing for 1 s: it is unplugged, or broken"

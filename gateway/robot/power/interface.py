@@ -16,6 +16,10 @@ FILTERS: Final = [
 """The board's identifiers, 60 to 9F."""
 
 
+BITRATE: Final = 1_000_000
+"""The board's, which its firmware fixes."""
+
+
 class LineError(GatewayError):
     """The interface cannot be opened; the sentence says why."""
 
@@ -31,8 +35,6 @@ class Interface(Protocol):
     def interface(self) -> str: ...
     @property
     def channel(self) -> str: ...
-    @property
-    def bitrate(self) -> int: ...
 
 
 def open_bus(settings: Interface) -> "can.BusABC":
@@ -48,12 +50,12 @@ def open_bus(settings: Interface) -> "can.BusABC":
     logging.getLogger("can").setLevel(logging.ERROR)  # it warns of each interface that could not be opened
     try:
         if settings.interface == "slcan":
-            return Slcan(settings.channel, bitrate=settings.bitrate)
+            return Slcan(settings.channel, bitrate=BITRATE)
         channel = settings.channel
         return can.Bus(
             channel=int(channel) if channel.isdecimal() else channel,
             interface=settings.interface,
-            bitrate=settings.bitrate,
+            bitrate=BITRATE,
             can_filters=FILTERS,
             ignore_config=True,
         )

@@ -15,6 +15,7 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from functools import partial
+from operator import itemgetter
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from gateway.allowance import NS_PER_S
@@ -63,9 +64,19 @@ class Status(NamedTuple):
     """Blocked by the board: why."""
     answered_ns: int | None = None
     """When it last answered; None: never."""
+    fed: frozenset[int] = frozenset()
+    """Confirmed to be fed, since that was last wanted."""
+    changes: int = 0
+    """The number of the newest `want` that the board has carried out or is carrying out."""
     currents_ma: Mapping[int, int] = {}
     rails: Mapping[int, tuple[int, ...]] = {}
     """By the question's identifier (gateway.model.power_board)."""
+
+
+_SHOWN: Final = itemgetter(
+    *map(Status._fields.index, ("alive", "supplied", "confirmed", "lost", "refused", "fed", "changes"))
+)
+"""What of a status is news."""
 
 
 class PowerLine:
@@ -101,7 +112,7 @@ class PowerLine:
         self._bus: can.BusABC | None = None
         self._received_from: can.BusABC | None = None
         self._closing = self._cuts = False
-        self._retry_ns = 0
+        self._retry_ns = self._changes = 0
         self.status = Status()
         self.fault: str | None = "it has not been opened yet"
         """Why the interface is not open; None: it is."""
@@ -128,9 +139,13 @@ class PowerLine:
 
     # ---- requests: they never wait
 
-    def want(self, servos: frozenset[int]) -> None:
+    def want(self, servos: frozenset[int], number: int) -> None:
         """PowerBoard.want, as soon as possible."""
-        self._request(partial(self._board.want, servos, self._clock()))
+        self._request(partial(self._want, servos, number, self._clock()))
+
+    def _want(self, servos: frozenset[int], number: int, now_ns: int) -> None:
+        self._board.want(servos, now_ns)
+        self._changes = number
 
     def cut(self) -> None:
         """PowerBoard.cut, as soon as possible; the first mask leaves before that is asked."""
@@ -298,6 +313,8 @@ class PowerLine:
                 board.lost,
                 board.refused,
                 board.answered_ns,
+                board.fed,
+                self._changes,
                 board.currents_ma,
                 dict(board.rails),
             )
@@ -306,5 +323,5 @@ class PowerLine:
         self._news += news
         if due:
             self._awake()
-        if news or before[:5] != self.status[:5]:
+        if news or _SHOWN(before) != _SHOWN(self.status):
             self._on_news()

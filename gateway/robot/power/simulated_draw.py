@@ -13,7 +13,7 @@ from schemas.robot import SERVO_IDS
 
 WAITS_MA: Final = 8.0
 HOLDS_MA: Final = 200.0
-"""Its share of a robot that stands. More than `power.idle_ma`, so one that holds though it was stopped is noticed."""
+"""Its share of a robot that stands. More than a servo at rest may draw, so one that goes on holding is noticed."""
 
 
 class SimulatedDraw:

@@ -7,13 +7,13 @@ whose shutdown was lost must not move for it.
 """
 
 from collections import deque
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Final
 
 from gateway.allowance import NS_PER_MS
 from gateway.model import elkapod
 from gateway.model.elkapod import AnswerError, Heartbeats, Measured
-from gateway.model.frames import OP_START, Frame
+from gateway.model.frames import OP_START, OP_STOP, Frame
 from schemas.robot import SERVO_IDS
 
 START_CYCLES: Final = 2
@@ -61,10 +61,25 @@ class Commanded:
         """Take frames that move: their angles are in the next frame, and starts of all eighteen servos are a start."""
         for frame in frames:
             for servo_id, op in frame.servos:
+                if op.op is OP_STOP:
+                    continue  # it does not run, and keeps its angle
                 self._angles_cdeg[_PLACES[servo_id]] = op.angle_cdeg
-                if op.op is OP_START:
+                if op.op is OP_START and not (self._fed_singly and servo_id in self.ready):
                     self._to_start[servo_id] = 0
                     self._carried.discard(servo_id)
+
+    def prepare(self, to_feed: Mapping[int, int | None]) -> frozenset[int]:
+        """Take the servos that a power board is to feed, with the angle at which supply starts each (hundredths of a
+        degree; None: it runs). Return those that may be fed by now; the others' starts are forgotten."""
+        self.ready &= to_feed.keys()
+        for servo_id in self._to_start.keys() - to_feed.keys():
+            del self._to_start[servo_id]
+        self._carried &= self._to_start.keys()
+        for servo_id, angle_cdeg in to_feed.items():
+            if angle_cdeg is not None and servo_id not in self.ready and servo_id not in self._to_start:
+                self._angles_cdeg[_PLACES[servo_id]] = angle_cdeg
+                self._to_start[servo_id] = 0
+        return self.ready
 
     def frame(self) -> bytes:
         """The next frame."""

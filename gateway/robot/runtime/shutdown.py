@@ -16,7 +16,6 @@ import zenoh
 from gateway.errors import GatewayError
 from gateway.host import logs
 from gateway.robot.blackbox.recorder import Recorder
-from gateway.robot.core.power import CutOn
 from gateway.robot.host.ownership import Ownership
 from gateway.robot.protocol import Wire
 from gateway.robot.runtime.conductor import Conductor
@@ -111,7 +110,7 @@ async def stop_the_robot(conductor: Conductor, bus: Wire, watchdog: WatchdogSett
     deadline = asyncio.get_running_loop().time() + REPEATS_S
     supply, asked_ns = conductor.supply, time.monotonic_ns()
     if supply is not None:
-        supply.cut_early(CutOn.SHUTDOWN)  # a transfer that hangs may hold the state
+        supply.cut_early()  # a transfer that hangs may hold the state
     with conductor.owner:
         try:
             stopped = conductor.shut_down()

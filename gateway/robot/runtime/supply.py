@@ -1,8 +1,14 @@
 """What the power board is to feed, by what the supervisor decides; and what its news mean for the robot.
 
+A servo is fed while it runs or waits to be started, and at no other time, with either wire. So a Stop takes its supply,
+and nothing that ends (an emergency stop, a fault of the bus) feeds a servo that nobody started.
+
 Called by the owner of the state, and waits for nothing: the board's frames leave on threads of its line's own. What a
 step takes off is asked for before the step's frames, and what it feeds behind them. So no cut waits for a transfer on
 SPI, and no servo is fed before its Stop, or its angle, was written.
+
+A controller that hears nothing may still drive servos. So the first servo that is fed behind a fault is fed alone, and
+the others follow once its current shows that it rests.
 """
 
 import asyncio
@@ -16,18 +22,16 @@ from gateway.allowance import NS_PER_MS
 from gateway.model.black_box.format import ACCEPTED
 from gateway.robot.core.events import Announce, Effect, PowerSeen, Request, Reset
 from gateway.robot.core.message import Received, Verb
-from gateway.robot.core.power import CutOn, cut_by
 from gateway.robot.core.supervisor import Supervisor
 from gateway.robot.host.ownership import Ownership
 from gateway.robot.power.board import News, PowerBoard
-from gateway.robot.power.currents import CurrentRules
+from gateway.robot.power.currents import IDLE_MA, CurrentRules
 from gateway.robot.power.line import PowerLine, Status
 from gateway.robot.power.offs import Confirmed
 from gateway.robot.protocol import Wire
 from gateway.robot.runtime.answers import legs_of
 from gateway.robot.runtime.confirmations import Confirmations, Then
 from gateway.robot.runtime.executor import Outcome
-from gateway.robot.sections import PowerSettings
 from gateway.robot.settings import Settings
 from gateway.robot.spi.cyclic import CyclicBus
 from schemas.keys import ESTOP
@@ -38,12 +42,12 @@ CarryOut = Callable[[Sequence[Effect], Request | None], Outcome]
 MOST_LOOKS: Final = 30
 """3 s, in which a line looks three hundred times."""
 _WHY: Final = {
-    CutOn.ESTOP: "for the emergency stop",
-    CutOn.BUS_FAULT: "since the controller cannot be told to stop",
-    CutOn.BUTTON: "since too few stop buttons are alive",
-    CutOn.SHUTDOWN: "since the gateway ends",
+    Mode.ESTOPPED: "for the emergency stop",
+    Mode.BUS_FAULT: "since the controller cannot be told to stop",
+    Mode.STOPPING: "since the gateway ends",
 }
 _DREW: Final = "it drew current after its Stop; a reset feeds it again"
+_DEAF: Final = "servo {} drew current before it was started: the controller does not obey; a reset lets it try again"
 _TAKEN: Final = "another program has switched it off; a reset feeds it again"
 _ALL: Final = frozenset(SERVO_IDS)
 _NONE: Final = frozenset[int]()
@@ -60,8 +64,8 @@ class BoardLine(Protocol):
     def looked_ns(self) -> int:
         """When what receives from the board last looked at the time."""
 
-    def want(self, servos: frozenset[int]) -> None:
-        """Feed exactly these."""
+    def want(self, servos: frozenset[int], number: int) -> None:
+        """Feed exactly these; `number` is that of the newest change."""
 
     def cut(self) -> None:
         """Feed nothing, until `want` was called with no servos."""
@@ -89,26 +93,33 @@ class Seen:
 
 
 class RobotSupply:
-    """The servos' supply. `ready` names those that a wire which knows no start of a servo would have fed; None: all."""
+    """The servos' supply."""
 
-    def __init__(self, line: BoardLine, settings: PowerSettings, ready: Callable[[], frozenset[int]] | None) -> None:
+    def __init__(
+        self, line: BoardLine, interface: str, ready: Callable[[Mapping[int, int | None]], frozenset[int]] | None
+    ) -> None:
+        """`ready` names those of the servos to feed whose angle is on the wire, where supply is what starts a servo."""
         self._line = line
         self.on_news: Callable[[], None] = lambda: None
         """Whom the owner of the state calls for the board's news."""
-        self._interface = settings.interface
-        self._cut_on = frozenset(settings.cut_on)
+        self._interface = interface
         self._ready = ready
-        self._asked = self._runs = self._lost = _NONE
-        self._cause: CutOn | None = None
+        self._asked = self._runs = _NONE
+        self._changes = 0
+        """How often `_asked` has changed: what the board has confirmed before is no confirmation of it."""
+        self._mode = Mode.STARTING
+        self._cut = False
+        self._trusted = ready is not None
+        """Whether a servo was seen at rest, fed, since the last fault."""
         self._withheld: dict[int, str] = {}
         """Servos that are not fed before a reset, and why: blocked by the board, or they drew current after a Stop."""
         self._refused: Mapping[int, str] = {}
         self._alive = False
-        self._currents = CurrentRules(settings.idle_ma, round(settings.settle_ms * NS_PER_MS))
+        self._currents = CurrentRules()
         self._found: list[News] = []
         """What the currents say."""
-        self._gave_back = False
-        """By a reset, of which the board may never say anything: where it feeds nothing before a start."""
+        self._changed = False
+        """By a reset or a servo's current, of which the board says nothing."""
         self._looked_ns = self._looks = 0
         self.confirmations = Confirmations(line.when_off)
 
@@ -118,46 +129,42 @@ class RobotSupply:
         """Before its frames: what is to be off. Returns what is to be published behind them."""
         servos = supervisor.legs.servos
         self._runs = frozenset([each for each, servo in servos.items() if servo.angle_cdeg is not None])
-        unwatched = supervisor.buttons.closed and not self._runs
-        before, self._cause = self._cause, cut_by(supervisor.mode, self._cut_on, unwatched=unwatched)
-        if supervisor.stopped_outside and CutOn.SHUTDOWN in self._cut_on:
+        if supervisor.stopped_outside:
             self._withheld |= dict.fromkeys(self._asked, _TAKEN)  # `stop-servos` takes it, also where nothing shows it
-        cuts = self._cause is not None and self._cause is not before and self._asked
-        self._ask(self._asked & self._wanted(supervisor.mode))
-        if self._cause is None or not cuts:
-            return []
-        return [Announce(Kind.POWER_CUT, f"the servos' supply is taken, {_WHY[self._cause]}", legs=tuple(LEGS))]
+        before, self._mode = self._mode, supervisor.mode
+        cuts = self._mode in _WHY and self._mode is not before and bool(self._asked)
+        if self._mode in _WHY or supervisor.stopped_outside:
+            self._trusted = self._ready is not None
+        self._ask(self._asked & supervisor.to_feed().keys())
+        self._cut = self._cut or cuts
+        why = f"the servos' supply is taken, {_WHY[self._mode]}" if cuts else ""
+        return [Announce(Kind.POWER_CUT, why, legs=tuple(LEGS))] if cuts else []
 
     def behind(self, supervisor: Supervisor) -> None:
         """Behind its frames: what is to be on."""
-        self._lost = _NONE  # their Stops are written
-        self._ask(self._wanted(supervisor.mode))
-
-    def _wanted(self, mode: Mode) -> frozenset[int]:
-        if self._cause is not None or mode is Mode.STARTING:
-            return _NONE
-        if not self._line.status.alive and not self._runs:
-            return _NONE  # what comes back is fed anew
-        if self._ready is not None and mode is Mode.BUS_FAULT:
-            return _NONE
-        wanted = _ALL if self._ready is None else self._ready() & self._runs
-        return wanted.difference(self._withheld, self._lost, self._line.status.refused)
+        to_feed = supervisor.to_feed()
+        wanted = frozenset(to_feed) if self._ready is None else self._ready(to_feed)
+        wanted = wanted.difference(self._withheld, self._line.status.refused)
+        if not self._trusted and wanted:
+            wanted = wanted & self._asked or frozenset([min(wanted)])
+        self._ask(wanted)
 
     def _ask(self, servos: frozenset[int]) -> None:
+        self._changes += servos != self._asked
         self._asked = servos
-        self._line.want(servos)
+        self._line.want(servos, self._changes)
         self.confirmations.feeds(servos)
 
     def reset(self) -> None:
-        """The emergency stop was left: what was blocked or cut is fed again."""
+        """The emergency stop was left: what was blocked or taken may be fed again."""
         self._withheld.clear()
-        self._gave_back = True
+        self._currents = CurrentRules()
+        self._changed = True
         self._line.clear_errors()
 
-    def cut_early(self, cause: CutOn) -> None:
-        """From any thread, without the state, which a transfer on SPI may hold: take all supply, if this does it."""
-        if self._ready is not None or cause in self._cut_on:
-            self._line.cut()
+    def cut_early(self) -> None:
+        """From any thread, without the state, which a transfer on SPI may hold: take all supply."""
+        self._line.cut()
 
     # ---- what the board says
 
@@ -168,6 +175,12 @@ class RobotSupply:
         self._looked_ns = looked_ns
         return self._looks < MOST_LOOKS
 
+    @property
+    def _fed(self) -> frozenset[int]:
+        """The servos that the board has confirmed to feed since that was asked for."""
+        status = self._line.status
+        return status.fed & self._asked if status.changes == self._changes else _NONE
+
     def judge_currents(self, now_ns: int) -> bool:
         """Compare what servos do with what they draw: whether there is news. A few times a second."""
         status = self._line.status
@@ -175,45 +188,55 @@ class RobotSupply:
             unfed = self._runs - status.supplied  # on its way: it may draw, and need not
             drawn = {each: ma for each, ma in status.currents_ma.items() if each not in unfed}
             self._found += self._currents.measured(drawn, self._runs, now_ns)
-        return self._gave_back or bool(self._found)
+            if not self._trusted and any(drawn.get(each, IDLE_MA + 1) <= IDLE_MA for each in self._fed - self._runs):
+                self._trusted = self._changed = True
+        return self._changed or bool(self._found)
 
     def look(self) -> Seen:
         """Take the news."""
         seen = Seen(PowerSeen(self._line.status.alive))
         doubt = ""
-        found, self._found, self._gave_back = self._found, [], False
+        found, self._found, self._changed = self._found, [], False
         for each in (*self._line.news(), *found):
             if isinstance(each, Confirmed):
                 self.confirmations.answered(each)
                 continue
-            if each.kind is Kind.POWER_RESTORED and self._ready is not None:
-                continue  # there, it is no more than a start of all
             seen.announcements.append(Announce(each.kind, each.detail, legs=legs_of(each.servos)))
             seen.off_pressed = seen.off_pressed or each.kind is Kind.OFF_BUTTON
-            if CutOn.UNCONFIRMED in self._cut_on:
-                if each.kind is Kind.SERVO_DRAWS:
-                    self._withheld |= dict.fromkeys(each.servos, _DREW)
-                    doubt = doubt or ("" if each.servos & self._asked else each.detail)
-                elif each.kind is Kind.POWER_UNCONFIRMED and self._line.status.alive:
-                    doubt = each.detail
+            if each.kind is Kind.SERVO_DRAWS:
+                doubt = doubt or self._drew(each)
+            elif each.kind is Kind.POWER_UNCONFIRMED and self._line.status.alive:
+                doubt = each.detail
         status = self._line.status
+        if self._cut and status.supplied & self._asked:
+            self._cut = False
+            seen.announcements.append(Announce(Kind.POWER_RESTORED, "the power board feeds servos again"))
         # Of a silent board nobody knows: what lands keeps its supply, if it has any.
-        self._lost = status.lost if status.alive else _NONE
+        lost = status.lost if status.alive else _NONE
+        self._trusted = self._trusted and (status.alive or self._ready is not None)
         if self._alive and status.alive:  # `stop-servos`, say: whoever took it knows why
-            self._withheld |= dict.fromkeys(self._lost - status.refused.keys(), _TAKEN)
+            self._withheld |= dict.fromkeys(lost - status.refused.keys(), _TAKEN)
         newly = status.refused.keys() - self._refused.keys()
-        # One that the board, or a person at it, has unblocked would come on by itself: it waits for a reset.
+        # One that the board, or a person at it, has unblocked is not fed before a reset.
         self._withheld |= {servo_id: f"{status.refused[servo_id]}; a reset feeds it again" for servo_id in newly}
         self._alive, self._refused = status.alive, status.refused
         refused = {**self._withheld, **status.refused}
-        seen.event = PowerSeen(status.alive, tuple(sorted(refused.items())), self._lost, doubt)
+        fed = self._fed if self._trusted else _NONE
+        seen.event = PowerSeen(status.alive, tuple(sorted(refused.items())), fed, lost, doubt)
         return seen
 
-    def confirm(self, servos: Collection[int], asked_ns: int, then: Then) -> None:
-        """Call `then` once the board has confirmed that these are off, or it is too late for it.
+    def _drew(self, news: News) -> str:
+        """A servo draws current that is to be at rest. Return why all is to be stopped; empty: its supply goes."""
+        if not self._trusted and news.servos & self._asked:
+            deaf = _DEAF.format(min(news.servos))
+            self._withheld |= dict.fromkeys(_ALL, deaf)
+            return deaf
+        self._withheld |= dict.fromkeys(news.servos, _DREW)
+        return "" if news.servos & self._asked else news.detail
 
-        At once where one of them stays fed, since its Stop is the controller's alone: that is believed.
-        """
+    def confirm(self, servos: Collection[int], asked_ns: int, then: Then) -> None:
+        """Call `then` once the board has confirmed that these are off, or it is too late for it; at once where one of
+        them was started again meanwhile."""
         if not self._asked.isdisjoint(servos):
             then(False, None)
             return
@@ -310,7 +333,7 @@ def supply_of(
             loop.call_soon_threadsafe(changed)
 
     line = PowerLine(power, board, on_news, failed)
-    supply = RobotSupply(line, settings.power, wire.ready_servos if isinstance(wire, CyclicBus) else None)
-    line.want(_NONE)
+    supply = RobotSupply(line, settings.power.interface, wire.ready_servos if isinstance(wire, CyclicBus) else None)
+    line.want(_NONE, 0)
     line.start()
     return supply

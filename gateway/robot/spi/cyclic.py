@@ -10,7 +10,7 @@ learns of it.
 """
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Final
 
 from gateway.allowance import NS_PER_S
@@ -125,9 +125,9 @@ class CyclicBus(Wire):
         report.sent = [Sent(place, each.data, left_ns, took_ns, heard=True) for place, each in enumerate(frames)]
         return report
 
-    def ready_servos(self) -> frozenset[int]:
-        """Servos that a power board may feed."""
-        return self._commanded.ready
+    def ready_servos(self, to_feed: Mapping[int, int | None]) -> frozenset[int]:
+        """Those of these servos that a power board may feed; see `Commanded.prepare`."""
+        return self._commanded.prepare(to_feed)
 
     @property
     def controller_alive(self) -> bool | None:

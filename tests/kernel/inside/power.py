@@ -78,15 +78,25 @@ def board() -> Iterator[CanBoard]:
 
 
 @contextmanager
-def fed_robot() -> Iterator[tuple[Robot, CanBoard]]:
-    """A robot whose servos are all fed. A slow machine alone is no silence of the board: it is waited for."""
+def robot_with_board() -> Iterator[tuple[Robot, CanBoard]]:
+    """A robot whose board answers. A slow machine alone is no silence of the board: it is waited for."""
     power = {"interface": "socketcan", "channel": OURS, "confirm_ms": 2000}
     with board() as theirs, robot(power=power) as ours:
-        until_fed(ours, theirs)
+        until_alive(ours)
         yield ours, theirs
 
 
-def until_fed(ours: Robot, theirs: CanBoard) -> None:
+def until_alive(ours: Robot) -> None:
+    def alive() -> bool:
+        power = ours.client.state().power
+        return power is not None and power.alive
+
+    wire.wait_until(alive, "the board answers", WITHIN_S)
+
+
+def started(ours: Robot, theirs: CanBoard) -> None:
+    """Start all servos: each is fed."""
+    ours.start()
     wire.wait_until(lambda: theirs.fed == ALL and supplied(ours) == ALL.bit_count(), "all fed", WITHIN_S)
 
 
@@ -105,24 +115,26 @@ def until_event(ours: Robot, kind: str, words: str) -> None:
 
 def estop() -> str:
     """An emergency stop takes all supply, and its answer says that the board has confirmed it."""
-    with fed_robot() as (ours, theirs):
-        ours.start()
+    with robot_with_board() as (ours, theirs):
+        started(ours, theirs)
         ack = ours.client.estop()
         assert theirs.fed == 0
         assert ack.confirmed, f"the answer says confirmed: {ack.confirmed}"
         ours.client.reset()
-        until_fed(ours, theirs)
-    return f"confirmed {ack.confirmed_ms:.0f} ms after it was asked for, under emulation; fed again by a reset"
+        assert theirs.fed == 0, "a reset feeds nothing"
+        started(ours, theirs)
+    return f"confirmed {ack.confirmed_ms:.0f} ms after it was asked for, under emulation; fed again by a start"
 
 
 def others() -> str:
     """Another program on this computer sends a mask; then `stop-servos` does, and the gateway is killed."""
-    with fed_robot() as (ours, theirs):
+    with robot_with_board() as (ours, theirs):
+        started(ours, theirs)
         with can.Bus(channel=OURS, interface="socketcan", ignore_config=True) as bus:
             mask = set_supply(ALL & ~1)
             bus.send(can.Message(arbitration_id=mask.id, is_extended_id=False, data=mask.data))
         until_event(ours, "power_fault", "another program")
-        wire.wait_until(lambda: theirs.fed == ALL & ~1, "what it took is off", WITHIN_S)
+        wire.wait_until(lambda: not theirs.fed & 0b111, "the leg whose servo it took is off", WITHIN_S)
         ours.gateway.child.kill()
         command = [sys.executable, "-m", "gateway", "stop-servos", "--config", str(ours.gateway.config)]
         with Child(command, os.environ) as child:
@@ -133,16 +145,17 @@ def others() -> str:
 
 def down() -> str:
     """The interface is switched off while legs run, and on again."""
-    with fed_robot() as (ours, theirs):
-        ours.start()
+    with robot_with_board() as (ours, theirs):
+        started(ours, theirs)
         link("set", OURS, "down")
         wire.wait_until(lambda: bool(ours.events("power_unconfirmed")), "the event", WITHIN_S)
         detail = ours.events("power_unconfirmed")[0].detail
         wire.wait_until(lambda: not running(ours), "all stopped", WITHIN_S)
         link("set", OURS, "up")
-        until_fed(ours, theirs)
+        until_alive(ours)
         assert not running(ours), "a start is needed"
-    return f"{detail}; what ran is stopped; fed again once it is up, and nothing runs"
+        assert theirs.fed == 0
+    return f"{detail}; what ran is stopped; once it is up nothing is fed, and nothing runs"
 
 
 def running(ours: Robot) -> bool:

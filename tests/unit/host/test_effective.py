@@ -23,7 +23,7 @@ USED = Settings.model_validate(
         },
         "watchdog": {"repeats": 7, "repeat_interval_ms": 33.5},
         "controller": {"uart": "/dev/ttyS0"},
-        "power": {"interface": "slcan", "channel": "/dev/ttyACM0", "bitrate": 500_000, "cut_on": ["estop", "shutdown"]},
+        "power": {"interface": "slcan", "channel": "/dev/ttyACM0"},
     }
 )
 
@@ -109,7 +109,7 @@ def test_where_a_file_differs(folder: Path) -> None:
     file = folder / "gateway.toml"
     rest = 'device = "/dev/spi\\"dev1.0"\nspeed_hz = 500_000\nframe_gap_us = 60.5\nbatch = false\nresync_ms = 10\n'
     uart = "[controller]\nuart = '/dev/ttyS0'\n"
-    uart += "[power]\ninterface = 'slcan'\nchannel = '/dev/ttyACM0'\nbitrate = 500000\ncut_on = ['estop', 'shutdown']\n"
+    uart += "[power]\ninterface = 'slcan'\nchannel = '/dev/ttyACM0'\n"
     watchdog = f"[watchdog]\nrepeats = 7\nrepeat_interval_ms = 33.5\n{uart}"
     file.write_text(f'[spi]\nframing = "length-prefixed"\navoid_deg = [2.0, 3.0]\n{rest}{watchdog}')
     assert effective.differences(found, file) == []

@@ -43,7 +43,7 @@ ELKAPOD = 'spi.protocol = "elkapod-2025"\n'
         'spi.framing = "plain"\n',
         'spi.framing = "length-prefixed"\nwatchdog = {}\n',
         ELKAPOD,
-        'spi.framing = "plain"\n[power]\ninterface = "slcan"\nchannel = "/dev/ttyACM0"\ncut_on = []\nidle_ma = 5\n',
+        'spi.framing = "plain"\n[power]\ninterface = "slcan"\nchannel = "/dev/ttyACM0"\nconfirm_ms = 500\n',
         ELKAPOD + 'spi.speed_hz = 2_000_000\n[controller]\nuart = "/dev/ttyS3"\nsilent_ms = 400\n',
     ],
 )
@@ -91,7 +91,7 @@ def test_what_is_not_plainly_right_is_left_to_the_settings(file: Path, text: str
     assert plain_settings.read(file) is None
 
 
-@pytest.mark.parametrize("power", ["3", "{interface = 3}", "{channel = 0}", '{cut_on = ["fire"]}', "{bitrate = 9999}"])
+@pytest.mark.parametrize("power", ["3", "{interface = 3}", "{channel = 0}"])
 def test_a_wrong_power_board_is_none_and_the_rest_counts(file: Path, power: str) -> None:
     file.write_text(f'spi.framing = "plain"\npower = {power}\n')
     found = plain_settings.read(file)

@@ -184,8 +184,7 @@ def board(monkeypatch: pytest.MonkeyPatch) -> Board:
     ("text", "cut"),
     [
         (BOARD, True),
-        (f'{BOARD}cut_on = ["shutdown"]\n', True),
-        (f'{BOARD}cut_on = ["estop"]\n', False),
+        (f'{BOARD}cut_on = ["estop"]\n', True),  # a setting of earlier versions
         ('[power]\ninterface = "sim"\n', False),
         ("", False),
     ],

@@ -31,7 +31,9 @@ UP_S = 1.0
 
 
 async def test_what_the_board_says_is_counted_once_and_is_in_the_state_at_once() -> None:
-    robot = FedRobot()
+    robot = FedRobot(watchdog={"timeout_ms": 10_000})
+    await asyncio.sleep(UP_S)
+    robot.put(LEG_3, START)
     await asyncio.sleep(UP_S)
     robot.reports.clear()
     robot.put(keys.ESTOP)
@@ -45,6 +47,7 @@ async def test_a_landing_that_a_silent_board_begins_ends_in_time_though_nothing_
     robot = FedRobot(watchdog={"timeout_ms": 10_000, "landing_ms": 500, "landing": {"31": 45}})
     await asyncio.sleep(UP_S)
     robot.put(LEG_3, START)
+    await asyncio.sleep(UP_S)
     robot.line.hears = False
     await asyncio.sleep(0.15)
     assert robot.events(Kind.LANDING)

@@ -2,9 +2,11 @@
 
 import pytest
 
+from gateway.model import elkapod
 from gateway.model.elkapod import SHUTDOWN, START
-from gateway.model.frames import SETS, STARTS, Frame, OneServo
+from gateway.model.frames import SETS, STARTS, STOP, Frame, OneLeg, OneServo
 from gateway.robot.protocol.elkapod import Commanded
+from schemas.robot import SERVO_IDS
 from tests.unit.robot.test_elkapod_wire import MS, STOPS, Parts, starts
 
 
@@ -83,6 +85,24 @@ def test_a_frame_counts_once(commanded: Commanded) -> None:
     assert cycle(commanded) == START
 
 
+def test_a_servo_that_is_to_be_fed_is_prepared_and_one_that_is_not_any_more_begins_anew(commanded: Commanded) -> None:
+    assert commanded.prepare({11: 80_00, 12: None}) == frozenset()
+    assert [cycle(commanded), cycle(commanded)] == [None, START]
+    assert commanded.prepare({11: 80_00, 12: None}) == {11}
+    commanded.take([start(11, 70_00)])
+    assert cycle(commanded) is None, "its start has been said"
+    assert commanded.prepare({12: None}) == frozenset()
+    assert commanded.prepare({11: 60_00}) == frozenset()
+    assert [cycle(commanded), cycle(commanded)] == [None, START], "two frames with its new angle"
+    assert commanded.prepare({11: 60_00}) == {11}
+
+
+def test_a_servo_that_does_not_run_keeps_its_angle_in_a_frame_about_others(commanded: Commanded) -> None:
+    commanded.take([start(13, 70_00)])
+    commanded.take([OneLeg(1, (STARTS[80_00], STARTS[80_00], STOP))])
+    assert elkapod.angles_of(commanded.frame())[13] == 70.0
+
+
 # ---- the bus
 
 
@@ -103,10 +123,10 @@ def said_for_a_stop_of_leg_1(parts: Parts) -> list[bytes]:
 def test_the_board_stops_one_leg_and_the_others_go_on() -> None:
     parts = Parts(fed_singly=True)
     assert said_for_a_stop_of_leg_1(parts) == []
-    assert len(parts.bus.ready_servos()) == 15
+    assert len(parts.bus.ready_servos(dict.fromkeys(SERVO_IDS))) == 15
 
 
 def test_without_a_board_that_feeds_each_a_stop_of_one_leg_shuts_down_all() -> None:
     parts = Parts()
     assert said_for_a_stop_of_leg_1(parts) == [SHUTDOWN]
-    assert parts.bus.ready_servos() == frozenset()
+    assert parts.bus.ready_servos(dict.fromkeys(SERVO_IDS)) == frozenset()

@@ -6,6 +6,7 @@ import threading
 import time
 from itertools import pairwise
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -128,13 +129,15 @@ def test_on_a_computer_that_loads_python_can_for_long_the_mask_is_sent_all_the_s
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """The emulated machine of `make kernel` takes 4 s for it, and an SD card that was not read yet may."""
-    monkeypatch.setattr(last_cut, "TRY_NS", 200 * NS_PER_MS)
-    monkeypatch.setattr(last_cut, "END_S", 0.01)
-    bus = BoardBus()
+    bus, loaded = BoardBus(), 0
 
     def slow(settings: Interface) -> BoardBus:
-        time.sleep(0.5)
+        nonlocal loaded
+        loaded = 10 * last_cut.TRY_NS
         return bus.opened(settings)
+
+    clock = SimpleNamespace(monotonic_ns=lambda: time.monotonic_ns() + loaded, sleep=time.sleep)
+    monkeypatch.setattr(last_cut, "time", clock)
 
     cut = SupplyCut(SETTINGS, lambda *_: None, slow)
     assert cut.end()

@@ -71,24 +71,23 @@ def test_an_on_waits_for_the_answer_to_an_off_that_crossed_the_answer_before() -
     assert link.fed() == {12}
 
 
-def test_nothing_counts_as_confirmed_before_something_is_wanted_and_the_first_time_that_all_are_fed_is_news() -> None:
+def test_nothing_counts_as_confirmed_before_something_is_wanted() -> None:
     link = Link()
     link.run(500)
     assert not link.ours.confirmed
     link.want(ALL_SERVOS)
     link.run(1500)
     assert link.ours.confirmed
-    assert len(link.events(Kind.POWER_RESTORED)) == 1
 
 
-def test_what_was_never_off_is_not_reported_as_fed_again() -> None:
+def test_a_foreign_mask_that_is_ours_changes_nothing() -> None:
     link = fed()
     link.want(ALL_SERVOS)
     link.other_node(ALL)
     link.run(500)
     assert link.fed() == ALL_SERVOS
     assert link.ours.confirmed
-    assert link.events(Kind.POWER_RESTORED) == link.events(Kind.POWER_UNCONFIRMED) == []
+    assert link.events(Kind.POWER_UNCONFIRMED) == []
 
 
 def test_a_cut_that_nobody_waits_for_is_repeated_all_the_same() -> None:
@@ -223,10 +222,34 @@ def test_what_servos_drew_before_a_silence_is_not_known_any_more() -> None:
     assert link.ours.currents_ma == {}
 
 
-def test_all_that_are_fed_again_are_news_also_where_one_was_off() -> None:
+def test_what_is_wanted_again_counts_as_fed_once_the_board_says_so_anew() -> None:
+    link = fed()
+    assert link.ours.fed == ALL_SERVOS
+    link.want(ALL_SERVOS - {11})
+    assert link.ours.fed == ALL_SERVOS - {11}
+    link.want(ALL_SERVOS)
+    assert link.ours.fed == ALL_SERVOS - {11}
+    link.run_until(lambda: 11 in link.ours.fed)
+    assert link.fed() == ALL_SERVOS
+
+
+def test_an_old_answer_that_shows_it_on_does_not_count_as_fed() -> None:
     link = fed()
     link.want(ALL_SERVOS - {11})
-    link.run(300)
+    link.run(1)
     link.want(ALL_SERVOS)
-    link.run(500)
-    assert len(link.events(Kind.POWER_RESTORED)) == 1
+    link.ours.heard(CanFrame(0x6B, bytes.fromhex("03ffff")), link.now_ns)
+    assert 11 not in link.ours.fed
+
+
+def test_what_a_servo_drew_before_it_was_fed_is_forgotten_once_it_is() -> None:
+    link = fed()
+    link.want_anew(ALL_SERVOS - {11})
+    link.run(1500)
+    assert link.ours.currents_ma[11] == 0
+    link.board.draws_ma[0] = 200.0
+    link.want(ALL_SERVOS)
+    link.run_until(lambda: 11 in link.ours.fed)
+    assert link.ours.currents_ma.get(11) is None
+    link.run(200)
+    assert link.ours.currents_ma[11] == 200

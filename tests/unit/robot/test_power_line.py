@@ -62,8 +62,8 @@ class Owner:
     def feed_all(self) -> None:
         """Also where the adapter's thread gets no processor for so long that the board seems silent."""
         while self.line.status.supplied != ALL_SERVOS:
-            self.line.want(frozenset())
-            self.line.want(ALL_SERVOS)
+            self.line.want(frozenset(), 0)
+            self.line.want(ALL_SERVOS, 0)
             self.until(partial(self._fed_or_more_than, len(self.news)))
 
     def _fed_or_more_than(self, news: int) -> bool:
@@ -147,7 +147,7 @@ def test_an_adapter_that_comes_later_is_found(channel: str) -> None:
     owner = Owner(channel)
     owner.line.start()
     assert owner.line.fault
-    owner.line.want(ALL_SERVOS)
+    owner.line.want(ALL_SERVOS, 0)
     adapter = Adapter(channel)
     owner.until(lambda: owner.line.status.supplied == ALL_SERVOS)
     owner.line.close()
@@ -253,7 +253,7 @@ def test_a_sender_that_hangs_delays_no_caller_and_no_report(bus: Bus) -> None:
     owner.until_reported(Kind.POWER_UNCONFIRMED)
     assert not owner.line.status.alive
     for _ in range(1000):
-        owner.line.want(ALL_SERVOS)
+        owner.line.want(ALL_SERVOS, 0)
         owner.line.cut()
     assert not owner.cut_and_confirm().confirmed
     looked_ns = owner.line.looked_ns

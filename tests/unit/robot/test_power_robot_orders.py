@@ -1,11 +1,12 @@
-"""A robot and its power board in any order of commands, faults and restarts: no servo is fed that nobody started.
+"""A robot and its power board in any order of commands, faults and restarts, with a second node and a second board.
 
-Judged at each output that the board switches on: `elkapod-2025` feeds only what runs, behind two frames with its angle,
-and neither wire feeds a servo anew that runs since before it lost its supply, which would jump to its angle.
+Judged at each output that the board switches on: only what was started and waits for it is fed; `elkapod-2025` feeds
+behind two frames with its angle. Judged at each frame: no start leaves before its servo is fed. Judged at each answer:
+what is confirmed to be off is off.
 """
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from typing import Any, Final
 
 import async_solipsism
@@ -15,11 +16,12 @@ from hypothesis import strategies as st
 
 from gateway.model import elkapod
 from gateway.model.elkapod import START
-from gateway.model.power_board import ALL, SERVO_OVERCURRENT, CanFrame, set_supply
-from gateway.robot.core.power import CutOn
+from gateway.model.power_board import ALL, ASK_RAILS, SERVO_OVERCURRENT, CanFrame, set_supply
+from gateway.robot.core.message import Verb
 from gateway.robot.power.simulated_board import SimulatedBoard
 from schemas import keys
 from schemas.robot import LEGS, SERVO_IDS
+from schemas.telemetry import Ack
 from tests.support.elkapod import all_legs
 from tests.support.power import FedElkapod, FedRobot
 from tests.support.robot import leg, servo
@@ -28,6 +30,8 @@ pytestmark = pytest.mark.full
 
 LINK_NS: Final = 1_100_000_000
 """So long behind a fault of the link a board may still carry out an old mask, one output after the other."""
+SEEN_NS: Final = 1_000_000_000
+"""A second board is noticed earlier."""
 STEPS: Final = st.lists(
     st.tuples(
         st.sampled_from(
@@ -37,6 +41,7 @@ STEPS: Final = st.lists(
                 *("unplug", "plug", "deaf", "obeys", "mute", "speaks"),
                 *("restart", "press", "block", "by hand", "another all", "another none", "another some", "unseen none"),
                 *("SPI fails", "SPI works"),
+                *("another asks", "second board", "real board goes", "one board again", "ask stop", "ask estop"),
             ]
         ),
         st.sampled_from(LEGS),
@@ -82,7 +87,13 @@ class Judge:
         self.angles: dict[int, set[float]] = {servo_id: set() for servo_id in SERVO_IDS}
         """Since its start."""
         self.faulty_ns = -LINK_NS
-        robot.line.simulated = Judged(self.changed)
+        self.real = robot.line.simulated = Judged(self.changed)
+        self.second_ns: int | None = None
+        """Since when a second board is on the bus."""
+
+    def waits(self, servo_id: int) -> bool:
+        servo = self.robot.conductor.supervisor.legs.servos[servo_id]
+        return servo.will_run and not servo.running
 
     def runs(self, servo_id: int) -> bool:
         return self.robot.conductor.supervisor.legs.servos[servo_id].will_run
@@ -107,20 +118,34 @@ class Judge:
 
     def came_on(self, servo_id: int) -> None:
         robot = self.robot
-        if self.runs(servo_id):
-            assert self.started_ns[servo_id] >= self.lost_ns[servo_id], f"{servo_id} runs on where it lost its supply"
+        assert self.waits(servo_id), f"nobody started {servo_id}, or it runs on where it lost its supply"
         if isinstance(robot, FedElkapod):
-            assert self.runs(servo_id), f"nobody started {servo_id}"
             for _, frame in list(robot.elkapod.transfers)[-2:]:
                 assert elkapod.angles_of(frame)[servo_id] in self.angles[servo_id], (
                     f"{servo_id} is fed before its angle"
                 )
             assert robot.elkapod.messages[-1][1] == START
 
+    def off_is_off(self, key: str, payload: object, servo_ids: Collection[int]) -> None:
+        """Ask for a Stop; where the answer says confirmed, the real board feeds none of these."""
+        robot = self.robot
+
+        def answered(data: bytes) -> None:
+            ack = Ack.model_validate_json(data)
+            wanted = {servo_id for servo_id in servo_ids if self.runs(servo_id)}  # started again since
+            fed = self.real_fed() & set(servo_ids) - wanted
+            assert not (ack.confirmed and fed), f"{fed} are confirmed off, and fed"
+
+        robot.put_later(key, payload, verb=Verb.GET, reply=answered)
+        robot.conductor.tick()
+
+    def real_fed(self) -> set[int]:
+        return {servo_id for place, servo_id in enumerate(SERVO_IDS) if self.real.fed >> place & 1}
+
     def nothing_stopped_is_fed(self) -> None:
         """Right behind a Stop, on a line that works."""
         line = self.robot.line
-        if isinstance(self.robot, FedElkapod) and not (line.unplugged or line.deaf):
+        if line.simulated is self.real and not (line.unplugged or line.deaf):
             fed = [servo_id for servo_id in line.fed if not self.runs(servo_id)]
             assert not fed or self.robot.now_ns() - self.faulty_ns < LINK_NS, f"{fed} are stopped and fed"
 
@@ -128,7 +153,7 @@ class Judge:
 def do(judge: Judge, what: str, number: int) -> None:
     """One step."""
     robot = judge.robot
-    if what.partition(" ")[0] in ("start", "set", "stop"):
+    if what.split(maxsplit=1)[0] in ("start", "set", "stop"):
         command(judge, what, number)
     elif what == "reset":
         robot.put(keys.RESET, {"estop": robot.conductor.state().estop})
@@ -136,15 +161,34 @@ def do(judge: Judge, what: str, number: int) -> None:
         if what == "cut early":
             supply = robot.conductor.supply
             assert supply is not None
-            supply.cut_early(CutOn.ESTOP)
+            supply.cut_early()
         robot.put(keys.ESTOP)
         judge.nothing_stopped_is_fed()
         if what == "estop and reset":
             robot.put(keys.RESET, {"estop": robot.conductor.state().estop})
+    elif what == "ask estop":
+        judge.off_is_off(keys.ESTOP, b"", SERVO_IDS)
+    elif what == "ask stop":
+        judge.off_is_off(keys.leg_command(number), leg("stop"), [10 * number + joint for joint in (1, 2, 3)])
+    elif what in ("second board", "real board goes", "one board again"):
+        exchange(judge, what)
     elif what in ("SPI fails", "SPI works"):
         fail(robot, fails=what == "SPI fails")
     else:
         disturb(judge, what, 0b111 << 3 * (number - 1))
+
+
+def exchange(judge: Judge, what: str) -> None:
+    """Boards come and go. A real one that is unplugged at once, before anybody could see two, is not judged."""
+    line, now_ns = judge.robot.line, judge.robot.now_ns()
+    judge.faulty_ns = now_ns
+    if what == "second board" and line.second is None:
+        line.second, judge.second_ns = SimulatedBoard(now_ns), now_ns
+    elif what == "real board goes" and judge.second_ns is not None and now_ns - judge.second_ns > SEEN_NS:
+        if line.second is not None and not (line.unplugged or line.deaf) and line.hears:
+            line.simulated, line.second = line.second, None
+    elif what == "one board again" and line.simulated is judge.real:
+        line.second = judge.second_ns = None
 
 
 def disturb(judge: Judge, what: str, mask: int) -> None:
@@ -162,6 +206,9 @@ def disturb(judge: Judge, what: str, mask: int) -> None:
             line.simulated.press_button(now_ns)
         case "press":
             line.simulated.press_button(now_ns)
+        case "another asks":
+            for question in ASK_RAILS:
+                line.hear_from_another(question)
         case "block":
             line.simulated.fail(SERVO_OVERCURRENT, outputs=mask)
         case "by hand":
@@ -226,6 +273,9 @@ async def an_emergency_stop_ends_it(judge: Judge) -> None:
     """Whatever was: with a link that works it takes all, is confirmed, and all comes back."""
     robot, line = judge.robot, judge.robot.line
     line.unplugged, line.deaf, line.hears = False, False, True
+    line.simulated, line.second = judge.real, None
+    robot.put(keys.ESTOP)
+    robot.put(keys.RESET, {"estop": robot.conductor.state().estop})
     fail(robot, fails=False)
     await asyncio.sleep(0.5)
     answers = robot.get(keys.ESTOP)

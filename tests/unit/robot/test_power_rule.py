@@ -8,14 +8,14 @@ from typing import Any
 import pytest
 
 from gateway.allowance import NS_PER_MS
-from gateway.robot.core.events import Announce
+from gateway.model.frames import SETS, STARTS
+from gateway.robot.core.events import Announce, BusOpened, Command, PowerSeen, TimePassed, Transmit
 from gateway.robot.core.latch import Latch
 from gateway.robot.core.leg import Rules
-from gateway.robot.core.power import CutOn, PowerRule, cut_by
+from gateway.robot.core.power import PowerRule
+from gateway.robot.core.supervisor import Supervisor
 from schemas.telemetry import Mode
 from tests.support.steps import Steps, all_stopped, leg_to, legs_to, servo_to
-
-ALL_CAUSES = tuple(CutOn)
 
 
 def fed(**changes: Any) -> Steps:
@@ -23,6 +23,7 @@ def fed(**changes: Any) -> Steps:
     steps = Steps(Rules(**{"repeats": 0, "rest_runs": 0, "power": True, **changes}))
     steps.board(5)
     steps.command(10, leg_to(3, "start 90"))
+    steps.board(10)
     return steps
 
 
@@ -34,7 +35,76 @@ def test_nothing_starts_before_the_board_has_answered() -> None:
     assert steps.command(10, leg_to(3, "start 90")) == ["rejected 1 no_power"]
     assert steps.detail == "the power board does not answer"
     assert steps.board(20) == []
-    assert steps.command(30, leg_to(3, "start 90")) == ["command 3 start 90", "completed 2"]
+    assert steps.command(30, leg_to(3, "start 90")) == []
+    assert steps.board(40) == ["command 3 start 90", "completed 2"]
+
+
+def test_a_start_waits_until_its_servos_are_fed_and_its_watchdog_with_it() -> None:
+    steps = Steps(Rules(repeats=0, power=True))
+    steps.board(5)
+    assert steps.command(10, leg_to(3, "start 90")) == []
+    assert steps.running == []
+    assert steps.board(500, fed=[31, 33]) == [], "all of a command start together"
+    assert steps.command(600, leg_to(3, "set 80")) == ["completed 1 coalesced"]
+    assert steps.board(1000) == ["command 3 start 80", "completed 2"], "the newest target"
+    assert steps.time(1249) == []
+    assert steps.time(1250) == ["watchdog 3 stop", "announce watchdog_expired"]
+
+
+def test_a_start_that_nobody_feeds_ends_after_1_8_s_whatever_else_is_sent() -> None:
+    steps = Steps(Rules(repeats=0, power=True))
+    steps.board(5)
+    steps.command(10, leg_to(3, "start 90"))
+    steps.command(1700, leg_to(3, "set 80"))
+    assert steps.time(1809) == []
+    assert steps.time(1810) == ["watchdog 3 stop", "rejected 2 no_power"]
+    assert steps.detail == "the power board has not confirmed that it is fed"
+    assert steps.board(1900) == []
+
+
+def test_a_servo_that_waits_for_its_supply_delays_no_other_of_its_leg() -> None:
+    steps = Steps(Rules(repeats=0, power=True))
+    steps.board(5)
+    steps.command(10, servo_to(31, "start 90"))
+    steps.board(20)
+    assert steps.command(100, servo_to(32, "start 45")) == []
+    assert steps.command(150, servo_to(31, "set 91")) == ["command 31 set 91", "completed 3"]
+    assert steps.board(200) == ["command 32 start 45", "completed 2"]
+    assert steps.time(400) == ["watchdog 3 stop", "announce watchdog_expired"], "watched since the set"
+
+
+def test_what_was_fed_before_a_stop_is_not_fed_behind_it() -> None:
+    steps = fed()
+    steps.command(20, leg_to(3, "stop"))
+    assert steps.command(30, leg_to(3, "start 90")) == []
+    assert steps.board(90) == ["command 3 start 90", "completed 3"]
+
+
+@pytest.mark.parametrize("how", ["stop", "estop"])
+def test_a_stop_ends_a_start_that_waits_for_its_supply(how: str) -> None:
+    steps = Steps(Rules(repeats=0, power=True))
+    steps.board(5)
+    steps.command(10, leg_to(3, "start 90"))
+    assert steps.estop(20) if how == "estop" else steps.command(20, leg_to(3, "stop"))
+    assert steps.board(30) == []
+    assert steps.running == []
+
+
+def test_a_robot_whose_supply_starts_a_servo_goes_from_the_angle_that_was_on_the_wire() -> None:
+    robot = Supervisor(Rules(repeats=0, power=True, angles_first=True, max_speed_cdeg_s={31: 100_00}))
+    robot.step(BusOpened(), 0)
+    robot.step(PowerSeen(alive=True), 0)
+    robot.step(Command(((31, STARTS[90_00]),), number=1), 10 * NS_PER_MS)
+    assert robot.to_feed() == {31: 90_00}
+    robot.step(Command(((31, SETS[45_00]),), number=2), 100 * NS_PER_MS)
+    assert robot.to_feed() == {31: 90_00}, "as long as the start waits"
+    (start,) = robot.step(PowerSeen(alive=True, fed=frozenset({31})), 200 * NS_PER_MS)
+    assert isinstance(start, Transmit)
+    ((_, op),) = start.frame.servos
+    assert op == STARTS[90_00], "no jump to 45"
+    robot.step(TimePassed(), 220 * NS_PER_MS)
+    assert robot.legs.servos[31].angle_cdeg == 88_00, "a step of its speed"
+    assert robot.to_feed() == {31: None}
 
 
 def test_without_a_board_nothing_waits_for_one() -> None:
@@ -47,10 +117,12 @@ def test_what_the_board_blocks_does_not_start_and_all_else_does() -> None:
     assert steps.board(20, refused="12 21") == []
     assert steps.command(30, leg_to(1, "start 90")) == ["rejected 2 no_power"]
     assert steps.detail == "servo 12 is not fed: overcurrent"
-    assert steps.command(40, servo_to(11, "start 90")) == ["command 11 start 90", "completed 3"]
+    assert steps.command(40, servo_to(11, "start 90")) == []
+    assert steps.board(45, refused="12 21") == ["command 11 start 90", "completed 3"]
     assert steps.command(50, leg_to(3, "set 80")) == ["command 3 set 80", "completed 4"]
     steps.board(60)
-    assert steps.command(70, servo_to(12, "start 90")) == ["command 12 start 90", "completed 5"]
+    assert steps.command(70, servo_to(12, "start 90")) == []
+    assert steps.board(80) == ["command 12 start 90", "completed 5"]
 
 
 def test_a_stop_and_a_reset_need_no_board() -> None:
@@ -69,19 +141,21 @@ def test_a_stop_and_a_reset_need_no_board() -> None:
 def test_a_leg_with_a_servo_that_is_not_fed_any_more_is_stopped_and_the_others_go_on() -> None:
     steps = fed()
     steps.command(15, leg_to(4, "start 90"))
+    steps.board(16)
     assert steps.board(20, lost=(32,)) == ["watchdog 3 stop"]
     assert steps.running == [41, 42, 43]
     assert steps.board(30) == []
     assert steps.running == [41, 42, 43], "fed again, it starts by a command only"
     assert steps.command(40, leg_to(3, "set 80")) == ["rejected 3 servo_stopped"]
-    assert steps.command(50, leg_to(3, "start 80")) == ["command 3 start 80", "completed 4"]
+    assert steps.command(50, leg_to(3, "start 80")) == []
+    assert steps.board(60) == ["command 3 start 80", "completed 4"]
 
 
-@pytest.mark.parametrize("whole", [{"starts_whole": True}, {"whole_robot": True}])
-def test_where_the_robot_stops_as_one_a_servo_that_is_lost_stops_all(whole: dict[str, Any]) -> None:
-    steps = Steps(Rules(repeats=0, power=True, **whole))
+def test_where_the_robot_stops_as_one_a_servo_that_is_lost_stops_all() -> None:
+    steps = Steps(Rules(repeats=0, power=True, whole_robot=True))
     steps.board(5)
     steps.command(10, legs_to("123456", "start 90"))
+    steps.board(15)
     assert steps.board(20, lost=(32,)) == all_stopped("watchdog")
     assert steps.running == []
 
@@ -136,6 +210,7 @@ def test_news_that_comes_with_the_watchdog_keeps_no_leg_running() -> None:
 def test_the_last_servo_of_the_last_leg_is_stopped_like_any() -> None:
     steps = fed()
     steps.command(15, leg_to(6, "start 90"))
+    steps.board(16)
     assert steps.board(20, lost=(63,)) == ["watchdog 6 stop"]
 
 
@@ -160,7 +235,8 @@ def test_what_the_board_says_before_the_bus_is_open_is_no_mistake() -> None:
     steps = Steps(Rules(repeats=0, power=True), opened=False)
     assert steps.board(0) == []
     steps.open(10)
-    assert steps.command(20, leg_to(3, "start 90")) == ["command 3 start 90", "completed 1"]
+    assert steps.command(20, leg_to(3, "start 90")) == []
+    assert steps.board(30) == ["command 3 start 90", "completed 1"]
 
 
 def test_an_emergency_stop_of_the_same_instant_comes_as_ever() -> None:
@@ -168,30 +244,6 @@ def test_an_emergency_stop_of_the_same_instant_comes_as_ever() -> None:
     steps.instant_ms = 20
     steps.board(20, lost=(31,))
     assert steps.estop(21) == [*all_stopped("estop"), "announce estop_engaged"]
-
-
-# ---- what takes the supply
-
-
-@pytest.mark.parametrize(
-    ("mode", "unwatched", "cause"),
-    [
-        (Mode.STARTING, False, None),
-        (Mode.IDLE, False, None),
-        (Mode.ACTIVE, False, None),
-        (Mode.ESTOPPED, False, CutOn.ESTOP),
-        (Mode.BUS_FAULT, False, CutOn.BUS_FAULT),
-        (Mode.STOPPING, False, CutOn.SHUTDOWN),
-        (Mode.IDLE, True, CutOn.BUTTON),
-        (Mode.ESTOPPED, True, CutOn.ESTOP),
-    ],
-)
-def test_what_takes_the_supply_does_so_where_it_is_configured(mode: Mode, unwatched: bool, cause: CutOn | None) -> None:
-    assert cut_by(mode, ALL_CAUSES, unwatched=unwatched) is cause
-    others = [each for each in ALL_CAUSES if each is not cause]
-    rest = CutOn.BUTTON if unwatched and cause is not CutOn.BUTTON else None
-    assert cut_by(mode, others, unwatched=unwatched) is rest
-    assert cut_by(mode, (), unwatched=unwatched) is None
 
 
 def test_the_supply_stands_in_the_way_of_moves_only_while_it_has_a_reason() -> None:

@@ -102,12 +102,8 @@ max_tilt_deg = 45
 [power]
 interface = "slcan"
 channel = "/dev/ttyACM0"
-bitrate = 500000
 servos = [63, 62, 61, 53, 52, 51, 43, 42, 41, 33, 32, 31, 23, 22, 21, 13, 12, 11]
-cut_on = ["estop"]
 confirm_ms = 200
-idle_ma = 100
-settle_ms = 500
 [log]
 level = "debug"
 """

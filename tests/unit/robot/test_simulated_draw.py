@@ -2,8 +2,8 @@
 
 import pytest
 
+from gateway.robot.power.currents import IDLE_MA
 from gateway.robot.power.simulated_draw import HOLDS_MA, WAITS_MA, SimulatedDraw
-from gateway.robot.sections import PowerSettings
 from schemas.robot import SERVO_IDS
 
 MS = 1_000_000  # ns
@@ -24,7 +24,7 @@ def test_one_that_is_driven_holds_and_takes_more_until_it_is_there() -> None:
 
 
 def test_one_that_holds_though_it_was_stopped_draws_more_than_a_stopped_one_may() -> None:
-    assert WAITS_MA < PowerSettings().idle_ma < HOLDS_MA
+    assert WAITS_MA < IDLE_MA < HOLDS_MA
 
 
 def test_a_bodys_torques_decide() -> None:

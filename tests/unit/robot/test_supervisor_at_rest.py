@@ -148,7 +148,7 @@ def runs_of(robot: Steps) -> list[float]:
         if words in (REPEATED, SINGLY):
             found += [due_ms]
         assert words != SINGLY or robot.due_ms is None
-    assert words == SINGLY or robot.supervisor.legs.more_runs == 0
+    assert words == SINGLY or robot.supervisor.legs.rest.runs == 0
     return found
 
 

@@ -83,8 +83,11 @@ RULES = st.builds(
     max_tilt_cdeg=st.sampled_from([0, 0, 30_00]),
     tilt_ns=st.sampled_from([20, 200]).map(lambda ms: ms * NS_PER_MS),
     power=st.sampled_from([False, False, True]),
+    feed_ns=st.sampled_from([30, 1800]).map(lambda ms: ms * NS_PER_MS),
 )
-WHOLE_OR_NOT = st.one_of(RULES, RULES, RULES.map(lambda rules: replace(rules, starts_whole=True, start_pause_ns=0)))
+WHOLE_OR_NOT = st.one_of(
+    RULES, RULES, RULES.map(lambda rules: replace(rules, starts_whole=True, start_pause_ns=0, power=False))
+)
 CALIBRATIONS = st.sampled_from(
     [
         RobotCalibration(),
@@ -152,7 +155,7 @@ class SupervisorMachine(RuleBasedStateMachine):
         self.instant_ns: int | None = None
         if self.now_ns > 1:  # else it may be opened later, or not at all
             self.step(BusOpened())
-            self.the_board_is_seen(alive=True, refused=(), lost=frozenset(), doubt="", wait_ns=0)
+            self.the_board_is_seen(alive=True, refused=(), lost=frozenset(), fed=frozenset(), doubt="", wait_ns=0)
 
     def step(self, event: Event, wait_ns: int = 0) -> None:
         """One step as the service takes it: write the frames, and tell of a transfer that failed. Or none, in a mode in
@@ -262,15 +265,22 @@ class SupervisorMachine(RuleBasedStateMachine):
         alive=st.sampled_from([True, True, True, False]),
         refused=st.sampled_from([(), (), (), (11,), (12, 21)]),
         lost=st.sampled_from([frozenset(), frozenset(), frozenset({11}), frozenset({33, 62})]),
+        fed=st.sampled_from([frozenset(SERVO_IDS), frozenset(SERVO_IDS), frozenset({11, 12, 13, 21}), frozenset()]),
         doubt=st.sampled_from(["", "", "", "it is not confirmed"]),
         wait_ns=WAITS_NS,
     )
     def the_board_is_seen(
-        self, alive: bool, refused: tuple[int, ...], lost: frozenset[int], doubt: str, wait_ns: int
+        self,
+        alive: bool,
+        refused: tuple[int, ...],
+        lost: frozenset[int],
+        fed: frozenset[int],
+        doubt: str,
+        wait_ns: int,
     ) -> None:
         if self.supervisor._rules.power:
             why = tuple((servo_id, "overcurrent") for servo_id in refused)
-            self.step(PowerSeen(alive, why, lost, doubt), wait_ns)
+            self.step(PowerSeen(alive, why, fed, lost, doubt), wait_ns)
 
     @rule(wait_ns=WAITS_NS)
     def time_passes(self, wait_ns: int) -> None:

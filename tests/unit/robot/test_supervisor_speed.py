@@ -154,9 +154,11 @@ def begun() -> Steps:
     )
     steps.board(5)
     steps.command(10, leg_to(5, "start 90"))
+    steps.board(10)
     for at_ms in (500, 1000, 1500, 2000):
         steps.command(at_ms, leg_to(5, "set 90"))
-    assert "command 31 start 0" in steps.command(2010, servo_to(31, "start 0"))
+    steps.command(2005, servo_to(31, "start 0"))
+    assert "command 31 start 0" in steps.board(2010)
     said = steps.command(2100, (*servo_to(31, "set 180"), *servo_to(11, "start 90")))
     assert said == ["command 31 set 0.2"]
     assert angles(steps, REJECTED_MS - 1)[-1] == 9

@@ -63,7 +63,7 @@ def test_a_command_that_stops_and_moves_stops_and_its_moves_are_dropped(other: s
         "rejected 2 whole_robot stopped",
     ]
     assert steps.detail == (
-        "this robot can only be stopped as a whole: a Stop in this command stopped it, and its moves are dropped"
+        "this robot only stops as a whole: a Stop in this command stopped it, and its moves are dropped"
     )
     assert not steps.supervisor.legs.due_ns
 

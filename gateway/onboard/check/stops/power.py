@@ -3,7 +3,6 @@
 import sys
 from typing import Final
 
-from gateway.model.telemetry import fed_singly
 from gateway.onboard.check.stops.bench import (
     EVIDENCE_S,
     Bench,
@@ -16,11 +15,11 @@ from gateway.onboard.check.stops.bench import (
 )
 from gateway.people.client.blocking import Client
 from gateway.people.terminal import ask, hint
-from schemas.robot import LEGS, SERVO_IDS
+from schemas.robot import LEGS
 from schemas.telemetry import Ack, GatewayState, Kind, Mode, PowerReport, Reason
 
-FED_S: Final = 3.0
-"""The board switches on one servo after the other, within a second, and its errors are deleted before that."""
+REST_S: Final = 3.0
+"""The board's errors are deleted behind a reset, for 2 s at most."""
 SILENT_MS: Final = 200.0
 """After so long without an answer it is reported."""
 PLUGGED_S: Final = 60.0
@@ -28,7 +27,7 @@ PLUGGED_S: Final = 60.0
 
 
 def confirmed_off(bench: Bench) -> Figures:
-    """An emergency stop: the board confirms that no servo is fed, and a reset gives the supply back."""
+    """An emergency stop: the board confirms that no servo is fed, and a reset feeds none."""
     _board(bench)
     bench.start()
     with bench.streaming():
@@ -47,7 +46,7 @@ def spi_unplugged(bench: Bench) -> Figures:
         _asked("Unplug the servo controller from the Pi (SPI), and press Enter. The servo goes on holding: ")
         figures = _estop(bench, own=False)
     loose = ask("Turn the servo's horn gently with a finger: is it loose? yes or no: ")
-    # The controller has not received its Stop: with its supply back, the servo would run.
+    # The controller has not received its Stop: fed again, the servo would run.
     _asked("Plug the controller in again, and press Enter: ")
     again = bench.client.estop()  # six Stops, which arrive now
     demand(again.stop_frames == len(LEGS), f"{again.stop_frames} Stops were written, not {len(LEGS)}")
@@ -121,22 +120,22 @@ def _estop(bench: Bench, *, own: bool = True) -> Figures:
     bench.estop = (ack.estop or 0) if own else 0
     demand(
         ack.confirmed,
-        "the board has not confirmed that the servos have no supply: SWITCH IT OFF BY HAND (power.cut_on needs estop)",
+        "the board has not confirmed that the servos have no supply: SWITCH IT OFF BY HAND",
     )
     demand(not _fed(bench), f"the board has confirmed that it feeds nothing, and feeds {_fed(bench)}")
     return {"confirmed_after_ms": ack.confirmed_ms or 0.0}
 
 
 def _give_back(bench: Bench) -> None:
-    """Leave the emergency stop; whatever is fed then, nothing runs."""
+    """Leave the emergency stop: nothing is fed then, and nothing runs."""
     mark = bench.mark()
     demand_accepted(bench.reset(bench.estop), "the reset")
-    demand(bench.wait(lambda: is_fed(bench.client), FED_S), "the servos have no supply after the reset")
+    demand(bench.wait(lambda: is_at_rest(bench.client), REST_S), "servos are fed after the reset, and none was started")
     bench.demand_no_motion(mark, "after the reset")
 
 
-def is_fed(client: Client) -> bool:
-    """Whether the supply is as at rest: that of all, or of none where it is a servo's start."""
+def is_at_rest(client: Client) -> bool:
+    """Whether nothing runs, and the board answers and feeds nothing."""
     state = client.state()
     power = _power(state)
-    return state.mode is Mode.IDLE and power.alive and (fed_singly(state) or power.supplied == SERVO_IDS)
+    return state.mode is Mode.IDLE and power.alive and not power.supplied

@@ -1,0 +1,38 @@
+"""What a leg is sent, and what is published when its source changes. Pure."""
+
+from gateway.model.frames import SETS, STOP, OneServo, ServoOp, stop_leg
+from gateway.robot.core.events import Announce, Command, Effect, Rejected, Transmit
+from gateway.robot.core.leg import Leg, Servo
+from schemas.telemetry import Cause, Kind, Reason
+
+
+def as_it_is(servo: Servo) -> ServoOp:
+    """The operation that changes nothing."""
+    return STOP if servo.angle_cdeg is None else SETS[servo.angle_cdeg]
+
+
+def stops(leg: Leg, servos: list[Servo], cause: Cause, commands: tuple[Command, ...] = ()) -> list[Effect]:
+    """Stops for these servos of a leg, in one frame where they are all of it."""
+    if len(servos) == len(leg.servos):
+        return [Transmit(stop_leg(leg.number), cause, None, commands)]
+    return [Transmit(OneServo(servo.servo_id, STOP), cause, None, commands) for servo in servos]
+
+
+def taken_over(leg: Leg, source: str | None, moves: bool) -> list[Effect]:
+    """Another source's command is in force from now on. A stopped leg has no previous source.
+
+    A Stop without a name (a delete has none) may be from the leg's previous source.
+    """
+    before, leg.source = leg.source, source
+    if not leg.armed or (source is None and not moves):
+        return []
+    new, old = ("somebody without a name" if name is None else name for name in (source, before))
+    detail = f"leg {leg.number} is commanded by {new}, and was by {old}"
+    return [Announce(Kind.SOURCE_CHANGED, detail, source, legs=(leg.number,))]
+
+
+def withdrawn(command: Command, reason: Reason, detail: str) -> Rejected:
+    """The rejection of a command of which no more is written. Its Stops were, unless the bus failed."""
+    if reason is not Reason.BUS_FAULT:
+        command.stopped = tuple(servo_id for servo_id, _ in command.stops)
+    return Rejected(command, reason, detail)
