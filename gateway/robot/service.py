@@ -25,6 +25,7 @@ from gateway.model.black_box.format import STOP_FACTS
 from gateway.model.frames import centidegrees
 from gateway.robot import wires
 from gateway.robot.blackbox.recorder import Recorder
+from gateway.robot.core.backlog import START_WAIT_NS
 from gateway.robot.core.calibrating import ACCEPT_DEFAULT
 from gateway.robot.core.leg import Rules
 from gateway.robot.core.supervisor import Supervisor
@@ -104,6 +105,7 @@ def rules(settings: Settings) -> Rules:
         repeats=settings.watchdog.repeats,
         repeat_interval_ns=round(settings.watchdog.repeat_interval_ms * NS_PER_MS),
         period_ns=ceil(NS_PER_S / settings.limits.leg_rate_hz),  # never above the limit
+        start_wait_ns=START_WAIT_NS,
         start_pause_ns=round(settings.limits.start_stagger_ms * NS_PER_MS),
         joint_limits_cdeg={
             int(servo): (centidegrees(limits.min_deg), centidegrees(limits.max_deg))

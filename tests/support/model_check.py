@@ -44,7 +44,9 @@ from tests.support.model_parts import (
     changes,
     copied_buttons,
     copied_lease,
+    copy_backlog,
     copy_calibrating,
+    core_backlog_key,
     lease_key,
     lease_requests,
     measurements,
@@ -73,7 +75,7 @@ _ROBOT: Final = Supervisor(Rules())
 _KNOWN: Final = (
     (
         _ROBOT,
-        "_rules legs lease buttons body power calibrating _reach _opened _bus_ok _fault latch _ended",
+        "_rules legs lease buttons body power backlog calibrating _reach _opened _bus_ok _fault latch _ended",
     ),
     (_ROBOT, "stopped_outside wants_measurements expirations mode due_ns"),
     (_ROBOT.latch, "_rules number since_ns unknown"),
@@ -81,6 +83,7 @@ _KNOWN: Final = (
     (_ROBOT.buttons, "required _timeout_ns _rise_ns _by_token closed fell_ns alive due_ns"),
     (_ROBOT.body, "_rules watches low fallen beyond_ns"),
     (_ROBOT.power, "alive closed _refused"),
+    (_ROBOT.backlog, "_rules _legs _most _came_ns _until_ns held"),
     (Registration, "name holder counts count until_ns silent offset_ns heard_ns least_ns"),
     (_ROBOT._reach, "_limits_cdeg _landing_cdeg _avoid_cdeg calibration wire limited"),
     (_ROBOT.calibrating, "_reach fault guards _on_its_way"),
@@ -171,6 +174,7 @@ def copied(supervisor: Supervisor) -> Supervisor:
     latch = cloned(supervisor.latch)
     other = cloned(supervisor, legs=legs, latch=latch, lease=lease, buttons=buttons, body=body, power=power)
     copy_calibrating(supervisor, other)
+    copy_backlog(supervisor, other)
     queue = supervisor.legs._queue
     legs._queue = type(queue)(queue.pause_ns, queue.next_ns, list(queue.legs))
     return other
@@ -202,6 +206,7 @@ def key(supervisor: Supervisor, now_ns: int, rank: dict[int, int]) -> tuple[obje
         buttons_key(supervisor.buttons, now_ns),
         body_key(supervisor, now_ns),
         (*power_key(supervisor), legs._fed),
+        core_backlog_key(supervisor, now_ns),
         calibrating_key(supervisor),
         legs.landing and (*landing_key(legs.landing, now_ns), legs.land_ns - now_ns),
         (tuple(queue.legs), max(0, queue.next_ns - now_ns)) if queue.pause_ns else None,
@@ -254,7 +259,12 @@ def events(
     commands = configuration.commands if mode in (Mode.IDLE, Mode.ACTIVE) else configuration.commands[:1]
     for which, (channel, targets) in enumerate(commands):
         for whose, token in tokens(configuration.drivers, lease):
-            yield f"{channel} command {which}{whose}", Command(targets, key=channel, number=number, lease=token)
+            yield (
+                f"{channel} command {which}{whose}",
+                Command(
+                    targets, key=channel, number=number, lease=token, sent_ms=1.0 if "with a time" in channel else None
+                ),
+            )
     for stops in configuration.unread:
         unread = Rejected(Request(number=number), Reason.MALFORMED, "a test's")
         yield f"what may stop {len(stops)}", Command(stops, key="unread", number=number, rejected=unread)

@@ -322,6 +322,8 @@ class Oracle(RobotHistory):
 
     def _command(self, command: Command, now_ns: int, effects: Sequence[Effect]) -> frozenset[int]:
         """Whether it must be accepted, and what it then wants: of a rejected one, its Stops. Returns what it stops."""
+        self._lost |= self.of_burst(self.backlog.comes(command, now_ns))
+        self._forget_lost()
         reason, targets = self.reason_to_reject(command), command.targets
         reason = reason if command.rejected is None else command.rejected.reason
         named = tuple(target for target in targets if target[1].op is Op.STOP)
@@ -342,6 +344,7 @@ class Oracle(RobotHistory):
                 return frozenset()
         else:
             self.lease.heard(command.lease, now_ns)
+            self.hold_starts(command, now_ns)
         if self.rules.starts_whole and named:
             targets = tuple((servo_id, STOP) for servo_id in self.servos)
         running = [number for number in self.legs if self.armed(number)]

@@ -8,6 +8,7 @@ import asyncio
 import itertools
 import json
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from typing import Any
 
 from pydantic import BaseModel
@@ -39,6 +40,9 @@ WALL_NS = 1_790_000_000_123_456_789
 class Robot:
     """One conductor and its controller. Make it inside a running (virtual) loop."""
 
+    start_wait_ns = 0
+    """Starts without `sent_ms` leave at once, unless a test is about bursts of them."""
+
     def __init__(
         self,
         sections: Mapping[str, Mapping[str, Any]] | None = None,
@@ -60,7 +64,7 @@ class Robot:
         self.instant_open = False
         self.conductor = Conductor(
             self.settings,
-            Supervisor(rules(self.settings)),
+            Supervisor(replace(rules(self.settings), start_wait_ns=self.start_wait_ns)),
             self.wire(),
             self,
             self.loop,

@@ -9,6 +9,7 @@ from gateway.robot.core.events import Command, Effect, EstopKept, StoppedOutside
 from gateway.robot.core.leg import Rules
 from schemas.robot import LEGS
 from schemas.telemetry import Kind, Mode, Reason
+from tests.support.backlog_history import BacklogHistory
 from tests.support.body_history import BodyHistory
 from tests.support.buttons_history import ButtonsHistory
 from tests.support.calibration_history import CalibrationHistory
@@ -46,6 +47,7 @@ class RobotHistory:
         self.buttons = ButtonsHistory(rules)
         self.body = BodyHistory(rules)
         self.power = PowerHistory(rules)
+        self.backlog = BacklogHistory(rules)
         self.fault = Kind.BUS_FAULT
         """Whether the bus is at fault because the controller does not answer."""
         self.calibration = CalibrationHistory(rules, calibration or RobotCalibration(), fault)
@@ -82,6 +84,7 @@ class RobotHistory:
             buttons=self.buttons.clone(),
             body=cloned(self.body),
             power=cloned(self.power),
+            backlog=self.backlog.clone(),
         )
 
     def key(self, now_ns: int, rank: dict[int, int]) -> tuple[object, ...]:
@@ -111,6 +114,7 @@ class RobotHistory:
             landing,
             others,
             self.power.key(),
+            self.backlog.key(now_ns, [number for number in self.legs if self.waits_to_start(number)]),
             self.bus_ok and self.rest_ns and max(0, self.rest_ns - now_ns),
             self.bus_ok and self.runs_left and (self.runs_left, max(0, self.settled_ns - now_ns)),
         )
@@ -124,6 +128,13 @@ class RobotHistory:
 
     def armed(self, leg: int) -> bool:
         return any(servo.on or servo.starts for servo in self.servos_of(leg))
+
+    def runs(self, leg: int) -> bool:
+        return any(servo.on for servo in self.servos_of(leg))
+
+    def waits_to_start(self, leg: int) -> bool:
+        """Whether it waits, and does not run."""
+        return self.armed(leg) and not self.runs(leg)
 
     def servos_of(self, leg: int) -> list[ServoHistory]:
         return [self.servos[servo_id] for servo_id in servo_ids_of(leg)]
@@ -197,8 +208,11 @@ class RobotHistory:
                 return Reason.SERVO_STOPPED
             if op.op is Op.SET and not servo.on and not servo.starts:
                 return Reason.SERVO_STOPPED
+        starts = {leg_of(servo_id) for _, servo_id, op in moves if op.op is Op.START}
         partly = 0 < len(moves) == len(command.targets) < len(self.servos)
-        return Reason.WHOLE_ROBOT if self.rules.starts_whole and partly and not self.alive else None
+        if self.rules.starts_whole and partly and not self.alive:
+            return Reason.WHOLE_ROBOT
+        return Reason.STALE if self.backlog.is_of_burst(command) and not all(map(self.runs, starts)) else None
 
     def unfit(self, moved: Iterable[ServoHistory]) -> Reason | None:
         """Why the body does not allow that these servos move."""
@@ -318,6 +332,19 @@ class RobotHistory:
             return []
         demand(now_ns < self.rest_ns, "legs at rest get a Stop in time")
         return [self.rest_ns]
+
+    # ---- starts without a time
+
+    def of_burst(self, legs: Iterable[int]) -> set[int]:
+        """The commands whose starts of these legs wait, and are of a burst: they are rejected as a whole."""
+        wants = [servo.want for number in legs if not self.runs(number) for servo in self.servos_of(number)]
+        return {want.number for want in wants if want is not None}
+
+    def hold_starts(self, command: Command, now_ns: int) -> None:
+        """An accepted command: a leg that does not run waits for what may come behind its start."""
+        for number in {leg_of(servo_id) for servo_id, op in command.targets if op.op is Op.START}:
+            if not self.runs(number) and self.backlog.starts(command, number, armed=self.armed(number)):
+                self.legs[number].held_until_ns = now_ns + self.rules.start_wait_ns
 
     # ---- starts one after the other
 

@@ -34,6 +34,10 @@ class Rules:
     """How far these runs are apart: the published firmware gives up a frame after 1000 ms, and then reads lengths."""
     period_ns: int = NS_PER_S // 50
     start_pause_ns: int = 0
+    start_wait_ns: int = 0
+    """How long a start without a time waits for what may come behind it (Behaviour 19); 0: no burst is looked for."""
+    window_ns: int = 20 * NS_PER_MS
+    """In which so many messages without a time on one key are a burst; not a setting, nor is `start_wait_ns`."""
     unnumbered_reset_ns: int = 2 * NS_PER_S
     """How old the latest emergency stop must be for a reset that does not say which one it leaves (Behaviour 5)."""
     joint_limits_cdeg: dict[int, tuple[int, int]] = field(default_factory=dict)

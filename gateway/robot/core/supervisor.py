@@ -41,6 +41,7 @@ The rules, by their numbers in docs/interface.md, *Behaviour*:
     names all of them, and leaves with the last leg's rate slot; whatever stops one of them stops all in the same step.
 17. With a power board, a start waits until its servo is fed, and its leg's watchdog with it (`power`); what the board
     feeds no longer is stopped, and all that runs is stopped, or lands, when it does not answer.
+19. A leg that does not run takes no start from a burst of messages without a time (`backlog`).
 
 `StoppedOutside` reports `stop-servos` at work on the same device. All legs count as stopped and get a Stop from here
 too, since one may have been started after its Stop from outside. Until that program is known to have ended, no Start or
@@ -56,6 +57,7 @@ from typing import Final, assert_never
 from gateway.allowance import NS_PER_MS
 from gateway.model.angle_limits import AngleLimits
 from gateway.model.frames import OP_SET
+from gateway.robot.core.backlog import Backlog
 from gateway.robot.core.body_limits import BodyLimits
 from gateway.robot.core.buttons import Buttons
 from gateway.robot.core.calibrating import Calibrating
@@ -113,6 +115,7 @@ class Supervisor:
         self._rules = rules
         self._reach = AngleLimits(rules.joint_limits_cdeg, rules.landing_cdeg, rules.avoid_cdeg)
         self.calibrating, self.legs = Calibrating(self._reach), Legs(rules, self._reach)
+        self.backlog = Backlog(rules, self.legs)
         self.lease, self.buttons = RobotLease(rules), Buttons(rules)
         self.body, self.power = BodyLimits(rules), PowerRule(rules)
         self.wants_measurements = self.body.watches
@@ -220,15 +223,19 @@ class Supervisor:
     # ---- events
 
     def _command(self, command: Command, now_ns: int) -> list[Effect]:
-        rejected = command.rejected
+        rejected, dropped = command.rejected, list[Effect]()
         if rejected is None:
-            rejection = self._rejection(command)
+            dropped = self.backlog.note(command, now_ns)
+            rejection = self._rejection(command) or self.backlog.rejection(command, now_ns)
             if rejection is None:
                 if command.lease is not None:
                     self.lease.heard(command.lease, now_ns)
-                return self.legs.apply(command, now_ns)
+                self.backlog.hold(command, now_ns)
+                effects = self.legs.apply(command, now_ns)
+                return [*dropped, *effects, *self.legs.take_slots(now_ns)] if dropped else effects
             rejected = Rejected(command, *rejection)
-        return self.legs.stop_for(command, rejected, now_ns, write=not self._ended) if self._bus_ok else [rejected]
+        stops = self.legs.stop_for(command, rejected, now_ns, write=not self._ended) if self._bus_ok else [rejected]
+        return [*dropped, *stops]
 
     def _rejection(self, command: Command) -> tuple[Reason, str] | None:
         """Why the command as a whole takes no effect; None: it does."""

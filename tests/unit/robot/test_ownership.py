@@ -92,7 +92,7 @@ class Gateway:
         loop = cast(asyncio.AbstractEventLoop, self.loop)
         bus = Bus(self.settings.spi, lambda: self.controller, clock=self.now_ns)
         # No runs of Stops at rest: nobody beats here, so to wait a second for one is to stand still.
-        supervisor = Supervisor(replace(rules(self.settings), rest_runs=0))
+        supervisor = Supervisor(replace(rules(self.settings), rest_runs=0, start_wait_ns=0))
         recorder = Recorder(self.settings, {}, self.now_ns, self.now_ns)
         self.conductor = Conductor(
             self.settings,
