@@ -376,7 +376,6 @@ start_service() {
 	else
 		say "not started: there is no /dev/spidev* here; once there is: systemctl start $NAME"
 	fi
-	start_recorder
 	keep_drop_ins
 	remove_old_releases
 }
@@ -431,7 +430,12 @@ uninstall_all() {
 		run systemctl daemon-reload
 		run systemctl reset-failed $NAME 2>/dev/null || true
 	fi
-	remove_recorder
+	run rm -rf /run/$NAME
+	if [ -d /var/lib/$NAME ]; then
+		say "keep /var/lib/$NAME, your calibration, for root only"
+		run chown -R root:root /var/lib/$NAME
+		run chmod -R go= /var/lib/$NAME
+	fi
 	if [ -e $RULES ]; then
 		say "remove $RULES"
 		run rm $RULES

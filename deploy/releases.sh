@@ -1,6 +1,4 @@
 # shellcheck shell=bash
-# shellcheck source=deploy/recorder.sh
-. "$HERE/recorder.sh"
 # Which release the service runs ($OPT/venv, a link to a folder of its own), and the one before it. Read by install.sh.
 
 # Starts a gateway from a folder with a simulated controller and its configuration, and ends it once it is ready.

@@ -22,6 +22,7 @@ from gateway.errors import (
     WalkError,
     ZenohError,
 )
+from gateway.own_command import DEFAULT_ENDPOINT
 from gateway.people.client.aio import AsyncButton, AsyncClient, AsyncLease, AsyncStream, AsyncWalk
 from gateway.people.client.blocking import Client, several_answer
 from gateway.people.client.button import Button
@@ -30,7 +31,6 @@ from gateway.people.client.payloads import calibration_payload, leg_payload, leg
 from gateway.people.client.stream import Stream
 from gateway.people.client.walk import Walk
 from gateway.people.walking import Odometry, Posture, WalkState
-from gateway.zenoh_config import DEFAULT_ENDPOINT
 from schemas.telemetry import Ack, Battery, Event, GatewayState, Imu, Kind, Reason, Telemetry
 
 __all__ = [

@@ -13,6 +13,7 @@ import zenoh
 
 from gateway import certs, nesting
 from gateway.errors import ConfigError, ZenohError
+from gateway.own_command import DEFAULT_ENDPOINT
 
 _TLS = "transport/link/tls"
 _CA = f"{_TLS}/root_ca_certificate"
@@ -27,7 +28,6 @@ _FILES = (
     "transport/auth/pubkey/known_keys_file",
 )
 
-DEFAULT_ENDPOINT: Final = "tcp/127.0.0.1:7447"
 RETRY: Final = {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 1.5}
 """With these, a client reconnected after 0.35 s; with Zenoh's own pauses after 1 to 2 s."""
 

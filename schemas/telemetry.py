@@ -81,7 +81,6 @@ class Kind(StrEnum):
     LANDING = "landing"
     CALIBRATED = "calibrated"
     OVERFLOW = "overflow"
-    BUS_UNBATCHED = "bus_unbatched"
     BUS_MEDDLED = "bus_meddled"
     REVOKED = "revoked"
     BUTTON_REGISTERED = "button_registered"

@@ -47,7 +47,7 @@ class Effective(NamedTuple):
     controller: PlainController
     power: PlainPower | None
     tables: Mapping[str, Any]
-    """As they stand in the file; with `avoid_deg`, on which no Stop depends."""
+    """As they stand in the file."""
 
     @property
     def runs(self) -> bool:
@@ -111,7 +111,7 @@ def differences(used: Effective, path: Path) -> list[str]:
     for section, fields in _SECTIONS:
         table, theirs = stated.get(section), used.tables.get(section)
         table, theirs = (each if isinstance(each, dict) else {} for each in (table, theirs))
-        for name in (*fields._fields, *(plain_settings.NOT_FOR_STOPS if fields is PlainSpi else ())):
+        for name in fields._fields:
             default = fields._field_defaults.get(name)
             default = list(default) if isinstance(default, tuple) else default  # as TOML has it
             value, uses = table.get(name, default), theirs.get(name, default)

@@ -24,10 +24,8 @@ class PlainSpi(NamedTuple):
     framing: Framing = Framing.PLAIN
     protocol: SpiProtocol = SpiProtocol.HEXAPOD_1_0
     device: str = "/dev/spidev0.0"
-    batch: bool = True
     speed_hz: int = SpiProtocol.HEXAPOD_1_0.speed_hz
     frame_gap_us: float = 50.0
-    resync_ms: float = 1000.0
 
     @property
     def avoid_cdeg(self) -> None:
@@ -64,13 +62,9 @@ class SpiValues(Protocol):
     @property
     def device(self) -> str: ...
     @property
-    def batch(self) -> bool: ...
-    @property
     def speed_hz(self) -> int: ...
     @property
     def frame_gap_us(self) -> float: ...
-    @property
-    def resync_ms(self) -> float: ...
     @property
     def avoid_cdeg(self) -> tuple[int, int] | None: ...
 
@@ -113,15 +107,14 @@ class Plain(NamedTuple):
 LIMITS: Final[Mapping[str, tuple[float, float]]] = {
     "speed_hz": (1, 20_000_000),
     "frame_gap_us": (0, 1000),
-    "resync_ms": (0, 10_000),
     "repeats": (0, 100),
     "repeat_interval_ms": (1, 1000),
 }
-NOT_FOR_STOPS: Final = frozenset({"avoid_deg"})
-"""Settings of [spi] that no Stop depends on; they are not looked at."""
+REMOVED: Final = frozenset({"avoid_deg", "batch", "resync_ms"})
+"""Settings of [spi] in files of earlier versions, which must not prevent a Stop; they are not looked at."""
 _WHOLE: Final = frozenset({"speed_hz", "repeats"})
 
-_KNOWN: Final = NOT_FOR_STOPS | set(PlainSpi._fields)
+_KNOWN: Final = REMOVED | set(PlainSpi._fields)
 
 
 def read(path: Path) -> Plain | None:
@@ -147,7 +140,7 @@ def of(tables: Mapping[str, Any]) -> Plain | None:
         return None
     if not spi.keys() <= _KNOWN:
         return None
-    spi = {name: value for name, value in spi.items() if name not in NOT_FOR_STOPS}
+    spi = {name: value for name, value in spi.items() if name not in REMOVED}
     of_watchdog = {name: watchdog[name] for name in PlainRepeats._fields if name in watchdog}
     of_controller = {name: controller[name] for name in PlainController._fields if name in controller}
     if not all(_is_right(name, value) for name, value in (spi | of_watchdog | of_controller).items()):
@@ -181,7 +174,7 @@ def within_limits(spi: SpiValues) -> tuple[SpiValues, str]:
     if not fault or spi.protocol is not SpiProtocol.HEXAPOD_1_0:
         return spi, ""
     speed_hz, gap_us = min(spi.speed_hz, framing.most_hz), max(spi.frame_gap_us, framing.least_gap_us)
-    plain = PlainSpi(framing, spi.protocol, spi.device, spi.batch, speed_hz, gap_us, spi.resync_ms)
+    plain = PlainSpi(framing, spi.protocol, spi.device, speed_hz, gap_us)
     return plain, f"spi: {fault}; stop-servos uses {speed_hz} Hz and {gap_us:g} µs"
 
 
@@ -190,8 +183,6 @@ def _is_right(name: str, value: Any) -> bool:
         return isinstance(value, str) and "\0" not in value
     if name in {"device", "uart"}:
         return isinstance(value, str) and value.startswith("/") and "\0" not in value
-    if name == "batch":
-        return isinstance(value, bool)
     low, high = LIMITS[name]
     known = isinstance(value, int if name in _WHOLE else int | float) and not isinstance(value, bool)
     return known and low <= value <= high

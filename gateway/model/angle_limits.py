@@ -2,7 +2,7 @@
 
 Both must allow an angle. Each allows one range without gaps, so whatever lies between two angles that were accepted
 (a step of a limited speed, a landing's straight line) may be sent as well. There is one gap, of wire angles that are
-never sent (`spi.avoid_deg`): a way that leads across it waits at its near end until it would be beyond.
+never sent (`Framing.avoid_cdeg`): a way that leads across it waits at its near end until it would be beyond.
 """
 
 from collections.abc import Mapping
@@ -12,8 +12,7 @@ from typing import Final
 from gateway.model.calibration import RobotCalibration
 
 _WHY_AVOIDED: Final = (
-    "are never sent (spi.avoid_deg): where one byte is lost, the published firmware dies of whole degrees 1 to 3, with "
-    "its servos on"
+    "are never sent: where one byte is lost, the published firmware dies of whole degrees 1 to 3, with its servos on"
 )
 
 

@@ -1,4 +1,4 @@
-"""The command line of the black box: `incidents list`, `show`, `export`, `keep`."""
+"""The command line of the black box: `incidents list`, `show`, `export`."""
 
 import sys
 from pathlib import Path
@@ -13,8 +13,8 @@ if TYPE_CHECKING:
 
 app = typer.Typer(
     help="What the black box kept of stops and faults, and the story of each.\n\n"
-    "They are read from the files that hexapod-recorder.service keeps, and from the gateway's ring, also after it was "
-    "killed. Where the service recorded them, use sudo.\n\n"
+    "They are read from the gateway's ring, also after it was killed; a power cut or a reboot erases it. Where the "
+    "service recorded them, use sudo.\n\n"
     "Exit codes: 0 done, 1 no such incident, 2 the black box is off or may not be read, or a file cannot be "
     "written.",
     invoke_without_command=True,
@@ -22,9 +22,7 @@ app = typer.Typer(
 
 IncidentArgument = Annotated[
     str,
-    typer.Argument(
-        metavar="ID", help="An id that `list` shows and events name, `last` for the newest, or an exported FILE.mcap."
-    ),
+    typer.Argument(metavar="ID", help="An id that `list` shows and events name, or `last` for the newest."),
 ]
 
 
@@ -67,30 +65,13 @@ def show(
 
 
 @app.command()
-def report(
-    context: typer.Context,
-    incident: IncidentArgument,
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="The page to make, such as stop.html")],
-    config: ConfigOption = None,
-) -> None:
-    """Write one page to mail: the story, the joints as they were commanded, and the Stops over time.
-
-    Exit codes: 0 written, 1 no such incident, 2 the black box is off or may not be read, or the file exists or cannot
-    be written.
-    """
-    from gateway.onboard import black_box
-
-    sys.exit(black_box.report(_settings(context, config), incident, file))
-
-
-@app.command()
 def export(
     context: typer.Context,
     incident: IncidentArgument,
     file: Annotated[Path, typer.Argument(metavar="FILE", help="The MCAP file to make, such as stop.mcap")],
     config: ConfigOption = None,
 ) -> None:
-    """Write one as an MCAP file, for Foxglove, Lichtblick or a program of your own.
+    """Write one as an MCAP file, for Foxglove, Lichtblick, Rerun or a program of your own.
 
     Exit codes: 0 written, 1 no such incident, 2 the black box is off or may not be read, or the file exists or cannot
     be written.
@@ -98,20 +79,3 @@ def export(
     from gateway.onboard import black_box
 
     sys.exit(black_box.export(_settings(context, config), incident, file))
-
-
-@app.command()
-def keep(
-    context: typer.Context,
-    config: ConfigOption = None,
-    once: Annotated[
-        bool, typer.Option("--once", help="Keep what is in the ring now, and end: after the end of a gateway.")
-    ] = False,
-) -> None:
-    """Keep incidents on the disk as they happen, until SIGTERM: what hexapod-recorder.service runs.
-
-    Exit codes: 0 ended on request, 2 the black box is off.
-    """
-    from gateway.onboard import black_box
-
-    sys.exit(black_box.keep(_settings(context, config), once=once))

@@ -3,13 +3,15 @@
 from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
+from typing import Final
 
 import zenoh
 
+from gateway import own_command
 from gateway.onboard.board_process import BoardProcess
 from gateway.onboard.body_process import BodyProcess
 from gateway.people.physics.assumed import Assumed
-from gateway.people.terminal import say, this_command
+from gateway.people.terminal import say
 from gateway.robot import service
 from gateway.robot import settings as settings_file
 from gateway.robot.sections import SIMULATED
@@ -17,7 +19,9 @@ from gateway.robot.settings import Settings
 from gateway.robot.spi import unreliable
 from gateway.robot.spi.unreliable import Faults
 from gateway.robot.zenoh_io.simulated_body import endpoint
-from gateway.zenoh_config import DEFAULT_ENDPOINT, listen_endpoints
+from gateway.zenoh_config import listen_endpoints
+
+_CERTIFICATE: Final = "NAME.json5"
 
 
 def serve(
@@ -29,6 +33,7 @@ def serve(
     """
     faults = None if fault is None else unreliable.read(fault)
     settings = settings_file.load(config, simulated=simulated)
+    _reach_by(settings.zenoh.listen)
     with ExitStack() as processes:
         moved = None if body is None else processes.enter_context(BodyProcess(*body))
         board = None
@@ -56,18 +61,23 @@ def _run(
         endpoints = [each for each in listen_endpoints(config) if body is None or each != endpoint(body.folder)]
         where = ", ".join(endpoints) or f"no port of its own ({settings.zenoh.config})"
         say(f"hexapod-gateway is ready: {where} → {robot} ({settings.spi.spoken})")
-        say(next_step(endpoints, this_command()))
+        _reach_by(endpoints)
+        say(next_step(endpoints))
 
     physics = None if body is None else service.Physics(body.page, body.sensed, body.zenoh_id, body.folder)
     at = None if board is None else service.PowerBoardAt(board.channel, board.page)
     service.run(settings, simulated=simulated, physics=physics, board=at, faults=faults, on_ready=ready)
 
 
-def next_step(endpoints: Sequence[str], command: str) -> str:
-    """What to try, where the service listens on `endpoints`; `command` is how this program was called."""
-    plain = [endpoint for endpoint in endpoints if not endpoint.startswith(("tls/", "quic/"))]
-    if not plain:
-        made = "NAME.json5 is made by: hexapod-gateway certs issue NAME --role operator, where ca.key is"
-        return f"Try, on a laptop: hexapod-gateway check --zenoh-config NAME.json5 ({made})"
-    connect = "" if DEFAULT_ENDPOINT in plain else f" --connect {plain[0]}"
-    return f"Try, in a second terminal: {command} walk --forward 0.1 --seconds 5{connect}"
+def _reach_by(endpoints: Sequence[str]) -> None:
+    """Commands in messages reach a service that listens on `endpoints`."""
+    plain = own_command.plain(endpoints)
+    own_command.reach_by(connect=plain, zenoh_config=_CERTIFICATE if plain is None and endpoints else None)
+
+
+def next_step(endpoints: Sequence[str]) -> str:
+    """What to try, where the service listens on `endpoints`."""
+    if own_command.plain(endpoints) is None:
+        made = f"{_CERTIFICATE} is made by: hexapod-gateway certs issue NAME --role operator, where ca.key is"
+        return f"Try, on a laptop: hexapod-gateway check --zenoh-config {_CERTIFICATE} ({made})"
+    return f"Try, in a second terminal: {own_command.command('walk --forward 0.1 --seconds 5')}"

@@ -1,4 +1,4 @@
-"""What `make run` starts: a simulated robot with a black box, what keeps its incidents, and the console.
+"""What `make run` starts: a simulated robot with a black box, and the console.
 
 They end together, on Ctrl-C or SIGTERM, or when the gateway ends; the end of the others does not end the gateway. Each
 is a process of its own, as on a robot. The console begins when the gateway is ready, so that its link is printed last.
@@ -14,7 +14,11 @@ from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Final
 
+from gateway import own_command
+from gateway.errors import ConfigError
+from gateway.own_command import command
 from gateway.people.terminal import on_end_signals, say
+from gateway.robot import settings
 from gateway.robot.blackbox.paths import tried
 
 NO_CONSOLE: Final = "no"
@@ -25,12 +29,14 @@ _END_S: Final = 5.0
 
 
 def try_out(console: Sequence[str]) -> int:
-    """Run all three until the gateway has ended; its exit code. `console`: its options, or `no`."""
+    """Run both until the gateway has ended; its exit code. `console`: its options, or `no`."""
     children: list[subprocess.Popen[bytes]] = []
     ended = False
+    environment = _environment(os.environ)
+    own_command.reach_by(connect=environment.get(own_command.CONNECT_VARIABLE))
 
-    def start(*arguments: str, **environment: str) -> subprocess.Popen[bytes]:
-        child = subprocess.Popen([_command(), *arguments], env={**_environment(os.environ), **environment})
+    def start(*arguments: str, **more: str) -> subprocess.Popen[bytes]:
+        child = subprocess.Popen([_command(), *arguments], env={**environment, **more})
         children.append(child)
         if ended:
             child.terminate()
@@ -51,8 +57,7 @@ def try_out(console: Sequence[str]) -> int:
         notified.settimeout(_LOOK_S)
         gateway = start("run", "--sim", NOTIFY_SOCKET=f"{folder}/notify")
         if _is_ready(gateway, notified) and not ended:
-            start("incidents", "keep")
-            say(f"or, from the keyboard: {_command()} walk")
+            say(f"or, from the keyboard: {command('walk')}")
             if list(console) != [NO_CONSOLE]:
                 start("console", *console)
         status = gateway.wait()
@@ -75,10 +80,15 @@ def _is_ready(gateway: subprocess.Popen[bytes], notified: socket.socket) -> bool
 
 
 def _environment(given: Mapping[str, str]) -> dict[str, str]:
-    """What is recorded, and where it is kept, unless somebody wants something else."""
+    """What is recorded, where it is kept, and where the gateway is, unless somebody wants something else."""
     if "HEXAPOD_STATE__PATH" not in given:
         tried().mkdir(mode=0o700, parents=True, exist_ok=True)
-    return {"HEXAPOD_STATE__PATH": str(tried()), "HEXAPOD_TELEMETRY__FRAMES": "true", **given}
+    found = {"HEXAPOD_STATE__PATH": str(tried()), "HEXAPOD_TELEMETRY__FRAMES": "true", **given}
+    with suppress(ConfigError):  # the gateway's process reports it
+        endpoint = own_command.plain(settings.load(None, simulated=True).zenoh.listen)
+        if endpoint not in (None, own_command.DEFAULT_ENDPOINT) or own_command.CONNECT_VARIABLE in given:
+            found[own_command.CONNECT_VARIABLE] = endpoint or own_command.DEFAULT_ENDPOINT
+    return found
 
 
 def _command() -> str:
@@ -87,4 +97,6 @@ def _command() -> str:
 
 
 if __name__ == "__main__":
-    sys.exit(try_out(sys.argv[1:]))
+    options = sys.argv[1:]
+    sys.argv = [_command()]  # the name in messages
+    sys.exit(try_out(options))

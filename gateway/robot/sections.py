@@ -4,7 +4,6 @@ from typing import Annotated, Any, Final, Literal, Self, TypeVar
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationInfo, field_validator, model_validator
 
-from gateway.model.frames import centidegrees
 from gateway.model.framing import Framing
 from gateway.model.protocols import SpiProtocol
 from gateway.text import key_name
@@ -56,14 +55,9 @@ class SpiSettings(Section):
     speed_hz: Annotated[int, Field(ge=1, le=20_000_000)] = Field(default_factory=_clock_of_protocol)
     # The default is for --sim only: `load` requires it for a real device.
     framing: Framing = Framing.PLAIN
-    batch: bool = True
     # The published firmware needed 6 (measured), or 20 if its loop takes twice the estimate. At most 1 ms: the gateway
     # waits for the pause, six times for six legs.
     frame_gap_us: Annotated[float, Finite, Field(ge=0, le=1000)] = 50.0
-    # At most 10 s: until then a controller that is out of sync ignores each Set and first Stop.
-    resync_ms: Annotated[float, Finite, Field(ge=0, le=10_000)] = 1000.0
-    # None: the framing's own.
-    avoid_deg: tuple[AngleDeg, ...] | None = None
 
     @property
     def spoken(self) -> str:
@@ -73,16 +67,7 @@ class SpiSettings(Section):
     @property
     def avoid_cdeg(self) -> tuple[int, int] | None:
         """Wire angles that are never sent, in hundredths of a degree: first <= angle < second; None: all are sent."""
-        if self.avoid_deg is None:
-            return None if self.protocol.measures else self.framing.avoid_cdeg
-        return (centidegrees(self.avoid_deg[0]), centidegrees(self.avoid_deg[1])) if self.avoid_deg else None
-
-    @field_validator("avoid_deg")
-    @classmethod
-    def _interval(cls, angles: tuple[float, ...] | None) -> tuple[float, ...] | None:
-        if angles and (len(angles) != 2 or angles[0] >= angles[1]):
-            raise ValueError("write where it begins and where it ends, such as [1.0, 4.0], or [] for none")
-        return angles
+        return None if self.protocol.measures else self.framing.avoid_cdeg
 
     @field_validator("device")
     @classmethod

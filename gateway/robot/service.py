@@ -23,6 +23,7 @@ from gateway.host.sensed_page import SensedPage
 from gateway.host.servo_page import ServoPage
 from gateway.model.black_box.format import STOP_FACTS
 from gateway.model.frames import centidegrees
+from gateway.own_command import command
 from gateway.robot import wires
 from gateway.robot.blackbox.recorder import Recorder
 from gateway.robot.core.backlog import START_WAIT_NS
@@ -324,7 +325,7 @@ def _calibrations(settings: Settings, conductor: Conductor, loop: asyncio.Abstra
     calibration, fault = calibration_file.load(path)
     conductor.supervisor.calibrating.load(calibration, fault)
     if fault is not None:
-        logger.warning("%s; nothing is started until `%s`", fault, ACCEPT_DEFAULT)
+        logger.warning("%s; nothing is started until `%s`", fault, command(ACCEPT_DEFAULT))
     disk = DiskWriter("keep calibration", loop, conductor.owner)
     return Calibrations(conductor, lambda new, then: disk.write(partial(calibration_file.write, path, new), then), loop)
 

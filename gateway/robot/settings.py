@@ -17,6 +17,7 @@ from gateway.errors import ConfigError
 from gateway.host import plain_settings
 from gateway.model.framing import Framing
 from gateway.model.protocols import SpiProtocol
+from gateway.own_command import CONNECT_VARIABLE
 from gateway.robot.sections import (
     FOR_STOPS,
     SERVOS,
@@ -124,8 +125,11 @@ def load(path: Path | None = None, *, simulated: bool = False, for_stops: bool =
     except ConfigError as error:
         lines.append(str(error))
         unread = True
-    in_file = _faults_of_file(from_file, context)
     variables, faults = _environment()
+    if for_stops:  # which no file of an earlier version may prevent
+        from_file = _without_removed(from_file)
+        faults = [fault for fault in faults if not fault.endswith(tuple(_REMOVED.values()))]
+    in_file = _faults_of_file(from_file, context)
     merged = from_file
     for place, (_, value) in variables.items():
         merged = _put(merged, place, value)
@@ -175,6 +179,9 @@ _IN_STATE: Final = "was removed; name its folder with state.path, which has all 
 _REMOVED: Final[Mapping[Place, str]] = {
     ("calibration",): f"{_IN_STATE} (the calibration as calibration.toml)",
     ("recorder",): f"{_IN_STATE} (the black box keeps 60 s)",
+    ("spi", "batch"): "was removed; lists of transfers are written, and single ones where the kernel takes no lists",
+    ("spi", "resync_ms"): "was removed; length-prefixed framing synchronises a stream once a second",
+    ("spi", "avoid_deg"): "was removed; it follows from the framing",
     ("controller", "cycle_hz"): "was removed; the controller's cycle is 50 Hz",
     ("lease", "takeover"): "was removed; everybody may take the lease, which stops all legs first",
     ("telemetry", "state_hz"): "was removed; the state comes ten times a second",
@@ -194,6 +201,17 @@ def _without_emptied(tables: dict[str, Any]) -> dict[str, Any]:
     return {name: table for name, table in tables.items() if table != {} or (name,) not in _REMOVED}
 
 
+def _without_removed(tables: dict[str, Any]) -> dict[str, Any]:
+    """The same without all settings of earlier versions."""
+    kept = {name: table for name, table in tables.items() if (name,) not in _REMOVED}
+    return {
+        section: {name: value for name, value in table.items() if (section, name) not in _REMOVED}
+        if isinstance(table, dict)
+        else table
+        for section, table in kept.items()
+    }
+
+
 def _faults_of_file(values: dict[str, Any], context: Context) -> list[Fault]:
     """Strict, since a TOML value has a type: "50" is no number."""
     # Validated as JSON, since strict Python types reject TOML's arrays and strings for tuples and enumerations; and
@@ -209,13 +227,14 @@ def _faults_of_file(values: dict[str, Any], context: Context) -> list[Fault]:
 def _environment() -> tuple[dict[Place, tuple[str, Any]], list[str]]:
     """Variables that begin with ENV_PREFIX: by place, the variable and its value as in a file; and faults.
 
-    A variable that names no setting is a fault. pydantic-settings would ignore it, accept lower case, name no variable
-    for a list that is no JSON, and take 0.1 s at each start.
+    A variable that names no setting is a fault, but for CONNECT_VARIABLE, which is for client commands.
+    pydantic-settings would ignore it, accept lower case, name no variable for a list that is no JSON, and take 0.1 s at
+    each start.
     """
     found: dict[Place, tuple[str, Any]] = {}
     faults: list[str] = []
     for variable, text in sorted(os.environ.items()):
-        if not variable.upper().startswith(ENV_PREFIX):
+        if not variable.upper().startswith(ENV_PREFIX) or variable == CONNECT_VARIABLE:
             continue
         place = tuple(variable.removeprefix(ENV_PREFIX).lower().split("__"))
         if variable != variable.upper() or not _is_setting(place):
@@ -243,7 +262,6 @@ def _put(table: Mapping[str, Any], place: Place, value: Any) -> dict[str, Any]:
 _LISTS: Final[Mapping[Place, str]] = {
     ("zenoh", "listen"): '["tcp/127.0.0.1:7447"]',
     ("zenoh", "connect"): '["tcp/127.0.0.1:7447"]',
-    ("spi", "avoid_deg"): "[1.0, 4.0]",
     ("buttons", "names"): '["kitchen"]',
     ("power", "servos"): "[]",
 }

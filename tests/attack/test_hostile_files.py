@@ -5,9 +5,6 @@ from typing import Final
 
 import pytest
 
-from gateway import certs
-from gateway.errors import ConfigError
-from gateway.robot.host import calibration_file
 from tests.support.child import Child
 from tests.support.gateway_process import COMMAND
 
@@ -38,17 +35,3 @@ def test_it_is_a_sentence_with_the_files_name(case: str, tmp_path: Path) -> None
     assert ended == code, str(child)
     assert "Traceback" not in child.stderr
     assert name in child.stdout + child.stderr
-
-
-def test_a_folder_of_certificates(tmp_path: Path) -> None:
-    certs.folder.init(tmp_path / "D", ["127.0.0.1"])
-    (tmp_path / "D" / "gateway.json5").write_text(JSON5)
-    with pytest.raises(ConfigError, match=r"gateway\.json5: nests deeper"):
-        certs.folder.issue(tmp_path / "D", "anna", "operator")
-
-
-def test_a_calibration(tmp_path: Path) -> None:
-    file = tmp_path / "calibration.toml"
-    file.write_text(KEY)
-    with pytest.raises(ConfigError, match=r"calibration\.toml: has a line with more than 1000 dots"):
-        calibration_file.read(file)

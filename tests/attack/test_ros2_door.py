@@ -74,10 +74,3 @@ def test_ros_leaves_its_own_emergency_stop_while_the_bridge_drives(gateway: Gate
         assert peer.call("/hexapod/estop")[0]
         peer.call("/hexapod/release")
         assert not peer.call("/hexapod/reset")[0]
-
-
-def test_a_reset_of_anybodys_wants_an_option(gateway: Gateway, anna: Client) -> None:
-    with RclpyBridge(gateway, "--allow-reset"), RclpyPeer() as peer:
-        anna.estop()
-        assert peer.call("/hexapod/reset")[0]
-        assert anna.state().mode == Mode.IDLE

@@ -4,20 +4,16 @@ One that drops packets, and a name that no resolver answers for: tests/net/test_
 """
 
 import json
-import os
 import socket
 import time
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 
 from gateway.client import Client
-from gateway.errors import ZenohError
-from gateway.people.client.diagnosis import TIMEOUT_S as LOOK_S
-from tests.support.child import Child
-from tests.support.gateway_process import COMMAND, Gateway, free_port
+from tests.support.gateway_process import Gateway, free_port
 
 LATER_S = 0.5
 SLACK_S = 0.5
@@ -57,25 +53,3 @@ def test_a_stop_goes_by_the_second_host(tmp_path: Path, kind: str) -> None:
         second_s = min(stop_s(hosts_file(tmp_path, nowhere, gateway.endpoint)) for _ in range(3))
         print(f"{kind}: {first_s:.3f} s by the first host, {second_s:.3f} s by the second")
         assert second_s - first_s < LATER_S + SLACK_S
-
-
-@pytest.mark.parametrize("command", [["estop"], ["send", "leg", "1", "stop"]])
-def test_every_command_goes_by_the_second_host_and_ends_well(tmp_path: Path, command: list[str]) -> None:
-    """The silent host is still being tried when the command ends: that must neither abort its end nor hold it up."""
-    with Gateway(tmp_path) as gateway, no_way("silent") as nowhere:
-        config = hosts_file(tmp_path, nowhere, gateway.endpoint, open_timeout_ms=60_000)
-        child = Child([*COMMAND, *command, "--zenoh-config", str(config), "--timeout", "10"], os.environ)
-        with closing(child):
-            assert child.wait() == 0, child
-            assert not child.stderr or command == ["estop"], child
-
-
-def test_nobody_anywhere_is_a_line_for_each_host_in_time(tmp_path: Path) -> None:
-    with no_way("silent") as silent, no_way("rejecting") as rejecting:
-        begun_s = time.monotonic()
-        with pytest.raises(ZenohError) as error:
-            Client(None, zenoh_config=hosts_file(tmp_path, silent, rejecting), timeout_s=0.5)
-        assert time.monotonic() - begun_s < 0.5 + LOOK_S + SLACK_S
-        first, second = str(error.value).splitlines()
-        assert first.startswith(f"no gateway answers on {silent}: ")
-        assert second.startswith(f"no gateway answers on {rejecting}: TCP: ")

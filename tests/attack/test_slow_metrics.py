@@ -3,7 +3,6 @@
 import socket
 import time
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -11,7 +10,6 @@ from typing import Any
 import pytest
 
 from gateway.client import Client
-from gateway.robot.runtime.metrics_page import MOST_A_SECOND, WAITING
 from schemas.telemetry import Cause
 from tests.benchmarks.processes import fds, threads
 from tests.support.gateway_process import Gateway, free_port
@@ -20,9 +18,6 @@ from tests.zenoh.test_metrics import read, value
 
 SILENT = 90
 DESCRIPTORS = 260
-READERS = 80
-READ_S = 3.0
-"""Enough for a gateway, which asks for 216."""
 THREADS = 64
 """What the service unit allows (TasksMax)."""
 LATE_MS = 100
@@ -80,20 +75,6 @@ def let_expire(client: Client, times: int) -> None:
     for count in range(1, times + 1):
         assert client.start_leg(3, 90, 45, 120).accepted
         heard.wait(lambda frame: frame.cause is Cause.WATCHDOG, count=count)
-
-
-@pytest.mark.full
-def test_who_asks_again_and_again_is_answered_so_often_a_second_and_no_more(tmp_path: Path) -> None:
-    """80 slow readers, each of which connects anew as soon as its connection ends."""
-    with attacked(tmp_path) as (gateway, address), gateway.client() as client:
-        before, until_s = python_threads(gateway), time.monotonic() + READ_S
-        with ThreadPoolExecutor(READERS) as pool:
-            counts = [pool.submit(answered, address, until_s) for _ in range(READERS)]
-            let_expire(client, 5)
-            assert python_threads(gateway) == before
-        answers = sum(count.result() for count in counts)
-        assert READ_S * MOST_A_SECOND / 4 < answers <= (READ_S + 1) * MOST_A_SECOND + WAITING
-        assert value(read(address), "hexapod_frames_written_total", cause="watchdog") == 5
 
 
 def answered(address: str, until_s: float) -> int:

@@ -2,7 +2,6 @@
 
 import json
 import threading
-import time
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
@@ -11,7 +10,6 @@ import pytest
 import zenoh
 
 from gateway.client import Client
-from gateway.errors import ZenohError
 from gateway.zenoh_config import client_config, open_session
 from schemas import keys
 from schemas.telemetry import GatewayState, Mode
@@ -63,36 +61,6 @@ def test_the_answer_is_the_gateways(gateway: Gateway, text: str) -> None:
         assert len(client.answerers(keys.ESTOP, wait_s=5)) == 2
 
 
-@pytest.mark.parametrize("command", [["estop"], ["send", "leg", "1", "stop"]])
-def test_a_command_says_that_another_answers(gateway: Gateway, command: list[str]) -> None:
-    key = keys.leg_command(1) if "leg" in command else keys.ESTOP
-    gateway.run("reset")
-    with answering(gateway.endpoint, "{}", key):
-        done = gateway.run(*command)
-    assert "Traceback" not in done.stderr
-    assert f"2 programs answer on {key}, and only one of them is the gateway; " in done.stderr
-    assert done.stdout
-    assert "programs answer" not in gateway.run(*command).stderr
-
-
-def test_a_program_that_never_answers_holds_nothing_up(gateway: Gateway) -> None:
-    with answering(gateway.endpoint, None, keys.ESTOP), gateway.client() as client:
-        begun_s = time.monotonic()
-        assert client.estop().stop_frames == 6
-        assert time.monotonic() - begun_s < 1  # the client's patience is 5 s
-        assert len(client.answerers(keys.ESTOP)) == 1
-
-
-def test_a_gateway_behind_the_program_that_was_dialled_is_believed() -> None:
-    """Nobody else answers, so it may well be; and as soon as that is known."""
-    hub = f"tcp/127.0.0.1:{free_port()}"
-    with listening(hub) as session, answering(hub, FALSE, keys.ESTOP), Client(hub, timeout_s=20) as client:
-        begun_s = time.monotonic()
-        assert client.estop().stop_frames == 6
-        assert time.monotonic() - begun_s < 10
-        assert client.answerers(keys.ESTOP) != {str(session.zid())}
-
-
 @pytest.mark.parametrize("text", [FALSE, "{}", '{"accepted": true}'])
 def test_who_claims_to_be_complete_does_not_take_the_stop_away(tmp_path: Path, text: str) -> None:
     """Zenoh's default asks a complete queryable alone, so a gateway that is a router's client would hear nothing."""
@@ -110,19 +78,6 @@ def test_who_claims_to_be_complete_does_not_take_the_stop_away(tmp_path: Path, t
             assert client.estop().stop_frames == 6
         assert len(client.answerers(keys.ESTOP, wait_s=10)) == 2
         assert client.state().mode is Mode.ESTOPPED
-
-
-def test_what_only_nonsense_answers_is_one_sentence() -> None:
-    endpoint = f"tcp/127.0.0.1:{free_port()}"
-    with listening(endpoint) as session, Client(endpoint, timeout_s=0.5) as client:
-        for key in (keys.ESTOP, keys.STATE):
-            session.declare_queryable(key, lambda query: query.reply(query.key_expr, "{}"))
-        with pytest.raises(
-            ZenohError, match=r"^no gateway answered within 0\.5 s \(the program that replies on hexapod/estop"
-        ):
-            client.estop()
-        with pytest.raises(ZenohError, match=r"\(the program that replies on hexapod/state is none\)"):
-            client.state()
 
 
 @contextmanager

@@ -1,12 +1,8 @@
 """Nobody reads what the gateway says: its Stops come all the same, and so does its end."""
 
-import json
 import os
 import pty
 import select
-import shlex
-import signal
-import subprocess
 import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
@@ -16,13 +12,11 @@ from typing import Any, Self
 import pytest
 
 from gateway.client import Client
-from gateway.host.log_writer import MAX_LINES_WAITING
 from schemas import keys
 from schemas.telemetry import Ack, Cause
 from tests.support.closing import Closing
-from tests.support.gateway_process import COMMAND, Gateway, free_port, write_settings
+from tests.support.gateway_process import Gateway
 from tests.support.heard import frames
-from tests.zenoh.test_metrics import read, value
 
 ANSWER_S = 3.0
 """For an answer, or a Stop, that takes some milliseconds: without the fix, neither came at all."""
@@ -116,69 +110,3 @@ def test_whatever_nobody_reads_holds_no_stop(tmp_path: Path, make: Callable[[], 
         with unread(tmp_path, stdout=stuck.path, stderr=stuck.path) as gateway, client_of(gateway) as client:
             stuck.fill()
             check_stops_come(gateway, client)
-
-
-def test_what_nobody_read_is_counted_in_the_log_and_in_the_metrics(tmp_path: Path) -> None:
-    address = f"127.0.0.1:{free_port()}"
-    sections: dict[str, dict[str, Any]] = {
-        "telemetry": {"metrics": address},
-        "log": {"level": "debug"},  # the simulated controller says what each frame does
-        "watchdog": {"repeats": 0},
-    }
-    with (
-        Stuck.pipe() as stuck,
-        unread(tmp_path, stdout=os.devnull, stderr=stuck.path, **sections) as gateway,
-    ):
-        with client_of(gateway) as client:
-            stuck.fill()
-            for _ in range(MAX_LINES_WAITING // 6 + 10):
-                assert client.stop().accepted
-            dropped = value(read(address), "hexapod_log_lines_dropped_total")
-            assert dropped > 0
-            lines = stuck.lines()
-            said = next(json.loads(line)["message"] for line in lines if "dropped here" in line)
-            assert said == f"{dropped:.0f} lines were dropped here, since they were not read in time"
-            assert not rejected(client).accepted
-            assert "command_rejected" in next(line for line in lines if "rejected" in line), "it flows again"
-        gateway.child.terminate()
-        assert any("stopping" in line for line in lines), "to the end"
-        assert gateway.child.wait(10) == 0
-
-
-def test_no_file_takes_the_place_of_a_closed_stderr(tmp_path: Path) -> None:
-    """The next file that was opened would have its number: what is said there would go to the SPI device."""
-    closed = ["sh", "-c", 'exec "$@" <&- >&- 2>&-', "sh"]
-    with Gateway(tmp_path, prefix=closed, wait=False) as gateway, client_of(gateway):
-        files = [os.readlink(f"/proc/{gateway.child.pid}/fd/{number}") for number in range(3)]
-    assert files == [os.devnull] * 3
-
-
-@pytest.mark.parametrize("tostop", ["tostop", "-tostop"])
-def test_its_terminal_does_not_suspend_it(tmp_path: Path, tostop: str) -> None:
-    """Neither one that suspends whoever writes to it from the background, nor Ctrl-Z."""
-    endpoint = f"tcp/127.0.0.1:{free_port()}"
-    config = write_settings(tmp_path / "gateway.toml", {"zenoh": {"listen": [endpoint]}})
-    command = shlex.join([*COMMAND, "run", "--sim", "--config", str(config)])
-    ours, theirs = pty.openpty()
-    shell = ["setsid", "--ctty", "bash", "-c", f'set -m; stty {tostop}; {command} & echo "number $!"; exec cat']
-    with subprocess.Popen(shell, stdin=theirs, stdout=theirs, stderr=theirs) as terminal:
-        os.close(theirs)
-        said = b""
-
-        def wait_for(word: bytes) -> None:
-            nonlocal said
-            while word not in said:
-                assert select.select([ours], [], [], 20)[0], said
-                said += os.read(ours, 4096)
-
-        try:
-            wait_for(b"is ready")
-            number = int(said.partition(b"number ")[2].split()[0])
-            os.kill(number, signal.SIGTSTP)
-            with Client(endpoint, timeout_s=ANSWER_S) as client:
-                assert client.estop().stop_frames == 6
-            os.kill(number, signal.SIGTERM)
-            wait_for(b"mode stopping")
-        finally:
-            terminal.kill()  # and the gateway with it, should it live
-            os.close(ours)

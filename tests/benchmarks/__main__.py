@@ -1,6 +1,6 @@
 """The benchmark: this gateway beside the naive script, in one run, on emulated SPI devices.
 
-    python -m tests.benchmarks [--quick] [--only PART] [--markdown]    # PART: steady, flood, idle, memory
+    python -m tests.benchmarks [--quick] [--only PART] [--markdown]    # PART: steady, flood, wildcards, idle, memory
 
 Each is a process of its own, and so is each publisher. A message carries its number in its angles, so that a transfer
 is matched with the moment when its message was published; all clocks are the machine's one monotonic clock. The two
@@ -21,17 +21,18 @@ from pathlib import Path
 from typing import Self
 
 from schemas.keys import leg_command
-from tests.benchmarks.processes import Figures, Written, cpu_ns, now_ns, rss_kb, say
+from tests.benchmarks.processes import Figures, cpu_ns, now_ns, rss_kb, say
 from tests.benchmarks.publisher import number_of
 from tests.benchmarks.steady import SCENARIOS, Scenario, run
+from tests.benchmarks.stops import sixth_stop_us
 from tests.benchmarks.subjects import Subject
 from tests.benchmarks.table import Row, as_markdown, as_text, microseconds
+from tests.benchmarks.wildcards import wildcards
 from tests.hil.bed import missing_packages
 
 ROUNDS = 7
 ROUND_S = 2.0
 FLOOD_S = 3.0
-STOP_FRAME_OP = 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,17 +61,6 @@ def _flood(subject: Subject) -> tuple[tuple[Figures | None, Figures | None], flo
     ages = [publisher.latencies_ns(written) for publisher in (flood, other)]
     first, second = (Figures.of(each) if each else None for each in ages)
     return (first, second), sum(each.monotonic_ns < end_ns for each in flooded) / FLOOD_S
-
-
-def _sixth_stop_us(written: list[Written], begun_ns: int) -> float | None:
-    """From then until all six legs have been written a Stop since."""
-    legs: set[int] = set()
-    for transfer in written:
-        if transfer.monotonic_ns >= begun_ns and len(transfer.data) == 14 and transfer.data[3] == STOP_FRAME_OP:
-            legs.add(transfer.data[2] // 10)
-            if len(legs) == 6:
-                return (transfer.monotonic_ns - begun_ns) / 1000
-    return None
 
 
 def _age(figures: Figures | None) -> str:
@@ -112,7 +102,7 @@ def _stops_in_flood(subject: Subject) -> list[float | None]:
     flood.wait()
     time.sleep(1.0)
     written = subject.device.written()
-    return [_sixth_stop_us(written, requested_ns) for requested_ns in requests]
+    return [sixth_stop_us(written, requested_ns) for requested_ns in requests]
 
 
 def flood(folder: Path) -> list[Row]:
@@ -218,6 +208,7 @@ def _steady(folder: Path, rounds: int, round_s: float, scenarios: Sequence[Scena
 PARTS: dict[str, Callable[[Path], list[Row]]] = {
     "steady": steady,
     "flood": flood,
+    "wildcards": wildcards,
     "idle": idle,
     "memory": memory,
 }

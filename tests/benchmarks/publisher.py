@@ -31,16 +31,24 @@ from schemas.keys import LEASE, LEGS_COMMAND, leg_command, servo_command
 from schemas.lease import LeaseAck
 from schemas.robot import JOINTS
 
-ANGLES = 180_00
-"""How many numbers fit into one angle: 0.00° to 179.99°."""
+ANGLES = 177_00
+"""How many numbers fit into one angle: 0.00° to 179.99°, without 1.00° to 3.99°, which one framing does not send."""
+
+
+def angle_deg(number: int) -> float:
+    return (number if number < 1_00 else number + 3_00) / 100
+
+
+def number_in(whole_deg: int, hundredths: int) -> int:
+    return whole_deg * 100 + hundredths - (3_00 if whole_deg else 0)
 
 
 def payload(number: int) -> str:
     """A leg's command that carries `number`. A start, since that is taken whatever came before."""
     high, low = divmod(number, ANGLES)
     return (
-        f'{{"servos":[{{"op":"start","angle_deg":{high / 100}}},'
-        f'{{"op":"start","angle_deg":{low / 100}}},{{"op":"start","angle_deg":90}}]}}'
+        f'{{"servos":[{{"op":"start","angle_deg":{angle_deg(high)}}},'
+        f'{{"op":"start","angle_deg":{angle_deg(low)}}},{{"op":"start","angle_deg":90}}]}}'
     )
 
 
@@ -67,7 +75,7 @@ def number_of(frame: bytes) -> tuple[int, int] | None:
     """The leg and number that a ONE LEG frame carries; None for any other frame, such as a Stop."""
     if len(frame) != 14 or frame[3] == 2:
         return None
-    high, low = frame[4] * 100 + frame[5], frame[8] * 100 + frame[9]
+    high, low = number_in(frame[4], frame[5]), number_in(frame[8], frame[9])
     return frame[2] // 10, high * ANGLES + low
 
 

@@ -98,8 +98,7 @@ def _round(subject: Subject, publisher: Publisher, scenario: Scenario, duration_
 
 def run(scenario: Scenario, folder: Path, stack: ExitStack, *, rounds: int, round_s: float) -> list[Row]:
     """Alternating rounds of both: the machine changes its pace within seconds, so the ratio within a round counts."""
-    # A message's number is in its angles, so all of them have to reach the wire.
-    settings = {"spi": {"framing": scenario.framing, "avoid_deg": []}, **scenario.settings}
+    settings = {"spi": {"framing": scenario.framing}, **scenario.settings}
     subjects = [Subject(name, folder, stack, settings) for name in ("gateway", "naive")]
     options = ("--legs", *map(str, scenario.legs), "--hz", str(scenario.hz), "--shape", scenario.shape)
     ours, theirs = subjects

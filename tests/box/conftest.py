@@ -72,7 +72,6 @@ def bare(tmp_path_factory: pytest.TempPathFactory, wheels: Path) -> Iterator[Mac
 def machine(tmp_path_factory: pytest.TempPathFactory, wheels: Path, prepared: Prepared) -> Iterator[Machine]:
     """One with the gateway installed, booted since, and its service not begun: there is no SPI device."""
     with booted(tmp_path_factory.mktemp("machine"), wheels, prepared.layer) as machine:
-        machine.box.run("systemctl", "start", "hexapod-recorder")  # which a boot begins
         yield machine
 
 

@@ -11,7 +11,6 @@ from tests.box.installed import NAME
 NAMES = f"""
 own=/opt/{NAME}/venv; own=$(readlink -f $own); packages=$(echo $own/lib/python*/site-packages)
 etc=/etc/{NAME}; toml=$etc/gateway.toml; pki=$etc/zenoh; state=/var/lib/{NAME}; service={NAME}
-recorder=hexapod-recorder
 units=/etc/systemd/system; unit=$units/$service.service; rules=/etc/udev/rules.d/60-$service.rules
 drop_in() {{
     mkdir -p $unit.d && printf '[Service]\\n' >$unit.d/own.conf && printf '%s\\n' "$@" >>$unit.d/own.conf
@@ -69,7 +68,7 @@ FAULTS = (
     Fault("the command of another release", "ln -sfn /bin/true /usr/local/bin/$service", "leads to /usr/bin/true"),
     Fault("no command", "rm /usr/local/bin/$service", f"/usr/local/bin/{NAME} is missing"),
     # user and groups
-    Fault("no user", "systemctl stop $service $recorder; userdel $service", f"there is no user {NAME}"),
+    Fault("no user", "systemctl stop $service; userdel $service", f"there is no user {NAME}"),
     Fault("no group spi", "systemctl stop $service; groupdel spi", "there is no group spi"),
     # units
     Fault("a unit that is missing", "rm $unit; systemctl daemon-reload", f"{NAME}.service is missing"),
@@ -107,32 +106,19 @@ FAULTS = (
         f"{NAME} was edited, and systemd still goes by",
         more=1,
     ),
-    # the recorder
-    Fault(
-        "a recorder that is missing", "rm $units/$recorder.service; systemctl daemon-reload", "recorder.service is mi"
-    ),
-    Fault("a recorder of another release", "echo '# older' >>$units/$recorder.service", "recorder.service is not as"),
-    Fault(
-        "a masked recorder",
-        "systemctl stop $recorder; rm $units/$recorder.service; systemctl mask $recorder",
-        "hexapod-recorder is masked",
-    ),
-    Fault("a disabled recorder", "systemctl disable --now $recorder", "recorder does not start with the machine"),
-    Fault("a stopped recorder", "systemctl stop $recorder", "recorder is inactive"),
-    Fault("a recorder that cannot write", "chown root:root $state/incidents", "read and write: incidents"),
     # the state directory
     Fault("a state directory to read only", "chmod 500 $state", "is not the service's to write"),
     Fault(
         "a state directory on a read-only file system",
         "mount --bind $state $state; mount -o remount,bind,ro $state",
         "is on a file system that is read-only",
-        then="systemctl stop $service $recorder; umount $state; systemctl start $service $recorder",
+        then="systemctl stop $service; umount $state; systemctl start $service",
     ),
     Fault(
         "a state directory that is a file",
-        "systemctl stop $service $recorder; mv $state /root/kept; touch $state",
+        "systemctl stop $service; mv $state /root/kept; touch $state",
         "is no folder",
-        then="rm -rf $state $state.old; mv /root/kept $state; systemctl restart $service $recorder",
+        then="rm -rf $state $state.old; mv /root/kept $state; systemctl restart $service",
     ),
     Fault(
         "a file of root's in it",

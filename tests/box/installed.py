@@ -39,7 +39,6 @@ class InstalledGateway(Closing):
         self.box = box
         self.unit = Unit(box, f"{NAME}.service")
         share(box, wheels)
-        box.run("systemctl", "start", "hexapod-recorder")  # which a boot begins
         self._configuration = box.read(CONFIGURATION)
         folder = box.shared / "bed"
         folder.mkdir()

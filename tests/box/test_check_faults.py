@@ -39,23 +39,22 @@ zenoh.listen = ["tls/127.0.0.1:7447"]
 END
 chown -R root:$service $etc && chmod -R u=rwX,g=rX,o= $etc
 cp -p $toml /root
-systemctl restart $service $recorder
-{NAME} revoke {CERTS}/revoked.crl
-mkdir -p $state/incidents && chown $service:$service $state/incidents
+systemctl restart $service
+{NAME} certs revoke --dir {CERTS}
 tar -cpf /root/kept.tar {KEPT} $state
 cp -a /opt/{NAME} /root/opt
 """
 UNDO = f"""
-systemctl stop $service $recorder other || true
+systemctl stop $service other || true
 umount $state || true
-rm -rf $state $units/$service* $units/$recorder* /opt/{NAME}
+rm -rf $state $units/$service* /opt/{NAME}
 tar -xpf /root/kept.tar -C /
 cp -a /root/opt /opt/{NAME}
 ln -sfnT /opt/{NAME}/venv/bin/{NAME} /usr/local/bin/{NAME}
 chgrp -R spi /box-out/bed && chmod -R g+rwX /box-out/bed
 systemctl daemon-reload
 systemctl reset-failed
-systemctl start $service $recorder
+systemctl start $service
 """
 
 

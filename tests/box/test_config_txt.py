@@ -36,25 +36,3 @@ def test_where_it_is_not_it_is_switched_on_for_every_pi(before: str, after: str)
     assert run("spi_is_on", before).returncode == 1
     assert run("switch_spi_on", before).stdout == after
     assert run("spi_is_on", after).returncode == 0
-
-
-@pytest.mark.parametrize(
-    ("text", "is_on"),
-    [
-        ("dtoverlay=uart1-pi5\n", True),
-        ("[pi5]\n  dtoverlay=uart1-pi5,ctsrts\r\n", True),
-        ("[cm4]\ndtoverlay=uart1-pi5\n", False),
-        ("#dtoverlay=uart1-pi5\ndtoverlay=uart10-pi5\ndtoverlay=uart1-pi50\n", False),
-        ("", False),
-    ],
-)
-def test_an_overlay_is_loaded_by_its_own_name_on_a_pi_5(text: str, is_on: bool) -> None:
-    assert (run("overlay_is_on uart1-pi5", text).returncode == 0) is is_on
-
-
-def test_an_overlay_is_switched_on_at_the_end_and_takes_no_later_parameter() -> None:
-    before = "dtparam=spi=on\n[cm4]\notg_mode=1"
-    after = run("switch_overlay_on uart1-pi5", before).stdout
-    assert after == f"{before}\n[pi5]\ndtoverlay=uart1-pi5\ndtoverlay=\n[all]\n"
-    assert run("overlay_is_on uart1-pi5", after).returncode == 0
-    assert run("spi_is_on", after).returncode == 0

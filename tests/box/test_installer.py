@@ -97,7 +97,7 @@ def test_life(machine: Machine, prepared: Prepared) -> None:
     assert box.read(CONFIGURATION).endswith("# mine\n")
     assert box.run("stat", "--format=%A %U:%G", CONFIGURATION).stdout == "-rw------- root:root\n"
     assert machine.run("--uninstall") == [
-        f"keep /var/lib/{NAME}, your incidents, for root only",
+        f"keep /var/lib/{NAME}, your calibration, for root only",
         f"keep /etc/{NAME}, your configuration, for root only",
         f"keep {DROP_IN}, your change to the service",
         "SPI and the group spi stay as they are",
@@ -256,24 +256,6 @@ def test_what_a_power_cut_has_emptied_is_made_anew(machine: Machine) -> None:
 
 
 @pytest.mark.nightly
-def test_the_exact_interpreter(machine: Machine) -> None:
-    """A system whose python3 becomes another one takes nothing from the service."""
-    box = machine.box
-    exact = box.run("readlink", "-f", "/usr/bin/python3").stdout.strip()
-    links = box.run("sh", "-c", f"readlink /opt/{NAME}/venv/bin/python*").stdout.split()
-    assert exact in links
-    assert "/usr/bin/python3" not in links
-    box.write("/run/other-python", "#!/bin/sh\nexit 1\n")
-    box.run("chmod", "+x", "/run/other-python")
-    box.run("ln", "-sf", "/run/other-python", "/usr/bin/python3")
-    try:
-        assert box.run(NAME, "--version").stdout.startswith("hexapod-gateway 1.")
-        assert "the system's python3 is another one now" in box.run(NAME, "check", check=False).stdout
-    finally:
-        box.run("ln", "-sf", exact, "/usr/bin/python3")
-
-
-@pytest.mark.nightly
 def test_certificates(machine: Machine, tmp_path: Path) -> None:
     """Brought with --certs or by hand, the service's user can read them, and the service takes only certificates."""
     box = machine.box
@@ -352,61 +334,3 @@ def test_a_terminal_is_asked_and_the_framing_stays(machine: Machine) -> None:
     (said,) = machine.run(*wheels, "--framing", "plain", check=False)
     assert said.startswith(f'install.sh: {CONFIGURATION} says framing = "length-prefixed", and --framing plain; ')
     assert machine.box.read(CONFIGURATION) == written
-
-
-@pytest.mark.nightly
-def test_a_robot_from_before_there_was_a_framing(machine: Machine) -> None:
-    """It goes on as it is until somebody says the framing, which is then added to its configuration; Stops included."""
-    box, wheels = machine.box, ("--wheels", machine.wheels)
-    older = '[zenoh]\n[spi] # mine\n# framing = "plain"\nspeed_hz = 1_000_000\n[log]\n'
-    box.write(CONFIGURATION, older)
-    box.write(f"/run/{NAME}/gateway.toml", "[spi]\nspeed_hz = 500\n")
-    (said,) = machine.run(*wheels, check=False)
-    assert "which framing does the controller need?" in said
-    assert box.read(CONFIGURATION) == older
-    promised = machine.run("--dry-run", *wheels, *LENGTH_PREFIXED)
-    assert machine.run(*wheels, *LENGTH_PREFIXED) == promised
-    assert f'add framing = "length-prefixed" to {CONFIGURATION}, and keep the rest of your configuration' in promised
-    assert box.read(CONFIGURATION) == older.replace('# framing = "plain"', 'framing = "length-prefixed"')
-    assert box.run("stat", "--format=%A %U:%G", CONFIGURATION).stdout == f"-rw-r----- root:{NAME}\n"
-    assert box.read(f"/run/{NAME}/gateway.toml") == '[spi]\nframing = "length-prefixed"\nspeed_hz = 500\n'
-    for unclear in ("spi.speed_hz = 5\n", "spi = {}\n"):
-        box.write(CONFIGURATION, unclear)
-        (said,) = machine.run(*wheels, *LENGTH_PREFIXED, check=False)
-        assert said.startswith(f"install.sh: {CONFIGURATION} does not say which framing the controller needs; add ")
-        assert box.read(CONFIGURATION) == unclear
-
-
-ELKAPOD = ("--protocol", "elkapod-2025")
-
-
-@pytest.mark.nightly
-def test_the_protocol_without_a_framing(machine: Machine) -> None:
-    """Nobody is asked for a framing, a new configuration states the protocol, and one that states another stays."""
-    box, wheels = machine.box, ("--wheels", machine.wheels)
-    (said,) = machine.run(*wheels, "--protocol", "elkapod", check=False)
-    assert said.startswith("install.sh: --protocol is hexapod-1.0 or elkapod-2025")
-    box.run("rm", "-r", f"/etc/{NAME}")
-    (said,) = machine.run(*wheels, *ELKAPOD, *LENGTH_PREFIXED, check=False)
-    assert said == "install.sh: --framing is for hexapod-1.0; leave it out with elkapod-2025"
-    promised = machine.run("--dry-run", *wheels, *ELKAPOD)
-    assert machine.run(*wheels, *ELKAPOD) == promised
-    assert "there is no /dev/ttyAMA1: switch this UART on as this computer wants it" in promised
-    stated = [line for line in box.read(CONFIGURATION).splitlines() if line.startswith(("protocol", "framing"))]
-    assert stated == ['protocol = "elkapod-2025"']
-    assert f"keep {CONFIGURATION}, your configuration" in machine.run(*wheels)
-    (said,) = machine.run(*wheels, "--protocol", "hexapod-1.0", check=False)
-    assert said.startswith(f'install.sh: {CONFIGURATION} says protocol = "elkapod-2025", and --protocol hexapod-1.0; ')
-    groups = box.run("systemctl", "show", "--property=SupplementaryGroups", "--value", NAME).stdout.split()
-    assert groups == ["spi", "dialout"]
-
-
-@pytest.mark.nightly
-def test_another_controller_for_an_installed_robot(machine: Machine) -> None:
-    """The service that runs keeps its own way to stop: its kept configuration gets no other protocol."""
-    box = machine.box
-    kept = '[spi]\nframing = "plain"\n'
-    box.write(f"/run/{NAME}/gateway.toml", kept)
-    said = machine.run("--wheels", machine.wheels, *ELKAPOD)
-    assert f'add protocol = "elkapod-2025" to {CONFIGURATION}, and keep the rest of your configuration' in said
-    assert box.read(f"/run/{NAME}/gateway.toml") == kept

@@ -12,7 +12,7 @@ import pytest
 
 from tests.box.box import PATH_INSIDE, Box
 from tests.box.disk import Disk
-from tests.box.last_release import PLACES, Upgrade
+from tests.box.last_release import Upgrade
 from tests.box.test_installer import SERVO_RUNS
 from tests.box.test_power_cut import folder
 from tests.support.child import Child
@@ -57,18 +57,6 @@ def test_forward_back_and_forward(robot: Upgrade, service: str) -> None:
         assert robot.venv() != before
         robot.unit.systemctl("start")
         robot.is_at_work()
-
-
-@pytest.mark.parametrize("place", range(PLACES))
-def test_killed(robot: Upgrade, points: list[int], place: int) -> None:
-    """The service goes on meanwhile; run again, the installer finishes, and asks for nothing."""
-    killed = robot.box.run(*robot.counted(kill=points[place]), check=False, timeout_s=300)
-    assert killed.returncode != 0
-    assert robot.unit.property("ActiveState") == "active"
-    robot.box.run("test", "-s", f"{robot.venv()}/complete" if robot.venv() != robot.last else robot.venv())
-    robot.forward()
-    assert robot.venv() != robot.last
-    robot.is_at_work()
 
 
 def test_the_plug_is_pulled(tmp_path: Path, wheels: Path, last_layer: Path) -> None:

@@ -21,12 +21,6 @@ from tests.support.secured import Secured
 pytestmark = pytest.mark.browser
 
 LANDSCAPE: dict[str, Any] = {"viewport": {"width": 568, "height": 320}, "has_touch": True, "is_mobile": True}
-THROTTLED = """
-window.ticks = 0;
-const later = window.setTimeout;
-window.setTimeout = (what, ms) => later(() => { window.ticks += 1; what(); }, window.throttled ? 1000 : ms);
-"""
-"""What browsers do to a page in the background: its timers come once a second."""
 HELD_BACK = """
 window.heldBackMs = {};
 WebSocket.prototype.send = ((send) => function (text) {
@@ -36,11 +30,6 @@ WebSocket.prototype.send = ((send) => function (text) {
 })(WebSocket.prototype.send);
 """
 """Somebody on the way delays what the page sends."""
-FOUR_TICKS = """
-new Promise((done) => {
-  const look = setInterval(() => window.ticks >= 4 && (clearInterval(look), done()), 50);
-})
-"""
 
 
 @pytest.fixture
@@ -155,19 +144,6 @@ def test_a_page_that_is_hidden_is_silent_and_checks_in_again_when_it_is_seen(vis
     heard.wait(lambda event: event.kind == Kind.BUTTON_RETURNED)
     expect(page["word"]).to_have_text("STOP")
     assert page.page.evaluate("window.wakes") == 2, "the browser let go of the screen when it was hidden"
-
-
-@pytest.mark.nightly
-def test_a_page_whose_timer_comes_once_a_second_is_silent_and_does_not_flutter(
-    visitor: Visitor, watcher: Client
-) -> None:
-    heard = events(watcher)
-    page = watching(visitor, watcher, THROTTLED)
-    page.page.evaluate("window.throttled = true; window.ticks = 0")
-    heard.wait(lambda event: event.kind == Kind.BUTTON_SILENT)
-    page.page.evaluate(FOUR_TICKS)
-    assert watcher.state().buttons.alive == 0
-    assert not [event for event in heard.all if event.kind == Kind.BUTTON_RETURNED]
 
 
 def test_answers_that_come_late_are_seen_and_a_registration_that_was_held_back_does_not_count(

@@ -5,7 +5,6 @@ from collections.abc import Callable, Iterator
 from typing import Final
 
 import pytest
-from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import expect
 
 from gateway.client import Client
@@ -79,16 +78,6 @@ def test_a_servo_is_started_alone_jogged_trimmed_turned_round_and_written(visito
         assert (written.trim_deg, written.inverted, written.min_deg, written.max_deg) == (3, False, 0, 90)
 
 
-@pytest.mark.nightly
-def test_it_is_within_reach_of_everybody(visitor: Visitor) -> None:
-    page = visitor.open(viewport=PHONE)
-    start_32(page)
-    violations = Axe().run(page.page).response["violations"]  # which takes long enough for the page to stop the servo
-    assert not [each for each in violations if each["impact"] in ("serious", "critical")]
-    wide = page.page.evaluate("document.documentElement.scrollWidth > document.documentElement.clientWidth")
-    assert not wide, "nothing is to be scrolled sideways"
-
-
 def hide(page: Opened) -> None:
     page.page.evaluate(HIDE)
 
@@ -117,27 +106,6 @@ def test_leaving_in_any_way_stops_the_servo(
         states(robot).wait(lambda state: not any(servo.running for servo in state.legs[2].servos))
 
 
-LATER: Final = """(ms) => {
-  const now = performance.now.bind(performance);
-  performance.now = () => now() + ms;
-}"""
-"""As if so much time had passed since everything that the page has noted."""
-
-
-@pytest.mark.nightly
-def test_it_begins_where_the_last_test_ended_and_ends_two_minutes_after_the_last_click(visitor: Visitor) -> None:
-    page = visitor.open()
-    start_32(page)
-    page["cal-up"].click()
-    expect(page["cal-now"]).to_have_text("Servo 32 runs at 91°")
-    page.page.evaluate(LATER, 121_000)
-    expect(page.said).to_contain_text("nobody has touched this page for two minutes")
-    expect_rest(page)
-    expect(page["cal-begin"]).to_have_value("91")
-    page["cal-servo"].select_option("31")
-    expect(page["cal-begin"]).to_have_value("90")
-
-
 def test_a_lease_that_is_taken_and_somebody_elses_stop_end_it(visitor: Visitor, gateway: Gateway) -> None:
     page = visitor.open()
     start_32(page)
@@ -151,27 +119,3 @@ def test_a_lease_that_is_taken_and_somebody_elses_stop_end_it(visitor: Visitor, 
         with robot.lease(take=True):
             expect(page["cal-start"]).to_be_disabled()
             expect_rest(page)
-
-
-@pytest.mark.nightly
-def test_on_a_phone_the_pads_in_its_place_end_it(visitor: Visitor) -> None:
-    page = visitor.open(viewport=PHONE)
-    start_32(page)
-    page.expect_status(3, "runs")
-    page["more"].click()
-    expect(page.said).to_have_text("Servo 32: the calibration was closed.")
-    expect_rest(page)
-
-
-def test_an_angle_that_the_calibration_forbids_starts_nothing(visitor: Visitor, gateway: Gateway) -> None:
-    with gateway.client() as robot:
-        assert robot.calibrate({32: ServoChange(max_deg=100)}).accepted
-        page = visitor.open()
-        page.get_lease()
-        page["cal-title"].click()
-        page["cal-servo"].select_option("32")
-        page["cal-begin"].fill("120")
-        page["cal-start"].click()
-        page["question-yes"].click()
-        expect(page.said).to_contain_text("calibrated to go from 0 to 100")
-        assert running(robot) == {}

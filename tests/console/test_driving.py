@@ -1,20 +1,16 @@
 """Hold to run, on the emulated SPI device: what the page sends comes to the wire; whatever ends it stops the legs."""
 
-import os
 import re
 from collections.abc import Callable, Iterator
-from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
 import pytest
-from playwright.sync_api import Browser, Playwright, expect
-from playwright.sync_api import TimeoutError as PlaywrightTimeoutError
+from playwright.sync_api import Browser, expect
 
 from gateway.model.frames import Frame, OneLeg, Op, decode, stop_leg
-from tests.console.browser import ARGUMENTS, CHROMIUM, GAMEPAD, HIDE, LATE_MS, Opened, Visitor
+from tests.console.browser import GAMEPAD, HIDE, LATE_MS, Opened, Visitor
 from tests.hil.bed import SpiTestbed, Transfer
-from tests.support.child import Child, frozen
 from tests.support.console_process import Console
 from tests.support.cut_link import CutLink
 from tests.support.fixtures import patient
@@ -148,16 +144,6 @@ def test_a_button_that_is_held_runs_its_leg_and_a_stop_ends_it_for_this_hold(pag
     page.page.mouse.up()
 
 
-def test_stop_all_ends_a_hold(pages: Visitor, robot: Robot) -> None:
-    page = pages.open()
-    hold(page, robot, 2, 6)
-    since = len(robot.bed.transfers)
-    page.page.keyboard.press("Space")
-    robot.expect_stopped(2, 6, since=since)
-    expect(page["stop-known"]).to_contain_text("6 Stops written within")
-    page.expect_status(2, "rests")
-
-
 def _hide(page: Opened, _robot: Robot) -> None:
     page.page.evaluate(HIDE)
 
@@ -191,50 +177,6 @@ def test_what_is_lost_stops_the_legs_and_the_page_says_why(
     expect(page.said).to_contain_text(re.compile("topped.* legs 1 and 4"))
     page.page.keyboard.down("h")  # the same key, still held: it repeats itself
     expect(page["hold"]).to_have_attribute("data-held", "no")
-
-
-def _connected(playwright: Playwright, address: str) -> Browser:
-    """A connection to a browser that has just begun: one that meets its first tab half made waits for ever."""
-    for _ in range(5):
-        with suppress(PlaywrightTimeoutError):
-            return playwright.chromium.connect_over_cdp(address, no_defaults=True, timeout=5000)
-    raise AssertionError("the browser takes no connection")
-
-
-def test_another_tab_hides_the_page_and_stops_the_legs(playwright: Playwright, robot: Robot, tmp_path: Path) -> None:
-    """Real tabs of one window: the driver otherwise keeps each page visible and focused."""
-    command = [str(CHROMIUM), "--headless", "--remote-debugging-port=0", f"--user-data-dir={tmp_path}", *ARGUMENTS]
-    chromium = Child(command, os.environ)
-    try:
-        address = chromium.wait_for_output("DevTools listening on ").split()[-1]
-        browser = _connected(playwright, address)
-        with Visitor(browser, robot.console.url, robot.session, robot.gateway) as visitor:
-            page = visitor.open(context=browser.contexts[0])
-            since = hold(page, robot, 1, 4)
-            page.context.new_page()
-            robot.expect_stopped(1, 4, since=since)
-            assert page.page.evaluate("document.visibilityState") == "hidden"
-            page.page.bring_to_front()
-            expect(page.said).to_contain_text(re.compile("this page is hidden|this window has lost the focus"))
-    finally:
-        chromium.close()
-
-
-def test_a_page_that_is_closed_stops_nothing_itself(pages: Visitor, robot: Robot) -> None:
-    page = pages.open()
-    since = hold(page, robot, 1)
-    page.page.close()
-    robot.expect_stopped(1, since=since)
-
-
-def test_a_renderer_that_is_frozen_goes_on_with_nothing_when_it_wakes(pages: Visitor, robot: Robot) -> None:
-    page = pages.open()
-    since = hold(page, robot, 1, 4)
-    with frozen(*pages.renderers()):
-        robot.expect_stopped(1, 4, since=since)
-    expect(page.said).to_contain_text("this page was frozen for")
-    page.expect_live()
-    robot.expect_stopped(1, 4, since=since)
 
 
 def test_a_gamepad_runs_one_leg_while_its_trigger_is_pulled_and_may_vanish(pages: Visitor, robot: Robot) -> None:

@@ -42,27 +42,6 @@ def push_over(client: Client) -> None:
     both_sides(client, (1, 2, 3, 4), 0, 20, "set_legs")
 
 
-def test_a_robot_that_walks_and_sinks_is_shown_where_it_is(browser: Browser, tmp_path: Path) -> None:
-    with (
-        Gateway(tmp_path, PATIENT, options=("--sim=physics",)) as gateway,
-        Console(tmp_path, "--connect", gateway.endpoint) as console,
-        Visitor(browser, console.url, console.sign_in()) as visitor,
-        gateway.client() as client,
-    ):
-        page = visitor.open(webgl=True)
-        page.insist_on_three_dimensions()
-        expect(page["see-title"]).to_have_text("Where it is")
-        expect(page["sim-known"]).to_have_text(re.compile("^[56] cm high"))
-        with client.walk() as walk:
-            walk.stand()
-            expect(page["sim-known"]).to_have_text(re.compile("^1[56] cm high, leaning by 0°"))
-            page.page.screenshot(path=tmp_path / "stands.png")
-            stopped = client.estop()
-            expect(page["sim-known"]).to_have_text(re.compile("^[5-9] cm high"))
-            client.reset(stopped.estop)
-            walk.start_again()
-
-
 def test_a_fallen_robot_is_set_upright(browser: Browser, tmp_path: Path) -> None:
     """On a slope, against which its height and its leaning count."""
     with (

@@ -1,8 +1,7 @@
 """A robot that measures, on the page; and one of which only the whole starts and stops."""
 
 import re
-from datetime import timedelta
-from typing import Any, Final
+from typing import Final
 
 import pytest
 from axe_playwright_python.sync_playwright import Axe
@@ -11,9 +10,8 @@ from playwright.sync_api import expect
 from gateway import geometry
 from gateway.client import Client
 from gateway.people.console.app import lying_deg
-from schemas import keys
 from schemas.robot import LEGS, SERVO_IDS
-from schemas.telemetry import Battery, Event, GatewayState, Kind, Telemetry
+from schemas.telemetry import Battery, GatewayState, Telemetry
 from tests.console.browser import Opened, Visitor
 from tests.support.fixtures import client_fixture
 from tests.support.heard import states
@@ -48,13 +46,6 @@ COVERED: Final = """() => {
 SIZES: Final = ((320, 568), (568, 320), (360, 640), (640, 360), (390, 844), (844, 390))
 
 robot = client_fixture("watcher")
-
-
-def report(client: Client, kind: Kind, *, ago_s: float = 0.0) -> None:
-    """Publish an event, as the gateway would."""
-    at = client.state().time - timedelta(seconds=ago_s)
-    event = Event(time=at, kind=kind, source=None, key=None, reason=None, detail=f"{kind} {ago_s} s ago")
-    client.session.put(keys.EVENT, event.model_dump_json())
 
 
 def test_battery_tilt_temperature_and_the_feet_that_carry_are_shown_while_they_are_measured(
@@ -113,27 +104,6 @@ def test_a_controller_that_is_silent_is_shown_in_red_and_the_strip_stays_on_the_
     expect(page["measured"]).to_be_hidden()
 
 
-@pytest.mark.nightly
-@pytest.mark.parametrize(
-    ("kind", "said"),
-    [
-        (Kind.CONTROLLER_SILENT, "The controller is silent: whether its servos stop is not known"),
-        (Kind.CONTROLLER_RETURNED, "The controller answers again. Nothing moves until something is pressed"),
-        (Kind.BATTERY_LOW, "The battery is low. What runs goes on; nothing new starts until it is charged"),
-        (Kind.FALLEN, "It has fallen, or was lifted: its legs are stopped"),
-    ],
-)
-def test_what_is_new_of_such_a_robot_is_said_in_plain_words(
-    kind: Kind, said: str, visitor: Visitor, robot: Client
-) -> None:
-    page = visitor.open()
-    report(robot, kind, ago_s=60.0)
-    expect(page["events"]).to_contain_text(f"{kind} 60.0 s ago")
-    expect(page.said).not_to_contain_text(said)
-    report(robot, kind)
-    expect(page.said).to_contain_text(said)
-
-
 def test_one_hold_starts_all_six_legs_at_once_lying_and_a_stop_of_one_is_one_of_all(
     visitor: Visitor, robot: Client
 ) -> None:
@@ -164,40 +134,3 @@ def test_one_hold_starts_all_six_legs_at_once_lying_and_a_stop_of_one_is_one_of_
 
 def running(state: GatewayState) -> set[int]:
     return {servo.id for leg in state.legs for servo in leg.servos if servo.running}
-
-
-@pytest.mark.nightly
-def test_a_rejections_reason_is_said_in_plain_words(visitor: Visitor) -> None:
-    said: Any = visitor.open().module(
-        "words",
-        "(m, all) => [...all.map(m.plain), m.because({ reason: 'whole_robot', detail: 'd' }), m.reasonInWords('old')]",
-        ["rejected: battery_low: 6.4 V", "rejected: fallen: 80 degrees", "rejected: stale: late", "leg 1 is lost"],
-    )
-    assert said == [
-        "the battery is low: 6.4 V",
-        "it has fallen, or was lifted: 80 degrees",
-        "rejected: stale: late",
-        "leg 1 is lost",
-        "on this robot only all six legs start together: d",
-        "old",
-    ]
-
-
-@pytest.mark.nightly
-def test_feet_carry_by_comparison_and_the_horizon_turns_as_it_is_seen_from_behind(visitor: Visitor) -> None:
-    page = visitor.open()
-    carried: Any = page.module(
-        "measured",
-        "(m, all) => { const feet = new m.Feet(); return all.map((each) => feet.carry(each).map(Number).join('')); }",
-        [[0, 0, 0, 0, 0, 0], [4, 0.1, 4, 0.1, 4, 0.1], [1, 1, 1, 1, 1, 1], [0.1, 0.2, 0.1, 0.2, 0.1, 0.2], [None] * 6],
-    )
-    assert carried == ["000000", "101010", "111111", "000000", "000000"]
-    half = 0.5**0.5
-    seen: Any = page.module(
-        "measured",
-        "(m, all) => all.map((each) => m.horizon(each)).map((it) => it && [it.turned, it.raised].map(Math.round))",
-        [[1, 0, 0, 0], [2, 0, 0, 0], [half, half, 0, 0], [half, 0, half, 0], [half, 0, 0, half], [0, 0, 0, 0]],
-    )
-    level, right_side_down, nose_down = [0, 0], [-90, 0], [0, 90]
-    assert [seen[0], seen[1], seen[2], seen[4], seen[5]] == [level, level, right_side_down, level, None]
-    assert seen[3][1] == nose_down[1]

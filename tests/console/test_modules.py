@@ -36,36 +36,6 @@ def test_the_page_puts_each_foot_where_the_geometry_does(page: Opened) -> None:
     assert math.dist(drawn[0], drawn[1]) > 0.01
 
 
-def test_how_late_a_state_is_shows_although_clocks_differ(page: Opened) -> None:
-    """States that waited in a frozen page, or behind it, are as old as they are, not as new as their arrival."""
-    late = page.module(
-        "model",
-        "(m, came) => { const lateness = new m.Lateness(); return came.map(([up, at]) => lateness.received(up, at)); }",
-        [[1000, 5000], [1100, 5100], [1200, 6300], [1300, 6301], [2400, 6400], [50, 6500], [150, 6601]],
-    )
-    assert late == [0, 0, 1100, 1001, 0, 0, 1]
-
-
-def test_the_floor_goes_as_the_feet_that_stand_do(page: Opened) -> None:
-    """Four feet on the ground go back and turn about the body; two swing."""
-    feet = {1: (0.2, 0.2, -0.1), 2: (0.2, -0.2, -0.1), 3: (-0.2, 0.2, -0.1), 4: (-0.2, -0.2, -0.1)}
-    angle, back = math.radians(-2), -0.01
-
-    def turned(x: float, y: float) -> tuple[float, float]:
-        return math.cos(angle) * x - math.sin(angle) * y + back, math.sin(angle) * x + math.cos(angle) * y
-
-    after = {leg: (*turned(x, y), z) for leg, (x, y, z) in feet.items()}
-    air = {5: (0.0, 0.3, -0.06), 6: (0.0, -0.3, -0.07)}
-    flown = {5: (0.05, 0.3, -0.06), 6: (0.05, -0.3, -0.07)}
-    x, y, heading = page.module(
-        "odometry",
-        "(m, steps) => { const floor = new m.Odometry();"
-        " for (const feet of steps) floor.update(new Map(feet)); return [floor.x, floor.y, floor.turned]; }",
-        [list({**feet, **air}.items()), list({**after, **flown}.items())],
-    )
-    assert (x, y, heading) == pytest.approx((back, 0.0, angle), abs=1e-9)
-
-
 def test_a_hands_slider_moves_a_servo_no_faster_than_60_degrees_a_second(page: Opened) -> None:
     sent = page.module(
         "targets",
@@ -95,55 +65,6 @@ def test_legs_that_begin_to_run_are_drawn_as_commanded_beside_where_they_are(pag
         geometry.load().model_dump(mode="json"),
     )
     assert points == [0, 48]
-
-
-def test_behind_the_robot_ahead_is_up_and_left_is_left_whatever_way_it_was_turned_before(page: Opened) -> None:
-    """Ahead on the pad is ahead in the picture."""
-    middle, ahead, left = page.module(
-        "scene",
-        """async (m, geometry) => {
-            const { Vector3 } = await import("/vendor/three/three.module.js");
-            const place = document.createElement("div");
-            place.style.cssText = "width: 300px; height: 200px";
-            document.body.append(place);
-            const scene = new m.Scene(place, geometry, () => {});
-            scene.azimuth = 1;
-            scene.chase();
-            scene.draw();
-            const seen = [[0, 0], [0.4, 0], [0, 0.4]].map(([x, y]) => scene.at(new Vector3(x, y, -0.1)));
-            scene.dispose();
-            place.remove();
-            return seen;
-        }""",
-        geometry.load().model_dump(mode="json"),
-    )
-    assert ahead[1] < middle[1] - 20
-    assert ahead[0] == pytest.approx(middle[0], abs=0.5)
-    assert left[0] < middle[0] - 20
-
-
-def test_the_way_it_goes_is_drawn_to_the_side_that_it_turns_to(page: Opened) -> None:
-    ways = page.module(
-        "course",
-        "(m, all) => all.map((going) => m.course(going))",
-        [[0, 0, 0], [0.1, 0, 0], [0, 0, 0.4], [0, 0, -0.4], [0, 0.1, 0]],
-    )
-    angle = 4 * 0.4
-    tips = [way[len(way) // 2] for way in ways[1:]]
-    assert ways[0] == []
-    assert tips[0] == pytest.approx([0.7 + 0.09, 0])
-    assert tips[1] == pytest.approx([0.3 * math.cos(angle) - 0.09, 0.3], abs=0.003)
-    assert tips[2] == pytest.approx([0.3 * math.cos(angle) - 0.09, -0.3], abs=0.003)
-    assert tips[3] == pytest.approx([0.3, 0.4 + 0.09])
-
-
-def test_a_links_quality_is_its_worst_of_two_seconds(page: Opened) -> None:
-    seen = page.module(
-        "quality",
-        "(m, all) => { const quality = new m.Quality(); return all.map((each) => quality.take(...each).bars); }",
-        [[0, 100, 20], [100, 250, 20], [200, 60, 450], [300, 600, 20], [2250, 100, 50], [2350, 100, 50]],
-    )
-    assert seen == [3, 2, 1, 0, 0, 3]
 
 
 def test_an_abandoned_start_that_is_accepted_is_stopped_again(page: Opened) -> None:

@@ -69,20 +69,6 @@ def pushing(page: Opened, down: int) -> Thumb:
     return thumb
 
 
-def test_a_thumb_that_is_held_back_does_so_while_a_second_phone_asks_for_the_lease(visitor: Visitor) -> None:
-    page, other = driving(visitor), visitor.open()
-    thumb = pushing(page, 20)
-    other["lease-ask"].click()
-    expect(page["lease-hand-over"]).to_be_visible()
-    for down in (21, 20, 21, 20):
-        thumb.move(0, down)
-    page.page.evaluate("window.wishes = []")
-    page.page.wait_for_function("() => window.wishes.length > 3")
-    walks(page, lambda _: thumb.push(20))
-    wishes = page.page.evaluate("window.wishes.map((each) => [each.forward_m_s, each.left_m_s])")
-    assert all(ahead <= 0 and aside == 0 for ahead, aside in wishes), (wishes, page.said.text_content())
-
-
 def test_a_thumb_that_lands_anywhere_on_the_pad_pushes_from_there(visitor: Visitor) -> None:
     page = driving(visitor)
     thumb = Thumb(page)
@@ -110,14 +96,6 @@ def test_a_phone_that_is_turned_while_it_walks_stands_still(visitor: Visitor) ->
     expect(page["pad"]).to_have_attribute("data-held", "no")
 
 
-def test_a_touch_that_the_system_takes_stands_still(visitor: Visitor) -> None:
-    page = driving(visitor)
-    pushing(page, -20).cancel()
-    page.page.evaluate("window.wishes = []")
-    page.page.wait_for_function(STANDS_AGAIN)
-    expect(page.said).to_have_text("It stands still: the system took the touch.")
-
-
 def test_a_thumb_that_lay_on_the_pad_while_the_page_was_hidden_counts_no_more(visitor: Visitor) -> None:
     page = driving(visitor)
     thumb = Thumb(page)
@@ -126,22 +104,6 @@ def test_a_thumb_that_lay_on_the_pad_while_the_page_was_hidden_counts_no_more(vi
     thumb.move(0, -30)
     thumb.cancel()
     assert page.page.evaluate("window.wishes") == []
-
-
-@pytest.mark.nightly
-def test_slow_bounds_what_a_thumb_asks_for_at_its_pads_end_and_fast_asks_for_more(visitor: Visitor) -> None:
-    page = driving(visitor)
-    asked = "Math.max(...window.wishes.map((each) => Math.hypot(each.forward_m_s, each.left_m_s)))"
-    turned = "Math.max(...window.wishes.map((each) => Math.abs(each.turn_rad_s)))"
-    for pad, most, slow, fast in (("pad", asked, 0.04, 0.1), ("turn", turned, 0.16, 0.4)):
-        for speed, limit in (("slow", slow), ("fast", fast)):
-            page[f"speed-{speed}"].check(force=True)
-            thumb = Thumb(page, pad)
-            thumb.move(300, -300)
-            page.page.wait_for_function(f"() => {most} > {0.99 * limit}")
-            assert page.page.evaluate(most) <= limit + 1e-9
-            thumb.cancel()
-        page.page.evaluate("window.wishes = []")
 
 
 def throttle(devtools: CDPSession, bytes_a_second: int) -> None:
@@ -200,29 +162,3 @@ def test_a_driver_has_a_screen_that_stays_on_and_feels_what_ends_a_walk(visitor:
     page.page.evaluate("window.shakes = []")
     page["stop-all"].tap()
     page.page.wait_for_function("() => window.shakes.length > 0")
-
-
-@pytest.mark.nightly
-def test_leaving_the_full_screen_by_a_key_is_stop_all_and_by_its_button_is_not(visitor: Visitor, robot: Client) -> None:
-    """The browser keeps Escape for itself there."""
-    page = visitor.open(**PHONE)
-    page["full-screen"].tap()
-    expect(page["full-screen"]).to_have_attribute("aria-pressed", "true")
-    page.page.keyboard.press("x")
-    page["full-screen"].tap()
-    expect(page["full-screen"]).to_have_attribute("aria-pressed", "false")
-    page["full-screen"].tap()
-    expect(page["full-screen"]).to_have_attribute("aria-pressed", "true")
-    assert robot.state().mode == "idle"
-    page.page.evaluate("document.exitFullscreen()")
-    expect(page["stop-known"]).to_contain_text("6 Stops written within")
-
-
-@pytest.mark.nightly
-def test_it_installs_as_an_app(visitor: Visitor) -> None:
-    """As far as Chromium judges; a test's profile keeps nothing, and installs nothing."""
-    devtools = visitor.open().devtools()
-    manifest = devtools.send("Page.getAppManifest")
-    assert (manifest["url"].rpartition("/")[2], manifest["errors"]) == ("console.webmanifest", [])
-    hindrances = [each["errorId"] for each in devtools.send("Page.getInstallabilityErrors")["installabilityErrors"]]
-    assert set(hindrances) <= {"in-incognito"}

@@ -9,7 +9,7 @@ import pytest
 from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Browser, expect
 
-from schemas.robot import LEGS, SERVO_IDS
+from schemas.robot import LEGS
 from tests.console.browser import Visitor
 from tests.support.child import Child, frozen
 from tests.support.console_process import Console
@@ -25,13 +25,6 @@ COUNT_ATTEMPTS: Final = """
 }
 """
 """To connect: a page asks for the console's proof first."""
-COUNT_MESSAGES: Final = """
-window.messages = 0;
-const Real = WebSocket;
-window.WebSocket = class extends Real {
-  constructor(...given) { super(...given); this.addEventListener("message", () => (window.messages += 1)); }
-};
-"""
 PHONE: Final = {"width": 360, "height": 740}
 
 
@@ -55,19 +48,6 @@ def test_eighteen_servos_are_seen_in_three_dimensions_and_in_words(visitor: Visi
         "aria-label", re.compile("leg 3 stopped by the watch")
     )
     expect(page["events"].locator("li", has_text="leg 3 was not heard for 2000 ms")).to_have_count(1)
-
-
-@pytest.mark.nightly
-def test_without_webgl_it_is_drawn_from_above_and_without_physics_there_is_nobody_to_set_upright(
-    visitor: Visitor,
-) -> None:
-    page = visitor.open()
-    expect(page.page.locator("#picture svg")).to_be_visible()
-    expect(page["no-webgl"]).to_be_visible()
-    assert page.page.locator("#picture svg .leg circle").count() == len(SERVO_IDS) + len(LEGS)
-    expect(page["mode"]).to_have_text("idle")
-    expect(page["see-title"]).to_have_text("As commanded")
-    expect(page["set-upright"]).to_be_hidden()
 
 
 def test_stop_all_stops_and_says_what_is_known_and_who_else_stopped(visitor: Visitor, gateway: Gateway) -> None:
@@ -111,55 +91,6 @@ def test_a_reset_asks_first_and_stop_all_answers_no(visitor: Visitor, gateway: G
         page["question-yes"].click()
         expect(page.said).to_contain_text("Nothing moves until it is started again")
         assert robot.state().mode == "idle"
-
-
-@pytest.mark.nightly
-def test_poses_are_kept_in_the_browser_and_a_space_that_is_typed_into_a_name_stops_nothing(
-    visitor: Visitor, gateway: Gateway
-) -> None:
-    page = visitor.open()
-    page.show_joints()
-    page["joint-1"].fill("33")
-    page["pose-name"].press_sequentially("high h")
-    expect(page["pose-name"]).to_have_value("high h")
-    page["pose-keep"].click()
-    page["joint-1"].fill("90")
-    page.page.reload()
-    page.expect_live()
-    page.show_joints()
-    page["pose-name"].fill("high h")
-    page["pose-load"].click()
-    expect(page["joint-1"]).to_have_value("33")
-    with gateway.client() as robot:
-        assert robot.state().mode == "idle"
-
-
-@pytest.mark.nightly
-def test_nothing_flickers_while_nothing_changes(visitor: Visitor) -> None:
-    """Ten states come in time, and no text changes besides ages."""
-    page = visitor.open(script=COUNT_MESSAGES)
-    touched = page.page.evaluate(
-        """() => new Promise((done) => {
-          let touched = [];
-          const note = (all) => {
-            const places = all.map(({ target }) => target.parentElement.closest("[id], .age"));
-            touched.push(...places.filter((place) => place.className !== "age").map((place) => place.id));
-          };
-          const options = { subtree: true, childList: true, characterData: true };
-          for (const id of ["leg-rows", "labels", "stop", "said", "events", "walk-controls", "controls", "lease"])
-            new MutationObserver(note).observe(document.getElementById(id), options);
-          let wanted = window.messages + 10;
-          let newest = { count: window.messages, atMs: performance.now() };
-          const look = () => {
-            const now = performance.now();
-            if (now - newest.atMs > 500) { touched = []; wanted = window.messages + 10; }  // the machine stood still
-            if (window.messages > newest.count) newest = { count: window.messages, atMs: now };
-            window.messages < wanted ? requestAnimationFrame(look) : done(touched);
-          };
-          look();
-        })"""
-    )
-    assert touched == []
 
 
 def test_a_phone_has_all_of_it(visitor: Visitor) -> None:

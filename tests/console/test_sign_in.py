@@ -53,18 +53,6 @@ def test_a_link_a_reload_and_a_second_tab(victim: Page, console: Console) -> Non
     expect_live(second)
 
 
-@pytest.mark.parametrize(
-    "viewport", [{"width": 1280, "height": 800}, {"width": 390, "height": 844}], ids=["desk", "phone"]
-)
-def test_a_link_to_a_card_opens_the_card(browser: Browser, console: Console, viewport: ViewportSize) -> None:
-    """`calibrate` leads to the guide, which a phone has behind its pads."""
-    with signed_in(browser, console, "cal", viewport) as page:
-        expect(page.locator("#cal")).to_have_attribute("open", "")
-        expect(page.locator("#cal-revision")).to_have_text(re.compile("revision"))
-        expect(page.locator("#cal-servo")).to_be_in_viewport()
-        assert page.url == f"{console.url}/"
-
-
 def test_a_page_at_another_port_gets_the_cookie_and_nothing_by_it(victim: Page, console: Console) -> None:
     """Of another user of this machine, opened by somebody who is signed in; see docs/security.md."""
     with listening() as (port, requests):
@@ -77,13 +65,6 @@ def test_a_page_at_another_port_gets_the_cookie_and_nothing_by_it(victim: Page, 
         thief = SignedIn(found[0], key)
         with pytest.raises(InvalidStatus, match="403"):
             Thief(console.url, thief)
-
-
-@pytest.mark.nightly
-def test_without_its_key_a_page_says_how_to_go_on(victim: Page) -> None:
-    victim.evaluate("localStorage.clear()")
-    victim.reload()
-    expect(victim.locator("#stop-known")).to_contain_text("You are not signed in")
 
 
 def test_whoever_takes_the_port_of_a_console_that_is_gone_gets_no_key(

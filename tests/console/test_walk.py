@@ -5,24 +5,20 @@ import re
 import signal
 from collections import deque
 from functools import partial
-from typing import Final
 
 import pytest
 from playwright.sync_api import expect
 
 from gateway.client import Client
 from tests.console.browser import GAMEPAD, HIDE, SHOW, WISHES, Opened, Visitor, walks
-from tests.support.fixtures import client_fixture, console_fixture, gateway_fixture, patient, session_fixture
+from tests.support.fixtures import client_fixture, console_fixture, gateway_fixture, patient
 from tests.support.heard import states
 
 pytestmark = pytest.mark.browser
 
-PHONES: Final = ((320, 568), (568, 320), (844, 390))
-
 
 gateway = gateway_fixture(patient())
 console = console_fixture()
-session = session_fixture()
 robot = client_fixture("watcher")
 
 
@@ -45,35 +41,6 @@ def push(page: Opened) -> None:
 def sit(page: Opened) -> None:
     page["sit"].click()
     expect(page.said).to_have_text("It sits, and its servos are stopped.")
-
-
-@pytest.mark.nightly
-def test_on_a_small_phone_nothing_scrolls_to_walk_or_to_stop(visitor: Visitor, robot: Client) -> None:
-    page = visitor.open(has_touch=True, is_mobile=True)
-    drive(page)
-    for width, height in PHONES:
-        page.page.set_viewport_size({"width": width, "height": height})
-        walks(page, push)
-        expect_within_reach(page, width, height)
-        page.page.mouse.up()
-        expect(page["walk-known"]).to_contain_text("It stands")
-    page["stop-all"].tap()
-    expect(page["stop-known"]).to_contain_text("6 Stops written within")
-    assert robot.state().mode == "estopped"
-
-
-def expect_within_reach(page: Opened, width: int, height: int) -> None:
-    needed = ("stop-all", "stop-known", "mode", "said", "picture", "stand", "sit", "pad", "turn", "gait-wave")
-    for name in (*needed, "lower", "higher", "walk-known", "lease-release"):
-        box = page[name].bounding_box()
-        assert box is not None, name
-        inside = (box["x"] >= 0, box["y"] >= 0, box["x"] + box["width"] <= width, box["y"] + box["height"] <= height)
-        assert all(inside), (name, box)
-        middle = [box["x"] + box["width"] / 2, box["y"] + box["height"] / 2]
-        hit = "([x, y]) => document.elementFromPoint(x, y).closest('[id]').id"
-        assert name in ("picture", "gait-wave", "stop-known") or page.page.evaluate(hit, middle) == name
-        assert name not in ("stop-all", "pad", "turn", "stand", "sit") or min(box["width"], box["height"]) >= 44
-    assert page.page.evaluate("document.documentElement.scrollHeight") <= height
 
 
 def press(key: str, page: Opened) -> None:

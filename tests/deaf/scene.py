@@ -125,8 +125,8 @@ class Waiting(deque[Received]):
 class Scene(SpiDevice):
     """A gateway, its controller, and a watcher of both; messages come at their times."""
 
-    def __init__(self, messages: Sequence[Message], *, resync_ms: float = 1000, tick_phase_ns: int = 0) -> None:
-        self.settings = Settings.model_validate({"spi": {"framing": "length-prefixed", "resync_ms": resync_ms}})
+    def __init__(self, messages: Sequence[Message], *, tick_phase_ns: int = 0) -> None:
+        self.settings = Settings.model_validate({"spi": {"framing": "length-prefixed"}})
         self.loop = VirtualLoop()
         self.controller = SimulatedController(
             Framing.LENGTH_PREFIXED, clock=self.loop.now_ns, tick_phase_ns=tick_phase_ns

@@ -15,8 +15,6 @@ from gateway.model.framing import Framing
 from schemas.robot import LEGS, SERVO_IDS
 from tests.support.transfers import on_wire
 
-HARMLESS_LEN: Final = 68
-"""The receive buffer's 64 bytes, and the four between it and the SPI handle."""
 RECORDS: Final = {(14, 1): (2, 6, 10), (6, 2): (2,)}
 OPERATIONS: Final = frozenset({1, 2, 3})
 KILLS: Final = frozenset(product((0, 1, 2, 3, 10), OPERATIONS))

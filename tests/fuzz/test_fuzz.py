@@ -5,13 +5,10 @@ import importlib.util
 import os
 import random
 import shutil
-import tracemalloc
 from pathlib import Path
 
 import pytest
 
-from gateway.model.framing import Framing
-from gateway.robot.spi.simulator import KEPT_TRANSFERS, SimulatedController
 from tests.fuzz.run import MAX_GROWTH_MB, fuzz
 from tests.fuzz.targets import TARGETS
 
@@ -66,25 +63,3 @@ def test_a_broken_line_is_found(target: str, module: str, right: str, wrong: str
     assert "Uncaught Python exception" in report.finding
     assert str(report).startswith(f"{target}: FOUND after ")
     assert list(tmp_path.glob(f"{target}-crash-*")), "the input is kept"
-
-
-# ---- memory, where one object takes it all
-
-
-def test_one_controller_for_a_long_time_keeps_no_more_than_it_says() -> None:
-    """Bytes at random, more transfers than are kept: after the first round nothing is added to."""
-    chance = random.Random(7)  # noqa: S311  the same bytes each time
-    now_ns = 0
-    controller = SimulatedController(Framing.PLAIN, clock=lambda: now_ns)
-    sizes = []
-    tracemalloc.start()
-    try:
-        for _ in range(3):
-            for _ in range(2 * KEPT_TRANSFERS):
-                now_ns += chance.choice((0, 1_000_000, 1_000_000_000))
-                controller.take(chance.randbytes(14))
-            sizes.append(tracemalloc.get_traced_memory()[0])
-    finally:
-        tracemalloc.stop()
-    assert len(controller.transfers) == KEPT_TRANSFERS
-    assert sizes[2] - sizes[0] < 100_000, sizes

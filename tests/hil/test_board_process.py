@@ -1,6 +1,5 @@
 """The simulated power board in its own process, by a real client: python-can over slcan on a pseudo terminal."""
 
-import os
 import signal
 import subprocess
 import sys
@@ -16,7 +15,7 @@ from can.interfaces.slcan import slcanBus
 
 from gateway.host.sensed_page import Sensed, SensedPage
 from gateway.host.servo_page import ServoPage
-from gateway.model.power_board import ALL, CanFrame, set_supply
+from gateway.model.power_board import CanFrame, set_supply
 from gateway.onboard.board_process import BoardProcess
 from schemas.robot import SERVO_IDS
 
@@ -122,51 +121,6 @@ def test_a_simulated_body_decides_the_currents() -> None:
         client.close()
 
 
-def test_what_people_do_to_the_board(client: Client) -> None:
-    board = client.board
-    board.disturb(press_off=True)
-    assert client.until(0x69) == b""
-    client.feed(0b11)
-    board.disturb(overcurrent=11)
-    assert client.until(0x65).hex() == "02000002"
-    assert client.until(0x6B).hex() == "000001"
-    board.disturb(overcurrent=0)
-    board.disturb(clear_error=True)
-    assert client.until(0x6B).hex() == "000003", "it comes on by itself"
-    board.disturb(error=8)
-    assert client.until(0x65).hex() == "08"
-    board.disturb(converter=1)
-    assert client.until(0x65).hex() == "0101"
-    board.disturb(clear_error=True, stuck_on=11)
-    client.until(0x6B)
-    client.feed(0)
-    assert board.page.fed == frozenset((11,)), "the board does not see it"
-    board.disturb(draws_ma={"11": 700.0})
-    assert client.asked_until(0x70, lambda data: data[2:4] == (700).to_bytes(2, "big")).hex() == "000002bc0000"
-
-
-def test_a_board_that_restarts_is_silent_until_somebody_presses_its_button(client: Client) -> None:
-    client.feed(ALL)
-    client.board.disturb(restart=True, frame="t1230")  # the frame shows when it was done
-    client.until(0x123)
-    assert client.board.page.fed == frozenset()
-    client.send(CanFrame(0x70))
-    client.board.disturb(frame="t1240")
-    assert client.next() == 0x124, "nothing between"
-    client.board.disturb(press_off=True)
-    client.send(CanFrame(0x70))
-    while client.bus.recv(0.05) is None:
-        client.send(CanFrame(0x70))
-    client.feed(0b1)
-
-
-def test_another_nodes_frame_reaches_board_and_client(client: Client) -> None:
-    client.board.disturb(frame="t06A3000002")
-    assert client.until(0x6A) == bytes.fromhex("000002")
-    assert client.until(0x6B) == bytes.fromhex("000002")
-    assert client.board.page.fed == frozenset((11,))
-
-
 @pytest.mark.nightly
 def test_a_flood_of_another_node_leaves_the_board_as_quick_as_it_is(client: Client) -> None:
     client.board.disturb(flood="t10080011223344556677", flood_hz=8000)
@@ -178,33 +132,6 @@ def test_a_flood_of_another_node_leaves_the_board_as_quick_as_it_is(client: Clie
         client.bus.recv(0.1)
     client.board.disturb(flood_hz=0)
     client.feed(0)
-
-
-def test_the_way_between_loses_pauses_and_is_cut(client: Client) -> None:
-    board = client.board
-    board.disturb(lose=1.0)
-    client.send(set_supply(0b10))
-    deadline_s = time.monotonic() + MOST_S
-    while board.page.fed != frozenset((11,)):
-        assert time.monotonic() < deadline_s
-    board.disturb(lose=0, pause_ms=100)
-    assert client.ask(0x70) == client.ask(0x70)
-
-
-def test_a_silent_board_neither_takes_nor_answers_its_client(client: Client) -> None:
-    board = client.board
-    client.feed(0b10)
-    board.disturb(silent=True, frame="t1230")
-    client.until(0x123)
-    client.send(set_supply(0))
-    board.disturb(press_off=True, frame="t06A3000003")
-    assert client.next() == 0x6A
-    assert 11 in board.page.fed, "the client's mask did not arrive"
-    deadline_s = time.monotonic() + MOST_S
-    while board.page.fed != frozenset((11, 63)):
-        assert time.monotonic() < deadline_s
-    board.disturb(frame="t1240")
-    assert client.next() == 0x124, "nobody hears of the button"
 
 
 def test_the_adapter_goes_and_returns_under_the_same_path(client: Client) -> None:
@@ -221,39 +148,6 @@ def test_the_adapter_goes_and_returns_under_the_same_path(client: Client) -> Non
     again = Client(client.board)
     again.feed(0)
     again.close()
-
-
-def test_lines_that_are_no_faults_change_nothing(capfd: pytest.CaptureFixture[str]) -> None:
-    lines = (
-        *("", "{", "[]", "1", '{"frame": "t06A"}', '{"frame": 1}'),
-        *('{"melt": 1}', '{"stuck_on": 99}', '{"pause_ms": []}', '{"flood_hz": -0.5}', '{"draws_ma": {"21": "x"}}'),
-    )
-    with BoardProcess(OUTPUTS) as board:
-        client = Client(board)
-        client.feed(0b10)
-        for line in lines:
-            board.tell(line)
-        board.disturb(press_off=True)
-        client.until(0x69)
-        client.close()
-        assert board.page.fed == frozenset((11,))
-    assert capfd.readouterr().err.count("power board: ") == len(lines)
-
-
-def test_the_record_has_what_passed_and_what_was_fed_in_order(tmp_path: Path) -> None:
-    with BoardProcess(OUTPUTS, record=tmp_path / "record") as board:
-        client = Client(board)
-        client.feed(0b10)
-        client.feed(0)
-        client.close()
-    lines = [line.split(maxsplit=1) for line in (tmp_path / "record").read_text().splitlines()]
-    times_ns = [int(at_ns) for at_ns, _ in lines]
-    assert times_ns == sorted(times_ns)
-    assert times_ns[-1] < time.monotonic_ns()
-    assert [what for _, what in lines] == [
-        *("= 000000", "< t06A3000002", "= 000002", "> t06B3000002"),
-        *("< t06A3000000", "= 000000", "> t06B3000000"),
-    ]
 
 
 @pytest.mark.nightly
@@ -279,15 +173,3 @@ def test_it_ends_with_its_gateway_and_leaves_nothing() -> None:
     with BoardProcess(OUTPUTS) as board:
         assert board.folder.exists()
     assert not board.folder.exists()
-
-
-def test_one_that_is_killed_is_reported_and_leaves_nothing_either(capfd: pytest.CaptureFixture[str]) -> None:
-    with BoardProcess(OUTPUTS) as board:
-        os.kill(board.pid, signal.SIGKILL)
-        deadline_s = time.monotonic() + MOST_S
-        said = ""
-        while "the power board's process was killed by signal 9" not in said:
-            assert time.monotonic() < deadline_s
-            said += capfd.readouterr().err
-        assert not board.folder.exists()
-        board.disturb(press_off=True)  # which changes nothing

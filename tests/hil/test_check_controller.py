@@ -6,10 +6,9 @@ from typing import Any
 
 import pytest
 
-from gateway.model.elkapod import SHUTDOWN
 from tests.hil.elkapod_bed import ElkapodBed
 from tests.hil.test_check_device import check, line
-from tests.support.gateway_process import Gateway, free_port, write_settings
+from tests.support.gateway_process import free_port, write_settings
 
 pytestmark = pytest.mark.hil
 
@@ -35,25 +34,3 @@ def test_a_robot_that_answers_is_shut_down_before_its_answers_are_judged(robot: 
     assert line(child, "SPI speed").endswith("a frame takes 0.6 ms to write")
     assert [each.what for each in robot.said][:5] == ["shutdown"] * 4 + [(90.0,) * 18]
     assert "start" not in {each.what for each in robot.said}
-
-
-def test_without_a_heartbeat_not_a_byte_is_written(robot: ElkapodBed, config: Path) -> None:
-    robot.controller.silent = True
-    child = check(robot, config)
-    assert child.returncode == 1, str(child)
-    assert line(child, "heartbeat").startswith("failure  heartbeat")
-    assert "answers" not in {row[9:].split(" ")[0] for row in child.stdout.splitlines()}
-    assert robot.said == []
-
-
-def test_a_running_gateway_is_not_disturbed(robot: ElkapodBed, tmp_path: Path) -> None:
-    with Gateway(tmp_path, robot.settings_with(watchdog={"repeats": 0}), bed=robot) as gateway:
-        # As it opens, for its first Stops, and four at rest.
-        robot.wait_until(lambda: robot.messages_since(0).count(SHUTDOWN) == 6, 20)
-        begun = len(robot.events)
-        child = check(robot, gateway.config)
-        assert child.returncode == 0, str(child)
-        assert "is the running gateway's" in line(child, "UART")
-        assert SHUTDOWN not in robot.messages_since(begun)
-        with gateway.client() as client:
-            assert client.state().controller.alive

@@ -85,10 +85,3 @@ def test_a_device_that_cannot_be_had(
     assert line(child, "SPI device").startswith(f"failure  SPI device     {sentence}")
     assert " → " in line(child, "SPI device")
     assert child.stdout.splitlines()[-1] == "This machine cannot run the service: 1 failure."
-
-
-def test_another_node_is_named(spi_testbed: SpiTestbed, tmp_path: Path) -> None:
-    config = write_settings(tmp_path / "other.toml", {"spi": {"device": "/dev/spidev7.1", "framing": "plain"}})
-    child = check(spi_testbed, config)
-    assert child.returncode == 1
-    assert f"/dev/spidev7.1 does not exist → set spi.device; here there is {DEVICE}" in line(child, "SPI device")

@@ -5,10 +5,7 @@ Stop is a shutdown on the UART, and no frame has an angle that nobody commanded.
 """
 
 import errno
-import os
 import signal
-import sys
-import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -20,10 +17,9 @@ from gateway.client import Client, leg_payload
 from gateway.model.elkapod import SHUTDOWN, START
 from schemas import keys
 from schemas.robot import LEGS, SERVO_IDS
-from schemas.telemetry import Ack, Kind, Mode, Reason
+from schemas.telemetry import Kind, Mode
 from tests.hil.elkapod_bed import AT_REST, ElkapodBed
 from tests.hil.wire import LATE_S
-from tests.support.child import Child, frozen
 from tests.support.gateway_process import COMMAND, Gateway, free_port, write_settings
 from tests.support.heard import events, states
 
@@ -37,16 +33,6 @@ ANGLES = tuple(angle for leg in LEGS for angle in POSE[leg])
 ALL = frozenset(SERVO_IDS)
 ENOUGH = 10
 """Frames to wait for something that must not come."""
-STREAM = """
-import sys, time
-from gateway.client import Client
-with Client(sys.argv[1], source="far away") as client:
-    assert client.start_legs({leg: (90, 90, 90) for leg in range(1, 7)}).accepted
-    for step in range(1_000_000):
-        client.set_legs({leg: (90 + step % 10, 90, 90) for leg in range(1, 7)})
-        print(step, flush=True)
-        time.sleep(0.02)
-"""
 
 
 @pytest.fixture
@@ -135,45 +121,6 @@ def test_a_start_has_its_angles_on_the_wire_for_two_cycles(robot: ElkapodBed, cl
     assert not robot.controller.corruptions
 
 
-def test_a_start_that_follows_a_stop_is_not_undone_by_its_repeats(robot: ElkapodBed, client: Client) -> None:
-    start_all(robot, client)
-    since = len(robot.events)
-    assert client.estop().accepted
-    assert client.reset().accepted
-    assert client.start_legs(POSE).accepted
-    robot.wait_for_message(START, since=since, timeout_s=LATE_S)
-    robot.wait_for_frames(ENOUGH, len(robot.events))
-    order = [each for each in order_of(robot, since) if each != "frame"]
-    assert order == ["shutdown"] * (len(order) - 1) + ["start"]
-    assert robot.controller.energised == ALL
-
-
-PARTS: dict[str, Callable[[Client], Ack]] = {
-    "a leg": lambda client: client.start_leg(3, 90, 45, 120),
-    "a servo": lambda client: client.servo(32, "start", 90),
-    "five legs": lambda client: client.start_legs({leg: POSE[leg] for leg in LEGS[:5]}),
-    "a Stop among starts": lambda client: client.ask(
-        keys.LEGS_COMMAND,
-        {
-            "legs": {str(leg): leg_payload("start", POSE[leg]) for leg in LEGS[:5]}
-            | {"6": {"servos": [{"op": "start", "angle_deg": 90}] * 2 + [{"op": "stop"}]}}
-        },
-    ),
-}
-
-
-def test_a_part_of_the_robot_is_not_started_and_its_angles_are_never_sent(robot: ElkapodBed, client: Client) -> None:
-    robot.wait_for_count(1, LATE_S)
-    since = len(robot.events)
-    for name, start in PARTS.items():
-        ack = start(client)
-        assert ack.reason is Reason.WHOLE_ROBOT, f"{name}: {ack}"
-        assert ("only stops as a whole" if "Stop" in name else "all six legs") in (ack.detail or ""), name
-    robot.wait_for_frames(ENOUGH, len(robot.events))
-    assert {each.what for each in robot.said_since(since)} <= {AT_REST, "shutdown"}
-    assert robot.controller.energised == frozenset()
-
-
 # ---- Stops
 
 
@@ -213,22 +160,6 @@ def test_silence_shuts_down(robot: ElkapodBed, tmp_path: Path) -> None:
         robot.wait_for_frames(ENOUGH, len(robot.events))
         assert robot.controller.energised == frozenset()
         assert robot.said[-1].what == ANGLES, "frames hold what was commanded: nothing would move for a lost shutdown"
-
-
-@pytest.mark.parametrize("number", [signal.SIGSTOP, signal.SIGKILL], ids=["link cut", "client killed"])
-def test_a_client_that_goes_leaves_a_robot_that_is_shut_down(
-    robot: ElkapodBed, tmp_path: Path, number: signal.Signals
-) -> None:
-    """One that stands still says nothing, and its connection stays: so does a link that is cut."""
-    with run(robot, tmp_path, watchdog={**WATCHDOG, "timeout_ms": 500}) as gateway:
-        robot.wait_for_count(1, LATE_S)
-        with Child([sys.executable, "-c", STREAM, gateway.endpoint], os.environ) as stream:
-            stream.wait_for_line(20)
-            since = len(robot.events)
-            stream.send_signal(number)
-            robot.wait_for_message(SHUTDOWN, since=since, timeout_s=LATE_S)
-            expect_shut_down(robot, since)
-            stream.kill()
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
@@ -377,37 +308,6 @@ def test_each_fault_shuts_down_is_reported_and_leaves_a_robot_at_rest(robot: Elk
             assert client.state().mode is Mode.IDLE, name
             expect_shut_down(robot, since)
     assert not robot.controller.corruptions
-
-
-def test_a_controller_that_was_switched_off_and_on_moves_only_after_a_new_start(
-    robot: ElkapodBed, client: Client
-) -> None:
-    heard = events(client)
-    start_all(robot, client)
-    since = len(robot.events)
-    robot.controller.power_cycle()
-    assert "may have restarted" in heard.wait(lambda event: event.kind is Kind.CONTROLLER_RESTARTED).detail
-    heard.wait(lambda event: event.kind is Kind.CONTROLLER_RETURNED)
-    robot.wait_for_frames(ENOUGH, since)
-    assert set(robot.messages_since(since)) == {SHUTDOWN}
-    assert robot.controller.energised == frozenset()
-    assert client.state().mode is Mode.IDLE
-    start_all(robot, client)
-    assert not robot.controller.corruptions
-
-
-def test_a_gateway_that_was_suspended_takes_its_controller_for_alive(
-    robot: ElkapodBed, gateway: Gateway, client: Client
-) -> None:
-    """Behind a pause of two seconds, what came meanwhile is read before anything is judged."""
-    heard = events(client)
-    robot.wait_for_frames(ENOUGH, len(robot.events))
-    with frozen(gateway.child.pid):
-        time.sleep(2.5)  # longer than the controller may be silent
-    since = len(robot.events)
-    robot.wait_for_frames(ENOUGH, since)
-    assert client.state().controller.alive
-    assert not [event for event in heard.all if "controller" in str(event.kind)]
 
 
 def test_a_uart_that_is_absent_or_taken_ends_it_with_a_sentence(

@@ -1,6 +1,5 @@
 """The emulated robot of elkapod-2025 for programs that use spidev and pyserial themselves, as its own driver does."""
 
-import errno
 import json
 import sys
 import termios
@@ -56,19 +55,6 @@ def robot(tmp_path: Path) -> Iterator[ElkapodBed]:
         yield bed
 
 
-def test_a_transfer_reads_what_the_controller_had_made_ready(spi_testbed: SpiTestbed) -> None:
-    driver, sent = Driver(spi_testbed), bytes(range(80))
-    assert driver.exchange(sent) == bytes(80)
-    for answer in (bytes(range(100, 180)), b"\x7e", b"\xff" * 100, b""):
-        spi_testbed.answer(answer)
-        assert driver.exchange(sent) == answer[:80].ljust(80, b"\0")
-    spi_testbed.fail(errno.ETIMEDOUT, count=1)
-    assert driver.ask(frame=sent.hex()) == f"[Errno {errno.ETIMEDOUT}] Connection timed out"
-    found = spi_testbed.transfers
-    assert [each.data for each in found] == [sent] * 6
-    assert {(each.mode, each.speed_hz, each.bits_per_word) for each in found} == {(2, 1_000_000, 8)}
-
-
 def test_a_driver_finds_the_robot_that_the_document_describes(robot: ElkapodBed) -> None:
     driver = Driver(robot, str(robot.uart))
     targets = [100_00 + place for place in range(len(SERVO_IDS))]
@@ -97,17 +83,3 @@ def test_a_driver_finds_the_robot_that_the_document_describes(robot: ElkapodBed)
     assert order[0] == order[-1] == "shutdown"
     assert order.count("start") == 1
     assert not robot.controller.corruptions
-
-
-def test_a_uart_goes_and_comes_back(robot: ElkapodBed) -> None:
-    driver = Driver(robot, str(robot.uart))
-    assert driver.ask(write=SHUTDOWN.hex()) == "0a"
-    robot.wait_for_message(SHUTDOWN, timeout_s=20)
-    robot.detach_uart()
-    assert "Input/output error" in driver.ask(write=SHUTDOWN.hex())
-    assert not robot.uart.exists()
-    robot.attach_uart(robot.uart)
-    assert "Input/output error" in driver.ask(write=SHUTDOWN.hex()), "it holds the one that has gone"
-    begun = len(robot.events)
-    assert Driver(robot, str(robot.uart)).ask(write=START.hex()) == "0a"
-    robot.wait_for_message(START, since=begun, timeout_s=20)

@@ -113,7 +113,7 @@ def test_an_emergency_stop_on_a_bus_that_takes_200_ms_to_fail(tmp_path: Path, wi
 
 def test_where_calls_that_begin_with_a_zero_fail_the_stops_leave_without_them(tmp_path: Path, wire: Wire) -> None:
     wire.bed.prefer()
-    with start(tmp_path, wire, watchdog=WATCHDOG, spi={"resync_ms": 100}) as gateway, gateway.client() as client:
+    with start(tmp_path, wire, watchdog=WATCHDOG) as gateway, gateway.client() as client:
         assert client.ask(keys.LEGS_COMMAND, ALL_START).accepted
         before = len(wire.bed.transfers)
         wire.bed.fail_slowly()

@@ -1,9 +1,10 @@
-"""One incident of each kind, from the real service on the emulated device: kept, readable, and the same as the wire.
+"""One incident of each kind, from the real service on the emulated device: readable, and the same as the wire.
 
 As systemd runs it: with the service's runtime directory, and `stop-servos` after an end that was none.
 """
 
 import errno
+import json
 import signal
 import sys
 from collections.abc import Callable
@@ -13,7 +14,6 @@ import pytest
 
 from gateway.client import Client
 from gateway.model.framing import Framing
-from gateway.people.incidents.archive import SUFFIX
 from schemas import keys
 from tests.hil.bed import SpiTestbed, Transfer
 from tests.hil.wire import LATE_S, START_3
@@ -99,9 +99,7 @@ def test_one_of_each_kind(tmp_path: Path, spi_testbed: SpiTestbed, monkeypatch: 
     by_stop_servos = len(frames_on(spi_testbed)) - len(before_crash)
     run(spi_testbed, config, endpoint, lambda *_: None)
     assert not (run_folder / "stop-servos").exists(), "the next start is told of its own"
-    keeper = spi_testbed.spawn([*COMMAND, "incidents", "keep", "--once", "--config", str(config)])
-    assert keeper.wait(60) == 0, str(keeper)
-    found = {path.stem.split("-", 3)[-1]: path for path in sorted((tmp_path / "box" / "incidents").glob(f"*{SUFFIX}"))}
+    found = exported(spi_testbed, config, tmp_path)
     assert found.keys() == KINDS.keys()
 
     shown = " ".join(frames_in(found["crash"]))
@@ -124,6 +122,18 @@ def test_one_of_each_kind(tmp_path: Path, spi_testbed: SpiTestbed, monkeypatch: 
             places = [story.stdout.rindex(text) for text in told]
             assert places == sorted(places), story.stdout
         story.close()
+
+
+def exported(bed: SpiTestbed, config: Path, folder: Path) -> dict[str, Path]:
+    """The file of each incident, by its kind."""
+    listed = bed.spawn([*COMMAND, "incidents", "list", "--json", "--config", str(config)])
+    assert listed.wait(60) == 0, str(listed)
+    found = {}
+    for name in (each["id"] for each in json.loads(listed.stdout)):
+        found[name.split("-", 3)[-1]] = path = folder / f"{name}.mcap"
+        export = bed.spawn([*COMMAND, "incidents", "export", name, str(path), "--config", str(config)])
+        assert export.wait(60) == 0, str(export)
+    return found
 
 
 def run(bed: SpiTestbed, config: Path, endpoint: str, happens: Callable[[Client, SpiTestbed, Child], None]) -> None:

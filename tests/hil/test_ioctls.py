@@ -78,13 +78,3 @@ def test_check_and_stop_servos_need_no_package(
         assert checked.wait(LATE_S) == 0, str(checked)
         assert f"{DEVICE} opens" in checked.stdout
         assert ioctls.USED in checked.stdout
-
-
-def test_what_is_no_spi_device_is_not_opened(tmp_path: Path) -> None:
-    spi = ioctls.SpiDev()
-    (tmp_path / "file").touch()
-    before = os.listdir("/proc/self/fd")
-    with pytest.raises(OSError, match="Inappropriate ioctl"):
-        spi.open_path(str(tmp_path / "file"))
-    assert (os.listdir("/proc/self/fd"), spi.fileno()) == (before, -1)
-    spi.close()

@@ -39,7 +39,7 @@ class Scene:
     def __init__(self, folder: Path, bed: SpiTestbed) -> None:
         self.bed = bed
         settings: dict[str, dict[str, Any]] = {
-            "spi": {"framing": Framing.LENGTH_PREFIXED, "resync_ms": 0},
+            "spi": {"framing": Framing.LENGTH_PREFIXED},
             "limits": {"leg_rate_hz": HZ},
             "watchdog": {"timeout_ms": TIMEOUT_MS, "landing_ms": LANDING_MS, "repeats": 0},
             "watchdog.landing": {str(servo_id): angle for servo_id, angle in POSE.items()},

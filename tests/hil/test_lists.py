@@ -1,6 +1,5 @@
 """Lists of transfers on the emulated device: what the kernel side of a batch sends, and what a driver makes of it."""
 
-import itertools
 import json
 import sys
 from pathlib import Path
@@ -9,12 +8,10 @@ import pytest
 
 from gateway.client import leg_payload
 from gateway.model.frames import OneServo, Op, ServoOp
-from gateway.model.framing import Framing
-from gateway.robot.spi.bus import CS_CHANGE_NS
-from schemas import keys
+from gateway.robot.spi.machine import SELECT_BY_GPIO
 from schemas.robot import LEGS
 from tests.hil.bed import SpiTestbed, Transfer
-from tests.hil.wire import LAST_STOP_3, LATE_S, SET_3, START_3, STOPS, Replay, Wire, opening_of, settings_for, start
+from tests.hil.wire import LATE_S, STOPS, Replay, Wire, settings_for
 from tests.support.child import Child
 from tests.support.gateway_process import COMMAND, Gateway
 
@@ -55,77 +52,27 @@ def data_of(transfers: list[Transfer]) -> list[str]:
     return [each.data.hex() for each in transfers]
 
 
-def test_a_batch_is_one_call_of_cycles_with_the_pauses_that_were_asked_for(spi_testbed: SpiTestbed) -> None:
-    child = writer(spi_testbed)
-    assert write(child, [*ZEROS, *FRAME]) == "written"
-    transfers = spi_testbed.transfers
-    assert data_of(transfers) == [str(data) for data, _ in [*ZEROS, *FRAME]]
-    assert [each.pause_us for each in transfers] == [pause for _, pause in [*ZEROS, *FRAME]]
-    assert {(each.kind, each.call) for each in transfers} == {("message", 1)}
-    assert [each.segments[0].cs_change for each in transfers] == [True] * 5 + [False], "else chip select would be kept"
-    for before, after in itertools.pairwise(transfers):
-        lasts_ns = 3200 * len(before.data) + before.pause_us * 1000 + CS_CHANGE_NS
-        assert after.monotonic_ns - before.monotonic_ns == lasts_ns
-
-
-def scene(folder: Path, framing: Framing, *, batch: bool) -> tuple[list[str], int]:
-    """Starts, a silence, an emergency stop whose Stops meet a fault, the end: the bytes that arrived, and the calls."""
-    folder.mkdir()
-    # Pauses that have room for all the zeros. Leg 3 is silent long before legs at rest are due a Stop (0.8 s).
-    watchdog = {"repeats": 2, "repeat_interval_ms": 60, "timeout_ms": 550}
-    with SpiTestbed() as bed:
-        wire = Wire(bed, framing)
-        with start(folder, wire, spi={"batch": batch}, watchdog=watchdog) as gateway, gateway.client() as client:
-            wire.expect_repeats(2, *STOPS)
-            assert client.start_leg(3, 90, 45, 120).accepted
-            assert client.set_leg(3, 91, 45, 120).accepted
-            wire.expect(START_3, SET_3, *LAST_STOP_3)  # by the watchdog
-            wire.expect_repeats(2, *STOPS)
-            assert client.ask(keys.LEGS_COMMAND, ALL_START).accepted
-            bed.fail(count=1, after=5)
-            assert client.ask(keys.ESTOP, {}).stop_frames == len(STOPS)
-            recovered = opening_of(framing, *STOPS) * 3
-            bed.wait_for(lambda each: [one.data for one in each][-len(recovered) :] == recovered, LATE_S)
-            assert client.reset().accepted
-            assert client.start_leg(3, 90, 45, 120).accepted
-            gateway.child.terminate()
-            assert gateway.child.wait(LATE_S) == 0
-        transfers = bed.transfers
-        return [each.data.hex() for each in transfers if each.delivered], len({each.call for each in transfers})
-
-
-@pytest.mark.parametrize("framing", Framing)
-def test_with_batches_and_without_the_same_bytes_arrive(tmp_path: Path, framing: Framing) -> None:
-    together, fewer = scene(tmp_path / "together", framing, batch=True)
-    one_by_one, calls = scene(tmp_path / "one by one", framing, batch=False)
-    assert together == one_by_one
-    assert fewer < calls / 3
-
-
-@pytest.mark.parametrize("batch", [True, False])
-def test_check_move_shows_that_a_driver_ignores_cs_change_and_what_to_set(
-    tmp_path: Path, spi_testbed: SpiTestbed, batch: bool
+def test_check_move_shows_that_a_driver_ignores_cs_change_and_what_to_do(
+    tmp_path: Path, spi_testbed: SpiTestbed
 ) -> None:
     """Whoever looks on sees what a controller does that takes one frame while chip select is held."""
     wire = Wire(spi_testbed)
     spi_testbed.ignore_cs_change()
-    with Gateway(tmp_path, settings_for(wire, spi={"batch": batch}), bed=spi_testbed) as gateway:
+    with Gateway(tmp_path, settings_for(wire), bed=spi_testbed) as gateway:
         six_stops = b"".join(map(bytes.fromhex, STOPS))
-        started = spi_testbed.wait_for_count(1 if batch else 6)
-        assert (started[0].data == six_stops) is batch
+        assert spi_testbed.wait_for_count(1)[0].data == six_stops
         child = spi_testbed.spawn([*COMMAND, "check", "--move", "--connect", gateway.endpoint])
         for answer in ("", "", "yes"):  # servo 61, at 90 degrees
             child.tell(answer)
         child.wait_for_output("All six legs were stopped at once", LATE_S)
         seen = Replay(wire.framing, selects=True)
         seen.play(spi_testbed.transfers)
-        loose = 61 not in seen.controller.energised
+        assert 61 in seen.controller.energised
         child.tell("yes")
-        child.tell("yes" if loose else "no")
-        assert child.wait(LATE_S) == (1 if batch else 0), str(child)
-        assert loose is not batch
-        assert ("set spi.batch = false" in child.stdout.lower()) is batch
-        assert ("it is not known whether" in gateway.child.stderr) is batch
+        child.tell("no")
+        assert child.wait(LATE_S) == 1, str(child)
+        assert SELECT_BY_GPIO in child.stdout
+        assert "it is not known whether" in gateway.child.stderr
         left = Replay(wire.framing, selects=True)
         left.play(spi_testbed.transfers)
         assert left.controller.energised == frozenset(), "its last Stop is alone in its call"

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from gateway.client import leg_payload
-from gateway.model.frames import STOP, OneLeg, OneServo, Op, ServoOp
+from gateway.model.frames import OneLeg, Op, ServoOp
 from schemas import keys
 from schemas.robot import LEGS
 from schemas.telemetry import GatewayState, Kind, Mode, Reason
@@ -122,28 +122,6 @@ def test_whoever_starts_legs_meanwhile_the_state_is_what_the_controller_does(
             replay.play(wire.bed.transfers)
             assert replay.energised_for_good() == running(client.state())
             assert not replay.controller.corruptions
-
-
-def test_a_bus_fault_meanwhile_does_not_let_starts_through(tmp_path: Path, wire: Wire, gateway: Gateway) -> None:
-    """The gateway closes the device, and a closed one does not say whether `stop-servos` is at work."""
-    with gateway.client() as client:
-        heard = events(client)
-        child = begin_to_stop_servos(tmp_path, wire, repeats=100)
-        heard.wait(lambda event: event.kind is Kind.STOPPED_OUTSIDE, timeout_s=LATE_S)
-        wire.bed.fail_data(OneServo(31, STOP).data)
-        client.publish(keys.servo_command(31), {"op": "stop"})
-        heard.wait(lambda event: event.kind is Kind.BUS_FAULT, timeout_s=LATE_S)
-        wire.bed.heal()
-        heard.wait(lambda event: event.kind is Kind.BUS_RECOVERED, timeout_s=LATE_S)
-        rejections: list[str | None] = []
-        while not (ack := client.start_leg(3, 90, 45, 120)).accepted:
-            rejections.append(ack.reason)
-        assert len(rejections) > 10
-        assert set(rejections) == {Reason.SERVO_STOPPED}
-        assert child.wait(LATE_S) == 0, str(child)
-        written = [each.data.hex() for each in wire.bed.transfers]
-        assert written.count(STOPS[5]) > 100
-        assert START_3 not in written[: len(written) - written[::-1].index(STOPS[5])], "the last of its Stops is before"
 
 
 def test_a_gateway_that_hangs_is_not_waited_for(tmp_path: Path, wire: Wire, gateway: Gateway) -> None:

@@ -23,7 +23,6 @@ from tests.hil.wire import (
     EACH_FRAMING,
     LAST_STOP_3,
     LATE_S,
-    SET_3,
     START_3,
     STOPS,
     Replay,
@@ -63,28 +62,6 @@ def test_the_start_sets_the_device_up_and_stops_all_legs_before_anyone_can_comma
 
 
 # ---- commands
-
-
-@EACH_FRAMING
-def test_leg_and_servo_commands_byte_for_byte(gateway: Gateway, wire: Wire) -> None:
-    with gateway.client() as client:
-        assert client.start_leg(3, 90, 45, 120).accepted
-        wire.expect(START_3)
-        assert client.set_leg(3, 91, 45, 120).accepted
-        wire.expect(SET_3)
-        assert client.servo(32, "set", 89.999).accepted
-        wire.expect("060220035a00")
-        assert client.servo(11, "start", 90.29).accepted
-        wire.expect("06020b015a1d")
-        assert client.servo(63, "start", 180).accepted
-        wire.expect("06023f01b400")
-        assert client.servo(63, "stop").accepted
-        wire.expect("06023f020000")
-        assert client.stop(3).accepted
-        wire.expect(STOPS[2])
-        assert client.servo(32, "set", 90).reason is Reason.SERVO_STOPPED
-        assert client.set_leg(1, 11, 12, 13).reason is Reason.SERVO_STOPPED  # two of the three never ran
-        wire.expect_nothing()
 
 
 def test_bad_commands_write_no_more_than_stops(gateway: Gateway, wire: Wire) -> None:
@@ -297,26 +274,3 @@ def test_no_device_ends_it_with_3_and_one_line(tmp_path: Path, spi_testbed: SpiT
         "hexapod-gateway: /dev/spidev1.1 does not exist; switch SPI on (dtparam=spi=on), "
         "or try --sim for a simulated controller\n"
     )
-
-
-def test_a_device_that_may_not_be_opened_ends_it_with_3_and_one_line(tmp_path: Path, spi_testbed: SpiTestbed) -> None:
-    spi_testbed.fail_open()
-    config = config_for(tmp_path, Wire(spi_testbed))
-    child = spi_testbed.spawn([*COMMAND, "run", "--config", str(config)], privileged=False)
-    assert child.wait(LATE_S) == 3
-    assert child.stderr == (
-        f"hexapod-gateway: {DEVICE} may not be opened by this user; add the user to the device's group (spi), "
-        "or try --sim\n"
-    )
-
-
-# ---- each setting of [spi]
-
-
-@pytest.mark.parametrize("speed_hz", [1, 20_000_000])
-def test_speed_hz(tmp_path: Path, spi_testbed: SpiTestbed, speed_hz: int) -> None:
-    wire = Wire(spi_testbed)
-    stop_servos(wire, config_for(tmp_path, wire, speed_hz=speed_hz))
-    wire.skip()
-    with start(tmp_path, wire, spi={"speed_hz": speed_hz}):
-        assert {each.speed_hz for each in spi_testbed.transfers} == {speed_hz}

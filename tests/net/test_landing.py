@@ -13,7 +13,7 @@ import pytest
 
 from gateway.model.frames import decode
 from schemas.robot import LEGS
-from schemas.telemetry import Cause, Event, FrameRecord, Kind, Reason
+from schemas.telemetry import Cause, Event, FrameRecord, Kind
 from tests.net.conftest import Hosts
 from tests.net.hosts import TIMEOUT_MS, LaptopHost, RobotHost, is_from, with_certificates
 from tests.net.namespaces import Network
@@ -32,8 +32,6 @@ POSE = {10 * leg + joint: angle for leg in LEGS for joint, angle in ((1, 90.0), 
 del POSE[63]
 LATE_MS = 500
 """What a busy machine may add."""
-QUEUED = 12
-"""Setpoints of each leg: fewer than a ring holds, since a full ring counts as a Stop."""
 
 
 class Scene(Hosts):
@@ -144,67 +142,3 @@ def check_story(robot: RobotHost, frames_down: int) -> None:
     found = [next((place for place, line in enumerate(lines) if re.fullmatch(each, line)), -1) for each in wanted]
     assert -1 not in found, child.stdout
     assert found == sorted(found), child.stdout
-
-
-def test_a_link_that_comes_back_meanwhile_changes_nothing(scene: Scene, network: Network) -> None:
-    robot, anna = scene.robot, scene.anna
-    scene.walk(anna, *LEGS)
-    network.cut(0)
-    anna.ask(f"pause {anna.ask('sent')['sent'] + QUEUED * len(LEGS)}")
-    landing = scene.wait_for(Kind.LANDING)
-    rejected = robot.rejected
-    network.fix(0)
-    answer = anna.ask("try 1")
-    assert (answer["accepted"], answer["reason"]) == (False, Reason.LANDING), "a start"
-    assert robot.rejected > rejected + len(LEGS), "and what was queued"
-    assert not robot.seen(is_stop)
-    anna.stream(*LEGS)
-    scene.check_way_down(landing)
-    anna.ask(f"sent {anna.ask('sent')['sent'] + 50}")
-    robot.wait_for_event(lambda event: event.reason == Reason.SERVO_STOPPED and event.source == anna.source)
-    assert not robot.running
-    anna.start(1)
-    assert robot.running == {1}
-
-
-def test_a_second_laptop_that_streams_to_another_leg_is_rejected_and_its_leg_lands_too(
-    scene: Scene, network: Network
-) -> None:
-    """It holds the lease from the middle of the landing on, which gives it no right to move."""
-    robot, anna, bert = scene.robot, scene.anna, scene.bert
-    scene.walk(anna, 1, 2, 3, 4, 5)
-    scene.walk(bert, 6)
-    network.cut(0)
-    landing = scene.wait_for(Kind.LANDING)
-    robot.wait_for_event(lambda event: event.reason == Reason.LANDING and event.source == bert.source)
-    assert bert.ask("lease acquire")["holder"] == "bert"
-    answer = bert.ask("try 6")
-    assert (answer["accepted"], answer["reason"]) == (False, Reason.LANDING)
-    down = scene.check_way_down(landing)
-    assert {each.leg for each in down} == {*LEGS}
-    assert max(each.at_ms for each in reported(robot.seen(is_from(bert)))) < down[0].at_ms
-    bert.start(6)
-    assert robot.running == {6}
-
-
-def test_a_lease_that_is_taken_meanwhile_stops_everything_and_the_taker_may_start(
-    scene: Scene, network: Network
-) -> None:
-    robot, anna, bert = scene.robot, scene.anna, scene.bert
-    assert anna.ask("lease acquire")["holder"] == "anna"
-    scene.walk(anna, *LEGS)
-    network.cut(0)
-    landing = scene.wait_for(Kind.LANDING)
-    robot.wait_for_frames(lambda frame: frame.cause is Cause.WATCHDOG, 5 * len(LEGS))
-    way = scene.way(landing)
-    assert bert.ask("lease take")["holder"] == "bert"
-    robot.wait_for_frames(is_stop, len(LEGS))
-    stops = reported(robot.seen(is_stop))
-    assert [each.leg for each in stops] == [*LEGS]
-    down = reported(scene.seen(Cause.WATCHDOG))
-    way.check(down, whole=False)
-    assert down[-1].at_ms < stops[0].at_ms
-    assert not robot.running
-    bert.start(*LEGS)
-    assert robot.running == {*LEGS}
-    assert len(scene.seen(Cause.WATCHDOG)) == len(down)

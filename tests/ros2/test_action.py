@@ -7,8 +7,7 @@ import pytest
 
 from gateway.client import Client
 from gateway.people.ros2.messages import FollowGoal, FollowResult, JointTrajectory
-from schemas.telemetry import Mode
-from tests.support.bridged import LONG_S, RESTS_DEG, SLOW, commanded, keeps, plan
+from tests.support.bridged import RESTS_DEG, SLOW, commanded, keeps, plan
 from tests.support.control_msgs import made
 from tests.support.gateway_process import Gateway
 from tests.support.heard import frames, running, states
@@ -73,17 +72,3 @@ def test_rclpys_own_client_sends_cancels_and_replaces_goals_and_an_emergency_sto
     assert watcher.reset().accepted
     assert not peer.send(FollowGoal(SLOW)), "after that somebody must call drive again"
     assert not running(watcher)
-
-
-def test_a_client_that_is_killed_has_the_robot_sit_down(
-    peer: ActionPeer, control_msgs: dict[str, str], watcher: Client
-) -> None:
-    """rclpy reports no GIDs of clients: the bridge sees that there is one less."""
-    assert peer.call("/hexapod/drive")[0]
-    with ActionPeer(control_msgs, OWN_DOMAIN) as vanishing:
-        assert vanishing.send(FollowGoal(SLOW))
-        keeps(lambda: None, lambda: len(running(watcher)) == 6)
-        vanishing.child.kill()
-        states(watcher).wait(lambda state: state.mode == Mode.IDLE, timeout_s=LONG_S)
-    assert watcher.state().lease.holder == "ros2", "another may go on"
-    assert peer.call("/hexapod/release")[0]

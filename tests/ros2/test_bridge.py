@@ -5,7 +5,6 @@ import signal
 import sys
 import threading
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -15,7 +14,6 @@ from gateway.people.ros2.messages import (
     DiagnosticArray,
     DiagnosticStatus,
     Float64,
-    ImuMessage,
     JointState,
     String,
     Twist,
@@ -25,7 +23,7 @@ from gateway.people.ros2.robot import MEASURED
 from schemas import keys
 from schemas.telemetry import Kind, Mode
 from tests.support import measuring
-from tests.support.bridged import LONG_S, PATIENT, clean, commanded, does, keeps, rejections, resting
+from tests.support.bridged import LONG_S, clean, commanded, does, keeps, rejections, resting
 from tests.support.child import Child
 from tests.support.gateway_process import Gateway
 from tests.support.heard import events, frames, running, states
@@ -85,27 +83,6 @@ def test_ros_itself_sees_its_topics_and_services(bridge: RclpyBridge, peer: Rclp
     assert '<robot name="elkapod"' in peer.next("/hexapod/robot_description").data
 
 
-def test_diagnostics_say_what_the_gateway_does(peer: RclpyPeer, watcher: Client) -> None:
-    def part(array: DiagnosticArray, name: str) -> DiagnosticStatus:
-        return next((status for status in array.status if status.name == f"hexapod: {name}"), DiagnosticStatus())
-
-    quiet = peer.next(DIAGNOSTICS, lambda each: part(each, "gateway").message == Mode.IDLE)
-    assert {status.name.removeprefix("hexapod: ") for status in quiet.status} == {
-        "gateway",
-        "watchdog",
-        "bus",
-        "emergency stop",
-        "lease",
-        "ROS 2 bridge",
-    }
-    assert {status.hardware_id for status in quiet.status} == {"hexapod"}, "its namespace tells it from other robots"
-    assert part(quiet, "gateway").level == DiagnosticStatus.OK
-    assert part(quiet, "ROS 2 bridge").level == DiagnosticStatus.OK, "on this machine only"
-    watcher.estop()
-    stopped = peer.next(DIAGNOSTICS, lambda each: part(each, "gateway").level == DiagnosticStatus.ERROR)
-    assert part(stopped, "emergency stop").message == "engaged by watcher"
-
-
 def test_ros_itself_reads_what_the_robot_measures_and_rubbish_ends_nothing(peer: RclpyPeer, watcher: Client) -> None:
     """Published here in the gateway's place: without access control anybody may."""
     for topic, kind in MEASURED.items():
@@ -118,17 +95,6 @@ def test_ros_itself_reads_what_the_robot_measures_and_rubbish_ends_nothing(peer:
     assert (imu.header.frame_id, imu.linear_acceleration.z) == ("base", 9.81)
     assert temperature.temperature == 31.5
     assert feet.data == measuring.MEASURED.feet
-
-
-@pytest.mark.parametrize("best_effort", [False, True], ids=["the default", "SensorData"])
-def test_peers_of_any_quality_of_service_are_served(best_effort: bool, driven: RclpyPeer, watcher: Client) -> None:
-    topic = "/hexapod/imu/data"
-    del driven
-    with RclpyPeer() as other, measuring.measures(watcher, measuring.MEASURED):
-        other.subscribe(topic, ImuMessage, best_effort=best_effort)
-        assert other.next(topic).linear_acceleration.z == 9.81
-        other.advertise(COMMANDS, JointState, best_effort=best_effort)
-        keeps(lambda: other.publish(COMMANDS, resting()), lambda: len(running(watcher)) == 6)
 
 
 # ---- nothing moves unasked
@@ -282,24 +248,6 @@ def test_one_that_dies_leaves_the_legs_to_the_watchdog(gateway: Gateway, watcher
         pass
 
 
-def test_a_gateway_that_was_away_is_driven_again_only_after_another_word(tmp_path: Path) -> None:
-    with (
-        Gateway(tmp_path, PATIENT) as first,
-        RclpyBridge(first, "--drive", domain=OTHER_DOMAIN) as own,
-        RclpyPeer(OTHER_DOMAIN) as peer,
-    ):
-        peer.subscribe(DIAGNOSTICS, DiagnosticArray)
-        first.child.kill()
-        peer.next(DIAGNOSTICS, lambda each: each.status[0].level == DiagnosticStatus.STALE)
-        again: dict[str, dict[str, Any]] = {**PATIENT, "zenoh": {"listen": [first.endpoint]}}
-        with Gateway(tmp_path, again) as second, second.client(source="watcher") as client:
-            peer.next(DIAGNOSTICS, lambda each: each.status[0].level == DiagnosticStatus.OK)
-            own.child.wait_for_output("call drive to go on", timeout_s=20)
-            assert client.state().lease.holder is None
-            assert peer.call("/hexapod/drive") == (True, "drives as ros2")
-            assert client.state().lease.holder == "ros2"
-
-
 def test_a_graph_that_others_may_reach_is_shown_in_diagnostics_state_and_events(
     gateway: Gateway, watcher: Client
 ) -> None:
@@ -348,32 +296,3 @@ def test_without_ros_it_names_what_to_install() -> None:
     assert child.wait(20) == 2
     child.close()
     assert "pip install 'hexapod-gateway[rclpy]'" in child.stderr
-
-
-@pytest.mark.parametrize(
-    ("arguments", "status", "why"),
-    [
-        (("--", "--ros-args", "-r", "nonsense"), 2, "ROS 2 does not start"),
-        (("--tf",), 2, "this ROS 2 has no tf2_msgs"),
-        (("--joint-names", "J{joint}"), 2, "gives two joints one name"),
-        (("--ros-namespace", "hex apod"), 2, "is no ROS namespace"),
-        (("--joint-states-hz", "0"), 2, "joint_states_hz: 0 is not between 1 and 50"),
-        (("--connect", "tcp/127.0.0.1:9"), 4, "127.0.0.1:9"),
-    ],
-)
-def test_what_it_cannot_begin_with(arguments: tuple[str, ...], status: int, why: str, gateway: Gateway) -> None:
-    tried = Child([*RCLPY_COMMAND, "ros2", "--connect", gateway.endpoint, *arguments], clean() | ENV)
-    assert tried.wait() == status, tried
-    tried.close()
-    assert why in tried.stderr
-
-
-def test_while_somebody_else_drives_the_option_drive_waits_for_the_service(gateway: Gateway) -> None:
-    with (
-        gateway.client(source="anna") as anna,
-        anna.lease(),
-        RclpyBridge(gateway, "--drive", domain=OTHER_DOMAIN) as own,
-    ):
-        own.child.wait_for_output("held by anna", timeout_s=20)
-        own.child.send_signal(signal.SIGTERM)
-        assert own.child.wait() == 0

@@ -1,21 +1,11 @@
 """What moves the robot through the bridge, and what stops it: joint commands, walking, trajectories, several nodes."""
 
 import itertools
-import math
-import threading
-import time
-from dataclasses import replace
-from pathlib import Path
 from typing import Final
 
 import pytest
-from rosbags.rosbag2 import Reader, Writer
-from rosbags.typesys import Stores, get_typestore
 
 from gateway.client import Client
-from gateway.people.bridge.driving import Driving
-from gateway.people.ros2.cdr import encode
-from gateway.people.ros2.joints import JointNames
 from gateway.people.ros2.messages import (
     DiagnosticArray,
     Float64,
@@ -27,7 +17,6 @@ from gateway.people.ros2.messages import (
     TwistStamped,
     Vector3,
 )
-from gateway.people.ros2.trajectory import Trajectory
 from schemas.telemetry import Kind, Mode
 from tests.support.bad_ros2 import BAD
 from tests.support.bridged import (
@@ -37,13 +26,10 @@ from tests.support.bridged import (
     SLOW,
     commanded,
     keeps,
-    plan,
     rejections,
     resting,
     rests,
-    strides,
 )
-from tests.support.gateway_process import Gateway
 from tests.support.heard import events, frames, running, states
 from tests.support.rclpy_peer import COMMANDS, DIAGNOSTICS, RclpyPeer, needs_rclpy
 
@@ -100,31 +86,6 @@ def test_bad_messages_move_nothing_and_each_is_explained(driven: RclpyPeer, watc
     assert watcher.state().lease.holder == "ros2", "it drives on"
 
 
-def test_a_bag_that_rosbags_has_written_is_played(driven: RclpyPeer, watcher: Client, tmp_path: Path) -> None:
-    """Its bytes are published as they are, as `ros2 bag play` does."""
-    recorded = written_by_rosbags(tmp_path / "bag")
-    written, played = frames(watcher), iter(recorded)
-    keeps(
-        lambda: driven.publish_bytes(COMMANDS, next(played, recorded[-1])),
-        lambda: commanded(written.all, 11)[-1:] == [LAST_DEG],
-    )
-    assert len(set(commanded(written.all, 11))) > 5
-
-
-def written_by_rosbags(path: Path) -> list[bytes]:
-    """What a bag has of joint commands, with bytes behind the last field, as ROS 2's own recorder keeps them."""
-    with Writer(path, version=9) as writer:
-        store = get_typestore(Stores.ROS2_JAZZY)
-        connection = writer.add_connection(COMMANDS, JointState.TYPE, typestore=store)
-        for number in range(50):
-            writer.write(connection, number * 20_000_000, encode(resting(joint_11=number / 1000)) + bytes(8))
-    with Reader(path) as reader:
-        return [bytes(data) for _, _, data in reader.messages()]
-
-
-LAST_DEG: Final = round(RESTS_DEG[1] + math.degrees(0.049), 2)
-
-
 # ---- walking
 
 
@@ -169,21 +130,6 @@ def test_a_zero_velocity_starts_no_servo(driven: RclpyPeer, watcher: Client) -> 
     assert watcher.state().mode == Mode.IDLE
 
 
-def test_a_peer_that_is_killed_in_mid_walk_leaves_a_robot_that_stands_and_then_sits(
-    driven: RclpyPeer, watcher: Client
-) -> None:
-    del driven
-    written = frames(watcher)
-    with RclpyPeer() as walking:
-        walking.advertise(VELOCITIES, Twist)
-        keeps(lambda: walking.publish(VELOCITIES, WALKING), lambda: strides(written), hz=20)
-        walking.child.kill()
-        keeps(lambda: None, lambda: rests(written, 11, 12, 22, count=50))
-        assert len(running(watcher)) == 6, "it stands"
-        states(watcher).wait(lambda state: state.mode == Mode.IDLE, timeout_s=LONG_S)
-    assert watcher.state().lease.holder == "ros2", "another may go on"
-
-
 # ---- trajectories
 
 
@@ -205,33 +151,6 @@ def test_a_peer_that_vanishes_in_mid_trajectory_has_the_robot_sit_down(
         states(watcher).wait(lambda state: state.mode == Mode.IDLE, timeout_s=LONG_S)
     assert max(commanded(written.all, 11)) < RESTS_DEG[1] + 57, "it did not follow it to its end"
     assert watcher.state().lease.holder == "ros2", "another may go on"
-
-
-def test_a_trajectory_behind_one_that_has_just_ended_is_followed(gateway: Gateway, watcher: Client) -> None:
-    """Here nobody looks whether it has ended; the bridge does twenty times a second."""
-    happened, gone = events(watcher), threading.Event()
-    leg = replace(plan((30.0, 0.0)), joint_names=resting().name[:3])
-    leg = replace(leg, points=(replace(leg.points[0], positions=leg.points[0].positions[:3]),))
-    with gateway.client(source="ros2") as client:
-        driving = Driving(client, "ros2", GEOMETRY, lambda _: None)
-        driving.activate()
-        driving.drive()
-        first, then = (Trajectory.read(leg, JointNames(), GEOMETRY, time.monotonic(), time.time_ns()) for _ in range(2))
-        driving.follow(first, lambda: not gone.is_set())
-        states(watcher).wait(lambda state: state.mode == Mode.ACTIVE)
-        gone.set()
-        driving.check()  # with one leg nothing can sit down
-        happened.wait(lambda event: event.kind == Kind.WATCHDOG_EXPIRED)
-        driving.follow(then, lambda: True)
-        states(watcher).wait(lambda state: state.mode == Mode.ACTIVE)
-        driving.close()
-    assert watcher.state().mode == Mode.IDLE
-
-
-def test_one_kind_of_motion_at_a_time(driven: RclpyPeer, watcher: Client) -> None:
-    driven.publish(TRAJECTORY, SLOW)
-    keeps(lambda: None, lambda: len(running(watcher)) == 6)
-    not_taken(driven, VELOCITIES, WALKING, "cmd_vel: joint_trajectory moves the robot")
 
 
 # ---- several nodes
@@ -259,16 +178,3 @@ def test_of_two_nodes_that_fight_the_first_is_followed_until_it_is_silent(driven
             lambda: second.publish(COMMANDS, resting(joint_11=0.2)),
             lambda: commanded(written.all, 11)[-1] > RESTS_DEG[1] + 10,
         )
-
-
-def test_nodes_that_come_and_go_ten_times_a_second_disturb_no_walk(driven: RclpyPeer, watcher: Client) -> None:
-    happened, written = events(watcher), frames(watcher)
-    with RclpyPeer() as churning:
-        thread = threading.Thread(target=churning.churn, args=(VELOCITIES, 50))
-        keeps(lambda: driven.publish(VELOCITIES, WALKING), lambda: strides(written), hz=20)
-        thread.start()
-        keeps(lambda: driven.publish(VELOCITIES, WALKING), lambda: not thread.is_alive(), hz=20)
-        thread.join()
-    assert strides(written), "it walks"
-    assert len(running(watcher)) == 6
-    assert not [each for each in happened.all if each.kind in (Kind.WATCHDOG_EXPIRED, Kind.LEASE_RELEASED)]

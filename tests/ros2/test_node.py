@@ -11,8 +11,7 @@ from gateway.client import Client
 from gateway.people.ros2.messages import DiagnosticArray, ImuMessage, JointState, String, Twist
 from schemas.telemetry import Kind, Mode
 from tests.ros2.test_motion import WALKING
-from tests.support.bridged import GEOMETRY, clean, does, keeps, rejections, resting, strides
-from tests.support.child import Child
+from tests.support.bridged import GEOMETRY, does, keeps, rejections, resting, strides
 from tests.support.gateway_process import Gateway
 from tests.support.heard import events, frames, running
 from tests.support.measuring import MEASURED, measures
@@ -20,8 +19,6 @@ from tests.support.rclpy_peer import (
     COMMANDS,
     DIAGNOSTICS,
     DOMAIN,
-    ENV,
-    RCLPY_COMMAND,
     RclpyBridge,
     RclpyPeer,
     needs_rclpy,
@@ -72,25 +69,6 @@ def test_a_node_that_is_deactivated_sits_down_and_only_an_activation_and_drive_m
         assert peer.call("/hexapod/estop")[0]
 
 
-def test_one_that_others_manage_waits_for_them_and_publishes_no_joints_until_then(
-    gateway: Gateway, watcher: Client
-) -> None:
-    with managed(gateway, "--drive", "--", "--ros-args", "-p", "autostart:=false") as peer:
-        peer.subscribe(JOINT_STATES, JointState)
-        assert peer.state() == "unconfigured"
-        assert "nobody has activated it" in does(peer.next(DIAGNOSTICS))
-        assert watcher.state().lease.holder is None
-        assert not peer.change_state("activate"), "first it has to be configured"
-        assert peer.change_state("configure")
-        assert peer.state() == "inactive"
-        with pytest.raises(RuntimeError, match="Empty"):
-            peer.next(JOINT_STATES)
-        assert peer.change_state("activate")
-        assert watcher.state().lease.holder == "ros2", "--drive"
-        assert not running(watcher)
-        assert peer.next(JOINT_STATES)
-
-
 def test_parameters_by_file_and_by_name_are_rates_frames_and_where_other_joints_are(
     gateway: Gateway, watcher: Client, tmp_path: Path
 ) -> None:
@@ -123,23 +101,6 @@ def test_parameters_by_file_and_by_name_are_rates_frames_and_where_other_joints_
             + (second.header.stamp.nanosec - first.header.stamp.nanosec) / 1e9
         )
         assert apart_s > 0.4
-
-
-@pytest.mark.parametrize(
-    ("parameter", "why"),
-    [
-        ("joint_states_hz:=0.0", "joint_states_hz: 0 is not between 1 and 50"),
-        ("joint_states_hz:=fast", "parameter joint_states_hz"),
-        ("base_frame:=/base", "is no name of a frame"),
-        ("uncommanded_deg:=181.0", "uncommanded_deg: 181 is not between 0 and 180"),
-    ],
-)
-def test_a_parameter_that_cannot_be_is_a_sentence(parameter: str, why: str, gateway: Gateway) -> None:
-    command = ("ros2", "--connect", gateway.endpoint, "--domain", str(OWN_DOMAIN), "--", "--ros-args", "-p", parameter)
-    tried = Child([*RCLPY_COMMAND, *command], clean() | ENV)
-    assert tried.wait() == 2, tried
-    tried.close()
-    assert why in tried.stderr
 
 
 def test_in_simulated_time_nobody_may_drive(gateway: Gateway, watcher: Client) -> None:

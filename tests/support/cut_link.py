@@ -6,8 +6,7 @@ It forwards bytes and not TLS, so both ends verify each other's certificate.
 import select
 import socket
 import threading
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from typing import Final, Self
 
 _CHUNK: Final = 65536
@@ -41,15 +40,6 @@ class CutLink:
                 each.shutdown(socket.SHUT_RDWR)
             each.close()
         self.fix()
-
-    @contextmanager
-    def dropped_on_error(self) -> Iterator[None]:
-        """What waits never arrives if this fails or is interrupted."""
-        try:
-            yield
-        except BaseException:
-            self.drop()
-            raise
 
     def cut(self) -> None:
         """Nothing passes from now on, in either direction."""

@@ -8,6 +8,7 @@ from typing import Any
 from jsonschema import Draft202012Validator
 from mcap.reader import make_reader
 
+from gateway.people.recordings import RecordedMessage
 from gateway.people.recordings.drawing import DRAWN
 from tests.support.ros2_bytes import decode
 
@@ -34,3 +35,18 @@ def checked(path: Path) -> Iterator[tuple[str, Any]]:
                 content = json.loads(message.data)
                 validators[channel.topic].validate(content)
                 yield channel.topic, content
+
+
+def read(path: Path) -> Iterator[RecordedMessage]:
+    """The JSON messages, in the file's order."""
+    with path.open("rb") as file:
+        for _, channel, message in make_reader(file).iter_messages(log_time_order=False):
+            if channel.message_encoding == "json":
+                yield RecordedMessage(channel.topic, json.loads(message.data), message.log_time, message.publish_time)
+
+
+def about(path: Path) -> dict[str, Any]:
+    """What the file says of its gateway."""
+    with path.open("rb") as file:
+        found = {each.name: each.metadata for each in make_reader(file).iter_metadata()}
+    return {name: json.loads(value) for name, value in found.get("hexapod-gateway", {}).items()}

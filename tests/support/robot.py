@@ -13,6 +13,7 @@ from typing import Any
 
 from pydantic import BaseModel
 
+from gateway.errors import BatchRejectedError
 from gateway.model.frames import Frame, decode
 from gateway.model.framing import Framing
 from gateway.robot.blackbox.recorder import Recorder
@@ -25,6 +26,7 @@ from gateway.robot.runtime.request_answers import ButtonAnswers, LeaseAnswers, R
 from gateway.robot.runtime.supply import RobotSupply
 from gateway.robot.service import BEAT_S, rules
 from gateway.robot.settings import Settings
+from gateway.robot.spi import Batch
 from gateway.robot.spi.bus import Bus
 from schemas import keys
 from schemas.button import ButtonAck
@@ -85,6 +87,17 @@ class Robot:
         """Its way to the controller."""
         self.bus = Bus(self.settings.spi, self._open, clock=self.now_ns, pause=self._pause)
         return self.bus
+
+    def take_no_lists(self) -> None:
+        """As a kernel that rejects lists of transfers."""
+        transfer = self.controller.transfer
+
+        def one_by_one(batch: Batch) -> None:
+            if len(batch) > 1:
+                raise BatchRejectedError("no lists")
+            transfer(batch)
+
+        self.controller.transfer = one_by_one  # type: ignore[method-assign]
 
     def supply(self) -> RobotSupply | None:
         """What feeds its servos; None: no board."""

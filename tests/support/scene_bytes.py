@@ -18,9 +18,11 @@ from tests.support.robot import MS, Robot, leg, servo
 FOLDER = Path(__file__).parents[1] / "data" / "scene"
 
 
-async def _play(framing: Framing, *, batch: bool) -> Robot:
+async def _play(framing: Framing, *, lists: bool) -> Robot:
     """Start, streams above and below the rate, Stops of each kind, a fault, the end."""
-    robot = Robot({"spi": {"framing": framing, "batch": batch}, "limits": {"start_stagger_ms": 5}})
+    robot = Robot({"spi": {"framing": framing}, "limits": {"start_stagger_ms": 5}})
+    if not lists:
+        robot.take_no_lists()
     robot.conductor.start()
     robot.conductor.announce_start()
     await asyncio.sleep(0.03)  # among the repeats of the first Stops
@@ -46,11 +48,11 @@ async def _play(framing: Framing, *, batch: bool) -> Robot:
     return robot
 
 
-def transfers(framing: Framing, *, batch: bool = True) -> list[str]:
+def transfers(framing: Framing, *, lists: bool = True) -> list[str]:
     """Each transfer of the scene as a line: when, in ms, and its bytes in hexadecimal."""
     loop = async_solipsism.EventLoop()
     try:
-        robot = loop.run_until_complete(_play(framing, batch=batch))
+        robot = loop.run_until_complete(_play(framing, lists=lists))
     finally:
         loop.close()
     return [f"{at_ns / MS:.3f} {data.hex()}" for at_ns, data in robot.controller.transfers]

@@ -156,10 +156,6 @@ class Actor:
 
         return _wait(gone, seconds)
 
-    def wait_given_up(self, zid: str, seconds: float = 10) -> bool:
-        """Whether there comes to be no link to `zid`; of one that was full, Zenoh tells no end."""
-        return _wait(lambda: zid not in {str(link.zid) for link in self._session.info.links()}, seconds)
-
     def identity(self, zid: str, seconds: float = 5) -> str | None:
         """Whom the certificate of the link to `zid` names, once there is one."""
         found: dict[str, str | None] = {}

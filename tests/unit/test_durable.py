@@ -60,27 +60,6 @@ def test_the_file_is_on_the_disk_before_it_takes_its_place_and_the_folder_after_
     assert synced == [(3, b"old"), (None, b"new")]
 
 
-def test_an_end_from_the_keyboard_leaves_the_old_one(tmp_path: Path) -> None:
-    path = tmp_path / "file"
-    path.write_bytes(b"old")
-
-    def interrupted() -> None:
-        with durable.replacing(path) as staged:
-            staged.write_bytes(b"ne")
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        interrupted()
-    assert (path.read_bytes(), list(tmp_path.iterdir())) == (b"old", [path])
-
-
-def test_what_was_left_of_a_power_cut_is_written_over(tmp_path: Path) -> None:
-    path = tmp_path / "file"
-    durable.staged_for(path).write_bytes(b"half of something longer")
-    durable.write(path, b"new")
-    assert (path.read_bytes(), list(tmp_path.iterdir())) == (b"new", [path])
-
-
 @pytest.mark.parametrize("umask", [0o000, 0o077])
 def test_the_mode_is_there_before_the_content_whatever_the_umask(tmp_path: Path, umask: int) -> None:
     path = tmp_path / "file"
@@ -107,19 +86,3 @@ def test_two_that_write_at_once_leave_one_whole_file(tmp_path: Path) -> None:
         path, b"first", 0o600, prepare=lambda _: durable.write_with_mode(path, b"the second", 0o600)
     )
     assert (path.read_bytes(), list(tmp_path.iterdir())) == (b"first", [path])
-
-
-def test_a_new_file_takes_nobodys_place(tmp_path: Path) -> None:
-    path, elsewhere = tmp_path / "file", tmp_path / "elsewhere"
-    path.symlink_to(elsewhere)
-    with pytest.raises(FileExistsError):
-        durable.create(path, b"key", 0o600)
-    assert not elsewhere.exists()
-
-
-@pytest.mark.skipif(os.geteuid() != 0, reason="only root may give files away")
-def test_what_root_writes_belongs_to_the_folders_owner(tmp_path: Path) -> None:
-    os.chown(tmp_path, 4711, 815)
-    path = tmp_path / "file"
-    durable.write_with_mode(path, b"", 0o600, prepare=partial(durable.like_the_folder, path))
-    assert (path.stat().st_uid, path.stat().st_gid) == (4711, 815)

@@ -14,7 +14,6 @@ from pydantic.fields import FieldInfo
 
 from gateway.cli import app
 from gateway.errors import ConfigError
-from gateway.model.framing import Framing
 from gateway.model.protocols import SpiProtocol
 from gateway.robot.sections import ServoLimits, SpiSettings
 from gateway.robot.settings import Settings, load
@@ -158,10 +157,6 @@ def test_these_are_all_settings_with_their_defaults_and_ranges(tmp_path: Path) -
             assert default == "; ".join(
                 f"`{SpiSettings(protocol=each).speed_hz}` with `{each}`" for each in SpiProtocol
             )
-        elif name == "spi.avoid_deg":
-            with_each = [SpiSettings(framing=framing).avoid_cdeg for framing in Framing]
-            assert with_each == [None, (1_00, 4_00)]
-            assert default == "`[1.0, 4.0]` with `length-prefixed`; `[]` with `plain`"
         else:
             assert json.loads(default.strip("`")) == json.loads(json.dumps(field.default)), name
         assert limits == ends(field), name

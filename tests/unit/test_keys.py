@@ -3,8 +3,6 @@
 import re
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from schemas.keys import COMMAND_KEYS, CommandKey, Target, leg_command, parse, servo_command
 from schemas.robot import LEGS, SERVO_IDS
@@ -61,16 +59,3 @@ NO_KEY = "is no command key; they are leg/1..6, servo/11..63, legs, estop and re
 def test_what_is_no_command_key(key: str, sentence: str) -> None:
     with pytest.raises(ValueError, match=f"^{re.escape(sentence)}$"):
         parse(key)
-
-
-@given(st.one_of(st.text(), st.text().map(lambda text: f"hexapod/leg/{text}/cmd"), st.text(min_size=500)))
-def test_any_text_is_a_key_or_answered_in_one_short_line(text: str) -> None:
-    try:
-        parsed = parse(text)
-    except ValueError as error:
-        sentence = str(error)
-    else:
-        assert COMMAND_KEYS[text] == parsed
-        return
-    assert sentence.isprintable()
-    assert len(sentence) < 160

@@ -43,8 +43,6 @@ SHOWN_ELSEWHERE = {
     "spi.device": "hil/test_service.py",
     "spi.speed_hz": "hil/test_service.py",
     "spi.framing": "test_bus.py",
-    "spi.batch": "test_bus_device.py",
-    "spi.resync_ms": "test_bus.py",
     "controller.uart": "hil/test_elkapod.py",
     "watchdog.scope": "test_conductor.py",
     "lease.required": "test_lease_conductor.py",
@@ -129,13 +127,10 @@ async def test_max_speed_deg_s(speed: float, first_deg: float, last_deg: float) 
         ({"framing": "length-prefixed"}, 1, False),
         ({"framing": "length-prefixed"}, 0.99, True),
         ({"framing": "length-prefixed"}, 4, True),
-        ({"framing": "length-prefixed", "avoid_deg": []}, 2, True),
-        ({"framing": "length-prefixed", "avoid_deg": [0.5, 6]}, 5.99, False),
         ({"framing": "plain"}, 2, True),
-        ({"framing": "plain", "avoid_deg": [1, 4]}, 2, False),
     ],
 )
-async def test_avoid_deg(spi: dict[str, object], angle_deg: float, accepted: bool) -> None:
+async def test_angles_that_are_not_sent(spi: dict[str, object], angle_deg: float, accepted: bool) -> None:
     robot = await started_and_quiet(spi=spi)
     ack = robot.ask(LEG_3, leg("start", 90, 90, angle_deg))
     assert (ack.accepted, ack.reason) == (accepted, None if accepted else Reason.JOINT_LIMIT)
@@ -207,24 +202,17 @@ def test_frame_gap_us(frame_gap_us: float, pause_us: int) -> None:
     ("spi", "written"),
     [
         ({"framing": "length-prefixed"}, False),
-        ({"framing": "length-prefixed", "avoid_deg": []}, True),
-        ({"framing": "length-prefixed", "avoid_deg": [2, 4]}, True),
         ({"framing": "plain"}, True),
-        ({"framing": "plain", "avoid_deg": [1, 4]}, False),
     ],
 )
-@pytest.mark.parametrize("batch", [True, False])
-def test_the_guard_knows_avoid_deg(spi: dict[str, object], written: bool, batch: bool) -> None:
-    settings = Settings.model_validate({"spi": {**spi, "batch": batch, "frame_gap_us": 20}})
+def test_the_guard_knows_them(spi: dict[str, object], written: bool) -> None:
+    settings = Settings.model_validate({"spi": {**spi, "frame_gap_us": 20}})
     controller = SimulatedController(settings.spi.framing)
-    pauses_s: list[float] = []
-    bus = Bus(settings.spi, lambda: controller, pause=pauses_s.append)
+    bus = Bus(settings.spi, lambda: controller)
     bus.open()
     frame = OneServo(11, ServoOp(Op.SET, 1_99))
     with nullcontext() if written else pytest.raises(IllegalTransferError):
         bus.write([frame])
-    if written:
-        assert bool(pauses_s) is not batch
     assert (frame.to_bytes() in [data for _, data in controller.transfers]) is written
 
 

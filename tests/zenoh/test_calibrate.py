@@ -1,17 +1,15 @@
 """The commands of `calibrate` on a running gateway."""
 
 import re
-import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from gateway.client import Client
-from schemas import calibration as wire
 from schemas.calibration import ServoChange
 from tests.support.fixtures import patient
-from tests.support.gateway_process import COMMAND, Gateway
+from tests.support.gateway_process import Gateway
 
 
 @pytest.fixture(scope="module")
@@ -34,17 +32,6 @@ def anna(gateway: Gateway) -> Iterator[Client]:
     with gateway.client(source="anna") as client:
         client.stop()
         yield client
-
-
-def test_the_table_goes_through_a_pipe(gateway: Gateway, anna: Client) -> None:
-    assert anna.calibrate({13: ServoChange(trim_deg=-3.5, inverted=True, min_deg=20)}, {13: 45.5}).accepted
-    end = gateway.run("calibrate", "show")
-    assert end.returncode == 0
-    lines = end.stdout.splitlines()
-    assert len(lines) == 19
-    assert lines[0].split() == ["servo", "trim", "direction", "lowest", "highest", "landing"]
-    assert lines[3].split() == ["13", "-3.50", "inverted", "20.00", "180.00", "45.50"]
-    assert f"revision {anna.calibration().revision}, kept on the robot" in end.stderr
 
 
 def test_the_landing_pose_is_where_the_running_servos_stand(gateway: Gateway, anna: Client) -> None:
@@ -70,19 +57,6 @@ def test_the_landing_pose_is_where_the_running_servos_stand(gateway: Gateway, an
     assert all(servo.running for servo in anna.state().legs[0].servos), "it stops nobody, and needs no lease for that"
 
 
-def test_the_landing_pose_waits_for_who_drives(gateway: Gateway, anna: Client) -> None:
-    def lets_go(_: str) -> None:
-        anna.stop()
-        lease.release()
-
-    with anna.lease(on_asked=lets_go) as lease:
-        assert anna.start_leg(5, 50, 60, 70).accepted
-        end = gateway.run("calibrate", "landing", "--leg", "5", "--yes")
-    assert end.returncode == 0, str(end)
-    assert "anna drives, and is asked for the lease" in end.stderr
-    assert anna.calibration().landing["53"] == 70
-
-
 def test_a_broken_file_is_shown_and_replaced_by_the_default_once_somebody_says_so(tmp_path: Path) -> None:
     kept = tmp_path / "calibration.toml"
     kept.write_text("half a fi")
@@ -101,17 +75,6 @@ def test_a_broken_file_is_shown_and_replaced_by_the_default_once_somebody_says_s
         assert again.returncode == 0
         assert again.stdout.startswith("there is nothing to accept: revision ")
     assert (tmp_path / "calibration.broken.toml").read_text() == "half a fi"
-
-
-def test_one_servo_is_changed_and_the_rest_of_it_stays(gateway: Gateway, anna: Client) -> None:
-    end = gateway.run("calibrate", "set", "41", "--trim", "-3.5", "--inverted")
-    assert end.returncode == 0, str(end)
-    assert gateway.run("calibrate", "set", "41", "--max", "150", "--as-drawn").returncode == 0
-    assert anna.calibration().servos["41"] == wire.ServoCalibration(trim_deg=-3.5, max_deg=150)
-    assert anna.start_leg(4, 50, 60, 70).accepted
-    runs = gateway.run("calibrate", "set", "41", "--trim", "1")
-    assert runs.returncode == 1
-    assert runs.stdout.startswith("rejected: ")
 
 
 @pytest.mark.parametrize(
@@ -150,21 +113,3 @@ def test_what_was_exported_comes_back_whole(gateway: Gateway, anna: Client, tmp_
     assert (after.servos, after.landing) == (before.servos, before.landing)
     again = gateway.run("calibrate", "import", str(file), "--yes")
     assert (again.returncode, again.stdout.split(":")[0]) == (0, "there is nothing to change")
-
-
-def test_by_itself_it_leads_to_the_guide(gateway: Gateway) -> None:
-    """It starts a console where none of this user's runs, else it prints a link into that one."""
-    with gateway.begin("calibrate") as console:
-        console.wait_for_output("A console starts for the guide")
-        url = console.wait_for_output("The console is at").split()[-1]
-        link = subprocess.run([*COMMAND, "calibrate"], capture_output=True, text=True, timeout=30, check=True).stdout
-        assert re.search(rf"{re.escape(url)}/\?token=[\w-]+&card=cal$", link, re.MULTILINE)
-
-
-def test_a_file_that_is_no_calibration_is_not_shown(gateway: Gateway, tmp_path: Path) -> None:
-    file = tmp_path / "another's"
-    file.write_text("root:secret")
-    end = gateway.run("calibrate", "import", str(file))
-    assert end.returncode == 2
-    assert "secret" not in end.stderr
-    assert "pydantic" not in end.stderr

@@ -77,15 +77,6 @@ def test_the_wire_has_the_servos_angles_the_state_the_users_and_the_disk_the_cal
     assert client.calibrate({41: ServoChange(trim_deg=1)}).accepted, "leg 4 stands still"
 
 
-def test_of_two_who_change_the_same_revision_one_is_told_so(gateway: Gateway, client: Client) -> None:
-    with gateway.client(source="bert") as bert:
-        revision = client.calibration().revision
-        assert client.calibrate(landing={11: 40}, revision=revision).accepted
-        rejected = bert.calibrate(landing={11: 50}, revision=revision)
-        assert rejected.reason == Reason.STALE
-        assert client.calibration().landing["11"] == 40
-
-
 def test_a_restart_finds_it_and_the_ten_before_it(tmp_path: Path) -> None:
     path = tmp_path / "state" / "calibration.toml"
     settings = {"state": {"path": str(path.parent)}}

@@ -125,7 +125,6 @@ def test_a_speed_that_the_kernel_does_not_give_is_a_warning(
     [
         ({}, None, "0.6"),
         ({"framing": "length-prefixed"}, None, "1.0"),
-        ({"framing": "length-prefixed", "batch": False}, None, "2.1"),
         ({"framing": "length-prefixed", "frame_gap_us": 1000}, None, "12.4"),
         ({"framing": "length-prefixed"}, 1_000_000, "1.4"),
         ({"speed_hz": 1_000_000}, None, "1.0"),
@@ -146,31 +145,23 @@ def test_the_kernel_is_asked_for_the_speed_only_of_a_spidev(tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize(
-    ("cs_gpios", "framing", "batch", "verdict"),
-    [
-        (GPIOS, "plain", True, OK),
-        (None, "plain", True, WARNING),
-        (None, "plain", False, OK),
-        (None, "length-prefixed", True, OK),
-    ],
+    ("cs_gpios", "framing", "verdict"),
+    [(GPIOS, "plain", OK), (None, "plain", WARNING), (None, "length-prefixed", OK)],
 )
 def test_a_controller_that_drives_chip_select_may_keep_it_within_a_call(
-    cs_gpios: bytes | None, framing: str, batch: bool, verdict: Verdict, tmp_path: Path
+    cs_gpios: bytes | None, framing: str, verdict: Verdict, tmp_path: Path
 ) -> None:
     """By the device tree, not by the driver's name."""
     MachineTree(tmp_path, cs_gpios=cs_gpios)
-    settings = SpiSettings.model_validate({"framing": framing, "batch": batch})
+    settings = SpiSettings.model_validate({"framing": framing})
     result = device.lists(settings, root=tmp_path)
     assert result.verdict is verdict
     assert ("check --move" in result.fix) is (verdict is WARNING)
-    assert ("spi-bcm2835" in result.sentence) is (cs_gpios is None and batch)
+    assert ("spi-bcm2835" in result.sentence) is (cs_gpios is None)
 
 
 def test_without_a_device_tree_nobody_knows_of_chip_select(tmp_path: Path) -> None:
     assert device.lists(SpiSettings(), root=tmp_path).verdict is WARNING
-
-
-DIES = "dies of these where one byte is lost"
 
 
 @pytest.mark.parametrize(
@@ -178,12 +169,9 @@ DIES = "dies of these where one byte is lost"
     [
         ({}, WARNING, "the published STM32 firmware jams in it"),
         ({"framing": "length-prefixed"}, OK, "wire angles from 1 up to 4 degrees are never sent"),
-        ({"framing": "length-prefixed", "avoid_deg": ()}, WARNING, DIES),
-        ({"framing": "length-prefixed", "avoid_deg": (1.5, 4)}, WARNING, DIES),
-        ({"framing": "length-prefixed", "avoid_deg": (1, 3.5)}, WARNING, DIES),
     ],
 )
-def test_a_framing_that_moves_no_servo_and_angles_that_kill_the_firmware_are_warnings(
+def test_a_framing_that_jams_the_published_firmware_is_a_warning(
     settings: dict[str, object], verdict: Verdict, sentence: str
 ) -> None:
     found = device.framing(SpiSettings.model_validate(settings))

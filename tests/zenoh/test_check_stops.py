@@ -14,7 +14,6 @@ import pytest
 
 from gateway.onboard.check.stops import steps
 from gateway.onboard.check.stops.steps import STEPS
-from schemas.calibration import ServoChange
 from tests.support.fixtures import gateway_fixture
 from tests.support.gateway_process import Gateway, free_port
 from tests.support.heard import frames
@@ -75,13 +74,6 @@ def test_where_the_gateway_is_gone_it_says_that_nobody_has_confirmed(tmp_path: P
         assert "Nobody has confirmed that all legs are stopped" in child.stderr
 
 
-def test_without_frames_it_measures_by_the_state(tmp_path: Path) -> None:
-    with Gateway(tmp_path) as running:
-        done = running.run("check", "--stops", "--late", str(LATE_MS), "--only", "silence", "--only", "estop")
-        assert done.returncode == 0, str(done)
-        assert "publishes no frames" in done.stderr
-
-
 ENDS: Final = {"command": signal.SIGINT, "estop": signal.SIGTERM, "silence": signal.SIGHUP}
 """Ctrl-C, a request to end, and the end of the terminal: with one client, with a stream, and with what a link holds."""
 STARTED: Final = "06020b015a00"
@@ -116,15 +108,6 @@ def test_where_the_lease_is_taken_from_it_all_legs_are_stopped(gateway: Gateway)
         assert not any(servo.running for leg in state.legs for servo in leg.servos)
         if state.mode == "estopped":
             assert client.reset().accepted
-
-
-def test_a_calibrated_servo_with_a_greatest_speed_passes(tmp_path: Path) -> None:
-    with Gateway(tmp_path, {**FRAMES, "limits.servos.11": {"max_speed_deg_s": 20.0}}) as running:
-        with running.client() as client:
-            assert client.calibrate({11: ServoChange(trim_deg=3, inverted=True)}).accepted
-        done = running.run("check", "--stops", "--late", str(LATE_MS), "--only", "command")
-        assert done.returncode == 0, str(done)
-        assert "frame 06020b015d00" in done.stdout, "180 - 90 + 3 = 93 degrees"
 
 
 def test_a_robot_that_is_not_at_rest_is_left_alone(gateway: Gateway) -> None:

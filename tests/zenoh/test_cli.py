@@ -10,12 +10,10 @@ from typing import Any
 
 import pytest
 import typer.main
-from typer.core import TyperGroup
 
-from gateway import certs, cli
+from gateway import cli
 from gateway.people.tools.reach import me
-from gateway.people.tools.send import person_of
-from schemas.telemetry import GatewayState, Kind, Mode
+from schemas.telemetry import Kind, Mode
 from tests.support.command import run_here
 from tests.support.fixtures import gateway_fixture
 from tests.support.gateway_process import COMMAND, Gateway, free_port
@@ -75,16 +73,6 @@ def test_hold_keeps_a_leg_running_past_the_watchdog(tmp_path: Path) -> None:
         assert stop.monotonic_ns - commands[0].monotonic_ns > 1_500_000_000
 
 
-@pytest.mark.parametrize("what", [("leg", "3", "start", "90", "45", "120"), ("servo", "31", "start", "90")])
-def test_hold_starts_nothing_again_that_somebody_has_stopped(gateway: Gateway, what: tuple[str, ...]) -> None:
-    with gateway.begin("send", *what, "--hold", "60") as held, gateway.client() as client:
-        held.wait_for_output("accepted", 20)
-        assert client.stop().accepted
-        assert held.wait(20) == 1
-        assert "rejected: servo_stopped" in held.stdout
-        assert client.state().mode == Mode.IDLE
-
-
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
@@ -133,12 +121,15 @@ def test_without_a_gateway_it_is_4_and_one_line(arguments: tuple[str, ...]) -> N
         (("send", "leg", "3", "wave"), "Invalid value for 'OP': 'wave' is not one of 'start', 'set', 'stop'."),
         (
             ("send", "leg", "3", "start", "90"),
-            "there are 1; for example: send leg 3 start 90 45 120",
+            "there are 1; for example: hexapod-gateway send leg 3 start 90 45 120",
         ),
-        (("send", "leg", "3", "stop", "90"), "stop takes no angles, and there are 1; for example: send leg 3 stop"),
+        (
+            ("send", "leg", "3", "stop", "90"),
+            "stop takes no angles, and there are 1; for example: hexapod-gateway send leg 3 stop",
+        ),
         (("send", "servo", "14", "stop"), "servo 14 does not exist"),
-        (("send", "servo", "32", "set"), "set takes one angle; for example: send servo 32 set 90"),
-        (("send", "servo", "32", "stop", "5"), "stop takes no angle; for example: send servo 32 stop"),
+        (("send", "servo", "32", "set"), "set takes one angle; for example: hexapod-gateway send servo 32 set 90"),
+        (("send", "servo", "32", "stop", "5"), "stop takes no angle; for example: hexapod-gateway send servo 32 stop"),
         (("run", "--config", "/nowhere.toml"), "/nowhere.toml: there is no such file"),
         (("stop-servos", "--config", "/nowhere.toml"), "/nowhere.toml: there is no such file"),
         (("send", "stop", "--zenoh-config", "/nowhere.json5"), "/nowhere.json5"),
@@ -169,19 +160,6 @@ def test_help_teaches_every_exit_code_and_option() -> None:
     assert "Exit codes: 0 accepted" in run_here("send", "--help").stdout
 
 
-def test_status_is_a_look_in_sentences_or_as_published(gateway: Gateway) -> None:
-    shown = gateway.run("status")
-    assert (shown.returncode, shown.stderr) == (0, "")
-    assert "No servo runs. Gateway " in shown.stdout
-    assert GatewayState.model_validate_json(gateway.run("status", "--json").stdout).mode == "idle"
-
-
-def test_each_command_is_in_a_panel_of_help() -> None:
-    group = typer.main.get_command(cli.app)
-    assert isinstance(group, TyperGroup)
-    assert sorted(group.commands) == sorted(group.list_commands(typer.Context(group)))
-
-
 def test_python_m_is_the_same_program() -> None:
     assert sys.executable in COMMAND
     end = subprocess.run([*COMMAND, "decode", "zz"], capture_output=True, text=True, check=False, timeout=60)
@@ -195,14 +173,3 @@ def test_ctrl_c_while_it_loads_is_no_traceback(tmp_path: Path) -> None:
     environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
     end = subprocess.run([*COMMAND, "stop"], env=environment, capture_output=True, text=True, check=False, timeout=60)
     assert (end.returncode, end.stdout, end.stderr) == (130, "", "")
-
-
-def test_the_version_is_that_of_the_protocol_too() -> None:
-    assert re.fullmatch(r"hexapod-gateway \d+\.\d+\.\d+ \(HexapodProtocol 1\.0\.0\)\n", run_here("--version").stdout)
-
-
-def test_with_a_certificate_it_is_the_certificates_person(tmp_path: Path) -> None:
-    certs.folder.init(tmp_path / "D", ["127.0.0.1"])
-    certs.folder.issue(tmp_path / "D", "anna", "operator")
-    assert person_of(None, tmp_path / "D" / "anna.json5") == "anna"
-    assert person_of("tcp/127.0.0.1:7447", None) == me()

@@ -2,13 +2,11 @@
 
 import doctest
 import json
-import math
 import os
 import re
 import sys
 import threading
 import zipfile
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from queue import SimpleQueue
 from types import FrameType, ModuleType
@@ -20,7 +18,7 @@ import zenoh
 from gateway import certs
 from gateway import client as client_module
 from gateway.client import Client, leg_payload
-from gateway.errors import ConfigError, UnansweredError, ZenohError
+from gateway.errors import UnansweredError, ZenohError
 from gateway.people.client import blocking, lease, stream
 from schemas import keys
 from schemas.telemetry import Ack, Event, GatewayState, Mode, Telemetry
@@ -94,10 +92,6 @@ def test_what_the_robot_measures_is_asked_for_and_called_back() -> None:
         client.telemetry()
 
 
-def test_a_robot_that_measures_nothing_has_no_telemetry_at_once(robot: Client) -> None:
-    assert robot.telemetry(timeout_s=60) is None
-
-
 def test_a_connection_that_fails_names_the_step() -> None:
     """For a program as for a command."""
     endpoint = f"tcp/127.0.0.1:{free_port()}"
@@ -106,11 +100,6 @@ def test_a_connection_that_fails_names_the_step() -> None:
     with pytest.raises(ZenohError) as bare:
         Client(endpoint, timeout_s=0.2, explain=False)
     assert not [word for word in ("TCP:", "\n", "orchestrator.rs") if word in str(bare.value)]
-
-
-def test_an_endpoint_without_a_protocol_is_tcp(gateway: Gateway) -> None:
-    with Client(gateway.endpoint.removeprefix("tcp/")) as client:
-        assert client.state().mode is Mode.IDLE
 
 
 def test_it_stops_one_leg_or_all(robot: Client) -> None:
@@ -150,18 +139,6 @@ def test_what_nobody_answers_is_one_sentence_and_no_busy_loop(tmp_path: Path) ->
             assert 0 < looks < MOST_LOOKS
 
 
-def test_a_stop_whose_link_is_lost_is_asked_again(tmp_path: Path) -> None:
-    """The gateway is killed, and another one comes up while the client waits."""
-    settings = {"zenoh": {"listen": [f"tcp/127.0.0.1:{free_port()}"]}}
-    with Gateway(tmp_path, settings) as gateway, Client(gateway.endpoint, timeout_s=20) as client:
-        client.state()
-        gateway.child.kill()
-        with ThreadPoolExecutor() as threads:
-            asked = [threads.submit(stop) for stop in (client.stop, client.estop)]
-            with Gateway(tmp_path, settings):
-                assert all(answer.result(20).accepted or answer.result().reason == "estopped" for answer in asked)
-
-
 @pytest.mark.parametrize("answered", [0, 1])
 def test_a_stop_that_stays_unanswered_is_asked_again_and_either_answer_counts(answered: int) -> None:
     """A gateway on a slow bus answers the first attempt late; one whose link died without a word only the second."""
@@ -183,56 +160,6 @@ def test_a_stop_that_stays_unanswered_is_asked_again_and_either_answer_counts(an
 
 
 # ---- how it finds its gateway, and lets go of it
-
-
-def zenoh_file(path: Path, endpoint: str) -> Path:
-    path.write_text(f'{{ mode: "client", connect: {{ endpoints: ["{endpoint}"] }} }}')
-    return path
-
-
-def test_the_file_says_where_unless_an_endpoint_is_given(gateway: Gateway, tmp_path: Path) -> None:
-    right = zenoh_file(tmp_path / "right.json5", gateway.endpoint)
-    wrong = zenoh_file(tmp_path / "wrong.json5", f"tcp/127.0.0.1:{free_port()}")
-    for file in (right, str(right)):
-        with Client(zenoh_config=file) as client:
-            assert client.state().mode == "idle"
-    with Client(gateway.endpoint, zenoh_config=wrong) as client:
-        assert client.state().mode == "idle"
-    with pytest.raises(ZenohError, match="no gateway answers"):
-        Client(zenoh_config=wrong, timeout_s=0.3)
-
-
-def test_with_neither_it_is_this_machines(gateway: Gateway, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("gateway.zenoh_config.DEFAULT_ENDPOINT", gateway.endpoint)
-    for client in (Client(), Client(None)):
-        with client:
-            assert client.state().mode == "idle"
-
-
-def test_a_file_that_names_no_gateway_is_reported(tmp_path: Path) -> None:
-    (tmp_path / "empty.json5").write_text("{}")
-    with pytest.raises(ConfigError, match=r"empty\.json5 names no gateway"):
-        Client(zenoh_config=tmp_path / "empty.json5")
-
-
-@pytest.mark.parametrize(
-    ("endpoint", "options", "sentence"),
-    [
-        (None, {"source": ""}, "a source has 1 to 64 characters, and this one has 0"),
-        (None, {"source": "x" * 65}, "a source has 1 to 64 characters, and this one has 65"),
-        (None, {"timeout_s": 0}, "timeout_s must be positive and finite, and is 0 s"),
-        (None, {"timeout_s": -1}, "timeout_s must be positive and finite, and is -1 s"),
-        (None, {"timeout_s": math.nan}, "timeout_s must be positive and finite, and is nan s"),
-        (None, {"timeout_s": math.inf}, "timeout_s must be positive and finite, and is inf s"),
-        ("", {}, '"tcp/" is no endpoint, such as tcp/127.0.0.1:7447$'),
-    ],
-)
-def test_what_makes_no_client_is_one_sentence_before_anybody_is_dialled(
-    endpoint: str | None, options: dict[str, Any], sentence: str
-) -> None:
-    """A source that the gateway rejects would have every Stop rejected with it."""
-    with pytest.raises(ConfigError, match=f"^{sentence}"):
-        Client(endpoint, **options)
 
 
 def test_the_lines_in_a_bundle_work(tmp_path: Path) -> None:

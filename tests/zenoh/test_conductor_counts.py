@@ -2,16 +2,14 @@
 
 import asyncio
 import itertools
-from collections.abc import Sequence
 
 import pytest
 
-from gateway.errors import BatchRejectedError, SpiError
+from gateway.errors import SpiError
 from gateway.model.frames import OneLeg, Op, ServoOp, stop_leg
 from gateway.model.framing import PREAMBLE_ZEROS, ZERO
 from gateway.robot.core.events import Transmit
 from gateway.robot.core.intake import MAX_KEY
-from gateway.robot.spi import Transfer
 from schemas import keys
 from schemas.telemetry import Cause, Kind, Mode, Reason
 from tests.support.faulty_controller import FaultyController
@@ -107,19 +105,12 @@ async def test_stops_leave_before_repeated_ones_and_these_before_what_moves() ->
         assert [transmit for transmit, _ in written] == effects
 
 
-async def test_a_device_that_takes_no_lists_is_published_once(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_device_that_takes_no_lists_is_logged_once(caplog: pytest.LogCaptureFixture) -> None:
     robot = await started_and_quiet()
-    transfer = robot.controller.transfer
-
-    def one_by_one(batch: Sequence[Transfer]) -> None:
-        if len(batch) > 1:
-            raise BatchRejectedError("no lists")
-        transfer(batch)
-
-    monkeypatch.setattr(robot.controller, "transfer", one_by_one)
+    robot.take_no_lists()
     for _ in range(2):
         assert robot.ask(keys.ESTOP).stop_frames == 6
-    assert [event.detail for event in robot.events(Kind.BUS_UNBATCHED)] == ["no lists"]
+    assert caplog.messages.count("no lists; from now on each transfer is a call of its own") == 1
 
 
 async def test_the_end_says_whether_all_six_stops_were_written() -> None:

@@ -2,18 +2,15 @@
 
 import os
 import signal
-import socket
 import sys
 import time
 from collections.abc import Iterator
 from contextlib import suppress
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import httpx
 import pytest
-import segno
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
 from gateway.client import Client
@@ -23,7 +20,7 @@ from tests.support.child import Child
 from tests.support.command import run_here
 from tests.support.console_process import LINK, NOBODY, Console, Page, SignedIn
 from tests.support.fixtures import console_fixture, gateway_fixture, patient, session_fixture
-from tests.support.gateway_process import COMMAND, READY, Gateway, free_port
+from tests.support.gateway_process import READY, Gateway, free_port
 
 LEG_3 = "hexapod/leg/3/cmd"
 START = {"servos": [{"op": "start", "angle_deg": angle} for angle in (90, 45, 120)]}
@@ -64,21 +61,6 @@ def test_a_page_sees_and_drives(page: Page) -> None:
     page.state(is_there)
     assert page.ask(LEG_3, STOP)["ack"]["accepted"]
     page.state(lambda state: state["mode"] == "idle")
-
-
-def test_nothing_is_repeated(page: Page, gateway: Gateway) -> None:
-    """One start, and then silence: the page's socket stays open, and the watchdog stops the leg."""
-    with gateway.client() as client:
-        before, began = client.state(), datetime.now(UTC)
-        assert page.ask(LEG_3, START)["ack"]["accepted"]
-        assert "leg 3" in page.event("watchdog_expired", since=began)["detail"]
-        after = client.state()
-    assert after.commands.accepted == before.commands.accepted + 1
-
-
-def test_a_rejection_has_its_reason(page: Page) -> None:
-    ack = page.ask(LEG_3, SET)["ack"]
-    assert (ack["accepted"], ack["reason"]) == (False, "servo_stopped")
 
 
 def test_what_was_delayed_on_its_way_is_rejected(page: Page) -> None:
@@ -124,14 +106,6 @@ def test_nobody_without_the_cookie(console: Console) -> None:
         Page(console.url, NOBODY)
 
 
-def test_a_link_finds_the_console_that_runs(console: Console) -> None:
-    """Without --listen, wherever it listens."""
-    child = Child([*COMMAND, "console", "--link"], console.env)
-    assert child.wait() == 0, child.stderr
-    assert httpx.get(child.stdout.split()[4]).status_code == 303
-    child.close()
-
-
 def test_the_cookie(console: Console) -> None:
     link = console.run("--link").stdout.split()[4]
     answer = httpx.get(link)
@@ -165,18 +139,6 @@ def test_a_foreign_origin(console: Console, session: SignedIn, origin: str) -> N
     assert console.get(Origin=origin, **session.headers).status_code == 403
     with pytest.raises(InvalidStatus, match="403"):
         Page(console.url, session, origin)
-
-
-def test_headers(console: Console, session: SignedIn) -> None:
-    for answer in (console.get(**session.headers), console.get("/nothing", **session.headers), console.get()):
-        policy = answer.headers["content-security-policy"]
-        assert policy.startswith("default-src 'none'; script-src 'self'; style-src 'self';")
-        assert "unsafe" not in policy
-        assert answer.headers["x-content-type-options"] == "nosniff"
-        assert "access-control-allow-origin" not in answer.headers
-        assert "server" not in answer.headers
-    assert console.get("/../app.py", **session.headers).status_code in (403, 404)
-    assert console.get("/%2e%2e/app.py", **session.headers).status_code in (403, 404)
 
 
 # ---- bad pages
@@ -242,21 +204,6 @@ def test_it_waits_for_a_gateway(tmp_path: Path) -> None:
             page.wait("link", lambda message: message["status"] == "gone")
 
 
-def test_it_ends_beside_a_frozen_gateway(tmp_path: Path) -> None:
-    """In time, although a stop is asked for; and whoever ends it is told that this one was not confirmed."""
-    with Gateway(tmp_path) as gateway, Console(tmp_path, "--connect", gateway.endpoint) as console:
-        with console.page(console.sign_in()) as page:
-            page.state()
-            gateway.child.send_signal(signal.SIGSTOP)
-            page.send(type="stop_all", id=1)
-            page.wait("stop")
-            began_s = time.monotonic()
-            console.child.terminate()
-            assert console.child.wait() == 0
-        assert time.monotonic() - began_s < 5
-        assert "STOP ALL was NOT confirmed" in console.child.stderr
-
-
 def test_the_address_is_taken(console: Console) -> None:
     child = console.run()
     assert child.returncode == 5
@@ -280,16 +227,6 @@ def test_what_it_does_not_start_with(
     done = run_here("console", "--listen", f"127.0.0.1:{free_port()}", *arguments)
     assert done.returncode == 2
     assert says in done.stderr
-
-
-def test_link_without_a_console(console: Console, tmp_path: Path) -> None:
-    env = {**console.env, "STATE_DIRECTORY": str(tmp_path)}
-    with socket.socket() as taken:  # bound, but nobody listens
-        taken.bind(("127.0.0.1", 0))
-        child = Child([*COMMAND, "console", "--link", "--listen", f"127.0.0.1:{taken.getsockname()[1]}"], env)
-        assert child.wait() == 2
-        child.close()
-    assert "no console has run there" in child.stderr
 
 
 @pytest.mark.parametrize("end", [signal.SIGINT, signal.SIGTERM], ids=["Ctrl-C", "SIGTERM"])
@@ -339,24 +276,3 @@ def descendants(pid: int) -> list[int]:
 
 def command_line(pid: int) -> bytes:
     return Path(f"/proc/{pid}/cmdline").read_bytes()
-
-
-def test_a_page_gets_a_link_for_another_device_with_its_qr_code(console: Console, page: Page) -> None:
-    page.send(type="link_for", id=7)
-    found = page.wait("link_for")
-    assert found["url"].startswith(f"{console.url}/?token=")
-    assert found["rows"] == ["".join(map(str, row)) for row in segno.make(found["url"], error="l").matrix]
-    with console.page(console.sign_in(found["url"])) as second:
-        assert second.hello["role"] == "operator"
-
-
-def test_at_localhost_it_takes_all_addresses_or_none(gateway: Gateway, tmp_path: Path) -> None:
-    """A browser may open either, and somebody else may listen at the other."""
-    with Console(tmp_path / "first", "--connect", gateway.endpoint, address="localhost") as console:
-        assert console.url == f"http://127.0.0.1:{console.port}", "an address, and no name"
-        for host in (f"127.0.0.1:{console.port}", f"[::1]:{console.port}", f"localhost:{console.port}"):
-            assert "not signed in" in httpx.get(f"http://{host}/").text
-    with socket.create_server(("::1", console.port), family=socket.AF_INET6):
-        refused = console.run("--connect", gateway.endpoint)
-        assert refused.returncode == 5
-        assert f"[::1]:{console.port} is taken by another program" in refused.stderr

@@ -79,23 +79,6 @@ def test_the_token_stays_in_the_server(anna: Page, bert: Page) -> None:
     assert not [text for text in heard if re.search("[0-9a-f]{32}", text)]
 
 
-def test_who_was_taken_over_is_told_and_moves_nothing(anna: Page, bert: Page) -> None:
-    assert lease(anna, "acquire")["mine"]
-    assert anna.ask(LEG_3, START)["ack"]["accepted"]
-    assert lease(bert, "take")["mine"]
-    taken = bert.state(lambda state: state["lease"]["holder"] == bert.hello["source"])
-    assert not taken["legs"][2]["servos"][0]["running"], "all legs are stopped first"
-    assert anna.ask(LEG_3, START)["ack"]["reason"] == "not_holder"
-    lost = anna.wait("lease", lambda message: message["id"] is None)
-    assert (lost["mine"], lost["reason"]) == (False, "not_holder")
-    assert lost["detail"].endswith(f"{bert.hello['source']} holds the lease")
-    lease(bert, "release")
-    assert not anna.ask(LEG_3, START)["ack"]["accepted"], "the old token is no better than none at all, nor forgotten"
-    assert not lease(anna, "release")["mine"]
-    assert anna.ask(LEG_3, START)["ack"]["accepted"], "as ever, while nobody drives"
-    assert anna.ask(LEG_3, STOP)["ack"]["accepted"]
-
-
 def test_only_the_page_itself_renews_it(anna: Page, bert: Page) -> None:
     """A page that is frozen has an open socket, and loses the lease all the same."""
     began = datetime.now(UTC)
@@ -116,9 +99,3 @@ def test_a_page_that_is_closed_gives_it_back(console: Console, session: SignedIn
     assert bert.event("lease_released", "lease_expired", since=began)["kind"] == "lease_released"
     assert lease(bert, "acquire")["mine"]
     lease(bert, "release")
-
-
-def test_without_it_there_is_nothing_to_renew(anna: Page) -> None:
-    for do in ("renew", "release"):
-        answer = lease(anna, do)
-        assert (answer["mine"], answer["accepted"], answer["reason"]) == (False, False, "not_holder")

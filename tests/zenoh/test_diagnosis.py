@@ -2,9 +2,7 @@
 
 import datetime as dt
 import shutil
-import socket
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Final
 
@@ -57,19 +55,6 @@ def said(*arguments: str) -> list[str]:
     return [line.removeprefix("hexapod-gateway: ") for line in done.stderr.splitlines()]
 
 
-@contextmanager
-def deaf() -> Iterator[int]:
-    """A port whose queue is full: a connection to it is never made, as behind a firewall that drops."""
-    with socket.socket() as listener, socket.socket() as first, socket.socket() as second:
-        listener.bind((HOST, 0))
-        listener.listen(0)
-        port = listener.getsockname()[1]
-        first.connect((HOST, port))
-        second.setblocking(False)
-        second.connect_ex((HOST, port))
-        yield port
-
-
 STEPS: Final[dict[str, tuple[Callable[[Robot], list[str]], str]]] = {
     "a name that nobody knows": (
         lambda _: ["--connect", "tcp/robot.invalid:7447"],
@@ -110,21 +95,6 @@ def test_one_line_names_the_step_and_what_to_do(robot: Robot, step: str) -> None
         assert part in line
 
 
-def test_packets_that_are_lost() -> None:
-    with deaf() as port:
-        (line,) = said("--connect", f"tcp/{HOST}:{port}")
-    assert f"TCP: {HOST} does not answer on port {port} → is the robot on" in line
-
-
-def test_several_hosts_are_a_line_each(robot: Robot) -> None:
-    file = Path(robot.file("hosts"))
-    nobody = f"tls/{HOST}:{free_port()}"
-    file.write_text(file.read_text().replace(f'["{robot.endpoint}"]', f'["{nobody}", "tls/robot.invalid:7447"]'))
-    first, second = said("--zenoh-config", str(file))
-    assert first.startswith(f"no gateway answers on {nobody}: TCP: ")
-    assert second.startswith("no gateway answers on tls/robot.invalid:7447: name: ")
-
-
 def test_another_ca(robot: Robot, tmp_path: Path) -> None:
     certs.folder.init(tmp_path / "E", [HOST], port=robot.port)
     certs.folder.issue(tmp_path / "E", "eve", "operator")
@@ -159,20 +129,6 @@ def test_check_goes_the_whole_way(robot: Robot) -> None:
     way = ["certificate", "certificate", "name", "TCP", "TLS", "certificate", "role", "gateway"]
     assert [name for name in names(done, "ok") if name in way] == way
     assert done.stdout.splitlines()[-1].startswith("This machine reaches the gateway")
-
-
-def test_check_of_an_observer(robot: Robot) -> None:
-    done = run_here("check", "--zenoh-config", robot.file("olga", "observer"))
-    assert done.returncode == 0, done
-    assert "you may not command, as observer" in done.stdout
-    assert "role" in names(done, "warning")
-
-
-def test_check_stops_at_the_step_that_fails(robot: Robot) -> None:
-    done = run_here("check", "--zenoh-config", robot.file("carla"), "--connect", f"tls/{HOST}:{free_port()}")
-    assert done.returncode == 1, done
-    assert names(done, "failure") == ["TCP"]
-    assert done.stdout.splitlines()[-1] == "This machine does not reach the gateway: 1 failure."
 
 
 def test_a_gateway_without_tls(robot: Robot, tmp_path: Path) -> None:

@@ -2,7 +2,6 @@
 
 import os
 import signal
-import subprocess
 import sys
 from pathlib import Path
 
@@ -84,12 +83,6 @@ def test_only_programs_of_ours_are_forked(
     assert zygote.fits(command, env) is fits
     monkeypatch.setenv("ZYGOTE", "no")
     assert not zygote.fits(command, env)
-
-
-def test_a_server_whose_tests_have_ended_ends() -> None:
-    program = "from tests.support.zygote import _server; import os; print(_server(os.environ)._process.pid)"
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
-    assert not Path(f"/proc/{done.stdout.strip()}").exists()
 
 
 if __name__ == "__main__":

@@ -96,16 +96,6 @@ def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
     made.gateway.child.close()
 
 
-def test_a_put_and_a_wildcard_are_no_request(running: Running) -> None:
-    with running.session.declare_publisher(keys.LEASE, encoding="application/json") as publisher:
-        publisher.put('{"do": "acquire", "source": "anna"}')
-    running.heard.wait_for("takes get only")
-    asked = running.session.get("hexapod/*/cmd", payload='{"do": "challenge"}', timeout=5)
-    answers = {str(reply.ok.key_expr): reply.ok.payload.to_bytes() for reply in asked if reply.ok is not None}
-    assert LeaseAck.model_validate_json(answers[keys.LEASE]).reason == Reason.INVALID
-    assert ask(running.session, "challenge").accepted
-
-
 def test_a_lease_from_hand_to_hand_and_its_token_in_nothing_that_goes_out(running: Running) -> None:
     session, heard = running.session, running.heard
     anna = ask(session, "acquire", "anna")

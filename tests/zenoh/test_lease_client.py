@@ -1,6 +1,5 @@
 """Programs that hold the lease, on a real gateway: what their commands carry, and how it ends."""
 
-import asyncio
 import threading
 import time
 from contextlib import suppress
@@ -9,21 +8,17 @@ from functools import partial
 import pytest
 import zenoh
 
-from gateway.client import AsyncClient, Client, Lease, LeaseLostError, RejectedError, Stream, leg_payload
-from gateway.errors import GatewayError
+from gateway.client import Client, LeaseLostError, RejectedError, Stream, leg_payload
 from gateway.model.frames import decode
 from schemas import keys
-from schemas.lease import LeaseAck
 from schemas.robot import LEGS
-from schemas.telemetry import Cause, Kind, Reason
+from schemas.telemetry import Kind, Reason
 from tests.support.fixtures import client_fixture, gateway_fixture
 from tests.support.gateway_process import Gateway
 from tests.support.heard import events, frames, is_stop, running, states
 
 POSE = (90, 45, 120)
 LATE_S = 10
-SOON_S = 0.5
-"""For what comes at once where it is wrong, and never else."""
 HZ = 50
 TTL_MS = 600.0
 
@@ -92,14 +87,6 @@ def test_a_stop_carries_no_token(anna: Client, bert: Client) -> None:
         each.undeclare()
 
 
-def test_it_is_released_at_the_end_and_by_a_client_that_closes(gateway: Gateway, bert: Client) -> None:
-    with gateway.client(source="anna") as anna:
-        lease = anna.lease()
-        lease.acquire()
-        assert bert.state().lease.holder == "anna"
-    assert bert.state().lease.holder is None
-
-
 def test_a_gait_goes_on_under_the_one_who_is_handed_it(gateway: Gateway, anna: Client, bert: Client) -> None:
     """Neither the handover nor the end of the stream that handed over stops a leg."""
     written = frames(bert)
@@ -141,45 +128,6 @@ def test_a_gait_goes_on_under_the_one_who_is_handed_it(gateway: Gateway, anna: C
     del gateway
 
 
-def test_a_gait_that_is_rejected_before_its_handover_is_answered_stops_no_leg(
-    anna: Client, bert: Client, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Until then it is not known whose the legs are, so the end of its stream waits for the answer."""
-    written, over, walks = frames(bert), threading.Event(), threading.Event()
-    release = anna.lease_requests.release
-
-    def answered_late(token: str, to: str) -> LeaseAck:
-        ack: LeaseAck = release(token, to)
-        over.wait(SOON_S)
-        return ack
-
-    monkeypatch.setattr(anna.lease_requests, "release", answered_late)
-
-    def on_asked(who: str) -> None:
-        lease.hand_over(who)
-
-    lease = anna.lease(on_asked=on_asked)
-    ended: list[GatewayError] = []
-
-    def walk() -> None:
-        try:
-            with lease, anna.stream(HZ) as stream:
-                while True:
-                    stream.set({1: POSE})
-                    walks.set()
-        except GatewayError as error:
-            ended.append(error)
-        over.set()
-
-    threading.Thread(target=walk).start()
-    assert walks.wait(LATE_S)
-    with bert.lease(wait_s=LATE_S):
-        assert over.wait(LATE_S)
-        assert isinstance(ended[0], RejectedError), ended
-        assert ended[0].reason == Reason.NOT_HOLDER
-        assert Cause.COMMAND not in {frame.cause for frame in written.all if is_stop(frame)}
-
-
 def test_a_forced_take_stops_all_legs_and_ends_the_other_ones_gait(anna: Client, bert: Client) -> None:
     lost: list[LeaseLostError] = []
     told = threading.Event()
@@ -212,32 +160,6 @@ def test_a_forced_take_stops_all_legs_and_ends_the_other_ones_gait(anna: Client,
     assert len(lost) == 1
 
 
-def test_a_take_is_reported_as_such_though_its_event_is_lost(
-    anna: Client, bert: Client, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """All legs stand still, and what was sent is rejected; why, the gateway is asked."""
-    monkeypatch.setattr(Lease, "_receive", lambda *_: None)
-    with anna.lease(), anna.stream(HZ) as stream:
-        stream.set({1: POSE})
-        with bert.lease(take=True), pytest.raises(LeaseLostError, match="bert holds it now"):
-            walk_on(stream)
-
-
-def test_a_gait_goes_on_after_a_loss_once_it_is_acquired_again(anna: Client, bert: Client) -> None:
-    with anna.stream(HZ) as stream:
-        with anna.lease():
-            stream.set({1: POSE})
-            with bert.lease(take=True), pytest.raises(LeaseLostError):
-                walk_on(stream)
-        with anna.lease():
-            with pytest.raises(LeaseLostError):
-                stream.set({1: POSE})
-            stream.start_again()
-            stream.set({1: POSE})
-            assert running(bert) == [1]
-    assert running(bert) == []
-
-
 def test_what_was_published_after_a_loss_moves_nothing_though_nobody_drives(anna: Client, bert: Client) -> None:
     heard = events(bert)
     with anna.lease() as lease:
@@ -252,29 +174,3 @@ def test_what_was_published_after_a_loss_moves_nothing_though_nobody_drives(anna
             anna.start_leg(1, *POSE)
         assert lease.lost is not None
     assert anna.start_leg(1, *POSE).accepted, "outside it is a program that does nothing about leases"
-
-
-def test_the_same_for_asyncio(gateway: Gateway) -> None:
-    async def main(carla: Client) -> None:
-        lost = asyncio.Event()
-        asked: asyncio.Queue[str] = asyncio.Queue()
-        async with AsyncClient(gateway.endpoint, source="anna", timeout_s=5) as anna:
-            async with anna.lease(on_lost=lambda _: lost.set(), on_asked=asked.put_nowait) as lease:
-                assert (lease.held, lease.holder, lease.verified, lease.lost) == (True, "anna", False, None)
-                assert (await anna.start_leg(1, *POSE)).accepted
-                async with anna.stream(HZ) as stream:
-                    await stream.set({1: POSE})
-                assert (await asyncio.to_thread(carla.ask_for_lease)).accepted
-                assert await asyncio.wait_for(asked.get(), LATE_S) == "carla"
-                await lease.hand_over("carla")
-                assert not lease.held
-                theirs = carla.lease()
-                await asyncio.to_thread(theirs.acquire)
-                assert (await anna.start_leg(1, *POSE)).reason == Reason.NOT_HOLDER
-                assert (await anna.ask_for_lease()).accepted
-                await asyncio.to_thread(theirs.release)
-            assert not lost.is_set()
-
-    # A name of her own: of each name only ten events a second are told, and the tests before this one are quick.
-    with gateway.client(source="carla") as carla:
-        asyncio.run(main(carla))

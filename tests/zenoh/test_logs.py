@@ -102,16 +102,6 @@ def test_each_line_is_json_with_time_level_and_message(lines: list[dict[str, Any
     assert [line["logger"] for line in lines] == ["gateway.test"] * 5 + ["other.library"]
 
 
-def test_an_events_fields_have_their_own_names_and_empty_ones_are_left_out(lines: list[dict[str, Any]]) -> None:
-    assert lines[1].keys() == {"timestamp", "level", "message", "logger", "kind"}
-    assert lines[1]["kind"] == "started"
-    assert lines[2].keys() == {"timestamp", "level", "message", "logger", "kind", "source", "key", "reason"}
-    assert lines[2]["kind"] == "command_rejected"
-    assert lines[2]["source"] == "lap top"
-    assert lines[2]["key"] == "hexapod/leg/7/cmd"
-    assert lines[2]["reason"] == "invalid"
-
-
 def test_each_line_is_one_line_to_any_reader(written: list[str]) -> None:
     assert not any(char in line for line in written for char in HOSTILE)
     assert json.loads(written[3])["source"] == "\x1b]0;title\x07\u2028\x9b"
@@ -121,10 +111,6 @@ def test_a_traceback_is_one_line_without_anyones_variables(lines: list[dict[str,
     (fault,) = lines[4]["exception"]
     assert (fault["exc_type"], fault["exc_value"]) == ("ValueError", "broken")
     assert "hunter2" not in json.dumps(lines)
-
-
-def test_the_level_is_the_least_that_is_told() -> None:
-    assert [json.loads(line)["level"] for line in spoken("error")] == ["error", "error"]
 
 
 def test_a_terminal_gets_lines_for_people_and_what_others_wrote_does_not_steer_it() -> None:
@@ -138,13 +124,6 @@ def test_a_terminal_gets_lines_for_people_and_what_others_wrote_does_not_steer_i
     assert "\x1b]0;" not in written
     assert not set("\x07\x9b\u2028") & set(written)
     assert r"hostile \x1b[2J\nsecond line" in written
-
-
-def test_a_line_is_as_it_was_said_though_it_is_written_later() -> None:
-    head = SPEAKER.partition("logger.debug")[0]
-    words, long_ago = map(json.loads, spoken(program=head + MORE.partition("for number")[0]))
-    assert words["message"] == "['said']"
-    assert long_ago["timestamp"] == "1970-01-01T00:00:00.500000Z"
 
 
 def test_all_that_was_said_is_written_before_the_process_goes() -> None:

@@ -15,34 +15,8 @@ from prometheus_client.samples import Sample
 from gateway import __version__, certs
 from gateway.client import Client
 from gateway.model.frames import PROTOCOL_VERSION
-from gateway.robot.core.latency import KEPT, Latency, percentile
 from tests.support.gateway_process import Gateway, free_port
 from tests.support.metrics_page import described, documented
-
-
-@pytest.mark.parametrize(
-    ("values", "share", "expected"),
-    [
-        ([7.0], 0.5, 7),
-        ([7.0], 0.99, 7),
-        ([1.0, 2.0], 0.5, 1),
-        ([1.0, 2.0, 3.0], 0.5, 2),
-        ([float(value) for value in range(1, 101)], 0.99, 99),
-        ([float(value) for value in range(1, 1001)], 0.99, 990),
-    ],
-)
-def test_percentile(values: list[float], share: float, expected: float) -> None:
-    assert percentile(values, share) == expected
-
-
-def test_a_latency_keeps_the_worst_of_all_and_the_percentiles_of_the_last() -> None:
-    latency = Latency()
-    assert (*latency.p50_p99_us(), latency.max_us) == (None, None, None)
-    latency.record(9_000_000)
-    for _ in range(KEPT):
-        latency.record(100_000)
-    assert (*latency.p50_p99_us(), latency.max_us) == (100, 100, 9000)
-    assert sum(latency.buckets) == KEPT + 1
 
 
 def read(address: str) -> list[Sample]:
@@ -114,17 +88,6 @@ def test_prometheus_reads_everything(tmp_path: Path) -> None:
         assert value(samples, "hexapod_spi_transfer_seconds_count") == 4, "Stops, a start, a Stop, Stops"
         assert value(samples, "hexapod_loop_lag_seconds_bucket", le="+Inf") >= 0
         assert value(samples, "process_resident_memory_bytes") > 1e6
-
-
-@pytest.mark.parametrize(("host", "warned"), [("0.0.0.0", True), ("[::1]", False)])  # noqa: S104
-def test_metrics_for_everyone_are_warned_of_at_every_start(tmp_path: Path, host: str, warned: bool) -> None:
-    port = free_port()
-    with Gateway(tmp_path, {"telemetry": {"metrics": f"{host}:{port}"}}) as gateway:
-        local = "[::1]" if host == "[::1]" else "127.0.0.1"
-        assert value(read(f"{local}:{port}"), "hexapod_mode", mode="idle") == 1
-        gateway.child.terminate()
-        assert gateway.child.wait() == 0
-        assert (f"anyone who reaches {host}:{port}" in gateway.child.stderr) is warned
 
 
 def test_a_port_that_is_taken_is_a_fault_of_the_configuration(tmp_path: Path) -> None:

@@ -51,25 +51,6 @@ def comes_to_say(outbox: ZenohOutbox, *, listened_to: bool) -> bool:
     return outbox.anyone_listens(STATE) is listened_to
 
 
-def test_reports_come_in_order_and_all_before_the_end() -> None:
-    endpoint = f"tcp/127.0.0.1:{free_port()}"
-    outbox = ZenohOutbox()
-    with closing(open_session(service_config(ZenohSettings(listen=(endpoint,))))) as session:
-        outbox.open(session)
-        with closing(open_session(client_config(endpoint))) as laptop:
-            first = laptop.declare_subscriber(EVENT, RingChannel(1000))
-            last = laptop.declare_subscriber(STATE, RingChannel(1))
-            assert comes_to_say(outbox, listened_to=True)
-            for number in range(300):
-                outbox.publish(EVENT, Numbered(number=number))
-            outbox.publish(STATE, Numbered(number=300))
-            outbox.close()
-            assert last.handler.recv().payload.to_string() == '{"number":300}'
-            got = [first.handler.recv().payload.to_string() for _ in range(300)]
-            assert got == [f'{{"number":{number}}}' for number in range(300)]
-    assert outbox.dropped == 0
-
-
 def test_what_is_published_while_too_much_waits_is_dropped_and_counted() -> None:
     outbox = ZenohOutbox()
     with closing(open_session(service_config(ZenohSettings(listen=(f"tcp/127.0.0.1:{free_port()}",))))) as session:

@@ -3,9 +3,6 @@
 import json
 import os
 import signal
-import sys
-import threading
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
@@ -14,18 +11,10 @@ import zenoh
 
 from gateway.client import Client
 from gateway.geometry import ELKAPOD
-from gateway.model import elkapod
-from gateway.model.elkapod import Measured
-from gateway.model.protocols import SpiProtocol
-from gateway.onboard.body_process import BodyProcess
-from gateway.people.physics.assumed import MASS_KG, Assumed
 from gateway.people.recordings import read
-from gateway.robot.spi.elkapod_simulator import SimulatedElkapod
 from schemas import keys
-from schemas.robot import SERVO_IDS
-from schemas.telemetry import Ack, Kind
+from schemas.telemetry import Kind
 from tests.support.child import Child
-from tests.support.command import run_here
 from tests.support.fixtures import gateway_fixture
 from tests.support.gateway_process import COMMAND, Gateway
 from tests.support.heard import bodies, events
@@ -35,15 +24,9 @@ pytestmark = pytest.mark.full
 PHYSICS: Final = ("--sim=physics",)
 PATIENT: Final[dict[str, dict[str, object]]] = {"watchdog": {"timeout_ms": 10_000}, "lease": {"ttl_ms": 10_000}}
 """A machine that is busy with other tests stops no walk."""
-CYCLE_S: Final = 0.02
 
 
 gateway = gateway_fixture(PATIENT, options=PHYSICS)
-
-
-def set_upright(client: Client, key: str = keys.SIM_UPRIGHT) -> list[Ack]:
-    replies = client.session.get(key, timeout=5)
-    return [Ack.model_validate_json(each.ok.payload.to_bytes()) for each in replies if each.ok is not None]
 
 
 def physics_pid(gateway: Gateway) -> int:
@@ -82,26 +65,6 @@ def test_it_walks_and_an_emergency_stop_lets_it_sink(gateway: Gateway) -> None:
         walks_and_sinks(client)
 
 
-def test_so_does_one_of_elkapod_2025(tmp_path: Path) -> None:
-    """Its frames carry all servos, and its UART starts and stops them; nothing on that way counts as a fault."""
-    settings: dict[str, dict[str, object]] = {**PATIENT, "spi": {"protocol": "elkapod-2025"}}
-    with Gateway(tmp_path, settings, options=PHYSICS) as whole, whole.client() as client:
-        assert client.state().controller.protocol == SpiProtocol.ELKAPOD_2025
-        reported = events(client)
-        walks_and_sinks(client)
-        assert not {Kind.BUS_FAULT, Kind.CONTROLLER_SILENT} & {event.kind for event in reported.all}
-
-
-def test_somebody_sets_it_upright_and_a_list_of_all_keys_does_not(gateway: Gateway) -> None:
-    with gateway.client() as client:
-        heard = bodies(client)
-        begun = heard.wait(lambda _: True)
-        assert set_upright(client) == [Ack(accepted=True)]
-        put_down = heard.wait(lambda body: body.position_m[2] > begun.position_m[2] + 0.005)
-        assert put_down.upright
-        assert not any(ack.accepted for ack in set_upright(client, "hexapod/sim/*"))
-
-
 def test_what_another_program_publishes_there_is_reported_and_recognised(gateway: Gateway, tmp_path: Path) -> None:
     """The state names the process that counts; `record` leaves others out."""
     ride = tmp_path / "ride.mcap"
@@ -130,14 +93,6 @@ def test_what_another_program_publishes_there_is_reported_and_recognised(gateway
         assert client.state().physics is not None
 
 
-def test_without_physics_a_body_is_nobodys(tmp_path: Path) -> None:
-    with Gateway(tmp_path) as light, light.client() as client:
-        reported = events(client)
-        assert client.state().physics is None
-        client.session.put(keys.SIM_BODY, "{}")
-        assert "no physics runs here" in reported.wait(lambda event: event.key == keys.SIM_BODY).detail
-
-
 def test_people_read_what_its_process_has_to_say_and_the_gateway_waits_for_none_of_it(tmp_path: Path) -> None:
     """Two legs in one place, a process that stands still for most of a window of its factor, and its end."""
     geometry = json.loads(ELKAPOD.read_text())
@@ -163,63 +118,3 @@ def test_people_read_what_its_process_has_to_say_and_the_gateway_waits_for_none_
         running.child.wait_for_output("the physics process was killed by signal 9: nobody simulates the body any more")
         assert client.stop().accepted
         assert not list(tmp_path.glob("hexapod-body-*")), "although the one that removes it was killed"
-
-
-def answers(controller: SimulatedElkapod) -> Iterator[Measured]:
-    """One cycle of frames after the other, 90 degrees in each: it stands, with its tibias upright."""
-    frame, pause = elkapod.frame([elkapod.MIDDLE_CDEG] * len(SERVO_IDS)), threading.Event()
-    controller.exchange(frame)
-    for _ in range(1500):
-        pause.wait(CYCLE_S)
-        yield elkapod.measured(controller.exchange(frame))
-
-
-def test_a_controller_of_elkapod_2025_answers_what_the_body_feels() -> None:
-    """From its process, through two pages of memory: it stands up, and without its servos it sinks."""
-    with BodyProcess(None, Assumed()) as body:
-        controller = SimulatedElkapod(page=body.page, sensed=body.sensed)
-        weight_n = MASS_KG * 9.81
-        heard = answers(controller)
-        lying = next(each for each in heard if 0 < sum(each.feet) < 0.5 * weight_n)
-        controller.uart_write(elkapod.START)
-        stands = (
-            each
-            for each in heard
-            if min(each.feet) > 0.05 * weight_n and sum(each.feet) == pytest.approx(weight_n, rel=0.05)
-        )
-        standing = next(stands)
-        assert standing.tilt_deg is not None
-        assert standing.tilt_deg < 3
-        assert standing.voltage_v < lying.voltage_v - 0.02
-        controller.uart_write(elkapod.SHUTDOWN)
-        assert next(each for each in heard if sum(each.feet) < 0.5 * weight_n).tilt_deg != standing.tilt_deg
-        assert not controller.corruptions
-
-
-@pytest.mark.parametrize(
-    ("options", "sentence"),
-    [
-        (["--sim=physics", "--terrain", "hills"], "'hills' is no terrain; there are flat, slope:DEGREES"),
-        (["--sim=physics", "--geometry", "nowhere.json"], "nowhere.json: cannot be read"),
-        (["--sim", "--mass-kg", "3"], "go with --sim=physics"),
-        (["--mass-kg", "3"], "go with --sim=physics"),
-    ],
-)
-def test_what_cannot_be_simulated_is_said_in_one_sentence(options: list[str], sentence: str) -> None:
-    ended = run_here("run", *options)
-    assert ended.returncode == 2
-    assert ended.stderr.count("\n") == 1
-    assert sentence in ended.stderr
-
-
-def test_without_the_extra_it_says_what_to_install(tmp_path: Path) -> None:
-    """A Python that finds no mujoco."""
-    program = (
-        "import sys, importlib.util as u; find = u.find_spec\n"
-        "u.find_spec = lambda name, *a: None if name == 'mujoco' else find(name, *a)\n"
-        "from gateway.cli import main; sys.argv[1:] = ['run', '--sim=physics']; main()"
-    )
-    child = Child([sys.executable, "-c", program], os.environ, cwd=tmp_path)
-    assert child.wait() == 2
-    assert child.stderr == "hexapod-gateway: the physics is missing: pip install 'hexapod-gateway[physics]'\n"
-    child.close()

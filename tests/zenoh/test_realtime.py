@@ -10,7 +10,6 @@ import pytest
 
 from gateway.host.realtime import (
     LOOP_PRIORITY,
-    MALLOC_ARENAS,
     PAGE_PRIORITY,
     RECEIVER_PRIORITY,
     TIMER_SLACK_NS,
@@ -36,28 +35,6 @@ def test_the_loop_comes_before_those_who_wait_and_they_before_the_metrics_page()
     assert LOOP_PRIORITY > RECEIVER_PRIORITY > PAGE_PRIORITY > 0
 
 
-@root_only
-def test_a_threads_priority_is_its_own() -> None:
-    program = """
-print(prefer_thread(7), os.sched_getparam(0).sched_priority)
-thread = threading.Thread(target=lambda: print(os.sched_getscheduler(0) == os.SCHED_OTHER))
-thread.start()
-thread.join()
-"""
-    assert run(program).split() == ["True", "7", "True"]
-
-
-@root_only
-def test_threads_started_later_have_the_process_s_niceness() -> None:
-    program = """
-prefer_process()
-thread = threading.Thread(target=lambda: print(os.getpriority(os.PRIO_PROCESS, threading.get_native_id())))
-thread.start()
-thread.join()
-"""
-    assert run(program) == str(ZENOH_NICE)
-
-
 def test_timers_are_on_time_in_every_thread() -> None:
     """Asked of the kernel (PR_GET_TIMERSLACK)."""
     program = """
@@ -75,12 +52,6 @@ print(before > 1, slack(), *later)
 
 
 @root_only
-def test_a_niceness_that_is_better_already_is_kept() -> None:
-    better = -15 - os.getpriority(os.PRIO_PROCESS, 0)
-    assert run("prefer_process(); print(os.getpriority(os.PRIO_PROCESS, 0))", "nice", "-n", str(better)) == "-15"
-
-
-@root_only
 def test_without_the_right_to_it_everything_stays_as_it_was() -> None:
     without = ("setpriv", "--bounding-set=-sys_nice", "--")
     program = "prefer_process(); print(prefer_thread(7), os.getpriority(os.PRIO_PROCESS, 0))"
@@ -91,29 +62,6 @@ def test_without_the_right_to_it_everything_stays_as_it_was() -> None:
 def test_the_service_unit_allows_what_the_process_takes() -> None:
     unit = (Path(__file__).parents[2] / "deploy/systemd/hexapod-gateway.service").read_text()
     assert f"\nLimitRTPRIO={LOOP_PRIORITY}\nLimitNICE={ZENOH_NICE}\n" in unit
-
-
-@pytest.mark.parametrize(
-    ("call", "heaps"), [("limit_malloc_arenas()", range(1, MALLOC_ARENAS + 1)), ("pass", range(MALLOC_ARENAS + 1, 17))]
-)
-def test_all_threads_allocate_from_few_heaps(call: str, heaps: range) -> None:
-    program = f"""
-{call}
-import ctypes
-met = threading.Barrier(9)
-threads = [threading.Thread(target=lambda: (bytearray(10_000), met.wait())) for _ in range(8)]
-for thread in threads:
-    thread.start()
-met.wait()
-ctypes.CDLL(None).malloc_stats()
-"""
-    assert run(program, stderr=subprocess.STDOUT).count("Arena ") in heaps
-
-
-def test_what_is_frozen_is_collected_no_more() -> None:
-    before, after = run("print(len(gc.get_objects())); freeze_gc(); print(len(gc.get_objects()))").split()
-    assert int(before) > 1000
-    assert int(after) < 100
 
 
 @root_only

@@ -131,15 +131,6 @@ def test_it_runs_where_nothing_else_is_installed(python: Path, tmp_path: Path) -
         gateway.close()
 
 
-def test_the_console_says_what_it_lacks(python: Path) -> None:
-    """In one line, and what to install."""
-    said = subprocess.run([python, "-m", "gateway", "console"], check=False, capture_output=True, text=True)
-    assert said.returncode == 2
-    assert said.stderr == (
-        "hexapod-gateway: the console needs websockets, segno: pip install 'hexapod-gateway[console]'\n"
-    )
-
-
 def test_schemas_needs_neither_zenoh_nor_spidev(python: Path, tmp_path: Path) -> None:
     code = (
         "import sys\n"

@@ -12,7 +12,6 @@ import pytest
 
 from release import spidev
 from release.build import ROOT
-from release.bundle import SYSTEM_PYTHON
 
 pytestmark = pytest.mark.nightly
 
@@ -105,36 +104,3 @@ def test_each_python_of_a_robot_gets_one(
     pip = [sys.executable, "-m", "pip", "install", "--quiet", "--target", str(tmp_path / "robot")]
     subprocess.run([*pip, *options, str(made)], check=True)
     assert next((tmp_path / "robot").glob("spidev.*.so")).read_bytes() == module
-
-
-def test_without_a_cross_compiler_it_says_so(
-    sdist: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setenv("PATH", str(tmp_path))
-    assert spidev.main(str(tmp_path), str(sdist), "3.11") == spidev.CANNOT
-    assert capsys.readouterr().err == (
-        "no wheel of spidev for aarch64: there is no cross compiler: "
-        "apt-get install gcc-aarch64-linux-gnu libc6-dev-arm64-cross\n"
-    )
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_for_an_unknown_python_there_are_no_headers(tmp_path: Path) -> None:
-    with pytest.raises(spidev.CannotBuildError, match=r"for Python 3\.99 no headers are known"):
-        spidev.headers("3.99", tmp_path)
-
-
-def test_two_builds_for_this_machine_are_equal_to_the_byte(sdist: Path, tmp_path: Path) -> None:
-    """As `make wheels` makes it, where pip takes another temporary folder each time."""
-    pip = (SYSTEM_PYTHON, "-m", "pip", "wheel", "--quiet", "--no-deps", "--no-cache-dir", "--wheel-dir")
-    made = []
-    for folder in (tmp_path / "one", tmp_path / "another"):
-        subprocess.run(
-            ["bash", "-c", '. deploy/spidev.sh && reproducibly "$@"', "bash", *pip, folder, sdist],
-            cwd=ROOT,
-            env={**os.environ, "SOURCE_DATE_EPOCH": str(WHEN)},
-            check=True,
-        )
-        made += [path.read_bytes() for path in folder.glob("spidev-*.whl")]
-    assert len(made) == 2
-    assert made[0] == made[1]

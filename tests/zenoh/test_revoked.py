@@ -3,7 +3,6 @@
 import datetime as dt
 import json
 import os
-import re
 import shutil
 import subprocess
 import sys
@@ -18,7 +17,6 @@ from gateway import certs
 from gateway.client import Client
 from gateway.errors import ZenohError
 from gateway.people.client.requests import Identity
-from gateway.people.tools import revoking
 from schemas.keys import LEASE
 from schemas.lease import LeaseAck
 from schemas.telemetry import GatewayState, Reason
@@ -107,7 +105,8 @@ def shut_out(robot: Robot, file: Path) -> None:
         laptop.state()
 
 
-MOMENT: Final = dt.timedelta(seconds=0.1)
+MOMENT: Final = dt.timedelta(seconds=0.4)
+"""By which two gateways' beginnings differ at least, since a start takes longer; a busy machine blurs it by less."""
 
 
 def since(state: GatewayState) -> dt.datetime:
@@ -153,17 +152,6 @@ def test_with_a_clock_in_1970_the_list_is_kept_nobody_gets_in_and_the_log_says_w
         shut_out(robot, stolen)
 
 
-def test_a_robot_that_is_off_gets_its_list_later(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(revoking, "ANSWER_S", 0.1)
-    ended = robot.revoke("anna")
-    assert ended.returncode == 1
-    assert f"Not confirmed by tls/{HOST}:{robot.port}. Later: " in ended.stderr
-    assert ended.stdout.startswith(f"{robot.folder}/revoked.crl: list 1 shuts out operator-00."), "it is signed"
-    shutil.copy(robot.folder / "revoked.crl", robot.own)  # whoever copies the folder brings it along
-    with robot.start() as gateway:
-        assert "list 1 shuts out operator-00" in gateway.child.stdout + gateway.child.stderr
-
-
 def test_a_robot_that_has_lost_its_list_gets_it_again(robot: Robot) -> None:
     """A new card with an old backup: nothing on the robot knows of the list, and the folder with the CA does."""
     stolen = lost(robot)
@@ -177,12 +165,6 @@ def test_a_robot_that_has_lost_its_list_gets_it_again(robot: Robot) -> None:
         assert (ended.returncode, ended.stdout.splitlines()[-1]) == (0, "gateway: list 1 is in force."), str(ended)
         heard.wait(lambda state: since(state) - begun > MOMENT, timeout_s=20)
         shut_out(robot, stolen)
-
-
-def test_without_a_list_the_service_says_so(robot: Robot) -> None:
-    with robot.start() as gateway, robot.laptop("bert") as bert:
-        assert "there is no list of revoked certificates" in gateway.child.stdout + gateway.child.stderr
-        assert bert.state().revocations is None
 
 
 def test_two_lists_that_cross(robot: Robot) -> None:
@@ -242,19 +224,3 @@ def test_a_proof_of_somebody_who_is_revoked_is_rejected_even_where_the_link_is_a
             assert "proof.certificate is revoked (operator-00)" in str(answer.detail)
         with bert.lease() as lease:
             assert lease.verified
-
-
-def test_check_of_a_laptop_that_was_revoked_says_so_and_a_new_certificate_helps(robot: Robot) -> None:
-    """Its TLS is taken, and then its connection is ended, which no router without a robot behind it does."""
-    anna = lost(robot)
-    with robot.start():
-        robot.revoke("anna")
-        said = run_here("check", "--zenoh-config", str(anna))
-        assert said.returncode == 1
-        (line,) = [each for each in said.stdout.splitlines() if each.startswith("failure")]
-        assert "the robot ended it: your certificate is revoked, or its places are taken" in line
-        assert "namespace" not in line
-        remedy = re.search(r"hexapod-gateway (certs issue NAME --role operator)", line)
-        assert remedy is not None, line
-        run_here(*remedy[1].replace("NAME", "anna2").split(), "--dir", str(robot.folder))
-        assert run_here("check", "--zenoh-config", str(robot.folder / "anna2.json5")).returncode == 0

@@ -1,7 +1,5 @@
 """The service as a process on the simulated controller: settings that only a process shows, start and end, mistakes."""
 
-import json
-import os
 import re
 import signal
 import socket
@@ -10,16 +8,10 @@ import sys
 import threading
 import time
 from pathlib import Path
-from typing import Any
 
-import pytest
-
-from gateway import certs
 from gateway.client import Client
 from schemas import keys
-from tests.support.child import Child
-from tests.support.gateway_process import COMMAND, READY, Gateway, free_port, write_settings
-from tests.support.zenoh_actor import Remote
+from tests.support.gateway_process import READY, Gateway, free_port, write_settings
 
 
 def test_it_says_that_it_is_ready_where_and_what_to_try_and_its_token_that_it_lives(tmp_path: Path) -> None:
@@ -37,21 +29,6 @@ def test_it_says_that_it_is_ready_where_and_what_to_try_and_its_token_that_it_li
         gateway.child.kill()
         assert seen["SampleKind.DELETE"].wait(10)
         del subscriber
-
-
-def test_it_says_where_its_zenoh_file_makes_it_listen(tmp_path: Path) -> None:
-    """And what works there: no command without a certificate."""
-    port = free_port()
-    certs.folder.init(tmp_path / "D", ["127.0.0.1"], port=port)
-    config = write_settings(tmp_path / "gateway.toml", {"zenoh": {"config": str(tmp_path / "D" / "gateway.json5")}})
-    child = Child([*COMMAND, "run", "--sim", "--config", str(config)], os.environ)
-    try:
-        child.wait_for_output("Try", timeout_s=20)
-        where, hint = child.stdout.splitlines()
-        assert where == f"{READY}: tls/[::]:{port} → a simulated controller (plain)"
-        assert hint.startswith("Try, on a laptop: hexapod-gateway check --zenoh-config NAME.json5 (")
-    finally:
-        child.close()
 
 
 def test_a_frozen_peer_does_not_hold_the_end(tmp_path: Path) -> None:
@@ -87,28 +64,6 @@ def test_a_frozen_peer_does_not_hold_the_end(tmp_path: Path) -> None:
             peer.kill()
 
 
-def test_it_listens_at_several_endpoints_and_dials_a_router(tmp_path: Path) -> None:
-    *listen, router = [f"tcp/127.0.0.1:{free_port()}" for _ in range(3)]
-    file = tmp_path / "router.json5"
-    scouting = {"multicast": {"enabled": False}}
-    file.write_text(json.dumps({"mode": "router", "listen": {"endpoints": [router]}, "scouting": scouting}))
-    with Remote() as remote:
-        remote.open(str(file), {})
-        with Gateway(tmp_path, {"zenoh": {"listen": listen, "connect": [router]}}):
-            for endpoint in (*listen, router):
-                with Client(endpoint, timeout_s=10) as client:
-                    assert _eventually_answers(client)
-
-
-def test_config_gives_a_zenoh_file(tmp_path: Path) -> None:
-    (tmp_path / "zenoh.json5").write_text('{ namespace: "robot-7" }')
-    settings = {"zenoh": {"config": str(tmp_path / "zenoh.json5")}}
-    with Gateway(tmp_path, settings) as gateway, gateway.client() as client:
-        (reply,) = client.session.get(f"robot-7/{keys.STATE}", timeout=10)
-        assert reply.ok is not None
-        assert list(client.session.get(keys.STATE, timeout=1)) == []
-
-
 def test_a_port_that_is_taken_ends_it_with_4_and_one_line(tmp_path: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         endpoint = f"tcp/127.0.0.1:{taken.getsockname()[1]}"
@@ -118,23 +73,6 @@ def test_a_port_that_is_taken_ends_it_with_4_and_one_line(tmp_path: Path) -> Non
                 f"hexapod-gateway: {endpoint} is taken by another program (perhaps another gateway); "
                 "stop it, or set another zenoh.listen\n"
             )
-
-
-@pytest.mark.parametrize(
-    ("settings", "said"),
-    [
-        ({"zenoh": {"listen": ["tcp/203.0.113.1:7447"], "allow_insecure": True}}, "is no address of this machine"),
-        ({"zenoh": {"listen": ["nonsense"]}}, "nonsense"),
-        ({"zenoh": {"config": "/nowhere.json5"}}, "/nowhere.json5"),
-    ],
-)
-def test_a_zenoh_that_cannot_be_opened_ends_it_with_lines_for_people(
-    tmp_path: Path, settings: dict[str, Any], said: str
-) -> None:
-    with Gateway(tmp_path, settings, wait=False) as gateway:
-        assert gateway.child.wait() in (2, 4)
-        assert said in gateway.child.stderr
-        assert "Traceback" not in gateway.child.stderr
 
 
 FAULTY = """
@@ -179,12 +117,3 @@ def test_it_ends_when_a_thread_that_hears_has_ended(tmp_path: Path) -> None:
     end = subprocess.run([sys.executable, "-c", deaf, config], capture_output=True, text=True, check=False, timeout=20)
     assert end.returncode == 1
     assert "a thread that waits for commands has ended" in end.stderr
-
-
-def _eventually_answers(client: Client) -> bool:
-    # The gateway dials the router on its own, some time around its being ready: the router's answer tells when.
-    end = time.monotonic() + 15
-    while time.monotonic() < end:
-        if list(client.session.get(keys.STATE, timeout=1)):
-            return True
-    return False

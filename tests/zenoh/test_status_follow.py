@@ -1,14 +1,10 @@
 """`status --follow` beside a running gateway: its lines, what it waits for, and its end."""
 
-import json
 import os
 import signal
-import subprocess
 from pathlib import Path
 
-from schemas.telemetry import Kind
 from tests.support.child import Child
-from tests.support.command import run_here
 from tests.support.fixtures import gateway_fixture, patient
 from tests.support.gateway_process import COMMAND, Gateway, free_port
 
@@ -37,17 +33,6 @@ def test_it_shows_what_runs_each_rejection_and_why(gateway: Gateway) -> None:
         assert child.wait(20) == 0
 
 
-def test_each_line_of_json_is_an_object(gateway: Gateway) -> None:
-    with following(gateway.endpoint, "--json") as child, gateway.client(source="anna") as client:
-        child.wait_for_output('"what": "robot"')
-        assert not client.servo(42, "set", 90).accepted
-        found = json.loads(child.wait_for_output("command_rejected"))
-        assert (found["kind"], found["reason"]) == (Kind.COMMAND_REJECTED, "servo_stopped")
-        child.send_signal(signal.SIGINT)
-        assert child.wait(20) == 0
-    assert all(isinstance(json.loads(line), dict) for line in child.stdout.splitlines())
-
-
 def test_it_waits_for_a_gateway_and_says_when_one_hangs_dies_and_comes_back(tmp_path: Path) -> None:
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     listen = {**PATIENT, "zenoh": {"listen": [endpoint]}}
@@ -63,20 +48,3 @@ def test_it_waits_for_a_gateway_and_says_when_one_hangs_dies_and_comes_back(tmp_
             child.wait_for_output(SILENT)
         with Gateway(tmp_path, listen):
             child.wait_for_output("The gateway was started again.")
-
-
-def test_it_ends_with_who_reads_it(gateway: Gateway) -> None:
-    command = " ".join([*COMMAND, "status", "--follow", "--connect", gateway.endpoint])
-    piped = ["bash", "-c", f"{command} | head -n 1"]
-    with gateway.client() as client, subprocess.Popen(piped, stdout=subprocess.PIPE, text=True) as done:
-        assert done.stdout is not None
-        assert "No servo runs." in done.stdout.readline()
-        while done.poll() is None:
-            client.servo(42, "set", 90)  # of which there is a line that nobody reads
-        assert done.returncode == 0
-
-
-def test_a_faulty_file_ends_it_before_it_begins(tmp_path: Path) -> None:
-    end = run_here("status", "--follow", "--zenoh-config", str(tmp_path / "absent.json5"))
-    assert end.returncode == 2
-    assert "absent.json5" in end.stderr

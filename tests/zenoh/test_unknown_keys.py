@@ -4,31 +4,13 @@ import json
 import time
 from pathlib import Path
 
-import pytest
 import zenoh
 
-from gateway.robot.zenoh_io.unknown_keys import nearest
-from schemas.keys import COMMAND_KEYS
 from schemas.telemetry import Kind, Reason
 from tests.support.gateway_process import Gateway
 from tests.support.heard import events
 
 START = json.dumps({"servos": [{"op": "start", "angle_deg": 90}] * 3})
-
-
-@pytest.mark.parametrize(("key", "meant"), [
-    ("hexapod/leg/3", "hexapod/leg/3/cmd"),
-    ("hexapod/leg/3/set", "hexapod/leg/3/cmd"),
-    ("Hexapod/leg/3/cmd", "hexapod/leg/3/cmd"),
-    ("HEXAPOD/Legs/cmd", "hexapod/legs/cmd"),
-    ("hexapod/estop", "hexapod/estop/cmd"),
-    ("hexapod/servo/32/start", "hexapod/servo/32/cmd"),
-    ("hexapod/leg3/cmd/x", "hexapod/leg/3/cmd"),
-    ("hexapod/" + "s" * 60_000, "hexapod/legs/cmd"),
-])  # fmt: skip
-def test_the_nearest_key(key: str, meant: str) -> None:
-    assert nearest(key) in COMMAND_KEYS
-    assert nearest(key) == meant
 
 
 def test_a_put_beside_the_keys_is_told_with_the_key_that_was_meant(tmp_path: Path) -> None:

@@ -11,12 +11,9 @@ import pytest
 from gateway import certs
 from gateway.certs import expiry
 from gateway.client import Client
-from gateway.errors import ConfigError, UnreachedError
-from gateway.people.client import diagnosis
 from gateway.people.tools.status import topics
-from gateway.zenoh_config import client_config
 from tests.support.command import run_here
-from tests.support.gateway_process import READY, Gateway, free_port
+from tests.support.gateway_process import Gateway, free_port
 from tests.support.router import zenoh_listening
 
 pytestmark = pytest.mark.full
@@ -96,49 +93,3 @@ def test_an_expiry_is_said_before_it_comes(tmp_path: Path, systemd: Systemd) -> 
     assert state.certificate is not None
     assert state.certificate.file == "gateway.pem"
     assert expiry.soon("gateway.pem", state.certificate.expires, state.time) is not None
-
-
-def test_a_laptop_is_told_of_its_own_certificate(tmp_path: Path) -> None:
-    folder = tmp_path / "D"
-    certificates(folder, 100 * DAY)
-    certs.folder.issue(folder, "bert", "operator", days=30)
-    soon = diagnosis.own_expiry(client_config(None, folder / "bert.json5"))
-    assert soon is not None
-    assert soon.startswith("bert.pem expires on ")
-    said = run_here("check", "--zenoh-config", str(folder / "bert.json5")).stdout
-    assert f"warning  certificate    {soon} → hexapod-gateway certs renew" in said
-    assert diagnosis.own_expiry(client_config(None, folder / "anna.json5")) is None
-
-
-def test_a_service_with_an_expired_certificate_starts_and_says_so(tmp_path: Path, systemd: Systemd) -> None:
-    """It stops the robot as ever, and the clock may be wrong; so it is no reason to end."""
-    with gateway_with(tmp_path, certificates(tmp_path / "D", -2 * DAY), systemd) as gateway:
-        gateway.child.wait_for_output("gateway.pem expired on")
-        assert "gateway.pem expired on" in systemd.status("expired")
-        assert READY in gateway.child.stdout
-        gateway.child.terminate()
-        assert gateway.child.wait() == 0
-
-
-def test_a_robot_gets_one_more_address_without_a_new_ca(tmp_path: Path, systemd: Systemd) -> None:
-    """And its laptops keep their certificates."""
-    folder = tmp_path / "D"
-    zenoh = certificates(folder, 60 * DAY + MINUTE)
-    anna = folder / "anna.json5"
-    with gateway_with(tmp_path, zenoh, systemd) as gateway:
-        other = gateway.endpoint.replace("127.0.0.1", "localhost")
-        with pytest.raises(UnreachedError):
-            Client(other, zenoh_config=anna, timeout_s=1)
-    before = (folder / "ca.pem").read_bytes()
-    arguments = ["certs", "renew", "gateway", "--host", "localhost", "--host", "192.0.2.9", "--dir", str(folder)]
-    assert "--connect tls/localhost:PORT" in run_here(*arguments).stdout
-    assert (folder / "ca.pem").read_bytes() == before
-    with gateway_with(tmp_path, zenoh, systemd) as gateway:
-        for endpoint in (gateway.endpoint, other):
-            with Client(endpoint, zenoh_config=anna, timeout_s=5) as client:
-                assert client.state().mode == "idle"
-        assert "gateway.pem" not in gateway.child.stdout + gateway.child.stderr, "nothing is said while it is far"
-    certs.folder.issue(folder, "bert", "observer")
-    assert '"tls/192.0.2.9:' in (folder / "bert.json5").read_text()
-    with pytest.raises(ConfigError, match="nobody dials it"):
-        certs.folder.renew(folder, "anna", hosts=["robot.local"])

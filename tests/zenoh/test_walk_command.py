@@ -9,7 +9,7 @@ import pytest
 from gateway.client import Client
 from gateway.geometry import load
 from gateway.model.frames import Op, decode
-from gateway.people.walking import GAITS, STILL, Engine, Robot
+from gateway.people.walking import STILL, Engine, Robot
 from schemas.robot import JOINTS, LEGS
 from schemas.telemetry import Cause, FrameRecord, GatewayState, Mode
 from tests.support.child import Child
@@ -72,30 +72,6 @@ def test_a_script_that_is_ended_early_finishes_its_step_and_sits(gateway: Gatewa
     assert stopped_at(records) == pytest.approx(seat(), abs=0.02)
 
 
-def test_a_second_signal_stops_a_script_at_once(gateway: Gateway, watcher: Client) -> None:
-    child, records = cut_short(gateway, watcher, signal.SIGINT, signal.SIGINT)
-    assert child.returncode == 130
-    assert child.stdout == "stopped at once: its servos are slack, wherever its legs were\n"
-    assert stopped_at(records) != pytest.approx(seat(), abs=2)
-
-
-def test_what_it_cannot_do_ends_it_with_a_sentence(gateway: Gateway, watcher: Client) -> None:
-    for arguments, sentence, code in (
-        (("--seconds", "1", "--height", "0.6"), "it cannot stand 0.6 m high: leg 1 does not reach", 2),
-        (("--seconds", "1", "--gait", "gallop"), f"there is no gait 'gallop'; there are {', '.join(GAITS)}", 2),
-        (("--seconds", "1", "--forward", "99"), "forward_m_s is 99; no walking robot does more than 10", 2),
-        (("--seconds", "1", "--geometry", "/nowhere.json"), "/nowhere.json: cannot be read", 2),
-        (("--forward", "0.1"), "go with --seconds; without it you drive from the keyboard", 2),
-    ):
-        end = gateway.run("walk", *arguments)
-        assert (end.returncode, sentence in end.stderr) == (code, True), end.stderr
-    assert watcher.state().mode == Mode.IDLE
-    with watcher.lease():
-        end = gateway.run("walk", "--seconds", "1")
-        assert end.returncode == 1
-        assert "held by watcher" in end.stdout
-
-
 def test_a_person_walks_stops_and_leaves(tmp_path: Path, gateway: Gateway, watcher: Client) -> None:
     with at_terminal(tmp_path, "walk", gateway.endpoint) as terminal:
         terminal.wait("Nothing moves before you press a key.", "drives", "It lies")
@@ -120,16 +96,6 @@ def test_a_person_walks_stops_and_leaves(tmp_path: Path, gateway: Gateway, watch
         assert terminal.wait_for_end(60) == 0
     assert watcher.state().mode == Mode.IDLE
     assert watcher.state().lease.holder is None
-
-
-def test_ctrl_c_stops_it_at_once(tmp_path: Path, gateway: Gateway, watcher: Client) -> None:
-    with at_terminal(tmp_path, "walk", gateway.endpoint) as terminal:
-        terminal.wait("Nothing moves before you press a key.")
-        terminal.press("t")
-        once(watcher, lambda state: state.mode == Mode.ACTIVE)
-        terminal.press("C-c")
-        once(watcher, lambda state: state.mode == Mode.IDLE)
-        assert terminal.wait_for_end(60) == 0
 
 
 def test_a_stop_that_nobody_answers_is_requested_until_it_is_confirmed_and_at_the_end_called_unconfirmed(

@@ -3,7 +3,6 @@
 import asyncio
 import os
 import signal
-import subprocess
 import sys
 
 import pytest
@@ -88,30 +87,6 @@ def _sits_down(records: list[FrameRecord], stood: dict[int, float], seated: dict
     now = stopped_at(records)
     knees = [10 * leg + 2 for leg in LEGS]
     return all(abs(now[knee] - stood[knee]) > abs(seated[knee] - stood[knee]) / 3 for knee in knees)
-
-
-STUBBORN = """
-import asyncio, signal
-from gateway.people.client.interrupts import Interrupts
-
-async def main():
-    Interrupts().open()
-    for _ in range(3):
-        signal.raise_signal(signal.{name})
-        try:
-            await asyncio.sleep(60)
-        except asyncio.CancelledError:
-            print("cancelled", flush=True)
-
-asyncio.new_event_loop().run_until_complete(main())
-"""
-
-
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_the_third_ends_a_program_that_goes_on_after_two(number: signal.Signals) -> None:
-    code = STUBBORN.format(name=number.name)
-    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=60)
-    assert (ended.stdout, ended.returncode) == ("cancelled\n" * 2, -number), ended.stderr
 
 
 async def test_a_walk_that_its_own_program_cancels_is_stopped_at_once(gateway: Gateway) -> None:

@@ -3,7 +3,6 @@
 import os
 import pty
 import subprocess
-import sys
 import threading
 import time
 from contextlib import suppress
@@ -14,12 +13,11 @@ import pytest
 from gateway.people.client.dangers import UNCONFIRMED
 from schemas import keys
 from schemas.telemetry import Kind, Mode
-from tests.support.command import run_here
 from tests.support.fixtures import gateway_fixture, patient
 from tests.support.gateway_process import COMMAND, Gateway, free_port
 from tests.support.heard import states
 from tests.support.published import event
-from tests.support.tmux import LATE_S, Terminal, at_terminal
+from tests.support.tmux import LATE_S, at_terminal
 
 pytestmark = [pytest.mark.full, pytest.mark.attended]
 
@@ -67,35 +65,6 @@ def wait_for_stuck_writer(pid: int) -> None:
 
 
 _WRITE = {"x86_64": 1, "aarch64": 64}.get(os.uname().machine, 1)
-
-
-def test_a_picture_that_cannot_be_drawn_does_not_stand_still(gateway: Gateway, tmp_path: Path) -> None:
-    walk = ["env", "PYTHONIOENCODING=ascii", *COMMAND, "walk", "--connect", gateway.endpoint]
-    with Terminal(tmp_path, walk) as terminal:
-        assert terminal.wait_for_end() == 1
-        assert "hexapod-gateway: this terminal cannot be drawn on ('ascii' codec can't encode" in terminal.words
-
-
-def test_it_leaves_the_terminal_as_it_found_it(gateway: Gateway, tmp_path: Path) -> None:
-    walk = " ".join([*COMMAND, "walk", "--connect", gateway.endpoint])
-    with Terminal(tmp_path, ["sh", "-c", f"echo before; {walk}"]) as terminal:
-        terminal.wait("EMERGENCY STOP")
-        terminal.press("C-c")
-        terminal.wait_for_end()
-        shown = terminal.wait("before", "icanon")
-        assert " echo " in shown
-        assert "-icanon" not in shown
-        assert " isig " in shown
-
-
-def test_without_a_terminal_it_says_what_else_there_is(monkeypatch: pytest.MonkeyPatch) -> None:
-    end = run_here("walk")
-    assert (end.returncode, end.stdout) == (1, "")
-    otherwise = "hexapod-gateway: walk from the keyboard needs a terminal; without one: --forward 0.1 --seconds 5"
-    assert end.stderr.startswith(otherwise), end.stderr
-    monkeypatch.setitem(sys.modules, "termios", None)
-    unix = "walk from the keyboard needs a Unix terminal; on Windows, run it in WSL, or give --seconds"
-    assert run_here("walk") == (1, "", f"hexapod-gateway: {unix}\n")
 
 
 def test_a_stop_that_the_power_board_does_not_confirm_is_red(tmp_path: Path) -> None:

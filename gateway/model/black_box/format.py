@@ -60,6 +60,7 @@ pack_slot_into: Final = _SLOT.pack_into
 START, END, COMMAND, DECISION, FRAME, MODE, EVENT, LAG, INCIDENT, MORE, CLOCK, CARRIED_OUT, CALIBRATION = range(1, 14)
 ABOUT: Final = 14
 MEASURED: Final = 15
+LEFT_OUT: Final = 16
 
 
 ACCEPTED: Final = "accepted"
@@ -195,6 +196,14 @@ class BodyState:
     values: elkapod.Measured
 
 
+@dataclass(frozen=True, slots=True)
+class LeftOut:
+    """So many records of a source were left out since the last such record: it made more than its share."""
+
+    count: int
+    source: str | None
+
+
 Content = (
     Start
     | End
@@ -209,6 +218,7 @@ Content = (
     | Calibrated
     | About
     | BodyState
+    | LeftOut
 )
 
 
@@ -416,6 +426,11 @@ def mode(name: str) -> bytes:
 def number(value: int) -> bytes:
     """Bytes of a Lag or a Clock."""
     return WALL.pack(value)
+
+
+def left_out(count: int, source: str | None) -> bytes:
+    """Bytes of a LeftOut."""
+    return DECISION_HEAD.pack(min(count, _UINT32)) + _texts(source)
 
 
 def incident(wall_ns: int, name: str) -> bytes:

@@ -13,7 +13,7 @@ from gateway.certs import BUTTON
 from gateway.certs.access import TRAFFIC, Traffic
 from gateway.certs.zenoh_files import command_for_new_rules
 from gateway.onboard.check.result import Result, ok, warning
-from gateway.people.terminal import this_command
+from gateway.own_command import this_command
 from gateway.zenoh_config import get, listen_endpoints
 from schemas.keys import ALL_COMMANDS, COMMAND_KEYS, GET_ONLY, PUBLISHED, STATE
 

@@ -11,6 +11,7 @@ from gateway.model.angle_limits import AngleLimits
 from gateway.model.calibration import RobotCalibration
 from gateway.model.frames import centidegrees
 from gateway.onboard.check.result import Result, failure, ok, warning
+from gateway.own_command import command
 from gateway.robot.core.calibrating import ACCEPT_DEFAULT
 from gateway.robot.host.calibration_file import SLOW_S, load, path_to_read
 from gateway.robot.settings import Settings
@@ -27,7 +28,7 @@ def kept(settings: Settings) -> Result:
         return warning(_NAME, f"{path} is not for you to read", "sudo hexapod-gateway check")
     found, fault = load(path)
     if fault is not None:
-        fix = f"put a good one in its place and restart, or, if the robot is as drawn: {ACCEPT_DEFAULT}"
+        fix = f"put a good one in its place and restart, or, if the robot is as drawn: {command(ACCEPT_DEFAULT)}"
         return failure(_NAME, f"{fault}; nothing can be started", fix)
     begun_s = _begun_s(path)
     if begun_s is not None and time.time() - begun_s > SLOW_S:
@@ -51,7 +52,7 @@ def landing_pose(settings: Settings) -> Iterator[Result]:
     for servo_id, angle_cdeg in sorted({**pose, **found.landing_cdeg}.items()):
         why_not = reach.why_avoided(found, servo_id, angle_cdeg)
         if why_not is not None:
-            fix = "choose another angle: watchdog.landing in the configuration, or hexapod-gateway calibrate landing"
+            fix = f"choose another angle: watchdog.landing in the configuration, or {command('calibrate landing')}"
             yield warning("landing pose", f"{why_not}; in a landing it holds its angle", fix)
 
 

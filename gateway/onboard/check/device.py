@@ -13,15 +13,14 @@ from gateway.model.framing import Framing
 from gateway.onboard.check import nodes, service_user
 from gateway.onboard.check.installation import RESTART
 from gateway.onboard.check.result import Result, failure, ok, warning
+from gateway.own_command import command
 from gateway.robot.sections import SpiSettings
 from gateway.robot.spi import ioctls
 from gateway.robot.spi.bus import CS_CHANGE_NS
 from gateway.robot.spi.kernel import KernelDevice
-from gateway.robot.spi.machine import ROOT_DIR, driver_of, gpio_selects
+from gateway.robot.spi.machine import ROOT_DIR, SELECT_BY_GPIO, driver_of, gpio_selects
 from schemas.robot import LEGS
 
-CALL_NS: Final = 90_000
-"""What a transfer takes longer that is a call of its own (140 µs were seen with a pause of 50)."""
 SLOW_STOPS_MS: Final = 20.0
 """Six Stops should not take longer to write than the shortest watchdog timeout that can be set; nor should a frame of
 elkapod-2025 than its default cycle."""
@@ -98,7 +97,7 @@ def wire_ms(spi: SpiSettings, speed_hz: int) -> float:
     if spi.protocol.measures:
         return 8 * FRAME_BYTES / speed_hz * 1e3
     announced = spi.framing is Framing.LENGTH_PREFIXED
-    each_ns = spi.frame_gap_us * 1e3 + CS_CHANGE_NS + (0 if spi.batch else CALL_NS)
+    each_ns = spi.frame_gap_us * 1e3 + CS_CHANGE_NS
     bits = 8 * (ONE_LEG_LEN + announced)
     return len(LEGS) * (bits / speed_hz * 1e3 + (1 + announced) * each_ns / 1e6)
 
@@ -163,15 +162,7 @@ def framing(spi: SpiSettings) -> Result:
             "plain, as in the protocol's document; the published STM32 firmware jams in it until it is reset",
             'set spi.framing = "length-prefixed" for that firmware, and reset it',
         )
-    deadly = spi.framing.avoid_cdeg or (0, 0)
     low, high = spi.avoid_cdeg or (0, 0)
-    if low > deadly[0] or high < deadly[1]:
-        return warning(
-            "framing",
-            f"{spi.framing}, and spi.avoid_deg lets some of 1 to 3.99 degrees on the wire: the published STM32 "
-            "firmware dies of these where one byte is lost, with its servos on",
-            "leave spi.avoid_deg out, unless the controller's firmware is another",
-        )
     avoided = f"{low / 100:g} up to {high / 100:g} degrees are never sent"
     return ok("framing", f"{spi.framing}, as {spi.framing.controller} wants it; wire angles from {avoided}")
 
@@ -179,8 +170,6 @@ def framing(spi: SpiSettings) -> Result:
 def lists(spi: SpiSettings, *, root: Path = ROOT_DIR) -> Result:
     """Whether chip select is known to be released between transfers of one call, as a plain controller needs."""
     name = "SPI lists"
-    if not spi.batch:
-        return ok(name, "spi.batch is false: one system call for each transfer")
     driver = driver_of(spi.device, root)
     if gpio_selects(spi.device, root):
         return ok(name, "chip select is a GPIO, which Linux releases between the transfers of a call")
@@ -191,7 +180,7 @@ def lists(spi: SpiSettings, *, root: Path = ROOT_DIR) -> Result:
     return warning(
         name,
         f"nobody has seen whether {driver or 'this driver'} releases chip select between the transfers of a call",
-        "hexapod-gateway check --move shows it: set spi.batch = false if servo 61 still holds when all are stopped",
+        f"{command('check --move')} shows it: if servo 61 still holds when all are stopped, {SELECT_BY_GPIO}",
     )
 
 

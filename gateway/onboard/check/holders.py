@@ -9,8 +9,8 @@ import zenoh
 from gateway import certs
 from gateway.errors import ConfigError
 from gateway.onboard.check.result import Result, failure, ok, warning
+from gateway.own_command import this_command
 from gateway.people.client.requests import Identity
-from gateway.people.terminal import this_command
 from gateway.robot.settings import Settings
 from gateway.robot.zenoh_io import revoked
 from schemas.telemetry import RevocationsReport

@@ -14,18 +14,16 @@ from gateway.onboard.check.result import Result, Verdict
 from gateway.onboard.whole import SHOWN, Whole
 
 SERVICE: Final = "hexapod-gateway"
-_RECORDER: Final = "hexapod-recorder"
 STATE_FOLDER: Final = f"/var/lib/{SERVICE}"
 ETC: Final = f"/etc/{SERVICE}"
-UNITS: Final = (SERVICE, _RECORDER)
+UNITS: Final = (SERVICE,)
 
 RESTART: Final = f"sudo systemctl reset-failed {SERVICE}; sudo systemctl restart {SERVICE}"
 """Also after so many failed starts that systemd begins no other."""
 _RELOAD: Final = f"sudo systemctl daemon-reload && {RESTART}"
 _ASIDE: Final = "stop the robot, then put it aside: sudo mv {0} {0}.off && " + _RELOAD
 _OWN_STATE: Final = (
-    f"sudo chown -R {SERVICE}:{SERVICE} {STATE_FOLDER} && sudo chmod -R u+rwX {STATE_FOLDER} && {RESTART} && "
-    f"sudo systemctl restart {_RECORDER}"
+    f"sudo chown -R {SERVICE}:{SERVICE} {STATE_FOLDER} && sudo chmod -R u+rwX {STATE_FOLDER} && {RESTART}"
 )
 _SPI: Final = "sudo udevadm control --reload; sudo udevadm trigger --subsystem-match=spidev"
 
@@ -44,11 +42,6 @@ SHIPPED: Final = (
         f"systemd/{SERVICE}.service",
         f"/etc/systemd/system/{SERVICE}.service",
         f"sudo systemctl daemon-reload && sudo systemctl enable {SERVICE} && {RESTART}",
-    ),
-    Shipped(
-        f"systemd/{_RECORDER}.service",
-        f"/etc/systemd/system/{_RECORDER}.service",
-        f"sudo systemctl daemon-reload && sudo systemctl enable {_RECORDER} && sudo systemctl restart {_RECORDER}",
     ),
     Shipped(f"udev/60-{SERVICE}.rules", f"/etc/udev/rules.d/60-{SERVICE}.rules", _SPI),
 )
@@ -205,16 +198,6 @@ def _changes_what_stops_depend_on(each: DropIn) -> bool:
     return bool(each.keys & _DEPENDS) and not (each.simulates or each.stops_nothing or _sets_settings(each))
 
 
-def _recorder(seen: Installation) -> _Found:
-    """It is skipped where the release has no black box; then systemd shows no failure, and it is inactive."""
-    load, active = seen.shows(_RECORDER, "LoadState"), seen.shows(_RECORDER, "ActiveState")
-    begins = active == "activating" and seen.shows(_RECORDER, "SubState") != "auto-restart"
-    if load == "loaded" and not seen.shows(_RECORDER, "UnitFileState").startswith("enabled"):
-        yield "does not start with the machine", f"sudo systemctl enable --now {_RECORDER}"
-    elif load == "loaded" and active != "active" and not begins:
-        yield f"is {active}", f"sudo systemctl reset-failed {_RECORDER}; sudo systemctl restart {_RECORDER}"
-
-
 FAULTS: Final = (
     Fault(
         "release",
@@ -320,13 +303,13 @@ FAULTS: Final = (
         Verdict.FAILURE,
         lambda seen: _when(not seen.state.is_folder, STATE_FOLDER),
         "{0} is no folder: the service cannot start, nor stop the servos after its end",
-        "sudo mv {0} {0}.old && " + RESTART + f" && sudo systemctl restart {_RECORDER}",
+        "sudo mv {0} {0}.old && " + RESTART,
     ),
     Fault(
         "state",
         Verdict.FAILURE,
         lambda seen: _when(bool(seen.state.read_only_mount), STATE_FOLDER, seen.state.read_only_mount),
-        "{0} is on a file system that is read-only: no calibration, list or incident is kept",
+        "{0} is on a file system that is read-only: no calibration or list is kept",
         "see why (dmesg), then: sudo mount -o remount,rw {1}",
     ),
     Fault(
@@ -346,7 +329,6 @@ FAULTS: Final = (
         f"in {STATE_FOLDER}, not the service's to read and write: {{0}}",
         _OWN_STATE,
     ),
-    Fault("recorder", Verdict.WARNING, _recorder, f"{_RECORDER} {{0}}, so incidents are not kept", "{1}"),
     Fault(
         "private key",
         Verdict.WARNING,

@@ -52,7 +52,7 @@ def _differing(deploy: Path) -> Iterator[tuple[str, str]]:
     for each in SHIPPED:
         wanted = _content(deploy / each.source)
         found = _content(Path(each.place))
-        if not wanted or found == wanted:  # an older release has no recorder; a damaged one is another line
+        if not wanted or found == wanted:  # a damaged release is another line
             continue
         yield each.place, "is missing" if found is None else "is not as this release has it"
 

@@ -18,11 +18,13 @@ from gateway.errors import ConfigError
 from gateway.model.protocols import SpiProtocol
 from gateway.model.telemetry import starts_whole
 from gateway.onboard.check.outputs import ServoCurrents, finding
+from gateway.own_command import command
 from gateway.people.client.blocking import Client
 from gateway.people.terminal import ask, say
 from gateway.people.tools.driving import drives, rejected
 from gateway.people.tools.moving import ServoMotion, consents, lying, ready, stopped_after
 from gateway.people.tools.reach import Connection, show_differences
+from gateway.robot.spi.machine import SELECT_BY_GPIO
 from schemas.robot import LEGS, MAX_DEG, SERVO_IDS
 from schemas.telemetry import Ack, GatewayState, Reason, WatchdogState
 
@@ -39,15 +41,15 @@ _PERIOD_S: Final = 0.05
 _HOLDS: Final = (
     "A Stop does not reach it together with others: the driver of this SPI bus does not release chip select between "
     "the transfers of one call, and of six Stops the controller obeys the first. AN EMERGENCY STOP WOULD STOP ONE LEG. "
-    "Set spi.batch = false in the configuration, restart the gateway, and do this again. It was now stopped alone: if "
-    "it holds even so, switch its power off, for then the cause is another one."
+    f"To have all stop, {SELECT_BY_GPIO}. "
+    "It was now stopped alone: if it holds even so, switch its power off, for then the cause is another one."
 )
 _WHOLE_HOLDS: Final = (
     "The shutdown does not reach the controller: AN EMERGENCY STOP WOULD STOP NOTHING. Switch the servos' power off, "
     "and see that the Pi's TX leads to the controller's RX (controller.uart names the UART)."
 )
 _SILENT: Final = (
-    "The controller does not answer, so nothing is moved: hexapod-gateway status names what is missing. A controller "
+    "The controller does not answer, so nothing is moved: {status} names what is missing. A controller "
     'of HexapodProtocol v1.0.0 answers nothing; it needs spi.protocol = "hexapod-1.0".'
 )
 _OTHER_OUTPUT: Final = (
@@ -100,7 +102,7 @@ def move(connect: Connection, *, agreed: bool) -> int:
         show_differences()
         whole = starts_whole(state)
         if whole and not state.controller.alive:
-            say(_SILENT)
+            say(_SILENT.format(status=command("status")))
             return 1
         held = lying(client, state) if whole else {}
         motion = _motion(DEFAULT_SERVO, "", held) if agreed else _asked(held)

@@ -6,11 +6,12 @@ What the machine would need for a real robot shows nothing about it, and it need
 import datetime as dt
 from collections.abc import Iterator
 
-from gateway import __version__
+from gateway import __version__, own_command
 from gateway.errors import ConfigError
 from gateway.model.black_box.files import RING_FILE
 from gateway.onboard.check import calibration, machine, network
 from gateway.onboard.check.result import Result, ok, warning
+from gateway.own_command import command
 from gateway.robot import settings as settings_file
 from gateway.robot.blackbox import paths
 from gateway.robot.settings import Settings
@@ -28,6 +29,7 @@ def simulated() -> tuple[Settings, GatewayState] | None:
         return None
     for endpoint in endpoints:
         if endpoint.startswith("tcp/") and (state := network.state_at(endpoint)) is not None and state.simulated:
+            own_command.reach_by(connect=endpoint)
             return settings, state
     return None
 
@@ -53,7 +55,7 @@ def _gateway(state: GatewayState) -> Result:
     if state.version != __version__:
         return warning(name, f"{said}; this program is {__version__}", "end it, and start it again")
     if state.mode == Mode.ESTOPPED:
-        return warning(name, said, "hexapod-gateway reset leaves the emergency stop")
+        return warning(name, said, f"{command('reset')} leaves the emergency stop")
     return ok(name, said)
 
 

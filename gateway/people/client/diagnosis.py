@@ -24,8 +24,9 @@ import zenoh
 from gateway import certs
 from gateway.certs import expiry
 from gateway.errors import ConfigError
+from gateway.own_command import DEFAULT_ENDPOINT
 from gateway.people.client.requests import Identity
-from gateway.zenoh_config import DEFAULT_ENDPOINT, connect_endpoints, first_expiry
+from gateway.zenoh_config import connect_endpoints, first_expiry
 
 TIMEOUT_S: Final = 1.0
 """The time for all endpoints together."""

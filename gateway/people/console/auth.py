@@ -30,7 +30,6 @@ from websockets.http11 import Request, Response
 from gateway.people.console.messages import Role, least
 from gateway.people.console.sessions import SESSION_S, Entry, Sessions
 from gateway.people.console.site import Site
-from gateway.people.terminal import this_command
 
 PAGE: Final = Path(__file__).with_name("page")
 WEBSOCKET: Final = "/ws"
@@ -132,7 +131,7 @@ class Auth:
         if entry is None or (path == WEBSOCKET and not self._is_proved(entry, *_offered_proof(request))):
             if path in _PAGES:
                 return self._refused("You are not signed in.")
-            return _no(f"You are not signed in. {NEW_LINK} {this_command()} console --link")
+            return _no(f"You are not signed in. {NEW_LINK} {self._site.link_command}")
         role = least(entry.role, self._role)
         if path == WEBSOCKET:
             return SignedIn(entry, role)
@@ -170,7 +169,7 @@ class Auth:
     def _refused(self, why: str) -> HttpAnswer:
         """A page that explains how to sign in, on a phone and at the console's machine."""
         page = self._files["/refused.html"].content.decode()
-        page = page.replace("WHY", escape(why)).replace("COMMAND", escape(f"{this_command()} console --link"))
+        page = page.replace("WHY", escape(why)).replace("COMMAND", escape(self._site.link_command))
         return HttpAnswer(_response(HTTPStatus.FORBIDDEN, page.encode(), "html"))
 
     def _file(self, path: str, request: Request) -> HttpAnswer:

@@ -28,11 +28,11 @@ from gateway.people.console.messages import ROLES, Role, least
 from gateway.people.console.options import Options
 from gateway.people.console.pages import Pages, Shared
 from gateway.people.console.sessions import LINK_S, Sessions
-from gateway.people.console.site import CONSOLE_PORT, Site
+from gateway.people.console.site import Site
 from gateway.people.console.sockets import listening
 from gateway.people.console.stops import Stops, send_stopping
 from gateway.people.console.tls import server_context
-from gateway.people.terminal import hint, say, this_command
+from gateway.people.terminal import hint, say
 from gateway.zenoh_config import client_config, get
 
 OWN_DESCRIPTORS: Final = 96
@@ -99,7 +99,7 @@ async def _run(
     watching.add_done_callback(lambda _: ended.set())
     realtime.freeze_gc()
     _say_where(site, found, options.card)
-    with _opened(found, options.card) if options.open_browser else nullcontext():
+    with _opened(site, found, options.card) if options.open_browser else nullcontext():
         await ended.wait()
         await console.close()
     failed = watching.exception() if watching.done() else None
@@ -116,8 +116,7 @@ async def _run(
 
 def _say_where(site: Site, found: Sessions, card: str) -> None:
     """Print a link to a terminal only: a journal, or another reader of this output, keeps it and shows it to others."""
-    where = "" if site.port == CONSOLE_PORT else f" --listen {site.address}:{site.port}"
-    say(f"For a{'nother' if os.isatty(1) else ''} browser: {this_command()} console --link{where}")
+    say(f"For a{'nother' if os.isatty(1) else ''} browser: {site.link_command}")
     if os.isatty(1):
         show(found.new_link(card))
     else:
@@ -125,14 +124,14 @@ def _say_where(site: Site, found: Sessions, card: str) -> None:
 
 
 @contextmanager
-def _opened(found: Sessions, card: str) -> Iterator[None]:
+def _opened(site: Site, found: Sessions, card: str) -> Iterator[None]:
     """Open this machine's browser by a private file that leads to a link: all users can read a command's arguments."""
     file = found.path.with_suffix(".html")
     link = escape(found.new_link(card))
     content = f'<!doctype html><title>Console</title><meta http-equiv="refresh" content="0; url={link}">'
     sessions.write_private(file, content)
     asyncio.get_running_loop().call_later(LINK_S, partial(file.unlink, missing_ok=True))
-    threading.Thread(target=partial(_open, file), name="browser", daemon=True).start()
+    threading.Thread(target=partial(_open, site, file), name="browser", daemon=True).start()
     try:
         yield
     finally:
@@ -151,6 +150,6 @@ def _owner(connect: str | None, zenoh_config: Path | None) -> Owner:
     return Owner("console", "operator", "")
 
 
-def _open(file: Path) -> None:
+def _open(site: Site, file: Path) -> None:
     if not webbrowser.open(file.as_uri()):
-        hint(f"no browser could be opened here; for a link: {this_command()} console --link")
+        hint(f"no browser could be opened here; for a link: {site.link_command}")

@@ -16,6 +16,7 @@ from urllib.parse import urlsplit
 from gateway.certs.authority import hosts_of
 from gateway.certs.files import read_certificate
 from gateway.errors import ConfigError
+from gateway.own_command import this_command
 
 CONSOLE_PORT: Final = 8080
 DEFAULT_ADDRESS: Final = "127.0.0.1"
@@ -53,6 +54,12 @@ class Site:
         With TLS no other host can set it (`__Host-`).
         """
         return f"{'__Host-' if self.certificate else ''}hexapod-console-{self.port}"
+
+    @property
+    def link_command(self) -> str:
+        """The command that prints a link for another browser, on the console's machine."""
+        where = "" if self.port == CONSOLE_PORT else f" --listen {with_port(self.address, self.port)}"
+        return f"{this_command()} console --link{where}"
 
     def knows_host(self, host: str | None) -> bool:
         """Whether a Host header names this site."""

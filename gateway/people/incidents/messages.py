@@ -55,7 +55,8 @@ class FrameInBox(FrameRecord):
 class Note(Report):
     """The incident, and what happened to the gateway itself.
 
-    `what` is incident, start, end, killed, stop-servos, mode, lag, or rejected (of a message that is no command).
+    `what` is incident, start, end, killed, stop-servos, mode, lag, left_out (how many records of
+    a source), or rejected (of a message that is no command).
     """
 
     time: AwareDatetime
@@ -210,6 +211,8 @@ def _message(
             what = "mode"
         case form.Lag(lag_ns=lag_ns):
             what, detail = "lag", f"{lag_ns / 1e6:.1f} ms"
+        case form.LeftOut(count=count, source=source):
+            what, detail = "left_out", f"{count} records"
         case _:
             return None
     return RECORDER, Note(time=time, what=what, detail=detail, source=source, key=key)

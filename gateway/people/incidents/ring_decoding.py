@@ -58,6 +58,11 @@ def _decision(rest: bytes) -> form.Decision:
     return form.Decision(form.DECISION_HEAD.unpack_from(rest)[0], verdict, key, source or None)
 
 
+def _left_out(rest: bytes) -> form.LeftOut:
+    (source,) = _read_texts(rest, form.DECISION_HEAD.size, 1)
+    return form.LeftOut(form.DECISION_HEAD.unpack_from(rest)[0], source or None)
+
+
 def _frame(rest: bytes) -> form.FrameWritten:
     transfer_ns, late_ns, number, length = form.FRAME_HEAD.unpack_from(rest)
     (cause,) = _read_texts(rest, form.FRAME_HEAD.size + length, 1)
@@ -130,5 +135,6 @@ _READERS: Final[dict[int, Callable[[bytes], form.Content]]] = {
     form.CALIBRATION: _calibrated,
     form.ABOUT: _about,
     form.MEASURED: lambda rest: form.BodyState(measured(rest)),
+    form.LEFT_OUT: _left_out,
     form.INCIDENT: lambda rest: form.IncidentBegun(_wall_ns(rest), rest[form.WALL.size :].decode()),
 }

@@ -27,6 +27,8 @@ _MAX_BYTES: Final = header.file_bytes(MAX_SLOTS)
 MOST_CHANGES: Final = 100
 """Of the calibration that a ring shows. A person makes one in half a minute."""
 _KINDS_OF_PARTS: Final = (form.COMMAND, form.FRAME)
+_EMPTY: Final = bytes(form.SLOT)
+"""A slot that nobody has written yet: in a new file, nearly all of them."""
 
 
 class NoRingError(GatewayError):
@@ -156,10 +158,12 @@ def parse(data: bytes, most: int = MAX_SLOTS) -> tuple[Records, int, int]:
     looked_at = range(slots) if most == slots else range(max(1, newest - most + 1), newest + 1)
     for index in (each % slots for each in looked_at):
         raw = form.slot_bytes(data, index)
+        if raw == _EMPTY:
+            continue
         slot = form.read_slot(raw)
         if slot is not None and slot.sequence % slots == index:
             sequences[index] = slot.sequence
-        elif raw.count(0) < form.SLOT:
+        else:
             damaged += 1
     newest = max(sequences)
     ring = _Slots(data, slots)

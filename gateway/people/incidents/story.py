@@ -403,6 +403,9 @@ def _notes(messages: list[RecordedMessage]) -> Iterator[Line]:
                 text = "the gateway's last record; its process ended without a word"
             case "stop-servos":
                 text = f"stop-servos has written a Stop to each of the six legs, {detail}"
+            case "left_out":
+                sender = message.content.get("source") or "senders without a name"
+                text = f"{detail} of {sender} were left out, more than the black box has room for"
             case "lag":
                 text = f"the loop was {detail} late"
             case _:

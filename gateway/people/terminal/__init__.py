@@ -10,7 +10,6 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from pathlib import Path
 from types import FrameType
 from typing import Final, Self
 
@@ -20,14 +19,6 @@ from gateway.text import visible
 _REDRAW_S: Final = 0.2
 """How often a line of progress changes."""
 NOBODY: Final = "this is no terminal, so nobody can be asked; --yes agrees"
-
-
-def this_command() -> str:
-    """The name by which this program was called, to be copied from messages: `.venv/bin/…` after `make run`."""
-    called, found = sys.argv[0], shutil.which("hexapod-gateway")
-    if called.endswith("__main__.py") or (found is not None and Path(called).absolute() == Path(found).absolute()):
-        return "hexapod-gateway"
-    return called
 
 
 def say(text: str) -> None:

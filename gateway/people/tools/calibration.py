@@ -10,9 +10,10 @@ from pydantic import ValidationError
 from gateway.errors import ConfigError, GatewayError, LeaseError, UnansweredError
 from gateway.model.calibration import AS_DRAWN, RobotCalibration, ServoMapping, calibration_of, changed_servos
 from gateway.model.frames import centidegrees
+from gateway.own_command import command
 from gateway.people.client.blocking import Client
 from gateway.people.client.payloads import calibration_payload
-from gateway.people.terminal import agrees, hint, say, this_command
+from gateway.people.terminal import agrees, hint, say
 from gateway.people.tools import driving, reach
 from gateway.people.tools.reach import Connection
 from schemas import calibration as wire
@@ -125,7 +126,7 @@ def landing(connect: Connection, legs: Sequence[int], *, agreed: bool) -> int:
             say(
                 f"the robot's calibration is not to be trusted, and nothing is started: {state.calibration.fault}. "
                 "Put a good file in its place and restart the service, or go on without any trim: "
-                f"{this_command()} calibrate accept-default"
+                f"{command('calibrate accept-default')}"
             )
             return 1
         stand = standing(state, legs)
@@ -179,7 +180,7 @@ def once_kept(client: Client, change: Callable[[], Ack]) -> Ack:
         client.state()  # raises where nobody answers at all
         raise NotKeptYetError(
             "the gateway runs, and its disk has not taken the change yet: look in some seconds whether it is in force "
-            "(calibrate show); if the disk hangs, trying again says so"
+            f"({command('calibrate show')}); if the disk hangs, trying again says so"
         ) from error
 
 

@@ -8,7 +8,7 @@ import typer
 
 from gateway import certs
 from gateway.certs import expiry
-from gateway.people.terminal import this_command
+from gateway.own_command import this_command
 
 WIDE = 100
 

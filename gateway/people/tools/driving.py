@@ -4,8 +4,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from gateway.errors import LeaseError, UnansweredError
+from gateway.own_command import command
 from gateway.people.client.blocking import Client
-from gateway.people.terminal import hint, say, this_command
+from gateway.people.terminal import hint, say
 from gateway.people.tools.reach import me
 from schemas.lease import LeaseAck
 from schemas.telemetry import Ack, Reason
@@ -41,9 +42,9 @@ def rejected(error: LeaseError | Ack | LeaseAck) -> int:
     say(f"rejected: {error.reason}: {error.detail}")
     if error.reason in (Reason.NOT_HOLDER, Reason.LEASE_HELD):
         hint(
-            f"Wait until it is free (`{this_command()} status --follow`), or ask for it or take it on the console's "
-            "page; `stop` and `estop` work for everybody."
+            f"Wait until it is free (`{command('status --follow')}`), or ask for it or take it on the console's "
+            "page. Stops work for everybody."
         )
     elif error.reason == Reason.NO_LEASE:
-        hint(f"This robot wants to know who drives: `{this_command()} send … --hold S` holds the lease meanwhile.")
+        hint(f"This robot wants to know who drives: `{command('send … --hold S')}` holds the lease meanwhile.")
     return 1

@@ -11,8 +11,9 @@ from typing import Any, Final, NamedTuple
 
 from gateway import geometry
 from gateway.errors import ConfigError, GatewayError
+from gateway.own_command import command
 from gateway.people.client.blocking import Client
-from gateway.people.terminal import ask, hint, this_command
+from gateway.people.terminal import ask, hint
 from gateway.people.tools.reach import check_at_rest
 from gateway.people.walking.planning import Planner
 from gateway.people.walking.robot import Robot, ranges
@@ -86,7 +87,7 @@ def ready(client: Client) -> GatewayState:
     if holder is not None:
         raise ConfigError(
             f"{visible(holder)} drives, and nothing is moved: wait until the lease is released "
-            f"({this_command()} status --follow)"
+            f"({command('status --follow')})"
         )
     return state
 

@@ -1,9 +1,25 @@
 """Options that several commands have."""
 
+from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, TypeVar
 
 import typer
+
+from gateway import own_command
+
+T = TypeVar("T", str, Path)
+
+
+def _reach_by(name: str) -> Callable[[T | None], T | None]:
+    """A callback: commands in messages have this option, too."""
+
+    def take(value: T | None) -> T | None:
+        own_command.reach_by(**{name: value})
+        return value
+
+    return take
+
 
 ConfigOption = Annotated[
     Path | None,
@@ -19,6 +35,8 @@ ConnectOption = Annotated[
     typer.Option(
         "--connect",
         metavar="ENDPOINT",
+        envvar=own_command.CONNECT_VARIABLE,
+        callback=_reach_by("connect"),
         help="Where the gateway listens. Default: tcp/127.0.0.1:7447, or what the --zenoh-config file says.",
     ),
 ]
@@ -27,6 +45,7 @@ ZenohConfigOption = Annotated[
     typer.Option(
         "--zenoh-config",
         metavar="PATH",
+        callback=_reach_by("zenoh_config"),
         help="A Zenoh configuration (JSON5) with certificates, such as the NAME.json5 that `certs issue` makes.",
     ),
 ]

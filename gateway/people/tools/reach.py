@@ -13,8 +13,9 @@ from typing import Final
 
 from gateway.errors import ConfigError, UnansweredError, ZenohError
 from gateway.host import effective, plain_settings
+from gateway.own_command import command
 from gateway.people.client.blocking import Client
-from gateway.people.terminal import hint, this_command
+from gateway.people.terminal import hint
 from schemas.telemetry import GatewayState, Mode
 
 _WAIT: Final = "wait until it is idle"
@@ -57,8 +58,8 @@ def why_not_at_rest(state: GatewayState) -> str | None:
     if state.mode == Mode.IDLE:
         return None
     remedies = {
-        str(Mode.ACTIVE): f"a servo runs; stop it first ({this_command()} stop)",
-        str(Mode.ESTOPPED): f"leave the emergency stop first ({this_command()} reset)",
+        str(Mode.ACTIVE): f"a servo runs; stop it first ({command('stop')})",
+        str(Mode.ESTOPPED): f"leave the emergency stop first ({command('reset')})",
     }
     return f"the gateway is {state.mode}, and nothing is moved: {remedies.get(str(state.mode), _WAIT)}"
 

@@ -9,11 +9,12 @@ from typing import Any, Final
 
 from gateway.errors import ConfigError, GatewayError
 from gateway.geometry import load
+from gateway.own_command import this_command
 from gateway.people.client.live import ReportQueue
 from gateway.people.recordings import REPORTS, Recording
 from gateway.people.recordings.writing import about
 from gateway.people.ros2 import cdr
-from gateway.people.terminal import clear_line, hint, on_end_signals, say, show_line, this_command
+from gateway.people.terminal import clear_line, hint, on_end_signals, say, show_line
 from gateway.people.tools.reach import Connection
 from schemas.keys import CALIBRATION, EVENT, FRAME, STATE
 

@@ -8,8 +8,9 @@ from gateway.certs.authority import hosts_of
 from gateway.certs.files import read_certificate, read_certificates
 from gateway.certs.revocation import REVOCATION_FILE, RevocationList, parse
 from gateway.errors import ConfigError, GatewayError, RejectedError
+from gateway.own_command import this_command
 from gateway.people.client.blocking import Client
-from gateway.people.terminal import hint, say, this_command
+from gateway.people.terminal import hint, say
 from schemas.revocation import MAX_REVOCATION_BYTES
 
 ANSWER_S: Final = 5.0

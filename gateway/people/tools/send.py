@@ -7,11 +7,12 @@ from pathlib import Path
 from typing import Final
 
 from gateway.errors import ConfigError, GatewayError, LeaseError
+from gateway.own_command import command
 from gateway.people.client.blocking import Client, several_answer
 from gateway.people.client.dangers import PowerAlarm, confirmed_off
 from gateway.people.client.payloads import leg_payload, servo_payload
 from gateway.people.client.requests import Identity
-from gateway.people.terminal import hint, say, this_command
+from gateway.people.terminal import hint, say
 from gateway.people.tools import reach
 from gateway.people.tools.reach import Connection, me
 from gateway.zenoh_config import client_config
@@ -53,7 +54,7 @@ def send_leg(connect: Connection, leg: int, op: str, angles_deg: Sequence[float]
     if len(angles_deg) != wanted:
         raise ConfigError(
             f"{op} takes {wanted or 'no'} angles, and there are {len(angles_deg)}; "
-            f"for example: send leg {leg} {op}{' 90 45 120' if wanted else ''}"
+            f"for example: {command(f'send leg {leg} {op}' + ' 90 45 120' * bool(wanted))}"
         )
     return _send(connect, keys.leg_command(leg), leg_payload(op, tuple(angles_deg)), moves=op != "stop", hold_s=hold_s)
 
@@ -62,7 +63,7 @@ def send_servo(connect: Connection, servo_id: int, op: str, angle_deg: float | N
     """Send a servo's command; see `_send`."""
     if (angle_deg is None) != (op == "stop"):
         wanted, angle = ("no", "") if op == "stop" else ("one", " 90")
-        raise ConfigError(f"{op} takes {wanted} angle; for example: send servo {servo_id} {op}{angle}")
+        raise ConfigError(f"{op} takes {wanted} angle; for example: {command(f'send servo {servo_id} {op}{angle}')}")
     try:
         key = keys.servo_command(servo_id)
     except ValueError as error:
@@ -136,7 +137,7 @@ def estop_report(ack: Ack, look: Callable[[], GatewayState]) -> int:
     if stopped:
         power = confirmed_off(ack)
         say(f"stopped: {ack.stop_frames} Stop frames written within {ack.latency_us:.0f} µs of the request{power}")
-        hint(f"All commands are rejected until `{this_command()} reset`.")
+        hint(f"All commands are rejected until `{command('reset')}`.")
     else:
         written = f"only {ack.stop_frames} of {len(LEGS)} Stop frames were written"
         say(f"latched, but {written}: switch the servos' power off")

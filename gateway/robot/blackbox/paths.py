@@ -18,12 +18,21 @@ OTHER_RECORDS_PER_S: Final = 100
 
 RING_S: Final = 60.0
 """The 10 s before an incident must still be there when it is copied; for more than a minute there are recordings."""
+REACH_S: Final = 50.0
+"""The ring keeps what messages have made of it for this time, whoever floods: an incident reaches 10 s back and lasts
+30 s at most. What the gateway records by itself is bounded by its own rates."""
 
 
 def slots_for(settings: Settings) -> int:
     """The number of records of `RING_S` with all legs commanded at their rate."""
     per_s = RECORDS_PER_FRAME * len(LEGS) * settings.limits.leg_rate_hz + OTHER_RECORDS_PER_S
     return min(MAX_SLOTS, round(RING_S * per_s))
+
+
+def client_records_a_second(settings: Settings) -> int:
+    """How many records messages may make: those of all legs at their rate, and no more than the ring has room for."""
+    room = slots_for(settings) / REACH_S - OTHER_RECORDS_PER_S
+    return max(1, round(min(RECORDS_PER_FRAME * len(LEGS) * settings.limits.leg_rate_hz, room)))
 
 
 def folder_of(settings: Settings) -> Path | None:

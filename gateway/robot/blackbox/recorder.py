@@ -1,4 +1,4 @@
-"""Writes the gateway's records into the black box.
+"""Writes the gateway's records into the black box, of each source no more than its share (`shares.py`).
 
 Recording delays no Stop: a step is recorded after all its frames are written, and before its commands are answered. A
 command that is carried out at once shares a record with its frame.
@@ -13,6 +13,7 @@ from types import TracebackType
 from typing import Any, Final, Self
 
 from gateway import __version__
+from gateway.allowance import Allowance
 from gateway.errors import GatewayError
 from gateway.model.black_box import format as form
 from gateway.model.black_box.format import ACCEPTED
@@ -21,11 +22,13 @@ from gateway.model.calibration import RobotCalibration, report_of
 from gateway.model.elkapod import Measured
 from gateway.robot.blackbox import paths
 from gateway.robot.blackbox.ring import RecordRing
+from gateway.robot.blackbox.shares import RecordShares
 from gateway.robot.core.events import Announce, Request, Transmit
 from gateway.robot.core.outcome import Result
+from gateway.robot.core.rejection_limit import LIMITED
 from gateway.robot.protocol import Sent
 from gateway.robot.settings import Settings
-from schemas.telemetry import Kind, Mode
+from schemas.telemetry import Cause, Kind, Mode
 
 LAG_NS: Final = 10_000_000
 """A timer later than this is recorded: it would have delayed a Stop as much."""
@@ -36,6 +39,14 @@ MEASURED_NS: Final = 100_000_000
 """What the robot measures is recorded at most so often: 1 % of the ring, and a fall takes longer."""
 KEPT_BEFORE_OPEN: Final = 200
 """Records before the ring is open: the first Stops do not wait for it."""
+
+MODES_A_SECOND: Final = 50
+"""Emergency stops and resets in turns change it more often."""
+EVENT_SLOTS: Final = 3
+"""Of an event whose sentence is long."""
+_ESTOP: Final = Cause.ESTOP  # see `frames.OP_STOP`
+_BY_CLIENTS: Final = frozenset({*LIMITED, Kind.ESTOP_ENGAGED, Kind.ESTOP_RESET})
+"""Events that clients can cause at any rate. Those of the gateway's own rules are always recorded."""
 
 _IF_LEGS_STOP: Final = frozenset({Kind.BUTTON_SILENT, Kind.BUTTON_LEFT})
 """These are incidents only where legs are stopped for them."""
@@ -60,6 +71,10 @@ class Recorder:
         self._clock = clock
         self._wall_ns = wall_ns
         self._ring: RecordRing | None = None
+        self._modes = Allowance(MODES_A_SECOND, MODES_A_SECOND)
+        self._mode: Mode | None = None
+        """Not recorded yet."""
+        self._shares = RecordShares(paths.client_records_a_second(settings))
         self._waiting: list[tuple[int, int, bytes]] = []
         self._append: Callable[[int, int, bytes], None] = self._wait
         self._clock_ns = 0  # of the latest record of the wall clock
@@ -113,10 +128,20 @@ class Recorder:
     def step(self, received: Request | None, written: Sequence[Written], decided: Sequence[Result]) -> None:
         """Record a step: the command that it took, if any, its frames, and the outcomes of commands.
 
-        A request with the number 0 was rejected before the supervisor.
+        A request with the number 0 was rejected before the supervisor. Nothing is recorded of a step whose sender has
+        used up its share; steps that no message caused, such as the watchdog's, are always recorded.
         """
         if not self._on:
             return
+        if received is not None or decided or (written and written[0][0].cause is _ESTOP):
+            request = received or (decided[0][0] if decided else None)
+            source = None if request is None else request.source  # an emergency stop's is read behind its Stops
+            now_ns = written[0][1].ns if written else self._clock()
+            count = len(written) + len(decided)
+            if not written and received is not None:
+                count += 1  # it has a record of its own, besides its outcome's
+            if not self._shares.admit(source, count, now_ns):
+                return
         accepted = 0  # with the only frame of this step: it then needs no Decision
         if len(written) == 1:
             commands = written[0][0].commands
@@ -150,15 +175,25 @@ class Recorder:
         return True
 
     def mode(self, mode: Mode) -> None:
-        """Record a change of the gateway's mode."""
-        self._append(form.MODE, self._clock(), form.mode(mode))
+        """Record a change of the gateway's mode; where it changes too often, what it is at the next beat."""
+        now_ns = self._clock()
+        self._mode = mode
+        if self._modes.take(now_ns):
+            self._record_mode(now_ns)
+
+    def _record_mode(self, now_ns: int) -> None:
+        if self._mode is not None:
+            self._append(form.MODE, now_ns, form.mode(self._mode))
+            self._mode = None
 
     def event(self, event: Announce, source: str | None, left_out: int) -> str | None:
         """Record a published event; returns the id of the incident that it begins or belongs to, else None."""
         now_ns = self._clock()
-        fields = form.event(event.kind, source, event.key, event.reason, event.detail, left_out)
-        self._append(form.EVENT, now_ns, fields)
         what = INCIDENT_NAMES.get(event.kind) if event.legs or event.kind not in _IF_LEGS_STOP else None
+        always = event.kind not in _BY_CLIENTS or (what is not None and self._begins(now_ns))
+        if always or self._shares.admit(source, EVENT_SLOTS, now_ns):
+            fields = form.event(event.kind, source, event.key, event.reason, event.detail, left_out)
+            self._append(form.EVENT, now_ns, fields)
         return None if what is None else self._happened(what, now_ns)
 
     def beat(self, lag_ns: int) -> None:
@@ -166,11 +201,14 @@ class Recorder:
         if not self._on:
             return
         now_ns = self._clock()
+        self._record_mode(now_ns)
         if lag_ns > LAG_NS:
             self._append(form.LAG, now_ns, form.number(lag_ns))
         if now_ns - self._clock_ns >= CLOCK_NS:
             self._clock_ns = now_ns
             self._append(form.CLOCK, now_ns, form.number(self._wall_ns()))
+            for source, count in self._shares.left_out():
+                self._append(form.LEFT_OUT, now_ns, form.left_out(count, source))
         if now_ns - self._about_ns >= ABOUT_NS:
             self._about_ns = now_ns
             self._append(form.ABOUT, now_ns, self._about)
@@ -204,11 +242,15 @@ class Recorder:
         """Record the end, after the last Stops."""
         self._append(form.END, self._clock(), form.mode(why))
 
+    def _begins(self, now_ns: int) -> bool:
+        """Whether what happens now begins an incident, rather than prolonging one."""
+        return self.incident is None or now_ns > min(self._until_ns, self._first_ns + LONGEST_INCIDENT_NS)
+
     def _happened(self, what: str, now_ns: int) -> str | None:
         """Begin an incident, or prolong the one whose time this falls in; returns its id."""
         if not self._on:
             return None
-        if self.incident is None or now_ns > min(self._until_ns, self._first_ns + LONGEST_INCIDENT_NS):
+        if self._begins(now_ns):
             wall_ns = self._wall_ns()
             self.incident = incident_id(wall_ns, what)
             self.incidents += 1

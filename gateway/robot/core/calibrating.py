@@ -30,7 +30,7 @@ from gateway.robot.core.events import (
 from gateway.robot.core.leg import Servo
 from schemas.telemetry import Kind, Reason
 
-ACCEPT_DEFAULT: Final = "hexapod-gateway calibrate accept-default"
+ACCEPT_DEFAULT: Final = "calibrate accept-default"
 """What a person does where the calibration cannot be trusted."""
 
 

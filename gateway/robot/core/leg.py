@@ -23,7 +23,7 @@ class Rules:
     rest_ns: int = 800 * NS_PER_MS
     """How often legs at rest get a Stop while others run (Behaviour 4); not a setting, so nobody can switch it off.
 
-    Shorter than the default of `spi.resync_ms`: with the preamble ahead of these Stops, the stream needs no other one.
+    Shorter than `RESYNC_NS` of the bus: with the preamble ahead of these Stops, the stream needs no other one.
     """
     rest_runs: int = 3
     """How many more runs of Stops follow the last Stop's repeats while nothing runs (Behaviour 4); no setting.

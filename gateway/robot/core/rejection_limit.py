@@ -4,6 +4,23 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from gateway.allowance import Allowance
+from schemas.telemetry import Kind
+
+LIMITED: Final = (
+    Kind.COMMAND_REJECTED,
+    Kind.SOURCE_CHANGED,
+    Kind.OVERFLOW,
+    Kind.LEASE_ACQUIRED,
+    Kind.LEASE_RELEASED,
+    Kind.LEASE_TAKEN,
+    Kind.LEASE_ASKED,
+    Kind.CALIBRATED,
+    Kind.BUTTON_REGISTERED,
+    Kind.BUTTON_LEFT,
+    Kind.BUTTON_RETURNED,
+)
+"""Events that clients can cause at any rate. Each kind has a limit of its own, so that a flood of one hides no other:
+two people who fight for a leg hide no takeover."""
 
 EVENTS_A_SECOND: Final = 10
 EVENTS_AT_ONCE: Final = 10

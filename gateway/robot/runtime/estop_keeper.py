@@ -29,7 +29,7 @@ RETRY_S: Final = 1.0
 """A disk that is full may have space again."""
 FLUSH_S: Final = 0.2
 """How long the end of the service waits for a write."""
-_LOOK: Final = "look that nobody is in danger, then reset it (hexapod-gateway reset)"
+_LOOK: Final = "look that nobody is in danger, then reset it"
 
 logger = logging.getLogger(__name__)
 

@@ -8,26 +8,10 @@ from gateway.robot.blackbox.recorder import Recorder, Written
 from gateway.robot.core.events import Announce
 from gateway.robot.core.intake import named_source
 from gateway.robot.core.message import Outbox, Received
-from gateway.robot.core.rejection_limit import RejectionLimit
+from gateway.robot.core.rejection_limit import LIMITED, RejectionLimit
 from gateway.robot.runtime.report import WARNINGS, wall_clock
 from schemas import keys, telemetry
 from schemas.telemetry import Kind
-
-LIMITED: Final = (
-    Kind.COMMAND_REJECTED,
-    Kind.SOURCE_CHANGED,
-    Kind.OVERFLOW,
-    Kind.LEASE_ACQUIRED,
-    Kind.LEASE_RELEASED,
-    Kind.LEASE_TAKEN,
-    Kind.LEASE_ASKED,
-    Kind.CALIBRATED,
-    Kind.BUTTON_REGISTERED,
-    Kind.BUTTON_LEFT,
-    Kind.BUTTON_RETURNED,
-)
-"""Events that clients can cause at any rate. Each kind has a limit of its own, so that a flood of one hides no other:
-two people who fight for a leg hide no takeover."""
 
 logger: Final = logging.getLogger(__name__)
 

@@ -1,5 +1,6 @@
 """Carries out what a step of the supervisor wants: the one place for each effect. Nothing waits but a transfer."""
 
+import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Final, assert_never
@@ -23,6 +24,8 @@ from gateway.robot.runtime.event_publisher import EventPublisher
 from gateway.robot.runtime.metrics import Metrics
 from schemas.telemetry import Cause, Kind, Reason
 
+logger = logging.getLogger(__name__)
+
 _REPEAT: Final = Cause.REPEAT  # see `frames.OP_STOP`
 
 
@@ -33,8 +36,6 @@ class Outcome:
     written: list[Written] = field(default_factory=list)
     fault: SpiError | None = None
     """Why not all frames were written. It rejects the commands of those that were not."""
-    unbatched: str | None = None
-    """Why each transfer is a call of its own from now on, if that is new."""
     meddled: str | None = None
     """What another program had set on the device, until just before these frames were written."""
     results: list[Result] = field(default_factory=list)
@@ -92,8 +93,6 @@ class Executor:
         self._recorder.step(heard, outcome.written, outcome.results)
         if outcome.results:
             self._answers.take(outcome.results)
-        if outcome.unbatched is not None:
-            self._events.announce(Announce(Kind.BUS_UNBATCHED, outcome.unbatched))
         if outcome.meddled is not None:
             self._events.announce(Announce(Kind.BUS_MEDDLED, outcome.meddled))
         for effect in effects:
@@ -144,6 +143,7 @@ class Executor:
                     command.written += (transmit.frame.leg,)
                 if transmit.deadline_ns is not None and sent.heard:
                     self._metrics.watchdog_stops.record(self._bus.ended_ns - transmit.deadline_ns)
-            outcome.unbatched = report.rejection or outcome.unbatched
+            if report.rejection is not None:
+                logger.warning("%s; from now on each transfer is a call of its own", report.rejection)
             outcome.meddled = report.meddled or outcome.meddled
             outcome.fault = report.fault

@@ -45,7 +45,6 @@ WARNINGS: Final = frozenset(
         Kind.ESTOP_KEPT,
         Kind.ESTOP_NOT_KEPT,
         Kind.BUS_FAULT,
-        Kind.BUS_UNBATCHED,
         Kind.BUS_MEDDLED,
         Kind.STOPPED_OUTSIDE,
         Kind.OVERFLOW,

@@ -46,10 +46,6 @@ class SpiDevice(OpenDevice, Protocol):
         `BatchRejectedError` when it takes no batches: then nothing was written.
         """
 
-    def fileno(self) -> int | None:
-        """The file by whose record locks programs share the bus; None where no other program can reach the device."""
-        return None
-
 
 class DuplexDevice(OpenDevice, Protocol):
     """One whose unit is a single transfer, during which as many bytes come back."""

@@ -73,6 +73,9 @@ LOOKED_AT: Final = len(LEGS)
 """So many of the Stops are looked at for a way back; a search among eighteen takes 0.1 s."""
 SLOW_NS: Final = 20_000_000
 """A call that takes so long to fail is a transfer that Linux waited for. Others fail within a millisecond."""
+RESYNC_NS: Final = 1_000_000_000
+"""The longest time in a stream without a preamble: until then a controller that lost a byte ignores each Set and first
+Stop. A preamble takes 1.8 ms of the bus, so once a second costs 0.2 % of it."""
 STALLED_NS: Final = 900_000_000
 """A call that took so long is a failure: the controller gives up a frame 1000 ms behind its announcement."""
 
@@ -87,8 +90,9 @@ class Bus(Wire):
         *,
         clock: Callable[[], int] = time.monotonic_ns,
         pause: Callable[[float], None] = time.sleep,
+        resync_ns: int = RESYNC_NS,
     ) -> None:
-        """`pause` is for a bus that writes no batches."""
+        """`pause` is for a kernel that takes no lists; `resync_ns`: 0 is for never in a stream."""
         self._open_device = open_device
         self._framing = settings.framing
         self.announces = self._framing is Framing.LENGTH_PREFIXED
@@ -105,8 +109,8 @@ class Bus(Wire):
         """What a frame takes on the wire besides its own bytes."""
         self.preamble_ns = PREAMBLE_ZEROS * (zero_pause_us * 1000 + ZERO_NS)
         """How long a preamble takes at most, part by part in turns of a loop."""
-        self._batch = settings.batch
-        self._resync_ns = round(settings.resync_ms * 1e6)  # 0: a stream without a pause is not resynchronised
+        self._lists = True  # until the kernel rejects one
+        self._resync_ns = resync_ns
         self._avoid_cdeg = settings.avoid_cdeg
         self._clock = clock
         self._pause = pause
@@ -209,7 +213,7 @@ class Bus(Wire):
         To be called in a pause of the stream, part by part, so that a Stop waits for one part at most.
         """
         if self._device is not None and self._zeros < PREAMBLE_ZEROS:
-            at_once = min(ZEROS_AT_ONCE, self._most) if self._batch else 1
+            at_once = min(ZEROS_AT_ONCE, self._most) if self._lists else 1
             try:
                 self._call(BatchReport(), min(at_once, PREAMBLE_ZEROS - self._zeros))
             except SpiError:
@@ -296,20 +300,20 @@ class Bus(Wire):
 
     def _go_one_by_one(self, batch: list[Transfer], rejection: BatchRejectedError) -> str:
         """Nothing of it was written. If it can be written transfer by transfer, all that follows is; returns why."""
-        if not self._batch or self._device is None:
+        if not self._lists or self._device is None:
             raise rejection
-        self._batch = False
+        self._lists = False
         guard = self._guarded(self._device)
         try:
             guard.transfer(batch)
         except SpiError:
-            self._batch = True
+            self._lists = True
             raise
         self._guard = guard
         return str(rejection)
 
     def _guarded(self, device: SpiDevice) -> Guard:
-        written = device if self._batch else OneByOne(device, self._clock, self._pause)
+        written = device if self._lists else OneByOne(device, self._clock, self._pause)
         return Guard(written, self._framing, self._avoid_cdeg)
 
     # ---- Stops that failed

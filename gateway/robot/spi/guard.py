@@ -88,7 +88,7 @@ def _check_frame(data: bytes, avoid_from_cdeg: int, avoid_to_cdeg: int) -> None:
     for servo_id, command in frame.servos:
         if command.op is not Op.STOP and avoid_from_cdeg <= command.angle_cdeg < avoid_to_cdeg:
             angle = f"servo {servo_id} to {command.angle_cdeg / 100:g} degrees"
-            raise IllegalTransferError(f"[{data.hex(' ')}] moves {angle}, which is never sent (spi.avoid_deg)")
+            raise IllegalTransferError(f"[{data.hex(' ')}] moves {angle}, which is never sent in this framing")
 
 
 def _is_frame(data: bytes, avoid_from_cdeg: int, avoid_to_cdeg: int) -> bool:

@@ -151,10 +151,6 @@ class KernelDevice(SpiDevice, DuplexDevice):
         self._received_at = 0  # they were what it rejects
         return written
 
-    def fileno(self) -> int | None:
-        """The device's file."""
-        return int(self._spi.fileno())
-
     def stop_servos_at_work(self) -> bool | None:
         """Whether `stop-servos` stops the servos through the same device now; None also if not `exclusive`."""
         return None if self._listener is None else self._listener.look()

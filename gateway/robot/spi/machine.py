@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Final
 
 ROOT_DIR: Final = Path("/")
+SELECT_BY_GPIO: Final = "let a GPIO select the controller (cs-gpios in the device tree, as on a Raspberry Pi)"
 RP1_FIXED: Final = dt.date(2025, 2, 5)
 """Until then Linux for a Pi 5's RP1 lost clock edges of transfers that only send (raspberrypi/linux 6285, 6286; fixed
 by 6646 and 6649). A kernel that was built earlier lacks the fix. No version says which of the later ones have it."""

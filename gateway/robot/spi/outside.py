@@ -2,8 +2,7 @@
 
 `stop-servos` locks the byte AT_WORK from its first Stops on. A gateway locks the byte UNSEEN as soon as it has the
 device, and unlocks it while it sees AT_WORK locked. `stop-servos` ends when UNSEEN is unlocked: either a gateway has
-seen it, or none runs. Locks need no rights but those on the device, and end with their process. (The bus lock is the
-same kind of lock on two other bytes, see one_by_one.py.)
+seen it, or none runs. Locks need no rights but those on the device, and end with their process.
 """
 
 import fcntl
@@ -16,7 +15,7 @@ from typing import Final
 PATIENCE_S: Final = 0.5
 """How long `stop-servos` waits to be seen. A gateway looks ten times a second; one that hangs is not waited for."""
 _LOOK_PAUSE_S: Final = 0.002
-_AT_WORK, _UNSEEN = 2, 3  # bytes of the device; 0 and 1 are the bus lock's
+_AT_WORK, _UNSEEN = 2, 3  # bytes of the device
 _FLOCK: Final = struct.Struct("hhqqi4x")  # struct flock: type, whence, start, length, process
 
 

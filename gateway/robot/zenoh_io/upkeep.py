@@ -101,7 +101,7 @@ class Upkeep:
         else:
             logger.warning(
                 "%s is not reached: until it is, nobody behind it can command this robot or watch it. The gateway "
-                "keeps trying; `hexapod-gateway check` finds the cause",
+                "keeps trying; `sudo hexapod-gateway check` finds the cause",
                 where,
             )
         return True

@@ -1,12 +1,10 @@
 """What the service in fact uses: written at its start, read by `stop-servos` and `check`, judged by its process."""
 
-import os
 from pathlib import Path
 
 import pytest
 
 from gateway.host import effective
-from gateway.host.plain_settings import PlainController, PlainPower, PlainRepeats, PlainSpi
 from gateway.model.framing import Framing
 from gateway.robot.settings import Settings
 
@@ -17,9 +15,6 @@ USED = Settings.model_validate(
             "device": '/dev/spi"dev1.0',
             "speed_hz": 500_000,
             "frame_gap_us": 60.5,
-            "batch": False,
-            "resync_ms": 10.0,
-            "avoid_deg": [2.0, 3.0],
         },
         "watchdog": {"repeats": 7, "repeat_interval_ms": 33.5},
         "controller": {"uart": "/dev/ttyS0"},
@@ -34,21 +29,6 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("RUNTIME_DIRECTORY", str(tmp_path))
     monkeypatch.delenv("INVOCATION_ID", raising=False)
     return tmp_path
-
-
-@pytest.mark.parametrize("settings", [USED, Settings()], ids=["all", "defaults"])
-def test_what_is_written_is_read(settings: Settings, folder: Path) -> None:
-    effective.write(settings.spi.model_dump(mode="json"), settings.watchdog, settings.controller, settings.power)
-    found = effective.read()
-    assert found is not None
-    assert found.spi == PlainSpi(**{name: getattr(settings.spi, name) for name in PlainSpi._fields})
-    assert found.watchdog == PlainRepeats(settings.watchdog.repeats, settings.watchdog.repeat_interval_ms)
-    assert found.controller == PlainController(settings.controller.uart)
-    assert found.power == PlainPower(**{name: getattr(settings.power, name) for name in PlainPower._fields})
-    assert type(settings.spi).model_validate(found.tables["spi"]) == settings.spi, "with what no Stop depends on"
-    assert found.runs
-    assert not found.ended_here
-    assert [path.name for path in folder.iterdir()] == [effective.NAME]
 
 
 def test_without_a_runtime_directory_nothing_is_written(monkeypatch: pytest.MonkeyPatch, folder: Path) -> None:
@@ -70,16 +50,6 @@ def test_a_process_that_ended_and_one_that_has_its_number(folder: Path) -> None:
         assert not found.runs
 
 
-def test_after_the_end_only_the_commands_of_that_start_are_of_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("INVOCATION_ID", "0a1b")
-    effective.write(USED.spi.model_dump(mode="json"), USED.watchdog, USED.controller, USED.power)
-    found = effective.read()
-    assert found is not None
-    assert found.ended_here
-    monkeypatch.setenv("INVOCATION_ID", "0a1c")
-    assert not found.ended_here
-
-
 @pytest.mark.parametrize(
     "content", [b"", b"\xff", b'spi.framing = "Plain"', b'spi.framing = "plain"\nspi.speed_hz = 0']
 )
@@ -89,35 +59,21 @@ def test_a_damaged_file_says_nothing(folder: Path, content: bytes) -> None:
     assert effective.read() is None
 
 
-def test_nobody_waits_for_what_is_no_file(folder: Path) -> None:
-    os.mkfifo(folder / effective.NAME)
-    assert effective.read() is None
-
-
-def test_a_file_without_a_process_is_of_none(folder: Path) -> None:
-    (folder / effective.NAME).write_text('spi.framing = "plain"\n')
-    found = effective.read()
-    assert found is not None
-    assert not found.runs
-    assert not found.ended_here
-
-
 def test_where_a_file_differs(folder: Path) -> None:
     effective.write(USED.spi.model_dump(mode="json"), USED.watchdog, USED.controller, USED.power)
     found = effective.read()
     assert found is not None
     file = folder / "gateway.toml"
-    rest = 'device = "/dev/spi\\"dev1.0"\nspeed_hz = 500_000\nframe_gap_us = 60.5\nbatch = false\nresync_ms = 10\n'
+    rest = 'device = "/dev/spi\\"dev1.0"\nspeed_hz = 500_000\nframe_gap_us = 60.5\n'
     uart = "[controller]\nuart = '/dev/ttyS0'\n"
     uart += "[power]\ninterface = 'slcan'\nchannel = '/dev/ttyACM0'\n"
     watchdog = f"[watchdog]\nrepeats = 7\nrepeat_interval_ms = 33.5\n{uart}"
-    file.write_text(f'[spi]\nframing = "length-prefixed"\navoid_deg = [2.0, 3.0]\n{rest}{watchdog}')
+    file.write_text(f'[spi]\nframing = "length-prefixed"\n{rest}{watchdog}')
     assert effective.differences(found, file) == []
     assert effective.differs_here(file) == []
     file.write_text(f'[spi]\nframing = "plain"\n{rest}[watchdog]\nrepeat_interval_ms = 33.5\n{uart}')
     assert effective.differs_here(file) == [
         f'{file} has spi.framing = "plain", and the service uses "length-prefixed"',
-        f"{file} does not set spi.avoid_deg, and the service uses [2.0, 3.0]",
         f"{file} has watchdog.repeats = 3, and the service uses 7",
     ]
     for text in ("spi = 3\n", "no TOML"):

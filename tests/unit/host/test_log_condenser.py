@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from gateway.host.log_condenser import GATHER_S, MOST_HELD, MOST_KINDS, REPEATS_WINDOW_S, Condenser
+from gateway.host.log_condenser import MOST_HELD, MOST_KINDS, REPEATS_WINDOW_S, Condenser
 from schemas.telemetry import Kind
 
 
@@ -28,29 +28,6 @@ def written(records: list[logging.LogRecord]) -> list[str]:
 @pytest.fixture
 def condenser() -> Condenser:
     return Condenser()
-
-
-def test_a_stop_of_six_legs_is_one_line_and_what_follows_stays_behind_it(condenser: Condenser) -> None:
-    lines = [*map(silent, range(1, 7)), record("mode idle", logging.INFO, mode="idle")]
-    assert [each for n, line in enumerate(lines) for each in condenser.take(line, n / 1000)] == []
-    assert condenser.due_at_s() == GATHER_S
-    assert condenser.due(GATHER_S - 0.001) == []
-    first, idle = condenser.due(GATHER_S)
-    assert written([first, idle]) == [
-        "leg 1 was not heard for 250 ms; it is stopped; so are legs 2, 3, 4, 5, 6",
-        "mode idle",
-    ]
-    assert vars(first)["legs"] == (1, 2, 3, 4, 5, 6)
-    assert condenser.due_at_s() is None
-
-
-def test_one_leg_and_two(condenser: Condenser) -> None:
-    condenser.take(silent(4), 0)
-    assert written(condenser.due(GATHER_S)) == ["leg 4 was not heard for 250 ms; it is stopped"]
-    condenser.take(silent(1), 1)
-    condenser.take(silent(5), 1)
-    assert written(condenser.rest()) == ["leg 1 was not heard for 250 ms; it is stopped; so is leg 5"]
-    assert condenser.rest() == []
 
 
 def test_a_client_on_a_wrong_key_is_one_line_and_one_in_ten_seconds(condenser: Condenser) -> None:
@@ -78,19 +55,6 @@ def test_numbers_alone_make_no_other_line_but_sources_and_keys_do(condenser: Con
     found = [each for line in lines for each in condenser.take(line, 0)]
     assert found == [lines[0], lines[2], lines[3]]
     assert written(condenser.rest()) == ["1 more within 10 s, the last: a was delayed for 700 ms"]
-
-
-@pytest.mark.parametrize(
-    "line",
-    [
-        record("emergency stop", kind=Kind.ESTOP_ENGAGED),
-        record("mode idle", logging.INFO, mode="idle"),
-        record("the bus fails", logging.ERROR),
-        record("all six legs are stopped", kind=Kind.WATCHDOG_EXPIRED, legs=(1, 2, 3, 4, 5, 6)),
-    ],
-)
-def test_what_is_no_repetition_is_written_each_time_at_once(condenser: Condenser, line: logging.LogRecord) -> None:
-    assert [condenser.take(line, n / 10) for n in range(3)] == [[line]] * 3
 
 
 def test_memory_is_bounded(condenser: Condenser) -> None:

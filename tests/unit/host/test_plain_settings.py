@@ -1,13 +1,12 @@
 """What `stop-servos` reads by itself is what the settings say, or is left to them."""
 
-import json
 from pathlib import Path
 
 import pytest
 
 from gateway.errors import ConfigError
 from gateway.host import plain_settings
-from gateway.host.plain_settings import LIMITS, NOT_FOR_STOPS, PlainPower, PlainRepeats, PlainSpi
+from gateway.host.plain_settings import PlainPower, PlainRepeats, PlainSpi
 from gateway.model.framing import Framing
 from gateway.robot import settings
 
@@ -18,6 +17,7 @@ device = "/dev/spidev1.2"
 speed_hz = 500_000
 frame_gap_us = 60
 resync_ms = 0.5
+batch = false
 avoid_deg = [2.0, 3.0]
 [watchdog]
 timeout_ms = 300
@@ -53,10 +53,8 @@ def test_the_same_as_the_settings(file: Path, text: str) -> None:
     found = plain_settings.read(file)
     assert found is not None
     spi, repeats, controller, power = found
-    theirs = settings.load(file)
-    assert spi._asdict() == {
-        name: getattr(theirs.spi, name) for name in type(theirs.spi).model_fields if name not in NOT_FOR_STOPS
-    }
+    theirs = settings.load(file, for_stops=True)
+    assert spi._asdict() == {name: getattr(theirs.spi, name) for name in type(theirs.spi).model_fields}
     assert repeats._asdict() == {name: getattr(theirs.watchdog, name) for name in PlainRepeats._fields}
     assert controller.uart == theirs.controller.uart
     assert power is not None
@@ -101,35 +99,6 @@ def test_a_wrong_power_board_is_none_and_the_rest_counts(file: Path, power: str)
         settings.load(file)
 
 
-def test_a_file_that_cannot_be_read(file: Path) -> None:
-    assert plain_settings.read(file) is None
-    file.write_bytes(b"\xff")
-    assert plain_settings.read(file) is None
-
-
-@pytest.mark.parametrize(("name", "end"), [(name, end) for name in LIMITS for end in (0, 1)])
-def test_the_limits_are_those_of_the_settings(file: Path, name: str, end: int) -> None:
-    """The last value that is allowed, and the next one, which is not."""
-    table = "spi" if name in PlainSpi._fields else "power" if name in PlainPower._fields else "watchdog"
-    for beyond, allowed in ((0, True), (1, False)):
-        value = LIMITS[name][end] + beyond * (1 if end else -1)
-        file.write_text(f'spi.framing = "plain"\n{table}.{name} = {json.dumps(value)}\n')
-        found = plain_settings.read(file)
-        assert (found is not None and found.power is not None) == allowed
-        if allowed:
-            settings.load(file)
-        else:
-            with pytest.raises(ConfigError, match=name):
-                settings.load(file)
-
-
-@pytest.mark.parametrize("variable", ["HEXAPOD_SPI__DEVICE", "HEXAPOD_WATCHDOG__REPEATS", "hexapod_spi__device"])
-def test_a_variable_that_overrides_the_file(file: Path, monkeypatch: pytest.MonkeyPatch, variable: str) -> None:
-    file.write_text(WHOLE)
-    monkeypatch.setenv(variable, "/dev/other")
-    assert plain_settings.read(file) is None
-
-
 # ---- what the framing allows: the settings reject what is beyond, and stop-servos takes the nearest
 
 
@@ -157,21 +126,6 @@ def test_what_the_service_rejects_stop_servos_writes_as_the_framing_allows(file:
         assert changed.endswith(f"stop-servos uses {speed_hz} Hz and {gap_us:g} µs")
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        PREFIXED + "spi.speed_hz = 5_000_000\nspi.frame_gap_us = 20\n",
-        'spi.framing = "plain"\nspi.speed_hz = 20_000_000\nspi.frame_gap_us = 0\n',
-    ],
-)
-def test_what_the_framing_allows_stays_as_it_is(file: Path, text: str) -> None:
-    file.write_text(text)
-    read = plain_settings.read(file)
-    assert read is not None
-    assert plain_settings.within_limits(read[0]) == (read[0], "")
-    settings.load(file)
-
-
 def test_a_variable_that_is_too_fast_is_rejected_by_its_name_and_stops_all_the_same(
     file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -182,7 +136,17 @@ def test_a_variable_that_is_too_fast_is_rejected_by_its_name_and_stops_all_the_s
     assert settings.load(file, for_stops=True).spi.speed_hz == 8_000_000
 
 
-def test_for_stops_other_faults_are_faults(file: Path) -> None:
-    file.write_text(PREFIXED + "spi.speed_hz = 20_000_001\n")
-    with pytest.raises(ConfigError, match="speed_hz"):
-        settings.load(file, for_stops=True)
+def test_no_setting_of_an_earlier_version_prevents_a_stop(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Which the service rejects."""
+    file.write_text(WHOLE + "[lease]\ntakeover = 'never'\n")
+    monkeypatch.setenv("HEXAPOD_SPI__BATCH", "false")
+    assert settings.load(file, for_stops=True).spi.framing is Framing.LENGTH_PREFIXED
+    with pytest.raises(ConfigError) as raised:
+        settings.load(file)
+    assert [line.rpartition(": ")[0].rpartition(": ")[2] for line in str(raised.value).splitlines()] == [
+        "spi.resync_ms",
+        "spi.batch",
+        "spi.avoid_deg",
+        "lease.takeover",
+        "HEXAPOD_SPI__BATCH",
+    ]

@@ -1,8 +1,5 @@
 """The page between a simulated body and a simulated controller: the newest reading, whole."""
 
-import mmap
-import struct
-
 from gateway.host.sensed_page import Sensed, SensedPage
 
 
@@ -25,18 +22,3 @@ def test_a_reader_in_another_process_finds_the_newest() -> None:
     for number in (1.0, 2.0, 3.0):
         writer.write(sensed(number))
         assert reader.read() == sensed(number)
-
-
-def test_the_newest_stays_whole_while_the_next_is_written() -> None:
-    """A body that is killed in the middle of a reading has touched the older copy alone."""
-    page = SensedPage()
-    page.write(sensed(1.0))
-    page.write(sensed(2.0))
-    with mmap.mmap(page.fd, mmap.PAGESIZE) as memory:
-        newest, older = (memory.find(struct.pack("=4d", *sensed(number)[0])) for number in (2.0, 1.0))
-        kept = memory[newest : newest + 34 * 8]
-        page.write(sensed(3.0))
-        assert memory[newest : newest + 34 * 8] == kept
-        assert memory[older : older + 32] == struct.pack("=4d", *sensed(3.0)[0])
-        memory[newest : newest + 34 * 8] = bytes(34 * 8)  # now the older one, half of the next reading
-    assert page.read() == sensed(3.0)

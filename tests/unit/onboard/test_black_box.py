@@ -1,7 +1,6 @@
 """`incidents` at folders and disks that do not let it."""
 
 import errno
-import logging
 import os
 import tempfile
 from collections.abc import Callable, Iterator
@@ -12,15 +11,12 @@ import pytest
 
 from gateway.errors import ConfigError
 from gateway.model.black_box import format as form
-from gateway.model.black_box.files import INCIDENTS_FOLDER, RING_FILE
+from gateway.model.black_box.files import RING_FILE
 from gateway.onboard import black_box
-from gateway.people.incidents.watcher import IncidentWatcher
-from gateway.people.recordings.contents import cut
 from gateway.robot.blackbox import paths
 from gateway.robot.blackbox.ring import RecordRing
 from gateway.robot.settings import Settings
 from tests.support.robot import WALL_NS
-from tests.unit.people.test_recordings import recorded
 
 NAME = "20260921-141320-123-watchdog"
 
@@ -60,8 +56,8 @@ def test_who_may_not_read_it_is_not_told_that_there_is_nothing(mode: int) -> Non
     [lambda ring: os.chown(ring, 65533, -1), lambda ring: ring.chmod(0o666), lambda ring: os.link(ring, f"{ring}-2")],
     ids=["another user's", "for all to write", "with another name"],
 )
-def test_a_ring_that_somebody_else_has_made_is_neither_shown_nor_kept(
-    folder: Path, capsys: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture, spoil: Callable[[Path], None]
+def test_a_ring_that_somebody_else_has_made_is_not_shown(
+    folder: Path, capsys: pytest.CaptureFixture[str], spoil: Callable[[Path], None]
 ) -> None:
     """In /dev/shm, where a link of ours leads: it could be there before the gateway begins one."""
     ring_at = paths.prepare(folder)
@@ -77,49 +73,27 @@ def test_a_ring_that_somebody_else_has_made_is_neither_shown_nor_kept(
     said = capsys.readouterr()
     assert NAME not in said.out
     assert "another user has made this file, or may write to it" in said.err
-    with caplog.at_level(logging.INFO):
-        assert not IncidentWatcher(folder).keep(whole_only=False)
-    assert "another user has made this file" in caplog.text
-    assert not (folder / INCIDENTS_FOLDER).exists()
 
 
-def test_a_disk_that_gets_full_is_left_without_half_an_export(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    kept = tmp_path / INCIDENTS_FOLDER / f"{NAME}.mcap"
-    kept.parent.mkdir()
-    kept.write_bytes(b"an incident")
+def test_a_disk_that_gets_full_is_left_without_half_an_export(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ring = RecordRing(paths.prepare(folder), 100)
+    ring.append(form.INCIDENT, 5, form.incident(WALL_NS, NAME))
+    ring.close()
     copy = tmp_path / "stop.mcap"
 
-    def full(_path: Path) -> bytes:
+    def full(*_: object) -> None:
         assert copy.exists(), "it was begun"
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr(Path, "read_bytes", full)
-    with pytest.raises(ConfigError, match="No space left on device"):
-        black_box.export(settings(tmp_path), NAME, copy)
+    with monkeypatch.context() as patched:
+        patched.setattr("gateway.people.recordings.Recording.describe", full)
+        patched.setattr("gateway.people.recordings.Recording.add", full)
+        with pytest.raises(ConfigError, match="No space left on device"):
+            black_box.export(settings(folder), NAME, copy)
     assert not copy.exists()
     copy.write_text("mine")
     with pytest.raises(ConfigError, match="exists"):
-        black_box.export(settings(tmp_path), NAME, copy)
+        black_box.export(settings(folder), NAME, copy)
     assert copy.read_text() == "mine"
-
-
-def test_a_disk_that_gets_full_is_left_without_half_a_piece(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    ride, into = tmp_path / "ride.mcap", tmp_path / "new"
-    recorded(ride).close()
-
-    def full(*_: object) -> None:
-        assert into.exists(), "it was begun"
-        raise OSError(errno.ENOSPC, "No space left on device")
-
-    monkeypatch.setattr("gateway.people.recordings.writing.Copy.finish", full)
-    with pytest.raises(ConfigError, match=r"new: cannot be written \(No space left on device\)"):
-        cut(ride, into, from_s=0, to_s=1)
-    assert not into.exists()
-
-
-def test_a_ride_is_no_incident_and_where_to_look_instead_is_named(tmp_path: Path) -> None:
-    recorded(tmp_path / "ride.mcap").close()
-    for call in (black_box.show, lambda found, name: black_box.report(found, name, tmp_path / "page.html")):
-        with pytest.raises(ConfigError, match="has no incident in it; `recordings info` shows what it has"):
-            call(settings(tmp_path), str(tmp_path / "ride.mcap"))
-    assert not (tmp_path / "page.html").exists()

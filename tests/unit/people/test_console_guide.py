@@ -1,8 +1,6 @@
 """The guide: what a person sees on the robot becomes trim, direction and limits."""
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from gateway.model.calibration import CalibrationError, RobotCalibration, ServoMapping
 from gateway.people.console.guide import Guide
@@ -94,22 +92,3 @@ def test_a_servo_that_is_none() -> None:
     made.leave()
     with pytest.raises(CalibrationError, match="choose a servo first"):
         made.stands_at(90)
-
-
-@given(st.integers(0, 180_00), st.booleans(), st.lists(st.integers(-500, 500), max_size=20), st.floats(60, 120))
-def test_what_the_person_saw_is_what_the_draft_says(start: int, wrong: bool, jogs: list[int], seen_deg: float) -> None:
-    made = guide(start_deg=start / 100)
-    if wrong:
-        made.wrong_way()
-    for by in jogs:
-        try:
-            made.jog(by)
-        except CalibrationError:
-            continue
-    try:
-        made.stands_at(seen_deg)
-    except CalibrationError:
-        assert abs(made.shown_deg - seen_deg) > 89  # the trim would be larger than a quarter of a turn
-        return
-    assert made.shown_deg == pytest.approx(round(seen_deg, 2), abs=0.011)
-    assert made.draft[32].wire_cdeg(round(made.shown_deg * 100)) == made.wire_cdeg

@@ -53,11 +53,3 @@ async def test_the_stop_goes_first() -> None:
     messages = await sent(outgoing)
     assert [message["type"] for message in messages] == ["stop", "ack", "state", "event"]
     assert messages[0]["answered"]
-
-
-async def test_nothing_is_sent_twice() -> None:
-    outgoing = Outgoing()
-    outgoing.put(event(1))
-    assert len(await sent(outgoing)) == 1
-    outgoing.put(event(2))
-    assert [message["event"]["detail"] for message in await sent(outgoing)] == ["2"]

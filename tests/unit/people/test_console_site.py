@@ -15,23 +15,6 @@ TLS = Site("0.0.0.0", 443, ("robot.local", "192.0.2.7", "2001:db8::7"), Path("c.
 @pytest.mark.parametrize(
     ("where", "host"),
     [
-        (HERE, "127.0.0.1:8080"),
-        (HERE, "localhost:8080"),
-        (HERE, "LOCALHOST:8080"),
-        (TLS, "robot.local"),
-        (TLS, "robot.local:443"),
-        (TLS, "192.0.2.7"),
-        (TLS, "[2001:db8::7]"),
-    ],
-)
-def test_own_hosts(where: Site, host: str) -> None:
-    assert where.knows_host(host)
-    assert where.knows_origin(f"{where.scheme}://{host}", host)
-
-
-@pytest.mark.parametrize(
-    ("where", "host"),
-    [
         (HERE, None),
         (HERE, ""),
         (HERE, "127.0.0.1"),
@@ -68,11 +51,6 @@ def test_foreign_hosts(where: Site, host: str | None) -> None:
 def test_foreign_origins(origin: str | None) -> None:
     """Another page on this machine is as foreign as any: its origin has another port, scheme or name."""
     assert not HERE.knows_origin(origin, "127.0.0.1:8080")
-
-
-def test_cookies_of_two_consoles_differ() -> None:
-    assert HERE.cookie != Site("127.0.0.1", 8081, HERE.hosts).cookie
-    assert TLS.cookie.startswith("__Host-")
 
 
 @pytest.mark.parametrize("listen", ["127.0.0.1:8080", "localhost:1", "[::1]:65535", "127.0.0.5"])

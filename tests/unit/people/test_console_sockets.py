@@ -27,12 +27,6 @@ def server(stack: ExitStack, host: str = "127.0.0.1", port: int = 0) -> socket.s
     return stack.enter_context(socket.create_server((host, port), family=family))
 
 
-def both(stack: ExitStack) -> list[socket.socket]:
-    """Localhost's two, with one port."""
-    first = server(stack)
-    return [first, server(stack, "::1", first.getsockname()[1])]
-
-
 def taken(passed: socket.socket, number: str = "1", pid: str = PID) -> list[socket.socket]:
     """What is inherited where systemd has put the first socket to the number of this one."""
     found = inherited({"LISTEN_PID": pid, "LISTEN_FDS": number}, first=passed.fileno())
@@ -94,14 +88,6 @@ def test_another_kind_of_socket_is_rejected(
 def test_a_descriptor_that_is_no_socket_is_rejected() -> None:
     with Path(os.devnull).open() as file, pytest.raises(ConfigError, match="is no socket"):
         inherited({"LISTEN_PID": PID, "LISTEN_FDS": "1"}, first=file.fileno())
-
-
-def test_the_address_is_the_sockets(stack: ExitStack) -> None:
-    one, two = server(stack), both(stack)
-    port = one.getsockname()[1]
-    assert address_in([one], None) == address_in([one], f"127.0.0.1:{port}") == f"127.0.0.1:{port}"
-    assert address_in(two, None) == f"localhost:{two[0].getsockname()[1]}"
-    assert address_in(two[1:], None) == f"[::1]:{two[0].getsockname()[1]}"
 
 
 @pytest.mark.parametrize("listen", ["127.0.0.1:1", "127.0.0.2:{}", "localhost:{}", "0.0.0.0:{}", "[::1]:{}"])

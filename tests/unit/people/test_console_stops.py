@@ -97,35 +97,6 @@ async def test_it_is_asked_again_until_it_is_answered(robot: Robot) -> None:
     assert page.answered() == [7]
 
 
-@pytest.mark.parametrize("fault", [RuntimeError("can't start new thread"), MemoryError(), OSError(24, "no descriptor")])
-async def test_whatever_goes_wrong_it_is_asked_again(robot: Robot, fault: Exception) -> None:
-    """Also what is no answer of a gateway: a machine that has no thread, no memory, no descriptor left."""
-    stops, page = Stops(robot.estop, send_stopping), Page()
-    stops.press(page, 7, None)
-    await turns()
-    robot.requests[0].set_exception(fault)
-    await turns()
-    assert page.heard[-1].error
-    await asyncio.sleep(AGAIN_S)
-    await turns()
-    await robot.answer(1)
-    assert page.answered() == [7]
-
-
-async def test_it_is_asked_for_by_the_name_of_whoever_pressed_and_again_by_the_latest(robot: Robot) -> None:
-    stops, page = Stops(robot.estop, send_stopping), Page()
-    stops.press(page, 1, None)
-    await turns()
-    await asyncio.sleep(0.001)
-    stops.press(page, 2, "anna/page 3")
-    await turns()
-    await robot.answer(0)
-    await robot.fail(1)
-    await asyncio.sleep(AGAIN_S)
-    await turns()
-    assert robot.sources == [None, "anna/page 3", "anna/page 3"]
-
-
 async def test_a_press_outlives_its_page(robot: Robot) -> None:
     stops, page = Stops(robot.estop, send_stopping), Page()
     stops.press(page, 1, None)
@@ -150,16 +121,3 @@ async def test_a_press_waits_for_no_earlier_request(robot: Robot) -> None:
     assert len(robot.requests) == REQUESTS_AT_ONCE + 1
     await robot.answer(REQUESTS_AT_ONCE)
     assert page.answered() == list(range(REQUESTS_AT_ONCE + 1))
-
-
-async def test_where_it_lasts_for_a_time_it_ends_with_the_last_failure(robot: Robot) -> None:
-    noted: list[tuple[bool, str | None]] = []
-    stops = Stops(robot.estop, lambda press, _ack, error: noted.append((press.over, error)), lasts_s=AGAIN_S)
-    stops.press(Page(), 1, None)
-    for number in range(2):
-        await turns()
-        await robot.fail(number)
-        await asyncio.sleep(AGAIN_S)
-    assert noted == [(False, None), (False, "no answer"), (True, "no answer")]
-    assert not stops.unconfirmed
-    assert len(robot.requests) == 2

@@ -24,20 +24,5 @@ def test_a_page_of_which_nothing_comes_is_asked_after_twenty_seconds_and_gone_af
     assert PING_S == 20
 
 
-def test_a_page_that_answers_is_there() -> None:
-    quiet = Quiet(0.0)
-    for answered_s in (20.5, 41.0, 80.9):  # the last one just in time
-        assert looks(quiet, answered_s)[1] is None
-        quiet.received(answered_s)
-    assert looks(quiet, 200.0) == ([100.9], 120.9)
-
-
-def test_a_page_that_talks_is_not_asked() -> None:
-    quiet = Quiet(0.0)
-    for second in range(1, 100):
-        quiet.received(float(second))
-        assert looks(quiet, second + 1.0) == ([], None)
-
-
 def test_the_examples_are_right() -> None:
     assert doctest.testmod(websocket) == (0, 3)

@@ -7,7 +7,6 @@ from typing import cast
 import pytest
 
 from gateway.errors import UnansweredError
-from gateway.model.telemetry import currents_a
 from gateway.people.client.dangers import (
     PATIENCE_NS,
     UNCONFIRMED,
@@ -21,8 +20,8 @@ from gateway.people.console.pages import Page, Pages
 from gateway.people.terminal.stop_status import SHOWN_NS, StopStatus, Tone
 from gateway.people.tools.send import command_report, estop_report
 from gateway.people.tools.status import sentences
-from schemas.telemetry import Ack, GatewayState, Kind, Mode, PowerReport, ServoTelemetry, Telemetry
-from tests.support.published import WALL, event, state
+from schemas.telemetry import Ack, GatewayState, Kind, Mode, PowerReport
+from tests.support.published import event, state
 from tests.unit.people.test_console_telemetry import OpenPage
 
 MS = 1_000_000
@@ -45,11 +44,6 @@ def alarm_after(*found: tuple[int, PowerReport | None], mode: Mode = Mode.ACTIVE
     return alarm.sentence
 
 
-@pytest.mark.parametrize("power", [None, OFF, FED])
-def test_no_board_or_one_that_confirms_is_no_alarm(power: PowerReport | None) -> None:
-    assert alarm_after((0, power), (10 * PATIENCE_NS, power), mode=Mode.ESTOPPED) == ""
-
-
 def test_a_state_while_the_board_answers_is_no_alarm_but_two_without_a_confirmation_are() -> None:
     assert alarm_after((0, DOUBTED)) == ""
     assert alarm_after((0, DOUBTED), (PATIENCE_NS - 1, DOUBTED)) == ""
@@ -57,28 +51,9 @@ def test_a_state_while_the_board_answers_is_no_alarm_but_two_without_a_confirmat
     assert alarm_after((0, DOUBTED), (PATIENCE_NS, DOUBTED)) == UNCONFIRMED
 
 
-def test_a_board_that_answered_and_is_silent_is_an_alarm_at_once_until_it_confirms() -> None:
-    assert alarm_after((0, FED), (1, SILENT)) == UNCONFIRMED
-    assert alarm_after((0, FED), (1, SILENT), (2, DOUBTED)) == UNCONFIRMED
-    assert alarm_after((0, FED), (1, SILENT), (2, STANDS_BY)) == UNCONFIRMED, "the gateway was started anew"
-    assert alarm_after((0, FED), (1, SILENT), (2, OFF)) == ""
-
-
 def test_a_board_that_never_answered_is_an_alarm_in_an_emergency_stop_alone() -> None:
     assert alarm_after((0, STANDS_BY), (10 * PATIENCE_NS, STANDS_BY)) == ""
     assert alarm_after((0, STANDS_BY), mode=Mode.ESTOPPED) == UNCONFIRMED
-
-
-def test_the_event_is_an_alarm_at_once_until_the_board_confirms() -> None:
-    alarm = PowerAlarm()
-    alarm.received_event(Kind.POWER_CUT)
-    assert alarm.sentence == ""
-    alarm.received_event(Kind.POWER_UNCONFIRMED)
-    assert alarm.sentence == UNCONFIRMED
-    alarm.received_state(of(DOUBTED), 0)
-    assert alarm.sentence == UNCONFIRMED
-    alarm.received_state(of(OFF), 1)
-    assert alarm.sentence == ""
 
 
 @pytest.mark.parametrize(
@@ -104,16 +79,6 @@ def test_every_event_that_stops_all_legs_and_every_doubt_is_bad() -> None:
 
 
 # ---- where people see it
-
-
-def test_a_terminal_shows_a_stop_that_the_board_confirms() -> None:
-    stop = StopStatus()
-    stop.press(0)
-    stop.confirm(STOPPED.model_copy(update={"confirmed": True, "confirmed_ms": 34.2}), None, 36 * MS)
-    remark = stop.remark(37 * MS)
-    assert remark is not None
-    assert remark.tone is Tone.GOOD
-    assert remark.text.endswith("confirmed 36 ms after the key, power confirmed off after 34 ms")
 
 
 def test_a_terminal_is_red_until_the_board_confirms_a_stop() -> None:
@@ -179,12 +144,6 @@ async def test_a_page_gets_the_sentence_with_the_state_and_at_once_with_the_even
     assert await newest() == {"power": "18 fed", "unconfirmed": UNCONFIRMED}
     pages.received_state(of(OFF), 1)
     assert await newest() == {"power": "confirmed off", "unconfirmed": ""}
-
-
-def test_a_servo_whose_current_is_not_known_has_none() -> None:
-    servos = {"11": ServoTelemetry(supplied=True, current_a=0.4), "12": ServoTelemetry(supplied=False)}
-    assert currents_a(Telemetry(time=WALL, age_ms=1.0, servos=servos)) == {11: 0.4}
-    assert currents_a(Telemetry(time=WALL, age_ms=1.0)) == currents_a(None) == {}
 
 
 def test_the_sentence_stands_in_one_place() -> None:

@@ -43,16 +43,6 @@ def test_it_ends_within_half_a_millimetre_or_a_seventh_of_a_degree(
     assert fastest <= (0.25 if turns else 0.08)
 
 
-def test_four_sides_and_four_turns_end_where_they_began() -> None:
-    ridden = standing()
-    for _ in range(4):
-        cover(ridden, 0.1, turns=False, late=1)
-        cover(ridden, math.pi / 2, turns=True, late=1)
-    x_m, y_m, heading_rad = ridden.ride.state.odometry
-    assert math.hypot(x_m, y_m) < 0.002
-    assert heading_rad == pytest.approx(2 * math.pi, abs=0.01)
-
-
 def test_nothing_is_far_and_then_it_stands() -> None:
     assert cover(Ridden(), 0.0, turns=False, late=0) == (0.0, 0.0)
 
@@ -98,18 +88,6 @@ def test_ahead_is_where_it_looks_and_it_slows_down_gently_before_the_end() -> No
     assert velocity is not None
     assert velocity.forward_m_s == pytest.approx(math.sqrt(SLEW_M_S2 * 0.002)), "half of what the engine can"
     assert distance.next(at(1.0 + 0.1 * math.cos(1.0), 2.0 + 0.1 * math.sin(1.0), 1.0), 2.0) is None
-
-
-def test_whoever_comes_nearer_however_slowly_goes_on() -> None:
-    """By more than half a millimetre in each LONGEST_S."""
-    distance = Distance(1.0, turns=False)
-    for step in range(4):
-        assert distance.next(at(0.001 * step), LONGEST_S * step) is not None
-    distance = Distance(1.0, turns=False)
-    assert distance.next(at(0.0), 0.0) is not None
-    assert distance.next(at(0.0005), LONGEST_S) is not None
-    with pytest.raises(WalkError, match="no nearer"):
-        distance.next(at(0.0005), LONGEST_S + TICK_S)
 
 
 def test_half_a_millimetre_is_a_distance_and_less_is_none() -> None:

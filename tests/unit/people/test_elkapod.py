@@ -9,13 +9,11 @@ from typing import Final
 import pytest
 
 from examples.elkapod import gait
-from gateway.allowance import NS_PER_MS
-from gateway.geometry import Geometry, foot_m, load
+from gateway.geometry import load
 from gateway.model.calibration import RobotCalibration
 from gateway.model.frames import centidegrees
 from gateway.people.walking import Pose, Posture, Robot, Velocity, Walker
 from gateway.people.walking.robot import ranges
-from gateway.robot.core.speed import step
 from gateway.robot.host import calibration_file
 from gateway.robot.runtime.report import limits_of
 from gateway.robot.settings import Settings
@@ -27,9 +25,6 @@ SETTINGS: Final[Settings] = load_settings(FOLDER / "gateway.toml", simulated=Tru
 PERIOD_MS: Final = 20
 PERIOD_S: Final = PERIOD_MS / 1000
 WALK_S: Final = 10.0
-STEADY_S: Final = 1.0
-"""At the beginning and the end, in which it may go slower."""
-MG996R_DEG_S: Final = 353
 
 
 @cache
@@ -90,28 +85,6 @@ def test_with_the_calibration_each_servo_stands_where_the_robots_own_software_pu
             assert calibration.of(servo_id).wire_cdeg(user_cdeg) / 100 == pytest.approx(own_deg, abs=0.011)
 
 
-def test_the_feet_that_stand_are_on_the_ground_and_push_the_body_forward() -> None:
-    """By the geometry alone: where they are in the body's frame follows from the angles that are sent."""
-    geometry = load(gait.GEOMETRY)
-    walking = [pose for posture, pose in walked() if posture is Posture.WALKING]
-    steady = walking[round(STEADY_S / PERIOD_S) : round((WALK_S - STEADY_S) / PERIOD_S)]
-    stood: set[frozenset[int]] = set()
-    for before, after in pairwise([feet_m(geometry, pose) for pose in steady]):
-        ground_m = min(foot[2] for foot in before.values())
-        legs = frozenset(leg for leg in LEGS if max(before[leg][2], after[leg][2]) == pytest.approx(ground_m, abs=1e-6))
-        stood.add(legs)
-        for leg in legs:
-            moved_m = [new - old for old, new in zip(before[leg], after[leg], strict=True)]
-            assert moved_m == pytest.approx([-gait.FORWARD_M_S * PERIOD_S, 0, 0], abs=1e-6)
-    assert {frozenset({1, 4, 5}), frozenset({2, 3, 6})} <= stood, "two tripods by turns"
-    assert all(len(legs) >= 3 for legs in stood)
-
-
-def feet_m(geometry: Geometry, pose: Pose) -> dict[int, tuple[float, float, float]]:
-    joints_rad = {servo_id: geometry.joint_rad(servo_id, angle) for servo_id, angle in servos_deg(pose).items()}
-    return {leg: foot_m(geometry, leg, joints_rad) for leg in LEGS}
-
-
 def test_the_walk_and_the_landing_pose_are_within_the_limits(calibration: RobotCalibration) -> None:
     limits = SETTINGS.limits.servos
     assert set(limits) == set(SETTINGS.watchdog.landing) == set(map(str, SERVO_IDS))
@@ -142,22 +115,3 @@ def test_the_comment_on_the_limits_has_the_walks_own_numbers() -> None:
     text = (FOLDER / "gateway.toml").read_text().replace("\n# ", " ")
     assert f"The walk uses {used[0]}, {used[1]} and {used[2]}" in text
     assert f"up to {math.ceil(fastest_deg_s / PERIOD_S)} degrees a second" in text
-
-
-def test_the_speed_limit_is_below_the_servos_and_never_holds_the_walk_back() -> None:
-    """At a steady 50 Hz each frame carries what was commanded; after a late one the lag is made up within the next."""
-    speeds_cdeg_s = {int(name): round(100 * servo.max_speed_deg_s) for name, servo in SETTINGS.limits.servos.items()}
-    assert 0 < max(speeds_cdeg_s.values()) / 100 < MG996R_DEG_S
-    period_ns = PERIOD_MS * NS_PER_MS
-    poses = [servos_cdeg(pose) for _, pose in walked()]
-    for late_ms in (0, 10):
-        at, since_ns = poses[0], 0
-        for frame, wanted in enumerate(poses[1:], start=1):
-            now_ns = (frame * PERIOD_MS + (late_ms if frame % 10 == 0 else 0)) * NS_PER_MS
-            reached = {
-                servo_id: step(at[servo_id], wanted[servo_id], speed, since_ns, now_ns, period_ns).angle_cdeg
-                for servo_id, speed in speeds_cdeg_s.items()
-            }
-            if not late_ms or frame % 10 != 1:
-                assert reached == wanted, f"at {frame * PERIOD_MS} ms"
-            at, since_ns = reached, now_ns

@@ -1,6 +1,5 @@
 """`status --follow`: which lines come of states, events and silence."""
 
-import json
 from collections.abc import Iterator, Mapping
 from datetime import timedelta
 
@@ -15,13 +14,11 @@ from schemas.telemetry import (
     ControllerReport,
     Event,
     GatewayState,
-    Kind,
     LeaseReport,
     Mode,
     PowerReport,
-    Reason,
 )
-from tests.support.published import NS_PER_MS, WALL, event, rejected, state
+from tests.support.published import NS_PER_MS, WALL, rejected, state
 
 
 class Followed:
@@ -63,14 +60,6 @@ def followed() -> Followed:
     return Followed()
 
 
-def test_it_begins_with_what_is_and_goes_on_with_what_changes(followed: Followed) -> None:
-    assert followed.state() == ["No servo runs.", "Nobody drives."]
-    assert followed.state() == []
-    runs = state(followed.now_ns / 1e9 + 0.1, Mode.ACTIVE, running=True)
-    assert followed.state(runs) == ["Leg 3 runs."]
-    assert followed.state() == ["No servo runs."]
-
-
 @pytest.mark.parametrize(
     ("changed", "lines"),
     [
@@ -97,36 +86,9 @@ def test_each_change_is_a_line_once(followed: Followed, changed: dict[str, objec
     assert followed.state(changed=changed) == []
 
 
-def test_each_event_is_a_line_with_its_reason(followed: Followed) -> None:
-    followed.state()
-    assert followed.event(rejected("anna", "servo 31 does not run", Reason.SERVO_STOPPED, left_out=4)) == [
-        "anna: servo_stopped: servo 31 does not run (and 4 more that are left out)"
-    ]
-    assert followed.event(rejected(None, "no")) == ["invalid: no"]
-    assert followed.event(event(Kind.LEASE_ACQUIRED, "anna has acquired the lease", "anna")) == [
-        "anna has acquired the lease"
-    ]
-    assert followed.event(event(Kind.POWER_UNCONFIRMED, "no answer")) == ["no answer", UNCONFIRMED]
-    assert followed.lines[-1].plain.endswith(f" alarm              {UNCONFIRMED}")
-
-
 def test_no_source_controls_the_terminal(followed: Followed) -> None:
     followed.event(rejected("\x1b[2Janna", "a\nb"))
     assert followed.lines[0].plain.endswith(r"command_rejected   \x1b[2Janna: invalid: a\nb")
-
-
-def test_a_line_of_json_is_the_event_as_published_or_a_change(followed: Followed) -> None:
-    published = rejected("anna", "no")
-    followed.event(published)
-    followed.state(changed={"lease": LeaseReport(holder="anna", held_s=1.0)})
-    first, *_, last = followed.lines
-    assert Event.model_validate_json(first.as_json) == published
-    assert json.loads(last.as_json) == {
-        "time": WALL.isoformat(),
-        "kind": "change",
-        "what": "lease",
-        "detail": "anna drives.",
-    }
 
 
 @pytest.mark.parametrize("how", ["its token goes", "nothing comes"])

@@ -1,11 +1,15 @@
 """What a command prints: lines that a person can copy, and nothing by which a stranger's words control the terminal."""
 
+import ast
+import re
 import sys
 from pathlib import Path
+from typing import Final
 
 import pytest
 
-from gateway.people.terminal import hint, say, this_command
+from gateway.own_command import CONNECT_VARIABLE, DEFAULT_ENDPOINT, command, reach_by, this_command
+from gateway.people.terminal import hint, say
 from tests.support.command import run_here
 
 EVIL = "eve\x1b[2J\x1b]0;owned\x07\r\naccepted"
@@ -33,3 +37,55 @@ def test_a_program_that_is_not_on_the_path_is_named_as_it_was_called(
     assert this_command() == str(program)
     monkeypatch.setenv("PATH", str(tmp_path))
     assert this_command() == "hexapod-gateway"
+
+
+@pytest.mark.parametrize(
+    ("connect", "zenoh_config", "variable", "options"),
+    [
+        (None, None, None, ""),
+        (DEFAULT_ENDPOINT, None, None, ""),
+        (DEFAULT_ENDPOINT, None, "tcp/192.0.2.7:7447", f" --connect {DEFAULT_ENDPOINT}"),
+        ("tcp/192.0.2.7:7447", None, None, " --connect tcp/192.0.2.7:7447"),
+        ("tcp/[::1]:7447", Path("my robot.json5"), None, " --connect 'tcp/[::1]:7447' --zenoh-config 'my robot.json5'"),
+    ],
+)
+def test_a_command_carries_the_endpoint_that_it_needs(
+    monkeypatch: pytest.MonkeyPatch, connect: str | None, zenoh_config: Path | None, variable: str | None, options: str
+) -> None:
+    """The default is left out, unless the shell in which the command is run may have another one."""
+    if variable is not None:
+        monkeypatch.setenv(CONNECT_VARIABLE, variable)
+    reach_by(connect=connect, zenoh_config=zenoh_config)
+    try:
+        assert command("reset") == f"{this_command()} reset{options}"
+    finally:
+        reach_by(connect=None, zenoh_config=None)
+
+
+GATEWAY: Final = Path(__file__).parents[3] / "gateway"
+REACHES: Final = re.compile(r"\b(status|console|walk|send|stop|estop|reset|check|calibrate|record|ros2)\b")
+ENOUGH: Final = re.compile("--connect|--zenoh-config|--link|--listen|--sim|sudo")
+
+
+def texts(tree: ast.AST) -> list[str]:
+    """All strings of a module but its docstrings and whole names such as `hexapod-gateway walk`, a call as `…()`."""
+    inner = {id(part) for node in ast.walk(tree) if isinstance(node, ast.JoinedStr) for part in node.values}
+    said = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
+    found = [node for node in ast.walk(tree) if isinstance(node, ast.JoinedStr | ast.Constant)]
+    return [
+        "".join(str(each.value) if isinstance(each, ast.Constant) else f"{ast.unparse(each)[2:-1]}" for each in parts)
+        for node in found
+        if id(node) not in inner | said
+        for parts in [node.values if isinstance(node, ast.JoinedStr) else [node]]
+    ]
+
+
+def test_commands_that_reach_a_gateway_are_built_in_one_place() -> None:
+    by_hand = [
+        f"{path.relative_to(GATEWAY)}: {text}"
+        for path in GATEWAY.rglob("*.py")
+        for text in texts(ast.parse(path.read_text(encoding="utf-8")))
+        for found in re.finditer(r"(hexapod-gateway|this_command\(\)\}*) (?P<command>[a-z-]+)", text)
+        if REACHES.fullmatch(found["command"]) and text != found[0] and not ENOUGH.search(text)
+    ]
+    assert not by_hand

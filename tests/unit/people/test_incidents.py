@@ -1,7 +1,6 @@
-"""Incidents: found in the ring, kept as files, and told as a story."""
+"""Incidents: found in the ring, told as a story, and exported."""
 
 import asyncio
-import re
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
@@ -14,19 +13,17 @@ from gateway import __version__
 from gateway.errors import SpiError
 from gateway.geometry import load
 from gateway.model.black_box import format as form
-from gateway.model.black_box.files import INCIDENTS_FOLDER, RING_FILE
+from gateway.model.black_box.files import RING_FILE
 from gateway.model.black_box.incidents import INCIDENT_NAMES, MISTAKE
 from gateway.model.calibration import RobotCalibration, ServoMapping
 from gateway.model.frames import decode
-from gateway.people.incidents import archive, ring_reader
+from gateway.people.incidents import ring_reader
+from gateway.people.incidents.export import write
 from gateway.people.incidents.incidents import CRASH, Incident, find
 from gateway.people.incidents.messages import RECORDER, messages
-from gateway.people.incidents.page import as_page
-from gateway.people.incidents.story import story, what
-from gateway.people.recordings import RecordedMessage, read
-from gateway.people.recordings.contents import contents
+from gateway.people.incidents.story import headline, story, what
+from gateway.people.recordings import RecordedMessage
 from gateway.people.recordings.drawing import JOINT_STATES
-from gateway.people.recordings.replaying import steps_of
 from gateway.people.recordings.user_angles import UserAngles
 from gateway.robot.blackbox import paths
 from gateway.robot.blackbox.ring import RecordRing
@@ -35,7 +32,7 @@ from gateway.robot.core.message import Verb
 from gateway.robot.runtime.calibrations import Calibrations
 from schemas import keys
 from schemas.telemetry import Kind
-from tests.support.mcap_file import checked
+from tests.support.mcap_file import about, checked, read
 from tests.support.measured import MEASURED, ON_ITS_SIDE
 from tests.support.robot import WALL_NS, Robot, leg, servo
 from tests.unit.people.test_recorder import recorded
@@ -51,6 +48,12 @@ SECOND = 1_000_000_000
 def incidents(folder: Path, now_ns: int = 0) -> tuple[list[Incident], ring_reader.Content]:
     content = ring_reader.read(folder / RING_FILE)
     return find(content.records, written=content.written, now_ns=now_ns), content
+
+
+def exported(folder: Path, incident: Incident, content: ring_reader.Content) -> Path:
+    path = folder / f"{incident.name}.mcap"
+    write(path, incident, content.records)
+    return path
 
 
 def told(folder: Path) -> list[str]:
@@ -139,8 +142,7 @@ async def test_the_headline_names_the_worst_and_who_and_which_legs(folder: Path)
     silent = "a leg was silent, and was stopped: leg 3"
     worst = f"somebody requested an emergency stop (bert); also: {silent}"
     assert f": {worst}, at " in told(folder)[0]
-    archive.keep(folder / INCIDENTS_FOLDER, incident, content.records)
-    assert archive.headlines(folder / INCIDENTS_FOLDER) == {incident.name: worst}
+    assert headline(messages(incident, content.records)) == worst
     robot.conductor.recorder.close()
     assert f": the gateway ended without a word; also: {silent}; also: somebody" in told(folder)[0]
 
@@ -217,23 +219,19 @@ async def test_a_calibrated_robots_story_and_picture_have_its_users_angles(folde
     robot.conductor.recorder.calibration(RobotCalibration(2))  # of later frames
     await asyncio.sleep(10)
     (incident,), content = incidents(folder, robot.now_ns())
-    path = archive.keep(folder / INCIDENTS_FOLDER, incident, content.records)
+    path = exported(folder, incident, content)
     told = list(read(path))
     (way_down,) = [line for line in story(told) if "last frame of the way down" in line]
     assert way_down.endswith("leg 3 at 30 45 120")
     angles = UserAngles()
     frames = [decode(bytes.fromhex(record["bytes"])) for record in angles.frames(told)]
     assert angles.known
-    sent = next(steps_of(UserAngles().frames(told)))
-    assert (sent.key, sent.payload()["servos"][1]) == (LEG_3, {"op": "start", "angle_deg": 45}), "it can be replayed"
     started = next(frame for frame in frames if not frame.is_stop)
     assert [op.angle_cdeg for _, op in started.servos] == [90_00, 45_00, 120_00]
     joints = positions(drawn_in(path, JOINT_STATES)[-1])
     assert joints["joint_32"] == pytest.approx(load().joint_rad(32, 45.0), abs=1e-4)
     revisions = [each.content["revision"] for each in told if each.topic == keys.CALIBRATION]
     assert revisions == [1, 1, 2], "at its beginning, and what a change replaces and brings"
-    heights = re.findall(r'points="[\d.]+,([\d.]+)', as_page("", told, []))
-    assert heights == ["180.0", "195.0", "170.0"], "leg 3's row is at 210, and 3 degrees are a pixel"
 
 
 async def test_a_landing_that_somebody_stops_and_the_next_one_are_two(folder: Path) -> None:
@@ -325,7 +323,7 @@ async def test_an_incident_is_a_file_that_mcaps_own_reader_reads_and_its_schemas
     await happens(robot)
     robot.put(LEG_3, b"{")
     ((incident,), content) = incidents(folder)
-    path = archive.keep(folder / INCIDENTS_FOLDER, incident, content.records)
+    path = exported(folder, incident, content)
     seen = Counter(topic for topic, _ in checked(path))
     with path.open("rb") as file:
         summary = make_reader(file).get_summary()
@@ -349,10 +347,10 @@ async def test_an_incidents_file_has_the_settings_of_the_gateway_that_it_happene
     second.conductor.recorder.beat(0)
     await estop(second)
     (before, after), content = incidents(folder)
-    about = [contents(archive.keep(folder, each, content.records)).about for each in (before, after)]
-    assert [each["watchdog"]["timeout_ms"] for each in about] == [300, 500]
-    assert [each["spi"]["framing"] for each in about] == ["plain", "length-prefixed"]
-    assert {each["version"] for each in about} == {__version__}
+    facts = [about(exported(folder, each, content)) for each in (before, after)]
+    assert [each["watchdog"]["timeout_ms"] for each in facts] == [300, 500]
+    assert [each["spi"]["framing"] for each in facts] == ["plain", "length-prefixed"]
+    assert {each["version"] for each in facts} == {__version__}
 
 
 def test_of_a_gateway_that_recorded_no_settings_none_are_known() -> None:
@@ -376,7 +374,7 @@ async def test_an_incident_shows_tilt_battery_and_feet_around_it(folder: Path) -
     measured(MEASURED._replace(orientation_wxyz=(0.0, 1.0, 0.0, 0.0)), robot.now_ns())
     ((incident,), content) = incidents(folder)
     assert incident.name == "20260921-141320-123-fallen"
-    path = archive.keep(folder / INCIDENTS_FOLDER, incident, content.records)
+    path = exported(folder, incident, content)
     seen = Counter(topic for topic, _ in checked(path))
     assert seen[keys.TELEMETRY] == 4
     assert_ordered(path)
@@ -426,7 +424,7 @@ def test_noise_in_the_ring_makes_no_story_fail(folder: Path) -> None:
     found, content = incidents(folder)
     assert [each.name for each in found] == ["20260921-141320-123-watchdog"]
     assert content.damaged == 2
-    path = archive.keep(folder / INCIDENTS_FOLDER, found[0], content.records)
+    path = exported(folder, found[0], content)
     assert "made up: " in "\n".join(story(list(read(path))))
 
 

@@ -2,7 +2,6 @@
 
 import asyncio
 import threading
-from datetime import timedelta
 from queue import Empty, SimpleQueue
 from typing import cast
 
@@ -11,35 +10,13 @@ import zenoh
 from pydantic import BaseModel
 
 from gateway.client import Client
-from gateway.people.client.live import Live, OnLoop, Order, Receiver, ReportQueue, Starts
+from gateway.people.client.live import Live, OnLoop, Receiver, ReportQueue
 from gateway.people.client.subscriptions import KEPT_EVENTS
 from schemas.keys import EVENT, STATE
 from schemas.telemetry import BodyReport, Event, GatewayState, Kind, Telemetry
 from tests.support.published import WALL, event, state
 
 MODELS: dict[str, type[BaseModel]] = {STATE: GatewayState, EVENT: Event}
-
-
-# ---- a restart
-
-
-@pytest.mark.parametrize(
-    ("uptime_s", "clock_s", "apart_s", "order"),
-    [
-        (101.0, 1.0, 1.0, Order.NEXT),
-        (99.9, -0.1, 0.0, Order.OVERTAKEN),
-        (0.5, 1.0, 1.0, Order.RESTARTED),
-        (300.0, 400.0, 400.0, Order.RESTARTED),  # after a silence, and by now it has run for longer
-        (500.0, 400.0, 400.0, Order.NEXT),  # after a silence, and it is the same one
-        (101.0, 3600.0, 1.0, Order.NEXT),  # its clock was set
-    ],
-)
-def test_another_gateway_is_known_by_when_it_began(
-    uptime_s: float, clock_s: float, apart_s: float, order: Order
-) -> None:
-    starts = Starts()
-    assert starts.look(WALL, 100.0, 0) is Order.NEXT
-    assert starts.look(WALL + timedelta(seconds=clock_s), uptime_s, round(apart_s * 1e9)) is order
 
 
 # ---- to one thread

@@ -6,7 +6,7 @@ import random
 import pytest
 
 from gateway.people.client import pace as pace_module
-from gateway.people.client.pace import LATE_PART, MOST_DEG, RADIANS_S, SILENCE_S, Doubt, Radians, SetpointPace, thins
+from gateway.people.client.pace import LATE_PART, MOST_DEG, RADIANS_S, SILENCE_S, Doubt, Radians, SetpointPace
 
 BEGUN_S = 1000.0
 PERIOD_S = 0.02
@@ -16,33 +16,6 @@ def begun() -> SetpointPace:
     pace = SetpointPace(1 / PERIOD_S)
     pace.begin(BEGUN_S)
     return pace
-
-
-def test_before_the_first_nothing_is_due() -> None:
-    pace = SetpointPace(50)
-    assert pace.next_s(7.0) == 7.0
-    assert pace.missed == 0
-
-
-def test_work_between_two_setpoints_does_not_move_the_grid() -> None:
-    pace = begun()
-    now_s = BEGUN_S
-    for tick in range(1, 100_001):
-        due_s = pace.next_s(now_s + 0.7 * PERIOD_S)
-        assert due_s == pytest.approx(BEGUN_S + tick * PERIOD_S, abs=1e-6)
-        now_s = due_s + 0.2 * PERIOD_S  # the sleep that ends late
-    assert pace.missed == 0
-
-
-@pytest.mark.parametrize(
-    ("late_periods", "tick", "missed"),
-    [(-0.9, 1, 0), (0.0, 1, 0), (0.4, 1, 0), (0.6, 2, 1), (1.4, 2, 1), (1.6, 3, 2), (50.0, 51, 50)],
-)
-def test_what_is_late_is_skipped_and_counted(late_periods: float, tick: int, missed: int) -> None:
-    pace = begun()
-    assert pace.next_s(BEGUN_S + (1 + late_periods) * PERIOD_S) == pytest.approx(BEGUN_S + tick * PERIOD_S)
-    assert pace.missed == missed
-    assert pace.next_s(BEGUN_S + tick * PERIOD_S) == pytest.approx(BEGUN_S + (tick + 1) * PERIOD_S)
 
 
 def test_after_any_stalls_there_is_no_burst_and_no_drift() -> None:
@@ -60,13 +33,6 @@ def test_after_any_stalls_there_is_no_burst_and_no_drift() -> None:
     assert pace.missed > 1000
 
 
-def test_a_pause_misses_nothing() -> None:
-    pace = begun()
-    pace.pause()
-    assert pace.next_s(BEGUN_S + 60) == BEGUN_S + 60
-    assert pace.missed == 0
-
-
 WATCHDOG_S = 0.25
 
 
@@ -76,13 +42,6 @@ def streaming() -> Doubt:
     doubt.sent(BEGUN_S)
     doubt.received(BEGUN_S)
     return doubt
-
-
-def test_a_stream_that_has_sent_or_received_nothing_yet_asks() -> None:
-    assert Doubt(WATCHDOG_S).is_there(BEGUN_S)
-    unanswered = Doubt(WATCHDOG_S)
-    unanswered.sent(BEGUN_S)
-    assert unanswered.is_there(BEGUN_S)
 
 
 def test_a_program_that_stalls_for_as_long_as_the_watchdog_waits_asks() -> None:
@@ -118,11 +77,6 @@ def test_a_doubt_is_there_until_it_is_asked_and_the_answer_may_raise_another() -
 
 def test_the_examples_are_right() -> None:
     assert doctest.testmod(pace_module) == (0, 13)
-
-
-def test_how_much_is_left_out() -> None:
-    assert thins(100, 100) is None
-    assert str(thins(100, 10)).endswith("of 100 Hz it leaves out 90 %")
 
 
 def test_radians_are_suspected_once_and_never_of_a_program_that_has_sent_degrees() -> None:

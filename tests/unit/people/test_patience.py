@@ -22,15 +22,6 @@ def test_the_dialled_programs_answer_counts_at_once() -> None:
     assert (patience.step(0.002), patience.answer) == (QuestionStep.OVER, "own")
 
 
-def test_anothers_answer_counts_once_all_have_had_their_say() -> None:
-    patience, query = asked()
-    patience.replied(query, "foreign", own=False)
-    patience.replied(query, "second", own=False)
-    assert (patience.step(0.1), patience.answer) == (QuestionStep.WAIT, None)
-    patience.ended(query, 0.2)
-    assert (patience.step(0.2), patience.answer) == (QuestionStep.OVER, "foreign")
-
-
 def test_anothers_answer_to_one_query_waits_for_that_query_and_gives_way_to_the_own() -> None:
     patience, first = asked()
     second = patience.sent(0.1)
@@ -129,18 +120,3 @@ def test_in_any_order_a_stop_is_sent_again_within_a_second_until_an_answer_count
             assert now_s < patience.next_s <= sent_s + (ATTEMPT_S if under_way else RESEND_S)
         else:
             return
-
-
-def test_a_query_that_ends_at_once_is_sent_again_a_moment_after_the_latest() -> None:
-    """Counted from the latest query, not from the question: without a link each ends at once."""
-    patience, first = asked()
-    patience.ended(first, 0.001)
-    assert patience.next_s == RESEND_S
-    second = patience.sent(0.4)
-    patience.ended(second, 0.401)
-    assert patience.next_s == RESEND_S, "what is due stays due"
-    later, query = asked()
-    another = later.sent(0.4)
-    later.ended(query, 0.401)
-    later.ended(another, 0.402)
-    assert later.next_s == 0.4 + RESEND_S

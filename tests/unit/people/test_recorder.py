@@ -57,7 +57,7 @@ async def test_what_was_in_force_is_known_after_any_time_and_across_runs(folder:
         revisions[robot.now_ns()] = revision
         await asyncio.sleep(1)
     for _ in range(80_000):  # the ring comes round
-        robot.conductor.recorder.mode(Mode.IDLE)
+        robot.conductor.recorder.beat(1_000_000_000)
     records = ring_reader.read(folder / RING_FILE).records
     assert form.CALIBRATION not in records.kinds
     assert in_force(records, robot.now_ns()) == 2
@@ -140,7 +140,7 @@ async def test_what_the_core_rejects_has_its_reason_too(folder: Path) -> None:
 async def test_nothing_is_recorded_before_a_frame_is_written(
     folder: Path, framing: Framing, only_stops: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    robot = recorded(folder, spi={"framing": framing, "batch": False})
+    robot = recorded(folder, spi={"framing": framing})
     await asyncio.sleep(1)  # the repeats of the start's Stops, with their preambles
     there: list[list[Any]] = []
     monkeypatch.setattr(robot.controller, "transfer", lambda _: there.append(contents(folder)))
@@ -152,9 +152,8 @@ async def test_nothing_is_recorded_before_a_frame_is_written(
 
 
 @pytest.mark.parametrize("framing", Framing)
-@pytest.mark.parametrize("batch", [True, False])
-async def test_a_setpoint_is_one_record(folder: Path, framing: Framing, batch: bool) -> None:
-    robot = recorded(folder, spi={"framing": framing, "batch": batch}, watchdog={"repeats": 0})
+async def test_a_setpoint_is_one_record(folder: Path, framing: Framing) -> None:
+    robot = recorded(folder, spi={"framing": framing}, watchdog={"repeats": 0})
     robot.put(LEG_3, START)
     before = ring_reader.read(folder / RING_FILE).records
     for angle in (0.01, 90, 180):
@@ -359,7 +358,7 @@ def test_the_ring_is_in_memory_and_the_folder_names_it(tmp_path: Path, monkeypat
     assert paths.prepare(tmp_path / "one") == one
 
 
-MOST_CALLS = {"setpoint with its frame": 15, "command": 17, "decision": 18, "frame": 18}
+MOST_CALLS = {"setpoint with its frame": 18, "command": 21, "decision": 22, "frame": 18}
 """How many calls a record may take, C functions included. That is under 3 µs (`python -m tests.benchmarks`)."""
 
 

@@ -11,7 +11,6 @@ from gateway.errors import WalkError
 from gateway.people.console.page_walk import SILENCES as PAGE
 from gateway.people.tools.walk import screen
 from gateway.people.walking import STILL, USUAL_SILENCES, Phase, Posture, Ride, RideTask, Silences, Velocity, Wish
-from gateway.people.walking.motion import BodyPose
 from gateway.people.walking.ride import GIVES_UP_S
 from gateway.people.walking.robot import FEED_S
 from schemas.robot import LEGS
@@ -22,7 +21,6 @@ from tests.support.ridden import FED_SINGLY, ROBOT, TICK_S, Ridden, standing
 AHEAD: Final = Velocity(0.06)
 LONGEST_STRIDE_S: Final = 1.0
 SITS_WITHIN_S: Final = 3.0
-QUICK: Final = PAGE._replace(idle_s=6.0)
 
 
 def moved(ridden: Ridden, before: int) -> bool:
@@ -53,31 +51,6 @@ def test_a_program_that_falls_silent_stands_then_sits_then_is_stopped(silences: 
     assert (ridden.ride.phase, ridden.posture) == (Phase.RESTS, Posture.SITTING)
 
 
-def test_a_word_in_time_is_no_silence_and_the_way_to_a_posture_neither() -> None:
-    ridden = Ridden(Silences(hold_s=0.5, rest_s=1.0))
-    ridden.ride.stand(BodyPose(0.18), ridden.now_s)
-    ridden.until(lambda: ridden.posture is Posture.STANDING)
-    for _ in range(10):
-        ridden.run(0.9)
-        assert ridden.posture is Posture.STANDING
-        ridden.ride.go(STILL, ridden.now_s)
-
-
-def test_its_own_rest_is_no_stop_of_anybodys_and_the_next_word_goes_on() -> None:
-    ridden = standing(Silences(rest_s=1.0))
-    ridden.ride.go(AHEAD, ridden.now_s)
-    ridden.until(lambda: ridden.ride.over)
-    ridden.run(0.1)
-    went_m = ridden.ride.state.odometry.x_m
-    assert went_m > 0
-    ridden.started.clear()
-    ridden.ride.go(AHEAD, ridden.now_s)
-    assert not ridden.ride.over
-    ridden.until(lambda: ridden.posture is Posture.STANDING)
-    assert [leg for _, leg in ridden.started] == list(LEGS)
-    assert ridden.ride.state.odometry.x_m >= went_m
-
-
 def test_a_word_while_the_rests_stops_are_sent_goes_on_behind_them() -> None:
     ridden = standing(Silences(rest_s=1.0))
     ridden.until(lambda: ridden.ride.over)
@@ -91,16 +64,6 @@ def test_a_word_while_the_rests_stops_are_sent_goes_on_behind_them() -> None:
     other.ride.stand(None, other.now_s)
     other.ride.ended()
     assert other.ride.next(other.now_s).do is RideTask.FIND
-
-
-def test_at_rest_it_says_when_to_look_again() -> None:
-    ridden = Ridden(Silences(rest_s=3.0))
-    step = ridden.tick()
-    assert step.do is RideTask.WAIT
-    assert step.look_s == pytest.approx(103.0)
-    ridden.wait(3.0)
-    assert ridden.tick().look_s == float("inf")
-    assert ridden.ride.over
 
 
 def test_legs_that_another_left_standing_are_held_at_once_and_sit_in_silence() -> None:
@@ -229,35 +192,6 @@ def test_a_page_that_wakes_goes_on_with_a_new_press_only(after_s: float) -> None
         pad.until(Posture.WALKING)
 
 
-def test_a_wish_that_came_long_after_the_one_before_uses_up_its_press_though_nobody_has_looked() -> None:
-    """A console that stood still finds the next wish of the same press: the thumb may have been lifted meanwhile."""
-    pad = held()
-    pad.ridden.wait(0.2)
-    pad.wish()
-    assert not pad.waits
-    pad.ridden.wait(0.26)
-    pad.wish()
-    assert pad.waits
-
-
-def test_who_is_there_and_presses_nothing_sits_down_and_why_is_said() -> None:
-    pad = held(STILL, QUICK)
-    pad.run(QUICK.idle_s - 0.1)
-    stood = pad.ridden.posture
-    pad.run(0.3)
-    assert (stood, pad.ridden.posture) == (Posture.STANDING, Posture.MOVING)
-    assert pad.ridden.ride.detail == "nothing was pressed for 6 s, so it sits down"
-    assert pad.waits
-    pad.run(4.0)
-    assert pad.ridden.ride.over
-
-
-def test_a_thumb_that_is_held_is_no_idleness() -> None:
-    pad = held(AHEAD, QUICK)
-    pad.run(QUICK.idle_s + 1.0)
-    assert pad.ridden.posture is Posture.WALKING
-
-
 def test_a_new_press_while_it_sits_down_stands_up_again() -> None:
     pad = held()
     pad.ridden.until(lambda: pad.ridden.posture is Posture.MOVING)
@@ -288,18 +222,6 @@ def test_who_leaves_before_it_stands_leaves_it_lying(after_s: float) -> None:
     assert pad.ridden.ride.over
     assert not pad.ridden.running
     assert pad.ridden.started == started
-
-
-def test_what_the_legs_cannot_do_uses_up_the_press_and_is_said() -> None:
-    pad = Pad()
-    pad.hold(height_m=0.9)
-    pad.run(0.5)
-    assert pad.waits
-    assert "it cannot stand 0.9 m high" in pad.ridden.ride.detail
-    assert not pad.ridden.running
-    pad.hold()
-    pad.until(Posture.STANDING)
-    assert pad.ridden.ride.detail == ""
 
 
 def test_after_a_lost_leg_only_a_new_press_goes_on_and_after_an_emergency_stop_it_is_over() -> None:
@@ -342,18 +264,6 @@ def test_a_lost_leg_and_a_page_that_is_gone_are_stopped_as_they_stand() -> None:
     assert pad.ridden.now_s - silent_s == pytest.approx(5.25, abs=0.1)
     pad.ridden.tick()
     assert not pad.ridden.running
-
-
-def test_two_pushes_after_all_legs_were_stopped_leap_by_none() -> None:
-    """The gateway of `Ridden` judges each start."""
-    pad = held()
-    pad.ridden.stop([3])
-    pad.run(0.2)
-    pad.ridden.stop()
-    for _ in range(2):
-        pad.hold(AHEAD)
-        pad.run(0.5)
-    assert pad.ridden.ride.over or pad.ridden.posture is not Posture.HALTED
 
 
 def test_a_program_with_a_lost_leg_holds_the_others_until_it_says_something() -> None:
@@ -448,10 +358,3 @@ def test_nothing_moves_before_the_board_has_fed_the_last_servo() -> None:
     ridden.until(lambda: moved(ridden, first), 3 * FEED_S)
     assert ridden.now_s - last_s == pytest.approx(FEED_S, abs=3 * TICK_S)
     ridden.until(lambda: ridden.posture is Posture.STANDING)
-
-
-def test_who_takes_over_legs_that_are_fed_waits_for_nothing() -> None:
-    taken = Ridden(Silences(rest_s=1.0), running=dict(standing().running), robot=FED_SINGLY)
-    taken.tick()
-    taken.tick()
-    assert taken.ride.phase is Phase.RUNS

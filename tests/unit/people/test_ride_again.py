@@ -8,7 +8,7 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, rule
 
-from gateway.errors import DisconnectedError, GatewayError, StoppedError
+from gateway.errors import GatewayError, StoppedError
 from gateway.people.walking import STILL, Phase, Posture, Robot, Velocity
 from schemas.robot import LEGS
 from tests.support.ridden import FED_SINGLY, ROBOT, TICK_S, WATCHDOG_S, WHOLE, Ridden, standing
@@ -89,42 +89,6 @@ def test_a_lost_leg_starts_where_it_was_while_the_others_run() -> None:
     assert ridden.posture is Posture.WALKING
 
 
-def test_odometry_goes_on_where_it_was_though_the_walk_begins_anew() -> None:
-    ridden = walking()
-    ridden.estop()
-    ridden.tick()
-    there = ridden.ride.state.odometry
-    assert there.x_m > 0.01
-    ridden.estopped = False
-    expect_begins_anew(ridden)
-    assert ridden.ride.state.odometry.x_m >= there.x_m
-
-
-def test_two_lost_legs_start_one_after_the_other() -> None:
-    ridden = walking()
-    ridden.stop([2, 5])
-    ridden.run(1.0)
-    ridden.started.clear()
-    ridden.ride.start_again()
-    ridden.run(1.0)
-    assert [leg for _, leg in ridden.started] == [2, 5]
-    assert ridden.posture is Posture.STANDING
-
-
-@pytest.mark.parametrize("others", [(1, 2, 3), tuple(LEGS)])
-def test_legs_that_ran_when_it_was_made_and_were_stopped_before_its_first_word_start_lying(
-    others: tuple[int, ...],
-) -> None:
-    stood = standing().running
-    ridden = Ridden(running={leg: stood[leg] for leg in others})
-    ridden.stop()
-    ridden.tick()
-    assert (ridden.posture, ridden.sent) == (Posture.LYING, [])
-    ridden.ride.stand(None, ridden.now_s)
-    ridden.until(lambda: ridden.posture is Posture.STANDING)
-    assert [leg for _, leg in ridden.started] == list(LEGS)
-
-
 def test_a_robot_that_starts_as_a_whole_starts_all_legs_at_once_from_lying_also_after_a_leg_was_stopped() -> None:
     ridden = Ridden(robot=WHOLE)
     ridden.ride.go(AHEAD, ridden.now_s)
@@ -137,14 +101,6 @@ def test_a_robot_that_starts_as_a_whole_starts_all_legs_at_once_from_lying_also_
     assert (ridden.ride.phase, ridden.ride.state.lost) == (Phase.FAILED, ALL)
     expect_begins_anew(ridden)
     assert len({at_s for at_s, _ in ridden.started}) == 1
-
-
-def test_a_quicker_stream_starts_no_leg_sooner() -> None:
-    ridden = Ridden()
-    ridden.ride.stand(None, ridden.now_s)
-    for _ in range(40):
-        ridden.tick(0.004)  # the gateway of `Ridden` judges the pauses
-    assert [leg for _, leg in ridden.started] == list(LEGS)
 
 
 def test_a_stopped_leg_that_somebody_has_started_again_is_lost_all_the_same() -> None:
@@ -161,14 +117,6 @@ def test_legs_that_do_not_carry_it_are_stopped_and_it_begins_anew() -> None:
     ridden.stop([1, 3, 5])
     ridden.run(1.0)
     assert ridden.ride.phase is Phase.HALTED
-    expect_begins_anew(ridden)
-
-
-def test_others_that_were_stopped_meanwhile_and_not_reported_yet_do_not_count_as_standing() -> None:
-    ridden = walking()
-    ridden.stop([3])
-    ridden.run(1.0)
-    ridden.stop()
     expect_begins_anew(ridden)
 
 
@@ -198,19 +146,6 @@ def test_a_stop_while_lost_legs_are_started_leaves_the_others_standing(seconds: 
     assert ridden.running.keys() == {1, 2, 3, 6}
     feet_m = [ROBOT.foot_m(leg, angles)[2] for leg, angles in ridden.sent[-1].items()]
     assert feet_m == pytest.approx([feet_m[0]] * 4, abs=1e-4)
-
-
-def test_a_link_that_is_lost_is_asked_for_again_by_start_again_and_stops_what_ran_first() -> None:
-    ridden = walking()
-    ridden.cut = True
-    ridden.tick()
-    assert isinstance(ridden.ride.error, DisconnectedError)
-    ridden.ride.start_again()
-    ridden.tick()
-    assert isinstance(ridden.ride.error, DisconnectedError), "it could not, and says so as before"
-    assert ridden.posture is Posture.HALTED
-    ridden.cut = False
-    expect_begins_anew(ridden)
 
 
 def test_words_during_an_error_raise_it_and_start_nothing() -> None:

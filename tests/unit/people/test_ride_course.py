@@ -81,20 +81,6 @@ def test_legs_start_one_after_the_other_and_the_points_are_followed() -> None:
     assert one.first_deg == pytest.approx(half, abs=0.3)
 
 
-def test_its_last_point_is_held_for_ten_seconds_and_then_it_sits_down_and_is_stopped() -> None:
-    one = followed((0.5, 0.0), (1.0, 0.1)).run(1.1)
-    held = one.sent[-1]
-    one.run(9.86)
-    assert one.sent[-1] == held
-    one.run(0.2)
-    assert one.sent[-1] != held
-    one.run(SITS_WITHIN_S)
-    assert one.over_s < 11.0 + SITS_WITHIN_S
-    assert all(
-        ROBOT.foot_m(leg, angles)[2] == pytest.approx(-ROBOT.lying_m, abs=0.005) for leg, angles in one.sent[-1].items()
-    )
-
-
 def test_a_sender_that_is_lost_has_it_sit_down_at_once_and_the_rest_of_its_plan_is_not_followed() -> None:
     one = followed((0.5, 0.0), (50.0, 1.0)).run(1.0)
     here = one.first_deg
@@ -131,19 +117,6 @@ def test_a_robot_that_starts_as_a_whole_starts_by_a_plan_of_all_joints_only() ->
     assert sorted(one.run(TICK_S).sent[-1]) == list(LEGS), "what runs is held"
     one.course.leave(one.now_s)
     assert one.run(SITS_WITHIN_S).sinks
-
-
-def test_a_newer_plan_goes_on_from_where_the_robot_is_also_while_it_sits_down() -> None:
-    one = followed((0.5, 0.0), (50.0, 1.0)).run(1.0)
-    one.course.lose_sender(one.now_s)
-    one.run(1.0)
-    low = one.sent[-1]
-    one.course.follow(plan(one.now_s, (2.0, 0.0)), one.now_s)
-    one.run(TICK_S)
-    assert one.sent[-1][3] == pytest.approx(low[3], abs=2.0)
-    one.run(2.5)
-    assert not one.sinks
-    assert one.over_s == math.inf
 
 
 @pytest.mark.parametrize(("legs", "seconds"), [((1, 2), 1.0), (tuple(LEGS), 0.06)], ids=["two", "six, three started"])
@@ -192,21 +165,6 @@ def test_a_plan_that_is_not_followed_is_not_held() -> None:
     assert one.course.progress(other, one.now_s).ended == "a newer trajectory has replaced it"
     one.run(1.8)
     assert one.first_deg == pytest.approx(GEOMETRY.servos[11].servo_deg(rad(STOOD)[11] + 0.2), abs=0.1)
-
-
-@pytest.mark.parametrize(
-    ("leaves", "why"), [(True, "the bridge was released"), (False, "its sender has left the graph")]
-)
-def test_a_plan_that_ends_early_has_a_reason(leaves: bool, why: str) -> None:
-    one = Followed()
-    way = plan(0.0, (1.0, 0.0), (9.0, 0.2))
-    one.course.follow(way, 0.0)
-    one.run(0.5)
-    if leaves:
-        one.course.leave(one.now_s)
-    else:
-        one.course.lose_sender(one.now_s)
-    assert one.course.progress(way, one.now_s).ended.startswith(why)
 
 
 def test_a_plan_waits_until_the_last_servo_that_it_starts_has_its_supply() -> None:

@@ -37,6 +37,8 @@ CONTENTS: list[tuple[int, bytes, form.Content]] = [
         form.EventPublished("bus_fault", None, "k", None, "x" * 500, 3),
     ),
     (form.LAG, form.number(20_000_000), form.Lag(20_000_000)),
+    (form.LEFT_OUT, form.left_out(1234, "anna"), form.LeftOut(1234, "anna")),
+    (form.LEFT_OUT, form.left_out(2**40, None), form.LeftOut(2**32 - 1, None)),
     (form.INCIDENT, form.incident(9, "20260101-000000-000-estop"), form.IncidentBegun(9, "20260101-000000-000-estop")),
 ]
 

@@ -9,11 +9,12 @@ import pytest
 from gateway.model.black_box import format as form
 from gateway.model.black_box import header
 from gateway.model.frames import Op, ServoOp
-from gateway.people.incidents import archive, ring_reader
+from gateway.people.incidents import ring_reader
+from gateway.people.incidents.export import write
 from gateway.people.incidents.incidents import MOST, find, is_id
 from gateway.people.incidents.messages import RECORDER, messages
-from gateway.people.recordings import read
 from gateway.robot.blackbox.ring import RecordRing
+from tests.support.mcap_file import read
 from tests.support.robot import WALL_NS
 
 SECOND = 1_000_000_000
@@ -168,7 +169,8 @@ def test_an_incident_of_a_machine_whose_clock_begins_in_1970_is_kept(tmp_path: P
     )
     records = ring_reader.parse(ring)[0]
     (incident,) = find(records, written=True, now_ns=0)
-    path = archive.keep(tmp_path, incident, records)
+    path = tmp_path / "stop.mcap"
+    write(path, incident, records)
     told = [(each.content["what"], each.time_ns) for each in read(path) if each.topic == RECORDER]
     assert told == [("mode", 0), ("start", SECOND), ("incident", 2 * SECOND)]
 

@@ -9,11 +9,10 @@ import pytest
 from hypothesis import event, given
 from hypothesis import strategies as st
 
-from gateway.geometry import joint_name, load
-from gateway.people.ros2.joints import JointNames, JointsError, check_reach, legs_deg, positions
+from gateway.geometry import load
+from gateway.people.ros2.joints import JointNames, JointsError, positions
 from gateway.people.ros2.messages import Duration, Header, JointTrajectory, JointTrajectoryPoint, Time
 from gateway.people.ros2.trajectory import MAX_POINTS, MAX_RAD_S, Trajectory
-from schemas.robot import SERVO_IDS
 
 GEOMETRY = load()
 NAMES = JointNames()
@@ -47,16 +46,6 @@ def read(message: JointTrajectory) -> Trajectory:
 # ---- joints
 
 
-@given(st.permutations(SERVO_IDS), st.integers(0, 5))
-def test_joints_in_any_order_are_the_same_legs(order: list[int], away: int) -> None:
-    order = [servo_id for servo_id in order if servo_id // 10 > away]
-    at_rad = {servo_id: GEOMETRY.joint_rad(servo_id, 90 + servo_id / 10) for servo_id in order}
-    read_rad = positions(NAMES.servos([joint_name(servo_id) for servo_id in order]), [at_rad[each] for each in order])
-    assert read_rad == at_rad
-    for leg, angles in legs_deg(GEOMETRY, read_rad).items():
-        assert angles == pytest.approx(tuple(90 + (10 * leg + joint) / 10 for joint in (1, 2, 3)))
-
-
 @pytest.mark.parametrize(
     ("names", "why"),
     [
@@ -71,14 +60,6 @@ def test_joints_in_any_order_are_the_same_legs(order: list[int], away: int) -> N
 def test_names_that_are_not_taken(names: tuple[str, ...], why: str) -> None:
     with pytest.raises(JointsError, match=why):
         NAMES.servos(names)
-
-
-def test_another_stacks_joint_names_are_taken_alone() -> None:
-    names = JointNames("leg{leg}_J{joint}")
-    assert names.servos(["leg6_J3", "leg6_J1", "leg6_J2"]) == (63, 61, 62)
-    assert [names.of(servo_id) for servo_id in (11, 63)] == ["leg1_J1", "leg6_J3"]
-    with pytest.raises(JointsError, match="no joint 'joint_61'; they are leg1_J1 to leg6_J3"):
-        names.servos(["joint_61", "joint_62", "joint_63"])
 
 
 @pytest.mark.parametrize(
@@ -102,12 +83,6 @@ def test_positions_that_are_not_taken(values: tuple[float, ...], why: str) -> No
         positions((11, 12, 13), values)
 
 
-def test_a_servo_turns_half_a_turn() -> None:
-    check_reach(GEOMETRY, {11: math.pi / 2})
-    with pytest.raises(JointsError, match=r"joint_11 at 1\.6 rad is 181\.7° of its servo"):
-        check_reach(GEOMETRY, {11: 1.6})
-
-
 # ---- trajectories
 
 
@@ -120,33 +95,10 @@ def test_it_is_followed_from_where_the_robot_is_in_straight_lines() -> None:
     assert plan.ends_s == NOW_S + 3
 
 
-def test_legs_that_do_not_run_begin_at_its_first_point() -> None:
-    plan = read(trajectory(point(1, 0.4), point(2, 0.0)))
-    plan.begin({}, NOW_S)
-    assert plan.at(NOW_S)[11] == plan.at(NOW_S + 0.9)[11] == pytest.approx(0.4)
-
-
-def test_velocities_make_curves_that_meet_their_points() -> None:
-    moving = (0.4, 0.0, 0.0)
-    plan = read(trajectory(point(1, 0.0, velocities=moving), point(2, 0.4, velocities=moving)))
-    plan.begin({}, NOW_S)
-    seen = [plan.at(NOW_S + 1 + part)[11] for part in (0.001, 0.25, 0.5, 0.75, 1)]
-    assert seen == pytest.approx([0.0004, 0.1, 0.2, 0.3, 0.4], abs=1e-6), "at an even speed a cubic is a line"
-    swing = read(trajectory(point(1, 0.0, velocities=moving), point(2, 0.0, velocities=(-0.4, 0.0, 0.0))))
-    swing.begin({}, NOW_S)
-    assert swing.at(NOW_S + 1.5)[11] == pytest.approx(0.1)
-
-
 def test_one_that_has_begun_goes_on_from_where_the_robot_is() -> None:
     plan = read(trajectory(point(1, 0.4), point(3, 0.0), begins_s=-2.0))
     plan.begin({11: 0.3, 12: 0.5, 13: -1.5}, NOW_S)
     assert [plan.at(NOW_S + at_s)[11] for at_s in (0, 0.5, 1)] == pytest.approx([0.3, 0.15, 0.0])
-
-
-def test_one_that_is_still_to_begin_is_approached_until_then() -> None:
-    plan = read(trajectory(point(1, 0.4), begins_s=1.0))
-    plan.begin({11: 0.0, 12: 0.5, 13: -1.5}, NOW_S)
-    assert [plan.at(NOW_S + at_s)[11] for at_s in (0, 1, 2)] == pytest.approx([0.0, 0.2, 0.4])
 
 
 @given(st.lists(st.tuples(st.floats(0.01, 2), st.floats(-1.5, 1.5), st.floats(-5.2, 5.2)), min_size=2, max_size=4))

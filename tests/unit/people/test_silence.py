@@ -5,7 +5,7 @@ import doctest
 import pytest
 
 from gateway.people.client import silence as silence_module
-from gateway.people.client.silence import QUIET_MS, SILENT_MS, WHY_EVERY_S, Silence
+from gateway.people.client.silence import SILENT_MS, WHY_EVERY_S, Silence
 from gateway.people.console import presence as presence_module
 from gateway.people.console.messages import LinkMessage
 from gateway.people.console.presence import GatewayPresence
@@ -17,16 +17,6 @@ def opened() -> Silence:
     silence = Silence()
     silence.opened(0)
     return silence
-
-
-def test_a_gateway_is_asked_until_its_first_state_and_after_a_quarter_of_a_second_without_one() -> None:
-    silence = opened()
-    assert silence.is_quiet(0)
-    silence.received(1000 * MS)
-    assert [silence.is_quiet(ms * MS) for ms in (1000, 1250, 1251, 9000)] == [False, False, True, True]
-    silence.received(9000 * MS)
-    assert not silence.is_quiet(9250 * MS)
-    assert QUIET_MS == 250
 
 
 def test_after_a_second_without_a_state_it_is_silent_until_the_next() -> None:
@@ -128,12 +118,6 @@ def test_why_nobody_was_there_is_not_shown_once_somebody_is() -> None:
 def test_the_examples_are_right() -> None:
     assert doctest.testmod(silence_module) == (0, 5)
     assert doctest.testmod(presence_module) == (0, 7)
-
-
-def test_a_session_that_is_open_has_a_second_to_send_a_state() -> None:
-    presence = GatewayPresence()
-    presence.opened(5000 * MS)
-    assert [presence.is_silent(ms * MS) for ms in (6000, 6001)] == [False, True]
 
 
 def test_a_gateway_that_is_gone_says_so() -> None:

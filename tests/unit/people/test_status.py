@@ -7,12 +7,6 @@ from schemas.telemetry import Battery, ButtonsReport, ControllerReport, LeaseRep
 from tests.support.published import state
 
 
-def test_at_rest_nothing_runs() -> None:
-    found = sentences(state())
-    assert found[0] == "No servo runs. Gateway 0.1.0, up 10 s."
-    assert not [line for line in found if line.startswith("Leg ")]
-
-
 @pytest.mark.parametrize("mode", [*Mode, "dancing"])
 def test_every_mode_is_a_sentence_also_one_of_a_later_version(mode: str) -> None:
     assert sentences(state().model_copy(update={"mode": mode}))[0].endswith(". Gateway 0.1.0, up 10 s.")
@@ -24,11 +18,6 @@ def test_what_runs_who_drives_and_what_watches() -> None:
     assert "Leg 3 runs at 90°, 90°, 90°." in found
     assert "anna drives." in found
     assert "Stop buttons: 1 alive, 2 required." in found
-
-
-def test_who_engaged_the_emergency_stop() -> None:
-    changed = {"mode": Mode.ESTOPPED, "estop_source": "bert"}
-    assert sentences(state().model_copy(update=changed))[0].startswith("Emergency stop by bert: nothing runs")
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gateway.errors import WalkError
-from gateway.geometry import ELKAPOD, foot_m, load
+from gateway.geometry import ELKAPOD, load
 from gateway.people.walking import Range, Robot
 from gateway.people.walking.inverse import Limb
 from schemas.robot import LEGS
@@ -28,12 +28,6 @@ def test_forward_of_inverse_is_where_the_foot_was_to_be(leg: int, angles: tuple[
     wanted = LIMBS[leg].forward(angles).foot_m
     found = LIMBS[leg].inverse(wanted)
     assert math.dist(LIMBS[leg].forward(found).foot_m, wanted) < MICROMETRE
-
-
-@given(leg=st.sampled_from(LEGS), angles=joints)
-def test_forward_is_the_geometrys_own(leg: int, angles: tuple[float, float, float]) -> None:
-    by_servo = {10 * leg + joint: angle for joint, angle in enumerate(angles, start=1)}
-    assert LIMBS[leg].forward(angles).foot_m == pytest.approx(foot_m(GEOMETRY, leg, by_servo), abs=1e-9)
 
 
 def changed(tmp_path: Path, change: Any) -> Limb:

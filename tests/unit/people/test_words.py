@@ -71,32 +71,11 @@ def test_an_emergency_stop_holds_until_the_reset_and_no_longer(driver: WalkState
     assert "reset" not in robot_now(of((), Mode.IDLE, estop_source="anna"), walk=driver)
 
 
-@pytest.mark.parametrize(
-    ("mode", "sentence"),
-    [
-        (Mode.STARTING, "The gateway starts"),
-        (Mode.BUS_FAULT, "Bus fault: what was written may not have arrived"),
-        (Mode.STOPPING, "The gateway ends, and stops all six legs"),
-        ("dancing", "It walks"),
-    ],
-)
-def test_a_gateway_that_takes_no_commands_says_so_and_a_later_versions_mode_is_none_of_them(
-    mode: Mode, sentence: str
-) -> None:
-    assert robot_now(of(ALL, mode), walk=walk(Posture.WALKING)) == sentence
-
-
 def test_a_bus_fault_of_a_controller_that_fell_silent_names_it() -> None:
     silent = ControllerReport(protocol="elkapod-2025", alive=False)
     fault = of(ALL, Mode.BUS_FAULT, controller=silent)
     assert robot_now(fault) == "The controller is silent: what was written may not have arrived"
     assert robot_now(of(ALL, controller=silent)) == "All six legs run", "as far as the gateway knows"
-
-
-def test_of_what_is_long_past_nothing_is_said() -> None:
-    driver = walk(Posture.WALKING)
-    assert robot_now(of(ALL), NEWS_S + 2, driver) == ("What it does is not known: the newest state is 3 s old")
-    assert "no state yet" in robot_now(None, walk=driver)
 
 
 def test_an_older_state_that_comes_later_changes_nothing_and_a_gateway_that_began_anew_does() -> None:

@@ -88,7 +88,7 @@ def six_in_turn(language: str, seconds: float) -> Iterator[Message]:
 
 def one_start(language: str, seconds: float) -> Iterator[Message]:
     """A single start; then nothing."""
-    yield from starts_then_sets(language, PERIOD_MS / 1000)
+    yield from starts_then_sets(language, min(seconds, PERIOD_MS / 1000))
 
 
 def six_streams(language: str, seconds: float) -> Iterator[Message]:
@@ -252,4 +252,4 @@ async def test_with_sent_ms_a_start_leaves_at_once() -> None:
     robot = made()
     answers = robot.get(keys.leg_command(3), leg("start", 90, 90, 90, sent_ms=1.0))
     assert answers[0].accepted
-    assert [command.op for command in robot.frames[-1][1].commands] == [Op.START] * 3
+    assert [op.op for _, op in robot.frames[-1][1].servos] == [Op.START] * 3

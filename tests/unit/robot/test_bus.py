@@ -14,7 +14,7 @@ from gateway.model.frames import Frame, OneLeg, OneServo, Op, ServoOp, stop_leg
 from gateway.model.framing import ZERO, Framing
 from gateway.robot.sections import SpiSettings
 from gateway.robot.spi import ByteDevice
-from gateway.robot.spi.bus import IDLE_NS, Bus
+from gateway.robot.spi.bus import IDLE_NS, RESYNC_NS, Bus
 from gateway.robot.spi.simulator import SimulatedController
 from schemas.robot import LEGS
 from tests.support.transfers import on_wire, preamble_of
@@ -203,12 +203,12 @@ TRANSFER_NS = 50_000
 class Bed(ByteDevice):
     """A bus, a device whose transfers take 50 µs, and a clock that moves with them."""
 
-    def __init__(self, framing: Framing = PREFIXED, *, resync_ms: int = 1000) -> None:
+    def __init__(self, framing: Framing = PREFIXED, *, resync_ns: int = RESYNC_NS) -> None:
         self.now_ns = 7_000 * MS
         self.controller = SimulatedController(framing, clock=lambda: self.now_ns)
         self.log: list[bytes] = []
-        settings = SpiSettings(framing=framing, frame_gap_us=framing.least_gap_us, resync_ms=resync_ms)
-        self.bus = Bus(settings, lambda: self, clock=lambda: self.now_ns)
+        settings = SpiSettings(framing=framing, frame_gap_us=framing.least_gap_us)
+        self.bus = Bus(settings, lambda: self, clock=lambda: self.now_ns, resync_ns=resync_ns)
 
     def take(self, data: bytes) -> None:
         self.log.append(data)
@@ -306,8 +306,8 @@ def test_a_first_stop_comes_into_a_preamble_and_a_frame_that_moves_waits_for_its
 
 
 @pytest.mark.parametrize("resync_ms", [100, 1000, 5000])
-def test_a_stream_has_it_once_in_resync_ms(resync_ms: int) -> None:
-    bed = Bed(resync_ms=resync_ms).opened()
+def test_a_stream_has_it_once_in_that_time(resync_ms: int) -> None:
+    bed = Bed(resync_ns=resync_ms * MS).opened()
     written = bed.stream(20_000 * MS)
     assert written.count(b"\0") / 16 == pytest.approx(20_000 / resync_ms, abs=1 + 20_000 / resync_ms / 5)
     apart = [len(run) for run in b"".join(written).split(bytes(16))]
@@ -315,7 +315,7 @@ def test_a_stream_has_it_once_in_resync_ms(resync_ms: int) -> None:
 
 
 def test_resync_0_is_off() -> None:
-    bed = Bed(resync_ms=0).opened()
+    bed = Bed(resync_ns=0).opened()
     assert b"\0" not in bed.stream(20_000 * MS)
     assert bed.bus.resync_due is False
 

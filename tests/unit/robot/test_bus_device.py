@@ -77,9 +77,9 @@ class Devices(SpiDevice):
     def clock(self) -> int:
         return self.now_ns
 
-    def bus(self, framing: Framing = PREFIXED, *, frame_gap_us: float = 50, batch: bool = True) -> Bus:
-        settings = SpiSettings(framing=framing, frame_gap_us=frame_gap_us, batch=batch, resync_ms=0)
-        bus = Bus(settings, self.open, clock=self.clock, pause=self.pause)
+    def bus(self, framing: Framing = PREFIXED, *, frame_gap_us: float = 50) -> Bus:
+        settings = SpiSettings(framing=framing, frame_gap_us=frame_gap_us)
+        bus = Bus(settings, self.open, clock=self.clock, pause=self.pause, resync_ns=0)
         bus.open()
         assert bus.write([START]).fault is None  # behind the preamble
         self.calls.clear()
@@ -142,14 +142,15 @@ def test_what_moves_is_split_so_that_no_call_takes_more_than_a_millisecond(frami
 
 
 @pytest.mark.parametrize(
-    ("most", "batch", "sizes"),
+    ("most", "takes_lists", "sizes"),
     [(32, True, [8, 8]), (5, True, [5, 5, 5, 1]), (32, False, [1] * 16)],
     ids=["two calls", "a device that takes less", "one by one"],
 )
-def test_zeros_of_a_stream_are_written_in_parts(most: int, batch: bool, sizes: list[int]) -> None:
+def test_zeros_of_a_stream_are_written_in_parts(most: int, takes_lists: bool, sizes: list[int]) -> None:
     devices = Devices()
     devices.most_transfers = most
-    bus = devices.bus(batch=batch)
+    devices.takes_lists = takes_lists
+    bus = devices.bus()
     bus.write([STOP])
     devices.calls.clear()
     assert [bus.write_zeros() for _ in sizes] == [True] * (len(sizes) - 1) + [False]
@@ -208,18 +209,20 @@ def test_the_last_frame_of_a_call_leaves_a_pause_before_its_end(framing: Framing
 
 
 @pytest.mark.parametrize("framing", Framing)
-def test_without_batches_the_same_is_written_transfer_by_transfer(framing: Framing) -> None:
+def test_without_lists_the_same_is_written_transfer_by_transfer(framing: Framing) -> None:
     devices = Devices()
-    assert devices.bus(framing, batch=False).write(STOPS).fault is None
+    devices.takes_lists = False
+    assert devices.bus(framing).write(STOPS).fault is None
     assert devices.sizes == [1] * len(STOPS) * (2 if framing is PREFIXED else 1)
     assert {batch[0][1] for batch in devices.calls} == {0}, "the pauses are slept"
     assert frames_of(devices.calls) == [stop.to_bytes() for stop in STOPS]
 
 
 @pytest.mark.parametrize("stall_ms", [501, 1100])
-def test_without_batches_a_stall_within_a_frame_is_a_fault_and_stops_are_tried_anew(stall_ms: int) -> None:
+def test_without_lists_a_stall_within_a_frame_is_a_fault_and_stops_are_tried_anew(stall_ms: int) -> None:
     devices = Devices()
-    bus = devices.bus(batch=False)
+    devices.takes_lists = False
+    bus = devices.bus()
     devices.stall_ns = stall_ms * 1_000_000
     report = bus.write([STOP])
     assert "stood still" in str(report.fault)
@@ -274,7 +277,10 @@ def test_where_it_fails_one_by_one_after_a_list_was_rejected_nobody_believes_the
 
 def test_what_is_rejected_one_by_one_already_is_a_fault() -> None:
     devices = Devices()
-    bus = devices.bus(Framing.PLAIN, batch=False)
+    devices.takes_lists = False
+    bus = devices.bus(Framing.PLAIN)
+    bus.write(STOPS)
+    devices.calls.clear()
     devices.rejects_all = True
     report = bus.write(MOVES)
     assert (str(report.fault), report.rejection) == ("no lists here", None)
@@ -364,9 +370,10 @@ def test_a_bus_that_is_closed_finds_nothing() -> None:
 
 
 def test_what_it_opens_is_guarded() -> None:
-    for batch in (True, False):
+    for takes_lists in (True, False):
         devices = Devices()
-        bus = devices.bus(Framing.PLAIN, batch=batch)
+        devices.takes_lists = takes_lists
+        bus = devices.bus(Framing.PLAIN)
         illegal = OneServo(11, ServoOp(Op.START, 90_00))
         illegal.data = bytes((6, 2, 99, 1, 90, 0))  # a bug that nobody has made yet
         with pytest.raises(IllegalTransferError):

@@ -1,9 +1,6 @@
 """Who watches, from the payload on `hexapod/button/cmd` to the answer, the frames, the events and the state."""
 
 import asyncio
-import sys
-from pathlib import Path
-from types import FrameType
 from typing import Any
 
 import pytest
@@ -29,16 +26,6 @@ async def watched(required: int = 1, **buttons: Any) -> tuple[Robot, ButtonAck]:
     return robot, ack
 
 
-async def test_whoever_registers_hears_the_token_the_timeout_and_how_many_are_alive() -> None:
-    robot, ack = await watched()
-    assert (ack.accepted, ack.timeout_ms, ack.alive, ack.required) == (True, 1000, 0, 1)
-    assert ack.button is not None
-    assert ack.button not in repr(ack)
-    (event,) = robot.events(Kind.BUTTON_REGISTERED)
-    assert (event.source, event.key) == ("kitchen", keys.BUTTON)
-    assert robot.conductor.state().buttons == ButtonsReport(required=1, alive=1, names=("kitchen",))
-
-
 async def test_silence_stops_all_six_legs_and_says_who_was_silent() -> None:
     robot, _ = await watched()
     assert robot.ask(LEG_3, START).accepted
@@ -56,30 +43,10 @@ async def test_silence_stops_all_six_legs_and_says_who_was_silent() -> None:
     assert robot.conductor.state().buttons == ButtonsReport(required=1)
 
 
-async def test_the_timeout_is_the_setting() -> None:
-    robot, _ = await watched(timeout_ms=200)
-    await asyncio.sleep(0.201)
-    assert robot.ask(LEG_3, START).reason == Reason.NO_BUTTON
-
-
 @pytest.mark.parametrize("required", [0, 1, 2])
 async def test_so_many_are_required(required: int) -> None:
     robot, _ = await watched(required=required)
     assert robot.ask(LEG_3, START).accepted is (required < 2)
-
-
-@pytest.mark.parametrize(
-    ("names", "counts"),
-    [((), True), (("kitchen",), True), (("door", "kitchen"), True), (("door",), False), (("button",), False)],
-)
-async def test_where_names_are_wanted_others_do_not_count(names: tuple[str, ...], counts: bool) -> None:
-    """Without certificates nobody has a role, and a person is what stands before the slash."""
-    robot = await started_and_quiet(buttons={"required": 1, "names": names})
-    ack = robot.button("register", "kitchen/phone")
-    alive = robot.button("alive", button=ack.button, count=1)
-    assert (alive.accepted, alive.alive, alive.detail is None) == (True, int(counts), counts)
-    assert robot.conductor.state().buttons.names == ("kitchen/phone",)
-    assert robot.ask(LEG_3, START).accepted is counts
 
 
 async def test_a_check_in_counts_from_when_it_was_sent() -> None:
@@ -158,27 +125,6 @@ async def test_without_a_ca_a_challenge_has_no_nonce_and_names_are_taken_as_they
     assert not Proofs(None, lambda: pytest.fail("no clock is asked")).wanted
 
 
-@pytest.mark.parametrize("required", [0, 1])
-async def test_a_command_calls_nothing_of_the_buttons(required: int) -> None:
-    """Where none is required, and where one that is required is alive."""
-    robot, _ = await watched(required=required)
-    assert robot.ask(LEG_3, START).accepted
-    await asyncio.sleep(0.1)  # the leg's next rate slot
-    called: list[str] = []
-
-    def note(frame: FrameType, event: str, _argument: object) -> None:
-        called.extend([Path(frame.f_code.co_filename).name] if event == "call" else ())
-
-    sys.setprofile(note)
-    try:
-        accepted = robot.ask(LEG_3, SET).accepted
-    finally:
-        sys.setprofile(None)
-    assert accepted
-    assert "supervisor.py" in called
-    assert not [file for file in called if "button" in file and file != Path(__file__).name]
-
-
 async def test_what_waits_in_a_stopped_process_saves_nobody() -> None:
     """The whole process stood still for 2 s: the deadline comes before the check-in that waited meanwhile."""
     robot, ack = await watched()
@@ -188,3 +134,17 @@ async def test_what_waits_in_a_stopped_process_saves_nobody() -> None:
     assert robot.mode == Mode.IDLE
     kinds = [event.kind for event in robot.events()]
     assert kinds[-2:] == [Kind.BUTTON_SILENT, Kind.BUTTON_RETURNED]
+
+
+@pytest.mark.parametrize(
+    ("names", "counts"),
+    [((), True), (("kitchen",), True), (("door", "kitchen"), True), (("door",), False), (("button",), False)],
+)
+async def test_where_names_are_wanted_others_do_not_count(names: tuple[str, ...], counts: bool) -> None:
+    """Without certificates nobody has a role, and a person is what stands before the slash."""
+    robot = await started_and_quiet(buttons={"required": 1, "names": names})
+    ack = robot.button("register", "kitchen/phone")
+    alive = robot.button("alive", button=ack.button, count=1)
+    assert (alive.accepted, alive.alive, alive.detail is None) == (True, int(counts), counts)
+    assert robot.conductor.state().buttons.names == ("kitchen/phone",)
+    assert robot.ask(LEG_3, START).accepted is counts

@@ -55,22 +55,6 @@ def told(robot: Robot) -> calibration.Calibration:
     return calibration.Calibration.model_validate_json(answers[0])
 
 
-async def test_frames_carry_the_servos_own_angles_and_all_else_the_users() -> None:
-    robot = await started_and_quiet()
-    (ack,) = robot.calibrate({**OWN, "source": "anna"})
-    assert ack.accepted
-    assert robot.ask(LEG_3, START).accepted
-    (_, frame) = robot.frames[-1]
-    assert isinstance(frame, OneLeg)
-    assert [op.angle_cdeg for op in frame.commands] == [97_50, 80_00, 90_00]
-    await asyncio.sleep(0.05)
-    assert robot.ask(LEG_3, leg("set", 45, 120, 140)).accepted
-    assert [op.angle_cdeg for _, op in robot.frames[-1][1].servos] == [52_50, 50_00, 140_00]
-    assert [each.angle_deg for each in robot.conductor.state().legs[2].servos] == [45, 120, 140]
-    (event,) = robot.events(Kind.CALIBRATED)
-    assert (event.source, event.key) == ("anna", keys.CALIBRATION_CMD)
-
-
 async def test_it_is_told_when_it_changes_and_when_somebody_asks(monkeypatch: pytest.MonkeyPatch) -> None:
     robot = await started_and_quiet()
     recorded: list[RobotCalibration] = []
@@ -86,15 +70,6 @@ async def test_it_is_told_when_it_changes_and_when_somebody_asks(monkeypatch: py
     assert told(robot).landing == {"11": 45}
     state = robot.states[-1].calibration
     assert (state.revision, state.fault, state.kept) == (1, None, False)
-
-
-async def test_what_is_told_can_be_sent_back() -> None:
-    robot = await started_and_quiet()
-    robot.calibrate({**OWN, "landing": {"11": 45}})
-    before = json.loads(told(robot).model_dump_json())
-    (ack,) = robot.calibrate(before)
-    assert ack.accepted
-    assert told(robot).model_dump() == {**before, "revision": 2}
 
 
 async def test_no_answer_and_no_change_before_it_is_on_the_disk() -> None:
@@ -187,7 +162,7 @@ async def test_one_that_cannot_be_trusted_starts_nothing_until_a_person_takes_th
     for ack in (robot.ask(LEG_3, START), robot.calibrate(OWN)[0]):
         assert ack.reason == Reason.SERVO_STOPPED
         assert "is not TOML" in str(ack.detail)
-        assert "hexapod-gateway calibrate accept-default" in str(ack.detail)
+        assert "calibrate accept-default" in str(ack.detail)
     assert robot.ask(LEG_3, STOP).accepted
     answers = robot.calibrate({"accept_default": True})
     assert robot.ask(LEG_3, START).reason == Reason.SERVO_STOPPED, "it is not kept yet"
@@ -253,14 +228,3 @@ async def test_the_landing_pose_of_the_calibration_goes_before_that_of_the_setti
     await asyncio.sleep(2)
     landed = [frame for _, frame in robot.frames if isinstance(frame, OneLeg) and not frame.is_stop][-1]
     assert [op.angle_cdeg for op in landed.commands if op.op is not Op.STOP][:2] == [120_00, 40_00]
-
-
-async def test_one_that_is_meant_for_an_older_revision_is_rejected_and_each_has_a_number_of_its_own() -> None:
-    robot = await on_disk(disk := Disk())
-    before = robot.conductor.answers.next_number()
-    answers = robot.calibrate({**OWN, "revision": 0})
-    assert robot.conductor.answers.next_number() == before + 2
-    disk.write()
-    assert answers[0].accepted
-    (late,) = robot.calibrate({**OWN, "revision": 0})
-    assert (late.accepted, late.reason) == (False, Reason.STALE)

@@ -1,14 +1,10 @@
 """The calibration on disk: what is written is read again, and what is broken in any way is an error."""
 
-import os
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from hypothesis import given
 
 from gateway.errors import ConfigError
-from gateway.host import directories
 from gateway.model.calibration import RobotCalibration, ServoMapping
 from gateway.robot.host import calibration_file
 from gateway.robot.host.calibration_file import (
@@ -23,14 +19,8 @@ from gateway.robot.host.calibration_file import (
     write,
 )
 from gateway.robot.settings import Settings
-from tests.unit.model.test_calibration import calibrations
 
 OWN = RobotCalibration(3, {32: ServoMapping(7_50, inverted=True, max_cdeg=140_00)}, {31: 90_00, 32: 45_25})
-
-
-@given(calibrations)
-def test_what_is_written_is_read(calibration: RobotCalibration) -> None:
-    assert from_toml(to_toml(calibration).encode()) == calibration
 
 
 def test_every_file_that_was_cut_off_is_noticed() -> None:
@@ -38,10 +28,6 @@ def test_every_file_that_was_cut_off_is_noticed() -> None:
     for end in range(len(text) - 1):  # the last character is the end of the line
         with pytest.raises(ValueError, match=r"."):
             from_toml(text[:end].encode())
-
-
-def test_there_is_none_yet(tmp_path: Path) -> None:
-    assert read(tmp_path / "calibration.toml") is None
 
 
 @pytest.mark.parametrize(
@@ -111,10 +97,6 @@ def test_a_broken_one_is_set_aside(tmp_path: Path) -> None:
 # ---- what a gateway starts with
 
 
-def test_a_gateway_starts_with_the_default_where_there_never_was_another(tmp_path: Path) -> None:
-    assert load(tmp_path / "calibration.toml") == (RobotCalibration(), None)
-
-
 def test_a_gateway_starts_with_what_was_kept(tmp_path: Path) -> None:
     write(tmp_path / "calibration.toml", OWN)
     assert load(tmp_path / "calibration.toml") == (OWN, None)
@@ -138,32 +120,6 @@ def test_a_file_that_cannot_be_used_is_a_fault_and_the_next_revision_is_newer_th
     assert [each.name for each in previous(path)][:2] == ["calibration.16.toml", "calibration.14.toml"]
 
 
-def test_what_is_no_file_is_a_fault_and_nobody_waits_for_it(tmp_path: Path) -> None:
-    pipe, folder = tmp_path / "pipe", tmp_path / "folder"
-    os.mkfifo(pipe)
-    folder.mkdir()
-    for path in (pipe, folder, Path("/dev/zero")):
-        found, fault = load(path)
-        assert found == RobotCalibration()
-        assert "is no file" in str(fault) or "Is a directory" in str(fault)
-
-
-def test_names_that_are_no_revisions_are_not_taken_for_earlier_ones(tmp_path: Path) -> None:
-    path = tmp_path / "calibration.toml"
-    write(path, OWN)
-    for name in ("calibration.broken.toml", "calibration.٣.toml", f"calibration.{'9' * 200}.toml", "calibration..toml"):
-        (tmp_path / name).write_text("")
-    assert previous(path) == []
-
-
-def test_an_earlier_one_that_was_put_back_by_hand_is_newer_than_all(tmp_path: Path) -> None:
-    path = tmp_path / "calibration.toml"
-    for revision in range(1, 6):
-        write(path, replace(OWN, revision=revision))
-    (tmp_path / "calibration.2.toml").replace(path)
-    assert load(path) == (replace(OWN, revision=5), None)
-
-
 # ---- where it is
 
 
@@ -175,11 +131,3 @@ def test_where_it_is_kept(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> No
     monkeypatch.setenv("STATE_DIRECTORY", f"{tmp_path}:/var/lib/other")
     assert path_of(Settings()) == path_to_read(Settings()) == tmp_path / "calibration.toml"
     assert path_of(named) == Path("/mnt/own/calibration.toml")
-
-
-def test_where_it_is_looked_for(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.delenv("STATE_DIRECTORY", raising=False)
-    monkeypatch.setattr(directories, "SERVICE_STATE", tmp_path)
-    assert path_to_read(Settings()) == tmp_path / "calibration.toml"
-    monkeypatch.setattr(directories, "SERVICE_STATE", tmp_path / "none")
-    assert path_to_read(Settings()) is None

@@ -8,7 +8,7 @@ from gateway.model.frames import OneLeg, Op, ServoOp, stop_leg
 from gateway.robot.core.message import Verb
 from schemas import keys
 from schemas.robot import LEGS
-from schemas.telemetry import Cause, Kind, Mode, Reason, WatchdogState
+from schemas.telemetry import Kind, Mode, Reason, WatchdogState
 from tests.support.robot import Robot, leg, servo, started_and_quiet
 
 pytestmark = pytest.mark.virtual_time
@@ -19,74 +19,6 @@ LEG_3 = keys.leg_command(3)
 def moved(op: Op, *angles_deg: float) -> OneLeg:
     first, second, third = (ServoOp(op, round(angle_deg * 100)) for angle_deg in angles_deg)
     return OneLeg(3, (first, second, third))
-
-
-async def test_nothing_is_told_before_commands_are_taken_however_long_that_takes() -> None:
-    """Its Stops are repeated meanwhile; who reads the log of a start that fails wants to read why, and no mode."""
-    robot = Robot()
-    robot.conductor.start()
-    await asyncio.sleep(1)
-    assert len(robot.frames) == 6 * (1 + robot.settings.watchdog.repeats)
-    assert robot.reports == []
-    robot.conductor.announce_start()
-    assert [event.kind for event in robot.events()] == [Kind.STARTED]
-    assert [state.mode for state in robot.states] == [Mode.IDLE]
-
-
-async def test_a_start_energises_a_set_moves_and_a_stop_ends_it() -> None:
-    robot = await started_and_quiet()
-    assert robot.ask(LEG_3, leg("start", 90, 45, 120.5)).accepted
-    assert robot.controller.energised == {31, 32, 33}
-    assert robot.mode == Mode.ACTIVE
-    await asyncio.sleep(0.1)
-    assert robot.ask(LEG_3, leg("set", 90.29, 0, 180)).accepted
-    await asyncio.sleep(0.1)
-    assert robot.ask(LEG_3, leg("stop")).accepted
-    assert [frame for _, frame in robot.frames] == [
-        moved(Op.START, 90, 45, 120.5),
-        moved(Op.SET, 90.29, 0, 180),
-        stop_leg(3),
-        *(stop_leg(number) for number in LEGS if number != 3),
-    ]
-    assert robot.controller.energised == set()
-    assert [state.mode for state in robot.states] == [Mode.ACTIVE, Mode.IDLE]
-
-
-async def test_a_servo_and_several_legs_have_frames_of_their_own() -> None:
-    robot = await started_and_quiet()
-    assert robot.ask(keys.servo_command(62), servo("start", 12.34)).accepted
-    legs = {"legs": {"5": leg("start", 1, 2, 3), "2": leg("start", 4, 5, 6)}}
-    assert robot.ask(keys.LEGS_COMMAND, legs).accepted
-    assert [frame.to_bytes().hex() for _, frame in robot.frames] == [
-        "06023e010c22",
-        "0e0115010400160105001701" + "0600",
-        "0e0133010100340102003501" + "0300",
-    ]
-
-
-async def test_the_source_in_the_payload_goes_before_the_publishers_id() -> None:
-    robot = await started_and_quiet()
-    robot.put(LEG_3, leg("set", 1, 2, 3, source="gait"), source="0123abc")
-    assert robot.events()[0].source == "gait"
-
-
-async def test_what_comes_too_soon_waits_and_the_newest_target_goes_out_as_a_start() -> None:
-    robot = await started_and_quiet()
-    robot.put(LEG_3, leg("start", 10, 10, 10))
-    await asyncio.sleep(0.001)
-    robot.put(LEG_3, leg("stop"))
-    first = robot.get(LEG_3, leg("start", 20, 20, 20))
-    await asyncio.sleep(0.001)
-    second = robot.get(LEG_3, leg("set", 30, 30, 30))
-    assert not second, "it is answered once its frame is written"
-    await asyncio.sleep(0.05)
-    assert [frame for _, frame in robot.frames][:8] == [
-        moved(Op.START, 10, 10, 10),
-        stop_leg(3),
-        *(stop_leg(number) for number in LEGS if number != 3),
-        moved(Op.START, 30, 30, 30),
-    ]
-    assert [ack.coalesced for ack in first + second] == [True, None]
 
 
 async def test_a_reset_is_never_taken_from_a_delete_or_a_wildcard() -> None:
@@ -165,23 +97,6 @@ async def test_what_a_deadline_stops_within_a_tick_is_not_started_by_what_the_ti
     assert robot.controller.energised == set()
 
 
-async def test_frame_records_say_why_each_frame_was_written() -> None:
-    robot = await started_and_quiet(telemetry={"frames": True}, watchdog={"repeats": 1})
-    robot.put(LEG_3, leg("start", 1, 1, 1))
-    await asyncio.sleep(1)
-    robot.put(keys.ESTOP)
-    robot.conductor.shut_down()
-    assert [record.cause for record in robot.records] == [
-        Cause.COMMAND,
-        Cause.WATCHDOG,
-        *[Cause.REPEAT] * (5 + 6),
-        *[Cause.ESTOP] * 6,
-        *[Cause.SHUTDOWN] * 6,
-    ]
-    assert [bytes.fromhex(record.bytes) for record in robot.records] == [data for _, data in robot.controller.transfers]
-    assert [record.monotonic_ns for record in robot.records] == [at_ns for at_ns, _ in robot.controller.transfers]
-
-
 async def test_two_laptops_on_one_leg_are_both_named() -> None:
     robot = Robot()
     robot.conductor.start()
@@ -202,57 +117,6 @@ async def test_two_laptops_on_one_leg_are_both_named() -> None:
     assert robot.conductor.state().legs[2].source is None, "the watchdog has stopped it"
 
 
-@pytest.mark.parametrize("stop", ["delete", "put"])
-async def test_a_stop_without_a_name_takes_a_leg_from_nobody(stop: str) -> None:
-    """A delete carries no name: it may be that of the script whose setpoints had one."""
-    robot = Robot()
-    robot.conductor.start()
-    robot.put(LEG_3, leg("start", 1, 2, 3, source="my script"))
-    if stop == "delete":
-        robot.put(LEG_3, verb=Verb.DELETE)
-    else:
-        robot.put(LEG_3, {"servos": [{"op": "stop"}] * 3})
-    assert not robot.events(Kind.SOURCE_CHANGED)
-    assert robot.conductor.state().legs[2].source is None
-    robot.put(LEG_3, leg("start", 1, 2, 3, source="my script"))
-    robot.put(LEG_3, leg("set", 1, 2, 3))
-    (event,) = robot.events(Kind.SOURCE_CHANGED)
-    assert event.detail == "leg 3 is commanded by somebody without a name, and was by my script", "it moves"
-
-
-async def test_no_kind_of_event_is_left_out_for_another_kinds_sake() -> None:
-    """Two people fight for a leg, and then one of them takes the lease and calibrates."""
-    robot = Robot()
-    robot.conductor.start()
-    robot.put(LEG_3, leg("start", 1, 2, 3, source="anna"))
-    for number in range(40):
-        robot.put(LEG_3, leg("set", 1, 2, 3, source=("ben", "anna")[number % 2]))
-        robot.put(LEG_3, b"{", source="ben")
-    assert robot.lease("acquire", "anna").accepted
-    token = robot.lease("take", "ben").lease
-    assert token is not None
-    robot.calibrate({"servos": {"41": {"trim_deg": 1}}, "source": "ben", "lease": token})
-    for kind in (Kind.LEASE_ACQUIRED, Kind.LEASE_TAKEN, Kind.CALIBRATED):
-        assert [event.left_out for event in robot.events(kind)] == [0], kind
-    await asyncio.sleep(1)
-    robot.put(LEG_3, b"{", source="ben")
-    assert robot.events()[-1].left_out == 30, "of its own kind alone"
-
-
-@pytest.mark.parametrize(("payload", "source"), [
-    (b'{"source": "anna", "why": ["smoke"]}', "anna"),
-    (b'{"source": 7}', "0123abc"),
-    (b'{"source": "' + b"x" * 65 + b'"}', "0123abc"),
-    (b"\xff", "0123abc"),
-])  # fmt: skip
-async def test_who_requested_an_emergency_stop_is_told(payload: bytes, source: str) -> None:
-    robot = Robot()
-    robot.conductor.start()
-    robot.put(keys.ESTOP, payload, source="0123abc")
-    assert robot.events(Kind.ESTOP_ENGAGED)[0].source == source
-    assert robot.conductor.state().estop_source == source
-
-
 async def test_rejections_are_told_ten_times_a_second_and_source_and_counted_in_full() -> None:
     robot = await started_and_quiet()
     for _ in range(100):
@@ -266,23 +130,6 @@ async def test_rejections_are_told_ten_times_a_second_and_source_and_counted_in_
     assert robot.events()[-1].left_out == 90
     assert "90" not in robot.events()[-1].detail
     assert robot.conductor.state().commands.rejected == 102
-
-
-async def test_a_rejection_names_the_legs_of_its_command_and_none_where_it_could_not_be_read() -> None:
-    robot = await started_and_quiet(limits={"max_age_ms": 100})
-    setpoint = {"servos": [servo("set", 90)] * 3}
-    robot.put(keys.LEGS_COMMAND, {"legs": {"5": setpoint, "2": setpoint}})
-    robot.put(keys.servo_command(41), servo("set", 90))
-    robot.put(LEG_3, b"{")
-    robot.put(LEG_3, leg("start", 1, 1, 181))
-    robot.put("hexapod/leg/7/cmd", leg("start", 1, 1, 1), target=None)
-    robot.put(keys.RESET, b"{")
-    robot.calibrate({"servos": {"41": {"trim_deg": 1}}, "landing": {"11": 45}, "revision": 9})
-    assert [event.legs for event in robot.events(Kind.COMMAND_REJECTED)] == [(2, 5), (4,), (), (), (), (), (1, 4)]
-    robot.put(LEG_3, leg("start", 1, 1, 1, sent_ms=1000.0))
-    await asyncio.sleep(0.2)
-    robot.put(LEG_3, leg("start", 1, 1, 1, sent_ms=1001.0))
-    assert [(event.reason, event.legs) for event in robot.events()[-1:]] == [(Reason.STALE, (3,))]
 
 
 @pytest.mark.parametrize(("scope", "legs"), [("leg", [(2,), (5,)]), ("robot", [tuple(LEGS), tuple(LEGS)])])

@@ -16,7 +16,7 @@ from schemas.telemetry import Kind, Mode, Reason
 from tests.support.elkapod import all_legs, elkapod
 from tests.support.measured import MEASURED
 from tests.support.power import FedRobot, running
-from tests.support.robot import Robot, leg, started, started_and_quiet
+from tests.support.robot import Robot, leg, started_and_quiet
 from tests.unit.people.test_recorder import contents, recorded
 
 pytestmark = pytest.mark.virtual_time
@@ -28,19 +28,6 @@ UP_S = 1.0
 
 
 # ---- the power board
-
-
-async def test_what_the_board_says_is_counted_once_and_is_in_the_state_at_once() -> None:
-    robot = FedRobot(watchdog={"timeout_ms": 10_000})
-    await asyncio.sleep(UP_S)
-    robot.put(LEG_3, START)
-    await asyncio.sleep(UP_S)
-    robot.reports.clear()
-    robot.put(keys.ESTOP)
-    await asyncio.sleep(0.15)
-    assert len(robot.events(Kind.POWER_CUT)) == robot.conductor.metrics.events[Kind.POWER_CUT] == 1
-    assert robot.states[-1].power is not None
-    assert robot.states[-1].power.supplied == ()
 
 
 async def test_a_landing_that_a_silent_board_begins_ends_in_time_though_nothing_else_happens() -> None:
@@ -66,13 +53,6 @@ async def test_what_comes_after_the_end_changes_nothing() -> None:
     robot.conductor.bus_failed(SpiError("timed out"))
     assert robot.reports == []
     assert robot.mode == Mode.IDLE
-
-
-async def test_without_a_board_there_is_no_news_of_one() -> None:
-    robot = started()
-    robot.reports.clear()
-    robot.conductor.power_changed()
-    assert robot.reports == []
 
 
 # ---- the controller, and the device
@@ -215,11 +195,3 @@ async def test_the_black_box_tells_lost_stops_from_what_was_rejected_unread(fold
     numbers = [record.number for record in contents(folder, form.FrameWritten) if record.cause == "command"]
     assert len(numbers) == 2
     assert all(numbers)
-
-
-@pytest.mark.parametrize("verb", [Verb.PUT, Verb.GET, Verb.DELETE])
-async def test_the_black_box_has_how_an_emergency_stop_came(folder: Path, verb: Verb) -> None:
-    robot = recorded(folder)
-    robot.put(keys.ESTOP, verb=verb)
-    (record,) = contents(folder, form.CommandRecord)
-    assert (record.key, record.verb) == (keys.ESTOP, verb)

@@ -1,7 +1,6 @@
 """elkapod-2025 from a command to the controller's servos, in virtual time."""
 
 import asyncio
-import itertools
 from typing import Any
 
 import pytest
@@ -32,31 +31,6 @@ def angles(robot: ElkapodRobot, last: int) -> list[set[float]]:
     return [set(wire.angles_of(data).values()) for _, data in list(robot.elkapod.transfers)[-last:]]
 
 
-async def test_it_begins_with_shutdowns_before_the_first_frame_and_goes_on_with_frames() -> None:
-    robot = ElkapodRobot()
-    await asyncio.sleep(1)
-    assert {what for _, what in robot.said} == {"shutdown"}
-    first_ms = robot.elkapod.transfers[0][0] / 1e6
-    assert robot.said[-1][0] < first_ms < 100
-    assert len(robot.said) == 2 + 3, "at the opening, and the Stops of the start with their repeats"
-    assert angles(robot, 40) == [{90.0}] * 40
-    times_ms = [at_ns / 1e6 for at_ns, _ in robot.elkapod.transfers]
-    assert {round(later - at) for at, later in itertools.pairwise(times_ms)} == {20}
-    assert robot.kinds() == [Kind.STARTED]
-
-
-async def test_a_whole_start_has_its_angles_on_the_wire_for_two_cycles_and_then_the_uarts_start() -> None:
-    robot = await elkapod()
-    assert robot.ask(keys.LEGS_COMMAND, START).accepted
-    at_ms = robot.now_ns() / 1e6
-    await asyncio.sleep(0.1)
-    ((started_ms, what),) = robot.said
-    assert what == "start"
-    between = [data for at_ns, data in robot.elkapod.transfers if at_ms < at_ns / 1e6 <= started_ms]
-    assert [set(wire.angles_of(data).values()) for data in between] == [{80.0}] * 2
-    assert len(robot.elkapod.energised) == 18
-
-
 STOPS = {
     "a stop of one leg": (keys.leg_command(3), leg("stop")),
     "a stop of one servo": (keys.servo_command(42), {"op": "stop"}),
@@ -78,32 +52,10 @@ async def test_any_stop_shuts_down_at_once_and_is_repeated(stop: str) -> None:
     assert angles(robot, 3) == [{80.0}] * 3, "should the shutdown be lost, they hold where they are"
 
 
-async def test_silence_shuts_down_after_the_watchdogs_time() -> None:
-    robot = await walking()
-    await asyncio.sleep(0.3)
-    assert [what for _, what in robot.said] == ["shutdown"] * 4
-    assert {event.legs for event in robot.events(Kind.WATCHDOG_EXPIRED)} == {(1, 2, 3, 4, 5, 6)}
-
-
 async def test_the_end_shuts_down() -> None:
     robot = await walking()
     assert robot.conductor.shut_down()
     assert [what for _, what in robot.said] == ["shutdown"]
-
-
-async def test_a_failed_transfer_shuts_down_at_once_and_stops_again_once_the_device_is_back() -> None:
-    robot = await walking()
-    robot.elkapod.spi_fails = True
-    await asyncio.sleep(0.021)
-    assert robot.events(Kind.BUS_FAULT)
-    assert not robot.elkapod.energised
-    assert robot.mode in {Mode.BUS_FAULT, Mode.IDLE}
-    robot.elkapod.spi_fails = False
-    await asyncio.sleep(1)
-    assert robot.mode == Mode.IDLE
-    assert not robot.elkapod.energised
-    assert "start" not in [what for _, what in robot.said]
-    assert robot.failed == []
 
 
 @pytest.mark.parametrize("fault", ["silent", "frozen", "garbage"])
@@ -189,16 +141,6 @@ async def test_a_single_corrupted_answer_costs_a_stop() -> None:
     await asyncio.sleep(0.2)
     assert [event.kind for event in robot.events(Kind.CONTROLLER_RESTARTED)]
     assert robot.mode == Mode.IDLE, "and no more"
-
-
-async def test_a_controller_whose_values_never_change_drives_the_robot() -> None:
-    robot = ElkapodRobot({"watchdog": {"timeout_ms": 10_000}})
-    robot.elkapod.garbage = wire.answer(robot.elkapod._measure(0))
-    await asyncio.sleep(2)
-    assert robot.ask(keys.LEGS_COMMAND, START).accepted
-    await asyncio.sleep(9)
-    assert robot.kinds() == [Kind.STARTED]
-    assert len(robot.elkapod.energised) == 18
 
 
 async def test_no_frame_ever_has_an_angle_that_nobody_commanded_while_servos_are_driven() -> None:

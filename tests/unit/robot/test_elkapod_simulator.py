@@ -4,15 +4,12 @@ import math
 import struct
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from gateway.host.servo_page import ServoPage
 from gateway.model import elkapod
-from gateway.model.elkapod import FRAME_BYTES, SHUTDOWN, START, AnswerError, Measured
-from gateway.model.servo import MOVING_A
-from gateway.robot.spi.elkapod_simulator import GARBAGE, MOST_HEARTBEATS, SimulatedElkapod
-from gateway.robot.spi.simulated_battery import FULL_V, RESISTANCE_OHM, SimulatedBattery
+from gateway.model.elkapod import SHUTDOWN, START, AnswerError, Measured
+from gateway.robot.spi.elkapod_simulator import GARBAGE, SimulatedElkapod
+from gateway.robot.spi.simulated_battery import SimulatedBattery
 from schemas.robot import SERVO_IDS
 
 MS = 1_000_000  # ns
@@ -90,57 +87,6 @@ def test_a_start_drives_all_to_the_newest_frame_and_a_shutdown_leaves_all_where_
     assert not bench.controller.corruptions
 
 
-def test_a_servo_without_supply_stays_where_it_is_and_draws_nothing(bench: Bench) -> None:
-    bench.started()
-    bench.page.feed(ALL - {11})
-    bench.exchange(after_ms=1000)
-    angles_deg = {servo_id: servo.angle_deg for servo_id, servo in bench.controller.servos.items()}
-    assert angles_deg == {**TARGETS, 11: 90.0}
-    at_rest_v = bench.measured(frame_of({**TARGETS, 11: 180.0})).voltage_v
-    assert bench.measured().voltage_v == pytest.approx(at_rest_v, abs=0.001), "it does not move"
-    bench.page.feed(())
-    bench.exchange()
-    assert sum(bench.measured().feet) == 0, "nothing carries the robot"
-    bench.page.feed(ALL)
-    assert bench.controller.energised == ALL, "its controller knows of no supply"
-
-
-def test_a_servo_goes_as_fast_as_its_motor_and_the_last_angles_hold_for_ever(bench: Bench) -> None:
-    bench.started()
-    bench.exchange(after_ms=1000)
-    bench.exchange(frame_of({**TARGETS, 11: 160.0}))
-    bench.now_ns += 100 * MS
-    assert bench.controller.servos[11].angle_deg == pytest.approx(80 + 35.3, abs=0.1)
-    bench.now_ns += 3_600_000 * MS
-    assert bench.controller.servos[11].angle_deg == 160.0
-    assert bench.controller.energised == ALL
-    assert bench.said[-1] == "servo 11 set to 160.00°"
-
-
-@pytest.mark.parametrize(
-    "data",
-    [
-        b"",
-        WORKED_EXAMPLE[:-1],
-        WORKED_EXAMPLE + b"\x0f",
-        b"\x7f" + WORKED_EXAMPLE[1:],
-        WORKED_EXAMPLE[:-1] + b"\x00",
-        b"\x00" + WORKED_EXAMPLE[:-1],
-        bytes(80),
-        b"\xff" * 80,
-        bytes.fromhex("06 02 0b 01 5a 00"),
-    ],
-    ids=["empty", "short", "long", "begin", "end", "shifted", "zeros", "ff", "hexapod-1.0"],
-)
-def test_what_is_no_frame_changes_nothing_and_as_many_bytes_come_back(bench: Bench, data: bytes) -> None:
-    bench.started()
-    bench.exchange(frame_of({}))
-    before = bench.targets()
-    assert len(bench.exchange(data)) == len(data)
-    assert bench.targets() == before
-    assert bench.measured().voltage_v > 0, "it goes on answering"
-
-
 def test_a_start_before_any_frame_waits_for_one_and_is_counted(bench: Bench) -> None:
     bench.controller.uart_write(START)
     assert bench.controller.corruptions == {"started before any frame": 1}
@@ -156,44 +102,6 @@ def test_angles_that_no_servo_has_are_driven_to_its_end_and_counted(bench: Bench
     assert sum(bench.controller.corruptions.values()) == 4
 
 
-# ---- the UART
-
-
-@given(st.lists(st.sampled_from([START, SHUTDOWN, b"\x7e", b"\x7e\x21", b"\x00\xff\x0f", START[:9]])), st.data())
-def test_messages_are_found_in_whatever_portions_they_come(parts: list[bytes], data: st.DataObject) -> None:
-    """The last whole one counts. (A begin that another message's first bytes complete would be one, too.)"""
-    stream = b"".join(parts)
-    whole, portioned = Bench(), Bench()
-    for each in (whole, portioned):
-        each.exchange()
-    whole.controller.uart_write(stream)
-    while stream:
-        length = data.draw(st.integers(1, len(stream)))
-        portioned.controller.uart_write(stream[:length])
-        stream = stream[length:]
-    assert [message for _, message in portioned.controller.messages] == [
-        message for _, message in whole.controller.messages
-    ]
-    complete = [each for each in parts if each in (START, SHUTDOWN)]
-    assert len(whole.controller.messages) >= len(complete)
-    if complete and parts[-1] == complete[-1]:
-        assert whole.controller.energised == (ALL if complete[-1] == START else frozenset())
-    assert whole.controller.energised == portioned.controller.energised
-
-
-def test_a_heartbeat_leaves_every_50_ms(bench: Bench) -> None:
-    bench.now_ns += 49 * MS
-    assert bench.controller.uart_read() == b""
-    bench.now_ns += 1 * MS
-    assert bench.controller.uart_read() == bytes.fromhex("7eaa" + "00" * 16 + "ff0f")
-    bench.now_ns += 120 * MS
-    assert elkapod.Heartbeats().feed(bench.controller.uart_read()) == 2
-    bench.now_ns += 30 * MS
-    assert elkapod.Heartbeats().feed(bench.controller.uart_read()) == 1
-    bench.now_ns += 3_600_000 * MS
-    assert elkapod.Heartbeats().feed(bench.controller.uart_read()) == MOST_HEARTBEATS, "the buffer was full"
-
-
 # ---- what it measures
 
 
@@ -205,55 +113,6 @@ def test_the_first_answer_is_garbage_and_each_is_of_the_transfer_before(bench: B
     bench.controller.uart_write(START)
     assert bench.measured().feet == (0,) * 6, "of before the start"
     assert bench.measured().feet == pytest.approx((4.38,) * 6, abs=0.01)
-
-
-def test_without_a_body_it_is_level_and_at_rest_and_no_two_answers_are_the_same(bench: Bench) -> None:
-    bench.started()
-    answers = [bench.exchange() for _ in range(200)]
-    assert len({elkapod.measured(answer).linear_acceleration_m_s2 for answer in answers}) == len(answers)
-    for each in map(elkapod.measured, answers):
-        assert each.tilt_deg == 0
-        assert each.angular_velocity_rad_s == pytest.approx((0, 0, 0), abs=0.02)
-        assert each.linear_acceleration_m_s2 == pytest.approx((0, 0, 9.81), abs=0.2)
-
-
-def test_the_battery_sags_while_servos_move_and_comes_back(bench: Bench) -> None:
-    bench.started()
-    bench.exchange(after_ms=1000)
-    bench.exchange(after_ms=1000)
-    rested = bench.measured()
-    bench.exchange(frame_of(dict.fromkeys(SERVO_IDS, 180.0)))
-    bench.exchange(frame_of(dict.fromkeys(SERVO_IDS, 180.0)))
-    moving = bench.measured(frame_of(dict.fromkeys(SERVO_IDS, 180.0)))
-    bench.exchange(frame_of(dict.fromkeys(SERVO_IDS, 180.0)), after_ms=1000)
-    again = bench.measured(frame_of(dict.fromkeys(SERVO_IDS, 180.0)))
-    assert rested.voltage_v - moving.voltage_v == pytest.approx(18 * MOVING_A * RESISTANCE_OHM, abs=0.01)
-    assert moving.percent < rested.percent - 10
-    assert again.voltage_v == pytest.approx(rested.voltage_v, abs=0.01)
-
-
-def test_over_an_hour_the_battery_empties_and_it_warms_up(bench: Bench) -> None:
-    bench.exchange()
-    begun = bench.measured()
-    bench.exchange(after_ms=3_600_000)
-    later = bench.measured()
-    assert later.voltage_v < begun.voltage_v - 0.2
-    assert begun.temperature_c == pytest.approx(25, abs=0.1)
-    assert 38 < later.temperature_c < 40
-
-
-def test_an_empty_battery_has_no_percent_and_no_more_charge() -> None:
-    battery = SimulatedBattery(charge=0.01)
-    battery.draw(1.0, 3600)
-    assert battery.charge == 0
-    assert battery.percent == 0
-    assert SimulatedBattery().voltage_v == pytest.approx(FULL_V - RESISTANCE_OHM)
-
-
-def test_a_robot_can_be_had_with_a_low_battery() -> None:
-    bench = Bench(SimulatedBattery(charge=0.1))
-    bench.exchange()
-    assert bench.measured().voltage_v == pytest.approx(6.54, abs=0.01)
 
 
 # ---- faults
@@ -273,35 +132,3 @@ def test_switched_off_and_on_it_is_slack_and_has_forgotten_its_angles(bench: Ben
     assert bench.exchange() == GARBAGE
     assert bench.exchange() != GARBAGE
     assert bench.controller.energised == frozenset(), "half of a start was before, and frames start nothing"
-
-
-def test_a_silent_one_sends_no_heartbeat_and_answers_all_the_same(bench: Bench) -> None:
-    bench.exchange()
-    bench.controller.silent = True
-    bench.now_ns += 500 * MS
-    assert bench.controller.uart_read() == b""
-    assert bench.measured().tilt_deg == 0
-    bench.controller.silent = False
-    assert bench.controller.uart_read() == b"", "those are lost"
-    bench.now_ns += 50 * MS
-    assert bench.controller.uart_read() != b""
-
-
-def test_a_frozen_one_answers_the_same_and_obeys_all_the_same(bench: Bench) -> None:
-    bench.exchange()
-    bench.controller.frozen = True
-    assert len({bench.exchange() for _ in range(10)}) == 1
-    bench.started()
-    bench.controller.frozen = False
-    bench.exchange()
-    assert bench.measured().feet != (0,) * 6
-
-
-def test_one_with_garbage_answers_garbage_until_it_does_not(bench: Bench) -> None:
-    bench.exchange()
-    bench.controller.garbage = b"\xff" * FRAME_BYTES
-    bench.exchange()
-    assert bench.exchange() == b"\xff" * FRAME_BYTES
-    bench.controller.garbage = None
-    bench.exchange()
-    assert bench.measured().tilt_deg == 0

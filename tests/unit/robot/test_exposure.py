@@ -36,30 +36,6 @@ def rejected(*listen: str, **settings: Any) -> bool:
 @pytest.mark.parametrize(
     "endpoint",
     [
-        "tcp/127.0.0.1:7447",
-        "tcp/127.8.9.10:7447",
-        "tcp/[::1]:7447",
-        "tcp/[::ffff:127.0.0.1]:7447",
-        "tcp/localhost:7447",
-        "udp/127.0.0.1:7447",
-        "ws/127.0.0.1:7447",
-        "tls/127.0.0.1:7447",
-        "quic/127.0.0.1:7447",
-        "unixpipe//run/gateway.pipe",
-        "tcp/127.0.0.1:7447#iface=lo",
-        "tcp/127.0.0.1:7447#bind=127.0.0.1:7448",
-        "tcp/127.0.0.1:7447?x=a:b",
-        "tcp/127.0.0.1:7447?rel=1",
-        "unixsock-stream//run/gateway.sock",
-    ],
-)
-def test_this_machine_alone_needs_nothing(endpoint: str) -> None:
-    assert not rejected(endpoint)
-
-
-@pytest.mark.parametrize(
-    "endpoint",
-    [
         "tcp/0.0.0.0:7447",
         "tcp/[::]:7447",
         "tcp/[::ffff:192.0.2.7]:7447",
@@ -163,37 +139,11 @@ def test_a_password_file_that_cannot_be_read_is_named(tmp_path: Path, content: b
         exposure.check(config(**settings), allow_insecure=True)
 
 
-@pytest.mark.parametrize(
-    ("endpoint", "expected"),
-    [
-        ("udp/224.0.0.225:7447", True),
-        ("udp/224.0.0.225:7447#iface=eth0", True),
-        ("udp/[ff02::1]:7447", True),
-        ("udp/[::ffff:224.0.0.225]:7447", True),
-        ("udp/group.example.com:7447", True),
-        ("udp/192.0.2.7:7447", False),
-        ("udp/[::]:7447", False),
-    ],
-)
-def test_nobody_asks_a_multicast_group_for_a_password(tmp_path: Path, endpoint: str, expected: bool) -> None:
-    users = tmp_path / "users.txt"
-    users.write_text("anna:secret\n")
-    assert rejected(endpoint, **{"transport/auth/usrpwd/dictionary_file": str(users)}) is expected
-
-
 def test_endpoints_by_mode() -> None:
     by_mode = {"listen/endpoints": {"peer": ["tcp/127.0.0.1:1"], "router": ["tcp/0.0.0.0:1"]}}
     exposure.check(config(**by_mode), allow_insecure=False)
     with pytest.raises(ConfigError):
         exposure.check(config(**by_mode, mode="router"), allow_insecure=False)
-
-
-def test_the_rejection_says_how_to_go_on() -> None:
-    with pytest.raises(ConfigError) as error:
-        exposure.check(config(**{"listen/endpoints": ["tcp/0.0.0.0:7447"]}), allow_insecure=False)
-    assert "\n" not in str(error.value)
-    for word in ("tcp/0.0.0.0:7447", "certs init", "zenoh.config", "zenoh.allow_insecure"):
-        assert word in str(error.value)
 
 
 def test_the_rejection_knows_that_there_are_certificates() -> None:
@@ -247,16 +197,6 @@ def test_whom_it_dials(
     assert ("is dialled without TLS" in caplog.text) is expected
 
 
-@pytest.mark.parametrize("way", ["multicast", "gossip"])
-@pytest.mark.parametrize(("links", "expected"), [(None, True), (["tls", "tcp"], True), (["tls", "quic"], False)])
-def test_dialling_whom_it_finds_is_said(
-    caplog: pytest.LogCaptureFixture, way: str, links: list[str] | None, expected: bool
-) -> None:
-    found = {"listen/endpoints": ["tcp/127.0.0.1:7447"], f"scouting/{way}/enabled": True}
-    exposure.check(config(**found, **{"transport/link/protocols": links}), allow_insecure=False)
-    assert ("dials every Zenoh program" in caplog.text) is expected
-
-
 def test_defaults_listen_on_this_machine_only_and_find_nobody() -> None:
     made = service_config(ZenohSettings())
     assert listen_endpoints(made) == ["tcp/127.0.0.1:7447"]
@@ -288,15 +228,6 @@ def test_rules_without_the_robots_namespace_are_rejected() -> None:
     assert not with_rules("hexapod/estop/cmd", namespace=None)
     assert not with_rules("robot-1/hexapod/estop/cmd", "@/router/**"), "one key of its own is enough"
     assert not with_rules("hexapod/estop/cmd", enabled=False), "Zenoh ignores them"
-
-
-def test_no_message_is_put_together_beyond_the_limit(tmp_path: Path) -> None:
-    """Whatever the Zenoh file says; without one, too."""
-    file = tmp_path / "zenoh.json5"
-    file.write_text("{ transport: { link: { rx: { max_message_size: 400000000 } } } }")
-    for path in ("", str(file)):
-        made = service_config(ZenohSettings(config=path))
-        assert made.get_json("transport/link/rx/max_message_size") == "65536"
 
 
 def test_places_are_bounded(tmp_path: Path) -> None:

@@ -79,24 +79,6 @@ def test_a_rejection_names_the_holder() -> None:
         assert [effect.detail for effect in robot.effects if hasattr(effect, "detail")] == [detail]
 
 
-def test_it_is_not_acquired_twice_not_even_by_its_holder() -> None:
-    robot = driven_by_anna()
-    for name in ("bert", "anna"):
-        assert robot.lease(2, f"acquire {name}", fresh=BERT) == ["lease_held"]
-        assert robot.only(RequestAnswer).detail == "the lease is held by anna"
-    assert robot.command(30, SET, lease=ANNA) == ["command 1 set 45", "completed 2"]
-
-
-def test_what_others_had_pending_is_dropped_when_somebody_acquires_it() -> None:
-    robot = Steps()
-    robot.command(1, START)
-    assert robot.command(2, SET) == []
-    assert robot.lease(3, "acquire anna", fresh=ANNA) == ["rejected 2 not_holder", *ACQUIRED]
-    assert robot.time(30) == []
-    assert robot.running == [11, 12, 13], "they stand still; their watchdog runs"
-    assert robot.time(252) == ["watchdog 1 stop", "announce watchdog_expired"]
-
-
 # ---- time
 
 
@@ -125,16 +107,6 @@ def test_whatever_of_its_holder_is_accepted_keeps_it(kept: str) -> None:
     assert robot.time(1900) == ["announce lease_expired"]
 
 
-@pytest.mark.parametrize("token", [None, BERT])
-def test_nothing_that_others_send_keeps_it(token: str | None) -> None:
-    robot = driven_by_anna()
-    robot.command(900, STOP, lease=token)
-    robot.command(900, START, lease=token)
-    robot.lease(900, "renew", BERT)
-    robot.lease(900, "ask bert")
-    assert "announce lease_expired" in robot.time(1001)
-
-
 def test_a_command_that_comes_after_its_ttl_does_not_save_it() -> None:
     robot = driven_by_anna(Rules(repeats=0, timeout_ns=10_000_000_000, rest_ns=10_000_000_000))
     assert robot.command(1001, SET, lease=ANNA) == ["announce lease_expired", "rejected 2 not_holder"]
@@ -149,18 +121,6 @@ def test_it_expires_in_time_while_the_bus_is_at_fault() -> None:
     assert robot.due_ms is None
 
 
-@pytest.mark.parametrize(
-    ("words", "token", "stops"),
-    [("renew", ANNA, ["watchdog 1 stop"]), ("take bert", None, all_stopped("command"))],
-)
-def test_what_is_asked_just_when_a_leg_is_to_be_stopped_delays_no_stop_and_doubles_none(
-    words: str, token: str | None, stops: list[str]
-) -> None:
-    robot = driven_by_anna()
-    said = robot.lease(251, words, token, fresh=BERT)
-    assert [line for line in said if line.endswith("stop")] == stops
-
-
 def test_it_lasts_through_an_emergency_stop_and_a_fault() -> None:
     robot = driven_by_anna()
     robot.estop(2)
@@ -169,14 +129,6 @@ def test_it_lasts_through_an_emergency_stop_and_a_fault() -> None:
     assert robot.lease(5, "acquire bert", fresh=BERT) == ["lease_held"]
     assert robot.reset(6, lease=ANNA) == ["announce estop_reset", "completed 2"]
     assert robot.command(7, START, lease=ANNA) == ["command 1 start 90", "completed 3"]
-
-
-def test_the_end_of_the_service_ends_it() -> None:
-    robot = driven_by_anna()
-    robot.end(2)
-    assert robot.supervisor.lease.holder is None
-    assert robot.due_ms is None
-    assert robot.lease(3, "take bert", fresh=BERT) == ["stopping"]
 
 
 # ---- asked, released, handed over
@@ -192,15 +144,6 @@ def test_whoever_asks_is_told_of_and_changes_nothing() -> None:
     robot.lease(4, "ask bert")
     assert robot.supervisor.lease.asked_by == "bert"
     assert robot.command(30, SET, lease=ANNA) == ["command 1 set 45", "completed 2"]
-
-
-def test_a_release_frees_it() -> None:
-    robot = driven_by_anna()
-    robot.lease(2, "ask bert")
-    assert robot.lease(3, "release", ANNA) == ["announce lease_released", GRANTED]
-    assert robot.supervisor.lease.asked_by is None
-    assert robot.command(30, SET) == ["command 1 set 45", "completed 2"]
-    assert robot.command(60, SET, lease=ANNA) == ["rejected 3 not_holder"]
 
 
 def test_a_stranger_releases_and_hands_over_nothing() -> None:
@@ -291,13 +234,6 @@ def test_a_takeover_stops_all_legs_also_where_nobody_holds_it_or_it_is_handed_ov
     robot.lease(3, "release to bert", ANNA)
     assert robot.lease(4, "take carl", fresh=CARL) == [*all_stopped("command"), "announce lease_taken", GRANTED]
     assert robot.lease(5, "acquire bert", fresh=BERT) == ["lease_held"]
-
-
-def test_a_takeover_at_fault_is_granted_and_the_stops_follow() -> None:
-    robot = driven_by_anna()
-    robot.fail(2)
-    assert robot.lease(3, "take bert", fresh=BERT) == ["announce lease_taken", GRANTED]
-    assert robot.open(4)[:6] == all_stopped("startup")
 
 
 def test_its_end_without_a_supervisor() -> None:

@@ -13,7 +13,7 @@ from gateway.robot.core.message import Verb
 from gateway.robot.runtime.request_answers import BAD_ENCODING, BY_WILDCARD, payload_of
 from schemas import keys
 from schemas.lease import LeaseAck
-from schemas.telemetry import Kind, Mode, Reason
+from schemas.telemetry import Kind, Reason
 from tests.support.robot import Robot, leg, started_and_quiet
 
 LEG_3 = keys.leg_command(3)
@@ -47,55 +47,12 @@ async def test_whoever_acquires_it_hears_the_token_and_all_hear_the_name() -> No
     assert robot.events()[-1].kind is Kind.LEASE_EXPIRED, "without any other message"
 
 
-async def test_others_are_rejected_with_her_name_and_their_stops_are_taken() -> None:
-    robot, ack = await driven_by_anna()
-    rejected = robot.ask(LEG_3, SET)
-    assert (rejected.reason, rejected.detail) == (Reason.NOT_HOLDER, "anna holds the lease")
-    assert robot.events(Kind.COMMAND_REJECTED)[-1].reason == Reason.NOT_HOLDER
-    assert robot.ask(keys.RESET, {}).reason == Reason.NOT_HOLDER
-    await asyncio.sleep(0.05)
-    assert robot.ask(LEG_3, with_token(SET, ack)).accepted
-    assert robot.ask(LEG_3, STOP).accepted
-    robot.put(keys.ESTOP)
-    assert robot.mode == Mode.ESTOPPED
-    assert robot.ask(keys.RESET, with_token({"estop": 1}, ack)).accepted
-
-
 async def test_somebody_elses_start_undoes_no_stop_that_may_have_been_lost() -> None:
     robot, _ = await driven_by_anna()
     robot.put_later(LEG_3, verb=Verb.LOST)
     robot.put(LEG_3, START)
     assert robot.events(Kind.COMMAND_REJECTED)[0].reason == Reason.NOT_HOLDER
     assert robot.controller.energised == set()
-
-
-async def test_takeover() -> None:
-    robot, ack = await driven_by_anna()
-    before = len(robot.frames)
-    taken = robot.lease("take", "bert")
-    assert (taken.reason, taken.holder) == (None, "bert")
-    assert len([frame for _, frame in robot.frames[before:] if frame.is_stop]) == 6
-    await asyncio.sleep(0.05)
-    assert not robot.ask(LEG_3, with_token(SET, ack)).accepted
-
-
-async def test_required() -> None:
-    for required, reason in ((False, None), (True, Reason.NO_LEASE)):
-        robot = await started_and_quiet(lease={"required": required})
-        assert robot.ask(LEG_3, START).reason == reason
-        assert robot.ask(LEG_3, STOP).accepted
-
-
-@pytest.mark.parametrize("ttl_ms", [200, 1000, 10_000])
-async def test_ttl_ms(ttl_ms: float) -> None:
-    robot, ack = await driven_by_anna(lease={"ttl_ms": ttl_ms})
-    assert ack.ttl_ms == ttl_ms
-    await asyncio.sleep(ttl_ms / 1000 - 0.01)
-    assert not robot.events(Kind.LEASE_EXPIRED)
-    await asyncio.sleep(0.02)
-    assert [event.source for event in robot.events(Kind.LEASE_EXPIRED)] == ["anna"]
-    assert robot.conductor.state().lease.holder is None
-    assert robot.ask(LEG_3, with_token(START, ack)).reason == Reason.NOT_HOLDER
 
 
 async def test_a_takeover_whose_stops_cannot_be_written_is_granted_and_the_fault_told() -> None:
@@ -183,16 +140,6 @@ async def test_after_the_end_nobody_is_answered() -> None:
     assert answers == []
 
 
-async def test_a_put_is_no_request() -> None:
-    robot = await started_and_quiet()
-    robot.put(keys.LEASE, {"do": "acquire", "source": "anna"}, target=None)
-    (event,) = robot.events()
-    assert (event.reason, event.detail) == (
-        Reason.INVALID,
-        "hexapod/lease/cmd takes get only: only its sender may receive the answer",
-    )
-
-
 async def test_no_report_has_the_token() -> None:
     robot, anna = await driven_by_anna(telemetry={"frames": True})
     robot.lease("ask", "bert")
@@ -206,15 +153,3 @@ async def test_no_report_has_the_token() -> None:
     assert anna.lease is not None
     assert anna.lease not in out
     assert "anna" in out
-
-
-@pytest.mark.parametrize("framing", ["plain", "length-prefixed"])
-async def test_it_expires_in_time_while_the_bus_is_at_fault(framing: str) -> None:
-    robot = await started_and_quiet(spi={"framing": framing})
-    assert robot.lease("acquire", "anna").accepted
-    robot.controller.fail_next(1000)
-    robot.put(LEG_3, STOP)
-    assert robot.mode == Mode.BUS_FAULT
-    await asyncio.sleep(1.001)
-    assert robot.mode == Mode.BUS_FAULT
-    assert [event.source for event in robot.events(Kind.LEASE_EXPIRED)] == ["anna"]

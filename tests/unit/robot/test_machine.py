@@ -1,25 +1,14 @@
 """What Linux says of the computer and the SPI controller."""
 
 import datetime as dt
-import struct
 from pathlib import Path
 
 import pytest
 
 from gateway.robot.spi import machine
-from tests.support.machine_tree import GPIOS, OF_MAY, PI_4, MachineTree
+from tests.support.machine_tree import OF_MAY, PI_4, MachineTree
 
 SPIDEV = "/dev/spidev0.0"
-
-
-def test_a_raspberry_pi(tmp_path: Path) -> None:
-    MachineTree(tmp_path)
-    assert machine.computer(tmp_path) == "Raspberry Pi 4 Model B Rev 1.4"
-    assert machine.kernel(tmp_path) == ("6.6.31+rpt-rpi-v8", dt.date(2024, 5, 29))
-    assert machine.driver_of(SPIDEV, tmp_path) == "spi-bcm2835"
-    assert machine.gpio_selects(SPIDEV, tmp_path) is True
-    assert machine.neighbours(SPIDEV, tmp_path) == []
-    assert not machine.on_rp1(SPIDEV, tmp_path)
 
 
 def test_where_nothing_is_said_nothing_is_known(tmp_path: Path) -> None:
@@ -29,39 +18,6 @@ def test_where_nothing_is_said_nothing_is_known(tmp_path: Path) -> None:
     assert machine.gpio_selects(SPIDEV, tmp_path) is None
     assert machine.neighbours(SPIDEV, tmp_path) == []
     assert not machine.on_rp1(SPIDEV, tmp_path)
-
-
-@pytest.mark.parametrize("device", ["/dev/spidev3.0", "/dev/null", "/dev/hexapod"])
-def test_another_device_has_no_controller(tmp_path: Path, device: str) -> None:
-    MachineTree(tmp_path)
-    assert (machine.driver_of(device, tmp_path), machine.gpio_selects(device, tmp_path)) == (None, None)
-
-
-@pytest.mark.parametrize(
-    ("chip_select", "cells", "expected"),
-    [
-        (0, None, False),
-        (0, b"", False),
-        (0, GPIOS, True),
-        (1, GPIOS, True),
-        (2, GPIOS, False),
-        (0, struct.pack(">4I", 0, 7, 8, 1), False),
-        (1, struct.pack(">4I", 0, 7, 8, 1), True),
-        (1, struct.pack(">4I", 7, 8, 1, 0), False),
-        (1, struct.pack(">5I", 0, 0, 7, 8, 1), False),
-        (2, struct.pack(">5I", 0, 0, 7, 8, 1), True),
-    ],
-)
-def test_cs_gpios_decides_for_each_chip_select(
-    tmp_path: Path, chip_select: int, cells: bytes | None, expected: bool
-) -> None:
-    """An entry of 0 is the controller's own, and so is one behind the last."""
-    tree = MachineTree(tmp_path, cs_gpios=cells)
-    device = tmp_path / f"sys/class/spidev/spidev0.{chip_select}"
-    device.mkdir(exist_ok=True)
-    if chip_select:
-        (device / "device").symlink_to(tree.add(f"spi0.{chip_select}", "spidev"))
-    assert machine.gpio_selects(f"/dev/spidev0.{chip_select}", tmp_path) is expected
 
 
 def test_a_controller_without_a_device_tree_says_nothing_of_chip_select(tmp_path: Path) -> None:
@@ -92,23 +48,6 @@ def test_when_the_kernel_was_built(tmp_path: Path, version: str) -> None:
     """Not when its compiler was."""
     MachineTree(tmp_path, version=version)
     assert machine.kernel(tmp_path)[1] == BUILT[version]
-
-
-@pytest.mark.parametrize(
-    ("driver", "model", "node", "expected"),
-    [
-        ("dw_spi_mmio", "Raspberry Pi 5 Model B Rev 1.0", "axi/pcie@120000/rp1/spi@50000", True),
-        ("dw_spi_mmio", "Another computer with an RP1", "axi/pcie@120000/rp1/spi@50000", True),
-        ("spi-dw-mmio", "Raspberry Pi Compute Module 5 Rev 1.0", "soc/spi@50000", True),
-        ("dw_spi_mmio", "StarFive VisionFive 2", "soc/spi@50000", False),
-        ("spi-bcm2835", "Raspberry Pi 5 Model B Rev 1.0", "axi/pcie@120000/rp1/spi@50000", False),
-    ],
-)
-def test_the_rp1_is_known_by_driver_and_device_tree(
-    tmp_path: Path, driver: str, model: str, node: str, expected: bool
-) -> None:
-    MachineTree(tmp_path, driver=driver, model=model, node=node)
-    assert machine.on_rp1(SPIDEV, tmp_path) is expected
 
 
 def test_neighbours_are_those_of_another_driver(tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ from gateway.model.frames import decode
 from gateway.robot.blackbox.recorder import Recorder
 from gateway.robot.core.message import Reply
 from gateway.robot.core.supervisor import Supervisor
-from gateway.robot.host.ownership import Ownership, OwnersTimer
+from gateway.robot.host.ownership import Ownership
 from gateway.robot.runtime.conductor import Conductor
 from gateway.robot.service import BEAT_S, rules
 from gateway.robot.settings import Settings
@@ -245,94 +245,6 @@ def test_whoever_waits_is_next_although_the_owner_takes_it_again_at_once() -> No
     stage.run(2)
     assert not stage.failures
     assert owners == ["greedy", "patient", *["greedy"] * 19]
-
-
-def timer_on(loop: SteppedLoop, call: Callable[[], None]) -> OwnersTimer:
-    """One that nobody has set."""
-    timer = OwnersTimer(cast(asyncio.AbstractEventLoop, loop), Ownership(), call)
-    assert not timer.armed
-    return timer
-
-
-def called_s(*due_s: float | None, elsewhere: bool) -> tuple[list[float], int]:
-    """When a timer calls back that is set to these times one after the other (None: cancelled), and the wakeups."""
-    stage = Stage(lambda names: names[0])
-    stage.over = True  # nobody interferes
-    loop = SteppedLoop(stage)
-    found: list[float] = []
-    timer = timer_on(loop, lambda: found.append(loop.now_s))
-
-    def set_it() -> None:
-        for each_s in due_s:
-            if each_s is None:
-                timer.cancel()
-            else:
-                timer.set(each_s)
-            assert timer.armed is (each_s is not None)
-
-    if elsewhere:
-        thread = threading.Thread(target=set_it)
-        thread.start()
-        thread.join()
-    else:
-        set_it()
-    while loop.step():
-        pass
-    assert not timer.armed
-    return found, loop.wakeups
-
-
-@pytest.mark.parametrize("elsewhere", [False, True])
-@pytest.mark.parametrize(
-    ("due_s", "called", "wakeups"),
-    [
-        ([5], [5], 1),
-        ([5, 3], [3], 2),
-        ([3, 5, 7], [7], 1),
-        ([5, 3, 4], [4], 2),
-        ([5, None], [], 1),
-        ([5, None, 8], [8], 1),
-        ([5, None, 2], [2], 2),
-        ([0.5], [1.0], 1),
-    ],
-)
-def test_a_timer_calls_back_at_its_latest_time_and_wakes_the_loop_for_earlier_ones_only(
-    elsewhere: bool, due_s: list[float | None], called: list[float], wakeups: int
-) -> None:
-    assert called_s(*due_s, elsewhere=elsewhere) == (called, wakeups if elsewhere else 0)
-
-
-def test_a_time_that_is_set_once_the_loop_has_woken_up_early_for_a_later_one_is_kept() -> None:
-    stage = Stage(lambda names: names[0])
-    stage.over = True
-    loop = SteppedLoop(stage)
-    found: list[float] = []
-    timer = timer_on(loop, lambda: found.append(loop.now_s))
-    timer.set(2)
-    timer.set(9)
-    assert loop.step()  # at 2 it is not due
-    timer.set(5)
-    while loop.step():
-        pass
-    assert found == [5]
-
-
-def test_a_timer_that_is_set_from_its_own_call_calls_again() -> None:
-    stage = Stage(lambda names: names[0])
-    stage.over = True
-    loop = SteppedLoop(stage)
-    found: list[float] = []
-
-    def call() -> None:
-        found.append(loop.now_s)
-        if len(found) < 3:
-            timer.set_in(1)
-
-    timer = timer_on(loop, call)
-    timer.set(2)
-    while loop.step():
-        pass
-    assert found == [2, 3, 4]
 
 
 def receiver(

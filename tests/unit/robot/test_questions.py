@@ -12,7 +12,6 @@ from gateway.robot.zenoh_io.questions import (
     MOST_OF_TOKEN,
     MOST_SOURCES,
     QUESTIONS_AT_ONCE,
-    QUESTIONS_PER_S,
     Questions,
 )
 
@@ -44,15 +43,6 @@ def asked() -> Asked:
     return Asked()
 
 
-def test_a_good_token_goes_before_everybody_else(asked: Asked) -> None:
-    for number in range(3):
-        asked.ask(f"challenge {number}", CHALLENGE)
-    asked.ask("no lease", {"do": "renew", "lease": STRANGER})
-    asked.ask("renewal", {"do": "renew", "lease": DRIVER})
-    asked.ask("check-in", {"do": "alive", "button": KITCHEN, "count": 1})
-    assert asked.read() == ["renewal", "check-in", "challenge 0", "challenge 1", "challenge 2", "no lease"]
-
-
 def test_a_flood_of_others_keeps_no_good_token_out(asked: Asked) -> None:
     assert sum(asked.ask("flood", CHALLENGE) for _ in range(10_000)) == MAX_WITHOUT_TOKEN
     assert asked.ask("renewal", {"do": "renew", "lease": DRIVER})
@@ -65,25 +55,6 @@ def test_a_flood_by_one_token_keeps_no_other_out(asked: Asked) -> None:
     assert asked.ask("renewal", {"do": "renew", "lease": DRIVER})
     assert asked.read() == ["kitchen"] * MOST_OF_TOKEN + ["renewal"]
     assert sum(asked.ask("kitchen", kitchen) for _ in range(100)) == MOST_OF_TOKEN, "those were read"
-
-
-def test_each_source_has_so_many_a_second(asked: Asked) -> None:
-    def admitted(source: str | None, tries: int = 100) -> int:
-        count = 0
-        for _ in range(tries):
-            count += asked.ask("", CHALLENGE, source)
-            asked.read()
-        return count
-
-    assert (admitted("anna"), admitted("bert"), admitted(None)) == (
-        QUESTIONS_AT_ONCE,
-        QUESTIONS_AT_ONCE,
-        QUESTIONS_AT_ONCE,
-    )
-    asked.now_ns += NS_PER_S
-    assert (admitted("anna"), admitted("carla")) == (QUESTIONS_PER_S, QUESTIONS_AT_ONCE)
-    asked.now_ns += 100 * NS_PER_S
-    assert admitted("anna") == QUESTIONS_AT_ONCE, "what is not used is not saved"
 
 
 def test_ever_new_sources_share_one_place_and_take_bounded_memory(asked: Asked) -> None:

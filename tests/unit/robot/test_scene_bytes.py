@@ -11,6 +11,6 @@ def test_the_bytes_of_a_scene_are_those_that_were_recorded(framing: Framing) -> 
     assert transfers(framing) == path(framing).read_text().splitlines()
 
 
-def test_without_batches_they_are_the_same() -> None:
-    """In `plain`; the zeros take time here without batches alone. For both framings: `hil/test_lists.py`."""
-    assert transfers(Framing.PLAIN, batch=False) == path(Framing.PLAIN).read_text().splitlines()
+def test_where_a_kernel_takes_no_lists_they_are_the_same() -> None:
+    """In `plain`; zeros that are written one by one take time here."""
+    assert transfers(Framing.PLAIN, lists=False) == path(Framing.PLAIN).read_text().splitlines()

@@ -8,15 +8,6 @@ import pytest
 from gateway.robot.host.servos_file import SERVOS_FILE, ServosFile
 
 
-def test_a_line_that_is_written_over(tmp_path: Path) -> None:
-    file = ServosFile(tmp_path)
-    path = tmp_path / SERVOS_FILE
-    for now_ns, any_runs in ((1, True), (123_456_789_012_345, False)):
-        file.write(now_ns, any_runs=any_runs)
-        assert list(map(int, path.read_text().split())) == [now_ns, int(any_runs)]
-    assert path.stat().st_mode & 0o777 == 0o600
-
-
 def test_what_an_earlier_run_has_left_is_taken_over(tmp_path: Path) -> None:
     (tmp_path / SERVOS_FILE).write_text("something longer than the line, from another version\n")
     file = ServosFile(tmp_path)

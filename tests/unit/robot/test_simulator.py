@@ -7,10 +7,10 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from gateway.model.frames import Frame, OneLeg, OneServo, Op, ServoOp, centidegrees, decode
+from gateway.model.frames import OneLeg, OneServo, Op, ServoOp, decode
 from gateway.model.framing import Framing
 from gateway.robot.spi.simulated_servos import ServoState
-from gateway.robot.spi.simulator import SimulatedController, pulse_us
+from gateway.robot.spi.simulator import SimulatedController
 from schemas.robot import SERVO_IDS
 from tests.fuzz.targets import PAUSES_NS, fuzz_simulator
 from tests.support.transfers import on_wire
@@ -81,12 +81,6 @@ def test_vectors_set_their_pulses(framing: Framing, vector: dict[str, Any]) -> N
     assert not bench.controller.corruptions
 
 
-def test_set_on_a_stopped_servo_moves_the_compare_register_and_nothing_else(bench: Bench) -> None:
-    bench.send(OneServo(11, ServoOp(Op.SET, 180_00)).to_bytes())
-    bench.now_ns += 5_000 * MS
-    assert bench.servo(11) == ServoState(energised=False, target_deg=180.0, angle_deg=90.0, pulse_us=2550)
-
-
 def test_stop_keeps_the_pulse_and_the_place(bench: Bench) -> None:
     bench.send(OneServo(11, ServoOp(Op.START, 180_00)).to_bytes())
     bench.now_ns += 100 * MS
@@ -95,37 +89,6 @@ def test_stop_keeps_the_pulse_and_the_place(bench: Bench) -> None:
     assert bench.servo(11).energised is False
     assert bench.servo(11).pulse_us == 2550
     assert bench.servo(11).angle_deg == pytest.approx(90 + 35.3, abs=0.1)
-
-
-def test_a_servo_moves_at_60_degrees_in_170_ms(bench: Bench) -> None:
-    bench.send(OneServo(11, ServoOp(Op.START, 0)).to_bytes())
-    for after_ms, expected_deg in ((0, 90.0), (85, 60.0), (170, 30.0), (255, 0.0), (1_000, 0.0)):
-        bench.now_ns = 5_000_000 * MS + after_ms * MS
-        assert bench.servo(11).angle_deg == pytest.approx(expected_deg, abs=1e-6)
-    bench.send(OneServo(11, ServoOp(Op.SET, 180_00)).to_bytes())
-    bench.now_ns += 340 * MS
-    assert bench.servo(11).angle_deg == pytest.approx(120.0, abs=1e-6)
-    bench.now_ns += 1_000 * MS
-    assert bench.servo(11).angle_deg == 180.0
-
-
-@given(st.integers(0, 180_00))
-def test_pulse_is_within_a_microsecond_of_the_line(angle_cdeg: int) -> None:
-    exact_us = 544 + angle_cdeg / 100 * (2550 - 544) / 180
-    assert exact_us - 1 < pulse_us(*divmod(angle_cdeg, 100)) <= exact_us + 0.001
-
-
-def test_single_precision_is_part_of_the_result() -> None:
-    """136.66° is at 2066.9998 µs: of the 18001 angles the only one at which single precision is seen."""
-    assert pulse_us(136, 66) == 2067
-
-
-def test_what_is_said_of_a_frame(bench: Bench) -> None:
-    leg = OneLeg(1, (ServoOp(Op.START, 90_00), ServoOp(Op.SET, 45_25), ServoOp(Op.STOP)))
-    bench.send(leg.to_bytes())
-    assert bench.said == [
-        "servo 11 started at 90.00°, 1547 µs; servo 12 set to 45.25°, 1048 µs, and stays off; servo 13 stopped"
-    ]
 
 
 # ---- one stream of bytes, in and out of sync
@@ -153,31 +116,6 @@ def test_whatever_comes_it_does_what_a_second_reading_of_the_firmware_does(
     )
 
 
-def test_bare_frames_execute_nothing_on_the_published_firmware(prefixed: Bench) -> None:
-    """One frame, or all of them together: consumed as a length and a misaligned body."""
-    for vector in LEGAL:
-        alone = Bench(Framing.LENGTH_PREFIXED)
-        alone.transfer(vector["bytes"])
-        prefixed.transfer(vector["bytes"])
-        assert alone.controller.executed == prefixed.controller.executed == 0
-    assert prefixed.controller.energised == frozenset()
-
-
-@pytest.mark.parametrize("framing", Framing)
-@given(st.lists(frames, min_size=1, max_size=6), st.data())
-def test_chip_select_plays_no_part(framing: Framing, sent: list[Frame], data: st.DataObject) -> None:
-    """The same bytes in other portions do the same."""
-    stream = b"".join(on_wire(framing, *sent))
-    whole, portioned = Bench(framing), Bench(framing)
-    whole.transfer(stream)
-    while stream:
-        length = data.draw(st.integers(1, len(stream)))
-        portioned.transfer(stream[:length])
-        stream = stream[length:]
-    assert portioned.controller.servos == whole.controller.servos
-    assert portioned.controller.executed == whole.controller.executed == len(sent)
-
-
 def test_an_awaited_body_then_the_preamble_then_a_stop(prefixed: Bench) -> None:
     """As checked with the compiled firmware: 14 awaited bytes, then the zeros, then a Stop: the Stop is executed."""
     prefixed.send(START_11)
@@ -185,21 +123,6 @@ def test_an_awaited_body_then_the_preamble_then_a_stop(prefixed: Bench) -> None:
     prefixed.send(STOP_11)
     assert prefixed.controller.energised == frozenset()
     assert prefixed.controller.executed == 2
-
-
-@pytest.mark.parametrize("announced", ["06", "0e", ""])
-def test_the_preamble_changes_nothing_by_itself(prefixed: Bench, announced: str) -> None:
-    prefixed.transfer(announced, PREAMBLE)
-    assert prefixed.controller.executed == 0
-    prefixed.send(START_11)
-    assert prefixed.controller.energised == {11}
-
-
-def test_zeros_complete_half_a_body_with_zero_degrees(prefixed: Bench) -> None:
-    """Measured: `06 | 06 02 0b 01` and the zeros start servo 11 at 0°. So the preamble wants whole transfers."""
-    prefixed.transfer("06", "06 02 0b 01", PREAMBLE)
-    assert prefixed.controller.energised == {11}
-    assert prefixed.servo(11).pulse_us == 544
 
 
 def test_a_lost_byte_misaligns_until_a_second_has_passed(plain: Bench) -> None:
@@ -210,73 +133,7 @@ def test_a_lost_byte_misaligns_until_a_second_has_passed(plain: Bench) -> None:
     assert plain.controller.executed == 1
 
 
-# ---- the timeout
-
-
-@pytest.mark.parametrize("framing", Framing)
-@pytest.mark.parametrize("since_tick_ns", [0, 1, 500_000, 999_999])
-def test_it_counts_whole_ticks(framing: Framing, since_tick_ns: int) -> None:
-    """The tick in which the length comes counts, however much of it has gone: 999 to 1000 ms."""
-    give_up_ns = 1_000 * MS - since_tick_ns
-    for by_clock_ns, phase_ns in ((since_tick_ns, 0), (0, since_tick_ns)):
-        for early_ns, executed in ((0, 1), (1, 0)):
-            bench = Bench(framing, tick_phase_ns=phase_ns)
-            bench.now_ns += by_clock_ns
-            bench.transfer("0e")
-            bench.now_ns += give_up_ns - early_ns
-            bench.send(START_11)
-            assert bench.controller.executed == executed
-
-
-def test_half_a_start_given_up_starts_at_zero_on_the_published_firmware(prefixed: Bench) -> None:
-    """It ignores that the receive timed out and looks at its buffer, which was cleared before."""
-    prefixed.transfer("06", "06 02 0b 01 5a")
-    prefixed.now_ns += 999 * MS
-    assert prefixed.controller.energised == frozenset()
-    prefixed.now_ns += 1 * MS
-    assert prefixed.controller.energised == {11}
-    assert prefixed.servo(11).pulse_us == 1547
-
-
-def test_half_a_start_given_up_is_dropped_by_a_controller_after_the_document(plain: Bench) -> None:
-    plain.transfer("06 02 0b 01 5a")
-    plain.now_ns += 1_000 * MS
-    assert plain.controller.energised == frozenset()
-    plain.send(START_11)
-    assert plain.controller.executed == 1
-
-
 # ---- memory corruption
-
-
-@pytest.mark.parametrize("servo_id", [80, 99, 255])
-def test_ids_past_the_table_are_counted(bench: Bench, servo_id: int) -> None:
-    bench.send(bytes((6, 2, servo_id, 1, 90, 0)))
-    assert [what.startswith(f"servo id {servo_id} indexed") for what in bench.controller.corruptions] == [True]
-    assert bench.controller.energised == frozenset()
-
-
-@pytest.mark.parametrize(("servo_id", "driven_id"), [(14, 21), (20, 13), (70, 63)])
-def test_an_id_that_is_none_may_drive_another_servo(bench: Bench, servo_id: int, driven_id: int) -> None:
-    """The firmware's index, (leg - 1) * 3 + joint - 1, is within the table for these."""
-    bench.send(bytes((6, 2, servo_id, 1, 90, 0)))
-    assert bench.controller.corruptions == {f"servo id {servo_id} drove servo {driven_id}": 1}
-    assert bench.controller.energised == {driven_id}
-
-
-@pytest.mark.parametrize(("servo_id", "driven_id"), [(64, 11), (71, 11), (90, 21), (83, 21)])
-def test_two_entries_past_the_table_drive_a_servo_as_in_a_debug_build(
-    prefixed: Bench, plain: Bench, servo_id: int, driven_id: int
-) -> None:
-    """64 and 90 were measured (-Og); 71 and 83 have their index. A controller of the document has no such build."""
-    start, stop = bytes((6, 2, servo_id, 1, 90, 0)), bytes((6, 2, servo_id, 2, 0, 0))
-    plain.send(start)
-    assert plain.controller.energised == frozenset()
-    prefixed.send(start)
-    assert prefixed.controller.corruptions == {f"servo id {servo_id} drove servo {driven_id}": 1}
-    assert prefixed.controller.energised == {driven_id}
-    prefixed.send(stop)
-    assert prefixed.controller.energised == frozenset()
 
 
 @pytest.mark.parametrize("servo_id", [0, 1, 2, 3, 10])
@@ -340,13 +197,6 @@ def test_a_length_of_69_that_is_given_up_before_does_no_harm(prefixed: Bench) ->
     assert prefixed.controller.energised == {11}
 
 
-def test_a_controller_of_the_document_survives_any_length(plain: Bench) -> None:
-    plain.transfer(b"\xff", bytes(254))
-    plain.send(START_11)
-    assert plain.controller.dead is None
-    assert plain.controller.energised == {11}
-
-
 def test_five_bytes_lost_of_leg_3_start_a_servo_that_nobody_started(prefixed: Bench) -> None:
     """`0e 01`, which announces and begins leg 4's Set, is taken for id 14 with operation Start."""
     sets = [OneLeg(leg, (ServoOp(Op.SET, 90_00),) * 3).to_bytes() for leg in (3, 4)]
@@ -366,12 +216,6 @@ def test_an_unknown_operation_touches_nothing(bench: Bench) -> None:
     assert not bench.controller.corruptions
 
 
-@pytest.mark.parametrize(("length", "overruns"), [(64, False), (65, True), (255, True)])
-def test_lengths_over_the_buffer_are_counted(bench: Bench, length: int, overruns: bool) -> None:
-    bench.transfer(bytes((length,)))
-    assert bench.controller.corruptions.total() == overruns
-
-
 @pytest.mark.parametrize("framing", Framing)
 @given(st.lists(st.tuples(st.integers(0, 400), st.sampled_from([b"\x06\x02", b"\x0e\x01", START_11, b"\x0b\x01"]))))
 def test_a_second_of_silence_brings_any_controller_back_in_step(
@@ -385,29 +229,3 @@ def test_a_second_of_silence_brings_any_controller_back_in_step(
     bench.now_ns += 1_000 * MS
     bench.send(START_LEG_1)
     assert bench.controller.energised >= {11, 12, 13}
-
-
-# ---- the device
-
-
-def test_transfers_are_kept_with_their_time(bench: Bench) -> None:
-    bench.now_ns += 7
-    bench.send(START_11)
-    assert [data for _, data in bench.controller.transfers] == on_wire(bench.framing, START_11)
-    assert {at_ns for at_ns, _ in bench.controller.transfers} == {5_000_000 * MS + 7}
-
-
-def test_close_leaves_the_controller_as_it_is(bench: Bench) -> None:
-    """A gateway that ends, or loses its device, leaves servos energised: that is what stop-servos is for."""
-    bench.send(START_LEG_1)
-    bench.controller.close()
-    bench.controller.close()
-    assert bench.controller.energised == {11, 12, 13}
-    bench.send(STOP_11)
-    assert bench.controller.energised == {12, 13}
-
-
-def test_angles_on_the_wire_are_angles_of_the_servo(bench: Bench) -> None:
-    bench.send(OneServo(11, ServoOp(Op.START, centidegrees(12.34))).to_bytes())
-    bench.now_ns += 1_000 * MS
-    assert bench.servo(11).angle_deg == pytest.approx(12.34, abs=0.09)  # one step of the pulse

@@ -61,9 +61,8 @@ def test_it_is_the_servos_own_angle_that_is_never_sent() -> None:
     steps = Steps(Rules(repeats=0, avoid_cdeg=(1_00, 4_00)), calibration=calibration)
     assert steps.command(0.5, servo_to(32, "start 5")) == ["rejected 1 joint_limit"]
     assert steps.detail == (
-        "5 degrees of servo 32 are its own 2, with its calibration; angles on the wire from 1 up to 4 are never sent "
-        "(spi.avoid_deg): where one byte is lost, the published firmware dies of whole degrees 1 to 3, with its "
-        "servos on"
+        "5 degrees of servo 32 are its own 2, with its calibration; angles on the wire from 1 up to 4 are never "
+        "sent: where one byte is lost, the published firmware dies of whole degrees 1 to 3, with its servos on"
     )
     assert steps.command(1, servo_to(32, "start 3")) == ["command 32 start 0", "completed 2"]
 
@@ -231,7 +230,7 @@ def test_nothing_starts_by_a_calibration_that_cannot_be_read() -> None:
     steps = Steps(fault=BROKEN)
     assert steps.command(0.5, servo_to(11, "start 90")) == ["rejected 1 servo_stopped"]
     why = (
-        "/var/lib/x/calibration.toml: is not TOML; nothing is started until `hexapod-gateway calibrate "
+        "/var/lib/x/calibration.toml: is not TOML; nothing is started until `calibrate "
         "accept-default` takes the default calibration as this robot's"
     )
     assert steps.detail == why

@@ -31,17 +31,6 @@ def test_what_is_told(listener: socket.socket) -> None:
         ]
 
 
-def test_an_abstract_socket() -> None:
-    name = f"hexapod-test-{os.getpid()}"
-    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as listener:
-        listener.bind("\0" + name)
-        listener.settimeout(5)
-        notifier = SystemdNotifier({"NOTIFY_SOCKET": "@" + name})
-        notifier.alive()
-        notifier.close()
-        assert listener.recv(100) == b"WATCHDOG=1"
-
-
 def test_a_manager_that_does_not_read_holds_nobody_up(listener: socket.socket) -> None:
     with listener:
         notifier = SystemdNotifier({"NOTIFY_SOCKET": listener.getsockname()})

@@ -14,7 +14,7 @@ from gateway.robot.runtime.prometheus import Numbers
 from gateway.robot.spi.bus import Bus
 from schemas import keys
 from schemas.robot import LEGS
-from schemas.telemetry import Battery, ControllerReport, Imu, Kind, Telemetry
+from schemas.telemetry import Telemetry
 from tests.support.measured import MEASURED
 from tests.support.metrics_page import described, documented
 from tests.support.robot import Robot, started
@@ -42,26 +42,6 @@ def asked(robot: Robot) -> list[bytes]:
     return answers
 
 
-async def test_the_report_has_the_newest_values_unrounded_and_their_age() -> None:
-    robot = started(spi=ELKAPOD)
-    robot.conductor.measured(MEASURED._replace(voltage_v=8.0), robot.now_ns())
-    newer = MEASURED._replace(temperature_c=31.4443359375)
-    robot.conductor.measured(newer, robot.now_ns())
-    await asyncio.sleep(0.03)
-    (report,) = published(robot)
-    assert report.age_ms == pytest.approx(30)
-    assert report.temperature_c == newer.temperature_c
-    assert report.battery == Battery(voltage_v=7.5, percent=80)
-    assert report.imu == Imu(
-        orientation_wxyz=newer.orientation_wxyz,
-        angular_velocity_rad_s=newer.angular_velocity_rad_s,
-        linear_acceleration_m_s2=newer.linear_acceleration_m_s2,
-    )
-    assert (report.tilt_deg, report.feet) == (0, newer.feet)
-    (answer,) = asked(robot)
-    assert Telemetry.model_validate_json(answer).model_copy(update={"time": report.time}) == report
-
-
 @pytest.mark.parametrize(
     ("orientation_wxyz", "tilt_deg"),
     [((0.0, 0.0, 0.0, 0.0), None), ((0.0, 1.0, 0.0, 0.0), 180), ((3e38, 3e38, 3e38, 3e38), None)],
@@ -86,22 +66,6 @@ async def test_where_nothing_was_measured_nothing_is_published_or_answered() -> 
     robot.conductor.close()
     robot.conductor.measured(MEASURED, robot.now_ns())
     assert published(robot) == [], "an answer that comes after the end changes nothing"
-
-
-async def test_the_state_has_the_controller_and_the_battery(monkeypatch: pytest.MonkeyPatch) -> None:
-    silent = started().conductor.state()
-    assert (silent.protocol, silent.spi.framing, silent.controller) == ("1.0.0", "plain", ControllerReport())
-    robot = started(spi=ELKAPOD)
-    state = robot.conductor.state()
-    assert (state.protocol, state.spi.framing) == ("elkapod-2025", "none")
-    assert state.controller == ControllerReport(protocol="elkapod-2025", alive=None, age_ms=None)
-    says(robot, monkeypatch, alive=True)
-    robot.conductor.measured(MEASURED, robot.now_ns())
-    await asyncio.sleep(0.25)
-    state = robot.conductor.state()
-    assert state.controller.alive
-    assert state.controller.age_ms == pytest.approx(250)
-    assert state.battery == Battery(voltage_v=7.5, percent=80)
 
 
 # ---- the metrics page
@@ -157,13 +121,3 @@ async def test_the_black_box_has_what_was_measured_ten_times_a_second_at_most(fo
     assert found[0] == MEASURED._replace(temperature_c=0.0), "every value as it came"
     assert 16 <= len(found) <= 20
     assert [each.temperature_c for each in found] == sorted({each.temperature_c for each in found})
-
-
-async def test_events_about_the_body_and_the_controller_are_warnings(caplog: pytest.LogCaptureFixture) -> None:
-    robot = started(spi=ELKAPOD)
-    caplog.set_level("INFO")
-    kinds = (Kind.CONTROLLER_SILENT, Kind.FALLEN, Kind.BATTERY_LOW, Kind.CONTROLLER_RETURNED)
-    for kind in kinds:
-        robot.conductor.announce(kind, kind)
-    logged = {record.message: record.levelname for record in caplog.records}
-    assert [logged[kind] for kind in kinds] == ["WARNING", "WARNING", "WARNING", "INFO"]

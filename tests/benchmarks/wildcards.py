@@ -1,0 +1,81 @@
+"""What floods on wildcards cost an emergency stop: request → sixth Stop, beside a quiet gateway's in the same round."""
+
+import json
+import os
+import sys
+import time
+from contextlib import ExitStack, closing
+from pathlib import Path
+from statistics import median
+
+from gateway.client import leg_payload
+from schemas.keys import leg_command
+from tests.attack.flood import DELETE
+from tests.benchmarks.processes import now_ns, say
+from tests.benchmarks.stops import sixth_stop_us
+from tests.benchmarks.subjects import Subject
+from tests.benchmarks.table import Row, microseconds
+from tests.support.child import Child
+
+ROUNDS = 5
+STOPS = 12
+"""In each round and flood."""
+FLOODERS = 4
+"""One process alone did not delay it: 2.8 ms in place of 1.9."""
+PAUSE_S = 0.12
+"""After a request, and after its reset."""
+TIMES_QUIET = 2.5
+WORST_MS = 100
+QUIET = "quiet"
+FLOODS: dict[str, tuple[str, str] | None] = {
+    QUIET: None,
+    "one key": (leg_command(1), json.dumps(leg_payload("set", (90, 90, 90)))),
+    "leg/*/cmd, sets": ("hexapod/leg/*/cmd", json.dumps(leg_payload("set", (90, 90, 90)))),
+    "*/*/cmd, deletes": ("hexapod/*/*/cmd", DELETE),
+}
+
+
+def wildcards(folder: Path) -> list[Row]:
+    """Emergency stops without a flood and in each flood, in turns."""
+    found: dict[str, list[float]] = {name: [] for name in FLOODS}
+    with ExitStack() as stack:
+        subject = Subject("gateway", folder, stack)
+        for number in range(ROUNDS):
+            for name, flood in FLOODS.items():
+                found[name] += _round(subject, flood)
+                say(f"round {number + 1}, {name}: p50 {microseconds(median(found[name][-STOPS:]))}")
+    quiet_us = median(found[QUIET])
+    return [_row(name, stops_us, quiet_us) for name, stops_us in found.items()]
+
+
+def _row(name: str, stops_us: list[float], quiet_us: float) -> Row:
+    times = median(stops_us) / quiet_us
+    return Row(
+        f"emergency stop → sixth Stop, {name}: p50 and worst of {len(stops_us)}",
+        f"{microseconds(median(stops_us))} and {microseconds(max(stops_us))}, {times:.1f}×",
+        "",
+        "" if name == QUIET else f"at most {TIMES_QUIET}× and {WORST_MS} ms",
+        None if name == QUIET else times <= TIMES_QUIET and max(stops_us) <= WORST_MS * 1000,
+    )
+
+
+def _round(subject: Subject, flood: tuple[str, str] | None) -> list[float]:
+    with ExitStack() as stack:
+        robot = subject.client()
+        if flood is not None:
+            command = [sys.executable, "-m", "tests.attack.flood", subject.endpoint, *flood]
+            for _ in range(FLOODERS):
+                stack.enter_context(closing(Child(command, os.environ))).wait_for_output("flooding")
+            time.sleep(0.4)
+        requests: list[int] = []
+        begun_ns = now_ns()
+        for _ in range(STOPS):
+            requests.append(now_ns())
+            robot.estop()
+            time.sleep(PAUSE_S)
+            robot.reset()
+            time.sleep(PAUSE_S)
+    time.sleep(0.3)  # what the flood has left in sockets
+    written = subject.device.written(begun_ns)
+    stops = [sixth_stop_us(written, requested_ns) for requested_ns in requests]
+    return [float("inf") if stop_us is None else stop_us for stop_us in stops]
