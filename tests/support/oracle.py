@@ -204,12 +204,11 @@ class Oracle(RobotHistory):
 
     def _drop_starts(self) -> None:
         """With staggered starts, the watchdog's Stop ends what waits to be energised, before a command of the step."""
-        numbers = {servo.want.number for servo in self.servos.values() if servo.want is not None and not servo.on}
-        self._lost |= numbers
-        self._forget_lost()
+        self._lose({servo.want.number for servo in self.servos.values() if servo.want is not None and not servo.on})
 
-    def _forget_lost(self) -> None:
+    def _lose(self, numbers: set[int]) -> None:
         """Commands are rejected as a whole."""
+        self._lost |= numbers
         for servo in self.servos.values():
             servo.want = None if servo.want is not None and servo.want.number in self._lost else servo.want
 
@@ -221,7 +220,7 @@ class Oracle(RobotHistory):
         if unfed:
             unfed = list(self.legs) if self.rules.whole_robot else unfed
             self._stopped_unasked(unfed, now_ns)
-            self._forget_lost()
+            self._lose(set())
         return unfed + self._silent_legs(now_ns)
 
     def _silent_legs(self, now_ns: int) -> list[int]:
@@ -322,8 +321,7 @@ class Oracle(RobotHistory):
 
     def _command(self, command: Command, now_ns: int, effects: Sequence[Effect]) -> frozenset[int]:
         """Whether it must be accepted, and what it then wants: of a rejected one, its Stops. Returns what it stops."""
-        self._lost |= self.of_burst(self.backlog.comes(command, now_ns))
-        self._forget_lost()
+        self._lose(self.of_burst(self.backlog.comes(command, now_ns)))
         reason, targets = self.reason_to_reject(command), command.targets
         reason = reason if command.rejected is None else command.rejected.reason
         named = tuple(target for target in targets if target[1].op is Op.STOP)
