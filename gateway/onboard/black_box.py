@@ -15,7 +15,6 @@ from gateway.people.incidents.export import write
 from gateway.people.incidents.incidents import Incident, find, is_id, time_of
 from gateway.people.incidents.messages import messages
 from gateway.people.incidents.story import NoStoryError, headline, story, what
-from gateway.people.recordings.writing import making
 from gateway.people.terminal import hint, say
 from gateway.robot.blackbox import paths
 from gateway.robot.settings import Settings
@@ -77,8 +76,7 @@ def show(settings: Settings, name: str, *, as_json: bool = False) -> int:
 def export(settings: Settings, name: str, file: Path) -> int:
     """Write an incident's MCAP file."""
     found = _one(settings, name)
-    with making(file):
-        write(file, *found)
+    write(file, *found)
     say(f"{found.name} is in {file}")
     return 0
 

@@ -292,18 +292,6 @@ class SpiTestbed(Closing):
         with self._changed:
             return None if self._ended else self._events[since:]
 
-    def wait_for_opening(self, number: int, timeout_s: float = 5.0) -> Opened:
-        """Wait until the device is opened for the `number`th time, from 1."""
-        found: list[Opened] = []
-
-        def opened() -> bool:
-            found[:] = [event for event in self._events if isinstance(event, Opened) and event.opening == number]
-            return bool(found)
-
-        if not self._wait(opened, timeout_s):
-            raise TimeoutError(f"waited {timeout_s} s for opening {number}; arrived: {self._summary()}")
-        return found[0]
-
     def fail(self, errno: int = errors.EIO, count: int | None = None, *, after: int = 0) -> None:
         """`after` so many, the next `count` transfers answer `errno`; with None, all of them until `heal`.
 

@@ -7,7 +7,6 @@ Stop is a shutdown on the UART, and no frame has an angle that nobody commanded.
 import errno
 import signal
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +19,7 @@ from schemas.robot import LEGS, SERVO_IDS
 from schemas.telemetry import Kind, Mode
 from tests.hil.elkapod_bed import AT_REST, ElkapodBed
 from tests.hil.wire import LATE_S
-from tests.support.gateway_process import COMMAND, Gateway, free_port, write_settings
+from tests.support.gateway_process import COMMAND, Gateway
 from tests.support.heard import events, states
 
 pytestmark = pytest.mark.hil
@@ -308,22 +307,3 @@ def test_each_fault_shuts_down_is_reported_and_leaves_a_robot_at_rest(robot: Elk
             assert client.state().mode is Mode.IDLE, name
             expect_shut_down(robot, since)
     assert not robot.controller.corruptions
-
-
-def test_a_uart_that_is_absent_or_taken_ends_it_with_a_sentence(
-    robot: ElkapodBed, gateway: Gateway, tmp_path: Path
-) -> None:
-    folder = tmp_path / "second"
-    folder.mkdir()
-    with ThreadPoolExecutor(2) as pool:
-        sections = robot.settings_with(zenoh={"listen": [f"tcp/127.0.0.1:{free_port()}"]})
-        taken = robot.spawn([*COMMAND, "run", "--config", str(write_settings(folder / "taken.toml", sections))])
-        sections["controller"]["uart"] = str(tmp_path / "ttyAMA9")
-        absent = robot.spawn([*COMMAND, "run", "--config", str(write_settings(folder / "absent.toml", sections))])
-        codes = list(pool.map(lambda child: child.wait(60), (taken, absent)))
-    assert codes == [3, 3], f"{taken} {absent}"
-    assert f"the UART {robot.uart} cannot be opened" in taken.stderr
-    assert "ttyAMA9 cannot be opened" in absent.stderr
-    assert "controller.uart" in absent.stderr
-    assert START not in robot.messages_since(0)
-    assert gateway.child.returncode is None

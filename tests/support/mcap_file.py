@@ -1,39 +1,39 @@
-"""A recording as mcap's own reader has it, each message held against the schema that the file carries."""
+"""A recording as mcap's own reader has it, each message held against the model of what is published there."""
 
 import json
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
-from jsonschema import Draft202012Validator
+from mcap.exceptions import EndOfFile
 from mcap.reader import make_reader
+from mcap.records import Channel, Message
+from mcap.stream_reader import StreamReader
+from pydantic import BaseModel
 
-from gateway.people.recordings import RecordedMessage
-from gateway.people.recordings.drawing import DRAWN
+from gateway.people.incidents.messages import COMMAND_TOPICS, RECORDER, CommandInBox, FrameInBox, Note
+from gateway.people.recorder.recording import METADATA, REPORTS
+from gateway.people.ros2.drawing import DRAWN
+from gateway.people.ros2.user_angles import RecordedMessage
 from tests.support.ros2_bytes import decode
 
-_SUFFIX = ".schema.json"
+IN_A_BOX: Final[dict[str, type[BaseModel]]] = {**dict.fromkeys(COMMAND_TOPICS, CommandInBox), RECORDER: Note}
 
 
 def checked(path: Path) -> Iterator[tuple[str, Any]]:
     """Of each message its topic, and its JSON or its ROS 2 message."""
     with path.open("rb") as file:
-        attached = {each.name: each.data for each in make_reader(file).iter_attachments()}
-        validators = {
-            name.removesuffix(_SUFFIX): Draft202012Validator(json.loads(data))
-            for name, data in attached.items()
-            if name.endswith(_SUFFIX)
-        }
-        file.seek(0)
         for schema, channel, message in make_reader(file, validate_crcs=True).iter_messages():
             if (kind := DRAWN.get(channel.topic)) is not None:
                 assert schema is not None
                 assert (schema.name, schema.encoding, channel.message_encoding) == (kind.TYPE, "ros2msg", "cdr")
                 yield channel.topic, decode(kind, message.data)
             else:
-                assert channel.message_encoding == "json"
+                assert (schema, channel.message_encoding) == (None, "json")
                 content = json.loads(message.data)
-                validators[channel.topic].validate(content)
+                model = FrameInBox if "transfer_us" in content else {**REPORTS, **IN_A_BOX}[channel.topic]
+                model.model_validate(content)
                 yield channel.topic, content
 
 
@@ -42,11 +42,22 @@ def read(path: Path) -> Iterator[RecordedMessage]:
     with path.open("rb") as file:
         for _, channel, message in make_reader(file).iter_messages(log_time_order=False):
             if channel.message_encoding == "json":
-                yield RecordedMessage(channel.topic, json.loads(message.data), message.log_time, message.publish_time)
+                yield RecordedMessage(channel.topic, json.loads(message.data), message.log_time)
+
+
+def whole(path: Path) -> Iterator[tuple[str, Any]]:
+    """The JSON messages of a file that was cut off, which has no index."""
+    topics: dict[int, str] = {}
+    with path.open("rb") as file, suppress(EndOfFile):
+        for record in StreamReader(file).records:
+            if isinstance(record, Channel) and record.message_encoding == "json":
+                topics[record.id] = record.topic
+            elif isinstance(record, Message) and record.channel_id in topics:
+                yield topics[record.channel_id], json.loads(record.data)
 
 
 def about(path: Path) -> dict[str, Any]:
     """What the file says of its gateway."""
     with path.open("rb") as file:
         found = {each.name: each.metadata for each in make_reader(file).iter_metadata()}
-    return {name: json.loads(value) for name, value in found.get("hexapod-gateway", {}).items()}
+    return {name: json.loads(value) for name, value in found.get(METADATA, {}).items()}

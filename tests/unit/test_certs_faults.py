@@ -11,7 +11,6 @@ from typing import Any
 import pytest
 
 from gateway import certs
-from gateway.certs.authority import parse_host
 from gateway.certs.files import FileContent, publish
 from gateway.errors import ConfigError
 from gateway.zenoh_config import load_client_config, load_config
@@ -46,22 +45,6 @@ def test_a_name_is_given_once(folder: Path) -> None:
     before = contents(folder)
     assert "taken" in fault(lambda: certs.folder.issue(folder, "alice", "observer"))
     assert contents(folder) == before
-
-
-@pytest.mark.parametrize("there", ["gateway.key", "gateway.pem", "gateway.json5"])
-def test_init_takes_back_everything_when_one_file_is_in_the_way(tmp_path: Path, there: str) -> None:
-    (tmp_path / there).write_text("mine")
-    assert "never overwritten" in fault(lambda: certs.folder.init(tmp_path, HOSTS))
-    assert contents(tmp_path) == {there: b"mine"}
-
-
-def test_a_dangling_link_is_in_the_way_too(tmp_path: Path) -> None:
-    elsewhere = tmp_path / "elsewhere"
-    (tmp_path / "D").mkdir()
-    (tmp_path / "D" / "gateway.key").symlink_to(elsewhere)
-    assert "never overwritten" in fault(lambda: certs.folder.init(tmp_path / "D", HOSTS))
-    assert names(tmp_path / "D") == {"gateway.key"}
-    assert not elsewhere.exists()
 
 
 def test_issue_takes_back_everything_when_the_bundle_cannot_be_made(folder: Path, tmp_path: Path) -> None:
@@ -126,23 +109,6 @@ def test_a_file_system_without_modes_is_rejected(tmp_path: Path, monkeypatch: py
 
 
 @pytest.mark.parametrize(
-    "name",
-    ["", "ca", "CA", "gateway", "../x", "a/b", "a b", ".a", "-a", "a.b", "ä", "a\n", "x" * 64],
-)
-def test_names_that_cannot_be(folder: Path, name: str) -> None:
-    assert "cannot be a name here" in fault(lambda: certs.folder.issue(folder, name, "operator"))
-    assert names(folder) == MADE_BY_INIT
-
-
-@pytest.mark.parametrize("role", ["", "Operator", "admin", "ca", "gateway"])
-def test_unknown_roles(folder: Path, role: str) -> None:
-    text = fault(lambda: certs.folder.issue(folder, "alice", role))
-    assert "operator" in text
-    assert "observer" in text
-    assert names(folder) == MADE_BY_INIT
-
-
-@pytest.mark.parametrize(
     "host",
     [
         "",
@@ -165,19 +131,6 @@ def test_unknown_roles(folder: Path, role: str) -> None:
 def test_hosts_that_cannot_be(tmp_path: Path, host: str) -> None:
     assert "neither a host name nor an IP address" in fault(lambda: certs.folder.init(tmp_path / "D", [host]))
     assert names(tmp_path) == set()
-
-
-@pytest.mark.parametrize(
-    ("text", "host"),
-    [
-        ("Robot.Local", "robot.local"),
-        ("robot.local.", "robot.local"),
-        (" 192.0.2.7 ", "192.0.2.7"),
-        ("[2001:DB8::7]", "2001:db8::7"),
-    ],
-)
-def test_hosts_are_brought_into_one_form(text: str, host: str) -> None:
-    assert parse_host(text) == host
 
 
 @pytest.mark.parametrize(

@@ -77,24 +77,6 @@ def test_a_broken_file_is_shown_and_replaced_by_the_default_once_somebody_says_s
     assert (tmp_path / "calibration.broken.toml").read_text() == "half a fi"
 
 
-@pytest.mark.parametrize(
-    ("words", "fault"),
-    [
-        (("set", "41"), "nothing is named that changes"),
-        (("set", "47", "--trim", "1"), "servo 47 does not exist"),
-        (("set", "41", "--trim", "91"), "trim_deg: Input should be less than or equal to 90"),
-        (("set", "41", "--min", "nan"), "min_deg: "),
-        (("import", "nowhere.json"), "nowhere.json cannot be read"),
-        (("import", "pyproject.toml"), "is no calibration, as `calibrate export` prints one"),
-    ],
-    ids=lambda each: " ".join(each) if isinstance(each, tuple) else "",
-)
-def test_what_is_wrong_is_a_sentence(gateway: Gateway, words: tuple[str, ...], fault: str) -> None:
-    end = gateway.run("calibrate", *words)
-    assert end.returncode == 2
-    assert fault in end.stderr
-
-
 def test_what_was_exported_comes_back_whole(gateway: Gateway, anna: Client, tmp_path: Path) -> None:
     assert anna.calibrate({51: ServoChange(trim_deg=2, inverted=True)}, {51: 30}).accepted
     file = tmp_path / "robot.json"

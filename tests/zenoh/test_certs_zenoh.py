@@ -238,15 +238,6 @@ def test_who_is_turned_away(robot: SecuredRobot, outsider: Remote, tmp_path: Pat
     turned_away(robot, outsider, overrides[how])
 
 
-def test_a_host_name_that_is_not_in_the_certificate(robot: SecuredRobot, outsider: Remote) -> None:
-    other = {"connect/endpoints": [f"tls/localhost:{robot.port}"]}
-    turned_away(robot, outsider, other)
-    # The name was all that was wrong.
-    unverified = {**other, f"{TLS}/verify_name_on_connect": False}
-    assert robot.join(outsider, "alice", **unverified)
-    outsider.leave()
-
-
 def test_a_link_ends_when_its_certificate_expires(robot: SecuredRobot) -> None:
     forge(robot.folder, "brief", "operator-41", now() - dt.timedelta(days=1, seconds=-3))
     with Remote() as brief:

@@ -3,10 +3,8 @@
 import doctest
 import json
 import os
-import re
 import sys
 import threading
-import zipfile
 from pathlib import Path
 from queue import SimpleQueue
 from types import FrameType, ModuleType
@@ -15,7 +13,6 @@ from typing import Any
 import pytest
 import zenoh
 
-from gateway import certs
 from gateway import client as client_module
 from gateway.client import Client, leg_payload
 from gateway.errors import UnansweredError, ZenohError
@@ -102,16 +99,6 @@ def test_a_connection_that_fails_names_the_step() -> None:
     assert not [word for word in ("TCP:", "\n", "orchestrator.rs") if word in str(bare.value)]
 
 
-def test_it_stops_one_leg_or_all(robot: Client) -> None:
-    for leg in (1, 2, 3):
-        robot.start_leg(leg, 1, 2, 3)
-    assert robot.servo(41, "start", 5).accepted
-    robot.stop(2)
-    assert [report.leg for report in robot.state().legs if report.servos[0].running] == [1, 3, 4]
-    robot.stop()
-    assert robot.state().mode == Mode.IDLE
-
-
 def test_what_nobody_answers_is_one_sentence_and_no_busy_loop(tmp_path: Path) -> None:
     looks = 0
 
@@ -162,24 +149,6 @@ def test_a_stop_that_stays_unanswered_is_asked_again_and_either_answer_counts(an
 # ---- how it finds its gateway, and lets go of it
 
 
-def test_the_lines_in_a_bundle_work(tmp_path: Path) -> None:
-    port = free_port()
-    folder, laptop = tmp_path / "D", tmp_path / "laptop"
-    certs.folder.init(folder, ["127.0.0.1"], port=port)
-    certs.folder.issue(folder, "anna", "operator", bundle=tmp_path / "anna.zip")
-    with zipfile.ZipFile(tmp_path / "anna.zip") as archive:
-        archive.extractall(laptop)
-    found = re.search(r"In Python:\n\n((?:  .*\n)+)", (laptop / "README.txt").read_text())
-    assert found
-    code = re.sub("^  ", "", found[1], flags=re.MULTILINE).replace("path/to/", "laptop/")
-    settings = {"zenoh": {"config": str(folder / "gateway.json5"), "listen": [f"tls/127.0.0.1:{port}"]}}
-    with Gateway(tmp_path, settings):
-        child = Child([sys.executable, "-c", code], os.environ, cwd=tmp_path)
-        assert child.wait() == 0, child.stderr
-        child.close()
-    assert child.stdout == "idle\n"
-
-
 def test_a_closed_client_says_so(gateway: Gateway) -> None:
     client = gateway.client()
     stream = client.stream()
@@ -198,14 +167,6 @@ def test_a_closed_client_says_so(gateway: Gateway) -> None:
     ):
         with pytest.raises(ZenohError, match="this client is closed; make a new one"):
             call()
-
-
-@pytest.mark.parametrize(("end", "status"), [("", 0), ("1 / 0", 1)])
-def test_a_program_that_forgets_to_close_ends(gateway: Gateway, end: str, status: int) -> None:
-    child = Child([sys.executable, "-c", FORGETFUL.format(endpoint=gateway.endpoint) + end], os.environ)
-    assert child.wait(20) == status, child.stderr
-    child.close()
-    assert child.stdout == "True\n", "of its events, which may come first, it prints none"
 
 
 def test_what_a_thread_still_does_comes_before_that_end(gateway: Gateway) -> None:

@@ -9,7 +9,6 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-import httpx
 import pytest
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
@@ -17,7 +16,6 @@ from gateway.client import Client
 from gateway.people.walking import GAITS
 from schemas.robot import LEGS
 from tests.support.child import Child
-from tests.support.command import run_here
 from tests.support.console_process import LINK, NOBODY, Console, Page, SignedIn
 from tests.support.fixtures import console_fixture, gateway_fixture, patient, session_fixture
 from tests.support.gateway_process import READY, Gateway, free_port
@@ -106,24 +104,6 @@ def test_nobody_without_the_cookie(console: Console) -> None:
         Page(console.url, NOBODY)
 
 
-def test_the_cookie(console: Console) -> None:
-    link = console.run("--link").stdout.split()[4]
-    answer = httpx.get(link)
-    assert answer.status_code == 303
-    path, _, key = answer.headers["location"].partition("#")
-    assert path == "/enter.html"
-    cookie = answer.headers["set-cookie"]
-    assert {"HttpOnly", "SameSite=strict", "Path=/"} <= set(cookie.split("; "))
-    again = httpx.get(link)
-    assert (again.status_code, again.headers["content-type"]) == (403, "text/html; charset=utf-8"), "it works once"
-    assert "This link was used already" in again.text
-    assert "<strong>Another device</strong> shows a QR code" in again.text
-    assert httpx.get(console.url + "/refused.css").status_code == 200
-    name, _, value = cookie.partition(";")[0].partition("=")
-    assert console.get(**SignedIn(f"{name}={value}", key).headers).status_code == 200
-    assert console.get(**SignedIn(f"{name}={value[:-1]}", key).headers).status_code == 403
-
-
 @pytest.mark.parametrize("host", ["evil.example", "evil.example:{port}", "127.0.0.1", "127.0.0.1:1", ""])
 def test_dns_rebinding(console: Console, session: SignedIn, host: str) -> None:
     """A foreign name that points here gets nothing, not even with the cookie."""
@@ -202,31 +182,6 @@ def test_it_waits_for_a_gateway(tmp_path: Path) -> None:
             page.wait("link", lambda message: message["status"] == "connected")
             gateway.child.kill()
             page.wait("link", lambda message: message["status"] == "gone")
-
-
-def test_the_address_is_taken(console: Console) -> None:
-    child = console.run()
-    assert child.returncode == 5
-    assert f"127.0.0.1:{console.port} is taken" in child.stderr
-
-
-@pytest.mark.parametrize(
-    ("arguments", "says"),
-    [
-        (["--listen", "0.0.0.0:8080"], "certs issue web --role console --host"),
-        (["--listen", "nonsense:x"], "no HOST:PORT"),
-        (["--role", "admin"], "an operator's (drive, stop), a button's"),
-        (["--geometry", "/nonexistent"], "cannot be read"),
-        (["--zenoh-config", "/nonexistent"], "/nonexistent"),
-    ],
-)
-def test_what_it_does_not_start_with(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: list[str], says: str
-) -> None:
-    monkeypatch.setenv("STATE_DIRECTORY", str(tmp_path))
-    done = run_here("console", "--listen", f"127.0.0.1:{free_port()}", *arguments)
-    assert done.returncode == 2
-    assert says in done.stderr
 
 
 @pytest.mark.parametrize("end", [signal.SIGINT, signal.SIGTERM], ids=["Ctrl-C", "SIGTERM"])

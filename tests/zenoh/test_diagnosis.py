@@ -9,7 +9,6 @@ from typing import Final
 import pytest
 
 from gateway import certs
-from gateway.certs import authority
 from tests.support.command import Ended, run_here
 from tests.support.gateway_process import Gateway, free_port
 
@@ -106,15 +105,6 @@ def test_another_ca(robot: Robot, tmp_path: Path) -> None:
     assert "certificate: the robot does not know the CA of your certificate" in line
 
 
-def test_a_laptop_whose_clock_is_behind(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Its certificate is not valid yet: made without the year before, and for a time to come."""
-    monkeypatch.setattr(authority, "BACKDATE", dt.timedelta(0))
-    (line,) = said("--zenoh-config", robot.file("young", now=dt.datetime.now(dt.UTC) + dt.timedelta(days=5)))
-    assert "certificate: young.pem is good from " in line
-    assert "this machine's clock says " in line
-    assert " → set the clock" in line
-
-
 # ---- check
 
 
@@ -129,16 +119,3 @@ def test_check_goes_the_whole_way(robot: Robot) -> None:
     way = ["certificate", "certificate", "name", "TCP", "TLS", "certificate", "role", "gateway"]
     assert [name for name in names(done, "ok") if name in way] == way
     assert done.stdout.splitlines()[-1].startswith("This machine reaches the gateway")
-
-
-def test_a_gateway_without_tls(robot: Robot, tmp_path: Path) -> None:
-    """Which `check` goes to the end, and a laptop with a certificate does not."""
-    with Gateway(tmp_path) as plain:
-        done = run_here("check", "--connect", plain.endpoint)
-        endpoint = plain.endpoint.replace("tcp/", "tls/")
-        (line,) = said("--connect", endpoint, "--zenoh-config", robot.file("plain"))
-    assert done.returncode == 0, done
-    way = ["name", "TCP", "role", "gateway"]
-    assert [name for name in names(done, "ok") if name in way] == way
-    assert line.startswith(f"no gateway answers on {endpoint}: TLS: the port ")
-    assert " → does the gateway use certificates?" in line

@@ -109,9 +109,51 @@ def test_the_tripod_gait_and_going_on_after_somebody_elses_stop_is_a_decision(
         assert all(len(each) >= 5 for each in angles.values()), "every servo goes through many angles"
 
 
+def test_a_recording_is_played_again(patient: Gateway, tmp_path: Path) -> None:
+    ride = tmp_path / "ride.mcap"
+    with patient.begin("record", str(ride)) as recorder, patient.client() as robot:
+        recorder.wait_for_output("recording into")
+        written = frames(robot)
+        with robot.stream(50) as stream:
+            for step in range(50):
+                stream.set({3: (90, 45 + step % 25, 120), 4: (90, 45, 120)})
+        written.wait(lambda record: decode(bytes.fromhex(record.bytes)).is_stop)
+        recorder.send_signal(signal.SIGINT)
+        assert recorder.wait() == 0, str(recorder)
+        again = frames(robot)
+        assert "replayed: " in run("replay.py", patient, str(ride))
+        again.wait(lambda record: decode(bytes.fromhex(record.bytes)).is_stop)
+        assert moved(again).keys() == moved(written).keys() == {31, 32, 33, 41, 42, 43}
+        assert moved(again)[32] >= {angle for angle in moved(written)[32] if 46_00 <= angle <= 68_00}
+
+
+def test_a_real_robot_is_moved_on_request_only(tmp_path: Path) -> None:
+    """Nothing else asks it, and its legs would go to the first pose at once."""
+    example = runpy.run_path(str(EXAMPLES / "replay.py"))
+
+    class Real:
+        """A client of a real robot, which lets nothing be commanded."""
+
+        def __init__(self, *_: object, **__: object) -> None:
+            self.simulated = False
+
+        def state(self) -> "Real":
+            return self
+
+        def __enter__(self) -> "Real":
+            return self
+
+        def __exit__(self, *_: object) -> None:
+            pass
+
+    example["main"].__globals__["Client"] = Real
+    with pytest.raises(SystemExit, match="--real moves it"):
+        example["main"](tmp_path / "ride.mcap", "nowhere", False)
+
+
 def test_a_recording_in_rerun_shows_what_its_blueprint_names(tmp_path: Path) -> None:
     ride, made = tmp_path / "ride.mcap", tmp_path / "ride.rrd"
-    recorded(ride).close()
+    recorded(ride)
     example = EXAMPLES / "rerun_view.py"
     subprocess.run([sys.executable, example, ride, "--save", made], capture_output=True, check=True)
     rerun = Path(sys.executable).with_name("rerun")

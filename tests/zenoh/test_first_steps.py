@@ -9,35 +9,13 @@ import sys
 from contextlib import suppress
 from pathlib import Path
 
-import pytest
-
 from gateway.client import Client
 from tests.support.child import Child
-from tests.support.command import run_here
 from tests.support.console_process import LINK
 from tests.support.gateway_process import COMMAND, READY, free_port
 from tests.support.heard import frames
-from tests.support.pages import SCP, SSH, programs
 
 REPOSITORY = Path(__file__).parents[2]
-INSTALLER = REPOSITORY / "deploy" / "install.sh"
-
-
-@pytest.mark.parametrize("host", ["robot.local", "robot-2.local"])
-def test_the_copy_lines_of_certs_bring_what_the_installer_asks_for(tmp_path: Path, host: str) -> None:
-    """Those of `certs init` for the first robot, those of `certs issue --role robot` for another."""
-    robot, folder = tmp_path / host, str(tmp_path / "certs")
-    robot.mkdir()
-    bin_folder = programs(tmp_path / "bin", ssh=SSH, scp=SCP)
-    made = run_here("certs", "init", "--dir", folder, "--host", "robot.local").stdout
-    if host != "robot.local":
-        made = run_here("certs", "issue", "robot-2", "--role", "robot", "--host", host, "--dir", folder).stdout
-    lines = [line for line in made.splitlines() if line.startswith("  ")]
-    environment = {**os.environ, "PATH": f"{bin_folder}:{os.environ['PATH']}", "HOSTS": str(tmp_path)}
-    subprocess.run(["sh", "-e", "-c", "\n".join(lines)], env=environment, check=True)
-    wanted = next(line for line in INSTALLER.read_text().splitlines() if line.startswith("CERTIFICATES="))
-    assert {path.name for path in (robot / "robot-certs").iterdir()} == set(wanted.split('"')[1].split())
-    assert (robot / "robot-certs").stat().st_mode & 0o777 == 0o700
 
 
 def test_the_first_incident_of_a_newcomer_is_kept_and_the_console_finds_a_port(tmp_path: Path) -> None:

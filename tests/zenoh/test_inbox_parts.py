@@ -18,14 +18,13 @@ from gateway.robot.core.events import Command
 from gateway.robot.core.intake import words_of_stop
 from gateway.robot.core.message import Received, Reply, Verb
 from gateway.robot.host.ownership import Ownership
-from gateway.robot.zenoh_io.inbox import FLOOD_PAUSE_S, OTHER_DEPTH, READER_DEPTH, Inbox, _received
+from gateway.robot.zenoh_io.inbox import FLOOD_PAUSE_S, READER_DEPTH, Inbox, _received
 from gateway.robot.zenoh_io.questions import MOST_OF_TOKEN, Knows
 from gateway.robot.zenoh_io.receiver import Deal, Reader
 from gateway.robot.zenoh_io.rings import RING_DEPTH, Ring
 from schemas.command import MAX_PAYLOAD_BYTES
 from schemas.keys import BUTTON, COMMAND_KEYS, ESTOP, LEASE, LEGS_COMMAND, RESET, STATE, leg_command, servo_command
 from schemas.telemetry import Ack, Reason
-from tests.zenoh.test_inbox_wakeups import Taker
 
 LEG_1, SERVO_11 = leg_command(1), servo_command(11)
 PATIENCE_S = 5.0
@@ -105,30 +104,6 @@ def test_put_and_delete_of_a_key_are_in_order_and_a_get_is_another_channel() -> 
 # ---- what is kept
 
 
-async def test_as_many_as_a_ring_is_deep_are_kept_in_their_order(session: zenoh.Session, held: Held) -> None:
-    assert RING_DEPTH == 8
-    for number in range(RING_DEPTH + 3):
-        session.put(LEG_1, f'{{"x": {number}}}')
-    session.put("hexapod/legs/cmd", b"{}")
-    await held.woken()
-    taken = [each for each in held.inbox.take() if each.key == LEG_1]
-    assert [each.payload for each in taken] == [b'{"x": %d}' % number for number in range(3, RING_DEPTH + 3)]
-
-
-async def test_several_questions_are_kept(session: zenoh.Session, held: Held) -> None:
-    asked = [session.get(LEG_1, payload=f"{number}", timeout=PATIENCE_S) for number in range(RING_DEPTH)]
-    taken: list[Received] = []
-    while len(taken) < RING_DEPTH:
-        await held.woken()
-        taken += held.inbox.take()
-    assert [each.payload for each in taken] == [b"%d" % number for number in range(RING_DEPTH)]
-    for each in taken:
-        assert each.reply is not None
-        each.reply(b"{}")
-    for replies in asked:
-        assert len(await asyncio.to_thread(list, replies)) == 1
-
-
 @pytest.mark.parametrize("key", [ESTOP, STATE])
 async def test_who_asks_for_an_emergency_stop_or_the_state_is_answered_however_many_ask(
     session: zenoh.Session, held: Held, key: str
@@ -144,18 +119,6 @@ async def test_who_asks_for_an_emergency_stop_or_the_state_is_answered_however_m
             each.reply(b"{}")
     answered = sum([len(await wait) for wait in waits])
     assert answered == RING_DEPTH
-
-
-async def test_unknown_keys_are_taken_once_each(session: zenoh.Session, held: Held) -> None:
-    wanted = {f"hexapod/x{number}/cmd" for number in range(OTHER_DEPTH)}
-    for key in sorted(wanted):
-        session.put(key, b"{}")
-    taken: list[str] = []
-    while not wanted <= set(taken):
-        await held.woken()
-        taken += [each.expression for each in held.inbox.take() if each.target is None]
-    taken += [each.expression for each in held.inbox.take()]
-    assert sorted(taken) == sorted(wanted)
 
 
 # ---- the emergency stop
@@ -202,15 +165,6 @@ async def test_the_second_way_to_stop_does_not_wait_for_the_state(
     del asked
 
 
-async def test_a_get_by_wildcard_and_what_is_no_emergency_stop_start_no_second_way(
-    session: zenoh.Session, held: Held
-) -> None:
-    await asyncio.to_thread(list, session.get("hexapod/estop/*", timeout=PATIENCE_S))
-    session.put(LEG_1, b'{"op": "stop"}')
-    await held.woken()
-    assert held.estop_received_by.empty()
-
-
 async def test_an_emergency_stops_threads_are_as_urgent_as_the_loop(held: Held) -> None:
     urgent = {each.thread.name for each in held.inbox._receivers if each._priority == LOOP_PRIORITY}
     assert urgent == {"estop-put", "estop-get"}
@@ -232,21 +186,6 @@ async def test_a_put_by_wildcard_is_an_emergency_stop_and_a_get_is_none(session:
     assert ack.detail is not None
     assert ack.detail.endswith(f"get or put on {ESTOP}"), "what to do instead"
     assert len(held.estops) == 1
-
-
-@pytest.mark.parametrize(("key", "answer"), [(LEASE, b"read"), ("hexapod/x/cmd", b"unknown")])
-async def test_what_is_asked_on_a_further_key_is_read_and_on_an_unknown_one_taken(
-    session: zenoh.Session, held: Held, key: str, answer: bytes
-) -> None:
-    asked = asyncio.create_task(asyncio.to_thread(list, session.get(key, timeout=PATIENCE_S)))
-    while not asked.done():
-        await asyncio.sleep(0.001)
-        for each in held.inbox.take():
-            assert each.reply is not None
-            each.reply(b"unknown")
-    (reply,) = await asked
-    assert reply.ok is not None
-    assert reply.ok.payload.to_bytes() == answer
 
 
 async def test_questions_with_a_token_are_all_read_though_they_come_faster_than_they_are_read(
@@ -303,22 +242,6 @@ async def test_its_answer_waits_for_nobody_elses(session: zenoh.Session, held: H
     assert reply.ok.payload.to_bytes() == b"stopped"
 
 
-async def test_the_loop_ends_no_query_by_itself(
-    session: zenoh.Session, held: Held, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """To end one waits while its asker's link is full."""
-    let_go: list[zenoh.Query] = []
-    monkeypatch.setattr(held.inbox._replies, "let_go", let_go.append)
-    asked = session.get(LEG_1, timeout=PATIENCE_S)
-    await held.woken()
-    for each in held.inbox.take():
-        assert each.reply is not None
-        each.reply(b"{}")
-    assert len(let_go) == 1
-    let_go.pop().drop()
-    assert len(await asyncio.to_thread(list, asked)) == 1
-
-
 # ---- threads
 
 
@@ -370,17 +293,6 @@ def named(key: str) -> Any:
     return SimpleNamespace(key_expr=key)
 
 
-async def test_one_message_is_read_from_few_rings_and_the_next_need_not_wait(
-    session: zenoh.Session, held: Held
-) -> None:
-    for _ in range(20):
-        session.put(LEG_1, b"{}")
-        await held.woken()
-        assert not held.inbox._read_all
-        assert [each.key for each in held.inbox.take()] == [LEG_1]
-    assert held.inbox._on_wakeup(named(SERVO_11), 0) is None, "no pause"
-
-
 async def test_a_flood_lets_the_receivers_have_the_processor_for_a_moment(held: Held) -> None:
     held.inbox._read_all = True
     assert held.inbox._on_wakeup(named(SERVO_11), 0) == FLOOD_PAUSE_S <= 0.002
@@ -400,49 +312,7 @@ def test_of_a_flooded_ring_no_more_than_its_depth_is_taken_at_once() -> None:
     assert len(Ring(LEG_1, lambda: next(flood), RING_DEPTH).rest(-1)) == RING_DEPTH
 
 
-async def test_looking_again_ends(session: zenoh.Session) -> None:
-    """A wakeup whose message never comes to its ring."""
-    taker = Taker(session)
-    taker.inbox._on_wakeup(named(LEG_1), 0)
-    began_s = time.monotonic()
-    assert taker.inbox._missed
-    while taker.inbox._missed:
-        await asyncio.sleep(0.01)
-        assert time.monotonic() - began_s < PATIENCE_S
-    ticks = taker.ticks
-    session.put(SERVO_11, b"{}")
-    await taker.wait_for(SERVO_11)
-    assert taker.ticks <= ticks + 2
-    assert ticks <= 8
-    await asyncio.to_thread(taker.inbox.close)
-
-
 # ---- what a message says
-
-
-async def test_what_a_message_says_is_taken_as_it_is(session: zenoh.Session, held: Held) -> None:
-    whole, more = b"x" * MAX_PAYLOAD_BYTES, b"x" * (MAX_PAYLOAD_BYTES + 1)
-    session.put(LEG_1, whole, encoding="image/png")
-    session.put(LEG_1, more)
-    session.delete(LEG_1)
-    taken: list[Received] = []
-    while len(taken) < 3:
-        await held.woken()
-        taken += held.inbox.take()
-    assert [(each.verb, each.size, each.payload) for each in taken] == [
-        (Verb.PUT, MAX_PAYLOAD_BYTES, whole),
-        (Verb.PUT, MAX_PAYLOAD_BYTES + 1, b""),
-        (Verb.DELETE, 0, b""),
-    ]
-    assert [each.encoding for each in taken] == ["image/png", "zenoh/bytes", "zenoh/bytes"]
-
-
-@pytest.mark.parametrize("zid", [None, "a1b2"])
-def test_whoever_says_who_they_are_is_known(zid: str | None) -> None:
-    info = None if zid is None else SimpleNamespace(source_id=SimpleNamespace(zid=zid))
-    put: Any = SimpleNamespace(key_expr=LEG_1, payload=None, encoding=None, kind=zenoh.SampleKind.PUT, source_info=info)
-    answers: Any = None
-    assert _received(answers, LEG_1, put).source == zid
 
 
 async def test_what_may_be_a_stop_is_seen_at_a_glance(session: zenoh.Session) -> None:
@@ -463,19 +333,6 @@ async def test_a_wildcard_is_taken_from_each_ring_that_it_names(session: zenoh.S
         await held.woken()
         taken += [each.key for each in held.inbox.take()]
     assert taken == [leg_command(number) for number in range(1, 7)]
-
-
-async def test_a_question_by_wildcard_that_names_others_keys_alone_is_theirs_to_answer(
-    session: zenoh.Session, held: Held
-) -> None:
-    with held.owner:
-        asked = [session.get(key, timeout=PATIENCE_S) for key in ("hexapod/lea$*/cmd", "hexapod/nobod$*/cmd")]
-    taken: list[str] = []
-    while not taken:
-        await held.woken()
-        taken += [each.expression for each in held.inbox.take()]
-    assert taken == ["hexapod/nobod$*/cmd"]
-    del asked
 
 
 async def test_several_keys_of_one_instant_are_in_the_contracts_order(session: zenoh.Session, held: Held) -> None:

@@ -4,7 +4,6 @@ In one process: a session's own messages take the same rings.
 """
 
 import asyncio
-import itertools
 import threading
 import time
 from collections.abc import AsyncIterator, Callable
@@ -103,13 +102,6 @@ async def test_no_bell_that_the_thread_holds_is_lost(session: zenoh.Session, tak
         for key in wanted:
             session.put(key, b"{}")
         await taker.wait_for(*wanted)
-
-
-async def test_one_message_takes_one_tick(session: zenoh.Session, taker: Taker) -> None:
-    for number, key in enumerate(itertools.islice(itertools.cycle(KEYS), 60), start=1):
-        session.put(key, b"{}")
-        await taker.wait_for(key)
-        assert taker.ticks <= 2 * number, "a second look is rare, and ends"
 
 
 class LateRings:
@@ -283,17 +275,6 @@ async def test_a_message_that_is_looked_for_is_looked_for_five_times(counted: Co
     assert counted.inbox._attempt == 0, "of a further message all looks are taken"
 
 
-async def test_only_the_rings_of_what_is_missed_are_looked_into(counted: Counted) -> None:
-    counted.step("W")
-    counted.rings[FURTHER].put(Sample(FURTHER))  # its wakeup comes later
-    counted.rings[K].put(Sample(K))
-    counted.inbox._looked()
-    assert counted.taker.taken == [K]
-    counted.rings[K].put(Sample(K))
-    counted.step("W", FURTHER)
-    assert counted.taker.taken == [K, FURTHER], "no longer into theirs"
-
-
 async def test_a_message_that_was_counted_once_too_often_is_forgotten(counted: Counted) -> None:
     for step in "MT":
         counted.step(step)
@@ -353,13 +334,6 @@ async def test_what_was_passed_over_in_a_full_ring_and_what_names_no_key_of_ours
         (unknown,) = counted.inbox.take()
     assert (unknown.target, unknown.received_ns) == (None, 7)
     assert counted.left == {K: -RING_DEPTH}
-
-
-@pytest.mark.parametrize("ring", [K, ALL_COMMANDS])
-async def test_a_tick_while_the_inbox_closes_finds_nothing(counted: Counted, ring: str) -> None:
-    counted.rings[ring].closed = True
-    counted.step("W")
-    assert counted.taker.taken == []
 
 
 async def test_it_is_closed_when_none_of_its_threads_has_anything_in_hand() -> None:

@@ -1,21 +1,19 @@
 """The right edge knows whether anybody listens."""
 
 import queue
-import threading
 import time
 from contextlib import closing
 from typing import Any
 
 import zenoh
-from pydantic import BaseModel, PrivateAttr, model_serializer
 from zenoh.handlers import RingChannel
 
 from gateway.robot.sections import ZenohSettings
-from gateway.robot.zenoh_io.outbox import MAX_REPORTS_WAITING, ZenohOutbox
+from gateway.robot.zenoh_io.outbox import ZenohOutbox
 from gateway.robot.zenoh_io.session import service_config
 from gateway.robot.zenoh_io.unknown_keys import UnknownKeys
 from gateway.zenoh_config import client_config, open_session
-from schemas.keys import EVENT, STATE
+from schemas.keys import STATE
 from tests.support.gateway_process import free_port
 
 
@@ -49,44 +47,3 @@ def comes_to_say(outbox: ZenohOutbox, *, listened_to: bool) -> bool:
     while outbox.anyone_listens(STATE) is not listened_to and time.monotonic() < give_up_s:
         time.sleep(0.001)
     return outbox.anyone_listens(STATE) is listened_to
-
-
-def test_what_is_published_while_too_much_waits_is_dropped_and_counted() -> None:
-    outbox = ZenohOutbox()
-    with closing(open_session(service_config(ZenohSettings(listen=(f"tcp/127.0.0.1:{free_port()}",))))) as session:
-        outbox.open(session)
-        held = HeldServo()
-        outbox.publish(EVENT, held)
-        assert held.begun.wait(10)
-        for number in range(MAX_REPORTS_WAITING + 7):
-            outbox.publish(EVENT, Numbered(number=number))
-        assert outbox.dropped == 7
-        held.go_on.set()
-        outbox.close()
-
-
-class Numbered(BaseModel):
-    """A report that differs from others."""
-
-    number: int
-
-
-class HeldServo(BaseModel):
-    """A report whose sending blocks until the test lets it go on."""
-
-    _begun: threading.Event = PrivateAttr(default_factory=threading.Event)
-    _go_on: threading.Event = PrivateAttr(default_factory=threading.Event)
-
-    @property
-    def begun(self) -> threading.Event:
-        return self._begun
-
-    @property
-    def go_on(self) -> threading.Event:
-        return self._go_on
-
-    @model_serializer
-    def serialize(self) -> dict[str, str]:
-        self._begun.set()
-        assert self._go_on.wait(10)
-        return {}

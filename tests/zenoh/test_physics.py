@@ -11,13 +11,13 @@ import zenoh
 
 from gateway.client import Client
 from gateway.geometry import ELKAPOD
-from gateway.people.recordings import read
 from schemas import keys
 from schemas.telemetry import Kind
 from tests.support.child import Child
 from tests.support.fixtures import gateway_fixture
 from tests.support.gateway_process import COMMAND, Gateway
 from tests.support.heard import bodies, events
+from tests.support.mcap_file import read
 
 pytestmark = pytest.mark.full
 

@@ -14,7 +14,7 @@ NEED_AN_EXTRA: Final = {
     "gateway.people.bridge": "rclpy",
     "gateway.people.console": "console",
     "gateway.people.physics": "physics",
-    "gateway.people.tools.foxglove_server": "foxglove",
+    "gateway.people.recorder.record": "record",
     "gateway.onboard.body_process": "physics",
     "gateway.robot.power.slcan": "power",
 }

@@ -31,10 +31,6 @@ def run(program: str, *prefix: str, stderr: int | None = None) -> str:
     return subprocess.run(command, stdout=subprocess.PIPE, stderr=stderr, text=True, check=True).stdout.strip()
 
 
-def test_the_loop_comes_before_those_who_wait_and_they_before_the_metrics_page() -> None:
-    assert LOOP_PRIORITY > RECEIVER_PRIORITY > PAGE_PRIORITY > 0
-
-
 def test_timers_are_on_time_in_every_thread() -> None:
     """Asked of the kernel (PR_GET_TIMERSLACK)."""
     program = """

@@ -10,7 +10,7 @@ from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 
-from gateway.people.recordings.drawing import DRAWN, FRAMES, JOINT_COMMANDS, LOG
+from gateway.people.ros2.drawing import DRAWN, FRAMES, JOINT_COMMANDS, LOG
 from gateway.people.ros2.robot import MEASURED
 from tests.unit.people.test_recordings import drawn_in, positions, recorded
 
@@ -20,7 +20,7 @@ RERUN: Final = Path(sys.executable).with_name("rerun")
 @pytest.fixture(scope="module")
 def ride(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("ride") / "ride.mcap"
-    recorded(path, 600).close()
+    recorded(path, 600)
     return path
 
 

@@ -16,7 +16,7 @@ from gateway.robot.core.events import BusOpened, Command, Transmit
 from gateway.robot.core.leg import Rules
 from gateway.robot.core.message import Verb
 from gateway.robot.core.supervisor import Supervisor
-from gateway.robot.zenoh_io.rings import LEAST_PUT_DEPTH, PASSES, RING_DEPTH, Rings, put_depth
+from gateway.robot.zenoh_io.rings import LEAST_PUT_DEPTH, PASSES, RING_DEPTH, Rings
 from schemas.keys import COMMAND_KEYS, ESTOP, LEGS_COMMAND, RESET, leg_command, servo_command
 
 START = ServoOp(Op.START, 90_00)
@@ -174,12 +174,6 @@ def taken(messages: tuple[Message, Message], arrivals: tuple[int, ...], first_ti
 ARRIVALS = list(itertools.combinations_with_replacement(range(14), 2))
 
 
-@pytest.mark.parametrize("verbs", list(itertools.product(("put", "get"), repeat=2)))
-def test_a_set_of_legs_does_not_overtake_a_newer_one_of_the_leg(verbs: tuple[str, str]) -> None:
-    messages = (message((LEGS_COMMAND, verbs[0]), START), message((LEG, verbs[1]), START))
-    assert all(taken(messages, arrivals, LEG) == [LEGS_COMMAND, LEG] for arrivals in ARRIVALS)
-
-
 def test_what_was_sent_before_a_reset_is_taken_before_it() -> None:
     """A start that was sent while the emergency stop was engaged must not come after the reset."""
     messages = (message((LEG, "put"), START), Message(RESET, "get", STOP, ()))
@@ -219,15 +213,6 @@ def test_only_floods_of_stops_on_keys_that_share_servos_keep_an_instant_open(
     assert not robot.rings.instant_open
 
 
-def test_an_ordinary_command_looks_into_few_rings() -> None:
-    """Each key has two rings; a leg's command concerns its own, `legs` and, if it stops, three servos."""
-    for op, most in ((START, 5), (STOP, 11)):
-        deliveries = Deliveries(deque([(0, message((LEG, "put"), op))]))
-        robot = ReadRings(deliveries, [key for key in COMMAND_KEYS if key != ESTOP])
-        robot.rings.read([LEG])
-        assert deliveries.reads <= most
-
-
 def thinned(waiting: list[tuple[ServoOp, int]], verb: str = "put") -> list[Message | None]:
     """What is taken of one ring in which these operations wait, each of a servo."""
     deliveries = Deliveries(deque((0, Message(LEG, verb, op, (servo_id,))) for op, servo_id in waiting))
@@ -242,26 +227,11 @@ def test_of_older_messages_the_stops_are_taken_before_the_newest(before: int) ->
     assert taken == [(STOP, 11), *newest]
 
 
-def test_of_the_same_stops_the_last_is_taken() -> None:
-    stops = [(STOP, 11), (STOP, 12), (STOP, 11), (STOP, 11)]
-    taken = [(item.op, *item.servos) for item in thinned(stops + [(START, 13)] * RING_DEPTH) if item is not None]
-    assert taken[:2] == [(STOP, 12), (STOP, 11)]
-    assert len(taken) == 2 + RING_DEPTH
-
-
 @pytest.mark.parametrize("lost", [0, 1, 100])
 def test_a_full_ring_may_have_lost_a_stop(lost: int) -> None:
     messages = thinned([(STOP, 11)] * lost + [(START, 13)] * LEAST_PUT_DEPTH)
     assert messages[0] is None
     assert len(messages) == 1 + RING_DEPTH
-
-
-@pytest.mark.parametrize(
-    ("leg_rate_hz", "timeout_ms", "depth"),
-    [(50, 250, 58), (50, 400, 88), (1, 20, 16), (1000, 250, 1008), (1000, 10_000, 1024)],
-)
-def test_a_ring_has_room_for_a_stream_that_was_held_back(leg_rate_hz: float, timeout_ms: float, depth: int) -> None:
-    assert put_depth(leg_rate_hz, timeout_ms) == depth
 
 
 def test_a_deeper_ring_is_searched_for_stops_until_it_is_full() -> None:

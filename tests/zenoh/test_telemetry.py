@@ -4,7 +4,6 @@ import asyncio
 import time
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager, closing
-from pathlib import Path
 from typing import Any
 
 import zenoh
@@ -22,9 +21,9 @@ from gateway.robot.spi.simulator import SimulatedController
 from gateway.robot.zenoh_io.outbox import ZenohOutbox
 from gateway.robot.zenoh_io.session import service_config
 from gateway.zenoh_config import client_config, open_session
-from schemas.keys import CALIBRATION, STATE, TELEMETRY
-from schemas.telemetry import ControllerReport, GatewayState, Telemetry
-from tests.support.gateway_process import Gateway, free_port
+from schemas.keys import CALIBRATION, TELEMETRY
+from schemas.telemetry import Telemetry
+from tests.support.gateway_process import free_port
 from tests.support.measured import MEASURED, ON_ITS_SIDE
 
 
@@ -99,12 +98,3 @@ class Watching:
 
     def close(self) -> None:
         self._subscriber.undeclare()
-
-
-def test_a_robot_that_measures_nothing_has_no_telemetry(tmp_path: Path) -> None:
-    """A question ends at once without an answer, as at a gateway of an older version."""
-    with Gateway(tmp_path) as gateway, closing(open_session(client_config(gateway.endpoint))) as laptop:
-        (answer,) = answers(laptop, STATE)
-        state = GatewayState.model_validate_json(answer)
-        assert (state.controller, state.battery) == (ControllerReport(), None)
-        assert answers(laptop, TELEMETRY) == []

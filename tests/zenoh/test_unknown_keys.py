@@ -6,23 +6,11 @@ from pathlib import Path
 
 import zenoh
 
-from schemas.telemetry import Kind, Reason
+from schemas.telemetry import Kind
 from tests.support.gateway_process import Gateway
 from tests.support.heard import events
 
 START = json.dumps({"servos": [{"op": "start", "angle_deg": 90}] * 3})
-
-
-def test_a_put_beside_the_keys_is_told_with_the_key_that_was_meant(tmp_path: Path) -> None:
-    with Gateway(tmp_path, {"telemetry": {"frames": True}}) as gateway, gateway.client() as client:
-        heard = events(client)
-        client.state()
-        for count, key in enumerate(("hexapod/leg/3", "Hexapod/leg/3/cmd"), start=1):
-            client.session.put(key, START, encoding="application/json")
-            event = heard.wait(lambda event: event.kind is Kind.COMMAND_REJECTED, count=count)
-            assert (event.key, event.reason) == (key, Reason.INVALID)
-            assert event.detail == "nothing reads this key; the nearest is hexapod/leg/3/cmd"
-            assert client.state().commands.rejected == count, "the gateway's own reports are no strangers"
 
 
 def test_a_flood_beside_the_keys_is_told_ten_times_a_second_and_a_command_goes_through(tmp_path: Path) -> None:

@@ -14,7 +14,6 @@ from gateway.client import Client
 from gateway.people.tools.status import topics
 from tests.support.command import run_here
 from tests.support.gateway_process import Gateway, free_port
-from tests.support.router import zenoh_listening
 
 pytestmark = pytest.mark.full
 
@@ -47,20 +46,6 @@ def systemd(tmp_path: Path) -> Iterator[Systemd]:
     systemd = Systemd(tmp_path)
     yield systemd
     systemd.close()
-
-
-def test_a_router_that_is_off_is_said_and_so_is_its_return(tmp_path: Path, systemd: Systemd) -> None:
-    router = f"tcp/127.0.0.1:{free_port()}"
-    env = {**systemd.env, "HEXAPOD_ZENOH__LISTEN": "[]"}
-    often = tmp_path / "zenoh.json5"
-    often.write_text("{ connect: { retry: { period_init_ms: 100, period_max_ms: 100 } } }")
-    with Gateway(tmp_path, {"zenoh": {"connect": [router], "config": str(often)}}, env=env, wait=False) as gateway:
-        assert systemd.status(router) == f"takes commands; {router} is not reached"
-        gateway.child.wait_for_output("nobody behind it can command this robot")
-        with zenoh_listening(router):
-            assert systemd.status("takes commands") == "takes commands"
-            gateway.child.wait_for_output(f"{router} is reached")
-        assert router in systemd.status(router)
 
 
 def certificates(folder: Path, days_left: dt.timedelta) -> dict[str, str]:

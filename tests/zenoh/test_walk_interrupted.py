@@ -1,13 +1,11 @@
 """Ctrl-C and SIGTERM in a program of one's own that walks: the first has the robot sit down, the second stops it."""
 
-import asyncio
 import os
 import signal
 import sys
 
 import pytest
 
-from gateway.client import AsyncClient
 from schemas.robot import LEGS
 from schemas.telemetry import FrameRecord
 from tests.support.child import Child
@@ -87,29 +85,3 @@ def _sits_down(records: list[FrameRecord], stood: dict[int, float], seated: dict
     now = stopped_at(records)
     knees = [10 * leg + 2 for leg in LEGS]
     return all(abs(now[knee] - stood[knee]) > abs(seated[knee] - stood[knee]) / 3 for knee in knees)
-
-
-async def test_a_walk_that_its_own_program_cancels_is_stopped_at_once(gateway: Gateway) -> None:
-    gone: list[float] = []
-
-    async def program(arrived: asyncio.Event) -> None:
-        async with AsyncClient(gateway.endpoint) as robot, robot.walk() as walk:
-            await walk.turn(-0.05)
-            gone.append(walk.state.odometry.heading_rad)
-            await walk.ahead(0.03)
-            gone.append(walk.state.odometry.x_m)
-            arrived.set()
-            await walk.ahead(10)
-
-    with gateway.client() as watcher:
-        written = frames(watcher)
-        arrived = asyncio.Event()
-        async with asyncio.timeout(60):
-            task = asyncio.create_task(program(arrived))
-            await asyncio.wait([task, asyncio.create_task(arrived.wait())], return_when=asyncio.FIRST_COMPLETED)
-            assert gone == [pytest.approx(-0.05, abs=0.01), pytest.approx(0.03, abs=0.01)]
-            task.cancel()
-            with pytest.raises(asyncio.CancelledError):
-                await task
-        assert watcher.state().mode == "idle"
-        assert stopped_at(written.all) != pytest.approx(seat(), abs=0.02)

@@ -17,7 +17,7 @@ from gateway.geometry import Geometry
 from gateway.people.bridge.driving import Driving
 from gateway.people.bridge.parameters import Parameters
 from gateway.people.bridge.topics import Topics
-from gateway.people.recordings.commanded import CommandedJoints
+from gateway.people.ros2.commanded import CommandedJoints
 from gateway.people.ros2.joints import JointNames
 from gateway.people.ros2.messages import DiagnosticArray, DiagnosticStatus, JointState, String, TFMessage
 from gateway.people.ros2.robot import (

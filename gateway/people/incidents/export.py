@@ -1,50 +1,65 @@
-"""One incident as an MCAP file: what the same tools read as a recording."""
+"""One incident as an MCAP file: what the same tools read as a recording. A robot needs no extra for it.
 
+What viewers draw is in it where the extra `record` is installed.
+"""
+
+import json
 from collections.abc import Iterable
+from contextlib import suppress
 from pathlib import Path
-from typing import Final
+from typing import BinaryIO
 
-from pydantic import BaseModel, TypeAdapter
+from mcap.writer import Writer
 
-from gateway.model.black_box import format as form
+from gateway import __version__
+from gateway.errors import ConfigError
+from gateway.geometry import load
 from gateway.people.incidents.incidents import Incident
-from gateway.people.incidents.messages import COMMAND_TOPICS, RECORDER, CommandInBox, FrameInBox, Note, messages
+from gateway.people.incidents.messages import messages
 from gateway.people.incidents.ring_reader import Records
-from gateway.people.recordings import REPORTS, RecordedMessage, Recording
-from gateway.people.recordings.plain_schema import plain_schema
-from schemas.calibration import Calibration
-from schemas.keys import CALIBRATION, EVENT, FRAME, TELEMETRY
-from schemas.telemetry import Event, Telemetry
-
-_CHANNELS: Final[dict[str, type[BaseModel]]] = {
-    **dict.fromkeys(COMMAND_TOPICS, CommandInBox),
-    RECORDER: Note,
-    FRAME: FrameInBox,
-    CALIBRATION: Calibration,
-}
+from gateway.people.ros2.cdr import INSTALLED, definition, encode
+from gateway.people.ros2.drawing import Drawing
+from gateway.people.ros2.messages import Message
 
 
 def write(path: Path, incident: Incident, records: Records) -> None:
-    """Write an incident to a new file. Raises OSError, FileExistsError."""
-    begin_ns = incident.wall_ns(incident.begin_ns)
-    reports: dict[str, type[BaseModel]] = {EVENT: Event}
-    if any(
-        kind == form.MEASURED and incident.begin_ns <= ns <= incident.end_ns
-        for kind, ns in zip(records.kinds, records.times_ns, strict=True)
-    ):
-        reports[TELEMETRY] = Telemetry
-    with Recording(path, time_ns=begin_ns, reports=reports) as recording:
-        if about := records.about_at(incident.zero_ns):
-            recording.describe(about)
-        _add(messages(incident, records), recording)
+    """Write an incident to a new file. Raises ConfigError if it exists or cannot be written."""
+    try:
+        with path.open("xb") as file:
+            try:
+                _write(file, incident, records)
+                file.flush()
+            except BaseException:  # half of it is of no use, and its name would be taken
+                with suppress(OSError):
+                    path.unlink()
+                raise
+    except FileExistsError as error:
+        raise ConfigError(f"{path} exists; name another file") from error
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be written ({error.strerror})") from error
 
 
-def _add(those: Iterable[RecordedMessage], recording: Recording) -> None:
-    undeclared = dict(_CHANNELS)
-    for message in those:
-        if model := undeclared.pop(message.topic, None):
-            recording.declare(message.topic, model.__name__, plain_schema(TypeAdapter(model), model.__name__))
-        if message.topic in REPORTS:
-            recording.add_report(message.topic, message.content, message.time_ns)
-        else:
-            recording.add(message.topic, message.content, message.time_ns)
+def _write(file: BinaryIO, incident: Incident, records: Records) -> None:
+    writer = Writer(file)
+    writer.start(profile="ros2", library=f"hexapod-gateway {__version__}")
+    channels: dict[str, int] = {}
+
+    def add(topic: str, data: bytes, time_ns: int, kind: type[Message] | None = None) -> None:
+        if topic not in channels:
+            # JSON has no schema here: rosbags 0.11 opens no file that has one.
+            schema = writer.register_schema(kind.TYPE, "ros2msg", definition(kind).encode()) if kind else 0
+            channels[topic] = writer.register_channel(topic, "cdr" if kind else "json", schema)
+        writer.add_message(channels[topic], time_ns, data, time_ns)
+
+    def draw(drawn: Iterable[tuple[str, Message]], time_ns: int) -> None:
+        for topic, message in drawn if INSTALLED else ():
+            add(topic, encode(message), time_ns, type(message))
+
+    if about := records.about_at(incident.zero_ns):
+        writer.add_metadata("hexapod-gateway", {name: json.dumps(value) for name, value in about.items()})
+    drawing, begin_ns = Drawing(load()), incident.wall_ns(incident.begin_ns)
+    draw((drawing.description(), *drawing.picture(begin_ns)), begin_ns)
+    for message in messages(incident, records):
+        add(message.topic, json.dumps(message.content, ensure_ascii=False).encode(), message.time_ns)
+        draw(drawing.take(message.topic, message.content, message.time_ns), message.time_ns)
+    writer.finish()

@@ -15,7 +15,7 @@ from gateway.model.frames import Op
 from gateway.model.telemetry import report_of
 from gateway.people.incidents.incidents import Incident
 from gateway.people.incidents.ring_reader import Records
-from gateway.people.recordings import RecordedMessage
+from gateway.people.ros2.user_angles import RecordedMessage
 from schemas import keys
 from schemas.telemetry import Event, FrameRecord, Report
 
@@ -86,7 +86,7 @@ def messages(incident: Incident, records: Records) -> Iterator[RecordedMessage]:
     calibration = records.calibration_at(incident.begin_ns)
     if calibration is not None:  # so that the frames can be read, which have the servos' own angles
         begin_ns = incident.wall_ns(incident.begin_ns)
-        yield RecordedMessage(keys.CALIBRATION, calibration.model_dump(mode="json"), begin_ns, begin_ns)
+        yield RecordedMessage(keys.CALIBRATION, calibration.model_dump(mode="json"), begin_ns)
     killed_ns = incident.killed_ns
     last: int | None = None  # the place in `records` of what a gateway wrote that has not recorded its end
     ended = False
@@ -108,7 +108,7 @@ def messages(incident: Incident, records: Records) -> Iterator[RecordedMessage]:
         topic_and_report = _message(record, decisions.of(place), _time(wall_ns), is_told=decisions.is_told(place))
         if topic_and_report is not None:
             topic, report = topic_and_report
-            yield RecordedMessage(topic, report.model_dump(mode="json"), wall_ns, wall_ns)
+            yield RecordedMessage(topic, report.model_dump(mode="json"), wall_ns)
     yield from notes
     if killed_ns is not None:
         yield _killed(incident.wall_ns(killed_ns))
@@ -164,7 +164,7 @@ def _killed(wall_ns: int) -> RecordedMessage:
 
 def _noted(wall_ns: int, what: str, detail: str) -> RecordedMessage:
     note = Note(time=_time(wall_ns), what=what, detail=detail)
-    return RecordedMessage(RECORDER, note.model_dump(mode="json"), wall_ns, wall_ns)
+    return RecordedMessage(RECORDER, note.model_dump(mode="json"), wall_ns)
 
 
 def _message(

@@ -3,7 +3,6 @@
 from importlib.util import find_spec
 from typing import Any, Final
 
-from gateway.errors import ConfigError
 from gateway.people.ros2.messages import Message
 
 INSTALLED: Final = find_spec("rosbags") is not None
@@ -15,12 +14,6 @@ if INSTALLED:
 
     _STORE: Final = get_typestore(Stores.ROS2_JAZZY)
     """The types used here are the same in Humble, Jazzy, Kilted and Lyrical."""
-
-
-def require() -> None:
-    """Raise ConfigError, with the command that installs it, if rosbags is missing."""
-    if not INSTALLED:
-        raise ConfigError("a recording for viewers needs: pip install 'hexapod-gateway[record]'")
 
 
 def encode(message: Message) -> bytes:

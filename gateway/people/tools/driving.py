@@ -1,4 +1,4 @@
-"""The lease of commands that drive: `send --hold`, `check --move`, `replay`; and what a person can do without it."""
+"""The lease of commands that drive: `send --hold`, `check --move`; and what a person can do without it."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager

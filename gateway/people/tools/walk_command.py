@@ -44,9 +44,6 @@ def walk(
 
     `hexapod-gateway walk --forward 0.1 --seconds 5` stands up, walks, sits down and stops. Ctrl-C (or SIGTERM) has it
     finish its step and sit down before it stops; Ctrl-C again stops it at once, as Ctrl-C does at the keyboard.
-
-    Exit codes: 0 done, 1 rejected or stopped by somebody, 2 it cannot walk so (geometry, limits), 4 no gateway answers,
-    130 ended early by a signal.
     """
     from gateway.people.tools import reach
 

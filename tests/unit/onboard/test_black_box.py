@@ -1,6 +1,5 @@
 """`incidents` at folders and disks that do not let it."""
 
-import errno
 import os
 import tempfile
 from collections.abc import Callable, Iterator
@@ -16,6 +15,7 @@ from gateway.onboard import black_box
 from gateway.robot.blackbox import paths
 from gateway.robot.blackbox.ring import RecordRing
 from gateway.robot.settings import Settings
+from tests.support.full_disk import disk_that_takes
 from tests.support.robot import WALL_NS
 
 NAME = "20260921-141320-123-watchdog"
@@ -75,23 +75,14 @@ def test_a_ring_that_somebody_else_has_made_is_not_shown(
     assert "another user has made this file, or may write to it" in said.err
 
 
-def test_a_disk_that_gets_full_is_left_without_half_an_export(
-    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_disk_that_gets_full_is_left_without_half_an_export(folder: Path, tmp_path: Path) -> None:
     ring = RecordRing(paths.prepare(folder), 100)
     ring.append(form.INCIDENT, 5, form.incident(WALL_NS, NAME))
     ring.close()
     copy = tmp_path / "stop.mcap"
 
-    def full(*_: object) -> None:
-        assert copy.exists(), "it was begun"
-        raise OSError(errno.ENOSPC, "No space left on device")
-
-    with monkeypatch.context() as patched:
-        patched.setattr("gateway.people.recordings.Recording.describe", full)
-        patched.setattr("gateway.people.recordings.Recording.add", full)
-        with pytest.raises(ConfigError, match="No space left on device"):
-            black_box.export(settings(folder), NAME, copy)
+    with disk_that_takes(50), pytest.raises(ConfigError, match="File too large"):
+        black_box.export(settings(folder), NAME, copy)
     assert not copy.exists()
     copy.write_text("mine")
     with pytest.raises(ConfigError, match="exists"):

@@ -2,9 +2,7 @@
 
 import ipaddress
 import json
-import os
 import re
-import zipfile
 from functools import partial
 from pathlib import Path
 
@@ -17,10 +15,9 @@ from typer.testing import CliRunner
 
 from gateway import certs
 from gateway.certs import authority
-from gateway.certs.zenoh_files import laptop_readme
 from gateway.errors import ConfigError
 from gateway.people.tools.certs import app
-from gateway.zenoh_config import certificate_files, load_client_config, load_config
+from gateway.zenoh_config import load_client_config, load_config
 from tests.support.certs_folder import DAY, HOSTS, MADE_BY_INIT, NOW, contents, fault, make_folder, mode, names
 
 __all__ = ["make_folder"]  # a fixture
@@ -36,18 +33,6 @@ def test_init_makes_its_files_and_only_the_owner_reads_the_keys(folder: Path) ->
         "gateway.pem": 0o644,
         "gateway.json5": 0o644,
     }
-
-
-@pytest.mark.parametrize("mask", [0o000, 0o277])
-def test_modes_do_not_depend_on_the_umask(tmp_path: Path, mask: int) -> None:
-    (tmp_path / "D").mkdir()
-    before = os.umask(mask)
-    try:
-        certs.folder.init(tmp_path / "D", HOSTS)
-    finally:
-        os.umask(before)
-    assert mode(tmp_path / "D" / "ca.key") == 0o600
-    assert mode(tmp_path / "D" / "gateway.pem") == 0o644
 
 
 def test_the_gateways_certificate_is_good_for_its_hosts_and_no_other(folder: Path) -> None:
@@ -87,86 +72,6 @@ def test_how_long_they_live(folder: Path) -> None:
     # A robot without a clock may think that it is last year.
     assert {found.not_before for found in certs.folder.expiries(folder)} >= {NOW - 365 * DAY}
     assert all(found.not_before <= NOW - 360 * DAY for found in certs.folder.expiries(folder) if found.name != "late")
-
-
-def test_expiries_lists_the_ca_first_and_says_when_one_is_over(folder: Path) -> None:
-    certs.folder.issue(folder, "zoe", "operator", days=1, now=NOW - 10 * DAY)
-    certs.folder.issue(folder, "abe", "observer", now=NOW)
-    found = certs.folder.expiries(folder)
-    assert [(each.role, each.name) for each in found][1:] == [
-        ("gateway", "robot.local"),
-        ("observer", "abe"),
-        ("operator", "zoe"),
-    ]
-    assert found[0].role == "ca"
-    assert found[3].days_left(NOW) == -9
-    assert found[3].serial == f"{certs.files.read_certificate(folder / 'zoe.pem').serial_number:x}"
-
-
-def test_issue_makes_three_files_and_touches_nothing_else(folder: Path) -> None:
-    before = contents(folder)
-    made = certs.folder.issue(folder, "alice", "operator")
-    assert {path.name for path in made} == {"alice.pem", "alice.key", "alice.json5"}
-    assert names(folder) == MADE_BY_INIT | {"alice.pem", "alice.key", "alice.json5"}
-    assert mode(folder / "alice.key") == 0o600
-    assert {name: data for name, data in contents(folder).items() if name in before} == before
-
-
-def test_a_bundle_holds_what_the_laptop_needs_and_nothing_more(folder: Path, tmp_path: Path) -> None:
-    bundle = tmp_path / "alice.zip"
-    certs.folder.issue(folder, "alice", "operator", bundle=bundle)
-    assert mode(bundle) == 0o600
-    with zipfile.ZipFile(bundle) as archive:
-        assert set(archive.namelist()) == {"ca.pem", "alice.pem", "alice.key", "alice.json5", "README.txt"}
-        assert (archive.getinfo("alice.key").external_attr >> 16) & 0o777 == 0o600
-        assert archive.read("alice.key") == (folder / "alice.key").read_bytes()
-        assert archive.read("ca.pem") == (folder / "ca.pem").read_bytes()
-        readme = archive.read("README.txt").decode()
-        assert "@" not in readme
-        archive.extractall(tmp_path / "elsewhere")
-    config = load_client_config(tmp_path / "elsewhere" / "alice.json5")
-    tls = json.loads(config.get_json("transport/link/tls"))
-    assert tls["connect_private_key"] == str(tmp_path / "elsewhere" / "alice.key")
-    assert tls["root_ca_certificate"] == str(tmp_path / "elsewhere" / "ca.pem")
-
-
-@pytest.mark.parametrize(
-    ("role", "commands"),
-    [("operator", ["status", "walk", "estop"]), ("observer", ["status"]), ("button", ["status", "estop"])],
-)
-def test_a_bundles_readme_suggests_what_its_role_may(role: str, commands: list[str]) -> None:
-    readme = laptop_readme("alice", role, "2028", ["alice.json5"]).decode()
-    assert re.findall(r"hexapod-gateway (\w+) --zenoh-config path/to/alice.json5\n", readme) == commands
-    assert "Each robot" not in readme
-
-
-def test_a_bundles_readme_for_several_robots_names_their_files() -> None:
-    readme = laptop_readme("alice", "observer", "2028", ["red.json5", "blue.json5"]).decode()
-    assert "--zenoh-config path/to/red.json5\n" in readme
-    assert "Each robot has a file of its own: red.json5, blue.json5.\n" in readme
-
-
-def test_a_laptop_dials_every_host_at_the_gateways_port(tmp_path: Path) -> None:
-    certs.folder.init(tmp_path / "D", HOSTS, port=7555)
-    certs.folder.issue(tmp_path / "D", "alice", "observer")
-    config = load_client_config(tmp_path / "D" / "alice.json5")
-    assert json.loads(config.get_json("connect/endpoints")) == [
-        "tls/robot.local:7555",
-        "tls/192.0.2.7:7555",
-    ]
-    assert json.loads(config.get_json("mode")) == "client"
-
-
-def test_the_gateways_zenoh_file_names_its_files_wherever_the_folder_is(
-    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir("/")  # as a service
-    config = load_config(folder / "gateway.json5")
-    assert json.loads(config.get_json("transport/link/tls/listen_private_key")) == str(folder / "gateway.key")
-    assert certificate_files(config) == [folder / "ca.pem", folder / "gateway.pem"]
-    assert json.loads(config.get_json("listen/endpoints")) == ["tls/[::]:7447"]
-    folder.rename(tmp_path / "robot")
-    assert load_config(tmp_path / "robot" / "gateway.json5")
 
 
 def test_a_consoles_certificate_only_serves(folder: Path) -> None:

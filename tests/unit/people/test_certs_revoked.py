@@ -1,7 +1,6 @@
 """Who is shut out: the list of a folder of certificates, and what a robot makes of it."""
 
 import asyncio
-import datetime as dt
 import shutil
 from contextlib import suppress
 from dataclasses import replace
@@ -44,26 +43,6 @@ def states(directory: Path) -> dict[str, str]:
 
 
 # ---- common names
-
-
-@pytest.mark.parametrize(
-    ("text", "role"),
-    [
-        ("operator-07", "operator"),
-        ("observer-163", "observer"),
-        ("operator", "operator"),
-        ("operator-7", "operator-7"),
-        ("operator-1000", "operator-1000"),
-        ("operator-07.robot-1", "operator-07.robot-1"),
-        ("Operator-07", "Operator-07"),
-        ("operator-07 ", "operator-07 "),
-        ("admin-07", "admin-07"),
-        ("gateway", "gateway"),
-        ("", ""),
-    ],
-)
-def test_role_of_a_common_name(text: str, role: str) -> None:
-    assert names.role_of(text) == role
 
 
 def test_each_laptop_has_a_common_name_of_its_own_until_all_are_taken(
@@ -233,11 +212,3 @@ def test_a_list_that_cannot_be_read_lets_nobody_in_and_one_of_another_ca_concern
 def test_a_disk_that_is_full_leaves_the_list_before(folder: Path, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="the list before stays in force"):
         revoked.keep(tmp_path / "nowhere" / "revoked.crl", list_of(folder, 3))
-
-
-def test_in_1970_a_list_is_judged_as_ever(folder: Path) -> None:
-    """Of the list nothing is judged by the clock: it is signed by a CA that is not valid yet, and does not expire."""
-    in_1970 = dt.datetime(1970, 1, 1, tzinfo=dt.UTC)
-    made = revocation.sign(load_ca(folder, NOW), 1, [Revoked("operator-00", "anna", 7, in_1970)], in_1970)
-    ca = certs.files.read_certificate(folder / "ca.pem")
-    assert revocation.parse(made.pem, [ca]).common_names == {"operator-00"}

@@ -16,15 +16,13 @@ from gateway.model.black_box import format as form
 from gateway.model.black_box.files import RING_FILE
 from gateway.model.black_box.incidents import INCIDENT_NAMES, MISTAKE
 from gateway.model.calibration import RobotCalibration, ServoMapping
-from gateway.model.frames import decode
 from gateway.people.incidents import ring_reader
 from gateway.people.incidents.export import write
 from gateway.people.incidents.incidents import CRASH, Incident, find
 from gateway.people.incidents.messages import RECORDER, messages
 from gateway.people.incidents.story import headline, story, what
-from gateway.people.recordings import RecordedMessage
-from gateway.people.recordings.drawing import JOINT_STATES
-from gateway.people.recordings.user_angles import UserAngles
+from gateway.people.ros2.drawing import JOINT_STATES
+from gateway.people.ros2.user_angles import RecordedMessage, frames_in
 from gateway.robot.blackbox import paths
 from gateway.robot.blackbox.ring import RecordRing
 from gateway.robot.core.events import StoppedOutside
@@ -223,10 +221,7 @@ async def test_a_calibrated_robots_story_and_picture_have_its_users_angles(folde
     told = list(read(path))
     (way_down,) = [line for line in story(told) if "last frame of the way down" in line]
     assert way_down.endswith("leg 3 at 30 45 120")
-    angles = UserAngles()
-    frames = [decode(bytes.fromhex(record["bytes"])) for record in angles.frames(told)]
-    assert angles.known
-    started = next(frame for frame in frames if not frame.is_stop)
+    started = next(frame for _, frame in frames_in(told) if not frame.is_stop)
     assert [op.angle_cdeg for _, op in started.servos] == [90_00, 45_00, 120_00]
     joints = positions(drawn_in(path, JOINT_STATES)[-1])
     assert joints["joint_32"] == pytest.approx(load().joint_rad(32, 45.0), abs=1e-4)
@@ -389,15 +384,15 @@ async def test_an_incident_shows_tilt_battery_and_feet_around_it(folder: Path) -
 
 
 def test_telemetry_that_was_changed_by_hand_is_left_out_of_the_story() -> None:
-    begun = RecordedMessage(RECORDER, {"what": "incident", "detail": BEGUN.incident, "time": "9"}, 0, 0)
+    begun = RecordedMessage(RECORDER, {"what": "incident", "detail": BEGUN.incident, "time": "9"}, 0)
     changed: list[dict[str, Any]] = [
         {},
         {"time": "9", "age_ms": "x"},
         {"time": "2026-09-21T00:00:00Z", "age_ms": 0, "battery": {}},
     ]
-    those = [RecordedMessage(keys.TELEMETRY, content, 0, 0) for content in changed]
+    those = [RecordedMessage(keys.TELEMETRY, content, 0) for content in changed]
     assert len(story([begun, *those])) == 1
-    (line,) = story([begun, RecordedMessage(keys.TELEMETRY, {"time": "2026-09-21T00:00:00Z", "age_ms": 0}, 0, 0)])[1:]
+    (line,) = story([begun, RecordedMessage(keys.TELEMETRY, {"time": "2026-09-21T00:00:00Z", "age_ms": 0}, 0)])[1:]
     assert line.strip() == "0.000 s  measured: tilt unknown"
 
 

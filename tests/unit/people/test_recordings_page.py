@@ -9,8 +9,8 @@ from typing import Any, Final
 
 import pytest
 
-from gateway.people.recordings import REPORTS
-from gateway.people.recordings.drawing import DRAWN, FRAMES
+from gateway.people.recorder.recording import REPORTS
+from gateway.people.ros2.drawing import DRAWN, FRAMES
 from tests.support.mcap_file import checked
 from tests.unit.people.test_recordings import frames_of, recorded
 
@@ -22,7 +22,7 @@ def test_the_pages_program_reads_a_recording(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "ride.mcap"
-    recorded(path).close()
+    recorded(path)
     (program,) = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
     assert len(program.splitlines()) <= 22
     (tmp_path / "read.py").write_text(program)
@@ -35,7 +35,7 @@ def test_the_pages_program_reads_a_recording(
 
 def test_the_viewers_layout_names_only_what_a_recording_has(tmp_path: Path) -> None:
     path = tmp_path / "ride.mcap"
-    recorded(path).close()
+    recorded(path)
     samples: dict[str, Any] = dict(checked(path))
     layout = json.loads((DOCS / "viewers" / "lichtblick.json").read_text())
     panels: dict[str, dict[str, Any]] = layout["configById"]

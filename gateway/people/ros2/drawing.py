@@ -19,8 +19,8 @@ from pydantic import ValidationError
 
 from gateway.geometry import Geometry, transforms
 from gateway.geometry.kinematics import BASE, FramePose
-from gateway.people.recordings.commanded import CommandedJoints
 from gateway.people.ros2 import robot
+from gateway.people.ros2.commanded import CommandedJoints
 from gateway.people.ros2.messages import DiagnosticArray, JointState, Log, MarkerArray, Message, String, TFMessage
 from schemas.keys import EVENT, SIM_BODY, STATE, TELEMETRY
 from schemas.robot import SERVO_IDS
@@ -50,13 +50,6 @@ DRAWN: Final[Mapping[str, type[Message]]] = {
     **_MEASURED,
 }
 """Topic → the type of its messages."""
-DRAWN_FROM: Final[Mapping[str, str]] = {
-    DIAGNOSTICS: STATE,
-    SIM_JOINT_STATES: SIM_BODY,
-    **dict.fromkeys(_MEASURED, TELEMETRY),
-}
-"""Those that only one key's reports are drawn on."""
-
 _UNKNOWN_DEG: Final = robot.UNKNOWN_DEG
 WORLD: Final = "world"
 COMMANDED: Final = "commanded/"
@@ -79,7 +72,7 @@ class Drawing:
 
     def __init__(self, geometry: Geometry) -> None:
         self._geometry = geometry
-        self._joints = CommandedJoints(geometry)
+        self.joints = CommandedJoints(geometry)
         self._drawn: dict[str, tuple[int, object]] = {}
         """Of each topic that is not drawn on all the time: when it was drawn last, and what showed a change."""
         self._body: BodyReport | None = None
@@ -87,7 +80,7 @@ class Drawing:
 
     def take(self, topic: str, report: Mapping[str, Any], time_ns: int) -> Iterator[Drawn]:
         """What to draw after a report (as its JSON, on a key of ours) that came at `time_ns`."""
-        shows_joints = self._joints.take(topic, report)
+        shows_joints = self.joints.take(topic, report)
         if topic == EVENT:
             yield LOG, _log(report, time_ns)
         elif topic == STATE:
@@ -117,12 +110,12 @@ class Drawing:
         return True
 
     def _marks_if_due(self, time_ns: int) -> Iterator[Drawn]:
-        running = dict(self._joints.running)
+        running = dict(self.joints.running)
         if self._due(SERVOS_OFF, time_ns, MARKS_PERIOD_NS, running):
             yield SERVOS_OFF, robot.servos_off([each for each, runs in running.items() if not runs], time_ns)
 
     def _commands(self, time_ns: int) -> JointState:
-        rad, running = self._joints.rad, self._joints.running
+        rad, running = self.joints.rad, self.joints.running
         at_rad = {each: rad.get(each, math.nan) if running.get(each) else math.nan for each in SERVO_IDS}
         return robot.joint_state(at_rad, time_ns)
 
@@ -131,10 +124,10 @@ class Drawing:
         self._drawn[FRAMES] = time_ns, None
         body = self._body if time_ns - self._body_ns < BODY_NS else None
         commanded_rad = {
-            servo_id: self._joints.rad.get(servo_id, self._geometry.joint_rad(servo_id, _UNKNOWN_DEG))
+            servo_id: self.joints.rad.get(servo_id, self._geometry.joint_rad(servo_id, _UNKNOWN_DEG))
             for servo_id in SERVO_IDS
         }
-        yield JOINT_STATES, robot.joint_state(self._joints.rad, time_ns)
+        yield JOINT_STATES, robot.joint_state(self.joints.rad, time_ns)
         yield from self._marks_if_due(time_ns)
         if body is None:
             steps = list(transforms(self._geometry, commanded_rad))

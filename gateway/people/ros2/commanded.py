@@ -5,7 +5,7 @@ from typing import Any
 
 from gateway.geometry import Geometry
 from gateway.model.frames import Op
-from gateway.people.recordings.user_angles import UserAngles, frame_of
+from gateway.people.ros2.user_angles import UserAngles
 from schemas.keys import FRAME, STATE
 
 
@@ -15,8 +15,10 @@ class CommandedJoints:
     def __init__(self, geometry: Geometry) -> None:
         self._geometry = geometry
         self._angles = UserAngles()
+        self.deg: dict[int, float] = {}
+        """Users' angles by servo. One that was never commanded is not among them; a stopped one is as it was."""
         self.rad: dict[int, float] = {}
-        """By their servos; one that was never commanded is not among them, one that was stopped is as it was."""
+        """The same as angles of the robot's joints."""
         self.running: dict[int, bool] = {}
         """Of each servo whether it runs, as far as a report has shown it."""
 
@@ -30,7 +32,7 @@ class CommandedJoints:
                     self.running[servo["id"]] = bool(servo["running"])
             return True
         if topic == FRAME and self._angles.consistent:  # else the state alone shows where it is
-            frame = frame_of(self._angles.record(report))
+            frame = self._angles.frame(report)
             for servo_id, command in () if frame is None else frame.servos:
                 self.running[servo_id] = command.op is not Op.STOP
                 if self.running[servo_id]:
@@ -40,4 +42,5 @@ class CommandedJoints:
 
     def _commanded(self, servo_id: int, angle_deg: float | None) -> None:
         if angle_deg is not None and servo_id in self._geometry.servos:
+            self.deg[servo_id] = angle_deg
             self.rad[servo_id] = self._geometry.joint_rad(servo_id, angle_deg)

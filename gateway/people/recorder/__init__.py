@@ -1,0 +1,1 @@
+"""`record`: what a gateway publishes, as a file, live, or as a table."""

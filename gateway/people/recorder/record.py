@@ -1,0 +1,161 @@
+"""`record`: everything that the gateway publishes, into a file and to viewers, until somebody ends it."""
+
+import time
+from collections import Counter
+from contextlib import ExitStack, suppress
+from pathlib import Path
+from queue import Empty
+from typing import Any, Final
+
+from gateway.errors import ConfigError, GatewayError
+from gateway.geometry import load
+from gateway.people.client.live import ReportQueue
+from gateway.people.recorder.recording import HOST, REPORTS, Recording, about
+from gateway.people.recorder.table import Table
+from gateway.people.terminal import clear_line, hint, on_end_signals, say, show_line
+from gateway.people.tools.reach import Connection
+from schemas.keys import CALIBRATION, EVENT, FRAME, STATE
+from schemas.telemetry import GatewayState
+
+FLUSH_S: Final = 0.1
+"""A killed recorder loses what came in this time."""
+_PROGRESS_S: Final = 0.5
+_SILENT_S: Final = 1.0
+"""A gateway publishes its state ten times a second."""
+_MOST_WAITING: Final = 100_000
+"""Reports that wait for the disk: minutes of frames. More are dropped and counted, before memory runs out."""
+
+_NAMES: Final = {STATE: "states", EVENT: "events", FRAME: "frames"}
+
+
+def record(
+    connect: Connection,
+    path: Path | None,
+    *,
+    table: bool,
+    live_port: int | None,
+    geometry: Path | None,
+    overwrite: bool,
+    seconds: float | None,
+) -> int:
+    """Record until a signal, or for `seconds`. Returns the exit code. Raises AddressTakenError, ConfigError."""
+    recording = Recording(load(geometry))
+    with connect() as client:
+        state = client.state()
+        with ExitStack() as opened:
+            if live_port is not None:
+                port = recording.serve(live_port)
+                say(f"In Foxglove or Lichtblick, open the Foxglove WebSocket ws://{HOST}:{port}; Ctrl-C ends")
+            rows = _open(recording, opened, path, state, table=table, overwrite=overwrite)
+            reports = ReportQueue(REPORTS, _MOST_WAITING, state.physics)
+            if state.calibration.revision:  # so that the frames can be read; the default, and an older gateway, have 0
+                reports.put(CALIBRATION, client.calibration().model_dump_json().encode())
+            opened.enter_context(reports.receives(client.session))
+            opened.enter_context(on_end_signals(reports.end))
+            if path is not None and state.telemetry.frames is False:
+                hint(
+                    "The gateway publishes no frames, so the recording will have none: set telemetry.frames = true in "
+                    "its settings and restart it, or go on without."
+                )
+            if path is not None:
+                hint(f"recording into {path}; Ctrl-C ends it")
+            return _Recorder(recording, rows, reports, path).run(seconds)
+
+
+def _open(
+    recording: Recording, opened: ExitStack, path: Path | None, state: GatewayState, *, table: bool, overwrite: bool
+) -> Table | None:
+    """Open the files. Raises ConfigError."""
+    if path is None:
+        return None
+    for each in (path, path.with_suffix(".csv"))[: 1 + table]:
+        if each.exists() and not overwrite:
+            raise ConfigError(f"{each}: exists; name another file, or overwrite it with --force")
+    try:
+        recording.open_file(path, about(state), time.time_ns(), overwrite=overwrite)
+        rows = Table(path.with_suffix(".csv"), overwrite=overwrite) if table else None
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be written ({error.strerror or error})") from error
+    if rows is not None:
+        opened.callback(rows.close)
+    return rows
+
+
+class _Recorder:
+    def __init__(self, recording: Recording, table: Table | None, reports: ReportQueue, path: Path | None) -> None:
+        self._recording = recording
+        self._table = table
+        self._reports = reports
+        self._path = path
+        self._begun_s = self._received_s = time.monotonic()
+        self._counts: Counter[str] = Counter()
+        self._silent = False
+
+    def run(self, seconds: float | None) -> int:
+        """Write until the end. Returns the exit code."""
+        end_s = None if seconds is None else self._begun_s + seconds
+        try:
+            self._write_until(end_s)
+            self._recording.close()
+        except OSError as error:
+            clear_line()
+            raise _DiskError(
+                f"{self._path}: cannot be written any more ({error.strerror or error}). What came before can be read; "
+                f"once there is room, `mcap recover {self._path} -o FILE` makes a whole file of it"
+            ) from error
+        clear_line()
+        self._report()
+        return 0
+
+    def _write_until(self, end_s: float | None) -> None:
+        progress_s = flush_s = self._begun_s
+        while (now_s := time.monotonic()) < (end_s or now_s + 1):
+            if now_s >= flush_s:
+                flush_s = now_s + FLUSH_S
+                self._flush()
+            if now_s >= progress_s:
+                progress_s = now_s + _PROGRESS_S
+                show_line(self._summary())
+            if not self._silent and now_s - self._received_s > _SILENT_S:
+                self._silent = True
+                self._warn("the gateway is silent: this is the last that it published")
+            with suppress(Empty):
+                received = self._reports.get(min(flush_s, end_s or flush_s) - now_s)
+                if received is None:
+                    return
+                self._write(*received)
+
+    def _write(self, key: str, report: dict[str, Any], time_ns: int) -> None:
+        self._received_s = time.monotonic()
+        self._counts[key] += 1
+        if self._silent:
+            self._silent = False
+            self._warn("the gateway publishes again")
+        self._recording.add(key, report, time_ns)
+        if self._table is not None and key in (STATE, FRAME):
+            self._table.add(self._recording.drawing.joints, time_ns)
+
+    def _flush(self) -> None:
+        self._recording.flush()
+        if self._table is not None:
+            self._table.flush()
+
+    def _warn(self, sentence: str) -> None:
+        hint(sentence)
+        self._recording.warn(sentence, self._reports.now_ns())
+
+    def _summary(self) -> str:
+        counts = ", ".join(f"{self._counts[key]} {name}" for key, name in _NAMES.items())
+        size = f", {self._path.stat().st_size / 1e6:.1f} MB" if self._path and self._path.exists() else ""
+        return f"{time.monotonic() - self._begun_s:.1f} s, {counts}{size}"
+
+    def _report(self) -> None:
+        say(f"{self._path or 'live'}: {self._summary()}")
+        if self._reports.dropped:
+            hint(f"{self._reports.dropped} reports are missing: the disk was too slow.")
+        if self._reports.invalid:
+            hint(f"{self._reports.invalid} messages on the gateway's keys were no reports, and are not in the file.")
+
+
+class _DiskError(GatewayError):
+    """The recording ends since the disk does not take it."""
