@@ -17,6 +17,7 @@ from pydantic import BaseModel
 from gateway.model.elkapod import Measured, answer
 from gateway.model.frames import OneServo, Op, ServoOp, stop_leg
 from gateway.model.framing import Framing
+from gateway.robot.core.backlog import START_WAIT_NS
 from gateway.robot.core.leg import Rules
 from gateway.robot.service import rules
 from gateway.robot.settings import Settings
@@ -61,7 +62,8 @@ SHOWN_ELSEWHERE = {
 
 
 def test_where_nothing_is_set_the_supervisor_has_its_own_defaults() -> None:
-    assert rules(Settings()) == Rules()
+    """But that starts without `sent_ms` wait: tests of single rules have these leave at once."""
+    assert rules(Settings()) == Rules(start_wait_ns=START_WAIT_NS)
 
 
 @pytest.mark.parametrize(("leg_rate_hz", "frames"), [(1, 4), (10, 13), (50, 53), (100, 101)])
