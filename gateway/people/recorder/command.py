@@ -43,13 +43,13 @@ def record(
     Exit codes: 0 ended on request, 1 the disk does not take it, 2 the file exists or is none, or the extra
     \\[record] is missing, 4 no gateway answers, 5 the port is taken.
     """
-    from gateway.people.recorder.record import record
-    from gateway.people.tools import reach
-
     if file is None and (csv or not live):
         raise ConfigError("name the file to make, such as ride.mcap, or show the robot in a viewer with --live")
     if file is not None and file.suffix != ".mcap":
         raise ConfigError(f"{file}: name the file with .mcap, by which viewers know it: {file.with_suffix('.mcap')}")
+    from gateway.people.recorder.record import record
+    from gateway.people.tools import reach
+
     ended = record(
         reach.connection(connect, zenoh_config, timeout, source="hexapod-gateway record"),
         file,
