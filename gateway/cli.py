@@ -21,13 +21,20 @@ from gateway.people.console import calibrate_command
 from gateway.people.recorder import command as recorder
 from gateway.people.terminal import hint
 from gateway.people.tools import certs, walk_command
-from gateway.people.tools.options import ConfigOption, ConnectOption, OtherShapeOption, TimeoutOption, ZenohConfigOption
+from gateway.people.tools.options import (
+    AdaptOption,
+    ConfigOption,
+    ConnectOption,
+    OtherShapeOption,
+    TimeoutOption,
+    ZenohConfigOption,
+)
 
 _PANELS = {
     "Stop": ("estop", "stop", "reset"),
     "Look": ("status", "console", "record", "incidents"),
     "Drive": ("walk", "send", "ros2"),
-    "The robot": ("run", "check", "calibrate", "stop-servos", "install-service"),
+    "The robot": ("run", "check", "calibrate", "stop-servos"),
     "People": ("certs",),
     "Files": ("decode",),
 }
@@ -63,7 +70,10 @@ app = typer.Typer(
     help="Moves a six-legged robot: takes commands over Zenoh, writes HexapodProtocol frames to SPI, and stops the "
     "robot when commands stop coming.",
     epilog="Try it without a robot: `hexapod-gateway run --sim`, and in a second terminal "
-    "`hexapod-gateway send leg 3 start 90 45 120 --hold 5`.",
+    "`hexapod-gateway send leg 3 start 90 45 120 --hold 5`.\n\n"
+    "Exit codes: 0 done, or ended on request; 1 not done: rejected, failed, or not confirmed; 2 an argument, a file or "
+    "the configuration is wrong; 3 the SPI device fails; 4 no gateway answers, or Zenoh cannot be opened; 5 the "
+    "address is taken; 130 ended early by a signal.",
     no_args_is_help=True,
     add_completion=True,
     pretty_exceptions_enable=False,
@@ -162,8 +172,6 @@ def run(
 
     --sim-fault 0.1 is a bad contact, as slow as Linux is to notice one; --sim-fault 0.01:2000 a driver that hangs for
     two seconds: see how long the emergency stop takes then.
-
-    Exit codes: 0 stopped on request, 2 a wrong configuration, 3 the SPI device fails, 4 Zenoh cannot be opened.
     """
     from gateway.onboard import serve
 
@@ -186,8 +194,6 @@ def stop_servos(config: ConfigOption = None) -> None:
 
     Use it when the service has died, or may have. systemd runs it after every end of the service. It uses what the
     service uses, and reports where the file differs.
-
-    Exit codes: 0 stopped, 1 the power board has not confirmed it, 2 a wrong configuration, 3 the SPI device fails.
     """
     from gateway.onboard import stop
 
@@ -195,14 +201,9 @@ def stop_servos(config: ConfigOption = None) -> None:
         raise typer.Exit(stop.NOT_CONFIRMED)
 
 
-@app.command("stop")
-def send_stop(
-    connect: ConnectOption = None, zenoh_config: ZenohConfigOption = None, timeout: TimeoutOption = 2.0
-) -> None:
-    """Stop all six legs. They can be started again at once; after `estop` only a `reset` allows that.
-
-    Exit codes: 0 accepted, 1 rejected, or the power board does not confirm it, 4 no gateway answers.
-    """
+@app.command()
+def stop(connect: ConnectOption = None, zenoh_config: ZenohConfigOption = None, timeout: TimeoutOption = 2.0) -> None:
+    """Stop all six legs. They can be started again at once; after `estop` only a `reset` allows that."""
     from gateway.people.tools import send
 
     sys.exit(send.send_stop(send.connection(connect, zenoh_config, timeout)))
@@ -210,11 +211,7 @@ def send_stop(
 
 @app.command()
 def estop(connect: ConnectOption = None, zenoh_config: ZenohConfigOption = None, timeout: TimeoutOption = 2.0) -> None:
-    """Engage the emergency stop: all six legs stop at once, and stay stopped until `reset`.
-
-    Exit codes: 0 all six Stops are written, 1 not all of them, or the power board does not confirm it, 4 no gateway
-    answers.
-    """
+    """Engage the emergency stop: all six legs stop at once, and stay stopped until `reset`."""
     from gateway.people.tools import send
 
     sys.exit(send.estop(send.connection(connect, zenoh_config, timeout, command="estop")))
@@ -222,10 +219,7 @@ def estop(connect: ConnectOption = None, zenoh_config: ZenohConfigOption = None,
 
 @app.command()
 def reset(connect: ConnectOption = None, zenoh_config: ZenohConfigOption = None, timeout: TimeoutOption = 2.0) -> None:
-    """Leave the emergency stop. Nothing moves until it is started again.
-
-    Exit codes: 0 accepted, 1 rejected, 4 no gateway answers.
-    """
+    """Leave the emergency stop. Nothing moves until it is started again."""
     from gateway.people.tools import send
 
     sys.exit(send.reset(send.connection(connect, zenoh_config, timeout, command="reset")))
@@ -247,8 +241,6 @@ def status(
 
     With --follow it goes on, with a line for each change, rejection and event, and its reason. It waits for a gateway
     that is not there yet. Nothing here stops the robot: keep `estop` or a page within reach.
-
-    Exit codes: 0 shown, or ended on request; 2 the --zenoh-config is faulty; 4 no gateway answers.
     """
     if follow:
         from gateway.people.tools.follow import follow as follow_state
@@ -277,54 +269,32 @@ def console(
     ] = None,
     key: Annotated[Path | None, typer.Option(metavar="PATH", help="The certificate's private key.")] = None,
     role: Annotated[
-        str,
-        typer.Option(metavar="ROLE", help="operator, button (stops, drives nothing) or observer (only looks)."),
+        Literal["operator", "button", "observer"],
+        typer.Option(help="What pages may do: a button stops and drives nothing, an observer only looks."),
     ] = "operator",
     geometry: OtherShapeOption = None,
-    terrain: Annotated[
-        str,
-        typer.Option("--terrain", help="Of pages' walks: level, or adapt: by the robot's sensors, where it has some."),
-    ] = "level",
+    adapt: AdaptOption = False,
     open_browser: Annotated[bool, typer.Option("--open", help="Open the page in this machine's browser.")] = False,
     link: Annotated[
         bool, typer.Option("--link", help="Print a link for another browser, into the console that runs (at --listen).")
     ] = False,
-    revoke: Annotated[
-        bool, typer.Option("--revoke", help="End all sessions and links of this user's consoles (root: the service's).")
+    sign_out: Annotated[
+        bool,
+        typer.Option("--sign-out", help="End all sessions and links of this user's consoles (root: the service's)."),
     ] = False,
 ) -> None:
     """Serve a web page that shows the robot and drives it; STOP ALL is one tap.
 
     It is one more client of the gateway, and waits for one that is not there yet. A link works once; a session ends
     after 12 hours. Beyond this machine it serves only with TLS (--cert and --key).
-
-    Exit codes: 0 stopped on request, 2 an argument, a file or the configuration is wrong, 4 Zenoh cannot be opened
-    (--link: no console answers), 5 the address is taken.
     """
     from gateway.people.console import command
     from gateway.people.console.options import Options
 
-    if revoke or link:
-        sys.exit(command.revoke() if revoke else command.link(listen))
-    options = Options(connect, zenoh_config, timeout, listen, cert, key, role, geometry, terrain, open_browser)
+    if sign_out or link:
+        sys.exit(command.sign_out() if sign_out else command.link(listen))
+    options = Options(connect, zenoh_config, timeout, listen, cert, key, role, geometry, adapt, open_browser)
     command.console(options)
-
-
-@app.command(
-    "install-service",
-    context_settings={"allow_extra_args": True, "ignore_unknown_options": True},
-    add_help_option=False,
-)
-def install_service(context: typer.Context) -> None:
-    """Install the gateway as a service of this machine, with sudo: the same as deploy/install.sh, with its options.
-
-    Such as --framing length-prefixed, --certs DIR, --console, --bundle FILE, --rollback, --uninstall; --help names all.
-
-    Exit codes: 0 done, 1 rejected or failed, with one sentence, and the service that ran goes on.
-    """
-    from gateway.onboard import install_service
-
-    sys.exit(install_service.install(context.args))
 
 
 @app.command()
@@ -334,8 +304,6 @@ def decode(
     """Explain a frame, or name exactly its fault.
 
     Several frames may follow one another; each begins with its length.
-
-    Exit codes: 0 all are legal, 1 not.
     """
     from gateway.people.tools import decode
 
@@ -353,9 +321,7 @@ app.add_typer(bridge.app)
 send_app = typer.Typer(
     help="Send one acknowledged command through a running gateway.\n\n"
     "Without a further command the watchdog stops the leg (after watchdog.timeout_ms); --hold repeats the command "
-    "every 50 ms, and holds the lease meanwhile, if it is free: nobody else drives then.\n\n"
-    "Exit codes: 0 accepted, 1 rejected (the reason is printed), or the power board does not confirm a Stop, 4 no "
-    "gateway answers.",
+    "every 50 ms, and holds the lease meanwhile, if it is free: nobody else drives then.",
     no_args_is_help=True,
 )
 app.add_typer(send_app, name="send")
@@ -401,9 +367,6 @@ def send_servo(
 
     connection = send.connection(connect, zenoh_config, timeout)
     sys.exit(send.send_servo(connection, servo_id, op, angle, hold_s=hold))
-
-
-send_app.command("stop")(send_stop)
 
 
 def main() -> None:

@@ -20,6 +20,6 @@ def soon(name: str, end: dt.datetime, now: dt.datetime) -> str | None:
 def remedy(file: str, role: str, name: str) -> str:
     """How to renew the certificate in `file`; `role` and `name` as `folder.describe` returns them."""
     if role == "ca":
-        return "make a new CA (hexapod-gateway certs init, in another folder) and issue all certificates again"
+        return "make a new CA in another folder (`hexapod-gateway certs init`) and issue all certificates again"
     holder = name if role != "gateway" else role
     return f"hexapod-gateway certs renew {holder}, where ca.key is, and copy {file} here"

@@ -43,7 +43,7 @@ def check(
     yes: Annotated[
         bool, typer.Option("--yes", help="With --move (servo 61, 90°) and --stops: without asking.")
     ] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="With --stops: the result as JSON.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="As JSON, for programs; not with --move.")] = False,
 ) -> None:
     """Show whether this machine can run the service, line by line, and how to fix what it lacks.
 
@@ -56,13 +56,11 @@ def check(
 
     --stops moves one servo by 5°, after a change and before people come near, and ends with everything stopped, also on
     Ctrl-C. It measures from the frames, where the gateway publishes them (telemetry.frames).
-
-    Exit codes: 0 it can (--move: it moved, and its Stop arrived; with --yes: every frame was written; --stops: all
-    passed), 1 it cannot, 2 spi.framing is not set, the configuration may not be read, the robot is not at rest, nobody
-    agreed, or somebody else drives, 4 with --move and --stops: no gateway answers.
     """
-    if not stops and (only or restart or unplug or as_json):
-        raise ConfigError("--only, --restart, --unplug and --json go with --stops")
+    if not stops and (only or restart or unplug):
+        raise ConfigError("--only, --restart and --unplug go with --stops")
+    if move and as_json:
+        raise ConfigError("--move asks a person, so it has no --json")
     if move or stops:
         from gateway.onboard.check.move import move as move_servo
         from gateway.onboard.check.stops import stops as prove_stops
@@ -86,5 +84,5 @@ def check(
     from gateway.onboard.check import check, check_laptop
 
     if connect is not None or zenoh_config is not None:
-        sys.exit(check_laptop(connect, zenoh_config, timeout))
-    sys.exit(check(config))
+        sys.exit(check_laptop(connect, zenoh_config, timeout, as_json=as_json))
+    sys.exit(check(config, as_json=as_json))

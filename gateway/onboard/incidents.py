@@ -14,9 +14,7 @@ if TYPE_CHECKING:
 app = typer.Typer(
     help="What the black box kept of stops and faults, and the story of each.\n\n"
     "They are read from the gateway's ring, also after it was killed; a power cut or a reboot erases it. Where the "
-    "service recorded them, use sudo.\n\n"
-    "Exit codes: 0 done, 1 no such incident, 2 the black box is off or may not be read, or a file cannot be "
-    "written.",
+    "service recorded them, use sudo.",
     invoke_without_command=True,
 )
 
@@ -42,10 +40,7 @@ def _settings(context: typer.Context, config: Path | None) -> "Settings":
 
 @app.command("list")
 def list_incidents(context: typer.Context, config: ConfigOption = None, as_json: JsonOption = False) -> None:
-    """List them, newest first.
-
-    Exit codes: 0 listed, 2 the black box is off, or may not be read.
-    """
+    """List them, newest first."""
     from gateway.onboard import black_box
 
     sys.exit(black_box.list_all(_settings(context, config), as_json=as_json))
@@ -55,10 +50,7 @@ def list_incidents(context: typer.Context, config: ConfigOption = None, as_json:
 def show(
     context: typer.Context, incident: IncidentArgument, config: ConfigOption = None, as_json: JsonOption = False
 ) -> None:
-    """Tell what happened: commands, decisions and frames, with times relative to the stop.
-
-    Exit codes: 0 shown, 1 no such incident, 2 the black box is off, or may not be read.
-    """
+    """Tell what happened: commands, decisions and frames, with times relative to the stop."""
     from gateway.onboard import black_box
 
     sys.exit(black_box.show(_settings(context, config), incident, as_json=as_json))
@@ -71,11 +63,7 @@ def export(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="The MCAP file to make, such as stop.mcap")],
     config: ConfigOption = None,
 ) -> None:
-    """Write one as an MCAP file, for Foxglove, Lichtblick, Rerun or a program of your own.
-
-    Exit codes: 0 written, 1 no such incident, 2 the black box is off or may not be read, or the file exists or cannot
-    be written.
-    """
+    """Write one as an MCAP file, for Foxglove, Lichtblick, Rerun or a program of your own."""
     from gateway.onboard import black_box
 
     sys.exit(black_box.export(_settings(context, config), incident, file))

@@ -1,8 +1,8 @@
 """`check`: each of its looks, at real things where there are any: sockets, certificates, rights, files, a gateway."""
 
+import json
 import os
 import socket
-import stat
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -11,17 +11,13 @@ from pathlib import Path
 import pytest
 
 from gateway import certs
-from gateway.onboard.check import device, machine, network
-from gateway.onboard.check.result import Verdict
-from gateway.robot.sections import SpiSettings, ZenohSettings
+from gateway.onboard.check import network
+from gateway.onboard.check.table import CheckedRobot, judged, results
+from gateway.robot.settings import Settings
 from tests.support.certs_folder import DAY, NOW
 from tests.support.command import Ended, run_here
 from tests.support.gateway_process import Gateway, free_port, write_settings
-from tests.support.machine_tree import GPIOS, MachineTree
 from tests.support.router import zenoh_listening
-
-OK, WARNING, FAILURE = Verdict.OK, Verdict.WARNING, Verdict.FAILURE
-
 
 SPI = {"spi": {"framing": "length-prefixed"}}
 
@@ -59,124 +55,21 @@ def test_each_fault_of_the_configuration_is_a_line_and_the_rest_is_looked_at(
     assert last == "This machine cannot run the service: 3 failures."
 
 
+def test_as_json_the_same_is_for_programs(tmp_path: Path) -> None:
+    config = write_settings(tmp_path / "gateway.toml", SPI)
+    shown = check(config)
+    found = run_here("check", "--config", str(config), "--json")
+    report = json.loads(found.stdout)
+    assert found.returncode == shown.returncode == int(not report["passed"])
+    told = [f"{each['verdict']:8} {each['name']:14} {each['sentence']}" for each in report["checks"]]
+    assert [line.partition(" → ")[0] for line in shown.stdout.splitlines()[:-1]] == told
+
+
 def test_a_framing_that_nobody_has_said_comes_before_everything(tmp_path: Path) -> None:
     (tmp_path / "gateway.toml").write_text("[wings]\n")
     said = check(tmp_path / "gateway.toml")
     assert (said.returncode, said.stdout) == (2, "")
     assert [line.split(": ")[2] for line in said.stderr.splitlines()] == ["wings", *3 * ["spi.framing"]]
-
-
-# ---- the device, as far as it needs none (the rest: tests/hil/test_check_device.py)
-
-
-def test_what_is_no_spi_device(tmp_path: Path) -> None:
-    file = tmp_path / "spidev0.0"
-    file.touch()
-    for path, sentence in ((file, "is no device node"), (Path("/dev/null"), "/dev/null cannot be opened")):
-        result = device.device(SpiSettings(device=str(path)))
-        assert result.verdict is FAILURE
-        assert sentence in result.sentence
-
-
-@pytest.mark.parametrize(
-    ("speed_hz", "most_hz", "fix"),
-    [
-        (2_500_000, None, ""),
-        (2_500_001, None, "set spi.speed_hz = 2500000"),
-        (50_000, None, ""),
-        (10_000, None, "set spi.speed_hz = 2500000"),
-        (500_000, 500_000, ""),
-        (500_001, 500_000, "set spi.speed_hz = 500000 or less"),
-    ],
-)
-def test_speed(speed_hz: int, most_hz: int | None, fix: str, tmp_path: Path) -> None:
-    """As it was measured, and as the device tree allows it."""
-    node = tmp_path / "sys/class/spidev/spidev0.0/device/of_node"
-    node.mkdir(parents=True)
-    if most_hz is not None:
-        (node / "spi-max-frequency").write_bytes(most_hz.to_bytes(4, "big"))
-    result = device.speed(SpiSettings(speed_hz=speed_hz), root=tmp_path)
-    assert result.verdict is (WARNING if fix else OK)
-    assert result.fix.startswith(fix)
-
-
-@pytest.mark.parametrize(
-    ("kernel_hz", "gateway_runs", "fix"),
-    [
-        (125_000_000, False, ""),
-        (2_500_000, False, ""),
-        (2_499_999, False, "set spi.speed_hz = 2499999 or less"),
-        (2_500_000, True, ""),
-        (20_000_000, True, "sudo systemctl restart"),
-        (10_000, True, "sudo systemctl restart"),
-    ],
-)
-def test_a_speed_that_the_kernel_does_not_give_is_a_warning(
-    kernel_hz: int, gateway_runs: bool, fix: str, tmp_path: Path
-) -> None:
-    result = device.speed(SpiSettings(), kernel_hz=kernel_hz, gateway_runs=gateway_runs, root=tmp_path)
-    assert result.verdict is (WARNING if fix else OK)
-    assert result.fix.startswith(fix)
-    assert "the kernel gives" in result.sentence
-
-
-@pytest.mark.parametrize(
-    ("settings", "kernel_hz", "takes_ms"),
-    [
-        ({}, None, "0.6"),
-        ({"framing": "length-prefixed"}, None, "1.0"),
-        ({"framing": "length-prefixed", "frame_gap_us": 1000}, None, "12.4"),
-        ({"framing": "length-prefixed"}, 1_000_000, "1.4"),
-        ({"speed_hz": 1_000_000}, None, "1.0"),
-    ],
-)
-def test_what_an_emergency_stop_takes(
-    settings: dict[str, object], kernel_hz: int | None, takes_ms: str, tmp_path: Path
-) -> None:
-    """Bytes at the speed that the kernel gives, and a pause behind each transfer: an announced frame has two."""
-    result = device.speed(SpiSettings.model_validate(settings), kernel_hz=kernel_hz, root=tmp_path)
-    assert f"an emergency stop takes {takes_ms} ms to write" in result.sentence
-
-
-def test_the_kernel_is_asked_for_the_speed_only_of_a_spidev(tmp_path: Path) -> None:
-    (tmp_path / "file").touch()
-    for path in (tmp_path / "file", tmp_path / "gone", Path("/dev/null")):
-        assert device.kernel_hz(str(path)) is None
-
-
-@pytest.mark.parametrize(
-    ("cs_gpios", "framing", "verdict"),
-    [(GPIOS, "plain", OK), (None, "plain", WARNING), (None, "length-prefixed", OK)],
-)
-def test_a_controller_that_drives_chip_select_may_keep_it_within_a_call(
-    cs_gpios: bytes | None, framing: str, verdict: Verdict, tmp_path: Path
-) -> None:
-    """By the device tree, not by the driver's name."""
-    MachineTree(tmp_path, cs_gpios=cs_gpios)
-    settings = SpiSettings.model_validate({"framing": framing})
-    result = device.lists(settings, root=tmp_path)
-    assert result.verdict is verdict
-    assert ("check --move" in result.fix) is (verdict is WARNING)
-    assert ("spi-bcm2835" in result.sentence) is (cs_gpios is None)
-
-
-def test_without_a_device_tree_nobody_knows_of_chip_select(tmp_path: Path) -> None:
-    assert device.lists(SpiSettings(), root=tmp_path).verdict is WARNING
-
-
-@pytest.mark.parametrize(
-    ("settings", "verdict", "sentence"),
-    [
-        ({}, WARNING, "the published STM32 firmware jams in it"),
-        ({"framing": "length-prefixed"}, OK, "wire angles from 1 up to 4 degrees are never sent"),
-    ],
-)
-def test_a_framing_that_jams_the_published_firmware_is_a_warning(
-    settings: dict[str, object], verdict: Verdict, sentence: str
-) -> None:
-    found = device.framing(SpiSettings.model_validate(settings))
-    assert found.verdict is verdict
-    assert sentence in found.sentence
 
 
 # ---- ports (one on which a gateway answers: tests/hil/test_check_device.py)
@@ -193,92 +86,41 @@ def taken() -> Iterator[int]:
         yield port
 
 
-@pytest.mark.full
-@pytest.mark.parametrize(
-    "endpoint", ["tcp/127.0.0.1:{}", "tls/127.0.0.1:{}", "tcp/localhost:{}#iface=lo", "quic/127.0.0.1:{}"]
-)
-def test_a_port_is_free_or_taken(endpoint: str, taken: int) -> None:
-    result = network.port(endpoint.format(taken))
-    assert result.verdict is FAILURE
-    assert "is taken by another program" in result.sentence
-    assert network.port(endpoint.format(taken), gateway_runs=True).verdict is OK
-    assert network.port(endpoint.format(free_port())).verdict is OK
+TAKEN, FREE, RUNS = "is taken by another program", "is free", "by the gateway that runs here, it seems"
 
 
 @pytest.mark.parametrize(
     ("endpoint", "sentence"),
     [
+        *((f"{each}:TAKEN", TAKEN) for each in ("tcp/127.0.0.1", "tls/127.0.0.1", "quic/127.0.0.1")),
+        *((f"{each}:FREE", FREE) for each in ("tcp/127.0.0.1", "tls/127.0.0.1", "quic/127.0.0.1")),
+        ("tcp/localhost:TAKEN#iface=lo", TAKEN),
         ("tcp/192.0.2.1:7447", "is no address of this machine"),
         ("tcp/127.0.0.1:99999", "cannot be listened on: ports end at 65535"),
         ("tcp/no-such-host.invalid:7447", "cannot be listened on"),
+        ("unixsock-stream//run/hexapod.sock", "was not tried"),
     ],
 )
-def test_a_port_that_cannot_be_had(endpoint: str, sentence: str) -> None:
-    result = network.port(endpoint)
-    assert result.verdict is FAILURE
-    assert sentence in result.sentence
-    assert result.fix
-
-
-def test_what_is_no_port_is_not_tried() -> None:
-    assert "was not tried" in network.port("unixsock-stream//run/hexapod.sock").sentence
-    assert network.ports([], gateway_runs=False)[0].verdict is OK
+def test_a_port(endpoint: str, sentence: str, taken: int) -> None:
+    where = endpoint.replace("TAKEN", str(taken)).replace("FREE", str(free_port()))
+    (line,) = judged(network.PORTS, network.port(where))
+    assert line.sentence.startswith(f"{where} {sentence}")
+    if sentence is TAKEN:
+        (line,) = judged(network.PORTS, network.port(where, gateway_runs=True))
+        assert line.sentence == f"{where} is in use {RUNS}"
 
 
 def test_the_port_of_the_metrics(taken: int) -> None:
-    result = network.metrics_port(f"127.0.0.1:{taken}", gateway_runs=False)
-    assert result.verdict is FAILURE
-    assert "telemetry.metrics" in result.fix
-    assert network.metrics_port(f"127.0.0.1:{free_port()}", gateway_runs=False).verdict is OK
+    for number, fix in ((taken, "see whose it is (ss -ltnp), or set another telemetry.metrics"), (free_port(), "")):
+        sections = {
+            "zenoh": {"listen": [], "connect": ["tcp/127.0.0.1:1"]},
+            "telemetry": {"metrics": f"127.0.0.1:{number}"},
+        }
+        _, line = results([network.PORTS], CheckedRobot(Settings.model_validate(sections)))
+        assert line.fix == fix
 
 
 # ---- Zenoh's configuration and certificates
-
-
-def test_an_open_door_is_a_failure_and_one_that_is_meant_a_warning(capfd: pytest.CaptureFixture[str]) -> None:
-    config, results = network.zenoh_configuration(ZenohSettings(listen=("tcp/0.0.0.0:7447",)))
-    assert config is None
-    assert [result.verdict for result in results] == [FAILURE]
-    meant = ZenohSettings(listen=("tcp/0.0.0.0:7447",), allow_insecure=True)
-    config, results = network.zenoh_configuration(meant)
-    assert config is not None
-    assert [result.verdict for result in results] == [WARNING]
-    assert "anyone who reaches tcp/0.0.0.0:7447 can move the robot" in results[0].sentence
-    assert capfd.readouterr().err == ""  # told once, in its line
-
-
-RENEW = "hexapod-gateway certs renew gateway, where ca.key is, and copy gateway.pem here"
-
-
-@pytest.mark.parametrize(
-    ("days_left", "verdict", "sentence", "fix"),
-    [
-        (61, OK, "is good until", ""),
-        (59, WARNING, "days more", RENEW),
-        (1, WARNING, "days more", RENEW),
-        (-1, FAILURE, "gateway.pem expired on", RENEW),
-        (490, FAILURE, "is good only from", "set the clock (timedatectl)"),
-    ],
-    ids=["good", "soon", "tomorrow", "expired", "a clock that is behind"],
-)
-def test_the_expiry_of_certificates(tmp_path: Path, days_left: int, verdict: Verdict, sentence: str, fix: str) -> None:
-    days = 90
-    certs.folder.init(tmp_path / "D", ["127.0.0.1"], days=days, now=NOW)
-    settings = ZenohSettings(config=str(tmp_path / "D" / "gateway.json5"))
-    ca, gateway = network.certificates(settings, NOW + (days - days_left) * DAY)
-    assert ca.verdict is (FAILURE if days_left > days else OK), "it is good for longer"
-    assert (gateway.verdict, gateway.fix) == (verdict, fix)
-    assert sentence in gateway.sentence
-
-
-def test_certificates_that_are_missing_or_not_in_use(tmp_path: Path) -> None:
-    (result,) = network.certificates(ZenohSettings(), NOW)
-    assert result.verdict is OK
-    certs.folder.init(tmp_path / "D", ["127.0.0.1"])
-    (tmp_path / "D" / "gateway.pem").unlink()
-    (result,) = network.certificates(ZenohSettings(config=str(tmp_path / "D" / "gateway.json5")), NOW)
-    assert result.verdict is FAILURE
-    assert "gateway.pem" in result.sentence
 
 
 def test_the_whole_of_a_robot_with_certificates(tmp_path: Path) -> None:
@@ -318,51 +160,9 @@ def test_a_router_that_is_off_is_a_failure(tmp_path: Path) -> None:
 
 # ---- the machine
 
-
-def test_the_clock() -> None:
-    assert machine.clock().verdict in (OK, WARNING)  # whatever this machine's is
-    assert [machine.clock_result(state).verdict for state in (0, 1, 4, 5, -1)] == [OK, OK, OK, WARNING, WARNING]
-
-
-@pytest.fixture
-def systemctl(tmp_path: Path) -> Path:
-    """A program that says what `systemctl show` says, from the file `said` beside it."""
-    program = tmp_path / "systemctl"
-    program.write_text(f'#!/bin/sh\n[ "$1 $2" = "show hexapod-gateway" ] && cat {tmp_path}/said\n')
-    program.chmod(program.stat().st_mode | stat.S_IXUSR)
-    return program
-
-
-@pytest.mark.parametrize(
-    ("load", "active", "enabled", "verdict", "fix"),
-    [
-        ("loaded", "active", "enabled", OK, ""),
-        ("loaded", "inactive", "enabled", WARNING, "sudo systemctl start hexapod-gateway"),
-        ("loaded", "active", "disabled", WARNING, "sudo systemctl enable --now hexapod-gateway"),
-        ("loaded", "failed", "enabled", FAILURE, "journalctl -u hexapod-gateway"),
-        ("not-found", "inactive", "", WARNING, "sudo deploy/install.sh"),
-        ("bad-setting", "inactive", "", FAILURE, "systemctl status hexapod-gateway"),
-    ],
-)
-def test_the_unit(
-    systemctl: Path, tmp_path: Path, load: str, active: str, enabled: str, verdict: Verdict, fix: str
-) -> None:
-    said = f"LoadState={load}\nActiveState={active}\nUnitFileState={enabled}\nResult=exit-code\n"
-    (tmp_path / "said").write_text(said)
-    result = machine.unit(booted=tmp_path, systemctl=str(systemctl))
-    assert result.verdict is verdict
-    assert result.fix.startswith(fix)
-
-
-def test_no_systemd_and_one_that_does_not_answer(systemctl: Path, tmp_path: Path) -> None:
-    none = machine.unit(booted=tmp_path / "absent", systemctl=str(systemctl))
-    assert (none.verdict, "does not run systemd" in none.sentence) == (WARNING, True)
-    mute = machine.unit(booted=tmp_path, systemctl=str(systemctl))  # there is no `said`: it fails
-    assert (mute.verdict, "systemctl fails" in mute.sentence) == (WARNING, True)
-
-
 REALTIME = (
-    "import os, gateway.onboard.check.machine as m; r = m.realtime(); print(r.verdict, r.sentence, r.fix);"
+    "import os; from gateway.onboard.check.machine import REALTIME; from gateway.onboard.check.table import results;"
+    "r, = results([REALTIME], None); print(r.verdict, r.sentence, r.fix);"
     "print(os.sched_getscheduler(0))"
 )
 
@@ -382,7 +182,8 @@ def test_without_real_time_rights_it_says_which_limit() -> None:
 
 
 def test_a_port_that_this_user_may_not_have() -> None:
-    code = "import gateway.onboard.check.network as n; r = n.port('tcp/127.0.0.1:1'); print(r.verdict, r.sentence)"
+    code = "import gateway.onboard.check.network as n; from gateway.onboard.check.table import judged;"
+    code += "r, = judged(n.PORTS, n.port('tcp/127.0.0.1:1')); print(r.verdict, r.sentence)"
     everyones = int(Path("/proc/sys/net/ipv4/ip_unprivileged_port_start").read_text()) <= 1
     (said,) = _run(_without("net_bind_service"), code)
     sentence = (

@@ -115,6 +115,7 @@ def test_all_that_the_gateway_publishes_is_in_the_file_and_as_the_files_own_sche
 
 
 @pytest.mark.full
+@pytest.mark.alone
 def test_a_killed_recorder_leaves_all_but_the_newest(gateway: Gateway, robot: Client, tmp_path: Path) -> None:
     written = frames(robot)
     chance = random.Random()  # noqa: S311

@@ -1,50 +1,48 @@
-"""`hexapod-gateway check`: what this machine lacks to run the service, a line each, and how to fix it.
+"""`hexapod-gateway check`: what is missing on this machine to run the service, a line each, and how to fix it.
 
 It changes nothing: no byte reaches the robot, and a running gateway is not disturbed. With elkapod-2025 and no gateway
 running, a controller whose heartbeat comes is shut down, since its answers need frames. A power board is asked.
 """
 
-import datetime as dt
+import json
 import os
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 from itertools import chain
 from pathlib import Path
 from typing import Final
 
 from gateway.errors import ConfigError
 from gateway.host import effective
-from gateway.host.directories import state_to_read
-from gateway.onboard import stop
+from gateway.host.effective import Effective
+from gateway.onboard import stop, whole
 from gateway.onboard.check import (
-    access,
-    calibration,
+    certificates,
     controller,
     device,
-    holders,
     installation,
     laptop,
-    looking,
     machine,
     network,
     power,
-    release,
-    running,
     service_user,
-    spi_bus,
-    trust,
+    simulated,
 )
-from gateway.onboard.check.result import Result, Verdict, failure, ok, warning
-from gateway.people.terminal import clear_line, rows, show_line
+from gateway.onboard.check.table import LET_READ, CheckedRobot, Result, Verdict, results
+from gateway.people.terminal import clear_line, rows, say, show_line
 from gateway.robot import settings as settings_file
 from gateway.robot.sections import SpiSettings
 from gateway.robot.settings import FramingNotSetError, Settings
-from gateway.zenoh_config import listen_endpoints
 
 _STYLES: Final = {Verdict.OK: rows.GOOD, Verdict.WARNING: rows.NOTE, Verdict.FAILURE: rows.BAD}
+_FRAMING: Final = "hexapod_spi__framing"
+_STATE_IT: Final = (
+    "state in the file what the controller needs, and take the variable out (systemctl cat hexapod-gateway)"
+)
 
 
-def check(config: Path | None) -> int:
+def check(config: Path | None, *, as_json: bool = False) -> int:
     """Print every check's line as it is known; the exit code: 0, or 1 after a failure.
 
     As root, each is looked at as the service's user. Where a gateway with a simulated controller runs, and no file is
@@ -52,41 +50,55 @@ def check(config: Path | None) -> int:
     Raises ConfigError where oneself may not read the configuration, and FramingNotSetError: what the machine can do
     matters only once it is known what the controller understands.
     """
-    runs = release.running(machine.main_process())  # only root may see it
+    runs = machine.running_release(machine.main_process())  # only root may see it
     show_line("reading the files of the installed release …")
-    seen = looking.look()  # root sees it all
+    seen = installation.look()  # root sees it all
     clear_line()
 
     def look() -> int:
-        found = running.simulated() if config is None else None
+        found = simulated.found() if config is None else None
+        lines = run(config, seen) if found is None else chain(simulated.look(*found), seen or ())
+        concludes = ("This machine can run the service", "This machine cannot run the service")
         if found is not None:
-            results = chain(running.results(*found), _installed(seen), release.findings(runs))
-            return _report(results, "The simulated robot is well", "The simulated robot is not well")
-        results = chain(run(config, seen), release.findings(runs))
-        return _report(results, "This machine can run the service", "This machine cannot run the service")
+            concludes = ("The simulated robot is well", "The simulated robot is not well")
+        lines = chain(lines, results(machine.RELEASE, (runs, whole.INSTALLED)))
+        return _report(lines, *concludes, as_json=as_json)
 
     return service_user.run(look, machine.granted_rtprio())
 
 
-def check_laptop(connect: str | None, zenoh_config: Path | None, timeout_s: float) -> int:
+def check_laptop(connect: str | None, zenoh_config: Path | None, timeout_s: float, *, as_json: bool = False) -> int:
     """The same of a laptop: whether it reaches the robot, and what it may do there."""
     steps = laptop.checks(connect, zenoh_config, timeout_s)
-    return _report(steps, "This machine reaches the gateway", "This machine does not reach the gateway")
+    return _report(
+        steps, "This machine reaches the gateway", "This machine does not reach the gateway", as_json=as_json
+    )
 
 
-def _report(found: Iterable[Result], well: str, unwell: str) -> int:
-    count = Counter[Verdict]()
+def _report(found: Iterable[Result], well: str, unwell: str, *, as_json: bool) -> int:
+    """Print the lines, each sentence once, and one at the end."""
+    lines = dict[str, Result]()
     for result in found:
-        count[result.verdict] += 1
-        rows.show(rows.row(result.verdict, _STYLES[result.verdict], result.name, result.sentence, result.fix))
+        if result.sentence not in lines and not as_json:
+            style = _STYLES[result.verdict]
+            rows.show(rows.row(result.verdict, style, result.name, result.sentence, result.fix))
+        lines.setdefault(result.sentence, result)
+    count = Counter(each.verdict for each in lines.values())
     failures, warnings = count[Verdict.FAILURE], count[Verdict.WARNING]
+    if as_json:
+        say(json.dumps({"passed": not failures, "checks": [each._asdict() for each in lines.values()]}))
+        return 1 if failures else 0
     if failures:
         return rows.conclude(f"{unwell}: {_count(failures, 'failure')}.", well=False)
     remark = f", with {_count(warnings, 'warning')}" if warnings else ""
     return rows.conclude(f"{well}{remark}.", well=True)
 
 
-def run(config: Path | None, seen: installation.Installation | None = None) -> Iterator[Result]:
+def _count(number: int, word: str) -> str:
+    return f"{number} {word}{'' if number == 1 else 's'}"
+
+
+def run(config: Path | None, seen: Sequence[Result] | None = None) -> Iterator[Result]:
     """All checks, in order; those of the settings only where these can be read. Raises FramingNotSetError at once.
 
     While the service runs, and no file is named, its device is looked at with the settings that it uses.
@@ -97,48 +109,29 @@ def run(config: Path | None, seen: installation.Installation | None = None) -> I
     used = effective.read() if config is None else None
     used = used if used is not None and used.runs else None
     stated_in_unit = used is not None and any(name.lower() == _FRAMING for name in stop.unit()[1])
+    settings: Settings | None = None
+    faults: list[str] = []
     try:
-        settings: Settings | ConfigError = settings_file.load(config, simulated=stated_in_unit)
-    except FramingNotSetError as error:
-        if used is None:
-            raise
-        settings = error  # the service runs, and would not start again
+        settings = settings_file.load(config, simulated=stated_in_unit)
     except ConfigError as error:
-        settings = error
-    yield machine.python()
-    whose = service_user.who()
-    if whose is not None:
-        yield whose
-    yield from _installed(seen)
-    if isinstance(settings, ConfigError):
-        yield from _unreadable(settings)
+        if isinstance(error, FramingNotSetError) and used is None:  # else it runs, and would not start again
+            raise
+        faults = str(error).splitlines()
+    robot = CheckedRobot(settings or Settings(), installed=seen is not None)
+    yield from results([machine.PYTHON, machine.USER], robot)
+    yield from seen or ()
+    for fault in faults:
+        fix = LET_READ if certificates.DENIED in fault else "fix it there, and check again"
+        yield Result("configuration", Verdict.FAILURE, fault, fix)
+    if settings is None:
+        what = "device, ports and certificates were not looked at"
+        yield Result("the rest", Verdict.WARNING, what, "fix the configuration first")
     else:
-        yield _configuration(config)
-        if used is not None:
-            if settings.spi.device != used.spi.device:
-                yield device.device(settings.spi)
-            yield from (warning("in use", each, _STATE_IT) for each in effective.differences(used, path))
-            uart = settings.controller.model_copy(update={"uart": used.controller.uart})
-            spi = SpiSettings.model_validate(used.tables["spi"])
-            settings = settings.model_copy(update={"spi": spi, "controller": uart})
-        yield from _of_settings(settings)
-    yield machine.clock()
-    unit = machine.unit()
-    if seen is None or not machine.is_no_unit(unit):  # the installation's row has it, and the fix
-        yield unit
-    yield machine.running_realtime() or machine.realtime()
-
-
-def _installed(seen: installation.Installation | None) -> Iterator[Result]:
-    """Nothing where the service is not installed."""
-    if seen is not None:
-        yield from list(installation.results(seen)) or [ok("installation", f"{seen.release}, each file as installed")]
-
-
-def _unreadable(error: ConfigError) -> Iterator[Result]:
-    for fault in str(error).splitlines():
-        yield failure("configuration", fault, trust.LET_READ if network.DENIED in fault else _FIX_IT)
-    yield warning("the rest", "device, ports and certificates were not looked at", "fix the configuration first")
+        where = str(path) if path.exists() else f"the defaults, since there is no {path}"
+        yield Result("configuration", Verdict.OK, where)
+        yield from _of_settings(robot if used is None else _in_use(robot, used), used, path)
+    probes = (machine.CLOCK, machine.GOVERNOR, machine.VOLTAGE, machine.MEMORY, machine.UNIT, machine.REALTIME)
+    yield from results(probes, robot)
 
 
 def _denied(path: Path) -> bool:
@@ -151,57 +144,24 @@ def _denied(path: Path) -> bool:
     return False
 
 
-_FRAMING: Final = "hexapod_spi__framing"
-_FIX_IT: Final = "fix it there, and check again"
-_STATE_IT: Final = (
-    "state in the file what the controller needs, and take the variable out (systemctl cat hexapod-gateway)"
-)
+def _in_use(robot: CheckedRobot, used: Effective) -> CheckedRobot:
+    """The same with the wire that the service uses."""
+    settings = robot.settings
+    uart = settings.controller.model_copy(update={"uart": used.controller.uart})
+    spi = SpiSettings.model_validate(used.tables["spi"])
+    return replace(robot, settings=settings.model_copy(update={"spi": spi, "controller": uart}))
 
 
-def _configuration(config: Path | None) -> Result:
-    path = config or settings_file.DEFAULT_PATH
-    return ok("configuration", str(path) if path.exists() else f"the defaults, since there is no {path}")
-
-
-def _of_settings(settings: Settings) -> Iterator[Result]:
-    path = settings.spi.device
-    spi_device = device.device(settings.spi)
-    yield spi_device
-    kernel_hz = device.kernel_hz(path) if spi_device.verdict is Verdict.OK else None
-    yield spi_bus.carrier(path)
-    yield spi_bus.shared(path)
-    yield device.speed(settings.spi, kernel_hz=kernel_hz, gateway_runs=device.held(spi_device))
+def _of_settings(robot: CheckedRobot, used: Effective | None, path: Path) -> Iterator[Result]:
+    settings = robot.settings
+    if used is not None:
+        stated = settings_file.load(None, simulated=True)
+        if stated.spi.device != used.spi.device:
+            yield from results([device.DEVICE], CheckedRobot(stated))
+        for each in effective.differences(used, path):
+            yield Result("in use", Verdict.WARNING, each, _STATE_IT)
+    yield from results([device.DEVICE, *device.BUS], robot)
     if settings.spi.protocol.measures:
-        yield from controller.results(settings, gateway_runs=device.held(spi_device))
-    else:
-        yield device.framing(settings.spi)
-        yield device.lists(settings.spi)
-    kept = calibration.kept(settings)
-    yield kept
-    if kept.verdict is not Verdict.FAILURE and "not for you" not in kept.sentence:
-        yield from calibration.landing_pose(settings)
-    certificates = network.certificates(settings.zenoh, dt.datetime.now(dt.UTC))
-    yield from certificates
-    mismatched = trust.results(settings.zenoh, state=state_to_read(settings.state.path))
-    yield from mismatched
-    zenoh_config, found = network.zenoh_configuration(settings.zenoh)
-    yield from (result for result in found if result.sentence not in {known.sentence for known in certificates})
-    gateway_runs = device.held(spi_device)
-    if zenoh_config is not None:
-        yield from access.passes(zenoh_config, settings.zenoh.config)
-        if all(each.name != "revoked" for each in mismatched):
-            yield from holders.shut_out_at_the_robot(zenoh_config, settings)
-        endpoints = listen_endpoints(zenoh_config)
-        ports = network.ports(endpoints, gateway_runs=gateway_runs)
-        yield from ports
-        to_be_had = [each for each, port in zip(endpoints, ports, strict=False) if port.verdict is not Verdict.FAILURE]
-        if not mismatched:  # else Zenoh's sentence about it leads nowhere
-            yield from network.opens(settings.zenoh, to_be_had)
-        yield from network.routers(zenoh_config)
-    yield from power.results(settings.power, gateway_runs=gateway_runs)
-    if settings.telemetry.metrics:
-        yield network.metrics_port(settings.telemetry.metrics, gateway_runs=gateway_runs)
-
-
-def _count(number: int, word: str) -> str:
-    return f"{number} {word}{'' if number == 1 else 's'}"
+        yield from controller.look(robot)
+    yield from results([*device.FRAMES, *device.CALIBRATION, *certificates.CERTIFICATES, network.ZENOH], robot)
+    yield from results([*network.ACCESS, certificates.REVOKED, network.PORTS, *network.LINKS, power.BOARD], robot)

@@ -1,89 +1,147 @@
-"""The SPI device: node, permissions, who holds it, speed, framing. Writes nothing to the robot."""
+"""The SPI device, its bus, its clock and framing, and the calibration. Writes nothing to the robot."""
 
 import fcntl
+import grp
 import os
+import pwd
+import stat
 import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Final
 
+from gateway.durable import staged_for
 from gateway.errors import SpiError
+from gateway.model.angle_limits import AngleLimits
+from gateway.model.calibration import RobotCalibration
 from gateway.model.elkapod import FRAME_BYTES
-from gateway.model.frames import ONE_LEG_LEN
+from gateway.model.frames import ONE_LEG_LEN, centidegrees
 from gateway.model.framing import Framing
-from gateway.onboard.check import nodes, service_user
-from gateway.onboard.check.installation import RESTART
-from gateway.onboard.check.result import Result, failure, ok, warning
-from gateway.own_command import command
+from gateway.onboard.check import service_user
+from gateway.onboard.check.table import INSTALL, RESTART, CheckedRobot, Fault, Probe, Seen, always, failure, warning
+from gateway.robot.core.calibrating import ACCEPT_DEFAULT
+from gateway.robot.host.calibration_file import SLOW_S, load, path_to_read
 from gateway.robot.sections import SpiSettings
-from gateway.robot.spi import ioctls
+from gateway.robot.spi import ioctls, machine
 from gateway.robot.spi.bus import CS_CHANGE_NS
 from gateway.robot.spi.kernel import KernelDevice
-from gateway.robot.spi.machine import ROOT_DIR, SELECT_BY_GPIO, driver_of, gpio_selects
 from schemas.robot import LEGS
 
 SLOW_STOPS_MS: Final = 20.0
 """Six Stops should not take longer to write than the shortest watchdog timeout that can be set; nor should a frame of
 elkapod-2025 than its default cycle."""
-
 _READ_SPEED: Final = 2 << 30 | 4 << 16 | ord("k") << 8 | 4
 """SPI_IOC_RD_MAX_SPEED_HZ."""
-_NAME: Final = "SPI device"
-_HELD: Final = "is held by a running gateway"
 
 
-def device(spi: SpiSettings) -> Result:
-    """Whether the device can be opened and set up as the service does it. Closes it at once."""
-    path = Path(spi.device)
-    lack = nodes.missing(_NAME, path, "spi.device", _absent(path)) or _permission(path)
-    if lack is not None:
-        return lack
+# ---- nodes
+
+
+def node(path: str) -> Seen:
+    """A device node. `lack`: why this user cannot open it; "" if nothing is known against it."""
+    seen = Seen(path=path, lack="", why="", rights="", group=None, user=_name(pwd.getpwuid, os.geteuid()))
+    seen.service = service_user.uid() is not None
     try:
-        KernelDevice(spi.device, spi.speed_hz, mode=spi.protocol.spi_mode).close()
-    except SpiError as error:
-        if isinstance(error.__cause__, BlockingIOError):
-            return ok(_NAME, f"{path} {_HELD}; a second one would be rejected")
-        return failure(_NAME, str(error), f"is {path} a SPI device? see dmesg")
-    by = f"; {ioctls.USED}" if ioctls.are_used() else ""
-    return ok(_NAME, f"{path} opens, as {nodes.user()}{by}")
+        status = os.stat(path)
+    except OSError as error:
+        seen.lack, seen.why = "hidden" if isinstance(error, PermissionError) else "absent", error.strerror
+        return seen
+    group = _name(grp.getgrgid, status.st_gid)
+    seen.rights = f"{stat.filemode(status.st_mode)}, group {group}"
+    if status.st_gid and status.st_mode & 0o060 == 0o060:
+        seen.group = group
+    if not stat.S_ISCHR(status.st_mode):
+        seen.lack = "no node"
+    elif not os.access(path, os.R_OK | os.W_OK):
+        seen.lack = "denied"
+    return seen
 
 
-def held(result: Result) -> bool:
-    """Whether `device` found that a gateway holds the device."""
-    return _HELD in result.sentence
+def _name(find: Callable[[int], tuple[object, ...]], number: int) -> str:
+    """Of a user or a group; their number where they have none."""
+    with suppress(KeyError):
+        return str(find(number)[0])
+    return str(number)
 
 
-def _absent(path: Path) -> str:
-    others = sorted(str(found) for found in path.parent.glob("spidev*")) if path.parent.is_dir() else []
+# fmt: off
+def no_node(setting: str) -> tuple[Fault, ...]:
+    """The faults of a node that is not there. The reading has a remedy, `absent`."""
     return (
-        f"set spi.device; here there is {', '.join(others)}"
-        if others
-        else "switch SPI on (dtparam=spi=on in config.txt) and reboot; without a robot: run --sim"
+        failure(lambda r: r.lack == "hidden", "{path} cannot be looked at ({why})", "check the folder's permissions"),
+        failure(lambda r: r.lack == "absent", "{path} does not exist", "{absent}"),
+        failure(lambda r: r.lack == "no node", "{path} is no device node", f"set {setting} to one"),
+    )
+# fmt: on
+
+
+def denied(when: Callable[[Seen], object], remedy: str) -> Fault:
+    """A node that this user may not open, where `when` holds, too."""
+    return failure(lambda r: r.lack == "denied" and when(r), "{path} may not be opened by {user} ({rights})", remedy)
+
+
+JOIN_GROUP: Final = "sudo usermod -aG {group} {user} # then log in again"
+
+
+# ---- the device
+
+
+def _device(robot: CheckedRobot) -> Iterator[Seen]:
+    """Set it up as the service does it, and close it at once."""
+    spi = robot.settings.spi
+    seen, path = node(spi.device), Path(spi.device)
+    seen.error, seen.opens = "", f"opens, as {seen.user}"
+    others = ", ".join(sorted(map(str, path.parent.glob("spidev*"))))
+    seen.absent = "switch SPI on (dtparam=spi=on in config.txt) and reboot; without a robot: run --sim"
+    seen.absent = f"set spi.device; here there is {others}" if others else seen.absent
+    robot.gateway_runs = False
+    if not seen.lack:
+        try:
+            KernelDevice(spi.device, spi.speed_hz, mode=spi.protocol.spi_mode).close()
+        except SpiError as error:
+            robot.gateway_runs = isinstance(error.__cause__, BlockingIOError)
+            seen.error = "" if robot.gateway_runs else str(error)
+        seen.opens += f"; {ioctls.USED}" if ioctls.are_used() else ""
+    if robot.gateway_runs:
+        seen.opens = "is held by a running gateway; a second one would be rejected"
+    yield seen
+
+
+def _carrier(robot: CheckedRobot) -> Iterator[Seen]:
+    """Computer, kernel, driver and chip select; and whether this kernel loses clock edges."""
+    device, root = robot.settings.spi.device, robot.root
+    release, built = machine.kernel(root)
+    parts = [
+        machine.computer(root) or "a computer without a device tree",
+        f"Linux {release or 'of unknown release'}",
+        f"driver {machine.driver_of(device, root) or 'unknown'}",
+        {True: "chip select is a GPIO", False: "the controller drives chip select", None: ""}[
+            machine.gpio_selects(device, root)
+        ],
+    ]
+    yield Seen(
+        found=", ".join(part for part in parts if part),
+        when="that was built at an unknown time" if built is None else f"of {built}",
+        loses=machine.on_rp1(device, root) and (built is None or built < machine.RP1_FIXED),
     )
 
 
-def _permission(path: Path) -> Result | None:
-    if os.access(path, os.R_OK | os.W_OK):
-        return None
-    group = nodes.group_that_may(path)
-    fix = (
-        f"the udev rule of the installation gives it to the group spi at each boot; now: sudo chgrp spi {path} && "
-        f"sudo chmod 660 {path} && {RESTART}"
-        if service_user.uid() is not None
-        else f"sudo usermod -aG {group} {nodes.user()} # then log in again"
-        if group is not None
-        else "install the udev rule (sudo deploy/install.sh), which gives it to the group spi"
-    )
-    return nodes.denied(_NAME, path, fix)
+def _neighbours(robot: CheckedRobot) -> Iterator[Seen]:
+    found = machine.neighbours(robot.settings.spi.device, robot.root)
+    others = ", ".join(f"{each} (driver {driver})" for each, driver in found)
+    yield Seen(others=others, are="is" if len(found) == 1 else "are")
 
 
 def kernel_hz(path: str) -> int | None:
     """The clock that the kernel gives the device where nobody has set one: what device tree and controller allow.
 
-    While another program has the device open it is what that one has set. Linux answers with a speed that was set
-    even where the controller's limit lowers it, so it is read before.
+    While another program has the device open it is what that one has set.
     """
     try:
-        fd = os.open(path, os.O_RDWR | os.O_CLOEXEC)
+        fd = os.open(path, os.O_RDWR | os.O_CLOEXEC | os.O_NONBLOCK)
         try:
             return int.from_bytes(fcntl.ioctl(fd, _READ_SPEED, bytes(4)), sys.byteorder) or None
         finally:
@@ -102,96 +160,151 @@ def wire_ms(spi: SpiSettings, speed_hz: int) -> float:
     return len(LEGS) * (bits / speed_hz * 1e3 + (1 + announced) * each_ns / 1e6)
 
 
-def speed(
-    spi: SpiSettings, *, kernel_hz: int | None = None, gateway_runs: bool = False, root: Path = ROOT_DIR
-) -> Result:
-    """The clock, compared with what was measured, what device tree and kernel allow, and how long a Stop may take.
-
-    `kernel_hz`: what the function of that name found, while a gateway had the device open or not (`gateway_runs`).
-    """
-    name = "SPI speed"
-    wanted = _megahertz(spi.speed_hz)
-    most_hz = _most_hz(root / "sys/class/spidev" / Path(spi.device).name / "device/of_node/spi-max-frequency")
-    if most_hz is not None and spi.speed_hz > most_hz:
-        return warning(
-            name,
-            f"{wanted} is above the {_megahertz(most_hz)} that the device tree allows {spi.device}",
-            f"set spi.speed_hz = {most_hz} or less, or raise spi-max-frequency",
-        )
-    known_hz = spi.protocol.speed_hz
-    if spi.speed_hz > known_hz:
-        how = "that the robot's own driver has" if spi.protocol.measures else "up to which the protocol was measured"
-        return warning(
-            name,
-            f"{wanted} is above the {_megahertz(known_hz)} {how}",
-            f"set spi.speed_hz = {known_hz}, or measure the clock on your wires",
-        )
-    given_hz = min(spi.speed_hz, kernel_hz or spi.speed_hz)
-    takes_ms = wire_ms(spi, given_hz)
-    what = "a frame" if spi.protocol.measures else "an emergency stop"
-    if kernel_hz is not None and (kernel_hz != spi.speed_hz if gateway_runs else kernel_hz < spi.speed_hz):
-        why, fix = _OTHER_SPEED if gateway_runs else (_LOWERED, f"set spi.speed_hz = {kernel_hz} or less")
-        return warning(
-            name,
-            f"{wanted} is set, and the kernel gives {_megahertz(kernel_hz)}: {why}; "
-            f"{what} takes {takes_ms:.1f} ms to write",
-            fix,
-        )
-    if takes_ms > SLOW_STOPS_MS:
-        return warning(
-            name,
-            f"{wanted} is so slow that {what} takes {takes_ms:.0f} ms to write",
-            f"set spi.speed_hz = {known_hz}",
-        )
-    given = f", and the kernel gives {_megahertz(given_hz)}" if kernel_hz is not None else ""
-    return ok(name, f"{wanted}{given}; {what} takes {takes_ms:.1f} ms to write")
+def speed(robot: CheckedRobot, given_hz: int | None) -> Seen:
+    """The clock that is set, and that which the device tree, the protocol and the kernel allow."""
+    spi, known_hz = robot.settings.spi, robot.settings.spi.protocol.speed_hz
+    tree_hz = _number(robot.root / "sys/class/spidev" / Path(spi.device).name / "device/of_node/spi-max-frequency")
+    differs = given_hz is not None and (given_hz != spi.speed_hz if robot.gateway_runs else given_hz < spi.speed_hz)
+    slowest_hz = min(spi.speed_hz, given_hz or spi.speed_hz)
+    return Seen(
+        hz=spi.speed_hz, known_hz=known_hz, tree_hz=tree_hz, kernel_hz=given_hz, differs=differs,
+        set=_megahertz(spi.speed_hz), known=_megahertz(known_hz), tree=_megahertz(tree_hz or 0),
+        kernel=_megahertz(given_hz or 0), device=spi.device, runs=robot.gateway_runs, takes_ms=wire_ms(spi, slowest_hz),
+        what="a frame" if spi.protocol.measures else "an emergency stop",
+        how="that the robot's own driver has" if spi.protocol.measures else "up to which the protocol was measured",
+        given=f", and the kernel gives {_megahertz(slowest_hz)}" if given_hz is not None else "",
+    )  # fmt: skip
 
 
-_LOWERED: Final = "its controller takes no more, or another program has the device open"
-_OTHER_SPEED: Final = (
-    "another program has set it, or the configuration was changed since the gateway was started",
-    "sudo systemctl restart hexapod-gateway",
-)
+def _speed(robot: CheckedRobot) -> Iterator[Seen]:
+    yield speed(robot, kernel_hz(robot.settings.spi.device))
 
 
-def framing(spi: SpiSettings) -> Result:
-    """The framing that the controller's firmware must have, too."""
-    if spi.framing is Framing.PLAIN:
-        return warning(
-            "framing",
-            "plain, as in the protocol's document; the published STM32 firmware jams in it until it is reset",
-            'set spi.framing = "length-prefixed" for that firmware, and reset it',
-        )
-    low, high = spi.avoid_cdeg or (0, 0)
-    avoided = f"{low / 100:g} up to {high / 100:g} degrees are never sent"
-    return ok("framing", f"{spi.framing}, as {spi.framing.controller} wants it; wire angles from {avoided}")
-
-
-def lists(spi: SpiSettings, *, root: Path = ROOT_DIR) -> Result:
-    """Whether chip select is known to be released between transfers of one call, as a plain controller needs."""
-    name = "SPI lists"
-    driver = driver_of(spi.device, root)
-    if gpio_selects(spi.device, root):
-        return ok(name, "chip select is a GPIO, which Linux releases between the transfers of a call")
-    if not spi.framing.needs_chip_select:
-        return ok(
-            name, f"{driver or 'the driver'} may keep chip select within a call; {spi.framing.controller} ignores it"
-        )
-    return warning(
-        name,
-        f"nobody has seen whether {driver or 'this driver'} releases chip select between the transfers of a call",
-        f"{command('check --move')} shows it: if servo 61 still holds when all are stopped, {SELECT_BY_GPIO}",
-    )
-
-
-def _most_hz(file: Path) -> int | None:
+def _number(file: Path) -> int | None:
     """A device tree's number: four bytes, the highest first."""
-    try:
+    with suppress(OSError):
         data = file.read_bytes()
-    except OSError:
-        return None
-    return int.from_bytes(data, "big") if len(data) == 4 and any(data) else None
+        return int.from_bytes(data, "big") or None if len(data) == 4 else None
+    return None
 
 
 def _megahertz(hz: int) -> str:
     return f"{hz / 1e6:g} MHz" if hz >= 10_000 else f"{hz} Hz"
+
+
+def _framing(robot: CheckedRobot) -> Iterator[Seen]:
+    framing = robot.settings.spi.framing
+    if not robot.settings.spi.protocol.measures:
+        low, high = robot.settings.spi.avoid_cdeg or (0, 0)
+        yield Seen(framing=framing, wants=framing.controller, low=low / 100, high=high / 100)
+
+
+def _lists(robot: CheckedRobot) -> Iterator[Seen]:
+    """Whether chip select is known to be released between transfers of one call, as a plain controller needs."""
+    spi = robot.settings.spi
+    if not spi.protocol.measures:
+        driver, gpio = machine.driver_of(spi.device, robot.root), machine.gpio_selects(spi.device, robot.root)
+        how = f"{driver or 'the driver'} may keep chip select within a call; {spi.framing.controller} ignores it"
+        if gpio:
+            how = "chip select is a GPIO, which Linux releases between the transfers of a call"
+        yield Seen(how=how, driver=driver or "this driver", unseen=not gpio and spi.framing.needs_chip_select)
+
+
+# ---- the calibration
+
+
+def _calibration(robot: CheckedRobot) -> Iterator[Seen]:
+    """Without one that can be used, the service starts, and moves nothing."""
+    path = path_to_read(robot.settings)
+    seen = Seen(path=path, fault=None, late_at="", hidden=False, which="is kept in memory only, until the gateway ends")
+    seen.which += " (state.path)"
+    if path is not None:
+        seen.hidden = path.parent.exists() and not os.access(path.parent, os.X_OK)
+        found, seen.fault = (RobotCalibration(), None) if seen.hidden else load(path)
+        seen.revision, count = found.revision, len(found.servos)
+        with suppress(OSError):  # a change that was begun to be written, and not ended
+            begun_s = staged_for(path).lstat().st_mtime
+            if time.time() - begun_s > SLOW_S:
+                seen.late_at = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(begun_s))
+        seen.which = f"revision {found.revision}, {count} servo{'' if count == 1 else 's'} ({path})"
+        if not (found.servos or found.landing_cdeg):
+            seen.which = f"none: every servo is as drawn ({path})"
+    yield seen
+
+
+def _landing(robot: CheckedRobot) -> Iterator[Seen]:
+    """Each angle of the landing pose, where there is one and the calibration can be used."""
+    settings = robot.settings
+    path = path_to_read(settings)
+    hidden = path is not None and path.parent.exists() and not os.access(path.parent, os.X_OK)
+    found, fault = (RobotCalibration(), None) if path is None or hidden else load(path)
+    if hidden or fault is not None or not settings.watchdog.landing_ms:
+        return
+    pose = {int(servo): centidegrees(angle) for servo, angle in settings.watchdog.landing.items()}
+    why_not = partial(AngleLimits(avoid_cdeg=settings.spi.avoid_cdeg).why_avoided, found)
+    for servo_id, angle_cdeg in sorted({**pose, **found.landing_cdeg}.items()):
+        yield Seen(why=why_not(servo_id, angle_cdeg))
+
+
+# fmt: off
+DEVICE: Final = Probe("SPI device", _device, (
+    *no_node("spi.device"),
+    denied(lambda r: r.service, "the udev rule of the installation gives it to the group spi at each boot; now: "
+           f"sudo chgrp spi {{path}} && sudo chmod 660 {{path}} && {RESTART}"),
+    denied(lambda r: r.group, JOIN_GROUP),
+    denied(always, f"install the udev rule ({INSTALL}), which gives it to the group spi"),
+    failure(lambda r: r.error, "{error}", "is {path} a SPI device? see dmesg"),
+), "{path} {opens}")
+BUS: Final = (
+    Probe("SPI controller", _carrier, (
+        warning(lambda r: r.loses, "{found}: a kernel {when}, and before February 2025 this driver lost clock edges of "
+                "transfers that only send; the controller then takes in nothing until it is reset",
+                "update the kernel (sudo apt full-upgrade) and reboot"),
+    ), "{found}"),
+    Probe("SPI bus", _neighbours, (
+        # A neighbour's transfer of 2 ms is what docs/safety.md allows.
+        warning(lambda r: r.others, "{others} {are} on it, too: an emergency stop waits for two to four of its "
+                "transfers", "move it to another bus, or see that none of its transfers takes more than 2 ms"),
+    ), "no other driver uses it"),
+    Probe("SPI speed", _speed, (
+        warning(lambda r: r.tree_hz and r.hz > r.tree_hz,
+                "{set} is above the {tree} that the device tree allows {device}",
+                "set spi.speed_hz = {tree_hz} or less, or raise spi-max-frequency"),
+        warning(lambda r: r.hz > r.known_hz, "{set} is above the {known} {how}",
+                "set spi.speed_hz = {known_hz}, or measure the clock on your wires"),
+        warning(lambda r: r.differs and r.runs, "{set} is set, and the kernel gives {kernel}: another program has set "
+                "it, or the configuration was changed since the gateway was started; {what} takes {takes_ms:.1f} ms to "
+                "write", "sudo systemctl restart hexapod-gateway"),
+        warning(lambda r: r.differs, "{set} is set, and the kernel gives {kernel}: its controller takes no more, or "
+                "another program has the device open; {what} takes {takes_ms:.1f} ms to write",
+                "set spi.speed_hz = {kernel_hz} or less"),
+        warning(lambda r: r.takes_ms > SLOW_STOPS_MS, "{set} is so slow that {what} takes {takes_ms:.0f} ms to write",
+                "set spi.speed_hz = {known_hz}"),
+    ), "{set}{given}; {what} takes {takes_ms:.1f} ms to write"),
+)
+FRAMES: Final = (
+    Probe("framing", _framing, (
+        warning(lambda r: r.framing is Framing.PLAIN,
+                "plain, as in the protocol's document; the published STM32 firmware jams in it until it is reset",
+                'set spi.framing = "length-prefixed" for that firmware, and reset it'),
+    ), "{framing}, as {wants} wants it; wire angles from {low:g} up to {high:g} degrees are never sent"),
+    Probe("SPI lists", _lists, (
+        warning(lambda r: r.unseen, "nobody has seen whether {driver} releases chip select between the transfers of a "
+                "call", "{run[check --move]} shows it: if servo 61 still holds when all are stopped, "
+                f"{machine.SELECT_BY_GPIO}"),
+    ), "{how}"),
+)
+CALIBRATION: Final = (
+    Probe("calibration", _calibration, (
+        warning(lambda r: r.hidden, "{path} is not for you to read", "sudo hexapod-gateway check"),
+        failure(lambda r: r.fault, "{fault}; nothing can be started",
+                f"put a good one in its place and restart, or, if the robot is as drawn: {{run[{ACCEPT_DEFAULT}]}}"),
+        warning(lambda r: r.late_at, "a change of {late_at} was not kept, and revision {revision} is ({path})",
+                "if the gateway runs, its disk hangs (dmesg): restart it once that is fixed; else nothing is wrong"),
+    ), "{which}"),
+    Probe("landing pose", _landing, (
+        warning(lambda r: r.why, "{why}; in a landing it holds its angle", "choose another angle: watchdog.landing in "
+                "the configuration, or {run[calibrate landing]}"),
+    )),
+)
+# fmt: on

@@ -1,51 +1,80 @@
-"""What may be wrong with an installation, as one table: how it shows, the sentence, the remedy.
+"""An installed service: release, files, units, drop-ins, users and folders. Root sees all of it.
 
-Pure: `looking.py` gathers what is judged here. A remedy's commands go from its first `sudo` to the end of the line and
-help as printed; `tests/box/test_check_faults.py` follows each. A placeholder in capitals is for a person to fill in.
+`tests/box/test_check_faults.py` plants each fault and follows the remedy, from its first `sudo` to the line's end.
 """
 
+import grp
+import os
+import pwd
 import shlex
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
-from pathlib import PurePosixPath as Path
+import stat
+import subprocess
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
+from functools import cached_property
+from pathlib import Path
 from typing import Final, NamedTuple
 
-from gateway.onboard.check.result import Result, Verdict
+from gateway import certs
+from gateway.errors import ConfigError
+from gateway.onboard import whole
+from gateway.onboard.check import machine
+from gateway.onboard.check.table import (
+    ETC,
+    RESTART,
+    SERVICE,
+    Fault,
+    Probe,
+    Result,
+    Seen,
+    Verdict,
+    always,
+    failure,
+    results,
+    warning,
+)
 from gateway.onboard.whole import SHOWN, Whole
 
-SERVICE: Final = "hexapod-gateway"
 STATE_FOLDER: Final = f"/var/lib/{SERVICE}"
-ETC: Final = f"/etc/{SERVICE}"
-UNITS: Final = (SERVICE,)
-
-RESTART: Final = f"sudo systemctl reset-failed {SERVICE}; sudo systemctl restart {SERVICE}"
-"""Also after so many failed starts that systemd begins no other."""
-_RELOAD: Final = f"sudo systemctl daemon-reload && {RESTART}"
-_ASIDE: Final = "stop the robot, then put it aside: sudo mv {0} {0}.off && " + _RELOAD
-_OWN_STATE: Final = (
-    f"sudo chown -R {SERVICE}:{SERVICE} {STATE_FOLDER} && sudo chmod -R u+rwX {STATE_FOLDER} && {RESTART}"
+_COMMAND: Final = f"/usr/local/bin/{SERVICE}"
+_UNITS: Final = (SERVICE,)
+_PROPERTIES: Final = (
+    "LoadState,ActiveState,SubState,UnitFileState,NeedDaemonReload,DropInPaths,LimitNOFILE,MemoryMax,Environment"
 )
-_SPI: Final = "sudo udevadm control --reload; sudo udevadm trigger --subsystem-match=spidev"
+_GROUPS: Final = ("spi", SERVICE)
+_MOST_FILES: Final = 20_000
+"""Of the state directory: a look ends in any case."""
+_LEAST_FILES: Final = 220
+"""Descriptors that the service needs, for 64 sessions and 100 handshakes."""
+_LEAST_MEMORY_MB: Final = 128
+"""It was seen to take 97 MB."""
+_LEAST_FREE_MB: Final = 20
+"""For some calibrations and lists."""
+_LEAST_INODES: Final = 100
+_FORGETS: Final = frozenset({"overlay", "tmpfs", "ramfs"})
+"""File systems that are empty, or as before, after a boot."""
 
 
 class Shipped(NamedTuple):
-    """A file that the installer copies out of the release, which has it under `source`."""
+    """A file that the installer copies out of the release, which has it under `source`. `after` makes it effective."""
 
     source: str
     place: str
     after: str
-    """What makes a new one take effect."""
+
+
+def _enabled(unit: str, restart: str) -> str:
+    return f"sudo systemctl daemon-reload && sudo systemctl enable {unit} && {restart}"
 
 
 SHIPPED: Final = (
+    Shipped(f"systemd/{SERVICE}.service", f"/etc/systemd/system/{SERVICE}.service", _enabled(SERVICE, RESTART)),
     Shipped(
-        f"systemd/{SERVICE}.service",
-        f"/etc/systemd/system/{SERVICE}.service",
-        f"sudo systemctl daemon-reload && sudo systemctl enable {SERVICE} && {RESTART}",
+        f"udev/60-{SERVICE}.rules",
+        f"/etc/udev/rules.d/60-{SERVICE}.rules",
+        "sudo udevadm control --reload; sudo udevadm trigger --subsystem-match=spidev",
     ),
-    Shipped(f"udev/60-{SERVICE}.rules", f"/etc/udev/rules.d/60-{SERVICE}.rules", _SPI),
 )
-
 # fmt: off
 _DEPENDS: Final = frozenset({
     "Type", "NotifyAccess", "User", "Group", "DynamicUser", "SupplementaryGroups", "RootDirectory",
@@ -60,287 +89,328 @@ _DEPENDS: Final = frozenset({
 """What the service's Stops, or those after its end, depend on; else a person may change what they like."""
 
 
-class DropIn(NamedTuple):
-    """A file that changes a unit: its assignments, in order."""
-
-    path: str
-    assigned: tuple[tuple[str, str], ...]
-
-    @classmethod
-    def of(cls, path: str, text: str) -> "DropIn":
-        """Read as systemd does: a backslash at the end continues a line, # and ; begin comments."""
-        lines = text.replace("\\\n", " ").splitlines()
-        given = (line.strip().partition("=") for line in lines if line.strip() and line.strip()[0] not in "#;[")
-        return cls(path, tuple((key.strip(), value.strip()) for key, _, value in given))
-
-    @property
-    def keys(self) -> frozenset[str]:
-        return frozenset(key for key, _ in self.assigned)
-
-    @property
-    def environment(self) -> str:
-        """All that it sets of the service's variables."""
-        return " ".join(value for key, value in self.assigned if key == "Environment")
-
-    @property
-    def simulates(self) -> bool:
-        return "--sim" in self.environment
-
-    @property
-    def stops_nothing(self) -> bool:
-        """Whether nothing is left that stops the servos after the service's end."""
-        after = [value for key, value in self.assigned if key == "ExecStopPost"]
-        return "" in after and not any("stop-servos" in each for each in after[after.index("") :])
-
-
-@dataclass(frozen=True)
-class Folder:
-    """The service's state directory, and what in it is not the service's own."""
-
-    is_folder: bool = True
-    owned: bool = True
-    writable: bool = True
-    foreign: tuple[str, ...] = ()
-    read_only_mount: str = ""
-
-
-@dataclass(frozen=True)
 class Installation:
-    """What there is of an installation. `units`: what systemd shows of each."""
+    """What the probes look at, below `root`."""
 
-    release: str
-    """The folder of the release that is installed."""
-    deploy: str
-    """The files that it ships, in it."""
-    again: str
-    """The commands that install it once more."""
-    whole: Whole = field(default_factory=lambda: Whole(listed=True))
-    differ: Mapping[str, str] = field(default_factory=dict)
-    """Of `Shipped.place`: why it is not as shipped."""
-    units: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
-    drop_ins: tuple[DropIn, ...] = ()
-    state: Folder = field(default_factory=Folder)
-    user: bool = True
-    groups: tuple[str, ...] = ()
-    """Those that are missing."""
-    exposed: tuple[str, ...] = ()
-    """Private keys that others than root and the service may read."""
-    authority_keys: tuple[str, ...] = ()
-    command: str = ""
-    """Where the command leads that is not this release's."""
+    def __init__(self, root: Path = Path("/")) -> None:
+        self.root = root
+        self.link = self.path(str(whole.INSTALLED))
+        self.release = self.link.resolve()
+        self.again = whole.how_to_repeat(self.release)
+
+    def path(self, absolute: str) -> Path:
+        """A path of the machine."""
+        return self.root / absolute.lstrip("/")
+
+    @cached_property
+    def deploy(self) -> Path:
+        """The files that the release ships."""
+        return next(self.release.glob("lib/python*/site-packages/gateway/deploy"), self.release / "deploy")
+
+    @cached_property
+    def whole(self) -> Whole:
+        """The release, compared with its list."""
+        return whole.compare(self.release)
+
+    @cached_property
+    def service(self) -> tuple[int, int] | None:
+        """User and group of the service; None where there is no such user."""
+        with suppress(KeyError):
+            found = pwd.getpwnam(SERVICE)
+            return found.pw_uid, found.pw_gid
+        return None
+
+    @cached_property
+    def groups(self) -> Sequence[str]:
+        """Of the groups that are needed, those that exist."""
+        return [each.gr_name for each in grp.getgrall() if each.gr_name in _GROUPS]
+
+    @cached_property
+    def units(self) -> dict[str, dict[str, str]]:
+        """What systemd shows of each, and of itself (""); nothing where it shows nothing."""
+        return {unit: self._properties(unit) for unit in (*_UNITS, "")}
 
     def shows(self, unit: str, name: str) -> str:
-        """A unit's property, as `systemctl show` has it; "" if unknown."""
+        """A unit's property; "" if unknown."""
         return self.units.get(unit, {}).get(name, "")
 
-
-_Found = Iterable[tuple[str, ...]]
-
-
-@dataclass(frozen=True)
-class Fault:
-    """A row: what `found` yields goes into `sentence` and `remedy`, a result each."""
-
-    name: str
-    verdict: Verdict
-    found: Callable[[Installation], _Found]
-    sentence: str
-    remedy: str
+    def _properties(self, unit: str) -> dict[str, str]:
+        try:
+            shown = machine.show(unit and f"{unit}.service", _PROPERTIES if unit else "Environment")
+        except (OSError, subprocess.SubprocessError):
+            return {}
+        # systemd does not notice a drop-in in a folder that is new.
+        folders = (self.path(f"{root}/systemd/system/{unit}.service.d") for root in ("etc", "run"))
+        found = {str(path) for folder in folders for path in folder.glob("*.conf")}
+        if not found <= set(shown.get("DropInPaths", "").split()):
+            shown["NeedDaemonReload"] = "yes"
+        return shown
 
 
-def results(seen: Installation) -> Iterator[Result]:
-    """What is wrong, in the table's order; nothing where all is well."""
-    for fault in FAULTS:
-        for given in fault.found(seen):
-            yield Result(fault.name, fault.verdict, fault.sentence.format(*given), fault.remedy.format(*given))
+def look(root: Path = Path("/")) -> list[Result] | None:
+    """The lines about an installation; None where no service is installed."""
+    found = Installation(root)
+    if not found.link.is_dir():
+        return None
+    lines = list(results(PROBES, found))
+    return lines or [Result("installation", Verdict.OK, f"{found.release}, each file as installed")]
 
 
-def _when(condition: bool, *given: str) -> _Found:
-    return [given] if condition else []
+# ---- what the probes read
+
+Reading = Callable[[Installation], Iterable[Seen]]
 
 
-def _some(names: tuple[str, ...], seen: Installation, *more: str) -> _Found:
+def _some(names: Callable[[Installation], Sequence[str]]) -> Reading:
     """A few names in one sentence."""
-    rest = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
-    return _when(bool(names), f"{', '.join(names[:SHOWN])}{rest}", seen.again, seen.release, *more)
+
+    def read(look: Installation) -> Iterator[Seen]:
+        found = names(look)
+        if found:
+            more = f" and {len(found) - SHOWN} more" if len(found) > SHOWN else ""
+            paths = found if found[0].startswith("/") else [f"{look.release}/{each}" for each in found]
+            shown = f"{', '.join(found[:SHOWN])}{more}"
+            yield Seen(some=shown, again=look.again, release=look.release, all=shlex.join(paths))
+
+    return read
 
 
-def _differing(seen: Installation) -> _Found:
+def _listed(look: Installation) -> Iterator[Seen]:
+    yield Seen(listed=look.whole.listed, release=look.release, again=look.again)
+
+
+def _command(look: Installation) -> Iterator[Seen]:
+    path, wanted = look.path(_COMMAND), look.link / "bin" / SERVICE
+    leads = f"leads to {path.resolve()}" if os.path.lexists(path) else "is missing"
+    yield Seen(other=path.resolve() != wanted.resolve() or not os.path.lexists(path), leads=leads)
+
+
+def _users(look: Installation) -> Iterator[Seen]:
+    yield Seen(missing=look.service is None, again=look.again)
+
+
+def _missing_groups(look: Installation) -> Iterator[Seen]:
+    yield from (Seen(group=each) for each in _GROUPS if look.service is not None and each not in look.groups)
+
+
+def _shipped(look: Installation) -> Iterator[Seen]:
+    """A damaged release is another line."""
     for each in SHIPPED:
-        why = seen.differ.get(each.place)
-        if why is not None and not _is_masked(seen, Path(each.place).stem):
-            yield each.place, why, str(Path(seen.deploy, each.source)), each.after
+        unit, source = Path(each.place).stem, look.deploy / each.source
+        wanted, found = _content(source), _content(look.path(each.place))
+        yield Seen(
+            unit=unit, place=each.place, source=source, after=each.after, differs=bool(wanted) and found != wanted,
+            masked=look.shows(unit, "LoadState") == "masked",
+            how="is missing" if found is None else "is not as this release has it",
+        )  # fmt: skip
 
 
-def _is_masked(seen: Installation, unit: str) -> bool:
-    return seen.shows(unit, "LoadState") == "masked"
+def _content(path: Path) -> bytes | None:
+    with suppress(OSError):
+        return path.read_bytes()
+    return None
 
 
-def _masked(seen: Installation) -> _Found:
-    for each in SHIPPED:
-        unit = Path(each.place).stem
-        if _is_masked(seen, unit):
-            yield unit, each.place, str(Path(seen.deploy, each.source)), each.after
+def _units(look: Installation) -> Iterator[Seen]:
+    yield from (Seen(unit=unit, reload=look.shows(unit, "NeedDaemonReload")) for unit in _UNITS)
 
 
-def _drop_ins(wanted: Callable[[DropIn], bool]) -> Callable[[Installation], _Found]:
-    """Each drop-in is named once, by what is worst of it."""
-    return lambda seen: [
-        (each.path, each.environment, ", ".join(sorted(each.keys & _DEPENDS))) for each in seen.drop_ins if wanted(each)
+def _drop_ins(look: Installation) -> Iterator[Seen]:
+    """Read as systemd does: a backslash at the end continues a line, # and ; begin comments."""
+    for path in look.shows(SERVICE, "DropInPaths").split():
+        text = (_content(look.path(path)) or b"").decode(errors="replace").replace("\\\n", " ")
+        lines = [line.strip() for line in text.splitlines() if line.strip() and line.strip()[0] not in "#;["]
+        assigned = [(key.strip(), value.strip()) for key, _, value in (line.partition("=") for line in lines)]
+        environment = " ".join(value for key, value in assigned if key == "Environment")
+        after = [value for key, value in assigned if key == "ExecStopPost"]
+        emptied = "" in after and not any("stop-servos" in each for each in after[after.index("") :])
+        yield Seen(
+            path=path, environment=environment, emptied=emptied, simulates="--sim" in environment,
+            depends=", ".join(sorted({key for key, _ in assigned} & _DEPENDS)),
+        )  # fmt: skip
+
+
+def _limits(look: Installation) -> Iterator[Seen]:
+    """What holds in the end; "infinity" is no number."""
+    for name, least, of, unit in (("LimitNOFILE", _LEAST_FILES, 1, ""), ("MemoryMax", _LEAST_MEMORY_MB, 1 << 20, "M")):
+        value = look.shows(SERVICE, name)
+        if value.isdigit():
+            yield Seen(name=name, value=int(value) // of, small=int(value) < least * of, least=least, unit=unit)
+
+
+def _variables(look: Installation) -> Iterator[Seen]:
+    """Of the unit, and of all units: those that change which files Python loads."""
+    for unit, undo in ((SERVICE, _EDIT), ("", _UNSET)):
+        text = look.shows(unit, "Environment")
+        names = sorted({name for name, _, _ in (each.partition("=") for each in text.split()) if name[:6] == "PYTHON"})
+        yield Seen(names=" ".join(names), undo=undo.replace("NAMES", " ".join(names)))
+
+
+_EDIT: Final = f"take it out of the drop-in that systemctl cat {SERVICE} names, then: sudo systemctl daemon-reload && "
+_UNSET: Final = "sudo systemctl unset-environment NAMES && "
+
+
+def _state(look: Installation) -> Iterator[Seen]:
+    """The state directory; nothing where the service's first start makes it."""
+    folder = look.path(STATE_FOLDER)
+    if look.service is None or not folder.exists():
+        return
+    status, disk = folder.stat(), os.statvfs(folder)
+    mount, kind = mount_of(folder)
+    yield Seen(
+        is_folder=stat.S_ISDIR(status.st_mode), mount=mount, kind=kind, forgets=kind in _FORGETS,
+        read_only=bool(disk.f_flag & os.ST_RDONLY), free_mb=disk.f_bavail * disk.f_frsize >> 20,
+        inodes=disk.f_favail if disk.f_files else _LEAST_INODES,
+        own=status.st_uid == look.service[0] and status.st_mode & stat.S_IRWXU == stat.S_IRWXU,
+    )  # fmt: skip
+
+
+def mount_of(path: Path) -> tuple[str, str]:
+    """Where its file system is mounted, and of which kind it is, by the kernel's list.
+
+    A bind mount is on the same device as what is above it.
+    """
+    lines = (line.split() for line in Path("/proc/self/mountinfo").read_text().splitlines())
+    mounts = [(words[4].replace("\\040", " "), words[words.index("-") + 1]) for words in lines]
+    return max((each for each in mounts if path.is_relative_to(each[0])), key=lambda each: len(each[0]))
+
+
+def _foreign(look: Installation) -> list[str]:
+    """What another user owns in the state directory, or its owner may not read and write."""
+    folder, found, count = look.path(STATE_FOLDER), list[str](), 0
+    if look.service is None or not folder.is_dir() or folder.stat().st_uid != look.service[0]:
+        return found
+    for parent, folders, files in os.walk(folder):
+        for path in (Path(parent, name) for name in (*folders, *files)):
+            count += 1
+            if count > _MOST_FILES:
+                return found
+            with suppress(OSError):
+                status = path.lstat()
+                needed = stat.S_IRWXU if stat.S_ISDIR(status.st_mode) else stat.S_IRUSR | stat.S_IWUSR
+                if status.st_uid != look.service[0] or status.st_mode & needed != needed:
+                    found.append(str(path.relative_to(folder)))
+    return found
+
+
+def _keys(look: Installation) -> list[Path]:
+    return sorted(path for path in look.path(ETC).rglob("*.key") if path.is_file())
+
+
+def _exposed(look: Installation) -> list[str]:
+    """By the file's own rights (a copy or a backup may lie in a folder that is open): others than root and the
+    service own it, or may read it."""
+    return [str(key) for key in _keys(look) if _is_exposed(key.stat(), look.service)]
+
+
+def _is_exposed(status: os.stat_result, service: tuple[int, int] | None) -> bool:
+    if status.st_mode & 0o007 or service is None:
+        return bool(status.st_mode & 0o007)
+    foreign_group = status.st_mode & 0o060 and status.st_gid not in (0, service[1])
+    return status.st_uid not in (0, service[0]) or bool(foreign_group)
+
+
+def _authority_keys(look: Installation) -> list[str]:
+    """Private keys of an authority, by their names as `certs` gives them, or by the certificate next to them."""
+    return [
+        str(key)
+        for key in _keys(look)
+        if key.stem == "ca" or key.stem.endswith("-ca") or _is_of(key, key.with_name("ca.pem"))
     ]
 
 
-def _sets_settings(each: DropIn) -> bool:
-    return "HEXAPOD_" in each.environment and not (each.simulates or each.stops_nothing)
+def _is_of(key: Path, certificate: Path) -> bool:
+    with suppress(ConfigError):
+        public = certs.files.read_key(key).public_key()
+        return any(public == each.public_key() for each in certs.files.read_certificates(certificate))
+    return False
 
 
-def _changes_what_stops_depend_on(each: DropIn) -> bool:
-    return bool(each.keys & _DEPENDS) and not (each.simulates or each.stops_nothing or _sets_settings(each))
+# ---- the table
 
-
-FAULTS: Final = (
-    Fault(
-        "release",
-        Verdict.FAILURE,
-        lambda seen: _some(seen.whole.changed, seen),
-        "not as installed in {2}: {0}. The service, or its Stops after a crash, may fail",
-        "{1}",
-    ),
-    Fault(
-        "release",
-        Verdict.FAILURE,
-        lambda seen: _when(not seen.whole.listed, seen.release, seen.again),
-        "{0} has no list of its files, so nobody knows whether it is whole",
-        "{1}",
-    ),
-    Fault(
-        "release",
-        Verdict.WARNING,
-        lambda seen: _some(seen.whole.added, seen, shlex.join(f"{seen.release}/{each}" for each in seen.whole.added)),
-        "in {2}, and not installed with it: {0}. Python may load it",
-        "sudo rm {3}",
-    ),
-    Fault(
-        "release",
-        Verdict.FAILURE,
-        lambda seen: _some(seen.whole.closed, seen),
-        "in {2}, not for all to read, or not for root alone to write: {0}",
-        "sudo chown -R root:root {2} && sudo chmod -R u+rwX,go+rX,go-w {2} && " + RESTART,
-    ),
-    Fault(
-        "command",
-        Verdict.WARNING,
-        lambda seen: _when(bool(seen.command), seen.command),
-        f"/usr/local/bin/{SERVICE} {{0}}: commands are another release's than the service",
-        f"sudo ln -sfnT /opt/{SERVICE}/venv/bin/{SERVICE} /usr/local/bin/{SERVICE}",
-    ),
-    Fault(
-        "user",
-        Verdict.FAILURE,
-        lambda seen: _when(not seen.user, seen.again),
-        f"there is no user {SERVICE}, so the service cannot start, nor stop the servos after its end",
-        "{0}",
-    ),
-    Fault(
-        "group",
-        Verdict.FAILURE,
-        lambda seen: [(each,) for each in seen.groups],
-        "there is no group {0}, so the service cannot start, nor stop the servos after its end",
-        f"sudo groupadd --system {{0}} && sudo usermod -aG {{0}} {SERVICE} && sudo chgrp {{0}} /dev/spidev* && "
-        + RESTART,
-    ),
-    Fault(
-        "systemd unit",
-        Verdict.FAILURE,
-        _masked,
-        "{0} is masked, or its unit is empty: it cannot start",
-        "sudo systemctl unmask {0} && sudo install -m 644 {2} {1} && {3}",
-    ),
-    Fault(
-        "installed file",
-        Verdict.FAILURE,
-        _differing,
-        "{0} {1} (changes belong into a drop-in: systemctl edit)",
-        "stop the robot, then: sudo install -D -m 644 {2} {0} && {3}",
-    ),
-    Fault(
-        "systemd unit",
-        Verdict.FAILURE,
-        lambda seen: [(each,) for each in UNITS if seen.shows(each, "NeedDaemonReload") == "yes"],
-        "{0} was edited, and systemd still goes by what was there before",
-        "stop the robot, then: sudo systemctl daemon-reload && sudo systemctl restart {0}",
-    ),
-    Fault(
-        "drop-in",
-        Verdict.WARNING,
-        _drop_ins(lambda each: each.simulates),
-        "{0} makes the controller a simulated one: the service moves no robot, and stops none after its end",
-        "before the robot is to move: " + _ASIDE.partition(": ")[2],
-    ),
-    Fault(
-        "drop-in",
-        Verdict.FAILURE,
-        _drop_ins(lambda each: each.stops_nothing and not each.simulates),
-        "{0} empties ExecStopPost=: nothing stops the servos if the gateway dies",
-        _ASIDE,
-    ),
-    Fault(
-        "drop-in",
-        Verdict.WARNING,
-        _drop_ins(_sets_settings),
-        "{0} has settings, which hold in place of gateway.toml: {1}",
-        "write them there, and " + _ASIDE,
-    ),
-    Fault(
-        "drop-in",
-        Verdict.WARNING,
-        _drop_ins(_changes_what_stops_depend_on),
-        "{0} changes what Stops depend on: {2}",
-        "if nobody knows why, " + _ASIDE,
-    ),
-    Fault(
-        "state",
-        Verdict.FAILURE,
-        lambda seen: _when(not seen.state.is_folder, STATE_FOLDER),
-        "{0} is no folder: the service cannot start, nor stop the servos after its end",
-        "sudo mv {0} {0}.old && " + RESTART,
-    ),
-    Fault(
-        "state",
-        Verdict.FAILURE,
-        lambda seen: _when(bool(seen.state.read_only_mount), STATE_FOLDER, seen.state.read_only_mount),
-        "{0} is on a file system that is read-only: no calibration or list is kept",
-        "see why (dmesg), then: sudo mount -o remount,rw {1}",
-    ),
-    Fault(
-        "state",
-        Verdict.FAILURE,
-        lambda seen: _when(
-            not (seen.state.owned and seen.state.writable) and seen.state.is_folder and not seen.state.read_only_mount,
-            STATE_FOLDER,
-        ),
-        "{0} is not the service's to write: it may not start, nor stop the servos after its end",
-        _OWN_STATE,
-    ),
-    Fault(
-        "state",
-        Verdict.FAILURE,
-        lambda seen: _some(seen.state.foreign, seen) if seen.state.owned else (),
-        f"in {STATE_FOLDER}, not the service's to read and write: {{0}}",
-        _OWN_STATE,
-    ),
-    Fault(
-        "private key",
-        Verdict.WARNING,
-        lambda seen: _some(seen.exposed, seen, shlex.join(seen.exposed)),
-        "others than root and the service may read {0}",
-        f"make a new one if others use this machine; else: sudo chown root:{SERVICE} {{3}} && sudo chmod 640 {{3}}",
-    ),
-    Fault(
-        "private key",
-        Verdict.WARNING,
-        lambda seen: _some(seen.authority_keys, seen, shlex.join(seen.authority_keys)),
-        "{0} is the authority's key: who takes this robot's card can make certificates for all its robots",
-        "see that it is on another machine, then: sudo shred -u {3}",
-    ),
+_ASIDE: Final = f"sudo mv {{path}} {{path}}.off && sudo systemctl daemon-reload && {RESTART}"
+_OWN_STATE: Final = (
+    f"sudo chown -R {SERVICE}:{SERVICE} {STATE_FOLDER} && sudo chmod -R u+rwX {STATE_FOLDER} && {RESTART}"
 )
+_CANNOT_START: Final = "the service cannot start, nor stop the servos after its end"
+
+
+def _wrong(name: str, read: Reading, *faults: Fault) -> Probe:
+    """Nothing is printed where all is well."""
+    return Probe(name, read, faults)
+
+
+# fmt: off
+PROBES: Final = (
+    _wrong("release", _some(lambda look: look.whole.changed), failure(always,
+           "not as installed in {release}: {some}. The service, or its Stops after a crash, may fail", "{again}")),
+    _wrong("release", _listed, failure(lambda r: not r.listed,
+           "{release} has no list of its files, so nobody knows whether it is whole", "{again}")),
+    _wrong("release", _some(lambda look: look.whole.added), warning(always,
+           "in {release}, and not installed with it: {some}. Python may load it", "sudo rm {all}")),
+    _wrong("release", _some(lambda look: look.whole.closed), failure(always,
+           "in {release}, not for all to read, or not for root alone to write: {some}",
+           f"sudo chown -R root:root {{release}} && sudo chmod -R u+rwX,go+rX,go-w {{release}} && {RESTART}")),
+    _wrong("command", _command, warning(lambda r: r.other,
+           f"{_COMMAND} {{leads}}: commands are another release's than the service",
+           f"sudo ln -sfnT {whole.INSTALLED}/bin/{SERVICE} {_COMMAND}")),
+    _wrong("user", _users, failure(lambda r: r.missing,
+           f"there is no user {SERVICE}, so {_CANNOT_START}", "{again}")),
+    _wrong("group", _missing_groups, failure(always,
+           f"there is no group {{group}}, so {_CANNOT_START}",
+           f"sudo groupadd --system {{group}} && sudo usermod -aG {{group}} {SERVICE} && sudo chgrp {{group}} "
+           f"/dev/spidev* && {RESTART}")),
+    _wrong("installed file", _shipped,
+           failure(lambda r: r.masked, "{unit} is masked, or its unit is empty: it cannot start",
+                   "sudo systemctl unmask {unit} && sudo install -m 644 {source} {place} && {after}"),
+           failure(lambda r: r.differs, "{place} {how} (changes belong into a drop-in: systemctl edit)",
+                   "stop the robot, then: sudo install -D -m 644 {source} {place} && {after}")),
+    _wrong("systemd unit", _units, failure(lambda r: r.reload == "yes",
+           "{unit} was edited, and systemd still goes by what was there before",
+           "stop the robot, then: sudo systemctl daemon-reload && sudo systemctl restart {unit}")),
+    # A drop-in is named once, by what is worst of it.
+    _wrong("drop-in", _drop_ins,
+           warning(lambda r: r.simulates, "{path} makes the controller a simulated one: the service moves no robot, "
+                   "and stops none after its end", f"before the robot is to move: {_ASIDE}"),
+           failure(lambda r: r.emptied, "{path} empties ExecStopPost=: nothing stops the servos if the gateway dies",
+                   f"stop the robot, then put it aside: {_ASIDE}"),
+           warning(lambda r: "HEXAPOD_" in r.environment,
+                   "{path} has settings, which hold in place of gateway.toml: {environment}",
+                   f"write them there, and stop the robot, then put it aside: {_ASIDE}"),
+           warning(lambda r: r.depends, "{path} changes what Stops depend on: {depends}",
+                   f"if nobody knows why, stop the robot, then put it aside: {_ASIDE}")),
+    _wrong("limits", _limits, warning(lambda r: r.small,
+           "{name} of the unit is {value}{unit}, and the service may need {least}{unit}: it fails when many connect",
+           f"take {{name}} out of the drop-in that systemctl cat {SERVICE} names, then: sudo systemctl daemon-reload "
+           f"&& {RESTART}")),
+    _wrong("variables", _variables, warning(lambda r: r.names,
+           "the unit's environment has {names}: Python may load other files than the release's, in its Stops, too",
+           f"{{undo}}{RESTART}")),
+    _wrong("state", _state,
+           failure(lambda r: not r.is_folder, f"{STATE_FOLDER} is no folder: {_CANNOT_START}",
+                   f"sudo mv {STATE_FOLDER} {STATE_FOLDER}.old && {RESTART}"),
+           failure(lambda r: r.read_only,
+                   f"{STATE_FOLDER} is on a file system that is read-only: no calibration or list is kept",
+                   "see why (dmesg), then: sudo mount -o remount,rw {mount}"),
+           failure(lambda r: not r.own, f"{STATE_FOLDER} is not the service's to write: it may not start, nor stop the "
+                   "servos after its end", _OWN_STATE),
+           failure(lambda r: r.free_mb < _LEAST_FREE_MB,
+                   f"{STATE_FOLDER} has {{free_mb}} MB free on its disk: no calibration or list is kept",
+                   "find what fills it (sudo du -xh {mount} | sort -h | tail); the journal's part goes by: "
+                   "sudo journalctl --vacuum-size=50M"),
+           failure(lambda r: r.inodes < _LEAST_INODES, f"{STATE_FOLDER} has {{inodes}} files left on its disk: no "
+                   "calibration or list is kept", "find the folder with most files, and empty it: "
+                   "sudo du -x --inodes {mount} | sort -n | tail"),
+           warning(lambda r: r.forgets, f"{STATE_FOLDER} is on {{kind}}, which a boot empties: calibration, "
+                   "revocations and the emergency stop are lost then",
+                   "keep the folder on a partition of its own (docs/troubles.md)")),
+    _wrong("state", _some(_foreign), failure(always,
+           f"in {STATE_FOLDER}, not the service's to read and write: {{some}}", _OWN_STATE)),
+    _wrong("private key", _some(_exposed), warning(always,
+           "others than root and the service may read {some}", "make a new one if others use this machine; else: "
+           f"sudo chown root:{SERVICE} {{all}} && sudo chmod 640 {{all}}")),
+    _wrong("private key", _some(_authority_keys), warning(always,
+           "{some} is the authority's key: who takes this robot's card can make certificates for all its robots",
+           "see that it is on another machine, then: sudo shred -u {all}")),
+)
+# fmt: on

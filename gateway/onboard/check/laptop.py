@@ -5,39 +5,41 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
+from gateway import certs
 from gateway.certs import expiry
 from gateway.errors import ConfigError, ZenohError
-from gateway.onboard.check import holders, machine
-from gateway.onboard.check.result import Result, Verdict, failure, ok, warning
+from gateway.onboard.check.machine import CLOCK, PYTHON
+from gateway.onboard.check.table import Result, Verdict, results
+from gateway.own_command import this_command
 from gateway.people.client import diagnosis
 from gateway.people.client.blocking import Client
 from gateway.people.client.diagnosis import Finding, Stage
 from gateway.people.client.requests import Identity
 from gateway.people.tools import why
 from gateway.zenoh_config import client_config, connect_endpoints
-from schemas.telemetry import CertificateReport
+from schemas.telemetry import CertificateReport, RevocationsReport
 
 _SOURCE: Final = "hexapod-gateway check"
 
 
 def checks(connect: str | None, zenoh_config: Path | None, timeout_s: float) -> Iterator[Result]:
     """All steps from the file to the gateway. One host that leads there is enough; the others are warnings then."""
-    yield machine.python()
+    yield from results([PYTHON], None)
     try:
         config = client_config(connect, zenoh_config)
     except ConfigError as error:
         for fault in str(error).splitlines():
-            yield failure("configuration", fault, "fix it there, and check again")
+            yield Result("configuration", Verdict.FAILURE, fault, "fix it there, and check again")
         return
-    endpoints = connect_endpoints(config)
+    endpoints, identity = connect_endpoints(config), Identity.of(config)
     where = str(zenoh_config) if zenoh_config is not None else "none, so without certificates"
-    yield ok("configuration", f"{where}; dials {', '.join(endpoints) or 'nobody'}")
-    yield machine.clock()
-    identity = Identity.of(config)
+    yield Result("configuration", Verdict.OK, f"{where}; dials {', '.join(endpoints) or 'nobody'}")
+    yield from results([CLOCK], None)
     for finding in diagnosis.own_certificates(identity, dt.datetime.now(dt.UTC)):
         yield _result(finding)
     if (soon := diagnosis.own_expiry(config)) is not None:
-        yield warning(Stage.CERTIFICATE, soon, "hexapod-gateway certs renew, where ca.key is, and copy it here")
+        fix = "where ca.key is: hexapod-gateway certs renew NAME, then bring its files here"
+        yield Result(Stage.CERTIFICATE, Verdict.WARNING, soon, fix)
     try:
         client = Client(connect, zenoh_config=zenoh_config, source=_SOURCE, timeout_s=timeout_s, explain=False)
     except ZenohError:
@@ -49,17 +51,9 @@ def checks(connect: str | None, zenoh_config: Path | None, timeout_s: float) -> 
     for finding in allowed:
         observer = finding.fix and finding.stage is Stage.ROLE and len(allowed) > 1
         yield _result(finding, Verdict.WARNING if observer else Verdict.FAILURE)
-    if state is not None and state.certificate is not None:
-        yield from _robots_certificate(state.certificate, state.time)
     if state is not None:
-        yield from holders.shut_out_from_the_laptop(state.revocations, identity)
-
-
-def _robots_certificate(certificate: CertificateReport, now: dt.datetime) -> Iterator[Result]:
-    soon = expiry.soon(certificate.file, certificate.expires, now)
-    if soon is not None:
-        fix = "hexapod-gateway certs renew gateway, where ca.key is, copy it to the robot, and restart the service"
-        yield warning(Stage.CERTIFICATE, f"the robot's {soon}", fix)
+        yield from _robots_certificate(state.certificate, state.time)
+        yield from shut_out(state.revocations, identity)
 
 
 def _way(endpoints: list[str], identity: Identity, *, opened: bool) -> Iterator[Result]:
@@ -74,3 +68,29 @@ def _way(endpoints: list[str], identity: Identity, *, opened: bool) -> Iterator[
 
 def _result(finding: Finding, worst: Verdict = Verdict.FAILURE) -> Result:
     return Result(finding.stage, worst if finding.fix else Verdict.OK, finding.sentence, finding.fix)
+
+
+def _robots_certificate(certificate: CertificateReport | None, now: dt.datetime) -> Iterator[Result]:
+    soon = None if certificate is None else expiry.soon(certificate.file, certificate.expires, now)
+    if soon is not None:
+        fix = "hexapod-gateway certs renew gateway, where ca.key is, copy it to the robot, and restart the service"
+        yield Result(Stage.CERTIFICATE, Verdict.WARNING, f"the robot's {soon}", fix)
+
+
+def shut_out(there: RevocationsReport | None, identity: Identity) -> Iterator[Result]:
+    """The list in force at the robot, and whether it is older than that in the laptop's own folder."""
+    if identity.ca is None:
+        return
+    said, folder = "the robot names no list of revoked certificates", identity.ca.parent
+    if there is not None:
+        said = f"the robot goes by list {there.number} of {there.date:%Y-%m-%d}"
+    try:
+        own = certs.folder.revoked(folder)
+    except ConfigError as error:
+        yield Result("revoked", Verdict.WARNING, str(error), "restore it from a copy of the folder")
+        return
+    if own is not None and own.number > (0 if there is None else there.number):
+        said += f"; {folder} has list {own.number} of {own.date:%Y-%m-%d}"
+        yield Result("revoked", Verdict.WARNING, said, f"{this_command()} certs revoke --dir {folder}")
+    else:
+        yield Result("revoked", Verdict.OK, said)

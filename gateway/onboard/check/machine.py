@@ -1,172 +1,242 @@
-"""The machine: Python, clock, systemd unit, real-time rights."""
+"""The machine: Python, clock, memory, processor, systemd unit, real-time rights, and which release runs."""
 
 import ctypes
 import importlib.metadata
 import os
+import re
 import resource
 import shutil
 import subprocess
 import sys
 import threading
-from collections.abc import Mapping
+from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
 from gateway.host.realtime import LOOP_PRIORITY
 from gateway.onboard.check import service_user
-from gateway.onboard.check.installation import RESTART, SERVICE
-from gateway.onboard.check.result import Result, failure, ok, warning
+from gateway.onboard.check.table import INSTALL, RESTART, SERVICE, CheckedRobot, Probe, Seen, failure, warning
+from gateway.onboard.whole import INSTALLED
 
 _UNSYNCHRONISED: Final = 5  # TIME_ERROR of adjtimex(2)
 _TIMEX_BYTES: Final = 512  # larger than struct timex on any system; all zeros, it only asks
+_LITTLE_MB: Final = 100
+"""The service was seen to take 97 MB under a flood of messages."""
+_SYSTEM_PYTHON: Final = "usr/bin/python3"
 
 
-def python() -> Result:
-    """The interpreter and its Zenoh; pip has checked that their versions will do."""
-    version = ".".join(map(str, sys.version_info[:3]))
-    try:
-        zenoh = importlib.metadata.version("eclipse-zenoh")
-    except importlib.metadata.PackageNotFoundError:
-        return failure("Python", f"{sys.executable} has no eclipse-zenoh", "pip install hexapod-gateway, into it")
-    return ok("Python", f"{version} with eclipse-zenoh {zenoh}, {sys.executable}")
+def show(unit: str, properties: str) -> dict[str, str]:
+    """What `systemctl show` prints of a unit. Raises OSError, SubprocessError."""
+    command = ["systemctl", "show", *([unit] if unit else []), f"--property={properties}"]
+    shown = subprocess.run(command, capture_output=True, text=True, check=True, timeout=5).stdout
+    return dict(line.split("=", 1) for line in shown.splitlines() if "=" in line)
 
 
-def clock() -> Result:
-    """Whether the kernel reports that the clock is synchronised."""
-    try:
-        state = int(ctypes.CDLL(None).adjtimex(ctypes.create_string_buffer(_TIMEX_BYTES)))
-    except (AttributeError, OSError):  # not Linux
-        state = -1
-    return clock_result(state)
-
-
-def clock_result(adjtimex: int) -> Result:
-    """The result for what adjtimex(2) returned. The gateway does not depend on the clock, but certificates do."""
-    fix = "switch time synchronisation on (timedatectl set-ntp true): certificates need a right clock"
-    if adjtimex == _UNSYNCHRONISED:
-        return warning("clock", "is not synchronised", fix)
-    if adjtimex < 0:
-        return warning("clock", "does not report whether it is synchronised", fix)
-    return ok("clock", "is synchronised")
-
-
-def unit(*, booted: Path = Path("/run/systemd/system"), systemctl: str = "systemctl") -> Result:
-    """Whether systemd knows the service's unit, starts it at boot and runs it."""
-    if not booted.is_dir() or shutil.which(systemctl) is None:
-        return warning(
-            "systemd unit",
-            "none, for this machine does not run systemd",
-            "let something start the gateway again when it ends, and run `hexapod-gateway stop-servos` then",
-        )
-    try:
-        return unit_result(_shown("LoadState,ActiveState,UnitFileState,Result", systemctl))
-    except (OSError, subprocess.SubprocessError) as error:
-        return warning("systemd unit", f"systemctl fails ({error})", f"try: systemctl status {SERVICE}")
-
-
-def unit_result(properties: Mapping[str, str]) -> Result:
-    """The result for what `systemctl show` printed."""
-    name = "systemd unit"
-    load, active = properties.get("LoadState", ""), properties.get("ActiveState", "")
-    enabled = properties.get("UnitFileState", "")
-    if load == "not-found":
-        return warning(name, "is not installed: nothing stops the servos if the gateway dies", "sudo deploy/install.sh")
-    if load != "loaded":
-        return failure(name, f"cannot be loaded ({load})", f"systemctl status {SERVICE} shows why")
-    if active == "failed":
-        return failure(
-            name,
-            f"has failed ({properties.get('Result', '?')})",
-            f"journalctl -u {SERVICE} shows why; then: {RESTART}",
-        )
-    if not enabled.startswith("enabled"):
-        return warning(
-            name, f"is {active}, but does not start with the machine", f"sudo systemctl enable --now {SERVICE}"
-        )
-    if active != "active":
-        return warning(name, f"is enabled, but {active}", f"sudo systemctl start {SERVICE}")
-    return ok(name, "is enabled and active")
-
-
-def is_no_unit(result: Result) -> bool:
-    """Whether `unit` found that systemd has none that could be started."""
-    return result.sentence.startswith(("is not installed", "cannot be loaded (masked)"))
+def _shown(properties: str) -> dict[str, str]:
+    with suppress(OSError, subprocess.SubprocessError):
+        return show(SERVICE, properties)
+    return {}
 
 
 def granted_rtprio() -> int | None:
     """The real-time priority that the unit allows the service; None where there is no unit."""
-    said = _show("LoadState,LimitRTPRIO")
-    return int(said["LimitRTPRIO"]) if said.get("LoadState") == "loaded" and said["LimitRTPRIO"].isdigit() else None
-
-
-def running_realtime() -> Result | None:
-    """What the kernel has granted the service that runs; None where none does."""
-    try:
-        threads = [int(thread.name) for thread in Path(f"/proc/{main_process()}/task").iterdir()]
-        first = [os.sched_getparam(thread).sched_priority for thread in threads]
-    except OSError:
-        return None
-    if any(first):
-        return ok("real-time", f"priority {max(first)} is granted to the service that runs")
-    return warning(
-        "real-time",
-        "the service that runs was granted none: on a busy machine a Stop may be late",
-        "see its journal; a kernel with CONFIG_RT_GROUP_SCHED may reject it",
-    )
+    found = _shown("LoadState,LimitRTPRIO")
+    return int(found["LimitRTPRIO"]) if found.get("LoadState") == "loaded" and found["LimitRTPRIO"].isdigit() else None
 
 
 def main_process() -> int:
     """The number of the service's process; 0: none runs here."""
-    return int(_show("MainPID").get("MainPID", "0"))
+    return int(_shown("MainPID").get("MainPID", "0"))
 
 
-def _show(properties: str) -> dict[str, str]:
+def _python(_: CheckedRobot) -> Iterator[Seen]:
+    zenoh = ""
+    with suppress(importlib.metadata.PackageNotFoundError):
+        zenoh = importlib.metadata.version("eclipse-zenoh")  # pip has checked that the versions will do
+    yield Seen(version=".".join(map(str, sys.version_info[:3])), zenoh=zenoh, python=sys.executable)
+
+
+def _user(_: CheckedRobot) -> Iterator[Seen]:
+    service = service_user.uid()
+    if service is not None:
+        yield Seen(own=os.geteuid() == service, root=not os.geteuid())
+
+
+def _clock(_: CheckedRobot) -> Iterator[Seen]:
     try:
-        return _shown(properties)
-    except (OSError, subprocess.SubprocessError):
-        return {}
+        yield Seen(adjtimex=int(ctypes.CDLL(None).adjtimex(ctypes.create_string_buffer(_TIMEX_BYTES))))
+    except (AttributeError, OSError):  # not Linux
+        yield Seen(adjtimex=-1)
 
 
-def _shown(properties: str, systemctl: str = "systemctl") -> dict[str, str]:
-    command = [systemctl, "show", SERVICE, f"--property={properties}"]
-    said = subprocess.run(command, capture_output=True, text=True, check=True, timeout=5).stdout
-    return dict(line.split("=", 1) for line in said.splitlines() if "=" in line)
-
-
-def realtime() -> Result:
-    """Whether this process may be scheduled before others: on a busy machine that keeps a Stop from being late."""
-    name, priority = "real-time", LOOP_PRIORITY
-    if not hasattr(os, "sched_setscheduler"):
-        return warning(name, "this system has no SCHED_FIFO", "run the gateway on Linux")
-    faults: list[OSError] = []
-
-    def ask() -> None:  # on a thread of its own, so that this one keeps its priority
+def _unit(robot: CheckedRobot) -> Iterator[Seen]:
+    seen = Seen(systemd=(robot.root / "run/systemd/system").is_dir() and shutil.which("systemctl"), error="")
+    found: dict[str, str] = {}
+    if seen.systemd:
         try:
-            os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(priority))
-        except OSError as error:
-            faults.append(error)
+            found = show(SERVICE, "LoadState,ActiveState,UnitFileState,Result")
+        except (OSError, subprocess.SubprocessError) as error:
+            seen.error = str(error)
+    seen.load, seen.active = found.get("LoadState", ""), found.get("ActiveState", "")
+    seen.enabled, seen.result = found.get("UnitFileState", ""), found.get("Result", "?")
+    if not (robot.installed and seen.load in ("not-found", "masked")):  # the installation's line has the fix
+        yield seen
 
-    thread = threading.Thread(target=ask)
-    thread.start()
-    thread.join()
-    if not faults:
-        return ok(name, f"priority {priority} is granted")
-    limit = resource.getrlimit(resource.RLIMIT_RTPRIO)[0]
-    granted = granted_rtprio() if os.geteuid() == service_user.uid() else None
-    if granted is not None and 0 <= limit < granted:  # as root it would have been raised to what the unit grants
-        return warning(
-            name,
-            f"the unit grants priority {granted}, but it cannot be tried here: this container lacks CAP_SYS_RESOURCE",
-            "start the service and check again: then what the kernel has granted it is looked at",
-        )
-    if 0 <= limit < priority:
-        return warning(
-            name,
-            f"priority {priority} is not granted (RLIMIT_RTPRIO is {limit}): on a busy machine a Stop may be late",
-            "run it as the service, whose unit sets LimitRTPRIO (sudo deploy/install.sh)",
-        )
-    return warning(
-        name,
-        f"priority {priority} is rejected by this kernel ({faults[0].strerror}): on a busy machine a Stop may be late",
-        "use a kernel without CONFIG_RT_GROUP_SCHED, or keep other work off this machine",
+
+def _realtime(_: CheckedRobot) -> Iterator[Seen]:
+    """What the kernel has granted the service that runs; else whether this process may be scheduled before others."""
+    seen = Seen(running=None, priority=LOOP_PRIORITY, rejected="", limit=0, unit=None, linux=True)
+    with suppress(OSError):
+        threads = [int(thread.name) for thread in Path(f"/proc/{main_process()}/task").iterdir()]
+        seen.running = max(os.sched_getparam(thread).sched_priority for thread in threads)
+    if seen.running is None:
+        seen.linux = hasattr(os, "sched_setscheduler")
+        thread = threading.Thread(target=_ask_for_priority, args=(seen,))  # so that this one keeps its priority
+        thread.start()
+        thread.join()
+        seen.limit = resource.getrlimit(resource.RLIMIT_RTPRIO)[0]
+        seen.unit = granted_rtprio() if os.geteuid() == service_user.uid() else None
+    seen.granted = f"{seen.priority} is granted"
+    if seen.running:
+        seen.granted = f"{seen.running} is granted to the service that runs"
+    yield seen
+
+
+def _ask_for_priority(seen: Seen) -> None:
+    try:
+        if seen.linux:
+            os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(seen.priority))
+    except OSError as error:
+        seen.rejected = error.strerror
+
+
+def running_release(process: int, root: Path = Path("/")) -> Path | None:
+    """The folder that a process has loaded the gateway from; None where none runs, or this user may not look.
+
+    The kernel reports it: the command line names the link, which may lead elsewhere by now.
+    """
+    with suppress(OSError):
+        found = re.search(rf"{INSTALLED}-[^/ \n]+", (root / f"proc/{process}/maps").read_text())
+        return None if found is None else Path(found.group())
+    return None
+
+
+def _release(look: tuple[Path | None, Path]) -> Iterator[Seen]:
+    runs, link = look
+    if runs is not None and link.exists():
+        yield Seen(runs=runs, installed=link.resolve())
+
+
+def _interpreter(look: tuple[Path | None, Path]) -> Iterator[Seen]:
+    """The first link that leads out of the release: `python` is a link to `python3.11` next to it, or to `python3`."""
+    root = look[1].parents[2]
+    link, system = look[1] / "bin" / "python", root / _SYSTEM_PYTHON
+    if not link.is_symlink():
+        return
+    while link.is_symlink() and link.is_relative_to(look[1]):
+        link = link.parent / os.readlink(link)
+    yield Seen(
+        link=link, system=system, exact=system.resolve(), there=system.exists(), beside=link.parent == system.parent
     )
+
+
+def _governors(robot: CheckedRobot) -> Iterator[Seen]:
+    folders = sorted((robot.root / "sys/devices/system/cpu").glob("cpu[0-9]*/cpufreq"))
+    if folders:
+        yield Seen(governor=_text(folders[0] / "scaling_governor"), driver=_text(folders[0] / "scaling_driver"))
+
+
+def _voltage(robot: CheckedRobot) -> Iterator[Seen]:
+    for name in (robot.root / "sys/class/hwmon").glob("hwmon*/name"):
+        if _text(name) == "rpi_volt":
+            yield Seen(low=_text(name.with_name("in0_lcrit_alarm")) == "1")
+
+
+def _memory(robot: CheckedRobot) -> Iterator[Seen]:
+    found = re.search(r"^MemAvailable: +(\d+) kB", _text(robot.root / "proc/meminfo"), re.MULTILINE)
+    if found:
+        yield Seen(free_mb=int(found[1]) // 1024)
+
+
+def _text(path: Path) -> str:
+    with suppress(OSError):
+        return path.read_text().strip()
+    return ""
+
+
+# fmt: off
+PYTHON: Final = Probe("Python", _python, (
+    failure(lambda r: not r.zenoh, "{python} has no eclipse-zenoh", "pip install hexapod-gateway, into it"),
+), "{version} with eclipse-zenoh {zenoh}, {python}")
+USER: Final = Probe("user", _user, (
+    warning(lambda r: r.root and not r.own, f"all this is what root may do; the service is {SERVICE}",
+            f"outside of this container, or with its rights SETUID and SETGID: root may not become {SERVICE} here"),
+    warning(lambda r: not r.own, f"all this is what you may do; the service is {SERVICE}",
+            "sudo hexapod-gateway check"),
+), f"all this is what {SERVICE} may do, the service's user")
+_SET_CLOCK: Final = "switch time synchronisation on (timedatectl set-ntp true): certificates need a right clock"
+CLOCK: Final = Probe("clock", _clock, (
+    warning(lambda r: r.adjtimex == _UNSYNCHRONISED, "is not synchronised", _SET_CLOCK),
+    warning(lambda r: r.adjtimex < 0, "does not report whether it is synchronised", _SET_CLOCK),
+), "is synchronised")
+UNIT: Final = Probe("systemd unit", _unit, (
+    warning(lambda r: not r.systemd, "none, for this machine does not run systemd",
+            "let something start the gateway again when it ends, and run `hexapod-gateway stop-servos` then"),
+    warning(lambda r: r.error, "systemctl fails ({error})", f"try: systemctl status {SERVICE}"),
+    warning(lambda r: r.load == "not-found", "is not installed: nothing stops the servos if the gateway dies", INSTALL),
+    failure(lambda r: r.load != "loaded", "cannot be loaded ({load})", f"systemctl status {SERVICE} shows why"),
+    failure(lambda r: r.active == "failed", "has failed ({result})",
+            f"journalctl -u {SERVICE} shows why; then: {RESTART}"),
+    warning(lambda r: not r.enabled.startswith("enabled"), "is {active}, but does not start with the machine",
+            f"sudo systemctl enable --now {SERVICE}"),
+    warning(lambda r: r.active != "active", "is enabled, but {active}", f"sudo systemctl start {SERVICE}"),
+), "is enabled and active")
+_LATE: Final = "on a busy machine a Stop may be late"
+REALTIME: Final = Probe("real-time", _realtime, (
+    warning(lambda r: r.running == 0, f"the service that runs was granted none: {_LATE}",
+            "see its journal; a kernel with CONFIG_RT_GROUP_SCHED may reject it"),
+    warning(lambda r: not r.linux, "this system has no SCHED_FIFO", "run the gateway on Linux"),
+    warning(lambda r: r.rejected and r.unit is not None and 0 <= r.limit < r.unit,  # root would have raised the limit
+            "the unit grants priority {unit}, but it cannot be tried here: this container lacks CAP_SYS_RESOURCE",
+            "start the service and check again: then what the kernel has granted it is looked at"),
+    warning(lambda r: r.rejected and 0 <= r.limit < r.priority,
+            f"priority {{priority}} is not granted (RLIMIT_RTPRIO is {{limit}}): {_LATE}",
+            f"run it as the service, whose unit sets LimitRTPRIO ({INSTALL})"),
+    warning(lambda r: r.rejected, f"priority {{priority}} is rejected by this kernel ({{rejected}}): {_LATE}",
+            "use a kernel without CONFIG_RT_GROUP_SCHED, or keep other work off this machine"),
+), "priority {granted}")
+GOVERNOR: Final = Probe("processor", _governors, (
+    # Drivers that choose the clock in hardware give this name to a governor that does raise it.
+    warning(lambda r: r.governor == "powersave" and not r.driver.endswith("pstate"),
+            f"its governor is powersave, which keeps it at its lowest clock: {_LATE}",
+            "echo 'w /sys/devices/system/cpu/cpu*/cpufreq/scaling_governor - - - - performance' | "
+            "sudo tee /etc/tmpfiles.d/hexapod-governor.conf && sudo systemd-tmpfiles --create hexapod-governor.conf"),
+))
+VOLTAGE: Final = Probe("supply", _voltage, (
+    warning(lambda r: r.low, "this Raspberry Pi's supply is under its voltage: it may slow down, or restart",
+            "use a supply of 5.1 V with enough current (a Pi 5: 5 A), and feed servos from another one"),
+))
+MEMORY: Final = Probe("memory", _memory, (
+    warning(lambda r: r.free_mb < _LITTLE_MB,
+            f"{{free_mb}} MB are free, and the service may need {_LITTLE_MB}: the kernel may end programs",
+            "end what needs most of it: ps -eo rss,pid,comm --sort=-rss | head"),
+))
+RELEASE: Final = (
+    Probe("release", _release, (
+        warning(lambda r: r.runs != r.installed,
+                "the service that runs is another release than the one installed: {runs}, not {installed}",
+                f"stop the robot, then: sudo systemctl restart {SERVICE}"),
+    )),
+    Probe("Python", _interpreter, (
+        warning(lambda r: r.link == r.system != r.exact,
+                "the service runs {system}, whatever that is: an upgrade of the system makes it another, and neither "
+                "the service nor its stop-servos starts then",
+                f"before the upgrade: {INSTALL}, which takes {{exact}}"),
+        warning(lambda r: r.there and r.beside and r.link.name != r.exact.name,
+                "the system's python3 is another one now, {exact}; the service still runs {link}, which the system may "
+                "remove", f"before that: {INSTALL}, which takes the new one"),
+    )),
+)
+"""They look at the release that runs, and at the link to the one installed."""
+# fmt: on

@@ -1,139 +1,167 @@
-"""The network: Zenoh's configuration, ports, certificates."""
+"""Zenoh's configuration, its ports and routers, and its access control."""
 
-import datetime as dt
 import errno
 import json
 import logging
-import os
 import re
 import socket
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Final
 
 import zenoh
 from pydantic import ValidationError
 
-from gateway import certs
-from gateway.certs import expiry
+from gateway.certs import BUTTON
+from gateway.certs.access import TRAFFIC, Traffic
+from gateway.certs.zenoh_files import command_for_new_rules
 from gateway.errors import ConfigError, GatewayError, ZenohError
 from gateway.host.sockets import listening
-from gateway.onboard.check import service_user
-from gateway.onboard.check.result import Result, failure, ok, warning
-from gateway.onboard.check.trust import LET_READ
+from gateway.onboard.check import certificates, service_user
+from gateway.onboard.check.certificates import DENIED
+from gateway.onboard.check.table import LET_READ, RESTART, CheckedRobot, Probe, Seen, always, failure, warning
+from gateway.own_command import this_command
 from gateway.people.client import diagnosis
 from gateway.people.client.blocking import Client
 from gateway.people.client.diagnosis import Stage
 from gateway.people.client.requests import Identity
-from gateway.robot.sections import ZenohSettings
 from gateway.robot.zenoh_io.session import service_config
-from gateway.zenoh_config import certificate_files, connect_endpoints, load_config, one_line, open_session
+from gateway.zenoh_config import connect_endpoints, get, listen_endpoints, one_line, open_session
+from schemas.keys import ALL_COMMANDS, COMMAND_KEYS, GET_ONLY, PUBLISHED, STATE
 from schemas.telemetry import GatewayState
 
-DENIED: Final = os.strerror(errno.EACCES)
 _ANSWER_S: Final = 1.0
 _LAST_PORT: Final = 65_535
-_LINKS: Final = {
-    "tcp": socket.SOCK_STREAM,
-    "tls": socket.SOCK_STREAM,
-    "ws": socket.SOCK_STREAM,
-    "udp": socket.SOCK_DGRAM,
-    "quic": socket.SOCK_DGRAM,
-}
+_TCP, _UDP = socket.SOCK_STREAM, socket.SOCK_DGRAM
+_LINKS: Final = MappingProxyType({"tcp": _TCP, "tls": _TCP, "ws": _TCP, "udp": _UDP, "quic": _UDP})
 _ENDPOINT: Final = re.compile(r"(?P<link>[a-z0-9-]+)/(?P<host>\[[^\]]+\]|[^:#?\[\]]+):(?P<port>\d{1,5})(?:[#?].*)?")
+_GET_ONLY_NEEDS: Final = frozenset({"query", "reply", "declare_queryable"})
+_SHOWN: Final = 3
 
 
-def zenoh_configuration(settings: ZenohSettings) -> tuple[zenoh.Config | None, list[Result]]:
-    """The configuration that the service would open, and the warnings that it would log about it."""
-    with _warnings_of("gateway") as warnings:
+# ---- Zenoh's configuration
+
+
+def configuration(robot: CheckedRobot) -> tuple[zenoh.Config | None, list[str], list[str]]:
+    """What the service would open, its faults, and the warnings that it would log about it."""
+    with _warnings_of("gateway") as logged:
         try:
-            config = service_config(settings)
+            return service_config(robot.settings.zenoh), [], logged
         except ConfigError as error:
-            lines = str(error).splitlines()
-            return None, [failure("Zenoh", line, LET_READ if DENIED in line else "fix it there") for line in lines]
-    found = [warning("Zenoh", line, "see docs/security.md for what each link needs") for line in warnings]
-    return config, found or [ok("Zenoh", settings.config or "its configuration is these settings alone")]
+            return None, str(error).splitlines(), []
 
 
-def ports(endpoints: Sequence[str], *, gateway_runs: bool) -> list[Result]:
-    """Each endpoint that the service would listen on. `gateway_runs`: then a port in use is the gateway's."""
-    if not endpoints:
-        return [ok("port", "none: the gateway listens nowhere, and dials others")]
-    return [port(endpoint, gateway_runs=gateway_runs) for endpoint in endpoints]
+@contextmanager
+def _warnings_of(logger_name: str) -> Iterator[list[str]]:
+    """Collects the warnings logged meanwhile, which go nowhere else."""
+    logged: list[str] = []
+
+    class CollectLines(logging.Handler):
+        def emit(self, record: logging.LogRecord) -> None:
+            logged.append(record.getMessage())
+
+    logger, handler = logging.getLogger(logger_name), CollectLines(logging.WARNING)
+    propagate = logger.propagate
+    logger.addHandler(handler)
+    logger.propagate = False
+    try:
+        yield logged
+    finally:
+        logger.removeHandler(handler)
+        logger.propagate = propagate
 
 
-def port(endpoint: str, *, gateway_runs: bool = False) -> Result:
-    """Whether the service could listen on `endpoint`; a gateway that listens there already is fine."""
-    found = _ENDPOINT.fullmatch(endpoint)
-    if found is None or found["link"] not in _LINKS:
-        return ok("port", f"{endpoint} was not tried: it names no port that could be")
-    error = _listen(found["host"], int(found["port"]), _LINKS[found["link"]])
-    taken = error is not None and error.errno == errno.EADDRINUSE
-    if taken and (answer := _gateway_at(found) or _service_at(int(found["port"]), found["link"])):
-        return ok("port", f"{endpoint} is in use by {answer}")
-    if taken and gateway_runs:
-        return ok("port", f"{endpoint} is in use by the gateway that runs here, it seems")
-    return _verdict(endpoint, "zenoh.listen", error)
+def _zenoh(robot: CheckedRobot) -> Iterator[Seen]:
+    _, faults, logged = configuration(robot)
+    well = robot.settings.zenoh.config or "its configuration is these settings alone"
+    for fault in faults:
+        yield Seen(fault=fault, denied=DENIED in fault)
+    for line in logged or ([] if faults else [""]):
+        yield Seen(fault="", logged=line, well=well)
 
 
-def opens(settings: ZenohSettings, endpoints: Sequence[str]) -> list[Result]:
-    """What keeps Zenoh from listening there; nothing where it can: it is tried, on free ports of these addresses.
-
-    Nobody is dialled, and a running gateway is not disturbed. `endpoints`: those whose ports can be had.
-    """
-    tried = [trial for each in endpoints if (trial := _on_a_free_port(each)) is not None]
-    if not tried:
-        return []
-    config = service_config(settings)
+def _listeners(robot: CheckedRobot) -> Iterator[Seen]:
+    """Why Zenoh cannot listen: tried on free ports of the addresses whose own ports can be had. Nobody is dialled."""
+    config = configuration(robot)[0]
+    where = [seen.where for seen in ports(robot) if seen.error is None] if config is not None else []
+    found = [each for each in map(_parsed, where) if each is not None]
+    if config is None or not found or any(certificates.mismatched(robot)):  # of which Zenoh's sentence tells nothing
+        return
+    free = [f"{each.string[: each.start('port')]}0{each.string[each.end('port') :]}" for each in found]
     config.insert_json5("connect/endpoints", "[]")
-    config.insert_json5("listen/endpoints", json.dumps(tried))
+    config.insert_json5("listen/endpoints", json.dumps(free))
     try:
         open_session(config).close()
     except ZenohError as error:
-        why = one_line(error.__cause__ or error)
-        fix = "in zenoh.listen, write tls/ for tcp/, or leave it out: the Zenoh file has endpoints of its own"
-        return [failure("Zenoh", f"cannot listen on {', '.join(endpoints)}: {why}", fix)]
-    return []
+        yield Seen(where=", ".join(where), why=one_line(error.__cause__ or error))
 
 
-def _on_a_free_port(endpoint: str) -> str | None:
-    found = _ENDPOINT.fullmatch(endpoint)
-    if found is None or found["link"] not in _LINKS:
-        return None
-    return f"{endpoint[: found.start('port')]}0{endpoint[found.end('port') :]}"
-
-
-def routers(config: zenoh.Config) -> Iterator[Result]:
+def _routers(robot: CheckedRobot) -> Iterator[Seen]:
     """Whether what the gateway dials is there, as far as it can be seen without being the gateway."""
-    endpoints = connect_endpoints(config)
-    for endpoint, findings in diagnosis.look_at_all(endpoints, Identity.of(config)).items():
+    config = configuration(robot)[0]
+    if config is None:
+        return
+    for endpoint, findings in diagnosis.look_at_all(connect_endpoints(config), Identity.of(config)).items():
         # A port that speaks no TLS may well be a router's.
         last = next((each for each in reversed(findings) if each.stage is not Stage.GATEWAY), findings[-1])
-        said = f"{endpoint}: {_of_a_router(last.sentence)}"
-        if not last.fix:
-            yield ok("router", said)
-            continue
-        fix = (
-            "start it there (zenohd -c router.json5), or set another zenoh.connect; the gateway goes on trying"
-            if last.stage in (Stage.NAME, Stage.TCP)
-            else _of_a_router(last.fix)
-        )
-        yield failure("router", f"{said}: nobody behind it reaches this robot", fix)
+        sentence, fix = (text.replace("the robot", "the router") for text in (last.sentence, last.fix))
+        yield Seen(endpoint=endpoint, sentence=sentence, fix=fix, off=last.stage in (Stage.NAME, Stage.TCP))
 
 
-def _of_a_router(sentence: str) -> str:
-    return sentence.replace("the robot", "the router")
+# ---- ports
 
 
-def metrics_port(address: str, *, gateway_runs: bool) -> Result:
-    """Whether the metrics page could listen on `address`."""
-    host, _, number = address.rpartition(":")
-    error = _listen(host, int(number), socket.SOCK_STREAM)
-    taken = error is not None and error.errno == errno.EADDRINUSE
-    if taken and (gateway_runs or _service_at(int(number), "tcp")):
-        return ok("port", f"{address} is in use by the gateway that runs here, it seems")
-    return _verdict(address, "telemetry.metrics", error)
+def ports(robot: CheckedRobot) -> list[Seen]:
+    """Each endpoint that the service would listen on."""
+    config = configuration(robot)[0]
+    endpoints = [] if config is None else listen_endpoints(config)
+    return [port(endpoint, gateway_runs=robot.gateway_runs) for endpoint in endpoints]
+
+
+def _ports(robot: CheckedRobot) -> Iterator[Seen]:
+    found = ports(robot)
+    yield from found
+    if not found and configuration(robot)[0] is not None:
+        yield Seen(where="none:", error=None, well="the gateway listens nowhere, and dials others")
+    metrics = robot.settings.telemetry.metrics
+    if metrics:
+        host, _, number = metrics.rpartition(":")
+        yield _port(metrics, host, int(number), "tcp", setting="telemetry.metrics", gateway_runs=robot.gateway_runs)
+
+
+def port(endpoint: str, *, gateway_runs: bool = False) -> Seen:
+    """Why the service could not listen on `endpoint`; a gateway that listens there already is fine."""
+    found = _parsed(endpoint)
+    if found is None:
+        return Seen(where=endpoint, error=None, well="was not tried: it names no port that could be")
+    number, link = int(found["port"]), found["link"]
+    return _port(endpoint, found["host"], number, link, setting="zenoh.listen", gateway_runs=gateway_runs)
+
+
+def _port(where: str, host: str, number: int, link: str, *, setting: str, gateway_runs: bool) -> Seen:
+    seen = Seen(where=where, setting=setting, error=_listen(host, number, _LINKS[link]), why="", well="is free")
+    if seen.error is not None:
+        seen.why = seen.error.strerror
+        if seen.error.errno == errno.EADDRINUSE:
+            speaks = link == "tcp" and setting == "zenoh.listen"  # TLS would demand a certificate
+            state = state_at(f"tcp/{_LOOPBACK.get(host, host)}:{number}") if speaks else None
+            used = "by the service" if service_user.uid() in owners(number, _LINKS[link]) else ""
+            if state is not None:
+                used = f"by a gateway that is {state.mode}{', on a simulated controller' if state.simulated else ''}"
+            elif gateway_runs:
+                used = used or "by the gateway that runs here, it seems"
+            if used:
+                seen.well, seen.error = f"is in use {used}", None
+    return seen
+
+
+_LOOPBACK: Final = MappingProxyType({"0.0.0.0": "127.0.0.1", "[::]": "[::1]"})  # noqa: S104 (dialled, not opened)
+
+
+def _parsed(endpoint: str) -> re.Match[str] | None:
+    found = _ENDPOINT.fullmatch(endpoint)
+    return found if found is not None and found["link"] in _LINKS else None
 
 
 def _listen(host: str, number: int, kind: socket.SocketKind) -> OSError | None:
@@ -162,29 +190,6 @@ def _bind(family: socket.AddressFamily, kind: socket.SocketKind, address: Any) -
     return None
 
 
-def _verdict(where: str, setting: str, error: OSError | None) -> Result:
-    if error is None:
-        return ok("port", f"{where} is free")
-    sentence, fix = {
-        errno.EADDRINUSE: ("is taken by another program", f"see whose it is (ss -ltnp), or set another {setting}"),
-        errno.EADDRNOTAVAIL: ("is no address of this machine", f"set another {setting} (ip address shows them)"),
-        errno.EACCES: ("may not be listened on by this user", f"set {setting} to a port above 1023"),
-        errno.EAFNOSUPPORT: ("needs IPv6, which this kernel lacks", f"in {setting}, write 0.0.0.0 for [::]"),
-    }.get(error.errno or 0, (f"cannot be listened on: {error.strerror}", f"set another {setting}"))
-    return failure("port", f"{where} {sentence}", fix)
-
-
-def _gateway_at(found: re.Match[str]) -> str:
-    """The gateway that answers on a TCP endpoint of this machine, in words; "" where none does."""
-    if found["link"] != "tcp":
-        return ""  # TLS would demand a certificate
-    host = {"0.0.0.0": "127.0.0.1", "[::]": "[::1]"}.get(found["host"], found["host"])  # noqa: S104 (dialled, not opened)
-    state = state_at(f"tcp/{host}:{found['port']}")
-    if state is None:
-        return ""
-    return f"a gateway that is {state.mode}" + (", on a simulated controller" if state.simulated else "")
-
-
 def state_at(endpoint: str) -> GatewayState | None:
     """What answers there; None: no gateway does."""
     try:
@@ -194,63 +199,132 @@ def state_at(endpoint: str) -> GatewayState | None:
         return None
 
 
-def _service_at(port: int, link: str) -> str:
-    """The service, where the socket that has the port is its user's; it would answer nobody without a certificate."""
-    service = service_user.uid()
-    return "the service" if service is not None and service in owners(port, _LINKS[link]) else ""
-
-
 def owners(port: int, kind: socket.SocketKind) -> set[int]:
     """The users (numbers) of the sockets that listen on a port, as the kernel shows everybody."""
     return {uid for _, uid in listening(port, kind)}
 
 
-def certificates(settings: ZenohSettings, now: dt.datetime) -> list[Result]:
-    """The certificates that the Zenoh file names, and for how long they are good."""
-    name = "certificates"
-    if not settings.config:
-        return [ok(name, "none are in use")]
-    try:
-        found = [certs.folder.describe(path) for path in certificate_files(load_config(Path(settings.config)))]
-    except ConfigError as error:
-        fix = LET_READ if DENIED in str(error) else "until then nobody can connect, and the service does not start"
-        return [failure(name, str(error), fix)]
-    if not found:
-        return [ok(name, f"{settings.config} names none")]
-    return [_expiry(certificate, now) for certificate in found]
+# ---- access control: what an older release's does not let through is dropped without a word on either side
 
 
-def _expiry(certificate: certs.folder.Certificate, now: dt.datetime) -> Result:
-    name, path = "certificates", certificate.path
-    until = f"good until {certificate.not_after:%Y-%m-%d}"
-    fix = expiry.remedy(path.name, certificate.role, certificate.name)
-    left_days = certificate.days_left(now)
-    if now < certificate.not_before:
-        return failure(
-            name, f"{path} is good only from {certificate.not_before:%Y-%m-%d}", "set the clock (timedatectl)"
-        )
-    if left_days < 0:
-        return failure(name, f"{path} expired on {certificate.not_after:%Y-%m-%d}: nobody can connect", fix)
-    if left_days < expiry.WARN_DAYS:
-        return warning(name, f"{path} is {until}, {left_days} days more", fix)
-    return ok(name, f"{path} is {until}")
+def _access(robot: CheckedRobot) -> Iterator[Seen]:
+    config = configuration(robot)[0]
+    if config is not None:
+        yield from passes(config, robot.settings.zenoh.config)
 
 
-@contextmanager
-def _warnings_of(logger_name: str) -> Iterator[list[str]]:
-    """Collects the warnings logged meanwhile, which go nowhere else."""
-    logged: list[str] = []
+def passes(config: zenoh.Config, file: str) -> Iterator[Seen]:
+    """What the access control of this Zenoh file drops of the others' messages, and of a button's."""
+    if get(config, "access_control/enabled") is not True or get(config, "access_control/default_permission") != "deny":
+        return
+    dropped = _dropped(config)
+    of_buttons = {key: each for key, each in _dropped(config, BUTTON).items() if each != dropped.get(key)}
+    keys, namespace = list(dropped), get(config, "namespace")
+    before = f"{namespace}/" if namespace else ""
+    listener = next(
+        (int(found[1]) for each in listen_endpoints(config) if (found := re.search(r":(\d+)$", each))), 7447
+    )
+    yield Seen(
+        file=file, dropped=dropped, of_buttons=of_buttons, before=before, state=STATE,
+        keys=", ".join(keys[:_SHOWN]) + (f" and {len(keys) - _SHOWN} more" if len(keys) > _SHOWN else ""),
+        messages=_messages(dropped), button_messages=_messages(of_buttons),
+        published={key.removeprefix(before) for key in keys} <= set(PUBLISHED),
+        by_hand=", ".join(f'"{key}"' for key in keys),
+        anew=f"{command_for_new_rules(file, listener, this_command())} && {RESTART}",
+    )  # fmt: skip
 
-    class CollectLines(logging.Handler):
-        def emit(self, record: logging.LogRecord) -> None:
-            logged.append(record.getMessage())
 
-    logger, handler = logging.getLogger(logger_name), CollectLines(logging.WARNING)
-    propagate = logger.propagate
-    logger.addHandler(handler)
-    logger.propagate = False
-    try:
-        yield logged
-    finally:
-        logger.removeHandler(handler)
-        logger.propagate = propagate
+def _messages(dropped: dict[str, list[str]]) -> str:
+    return ", ".join(dict.fromkeys(message for messages in dropped.values() for message in messages))
+
+
+def _dropped(config: zenoh.Config, role: str = "") -> dict[str, list[str]]:
+    """The keys that something is dropped on, each with the messages that this role sends and receives, or the others.
+
+    A button may send little, and an operator's rules must let all of it through.
+    """
+    namespace = get(config, "namespace") or ""
+    policies = get(config, "access_control/policies") or []
+    named = {
+        name
+        for policy in policies
+        if (role in policy["subjects"] if role else policy["subjects"] != [BUTTON])
+        for name in policy["rules"]
+    }
+    rules = [
+        rule
+        for rule in get(config, "access_control/rules") or []
+        if rule["id"] in named and rule["permission"] == "allow"
+    ]
+    dropped: dict[str, list[str]] = {}
+    for traffic in (each for each in TRAFFIC if (role in each.roles if role else each.roles != (BUTTON,))):
+        flow = "ingress" if traffic.from_people else "egress"
+        for key, message in _said(traffic):
+            whole = f"{namespace}/{key}" if namespace else key
+            if not any(_lets(rule, flow, message, whole) for rule in rules):
+                dropped.setdefault(whole, []).append(message)
+    return dropped
+
+
+def _said(traffic: Traffic) -> Iterator[tuple[str, str]]:
+    """Key by key: a file that was made by hand may name each."""
+    for key in (*COMMAND_KEYS, *GET_ONLY) if traffic.keys == (ALL_COMMANDS,) else traffic.keys:
+        for message in traffic.messages:
+            if key not in GET_ONLY or message in _GET_ONLY_NEEDS:
+                yield key, message
+
+
+def _lets(rule: dict[str, Any], flow: str, message: str, key: str) -> bool:
+    return (
+        flow in (rule.get("flows") or (flow,))
+        and message in rule["messages"]
+        and any(zenoh.KeyExpr(each).includes(zenoh.KeyExpr(key)) for each in rule["key_exprs"])
+    )
+
+
+def _errno(number: int) -> Callable[[Seen], object]:
+    return lambda r: r.error is not None and r.error.errno == number
+
+
+# fmt: off
+ZENOH: Final = Probe("Zenoh", _zenoh, (
+    failure(lambda r: r.fault and r.denied, "{fault}", LET_READ),
+    failure(lambda r: r.fault, "{fault}", "fix it there"),
+    warning(lambda r: r.logged, "{logged}", "see docs/security.md for what each link needs"),
+), "{well}")
+ACCESS: Final = (
+    Probe("access control", _access, (
+        warning(lambda r: r.dropped and r.published,
+                "{file} does not let {keys} through ({messages}): messages there are lost without a word",
+                'in its rules, write {by_hand} next to each "{before}{state}", and restart; or make it anew: {anew}'),
+        warning(lambda r: r.dropped,
+                "{file} does not let {keys} through ({messages}): messages there are lost without a word",
+                "make it anew: {anew}"),
+    ), "lets all of this gateway's keys through"),
+    Probe("stop buttons", _access, (
+        warning(lambda r: r.of_buttons, "{file} does not let a certificate of the role button through "
+                "({button_messages}): until it does, a stop button needs an operator's", "make it anew: {anew}"),
+    )),
+)
+PORTS: Final = Probe("port", _ports, (
+    failure(_errno(errno.EADDRINUSE), "{where} is taken by another program",
+            "see whose it is (ss -ltnp), or set another {setting}"),
+    failure(_errno(errno.EADDRNOTAVAIL), "{where} is no address of this machine",
+            "set another {setting} (ip address shows them)"),
+    failure(_errno(errno.EACCES), "{where} may not be listened on by this user", "set {setting} to a port above 1023"),
+    failure(_errno(errno.EAFNOSUPPORT), "{where} needs IPv6, which this kernel lacks",
+            "in {setting}, write 0.0.0.0 for [::]"),
+    failure(lambda r: r.error, "{where} cannot be listened on: {why}", "set another {setting}"),
+), "{where} {well}")
+LINKS: Final = (
+    Probe("Zenoh", _listeners, (
+        failure(always, "cannot listen on {where}: {why}",
+                "in zenoh.listen, write tls/ for tcp/, or leave it out: the Zenoh file has endpoints of its own"),
+    )),
+    Probe("router", _routers, (
+        failure(lambda r: r.fix and r.off, "{endpoint}: {sentence}: nobody behind it reaches this robot",
+                "start it there (zenohd -c router.json5), or set another zenoh.connect; the gateway goes on trying"),
+        failure(lambda r: r.fix, "{endpoint}: {sentence}: nobody behind it reaches this robot", "{fix}"),
+    ), "{endpoint}: {sentence}"),
+)
+# fmt: on

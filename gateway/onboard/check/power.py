@@ -3,10 +3,8 @@
 It is asked only, and only while no gateway runs: the interface is the gateway's then.
 """
 
-import os
 import time
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from gateway.allowance import NS_PER_S
@@ -21,70 +19,62 @@ from gateway.model.power_board import (
     BoardError,
     Rails,
 )
-from gateway.onboard.check import nodes, service_user
-from gateway.onboard.check.result import Result, failure, ok, warning
+from gateway.onboard.check.device import JOIN_GROUP, denied, no_node, node
+from gateway.onboard.check.table import CheckedRobot, Probe, Seen, always, failure, warning
 from gateway.robot.power.interface import BITRATE, open_bus, received, send
 from gateway.robot.sections import PowerSettings
-from gateway.robot.spi.machine import ROOT_DIR
 
 if TYPE_CHECKING:
     import can
 
-_NAME: Final = "power board"
 _ROUNDS: Final = 4
 """One question may be lost, and the board has four kinds of errors, each shown once."""
 _ROUND_S: Final = 0.1
 """The board answers within 2 ms."""
 _CAN: Final = "280"
 """ARPHRD_CAN, in /sys/class/net/…/type."""
-_SILENT: Final = (
-    "press its power button (in standby it is silent); see that CAN-H and CAN-L lead to it, with a resistor of 120 Ω "
-    "at each end, and that the interface has its bit rate, 1 Mbit/s"
-)
-_ERROR: Final = "remove the cause; a reset of the gateway (after an emergency stop) then deletes it"
 
 
-def results(settings: PowerSettings, *, gateway_runs: bool, root: Path = ROOT_DIR) -> Iterator[Result]:
-    """Nothing where no board is set up."""
-    if not settings.interface:
+def _board(robot: CheckedRobot) -> Iterator[Seen]:
+    """Nothing where no board is set up; then the board, and a reading for each of its errors."""
+    power, folder = robot.settings.power, robot.root / "sys/class/net" / robot.settings.power.channel
+    if not power.interface:
         return
-    if settings.interface == "sim":
-        yield warning(_NAME, "is simulated: no servo loses its supply", 'set power.interface; "" is none')
-        return
-    lack = _lack(settings, root)
-    if lack is not None:
-        yield lack
-        return
-    if gateway_runs:
-        where = f"{settings.interface} {settings.channel}"
-        yield ok(_NAME, f"{where} is the running gateway's, whose status has whether the board answers")
-    else:
-        yield from _answers(settings)
+    seen = node(power.channel) if power.interface == "slcan" else Seen(lack="")
+    seen.absent, seen.channel, seen.bitrate = _PLUG, power.channel, BITRATE
+    seen.where, seen.says = f"{power.interface} {power.channel}", ""
+    seen.simulated = power.interface == "sim"
+    seen.error = seen.silent = seen.answers = seen.board_error = ""
+    if power.interface == "socketcan":  # anybody may use it, and only root can switch it on
+        try:
+            kind, flags = (folder / "type").read_text().strip(), int((folder / "flags").read_text(), 16)
+            seen.lack = "no CAN" if kind != _CAN else "" if flags & 1 else "off"
+        except (OSError, ValueError):
+            seen.lack = "no interface"
+    seen.answers = f"{seen.where} is the running gateway's, whose status has whether the board answers"
+    errors: list[BoardError] = []
+    if not (robot.gateway_runs or seen.simulated or seen.lack):
+        try:
+            rails, errors = _of_the_board(power)
+            seen.silent, seen.answers = not rails, f"answers on {seen.where}{_values(rails)}"
+        except GatewayError as error:
+            seen.error = str(error)
+        except Exception as error:  # from any of python-can's interfaces
+            seen.error = f"{seen.where}: {error}"
+    yield seen
+    for each in () if seen.silent else errors:
+        sentence, mask = power_board.explained(each)
+        servos = [str(servo) for place, servo in enumerate(power.outputs) if mask >> place & 1]
+        without = f"; no supply for {', '.join(servos)}" if servos else ""
+        yield Seen(**{**vars(seen), "board_error": f"{sentence}{without}"})
 
 
-def _answers(settings: PowerSettings) -> Iterator[Result]:
-    where = f"{settings.interface} {settings.channel}"
+def _of_the_board(power: PowerSettings) -> tuple[dict[int, tuple[int, ...]], list[BoardError]]:
+    bus = open_bus(power)
     try:
-        bus = open_bus(settings)
-    except GatewayError as error:
-        yield failure(_NAME, str(error), "see dmesg, and the settings of [power]")
-        return
-    try:
-        rails, errors = asked(bus, settings)
-    except Exception as error:  # from any of python-can's interfaces
-        yield failure(_NAME, f"{where}: {error}", "see dmesg")
-        return
+        return asked(bus, power)
     finally:
         bus.shutdown()
-    if not rails:
-        yield failure(_NAME, f"{where} opens, and the board does not answer", _SILENT)
-        return
-    yield ok(_NAME, f"answers on {where}{_values(rails)}")
-    for each in errors:
-        sentence, mask = power_board.explained(each)
-        servos = [str(servo) for place, servo in enumerate(settings.outputs) if mask >> place & 1]
-        without = f"; no supply for {', '.join(servos)}" if servos else ""
-        yield warning(_NAME, f"{sentence}{without}", _ERROR)
 
 
 def asked(
@@ -120,39 +110,24 @@ def _values(rails: dict[int, tuple[int, ...]]) -> str:
     return f": {'; '.join(said)}" if said else ""
 
 
-def _lack(settings: PowerSettings, root: Path) -> Result | None:
-    if settings.interface == "slcan":
-        return _terminal(Path(settings.channel))
-    if settings.interface == "socketcan":
-        return _network(settings, root / "sys/class/net" / settings.channel)
-    return None
-
-
-def _terminal(node: Path) -> Result | None:
-    """Of an adapter with slcan."""
-    lack = nodes.missing(_NAME, node, "power.channel", "plug the adapter in, or set power.channel (see dmesg)")
-    if lack is not None or os.access(node, os.R_OK | os.W_OK):
-        return lack
-    group = nodes.group_that_may(node)
-    fix = (
-        f"the service's user is in dialout: sudo chgrp dialout {node} && sudo chmod 660 {node}"
-        if group is None or service_user.uid() is not None
-        else f"sudo usermod -aG {group} {nodes.user()} # then log in again"
-    )
-    return nodes.denied(_NAME, node, fix)
-
-
-def _network(settings: PowerSettings, folder: Path) -> Result | None:
-    """Of a CAN interface of the kernel: anybody may use it, and only root can switch it on."""
-    name = settings.channel
-    up = f"sudo ip link set {name} up type can bitrate {BITRATE} restart-ms 100"
-    try:
-        kind, flags = (folder / "type").read_text().strip(), int((folder / "flags").read_text(), 16)
-    except (OSError, ValueError):
-        fix = "plug the adapter in or load its driver (ip link names what there is), or set power.channel"
-        return failure(_NAME, f"there is no network interface {name}", fix)
-    if kind != _CAN:
-        return failure(_NAME, f"{name} is no CAN interface", "set power.channel to one (ip link)")
-    if not flags & 1:
-        return failure(_NAME, f"{name} is switched off", up)
-    return None
+_PLUG: Final = "plug the adapter in, or set power.channel (see dmesg)"
+# fmt: off
+BOARD: Final = Probe("power board", _board, (
+    warning(lambda r: r.simulated, "is simulated: no servo loses its supply", 'set power.interface; "" is none'),
+    *no_node("power.channel"),
+    denied(lambda r: r.service or not r.group,
+           "the service's user is in dialout: sudo chgrp dialout {path} && sudo chmod 660 {path}"),
+    denied(always, JOIN_GROUP),
+    failure(lambda r: r.lack == "no interface", "there is no network interface {channel}",
+            "plug the adapter in or load its driver (ip link names what there is), or set power.channel"),
+    failure(lambda r: r.lack == "no CAN", "{channel} is no CAN interface", "set power.channel to one (ip link)"),
+    failure(lambda r: r.lack == "off", "{channel} is switched off",
+            "sudo ip link set {channel} up type can bitrate {bitrate} restart-ms 100"),
+    failure(lambda r: r.error, "{error}", "see dmesg, and the settings of [power]"),
+    failure(lambda r: r.silent, "{where} opens, and the board does not answer",
+            "press its power button (in standby it is silent); see that CAN-H and CAN-L lead to it, with a resistor of "
+            "120 Ω at each end, and that the interface has its bit rate, 1 Mbit/s"),
+    warning(lambda r: r.board_error, "{board_error}",
+            "remove the cause; a reset of the gateway (after an emergency stop) then deletes it"),
+), "{answers}")
+# fmt: on

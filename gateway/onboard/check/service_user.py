@@ -1,7 +1,4 @@
-"""`check` as root looks with the eyes of the service: its user, its groups, its limits.
-
-Root may read every key and may have every priority; what root can do shows nothing of what the service can.
-"""
+"""`check` as root looks with the service's rights: its user, its groups, its limits. What root can do shows nothing."""
 
 import grp
 import os
@@ -14,9 +11,8 @@ from importlib import import_module
 from typing import Final
 
 from gateway.errors import GatewayError
-from gateway.onboard.check.result import Result, ok, warning
+from gateway.onboard.check.table import SERVICE
 
-SERVICE_USER: Final = "hexapod-gateway"
 _GROUPS_OF_THE_UNIT: Final = ("spi", "dialout")
 _LOADED_LATE: Final = ("gateway.certs.folder", "serial", "spidev")
 """The service's user may not be able to read the folder that this Python runs from."""
@@ -26,13 +22,13 @@ _CRASHED: Final = 70  # EX_SOFTWARE
 def uid() -> int | None:
     """The service's user, where it is installed."""
     try:
-        return pwd.getpwnam(SERVICE_USER).pw_uid
+        return pwd.getpwnam(SERVICE).pw_uid
     except KeyError:
         return None
 
 
 def run(look: Callable[[], int], rtprio: int | None) -> int:
-    """Call `look` as the service's user where that is possible, else as oneself; what it returned.
+    """Call `look` as the service's user where that is possible, else as oneself. Return what it returned.
 
     `rtprio` is the limit that the unit sets.
     """
@@ -48,8 +44,8 @@ def run(look: Callable[[], int], rtprio: int | None) -> int:
         return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
     code = _CRASHED
     try:
-        with suppress(PermissionError):  # without CAP_SETUID or CAP_SETGID: `who` then says so
-            _become(pwd.getpwnam(SERVICE_USER), rtprio)
+        with suppress(PermissionError):  # without CAP_SETUID or CAP_SETGID: the line of the user reports it
+            _become(pwd.getpwnam(SERVICE), rtprio)
         code = look()
     except GatewayError as error:
         sys.stderr.writelines(f"hexapod-gateway: {line}\n" for line in str(error).splitlines())
@@ -64,7 +60,7 @@ def run(look: Callable[[], int], rtprio: int | None) -> int:
 
 def _become(user: pwd.struct_passwd, rtprio: int | None) -> None:
     if rtprio is not None:
-        with suppress(OSError, ValueError):  # without CAP_SYS_RESOURCE, as in a container: `realtime` then says so
+        with suppress(OSError, ValueError):  # without CAP_SYS_RESOURCE, as in a container: `real-time` reports it
             resource.setrlimit(resource.RLIMIT_RTPRIO, (rtprio, rtprio))
     groups = set(os.getgrouplist(user.pw_name, user.pw_gid))
     for group in _GROUPS_OF_THE_UNIT:
@@ -73,16 +69,3 @@ def _become(user: pwd.struct_passwd, rtprio: int | None) -> None:
     os.setgroups(sorted(groups))
     os.setgid(user.pw_gid)
     os.setuid(user.pw_uid)
-
-
-def who() -> Result | None:
-    """Whose rights the other lines are about; None where there is no service on this machine."""
-    service, name = uid(), SERVICE_USER
-    if service is None:
-        return None
-    if os.geteuid() == service:
-        return ok("user", f"all this is what {name} may do, the service's user")
-    if not os.geteuid():
-        fix = f"outside of this container, or with its rights SETUID and SETGID: root may not become {name} here"
-        return warning("user", f"all this is what root may do; the service is {name}", fix)
-    return warning("user", f"all this is what you may do; the service is {name}", "sudo hexapod-gateway check")

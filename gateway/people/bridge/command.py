@@ -72,8 +72,6 @@ def ros2(
     roll_setpoint, pitch_setpoint, cmd_gait_type and goals of the action follow_joint_trajectory, once somebody has
     called its service drive; it holds the lease then, until release. The service estop is for everybody, always. reset
     leaves an emergency stop that came through ROS alone while the bridge drove.
-
-    Exit codes: 0 ended on request, 2 ROS 2 is missing, or an argument or a file is wrong, 4 no gateway answers.
     """
     from gateway.people.bridge import run
     from gateway.people.bridge.parameters import Parameters

@@ -336,7 +336,7 @@ def _alert(error: ssl.SSLError) -> Finding:
         return Finding(
             Stage.CERTIFICATE,
             "the robot does not know the CA of your certificate",
-            "get one from the folder that made the robot's (hexapod-gateway certs issue)",
+            "get one from the folder that made the robot's (`hexapod-gateway certs issue`)",
         )
     if "EXPIRED" in reason:
         return Finding(

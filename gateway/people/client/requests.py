@@ -65,7 +65,8 @@ class Identity:
 
         units = self._read().subject.get_attributes_for_oid(NameOID.ORGANIZATIONAL_UNIT_NAME)
         if not units:
-            raise ConfigError(f"{self.certificate} names no person: get one from `hexapod-gateway certs issue NAME`")
+            issue = "`hexapod-gateway certs issue NAME --role operator`"
+            raise ConfigError(f"{self.certificate} names no person: get one from {issue}")
         return str(units[0].value)
 
     def prove(
@@ -89,7 +90,7 @@ class Identity:
 
 def _named(file: Path | None) -> Path:
     if file is None:
-        raise ConfigError("no certificate is given: get one from `hexapod-gateway certs issue NAME`")
+        raise ConfigError("no certificate is given: get one from `hexapod-gateway certs issue NAME --role operator`")
     return file
 
 

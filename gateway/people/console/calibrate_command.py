@@ -17,8 +17,7 @@ app = typer.Typer(
     "Without a command it opens the guide, a card of the console's page: choose a servo, see it start alone, move "
     "it, enter what you see on the robot, and write that. If a console of yours runs, it prints a link to it; "
     "else (or with --connect or --zenoh-config) it starts one and opens the browser. The commands below "
-    "are for scripts.\n\n"
-    "Exit codes: 0 done, 1 rejected (the reason is printed), 2 an argument or a file is wrong, 4 no gateway answers.",
+    "are for scripts.",
 )
 LegOption = Annotated[
     list[int] | None, typer.Option("--leg", metavar="N", min=1, max=6, help="Only this leg; may be repeated.")

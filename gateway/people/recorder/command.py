@@ -39,9 +39,6 @@ def record(
 
     Foxglove, Lichtblick, Rerun and ROS 2's tools open it (docs/recordings.md). Frames are in it where the gateway
     publishes them (telemetry.frames).
-
-    Exit codes: 0 ended on request, 1 the disk does not take it, 2 the file exists or is none, or the extra
-    \\[record] is missing, 4 no gateway answers, 5 the port is taken.
     """
     if file is None and (csv or not live):
         raise ConfigError("name the file to make, such as ride.mcap, or show the robot in a viewer with --live")

@@ -1,8 +1,9 @@
 """`hexapod-gateway certs`: arguments in, one call of gateway.certs, and a few lines that state what to do next."""
 
 import datetime as dt
+import os
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -17,14 +18,16 @@ app = typer.Typer(
     help="Certificates: who may reach the robot over the network, and as what.\n\n"
     "`init` makes a private certificate authority (CA) and the robot's files, once. `issue` makes a laptop's files and "
     "changes nothing on the robot. `revoke` shuts a lost laptop out.\n\n"
-    "Keep the folder on a machine you trust, not on the robot: anyone with its ca.key can admit anyone.\n\n"
-    "Exit codes: 0 done, 2 an argument or the folder is wrong, and nothing was changed.",
+    "Keep the folder on a machine you trust, not on the robot: anyone with its ca.key can admit anyone.",
 )
 
 Directory = Annotated[
     Path,
-    typer.Option("--dir", metavar="D", help="The folder with the CA. Example: --dir ~/hexapod-certs"),
+    typer.Option(
+        "--dir", metavar="D", callback=lambda path: Path(os.path.expanduser(path)), help="The folder with the CA."
+    ),
 ]
+DEFAULT_FOLDER = Path("~/hexapod-certs")
 Days = Annotated[
     int,
     typer.Option(
@@ -38,7 +41,6 @@ Days = Annotated[
 
 @app.command(epilog="Example: hexapod-gateway certs init --dir ~/hexapod-certs --host robot.local --host 192.0.2.7")
 def init(
-    directory: Directory,
     host: Annotated[
         list[str],
         typer.Option(
@@ -50,6 +52,7 @@ def init(
     port: Annotated[
         int, typer.Option(metavar="N", min=1, max=65535, help="The port the robot listens on. Example: --port 7447")
     ] = 7447,
+    directory: Directory = DEFAULT_FOLDER,
     days: Days = certs.LEAF_DAYS,
 ) -> None:
     """Make a private CA, the robot's certificate, and a Zenoh configuration that admits only certificates of this CA.
@@ -81,14 +84,13 @@ def issue(
         typer.Argument(metavar="NAME", help="The laptop or its owner: letters, digits, - and _. Example: alice"),
     ],
     role: Annotated[
-        str,
+        Literal["operator", "observer", "button", "robot", "console"],
         typer.Option(
-            metavar="ROLE",
             help="operator: commands and watches. observer: only watches. button: stops and watches, and moves "
             "nothing. robot: a further robot of this CA. console: a web console. Example: --role observer",
         ),
     ],
-    directory: Directory,
+    directory: Directory = DEFAULT_FOLDER,
     host: Annotated[
         list[str] | None,
         typer.Option(
@@ -143,7 +145,7 @@ def renew(
         str,
         typer.Argument(metavar="NAME", help='A laptop, a console, a robot; "gateway" is the first. Example: gateway'),
     ],
-    directory: Directory,
+    directory: Directory = DEFAULT_FOLDER,
     host: Annotated[
         list[str] | None,
         typer.Option(
@@ -165,7 +167,7 @@ def renew(
 
 
 @app.command("list", epilog="Example: hexapod-gateway certs list --dir ~/hexapod-certs")
-def show(directory: Directory) -> None:
+def show(directory: Directory = DEFAULT_FOLDER) -> None:
     """List all certificates: name, role, expiry, days left, serial number, common name, and state.
 
     The state is good, expired or revoked. Tab-separated if not on a terminal.
@@ -195,7 +197,7 @@ def show(directory: Directory) -> None:
 
 @app.command(epilog="Example: hexapod-gateway certs revoke alice --dir ~/hexapod-certs")
 def revoke(
-    directory: Directory,
+    directory: Directory = DEFAULT_FOLDER,
     name: Annotated[
         str | None,
         typer.Argument(
@@ -226,8 +228,6 @@ def revoke(
 
     A robot that is off gets it later, by the same command without the name, or by a copy of revoked.crl in
     /etc/hexapod-gateway/zenoh and a restart of the service.
-
-    Exit codes: 0 each robot has it in force, 1 one has not, 2 an argument or the folder is wrong.
     """
     from gateway.people.tools import revoking
 

@@ -8,8 +8,9 @@ import pytest
 
 from gateway.model import elkapod
 from gateway.model.elkapod import SHUTDOWN, VALUE_NAMES
-from gateway.onboard.check import controller, nodes
-from gateway.onboard.check.result import Result, Verdict
+from gateway.onboard.check import controller, device
+from gateway.onboard.check.table import CheckedRobot, Result, Verdict, results
+from gateway.robot.settings import Settings
 from gateway.robot.spi import DuplexDevice
 from gateway.robot.spi.elkapod_simulator import SimulatedElkapod
 from gateway.robot.spi.uart import SerialUart, Uart
@@ -59,14 +60,19 @@ def terminal(tmp_path: Path) -> Iterator[Terminal]:
 
 
 def looked_at(terminal: Terminal, *, gateway_runs: bool = False) -> Result:
-    return controller.uart(terminal.path, gateway_runs=gateway_runs, root=terminal.root)
+    settings = Settings.model_validate({"spi": {"protocol": "elkapod-2025"}, "controller": {"uart": terminal.path}})
+    (found,) = results([controller.UART], CheckedRobot(settings, terminal.root, gateway_runs))
+    return found
 
 
 def test_a_uart_that_is_free_opens(terminal: Terminal) -> None:
     terminal.console("tty1")
     terminal.process(7, "bash) S 1 7 7 0 (", 136 << 8 | 200)
     found = looked_at(terminal)
-    assert (found.verdict, found.sentence) == (Verdict.OK, f"{terminal.path} opens, as {nodes.user()}")
+    assert (found.verdict, found.sentence) == (
+        Verdict.OK,
+        f"{terminal.path} opens, as {device.node(terminal.path).user}",
+    )
 
 
 def test_one_that_another_program_holds(terminal: Terminal) -> None:
@@ -100,29 +106,6 @@ def test_a_login_on_it(terminal: Terminal) -> None:
     assert found.verdict is Verdict.FAILURE
     assert "is the terminal of agetty" in found.sentence
     assert "sudo raspi-config nonint do_serial_cons 1 && " in found.fix
-
-
-@pytest.mark.parametrize(
-    ("path", "model", "fix"),
-    [
-        ("/dev/ttyAMA1", PI_5, "dtoverlay=uart1-pi5 in /boot/firmware/config.txt"),
-        ("/dev/ttyAMA4", "Raspberry Pi Compute Module 5 Rev 1.0", "dtoverlay=uart4-pi5"),
-        ("/dev/ttyAMA1", "Raspberry Pi 4 Model B Rev 1.4", "as this computer wants it"),
-        ("/dev/ttyAMA9", PI_5, "as this computer wants it"),
-    ],
-)
-def test_one_that_is_not_there(path: str, model: str, fix: str, tmp_path: Path) -> None:
-    MachineTree(tmp_path, model=model)
-    found = controller.uart(f"{tmp_path}{path}", gateway_runs=False, root=tmp_path)
-    assert found.verdict is Verdict.FAILURE
-    assert found.sentence.endswith("does not exist")
-    assert fix in found.fix
-
-
-def test_what_is_no_uart(tmp_path: Path) -> None:
-    (tmp_path / "file").touch()
-    assert "no device node" in controller.uart(str(tmp_path / "file"), gateway_runs=False, root=tmp_path).sentence
-    assert "cannot be opened" in controller.uart("/dev/null", gateway_runs=False, root=tmp_path).sentence
 
 
 # ---- the controller
@@ -159,17 +142,10 @@ class Bench(Uart, DuplexDevice):
 
     def found(self) -> list[Result]:
         """What is said of it."""
-        made = controller.talk(
-            self,
-            self.device,
-            silent_ns=300 * MS,
-            shutdowns=[0.02] * 4,
-            clock=lambda: self.now_ns,
-            pause=self.pause,
-        )
-        results = list(made)
+        talk = controller.Talk(self, self.device, 300 * MS, [0.02] * 4, lambda: self.now_ns, self.pause)
+        found = list(results(controller.TALK, talk))
         assert not self.opened
-        return results
+        return found
 
     @property
     def written(self) -> list[bytes]:

@@ -1,95 +1,145 @@
-"""`check`: what is judged of an installation, row by row, and what is looked at for it (all on a robot: tests/box)."""
+"""`check`: what an installation is, read from files below a folder, and certificates that belong together or not."""
 
 import hashlib
-import shlex
-from dataclasses import replace
+import os
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import pytest
 
 from gateway import certs
 from gateway.onboard import whole
-from gateway.onboard.check import trust
-from gateway.onboard.check.installation import FAULTS, SHIPPED, DropIn, Folder, Installation, results
-from gateway.onboard.check.result import Verdict
+from gateway.onboard.check import certificates, installation, laptop
+from gateway.onboard.check.installation import PROBES, SHIPPED, Installation
+from gateway.onboard.check.table import CheckedRobot, Result, Verdict, results
 from gateway.onboard.whole import Whole
-from gateway.robot.sections import ZenohSettings
+from gateway.people.client.requests import Identity
+from gateway.robot.settings import Settings
+from gateway.robot.zenoh_io import revoked
+from schemas.telemetry import RevocationsReport
+from tests.support.certs_folder import NOW, make_folder
 
-UNITS = {
-    name: {"LoadState": "loaded", "ActiveState": "active", "UnitFileState": "enabled", "NeedDaemonReload": "no"}
-    for name in ("hexapod-gateway",)
-}
-WELL = Installation(release="/opt/R", deploy="/opt/R/deploy", again="sudo bash install.sh --wheels W", units=UNITS)
-UNIT = SHIPPED[0].place
+__all__ = ["make_folder"]  # a fixture
 
-
-def units(name: str, **changed: str) -> dict[str, dict[str, str]]:
-    return {**UNITS, name: {**UNITS[name], **changed}}
-
-
-def with_drop_in(text: str) -> Installation:
-    return replace(WELL, drop_ins=(DropIn.of("/etc/x.conf", text),))
+UP = {"LoadState": "loaded", "ActiveState": "active", "UnitFileState": "enabled", "NeedDaemonReload": "no"}
+DROP_IN = "/etc/systemd/system/hexapod-gateway.service.d/own.conf"
+STATE = "var/lib/hexapod-gateway"
 
 
-SEEN = (
-    (replace(WELL, whole=Whole(listed=True, changed=("a.py",))), "not as installed in /opt/R: a.py."),
-    (replace(WELL, whole=Whole(listed=True, changed=("a", "b", "c", "d", "e"))), "a, b, c and 2 more"),
-    (replace(WELL, whole=Whole(listed=False)), "/opt/R has no list of its files"),
-    (replace(WELL, whole=Whole(listed=True, added=("lib/x.pth",))), "and not installed with it: lib/x.pth"),
-    (replace(WELL, whole=Whole(listed=True, closed=("lib/x.py",))), "not for all to read, or not for root alone"),
-    (replace(WELL, command="is missing"), "/usr/local/bin/hexapod-gateway is missing"),
-    (replace(WELL, user=False), "there is no user hexapod-gateway"),
-    (replace(WELL, groups=("spi",)), "there is no group spi"),
-    (
-        replace(WELL, units=units("hexapod-gateway", LoadState="masked")),
-        "hexapod-gateway is masked, or its unit is empty",
-    ),
-    (replace(WELL, differ={UNIT: "is missing"}), f"{UNIT} is missing"),
-    (replace(WELL, units=units("hexapod-gateway", NeedDaemonReload="yes")), "hexapod-gateway was edited, and systemd"),
-    (with_drop_in("[Service]\nEnvironment=GATEWAY_OPTIONS=--sim\nExecStopPost="), "makes the controller a simulated"),
-    (with_drop_in("[Service]\nExecStopPost="), "empties ExecStopPost="),
-    (with_drop_in("[Service]\nEnvironment=HEXAPOD_SPI__FRAMING=plain"), "has settings, which hold in place of"),
-    (with_drop_in("[Service]\nUser=root\nNice=3"), "changes what Stops depend on: Nice, User"),
-    (replace(WELL, state=Folder(is_folder=False)), "is no folder"),
-    (replace(WELL, state=Folder(read_only_mount="/var", writable=False)), "on a file system that is read-only"),
-    (replace(WELL, state=Folder(owned=False, foreign=("a",))), "is not the service's to write"),
-    (replace(WELL, state=Folder(foreign=("a",))), "not the service's to read and write: a"),
-    (replace(WELL, exposed=("/etc/a.key",)), "others than root and the service may read /etc/a.key"),
-    (replace(WELL, authority_keys=("/etc/ca.key",)), "/etc/ca.key is the authority's key"),
+class Installed(Installation):
+    """A release in a folder, with what systemd would show of its units. Its user is the one that runs this."""
+
+    def __init__(self, root: Path) -> None:
+        release = root / "opt/hexapod-gateway/venv-1"
+        for each in SHIPPED:
+            for path in (release / "deploy" / each.source, root / each.place.lstrip("/")):
+                path.parent.mkdir(parents=True, exist_ok=True)
+                path.write_text(each.source)
+        (release / "complete").write_text(f"{hashlib.sha256(b'#').hexdigest()}  ./bin/hexapod-gateway\n")
+        (release / "bin").mkdir()
+        (release / "bin/hexapod-gateway").write_text("#")
+        (release / "bin/hexapod-gateway").chmod(0o755)
+        (root / "opt/hexapod-gateway/venv").symlink_to("venv-1")
+        (root / "usr/local/bin").mkdir(parents=True)
+        (root / "usr/local/bin/hexapod-gateway").symlink_to(release / "bin/hexapod-gateway")
+        (root / STATE).mkdir(parents=True)
+        super().__init__(root)
+        self.service = os.getuid(), os.getgid()
+        self.groups = ["spi", "hexapod-gateway"]
+        self.units = {"hexapod-gateway": dict(UP)}
+
+    def drop_in(self, text: str) -> None:
+        path = self.path(DROP_IN)
+        path.parent.mkdir()
+        path.write_text(f"[Service]\n{text}\n")
+        self.units["hexapod-gateway"]["DropInPaths"] = DROP_IN
+
+    def shown(self, **properties: str) -> None:
+        self.units["hexapod-gateway"].update(properties)
+
+    def write(self, name: str, text: str = "", mode: int = 0o600) -> None:
+        path = self.root / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text)
+        path.chmod(mode)
+
+    def keys(self, name: str) -> None:
+        certs.folder.init(self.root / "C", ["127.0.0.1"])
+        for source, target in (("ca.key", name), ("ca.pem", "ca.pem")):
+            self.write(f"etc/hexapod-gateway/zenoh/{target}", (self.root / "C" / source).read_text())
+
+    def file_for_folder(self) -> None:
+        (self.root / STATE).rmdir()
+        self.write(STATE)
+
+    def forget(self, name: str) -> None:
+        (self.root / name).unlink()
+
+
+Plant = Callable[[Installed], object]
+PLANTED: tuple[tuple[Plant, str], ...] = (
+    (lambda robot: robot.write("opt/hexapod-gateway/venv-1/bin/hexapod-gateway", "x", 0o755), "not as installed in"),
+    (lambda robot: robot.write("opt/hexapod-gateway/venv-1/complete"), "has no list of its files"),
+    (lambda robot: robot.write("opt/hexapod-gateway/venv-1/lib/x.pth"), "and not installed with it: lib/x.pth"),
+    (lambda robot: robot.write("opt/hexapod-gateway/venv-1/bin/hexapod-gateway", "#", 0o666), "not for all to read"),
+    (lambda robot: robot.forget("usr/local/bin/hexapod-gateway"), "/usr/local/bin/hexapod-gateway is missing"),
+    (lambda robot: robot.forget("etc/systemd/system/hexapod-gateway.service"), "hexapod-gateway.service is missing"),
+    (lambda robot: robot.write("etc/systemd/system/hexapod-gateway.service"), "gateway.service is not as this"),
+    (lambda robot: setattr(robot, "groups", ["spi"]), "there is no group hexapod-gateway"),
+    (lambda robot: robot.shown(LoadState="masked"), "hexapod-gateway is masked, or its unit is empty"),
+    (lambda robot: robot.shown(NeedDaemonReload="yes"), "hexapod-gateway was edited, and systemd still"),
+    (lambda robot: robot.shown(LimitNOFILE="64"), "LimitNOFILE of the unit is 64, and the service may need 220"),
+    (lambda robot: robot.shown(MemoryMax=str(64 << 20)), "MemoryMax of the unit is 64M, and the service may need 128M"),
+    (lambda robot: robot.shown(Environment="A=1 PYTHONPATH=/x PYTHONHOME=/y"), "has PYTHONHOME PYTHONPATH"),
+    (lambda robot: robot.drop_in("Environment=GATEWAY_OPTIONS=--sim\nExecStopPost="), "makes the controller a simu"),
+    (lambda robot: robot.drop_in("ExecStopPost="), "empties ExecStopPost="),
+    (lambda robot: robot.drop_in("Environment=HEXAPOD_SPI__FRAMING=plain"), "has settings, which hold in place of"),
+    (lambda robot: robot.drop_in("User=root\nNice=3"), "changes what Stops depend on: Nice, User"),
+    (lambda robot: robot.drop_in("ExecStopPost=\nExecStopPost=/opt/x \\\n  stop-servos"), "depend on: ExecStopPost"),
+    (lambda robot: robot.file_for_folder(), "is no folder"),
+    (lambda robot: robot.path(STATE).chmod(0o500), "is not the service's to write"),
+    (lambda robot: robot.write(f"{STATE}/a", mode=0o400), "not the service's to read and write: a"),
+    (lambda robot: robot.write("etc/hexapod-gateway/a.key", mode=0o604), "others than root and the service may read"),
+    (lambda robot: robot.keys("old.key"), "zenoh/old.key is the authority's key"),
+    (lambda robot: robot.keys("ca.key"), "zenoh/ca.key is the authority's key"),
+)
+FINE: tuple[Plant, ...] = (
+    lambda _: None,
+    lambda robot: robot.shown(LimitNOFILE="512", MemoryMax="infinity", Environment="LANG=C"),
+    lambda robot: robot.drop_in("# ExecStopPost=\n;User=root\nMemoryMax=1G"),
+    lambda robot: robot.drop_in("Environment=LANG=C"),
 )
 
 
-@pytest.mark.parametrize(("seen", "sentence"), SEEN, ids=[sentence for _, sentence in SEEN])
-def test_each_fault_is_one_line_whose_remedy_is_a_command(seen: Installation, sentence: str) -> None:
-    (found,) = results(seen)
-    assert sentence in found.sentence
-    assert found.verdict is not Verdict.OK
-    begin = found.fix.index("sudo ")
-    assert shlex.split(found.fix[begin:])
-    assert "{" not in found.fix
+def found(robot: Installed) -> list[Result]:
+    """Without what is so of this machine: a folder that a boot empties, and files that are not root's."""
+    lines = list(results(PROBES, robot))
+    return [each for each in lines if "which a boot empties" not in each.sentence and (not os.getuid() or (
+        "not for root alone" not in each.sentence
+    ))]  # fmt: skip
 
 
-def test_each_row_of_the_table_is_reached_and_a_robot_that_is_well_has_none() -> None:
-    assert list(results(WELL)) == []
-    assert [row for row in FAULTS if not any(list(row.found(seen)) for seen, _ in SEEN)] == []
+@pytest.mark.parametrize(("plant", "sentence"), PLANTED, ids=[sentence for _, sentence in PLANTED])
+def test_each_fault_of_an_installation_is_one_line(plant: Plant, sentence: str, tmp_path: Path) -> None:
+    robot = Installed(tmp_path)
+    plant(robot)
+    (line,) = found(robot)
+    assert sentence in line.sentence
+    assert line.verdict is not Verdict.OK
+    assert "sudo " in line.fix
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        "",
-        "# ExecStopPost=\n[Service]\n;User=root\nMemoryMax=1G\n",
-        "[Service]\nEnvironment=LANG=C\n",
-    ],
-)
-def test_a_drop_in_that_no_stop_depends_on_is_a_persons_own(text: str) -> None:
-    assert list(results(with_drop_in(text))) == []
+@pytest.mark.parametrize("plant", FINE)
+def test_what_is_well_is_no_line(plant: Plant, tmp_path: Path) -> None:
+    robot = Installed(tmp_path)
+    plant(robot)
+    assert found(robot) == []
 
 
-def test_a_drop_in_may_empty_what_comes_after_the_end_if_it_brings_the_stops_back() -> None:
-    text = "[Service]\nExecStopPost=\nExecStopPost=/opt/x \\\n  stop-servos\n"
-    (found,) = results(with_drop_in(text))
-    assert "changes what Stops depend on: ExecStopPost" in found.sentence
+def test_the_file_system_of_a_folder_is_known() -> None:
+    mount, kind = installation.mount_of(Path("/proc/self"))
+    assert (mount, kind) == ("/proc", "proc")
 
 
 @pytest.fixture
@@ -114,9 +164,9 @@ def test_a_release_is_compared_with_its_list(release: Path) -> None:
     (release / "lib/__pycache__").mkdir()
     for name in ("lib/more.pth", "lib/notes.txt", "lib/__pycache__/a.py"):
         (release / name).touch()
-    found = whole.compare(release)
-    assert (found.changed, found.added) == (("lib/a.py", "lib/b.py"), ("lib/more.pth",))
-    assert {"lib/a.py", "bin/c"} <= set(found.closed)
+    compared = whole.compare(release)
+    assert (compared.changed, compared.added) == (("lib/a.py", "lib/b.py"), ("lib/more.pth",))
+    assert {"lib/a.py", "bin/c"} <= set(compared.closed)
     (release / "complete").write_text("")
     assert whole.compare(release) == Whole(listed=False)
 
@@ -131,6 +181,14 @@ def test_how_to_repeat_an_installation_is_a_command_while_its_source_is_there(tm
     assert whole.how_to_repeat(source).endswith(": sudo deploy/install.sh")
 
 
+# ---- certificates
+
+
+def of(folder: Path, state: Path | None = None) -> CheckedRobot:
+    sections = {"zenoh": {"config": str(folder / "gateway.json5")}, "state": {"path": str(state) if state else ""}}
+    return CheckedRobot(Settings.model_validate(sections))
+
+
 class Folders:
     """A robot's certificates, and those of another authority."""
 
@@ -143,12 +201,12 @@ class Folders:
             certs.folder.revoke(each, "anna")
 
     def bring(self, *names: str) -> list[str]:
-        """What is said once these of the other's files have taken the place of the robot's own."""
+        """What is printed once these of the other's files have taken the place of the robot's own."""
         for name in names:
             (self.own / name).write_bytes((self.other / name).read_bytes())
-        found = trust.results(ZenohSettings(config=str(self.own / "gateway.json5")), state=self.state)
-        assert all("sudo " in each.fix for each in found)
-        return [each.sentence.replace(f"{self.own}/", "") for each in found]
+        lines = list(results(certificates.CERTIFICATES[1:], of(self.own, self.state)))
+        assert all("sudo " in each.fix for each in lines)
+        return [each.sentence.replace(f"{self.own}/", "") for each in lines]
 
 
 def test_certificate_key_authority_and_lists_have_to_belong_together(tmp_path: Path) -> None:
@@ -164,4 +222,29 @@ def test_certificate_key_authority_and_lists_have_to_belong_together(tmp_path: P
     ]
     (folders.own / "ca.pem").write_text("")
     assert folders.bring() == [], "another line says it"
-    assert trust.results(ZenohSettings(), state=None) == []
+    assert list(results(certificates.CERTIFICATES[1:], CheckedRobot(Settings()))) == []
+
+
+def test_the_list_in_force_is_named_with_its_number_and_date_and_that_there_is_none(folder: Path) -> None:
+    shut_out = partial(results, [certificates.REVOKED], of(folder))
+    certs.folder.issue(folder, "anna", "operator", now=NOW)
+    (none,) = shut_out()
+    assert (none.verdict, none.sentence.partition(":")[0]) == (Verdict.OK, "there is no list")
+    certs.folder.revoke(folder, "anna", now=NOW)
+    revoked.keep(folder / "revoked.crl", certs.folder.revoke(folder, "operator-40", now=NOW))
+    (two,) = shut_out()
+    assert (two.verdict, two.sentence) == (Verdict.OK, f"list 2 of {NOW:%Y-%m-%d} shuts out 2")
+
+
+@pytest.mark.parametrize(("number", "verdict"), [(None, Verdict.WARNING), (1, Verdict.WARNING), (2, Verdict.OK)])
+def test_a_laptop_beside_the_ca_sees_that_the_robot_has_an_older_list(
+    folder: Path, number: int | None, verdict: Verdict
+) -> None:
+    identity = Identity(folder / "anna.pem", ca=folder / "ca.pem")
+    certs.folder.revoke(folder, "operator-40", now=NOW)
+    certs.folder.revoke(folder, "operator-41", now=NOW)
+    report = None if number is None else RevocationsReport(number=number, date=NOW)
+    (line,) = laptop.shut_out(report, identity)
+    assert line.verdict is verdict
+    assert ("names no list" if number is None else f"list {number} of") in line.sentence
+    assert ("certs revoke --dir" in line.fix) is (verdict is Verdict.WARNING)

@@ -1,0 +1,71 @@
+"""The commands of this program in a text for people, each parsed by the program's own parser."""
+
+import re
+from functools import cache
+from typing import Any
+
+import typer
+
+from gateway.cli import app
+
+_COMMAND = re.compile(r"(?P<quoted>`?)hexapod-gateway (?P<rest>[^`→]*)")
+_OWN = re.compile(r"\{run\[([^]]*)\]\}")
+_PLACEHOLDER = re.compile(r"\{[^}]*\}")
+_VALUE = re.compile(r"[A-Z][A-Z_0-9]*\b|.*[/.\d]")
+"""No word of a sentence."""
+_NO_VALUE = frozenset({"//", "(7)"})
+_END = ",;:.)"
+
+
+def parse_commands(text: str) -> list[list[str]]:
+    """Parse each, and return their words. Raises UsageError for a command that the program would reject.
+
+    A name in `backticks` without arguments is no command to copy: it has to exist.
+    """
+    commands = []
+    for each in _COMMAND.finditer(_PLACEHOLDER.sub("7", _OWN.sub(r"hexapod-gateway \1", text))):
+        words = _words(each["rest"])
+        named = each["quoted"] and " ".join(words) == each["rest"]
+        if words and not named:
+            _parse(words)
+        commands += [words] if words else []
+    return commands
+
+
+@cache
+def _program() -> Any:
+    return typer.main.get_command(app)
+
+
+def _words(rest: str) -> list[str]:
+    """The words up to where the sentence goes on."""
+    command = _program()
+    words: list[str] = []
+    value, arguments = False, list[Any]()
+    for each in rest.split():
+        word = each if "(" in each else each.rstrip(_END)
+        known = getattr(command, "commands", {})
+        if word in known:
+            command = known[word]
+            arguments = [each for each in command.params if each.param_type_name == "argument" and each.required]
+        elif not words or not (value or each[0] == "-" or arguments or (_VALUE.match(word) and each not in _NO_VALUE)):
+            break
+        options = [option for option in command.params if word in option.opts]
+        if not (word in known or value or each[0] == "-"):
+            arguments = arguments[1:]
+        value = each[0] == "-" and not any(option.is_flag for option in options)
+        words.append(word)
+        if word != each:
+            break
+    return words
+
+
+def _parse(words: list[str]) -> None:
+    command = _program()
+    context = command.make_context("hexapod-gateway", words)
+    while hasattr(command, "commands"):
+        left = [*context._protected_args, *context.args]
+        if not left and command.invoke_without_command:
+            return
+        name, command, rest = command.resolve_command(context, left)
+        context = command.make_context(name, rest, parent=context)

@@ -1,0 +1,567 @@
+"""`check`: what is planted on a machine, and the line that it prints. Each row of its table is reached here."""
+
+import ast
+import errno
+import os
+import re
+import time
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pytest
+import zenoh
+
+from gateway import certs, durable
+from gateway.certs.zenoh_files import gateway_json5
+from gateway.model.calibration import RobotCalibration, ServoMapping
+from gateway.onboard.check import (
+    certificates,
+    controller,
+    device,
+    installation,
+    machine,
+    network,
+    power,
+    simulated,
+    table,
+)
+from gateway.onboard.check.table import CheckedRobot, Probe, Result, Seen, Verdict, judged, results
+from gateway.robot.host import calibration_file
+from gateway.robot.host.calibration_file import SLOW_S
+from gateway.robot.settings import Settings
+from schemas.keys import CALIBRATION, COMMAND_KEYS, ESTOP, GET_ONLY, STATE
+from tests.support.certs_folder import DAY, NOW, make_folder
+from tests.support.machine_tree import PI_4, MachineTree
+from tests.support.remedies import parse_commands
+
+__all__ = ["make_folder"]  # a fixture
+MODULES = (certificates, controller, device, installation, machine, network, power, simulated)
+GATEWAY = Path(certs.__file__).parents[1]
+LENGTH: dict[str, Any] = {"framing": "length-prefixed"}
+
+
+def flat(value: object) -> list[Probe]:
+    """The probes in one of a module's values."""
+    if isinstance(value, Probe):
+        return [value]
+    return [each for each in value if isinstance(each, Probe)] if isinstance(value, tuple) else []
+
+
+PROBES = [probe for module in MODULES for value in vars(module).values() for probe in flat(value)]
+"""The whole table."""
+
+
+def compare(lines: list[Result], expected: tuple[str, ...]) -> None:
+    """Each expected line has its parts, with … between, in this order. A remedy's commands are this program's."""
+    found = [f"{each.verdict} {each.name}: {each.sentence} → {each.fix}" for each in lines]
+    assert len(found) == len(expected), found
+    for line, parts in zip(found, expected, strict=True):
+        at = 0
+        for part in parts.split(" … "):
+            assert part in line[at:], (part, line)
+            at = line.index(part, at)
+    for each in lines:
+        assert (each.verdict is Verdict.OK) is (each.fix == ""), each
+        assert "{" not in each.fix.replace("FOLDER/{", ""), each
+        parse_commands(each.fix)
+
+
+def robot(root: Path, *, gateway_runs: bool = False, **sections: Any) -> CheckedRobot:
+    return CheckedRobot(Settings.model_validate(sections), root, gateway_runs)
+
+
+# ---- judged: facts in place of a reading
+
+UNIT = {"systemd": True, "error": "", "load": "loaded", "active": "active", "enabled": "enabled", "result": "exit-code"}
+PRIORITY = {"running": None, "linux": True, "rejected": "", "limit": 0, "unit": None, "priority": 20, "granted": "20"}
+WIRE = {"lack": "", "path": "/dev/x", "why": "", "user": "me", "rights": "r", "group": None, "service": False}
+WIRE |= {"absent": "plug it in", "error": "", "opens": "opens", "console": "", "login": "", "held": "", "tty": "ttyS0"}
+WIRE |= {"kind": "ttyS"}
+BOARD = {**WIRE, "simulated": False, "channel": "can7", "bitrate": 10**6, "silent": False, "board_error": ""}
+BOARD |= {"answers": "answers", "where": "slcan x"}
+SHIPPED = {"masked": False, "differs": False, "unit": "U", "source": "S", "place": "/etc/U", "how": "is missing"}
+SHIPPED |= {"after": "sudo true"}
+SOME = {"some": "a.py", "all": "/opt/R/a.py", "release": "/opt/R", "again": "sudo bash i.sh"}
+DROP_IN = {"path": "/etc/x.conf", "environment": "", "emptied": False, "simulates": False, "depends": ""}
+STATE_FOLDER = {"is_folder": True, "read_only": False, "mount": "/", "own": True, "free_mb": 999, "inodes": 999}
+STATE_FOLDER |= {"forgets": False, "kind": "ext4"}
+ROUTER = {"endpoint": "tcp/r:1", "sentence": "s", "fix": "set it", "off": False}
+PORT = {"where": "tcp/h:1", "setting": "zenoh.listen", "why": "?"}
+PAIR = {"certificate": "/c.pem", "key": "/c.key", "ca": "/ca.pem", "folder": "/", "files": "{}", "foreign": False}
+SIMULATED = {
+    "version": "1",
+    "own": "1",
+    "mode": "idle",
+    "estopped": False,
+    "keeps": True,
+    "frames": True,
+    "folder": "f",
+}
+
+
+class Fact(NamedTuple):
+    """A reading: `facts`, and else what is `usual`."""
+
+    probe: Probe
+    usual: Mapping[str, Any]
+    facts: Mapping[str, Any]
+    line: str
+
+
+def facts(probe: Probe, usual: Mapping[str, Any], *rows: tuple[Mapping[str, Any], str]) -> list[Fact]:
+    return [Fact(probe, usual, each, line) for each, line in rows]
+
+
+def installed(name: str, place: int = 0) -> Probe:
+    return [each for each in installation.PROBES if each.name == name][place]
+
+
+# fmt: off
+FACTS = (
+    *facts(machine.PYTHON, {"version": "3", "python": "/p"},
+           ({"zenoh": ""}, "failure Python: /p has no eclipse-zenoh")),
+    *facts(machine.USER, {},
+           ({"root": True, "own": False}, "warning user: all this is what root may do … SETUID"),
+           ({"root": False, "own": False}, "warning user: all this is what you may do … → sudo hexapod-gateway check"),
+           ({"root": False, "own": True}, "ok user: all this is what hexapod-gateway may do")),
+    *facts(machine.CLOCK, {},
+           ({"adjtimex": 0}, "ok clock: is synchronised"),
+           ({"adjtimex": 4}, "ok clock: is synchronised"),
+           ({"adjtimex": 5}, "warning clock: is not synchronised → switch time synchronisation on"),
+           ({"adjtimex": -1}, "warning clock: does not report")),
+    *facts(machine.UNIT, UNIT,
+           ({}, "ok systemd unit: is enabled and active"),
+           ({"systemd": None}, "warning … does not run systemd"),
+           ({"error": "it hangs"}, "warning … systemctl fails (it hangs)"),
+           ({"active": "inactive"}, "warning … → sudo systemctl start hexapod-gateway"),
+           ({"enabled": "disabled"}, "warning … → sudo systemctl enable --now hexapod-gateway"),
+           ({"active": "failed"}, "failure … has failed (exit-code) → journalctl -u … sudo systemctl reset-failed"),
+           ({"load": "not-found"}, "warning … is not installed … → sudo deploy/install.sh"),
+           ({"load": "bad-setting"}, "failure … cannot be loaded (bad-setting)")),
+    *facts(machine.REALTIME, PRIORITY,
+           ({"running": 20}, "ok real-time"),
+           ({"running": 0}, "warning real-time: the service that runs was granted none"),
+           ({"linux": False}, "warning real-time: this system has no SCHED_FIFO"),
+           ({"rejected": "no", "unit": 20}, "the unit grants priority 20, but it cannot be tried here"),
+           ({"rejected": "no"}, "priority 20 is not granted (RLIMIT_RTPRIO is 0)"),
+           ({"rejected": "no", "limit": 20}, "priority 20 is rejected by this kernel (no)")),
+    *facts(device.DEVICE, WIRE,
+           ({"lack": "hidden", "why": "no"}, "failure SPI device: /dev/x cannot be looked at (no)"),
+           ({"lack": "denied", "service": True}, "may not be opened by me (r) → the udev rule … sudo chgrp spi /dev/x"),
+           ({"lack": "denied", "group": "spi"}, "→ sudo usermod -aG spi me"),
+           ({"lack": "denied"}, "→ install the udev rule (sudo deploy/install.sh)")),
+    *facts(controller.UART, WIRE,
+           ({"lack": "hidden"}, "failure UART: /dev/x cannot be looked at"),
+           ({"lack": "denied"}, "/dev/x belongs to root alone: sudo chgrp dialout /dev/x"),
+           ({"lack": "denied", "group": "dialout"}, "→ sudo usermod -aG dialout me"),
+           ({"lack": "denied", "group": "dialout", "service": True}, "→ install again with --protocol elkapod-2025"),
+           ({"console": True}, "failure UART: /dev/x is the Linux console"),
+           ({"login": "agetty"}, "failure UART: /dev/x is the terminal of agetty … serial-getty@ttyS0"),
+           ({"held": True}, "failure UART: /dev/x is held by another program"),
+           ({"service": True}, "warning UART: /dev/x opens, but the unit lets the service open ttyAMA… only → sudo "
+            "systemctl edit hexapod-gateway, with [Service] DeviceAllow=char-ttyS rw"),
+           ({"service": True, "tty": "ttyAMA1"}, "ok UART: /dev/x opens")),
+    *facts(controller.TALK[0], {"ms": 300, "error": "", "beats": 0, "bytes": 0},
+           ({"error": "it fails"}, "failure heartbeat: it fails → see dmesg"),
+           ({}, "failure heartbeat: none came in 300 ms"),
+           ({"bytes": 7}, "failure heartbeat: 7 bytes came in 300 ms, and no heartbeat among them")),
+    *facts(controller.TALK[1], {"error": "", "dead": False, "badly": 0, "count": "c", "noisy": False},
+           ({"error": "it fails"}, "failure answers: it fails → see dmesg"),
+           ({"dead": "none"}, "failure answers: none; c → see that MISO"),
+           ({"badly": 2}, "warning answers: c → see that MISO"),
+           ({"noisy": True, "values": "", "constant": "; x"}, "warning answers: c: ; x → see that the inertial")),
+    *facts(power.BOARD, BOARD,
+           ({"lack": "hidden"}, "failure power board: /dev/x cannot be looked at"),
+           ({"lack": "no node"}, "failure power board: /dev/x is no device node"),
+           ({"lack": "denied", "service": True}, "the service's user is in dialout: sudo chgrp dialout /dev/x"),
+           ({"lack": "denied", "group": "dialout"}, "→ sudo usermod -aG dialout me"),
+           ({"error": "e"}, "failure power board: e → see dmesg"),
+           ({"silent": True}, "failure power board: slcan x opens, and the board does not answer → press its power"),
+           ({"board_error": "hot"}, "warning power board: hot → remove the cause")),
+    *facts(network.PORTS, PORT,
+           ({"error": OSError(errno.EADDRINUSE, "?")}, "failure port: tcp/h:1 is taken by another program"),
+           ({"error": OSError(errno.EADDRNOTAVAIL, "?")}, "is no address of this machine → set another zenoh.listen"),
+           ({"error": OSError(errno.EACCES, "?")}, "may not be listened on by this user"),
+           ({"error": OSError(errno.EAFNOSUPPORT, "?")}, "needs IPv6, which this kernel lacks"),
+           ({"error": OSError(errno.EINVAL, "?")}, "cannot be listened on: ?")),
+    *facts(network.LINKS[0], {}, ({"where": "tcp/h:1", "why": "w"}, "failure Zenoh: cannot listen on tcp/h:1: w")),
+    *facts(network.LINKS[1], ROUTER,
+           ({"off": True}, "failure router: tcp/r:1: s: nobody behind it reaches this robot → start it there"),
+           ({}, "failure router: tcp/r:1: s: nobody behind it reaches this robot → set it"),
+           ({"fix": ""}, "ok router: tcp/r:1: s")),
+    *facts(network.ZENOH, {"fault": "x", "logged": ""},
+           ({"denied": True}, "failure Zenoh: x → let the service read it … sudo chown")),
+    *facts(certificates.CERTIFICATES[0], {"fault": "x", "early": False, "left_days": 99},
+           ({"denied": True}, "failure … → let the service read it")),
+    *facts(certificates.CERTIFICATES[1], PAIR,
+           ({"foreign": True}, "failure certificates: /c.pem is of another authority than /ca.pem … sudo cp FOLDER/"),
+           ({"other_key": True}, "failure certificates: /c.key is not the key of /c.pem: nobody can connect")),
+    *facts(certificates.CERTIFICATES[2], {"path": "/l"},
+           ({"fault": "x"}, "failure revoked: x; the service does not start → copy revoked.crl … FILE /l && sudo"),
+           ({"fault": ""}, "warning revoked: /l is of another authority, so nobody is shut out by it")),
+    *facts(certificates.REVOKED, {"well": "w"}, ({"fault": "x"}, "failure revoked: x → where ca.key is")),
+    *facts(device.CALIBRATION[0], {"hidden": True, "path": "/p"}, ({}, "warning … /p is not for you to read")),
+    *facts(machine.RELEASE[0], {"runs": "/opt/a", "installed": "/opt/b"}, ({}, "warning release … /opt/a, not /opt/b")),
+    *facts(simulated._GATEWAY[0], SIMULATED,
+           ({"version": "2"}, "warning gateway: 2 runs on a simulated controller, and is idle; this program is 1"),
+           ({"estopped": True, "mode": "estopped"}, "is estopped → hexapod-gateway reset leaves the emergency stop")),
+    *facts(simulated._KEPT[0], SIMULATED, ({"keeps": False}, "warning black box: is off"), ({}, "ok black box: f;")),
+    *facts(simulated._KEPT[1], SIMULATED, ({"frames": False}, "warning frames: are not published")),
+    *facts(installed("release"), SOME, ({}, "failure release: not as installed in /opt/R: a.py. … → sudo bash i.sh")),
+    *facts(installed("release", 1), SOME, ({"listed": False}, "failure … /opt/R has no list of its files")),
+    *facts(installed("release", 2), SOME, ({}, "warning … and not installed with it: a.py … sudo rm /opt/R/a.py")),
+    *facts(installed("release", 3), SOME, ({}, "failure … not for all to read … sudo chown -R root:root /opt/R")),
+    *facts(installed("command"), {"leads": "is missing"},
+           ({"other": True}, "warning command: /usr/local/bin/hexapod-gateway is missing … → sudo ln -sfnT /opt")),
+    *facts(installed("user"), SOME, ({"missing": True}, "failure user: there is no user hexapod-gateway, so")),
+    *facts(installed("group"), {"group": "spi"},
+           ({}, "failure group: there is no group spi … sudo groupadd --system spi")),
+    *facts(installed("installed file"), SHIPPED,
+           ({"masked": True}, "failure … U is masked, or its unit is empty … sudo systemctl unmask U && sudo install"),
+           ({"differs": True}, "failure … /etc/U is missing (changes … sudo install -D -m 644 S /etc/U && sudo true")),
+    *facts(installed("systemd unit"), {"unit": "U"}, ({"reload": "yes"}, "failure … U was edited, and systemd still")),
+    *facts(installed("drop-in"), DROP_IN,
+           ({"simulates": True, "emptied": True}, "warning drop-in: /etc/x.conf makes the controller a simulated one"),
+           ({"emptied": True}, "failure drop-in: /etc/x.conf empties ExecStopPost="),
+           ({"environment": "HEXAPOD_A=1"}, "has settings, which hold in place of gateway.toml: HEXAPOD_A=1"),
+           ({"depends": "Nice"}, "changes what Stops depend on: Nice → if nobody knows why … sudo mv /etc/x.conf ")),
+    *facts(installed("limits"), {"name": "MemoryMax", "least": 128, "unit": "M"},
+           ({"small": True, "value": 64}, "warning limits: MemoryMax of the unit is 64M, and the service may need")),
+    *facts(installed("variables"), {"undo": "sudo true && "},
+           ({"names": "PYTHONPATH"}, "warning variables: the unit's environment has PYTHONPATH … sudo true && sudo")),
+    *facts(installed("state"), STATE_FOLDER,
+           ({"is_folder": False}, "failure state: /var/lib/hexapod-gateway is no folder"),
+           ({"read_only": True, "own": False}, "is on a file system that is read-only … sudo mount -o remount,rw /"),
+           ({"own": False}, "failure state: /var/lib/hexapod-gateway is not the service's to write"),
+           ({"free_mb": 3}, "failure … has 3 MB free on its disk … sudo journalctl --vacuum-size=50M"),
+           ({"inodes": 9}, "failure … has 9 files left on its disk … sudo du -x --inodes /"),
+           ({"forgets": True, "kind": "overlay"}, "warning … is on overlay, which a boot empties")),
+    *facts(installed("state", 1), SOME, ({}, "failure … not the service's to read and write: a.py")),
+    *facts(installed("private key"), SOME, ({}, "others than root and the service may read a.py")),
+    *facts(installed("private key", 1), SOME, ({}, "a.py is the authority's key … sudo shred -u /opt/R/a.py")),
+)
+# fmt: on
+
+
+@pytest.mark.parametrize("fact", FACTS, ids=lambda fact: fact.line)
+def test_a_fact_is_judged(fact: Fact) -> None:
+    compare(list(judged(fact.probe, Seen(**{**fact.usual, **fact.facts}))), (fact.line,))
+
+
+# ---- planted: files of a machine, and settings
+
+
+class Scene(NamedTuple):
+    """`plant` returns what the probes look at."""
+
+    probes: tuple[Probe, ...]
+    plant: Callable[[Path], object]
+    lines: tuple[str, ...]
+
+
+def scene(probe: Probe | tuple[Probe, ...], plant: Callable[[Path], object], *lines: str) -> Scene:
+    return Scene((probe,) if isinstance(probe, Probe) else probe, plant, lines)
+
+
+def here(tree: Mapping[str, Any] | None = None, **sections: Any) -> Callable[[Path], CheckedRobot]:
+    """Settings, and a machine with this tree."""
+
+    def plant(root: Path) -> CheckedRobot:
+        if tree is not None:
+            MachineTree(root, **tree)
+        return robot(root, **sections)
+
+    return plant
+
+
+def neighbours(*drivers: str) -> Callable[[Path], CheckedRobot]:
+    def plant(root: Path) -> CheckedRobot:
+        tree = MachineTree(root)
+        for place, driver in enumerate(drivers, 1):
+            tree.add(f"spi0.{place}", driver)
+        return robot(root)
+
+    return plant
+
+
+def files(contents: Mapping[str, str], **sections: Any) -> Callable[[Path], CheckedRobot]:
+    def plant(root: Path) -> CheckedRobot:
+        for name, text in contents.items():
+            (root / name).parent.mkdir(parents=True, exist_ok=True)
+            (root / name).write_text(text)
+        return robot(root, **sections)
+
+    return plant
+
+
+def clocked(
+    speed_hz: int, *lines: str, tree_hz: int | None = None, kernel_hz: int | None = None, runs: bool = False, **spi: Any
+) -> Scene:
+    """The clock that is set, and those of the device tree and of the kernel."""
+
+    def plant(root: Path) -> CheckedRobot:
+        if tree_hz is not None:
+            file = root / "sys/class/spidev/spidev0.0/device/of_node/spi-max-frequency"
+            file.parent.mkdir(parents=True)
+            file.write_bytes(tree_hz.to_bytes(4, "big"))
+        return robot(root, gateway_runs=runs, spi={"speed_hz": speed_hz, **spi})
+
+    return scene(device.BUS[2]._replace(read=lambda look: [device.speed(look, kernel_hz)]), plant, *lines)
+
+
+def dated(days_left: int, *lines: str) -> Scene:
+    """The robot's certificate, which is good for 90 days."""
+
+    def plant(root: Path) -> str:
+        certs.folder.init(root / "D", ["127.0.0.1"], days=90, now=NOW)
+        return str(root / "D" / "gateway.json5")
+
+    def read(file: str) -> list[Seen]:
+        return list(certificates.expiries(file, NOW + (90 - days_left) * DAY))[1:]
+
+    return scene(certificates.CERTIFICATES[0]._replace(read=read), plant, *lines)
+
+
+def uart(path: str, model: str) -> Callable[[Path], CheckedRobot]:
+    return here({"model": model}, spi={"protocol": "elkapod-2025"}, controller={"uart": path})
+
+
+def built(version: str) -> Callable[[Path], CheckedRobot]:
+    """A kernel of a Raspberry Pi 5."""
+    node = "axi/pcie@120000/rp1/spi@50000"
+    return here({"driver": "dw_spi_mmio", "model": PI_5, "node": node, "version": f"{PI_4}{version}\n"})
+
+
+def kept(
+    calibration: RobotCalibration | str, *, staged_s: float | None = None, **sections: Any
+) -> Callable[[Path], CheckedRobot]:
+    """A calibration, and a newer one that began to be written so long ago."""
+
+    def plant(root: Path) -> CheckedRobot:
+        path = root / "calibration.toml"
+        if isinstance(calibration, str):
+            path.write_text(calibration)
+        else:
+            calibration_file.write(path, calibration)
+        if staged_s is not None:
+            durable.staged_for(path).touch()
+            os.utime(durable.staged_for(path), (time.time() - staged_s,) * 2)
+        return robot(root, state={"path": str(root)}, **sections)
+
+    return plant
+
+
+def python(links_to: str | None, *, upgraded: bool = False) -> Callable[[Path], tuple[None, Path]]:
+    """A release whose Python is this, as `python -m venv` makes it."""
+
+    def plant(root: Path) -> tuple[None, Path]:
+        for name in ("usr/bin/python3.11", "usr/bin/python3.13", "own/python3.12"):
+            (root / name).parent.mkdir(parents=True, exist_ok=True)
+            (root / name).touch()
+        (root / "usr/bin/python3").symlink_to("python3.13" if upgraded else "python3.11")
+        link = root / "opt/hexapod-gateway/venv"
+        if links_to is not None:
+            binaries = link.with_name("venv-1") / "bin"
+            binaries.mkdir(parents=True)
+            (binaries / Path(links_to).name).symlink_to(root / links_to)
+            (binaries / "python").symlink_to(Path(links_to).name)
+            link.symlink_to("venv-1")
+        return None, link
+
+    return plant
+
+
+def access(change: Callable[[str], str]) -> Callable[[Path], tuple[zenoh.Config, str]]:
+    """An access control that differs from what this release makes."""
+
+    def plant(root: Path) -> tuple[zenoh.Config, str]:
+        (root / "gateway.json5").write_text(change(gateway_json5(["robot.local"], 7448).decode()))
+        return zenoh.Config.from_file(str(root / "gateway.json5")), "gateway.json5"
+
+    return plant
+
+
+CAN, ETHERNET = 280, 1
+
+
+def interface(kind: int | None, flags: int = 0) -> Callable[[Path], CheckedRobot]:
+    """A network interface in the kernel's files."""
+    tree = {"sys/class/net/can7/type": f"{kind}\n", "sys/class/net/can7/flags": f"{flags:#x}\n"}
+    return files({} if kind is None else tree, power={"interface": "socketcan", "channel": "can7"})
+
+
+def without(key: str) -> Callable[[str], str]:
+    return lambda text: re.sub(rf',\s*"{key}"', "", text)
+
+
+def by_hand(text: str) -> str:
+    """Key by key, without the emergency stop."""
+    keys = [f'"hexapod/{key}/cmd"' for key in ("leg/*", "servo/*", "legs", "reset")] + [f'"{key}"' for key in GET_ONLY]
+    return text.replace('"hexapod/**/cmd"', ", ".join(keys))
+
+
+def no_deletes(text: str) -> str:
+    rule = 'messages: ["put", "delete", "query"],\n        key_exprs: ["hexapod/**/cmd"]'
+    return text.replace(rule, rule.replace(' "delete",', ""))
+
+
+ACCESS = tuple(each._replace(read=lambda look: network.passes(*look)) for each in network.ACCESS)
+CARRIER, NEIGHBOURS, _ = device.BUS
+FRAMING, LISTS = device.FRAMES
+KEPT, LANDING = device.CALIBRATION
+PI_5 = "Raspberry Pi 5 Model B Rev 1.0"
+LANDS = {"landing_ms": 500, "landing": {"11": 90, "12": 5, "13": 4}}
+RENEW = "hexapod-gateway certs renew gateway, where ca.key is, and copy gateway.pem here"
+TAKES = "an emergency stop takes {} ms to write"
+CPU = "sys/devices/system/cpu/cpu0/cpufreq/scaling_"
+# fmt: off
+SCENES = (
+    scene(CARRIER, here({}), "ok SPI controller: Raspberry Pi 4 Model B Rev 1.4, Linux 6.6.31+rpt-rpi-v8, driver "
+          "spi-bcm2835, chip select is a GPIO →"),
+    scene(CARRIER, here({"cs_gpios": None}), "the controller drives chip select"),
+    scene(CARRIER, here(), "ok … : a computer without a device tree, Linux of unknown release, driver unknown →"),
+    scene(CARRIER, built("#1 SMP Debian 1:6.6.31-1+rpt1 (2024-05-29)"), "warning … a kernel of 2024-05-29, and before"),
+    scene(CARRIER, built("#1 SMP Debian 1:6.6.74-1 (2025-02-04)"), "warning … a kernel of 2025-02-04"),
+    scene(CARRIER, built("#1 SMP Debian 1:6.6.74-1 (2025-02-05)"), "ok … Raspberry Pi 5"),
+    scene(CARRIER, built("#1 SMP PREEMPT Wed Mar 19 11:03:01 GMT 2025"), "ok … driver dw_spi_mmio"),
+    scene(CARRIER, built("#1 SMP PREEMPT"), "warning … a kernel that was built at an unknown time … update the kernel"),
+    scene(CARRIER, here({"driver": "dw_spi_mmio", "model": "StarFive VisionFive 2"}), "ok SPI controller: StarFive"),
+    scene(NEIGHBOURS, here({}), "ok SPI bus: no other driver uses it"),
+    scene(NEIGHBOURS, neighbours("fb_st7789v"), "warning SPI bus: spi0.1 (driver fb_st7789v) is on it, too: … 2 ms"),
+    scene(NEIGHBOURS, neighbours("fb_st7789v", "mcp251x"), "st7789v), spi0.2 (driver mcp251x) are on it, too"),
+    clocked(2_500_000, f"ok … {TAKES.format('0.6')}"),
+    clocked(2_500_001, "warning … set spi.speed_hz = 2500000, or measure"),
+    clocked(50_000, "ok"),
+    clocked(10_000, "warning … is so slow … set spi.speed_hz = 2500000"),
+    clocked(500_000, "ok", tree_hz=500_000),
+    clocked(500_001, "warning … the device tree allows /dev/spidev0.0 → set spi.speed_hz = 500000 or", tree_hz=500_000),
+    clocked(2_500_000, "ok … the kernel gives 2.5 MHz", kernel_hz=125_000_000),
+    clocked(2_500_000, "warning … the kernel gives 2.5 MHz … set spi.speed_hz = 2499999 or", kernel_hz=2_499_999),
+    clocked(2_500_000, "ok", kernel_hz=2_500_000, runs=True),
+    clocked(2_500_000, "warning … another program has set it … sudo systemctl", kernel_hz=20_000_000, runs=True),
+    clocked(2_500_000, "warning … gives 0.01 MHz … sudo systemctl restart", kernel_hz=10_000, runs=True),
+    clocked(2_500_000, TAKES.format("1.0"), **LENGTH),
+    clocked(2_500_000, TAKES.format("12.4"), **LENGTH, frame_gap_us=1000),
+    clocked(2_500_000, TAKES.format("1.4"), **LENGTH, kernel_hz=1_000_000),
+    clocked(1_000_000, TAKES.format("1.0")),
+    scene(LISTS, here({}), "ok SPI lists: chip select is a GPIO"),
+    scene(LISTS, here({"cs_gpios": None}), "warning … whether spi-bcm2835 releases … hexapod-gateway check --move"),
+    scene(LISTS, here({"cs_gpios": None}, spi=LENGTH), "ok SPI lists: spi-bcm2835 may keep chip select"),
+    scene(LISTS, here(), "warning SPI lists: nobody has seen whether this driver"),
+    scene(FRAMING, here(), "warning framing: plain, … the published STM32 firmware jams in it"),
+    scene(FRAMING, here(spi=LENGTH), "ok framing: length-prefixed, … angles from 1 up to 4 degrees are never sent"),
+    scene((*device.FRAMES,), here(spi={"protocol": "elkapod-2025"})),
+    scene(device.DEVICE, here(spi={"device": "/dev/null"}), "failure SPI device: /dev/null cannot be opened"),
+    scene(device.DEVICE, here(spi={"device": "/bin/sh"}), "failure … /bin/sh is no device node → set spi.device to"),
+    scene(device.DEVICE, here(spi={"device": "/dev/none"}), "failure … /dev/none does not exist → switch SPI on"),
+    scene(controller.UART, uart("/none/ttyAMA1", PI_5), "failure UART: … does not exist → … dtoverlay=uart1-pi5 in"),
+    scene(controller.UART, uart("/none/ttyAMA4", "Raspberry Pi Compute Module 5 Rev 1.0"), "dtoverlay=uart4-pi5"),
+    scene(controller.UART, uart("/none/ttyAMA1", "Raspberry Pi 4 Model B"), "→ switch this UART on as this computer"),
+    scene(controller.UART, uart("/none/ttyAMA9", PI_5), "as this computer wants it"),
+    scene(controller.UART, uart("/bin/sh", PI_5), "failure UART: /bin/sh is no device node"),
+    scene(controller.UART, uart("/dev/null", PI_5), "failure UART: the UART /dev/null cannot be opened"),
+    scene(KEPT, kept(RobotCalibration()), "ok calibration: none: every servo is as drawn ("),
+    scene(KEPT, kept(RobotCalibration(3, {11: ServoMapping(5_00)})), "ok calibration: revision 3, 1 servo ("),
+    scene(KEPT, kept("trim = 7\n"), "failure … version is None; this gateway reads 1; nothing can be started → … "
+          "hexapod-gateway calibrate accept-default"),
+    scene(KEPT, kept(RobotCalibration(3), staged_s=0), "ok calibration: none"),
+    scene(KEPT, kept(RobotCalibration(3), staged_s=SLOW_S + 1), "warning … was not kept, and revision 3 is … restart"),
+    scene(LANDING, kept(RobotCalibration(3, {12: ServoMapping(-3_00)}, {21: 2_50}), spi=LENGTH, watchdog=LANDS),
+          "warning landing pose: 5 degrees of servo 12 are its own 2, with its calibration; … in a landing it holds",
+          "warning landing pose: 2.5 degrees of servo 21; … in a landing it holds its angle → choose another angle"),
+    scene(LANDING, kept(RobotCalibration(3, {}, {21: 2_50}), spi=LENGTH, watchdog={"landing_ms": 0})),
+    scene(machine.RELEASE[1], python("usr/bin/python3.11")),
+    scene(machine.RELEASE[1], python("usr/bin/python3"), "warning … an upgrade of the system makes it another … takes"),
+    scene(machine.RELEASE[1], python("usr/bin/python3.11", upgraded=True), "the system's python3 is another one now"),
+    scene(machine.RELEASE[1], python("own/python3.12")),
+    scene(machine.RELEASE[1], python(None)),
+    scene(machine.GOVERNOR, files({f"{CPU}governor": "powersave", f"{CPU}driver": "cpufreq-dt"}),
+          "warning processor: its governor is powersave … sudo tee /etc/tmpfiles.d/"),
+    scene(machine.GOVERNOR, files({f"{CPU}governor": "powersave", f"{CPU}driver": "intel_pstate"})),
+    scene(machine.GOVERNOR, files({f"{CPU}governor": "ondemand", f"{CPU}driver": "cpufreq-dt"})),
+    scene(machine.VOLTAGE, files({"sys/class/hwmon/hwmon1/name": "rpi_volt\n", "sys/class/hwmon/hwmon1/in0_lcrit_alarm":
+                                  "1\n"}), "warning supply: this Raspberry Pi's supply is under its voltage"),
+    scene(machine.VOLTAGE, files({"sys/class/hwmon/hwmon1/name": "rpi_volt", "sys/class/hwmon/hwmon1/in0_lcrit_alarm":
+                                  "0"})),
+    scene(machine.MEMORY, files({"proc/meminfo": "MemTotal: 9 kB\nMemAvailable:   81920 kB\n"}),
+          "warning memory: 80 MB are free, and the service may need 100"),
+    scene(machine.MEMORY, files({"proc/meminfo": "MemAvailable:   819200 kB\n"})),
+    dated(61, "ok certificates: … gateway.pem is good until"),
+    dated(59, f"warning … days more → {RENEW}"),
+    dated(1, f"warning … days more → {RENEW}"),
+    dated(-1, f"failure … gateway.pem expired on … {RENEW}"),
+    dated(490, "failure … gateway.pem is good only from … set the clock (timedatectl)"),
+    scene(certificates.CERTIFICATES[0], here(), "ok certificates: none are in use"),
+    scene(certificates.CERTIFICATES[0], here(zenoh={"config": "/none.json5"}), "failure certificates: … /none.json5"),
+    scene(network.ZENOH, here(), "ok Zenoh: its configuration is these settings alone"),
+    scene(network.ZENOH, here(zenoh={"listen": ["tcp/0.0.0.0:7447"]}), "failure Zenoh … → fix it there"),
+    scene(network.ZENOH, here(zenoh={"listen": ["tcp/0.0.0.0:7447"], "allow_insecure": True}),
+          "warning Zenoh: … anyone who reaches tcp/0.0.0.0:7447 can move the robot"),
+    scene(network.PORTS, here(zenoh={"listen": [], "connect": ["tcp/127.0.0.1:1"]}),
+          "ok port: none: the gateway listens nowhere"),
+    scene(power.BOARD, here()),
+    scene(power.BOARD, here(power={"interface": "slcan", "channel": "/none"}), "failure … /none does not exist → plug"),
+    scene(power.BOARD, interface(None), "failure power board: there is no network interface can7"),
+    scene(power.BOARD, interface(ETHERNET, 1), "failure power board: can7 is no CAN interface"),
+    scene(power.BOARD, interface(CAN, 0x40080), "failure power board: can7 is switched off → … bitrate 1000000"),
+    scene(power.BOARD, interface(CAN, 0x40081), "failure power board: … cannot be opened"),
+    scene(power.BOARD, here(power={"interface": "sim"}), "warning power board: is simulated"),
+    scene(ACCESS, access(str), "ok access control: lets all"),
+    scene(ACCESS, access(without(CALIBRATION)), f"warning access control: gateway.json5 does not let {CALIBRATION} "
+          f'through (declare_subscriber, … put … write "{CALIBRATION}" next to each "{STATE}" … --port 7448'),
+    scene(ACCESS, access(lambda text: without(CALIBRATION)(text).replace(f'"{STATE}"', f'"{STATE}", "{CALIBRATION}"')),
+          "ok access control"),
+    scene(ACCESS, access(lambda text: text.replace('["commands",', "[")), "hexapod/legs/cmd, hexapod/leg/1/cmd, "
+          f"hexapod/leg/2/cmd and {len(COMMAND_KEYS) + len(GET_ONLY) - 3} more … (put, delete, query) … → make it"),
+    scene(ACCESS, access(no_deletes), "warning access control … (delete)"),
+    scene(ACCESS, access(lambda text: re.sub(r'("telemetry".*?)egress', r"\1ingress", text, flags=re.DOTALL)),
+          "does not let hexapod/state, hexapod/event, hexapod/frame and 3 more through (put)"),
+    scene(ACCESS, access(by_hand), f"does not let {ESTOP} through (put, delete, query, reply, declare_subscriber, "),
+    scene(ACCESS, access(lambda text: re.sub(r'"presses and check-ins",(?! permission)', "", text)),
+          "ok", "warning stop buttons: gateway.json5 does not let a certificate of the role button … (query)"),
+    scene(ACCESS, access(lambda _: "{}")),
+    scene(ACCESS, access(lambda text: text.replace("access_control: {\n    enabled: true", "access_control: {\n    "
+                                                   "enabled: false"))),
+)
+# fmt: on
+
+
+@pytest.mark.parametrize("planted", SCENES, ids=lambda each: f"{each.probes[0].name}: {(*each.lines, 'nothing')[0]}")
+def test_what_is_planted_is_a_line(planted: Scene, tmp_path: Path) -> None:
+    compare(list(results(planted.probes, planted.plant(tmp_path))), planted.lines)
+
+
+def test_each_row_of_the_table_is_reached_and_its_commands_are_the_programs(tmp_path: Path) -> None:
+    reached = {fault for fact in FACTS for fault in first(fact.probe, Seen(**{**fact.usual, **fact.facts}))}
+    for place, planted in enumerate(SCENES):
+        root = tmp_path / str(place)
+        root.mkdir()
+        look = planted.plant(root)
+        reached |= {fault for probe in planted.probes for seen in probe.read(look) for fault in first(probe, seen)}
+    rows = [(probe.name, fault) for probe in PROBES for fault in probe.faults]
+    assert [(name, fault.sentence) for name, fault in rows if fault not in reached] == []
+    for _, fault in rows:
+        parse_commands(fault.remedy)
+
+
+def test_each_command_that_a_message_names_is_the_programs() -> None:
+    spoken = (text for file in sorted(GATEWAY.rglob("*.py")) for text in texts(file) if text.count(" ") > 1)
+    found = [words for text in spoken for words in parse_commands(text)]
+    assert len(found) > 50
+
+
+def texts(file: Path) -> Iterator[str]:
+    """The strings of a module, with 7 for each value in them."""
+    parts = set[int]()
+    for node in ast.walk(ast.parse(file.read_text())):
+        if isinstance(node, ast.JoinedStr):
+            parts |= {id(each) for each in node.values}
+            yield "".join(str(each.value) if isinstance(each, ast.Constant) else "7" for each in node.values)
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in parts:
+            yield " ".join(node.value.split())
+
+
+def first(probe: Probe, seen: Seen) -> list[table.Fault]:
+    found = next((fault for fault in probe.faults if fault.when(seen)), None)
+    return [] if found is None else [found]
