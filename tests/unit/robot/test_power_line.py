@@ -119,7 +119,7 @@ def test_a_silent_board_is_reported_and_its_answers_are_waited_for(owner: Owner,
     owner.feed_all()
     adapter.silent = True
     assert owner.until_reported(Kind.POWER_UNCONFIRMED).detail == "the power board does not answer"
-    assert owner.line.status.lost == ALL_SERVOS
+    owner.until(lambda: owner.line.status.lost == ALL_SERVOS)
     adapter.silent = False
     owner.until(lambda: owner.line.status.alive)
 
