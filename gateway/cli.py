@@ -21,7 +21,14 @@ from gateway.people.console import calibrate_command
 from gateway.people.recorder import command as recorder
 from gateway.people.terminal import hint
 from gateway.people.tools import certs, walk_command
-from gateway.people.tools.options import ConfigOption, ConnectOption, OtherShapeOption, TimeoutOption, ZenohConfigOption
+from gateway.people.tools.options import (
+    ConfigOption,
+    ConnectOption,
+    JsonOption,
+    OtherShapeOption,
+    TimeoutOption,
+    ZenohConfigOption,
+)
 
 _PANELS = {
     "Stop": ("estop", "stop", "reset"),
@@ -312,6 +319,7 @@ def install_service(context: typer.Context) -> None:
 @app.command()
 def decode(
     hex_bytes: Annotated[list[str], typer.Argument(metavar="HEX…", help="A frame's bytes, such as 06 02 20 02 00 00")],
+    as_json: JsonOption = False,
 ) -> None:
     """Explain a frame, or name exactly its fault.
 
@@ -319,7 +327,7 @@ def decode(
     """
     from gateway.people.tools import decode
 
-    sys.exit(decode.decode(hex_bytes))
+    sys.exit(decode.decode(hex_bytes, as_json=as_json))
 
 
 app.add_typer(calibrate_command.app, name="calibrate")
