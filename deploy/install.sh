@@ -19,7 +19,7 @@
 #        deploy/install.sh --dry-run …     says what it would do, in the same lines, and does nothing
 #   sudo PYTHON=/usr/bin/python3.12 deploy/install.sh …
 #
-# With pip only, `hexapod-gateway install-service …` is the same program. Dependencies are those of deploy/lock, with their
+# With pip only, `python3 -m gateway.onboard.install_service …` is the same program. Dependencies are those of deploy/lock, with their
 # SHA-256 (pip --require-hashes).
 #
 # Run it as often as you like: it changes what differs, of a configuration nothing but a protocol or framing that it lacks, and
@@ -152,7 +152,7 @@ check_sources() {
 		[ -s "$wheels/requirements.txt" ] || fail "$wheels has no requirements.txt, which \`make wheels\` writes with the hashes"
 	elif [ -z "$own_wheel" ]; then
 		[ -f "$ROOT/pyproject.toml" ] ||
-			fail "$ROOT is not the repository; hexapod-gateway install-service, --bundle FILE or --wheels DIR"
+			fail "$ROOT is not the repository; python3 -m gateway.onboard.install_service, --bundle FILE or --wheels DIR"
 	fi
 	[ -z "$certs" ] || check_certificates
 }

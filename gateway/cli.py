@@ -22,6 +22,7 @@ from gateway.people.recorder import command as recorder
 from gateway.people.terminal import hint
 from gateway.people.tools import certs, walk_command
 from gateway.people.tools.options import (
+    AdaptOption,
     ConfigOption,
     ConnectOption,
     JsonOption,
@@ -34,7 +35,7 @@ _PANELS = {
     "Stop": ("estop", "stop", "reset"),
     "Look": ("status", "console", "record", "incidents"),
     "Drive": ("walk", "send", "ros2"),
-    "The robot": ("run", "check", "calibrate", "stop-servos", "install-service"),
+    "The robot": ("run", "check", "calibrate", "stop-servos"),
     "People": ("certs",),
     "Files": ("decode",),
 }
@@ -201,10 +202,8 @@ def stop_servos(config: ConfigOption = None) -> None:
         raise typer.Exit(stop.NOT_CONFIRMED)
 
 
-@app.command("stop")
-def send_stop(
-    connect: ConnectOption = None, zenoh_config: ZenohConfigOption = None, timeout: TimeoutOption = 2.0
-) -> None:
+@app.command()
+def stop(connect: ConnectOption = None, zenoh_config: ZenohConfigOption = None, timeout: TimeoutOption = 2.0) -> None:
     """Stop all six legs. They can be started again at once; after `estop` only a `reset` allows that."""
     from gateway.people.tools import send
 
@@ -271,20 +270,18 @@ def console(
     ] = None,
     key: Annotated[Path | None, typer.Option(metavar="PATH", help="The certificate's private key.")] = None,
     role: Annotated[
-        str,
-        typer.Option(metavar="ROLE", help="operator, button (stops, drives nothing) or observer (only looks)."),
+        Literal["operator", "button", "observer"],
+        typer.Option(help="What pages may do: a button stops and drives nothing, an observer only looks."),
     ] = "operator",
     geometry: OtherShapeOption = None,
-    terrain: Annotated[
-        str,
-        typer.Option("--terrain", help="Of pages' walks: level, or adapt: by the robot's sensors, where it has some."),
-    ] = "level",
+    adapt: AdaptOption = False,
     open_browser: Annotated[bool, typer.Option("--open", help="Open the page in this machine's browser.")] = False,
     link: Annotated[
         bool, typer.Option("--link", help="Print a link for another browser, into the console that runs (at --listen).")
     ] = False,
-    revoke: Annotated[
-        bool, typer.Option("--revoke", help="End all sessions and links of this user's consoles (root: the service's).")
+    sign_out: Annotated[
+        bool,
+        typer.Option("--sign-out", help="End all sessions and links of this user's consoles (root: the service's)."),
     ] = False,
 ) -> None:
     """Serve a web page that shows the robot and drives it; STOP ALL is one tap.
@@ -295,25 +292,10 @@ def console(
     from gateway.people.console import command
     from gateway.people.console.options import Options
 
-    if revoke or link:
-        sys.exit(command.revoke() if revoke else command.link(listen))
-    options = Options(connect, zenoh_config, timeout, listen, cert, key, role, geometry, terrain, open_browser)
+    if sign_out or link:
+        sys.exit(command.sign_out() if sign_out else command.link(listen))
+    options = Options(connect, zenoh_config, timeout, listen, cert, key, role, geometry, adapt, open_browser)
     command.console(options)
-
-
-@app.command(
-    "install-service",
-    context_settings={"allow_extra_args": True, "ignore_unknown_options": True},
-    add_help_option=False,
-)
-def install_service(context: typer.Context) -> None:
-    """Install the gateway as a service of this machine, with sudo: the same as deploy/install.sh, with its options.
-
-    Such as --framing length-prefixed, --certs DIR, --console, --bundle FILE, --rollback, --uninstall; --help names all.
-    """
-    from gateway.onboard import install_service
-
-    sys.exit(install_service.install(context.args))
 
 
 @app.command()
@@ -387,9 +369,6 @@ def send_servo(
 
     connection = send.connection(connect, zenoh_config, timeout)
     sys.exit(send.send_servo(connection, servo_id, op, angle, hold_s=hold))
-
-
-send_app.command("stop")(send_stop)
 
 
 def main() -> None:

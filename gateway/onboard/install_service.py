@@ -1,4 +1,4 @@
-"""`install-service`: the installer that comes with this package, for a machine without the repository.
+"""`python -m gateway.onboard.install_service`: the installer of this package, for a machine without the repository.
 
 It installs this very release: a wheel made of the files that are installed here, and its dependencies with the hashes
 of the lock; or, with --bundle or --wheels, what these have.
@@ -7,6 +7,7 @@ of the lock; or, with --bundle or --wheels, what these have.
 import base64
 import hashlib
 import subprocess
+import sys
 import tempfile
 import zipfile
 from importlib.metadata import Distribution, PackagePath, distribution
@@ -64,3 +65,10 @@ def _content(found: Distribution, path: PackagePath) -> bytes:
         raise ConfigError(
             f"{path}, a file of this package, cannot be read: {error.strerror}; install it anew"
         ) from error
+
+
+if __name__ == "__main__":
+    try:
+        sys.exit(install(sys.argv[1:]))
+    except ConfigError as error:
+        sys.exit(f"hexapod-gateway: {error}")

@@ -12,7 +12,7 @@ JSON5: Final = "[" * 100_000
 KEY: Final = "a" + ".a" * 20_000 + "=1"
 
 READ: Final = {
-    "a client's Zenoh file": ("client.json5", JSON5, ("send", "stop", "--zenoh-config", "{file}"), 2),
+    "a client's Zenoh file": ("client.json5", JSON5, ("stop", "--zenoh-config", "{file}"), 2),
     "the service's": ("gateway.json5", JSON5, ("run", "--sim", "--config", "{settings}"), 2),
     "the service's, by check": ("gateway.json5", JSON5, ("check", "--config", "{settings}"), 1),
     "settings, a long key": ("settings.toml", KEY, ("run", "--sim", "--config", "{file}"), 2),

@@ -46,6 +46,7 @@ def stop_s(config: Path) -> float:
         return time.monotonic() - begun_s
 
 
+@pytest.mark.alone
 @pytest.mark.parametrize("kind", ["rejecting", "silent"])
 def test_a_stop_goes_by_the_second_host(tmp_path: Path, kind: str) -> None:
     with Gateway(tmp_path) as gateway, no_way(kind) as nowhere:

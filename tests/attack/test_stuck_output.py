@@ -3,7 +3,6 @@
 import os
 import pty
 import select
-import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -88,11 +87,9 @@ def check_stops_come(gateway: Gateway, client: Client) -> None:
     assert not rejected(client).accepted
     heard.wait(lambda frame: frame.cause is Cause.WATCHDOG, timeout_s=ANSWER_S)
     assert client.estop().stop_frames == 6
-    begun = time.monotonic()
     gateway.child.terminate()
     heard.wait(lambda frame: frame.cause is Cause.SHUTDOWN, count=6, timeout_s=ANSWER_S)
     assert gateway.child.wait(10) == 0
-    assert time.monotonic() - begun < 1.5
 
 
 def rejected(client: Client) -> Ack:

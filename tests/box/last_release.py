@@ -133,7 +133,7 @@ class Upgrade(Machine):
         assert "accepted" in self.send()
         assert "stop-servos" in self.box.read(f"/etc/systemd/system/{NAME}.service")
         self.box.run(NAME, "stop-servos", "--help")
-        self.box.run(NAME, "send", "stop")
+        self.box.run(NAME, "send", "leg", "3", "stop")
 
     def hold(self) -> str:
         """Hold leg 3 from now on, by a process of this number."""
@@ -145,4 +145,4 @@ class Upgrade(Machine):
     def let_go(self, held: str) -> None:
         """Servos rest again."""
         self.box.run("kill", held)
-        self.box.run(NAME, "send", "stop")
+        self.box.run(NAME, "send", "leg", "3", "stop")

@@ -120,7 +120,7 @@ def test_console(robot: InstalledGateway) -> None:
     assert box.run(*inside, "ls", f"/etc/{NAME}").stdout == "", "the gateway's keys are not its own"
     assert "spidev" not in box.run(*inside, "ls", "/dev").stdout
 
-    assert "1 session ended" in box.run(NAME, "console", "--revoke").stdout
+    assert "1 session ended" in box.run(NAME, "console", "--sign-out").stdout
     assert box.run(python, "-c", SESSION, cookie, key).stdout.startswith("403")
 
     again = box.run(INSTALLER, *options).stdout.splitlines()

@@ -136,7 +136,11 @@ JUDGES: Final = {
     "gateway/robot/core/lease.py": _LEASE,
     "gateway/robot/core/buttons.py": (f"{_UNIT}test_buttons.py", f"{_UNIT}test_buttons_conductor.py"),
     "gateway/robot/core/power.py": (f"{_UNIT}test_power_rule.py", f"{_UNIT}test_power_conductor.py"),
-    "gateway/robot/core/latch.py": (f"{_UNIT}test_supervisor_stops.py", f"{_UNIT}test_power_rule.py"),
+    "gateway/robot/core/latch.py": (
+        f"{_UNIT}test_latch.py",
+        f"{_UNIT}test_supervisor_stops.py",
+        f"{_UNIT}test_power_rule.py",
+    ),
     "gateway/model/power_board.py": (f"{_MODEL}test_power_board_bytes.py", f"{_UNIT}test_simulated_board.py"),
     "gateway/robot/power/board.py": _POWER,
     "gateway/robot/power/errors.py": (f"{_UNIT}test_power_errors.py",),

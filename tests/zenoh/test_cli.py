@@ -38,7 +38,6 @@ def no_emergency_stop(gateway: Gateway) -> None:
         (("leg", "3", "stop"), "0e011f0200002002000021020000", False),
         (("servo", "32", "start", "12.345"), "060220010c22", True),
         (("servo", "32", "stop"), "060220020000", False),
-        (("stop",), "0e013d0200003e0200003f020000", False),
     ],
 )
 def test_send_writes_the_frame_and_says_so(
@@ -49,8 +48,16 @@ def test_send_writes_the_frame_and_says_so(
         end = gateway.run("send", *arguments)
         assert end.returncode == 0, str(end)
         heard.wait(lambda record: record.bytes == frame)
-    assert end.stdout == ("all six legs are stopped\n" if arguments == ("stop",) else "accepted\n")
+    assert end.stdout == "accepted\n"
     assert ("The watchdog stops it 250 ms after a command; --hold S repeats it" in end.stderr) is hint
+
+
+def test_stop_stops_all_six_legs(gateway: Gateway) -> None:
+    with gateway.client() as client:
+        heard = frames(client)
+        end = gateway.run("stop")
+        assert (end.returncode, end.stdout) == (0, "all six legs are stopped\n")
+        heard.wait(lambda record: record.bytes == "0e013d0200003e0200003f020000")
 
 
 def test_hold_keeps_a_leg_running_past_the_watchdog(tmp_path: Path) -> None:
@@ -105,7 +112,7 @@ def test_estop_says_how_soon_reset_leaves_it_and_both_name_the_person(gateway: G
 
 @pytest.mark.parametrize(
     "arguments",
-    [("send", "leg", "3", "stop"), ("send", "servo", "32", "stop"), ("send", "stop"), ("estop",), ("reset",)],
+    [("send", "leg", "3", "stop"), ("send", "servo", "32", "stop"), ("stop",), ("estop",), ("reset",)],
 )
 def test_without_a_gateway_it_is_4_and_one_line(arguments: tuple[str, ...]) -> None:
     end = run_here(*arguments, *NOBODY)
@@ -132,7 +139,7 @@ def test_without_a_gateway_it_is_4_and_one_line(arguments: tuple[str, ...]) -> N
         (("send", "servo", "32", "stop", "5"), "stop takes no angle; for example: hexapod-gateway send servo 32 stop"),
         (("run", "--config", "/nowhere.toml"), "/nowhere.toml: there is no such file"),
         (("stop-servos", "--config", "/nowhere.toml"), "/nowhere.toml: there is no such file"),
-        (("send", "stop", "--zenoh-config", "/nowhere.json5"), "/nowhere.json5"),
+        (("stop", "--zenoh-config", "/nowhere.json5"), "/nowhere.json5"),
         (("check", "--unplug"), "--only, --restart and --unplug go with --stops"),
         (("frobnicate",), "No such command"),
     ],
@@ -158,6 +165,7 @@ def test_help_teaches_every_option_and_the_exit_codes_once() -> None:
         assert "xit code" not in text, name
         assert all(each.help for each in parameters), name
     assert "Exit codes: 0 done" in run_here("--help").stdout
+    assert "<operator|observer|button|" in run_here("certs", "issue", "--help").stdout
 
 
 def test_python_m_is_the_same_program() -> None:

@@ -49,7 +49,7 @@ def robot(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Robot]:
 
 def said(*arguments: str) -> list[str]:
     """What a Stop that does not come through says."""
-    done = run_here("send", "stop", "--timeout", "1", *arguments)
+    done = run_here("stop", "--timeout", "1", *arguments)
     assert done.returncode == 4, done
     return [line.removeprefix("hexapod-gateway: ") for line in done.stderr.splitlines()]
 

@@ -155,8 +155,8 @@ print(own_wheel(Path(sys.argv[1])))
 
 def test_the_installer_is_in_it_and_installs_what_is_installed(python: Path, tmp_path: Path) -> None:
     """`install-service` without a repository: a wheel of the installed files, which is what the service then runs."""
-    program = python.with_name("hexapod-gateway")
-    shown = subprocess.run([program, "install-service", "--help"], capture_output=True, text=True, check=True)
+    installer = [str(python), "-m", "gateway.onboard.install_service", "--help"]
+    shown = subprocess.run(installer, cwd=tmp_path, capture_output=True, text=True, check=True)
     assert "--bundle FILE" in shown.stdout
     made = subprocess.run(
         [python, "-c", OWN_WHEEL, tmp_path], cwd=tmp_path, capture_output=True, text=True, check=True

@@ -9,13 +9,11 @@ from urllib.parse import urlsplit
 
 from gateway.errors import ConfigError, UnreachedError
 from gateway.people.console import sessions
-from gateway.people.console.messages import ROLES
 from gateway.people.console.options import Options
 from gateway.people.console.sessions import Sessions
 from gateway.people.console.site import CONSOLE_PORT, DEFAULT_ADDRESS, address_of, free_address, site
 from gateway.people.console.sockets import address_in, inherited
 from gateway.people.terminal import hint, say
-from gateway.people.walking.balance import terrain_named
 
 NEEDS: Final = ("websockets", "segno")
 ANSWERS_S: Final = 1.0
@@ -29,12 +27,6 @@ def console(options: Options) -> NoReturn:
     On systemd's socket; without one at `listen`; without both on a free port.
     """
     _need_extra()
-    role = options.role
-    if role not in ROLES:
-        raise ConfigError(
-            f"--role {role}: pages are an operator's (drive, stop), a button's (only stop) or an observer's (only look)"
-        )
-    terrain_named(options.terrain)
     from gateway.people.console.serve import serve  # noqa: PLC0415 (does not load without them)
 
     passed = inherited()
@@ -42,7 +34,7 @@ def console(options: Options) -> NoReturn:
     place = site(address, options.cert, options.key)
     if not passed and options.listen is None and place.port != CONSOLE_PORT:
         hint(f"Port {CONSOLE_PORT} is taken by another program, so the console listens on {place.port}.")
-    serve(options, role, place, passed)
+    serve(options, options.role, place, passed)
 
 
 def calibration(connect: str | None, zenoh_config: Path | None, timeout_s: float) -> int:
@@ -82,7 +74,7 @@ def _answering() -> tuple[str, int] | None:
     return None
 
 
-def revoke() -> int:
+def sign_out() -> int:
     """End all sessions of this user's consoles (root: the service's). Raises GatewayError."""
     ended = sessions.revoke_all(sessions.folder())
     say(f"{ended} session{'' if ended == 1 else 's'} ended; no printed link works any more")

@@ -3,6 +3,8 @@
 from dataclasses import dataclass
 from pathlib import Path
 
+from gateway.people.console.messages import Role
+
 
 @dataclass(frozen=True)
 class Options:
@@ -14,9 +16,9 @@ class Options:
     listen: str | None = None
     cert: Path | None = None
     key: Path | None = None
-    role: str = "operator"
+    role: Role = "operator"
     geometry: Path | None = None
-    terrain: str = "level"
+    adapt: bool = False
     open_browser: bool = False
     card: str = ""
     """Of the page, to which the first link leads; empty: to its beginning."""

@@ -91,7 +91,11 @@ async def _run(
     pages = Pages(owner.common_name, found.revoke)
     gateway = GatewayLink(options.connect, options.zenoh_config, owner.person, options.timeout_s, pages)
     stops = Stops(gateway.estop, send_stopping)
-    console = Console(found, pages, Shared(owner.person, gateway, stops, geometry, options.terrain, found.new_link))
+    console = Console(
+        found,
+        pages,
+        Shared(owner.person, gateway, stops, geometry, "adapt" if options.adapt else "level", found.new_link),
+    )
     auth = Auth(site, found, owner.role)
     context = server_context(site.certificate, site.key) if site.certificate and site.key else None
     HttpListener(sockets, context, auth, console.admit).start()

@@ -1,6 +1,6 @@
 """Links that work once, and the sessions that browsers exchange them for.
 
-They are kept in a file, so a console that is started again knows its pages, and `console --link` and `--revoke` reach
+They are kept in a file, so a console that is started again knows its pages, and `console --link` and `--sign-out` reach
 the one that runs. The file holds only the SHA-256 of each random token; that of a session's key serves to check a
 page's proof, and opens nothing without the cookie. Ages are by the wall clock, since the file outlives the process;
 an entry from the future is void.

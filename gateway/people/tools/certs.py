@@ -4,7 +4,7 @@ import datetime as dt
 import json
 import os
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -86,9 +86,8 @@ def issue(
         typer.Argument(metavar="NAME", help="The laptop or its owner: letters, digits, - and _. Example: alice"),
     ],
     role: Annotated[
-        str,
+        Literal["operator", "observer", "button", "robot", "console"],
         typer.Option(
-            metavar="ROLE",
             help="operator: commands and watches. observer: only watches. button: stops and watches, and moves "
             "nothing. robot: a further robot of this CA. console: a web console. Example: --role observer",
         ),

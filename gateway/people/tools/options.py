@@ -53,6 +53,10 @@ OtherShapeOption = Annotated[
     Path | None,
     typer.Option("--geometry", metavar="FILE", help="Another robot's shape (JSON). Default: the Elkapod's."),
 ]
+AdaptOption = Annotated[
+    bool,
+    typer.Option("--adapt", help="Walk by the robot's sensors, where it has some: level body, feet feel for ground."),
+]
 JsonOption = Annotated[bool, typer.Option("--json", help="For programs.")]
 TimeoutOption = Annotated[
     float, typer.Option("--timeout", metavar="S", min=0.05, help="Give up after this many seconds.")

@@ -6,9 +6,15 @@ from typing import Annotated
 import typer
 
 from gateway.errors import ConfigError
-from gateway.people.tools.options import ConnectOption, OtherShapeOption, TimeoutOption, ZenohConfigOption
+from gateway.people.tools.options import AdaptOption, ConnectOption, OtherShapeOption, TimeoutOption, ZenohConfigOption
 
 app = typer.Typer()
+
+
+def _gaits() -> list[str]:
+    from gateway.people.walking import GAITS
+
+    return list(GAITS)
 
 
 @app.command()
@@ -22,12 +28,15 @@ def walk(
         float | None, typer.Option("--seconds", metavar="S", min=0, max=3600, help="Walk so long, without a person.")
     ] = None,
     gait: Annotated[
-        str, typer.Option("--gait", help="In which order the legs step; tripod is the fastest.")
+        str,
+        typer.Option(
+            "--gait",
+            autocompletion=_gaits,
+            help="In which order the legs step: tripod (the fastest), ripple or wave.",
+        ),
     ] = "tripod",
     height: Annotated[float | None, typer.Option("--height", metavar="M", help="Of the body above the ground.")] = None,
-    terrain: Annotated[
-        str, typer.Option("--terrain", help="level, or adapt: by the robot's sensors, where it has some.")
-    ] = "level",
+    adapt: AdaptOption = False,
     geometry: OtherShapeOption = None,
     connect: ConnectOption = None,
     zenoh_config: ZenohConfigOption = None,
@@ -47,6 +56,7 @@ def walk(
     """
     from gateway.people.tools import reach
 
+    terrain = "adapt" if adapt else "level"
     connection = reach.connection(connect, zenoh_config, timeout, source="hexapod-gateway walk")
     if seconds is not None:
         from gateway.people.tools.walk import script

@@ -180,7 +180,6 @@ def test_the_commands_fail_with_one_line_and_code_2(tmp_path: Path) -> None:
     assert run("init", "--dir", directory, "--host", "robot.local")[0] == 0
     for arguments in (
         ["init", "--dir", directory, "--host", "robot.local"],
-        ["issue", "alice", "--role", "admin", "--dir", directory],
         ["issue", "../alice", "--role", "operator", "--dir", directory],
         ["list", "--dir", str(tmp_path / "nowhere")],
     ):

@@ -53,23 +53,3 @@ def test_after_a_stall_a_step_is_no_longer_than_one_in_time(stall_ms: int, way: 
     assert first == (90_00 + way * 1_20, now_ns), "what was lost is not made up for"
     soon = step(first.angle_cdeg, 90_00 + way * 80_00, 60_00, first.since_ns, now_ns + 5 * NS_PER_MS, 20 * NS_PER_MS)
     assert soon.angle_cdeg == first.angle_cdeg + way * 30
-
-
-def test_the_slowest_servo_still_moves() -> None:
-    """A hundredth of a degree a second: the time for it is longer than a rate slot."""
-    angle, since_ns = 0, 0
-    for frame in range(1, 501):
-        angle, since_ns = step(angle, 180_00, 1, since_ns, frame * 20 * NS_PER_MS, 20 * NS_PER_MS)
-    assert angle == 10
-
-
-@given(angles, angles, speeds, st.integers(1, 1000))
-def test_the_target_is_reached_in_its_time_however_often_it_is_asked(
-    start: int, target: int, speed: int, steps: int
-) -> None:
-    needed_ns = -(-abs(target - start) * NS_PER_S // speed) + steps  # a nanosecond is lost in each step
-    angle, since_ns = start, 0
-    for number in range(1, steps + 1):
-        angle, since_ns = step(angle, target, speed, since_ns, number * needed_ns // steps, LONG_NS)
-    angle, since_ns = step(angle, target, speed, since_ns, needed_ns + 2 * steps, LONG_NS)
-    assert angle == target
