@@ -11,7 +11,7 @@ import typer
 from gateway import certs
 from gateway.certs import expiry
 from gateway.own_command import this_command
-from gateway.people.tools.options import JsonOption
+from gateway.people.commands.options import JsonOption
 
 WIDE = 100
 
