@@ -56,15 +56,17 @@ FAULTS = (
     # the release
     Fault(
         "an emptied file and a missing one",
-        ": >$packages/gateway/people/tools/decode.py; rm $packages/mcap/writer.py",
-        "gateway/people/tools/decode.py, ",
+        ": >$packages/gateway/people/commands/decode.py; rm $packages/mcap/writer.py",
+        "gateway/people/commands/decode.py, ",
     ),
     Fault("an emptied file of check's own", ": >$packages/gateway/text.py", "gateway/text.py"),
     Fault("a damaged stop.py", "echo '(' >$packages/gateway/onboard/stop.py", "gateway/onboard/stop.py"),
     Fault("the list of files emptied", ": >$own/complete", "has no list of its files"),
     Fault("a file that was not installed", "echo >$packages/more.pth", "and not installed with it: lib/python"),
-    Fault("a file for root only", "chmod 600 $packages/gateway/people/tools/decode.py", "not for all to read"),
-    Fault("a file that all may write", "chmod 666 $packages/gateway/people/tools/decode.py", "not for root alone to"),
+    Fault("a file for root only", "chmod 600 $packages/gateway/people/commands/decode.py", "not for all to read"),
+    Fault(
+        "a file that all may write", "chmod 666 $packages/gateway/people/commands/decode.py", "not for root alone to"
+    ),
     Fault("the command of another release", "ln -sfn /bin/true /usr/local/bin/$service", "leads to /usr/bin/true"),
     Fault("no command", "rm /usr/local/bin/$service", f"/usr/local/bin/{NAME} is missing"),
     # user and groups

@@ -20,10 +20,10 @@ from gateway.model.telemetry import starts_whole
 from gateway.onboard.check.outputs import ServoCurrents, finding
 from gateway.own_command import command
 from gateway.people.client.blocking import Client
+from gateway.people.commands.driving import drives, rejected
+from gateway.people.commands.moving import ServoMotion, consents, lying, ready, stopped_after
+from gateway.people.commands.reach import Connection, show_differences
 from gateway.people.terminal import ask, say
-from gateway.people.tools.driving import drives, rejected
-from gateway.people.tools.moving import ServoMotion, consents, lying, ready, stopped_after
-from gateway.people.tools.reach import Connection, show_differences
 from gateway.robot.spi.machine import SELECT_BY_GPIO
 from schemas.robot import LEGS, MAX_DEG, SERVO_IDS
 from schemas.telemetry import Ack, GatewayState, Reason, WatchdogState

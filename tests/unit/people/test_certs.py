@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 from gateway import certs
 from gateway.certs import authority
 from gateway.errors import ConfigError
-from gateway.people.tools.certs import app
+from gateway.people.commands.certs import app
 from gateway.zenoh_config import load_client_config, load_config
 from tests.support.certs_folder import DAY, HOSTS, MADE_BY_INIT, NOW, contents, fault, make_folder, mode, names
 

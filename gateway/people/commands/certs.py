@@ -229,6 +229,6 @@ def revoke(
     A robot that is off gets it later, by the same command without the name, or by a copy of revoked.crl in
     /etc/hexapod-gateway/zenoh and a restart of the service.
     """
-    from gateway.people.tools import revoking
+    from gateway.people.commands import revoking
 
     raise typer.Exit(revoking.revoke(directory, name, to or [], zenoh_config))
