@@ -22,6 +22,7 @@ from gateway.people.commands.options import (
     AdaptOption,
     ConfigOption,
     ConnectOption,
+    JsonOption,
     OtherShapeOption,
     TimeoutOption,
     ZenohConfigOption,
@@ -301,6 +302,7 @@ def console(
 @app.command()
 def decode(
     hex_bytes: Annotated[list[str], typer.Argument(metavar="HEX…", help="A frame's bytes, such as 06 02 20 02 00 00")],
+    as_json: JsonOption = False,
 ) -> None:
     """Explain a frame, or name exactly its fault.
 
@@ -308,7 +310,7 @@ def decode(
     """
     from gateway.people.commands import decode
 
-    sys.exit(decode.decode(hex_bytes))
+    sys.exit(decode.decode(hex_bytes, as_json=as_json))
 
 
 app.add_typer(calibrate_command.app, name="calibrate")
