@@ -69,6 +69,11 @@ class Legs:
     def __iter__(self) -> Iterator[Leg]:
         return iter(self._all)
 
+    @property
+    def running(self) -> bool:
+        """Whether a servo runs now, in the middle of a step, too."""
+        return any(servo.running for servo in self.servos.values())
+
     # ---- time
 
     def begin(self, instant_ns: int) -> None:

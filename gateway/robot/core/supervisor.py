@@ -413,7 +413,7 @@ class Supervisor:
     def _bring_down(self, why: str, since_ns: int, now_ns: int, reason: Reason, detail: str) -> list[Effect]:
         """The robot lands, if something runs and there is time left; else all six legs are stopped."""
         ends_ns = since_ns + self._rules.landing_ns
-        if now_ns < ends_ns and not self.legs.at_rest:
+        if now_ns < ends_ns and self.legs.running:
             return self._begin_landing(why, ends_ns, now_ns)
         due = dict.fromkeys(self.legs.by_number, since_ns)
         return self.legs.stop(due, Cause.WATCHDOG, now_ns, reason, detail)
@@ -422,7 +422,7 @@ class Supervisor:
         """What an event says if the robot is brought down in this step; "": nothing is to be stopped."""
         if self._nothing_to_stop():
             return ""
-        lands = self._rules.landing_ns and not self.legs.at_rest
+        lands = self._rules.landing_ns and self.legs.running
         return "the robot lands" if lands else "all six legs are stopped"
 
     def _nothing_to_stop(self) -> bool:
@@ -447,7 +447,7 @@ class Supervisor:
         timeout_ms = self._rules.timeout_ns / NS_PER_MS
         first = min(silent.values())
         ends_ns = first + self._rules.landing_ns
-        if now_ns < ends_ns and not self.legs.at_rest:
+        if now_ns < ends_ns and self.legs.running:
             why = f"leg {min(silent)} was not heard for {timeout_ms:g} ms"
             return self._begin_landing(why, ends_ns, now_ns)
         due = {leg.number: silent.get(leg.number, first) for leg in self.legs} if self._rules.stops_whole else silent

@@ -80,6 +80,20 @@ def test_what_was_fed_before_a_stop_is_not_fed_behind_it() -> None:
     assert steps.board(90) == ["command 3 start 90", "completed 3"]
 
 
+def test_nothing_lands_where_the_last_servo_was_stopped_in_the_same_step() -> None:
+    """The start that nobody fed ends in the step in which the board falls silent."""
+    steps = Steps(Rules(repeats=0, power=True, landing_ns=500 * NS_PER_MS, timeout_ns=5000 * NS_PER_MS))
+    steps.board(5)
+    steps.command(10, servo_to(31, "start 90"))
+    steps.board(20, fed=[31])
+    steps.command(30, servo_to(32, "start 90"))
+    steps.command(40, servo_to(41, "start 90"))
+    found = steps.board(30 + 1800, alive=False)
+    assert found[0] == "watchdog 3 stop"
+    assert "watchdog 4 stop" in found
+    assert "announce landing" not in found
+
+
 @pytest.mark.parametrize("how", ["stop", "estop"])
 def test_a_stop_ends_a_start_that_waits_for_its_supply(how: str) -> None:
     steps = Steps(Rules(repeats=0, power=True))
