@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from gateway.errors import ConfigError
-from gateway.people.tools.options import ConnectOption, OtherShapeOption, TimeoutOption, ZenohConfigOption
+from gateway.people.commands.options import ConnectOption, OtherShapeOption, TimeoutOption, ZenohConfigOption
 
 app = typer.Typer()
 
@@ -44,8 +44,8 @@ def record(
         raise ConfigError("name the file to make, such as ride.mcap, or show the robot in a viewer with --live")
     if file is not None and file.suffix != ".mcap":
         raise ConfigError(f"{file}: name the file with .mcap, by which viewers know it: {file.with_suffix('.mcap')}")
+    from gateway.people.commands import reach
     from gateway.people.recorder.record import record
-    from gateway.people.tools import reach
 
     ended = record(
         reach.connection(connect, zenoh_config, timeout, source="hexapod-gateway record"),

@@ -48,7 +48,7 @@ from gateway.robot.runtime.executor import Executor, Outcome
 from gateway.robot.runtime.metrics import Metrics
 from gateway.robot.runtime.preamble import PreambleInPauses
 from gateway.robot.runtime.report import StateReports, wall_clock
-from gateway.robot.runtime.supply import CarryOut, Feeding, RobotSupply, off_button
+from gateway.robot.runtime.supply import CarryOut, RobotSupply, off_button
 from gateway.robot.runtime.telemetry import LatestTelemetry
 from gateway.robot.settings import Settings
 from gateway.robot.spi.bus import Bus
@@ -112,7 +112,7 @@ class Conductor:
         self._carry_out: CarryOut = executor.carry_out
         if supply is not None:
             supply.on_news = self.power_changed
-            self._carry_out = Feeding(executor.carry_out, supply, supervisor, self._announce_power).carry_out
+            self._carry_out = supply.around(executor.carry_out, supervisor, self._announce_power)
         self._clock = clock
         self._instant_ns = clock()
         self.reports = StateReports(
@@ -181,7 +181,7 @@ class Conductor:
             if timer is not None:
                 timer.cancel()
         if self.supply is not None:
-            self.supply.close()
+            self.supply.confirmations.close()
         self.bus.close()
 
     # ---- what happens
@@ -276,11 +276,11 @@ class Conductor:
         """Take what the power board has said."""
         if self._closed or self.supply is None:
             return
-        seen = self.supply.look()
-        self._step(seen.event)
-        for each in seen.announcements:
+        event, announcements = self.supply.look()
+        self._step(event)
+        for each in announcements:
             self._announce_power(each)
-        if seen.off_pressed:
+        if any(each.kind is Kind.OFF_BUTTON for each in announcements):
             self._emergency_stop(off_button(self._clock()), self._clock())
         self._arm()
         self.publish_state()

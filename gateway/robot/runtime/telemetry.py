@@ -7,7 +7,7 @@ from gateway.model import power_board
 from gateway.model.elkapod import Measured
 from gateway.model.telemetry import battery_of, report_of
 from gateway.robot.core.message import Outbox, Reply
-from gateway.robot.power.line import Status
+from gateway.robot.power.board import Status
 from gateway.robot.runtime.report import wall_clock
 from gateway.robot.runtime.supply import RobotSupply
 from schemas import keys
