@@ -17,18 +17,20 @@ from gateway.errors import ConfigError, GatewayError
 from gateway.model.frames import PROTOCOL_VERSION
 from gateway.onboard import check_command, incidents
 from gateway.people.bridge import command as bridge
-from gateway.people.console import calibrate_command
-from gateway.people.recorder import command as recorder
-from gateway.people.terminal import hint
-from gateway.people.tools import certs, walk_command
-from gateway.people.tools.options import (
+from gateway.people.commands import certs
+from gateway.people.commands.options import (
     AdaptOption,
     ConfigOption,
     ConnectOption,
+    JsonOption,
     OtherShapeOption,
     TimeoutOption,
     ZenohConfigOption,
 )
+from gateway.people.commands.walk import command as walk_command
+from gateway.people.console import calibrate_command
+from gateway.people.recorder import command as recorder
+from gateway.people.terminal import hint
 
 _PANELS = {
     "Stop": ("estop", "stop", "reset"),
@@ -204,7 +206,7 @@ def stop_servos(config: ConfigOption = None) -> None:
 @app.command()
 def stop(connect: ConnectOption = None, zenoh_config: ZenohConfigOption = None, timeout: TimeoutOption = 2.0) -> None:
     """Stop all six legs. They can be started again at once; after `estop` only a `reset` allows that."""
-    from gateway.people.tools import send
+    from gateway.people.commands import send
 
     sys.exit(send.send_stop(send.connection(connect, zenoh_config, timeout)))
 
@@ -212,7 +214,7 @@ def stop(connect: ConnectOption = None, zenoh_config: ZenohConfigOption = None, 
 @app.command()
 def estop(connect: ConnectOption = None, zenoh_config: ZenohConfigOption = None, timeout: TimeoutOption = 2.0) -> None:
     """Engage the emergency stop: all six legs stop at once, and stay stopped until `reset`."""
-    from gateway.people.tools import send
+    from gateway.people.commands import send
 
     sys.exit(send.estop(send.connection(connect, zenoh_config, timeout, command="estop")))
 
@@ -220,7 +222,7 @@ def estop(connect: ConnectOption = None, zenoh_config: ZenohConfigOption = None,
 @app.command()
 def reset(connect: ConnectOption = None, zenoh_config: ZenohConfigOption = None, timeout: TimeoutOption = 2.0) -> None:
     """Leave the emergency stop. Nothing moves until it is started again."""
-    from gateway.people.tools import send
+    from gateway.people.commands import send
 
     sys.exit(send.reset(send.connection(connect, zenoh_config, timeout, command="reset")))
 
@@ -243,10 +245,10 @@ def status(
     that is not there yet. Nothing here stops the robot: keep `estop` or a page within reach.
     """
     if follow:
-        from gateway.people.tools.follow import follow as follow_state
+        from gateway.people.commands.follow import follow as follow_state
 
         follow_state(connect, zenoh_config, timeout, as_json=as_json)
-    from gateway.people.tools.status import status
+    from gateway.people.commands.status import status
 
     status(connect, zenoh_config, timeout, as_json=as_json)
 
@@ -300,14 +302,15 @@ def console(
 @app.command()
 def decode(
     hex_bytes: Annotated[list[str], typer.Argument(metavar="HEX…", help="A frame's bytes, such as 06 02 20 02 00 00")],
+    as_json: JsonOption = False,
 ) -> None:
     """Explain a frame, or name exactly its fault.
 
     Several frames may follow one another; each begins with its length.
     """
-    from gateway.people.tools import decode
+    from gateway.people.commands import decode
 
-    sys.exit(decode.decode(hex_bytes))
+    sys.exit(decode.decode(hex_bytes, as_json=as_json))
 
 
 app.add_typer(calibrate_command.app, name="calibrate")
@@ -346,7 +349,7 @@ def send_leg(
     timeout: TimeoutOption = 2.0,
 ) -> None:
     """Start, set or stop a leg: `send leg 3 start 90 45 120 --hold 5`."""
-    from gateway.people.tools import send
+    from gateway.people.commands import send
 
     connection = send.connection(connect, zenoh_config, timeout)
     sys.exit(send.send_leg(connection, leg, op, angles or [], hold_s=hold))
@@ -363,7 +366,7 @@ def send_servo(
     timeout: TimeoutOption = 2.0,
 ) -> None:
     """Start, set or stop one servo: `send servo 32 start 90`."""
-    from gateway.people.tools import send
+    from gateway.people.commands import send
 
     connection = send.connection(connect, zenoh_config, timeout)
     sys.exit(send.send_servo(connection, servo_id, op, angle, hold_s=hold))

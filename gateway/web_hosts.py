@@ -23,6 +23,6 @@ def is_one_of(host: str | None, ours: Collection[str]) -> bool:
     return name in ours
 
 
-def may_ask(host: str | None, origin: str | None, ours: Collection[str], others: Collection[str] = ()) -> bool:
-    """Whether a request comes from no page (`origin` is None), from our own, or from one of the origins in `others`."""
-    return is_one_of(host, ours) and (origin is None or origin == f"http://{host}" or origin in others)
+def may_ask(host: str | None, origin: str | None, ours: Collection[str]) -> bool:
+    """Whether a request comes from no page (`origin` is None), or from our own."""
+    return is_one_of(host, ours) and (origin is None or origin == f"http://{host}")

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from gateway.errors import ConfigError
-from gateway.people.tools.options import ConfigOption, ConnectOption, TimeoutOption, ZenohConfigOption
+from gateway.people.commands.options import ConfigOption, ConnectOption, TimeoutOption, ZenohConfigOption
 
 app = typer.Typer()
 
@@ -64,7 +64,7 @@ def check(
     if move or stops:
         from gateway.onboard.check.move import move as move_servo
         from gateway.onboard.check.stops import stops as prove_stops
-        from gateway.people.tools import reach
+        from gateway.people.commands import reach
 
         connection = reach.connection(connect, zenoh_config, timeout, source="hexapod-gateway check")
         if move:

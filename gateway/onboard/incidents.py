@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from gateway.people.tools.options import ConfigOption, JsonOption
+from gateway.people.commands.options import ConfigOption, JsonOption
 
 if TYPE_CHECKING:
     from gateway.robot.settings import Settings

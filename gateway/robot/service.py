@@ -26,6 +26,7 @@ from gateway.model.frames import centidegrees
 from gateway.own_command import command
 from gateway.robot import wires
 from gateway.robot.blackbox.recorder import Recorder
+from gateway.robot.core.backlog import START_WAIT_NS
 from gateway.robot.core.calibrating import ACCEPT_DEFAULT
 from gateway.robot.core.leg import Rules
 from gateway.robot.core.supervisor import Supervisor
@@ -105,6 +106,7 @@ def rules(settings: Settings) -> Rules:
         repeats=settings.watchdog.repeats,
         repeat_interval_ns=round(settings.watchdog.repeat_interval_ms * NS_PER_MS),
         period_ns=ceil(NS_PER_S / settings.limits.leg_rate_hz),  # never above the limit
+        start_wait_ns=START_WAIT_NS,
         start_pause_ns=round(settings.limits.start_stagger_ms * NS_PER_MS),
         joint_limits_cdeg={
             int(servo): (centidegrees(limits.min_deg), centidegrees(limits.max_deg))
@@ -359,7 +361,7 @@ def _inbox(
         readers={
             **{each.key: each.note for each in (lease, button, calibrations, revocations)},
             CALIBRATION: lambda _query, _ns, reply: partial(calibrations.answer, reply),
-            **({TELEMETRY: lambda _query, _ns, reply: partial(conductor.answer_telemetry, reply)} if measures else {}),
+            **({TELEMETRY: lambda _query, _ns, reply: partial(conductor.telemetry.answer, reply)} if measures else {}),
         },
         tokens={lease.key: conductor.supervisor.lease.holds, button.key: conductor.supervisor.buttons.knows},
         depth=put_depth(settings.limits.leg_rate_hz, settings.watchdog.timeout_ms),
@@ -389,7 +391,7 @@ def _report_tasks(settings: Settings, conductor: Conductor, outbox: ZenohOutbox)
     telemetry_hz = REPORTS_HZ if measures else 0.0
     return [
         asyncio.create_task(_report(STATE, REPORTS_HZ, conductor.publish_state, conductor, outbox)),
-        asyncio.create_task(_report(TELEMETRY, telemetry_hz, conductor.publish_telemetry, conductor, outbox)),
+        asyncio.create_task(_report(TELEMETRY, telemetry_hz, conductor.telemetry.publish, conductor, outbox)),
     ]
 
 

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Final
 
 from gateway import certs
-from gateway.people.console.sessions import Sessions
+from gateway.people.console.server.sessions import Sessions
 from tests.benchmarks.processes import rss_kb, threads
 from tests.net.namespaces import Network
 from tests.support.child import Child

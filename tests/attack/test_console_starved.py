@@ -10,7 +10,7 @@ import pytest
 
 from gateway.people.client.confirmed_stop import REQUESTS_AT_ONCE
 from gateway.people.console.link import PAGE_QUESTIONS_AT_ONCE, STOPS_AT_ONCE
-from gateway.people.console.sessions import Sessions
+from gateway.people.console.server.sessions import Sessions
 from tests.attack.console_listener import strangers
 from tests.benchmarks.processes import threads
 from tests.support.closing import Closing

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 import pytest
 
 from gateway.people.console.app import MAX_CLOSING, MAX_PAGES
-from gateway.people.console.listener import MAX_SIGNED_IN, MAX_UNKNOWN
+from gateway.people.console.server.listener import MAX_SIGNED_IN, MAX_UNKNOWN
 from tests.attack.console_listener import CASES, FLOODS, ListenerStand, spread
 from tests.benchmarks.processes import fds, rss_kb, threads
 

@@ -9,10 +9,13 @@ from collections.abc import Iterator
 import pytest
 
 from tests.deaf.faults import (
+    STOPS_MS,
+    STOPS_NS,
     BoundedController,
     Fault,
     Tally,
     lose_bytes,
+    lose_in_stops,
     lose_transfers,
     recorded,
     stretch_gaps,
@@ -58,6 +61,24 @@ def test_an_announcement_or_a_zero_lost_costs_no_controller_and_a_body_does() ->
 
 
 @pytest.mark.nightly
+@pytest.mark.parametrize("run", [1, 2, 3, 5, 9, 14, 20, 39, 100])
+def test_no_bytes_lost_inside_stops_leave_a_servo_on(run: int) -> None:
+    """Of the first Stops, of their repeats, and of the runs behind them."""
+    first, behind = lose_in_stops(run, stops_ms=STOPS_MS[:1])
+    assert first.faults == 408
+    assert behind.faults == 3 * 106 + 142
+    for tally in (first, behind):
+        assert not tally.dead
+        assert tally.on_for_good == 0
+
+
+def test_without_the_runs_behind_them_they_would() -> None:
+    """Five lost bytes make a Stop of leg 4 a start of servo 21."""
+    first, _ = lose_in_stops(5, stops_ms=STOPS_MS[:1], end_ns=STOPS_NS)
+    assert first.left_on_alive > 0.15 * first.faults
+    assert not first.dead
+
+
 @pytest.mark.parametrize("run", [2, 3, 5, 14])
 def test_a_firmware_that_rejects_other_lengths_than_6_and_14_survives_them(run: int) -> None:
     """The check that docs/protocol.md proposes to the firmware's owners."""

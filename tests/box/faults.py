@@ -28,6 +28,14 @@ GIVEN = {"FOLDER": CERTS, "FILE": f"{CERTS}/revoked.crl"}
 _AGAIN = "cp /root/gateway.toml $toml; systemctl reset-failed $service; systemctl restart $service"
 
 
+_NO_DROP_IN = "rm $unit.d/own.conf; systemctl daemon-reload; systemctl restart $service"
+_MEMORY = (
+    "systemctl stop $service; mount -t tmpfs -o {} tmpfs $state; chown $service:$service $state; chmod 700 $state; "
+    "systemctl start $service"
+)
+_BACK = "systemctl stop $service; umount $state; systemctl start $service"
+
+
 class Fault(NamedTuple):
     """A row. `plant` may restart what notices it only at its start."""
 
@@ -56,15 +64,17 @@ FAULTS = (
     # the release
     Fault(
         "an emptied file and a missing one",
-        ": >$packages/gateway/people/tools/decode.py; rm $packages/mcap/writer.py",
-        "gateway/people/tools/decode.py, ",
+        ": >$packages/gateway/people/commands/decode.py; rm $packages/mcap/writer.py",
+        "gateway/people/commands/decode.py, ",
     ),
     Fault("an emptied file of check's own", ": >$packages/gateway/text.py", "gateway/text.py"),
     Fault("a damaged stop.py", "echo '(' >$packages/gateway/onboard/stop.py", "gateway/onboard/stop.py"),
     Fault("the list of files emptied", ": >$own/complete", "has no list of its files"),
     Fault("a file that was not installed", "echo >$packages/more.pth", "and not installed with it: lib/python"),
-    Fault("a file for root only", "chmod 600 $packages/gateway/people/tools/decode.py", "not for all to read"),
-    Fault("a file that all may write", "chmod 666 $packages/gateway/people/tools/decode.py", "not for root alone to"),
+    Fault("a file for root only", "chmod 600 $packages/gateway/people/commands/decode.py", "not for all to read"),
+    Fault(
+        "a file that all may write", "chmod 666 $packages/gateway/people/commands/decode.py", "not for root alone to"
+    ),
     Fault("the command of another release", "ln -sfn /bin/true /usr/local/bin/$service", "leads to /usr/bin/true"),
     Fault("no command", "rm /usr/local/bin/$service", f"/usr/local/bin/{NAME} is missing"),
     # user and groups
@@ -133,6 +143,16 @@ FAULTS = (
         by_hand="hexapod-gateway calibrate accept-default --yes --zenoh-config /root/certs/anna.json5",
         then="rm $state/calibration.toml; systemctl restart $service",
     ),
+    Fault(
+        "a state directory in memory", _MEMORY.format("mode=700"), "is on tmpfs, which a boot empties", by_hand=_BACK
+    ),
+    Fault("a state directory on a full disk", _MEMORY.format("size=1m"), "MB free on its disk", by_hand=_BACK),
+    Fault("no inodes for the state directory", _MEMORY.format("nr_inodes=20"), "files left on its disk", by_hand=_BACK),
+    # limits and variables
+    Fault("too few descriptors", "drop_in LimitNOFILE=64", "LimitNOFILE of the unit is 64", by_hand=_NO_DROP_IN),
+    Fault("too little memory", "drop_in MemoryMax=64M", "MemoryMax of the unit is 64M", by_hand=_NO_DROP_IN),
+    Fault("another Python path", "drop_in Environment=PYTHONPATH=/x", "has PYTHONPATH", by_hand=_NO_DROP_IN),
+    Fault("another Python path for all", "systemctl set-environment PYTHONPATH=/x", "has PYTHONPATH"),
     # the device
     Fault("no udev rule", "rm $rules", "60-hexapod-gateway.rules is missing"),
     Fault("another udev rule", "echo >$rules", "60-hexapod-gateway.rules is not as this release has it"),

@@ -5,7 +5,15 @@ import logging
 import sys
 import time
 
-from tests.deaf.faults import BoundedController, lose_before_stop, lose_bytes, lose_transfers, recorded, stretch_gaps
+from tests.deaf.faults import (
+    BoundedController,
+    lose_before_stop,
+    lose_bytes,
+    lose_in_stops,
+    lose_transfers,
+    recorded,
+    stretch_gaps,
+)
 
 PHASES_NS = (0, 437_000)
 """How far a tick of the controller's clock has gone when the scene begins."""
@@ -14,13 +22,14 @@ RUNS = (2, 3, 5, 14, 30, 100)
 
 
 def main() -> int:
-    """Print the figures; 1 where one lost byte or a stall cost a Stop with its first repeat, or the controller.
+    """Print the figures; 1 where one lost byte or a stall cost a Stop with its first repeat, or the controller, or
+    where bytes lost inside Stops left a servo on with a controller that is alive.
 
     A doubled byte and more than one lost byte may cost both (docs/protocol.md).
     """
     parser = argparse.ArgumentParser(description="Lost bytes and stalls, on the simulated controller.")
     parser.add_argument("--every", type=int, default=1, help="one fault in so many (default: all)")
-    parser.add_argument("--only", choices=("bytes", "doubled", "runs", "gaps"))
+    parser.add_argument("--only", choices=("bytes", "doubled", "runs", "gaps", "stops"))
     options = parser.parse_args()
     logging.disable(logging.CRITICAL)  # what a stalled gateway says is not what is looked for
     begun_s, bad = time.monotonic(), False
@@ -48,6 +57,13 @@ def main() -> int:
         for run in (1, *RUNS):
             text = lose_before_stop(run, every=options.every).text
             print(f"{run} lost in the 0.3 s before an emergency stop: {text}", flush=True)
+    if options.only in (None, "stops"):
+        for run in range(1, 101):
+            for where, tally in zip(
+                ("and repeats", "behind them"), lose_in_stops(run, every=options.every), strict=True
+            ):
+                bad |= bool(tally.left_on_alive)
+                print(f"{run} lost in Stops {where}: {tally.text}", flush=True)
     print(f"{time.monotonic() - begun_s:.0f} s")
     return 1 if bad else 0
 

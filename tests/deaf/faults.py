@@ -21,6 +21,10 @@ AFTER_NS = 2_000 * MS
 STOPS_MS = (2_000, 2_137, 2_274, 2_411)
 """When a scene's emergency stop comes: at several places of a step, and between messages."""
 BEFORE_STOP_NS = 300 * MS
+STOPS_NS = 66 * MS
+"""An emergency stop's first Stops and its three repeats are written within this time."""
+REST_NS = 5_000 * MS
+"""How long a scene goes on after an emergency stop: until nothing more is written."""
 STALLS_MS = (900, 1100, 3000)
 _SOME_BYTES = re.compile(r"^\d+ bytes in ")
 
@@ -44,6 +48,8 @@ class Tally:
     corruptions: int = 0
     on_for_good: int = 0
     """Faults of bytes after which servos are on that only a reset or the supply's switch stops."""
+    left_on_alive: int = 0
+    """Of these, those whose controller is alive: it would execute a Stop, but nobody writes one."""
     dead: Counter[str] = field(default_factory=Counter)
     """What the controller died of, and how often."""
     unasked: Counter[str] = field(default_factory=Counter)
@@ -70,6 +76,7 @@ class Tally:
         if watcher.controller.dead is not None:
             self.dead[_SOME_BYTES.sub("", watcher.controller.dead)] += 1
         self.on_for_good += bool(left_on)
+        self.left_on_alive += bool(left_on) and watcher.controller.dead is None
         self.corruptions += watcher.controller.corruptions.total()
         where = f"byte {fault.position} of [{data.hex()}], transfer {fault.transfer}"
         self.add(where, fault.place(data), watcher)
@@ -82,7 +89,7 @@ class Tally:
             f" of them first Stops {self.missed_first_stops}, repeated Stops {len(self.stops_after_repeat)}",
             f"  longest deaf {self.deaf_ms:.0f} ms ({self.deaf_longest}); servos left on {len(self.left_on)};"
             f" corruptions {self.corruptions}; controllers dead {self.dead.total()};"
-            f" servos on for good {self.on_for_good}",
+            f" servos on for good {self.on_for_good}, with a controller that is alive {self.left_on_alive}",
         ]
         for what, count in sorted(self.unasked.items()):
             times_ms = sorted(self.unasked_ms[what])
@@ -186,14 +193,38 @@ def lose_transfers(log: list[Written], *, every: int = 1, tick_phase_ns: int = 0
 
 def lose_before_stop(run: int, *, every: int = 1) -> Tally:
     """Lose a run from each byte on of the 0.3 s before an emergency stop, in a stream of six legs at 50 Hz."""
+    return _lose_around_stops(run, -BEFORE_STOP_NS, 0, every=every)
+
+
+def lose_in_stops(
+    run: int, *, every: int = 1, stops_ms: tuple[int, ...] = STOPS_MS, end_ns: int = REST_NS
+) -> tuple[Tally, Tally]:
+    """Lose a run from each byte on of an emergency stop's first Stops and their repeats, and of the runs behind them.
+
+    Nothing is written any more once `end_ns` has passed since the emergency stop.
+    """
+    first = _lose_around_stops(run, 0, STOPS_NS, every=every, stops_ms=stops_ms, end_ns=end_ns)
+    return first, _lose_around_stops(run, STOPS_NS, end_ns, every=every, stops_ms=stops_ms, end_ns=end_ns)
+
+
+def _lose_around_stops(
+    run: int,
+    from_ns: int,
+    until_ns: int,
+    *,
+    every: int,
+    stops_ms: tuple[int, ...] = STOPS_MS,
+    end_ns: int = REST_NS,
+) -> Tally:
+    """Lose a run from each byte on that is written between these times, counted from an emergency stop."""
     tally = Tally()
-    for stop_ms in STOPS_MS:
+    for stop_ms in stops_ms:
         stop_ns = BEGIN_NS + stop_ms * MS
-        log = recorded(stopped_walk(stop_ms), stop_ns + AFTER_NS)
+        log = recorded(stopped_walk(stop_ms), stop_ns + end_ns)
         faults = (
             Fault(index, position, run)
             for index, written in enumerate(log)
-            if stop_ns - BEFORE_STOP_NS <= written.at_ns < stop_ns
+            if stop_ns + from_ns <= written.at_ns < stop_ns + until_ns
             for position in range(len(written.data))
         )
         for fault, watcher, left_on in _played(log, islice(faults, 0, None, every)):

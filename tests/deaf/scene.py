@@ -7,6 +7,7 @@ import heapq
 import math
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple, Self, cast
 
 from pydantic import BaseModel
@@ -142,7 +143,7 @@ class Scene(SpiDevice):
         self.bus = MarkedBus(self.settings.spi, self._open, clock=self.loop.now_ns)
         self.conductor = Conductor(
             self.settings,
-            Supervisor(rules(self.settings)),
+            Supervisor(replace(rules(self.settings), start_wait_ns=0)),
             self.bus,
             self,
             cast(asyncio.AbstractEventLoop, self.loop),

@@ -13,7 +13,7 @@ from typing import Any, Final
 from gateway.model import frames
 from gateway.model.frames import Frame, FrameError, OneLeg, OneServo, Op, ServoOp, servo_ids_of
 from gateway.model.framing import Framing
-from gateway.people.tools import decode as decode_command
+from gateway.people.commands import decode as decode_command
 from gateway.robot.core import intake
 from gateway.robot.core.events import Targets
 from gateway.robot.spi.simulator import SimulatedController

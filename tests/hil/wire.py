@@ -6,10 +6,10 @@ from typing import Any
 
 import pytest
 
-from gateway.model.frames import Op, decode, stop_leg
+from gateway.model.frames import STOP, OneServo, Op, decode, stop_leg
 from gateway.model.framing import ZERO, Framing
 from gateway.robot.spi.simulator import SimulatedController
-from schemas.robot import LEGS
+from schemas.robot import LEGS, SERVO_IDS
 from tests.hil.bed import SpiTestbed, Transfer
 from tests.support.gateway_process import Gateway
 from tests.support.transfers import on_wire, preamble_of
@@ -77,6 +77,16 @@ class Wire:
             (data.hex(), errno) for data in expected
         ]
         return found
+
+    def expect_behind_rest(self, *frames: str) -> None:
+        """These frames at last, and before them nothing but Stops, as a robot at rest gets them (Behaviour 4)."""
+        expected, begin = transfers_of(self.framing, *frames), self._read
+        self.bed.wait_for(
+            lambda transfers: [each.data for each in transfers[begin:]][-len(expected) :] == expected, LATE_S
+        )
+        singly = [OneServo(servo_id, STOP).to_bytes().hex() for servo_id in SERVO_IDS]
+        before = {each.data for each in self.skip()[: -len(expected)]}
+        assert before <= {*opening_of(self.framing, *STOPS, *singly)}
 
     def expect_nothing(self) -> None:
         """Nothing has come since what was last read. To be asked when an answer says that all was written."""

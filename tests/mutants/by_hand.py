@@ -163,8 +163,47 @@ MADE: Final[Mapping[str, tuple[ByHand, ...]]] = {
         ),
         ByHand(
             "late repeats are made up in a burst",
-            "            servo.repeat_ns = now_ns + self._rules.repeat_interval_ns\n",
-            "            servo.repeat_ns += self._rules.repeat_interval_ns\n",
+            "            servo.repeat_ns = now_ns + self._rules.repeat_interval_ns\n        return stops(",
+            "            servo.repeat_ns += self._rules.repeat_interval_ns\n        return stops(",
+        ),
+        ByHand(
+            "a Stop moves a repeat that is owed to a later time",
+            "        if not servo.repeats_left:  # else the next one stays where it is\n",
+            "        if True:\n",
+        ),
+        ByHand(
+            "a servo goes on to where a rejected command has sent it",
+            "            if servo.target_cdeg is not None and servo.target_for in rejected:",
+            "            if False:",
+        ),
+    ),
+    "gateway/robot/core/rest.py": (
+        ByHand(
+            "a Stop at rest moves the runs that are owed",
+            "        elif self.due_ns is None:\n",
+            "        else:\n",
+        ),
+        ByHand(
+            "no runs follow the last Stop",
+            "self._runs_left, self._settled_ns = self.runs, ",
+            "self._runs_left, self._settled_ns = 0, ",
+        ),
+        ByHand("the runs go on for ever", "        self._runs_left -= 1\n", ""),
+    ),
+    "gateway/robot/core/backlog.py": (
+        ByHand("a start does not wait", "leg.slots.wait_until(now_ns + self._rules.start_wait_ns)", "pass"),
+        ByHand(
+            "starts that wait are not dropped", "return self._legs.drop(waiting, Reason.STALE, _why(key))", "return []"
+        ),
+        ByHand(
+            "a burst rejects no further start",
+            "if command.sent_ms is not None or now_ns >= self._until_ns.get(command.key, now_ns):",
+            "if True:",
+        ),
+        ByHand(
+            "a burst is never over",
+            "now_ns >= self._until_ns.get(command.key, now_ns)",
+            "command.key not in self._until_ns",
         ),
     ),
     "gateway/robot/core/pacing.py": (

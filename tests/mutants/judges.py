@@ -186,7 +186,7 @@ JUDGES: Final = {
     "gateway/people/client/patience.py": (f"{_PEOPLE}test_patience.py", _TIMES),
     "gateway/people/client/renewal.py": (f"{_PEOPLE}test_lease_renewal.py", _TIMES),
     "gateway/people/client/silence.py": (f"{_PEOPLE}test_silence.py", _TIMES),
-    "gateway/people/console/presence.py": (f"{_PEOPLE}test_silence.py", _TIMES),
+    "gateway/people/console/pages/presence.py": (f"{_PEOPLE}test_silence.py", _TIMES),
     "gateway/people/walking/distance.py": (f"{_PEOPLE}test_distance.py", _TIMES),
     "gateway/people/walking/words.py": (f"{_PEOPLE}test_words.py", _TIMES),
     "gateway/people/walking/ride.py": (

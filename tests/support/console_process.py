@@ -18,8 +18,8 @@ from websockets.exceptions import InvalidMessage
 from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Subprotocol
 
-from gateway.people.console.auth import PROOF_PREFIX, SUBPROTOCOL, proof
-from gateway.people.console.sessions import Sessions
+from gateway.people.console.server.auth import PROOF_PREFIX, SUBPROTOCOL, proof
+from gateway.people.console.server.sessions import Sessions
 from tests.support.child import Child
 from tests.support.closing import Closing
 from tests.support.gateway_process import COMMAND, free_port

@@ -80,9 +80,9 @@ def all_legs(op: str, angle_deg: float | None = None, legs: Iterable[int] = LEGS
 
 
 async def elkapod(**sections: Mapping[str, Any]) -> ElkapodRobot:
-    """One that has been up for a second, with nothing recorded yet."""
+    """One that has been up until nothing follows its first Stops any more, with nothing recorded yet."""
     robot = ElkapodRobot(sections)
-    await asyncio.sleep(1)
+    await asyncio.sleep(6)
     robot.elkapod.messages.clear()
     robot.elkapod.transfers.clear()
     robot.reports.clear()

@@ -100,7 +100,9 @@ class ServoHistory:
     written_cdeg: int | None = None
     want: Want | None = None
     bound_cdeg: int | None = None
-    """Where an answered command sends it, while its speed is limited and it is not there."""
+    """Where a command sends it, while its speed is limited and it is not there."""
+    bound_for: int = 0
+    """Which command that is."""
     said_ns: int = 0
     """When a frame last named it."""
     edge_ns: int | None = None
@@ -119,7 +121,7 @@ class ServoHistory:
         return (
             self.written_cdeg,
             self.want and (self.want.op, self.want.angle_cdeg, rank[self.want.number]),
-            self.bound_cdeg,
+            None if self.bound_cdeg is None else (self.bound_cdeg, rank.get(self.bound_for)),
             speed_age_ns(self.said_ns, now_ns, rules) if self.on else None,
             speed_age_ns(self.edge_ns, now_ns, rules) if self.on and self.edge_ns is not None else None,
             self.owed and (self.owed, self.owed_ns - now_ns),
@@ -141,8 +143,9 @@ class ServoHistory:
         self.stopped_ns = instant_ns
 
     def owe(self, rules: Rules, now_ns: int) -> None:
-        """A Stop was written, and is to be repeated."""
-        self.owed, self.owed_ns = rules.repeats, now_ns + rules.repeat_interval_ns
+        """A Stop was written, and is to be repeated. A repeat that is owed already does not move."""
+        self.owed_ns = self.owed_ns if self.owed else now_ns + rules.repeat_interval_ns
+        self.owed = rules.repeats
 
 
 @dataclass(slots=True)
@@ -157,10 +160,12 @@ class LegHistory:
     """Whose command is in force."""
     unfed_ns: int | None = None
     """Since when a start of it waits for its supply."""
+    held_until_ns: int = 0
+    """Until when its start waits for what may come behind it."""
 
     def clone(self) -> Self:
         """A copy."""
-        return type(self)(self.heard_ns, self.moved_ns, self.bucket_ns, self.source, self.unfed_ns)
+        return type(self)(self.heard_ns, self.moved_ns, self.bucket_ns, self.source, self.unfed_ns, self.held_until_ns)
 
     def key(self, now_ns: int, rules: Rules, *, armed: bool) -> tuple[object, ...]:
         """What of it still matters; see `Oracle.key`."""
@@ -175,6 +180,7 @@ class LegHistory:
 
     def moved(self, now_ns: int, period_ns: int) -> None:
         """A frame moves this leg now; raise Violation where it may not."""
+        demand(now_ns >= self.held_until_ns, "a start without a time waits for what may come behind it")
         held_ns = self.held_ns(now_ns, period_ns)
         demand(held_ns >= period_ns, "no frame without a rate slot")
         apart = self.moved_ns is None or 4 * (now_ns - self.moved_ns) >= period_ns
@@ -189,9 +195,9 @@ class LegHistory:
     def slot_ns(self, period_ns: int) -> int:
         """From when a frame for this leg need not wait any more."""
         if self.moved_ns is None:
-            return 0
+            return self.held_until_ns
         quarter_ns = -(-period_ns // 4)
-        return self.moved_ns + max(quarter_ns, period_ns - self.bucket_ns)
+        return max(self.held_until_ns, self.moved_ns + max(quarter_ns, period_ns - self.bucket_ns))
 
 
 def change_hands(

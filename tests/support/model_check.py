@@ -44,11 +44,14 @@ from tests.support.model_parts import (
     changes,
     copied_buttons,
     copied_lease,
+    copy_backlog,
     copy_calibrating,
+    core_backlog_key,
     lease_key,
     lease_requests,
     measurements,
     power_key,
+    rest_key,
     tokens,
 )
 from tests.support.motion import landing_key
@@ -72,7 +75,7 @@ _ROBOT: Final = Supervisor(Rules())
 _KNOWN: Final = (
     (
         _ROBOT,
-        "_rules legs lease buttons body power calibrating _reach _opened _bus_ok _fault latch _ended",
+        "_rules legs lease buttons body power backlog calibrating _reach _opened _bus_ok _fault latch _ended",
     ),
     (_ROBOT, "stopped_outside wants_measurements expirations mode due_ns"),
     (_ROBOT.latch, "_rules number since_ns unknown"),
@@ -80,21 +83,20 @@ _KNOWN: Final = (
     (_ROBOT.buttons, "required _timeout_ns _rise_ns _by_token closed fell_ns alive due_ns"),
     (_ROBOT.body, "_rules watches low fallen beyond_ns"),
     (_ROBOT.power, "alive closed _refused"),
+    (_ROBOT.backlog, "_rules _legs _most _came_ns _until_ns held"),
     (Registration, "name holder counts count until_ns silent offset_ns heard_ns least_ns"),
     (_ROBOT._reach, "_limits_cdeg _landing_cdeg _avoid_cdeg calibration wire limited"),
     (_ROBOT.calibrating, "_reach fault guards _on_its_way"),
     (_ROBOT.calibrating, "_delay"),  # words for people, which decide nothing
-    (_ROBOT.legs, "_rules _reach by_number _all servos _queue instant_ns landing land_ns rest_ns"),
+    (_ROBOT.legs, "_rules _reach by_number _all servos _queue instant_ns landing land_ns"),
+    (_ROBOT.legs, "_speeds rest"),
+    (_ROBOT.legs.rest, "_round_ns _run_ns _settle_ns _settled_ns _runs_left runs due_ns"),
     (_ROBOT.legs, "due_ns repeat_ns at_rest"),  # these follow from the others: `take` sees to that
-    (_ROBOT.legs, "_moved given _silent _fed"),  # these count within a step
+    (_ROBOT.legs, "_moved given _silent _stops _fed"),  # these count within a step
     (Leg, "number servos slots heard_ns expired source landed_ns unfed_ns"),
     (Leg, "due_ns repeat_ns runs rests"),  # these follow, too
-    (
-        Servo,
-        "servo_id leg angle_cdeg waiting waiting_for announced_cdeg target_cdeg since_ns passing_cdeg repeats_left "
-        "repeat_ns",
-    ),
-    (Servo, "stopped_ns stopped_by"),
+    (Servo, "servo_id leg angle_cdeg waiting waiting_for announced_cdeg target_cdeg since_ns passing_cdeg"),
+    (Servo, "target_for repeats_left repeat_ns stopped_ns stopped_by"),
     (RateSlots, "period_ns oldest_ns next_ns"),
     (StartQueue, "pause_ns next_ns legs"),
     (
@@ -142,17 +144,23 @@ def copied_servo(servo: Servo, commands: dict[int, Command]) -> Servo:
     """A copy that waits for the copy of its command, of which each servo has the same."""
     other = type(servo)(*_servo_fields(servo))
     if servo.waiting is not None:
-        command = servo.waiting_for
-        if command.number not in commands:
-            commands[command.number] = replace(command)
-            commands[command.number].left = command.left
-        other.waiting_for = commands[command.number]
+        other.waiting_for = copied_command(servo.waiting_for, commands)
+    if servo.target_cdeg is not None:
+        other.target_for = copied_command(servo.target_for, commands)
     return other
+
+
+def copied_command(command: Command, commands: dict[int, Command]) -> Command:
+    """Its copy, the same for each servo."""
+    if command.number not in commands:
+        commands[command.number] = replace(command)
+        commands[command.number].left = command.left
+    return commands[command.number]
 
 
 def copied(supervisor: Supervisor) -> Supervisor:
     """A copy that shares nothing that changes; copy.deepcopy takes fifty times as long."""
-    legs = cloned(supervisor.legs)
+    legs = cloned(supervisor.legs, rest=cloned(supervisor.legs.rest))
     by_number: dict[int, Leg] = {}
     commands: dict[int, Command] = {}
     for number, leg in supervisor.legs.by_number.items():
@@ -166,6 +174,7 @@ def copied(supervisor: Supervisor) -> Supervisor:
     latch = cloned(supervisor.latch)
     other = cloned(supervisor, legs=legs, latch=latch, lease=lease, buttons=buttons, body=body, power=power)
     copy_calibrating(supervisor, other)
+    copy_backlog(supervisor, other)
     queue = supervisor.legs._queue
     legs._queue = type(queue)(queue.pause_ns, queue.next_ns, list(queue.legs))
     return other
@@ -192,11 +201,12 @@ def key(supervisor: Supervisor, now_ns: int, rank: dict[int, int]) -> tuple[obje
         # How old it is for a reset of this instant, and of one that begins now.
         latched_ns and (min(legs.instant_ns - latched_ns, oldest_ns), min(now_ns - latched_ns, oldest_ns)),
         due_ns and max(0, due_ns - now_ns),
-        supervisor._bus_ok and legs.rest_ns and legs.rest_ns - now_ns,
+        supervisor._bus_ok and rest_key(legs.rest, now_ns),
         lease_key(supervisor.lease, now_ns),
         buttons_key(supervisor.buttons, now_ns),
         body_key(supervisor, now_ns),
         (*power_key(supervisor), legs._fed),
+        core_backlog_key(supervisor, now_ns),
         calibrating_key(supervisor),
         legs.landing and (*landing_key(legs.landing, now_ns), legs.land_ns - now_ns),
         (tuple(queue.legs), max(0, queue.next_ns - now_ns)) if queue.pause_ns else None,
@@ -214,7 +224,7 @@ def key(supervisor: Supervisor, now_ns: int, rank: dict[int, int]) -> tuple[obje
                         servo.angle_cdeg,
                         servo.waiting and (servo.waiting, rank[servo.waiting_for.number]),
                         servo.announced_cdeg,
-                        servo.target_cdeg,
+                        None if servo.target_cdeg is None else (servo.target_cdeg, rank.get(servo.target_for.number)),
                         servo.passing_cdeg,
                         speed_age_ns(servo.since_ns, now_ns, legs._rules) if servo.running else None,
                         # A bus that opens again is told to stop everything anew.
@@ -249,7 +259,12 @@ def events(
     commands = configuration.commands if mode in (Mode.IDLE, Mode.ACTIVE) else configuration.commands[:1]
     for which, (channel, targets) in enumerate(commands):
         for whose, token in tokens(configuration.drivers, lease):
-            yield f"{channel} command {which}{whose}", Command(targets, key=channel, number=number, lease=token)
+            yield (
+                f"{channel} command {which}{whose}",
+                Command(
+                    targets, key=channel, number=number, lease=token, sent_ms=1.0 if "with a time" in channel else None
+                ),
+            )
     for stops in configuration.unread:
         unread = Rejected(Request(number=number), Reason.MALFORMED, "a test's")
         yield f"what may stop {len(stops)}", Command(stops, key="unread", number=number, rejected=unread)

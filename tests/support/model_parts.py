@@ -18,7 +18,9 @@ from gateway.robot.core.events import (
     LeaseRequest,
 )
 from gateway.robot.core.lease import RobotLease
+from gateway.robot.core.rest import RestStops
 from gateway.robot.core.supervisor import Supervisor
+from tests.support.backlog_history import backlog_key
 from tests.support.buttons_history import ButtonsHistory
 from tests.support.calibration_history import CalibrationHistory
 from tests.support.history import cloned
@@ -119,6 +121,12 @@ def measurements(bodies: Sequence[tuple[int | None, int]]) -> Iterator[tuple[str
         yield f"tilt {tilt_cdeg}, battery {battery_mv}", BodyMeasured(tilt_cdeg, battery_mv)
 
 
+def rest_key(rest: RestStops, now_ns: int) -> tuple[object, ...]:
+    """When the next Stops to legs at rest come, and how many runs are left, from when on."""
+    due_ns = None if rest.due_ns is None else max(0, rest.due_ns - now_ns)
+    return due_ns, rest._runs_left, rest._runs_left and max(0, rest._settled_ns - now_ns)
+
+
 def power_key(supervisor: Supervisor) -> tuple[object, ...]:
     """What the power board has said, as far as it can still matter."""
     power = supervisor.power
@@ -172,3 +180,17 @@ def changes(
     if history.on_its_way is not None:
         yield "calibration kept", CalibrationSaved(history.on_its_way.number)
         yield "calibration not kept", CalibrationSaved(history.on_its_way.number, "the disk is full")
+
+
+def copy_backlog(supervisor: Supervisor, other: Supervisor) -> None:
+    """Give a copy its own messages without a time."""
+    backlog = supervisor.backlog
+    came_ns, until_ns = dict(backlog._came_ns), dict(backlog._until_ns)
+    other.backlog = cloned(backlog, _legs=other.legs, _came_ns=came_ns, _until_ns=until_ns, held=dict(backlog.held))
+
+
+def core_backlog_key(supervisor: Supervisor, now_ns: int) -> tuple[object, ...]:
+    """What of them still matters."""
+    backlog = supervisor.backlog
+    waiting = [leg.number for leg in supervisor.legs if leg.armed and not any(servo.running for servo in leg.servos)]
+    return backlog_key(backlog._rules, backlog._came_ns, backlog._until_ns, backlog.held, now_ns, waiting)

@@ -71,6 +71,9 @@ class Oracle(RobotHistory):
         judge_results(effects)
         effects = self.calibration.read(effects)
         self._lost = frozenset()
+        ran = bool(self.energised)
+        due = any(servo.owed and now_ns >= servo.owed_ns for servo in self.servos.values())
+        self.owing, self.put_off, self.together = [], False, due and not ran
         stops = [isinstance(effect, Transmit) and effect.frame.is_stop for effect in effects]
         demand(stops == sorted(stops, reverse=True), "in every step, all Stops come before anything else")
         self.lease.pass_time(now_ns, effects)
@@ -120,7 +123,7 @@ class Oracle(RobotHistory):
                 announced = first or stays_away
                 self.fault = event.kind if announced else self.fault
                 demand(told(effects, event.kind) == announced, "a fault of the bus is announced once")
-                self.opened, self.bus_ok = True, False
+                self.opened, self.bus_ok, self.rest_ns, self.runs_left = True, False, None, 0
                 self._all_stopped(effects, Cause.COMMAND, Reason.BUS_FAULT, now_ns)
         keeps = any(isinstance(effect, SaveCalibration) for effect in effects)
         demand(isinstance(event, Calibrate) or not keeps, "only a change of the calibration is kept")
@@ -133,19 +136,21 @@ class Oracle(RobotHistory):
         holder, alive = after.lease.holder, after.buttons.alive
         demand(holder == self.lease.holder, f"{self.lease.holder} holds the lease, not {holder}")
         demand(alive == self.buttons.alive, f"{self.buttons.alive} are alive, not {alive}")
-        self._after(now_ns, after.due_ns)
+        self._after(now_ns, after.due_ns, ran=ran)
 
     def _all_stopped(self, effects: Sequence[Effect], cause: Cause, reason: Reason, now_ns: int) -> None:
         frames = [(effect.frame, effect.cause) for effect in effects if isinstance(effect, Transmit)]
         expected = [(stop_leg(leg), cause) for leg in self.legs] if self.bus_ok else []
         demand(frames == expected, f"{cause}: a Stop to each leg and nothing else; nothing to a bus at fault")
-        self.landing = None
+        self.landing, self.put_off = None, True
+        if self.energised or (self.rest_ns is not None and now_ns >= self.rest_ns):
+            self.rest_ns = None  # these Stops are the ones for legs at rest
         for servo in self.servos.values():
             servo.want = servo.bound_cdeg = None
             if self.bus_ok:
                 servo.written_cdeg = None
                 servo.stop(cause, self.instant_ns)
-                servo.owe(self.rules, now_ns)
+                self.owe((servo,), now_ns)
             else:
                 servo.owed = 0  # the bus that opens again is told to stop everything
         for leg in self.legs.values():
@@ -156,22 +161,7 @@ class Oracle(RobotHistory):
                 self._answered(effect.request.number)
         demand(not self.pending, "nothing waits any more")
 
-    def _in_time(
-        self,
-        event: Command
-        | Reset
-        | LeaseRequest
-        | ButtonRequest
-        | TimePassed
-        | StoppedOutside
-        | EstopKept
-        | Calibrate
-        | CalibrationSaved
-        | BodyMeasured
-        | PowerSeen,
-        now_ns: int,
-        effects: Sequence[Effect],
-    ) -> None:
+    def _in_time(self, event: Event, now_ns: int, effects: Sequence[Effect]) -> None:
         frames = [effect for effect in effects if isinstance(effect, Transmit)]
         if not self.bus_ok:
             demand(not frames, "nothing is sent while the bus is at fault")
@@ -210,25 +200,17 @@ class Oracle(RobotHistory):
             self.rest(effects, unowed, now_ns, ran=ran, silent=bool(watchdog))
         only_stops = isinstance(event, Command) and (not event.moves or bool(rejections_of(event.number, effects)))
         if self.rules.start_pause_ns and ((stops and only_stops) or watchdog):
-            self._queue_ended(event)
+            self.queue_ended(event)
 
     def _drop_starts(self) -> None:
         """With staggered starts, the watchdog's Stop ends what waits to be energised, before a command of the step."""
-        numbers = {servo.want.number for servo in self.servos.values() if servo.want is not None and not servo.on}
-        self._lost |= numbers
-        self._forget_lost()
+        self._lose({servo.want.number for servo in self.servos.values() if servo.want is not None and not servo.on})
 
-    def _forget_lost(self) -> None:
+    def _lose(self, numbers: set[int]) -> None:
         """Commands are rejected as a whole."""
+        self._lost |= numbers
         for servo in self.servos.values():
             servo.want = None if servo.want is not None and servo.want.number in self._lost else servo.want
-
-    def _queue_ended(self, event: Event) -> None:
-        """Whoever stops a leg does not want another to start a moment later."""
-        own = event.number if isinstance(event, Command) else None
-        for servo in self.servos.values():
-            waits = servo.want is not None and servo.want.number != own and servo.starts and not servo.on
-            demand(not waits, "with staggered starts, a Stop ends what waits to be energised")
 
     def _expired(self, now_ns: int) -> list[int]:
         """The legs that the watchdog must stop now, before anything else; they count as stopped from here on."""
@@ -238,7 +220,7 @@ class Oracle(RobotHistory):
         if unfed:
             unfed = list(self.legs) if self.rules.whole_robot else unfed
             self._stopped_unasked(unfed, now_ns)
-            self._forget_lost()
+            self._lose(set())
         return unfed + self._silent_legs(now_ns)
 
     def _silent_legs(self, now_ns: int) -> list[int]:
@@ -305,7 +287,7 @@ class Oracle(RobotHistory):
                 if servo.want is not None:
                     self._lost |= {servo.want.number}
                 servo.stop(Cause.WATCHDOG, self.instant_ns)
-                servo.owe(self.rules, now_ns)
+                self.owe((servo,), now_ns)
         if stopped and self.rules.start_pause_ns:
             self._drop_starts()
 
@@ -339,6 +321,7 @@ class Oracle(RobotHistory):
 
     def _command(self, command: Command, now_ns: int, effects: Sequence[Effect]) -> frozenset[int]:
         """Whether it must be accepted, and what it then wants: of a rejected one, its Stops. Returns what it stops."""
+        self._lose(self.of_burst(self.backlog.comes(command, now_ns)))
         reason, targets = self.reason_to_reject(command), command.targets
         reason = reason if command.rejected is None else command.rejected.reason
         named = tuple(target for target in targets if target[1].op is Op.STOP)
@@ -359,6 +342,7 @@ class Oracle(RobotHistory):
                 return frozenset()
         else:
             self.lease.heard(command.lease, now_ns)
+            self.hold_starts(command, now_ns)
         if self.rules.starts_whole and named:
             targets = tuple((servo_id, STOP) for servo_id in self.servos)
         running = [number for number in self.legs if self.armed(number)]
@@ -436,7 +420,7 @@ class Oracle(RobotHistory):
                 )
                 servo.written_cdeg = None
                 if servo_id in stops:
-                    servo.owe(self.rules, now_ns)
+                    self.owe((servo,), now_ns)
                 continue
             demand(servo_id not in held, f"{servo_id} is started before the power board has confirmed that it feeds it")
             demand(servo.on or op.op is Op.START, f"{servo_id} is set although it does not run")
@@ -444,6 +428,7 @@ class Oracle(RobotHistory):
                 demand(op.op is Op.SET and op.angle_cdeg == servo.written_cdeg, f"nobody asked for {op} of {servo_id}")
             else:
                 wanted, target = (Op.SET, servo.bound_cdeg or 0) if servo.want is None else servo.want[:2]
+                servo.bound_for = servo.bound_for if servo.want is None else servo.want.number
                 demand(op.op is wanted, f"{servo_id}: the newest target is sent")
                 stepped(servo, servo_id, op.angle_cdeg, target, now_ns, self.rules, self.calibration.gap)
             if not servo.on:
@@ -465,8 +450,11 @@ class Oracle(RobotHistory):
             demand(replaced == is_coalesced(effect.request), "replaced commands are answered as such")
         for servo in waits:
             servo.want = None  # a rejected command takes no effect any more
+        for servo in self.servos.values() if isinstance(effect, Rejected) else ():
+            if servo.bound_for == effect.request.number:
+                servo.bound_cdeg = servo.edge_ns = None  # nor does a servo go on to where it has sent it
 
-    def _after(self, now_ns: int, due_ns: int | None) -> None:
+    def _after(self, now_ns: int, due_ns: int | None, *, ran: bool) -> None:
         waited_for = {servo.want.number for servo in self.servos.values() if servo.want is not None}
         if self.rules.starts_whole:
             states = self.energised, self.alive
@@ -479,7 +467,7 @@ class Oracle(RobotHistory):
             return
         latest = self.head_of_queue(now_ns) + theirs
         self.landing = self.landing if self.energised else None
-        latest += self.next_rest(now_ns)
+        latest += self.next_rest(now_ns, ran=ran)
         watched = not self.buttons.closed or self.landing is not None
         demand(watched or not self.alive, "nothing runs while fewer buttons are alive than are required")
         self.power.after(self.alive, lands=self.landing is not None)
@@ -506,7 +494,7 @@ class Oracle(RobotHistory):
                 latest.append(slot_ns)
             for servo in servos:
                 if servo.owed:
-                    demand(now_ns < servo.owed_ns, "a Stop is repeated in time")
+                    demand(now_ns < servo.owed_ns or self.put_off, "a Stop is repeated in time")
                     latest.append(servo.owed_ns)
         in_time = due_ns is None if not latest else due_ns is not None and due_ns <= min(latest)
         demand(in_time, f"wakes up in time, if for anything: {due_ns}, not {latest}")

@@ -5,8 +5,7 @@ from collections.abc import Callable, Mapping
 from typing import Any, Final
 
 from gateway.model.power_board import SET_SUPPLY, CanFrame
-from gateway.robot.power.board import News, PowerBoard
-from gateway.robot.power.line import Status
+from gateway.robot.power.board import News, PowerBoard, Status
 from gateway.robot.power.offs import Confirmed
 from gateway.robot.power.simulated_board import SimulatedBoard
 from gateway.robot.runtime.supply import RobotSupply
@@ -36,9 +35,7 @@ class VirtualLine:
         """With its time (ms)."""
         self.on_news: Callable[[], None] = lambda: None
         self._status = Status()
-        self._seen: tuple[object, ...] = ()
         self._news: list[News | Confirmed] = []
-        self._changes = 0
         self._pump()
 
     def now_ns(self) -> int:
@@ -68,8 +65,7 @@ class VirtualLine:
         return self.now_ns() if self.listens else 0
 
     def want(self, servos: frozenset[int], number: int) -> None:
-        self._changes = number
-        self.board.want(servos, self.now_ns())
+        self.board.want(servos, number, self.now_ns())
         self._send()
 
     def cut(self) -> None:
@@ -107,14 +103,9 @@ class VirtualLine:
         self._hear([] if self.second is None else self.second.advance(self.now_ns()))
         self._send()
         self.board.look(self.now_ns())
-        board = self.board
-        known = board.alive, board.supplied, board.confirmed, board.lost, dict(board.refused)
-        fed = board.fed, self._changes
-        seen = *known, *fed
-        self._status = Status(*known, board.answered_ns, *fed, board.currents_ma, dict(board.rails))
-        self._news += board.news()
-        if self._news or seen != self._seen:
-            self._seen = seen
+        before, self._status = self._status, self.board.status
+        self._news += self.board.news()
+        if self._news or before[:7] != self._status[:7]:
             self._loop.call_soon(self.on_news)
         self._loop.call_later(PUMP_S, self._pump)
 

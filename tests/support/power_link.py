@@ -74,7 +74,7 @@ class Link:
     # ---- what the owner does
 
     def want(self, servos: frozenset[int]) -> None:
-        self.ours.want(servos, self.now_ns)
+        self.ours.want(servos, 0, self.now_ns)
 
     def want_anew(self, servos: frozenset[int]) -> None:
         self.want(frozenset())
@@ -178,7 +178,7 @@ def fed(*, pass_ns: int = 1_500_000) -> Link:
     link = Link(pass_ns=pass_ns)
     link.want(ALL_SERVOS)
     link.run(1500)
-    assert link.fed() == link.ours.supplied == ALL_SERVOS
+    assert link.fed() == link.ours.status.supplied == ALL_SERVOS
     assert link.ours.alive
     link.news.clear()
     return link

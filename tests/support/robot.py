@@ -8,6 +8,7 @@ import asyncio
 import itertools
 import json
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from typing import Any
 
 from pydantic import BaseModel
@@ -41,6 +42,9 @@ WALL_NS = 1_790_000_000_123_456_789
 class Robot:
     """One conductor and its controller. Make it inside a running (virtual) loop."""
 
+    start_wait_ns = 0
+    """Starts without `sent_ms` leave at once, unless a test is about bursts of them."""
+
     def __init__(
         self,
         sections: Mapping[str, Mapping[str, Any]] | None = None,
@@ -62,7 +66,7 @@ class Robot:
         self.instant_open = False
         self.conductor = Conductor(
             self.settings,
-            Supervisor(rules(self.settings)),
+            Supervisor(replace(rules(self.settings), start_wait_ns=self.start_wait_ns)),
             self.wire(),
             self,
             self.loop,
@@ -236,9 +240,9 @@ def started(**sections: Mapping[str, Any]) -> Robot:
 
 
 async def started_and_quiet(**sections: Mapping[str, Any]) -> Robot:
-    """The same, after the repeats of the Stops at the start, with nothing recorded yet."""
+    """The same, after the Stops at the start and all that follow them, with nothing recorded yet."""
     robot = started(**sections)
-    await asyncio.sleep(1)
+    await asyncio.sleep(6)
     robot.controller.transfers.clear()
     robot.reports.clear()
     return robot

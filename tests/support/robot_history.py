@@ -4,11 +4,12 @@ from collections.abc import Iterable, Sequence
 from typing import Self
 
 from gateway.model.calibration import RobotCalibration
-from gateway.model.frames import Frame, Op, leg_of, servo_ids_of, stop_leg
+from gateway.model.frames import STOP, Frame, OneServo, Op, leg_of, servo_ids_of, stop_leg
 from gateway.robot.core.events import Command, Effect, EstopKept, StoppedOutside, Transmit
 from gateway.robot.core.leg import Rules
 from schemas.robot import LEGS
 from schemas.telemetry import Kind, Mode, Reason
+from tests.support.backlog_history import BacklogHistory
 from tests.support.body_history import BodyHistory
 from tests.support.buttons_history import ButtonsHistory
 from tests.support.calibration_history import CalibrationHistory
@@ -46,6 +47,7 @@ class RobotHistory:
         self.buttons = ButtonsHistory(rules)
         self.body = BodyHistory(rules)
         self.power = PowerHistory(rules)
+        self.backlog = BacklogHistory(rules)
         self.fault = Kind.BUS_FAULT
         """Whether the bus is at fault because the controller does not answer."""
         self.calibration = CalibrationHistory(rules, calibration or RobotCalibration(), fault)
@@ -53,7 +55,17 @@ class RobotHistory:
         self.energised_leg: int | None = None
         self.energised_ns = 0
         self.rest_ns: int | None = None
-        """When the legs at rest must get a Stop, since others run."""
+        """When the legs at rest must get a Stop."""
+        self.runs_left = 0
+        """How many more runs of Stops are owed while nothing runs."""
+        self.settled_ns = 0
+        """From when a run is one of them: far enough behind the last Stop and its repeats."""
+        self.owing: list[ServoHistory] = []
+        """The servos that get a Stop in this step which is no repetition."""
+        self.together = False
+        """Whether all repeats may go with one that is due, since nothing runs."""
+        self.put_off = False
+        """Whether the repeats that are due may wait for the next step, since this one stops all legs."""
         self.queue: tuple[int, ...] = ()
         """Legs with a start that waits, in the order in which they came."""
 
@@ -72,6 +84,7 @@ class RobotHistory:
             buttons=self.buttons.clone(),
             body=cloned(self.body),
             power=cloned(self.power),
+            backlog=self.backlog.clone(),
         )
 
     def key(self, now_ns: int, rank: dict[int, int]) -> tuple[object, ...]:
@@ -101,7 +114,9 @@ class RobotHistory:
             landing,
             others,
             self.power.key(),
-            self.bus_ok and self.rest_ns and self.rest_ns - now_ns,
+            self.backlog.key(now_ns, [number for number in self.legs if self.waits_to_start(number)]),
+            self.bus_ok and self.rest_ns and max(0, self.rest_ns - now_ns),
+            self.bus_ok and self.runs_left and (self.runs_left, max(0, self.settled_ns - now_ns)),
         )
 
     def _ages(self, latched_ns: int, now_ns: int) -> tuple[int, int]:
@@ -113,6 +128,13 @@ class RobotHistory:
 
     def armed(self, leg: int) -> bool:
         return any(servo.on or servo.starts for servo in self.servos_of(leg))
+
+    def runs(self, leg: int) -> bool:
+        return any(servo.on for servo in self.servos_of(leg))
+
+    def waits_to_start(self, leg: int) -> bool:
+        """Whether it waits, and does not run."""
+        return self.armed(leg) and not self.runs(leg)
 
     def servos_of(self, leg: int) -> list[ServoHistory]:
         return [self.servos[servo_id] for servo_id in servo_ids_of(leg)]
@@ -186,8 +208,11 @@ class RobotHistory:
                 return Reason.SERVO_STOPPED
             if op.op is Op.SET and not servo.on and not servo.starts:
                 return Reason.SERVO_STOPPED
+        starts = {leg_of(servo_id) for _, servo_id, op in moves if op.op is Op.START}
         partly = 0 < len(moves) == len(command.targets) < len(self.servos)
-        return Reason.WHOLE_ROBOT if self.rules.starts_whole and partly and not self.alive else None
+        if self.rules.starts_whole and partly and not self.alive:
+            return Reason.WHOLE_ROBOT
+        return Reason.STALE if self.backlog.is_of_burst(command) and not all(map(self.runs, starts)) else None
 
     def unfit(self, moved: Iterable[ServoHistory]) -> Reason | None:
         """Why the body does not allow that these servos move."""
@@ -225,14 +250,26 @@ class RobotHistory:
         servos = [self.servos[servo_id] for servo_id, _ in transmit.frame.servos]
         for servo_id, _ in transmit.frame.servos:
             demand(not self.servos[servo_id].on, f"{servo_id} runs: its Stops are not repeated any more")
-        if transmit.joins or not all(servo.owed > 0 and servo.owed_ns <= now_ns for servo in servos):
+        owed = all(servo.owed > 0 and (self.together or servo.owed_ns <= now_ns) for servo in servos)
+        if transmit.joins or not owed:
             return [transmit]
         for servo in servos:
-            servo.owed -= 1
+            servo.owed -= not any(each is servo for each in self.owing)
             servo.owed_ns = now_ns + self.rules.repeat_interval_ns
         return []
 
     # ---- legs at rest
+
+    def owe(self, servos: Iterable[ServoHistory], now_ns: int) -> None:
+        """These get a Stop now, which is to be repeated."""
+        for servo in servos:
+            servo.owe(self.rules, now_ns)
+            self.owing.append(servo)
+
+    @property
+    def resting(self) -> list[int]:
+        """The legs of which no servo runs or waits to be started."""
+        return [number for number in self.legs if not self.armed(number)]
 
     def rest(
         self, effects: Sequence[Effect], unowed: Sequence[Transmit], now_ns: int, *, ran: bool, silent: bool
@@ -250,16 +287,24 @@ class RobotHistory:
             if isinstance(effect, Transmit) and effect.frame.is_stop and effect not in unowed
             for servo_id, _ in effect.frame.servos
         }
-        if at_once or (self.rest_ns is not None and now_ns >= self.rest_ns):
-            self.rest_ns = None
-            for number in self.legs:
+        started = not ran and bool(self.energised)
+        due = self.rest_ns is not None and now_ns >= self.rest_ns and not started
+        if (at_once or due) and self.resting:
+            final = False
+            if due and not ran and now_ns >= self.settled_ns:
+                self.runs_left -= 1
+                final = self.runs_left == 0
+            if due or ran:
+                self.rest_ns = None
+            for number in self.resting:
                 servos = servo_ids_of(number)
                 alone = any(not self.servos[each].owed and each not in stopped for each in servos)
-                if alone and not self.armed(number):
-                    expected += [(stop_leg(number), at_once)]
-                if not self.armed(number) and (came or (alone and at_once)):
-                    for servo in self.servos_of(number):
-                        servo.owe(self.rules, now_ns)
+                if alone:
+                    whole: list[Frame] = [stop_leg(number)]
+                    singly: list[Frame] = [OneServo(each, STOP) for each in servos]
+                    expected += [(frame, at_once) for frame in (singly if final else whole)]
+                if came or (alone and at_once):
+                    self.owe(self.servos_of(number), now_ns)
         found = [(transmit.frame, transmit.joins) for transmit in unowed]
         for frame, joins in found:
             demand((frame, joins) in expected, f"a Stop to {frame.servos[0][0]} that nobody owes")
@@ -267,14 +312,39 @@ class RobotHistory:
         last = [effect.joins for effect in effects if isinstance(effect, Transmit) and effect.frame.is_stop]
         demand(last == sorted(last), "Stops to legs at rest come after all others")
 
-    def next_rest(self, now_ns: int) -> list[int]:
-        """When legs at rest get a Stop, while others run."""
-        if not self.energised or all(self.armed(number) for number in self.legs):
-            self.rest_ns = None
+    def next_rest(self, now_ns: int, *, ran: bool) -> list[int]:
+        """When legs at rest get a Stop: while others run, and for a while after the last Stop."""
+        if self.energised:
+            self.runs_left = 0
+            if self.rest_ns is None or not ran:
+                self.rest_ns = now_ns + self.rules.rest_ns
+        else:
+            if self.owing:
+                more = not self.ended and self.rules.rest_runs > 0
+                self.runs_left = self.rules.rest_runs + 1 if more else 0
+                repeated_ns = now_ns + self.rules.repeats * self.rules.repeat_interval_ns
+                self.settled_ns = repeated_ns + self.rules.rest_run_ns
+            if not self.runs_left:
+                self.rest_ns = None
+            elif self.rest_ns is None:
+                self.rest_ns = max(self.settled_ns, now_ns + self.rules.rest_run_ns)
+        if self.rest_ns is None or not self.resting:
             return []
-        self.rest_ns = now_ns + self.rules.rest_ns if self.rest_ns is None else self.rest_ns
-        demand(now_ns < self.rest_ns, "legs at rest get a Stop in time, while others run")
+        demand(now_ns < self.rest_ns, "legs at rest get a Stop in time")
         return [self.rest_ns]
+
+    # ---- starts without a time
+
+    def of_burst(self, legs: Iterable[int]) -> set[int]:
+        """The commands whose starts of these legs wait, and are of a burst: they are rejected as a whole."""
+        wants = [servo.want for number in legs if not self.runs(number) for servo in self.servos_of(number)]
+        return {want.number for want in wants if want is not None}
+
+    def hold_starts(self, command: Command, now_ns: int) -> None:
+        """An accepted command: a leg that does not run waits for what may come behind its start."""
+        for number in {leg_of(servo_id) for servo_id, op in command.targets if op.op is Op.START}:
+            if not self.runs(number) and self.backlog.starts(command, number, armed=self.armed(number)):
+                self.legs[number].held_until_ns = now_ns + self.rules.start_wait_ns
 
     # ---- starts one after the other
 
@@ -282,6 +352,13 @@ class RobotHistory:
         if self.energised_leg not in (None, leg):
             demand(now_ns - self.energised_ns >= self.rules.start_pause_ns, "two legs are energised with a pause")
         self.energised_leg, self.energised_ns = leg, now_ns
+
+    def queue_ended(self, event: object) -> None:
+        """Whoever stops a leg does not want another to start a moment later."""
+        own = event.number if isinstance(event, Command) else None
+        for servo in self.servos.values():
+            waits = servo.want is not None and servo.want.number != own and servo.starts and not servo.on
+            demand(not waits, "with staggered starts, a Stop ends what waits to be energised")
 
     def head_of_queue(self, now_ns: int) -> list[int]:
         """With staggered starts: when the first leg that waits to be started must be sent at the latest."""

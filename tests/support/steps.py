@@ -95,7 +95,7 @@ def all_stopped(cause: str) -> list[str]:
 
 def staggered(pause_ms: float = 50) -> "Steps":
     """A robot whose legs are energised one after the other."""
-    return Steps(Rules(repeats=0, start_pause_ns=round(pause_ms * NS_PER_MS)))
+    return Steps(Rules(repeats=0, rest_runs=0, start_pause_ns=round(pause_ms * NS_PER_MS)))
 
 
 def _ns(at_ms: float) -> int:
@@ -103,7 +103,10 @@ def _ns(at_ms: float) -> int:
 
 
 class Steps:
-    """A supervisor whose bus was opened at 0 ms, a minute after the clock began. By default Stops are not repeated."""
+    """A supervisor whose bus was opened at 0 ms, a minute after the clock began.
+
+    By default Stops are not repeated, and no further runs of them follow at rest.
+    """
 
     def __init__(
         self,
@@ -113,7 +116,7 @@ class Steps:
         calibration: RobotCalibration | None = None,
         fault: str | None = None,
     ) -> None:
-        self.rules = rules or Rules(repeats=0)
+        self.rules = rules or Rules(repeats=0, rest_runs=0)
         self.supervisor = Supervisor(self.rules)
         if calibration is not None or fault is not None:
             self.supervisor.calibrating.load(calibration or RobotCalibration(), fault)

@@ -1,5 +1,7 @@
 """`hexapod-gateway decode`: the line for each frame, what is wrong with others, and the exit codes."""
 
+import json
+
 import pytest
 from typer.testing import CliRunner
 
@@ -36,6 +38,16 @@ def decode(*arguments: str) -> tuple[int, list[str]]:
 ])  # fmt: skip
 def test_legal_frames(arguments: list[str], lines: list[str]) -> None:
     assert decode(*arguments) == (0, lines)
+
+
+def test_for_programs_each_frame_is_an_object() -> None:
+    code, lines = decode("--json", LEG_3, STOP_32, "06")
+    servos = [{"id": 31, "op": "start", "angle_deg": 90.0}, {"id": 32, "op": "set", "angle_deg": 45.25}]
+    whole = {"bytes": LEG_3.replace(" ", ""), "leg": 3, "servos": [*servos, {"id": 33, "op": "stop"}]}
+    fault = {"bytes": "06", "fault": "byte 2 is missing; a frame starts with FRAME LEN and FRAME TYPE"}
+    single = {"bytes": STOP_32.replace(" ", ""), "leg": 3, "servos": [{"id": 32, "op": "stop"}]}
+    assert (code, [json.loads(line) for line in lines]) == (1, [whole, single, fault])
+    assert decode("--json", "zz") == (1, [json.dumps({"fault": "'zz' is not hexadecimal"})])
 
 
 @pytest.mark.parametrize(("arguments", "lines"), [

@@ -17,7 +17,7 @@ ROOMS: Final = (
     ("robot.settings", "robot.protocol", "people.physics"),
     ("robot.host", "people.incidents", "people.client"),
     ("robot.spi", "client", "people.terminal"),
-    ("robot.zenoh_io", "robot.power", "people.tools"),
+    ("robot.zenoh_io", "robot.power", "people.commands"),
     ("robot.blackbox", "people.console", "people.bridge", "people.recorder"),
     ("robot.runtime", "robot.wires"),
     ("robot.service",),

@@ -17,6 +17,7 @@ from pydantic import BaseModel
 from gateway.model.elkapod import Measured, answer
 from gateway.model.frames import OneServo, Op, ServoOp, stop_leg
 from gateway.model.framing import Framing
+from gateway.robot.core.backlog import START_WAIT_NS
 from gateway.robot.core.leg import Rules
 from gateway.robot.service import rules
 from gateway.robot.settings import Settings
@@ -61,7 +62,8 @@ SHOWN_ELSEWHERE = {
 
 
 def test_where_nothing_is_set_the_supervisor_has_its_own_defaults() -> None:
-    assert rules(Settings()) == Rules()
+    """But that starts without `sent_ms` wait: tests of single rules have these leave at once."""
+    assert rules(Settings()) == Rules(start_wait_ns=START_WAIT_NS)
 
 
 @pytest.mark.parametrize(("leg_rate_hz", "frames"), [(1, 4), (10, 13), (50, 53), (100, 101)])
@@ -141,7 +143,7 @@ async def test_landing_ms_and_landing(landing_ms: float, landing_deg: float) -> 
     robot = await started_and_quiet(watchdog={"landing_ms": landing_ms, "landing": {"31": landing_deg}, "repeats": 0})
     began = len(robot.frames)
     robot.put(LEG_3, START)
-    await asyncio.sleep(2)
+    await asyncio.sleep(1)
     times_ms = [at_ms for at_ms, _ in robot.frames[began:]]
     assert times_ms[-1] - times_ms[0] == pytest.approx(250 + landing_ms, abs=1)
     told = [frame.command.angle_cdeg for _, frame in robot.frames[began:] if isinstance(frame, OneServo)]
@@ -152,7 +154,7 @@ async def test_landing_ms_and_landing(landing_ms: float, landing_deg: float) -> 
 async def test_timeout_ms(timeout_ms: float) -> None:
     robot = await started_and_quiet(watchdog={"timeout_ms": timeout_ms, "repeats": 0})
     robot.put(LEG_3, START)
-    await asyncio.sleep(2)
+    await asyncio.sleep(timeout_ms / 1000 + 0.5)
     begun_ms, stopped_ms = [at_ms for at_ms, frame in robot.frames if frame.leg == 3]
     assert stopped_ms - begun_ms == pytest.approx(timeout_ms, abs=0.01)
     assert robot.conductor.state().watchdog.timeout_ms == timeout_ms

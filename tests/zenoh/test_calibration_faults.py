@@ -12,7 +12,7 @@ import pytest
 
 from gateway.client import Client
 from gateway.model.calibration import RobotCalibration, ServoMapping
-from gateway.people.tools.calibration import NotKeptYetError, once_kept
+from gateway.people.commands.calibration import NotKeptYetError, once_kept
 from gateway.robot.host import calibration_file
 from schemas.calibration import ServoChange
 from schemas.telemetry import Ack, Mode, Reason

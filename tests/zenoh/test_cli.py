@@ -12,7 +12,7 @@ import pytest
 import typer.main
 
 from gateway import cli
-from gateway.people.tools.reach import me
+from gateway.people.commands.reach import me
 from schemas.telemetry import Kind, Mode
 from tests.support.command import run_here
 from tests.support.fixtures import gateway_fixture

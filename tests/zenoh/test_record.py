@@ -65,8 +65,8 @@ def test_that_there_will_be_no_frames_is_reported_at_the_start(tmp_path: Path) -
 
 
 @contextmanager
-def recording(gateway: Gateway, path: Path) -> Iterator[Child]:
-    with gateway.begin("record", str(path)) as child:
+def recording(gateway: Gateway, path: Path, *options: str) -> Iterator[Child]:
+    with gateway.begin("record", str(path), *options) as child:
         child.wait_for_output("recording into", timeout_s=20)
         yield child
 
@@ -76,7 +76,7 @@ def test_all_that_the_gateway_publishes_is_in_the_file_and_as_the_files_own_sche
 ) -> None:
     path = tmp_path / "ride.mcap"
     heard, told = frames(robot), events(robot)
-    with recording(gateway, path) as child:
+    with recording(gateway, path, "--csv") as child:
         with walking(robot):
             heard.wait(lambda _: len(heard.all) > 300)
         assert not robot.set_leg(1, 90, 90, 90).accepted
@@ -105,6 +105,9 @@ def test_all_that_the_gateway_publishes_is_in_the_file_and_as_the_files_own_sche
     assert len(found[JOINT_STATES][-1].name) == 18
     assert found[LOG]
     assert json.loads(about.metadata["watchdog"])["timeout_ms"] == 2000, "whose recording it is"
+    rows = path.with_suffix(".csv").read_text().splitlines()
+    assert len(rows) == 1 + len(found[STATE]) + len(found[FRAME])
+    assert any(row.count(",45.0,") == 6 for row in rows), "all six legs ran"
 
     again = gateway.run("record", str(path))
     assert again.returncode == 2
@@ -131,6 +134,13 @@ def test_a_killed_recorder_leaves_all_but_the_newest(gateway: Gateway, robot: Cl
         assert found == expected[first : first + len(found)], "none is missing between the first and the last"
         lost_s = (end_ns - found[-1]["monotonic_ns"]) / 1e9
         assert lost_s < 1, "a tenth of a second, and what a busy machine adds"
+
+
+@pytest.mark.parametrize("given", [(), ("--csv", "--live"), ("ride.bag",)], ids=" ".join)
+def test_it_asks_for_what_to_make(given: tuple[str, ...]) -> None:
+    ended = run_here("record", *given)
+    assert ended.returncode == 2
+    assert ".mcap" in ended.stderr
 
 
 def test_without_a_gateway_no_file_is_made(tmp_path: Path) -> None:

@@ -40,7 +40,9 @@ def test_it_is_announced_once_and_again_the_next_time() -> None:
 
 
 def test_the_stops_are_repeated_although_the_program_has_ended() -> None:
-    robot = Steps(Rules(repeats=2))
+    robot = Steps(Rules(repeats=2, rest_runs=0))
+    for at_ms in (20, 40):
+        robot.time(at_ms)
     robot.outside(100, at_work=True)
     robot.outside(105, at_work=False)
     assert robot.time(120) == all_stopped("repeat")

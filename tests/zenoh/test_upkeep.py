@@ -11,7 +11,7 @@ import pytest
 from gateway import certs
 from gateway.certs import expiry
 from gateway.client import Client
-from gateway.people.tools.status import topics
+from gateway.people.commands.status import topics
 from tests.support.command import run_here
 from tests.support.gateway_process import Gateway, free_port
 

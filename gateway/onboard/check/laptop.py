@@ -15,7 +15,7 @@ from gateway.people.client import diagnosis
 from gateway.people.client.blocking import Client
 from gateway.people.client.diagnosis import Finding, Stage
 from gateway.people.client.requests import Identity
-from gateway.people.tools import why
+from gateway.people.commands import why
 from gateway.zenoh_config import client_config, connect_endpoints
 from schemas.telemetry import CertificateReport, RevocationsReport
 

@@ -8,6 +8,7 @@ select between the transfers of a call, and a controller that needs it then obey
 that comes back to the gateway, so a person is asked whether the servo is loose.
 """
 
+import math
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -17,16 +18,15 @@ from typing import Final
 from gateway.errors import ConfigError
 from gateway.model.protocols import SpiProtocol
 from gateway.model.telemetry import starts_whole
-from gateway.onboard.check.outputs import ServoCurrents, finding
 from gateway.own_command import command
 from gateway.people.client.blocking import Client
+from gateway.people.commands.driving import drives, rejected
+from gateway.people.commands.moving import ServoMotion, consents, lying, ready, stopped_after
+from gateway.people.commands.reach import Connection, show_differences
 from gateway.people.terminal import ask, say
-from gateway.people.tools.driving import drives, rejected
-from gateway.people.tools.moving import ServoMotion, consents, lying, ready, stopped_after
-from gateway.people.tools.reach import Connection, show_differences
 from gateway.robot.spi.machine import SELECT_BY_GPIO
 from schemas.robot import LEGS, MAX_DEG, SERVO_IDS
-from schemas.telemetry import Ack, GatewayState, Reason, WatchdogState
+from schemas.telemetry import Ack, GatewayState, Reason, Telemetry, WatchdogState
 
 DEFAULT_SERVO: Final = 61
 """Of the leg whose Stop is the last of six in a call."""
@@ -35,6 +35,8 @@ _HOLD_S: Final = 1.5
 """At each angle: long enough to reach it from anywhere, and to be seen."""
 _REST_S: Final = 0.5
 """For some reports of what servos draw at rest: ten a second are published."""
+LEAST_RISE_A: Final = 0.05
+"""A servo at rest draws some 8 mA, one that moves at least 100: less shows nothing."""
 _PERIOD_S: Final = 0.05
 """A fifth of the default watchdog timeout."""
 
@@ -64,22 +66,21 @@ _FIRST: Final = (
 
 def causes(state: GatewayState) -> tuple[str, ...]:
     """Why a servo may stand still though every frame was written; the likeliest first."""
-    return (*((_OTHER_OUTPUT,) if state.power is not None else ()), *_causes(state))
-
-
-def _causes(state: GatewayState) -> tuple[str, ...]:
+    output = (_OTHER_OUTPUT,) if state.power is not None else ()
     supply = (
         "Supply: have the servos one of their own, and is it switched on? A servo that runs holds against your hand."
     )
     plugged = "The servo: is it plugged in where its id says (the leg, then the joint)? Try another one."
     if starts_whole(state):
         return (
+            *output,
             supply,
             "UART: does the Pi's TX lead to the controller's RX? Its heartbeat comes by the other wire.",
             "Wiring: does MOSI lead from the Pi to the controller? Its answers come by MISO, so SCLK works.",
             plugged,
         )
     return (
+        *output,
         supply,
         f"Framing: the gateway speaks {state.spi.framing}. The published STM32 firmware needs length-prefixed, a "
         "controller that follows the protocol's document plain. Know which one is there before you change it: nothing "
@@ -105,29 +106,30 @@ def move(connect: Connection, *, agreed: bool) -> int:
             say(_SILENT.format(status=command("status")))
             return 1
         held = lying(client, state) if whole else {}
-        motion = _motion(DEFAULT_SERVO, "", held) if agreed else _asked(held)
+        usual = ServoMotion(DEFAULT_SERVO, held.get(DEFAULT_SERVO, DEFAULT_ANGLE_DEG), held)
+        motion = usual if agreed else _asked(held)
         servo_id = motion.servo_id
         if not consents(motion, state, agreed=agreed):
             say("Nothing was moved.")
             return 1
         state = ready(client)  # the questions took their time
-        currents = ServoCurrents()
         with (
-            _measured(client, state, currents),
+            _measured(client, state) as currents,
             drives(client, _HOLD_S, moves=True),
             stopped_after(
                 "all servos are" if whole else f"servo {servo_id} is",
                 partial(_stop, client, None if whole else servo_id),
             ),
         ):
-            currents.moves()
+            if currents is not None:
+                currents.moves()
             if not (_moved(client, motion, state.watchdog.timeout_ms) and _accepted(client.stop())):
                 return 1
             if state.simulated:
                 say("A simulated controller took it: no servo is there to move.")
             say(f"All six legs were stopped at once, servo {servo_id} with them.")
-            if _tells_outputs(state):
-                say(finding(servo_id, currents.rest, currents.moving))
+            if currents is not None:
+                say(currents.finding(servo_id))
             if agreed:
                 say("Every frame was written, and SPI has no way back: look whether it moved, and whether it is loose.")
                 return 0
@@ -147,36 +149,69 @@ def move(connect: Connection, *, agreed: bool) -> int:
     return 0
 
 
-def _tells_outputs(state: GatewayState) -> bool:
-    """Whether the current shows if the board's output for a servo feeds it.
+class ServoCurrents:
+    """The highest current under each name, at rest and then from `moves` on, in A: the board's, of what it feeds."""
 
-    Where supply is what starts a servo, the one at that output moves, whichever it is.
-    """
-    return state.power is not None and state.controller.protocol == SpiProtocol.HEXAPOD_1_0
+    def __init__(self) -> None:
+        """At rest."""
+        self.rest: dict[str, float] = {}
+        self.moving: dict[str, float] = {}
+        self._seen = self.rest
+
+    def moves(self) -> None:
+        """The servo is started now."""
+        self._seen = self.moving
+
+    def take(self, telemetry: Telemetry) -> None:
+        """What the board measured."""
+        for name, servo in (telemetry.servos or {}).items():
+            if servo.current_a is not None:
+                self._seen[name] = max(servo.current_a, self._seen.get(name, 0.0))
+
+    def finding(self, servo_id: int) -> str:
+        """What the currents show of a servo that was moved, as a sentence."""
+        name = str(servo_id)
+        rise_a = self.moving.get(name, 0.0) - self.rest[name] if name in self.rest else 0.0
+        if rise_a >= LEAST_RISE_A:
+            return f"The power board's output for servo {servo_id} feeds it ({rise_a * 1000:.0f} mA more than at rest)."
+        return (
+            f"The power board has measured no current of servo {servo_id}: the output that power.servos gives to it "
+            "feeds another servo, or none. If it did not move, see by the plugs which one it is, and exchange the two."
+        )
 
 
 @contextmanager
-def _measured(client: Client, state: GatewayState, currents: ServoCurrents) -> Iterator[None]:
-    """Take the currents meanwhile, and those at rest first."""
-    if not _tells_outputs(state):
-        yield
+def _measured(client: Client, state: GatewayState) -> Iterator[ServoCurrents | None]:
+    """Take the currents meanwhile, and those at rest first; None where these do not show which output feeds a servo.
+
+    Where supply is what starts a servo, the one at that output moves, whichever it is.
+    """
+    if state.power is None or state.controller.protocol != SpiProtocol.HEXAPOD_1_0:
+        yield None
         return
+    currents = ServoCurrents()
     subscriber = client.watch_telemetry(currents.take)
     try:
         time.sleep(_REST_S)
-        yield
+        yield currents
     finally:
         subscriber.undeclare()
 
 
 def _asked(held: Mapping[int, float]) -> ServoMotion:
-    servo_id = _servo(ask(f"Which servo, 11 to 63? [{DEFAULT_SERVO}] "))
-    usual_deg = held.get(servo_id, DEFAULT_ANGLE_DEG)
-    return _motion(servo_id, ask(f"Start it at which angle? [{usual_deg:g}] "), held)
-
-
-def _motion(servo_id: int, text: str, held: Mapping[int, float]) -> ServoMotion:
-    return ServoMotion(servo_id, _angle(text, held.get(servo_id, DEFAULT_ANGLE_DEG)), held)
+    """Raises ConfigError for what is no servo, or no angle."""
+    text = ask(f"Which servo, 11 to 63? [{DEFAULT_SERVO}] ") or str(DEFAULT_SERVO)
+    if not (text.isdigit() and int(text) in SERVO_IDS):
+        raise ConfigError(f"{text!r} is no servo: the leg, 1 to 6, then the joint, 1 to 3")
+    usual_deg = held.get(int(text), DEFAULT_ANGLE_DEG)
+    angle = ask(f"Start it at which angle? [{usual_deg:g}] ") or str(usual_deg)
+    try:
+        angle_deg = float(angle)
+    except ValueError:
+        angle_deg = math.nan
+    if not 0 <= angle_deg <= MAX_DEG:
+        raise ConfigError(f"{angle!r} is no angle: 0 to 180 degrees")
+    return ServoMotion(int(text), angle_deg, held)
 
 
 def _moved(client: Client, motion: ServoMotion, timeout_ms: float) -> bool:
@@ -203,12 +238,17 @@ def _stop(client: Client, servo_id: int | None) -> str:
 
 def _held(client: Client, servo_id: int, again: Callable[[], Ack], timeout_ms: float) -> bool:
     """Set it again and again for a while; whether each was accepted."""
+
+    def expired() -> bool:
+        watchdogs = {leg.leg: leg.watchdog for leg in client.state().legs}
+        return watchdogs.get(servo_id // 10) == WatchdogState.EXPIRED
+
     period_s = min(_PERIOD_S, timeout_ms / 5000)
     begun_s = before_s = time.monotonic()
     while before_s < begun_s + _HOLD_S:
         ack = again()
         apart_ms = (time.monotonic() - before_s) * 1000
-        if ack.reason == Reason.SERVO_STOPPED and _is_expired(client.state(), servo_id):
+        if ack.reason == Reason.SERVO_STOPPED and expired():
             say(
                 f"The watchdog stopped servo {servo_id}: this machine's commands came some {apart_ms:.0f} ms apart, "
                 f"and {timeout_ms:g} ms of silence are allowed. The robot is well; the way to it is slow, or this "
@@ -222,32 +262,7 @@ def _held(client: Client, servo_id: int, again: Callable[[], Ack], timeout_ms: f
     return True
 
 
-def _is_expired(state: GatewayState, servo_id: int) -> bool:
-    """Whether the servo's leg was silent for too long."""
-    return any(leg.leg == servo_id // 10 and leg.watchdog == WatchdogState.EXPIRED for leg in state.legs)
-
-
 def _accepted(ack: Ack) -> bool:
     if not ack.accepted:
         rejected(ack)
     return ack.accepted
-
-
-def _servo(text: str) -> int:
-    if not text:
-        return DEFAULT_SERVO
-    if text.isdigit() and int(text) in SERVO_IDS:
-        return int(text)
-    raise ConfigError(f"{text!r} is no servo: the leg, 1 to 6, then the joint, 1 to 3")
-
-
-def _angle(text: str, usual_deg: float) -> float:
-    if not text:
-        return usual_deg
-    try:
-        angle_deg = float(text)
-    except ValueError:
-        angle_deg = -1.0
-    if 0 <= angle_deg <= MAX_DEG:
-        return angle_deg
-    raise ConfigError(f"{text!r} is no angle: 0 to 180 degrees")

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from gateway.people.tools.options import ConnectOption, OtherShapeOption, TimeoutOption, ZenohConfigOption
+from gateway.people.commands.options import ConnectOption, OtherShapeOption, TimeoutOption, ZenohConfigOption
 
 app = typer.Typer()
 
@@ -75,7 +75,7 @@ def ros2(
     """
     from gateway.people.bridge import run
     from gateway.people.bridge.parameters import Parameters
-    from gateway.people.tools import reach
+    from gateway.people.commands import reach
 
     sys.exit(
         run.serve(

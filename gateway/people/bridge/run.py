@@ -16,9 +16,9 @@ from gateway.people.bridge.reports import CHANNELS, PERIOD_S, Reports
 from gateway.people.bridge.topics import Topics
 from gateway.people.client.dangers import UNCONFIRMED, confirmed_off
 from gateway.people.client.subscriptions import subscribed
+from gateway.people.commands.reach import Connection
 from gateway.people.ros2.joints import JointNames, JointsError
 from gateway.people.terminal import hint, on_end_signals, say
-from gateway.people.tools.reach import Connection
 from gateway.text import visible
 
 try:

@@ -133,14 +133,6 @@ def look(endpoint: str, identity: Identity, end_s: float) -> Iterator[Finding]:
         yield from _tls(connection, host, identity, end_s) if tls else _plain(connection, end_s)
 
 
-def demands_certificate(endpoint: str, identity: Identity, timeout_s: float = TIMEOUT_S) -> bool:
-    """Whether a listener of the CA in `identity` rejects a TLS client without a certificate."""
-    nobody = Identity(ca=identity.ca, verify_name=False)  # the certificate may lack its address
-    if identity.ca is None or not endpoint.startswith("tls/"):
-        return False
-    return any(each.sentence == _SHOWS_NONE for each in look(endpoint, nobody, time.monotonic() + timeout_s))
-
-
 def own_certificates(identity: Identity, now: dt.datetime) -> Iterator[Finding]:
     """The validity of this machine's certificates, by its clock."""
     for path in (identity.ca, identity.certificate):

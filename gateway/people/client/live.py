@@ -70,10 +70,7 @@ class ReportQueue:
     """A queue from Zenoh's threads to one reader. At most `most` reports wait, which limits memory."""
 
     def __init__(self, models: Mapping[str, type[BaseModel]], most: int, physics: str | None = None) -> None:
-        """`models`: the report of each key. An entry with another key (`put`) is delivered without a report.
-
-        `physics`: that of the newest state; later states replace it.
-        """
+        """`models`: the report of each key. `physics`: that of the newest state; later states replace it."""
         self._models = models
         self._most = most
         self._physics = physics
@@ -97,7 +94,7 @@ class ReportQueue:
         with subscribed(session, {key: partial(receive, key) for key in self._models}):
             yield
 
-    def put(self, key: str, payload: bytes = b"") -> None:
+    def put(self, key: str, payload: bytes) -> None:
         """Put in an entry, received now. For any thread."""
         if self._waiting.qsize() >= self._most:
             self.dropped += 1
@@ -116,8 +113,6 @@ class ReportQueue:
             if found is None:
                 return None
             key, payload, time_ns = found
-            if key not in self._models:
-                return ReceivedReport(key, {}, time_ns)
             try:
                 self._models[key].model_validate_json(payload)
             except ValidationError:

@@ -7,13 +7,13 @@ from typing import Final
 from gateway import __version__
 from gateway.errors import WalkError
 from gateway.geometry import Geometry
-from gateway.people.console.auth import SignedIn
-from gateway.people.console.listener import Admitted
-from gateway.people.console.messages import Hello
-from gateway.people.console.page_tasks import EndError
-from gateway.people.console.pages import Page, Pages, Shared
-from gateway.people.console.sessions import Sessions
-from gateway.people.console.websocket import POLICY_VIOLATION, ClosedError, WebSocket
+from gateway.people.console.pages.page_messages import Hello
+from gateway.people.console.pages.page_tasks import EndError
+from gateway.people.console.pages.pages import Page, Pages, Shared
+from gateway.people.console.server.auth import SignedIn
+from gateway.people.console.server.listener import Admitted
+from gateway.people.console.server.sessions import Sessions
+from gateway.people.console.server.websocket import POLICY_VIOLATION, ClosedError, WebSocket
 from gateway.people.walking import Engine, Robot
 from schemas.robot import JOINTS
 

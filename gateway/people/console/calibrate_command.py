@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from gateway.people.tools.options import ConnectOption, TimeoutOption, ZenohConfigOption
+from gateway.people.commands.options import ConnectOption, TimeoutOption, ZenohConfigOption
 
 if TYPE_CHECKING:
-    from gateway.people.tools.reach import Connection
+    from gateway.people.commands.reach import Connection
 
 app = typer.Typer(
     invoke_without_command=True,
@@ -26,7 +26,7 @@ YesOption = Annotated[bool, typer.Option("--yes", help="Without asking first.")]
 
 
 def _reach(connect: str | None, zenoh_config: Path | None, timeout_s: float) -> "Connection":
-    from gateway.people.tools.reach import connection
+    from gateway.people.commands.reach import connection
 
     return connection(connect, zenoh_config, timeout_s, source="hexapod-gateway calibrate")
 
@@ -47,7 +47,7 @@ def guide(
 @app.command()
 def show(connect: ConnectOption = None, zenoh_config: ZenohConfigOption = None, timeout: TimeoutOption = 2.0) -> None:
     """Print the calibration in force, all 18 servos."""
-    from gateway.people.tools import calibration
+    from gateway.people.commands import calibration
 
     sys.exit(calibration.show(_reach(connect, zenoh_config, timeout)))
 
@@ -68,7 +68,7 @@ def set_servo(
     timeout: TimeoutOption = 2.0,
 ) -> None:
     """Change one servo, in the values that are given. The servo must not run."""
-    from gateway.people.tools import calibration
+    from gateway.people.commands import calibration
 
     wanted = {"trim_deg": trim, "inverted": inverted, "min_deg": lowest, "max_deg": highest}
     sys.exit(calibration.set_servo(_reach(connect, zenoh_config, timeout), servo, wanted))
@@ -77,7 +77,7 @@ def set_servo(
 @app.command()
 def export(connect: ConnectOption = None, zenoh_config: ZenohConfigOption = None, timeout: TimeoutOption = 2.0) -> None:
     """Print the whole calibration as JSON, for `import` and for programs."""
-    from gateway.people.tools import calibration
+    from gateway.people.commands import calibration
 
     sys.exit(calibration.export(_reach(connect, zenoh_config, timeout)))
 
@@ -91,7 +91,7 @@ def import_file(
     timeout: TimeoutOption = 2.0,
 ) -> None:
     """Replace the whole calibration by a file's: a servo that the file does not name is as drawn."""
-    from gateway.people.tools import calibration
+    from gateway.people.commands import calibration
 
     sys.exit(calibration.import_file(_reach(connect, zenoh_config, timeout), file, agreed=yes))
 
@@ -105,7 +105,7 @@ def landing(
     timeout: TimeoutOption = 2.0,
 ) -> None:
     """Record the landing pose: the angles of the servos that run now."""
-    from gateway.people.tools import calibration
+    from gateway.people.commands import calibration
 
     sys.exit(calibration.landing(_reach(connect, zenoh_config, timeout), leg or [], agreed=yes))
 
@@ -118,6 +118,6 @@ def accept_default(
     timeout: TimeoutOption = 2.0,
 ) -> None:
     """Replace a broken or foreign calibration file by the default: all servos as drawn."""
-    from gateway.people.tools import calibration
+    from gateway.people.commands import calibration
 
     sys.exit(calibration.accept_default(_reach(connect, zenoh_config, timeout), agreed=yes))

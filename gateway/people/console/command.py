@@ -8,11 +8,11 @@ from typing import Final, NoReturn
 from urllib.parse import urlsplit
 
 from gateway.errors import ConfigError, UnreachedError
-from gateway.people.console import sessions
 from gateway.people.console.options import Options
-from gateway.people.console.sessions import Sessions
-from gateway.people.console.site import CONSOLE_PORT, DEFAULT_ADDRESS, address_of, free_address, site
-from gateway.people.console.sockets import address_in, inherited
+from gateway.people.console.server import sessions
+from gateway.people.console.server.sessions import Sessions
+from gateway.people.console.server.site import CONSOLE_PORT, DEFAULT_ADDRESS, address_of, free_address, site
+from gateway.people.console.server.sockets import address_in, inherited
 from gateway.people.terminal import hint, say
 
 NEEDS: Final = ("websockets", "segno")

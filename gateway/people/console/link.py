@@ -19,9 +19,9 @@ from gateway.people.client.blocking import Client
 from gateway.people.client.confirmed_stop import REQUESTS_AT_ONCE
 from gateway.people.client.live import Live, OnLoop, Receiver, set_upright
 from gateway.people.client.silence import LOOK_EVERY_S
-from gateway.people.console.messages import LinkMessage
-from gateway.people.console.presence import GatewayPresence
-from gateway.people.tools import why
+from gateway.people.commands import why
+from gateway.people.console.pages.page_messages import LinkMessage
+from gateway.people.console.pages.presence import GatewayPresence
 from schemas.telemetry import Ack, BodyReport, Event, GatewayState, Telemetry
 
 T = TypeVar("T")

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from gateway.people.console.messages import Role
+from gateway.people.console.pages.page_messages import Role
 
 
 @dataclass(frozen=True)

@@ -19,19 +19,19 @@ import segno
 from gateway import certs
 from gateway.geometry import Geometry, load
 from gateway.host import descriptors, logs, realtime
-from gateway.people.console import sessions
 from gateway.people.console.app import MAX_CLOSING, MAX_PAGES, Console
-from gateway.people.console.auth import Auth
 from gateway.people.console.link import STACK_BYTES, GatewayLink
-from gateway.people.console.listener import MAX_SIGNED_IN, MAX_UNKNOWN, HttpListener, report
-from gateway.people.console.messages import ROLES, Role, least
 from gateway.people.console.options import Options
-from gateway.people.console.pages import Pages, Shared
-from gateway.people.console.sessions import LINK_S, Sessions
-from gateway.people.console.site import Site
-from gateway.people.console.sockets import listening
-from gateway.people.console.stops import Stops, send_stopping
-from gateway.people.console.tls import server_context
+from gateway.people.console.pages.page_messages import ROLES, Role, least
+from gateway.people.console.pages.page_stops import Stops, send_stopping
+from gateway.people.console.pages.pages import Pages, Shared
+from gateway.people.console.server import sessions
+from gateway.people.console.server.auth import Auth
+from gateway.people.console.server.listener import MAX_SIGNED_IN, MAX_UNKNOWN, HttpListener, report
+from gateway.people.console.server.sessions import LINK_S, Sessions
+from gateway.people.console.server.site import Site
+from gateway.people.console.server.sockets import listening
+from gateway.people.console.server.tls import server_context
 from gateway.people.terminal import hint, say
 from gateway.zenoh_config import client_config, get
 

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from gateway.errors import ConfigError
-from gateway.people.tools.options import ConnectOption, OtherShapeOption, TimeoutOption, ZenohConfigOption
+from gateway.people.commands.options import ConnectOption, OtherShapeOption, TimeoutOption, ZenohConfigOption
 
 app = typer.Typer()
 
@@ -40,13 +40,13 @@ def record(
     Foxglove, Lichtblick, Rerun and ROS 2's tools open it (docs/recordings.md). Frames are in it where the gateway
     publishes them (telemetry.frames).
     """
-    from gateway.people.recorder.record import record
-    from gateway.people.tools import reach
-
     if file is None and (csv or not live):
         raise ConfigError("name the file to make, such as ride.mcap, or show the robot in a viewer with --live")
     if file is not None and file.suffix != ".mcap":
         raise ConfigError(f"{file}: name the file with .mcap, by which viewers know it: {file.with_suffix('.mcap')}")
+    from gateway.people.commands import reach
+    from gateway.people.recorder.record import record
+
     ended = record(
         reach.connection(connect, zenoh_config, timeout, source="hexapod-gateway record"),
         file,

@@ -10,10 +10,10 @@ from typing import Any, Final
 from gateway.errors import ConfigError, GatewayError
 from gateway.geometry import load
 from gateway.people.client.live import ReportQueue
+from gateway.people.commands.reach import Connection
 from gateway.people.recorder.recording import HOST, REPORTS, Recording, about
 from gateway.people.recorder.table import Table
 from gateway.people.terminal import clear_line, hint, on_end_signals, say, show_line
-from gateway.people.tools.reach import Connection
 from schemas.keys import CALIBRATION, EVENT, FRAME, STATE
 from schemas.telemetry import GatewayState
 

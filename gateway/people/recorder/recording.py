@@ -23,6 +23,7 @@ from schemas.telemetry import BodyReport, Event, FrameRecord, GatewayState, Tele
 
 try:
     import foxglove
+    import rosbags  # noqa: F401  # `cdr` can be imported without
     from foxglove.mcap import MCAPWriteOptions
     from foxglove.websocket import ChannelView, ServerListener
     from foxglove.websocket import Client as Viewer

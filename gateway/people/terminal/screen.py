@@ -20,8 +20,8 @@ from rich.live import Live
 from rich.text import Text
 
 from gateway.errors import GatewayError
-from gateway.people.client.stops import UntilConfirmed
 from gateway.people.client.subscriptions import reports, subscribed
+from gateway.people.client.until_confirmed import UntilConfirmed
 from gateway.people.terminal import hint
 from gateway.people.terminal.keyboard import Keyboard, keys_at_once, wake_on_signals
 from gateway.people.terminal.stop_status import Remark, StopStatus, Tone

@@ -39,15 +39,12 @@ class StopStatus:
     def __init__(self) -> None:
         self.wanted_ns: int | None = None
         """Since when a Stop is requested and not confirmed; None: there is none."""
-        self.estop: int | None = None
-        """The number of the latest emergency stop that is known."""
         self.outcome: Remark | None = None
         """What became of the latest confirmed request."""
         self.power = PowerAlarm()
         """Whether the power board confirms it; its shell hands over states and events."""
         self._pressed_ns = 0
         self._tries = 0
-        self._estopped = False
 
     def press(self, now_ns: int) -> None:
         """A Stop key was pressed."""
@@ -62,7 +59,6 @@ class StopStatus:
 
     def confirm(self, ack: Ack, newer_ns: int | None, now_ns: int) -> None:
         """The gateway confirms the presses before `newer_ns`; None: all of them."""
-        self.estop = max(self.estop or 0, ack.estop or 0)
         frames = ack.stop_frames or 0
         took_ms = (now_ns - self._pressed_ns) / 1e6
         self.wanted_ns = newer_ns
@@ -78,21 +74,6 @@ class StopStatus:
         else:
             text = f"LATCHED, BUT ONLY {frames} OF {len(LEGS)} STOP FRAMES WERE WRITTEN: switch the servos' power off"
             self.outcome = Remark(Tone.BAD, text, now_ns)
-
-    def receive_state(self, estop: int, *, estopped: bool) -> None:
-        """The gateway's state; `estop` is the number of its latest emergency stop."""
-        self.estop = estop
-        if self._estopped and not estopped and self.outcome is not None and self.outcome.tone is not Tone.BAD:
-            self.outcome = None  # the robot may move again
-        self._estopped = estopped
-
-    def state_shows_estop(self, now_ns: int) -> None:
-        """A state that is no older than the one before shows the emergency stop: requests that failed are over."""
-        if self.wanted_ns is not None and self._tries:
-            # The reply was lost, or somebody else engaged it where this laptop may not.
-            self.wanted_ns = None
-            text = "ESTOPPED, as its state says; nobody confirmed the Stop frames"
-            self.outcome = Remark(Tone.NOTE, text, now_ns)
 
     def reset(self) -> None:
         """The person asks for the reset, so no Stop is wanted."""

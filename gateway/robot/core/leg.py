@@ -25,8 +25,19 @@ class Rules:
 
     Shorter than `RESYNC_NS` of the bus: with the preamble ahead of these Stops, the stream needs no other one.
     """
+    rest_runs: int = 3
+    """How many more runs of Stops follow the last Stop's repeats while nothing runs (Behaviour 4); no setting.
+
+    One more follows these, with a frame for each servo: no bytes that are lost of it can start one.
+    """
+    rest_run_ns: int = 1_100 * NS_PER_MS
+    """How far these runs are apart: the published firmware gives up a frame after 1000 ms, and then reads lengths."""
     period_ns: int = NS_PER_S // 50
     start_pause_ns: int = 0
+    start_wait_ns: int = 0
+    """How long a start without a time waits for what may come behind it (Behaviour 19); 0: no burst is looked for."""
+    window_ns: int = 20 * NS_PER_MS
+    """In which so many messages without a time on one key are a burst; not a setting, nor is `start_wait_ns`."""
     unnumbered_reset_ns: int = 2 * NS_PER_S
     """How old the latest emergency stop must be for a reset that does not say which one it leaves (Behaviour 5)."""
     joint_limits_cdeg: dict[int, tuple[int, int]] = field(default_factory=dict)
@@ -90,6 +101,8 @@ class Servo:
     """Where it stands once it is fed, where its supply starts it: the angle that was on the wire before."""
     target_cdeg: int | None = None
     """Where it is bound for, while its speed is limited and it is not there yet."""
+    target_for: Command = NO_COMMAND
+    """Which command set that target."""
     since_ns: int = 0
     """From when the time for its next step counts."""
     passing_cdeg: int | None = None

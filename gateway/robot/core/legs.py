@@ -17,7 +17,8 @@ from gateway.robot.core.leg import NO_COMMAND, Leg, Rules, Servo, servos_of
 from gateway.robot.core.leg_effects import as_it_is, stops, taken_over, withdrawn
 from gateway.robot.core.pacing import NEVER, RateSlots, StartQueue, merged
 from gateway.robot.core.power import held_starts, look_at_supply
-from gateway.robot.core.speed import step
+from gateway.robot.core.rest import RestStops, rest_stops
+from gateway.robot.core.speed import LimitedSpeeds
 from schemas.keys import LEGS_COMMAND
 from schemas.robot import LEGS
 from schemas.telemetry import Cause, Reason
@@ -36,6 +37,7 @@ class Legs:
     def __init__(self, rules: Rules, reach: AngleLimits) -> None:
         self._rules = rules
         self._reach = reach
+        self._speeds = LimitedSpeeds(rules, reach)
         self.by_number = {number: Leg(number, servos_of(number), RateSlots(rules.period_ns)) for number in LEGS}
         self._all = tuple(self.by_number.values())
         self.servos = {servo.servo_id: servo for leg in self._all for servo in leg.servos}
@@ -44,11 +46,12 @@ class Legs:
         self.due_ns: int | None = None
         """When a deadline, a repeat or a rate slot comes next; like the next two as of the last `look`."""
         self.repeat_ns: int | None = None
-        """When the next repeated Stop comes."""
+        """When the next repeated Stop comes, or one for legs at rest."""
         self.at_rest = True
         """Whether no servo of any leg runs."""
-        self.rest_ns: int | None = None
-        """When legs at rest get their next Stop; None: none is at rest, or none runs."""
+        self.rest = RestStops(rules)
+        self._stops = False
+        """Whether a servo gets a first Stop in this step."""
         self._moved: list[Leg] | None = None
         """The only legs that this step has changed; None: any may have changed."""
         self.given: set[int] = set()
@@ -74,7 +77,7 @@ class Legs:
         if self._fed:  # the supply of what was stopped went with it
             self._fed = frozenset([each for each in self._fed if each in self.servos and self.servos[each].will_run])
         self.given = set()
-        self._silent = False
+        self._silent = self._stops = False
 
     def look(self, now_ns: int) -> None:
         """A step ends: see what is due next, and whether anything runs. Legs that did not change are left out."""
@@ -109,11 +112,12 @@ class Legs:
             repeat_ns = leg.repeat_ns if leg.repeat_ns < repeat_ns else repeat_ns
             at_rest = at_rest and not leg.runs
             rests = rests or leg.rests
-        if at_rest or not rests:
-            self.rest_ns = None
-        else:
-            self.rest_ns = now_ns + self._rules.rest_ns if self.rest_ns is None else self.rest_ns
-            due_ns, repeat_ns = min(due_ns, self.rest_ns), min(repeat_ns, self.rest_ns)
+        if at_rest or self.at_rest or self.rest.due_ns is None:
+            self.rest.plan(now_ns, at_rest=at_rest, stopped=self._stops)
+            self._stops = False
+        if rests and self.rest.due_ns is not None:
+            due_ns = self.rest.due_ns if self.rest.due_ns < due_ns else due_ns
+            repeat_ns = self.rest.due_ns if self.rest.due_ns < repeat_ns else repeat_ns
         self.due_ns = None if due_ns == NEVER else due_ns
         self.repeat_ns = None if repeat_ns == NEVER else repeat_ns
         self.at_rest = at_rest
@@ -146,8 +150,13 @@ class Legs:
         return min(landing.ends_ns, max(self.land_ns, leg.slots.next_ns) if landing.moves(leg.servos) else NEVER)
 
     def repeat_stops(self, now_ns: int) -> list[Effect]:
-        """The repeated Stops that are due."""
-        return [effect for leg in self for effect in self._repeat(leg, now_ns)]
+        """The repeated Stops that are due.
+
+        Where nothing runs, all that are owed go with the first of them: one run, with one preamble.
+        """
+        due = any(servo.repeats_left and now_ns >= servo.repeat_ns for servo in self.servos.values())
+        together = due and self.at_rest
+        return [effect for leg in self for effect in self._repeat(leg, now_ns, together=together)] if due else []
 
     def take_slots(self, now_ns: int) -> list[Effect]:
         """The frames of the legs whose rate slot has come."""
@@ -157,27 +166,36 @@ class Legs:
     def stop_at_rest(self, now_ns: int) -> list[Effect]:
         """Stops to legs at rest, since a servo may run that nobody started; to be called at the end of a step.
 
-        A controller that lost bytes may take a frame for another servo's start. A leg for which a Stop leaves in this
+        A controller that lost bytes may take a frame, also a Stop, for a start. A leg for which a Stop leaves in this
         step anyway, or is still to be repeated, gets no other.
         """
         ran = not self.at_rest and bool(self.given)
         come_to_rest = ran and not any(servo.running for servo in self.servos.values())
         at_once = come_to_rest or self._silent
-        if not at_once and (self.rest_ns is None or now_ns < self.rest_ns):
+        due = self.rest.due_ns is not None and now_ns >= self.rest.due_ns
+        if due and self.at_rest:  # a start ends these runs, and waits for none
+            due = not any(servo.running for servo in self.servos.values())
+        resting = [leg for leg in self if not leg.armed] if at_once or due else []
+        if not resting:
             return []
-        self.rest_ns, self._moved = None, None
-        effects: list[Effect] = []
-        for leg in self:
-            if leg.armed:
-                continue
+        singly = (due or not self.at_rest) and self.rest.take(now_ns, is_run=due and self.at_rest)
+        self._moved, effects = None, list[Effect]()
+        for leg in resting:
             stops = any(not servo.repeats_left and servo.servo_id not in self.given for servo in leg.servos)
             if stops:
-                effects += [Transmit(stop_leg(leg.number), Cause.REPEAT, joins=at_once)]
+                effects += rest_stops(leg, joins=at_once, singly=singly)
                 self.given.update(servo.servo_id for servo in leg.servos)
             if come_to_rest or (stops and at_once):
                 for servo in leg.servos:
                     self._stopped(servo, now_ns)
         return effects
+
+    def lose_bus(self, reason: Reason, detail: str) -> list[Effect]:
+        """The bus is at fault: nothing waits or is owed any more. Once it opens again, all are stopped anew."""
+        for servo in self.servos.values():
+            servo.repeats_left = 0
+        self.rest.forget()
+        return self.drop(self.servos.values(), reason, detail)
 
     # ---- commands
 
@@ -301,7 +319,7 @@ class Legs:
             return []
         leg.slots.take(now_ns)
         if limited:
-            waiting = self._in_steps(leg, now_ns)
+            waiting = self._speeds.in_steps(leg, now_ns)
         frame: OneLeg | OneServo
         if waiting[1:]:  # a servo that nothing waits for is sent what it does already
             first, second, third = leg.servos
@@ -348,44 +366,6 @@ class Legs:
             return False
         self._queue.started(leg.number, now_ns)
         return True
-
-    def _in_steps(self, leg: Leg, now_ns: int) -> list[tuple[Servo, ServoOp]]:
-        """What the frame that goes out now says, where speeds are limited: for each servo a step towards its target."""
-        said: list[tuple[Servo, ServoOp]] = []
-        for servo in leg.servos:
-            if servo.waiting is None and servo.target_cdeg is not None:
-                servo.waiting, servo.waiting_for = SETS[servo.target_cdeg], NO_COMMAND
-            if servo.waiting is None:
-                continue
-            speed_cdeg_s = self._rules.max_speed_cdeg_s.get(servo.servo_id)
-            if servo.waiting.op is not OP_STOP:
-                target_cdeg, servo.target_cdeg = servo.waiting.angle_cdeg, None
-                stands_cdeg = servo.angle_cdeg
-                if stands_cdeg is None and self._rules.angles_first:
-                    stands_cdeg, servo.since_ns = servo.announced_cdeg, now_ns
-                if speed_cdeg_s is None or stands_cdeg is None:
-                    servo.since_ns = now_ns  # a servo that does not run may be anywhere, so its start is no step
-                else:
-                    angle_cdeg = self._step(servo, stands_cdeg, target_cdeg, speed_cdeg_s, now_ns)
-                    servo.waiting = ServoOp(servo.waiting.op, angle_cdeg)
-                    servo.target_cdeg = None if angle_cdeg == target_cdeg else target_cdeg
-            said.append((servo, servo.waiting))
-        if len(said) > 1:
-            for servo in leg.servos:
-                if servo.waiting is None:
-                    servo.since_ns = now_ns  # the frame repeats its angle, and the next step counts from here
-        return said
-
-    def _step(self, servo: Servo, stands_cdeg: int, target_cdeg: int, speed_cdeg_s: int, now_ns: int) -> int:
-        """Where the next frame takes a running servo whose speed is limited."""
-        crosses = self._reach.crosses(servo.servo_id, stands_cdeg, target_cdeg)
-        from_cdeg = servo.passing_cdeg if crosses and servo.passing_cdeg is not None else stands_cdeg
-        at_cdeg, servo.since_ns = step(
-            from_cdeg, target_cdeg, speed_cdeg_s, servo.since_ns, now_ns, self._rules.period_ns
-        )
-        sent_cdeg = self._reach.near_side(servo.servo_id, stands_cdeg, at_cdeg)
-        servo.passing_cdeg = None if sent_cdeg == at_cdeg else at_cdeg
-        return sent_cdeg
 
     # ---- landing
 
@@ -444,11 +424,13 @@ class Legs:
         return [*transmits, *self.drop(servos, reason, detail), *self._empty_start_queue()]
 
     def _stopped(self, servo: Servo, now_ns: int) -> None:
+        self._stops = True
         self.given.add(servo.servo_id)
         servo.angle_cdeg = servo.target_cdeg = servo.announced_cdeg = None
+        if not servo.repeats_left:  # else the next one stays where it is
+            servo.repeat_ns = now_ns + self._rules.repeat_interval_ns
         servo.repeats_left = self._rules.repeats
         servo.passing_cdeg = None
-        servo.repeat_ns = now_ns + self._rules.repeat_interval_ns
 
     def _empty_start_queue(self, own: Command | None = None) -> list[Effect]:
         """A Stop anywhere ends what waits to be energised: who stops one leg does not want another to start now.
@@ -485,15 +467,17 @@ class Legs:
         for servo in self.servos.values():  # what is rejected here must not take effect on another leg
             if servo.waiting is not None and servo.waiting_for in rejected:
                 servo.waiting = servo.announced_cdeg = None
+            if servo.target_cdeg is not None and servo.target_for in rejected:  # nor go on where it has begun to
+                servo.target_cdeg = servo.passing_cdeg = None
         for number in tuple(self._queue.legs):
             if not self.by_number[number].waits_to_start:
                 self._queue.leave(number)
         return [withdrawn(command, reason, detail) for command in rejected]
 
-    def _repeat(self, leg: Leg, now_ns: int) -> list[Effect]:
-        due = [servo for servo in leg.servos if servo.repeats_left and now_ns >= servo.repeat_ns]
+    def _repeat(self, leg: Leg, now_ns: int, *, together: bool) -> list[Effect]:
+        due = [servo for servo in leg.servos if servo.repeats_left and (together or now_ns >= servo.repeat_ns)]
         for servo in due:
+            servo.repeats_left -= servo.servo_id not in self.given  # a first Stop of this step owes all of its repeats
             self.given.add(servo.servo_id)
-            servo.repeats_left -= 1
             servo.repeat_ns = now_ns + self._rules.repeat_interval_ns
         return stops(leg, due, Cause.REPEAT)

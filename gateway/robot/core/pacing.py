@@ -44,6 +44,10 @@ class RateSlots:
     next_ns: int = 0
     """When the next frame may go out."""
 
+    def wait_until(self, until_ns: int) -> None:
+        """No frame goes out before this time."""
+        self.next_ns = until_ns if until_ns > self.next_ns else self.next_ns
+
     def take(self, now_ns: int) -> None:
         """A frame goes out now and uses up the oldest slot that the bucket still holds."""
         kept_ns = now_ns - (BUCKET - 1) * self.period_ns

@@ -15,9 +15,9 @@ The rules, by their numbers in docs/interface.md, *Behaviour*:
     the timeout. A Stop for one servo does not keep the others of its leg running.
     Deadlines come before a command of the same step: a command that was late does not save its leg.
     Every Stop is repeated, until its servo is started again.
-    Legs at rest get Stops as well, since a controller that lost bytes may run a servo that nobody started: when the
-    watchdog stops a leg, when the last servo comes to rest, and every 0.8 s while others run (`Legs.stop_at_rest`).
-    None goes to a leg that runs or waits to be started, none takes a rate slot, and none precedes a first Stop.
+    Legs at rest get Stops as well, since lost bytes may run a servo that nobody started (`Legs.stop_at_rest`): with a
+    silent leg's Stop and the last one's, every 0.8 s while others run, and four times after the last Stop. None takes a
+    rate slot or precedes a first Stop. No Stop that is owed moves to a later time.
  5. The emergency stop stops six legs and latches; `Reset` leaves the latch and nothing else. Each request is numbered,
     and a reset names the latest number, so that no reset that was sent before an emergency stop leaves it.
     What an earlier run has left engaged is engaged; until that is known (`EstopKept`), it counts as engaged.
@@ -41,6 +41,7 @@ The rules, by their numbers in docs/interface.md, *Behaviour*:
     names all of them, and leaves with the last leg's rate slot; whatever stops one of them stops all in the same step.
 17. With a power board, a start waits until its servo is fed, and its leg's watchdog with it (`power`); what the board
     feeds no longer is stopped, and all that runs is stopped, or lands, when it does not answer.
+19. A leg that does not run takes no start from a burst of messages without a time (`backlog`).
 
 `StoppedOutside` reports `stop-servos` at work on the same device. All legs count as stopped and get a Stop from here
 too, since one may have been started after its Stop from outside. Until that program is known to have ended, no Start or
@@ -56,6 +57,7 @@ from typing import Final, assert_never
 from gateway.allowance import NS_PER_MS
 from gateway.model.angle_limits import AngleLimits
 from gateway.model.frames import OP_SET
+from gateway.robot.core.backlog import Backlog
 from gateway.robot.core.body_limits import BodyLimits
 from gateway.robot.core.buttons import Buttons
 from gateway.robot.core.calibrating import Calibrating
@@ -113,6 +115,7 @@ class Supervisor:
         self._rules = rules
         self._reach = AngleLimits(rules.joint_limits_cdeg, rules.landing_cdeg, rules.avoid_cdeg)
         self.calibrating, self.legs = Calibrating(self._reach), Legs(rules, self._reach)
+        self.backlog = Backlog(rules, self.legs)
         self.lease, self.buttons = RobotLease(rules), Buttons(rules)
         self.body, self.power = BodyLimits(rules), PowerRule(rules)
         self.wants_measurements = self.body.watches
@@ -220,15 +223,19 @@ class Supervisor:
     # ---- events
 
     def _command(self, command: Command, now_ns: int) -> list[Effect]:
-        rejected = command.rejected
+        rejected, dropped = command.rejected, list[Effect]()
         if rejected is None:
-            rejection = self._rejection(command)
+            dropped = self.backlog.note(command, now_ns)
+            rejection = self._rejection(command) or self.backlog.rejection(command, now_ns)
             if rejection is None:
                 if command.lease is not None:
                     self.lease.heard(command.lease, now_ns)
-                return self.legs.apply(command, now_ns)
+                self.backlog.hold(command, now_ns)
+                effects = self.legs.apply(command, now_ns)
+                return [*dropped, *effects, *self.legs.take_slots(now_ns)] if dropped else effects
             rejected = Rejected(command, *rejection)
-        return self.legs.stop_for(command, rejected, now_ns, write=not self._ended) if self._bus_ok else [rejected]
+        stops = self.legs.stop_for(command, rejected, now_ns, write=not self._ended) if self._bus_ok else [rejected]
+        return [*dropped, *stops]
 
     def _rejection(self, command: Command) -> tuple[Reason, str] | None:
         """Why the command as a whole takes no effect; None: it does."""
@@ -352,7 +359,7 @@ class Supervisor:
         # One that restarted and does not come back is silent, which a person has to see to.
         stays_away = event.kind is Kind.CONTROLLER_SILENT and self._fault is Kind.CONTROLLER_RESTARTED
         self.legs.landing = None  # the bus that opens again stops everything, and lands nothing
-        effects = self.legs.drop(self.legs.servos.values(), Reason.BUS_FAULT, _BUS_FAULT)
+        effects = self.legs.lose_bus(Reason.BUS_FAULT, _BUS_FAULT)
         if first or stays_away:
             self._fault = event.kind
             effects.append(Announce(event.kind, event.detail))
@@ -360,6 +367,7 @@ class Supervisor:
 
     def _shut_down(self, now_ns: int) -> list[Effect]:
         self._ended = True
+        self.legs.rest.runs = 0
         self.lease.end()
         stopped = "all servos are stopped" if self._bus_ok else "the SPI bus does not answer, so no Stop can be sent"
         announcement = Announce(Kind.STOPPING, f"the gateway ends; {stopped}")

@@ -1,8 +1,9 @@
 """What is sent to the power board and when, and what its answers mean. No I/O, no clock: frames and times in and out.
 
 - **Off** goes out at once, and again every 20 ms until it is confirmed, for 2 s.
-- **On** waits until the board's counter is at rest: 5 ms behind its answer. It is only sent while the board answers, so
-  that no queue of a broken link delivers it later.
+- **On** waits until each off is confirmed, or late, and the board's counter is at rest: 5 ms behind its answer. The
+  board answers once all are on, so that six go on at a time. It is only sent while the board answers, so that no queue
+  of a broken link delivers it later.
 - **Confirmed** is an answer 6B that was given after the mask had reached the board (offs.py). The board answers
   questions in its receive interrupt, masks later: so one that comes behind the answer to a question that was sent after
   the mask (questions.py).
@@ -53,9 +54,9 @@ STEP_NS: Final = 54 * NS_PER_MS
 LASTS_NS: Final = 1000 * NS_PER_MS
 """Without a frame of its kind for this long, a state that was reported once has ended, and is reported again."""
 
-
 _OFF_PRESSED: Final = "somebody pressed the power board's off button"
 _GOING_OFF: Final = "somebody has asked the power board to switch the whole robot off, and it does in 1 s"
+_SIXES: Final = (0o77, 0o77 << 6, 0o77 << 12)
 NOTHING: Final = -1
 """No mask has this number, or a smaller one."""
 
@@ -68,6 +69,31 @@ class News(NamedTuple):
     servos: frozenset[int] = frozenset()
 
 
+class Status(NamedTuple):
+    """What is known of the board at one time. Servos by their ids."""
+
+    alive: bool = False
+    """Whether it answers."""
+    supplied: frozenset[int] = frozenset()
+    """Fed, when it last said so."""
+    confirmed: bool = False
+    """It has confirmed that all is off which is to be off."""
+    lost: frozenset[int] = frozenset()
+    """Wanted, and not fed, though we have not taken their supply."""
+    refused: Mapping[int, str] = {}
+    """Blocked by the board, so not fed whatever is wanted: why."""
+    fed: frozenset[int] = frozenset()
+    """Confirmed to be fed, since that was last wanted."""
+    changes: int = 0
+    """The number of the newest `want`."""
+    answered_ns: int | None = None
+    """When it last answered; None: never."""
+    currents_ma: Mapping[int, int] = {}
+    """What each servo draws, as far as measured since the board answers."""
+    rails: Mapping[int, tuple[int, ...]] = {}
+    """The newest answers about rails, by the question's identifier, in mA, mV and °C."""
+
+
 class PowerBoard:
     """One board. Each method belongs to one owner at a time; `now_ns` is monotonic and the same clock for all."""
 
@@ -77,8 +103,8 @@ class PowerBoard:
         self._bit = {servo: 1 << place for place, servo in enumerate(outputs)}
         self._news: deque[News | Confirmed] = deque()
         # What is wanted. Nothing is sent before the first want or cut.
-        self._begun = False
-        self._cut = False
+        self._begun = self._cut = False
+        self._changes = 0
         self._wanted = 0
         self._lost = 0
         self._unknown = 0
@@ -101,7 +127,7 @@ class PowerBoard:
         self._started_ns: int | None = None
         # What was answered.
         self.alive = False
-        self.answered_ns: int | None = None
+        self._answered_ns: int | None = None
         self._shown = 0
         self._fed: dict[int, int] = {}
         """Outputs that the board has confirmed to feed, and when."""
@@ -114,10 +140,13 @@ class PowerBoard:
 
     # ---- what the owner says
 
-    def want(self, servos: frozenset[int], now_ns: int) -> None:
-        """From now on exactly these are to be fed. After `cut`, nothing until this was called with no servos."""
+    def want(self, servos: frozenset[int], number: int, now_ns: int) -> None:
+        """From now on exactly these are to be fed. After `cut`, nothing until this was called with no servos.
+
+        `number`: of this change of what is wanted, for `status`.
+        """
         mask = self._mask(servos)
-        self._begun = True
+        self._begun, self._changes = True, number
         self._lost &= mask
         self._unknown &= mask
         if self._cut and mask:
@@ -126,7 +155,7 @@ class PowerBoard:
         if mask & ~self._wanted:
             self._on_until_ns = now_ns + REPEAT_FOR_NS
         self._wanted = mask
-        if not self._errors.deletes:
+        if self._errors.due_ns is None:
             self._lost |= mask & self._errors.mask
         self._settle(now_ns)
 
@@ -151,7 +180,7 @@ class PowerBoard:
     def clear_errors(self, now_ns: int) -> None:
         """Delete all errors of the board, so that it feeds what it has blocked, once that is wanted anew."""
         self._errors.delete(now_ns)
-        self._questions.judge_boards_anew()
+        self._questions.doubles = 0  # somebody may have unplugged one of two boards
         self._seen_ns.clear()
 
     def not_sent(self, frames: Iterable[CanFrame], now_ns: int) -> None:
@@ -166,7 +195,7 @@ class PowerBoard:
         """The interface was opened: nothing that was asked before is answered any more."""
         self._started_ns = now_ns if self._started_ns is None else self._started_ns
         self._questions.opened(now_ns)
-        self._again(now_ns)
+        self._anew(self._off.unconfirmed, now_ns)
 
     def closed(self, why: str, now_ns: int) -> None:
         """The interface is gone, so the board is silent."""
@@ -176,39 +205,25 @@ class PowerBoard:
     # ---- what the owner reads
 
     @property
-    def supplied(self) -> frozenset[int]:
-        """The servos that the board fed when it last said so."""
-        return self._named(self._shown)
-
-    @property
-    def fed(self) -> frozenset[int]:
-        """The servos that the board has confirmed to feed, since they were last wanted."""
-        return self._named(sum(1 << place for place in self._fed))
-
-    @property
     def confirmed(self) -> bool:
         """Whether the board has confirmed that all is off which is to be off."""
         return self._begun and not self._off.unconfirmed and not self._errors.two_boards
 
     @property
-    def lost(self) -> frozenset[int]:
-        """Wanted servos that are not fed, though we have not taken their supply."""
-        return self._named(self._lost)
-
-    @property
-    def refused(self) -> Mapping[int, str]:
-        """Servos that the board feeds no more, whatever is wanted: why, in words."""
-        return {self._servos[place]: why for place, why in self._errors.blocked.items()}
-
-    @property
-    def currents_ma(self) -> Mapping[int, int]:
-        """What each servo draws, as far as measured since the board answers."""
-        return {self._servos[place]: ma for place, ma in self._milliamperes.items()}
-
-    @property
-    def rails(self) -> Mapping[int, tuple[int, ...]]:
-        """The newest answers to questions about rails, by the question's identifier, in mA, mV and °C."""
-        return self._rails
+    def status(self) -> Status:
+        """What is known of the board now."""
+        return Status(
+            self.alive,
+            self._named(self._shown),
+            self.confirmed,
+            self._named(self._lost),
+            {self._servos[place]: why for place, why in self._errors.blocked.items()},
+            self._named(sum(1 << place for place in self._fed)),
+            self._changes,
+            self._answered_ns,
+            {self._servos[place]: ma for place, ma in self._milliamperes.items()},
+            dict(self._rails),
+        )
 
     def news(self) -> list[News | Confirmed]:
         """What has happened since the last call."""
@@ -229,8 +244,8 @@ class PowerBoard:
             return
         if not self.alive:
             self.alive = True
-            self._again(now_ns)
-        self.answered_ns = now_ns
+            self._anew(self._off.unconfirmed, now_ns)
+        self._answered_ns = now_ns
         self._questions.answered(now_ns)
         match answer:
             case Supplied(mask):
@@ -310,8 +325,7 @@ class PowerBoard:
         target = self._target
         self._off.feed(target)
         self._anew(ALL & ~target & ~self._unknown & ~self._off.mask, now_ns)
-        for place in [place for place in self._fed if not target >> place & 1]:
-            del self._fed[place]
+        self._fed = {place: at_ns for place, at_ns in self._fed.items() if target >> place & 1}
 
     def _anew(self, mask: int, now_ns: int) -> None:
         """These are off, and are to be confirmed by a mask that is yet to be sent."""
@@ -319,10 +333,6 @@ class PowerBoard:
         if mask:
             self._repeat_until_ns = now_ns + REPEAT_FOR_NS
             self._leave_ns = now_ns
-
-    def _again(self, now_ns: int) -> None:
-        """The link is new, or the board answers again: what it has not confirmed is sent again, for the whole time."""
-        self._anew(self._off.unconfirmed, now_ns)
 
     def _mask_due_ns(self) -> int | None:
         """When the next mask is due; None: none is."""
@@ -335,17 +345,23 @@ class PowerBoard:
             repeat_ns = max(sent_ns + REPEAT_NS, self._answer_ns + REST_NS)
             due_ns += [repeat_ns] if repeat_ns < self._repeat_until_ns else []
         target = self._target if self.alive else 0
-        if target & ~self._sent:
+        if self._next_on:
             due_ns.append(self._rest_ns)
         elif any(target >> place & 1 and place not in self._fed for place in range(OUTPUTS)):
             repeat_ns = max(sent_ns + REPEAT_ON_NS, self._rest_ns)
             due_ns += [repeat_ns] if repeat_ns < self._on_until_ns else []
         return min(due_ns, default=None)
 
+    @property
+    def _next_on(self) -> int:
+        waits = not self.alive or (self._off.unconfirmed and not self._unconfirmed)
+        on = 0 if waits else self._target & ~self._sent
+        return next((on & six for six in _SIXES if on & six), 0)
+
     def _send(self, now_ns: int) -> CanFrame:
-        """The mask as it may be now: what goes off always, what comes on only while the counter is at rest."""
-        target = self._target
-        before, self._sent = self._sent, target if self.alive and now_ns >= self._rest_ns else self._sent & target
+        """The mask as it may be now."""
+        before = self._sent
+        self._sent = before & self._target | (self._next_on if now_ns >= self._rest_ns else 0)
         self._number += 1
         if self._sent & ~before:
             self._on_number = self._number

@@ -4,6 +4,7 @@ A stopped servo that draws was not stopped on its wire; a running one that draws
 """
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Final
 
 from gateway.allowance import NS_PER_MS, NS_PER_S
@@ -21,15 +22,13 @@ IN_A_ROW: Final = 2
 """Measurements that show a stopped servo's current, before its supply is taken for it: one may be wrong."""
 
 
+@dataclass(slots=True)
 class _Judged:
-    __slots__ = ("drawing", "nothing_since_ns", "reported", "running", "since_ns")
-
-    def __init__(self, running: bool, since_ns: int) -> None:
-        self.running = running
-        self.since_ns = since_ns
-        self.nothing_since_ns: int | None = None
-        self.drawing = 0
-        self.reported = False
+    running: bool
+    since_ns: int
+    nothing_since_ns: int | None = None
+    drawing: int = 0
+    reported: bool = False
 
 
 class CurrentRules:

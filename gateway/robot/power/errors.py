@@ -42,7 +42,7 @@ class BoardErrors:
     def mask(self) -> int:
         """The outputs that are blocked."""
         mask = 0
-        for error in self._errors.values():
+        for error in self._errors.values():  # thousands of times a second in a flood
             mask |= explained(error)[1]
         return mask
 
@@ -52,13 +52,8 @@ class BoardErrors:
         return TWO_BOARDS in self._errors
 
     @property
-    def deletes(self) -> bool:
-        """Whether they are being deleted."""
-        return self._tries > 0
-
-    @property
     def due_ns(self) -> int | None:
-        """When `next_frame` has something to send; None: never."""
+        """While they are deleted: when `next_frame` has something to send. None: they are not."""
         return self._due_ns if self._tries else None
 
     def delete(self, now_ns: int) -> None:

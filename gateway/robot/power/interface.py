@@ -15,7 +15,6 @@ FILTERS: Final = [
 ]
 """The board's identifiers, 60 to 9F."""
 
-
 BITRATE: Final = 1_000_000
 """The board's, which its firmware fixes."""
 

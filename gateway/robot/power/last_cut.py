@@ -67,9 +67,8 @@ class LastCut:
             self._questions.answered(now_ns)
         match answer:
             case Supplied(mask):
-                self.confirmed = self.confirmed or (
-                    mask == 0 and self._questions.reached > 0 and not self._questions.two_boards
-                )
+                proven = self._questions.reached > 0 and not self._questions.doubles  # another board may feed them
+                self.confirmed = self.confirmed or (mask == 0 and proven)
                 self._due_ns = max(self._due_ns, now_ns + REST_NS)
             case Rails(question):
                 self._questions.answered_about_rails(CanFrame(question), now_ns)
@@ -111,27 +110,21 @@ class SupplyCut:
 
     def _run(self) -> None:
         self._stops_written.wait(START_S)
-        why = "the power board does not answer"
-        end_ns = None
-        while not self.confirmed and (end_ns is None or time.monotonic_ns() < end_ns):
-            bus = None
+        why, end_ns = "the power board does not answer", 0
+        while not self.confirmed and (not end_ns or time.monotonic_ns() < end_ns):
             try:
-                bus = self._opener(self._settings)
-            except LineError as error:
-                why = str(error)
-                time.sleep(_RETRY_S)
+                try:
+                    bus = self._opener(self._settings)
+                finally:
+                    self._tried.set()
+                    end_ns = end_ns or time.monotonic_ns() + TRY_NS
+                self.confirmed = _cut(bus, self._settings, end_ns)
             except ConfigError as error:
                 why = str(error)
                 break
-            finally:
-                self._tried.set()
-            end_ns = end_ns or time.monotonic_ns() + TRY_NS
-            if bus is None:
-                continue
-            try:
-                self.confirmed = _cut(bus, self._settings, end_ns)
             except Exception as error:  # from any of python-can's interfaces: another attempt is all that helps
-                why = f"{self._settings.interface} {self._settings.channel}: {error}"
+                where = "" if isinstance(error, LineError) else f"{self._settings.interface} {self._settings.channel}: "
+                why = f"{where}{error}"
                 time.sleep(_RETRY_S)
         if not self.confirmed:
             self._say(not_confirmed(why), False)

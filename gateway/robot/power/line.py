@@ -12,16 +12,15 @@ takes it. So a sender that hangs delays no Stop on SPI, and that the board is si
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
-from operator import itemgetter
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Final
 
 from gateway.allowance import NS_PER_S
 from gateway.host import realtime
 from gateway.model.power_board import CanFrame, set_supply
-from gateway.robot.power.board import News, PowerBoard
+from gateway.robot.power.board import News, PowerBoard, Status
 from gateway.robot.power.interface import BusyError, LineError, open_bus, received, send
 from gateway.robot.power.offs import Confirmed
 from gateway.robot.sections import PowerSettings
@@ -43,39 +42,12 @@ AT_ONCE: Final = 64
 others off the processor."""
 PAUSE_S: Final = 0.001
 
-
 STOPS_S: Final = 0.001
 """Behind the mask of a cut, the Stops on SPI have the interpreter to themselves for so long."""
 _NOTHING: Final = set_supply(0)
 
 
-class Status(NamedTuple):
-    """What is known of the board at one time. Servos by their ids."""
-
-    alive: bool = False
-    """Whether it answers."""
-    supplied: frozenset[int] = frozenset()
-    """Fed, when it last said so."""
-    confirmed: bool = False
-    """It has confirmed that all is off which is to be off."""
-    lost: frozenset[int] = frozenset()
-    """Wanted, and not fed, though we have not taken their supply."""
-    refused: Mapping[int, str] = {}
-    """Blocked by the board: why."""
-    answered_ns: int | None = None
-    """When it last answered; None: never."""
-    fed: frozenset[int] = frozenset()
-    """Confirmed to be fed, since that was last wanted."""
-    changes: int = 0
-    """The number of the newest `want` that the board has carried out or is carrying out."""
-    currents_ma: Mapping[int, int] = {}
-    rails: Mapping[int, tuple[int, ...]] = {}
-    """By the question's identifier (gateway.model.power_board)."""
-
-
-_SHOWN: Final = itemgetter(
-    *map(Status._fields.index, ("alive", "supplied", "confirmed", "lost", "refused", "fed", "changes"))
-)
+_SHOWN: Final = slice(Status._fields.index("answered_ns"))
 """What of a status is news."""
 
 
@@ -112,10 +84,8 @@ class PowerLine:
         self._bus: can.BusABC | None = None
         self._received_from: can.BusABC | None = None
         self._closing = self._cuts = False
-        self._retry_ns = self._changes = 0
+        self._retry_ns = 0
         self.status = Status()
-        self.fault: str | None = "it has not been opened yet"
-        """Why the interface is not open; None: it is."""
         self.looked_ns = clock()
         """When the receiver last looked at the time: a thread that is stuck is noticed by it."""
         self._sender = threading.Thread(target=self._run, args=(self._send,), name="power sender", daemon=True)
@@ -141,11 +111,7 @@ class PowerLine:
 
     def want(self, servos: frozenset[int], number: int) -> None:
         """PowerBoard.want, as soon as possible."""
-        self._request(partial(self._want, servos, number, self._clock()))
-
-    def _want(self, servos: frozenset[int], number: int, now_ns: int) -> None:
-        self._board.want(servos, now_ns)
-        self._changes = number
+        self._request(partial(self._board.want, servos, number, self._clock()))
 
     def cut(self) -> None:
         """PowerBoard.cut, as soon as possible; the first mask leaves before that is asked."""
@@ -191,15 +157,15 @@ class PowerLine:
 
     def _use(self, bus: "can.BusABC") -> None:
         with self._lock:
-            self._bus, self.fault = bus, None
+            self._bus = bus
             self._board.opened(self._clock())
 
     def _lose(self, bus: "can.BusABC", error: Exception) -> None:
         """The interface is gone: neither thread uses it any more."""
         with self._lock:
             if self._bus is bus:
-                self._bus, self.fault = None, f"the interface of the power board is gone: {error}"
-                self._board.closed(self.fault, self._clock())
+                self._bus = None
+                self._board.closed(f"the interface of the power board is gone: {error}", self._clock())
         self._awake()
 
     # ---- the sender
@@ -305,23 +271,11 @@ class PowerLine:
             for frame in frames:
                 self._board.heard(frame, now_ns)
             self._board.look(now_ns)
-            board = self._board
-            self.status = Status(
-                board.alive,
-                board.supplied,
-                board.confirmed,
-                board.lost,
-                board.refused,
-                board.answered_ns,
-                board.fed,
-                self._changes,
-                board.currents_ma,
-                dict(board.rails),
-            )
-            news = board.news()
-            due = board.due_ns <= now_ns
+            self.status = self._board.status
+            news = self._board.news()
+            due = self._board.due_ns <= now_ns
         self._news += news
         if due:
             self._awake()
-        if news or _SHOWN(before) != _SHOWN(self.status):
+        if news or before[_SHOWN] != self.status[_SHOWN]:
             self._on_news()

@@ -5,6 +5,7 @@ it, or a later one, had reached the board (questions.py).
 """
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import NamedTuple
 
 from gateway.allowance import NS_PER_MS
@@ -28,15 +29,13 @@ class _Wait(NamedTuple):
     number: int
 
 
+@dataclass(slots=True)
 class _Off:
     """By which mask at first, since when, and whether that is confirmed."""
 
-    __slots__ = ("confirmed", "number", "since_ns")
-
-    def __init__(self, number: int, since_ns: int) -> None:
-        self.number = number
-        self.since_ns = since_ns
-        self.confirmed = False
+    number: int
+    since_ns: int
+    confirmed: bool = False
 
 
 class OutputsOff:

@@ -10,7 +10,6 @@ A single second answer proves nothing: on slcan, `stop-servos` and the gateway r
 not seen here.
 """
 
-from collections import Counter
 from typing import Final
 
 from gateway.allowance import NS_PER_MS
@@ -49,11 +48,10 @@ class BoardQuestions:
         """Unanswered questions about rails: when each was asked, and the newest mask of then."""
         self._foreign: dict[CanFrame, tuple[int, int]] = {}
         """Of another node, about rails: how many are unanswered, and when the newest was received."""
-        self._owed: Counter[CanFrame] = Counter()
-        """Answers about rails that may still come: one for each question, of whichever node."""
         self._latest: tuple[CanFrame, int] | None = None
-        """The newest answer that was owed, and when it came; None: a second one has come to it."""
-        self._doubles = 0
+        """The newest answer that somebody had asked for, and when it came; None: a second one has come to it."""
+        self.doubles = 0
+        """How many of the newest questions were answered twice."""
 
     def opened(self, now_ns: int) -> None:
         """On a new interface no older question is answered."""
@@ -62,8 +60,7 @@ class BoardQuestions:
 
     def not_sent(self, question: CanFrame) -> None:
         """This question has not left."""
-        if self._asked.pop(question, None):
-            self._owed[question] -= 1
+        self._asked.pop(question, None)
 
     def next(self, newest: int, now_ns: int) -> list[CanFrame]:
         """The question in turn, which counts as sent: six about currents, one about rails or errors."""
@@ -85,7 +82,6 @@ class BoardQuestions:
             if question not in self._asked or self._is_lost(self._asked[question][0], now_ns):
                 self._rail_turn += step + 1
                 self._asked[question] = (now_ns, newest)
-                self._owed[question] += 1
                 return [question]
         return []
 
@@ -100,7 +96,6 @@ class BoardQuestions:
     def asked_by_another(self, question: CanFrame, now_ns: int) -> None:
         """Another node has asked this; only questions about rails matter."""
         if question in ASK_RAILS:
-            self._owed[question] += 1
             self._foreign[question] = (self._foreign_unanswered(question, now_ns) + 1, now_ns)
 
     def _foreign_unanswered(self, question: CanFrame, now_ns: int) -> int:
@@ -109,29 +104,24 @@ class BoardQuestions:
 
     def answered_about_rails(self, question: CanFrame, now_ns: int) -> None:
         """Take an answer to this question."""
-        others = self._foreign_unanswered(question, now_ns)
+        others, ours = self._foreign_unanswered(question, now_ns), question in self._asked
         if others:
             self._foreign[question] = (others - 1, self._foreign[question][1])
         else:
             asked_ns, newest = self._asked.pop(question, (0, 0))
             self.reached_ns = max(self.reached_ns, asked_ns)
             self.reached = max(self.reached, newest)
-        if self._owed[question]:
-            self._owed[question] -= 1
-            self._doubles = 0 if self._latest else self._doubles
+        if others or ours:
+            self.doubles = 0 if self._latest else self.doubles
             self._latest = (question, now_ns)
         elif self._latest and self._latest[0] == question and now_ns - self._latest[1] < DOUBLE_NS:
             self._latest = None
-            self._doubles += 1
+            self.doubles += 1
 
     @property
     def two_boards(self) -> bool:
         """Whether the newest questions were each answered twice."""
-        return self._doubles >= DOUBLES
-
-    def judge_boards_anew(self) -> None:
-        """Somebody may have unplugged one of two boards."""
-        self._doubles = 0
+        return self.doubles >= DOUBLES
 
     def silent(self, now_ns: int) -> bool:
         """Whether the board is; to be asked every 10 ms, since a question that nobody fetched counts as unanswered.

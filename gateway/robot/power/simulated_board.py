@@ -77,21 +77,18 @@ HOT_NS: Final = 140_000_000
 """Between two frames 65 about an overtemperature that lasts."""
 
 _POWER_OFF: Final = CanFrame(0x66)
+_MASK_BYTES: Final = {CONVERTER_OVERCURRENT: 1, OVERTEMPERATURE: 1, SERVO_OVERCURRENT: 3}
 
 
 @dataclass(slots=True)
 class _Error:
     code: int
-    converters: int = 0
-    outputs: int = 0
+    mask: int = 0
+    """Of outputs with SERVO_OVERCURRENT, of converters with other codes."""
 
     @property
     def data(self) -> bytes:
-        if self.code in (CONVERTER_OVERCURRENT, OVERTEMPERATURE):
-            return bytes((self.code, self.converters))
-        if self.code == SERVO_OVERCURRENT:
-            return bytes((self.code,)) + self.outputs.to_bytes(3, "big")
-        return bytes((self.code,))
+        return bytes((self.code,)) + self.mask.to_bytes(_MASK_BYTES.get(self.code, 0), "big")
 
 
 class SimulatedBoard:
@@ -155,15 +152,12 @@ class SimulatedBoard:
         self._forget()
         self._awake_ns = None
 
-    def fail(self, code: int, *, converters: int = 0, outputs: int = 0) -> None:
-        """It finds an error of this code, at these of its converters (bit 0: converter 1) or outputs."""
-        at = next((place for place, error in enumerate(self._errors) if error.code == code), None)
-        error = _Error(code) if at is None else self._errors.pop(at)
-        before = (error.converters, error.outputs)
-        error.converters |= converters
-        error.outputs |= outputs
-        self._errors.insert(0, error)
-        self._show = self._show or at is None or (error.converters, error.outputs) != before
+    def fail(self, code: int, mask: int = 0) -> None:
+        """It finds an error of this code, `mask` as an error has it."""
+        known = next((error for error in self._errors if error.code == code), None)
+        error = _Error(code, mask | (known.mask if known else 0))
+        self._errors = [error, *(each for each in self._errors if each is not known)]
+        self._show = self._show or error != known
         self._next_shown = 0
         self._apply_blocks()
 
@@ -254,9 +248,9 @@ class SimulatedBoard:
         self._blocked = self._off_converters = 0
         for error in self._errors:
             if error.code == SERVO_OVERCURRENT:
-                self._blocked |= error.outputs
+                self._blocked |= error.mask
             elif error.code in (CONVERTER_OVERCURRENT, OVERTEMPERATURE):
-                self._off_converters |= error.converters
+                self._off_converters |= error.mask
         self._retarget()
 
     def _next_error(self) -> bytes:
@@ -279,32 +273,29 @@ class SimulatedBoard:
         hot = sum(each for each, c in zip(_HOT_CONVERTERS, self.temperatures_c, strict=True) if c >= TOO_HOT_C)
         if hot and now_ns >= self._hot_due_ns:
             self._hot_due_ns = now_ns + HOT_NS
-            self.fail(OVERTEMPERATURE, converters=hot)
+            self.fail(OVERTEMPERATURE, hot)
             self._show = True
         fed = self.fed
         for place in range(OUTPUTS):
             drawn_ma = self._measured_ma[place] = self.draws_ma[place] if fed >> place & 1 else 0.0
             self._too_much[place] = self._too_much[place] + 1 if drawn_ma > LIMIT_MA else 0
             if self._too_much[place] >= MEASUREMENTS:
-                converter = place // OUTPUTS_PER_CONVERTER
-                self.fail(SERVO_OVERCURRENT, converters=1 << converter, outputs=1 << place)
+                self.fail(SERVO_OVERCURRENT, 1 << place)
 
     def _rail(self, question: int) -> bytes:
+        """The answer, in mA, mV or °C."""
         if question == TEMPERATURES_C:
             return struct.pack(">3h", *self.temperatures_c)
-        return _numbers(self._rails()[question])
-
-    def _rails(self) -> dict[int, tuple[float, ...]]:
-        """The numbers of each answer, in mA and mV."""
         one, two, three = (0 if self._off_converters >> place & 1 else SERVO_MV for place in range(3))
         power_uw = SERVO_MV * sum(self._measured_ma) + 5000 * FIVE_VOLT_MA + 3300 * THREE_VOLT_MA
-        return {
+        rails: dict[int, tuple[float, ...]] = {
             MANIPULATOR_5V_3V3_MA: (0, FIVE_VOLT_MA, THREE_VOLT_MA),
             STANDBY_SUPPLY_MA: (STANDBY_MA, power_uw / self.battery_mv),
             CONVERTERS_1_TO_3_MV: (one, two, three),
             CONVERTERS_4_5_MV: (0, 5000),
             SUPPLY_BATTERY_MV: (self.battery_mv, self.battery_mv),
         }
+        return _numbers(rails[question])
 
 
 def _numbers(values: Iterable[float]) -> bytes:

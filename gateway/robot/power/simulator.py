@@ -9,7 +9,6 @@ ends with its standard input, on which lines of JSON are faults:
 |----------------------------------------|-------------------------------------------------------------------------|
 | `{"press_off": true}`                  | somebody presses the board's button, which wakes it from standby, too   |
 | `{"restart": true}`                    | its supply was interrupted: all off, and in standby                     |
-| `{"overcurrent": 21}`                  | this servo draws too much while it is fed; 0: none does any more         |
 | `{"draws_ma": {"21": 0.0}}`            | these servos (and no others) draw that while fed, whatever they do      |
 | `{"error": 8}`                         | the board finds an error of this code                                   |
 | `{"temperatures_c": [70, 30, 30]}`     | its three sensors show that                                             |
@@ -17,8 +16,6 @@ ends with its standard input, on which lines of JSON are faults:
 | `{"clear_error": true}`                | somebody deletes the newest error at the board's own buttons            |
 | `{"stuck_on": 21}`                     | this servo has supply whatever the board does; 0: none                  |
 | `{"silent": true}`                     | no frame passes between board and adapter                               |
-| `{"lose": 0.2, "delay": 0.2, "corrupt": 0.2, "seed": 1}` | so many of the board's frames, by chance              |
-| `{"pause_ms": 500}`                    | frames of both directions wait so long, and then arrive at once         |
 | `{"frame": "t06A3000000"}`             | another node puts this frame on the bus                                 |
 | `{"flood_hz": 8000, "flood": "t1000"}` | and this one so many times a second; 0: no more                         |
 | `{"unplug": true}`, `{"plug": true}`   | the adapter goes, and returns under the same path                       |
@@ -43,13 +40,12 @@ from typing import Any, Final, TextIO
 from gateway.host.sensed_page import SensedPage
 from gateway.host.servo_page import ServoPage
 from gateway.model.power_board import CONVERTER_OVERCURRENT, CanFrame
-from gateway.robot.power.simulated_adapter import SimulatedAdapter, SimulatedLink, frame_of, text_of
+from gateway.robot.power.simulated_adapter import SimulatedAdapter, frame_of, text_of
 from gateway.robot.power.simulated_board import SimulatedBoard
 from gateway.robot.power.simulated_draw import SimulatedDraw
 from schemas.robot import SERVO_IDS
 
 NS_PER_S: Final = 1_000_000_000
-JAMS_MA: Final = 4500.0
 _MOST_UNSENT: Final = 4096
 """Bytes that wait for a client that does not read; frames beyond are lost, as in an adapter."""
 _MOST_READ: Final = 4096
@@ -114,7 +110,8 @@ class Simulation:
         self._device = device
         self._board = SimulatedBoard(time.monotonic_ns())
         self._adapter = SimulatedAdapter()
-        self._to_board, self._to_adapter = SimulatedLink(), SimulatedLink()
+        self._answers = b""
+        """What the adapter has for its client."""
         self._silent = False
         self._draw = SimulatedDraw()
         self._drawn_anyway_ma: dict[int, float] = {}
@@ -126,22 +123,18 @@ class Simulation:
         """Do all that is due. Returns when the next thing is, in nanoseconds."""
         now_ns = time.monotonic_ns()
         frames, answers = self._adapter.take(self._device.read())
+        self._answers += answers
+        self._board.draws_ma[:] = self._draws_ma(now_ns)
         for frame in frames:
             self._note("<", frame, now_ns)
             if not self._silent:
-                self._to_board.send(frame, now_ns)
+                self._answer(self._board.take(frame, now_ns), now_ns)
         self._make_flood(now_ns)
-        self._board.draws_ma[:] = self._draws_ma(now_ns)
-        for frame in self._to_board.arrived(now_ns):
-            self._answer(self._board.take(frame, now_ns), now_ns)
         self._answer(self._board.advance(now_ns), now_ns)
         self._feed(now_ns)
-        for frame in self._to_adapter.arrived(now_ns):
-            self._note(">", frame, now_ns)
-            answers += self._adapter.text(frame)
-        self._device.write(answers)
-        dues_ns = [self._board.due_ns, *(link.due_ns for link in (self._to_board, self._to_adapter) if link)]
-        return min(dues_ns) if not self._flood_ns else min(*dues_ns, self._flood_due_ns)
+        self._device.write(self._answers)
+        self._answers = b""
+        return min(self._board.due_ns, self._flood_due_ns) if self._flood_ns else self._board.due_ns
 
     def do(self, line: bytes) -> None:
         """A fault, or its end."""
@@ -158,8 +151,6 @@ class Simulation:
                 board.press_button(time.monotonic_ns())
             case "restart":
                 board.restart()
-            case "overcurrent":
-                self._drawn_anyway_ma = {value: JAMS_MA} if value else {}
             case "draws_ma":
                 self._drawn_anyway_ma = {int(servo_id): float(drawn_ma) for servo_id, drawn_ma in value.items()}
             case "error":
@@ -167,7 +158,7 @@ class Simulation:
             case "temperatures_c":
                 board.temperatures_c[:] = value
             case "converter":
-                board.fail(CONVERTER_OVERCURRENT, converters=1 << value - 1)
+                board.fail(CONVERTER_OVERCURRENT, 1 << value - 1)
             case "clear_error":
                 board.clear_by_hand()
             case "stuck_on":
@@ -177,17 +168,10 @@ class Simulation:
 
     def _do_between(self, name: str, value: Any) -> None:
         """What happens between board and client."""
-        now_ns, link = time.monotonic_ns(), self._to_adapter
+        now_ns = time.monotonic_ns()
         match name:
             case "silent":
                 self._silent = bool(value)
-            case "lose" | "delay" | "corrupt":
-                setattr(link, name, float(value))
-            case "seed":
-                link.chance.seed(value)
-            case "pause_ms":
-                for each in (self._to_board, link):
-                    each.pause(now_ns + round(1e6 * value))
             case "frame":
                 self._put(_frame(value), now_ns)
             case "flood":
@@ -205,8 +189,8 @@ class Simulation:
 
     def _put(self, frame: CanFrame, now_ns: int) -> None:
         """Another node's frame reaches both."""
-        self._to_board.send(frame, now_ns)
-        self._to_adapter.send(frame, now_ns)
+        self._pass_on(frame, now_ns)
+        self._answer(self._board.take(frame, now_ns), now_ns)
 
     def _make_flood(self, now_ns: int) -> None:
         if self._flood_ns:
@@ -216,9 +200,12 @@ class Simulation:
                 self._flood_due_ns += self._flood_ns
 
     def _answer(self, frames: Sequence[CanFrame], now_ns: int) -> None:
-        if not self._silent:
-            for frame in frames:
-                self._to_adapter.send(frame, now_ns)
+        for frame in () if self._silent else frames:
+            self._pass_on(frame, now_ns)
+
+    def _pass_on(self, frame: CanFrame, now_ns: int) -> None:
+        self._note(">", frame, now_ns)
+        self._answers += self._adapter.text(frame)
 
     def _draws_ma(self, now_ns: int) -> list[float]:
         sensed = None if self._sensed is None else self._sensed.read()

@@ -63,14 +63,11 @@ class Slcan(slcanBus):
             raise CanOperationError(f"the adapter takes nothing: {written} of {len(line)} bytes were written")
 
     def _recv_internal(self, timeout: float | None) -> tuple[Message | None, bool]:
-        if not self._frames:
-            self._read_all(timeout)
+        if not self._frames and (polled := self._readable.poll(timeout and timeout * 1000)):
+            self._read_all(polled[0][1])
         return (self._frames.popleft(), True) if self._frames else (None, False)
 
-    def _read_all(self, timeout: float | None) -> None:
-        polled = self._readable.poll(timeout and timeout * 1000)
-        if not polled:
-            return
+    def _read_all(self, polled: int) -> None:
         try:
             data = os.read(self._fd, _MOST)
         except BlockingIOError:
@@ -78,7 +75,7 @@ class Slcan(slcanBus):
         except OSError as error:
             raise CanOperationError(f"the adapter cannot be read: {error.strerror}") from error
         # Without that, another reader of the terminal was first: `stop-servos` on a gateway's.
-        if not data and polled[0][1] & (select.POLLHUP | select.POLLERR):
+        if not data and polled & (select.POLLHUP | select.POLLERR):
             raise CanOperationError("the adapter is disconnected")
         self._left += data
         end = 0

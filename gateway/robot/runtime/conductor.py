@@ -48,13 +48,13 @@ from gateway.robot.runtime.executor import Executor, Outcome
 from gateway.robot.runtime.metrics import Metrics
 from gateway.robot.runtime.preamble import PreambleInPauses
 from gateway.robot.runtime.report import StateReports, wall_clock
-from gateway.robot.runtime.supply import CarryOut, Feeding, RobotSupply, off_button
+from gateway.robot.runtime.supply import CarryOut, RobotSupply, off_button
 from gateway.robot.runtime.telemetry import LatestTelemetry
 from gateway.robot.settings import Settings
 from gateway.robot.spi.bus import Bus
 from schemas import keys
 from schemas.robot import LEGS, SERVO_IDS
-from schemas.telemetry import Ack, Cause, GatewayState, Kind, Mode, PowerReport, Reason, Telemetry
+from schemas.telemetry import Ack, Cause, GatewayState, Kind, Mode, PowerReport, Reason
 
 REOPEN_S: Final = 0.02
 """Between two tries to open a device that is at fault, and never longer: until the Stops behind the opening are
@@ -100,7 +100,7 @@ class Conductor:
         """Callers hold it."""
         self.metrics = Metrics()
         self.recorder = recorder
-        self.telemetry = LatestTelemetry()
+        self.telemetry = LatestTelemetry(outbox, clock, supply)
         self._outbox = outbox
         self._events = EventPublisher(outbox, recorder, clock)
         self.supply = supply
@@ -112,7 +112,7 @@ class Conductor:
         self._carry_out: CarryOut = executor.carry_out
         if supply is not None:
             supply.on_news = self.power_changed
-            self._carry_out = Feeding(executor.carry_out, supply, supervisor, self._announce_power).carry_out
+            self._carry_out = supply.around(executor.carry_out, supervisor, self._announce_power)
         self._clock = clock
         self._instant_ns = clock()
         self.reports = StateReports(
@@ -181,7 +181,7 @@ class Conductor:
             if timer is not None:
                 timer.cancel()
         if self.supply is not None:
-            self.supply.close()
+            self.supply.confirmations.close()
         self.bus.close()
 
     # ---- what happens
@@ -276,11 +276,11 @@ class Conductor:
         """Take what the power board has said."""
         if self._closed or self.supply is None:
             return
-        seen = self.supply.look()
-        self._step(seen.event)
-        for each in seen.announcements:
+        event, announcements = self.supply.look()
+        self._step(event)
+        for each in announcements:
             self._announce_power(each)
-        if seen.off_pressed:
+        if any(each.kind is Kind.OFF_BUTTON for each in announcements):
             self._emergency_stop(off_button(self._clock()), self._clock())
         self._arm()
         self.publish_state()
@@ -488,33 +488,6 @@ class Conductor:
     def power_report(self) -> PowerReport | None:
         """The power board; None: there is none. Reading it needs no owner."""
         return None if self.supply is None else self.supply.report(self._clock())
-
-    @property
-    def controller_age_s(self) -> float | None:
-        """Since the controller's last well-formed answer; None: there was none. Reading it needs no owner."""
-        answered_ns = self.bus.answered_ns
-        return None if answered_ns is None else (self._clock() - answered_ns) / 1e9
-
-    def publish_telemetry(self) -> None:
-        """Publish what the robot measures, if it does."""
-        report = self.newest_telemetry()
-        if report is not None:
-            self._outbox.publish(keys.TELEMETRY, report)
-
-    def answer_telemetry(self, reply: Reply) -> None:
-        """Answer a `get`. Where nothing was measured there is no answer, and the asker's question just ends.
-
-        A robot that measures nothing, one that has not measured yet, and a gateway of an older version look the same:
-        there are no values. An answer without any would look like some.
-        """
-        report = self.newest_telemetry()
-        if report is not None:
-            reply(report.model_dump_json().encode())
-
-    def newest_telemetry(self) -> Telemetry | None:
-        """What the robot and its power board measure; None: nothing. Reading it needs no owner."""
-        now_ns = self._clock()
-        return self.telemetry.report(now_ns, None if self.supply is None else self.supply.status)
 
     def _publish_mode(self) -> None:
         mode = self.supervisor.mode

@@ -94,20 +94,21 @@ class Numbers(Collector):
             yield from _measured(self._conductor)
         power = self._conductor.power_report()
         if power is not None:
-            yield from powered(power, self._conductor.newest_telemetry(), metrics.events)
+            yield from powered(power, self._conductor.telemetry.report(), metrics.events)
 
 
 def _measured(conductor: Conductor) -> Iterator[Metric]:
     """What the robot measures, and how its controller is; without values until there are some."""
-    events, alive, newest = conductor.metrics.events, conductor.bus.controller_alive, conductor.telemetry.newest
-    values = newest and newest.values
+    events, alive, telemetry = conductor.metrics.events, conductor.bus.controller_alive, conductor.telemetry
+    values = telemetry.newest and telemetry.newest.values
+    age_s = telemetry.age_s(conductor.bus.answered_ns)
     for name, help_text, number in (
         ("battery_volts", "The battery's voltage", values and values.voltage_v),
         ("battery_percent", "The battery's charge, as the robot says it", values and values.percent),
         ("temperature_celsius", "The temperature that the controller measures", values and values.temperature_c),
         ("tilt_degrees", "Between the body's up and the world's", values and values.tilt_deg),
         ("controller_alive", "1: the controller sends what it should", alive),
-        ("controller_answer_age_seconds", "Since the controller's last well-formed answer", conductor.controller_age_s),
+        ("controller_answer_age_seconds", "Since the controller's last well-formed answer", age_s),
     ):
         yield _gauge(name, help_text, {} if number is None else number)
     feet = {} if values is None else {str(leg): force for leg, force in zip(LEGS, values.feet, strict=True)}

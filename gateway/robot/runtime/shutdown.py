@@ -22,7 +22,7 @@ from gateway.robot.runtime.conductor import Conductor
 from gateway.robot.runtime.supply import RobotSupply
 from gateway.robot.sections import WatchdogSettings
 from gateway.robot.spi.stop_all import MOST_PAUSE_MS, stop_once
-from schemas.robot import LEGS
+from schemas.robot import LEGS, SERVO_IDS
 
 SHUTDOWN_S = 0.8
 """Duration of the end: the second of docs/interface.md, Behaviour 7, less the process's own exit."""
@@ -138,7 +138,7 @@ async def _confirmed(owner: Ownership, supply: RobotSupply, asked_ns: int) -> st
             answered.set_result(ms)
 
     with owner:
-        supply.confirm_all(asked_ns, then)
+        supply.confirm(SERVO_IDS, asked_ns, then)
     ms = None
     with suppress(TimeoutError):
         ms = await asyncio.wait_for(answered, REPEATS_S)

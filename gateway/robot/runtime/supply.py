@@ -15,7 +15,6 @@ import asyncio
 import json
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
 from typing import Final, Protocol
 
 from gateway.allowance import NS_PER_MS
@@ -24,9 +23,9 @@ from gateway.robot.core.events import Announce, Effect, PowerSeen, Request, Rese
 from gateway.robot.core.message import Received, Verb
 from gateway.robot.core.supervisor import Supervisor
 from gateway.robot.host.ownership import Ownership
-from gateway.robot.power.board import News, PowerBoard
+from gateway.robot.power.board import News, PowerBoard, Status
 from gateway.robot.power.currents import IDLE_MA, CurrentRules
-from gateway.robot.power.line import PowerLine, Status
+from gateway.robot.power.line import PowerLine
 from gateway.robot.power.offs import Confirmed
 from gateway.robot.protocol import Wire
 from gateway.robot.runtime.answers import legs_of
@@ -54,42 +53,18 @@ _NONE: Final = frozenset[int]()
 
 
 class BoardLine(Protocol):
-    """The way to the board (`robot.power.line`). Nothing here waits; `cut` may be called from any thread."""
+    """What is asked of the line to the board (`robot.power.line`). Any thread may call `cut`; only `close` waits."""
 
     @property
-    def status(self) -> Status:
-        """What is known of the board."""
-
+    def status(self) -> Status: ...
     @property
-    def looked_ns(self) -> int:
-        """When what receives from the board last looked at the time."""
-
-    def want(self, servos: frozenset[int], number: int) -> None:
-        """Feed exactly these; `number` is that of the newest change."""
-
-    def cut(self) -> None:
-        """Feed nothing, until `want` was called with no servos."""
-
-    def when_off(self, servos: frozenset[int], asked_ns: int, token: int) -> None:
-        """Tell by a `Confirmed` in the news."""
-
-    def clear_errors(self) -> None:
-        """Have the board forget its errors."""
-
-    def news(self) -> Sequence[News | Confirmed]:
-        """What has happened since the last call."""
-
-    def close(self) -> None:
-        """Send what is due, and end; waits for it, but not for long."""
-
-
-@dataclass(slots=True)
-class Seen:
-    """What the board's news mean."""
-
-    event: PowerSeen
-    announcements: list[Announce] = field(default_factory=list)
-    off_pressed: bool = False
+    def looked_ns(self) -> int: ...
+    def want(self, servos: frozenset[int], number: int) -> None: ...
+    def cut(self) -> None: ...
+    def when_off(self, servos: frozenset[int], asked_ns: int, token: int) -> None: ...
+    def clear_errors(self) -> None: ...
+    def news(self) -> Sequence[News | Confirmed]: ...
+    def close(self) -> None: ...
 
 
 class RobotSupply:
@@ -100,6 +75,10 @@ class RobotSupply:
     ) -> None:
         """`ready` names those of the servos to feed whose angle is on the wire, where supply is what starts a servo."""
         self._line = line
+        self.cut_early = line.cut
+        """From any thread, without the state, which a transfer on SPI may hold: take all supply."""
+        self.end = line.close
+        """Close the line; not for the owner, as it waits."""
         self.on_news: Callable[[], None] = lambda: None
         """Whom the owner of the state calls for the board's news."""
         self._interface = interface
@@ -162,9 +141,24 @@ class RobotSupply:
         self._changed = True
         self._line.clear_errors()
 
-    def cut_early(self) -> None:
-        """From any thread, without the state, which a transfer on SPI may hold: take all supply."""
-        self._line.cut()
+    def around(self, carry_out: CarryOut, supervisor: Supervisor, announce: Callable[[Announce], None]) -> CarryOut:
+        """Return an executor's `carry_out` that switches the supply, too.
+
+        Where the frames could not be written, nothing more is fed: the bus's fault follows.
+        """
+
+        def feed(effects: Sequence[Effect], heard: Request | None = None) -> Outcome:
+            announcements = self.before(supervisor)
+            outcome = carry_out(effects, heard)
+            if any(type(request) is Reset and verdict == ACCEPTED for request, verdict, _ in outcome.results):
+                self.reset()
+            if outcome.fault is None:
+                self.behind(supervisor)
+            for each in announcements:
+                announce(each)
+            return outcome
+
+        return feed
 
     # ---- what the board says
 
@@ -192,17 +186,15 @@ class RobotSupply:
                 self._trusted = self._changed = True
         return self._changed or bool(self._found)
 
-    def look(self) -> Seen:
-        """Take the news."""
-        seen = Seen(PowerSeen(self._line.status.alive))
-        doubt = ""
+    def look(self) -> tuple[PowerSeen, list[Announce]]:
+        """Take the news: what they mean to the supervisor, and what is to be published."""
+        announcements, doubt = list[Announce](), ""
         found, self._found, self._changed = self._found, [], False
         for each in (*self._line.news(), *found):
             if isinstance(each, Confirmed):
                 self.confirmations.answered(each)
                 continue
-            seen.announcements.append(Announce(each.kind, each.detail, legs=legs_of(each.servos)))
-            seen.off_pressed = seen.off_pressed or each.kind is Kind.OFF_BUTTON
+            announcements.append(Announce(each.kind, each.detail, legs=legs_of(each.servos)))
             if each.kind is Kind.SERVO_DRAWS:
                 doubt = doubt or self._drew(each)
             elif each.kind is Kind.POWER_UNCONFIRMED and self._line.status.alive:
@@ -210,7 +202,7 @@ class RobotSupply:
         status = self._line.status
         if self._cut and status.supplied & self._asked:
             self._cut = False
-            seen.announcements.append(Announce(Kind.POWER_RESTORED, "the power board feeds servos again"))
+            announcements.append(Announce(Kind.POWER_RESTORED, "the power board feeds servos again"))
         # Of a silent board nobody knows: what lands keeps its supply, if it has any.
         lost = status.lost if status.alive else _NONE
         self._trusted = self._trusted and (status.alive or self._ready is not None)
@@ -222,8 +214,7 @@ class RobotSupply:
         self._alive, self._refused = status.alive, status.refused
         refused = {**self._withheld, **status.refused}
         fed = self._fed if self._trusted else _NONE
-        seen.event = PowerSeen(status.alive, tuple(sorted(refused.items())), fed, lost, doubt)
-        return seen
+        return PowerSeen(status.alive, tuple(sorted(refused.items())), fed, lost, doubt), announcements
 
     def _drew(self, news: News) -> str:
         """A servo draws current that is to be at rest. Return why all is to be stopped; empty: its supply goes."""
@@ -242,18 +233,6 @@ class RobotSupply:
             return
         self.confirmations.wait(servos, asked_ns, then)
 
-    def confirm_all(self, asked_ns: int, then: Then) -> None:
-        """The same for all servos."""
-        self.confirm(_ALL, asked_ns, then)
-
-    def close(self) -> None:
-        """Nobody waits any longer: nothing is confirmed."""
-        self.confirmations.close()
-
-    def end(self) -> None:
-        """Close the line; not for the owner, as it waits."""
-        self._line.close()
-
     def report(self, now_ns: int) -> PowerReport:
         """For the state."""
         status = self.status
@@ -269,30 +248,6 @@ class RobotSupply:
     def status(self) -> Status:
         """What is known of the board."""
         return self._line.status
-
-
-class Feeding:
-    """Carries out a step of a robot with a power board."""
-
-    def __init__(
-        self, carry_out: CarryOut, supply: RobotSupply, supervisor: Supervisor, announce: Callable[[Announce], None]
-    ) -> None:
-        self._carry_out = carry_out
-        self._supply = supply
-        self._supervisor = supervisor
-        self._announce = announce
-
-    def carry_out(self, effects: Sequence[Effect], heard: Request | None = None) -> Outcome:
-        """As an executor's. Where the frames could not be written, nothing more is fed: the bus's fault follows."""
-        announcements = self._supply.before(self._supervisor)
-        outcome = self._carry_out(effects, heard)
-        if any(type(request) is Reset and verdict == ACCEPTED for request, verdict, _ in outcome.results):
-            self._supply.reset()
-        if outcome.fault is None:
-            self._supply.behind(self._supervisor)
-        for each in announcements:
-            self._announce(each)
-        return outcome
 
 
 def off_button(now_ns: int) -> Received:

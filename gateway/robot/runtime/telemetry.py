@@ -1,13 +1,16 @@
 """Keeps the newest values that the robot measured, and makes the payload of `hexapod/telemetry` from them."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, Final, NamedTuple
 
 from gateway.model import power_board
 from gateway.model.elkapod import Measured
 from gateway.model.telemetry import battery_of, report_of
-from gateway.robot.power.line import Status
+from gateway.robot.core.message import Outbox, Reply
+from gateway.robot.power.board import Status
 from gateway.robot.runtime.report import wall_clock
+from gateway.robot.runtime.supply import RobotSupply
+from schemas import keys
 from schemas.telemetry import Battery, ServoTelemetry, Supply, Telemetry
 
 _CONVERTERS: Final = (power_board.CONVERTERS_1_TO_3_MV, power_board.CONVERTERS_4_5_MV)
@@ -26,7 +29,10 @@ class LatestTelemetry:
     Older ones stay when the controller falls silent: their age says so, and a fault of the bus is reported by itself.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, outbox: Outbox, clock: Callable[[], int], supply: RobotSupply | None) -> None:
+        self._outbox = outbox
+        self._clock = clock
+        self._supply = supply
         self.newest: Measurement | None = None
         """Replaced as a whole, so that a thread that owns nothing may read it, too."""
 
@@ -39,9 +45,30 @@ class LatestTelemetry:
         """For the state."""
         return None if self.newest is None else battery_of(self.newest.values)
 
-    def report(self, now_ns: int, status: Status | None) -> Telemetry | None:
-        """The report at this time, with what a power board measures; None: nothing was measured."""
-        board = {} if status is None else board_values(status, now_ns)
+    def publish(self) -> None:
+        """Publish what the robot measures, if it does."""
+        report = self.report()
+        if report is not None:
+            self._outbox.publish(keys.TELEMETRY, report)
+
+    def answer(self, reply: Reply) -> None:
+        """Answer a `get`. Where nothing was measured there is no answer, and the asker's question just ends.
+
+        A robot that measures nothing, one that has not measured yet, and a gateway of an older version look the same:
+        there are no values. An answer without any would look like some.
+        """
+        report = self.report()
+        if report is not None:
+            reply(report.model_dump_json().encode())
+
+    def age_s(self, since_ns: int | None) -> float | None:
+        """How long ago something came; None: it never did. Reading it needs no owner."""
+        return None if since_ns is None else (self._clock() - since_ns) / 1e9
+
+    def report(self) -> Telemetry | None:
+        """What the robot and its power board measure; None: nothing. Reading it needs no owner."""
+        now_ns = self._clock()
+        board = {} if self._supply is None else board_values(self._supply.status, now_ns)
         if self.newest is None:
             return Telemetry.model_validate({"time": wall_clock(), **board}) if board else None
         report = report_of(self.newest.values, wall_clock(), max(0, now_ns - self.newest.ns) / 1e6)

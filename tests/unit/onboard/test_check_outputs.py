@@ -4,7 +4,7 @@ import datetime as dt
 
 import pytest
 
-from gateway.onboard.check.outputs import ServoCurrents, finding
+from gateway.onboard.check.move import ServoCurrents
 from schemas.telemetry import ServoTelemetry, Telemetry
 
 REST = {"11": 0.008, "12": 0.008, "61": 0.008}
@@ -21,7 +21,9 @@ REST = {"11": 0.008, "12": 0.008, "61": 0.008}
     ],
 )
 def test_what_the_currents_show(moving: dict[str, float], says: str) -> None:
-    assert says in finding(61, REST, moving)
+    currents = ServoCurrents()
+    currents.rest, currents.moving = REST, moving
+    assert says in currents.finding(61)
 
 
 def test_the_highest_of_each_at_rest_and_moving() -> None:

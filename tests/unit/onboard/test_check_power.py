@@ -42,8 +42,8 @@ def test_a_board_that_answers(adapter: Adapter, channel: str) -> None:
 
 
 def test_its_errors_are_named_with_their_servos(adapter: Adapter, channel: str) -> None:
-    adapter.board.fail(SERVO_OVERCURRENT, converters=1, outputs=0b101)
-    adapter.board.fail(OVERTEMPERATURE, converters=1)
+    adapter.board.fail(SERVO_OVERCURRENT, 0b101)
+    adapter.board.fail(OVERTEMPERATURE, 1)
     _, *errors = on(channel)
     assert {result.verdict for result in errors} == {Verdict.WARNING}
     sentences = " ".join(result.sentence for result in errors)

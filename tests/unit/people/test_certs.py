@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 from gateway import certs
 from gateway.certs import authority
 from gateway.errors import ConfigError
-from gateway.people.tools.certs import app
+from gateway.people.commands.certs import app
 from gateway.zenoh_config import load_client_config, load_config
 from tests.support.certs_folder import DAY, HOSTS, MADE_BY_INIT, NOW, contents, fault, make_folder, mode, names
 
@@ -166,6 +166,9 @@ def test_the_commands_from_init_to_list(tmp_path: Path) -> None:
     assert rows[0] == ["NAME", "ROLE", "EXPIRES", "DAYS LEFT", "SERIAL", "COMMON NAME", "STATE"]
     assert [row[1] for row in rows[1:]] == ["ca", "gateway", "operator"]
     assert (rows[3][0], rows[3][3]) == ("alice", "89")
+    listed = json.loads(run("list", "--dir", directory, "--json")[1])
+    assert [list(each.values()) for each in listed] == rows[1:]
+    assert listed[2]["days_left"] == "89"
     code, text = run("issue", "web", "--role", "console", "--dir", directory, "--host", "robot.local")
     assert (code, "--cert web.pem --key web.key" in text) == (0, True)
     assert run("renew", "alice", "--dir", directory)[0] == 0

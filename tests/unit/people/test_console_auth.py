@@ -9,9 +9,9 @@ import pytest
 from websockets.datastructures import Headers
 from websockets.http11 import Request
 
-from gateway.people.console.auth import MAX_NONCES, NONCE_S, Auth, HttpAnswer, SignedIn, proof
-from gateway.people.console.sessions import Sessions, SignIn
-from gateway.people.console.site import site
+from gateway.people.console.server.auth import MAX_NONCES, NONCE_S, Auth, HttpAnswer, SignedIn, proof
+from gateway.people.console.server.sessions import Sessions, SignIn
+from gateway.people.console.server.site import site
 
 URL = "http://127.0.0.1:8080"
 
@@ -21,7 +21,7 @@ class Visitor:
 
     def __init__(self, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         self.now_s = 100.0
-        monkeypatch.setattr("gateway.people.console.auth.time.monotonic", lambda: self.now_s)
+        monkeypatch.setattr("gateway.people.console.server.auth.time.monotonic", lambda: self.now_s)
         self._sessions = Sessions(folder, 8080)
         self._sessions.begin(URL, "operator")
         self._site = site("127.0.0.1:8080", None, None)

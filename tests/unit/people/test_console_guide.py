@@ -3,7 +3,7 @@
 import pytest
 
 from gateway.model.calibration import CalibrationError, RobotCalibration, ServoMapping
-from gateway.people.console.guide import Guide
+from gateway.people.console.pages.guide import Guide
 
 COARSE_CDEG = 100
 FINE_CDEG = 10

@@ -10,11 +10,11 @@ from pathlib import Path
 
 import pytest
 
-from gateway.people.console import listener
-from gateway.people.console.auth import Auth, SignedIn, proof
-from gateway.people.console.listener import MAX_UNKNOWN, READS, Admitted, HttpListener
-from gateway.people.console.sessions import Sessions, SignIn
-from gateway.people.console.site import Site
+from gateway.people.console.server import listener
+from gateway.people.console.server.auth import Auth, SignedIn, proof
+from gateway.people.console.server.listener import MAX_UNKNOWN, READS, Admitted, HttpListener
+from gateway.people.console.server.sessions import Sessions, SignIn
+from gateway.people.console.server.site import Site
 
 pytestmark = pytest.mark.full
 

@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 from pydantic import ValidationError
 
-from gateway.people.console.messages import FROM_PAGE, CommandRequest
+from gateway.people.console.pages.page_messages import FROM_PAGE, CommandRequest
 
 SET = {"op": "set", "angle_deg": 90.5}
 START = {"op": "start", "angle_deg": 90}

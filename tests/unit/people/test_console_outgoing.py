@@ -5,8 +5,8 @@ from datetime import UTC, datetime
 from functools import partial
 from typing import Any
 
-from gateway.people.console.messages import AckMessage, EventMessage, LinkMessage, Stopping
-from gateway.people.console.outgoing import KEPT_MESSAGES, Outgoing
+from gateway.people.console.pages.outgoing import KEPT_MESSAGES, Outgoing
+from gateway.people.console.pages.page_messages import AckMessage, EventMessage, LinkMessage, Stopping
 from schemas.telemetry import Event
 
 

@@ -4,7 +4,7 @@ import asyncio
 
 import pytest
 
-from gateway.people.console.page_tasks import EndError, PageTasks
+from gateway.people.console.pages.page_tasks import EndError, PageTasks
 
 
 @pytest.mark.parametrize(("in_turn", "began"), [(True, [1, 1, 2, 2, 3, 3]), (False, [1, 2, 3, 1, 2, 3])])

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from gateway.errors import ConfigError
-from gateway.people.console.sessions import LINK_S, MAX_ENTRIES, SESSION_S, Sessions, SignIn, begun, revoke_all
+from gateway.people.console.server.sessions import LINK_S, MAX_ENTRIES, SESSION_S, Sessions, SignIn, begun, revoke_all
 
 URL = "http://127.0.0.1:8080"
 

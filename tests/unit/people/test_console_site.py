@@ -6,7 +6,7 @@ import pytest
 
 from gateway import certs
 from gateway.errors import ConfigError
-from gateway.people.console.site import Site, site
+from gateway.people.console.server.site import Site, site
 
 HERE = Site("127.0.0.1", 8080, ("127.0.0.1", "localhost"))
 TLS = Site("0.0.0.0", 443, ("robot.local", "192.0.2.7", "2001:db8::7"), Path("c.pem"), Path("c.key"))  # noqa: S104

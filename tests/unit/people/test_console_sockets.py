@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from gateway.errors import ConfigError
-from gateway.people.console.site import site
-from gateway.people.console.sockets import address_in, inherited, listening
+from gateway.people.console.server.site import site
+from gateway.people.console.server.sockets import address_in, inherited, listening
 from tests.support.gateway_process import free_port
 
 PID = str(os.getpid())

@@ -7,8 +7,8 @@ import pytest
 
 from gateway import geometry
 from gateway.people.console.app import lying_deg
-from gateway.people.console.outgoing import Outgoing
-from gateway.people.console.pages import Page, Pages
+from gateway.people.console.pages.outgoing import Outgoing
+from gateway.people.console.pages.pages import Page, Pages
 from gateway.people.walking import Engine, Robot
 from schemas.robot import LEGS
 from schemas.telemetry import ControllerReport, Report, Telemetry

@@ -2,8 +2,8 @@
 
 import doctest
 
-from gateway.people.console import websocket
-from gateway.people.console.websocket import PING_S, Quiet
+from gateway.people.console.server import websocket
+from gateway.people.console.server.websocket import PING_S, Quiet
 
 
 def looks(quiet: Quiet, end_s: float) -> tuple[list[float], float | None]:

@@ -16,10 +16,10 @@ from gateway.people.client.dangers import (
     tone_of,
 )
 from gateway.people.client.stream import ALL_STOPPED
-from gateway.people.console.pages import Page, Pages
+from gateway.people.commands.send import command_report, estop_report
+from gateway.people.commands.status import sentences
+from gateway.people.console.pages.pages import Page, Pages
 from gateway.people.terminal.stop_status import SHOWN_NS, StopStatus, Tone
-from gateway.people.tools.send import command_report, estop_report
-from gateway.people.tools.status import sentences
 from schemas.telemetry import Ack, GatewayState, Kind, Mode, PowerReport
 from tests.support.published import event, state
 from tests.unit.people.test_console_telemetry import OpenPage

@@ -15,7 +15,7 @@ from gateway.certs import authority
 from gateway.certs.files import read_certificate, read_key
 from gateway.people.client.diagnosis import Stage, look, validity
 from gateway.people.client.requests import Identity
-from gateway.people.tools import why
+from gateway.people.commands import why
 
 BEGIN = dt.datetime(2026, 1, 1, tzinfo=dt.UTC)
 END = dt.datetime(2028, 1, 1, tzinfo=dt.UTC)

@@ -6,7 +6,7 @@ from datetime import timedelta
 import pytest
 
 from gateway.people.client.dangers import UNCONFIRMED
-from gateway.people.tools.follow import SILENT_AFTER_NS, NewsLine, StatusChanges
+from gateway.people.commands.follow import SILENT_AFTER_NS, NewsLine, StatusChanges
 from schemas.telemetry import (
     ButtonsReport,
     CalibrationReport,

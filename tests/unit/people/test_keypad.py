@@ -2,7 +2,7 @@
 
 import pytest
 
-from gateway.people.tools.walk.keypad import PRESSED_S, REPEATED_S, SPEEDS, Keypad
+from gateway.people.commands.walk.keypad import PRESSED_S, REPEATED_S, SPEEDS, Keypad
 from gateway.people.walking import STILL
 
 

@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gateway.errors import WalkError
-from gateway.people.console.page_walk import SILENCES as PAGE
-from gateway.people.tools.walk import screen
+from gateway.people.commands.walk import screen
+from gateway.people.console.pages.page_walk import SILENCES as PAGE
 from gateway.people.walking import STILL, USUAL_SILENCES, Phase, Posture, Ride, RideTask, Silences, Velocity, Wish
 from gateway.people.walking.ride import GIVES_UP_S
 from gateway.people.walking.robot import FEED_S

@@ -5,7 +5,7 @@ from typing import Final
 
 import pytest
 
-from gateway.people.tools.walk.script import AtOnce, EndRequests, go
+from gateway.people.commands.walk.script import AtOnce, EndRequests, go
 from gateway.people.walking import Posture, Velocity, WalkState
 from gateway.people.walking.motion import BodyPose
 from tests.support.ridden import Ridden

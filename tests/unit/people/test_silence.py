@@ -6,9 +6,9 @@ import pytest
 
 from gateway.people.client import silence as silence_module
 from gateway.people.client.silence import SILENT_MS, WHY_EVERY_S, Silence
-from gateway.people.console import presence as presence_module
-from gateway.people.console.messages import LinkMessage
-from gateway.people.console.presence import GatewayPresence
+from gateway.people.console.pages import presence as presence_module
+from gateway.people.console.pages.page_messages import LinkMessage
+from gateway.people.console.pages.presence import GatewayPresence
 
 MS = 1_000_000
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from gateway.people.tools.status import sentences
+from gateway.people.commands.status import sentences
 from schemas.telemetry import Battery, ButtonsReport, ControllerReport, LeaseReport, Mode
 from tests.support.published import state
 

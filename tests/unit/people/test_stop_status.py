@@ -35,8 +35,6 @@ def test_a_confirmed_stop_is_shown_for_a_while() -> None:
 def test_a_stop_that_was_not_written_whole_is_an_alarm_that_stays(ack: Ack) -> None:
     stop = pressed()
     stop.confirm(ack, None, MS)
-    stop.receive_state(1, estopped=True)
-    stop.receive_state(1, estopped=False)
     remark = stop.remark(10 * SHOWN_NS)
     assert remark is not None
     assert remark.tone is Tone.BAD
@@ -70,33 +68,11 @@ def test_an_answer_to_an_earlier_press_leaves_the_later_one_to_its_own() -> None
     assert text(stop, 7 * MS).endswith("confirmed 3 ms after the key")
 
 
-def test_a_state_ends_only_a_stop_that_has_failed_once() -> None:
-    stop = pressed()
-    stop.state_shows_estop(MS)
-    assert stop.wanted_ns == 0, "the reply is still to come, and says more"
-    stop.unanswered()
-    stop.state_shows_estop(2 * MS)
-    assert stop.wanted_ns is None
-    assert text(stop, 2 * MS).startswith("ESTOPPED, as its state says")
-
-
 def test_a_reset_takes_the_stop_back() -> None:
     stop = pressed()
     stop.unanswered()
     stop.reset()
     assert (stop.wanted_ns, text(stop, MS)) == (None, "")
-
-
-def test_the_latest_emergency_stop_is_known_by_its_number() -> None:
-    stop = pressed()
-    assert stop.estop is None
-    stop.receive_state(3, estopped=True)
-    assert stop.estop == 3
-    stop.confirm(STOPPED, None, 2)
-    stop.confirm(STOPPED.model_copy(update={"estop": 4}), None, 3)
-    assert stop.estop == 5, "replies come in any order"
-    stop.receive_state(0, estopped=False)
-    assert stop.estop == 0, "a gateway that was started again counts from 0"
 
 
 # ---- a terminal that is too small

@@ -7,7 +7,7 @@ import pytest
 
 from gateway.errors import DisconnectedError
 from gateway.people.client.confirmed_stop import REQUESTS_AT_ONCE
-from gateway.people.client.stops import UntilConfirmed
+from gateway.people.client.until_confirmed import UntilConfirmed
 from schemas.telemetry import Ack
 
 STOPPED = Ack(accepted=True, stop_frames=6, latency_us=800.0)

@@ -21,6 +21,7 @@ def rules(required: int = 1, landing_ms: int = 0) -> Rules:
     """The watchdog is slower than the buttons, so that it is not what stops the legs."""
     return Rules(
         repeats=0,
+        rest_runs=0,
         rest_ns=10_000 * NS_PER_MS,
         timeout_ns=10_000 * NS_PER_MS,
         buttons_required=required,

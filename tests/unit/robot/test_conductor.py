@@ -156,7 +156,8 @@ async def test_the_state_says_what_was_last_written() -> None:
     ]
     assert state.legs[0].age_ms is None
     assert state.commands.accepted == 1
-    assert state.spi.frames == 6 * 4 + 1
+    at_start = 6 * (1 + 3 + 3) + 18  # Stops, their repeats, and what follows them
+    assert state.spi.frames == at_start + 1
 
 
 async def test_an_answer_that_cannot_be_sent_harms_nobody() -> None:

@@ -1,6 +1,7 @@
 """`stop-servos` takes the supply: what is confirmed, and that nothing on SPI is waited for."""
 
 import gc
+import random
 import re
 import threading
 import time
@@ -50,6 +51,50 @@ def test_it_is_confirmed_by_an_answer_behind_that_to_a_question_asked_after_the_
     cut.heard(OFF, 5)
     assert cut.confirmed
     assert cut.next_frames(1_000 * NS_PER_MS) == []
+
+
+def test_an_answer_to_another_nodes_question_confirms_nothing() -> None:
+    cut = LastCut()
+    cut.next_frames(0)
+    cut.heard(ASK_RAILS[0], 1)
+    cut.heard(REACHED, 2)
+    cut.heard(OFF, 3)
+    assert not cut.confirmed, "the first answer counts as the other node's"
+    cut.heard(REACHED, 4)
+    cut.heard(OFF, 5)
+    assert cut.confirmed
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_beside_a_node_that_asks_and_switches_nothing_is_confirmed_before_a_mask_has_arrived(seed: int) -> None:
+    """Of what we send next to nothing reaches the board, for up to a second; we receive all."""
+    chance = random.Random(seed)  # noqa: S311
+    cut, board, deaf_ms, reached = LastCut(), fed_board(), chance.randrange(1000), False
+    for ms in range(2500):
+        now_ns = ms * NS_PER_MS
+        ours = [frame for frame in cut.next_frames(now_ns) if ms >= deaf_ms]
+        reached = reached or any(frame.id == SET_SUPPLY for frame in ours)
+        theirs = [chance.choice(ASK_RAILS)] if chance.random() < 0.2 else []
+        theirs += [set_supply(chance.choice([0, ALL]))] if chance.random() < 0.02 and ms < 1500 else []
+        for frame in theirs:
+            cut.heard(frame, now_ns)
+        for frame in (*ours, *theirs):
+            for answer in board.take(frame, now_ns):
+                cut.heard(answer, now_ns)
+        for answer in board.advance(now_ns):
+            cut.heard(answer, now_ns)
+        assert reached or not cut.confirmed
+    assert cut.confirmed
+
+
+def test_what_two_boards_answer_confirms_nothing() -> None:
+    """One of them may be unplugged, and feed servos while the other confirms."""
+    cut, boards = LastCut(), (fed_board(), fed_board())
+    for now_ns in range(0, 2_000 * NS_PER_MS, STEP_NS):
+        for frame in cut.next_frames(now_ns):
+            for answer in [answer for board in boards for answer in board.take(frame, now_ns)]:
+                cut.heard(answer, now_ns)
+    assert not cut.confirmed
 
 
 def test_a_repeat_waits_for_5_ms_behind_an_answer() -> None:

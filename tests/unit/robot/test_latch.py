@@ -18,7 +18,7 @@ from tests.support.power import FedRobot
 from tests.support.robot import Robot, leg, started_and_quiet
 from tests.support.steps import Steps, all_stopped, leg_to
 
-KEPT = Rules(repeats=0, estop_kept=True)
+KEPT = Rules(repeats=0, rest_runs=0, estop_kept=True)
 START = leg("start", 90, 90, 90)
 
 

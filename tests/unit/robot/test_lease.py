@@ -262,3 +262,30 @@ def test_a_request_at_the_end_delays_no_repeated_stop() -> None:
     robot = Steps(Rules(repeats=1))
     robot.end(0)
     assert robot.lease(20, "acquire anna", fresh=ANNA) == [*all_stopped("repeat"), "stopping"]
+
+
+@pytest.mark.parametrize(
+    ("words", "token", "stops"),
+    [("renew", ANNA, ["watchdog 1 stop"]), ("take bert", None, all_stopped("command"))],
+)
+def test_what_is_asked_just_when_a_leg_is_to_be_stopped_delays_no_stop_and_doubles_none(
+    words: str, token: str | None, stops: list[str]
+) -> None:
+    robot = driven_by_anna()
+    said = robot.lease(251, words, token, fresh=BERT)
+    assert [line for line in said if line.endswith("stop")] == stops
+
+
+def test_the_end_of_the_service_ends_it() -> None:
+    robot = driven_by_anna()
+    robot.end(2)
+    assert robot.supervisor.lease.holder is None
+    assert robot.due_ms is None
+    assert robot.lease(3, "take bert", fresh=BERT) == ["stopping"]
+
+
+def test_a_takeover_at_fault_is_granted_and_the_stops_follow() -> None:
+    robot = driven_by_anna()
+    robot.fail(2)
+    assert robot.lease(3, "take bert", fresh=BERT) == ["announce lease_taken", GRANTED]
+    assert robot.open(4)[:6] == all_stopped("startup")

@@ -5,6 +5,7 @@ import random
 import threading
 import weakref
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from typing import Any, cast
 
@@ -90,7 +91,8 @@ class Gateway:
         """On the loop's thread, as the service does it."""
         loop = cast(asyncio.AbstractEventLoop, self.loop)
         bus = Bus(self.settings.spi, lambda: self.controller, clock=self.now_ns)
-        supervisor = Supervisor(rules(self.settings))
+        # No runs of Stops at rest: nobody beats here, so to wait a second for one is to stand still.
+        supervisor = Supervisor(replace(rules(self.settings), rest_runs=0, start_wait_ns=0))
         recorder = Recorder(self.settings, {}, self.now_ns, self.now_ns)
         self.conductor = Conductor(
             self.settings,

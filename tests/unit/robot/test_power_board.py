@@ -173,7 +173,7 @@ def second_on_ms(pass_us: int, after_ms: float) -> float:
 def test_an_off_waits_for_no_on_and_takes_none_along_before_its_time() -> None:
     link = Link()
     link.want(frozenset({11}))
-    link.run_until(lambda: link.ours.supplied == {11})
+    link.run_until(lambda: link.ours.status.supplied == {11})
     at_ns = link.now_ns
     link.want(frozenset({12}))
     link.run(700)
@@ -207,16 +207,45 @@ def test_nothing_is_switched_on_while_the_board_does_not_answer() -> None:
 
 
 def test_nothing_is_sent_but_questions_until_something_is_wanted_or_cut() -> None:
-    """A gateway that starts anew takes no supply from a robot that stands."""
     link = fed()
     link.ours = Link().ours
     at_ns = link.now_ns
     link.run(500)
     assert link.masks(at_ns) == []
     link.want(ALL_SERVOS)
-    link.run(500)
-    assert {mask for _, mask in link.masks(at_ns)} == {ALL}
-    assert link.ours.supplied == ALL_SERVOS
+    link.run(1500)
+    assert link.ours.status.supplied == ALL_SERVOS
+
+
+@pytest.mark.parametrize("pass_us", [1000, 1500, 2000])
+@pytest.mark.parametrize("behind_ms", [1, 50, 100, 150, 300, 600])
+def test_a_stop_while_others_are_switched_on_is_confirmed_in_time(pass_us: int, behind_ms: int) -> None:
+    """The board answers a mask once all is on: all eighteen at once would take a second."""
+    link = Link(pass_ns=1000 * pass_us, confirm_ms=450)
+    link.want(NONE)
+    link.run(700)
+    link.want(ALL_SERVOS)
+    link.run(behind_ms)
+    link.want(ALL_SERVOS - {61, 62, 63})
+    link.when_off(frozenset({61, 62, 63}), token=1)
+    link.run(450)
+    (confirmed,) = link.confirmations()
+    assert confirmed.confirmed
+    assert link.events(Kind.POWER_UNCONFIRMED) == []
+    link.run(1100)
+    assert link.fed() == ALL_SERVOS - {61, 62, 63}
+
+
+def test_what_waits_to_be_fed_waits_for_no_off_that_is_late() -> None:
+    link = fed()
+    link.altered = lambda frame: CanFrame(0x6B, frame.data[:2] + b"\1") if frame.id == 0x6B else frame
+    link.want(NONE)
+    link.run(100)
+    link.want(frozenset({63}))
+    link.run(CONFIRM_MS - 110)
+    assert link.fed() == NONE, "11 is not confirmed yet"
+    link.run(400)
+    assert link.fed() == {63}
 
 
 # ---- answers that are late, lost or others'
@@ -253,7 +282,7 @@ def test_a_board_that_falls_silent_is_reported_within_200_ms_and_feeds_nothing_u
     assert took_ms < 150
     link.run(1)
     [(_, news)] = link.events(Kind.POWER_UNCONFIRMED)
-    assert news.servos == link.ours.lost == ALL_SERVOS
+    assert news.servos == link.ours.status.lost == ALL_SERVOS
     link.run(300)
     link.want(ALL_SERVOS)  # as each step says, until its owner has seen the news
     link.board.press_button(link.now_ns)
@@ -263,7 +292,7 @@ def test_a_board_that_falls_silent_is_reported_within_200_ms_and_feeds_nothing_u
     link.want_anew(ALL_SERVOS)
     link.run(1500)
     assert link.fed() == ALL_SERVOS
-    assert link.ours.lost == NONE
+    assert link.ours.status.lost == NONE
 
 
 def test_a_silence_of_the_link_alone_takes_no_supply_of_a_leg_that_lands() -> None:
@@ -323,8 +352,8 @@ def test_lost_answers_to_questions_are_no_silence_and_all_is_measured() -> None:
     link.alters = False  # an error frame that was altered is an unknown error
     link.run(20_000)
     assert link.events(Kind.POWER_UNCONFIRMED) == []
-    assert len(link.ours.currents_ma) == 18
-    assert len(link.ours.rails) == 6
+    assert len(link.ours.status.currents_ma) == 18
+    assert len(link.ours.status.rails) == 6
 
 
 def test_questions_do_not_flood_the_bus() -> None:

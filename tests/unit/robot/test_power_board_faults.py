@@ -7,6 +7,7 @@ from gateway.model.power_board import (
     ALL,
     ASK_RAILS,
     CLEAR_ERROR,
+    SUPPLIED,
     SUPPLY_LOW,
     CanFrame,
     set_supply,
@@ -40,7 +41,7 @@ def test_what_another_node_switches_off_stays_off_until_it_is_wanted_anew() -> N
     link.other_node(ALL & ~0b111)
     link.want(ALL_SERVOS)
     link.run(1000)
-    assert link.ours.lost == {11, 12, 13}
+    assert link.ours.status.lost == {11, 12, 13}
     assert link.fed() == ALL_SERVOS - {11, 12, 13}
     [(_, news)] = link.events(Kind.POWER_FAULT)
     assert news.servos == {11, 12, 13}
@@ -75,7 +76,7 @@ def test_an_output_that_the_board_takes_by_itself_is_lost() -> None:
     link = fed()
     link.board.take(CanFrame(0x6A, (ALL & ~1).to_bytes(3, "big")), link.now_ns)
     link.run(300)
-    assert link.ours.lost == {11}
+    assert link.ours.status.lost == {11}
     assert link.events(Kind.POWER_FAULT)[0][1].servos == {11}
 
 
@@ -101,18 +102,18 @@ def test_where_we_are_not_heard_the_answers_to_another_nodes_questions_confirm_n
 
 def test_a_servo_that_is_blocked_leaves_the_mask_at_once_and_stays_off_when_the_error_is_deleted_by_hand() -> None:
     link = fed()
-    link.board.fail(2, outputs=1 << 4)
-    link.run_until(lambda: link.ours.refused != {})
+    link.board.fail(2, 1 << 4)
+    link.run_until(lambda: link.ours.status.refused != {})
     at_ns = link.now_ns
     link.run(5)
     assert link.masks(at_ns)[0] == (0, ALL & ~(1 << 4))
-    assert link.ours.lost == {22}
-    assert list(link.ours.refused) == [22]
-    assert "overcurrent" in link.ours.refused[22]
+    assert link.ours.status.lost == {22}
+    assert list(link.ours.status.refused) == [22]
+    assert "overcurrent" in link.ours.status.refused[22]
     link.board.clear_by_hand()
     link.run(1000)
     assert link.fed() == ALL_SERVOS - {22}
-    assert link.ours.refused == {}
+    assert link.ours.status.refused == {}
     link.want_anew(ALL_SERVOS)
     link.run(1000)
     assert link.fed() == ALL_SERVOS
@@ -121,12 +122,12 @@ def test_a_servo_that_is_blocked_leaves_the_mask_at_once_and_stays_off_when_the_
 def test_a_report_that_was_lost_is_asked_for() -> None:
     link = fed()
     link.pause()
-    link.board.fail(2, outputs=1)
+    link.board.fail(2, 1)
     link.run(30)
     link.held = [frame for frame in link.held or [] if frame.id not in (0x65, 0x6B)]
     link.resume()
     link.run(300)
-    assert list(link.ours.refused) == [11]
+    assert list(link.ours.status.refused) == [11]
     [(_, news)] = [(at_ns, each) for at_ns, each in link.events(Kind.POWER_FAULT) if "overcurrent" in each.detail]
     assert news.servos == {11}
 
@@ -137,17 +138,17 @@ def test_a_reset_deletes_all_errors_and_gives_back_what_they_took(faults: float)
     link.alters = False
     link.want(ALL_SERVOS)
     link.run(2500)
-    link.board.fail(2, outputs=1 << 4)
-    link.board.fail(1, converters=1 << 1)
+    link.board.fail(2, 1 << 4)
+    link.board.fail(1, 1 << 1)
     link.board.fail(SUPPLY_LOW)
     link.run(500)
-    assert set(link.ours.refused) == {22, 31, 32, 33, 41, 42, 43}
+    assert set(link.ours.status.refused) == {22, 31, 32, 33, 41, 42, 43}
     assert any(frame == CLEAR_ERROR for _, frame in link.sent) is False
     link.want(NONE)
     link.ours.clear_errors(link.now_ns)
     link.want(ALL_SERVOS)
     link.run(2500)
-    assert link.ours.refused == {}
+    assert link.ours.status.refused == {}
     link.want_anew(ALL_SERVOS)  # this link delays frames one by one: a report of before may come behind the reset
     link.run(1500)
     assert link.fed() == ALL_SERVOS
@@ -156,7 +157,7 @@ def test_a_reset_deletes_all_errors_and_gives_back_what_they_took(faults: float)
 def test_a_servo_that_is_wanted_while_it_is_blocked_is_to_be_wanted_once_more() -> None:
     """Else it would come on when somebody deletes the error at the board."""
     link = fed()
-    link.board.fail(2, outputs=1)
+    link.board.fail(2, 1)
     link.run(100)
     link.want_anew(ALL_SERVOS)
     link.run(100)
@@ -167,29 +168,32 @@ def test_a_servo_that_is_wanted_while_it_is_blocked_is_to_be_wanted_once_more() 
 
 def test_no_error_is_deleted_while_masks_may_not_arrive() -> None:
     board = PowerBoard(SERVO_IDS, confirm_ns=CONFIRM_MS * NS_PER_MS)
-    board.want(ALL_SERVOS, 0)
+    board.want(frozenset({11, 12, 13}), 0, 0)
     board.heard(CanFrame(0x97), 0)
-    sent = board.next_frames(0)
-    assert set_supply(ALL) in sent
-    board.heard(CanFrame(0x65, b"\2\0\0\1"), 1)
-    board.clear_errors(1)
+    (rail,) = [frame for frame in board.next_frames(0) if frame in ASK_RAILS]
+    board.heard(CanFrame(rail.id + 1, bytes(6)), 40 * NS_PER_MS)
+    board.heard(CanFrame(SUPPLIED, bytes(3)), 40 * NS_PER_MS)
+    begun_ns = 50 * NS_PER_MS
+    assert set_supply(0b111) in board.next_frames(begun_ns)
+    board.heard(CanFrame(0x65, b"\2\0\0\1"), begun_ns)
+    board.clear_errors(begun_ns)
     asked: list[CanFrame] = []
-    for ms in range(1, 80, 10):
+    for ms in range(51, 120, 10):
         asked += board.next_frames(ms * NS_PER_MS)
-    board.heard(CanFrame(0x65, b"\2\0\0\1"), 80 * NS_PER_MS)
-    asked += board.next_frames(80 * NS_PER_MS)
-    assert set_supply(ALL & ~1) in asked
+    board.heard(CanFrame(0x65, b"\2\0\0\1"), 120 * NS_PER_MS)
+    asked += board.next_frames(120 * NS_PER_MS)
+    assert set_supply(0b110) in asked
     assert CLEAR_ERROR not in asked
     rail = next(frame for frame in asked if frame in ASK_RAILS)
-    board.heard(CanFrame(rail.id + 1, bytes(6 if rail.id in (0x7C, 0x80, 0x86) else 4)), 80 * NS_PER_MS)
-    board.heard(CanFrame(0x65, b"\2\0\0\1"), 80 * NS_PER_MS)
-    assert CLEAR_ERROR in board.next_frames(80 * NS_PER_MS)
+    board.heard(CanFrame(rail.id + 1, bytes(6 if rail.id in (0x7C, 0x80, 0x86) else 4)), 120 * NS_PER_MS)
+    board.heard(CanFrame(0x65, b"\2\0\0\1"), 120 * NS_PER_MS)
+    assert CLEAR_ERROR in board.next_frames(120 * NS_PER_MS)
 
 
 def test_an_error_is_deleted_only_once_the_board_has_the_mask_without_its_servos() -> None:
     link = fed()
-    link.board.fail(2, outputs=1)
-    link.run_until(lambda: link.ours.refused != {})
+    link.board.fail(2, 1)
+    link.run_until(lambda: link.ours.status.refused != {})
     link.ours.clear_errors(link.now_ns)
     at_ns = link.now_ns
     link.run(100)
@@ -204,8 +208,8 @@ def test_at_70_degrees_all_servos_leave_the_mask_and_are_reported_once() -> None
     link.board.temperatures_c[0] = 70
     link.run(1000)
     assert link.fed() == NONE
-    assert set(link.ours.refused) == ALL_SERVOS
-    assert "overtemperature" in link.ours.refused[11]
+    assert set(link.ours.status.refused) == ALL_SERVOS
+    assert "overtemperature" in link.ours.status.refused[11]
     [(_, news)] = link.events(Kind.POWER_FAULT)
     assert news.servos == ALL_SERVOS
     link.board.temperatures_c[0] = 69
@@ -266,7 +270,7 @@ def test_two_boards_on_one_bus_are_a_fault_and_confirm_nothing_until_a_reset() -
     link.run(1000)
     [(_, news)] = link.events(Kind.POWER_FAULT)
     assert (news.servos, "two power boards" in news.detail) == (ALL_SERVOS, True)
-    assert set(link.ours.refused) == ALL_SERVOS
+    assert set(link.ours.status.refused) == ALL_SERVOS
     # The real one is unplugged, and feeds what it fed.
     link.board = second
     link.cut()
@@ -278,7 +282,7 @@ def test_two_boards_on_one_bus_are_a_fault_and_confirm_nothing_until_a_reset() -
     link.ours.clear_errors(link.now_ns)
     link.run(1000)
     assert link.ours.confirmed
-    assert link.ours.refused == {}
+    assert link.ours.status.refused == {}
 
 
 @pytest.mark.parametrize("frame", ["69", "67", "6508", "650420"])
@@ -316,7 +320,7 @@ def test_what_another_node_switches_off_while_our_on_waits_stays_off() -> None:
     link.other_node(0b111)
     link.run(1500)
     assert link.fed() == {11, 12, 13}
-    assert link.ours.lost == ALL_SERVOS - {11, 12, 13}
+    assert link.ours.status.lost == ALL_SERVOS - {11, 12, 13}
 
 
 def test_a_mask_for_which_there_was_no_room_leaves_first_and_is_confirmed_by_no_question_of_before() -> None:
@@ -341,7 +345,7 @@ def test_a_low_supply_is_reported_and_takes_nothing() -> None:
     [(_, news)] = link.events(Kind.POWER_FAULT)
     assert "too low" in news.detail
     assert link.fed() == ALL_SERVOS
-    assert link.ours.refused == {}
+    assert link.ours.status.refused == {}
 
 
 def test_the_off_button_is_news() -> None:

@@ -57,7 +57,7 @@ def test_an_on_waits_for_the_answer_to_an_off_that_crossed_the_answer_before() -
     """The counter is not at rest before: the on would be 230 passes late."""
     link, _ = at_rest()
     link.want(frozenset({11}))
-    answered_ms = link.run_until(lambda: link.ours.supplied == {11})
+    answered_ms = link.run_until(lambda: link.ours.status.supplied == {11})
     link, _ = at_rest()
     link.want(frozenset({11}))
     link.run(answered_ms - 1)
@@ -137,7 +137,7 @@ def test_an_output_that_the_board_takes_by_itself_is_lost_also_behind_a_want_tha
     link.want(ALL_SERVOS)
     link.board.take(CanFrame(SET_SUPPLY, (ALL >> 1).to_bytes(3, "big")), link.now_ns)
     link.run(300)
-    assert link.ours.lost == {63}
+    assert link.ours.status.lost == {63}
 
 
 def test_a_gateway_has_a_second_to_start_whenever_that_is() -> None:
@@ -168,7 +168,7 @@ def test_a_frame_that_is_not_the_boards_is_no_sign_of_it() -> None:
     for frame in (CanFrame(0x100), CanFrame(SUPPLIED, b"\0"), CanFrame(SET_SUPPLY, bytes(3))):
         link.ours.heard(frame, 1)
     assert not link.ours.alive
-    assert link.ours.answered_ns is None
+    assert link.ours.status.answered_ns is None
 
 
 def test_on_a_new_interface_a_confirmation_waits_for_no_older_question() -> None:
@@ -183,7 +183,7 @@ def test_on_a_new_interface_a_confirmation_waits_for_no_older_question() -> None
 def test_not_even_the_first_off_is_confirmed_by_an_answer_that_was_on_its_way() -> None:
     ours = Link().ours
     ours.heard(CanFrame(ASK_CURRENTS[0].id + 1, bytes(6)), 0)
-    ours.want(NONE, 0)
+    ours.want(NONE, 0, 0)
     assert ours.next_frames(0)[0] == set_supply(0)
     ours.heard(CanFrame(SUPPLIED, bytes(3)), 1)
     assert not ours.confirmed
@@ -216,20 +216,20 @@ def test_what_another_node_switches_on_is_taken_again_until_the_board_has_confir
 
 def test_what_servos_drew_before_a_silence_is_not_known_any_more() -> None:
     link = fed()
-    assert len(link.ours.currents_ma) == len(ALL_SERVOS)
+    assert len(link.ours.status.currents_ma) == len(ALL_SERVOS)
     link.cable = False
     link.run(300)
-    assert link.ours.currents_ma == {}
+    assert link.ours.status.currents_ma == {}
 
 
 def test_what_is_wanted_again_counts_as_fed_once_the_board_says_so_anew() -> None:
     link = fed()
-    assert link.ours.fed == ALL_SERVOS
+    assert link.ours.status.fed == ALL_SERVOS
     link.want(ALL_SERVOS - {11})
-    assert link.ours.fed == ALL_SERVOS - {11}
+    assert link.ours.status.fed == ALL_SERVOS - {11}
     link.want(ALL_SERVOS)
-    assert link.ours.fed == ALL_SERVOS - {11}
-    link.run_until(lambda: 11 in link.ours.fed)
+    assert link.ours.status.fed == ALL_SERVOS - {11}
+    link.run_until(lambda: 11 in link.ours.status.fed)
     assert link.fed() == ALL_SERVOS
 
 
@@ -239,17 +239,17 @@ def test_an_old_answer_that_shows_it_on_does_not_count_as_fed() -> None:
     link.run(1)
     link.want(ALL_SERVOS)
     link.ours.heard(CanFrame(0x6B, bytes.fromhex("03ffff")), link.now_ns)
-    assert 11 not in link.ours.fed
+    assert 11 not in link.ours.status.fed
 
 
 def test_what_a_servo_drew_before_it_was_fed_is_forgotten_once_it_is() -> None:
     link = fed()
     link.want_anew(ALL_SERVOS - {11})
     link.run(1500)
-    assert link.ours.currents_ma[11] == 0
+    assert link.ours.status.currents_ma[11] == 0
     link.board.draws_ma[0] = 200.0
     link.want(ALL_SERVOS)
-    link.run_until(lambda: 11 in link.ours.fed)
-    assert link.ours.currents_ma.get(11) is None
+    link.run_until(lambda: 11 in link.ours.status.fed)
+    assert link.ours.status.currents_ma.get(11) is None
     link.run(200)
-    assert link.ours.currents_ma[11] == 200
+    assert link.ours.status.currents_ma[11] == 200

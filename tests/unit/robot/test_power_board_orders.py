@@ -50,7 +50,7 @@ class Watched(Link):
     def check(self) -> None:
         came_on = self.board.fed & ~self.before
         self.before = self.board.fed
-        lost = self.ours.lost if self.ours.alive else ()
+        lost = self.ours.status.lost if self.ours.alive else ()
         self.lost_ns = {servo: self.lost_ns.get(servo, self.now_ns) for servo in lost}
         for place, servo in enumerate(SERVO_IDS):
             bit = 1 << place
@@ -59,7 +59,7 @@ class Watched(Link):
             if came_on & bit:
                 assert self.now_ns - self.lost_ns.get(servo, self.now_ns) <= LATE_NS, f"{servo} came on again"
         if self.ours.confirmed:
-            assert not self.fed() - self.ours.lost - self.wanted, "what is confirmed to be off is on"
+            assert not self.fed() - self.ours.status.lost - self.wanted, "what is confirmed to be off is on"
 
 
 @pytest.mark.full
@@ -87,7 +87,7 @@ def test_nothing_comes_on_unasked_and_what_is_confirmed_is_so(
             case "resume":
                 link.resume()
             case "blocked":
-                link.board.fail(2, outputs=1 << (token % 18))
+                link.board.fail(2, 1 << (token % 18))
             case "by hand":
                 link.board.clear_by_hand()
             case "clear":

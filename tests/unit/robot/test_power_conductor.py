@@ -236,7 +236,7 @@ async def test_nothing_starts_while_the_board_is_silent_and_what_runs_is_stopped
 @pytest.mark.parametrize("by_hand", [True, False])
 async def test_a_servo_that_the_board_blocks_is_stopped_and_starts_again_behind_a_reset(by_hand: bool) -> None:
     robot = await runs()
-    robot.line.simulated.fail(SERVO_OVERCURRENT, outputs=1 << SERVO_IDS.index(31))
+    robot.line.simulated.fail(SERVO_OVERCURRENT, 1 << SERVO_IDS.index(31))
     await keep(robot, 0.2, LEG_3, leg("set", 91, 91, 91))
     assert running(robot) == []
     assert robot.line.fed == frozenset()
@@ -454,7 +454,7 @@ async def test_telemetry_has_what_the_board_measures_of_a_robot_that_measures_no
     robot = await runs(watchdog={"timeout_ms": 10_000})
     robot.line.simulated.draws_ma = [100.0] * len(SERVO_IDS)
     await asyncio.sleep(0.505)
-    robot.conductor.publish_telemetry()
+    robot.conductor.telemetry.publish()
     (report,) = [each for key, each in robot.reports if key == keys.TELEMETRY and isinstance(each, Telemetry)]
     assert report.servos is not None
     assert report.servos.keys() == set(map(str, SERVO_IDS))

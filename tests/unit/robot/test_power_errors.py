@@ -55,7 +55,7 @@ def test_an_output_is_blocked_by_the_first_error_that_names_it(errors: BoardErro
 
 def test_nothing_is_deleted_unasked(errors: BoardErrors) -> None:
     errors.shown(FIRST, 0)
-    assert (errors.deletes, errors.due_ns) == (False, None)
+    assert errors.due_ns is None
     assert frames(errors, range(1000)) == []
 
 
@@ -64,7 +64,7 @@ def test_each_is_shown_and_then_deleted_until_the_board_has_none(errors: BoardEr
     errors.shown(first, 0)
     errors.shown(LAST, 0)
     errors.delete(10 * NS_PER_MS)
-    assert (errors.deletes, errors.due_ns) == (True, 10 * NS_PER_MS)
+    assert errors.due_ns == 10 * NS_PER_MS
     assert frames(errors, range(30)) == [(10, ASK_ERROR)]
     errors.shown(LAST, 30 * NS_PER_MS)
     assert frames(errors, range(30, 40)) == [(30, CLEAR_ERROR)]
@@ -76,16 +76,17 @@ def test_each_is_shown_and_then_deleted_until_the_board_has_none(errors: BoardEr
     errors.deleted(60 * NS_PER_MS)
     assert errors.mask == 0, "each is free again with its own error"
     errors.none_left()
-    assert (errors.deletes, errors.mask, errors.due_ns) == (False, 0, None)
+    assert errors.mask == 0
+    assert errors.due_ns is None
     assert errors.shown(FIRST, 70 * NS_PER_MS)[2], "what comes again is news again"
 
 
 def test_without_an_answer_it_asks_again_every_50_ms_for_two_seconds(errors: BoardErrors) -> None:
     errors.delete(0)
     assert frames(errors, range(1950)) == [(ms, ASK_ERROR) for ms in range(0, 1950, 50)]
-    assert errors.deletes
+    assert errors.due_ns is not None
     assert frames(errors, range(1950, 5000)) == [(1950, ASK_ERROR)]
-    assert not errors.deletes
+    assert errors.due_ns is None
 
 
 def test_what_another_program_has_deleted_is_not_deleted_again(errors: BoardErrors) -> None:

@@ -210,7 +210,7 @@ def disturb(judge: Judge, what: str, mask: int) -> None:
             for question in ASK_RAILS:
                 line.hear_from_another(question)
         case "block":
-            line.simulated.fail(SERVO_OVERCURRENT, outputs=mask)
+            line.simulated.fail(SERVO_OVERCURRENT, mask)
         case "by hand":
             line.simulated.clear_by_hand()
         case "unseen none":

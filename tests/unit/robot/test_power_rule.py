@@ -20,7 +20,7 @@ from tests.support.steps import Steps, all_stopped, leg_to, legs_to, servo_to
 
 def fed(**changes: Any) -> Steps:
     """Leg 3 runs since 10 ms, on a robot whose board has answered at 5 ms."""
-    steps = Steps(Rules(**{"repeats": 0, "power": True, **changes}))
+    steps = Steps(Rules(**{"repeats": 0, "rest_runs": 0, "power": True, **changes}))
     steps.board(5)
     steps.command(10, leg_to(3, "start 90"))
     steps.board(10)

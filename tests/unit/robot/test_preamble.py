@@ -116,7 +116,8 @@ async def test_a_stream_of_first_stops_has_it_behind_them() -> None:
         before = len(robot.controller.transfers)
         robot.put(LEG_3, leg("stop"))
         assert [data for _, data in robot.controller.transfers][before:] == [b"\x0e", STOP_3]
-    assert [count for kind, _, count in runs(robot) if kind == "zeros"] == [16] * 5
+    zeros = [count for kind, _, count in runs(robot) if kind == "zeros"]
+    assert zeros == [16] * 8, "those of the stream, and those ahead of four runs for legs at rest"
 
 
 async def test_a_slow_stream_has_it_ahead_of_a_frame() -> None:

@@ -194,7 +194,7 @@ def test_ten_measurements_above_the_limit_block_an_output_and_nine_do_not(fed: B
 
 
 def test_an_output_of_the_newest_mask_comes_on_by_itself_when_its_error_is_deleted(fed: Bench) -> None:
-    fed.board.fail(2, outputs=outputs(5))
+    fed.board.fail(2, outputs(5))
     assert fed.board.fed == 0x3FFFF & ~outputs(5)
     fed.passes(100)
     fed.take(CanFrame(0x96))
@@ -204,7 +204,7 @@ def test_an_output_of_the_newest_mask_comes_on_by_itself_when_its_error_is_delet
 
 
 def test_deleting_by_hand_gives_nothing_back_that_a_newer_mask_leaves_out(fed: Bench) -> None:
-    fed.board.fail(2, outputs=outputs(5))
+    fed.board.fail(2, outputs(5))
     fed.take(CanFrame(0x6A, bytes.fromhex("03ffef")))
     fed.board.clear_by_hand()
     fed.passes(1000)
@@ -213,9 +213,9 @@ def test_deleting_by_hand_gives_nothing_back_that_a_newer_mask_leaves_out(fed: B
 
 def test_each_64_shows_the_next_error_and_96_deletes_the_one_shown_last(bench: Bench) -> None:
     bench.board.fail(8)
-    bench.board.fail(2, outputs=outputs(1))
+    bench.board.fail(2, outputs(1))
     shown = [bench.passes(1)[0].data.hex()]  # the newest unasked
-    bench.board.fail(1, converters=1)
+    bench.board.fail(1, 1)
     shown += [bench.passes(1)[0].data.hex()]
     for _ in range(3):
         bench.take(CanFrame(0x64))
@@ -231,17 +231,17 @@ def test_each_64_shows_the_next_error_and_96_deletes_the_one_shown_last(bench: B
 
 
 def test_an_error_that_grows_is_shown_again_and_one_that_repeats_is_not(bench: Bench) -> None:
-    bench.board.fail(2, outputs=outputs(5))
+    bench.board.fail(2, outputs(5))
     assert bench.passes(1) == [CanFrame(0x65, bytes.fromhex("02000010"))]
-    bench.board.fail(2, outputs=outputs(5))
+    bench.board.fail(2, outputs(5))
     assert not [frame for frame in bench.passes(20) if frame.id == 0x65]
-    bench.board.fail(2, outputs=outputs(18))
+    bench.board.fail(2, outputs(18))
     assert bench.passes(1) == [CanFrame(0x65, bytes.fromhex("02020010"))]
 
 
 @pytest.mark.parametrize("code", [1, 4])
 def test_a_converter_that_fails_feeds_none_of_its_six_though_the_mask_shows_them(fed: Bench, code: int) -> None:
-    fed.board.fail(code, converters=0b10)
+    fed.board.fail(code, 0b10)
     assert fed.board.fed == 0x3FFFF & ~outputs(7, 8, 9, 10, 11, 12)
     assert fed.ask(0x80).hex() == "1ce800001ce8"
     assert fed.until(0x6B)[1] == ALL_ON
@@ -250,13 +250,11 @@ def test_a_converter_that_fails_feeds_none_of_its_six_though_the_mask_shows_them
 
 
 @pytest.mark.parametrize(
-    ("code", "converters", "named", "data"),
-    [(1, 0b10, 0, "0102"), (2, 0, 0b100000000000000000, "02020000"), (4, 0b111, 0, "0407"), (8, 0, 0, "08")],
+    ("code", "mask", "data"),
+    [(1, 0b10, "0102"), (2, 0b100000000000000000, "02020000"), (4, 0b111, "0407"), (8, 0, "08")],
 )
-def test_each_kind_of_error_is_sent_as_the_table_has_it(
-    bench: Bench, code: int, converters: int, named: int, data: str
-) -> None:
-    bench.board.fail(code, converters=converters, outputs=named)
+def test_each_kind_of_error_is_sent_as_the_table_has_it(bench: Bench, code: int, mask: int, data: str) -> None:
+    bench.board.fail(code, mask)
     (frame,) = [frame for frame in bench.passes(1) if frame.id == 0x65]
     assert frame.data.hex() == data
 
@@ -292,7 +290,7 @@ def test_its_button_is_said_once_in_the_next_pass(fed: Bench) -> None:
 
 
 def test_without_supply_it_forgets_everything_and_is_silent_until_its_button_is_pressed(fed: Bench) -> None:
-    fed.board.fail(2, outputs=outputs(5))
+    fed.board.fail(2, outputs(5))
     fed.board.restart()
     assert fed.board.fed == 0
     assert fed.take(CanFrame(0x70)) == fed.take(ALL) == fed.passes(2000) == []
@@ -337,7 +335,7 @@ def test_one_that_looks_only_when_something_is_due_sees_the_same(bench: Bench) -
         bench.take(frame)
         other.take(frame)
         for each in (bench, other):
-            each.board.fail(2, outputs=outputs(3))
+            each.board.fail(2, outputs(3))
         end_ns = bench.now_ns + 260 * PASS_NS
         for _ in range(260):
             each_pass += [(bench.now_ns, sent) for sent in bench.passes(1)]

@@ -19,7 +19,12 @@ ENDS_MS = 10 + TIMEOUT_MS + LANDING_MS
 
 def landing_steps(**changes: Any) -> Steps:
     """Legs 3 and 4 run since 10 ms, and have been silent since; the pose names two of their servos."""
-    rules = {"repeats": 0, "landing_ns": LANDING_MS * NS_PER_MS, "landing_cdeg": {31: 30_00, 42: 100_00}}
+    rules = {
+        "repeats": 0,
+        "rest_runs": 0,
+        "landing_ns": LANDING_MS * NS_PER_MS,
+        "landing_cdeg": {31: 30_00, 42: 100_00},
+    }
     steps = Steps(Rules(**{**rules, **changes}))
     steps.command(10, legs_to("34", "start 90"))
     return steps

@@ -1,7 +1,11 @@
 """A servo whose speed is limited goes to its target in steps, one in each rate slot. Each step is judged."""
 
+from collections.abc import Callable
+
 import pytest
 
+from gateway.allowance import NS_PER_MS
+from gateway.robot.core.events import Command
 from gateway.robot.core.leg import Rules
 from tests.support.steps import Steps, leg_to, servo_to
 
@@ -131,3 +135,67 @@ def test_under_a_new_holder_of_the_lease_nothing_goes_on_to_where_somebody_else_
     assert steps.lease(101, "acquire anna", fresh="a" * 32) == ["announce lease_acquired", "granted"]
     assert steps.time(249) == []
     assert steps.time(350) == ["watchdog 1 stop", "announce watchdog_expired"]
+
+
+# ---- a command that is rejected once it has begun
+
+
+REJECTED_MS = 3000
+
+
+def begun() -> Steps:
+    """Command 7 sends servo 31 on its way, and its start of servo 11 waits for its turn, until 4010 ms.
+
+    Leg 5 is silent from `REJECTED_MS` on.
+    """
+    timeout_ns, pause_ns = 1000 * NS_PER_MS, 2000 * NS_PER_MS
+    steps = Steps(
+        Rules(timeout_ns, repeats=0, rest_runs=0, power=True, start_pause_ns=pause_ns, max_speed_cdeg_s={31: 10_00})
+    )
+    steps.board(5)
+    steps.command(10, leg_to(5, "start 90"))
+    steps.board(10)
+    for at_ms in (500, 1000, 1500, 2000):
+        steps.command(at_ms, leg_to(5, "set 90"))
+    steps.command(2005, servo_to(31, "start 0"))
+    assert "command 31 start 0" in steps.board(2010)
+    said = steps.command(2100, (*servo_to(31, "set 180"), *servo_to(11, "start 90")))
+    assert said == ["command 31 set 0.2"]
+    assert angles(steps, REJECTED_MS - 1)[-1] == 9
+    return steps
+
+
+def stop_another_leg(steps: Steps) -> list[str]:
+    return steps.command(REJECTED_MS - 1, leg_to(2, "stop"))
+
+
+def take_the_supply_of_one(steps: Steps) -> list[str]:
+    return steps.board(REJECTED_MS - 1, lost=(11,))
+
+
+def lose_messages_of_one(steps: Steps) -> list[str]:
+    return steps.take(REJECTED_MS - 1, Command(servo_to(11, "stop"), key="lost", number=99, lost=True))
+
+
+def be_silent(steps: Steps) -> list[str]:
+    return steps.time(REJECTED_MS)
+
+
+REJECTING = [stop_another_leg, take_the_supply_of_one, lose_messages_of_one, be_silent]
+
+
+@pytest.mark.parametrize("reject", REJECTING)
+def test_a_servo_does_not_go_on_to_where_a_rejected_command_has_sent_it(reject: Callable[[Steps], list[str]]) -> None:
+    steps = begun()
+    assert "rejected 7" in " ".join(reject(steps))
+    assert 31 in steps.running
+    assert angles(steps, REJECTED_MS + 90) == [], "it holds where it is"
+
+
+@pytest.mark.parametrize("reject", REJECTING)
+def test_it_goes_on_to_where_a_newer_command_has_sent_it(reject: Callable[[Steps], list[str]]) -> None:
+    steps = begun()
+    newer = steps.command(REJECTED_MS - 2, servo_to(31, "set 100"))
+    assert "rejected" not in " ".join(newer)
+    assert "rejected 7" in " ".join(reject(steps))
+    assert angles(steps, REJECTED_MS + 90)[-1] > 9.2

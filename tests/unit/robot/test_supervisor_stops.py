@@ -111,7 +111,7 @@ def test_a_command_that_is_late_does_not_save_its_leg(late: str) -> None:
 
 
 def test_a_start_that_waits_too_long_is_never_sent() -> None:
-    robot = Steps(Rules(repeats=0, period_ns=4000 * NS_PER_MS))
+    robot = Steps(Rules(repeats=0, rest_runs=0, period_ns=4000 * NS_PER_MS))
     robot.command(100, leg_to(1, "start 90"))
     robot.command(110, leg_to(1, "stop"))
     assert robot.command(120, leg_to(1, "start 90")) == []
@@ -164,7 +164,7 @@ def test_waking_up_after_many_deadlines_stops_and_sends_nothing_else() -> None:
 
 
 def test_every_stop_is_repeated() -> None:
-    robot = Steps(Rules(repeats=2, repeat_interval_ns=20 * NS_PER_MS))
+    robot = Steps(Rules(repeats=2, repeat_interval_ns=20 * NS_PER_MS, rest_runs=0))
     assert robot.due_ms == 20
     assert robot.time(20) == all_stopped("repeat")
     assert robot.time(39) == []
@@ -304,6 +304,7 @@ def test_with_nothing_latched_a_reset_changes_nothing_whatever_it_names(newer: i
 
 def test_repeats_of_an_emergency_stop_outlast_the_reset() -> None:
     robot = Steps(Rules(repeats=1))
+    robot.time(20)
     robot.estop(100)
     robot.reset(110)
     assert robot.time(120) == all_stopped("repeat")

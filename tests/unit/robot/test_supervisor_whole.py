@@ -17,7 +17,7 @@ STARTED = [f"command {leg} start 90" for leg in range(1, 7)]
 
 def whole(**changes: Any) -> Steps:
     """At rest."""
-    return Steps(Rules(**{"repeats": 0, "starts_whole": True, **changes}))
+    return Steps(Rules(**{"repeats": 0, "rest_runs": 0, "starts_whole": True, **changes}))
 
 
 def running(**changes: Any) -> Steps:

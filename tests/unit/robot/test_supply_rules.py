@@ -93,7 +93,7 @@ async def test_who_waits_for_all_is_answered_once_all_are_off() -> None:
     robot = await runs()
     told: list[bool] = []
     robot.put(keys.ESTOP)
-    supply_of(robot).confirm_all(robot.now_ns(), lambda confirmed, _ms: told.append(confirmed))
+    supply_of(robot).confirm(SERVO_IDS, robot.now_ns(), lambda confirmed, _ms: told.append(confirmed))
     assert told == []
     await asyncio.sleep(0.14)
     assert told == [True]

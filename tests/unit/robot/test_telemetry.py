@@ -26,7 +26,7 @@ ELKAPOD = {"protocol": "elkapod-2025"}
 
 
 def published(robot: Robot) -> list[Telemetry]:
-    robot.conductor.publish_telemetry()
+    robot.conductor.telemetry.publish()
     return [report for key, report in robot.reports if key == keys.TELEMETRY and isinstance(report, Telemetry)]
 
 
@@ -38,7 +38,7 @@ def says(robot: Robot, monkeypatch: pytest.MonkeyPatch, *, alive: bool) -> None:
 
 def asked(robot: Robot) -> list[bytes]:
     answers: list[bytes] = []
-    robot.conductor.answer_telemetry(answers.append)
+    robot.conductor.telemetry.answer(answers.append)
     return answers
 
 

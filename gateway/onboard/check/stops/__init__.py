@@ -12,10 +12,10 @@ from gateway.errors import ConfigError, GatewayError
 from gateway.model.telemetry import starts_whole
 from gateway.onboard.check.stops.bench import Bench, FailedError, Figures, Skipped
 from gateway.onboard.check.stops.steps import STEPS, CheckStep
+from gateway.people.commands.driving import drives
+from gateway.people.commands.moving import ServoMotion, consents, lying, ready, stopped_after
+from gateway.people.commands.reach import Connection, show_differences
 from gateway.people.terminal import NOBODY, hint, on_end_signals, rows, say
-from gateway.people.tools.driving import drives
-from gateway.people.tools.moving import ServoMotion, consents, lying, ready, stopped_after
-from gateway.people.tools.reach import Connection, show_differences
 from schemas.telemetry import GatewayState, Mode
 
 START_DEG: Final = 90.0

@@ -12,7 +12,7 @@ from gateway.model.calibration import RobotCalibration, calibration_of
 from gateway.model.frames import Frame, FrameError, OneLeg, OneServo, Op, ServoOp, centidegrees, decode
 from gateway.people.client.blocking import Client
 from gateway.people.client.subscriptions import reports, subscribed
-from gateway.people.tools.moving import ServoMotion
+from gateway.people.commands.moving import ServoMotion
 from schemas import keys
 from schemas.robot import JOINTS
 from schemas.telemetry import Ack, Cause, Event, FrameRecord, GatewayState, Reason

@@ -1,5 +1,5 @@
 /**
- * What the WebSocket carries, as far as the page reads it (gateway/people/console/messages.py, schemas/telemetry.py).
+ * What the WebSocket carries, as far as the page reads it (gateway/people/console/pages/page_messages.py, schemas/telemetry.py).
  *
  * @typedef {{id: number, running: boolean, angle_deg: number | null}} Servo
  * @typedef {{leg: number, watchdog: string, age_ms: number | null, source: string | null, servos: Servo[]}} Leg

@@ -8,7 +8,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import Final
 
-from gateway.people.console.messages import (
+from gateway.people.console.pages.page_messages import (
     AckMessage,
     BodyMessage,
     EventMessage,

@@ -13,12 +13,12 @@ from rich.text import Text
 from gateway.errors import GatewayError, LeaseError, ZenohError
 from gateway.people.client.blocking import Client
 from gateway.people.client.walk import Walk
+from gateway.people.commands import driving, reach
+from gateway.people.commands.reach import Connection
+from gateway.people.commands.walk.keypad import Keypad
+from gateway.people.commands.walk.script import went
 from gateway.people.terminal import check_terminal
 from gateway.people.terminal.screen import STYLES, Screen, fitted
-from gateway.people.tools import driving, reach
-from gateway.people.tools.reach import Connection
-from gateway.people.tools.walk.keypad import Keypad
-from gateway.people.tools.walk.script import went
 from gateway.people.walking import GAITS, Velocity, ground_now
 from gateway.text import visible
 from schemas.telemetry import Mode

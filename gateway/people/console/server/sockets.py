@@ -12,7 +12,7 @@ from contextlib import ExitStack, contextmanager
 from typing import Final
 
 from gateway.errors import AddressTakenError, ConfigError
-from gateway.people.console.site import LOCALHOST, Site, address_of, with_port
+from gateway.people.console.server.site import LOCALHOST, Site, address_of, with_port
 
 BACKLOG: Final = 64
 """Connections that the kernel queues; it drops further ones."""

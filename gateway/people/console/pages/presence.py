@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from gateway.people.client.silence import Silence
-from gateway.people.console.messages import LinkMessage
+from gateway.people.console.pages.page_messages import LinkMessage
 
 
 class GatewayPresence:

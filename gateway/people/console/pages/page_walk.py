@@ -28,7 +28,7 @@ from gateway.geometry import Geometry
 from gateway.people.client.blocking import Client
 from gateway.people.client.lease import LentLease
 from gateway.people.client.walk import Walk
-from gateway.people.console.messages import WalkMessage, WalkWish
+from gateway.people.console.pages.page_messages import WalkMessage, WalkWish
 from gateway.people.walking import Ride, Silences, Velocity, Wish, ground_now
 
 WISH_SILENT_S: Final = 0.25

@@ -6,8 +6,8 @@ from contextlib import contextmanager
 from gateway.errors import LeaseError, UnansweredError
 from gateway.own_command import command
 from gateway.people.client.blocking import Client
+from gateway.people.commands.reach import me
 from gateway.people.terminal import hint, say
-from gateway.people.tools.reach import me
 from schemas.lease import LeaseAck
 from schemas.telemetry import Ack, Reason
 

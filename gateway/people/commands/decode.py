@@ -1,7 +1,9 @@
 """`decode`: explains a frame's bytes, or names their fault."""
 
+import json
 import re
 from collections.abc import Iterator, Sequence
+from typing import Any
 
 from gateway.model.frames import (
     ONE_LEG_LEN,
@@ -22,18 +24,19 @@ _MAX_ECHO = 40
 """How many of the typed characters a message repeats."""
 
 
-def decode(hex_bytes: Sequence[str]) -> int:
-    """Explain frames, one line each."""
+def decode(hex_bytes: Sequence[str], *, as_json: bool = False) -> int:
+    """Explain frames, one line each; for programs a JSON object each."""
     try:
         data = b"".join(map(_bytes, " ".join(hex_bytes).replace(",", " ").split()))
     except ValueError as error:
-        say(str(error))
+        say(json.dumps({"fault": str(error)}) if as_json else str(error))
         return 1
     for frame in _frames(data):
         try:
-            say(_explain(frame))
+            say(json.dumps(_as_json(frame)) if as_json else _explain(frame))
         except FrameError as error:
-            say(f"{frame.hex(' ') or 'nothing'}: not legal: {error}")
+            fault = {"bytes": frame.hex(), "fault": str(error)}
+            say(json.dumps(fault) if as_json else f"{frame.hex(' ') or 'nothing'}: not legal: {error}")
             return 1
     return 0
 
@@ -61,6 +64,16 @@ def _frames(data: bytes) -> Iterator[bytes]:
         yield data[: data[0]]
         data = data[data[0] :]
     yield data
+
+
+def _as_json(data: bytes) -> dict[str, Any]:
+    frame = decode_frame(data)
+    servos = [
+        {"id": servo_id, "op": command.op.name.lower()}
+        | ({} if command.op is Op.STOP else {"angle_deg": command.angle_cdeg / 100})
+        for servo_id, command in frame.servos
+    ]
+    return {"bytes": data.hex(), "leg": frame.leg, "servos": servos}
 
 
 def _explain(data: bytes) -> str:

@@ -12,9 +12,9 @@ from gateway.people.client.blocking import Client, several_answer
 from gateway.people.client.dangers import PowerAlarm, confirmed_off
 from gateway.people.client.payloads import leg_payload, servo_payload
 from gateway.people.client.requests import Identity
+from gateway.people.commands import reach
+from gateway.people.commands.reach import Connection, me
 from gateway.people.terminal import hint, say
-from gateway.people.tools import reach
-from gateway.people.tools.reach import Connection, me
 from gateway.zenoh_config import client_config
 from schemas import keys
 from schemas.robot import JOINTS, LEGS
@@ -81,7 +81,7 @@ def send_stop(connect: Connection) -> int:
 
 def _send(connect: Connection, key: str, payload: dict[str, object], *, moves: bool, hold_s: float) -> int:
     """Send an acknowledged command, repeat it for `hold_s`, and print the result. Returns the exit code."""
-    from gateway.people.tools import driving  # a Stop does not wait for what this loads
+    from gateway.people.commands import driving  # a Stop does not wait for what this loads
 
     with connect() as client:
         try:
@@ -183,6 +183,6 @@ def command_report(ack: Ack, accepted: str, look: Callable[[], GatewayState]) ->
         if alarm := _alarm(ack, look):
             say(alarm)
         return 1 if alarm else 0
-    from gateway.people.tools import driving
+    from gateway.people.commands import driving
 
     return driving.rejected(ack)

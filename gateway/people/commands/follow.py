@@ -16,9 +16,9 @@ from gateway.people.client import diagnosis
 from gateway.people.client.blocking import Client, several_answer
 from gateway.people.client.dangers import PowerAlarm
 from gateway.people.client.live import Live, Order, Receiver, Starts
+from gateway.people.commands import why
+from gateway.people.commands.status import topics
 from gateway.people.terminal import hint, on_end_signals
-from gateway.people.tools import why
-from gateway.people.tools.status import topics
 from gateway.text import visible
 from gateway.zenoh_config import client_config
 from schemas import keys

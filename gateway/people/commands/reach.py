@@ -48,7 +48,7 @@ def _connected(connect: str | None, zenoh_config: Path | None, timeout_s: float,
         try:
             yield client
         except UnansweredError as error:
-            from gateway.people.tools import why  # only now: no emergency stop should wait for what it loads
+            from gateway.people.commands import why  # only now: no emergency stop should wait for what it loads
 
             raise ZenohError("\n".join(why.unanswered(client, connect, zenoh_config))) from error
 

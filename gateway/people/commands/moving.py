@@ -13,8 +13,8 @@ from gateway import geometry
 from gateway.errors import ConfigError, GatewayError
 from gateway.own_command import command
 from gateway.people.client.blocking import Client
+from gateway.people.commands.reach import check_at_rest
 from gateway.people.terminal import ask, hint
-from gateway.people.tools.reach import check_at_rest
 from gateway.people.walking.planning import Planner
 from gateway.people.walking.robot import Robot, ranges
 from gateway.text import visible

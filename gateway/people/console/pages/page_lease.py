@@ -15,8 +15,8 @@ from typing import Final
 from gateway.errors import GatewayError
 from gateway.people.client.blocking import Client
 from gateway.people.client.lease import NOT_OURS, RELEASE_S
-from gateway.people.console.messages import DriveRequest, LeaseMessage
-from gateway.people.console.page_tasks import PageTasks
+from gateway.people.console.pages.page_messages import DriveRequest, LeaseMessage
+from gateway.people.console.pages.page_tasks import PageTasks
 from gateway.people.walking import lease_lost
 from schemas.lease import LeaseAck
 from schemas.telemetry import Ack, Reason

@@ -6,7 +6,13 @@ from typing import Annotated
 import typer
 
 from gateway.errors import ConfigError
-from gateway.people.tools.options import AdaptOption, ConnectOption, OtherShapeOption, TimeoutOption, ZenohConfigOption
+from gateway.people.commands.options import (
+    AdaptOption,
+    ConnectOption,
+    OtherShapeOption,
+    TimeoutOption,
+    ZenohConfigOption,
+)
 
 app = typer.Typer()
 
@@ -54,16 +60,16 @@ def walk(
     `hexapod-gateway walk --forward 0.1 --seconds 5` stands up, walks, sits down and stops. Ctrl-C (or SIGTERM) has it
     finish its step and sit down before it stops; Ctrl-C again stops it at once, as Ctrl-C does at the keyboard.
     """
-    from gateway.people.tools import reach
+    from gateway.people.commands import reach
 
     terrain = "adapt" if adapt else "level"
     connection = reach.connection(connect, zenoh_config, timeout, source="hexapod-gateway walk")
     if seconds is not None:
-        from gateway.people.tools.walk import script
+        from gateway.people.commands.walk import script
 
         sys.exit(script.walk(connection, gait, geometry, terrain, (forward, left, turn), seconds, height))
     if forward or left or turn:
         raise ConfigError("--forward, --left and --turn go with --seconds; without it you drive from the keyboard")
-    from gateway.people.tools.walk import screen
+    from gateway.people.commands.walk import screen
 
     sys.exit(screen.drive(connection, gait, geometry, terrain, height))

@@ -1,6 +1,7 @@
 """`hexapod-gateway certs`: arguments in, one call of gateway.certs, and a few lines that state what to do next."""
 
 import datetime as dt
+import json
 import os
 from pathlib import Path
 from typing import Annotated, Literal
@@ -10,6 +11,7 @@ import typer
 from gateway import certs
 from gateway.certs import expiry
 from gateway.own_command import this_command
+from gateway.people.commands.options import JsonOption
 
 WIDE = 100
 
@@ -167,7 +169,7 @@ def renew(
 
 
 @app.command("list", epilog="Example: hexapod-gateway certs list --dir ~/hexapod-certs")
-def show(directory: Directory = DEFAULT_FOLDER) -> None:
+def show(directory: Directory = DEFAULT_FOLDER, as_json: JsonOption = False) -> None:
     """List all certificates: name, role, expiry, days left, serial number, common name, and state.
 
     The state is good, expired or revoked. Tab-separated if not on a terminal.
@@ -183,6 +185,10 @@ def show(directory: Directory = DEFAULT_FOLDER) -> None:
         for each, left, state in found
     ]
     console = Console()
+    if as_json:
+        names = [title.lower().replace(" ", "_") for title in head]
+        typer.echo(json.dumps([dict(zip(names, row, strict=True)) for row in rows]))
+        return
     if not console.is_terminal:
         for row in (head, *rows):
             typer.echo("\t".join(row))
@@ -229,6 +235,6 @@ def revoke(
     A robot that is off gets it later, by the same command without the name, or by a copy of revoked.crl in
     /etc/hexapod-gateway/zenoh and a restart of the service.
     """
-    from gateway.people.tools import revoking
+    from gateway.people.commands import revoking
 
     raise typer.Exit(revoking.revoke(directory, name, to or [], zenoh_config))

@@ -5,8 +5,8 @@ from pathlib import Path
 
 from gateway.certs import expiry
 from gateway.people.client.dangers import PowerAlarm, power_now
+from gateway.people.commands.reach import connection
 from gateway.people.terminal import say
-from gateway.people.tools.reach import connection
 from gateway.people.walking import robot_now
 from schemas.telemetry import ControllerReport, GatewayState, LegReport
 

@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Final, Protocol
 
 from gateway.errors import LeaseError, RejectedError, StoppedError
+from gateway.people.commands import driving, reach
+from gateway.people.commands.reach import Connection
 from gateway.people.terminal import Progress, clear_line, hint, on_end_signals, say, show_line
-from gateway.people.tools import driving, reach
-from gateway.people.tools.reach import Connection
 from gateway.people.walking import Posture, Velocity, WalkState
 
 _ENDED_EARLY: Final = 130

@@ -27,11 +27,11 @@ from urllib.parse import parse_qs
 from websockets.datastructures import Headers, MultipleValuesError
 from websockets.http11 import Request, Response
 
-from gateway.people.console.messages import Role, least
-from gateway.people.console.sessions import SESSION_S, Entry, Sessions
-from gateway.people.console.site import Site
+from gateway.people.console.pages.page_messages import Role, least
+from gateway.people.console.server.sessions import SESSION_S, Entry, Sessions
+from gateway.people.console.server.site import Site
 
-PAGE: Final = Path(__file__).with_name("page")
+PAGE: Final = Path(__file__).parents[1] / "page"
 WEBSOCKET: Final = "/ws"
 SUBPROTOCOL: Final = "hexapod-console"
 PROOF_PREFIX: Final = "proof."

@@ -31,9 +31,9 @@ from websockets.typing import Subprotocol
 
 from gateway.allowance import NS_PER_S, Allowance
 from gateway.host.realtime import SWITCH_INTERVAL_S
-from gateway.people.console.auth import SUBPROTOCOL, Auth, SignedIn
-from gateway.people.console.messages import MAX_MESSAGE_BYTES
-from gateway.people.console.tls import Layer, Tls
+from gateway.people.console.pages.page_messages import MAX_MESSAGE_BYTES
+from gateway.people.console.server.auth import SUBPROTOCOL, Auth, SignedIn
+from gateway.people.console.server.tls import Layer, Tls
 
 MAX_UNKNOWN: Final = 64
 """Connections without a session; each takes one descriptor, and some 100 kB with TLS."""

@@ -21,7 +21,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from gateway import durable
 from gateway.errors import ConfigError
-from gateway.people.console.messages import Role
+from gateway.people.console.pages.page_messages import Role
 
 SESSION_S: Final = 12 * 3600
 LINK_S: Final = 600

@@ -9,7 +9,7 @@ from typing import Final
 
 from gateway.errors import GatewayError
 from gateway.people.client.blocking import Client
-from gateway.people.console.messages import StopButtonMessage, StopButtonRequest
+from gateway.people.console.pages.page_messages import StopButtonMessage, StopButtonRequest
 from schemas.button import ButtonAck
 
 CHECK_IN_S: Final = 1.0

@@ -17,7 +17,7 @@ from websockets.frames import Frame, Opcode
 from websockets.server import ServerProtocol
 
 from gateway.allowance import Allowance
-from gateway.people.console.tls import Layer
+from gateway.people.console.server.tls import Layer
 
 UNSENT_BYTES: Final = 4096
 """That wait for one page, in this process and as much in the kernel: some five states."""

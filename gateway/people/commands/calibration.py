@@ -13,9 +13,9 @@ from gateway.model.frames import centidegrees
 from gateway.own_command import command
 from gateway.people.client.blocking import Client
 from gateway.people.client.payloads import calibration_payload
+from gateway.people.commands import driving, reach
+from gateway.people.commands.reach import Connection
 from gateway.people.terminal import agrees, hint, say
-from gateway.people.tools import driving, reach
-from gateway.people.tools.reach import Connection
 from schemas import calibration as wire
 from schemas import keys
 from schemas.robot import SERVO_IDS

@@ -12,11 +12,11 @@ from gateway.errors import GatewayError
 from gateway.model.calibration import CalibrationError, calibration_of
 from gateway.model.framing import avoided_by
 from gateway.people.client.payloads import calibration_payload
-from gateway.people.console.guide import Guide
+from gateway.people.commands.calibration import change_of, standing
 from gateway.people.console.link import GatewayLink
-from gateway.people.console.messages import CalibrateRequest, CalibrationMessage, Draft
-from gateway.people.console.page_tasks import PageTasks
-from gateway.people.tools.calibration import change_of, standing
+from gateway.people.console.pages.guide import Guide
+from gateway.people.console.pages.page_messages import CalibrateRequest, CalibrationMessage, Draft
+from gateway.people.console.pages.page_tasks import PageTasks
 from schemas import keys
 from schemas.telemetry import GatewayState
 

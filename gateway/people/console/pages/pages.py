@@ -29,15 +29,15 @@ from gateway.model.staleness import Staleness
 from gateway.model.telemetry import starts_whole
 from gateway.people.client.confirmed_stop import Press
 from gateway.people.client.dangers import PowerAlarm, power_now, tone_of
-from gateway.people.console import messages
 from gateway.people.console.link import GatewayLink, LinkReceiver
-from gateway.people.console.outgoing import Outgoing
-from gateway.people.console.page_calibration import PageCalibration
-from gateway.people.console.page_lease import PageLease
-from gateway.people.console.page_tasks import EndError, PageTasks
-from gateway.people.console.page_walk import WISH_SILENT_S, PageWalks
-from gateway.people.console.stop_button import StopButton
-from gateway.people.console.stops import Stops, now_ns
+from gateway.people.console.pages import page_messages as messages
+from gateway.people.console.pages.outgoing import Outgoing
+from gateway.people.console.pages.page_button import StopButton
+from gateway.people.console.pages.page_calibration import PageCalibration
+from gateway.people.console.pages.page_lease import PageLease
+from gateway.people.console.pages.page_stops import Stops, now_ns
+from gateway.people.console.pages.page_tasks import EndError, PageTasks
+from gateway.people.console.pages.page_walk import WISH_SILENT_S, PageWalks
 from gateway.people.walking import robot_now
 from schemas import keys
 from schemas.telemetry import Ack, BodyReport, Event, GatewayState, Kind, LimitsReport, Reason, Report, Telemetry

@@ -1,0 +1,1 @@
+"""What the console does for its pages: their messages, Stops, leases, walks and calibration."""

@@ -1,0 +1,1 @@
+"""How a browser reaches the console: its address, TLS, HTTP, sessions, WebSockets."""

@@ -1,0 +1,87 @@
+"""Starts that may come from a backlog: pure, time as an argument.
+
+A link that stalls keeps what a program sends, and delivers all of it at once, perhaps after the program has died. A
+command with `sent_ms` shows its delay (`model/staleness.py`). One without shows it only by what comes with it. So a leg
+that does not run takes no start from a burst of messages without `sent_ms` on one key:
+
+- A start waits for `Rules.start_wait_ns` before its leg's first frame. What waited behind it on the link has come then.
+- More messages of one key within `Rules.window_ns` than its rate allows are a burst. The starts of this key that wait
+  are dropped, and further ones are rejected, until the watchdog's time has passed without a burst on the key: a link
+  that loses packets delivers a backlog in pieces.
+
+Legs that run are not concerned: they take what comes, and a Stop is a Stop.
+"""
+
+from typing import Final
+
+from gateway.allowance import NS_PER_MS
+from gateway.model.frames import OP_START
+from gateway.robot.core.events import Command, Effect
+from gateway.robot.core.leg import Leg, Rules
+from gateway.robot.core.legs import Legs
+from gateway.robot.core.pacing import BUCKET
+from schemas.telemetry import Reason
+
+START_WAIT_NS: Final = 15 * NS_PER_MS
+"""The frame of a lone start leaves within a rate slot of 50 Hz, with 5 ms for a timer that is late."""
+
+
+class Backlog:
+    """The latest messages without a time of each key, and which keys have a burst."""
+
+    def __init__(self, rules: Rules, legs: Legs) -> None:
+        self._rules = rules
+        self._legs = legs
+        self._most = max(BUCKET, BUCKET - 1 + rules.window_ns // rules.period_ns)
+        """How many messages the rate limit allows in the window, with a full bucket."""
+        self._came_ns: dict[str, tuple[int, ...]] = {}
+        self._until_ns: dict[str, int] = {}
+        self.held: dict[int, str] = {}
+        """The legs that wait to be started without a time: the key of that start."""
+
+    def note(self, command: Command, now_ns: int) -> list[Effect]:
+        """A command came, whatever becomes of it. Drop the starts that wait, if it is of a burst without a time."""
+        if command.sent_ms is not None or not self._rules.start_wait_ns or not command.moves:
+            return []
+        key = command.key
+        came_ns = self._came_ns.get(key, ())
+        self._came_ns[key] = (*came_ns, now_ns)[-self._most :]
+        if len(came_ns) < self._most or now_ns - came_ns[0] >= self._rules.window_ns:
+            return []
+        self._until_ns[key] = now_ns + self._rules.timeout_ns
+        legs = [self._legs.by_number[number] for number, held in self.held.items() if held == key]
+        waiting = [servo for leg in legs if not _runs(leg) for servo in leg.servos]
+        return self._legs.drop(waiting, Reason.STALE, _why(key))
+
+    def rejection(self, command: Command, now_ns: int) -> tuple[Reason, str] | None:
+        """Return why a command is rejected: it has no time, is of a burst, and starts a leg that does not run."""
+        if command.sent_ms is not None or now_ns >= self._until_ns.get(command.key, now_ns):
+            return None
+        return (Reason.STALE, _why(command.key)) if self._starting(command) else None
+
+    def hold(self, command: Command, now_ns: int) -> None:
+        """Take an accepted command. Legs that it starts without a time wait for what may come behind it."""
+        if not self._rules.start_wait_ns or (command.sent_ms is not None and not self.held):
+            return
+        self.held = {number: key for number, key in self.held.items() if not _runs(self._legs.by_number[number])}
+        for leg in self._starting(command):
+            if command.sent_ms is not None:
+                self.held.pop(leg.number, None)
+            elif not leg.armed:
+                self.held[leg.number] = command.key
+                leg.slots.wait_until(now_ns + self._rules.start_wait_ns)
+
+    def _starting(self, command: Command) -> list[Leg]:
+        """The legs that do not run, and that it starts."""
+        numbers = dict.fromkeys(servo_id // 10 for servo_id, op in command.moves if op.op is OP_START)
+        return [leg for leg in map(self._legs.by_number.__getitem__, numbers) if not _runs(leg)]
+
+
+def _runs(leg: Leg) -> bool:
+    return any(servo.running for servo in leg.servos)
+
+
+def _why(key: str) -> str:
+    return (
+        f"more messages came on {key} at once than its rate allows, so they were delayed; send sent_ms, or start again"
+    )

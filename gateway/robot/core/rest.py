@@ -1,0 +1,62 @@
+"""When legs at rest get Stops (Behaviour 4). Pure; time is an argument.
+
+A controller that lost bytes may run a servo that nobody started. So legs at rest get Stops: a round every
+`Rules.rest_ns` while other legs run, and a few more runs once the last Stop and its repeats are far enough behind.
+A time that is set stays: moved by others, it might never come.
+"""
+
+from gateway.model.frames import STOP, OneServo, stop_leg
+from gateway.robot.core.events import Transmit
+from gateway.robot.core.leg import Leg, Rules
+from schemas.telemetry import Cause
+
+
+class RestStops:
+    """The next round or run of Stops, and how many runs are left."""
+
+    def __init__(self, rules: Rules) -> None:
+        self._round_ns = rules.rest_ns
+        self._run_ns = rules.rest_run_ns
+        self._settle_ns = rules.repeats * rules.repeat_interval_ns + rules.rest_run_ns
+        self._settled_ns = 0
+        """From when a run counts as one of them: the last Stop and its repeats are far enough behind."""
+        self._runs_left = 0
+        self.runs = rules.rest_runs + 1 if rules.rest_runs else 0
+        """How many runs follow a Stop while nothing runs; 0 once the service ends: it waits for none."""
+        self.due_ns: int | None = None
+        """When legs at rest get their next Stop; None: they are owed none."""
+
+    def plan(self, now_ns: int, *, at_rest: bool, stopped: bool) -> None:
+        """Set the next time at the end of a step. `at_rest`: nothing runs; `stopped`: a servo got a first Stop.
+
+        A leg that begins to run ends the runs, and begins the rounds.
+        """
+        if not at_rest:
+            self._runs_left, self.due_ns = 0, now_ns + self._round_ns
+            return
+        if stopped:
+            self._runs_left, self._settled_ns = self.runs, now_ns + self._settle_ns
+        if not self._runs_left:
+            self.due_ns = None
+        elif self.due_ns is None:
+            next_ns = now_ns + self._run_ns
+            self.due_ns = self._settled_ns if self._settled_ns > next_ns else next_ns
+
+    def take(self, now_ns: int, *, is_run: bool) -> bool:
+        """These Stops leave now; `is_run`: nothing runs, and they were due. Return whether they are the last run."""
+        self.due_ns = None
+        if not is_run or now_ns < self._settled_ns:
+            return False
+        self._runs_left -= 1
+        return self._runs_left == 0
+
+    def forget(self) -> None:
+        """The bus is at fault. Once it opens again, all are stopped anew."""
+        self.due_ns, self._runs_left = None, 0
+
+
+def rest_stops(leg: Leg, *, joins: bool, singly: bool) -> list[Transmit]:
+    """Stops for a leg at rest: one frame, or `singly` one for each servo, of which no lost bytes make a start."""
+    if singly:
+        return [Transmit(OneServo(servo.servo_id, STOP), Cause.REPEAT, joins=joins) for servo in leg.servos]
+    return [Transmit(stop_leg(leg.number), Cause.REPEAT, joins=joins)]
