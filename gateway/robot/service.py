@@ -56,7 +56,7 @@ from gateway.robot.zenoh_io.outbox import ZenohOutbox
 from gateway.robot.zenoh_io.proofs import checker_of
 from gateway.robot.zenoh_io.revoked import RevocationState, list_common_names, revocation_state
 from gateway.robot.zenoh_io.rings import put_depth
-from gateway.robot.zenoh_io.session import service_config
+from gateway.robot.zenoh_io.session import receive_each_session_alone, service_config
 from gateway.robot.zenoh_io.unknown_keys import UnknownKeys
 from gateway.robot.zenoh_io.upkeep import Upkeep
 from gateway.zenoh_config import open_session
@@ -158,6 +158,7 @@ def run(
     descriptors.ensure()
     realtime.prefer_process()
     realtime.limit_malloc_arenas()
+    receive_each_session_alone()
     logs.set_up(settings.log.level)
     logs.keep_stacks()
     if not simulated:

@@ -18,7 +18,7 @@ from tests.zenoh.test_metrics import read, value
 
 SILENT = 90
 DESCRIPTORS = 260
-THREADS = 64
+THREADS = 128
 """What the service unit allows (TasksMax)."""
 LATE_MS = 100
 """Generous: a Stop is some 2 ms late at worst, also on a busy machine that gives real-time priority."""

@@ -1,5 +1,6 @@
 """Stops as other programs write them, none of which is a valid command: the payload, and its encoding."""
 
+import base64
 import gzip
 import json
 from collections.abc import Callable
@@ -52,12 +53,14 @@ def _forms(setpoint: Callable[..., dict[str, Any]]) -> dict[str, Form]:
         "byte order mark": b"\xef\xbb\xbf" + plain,
         "UTF-16": bare.encode("utf-16"),
         "UTF-16 without a mark": bare.encode("utf-16-be"),
+        "UTF-16 that begins like JSON": bare.encode("utf-16-le"),
         "UTF-32": bare.encode("utf-32"),
         "single quotes": bare.replace('"', "'").encode(),
         "comma at the end": plain[:-1] + b",}",
         "cut off": plain[:-1],
         "word": b"stop",
         "gzip": gzip.compress(plain, mtime=0),
+        "base64": base64.b64encode(plain),
         "deep": b'{"x":' + b"[" * 2000 + plain,
     }
     made |= {name: Form(payload, Reason.MALFORMED) for name, payload in malformed.items()}

@@ -125,6 +125,7 @@ def _revoked(robot: CheckedRobot) -> Iterator[Seen]:
         yield Seen(fault="", well=well)
 
 
+_RENEW: Final = f"{{fix}}, then: {RESTART}"
 _BRING: Final = "where ca.key is: hexapod-gateway certs revoke --dir DIR brings the newest list"
 _FROM_ONE_FOLDER: Final = (
     "copy these from one folder of certificates (where ca.key is) to FOLDER here, then: sudo cp FOLDER/{files} {folder}"
@@ -140,8 +141,8 @@ CERTIFICATES: Final = (
         failure(lambda r: r.fault and r.denied, "{fault}", LET_READ),
         failure(lambda r: r.fault, "{fault}", "until then nobody can connect, and the service does not start"),
         failure(lambda r: r.early, "{path} is good only from {begin:%Y-%m-%d}", "set the clock (timedatectl)"),
-        failure(lambda r: r.left_days < 0, "{path} expired on {end:%Y-%m-%d}: nobody can connect", "{fix}"),
-        warning(lambda r: r.left_days < expiry.WARN_DAYS, "{well}, {left_days} days more", "{fix}"),
+        failure(lambda r: r.left_days < 0, "{path} expired on {end:%Y-%m-%d}: nobody can connect", _RENEW),
+        warning(lambda r: r.left_days < expiry.WARN_DAYS, "{well}, {left_days} days more", _RENEW),
     ), "{well}"),
     Probe("certificates", _pairs, (
         failure(lambda r: r.foreign, "{certificate} is of another authority than {ca}: nobody can connect",

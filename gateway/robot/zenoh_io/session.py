@@ -1,5 +1,6 @@
 """The service's Zenoh configuration, from its settings."""
 
+import os
 from pathlib import Path
 from typing import Final
 
@@ -28,6 +29,17 @@ _MOST: Final = {
     "transport/unicast/accept_timeout": ACCEPT_TIMEOUT_MS,
 }
 """Upper limits; a Zenoh file may set lower ones."""
+
+RUNTIME: Final = f"(rx:(worker_threads:{MAX_SESSIONS}))"
+"""A receiving thread for each session, in Zenoh's own words. By default two threads receive from all sessions. A
+session that floods keeps one for 20 000 messages and more, and on a wildcard each message goes into 26 rings. An
+emergency stop waited for that. With a thread of its own, no session waits for another."""
+_RUNTIME_VARIABLE: Final = "ZENOH_RUNTIME"
+
+
+def receive_each_session_alone() -> None:
+    """Set up Zenoh's receiving threads, unless the environment does. Call it before anything of Zenoh runs."""
+    os.environ.setdefault(_RUNTIME_VARIABLE, RUNTIME)
 
 
 def service_config(settings: ZenohSettings) -> zenoh.Config:

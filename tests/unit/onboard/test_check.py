@@ -412,7 +412,7 @@ FRAMING, LISTS = device.FRAMES
 KEPT, LANDING = device.CALIBRATION
 PI_5 = "Raspberry Pi 5 Model B Rev 1.0"
 LANDS = {"landing_ms": 500, "landing": {"11": 90, "12": 5, "13": 4}}
-RENEW = "hexapod-gateway certs renew gateway, where ca.key is, and copy gateway.pem here"
+RENEW = "hexapod-gateway certs renew gateway, where ca.key is, and copy gateway.pem here, then: sudo systemctl"
 TAKES = "an emergency stop takes {} ms to write"
 CPU = "sys/devices/system/cpu/cpu0/cpufreq/scaling_"
 # fmt: off

@@ -1,5 +1,6 @@
 """The emergency stop on disk: what a start makes of whatever it finds, and in which order it is written."""
 
+import errno
 import os
 from collections.abc import Callable
 from datetime import UTC, datetime
@@ -142,6 +143,35 @@ def test_a_damaged_last_number_is_replaced_by_one_that_nobody_has_heard_of(tmp_p
     assert (found.engaged, found.fault) == (False, None)
     assert found.number >= UNHEARD_OF
     assert read(tmp_path) == found, "it is kept"
+
+
+def test_a_number_that_cannot_be_written_leaves_it_engaged(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write(tmp_path, ENGAGED)
+
+    def full(path: Path, _data: bytes) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
+
+    monkeypatch.setattr(durable, "write", full)
+    with pytest.raises(ConfigError, match="No space"):
+        write(tmp_path, KeptEstop(7))
+    monkeypatch.undo()
+    assert read(tmp_path) == ENGAGED
+
+
+def test_after_a_power_cut_the_disk_has_what_was_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is synced is there: a new file and its folder; after a reset, the folder without it."""
+    synced: list[tuple[str, bool]] = []
+    sync = os.fsync
+
+    def note(descriptor: int) -> None:
+        synced.append((Path(os.readlink(f"/proc/self/fd/{descriptor}")).name, (tmp_path / ESTOP_FILE).exists()))
+        sync(descriptor)
+
+    monkeypatch.setattr(os, "fsync", note)
+    write(tmp_path, ENGAGED)
+    assert synced == [(ESTOP_FILE, True), (tmp_path.name, True)]
+    write(tmp_path, KeptEstop(7))
+    assert synced[-1] == (tmp_path.name, False)
 
 
 def test_one_that_is_killed_while_it_writes_has_left_it_engaged(

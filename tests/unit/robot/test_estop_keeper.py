@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+import threading
 from collections.abc import AsyncIterator, Callable
 from dataclasses import replace
 from pathlib import Path
@@ -9,8 +10,9 @@ from pathlib import Path
 import pytest
 
 from gateway.robot import service
+from gateway.robot.host import estop_file
 from gateway.robot.host.estop_file import ESTOP_FILE, LAST_FILE
-from gateway.robot.runtime.estop_keeper import EstopKeeper
+from gateway.robot.runtime.estop_keeper import FLUSH_S, EstopKeeper
 from schemas import keys
 from schemas.telemetry import Kind, Mode
 from tests.support import robot as robots
@@ -73,3 +75,18 @@ async def test_a_reset_waits_for_no_turn(kept: Kept, tmp_path: Path) -> None:
     keeper.flush()
     assert not (tmp_path / ESTOP_FILE).exists()
     assert json.loads((tmp_path / LAST_FILE).read_text()) == {"number": 2}
+
+
+async def test_the_end_does_not_wait_for_a_disk_that_hangs(
+    kept: Kept, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    robot, keeper = kept
+    hangs = threading.Event()
+    monkeypatch.setattr(estop_file, "write", lambda *_: hangs.wait())
+    robot.put(keys.ESTOP)
+    ending = threading.Thread(target=keeper.flush, daemon=True)
+    ending.start()
+    await asyncio.to_thread(ending.join, 50 * FLUSH_S)
+    hangs.set()
+    assert not ending.is_alive()
+    assert number_kept(tmp_path) == 0

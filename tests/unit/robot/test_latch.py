@@ -59,6 +59,15 @@ def test_an_emergency_stop_that_comes_before_it_is_known_comes_behind_the_earlie
     assert robot.reset(3001) == ["announce estop_reset", "completed 2"]
 
 
+def test_what_is_known_late_makes_the_latest_emergency_stop_no_younger() -> None:
+    """A reset without a number is accepted when the latest request is 2 s old."""
+    robot = Steps(KEPT)
+    robot.estop(1)
+    since_ns = robot.supervisor.latch.since_ns
+    robot.take(1500, EstopKept(7, engaged=True))
+    assert (robot.supervisor.latch.number, robot.supervisor.latch.since_ns) == (8, since_ns)
+
+
 @pytest.mark.parametrize("rules", [KEPT, Rules()])
 def test_it_is_learnt_once(rules: Rules) -> None:
     robot = Steps(rules)

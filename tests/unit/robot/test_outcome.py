@@ -120,3 +120,11 @@ async def test_a_start_whose_frame_fails_is_rejected_and_the_legs_that_were_writ
     robot.controller.fail_next(1)
     ack = robot.ask(LEG_3, START)
     assert (ack.accepted, ack.reason, ack.written) == (False, Reason.BUS_FAULT, None)
+
+
+async def test_the_black_box_and_the_metrics_have_that_start_as_the_answer_has_it(folder: Path) -> None:
+    robot = recorded(folder)
+    robot.controller.fail_next(1)
+    assert robot.ask(LEG_3, START).reason is Reason.BUS_FAULT
+    assert [record.verdict for record in contents(folder, form.Decision)] == ["bus_fault"]
+    assert robot.conductor.metrics.rejected[Reason.BUS_FAULT] == 1
