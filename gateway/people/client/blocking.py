@@ -17,6 +17,7 @@ from gateway.errors import ConfigError, LeaseLostError, StoppedError, Unanswered
 from gateway.people.client.button import Button
 from gateway.people.client.close_at_exit import close_at_the_end
 from gateway.people.client.hosts import Hosts
+from gateway.people.client.kept_signals import keep_signals
 from gateway.people.client.lease import Lease
 from gateway.people.client.payloads import (
     Angle,
@@ -98,6 +99,7 @@ class Client:
         self._source = source
         self._closed = False
         self._answered: dict[str, Question[Any]] = {}
+        keep_signals()
         try:
             self.session = self._hosts.open()
         except UnreachedError as error:
