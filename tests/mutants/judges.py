@@ -102,7 +102,6 @@ JUDGES: Final = {
     "gateway/certs/zenoh_files.py": (
         "tests/unit/test_access.py",
         "tests/unit/people/test_certs.py",
-        "tests/unit/onboard/test_check_access.py",
     ),
     "gateway/certs/proof.py": _CHECKER,
     "gateway/robot/zenoh_io/inbox.py": _INBOX,
@@ -136,6 +135,8 @@ JUDGES: Final = {
     "gateway/robot/core/lease.py": _LEASE,
     "gateway/robot/core/buttons.py": (f"{_UNIT}test_buttons.py", f"{_UNIT}test_buttons_conductor.py"),
     "gateway/robot/core/power.py": (f"{_UNIT}test_power_rule.py", f"{_UNIT}test_power_conductor.py"),
+    "gateway/robot/core/rest.py": (f"{_UNIT}test_supervisor_at_rest.py", f"{_UNIT}test_supervisor_stops.py"),
+    "gateway/robot/core/backlog.py": (f"{_UNIT}test_backlog.py",),
     "gateway/robot/core/latch.py": (
         f"{_UNIT}test_latch.py",
         f"{_UNIT}test_supervisor_stops.py",

@@ -173,6 +173,22 @@ def test_a_recording_in_rerun_shows_what_its_blueprint_names(tmp_path: Path) -> 
     assert "ViewportBlueprint:root_container" in found, "the file brings its blueprint"
 
 
+def test_the_same_with_nothing_but_zenoh(gateway: Gateway) -> None:
+    with gateway.client() as client:
+        heard = frames(client)
+        said = run("plain_zenoh.py", gateway)
+        assert said.count("'accepted': True") == 2
+        assert len(moved(heard)[32]) >= 5
+
+
+def test_the_session(gateway: Gateway) -> None:
+    said = run("session.py", gateway)
+    assert "event: watchdog_expired leg 1 was not heard for 250 ms" in said
+    assert "does not run; start it before you set it" in said
+    assert "6 Stop frames within" in said
+    assert "estopped" in said
+
+
 def test_the_elkapod_whose_gait_is_killed_lands_and_is_stopped(tmp_path: Path) -> None:
     """With its own limits, speed, landing and calibration; and the incident tells it."""
     endpoint = f"tcp/127.0.0.1:{free_port()}"

@@ -140,7 +140,9 @@ class EstopKeeper:
             self._next.set_in(RETRY_S)
             return
         self._written = writing
-        if self._wanted != writing and _only_number(writing, self._wanted) and not self._ending:
+        if self._wanted == writing:
+            self._idle.set()
+        if self._wanted == writing or (_only_number(writing, self._wanted) and not self._ending):
             self._next.set_in(PAUSE_S)
         else:
             self._write_next()

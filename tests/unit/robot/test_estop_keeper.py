@@ -3,6 +3,7 @@
 import asyncio
 import json
 import threading
+import time
 from collections.abc import AsyncIterator, Callable
 from dataclasses import replace
 from pathlib import Path
@@ -11,8 +12,8 @@ import pytest
 
 from gateway.robot import service
 from gateway.robot.host import estop_file
-from gateway.robot.host.estop_file import ESTOP_FILE, LAST_FILE
-from gateway.robot.runtime.estop_keeper import FLUSH_S, EstopKeeper
+from gateway.robot.host.estop_file import ESTOP_FILE, LAST_FILE, KeptEstop
+from gateway.robot.runtime.estop_keeper import FLUSH_S, PAUSE_S, EstopKeeper
 from schemas import keys
 from schemas.telemetry import Kind, Mode
 from tests.support import robot as robots
@@ -65,6 +66,26 @@ async def test_a_disk_that_takes_it_again_ends_the_fault(kept: Kept, tmp_path: P
     await until(lambda: robot.conductor.reports.estop_fault is None)
     assert len(robot.events(Kind.ESTOP_NOT_KEPT)) == 1
     assert robot.states[-1].estop_fault is None
+
+
+async def test_requests_that_come_slower_than_the_disk_writes_wait_for_their_turn_too(
+    kept: Kept, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    robot, keeper = kept
+    write = estop_file.write
+    begun_s, ended_s = list[float](), list[float]()
+
+    def timed(folder: Path, estop: KeptEstop) -> None:
+        begun_s.append(time.monotonic())
+        write(folder, estop)
+        ended_s.append(time.monotonic())
+
+    monkeypatch.setattr(estop_file, "write", timed)
+    for number in (1, 2):
+        robot.put(keys.ESTOP)
+        await until(lambda number=number: number_kept(tmp_path) == number)  # type: ignore[misc]
+        await until(keeper._idle.is_set)
+    assert begun_s[1] - ended_s[0] >= 0.9 * PAUSE_S
 
 
 async def test_a_reset_waits_for_no_turn(kept: Kept, tmp_path: Path) -> None:
