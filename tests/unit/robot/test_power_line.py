@@ -143,9 +143,8 @@ def test_an_adapter_that_is_unplugged_is_reported_and_opened_again(channel: str)
 def test_an_adapter_that_comes_later_is_found(channel: str) -> None:
     owner = Owner(channel)
     owner.line.start()
-    owner.line.want(ALL_SERVOS, 0)
     adapter = Adapter(channel)
-    owner.until(lambda: owner.line.status.supplied == ALL_SERVOS)
+    owner.feed_all()
     owner.line.close()
     adapter.unplug()
 
