@@ -17,7 +17,7 @@ pytestmark = [
     pytest.mark.alone,
 ]
 
-MOST_UNSENT = 2
+STOPS_FOR_LOST = 2
 
 
 def test_no_servo_is_unattended_under_load_and_nothing_accepted_is_lost(
@@ -35,6 +35,6 @@ def test_no_servo_is_unattended_under_load_and_nothing_accepted_is_lost(
     assert max(gaps_ms) <= TIMEOUT_MS + LATE_MS
     assert outcome.left_running == []
     commands = outcome.state.commands
-    # To be found: since starts wait for what may come behind them, one of some 25 000 may be answered as accepted and
-    # has no frame of its own. Without the wait (START_WAIT_NS = 0) both sides are equal.
-    assert 0 <= commands.accepted - commands.coalesced - outcome.moves <= MOST_UNSENT
+    # A Stop in place of messages that the flood's ring has lost, where one of them may have been a Stop, counts as
+    # accepted and is no move.
+    assert 0 <= commands.accepted - commands.coalesced - outcome.moves <= STOPS_FOR_LOST
