@@ -1,4 +1,4 @@
-"""Whoever may press or stop cannot make the black box forget what came before."""
+"""A flood of emergency stops or Stops does not erase what came before it from the black box."""
 
 import json
 import os
