@@ -9,25 +9,11 @@ Zenoh compares a rule's keys with those on the wire, which begin with the robot'
 """
 
 import json
-from collections.abc import Sequence
 from typing import Any, Final, NamedTuple
 
 from gateway.certs import BUTTON, LAPTOP_ROLES, OPERATOR
 from schemas import keys
-from schemas.keys import (
-    ALIVE,
-    ALL_COMMANDS,
-    ASKABLE,
-    CALIBRATION,
-    ESTOP,
-    PUBLISHED,
-    SIM_BODY,
-    SIM_UPRIGHT,
-)
-
-INDENT: Final = 16
-IN_A_LINE: Final = 4
-"""Layout of lists in the file: indentation, and elements in a line."""
+from schemas.keys import ALIVE, ALL_COMMANDS, ASKABLE, CALIBRATION, ESTOP, PUBLISHED, SIM_BODY, SIM_UPRIGHT
 
 
 class Traffic(NamedTuple):
@@ -41,22 +27,18 @@ class Traffic(NamedTuple):
     """The people's roles."""
 
 
+_DECLARED: Final = ("declare_subscriber", "declare_queryable")
+# fmt: off
 TRAFFIC: Final = (
     Traffic("commands", True, ("put", "delete", "query"), (ALL_COMMANDS,), (OPERATOR,)),
     Traffic("acknowledgements", False, ("reply",), (ALL_COMMANDS,), (OPERATOR,)),
-    Traffic(
-        "commands that it takes",
-        False,
-        ("declare_subscriber", "declare_queryable"),
-        (ALL_COMMANDS,),
-        (OPERATOR,),
-    ),
+    Traffic("commands that it takes", False, _DECLARED, (ALL_COMMANDS,), (OPERATOR,)),
     Traffic("setting a simulated robot upright", True, ("query",), (SIM_UPRIGHT,), (OPERATOR,)),
     Traffic("set upright", False, ("reply", "declare_queryable"), (SIM_UPRIGHT,), (OPERATOR,)),
     Traffic("presses", True, ("put",), (ESTOP,), (BUTTON,)),
     Traffic("presses and check-ins", True, ("query",), (ESTOP, keys.BUTTON), (BUTTON,)),
     Traffic("acknowledgements of these", False, ("reply",), (ESTOP, keys.BUTTON), (BUTTON,)),
-    Traffic("presses that it takes", False, ("declare_subscriber", "declare_queryable"), (ESTOP,), (BUTTON,)),
+    Traffic("presses that it takes", False, _DECLARED, (ESTOP,), (BUTTON,)),
     Traffic("check-ins that it takes", False, ("declare_queryable",), (keys.BUTTON,), (BUTTON,)),
     Traffic("watching", True, ("declare_subscriber",), PUBLISHED),
     Traffic("telemetry", False, ("put",), PUBLISHED),
@@ -65,6 +47,7 @@ TRAFFIC: Final = (
     Traffic("asking who is alive", True, ("declare_liveliness_subscriber", "liveliness_query"), (ALIVE,)),
     Traffic("alive", False, ("liveliness_token",), (ALIVE,)),
 )
+# fmt: on
 
 BODY: Final = (
     Traffic("a simulated body", True, ("put",), (SIM_BODY,)),
@@ -78,48 +61,26 @@ BODY: Final = (
 
 
 def rules() -> str:
-    """Return the rules of TRAFFIC as JSON5."""
-    return "".join(str(_rule(each, "")) for each in TRAFFIC)
+    """Return the rules of TRAFFIC as JSON5, one a line."""
+    return "".join(f"      {json.dumps(_rule(each, ''))},\n" for each in TRAFFIC)
 
 
 def body_rules(namespace: str = "") -> list[dict[str, Any]]:
     """Return the rules of BODY for the gateway's end."""
-    return [_rule(each, namespace)._asdict() for each in BODY]
+    return [_rule(each, namespace) for each in BODY]
 
 
 def rules_for(*roles: str) -> str:
     """Return the names of the rules for exactly these roles, as a JSON5 list."""
-    return listed([each.what for each in TRAFFIC if each.roles == roles])
+    return json.dumps([each.what for each in TRAFFIC if each.roles == roles])
 
 
-def listed(texts: Sequence[str]) -> str:
-    """A JSON5 list, some of its elements in each line."""
-    lines = (texts[first : first + IN_A_LINE] for first in range(0, len(texts), IN_A_LINE))
-    return "[" + (",\n" + " " * INDENT).join(", ".join(map(json.dumps, line)) for line in lines) + "]"
-
-
-class _Rule(NamedTuple):
-    """Fields as in Zenoh's configuration."""
-
-    id: str
-    permission: str
-    flows: tuple[str, ...]
-    messages: tuple[str, ...]
-    key_exprs: tuple[str, ...]
-
-    def __str__(self) -> str:
-        return (
-            f'      {{ id: "{self.id}", permission: "{self.permission}", flows: {json.dumps(self.flows)},\n'
-            f"        messages: {json.dumps(self.messages)},\n"
-            f"        key_exprs: {listed(self.key_exprs)} }},\n"
-        )
-
-
-def _rule(each: Traffic, namespace: str) -> _Rule:
-    return _Rule(
-        each.what,
-        "allow",
-        ("ingress" if each.from_people else "egress",),
-        each.messages,
-        tuple(f"{namespace}/{key}" if namespace else key for key in each.keys),
-    )
+def _rule(each: Traffic, namespace: str) -> dict[str, Any]:
+    """With the fields of Zenoh's configuration."""
+    return {
+        "id": each.what,
+        "permission": "allow",
+        "flows": ["ingress" if each.from_people else "egress"],
+        "messages": each.messages,
+        "key_exprs": [f"{namespace}/{key}" if namespace else key for key in each.keys],
+    }

@@ -7,15 +7,17 @@ laptop's name, or its person's, is in the organizational unit.
 import datetime as dt
 import ipaddress
 import re
+import secrets
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 from cryptography import x509
 from cryptography.exceptions import InvalidSignature
 from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.asymmetric.types import CertificatePublicKeyTypes
-from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
+from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID, ObjectIdentifier
 
 from gateway.certs import CA_DAYS, CONSOLE_DAYS
 from gateway.errors import ConfigError
@@ -28,8 +30,10 @@ CONSOLE = "console"
 # a certificate of today is not valid yet. So all certificates start a year early.
 BACKDATE = dt.timedelta(days=365)
 
+_Kind = TypeVar("_Kind", bound=x509.ExtensionType)
 _ORGANIZATION = "hexapod-gateway"
 _LABEL = re.compile(r"[a-z0-9]([a-z0-9-]{0,61}[a-z0-9])?")
+_SERVES = x509.ExtendedKeyUsage([ExtendedKeyUsageOID.SERVER_AUTH])
 
 
 @dataclass(frozen=True)
@@ -56,84 +60,94 @@ def make_ca(now: dt.datetime) -> KeyPair:
 
 def make_web_ca(hosts: Sequence[str], now: dt.datetime) -> KeyPair:
     """A CA for browsers, valid only for these hosts as servers: with its key nobody can pose as another site."""
-    names = [_general_name(host) for host in hosts]
-    networks = [ipaddress.ip_network(name.value) for name in names if isinstance(name, x509.IPAddress)]
     # A kind of name without an entry is not constrained, so each gets an unused one.
-    permitted: list[x509.GeneralName] = [
-        *([name for name in names if isinstance(name, x509.DNSName)] or [x509.DNSName("invalid")]),
-        *map(x509.IPAddress, networks or [ipaddress.ip_network("255.255.255.255")]),
+    names = [
+        *map(_general_name, hosts),
+        x509.DNSName("invalid"),
+        x509.IPAddress(ipaddress.ip_address("255.255.255.255")),
     ]
+    permitted = [x509.IPAddress(ipaddress.ip_network(n.value)) if isinstance(n, x509.IPAddress) else n for n in names]
     constraints = x509.NameConstraints(permitted_subtrees=permitted, excluded_subtrees=None)
-    usage = x509.ExtendedKeyUsage([ExtendedKeyUsageOID.SERVER_AUTH])
-    return _make_ca(now, CONSOLE, [(constraints, True), (usage, False)])
-
-
-def permits(ca: x509.Certificate, hosts: Sequence[str]) -> bool:
-    """Whether a CA of `make_web_ca` is valid for these hosts, or unconstrained."""
-    try:
-        constraints = ca.extensions.get_extension_for_class(x509.NameConstraints).value
-    except x509.ExtensionNotFound:
-        return True
-    known = {str(name.value).partition("/")[0] for name in constraints.permitted_subtrees or ()}
-    return known.issuperset(hosts)
-
-
-def _make_ca(now: dt.datetime, unit: str, more: Sequence[tuple[x509.ExtensionType, bool]]) -> KeyPair:
-    """`more`: extensions, and whether each is critical."""
-    key = ec.generate_private_key(ec.SECP256R1())
-    serial = x509.random_serial_number()
-    subject = _name(f"{_ORGANIZATION} CA {serial:040x}"[:28], unit)
-    builder = (
-        x509.CertificateBuilder()
-        .subject_name(subject)
-        .issuer_name(subject)
-        .public_key(key.public_key())
-        .serial_number(serial)
-        .not_valid_before(now - BACKDATE)
-        .not_valid_after(now + dt.timedelta(days=CA_DAYS))
-        .add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
-        .add_extension(_key_usage(ca=True), critical=True)
-        .add_extension(x509.SubjectKeyIdentifier.from_public_key(key.public_key()), critical=False)
-    )
-    for extension, critical in more:
-        builder = builder.add_extension(extension, critical=critical)
-    return KeyPair(builder.sign(key, hashes.SHA256()), key)
+    return _make_ca(now, CONSOLE, [(constraints, True), (_SERVES, False)])
 
 
 def make_gateway(ca: KeyPair, hosts: Sequence[str], days: int, now: dt.datetime) -> KeyPair:
     """The gateway's certificate: a server for `hosts`, and a client where it dials another Zenoh program."""
-    usages = [ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH]
-    return _make_leaf(ca, _name(GATEWAY, GATEWAY), usages, hosts, days, now)
+    both = x509.ExtendedKeyUsage([ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH])
+    return _make_leaf(ca, _name(GATEWAY, GATEWAY), both, hosts, days, now)
 
 
 def make_laptop(ca: KeyPair, name: str, common_name: str, days: int, now: dt.datetime) -> KeyPair:
     """A laptop's certificate: a client only, so that no laptop can pose as the robot."""
-    return _make_leaf(ca, _name(common_name, name), [ExtendedKeyUsageOID.CLIENT_AUTH], (), days, now)
+    usage = x509.ExtendedKeyUsage([ExtendedKeyUsageOID.CLIENT_AUTH])
+    return _make_leaf(ca, _name(common_name, name), usage, (), days, now)
 
 
 def make_console(ca: KeyPair, name: str, hosts: Sequence[str], days: int, now: dt.datetime) -> KeyPair:
     """A web console's certificate: a server for `hosts` only, without a role in Zenoh's access control."""
-    return _make_leaf(ca, _name(CONSOLE, name), [ExtendedKeyUsageOID.SERVER_AUTH], hosts, days, now)
-
-
-def _make_leaf(
-    ca: KeyPair,
-    subject: x509.Name,
-    usages: Sequence[x509.ObjectIdentifier],
-    hosts: Sequence[str],
-    days: int,
-    now: dt.datetime,
-) -> KeyPair:
-    key = ec.generate_private_key(ec.SECP256R1())
-    return KeyPair(_sign(ca, subject, key.public_key(), x509.ExtendedKeyUsage(usages), hosts, days, now), key)
+    return _make_leaf(ca, _name(CONSOLE, name), _SERVES, hosts, days, now)
 
 
 def renew(
     ca: KeyPair, old: x509.Certificate, days: int, now: dt.datetime, hosts: Sequence[str] = ()
 ) -> x509.Certificate:
     """`old` with a new serial number and expiry, same holder and key, valid as a server for `hosts`."""
-    usage = next((item.value for item in old.extensions if isinstance(item.value, x509.ExtendedKeyUsage)), None)
-    return _sign(ca, old.subject, old.public_key(), usage, hosts, days, now)
+    return _leaf(ca, old.subject, old.public_key(), _extension(old, x509.ExtendedKeyUsage), hosts, days, now)
+
+
+def _make_ca(now: dt.datetime, unit: str, more: Sequence[tuple[x509.ExtensionType, bool]]) -> KeyPair:
+    key = ec.generate_private_key(ec.SECP256R1())
+    subject = _name(f"{_ORGANIZATION} CA {secrets.token_hex(4)}", unit)
+    span = (now - BACKDATE, now + dt.timedelta(days=CA_DAYS))
+    extensions = [(x509.SubjectKeyIdentifier.from_public_key(key.public_key()), False), *more]
+    return KeyPair(_signed(subject, key, subject, key.public_key(), span, extensions, ca=True), key)
+
+
+def _make_leaf(
+    ca: KeyPair, subject: x509.Name, usage: x509.ExtendedKeyUsage, hosts: Sequence[str], days: int, now: dt.datetime
+) -> KeyPair:
+    key = ec.generate_private_key(ec.SECP256R1())
+    return KeyPair(_leaf(ca, subject, key.public_key(), usage, hosts, days, now), key)
+
+
+def _leaf(
+    ca: KeyPair,
+    subject: x509.Name,
+    key: CertificatePublicKeyTypes,
+    usage: x509.ExtendedKeyUsage | None,
+    hosts: Sequence[str],
+    days: int,
+    now: dt.datetime,
+) -> x509.Certificate:
+    issuer = ca.certificate
+    if _attribute(subject, NameOID.COMMON_NAME) == CONSOLE:
+        days = min(days, CONSOLE_DAYS)
+    # A leaf that outlives its CA would be rejected while `certs list` still shows it as good.
+    end = min(now + dt.timedelta(days=days), issuer.not_valid_after_utc)
+    names = x509.SubjectAlternativeName([_general_name(host) for host in hosts]) if hosts else None
+    found = (x509.AuthorityKeyIdentifier.from_issuer_public_key(ca.key.public_key()), usage, names)
+    extensions = [(each, False) for each in found if each is not None]
+    span = (max(now - BACKDATE, issuer.not_valid_before_utc), end)
+    return _signed(issuer.subject, ca.key, subject, key, span, extensions, ca=False)
+
+
+def _signed(
+    issuer: x509.Name,
+    signer: ec.EllipticCurvePrivateKey,
+    subject: x509.Name,
+    key: CertificatePublicKeyTypes,
+    span: tuple[dt.datetime, dt.datetime],
+    more: Sequence[tuple[x509.ExtensionType, bool]],
+    *,
+    ca: bool,
+) -> x509.Certificate:
+    """`span`: begin and end. `more`: extensions, and whether each is critical."""
+    usage = x509.KeyUsage(not ca, False, False, False, False, ca, ca, False, False)
+    builder = x509.CertificateBuilder().subject_name(subject).issuer_name(issuer).public_key(key)
+    builder = builder.serial_number(x509.random_serial_number()).not_valid_before(span[0]).not_valid_after(span[1])
+    for extension, critical in ((x509.BasicConstraints(ca, 0 if ca else None), True), (usage, True), *more):
+        builder = builder.add_extension(extension, critical=critical)
+    return builder.sign(signer, hashes.SHA256())
 
 
 def is_issued(certificate: x509.Certificate, ca: x509.Certificate) -> bool:
@@ -147,29 +161,20 @@ def is_issued(certificate: x509.Certificate, ca: x509.Certificate) -> bool:
 
 def is_ca(certificate: x509.Certificate) -> bool:
     """Whether the certificate may sign others."""
-    try:
-        return certificate.extensions.get_extension_for_class(x509.BasicConstraints).value.ca
-    except x509.ExtensionNotFound:
-        return False
+    found = _extension(certificate, x509.BasicConstraints)
+    return found is not None and found.ca
 
 
 def parse_host(text: str) -> str:
     """`text` as a host name in lower case or a plain IP address; raises ConfigError for anything else."""
     host = text.strip().strip("[]").lower()
-    address = _address(host)
-    if (
-        address is not None and not address.is_unspecified and "%" not in host
-    ):  # a zone has a meaning on this machine only
+    name, address = host.removesuffix("."), _address(host)
+    if address is not None and not address.is_unspecified and "%" not in host:  # a zone counts on this machine only
         return str(address)
-    labels = host.removesuffix(".").split(".")
+    labels = name.split(".")
     # A last label of digits only is a mistyped address (192.0.2.999), never a host name.
-    if (
-        address is None
-        and all(_LABEL.fullmatch(part) for part in labels)
-        and not labels[-1].isdigit()
-        and len(host) < 254
-    ):
-        return host.removesuffix(".")
+    if address is None and all(map(_LABEL.fullmatch, labels)) and not labels[-1].isdigit() and len(host) < 254:
+        return name
     raise ConfigError(
         f"{text!r} is neither a host name nor an IP address: give what laptops dial, such as robot.local or 192.0.2.7 "
         "(no port, no tls/)"
@@ -178,10 +183,7 @@ def parse_host(text: str) -> str:
 
 def hosts_of(certificate: x509.Certificate) -> list[str]:
     """The names and addresses that a gateway's certificate is good for, in the order they were given."""
-    try:
-        names = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
-    except x509.ExtensionNotFound:
-        return []
+    names = _extension(certificate, x509.SubjectAlternativeName) or ()
     return [str(name.value) for name in names if isinstance(name, x509.DNSName | x509.IPAddress)]
 
 
@@ -191,68 +193,26 @@ def common_name_and_name(certificate: x509.Certificate) -> tuple[str, str]:
     unit = _attribute(certificate.subject, NameOID.ORGANIZATIONAL_UNIT_NAME)
     if is_ca(certificate):
         return CA, common
-    if common == GATEWAY:
-        return GATEWAY, next(iter(hosts_of(certificate)), unit)
-    return common, unit
+    return common, next(iter(hosts_of(certificate)), unit) if common == GATEWAY else unit
 
 
-def _sign(
-    ca: KeyPair,
-    subject: x509.Name,
-    key: CertificatePublicKeyTypes,
-    usage: x509.ExtendedKeyUsage | None,
-    hosts: Sequence[str],
-    days: int,
-    now: dt.datetime,
-) -> x509.Certificate:
-    issuer = ca.certificate
-    if _attribute(subject, NameOID.COMMON_NAME) == CONSOLE:
-        days = min(days, CONSOLE_DAYS)
-    builder = (
-        x509.CertificateBuilder()
-        .subject_name(subject)
-        .issuer_name(issuer.subject)
-        .public_key(key)
-        .serial_number(x509.random_serial_number())
-        .not_valid_before(max(now - BACKDATE, issuer.not_valid_before_utc))
-        # A leaf that outlives its CA would be rejected while `certs list` still shows it as good.
-        .not_valid_after(min(now + dt.timedelta(days=days), issuer.not_valid_after_utc))
-        .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
-        .add_extension(_key_usage(ca=False), critical=True)
-        .add_extension(x509.AuthorityKeyIdentifier.from_issuer_public_key(ca.key.public_key()), critical=False)
-    )
-    names = x509.SubjectAlternativeName([_general_name(host) for host in hosts]) if hosts else None
-    for extension in (usage, names):
-        if extension is not None:
-            builder = builder.add_extension(extension, critical=False)
-    return builder.sign(ca.key, hashes.SHA256())
+def _extension(certificate: x509.Certificate, kind: type[_Kind]) -> _Kind | None:
+    try:
+        return certificate.extensions.get_extension_for_class(kind).value
+    except x509.ExtensionNotFound:
+        return None
 
 
 def _name(common_name: str, unit: str) -> x509.Name:
-    return x509.Name(
-        [
-            x509.NameAttribute(NameOID.COMMON_NAME, common_name),
-            x509.NameAttribute(NameOID.ORGANIZATIONAL_UNIT_NAME, unit),
-            x509.NameAttribute(NameOID.ORGANIZATION_NAME, _ORGANIZATION),
-        ]
+    parts = (
+        (NameOID.COMMON_NAME, common_name),
+        (NameOID.ORGANIZATIONAL_UNIT_NAME, unit),
+        (NameOID.ORGANIZATION_NAME, _ORGANIZATION),
     )
+    return x509.Name([x509.NameAttribute(oid, value) for oid, value in parts])
 
 
-def _key_usage(*, ca: bool) -> x509.KeyUsage:
-    return x509.KeyUsage(
-        digital_signature=not ca,
-        key_cert_sign=ca,
-        crl_sign=ca,
-        content_commitment=False,
-        key_encipherment=False,
-        data_encipherment=False,
-        key_agreement=False,
-        encipher_only=False,
-        decipher_only=False,
-    )
-
-
-def _attribute(name: x509.Name, oid: x509.ObjectIdentifier) -> str:
+def _attribute(name: x509.Name, oid: ObjectIdentifier) -> str:
     return next((str(attribute.value) for attribute in name.get_attributes_for_oid(oid)), "")
 
 

@@ -7,7 +7,7 @@ import contextlib
 import os
 import secrets
 import stat
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -43,23 +43,19 @@ def read_certificate(path: Path) -> x509.Certificate:
 
 def read_certificates(path: Path) -> list[x509.Certificate]:
     """All certificates of a PEM file, at least one. Raises ConfigError."""
-    data = read_file(path, "certificate")
     try:
-        found = x509.load_pem_x509_certificates(data)
+        found = x509.load_pem_x509_certificates(read_file(path, "certificate"))
         for each in found:
             _ = each.subject, each.issuer, each.extensions  # parsed at first access
     except UNREADABLE as error:
-        raise ConfigError(
-            f"{path} holds no certificate in PEM form: restore it from a copy, or issue a new one"
-        ) from error
+        raise ConfigError(f"{path} holds no certificate in PEM form: restore it, or issue a new one") from error
     return found
 
 
 def read_key(path: Path) -> ec.EllipticCurvePrivateKey:
     """An unencrypted elliptic-curve key of a PEM file. Raises ConfigError."""
-    data = read_file(path, "key")
     try:
-        key = serialization.load_pem_private_key(data, password=None)
+        key = serialization.load_pem_private_key(read_file(path, "key"), password=None)
     except (ValueError, TypeError) as error:  # TypeError: it is encrypted
         raise ConfigError(f"{path} holds no unencrypted key in PEM form: restore it from a copy") from error
     if not isinstance(key, ec.EllipticCurvePrivateKey):
@@ -74,9 +70,8 @@ def read_file(path: Path, what: str) -> bytes:
             raise ConfigError(f"{path} is not a file: the {what} should be there")
         return path.read_bytes()
     except OSError as error:
-        raise ConfigError(
-            f"cannot read the {what} {path}: {error.strerror}; check the path and who owns the file"
-        ) from error
+        fix = "check the path and who owns the file"
+        raise ConfigError(f"cannot read the {what} {path}: {error.strerror}; {fix}") from error
 
 
 @dataclass(frozen=True)
@@ -99,14 +94,16 @@ def publish(files: Mapping[Path, FileContent]) -> None:
     with undo, contextlib.ExitStack() as passing:  # temporary names go first: only an empty directory can be removed
         for path, content in files.items():
             with _explained(path):
-                _make_directory(path.parent, undo)
-                passing.callback(_discard, staged[path])
+                for parent in reversed([each for each in (path.parent, *path.parent.parents) if not each.exists()]):
+                    parent.mkdir(mode=0o700)
+                    undo.callback(_undo, parent.rmdir)
+                passing.callback(_undo, staged[path].unlink)
                 check = partial(_check_mode, path, content.mode)
                 durable.create(staged[path], content.data, content.mode, prepare=check)
         for path in files:
             with _explained(path):
                 os.link(staged[path], path)
-            undo.callback(_discard, path)
+            undo.callback(_undo, path.unlink)
         for directory in {path.parent for path in files}:
             with _explained(directory):
                 durable.sync(directory)
@@ -124,23 +121,9 @@ def _check_mode(path: Path, mode: int, descriptor: int) -> None:
         raise ConfigError(f"{path.parent} cannot keep a file private (FAT?): choose a directory on a Linux file system")
 
 
-def _make_directory(directory: Path, undo: contextlib.ExitStack) -> None:
-    """Make `directory` and its missing parents with mode 0700."""
-    missing = [parent for parent in (directory, *directory.parents) if not parent.exists()]
-    for parent in reversed(missing):
-        parent.mkdir(mode=0o700)
-        undo.callback(_remove_if_empty, parent)
-
-
-def _discard(path: Path) -> None:
-    # Must not hide the error that led here.
-    with contextlib.suppress(OSError):
-        path.unlink()
-
-
-def _remove_if_empty(directory: Path) -> None:
-    with contextlib.suppress(OSError):
-        directory.rmdir()
+def _undo(step: Callable[[], None]) -> None:
+    with contextlib.suppress(OSError):  # must not hide the error that led here
+        step()
 
 
 @contextlib.contextmanager
@@ -148,10 +131,7 @@ def _explained(path: Path) -> Iterator[None]:
     try:
         yield
     except FileExistsError as error:
-        raise ConfigError(
-            f"{path} exists and is never overwritten: choose another name, or move it away first"
-        ) from error
+        raise ConfigError(f"{path} exists and is never overwritten: choose another name, or move it away") from error
     except OSError as error:
-        raise ConfigError(
-            f"cannot write {path}: {error.strerror}; choose a directory that you may write to, or run this as its owner"
-        ) from error
+        fix = "choose a directory that you may write to, or run this as its owner"
+        raise ConfigError(f"cannot write {path}: {error.strerror}; {fix}") from error

@@ -1,7 +1,6 @@
 """A folder of certificates: `init` once, `issue` for each laptop, robot and console, `revoke` for a lost one.
 
-A command's files are made in memory, then written together (files.py), so that no incomplete set remains. No file is
-deleted: those of a revoked laptop move to the folder `earlier`.
+A command's files are made in memory, then written together (files.py), so that no incomplete set remains.
 """
 
 import datetime as dt
@@ -27,11 +26,9 @@ from gateway.errors import ConfigError
 
 ROBOT: Final = "robot"
 ROLES: Final = (*LAPTOP_ROLES, ROBOT, CONSOLE)
-EARLIER: Final = "earlier"
 
 # Letters, digits, - and _: a valid file name on every system, and never a path out of the folder.
 _NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,62}")
-_RESERVED: Final = (CA, GATEWAY, EARLIER)
 _WEB_CA: Final = "-ca"  # behind a console's name in the names of its CA's files
 _NO_SERIAL: Final = 1
 """Of a revoked laptop whose files are gone. Our serial numbers are random, so no certificate has it."""
@@ -55,12 +52,7 @@ class Certificate:
 
 
 def init(
-    directory: Path,
-    hosts: Sequence[str],
-    *,
-    days: int = LEAF_DAYS,
-    port: int = zenoh_files.DEFAULT_PORT,
-    now: dt.datetime | None = None,
+    directory: Path, hosts: Sequence[str], *, days: int = LEAF_DAYS, port: int = 7447, now: dt.datetime | None = None
 ) -> list[Path]:
     """Make a CA, the gateway's certificate for `hosts` and gateway.json5 in `directory`; return the paths.
 
@@ -102,25 +94,20 @@ def issue(
     now = now or now_utc()
     _check_name(name)
     ca = load_ca(directory, now)
-    taken = next((path for path in _paths_of(directory, name) if os.path.lexists(path)), None)
-    if taken is not None:
-        raise ConfigError(f"the name {name} is taken ({taken} exists, and is never overwritten): choose another")
+    taken = [directory / f"{name}{suffix}" for suffix in ("", ".pem", ".key", ".json5")]
+    if any(map(os.path.lexists, taken)):
+        raise ConfigError(f"the name {name} is taken in {directory}, and no file is overwritten: choose another")
     if role not in ROLES:
-        raise ConfigError(
-            f"unknown role {role!r}: choose operator (commands and watches), observer (only watches), button (stops "
-            "and watches, and moves nothing), robot or console"
-        )
-    if bool(hosts) is (role in LAPTOP_ROLES):
-        raise ConfigError(
-            "nobody dials a laptop: --host is for a robot or a console"
-            if hosts
-            else f"name at least one host by which the {role} is reached: --host {name}.local"
-        )
+        raise ConfigError(f"unknown role {role!r}: choose {', '.join(ROLES)}")
+    if hosts and role in LAPTOP_ROLES:
+        raise ConfigError("nobody dials a laptop: --host is for a robot or a console")
+    if not hosts and role not in LAPTOP_ROLES:
+        raise ConfigError(f"name at least one host by which the {role} is reached: --host {name}.local")
     if bundle is not None and role not in LAPTOP_ROLES:
         raise ConfigError(f"--bundle is for a laptop; {name} is a {role}")
     if role == ROBOT:
-        robots = _robot(directory / name, ca, _dialled_hosts(hosts), port_of(directory / "gateway.json5"), days, now)
-        files = robots | {directory / name / "ca.pem": FileContent(read_file(directory / "ca.pem", "certificate"))}
+        files = _robot(directory / name, ca, _dialled_hosts(hosts), port_of(directory / "gateway.json5"), days, now)
+        files[directory / name / "ca.pem"] = FileContent(ca.certificate_pem())
     elif role == CONSOLE:
         parsed = _parsed(hosts)
         own = authority.make_web_ca(parsed, now)
@@ -143,11 +130,9 @@ def _robot(
 def _laptop(
     directory: Path, ca: KeyPair, name: str, role: str, bundle: Path | None, days: int, now: dt.datetime
 ) -> dict[Path, FileContent]:
-    robots = robots_of(directory)
     laptop = authority.make_laptop(ca, name, _free_common_name(directory, role), days, now)
     files = _pair(directory / name, laptop)
-    hosts: list[str] = []
-    for robot, folder in robots.items():
+    for robot, folder in robots_of(directory).items():
         hosts = authority.hosts_of(read_certificate(folder / "gateway.pem"))
         config = directory / (f"{name}.json5" if robot == GATEWAY else f"{name}.{robot}.json5")
         port = port_of(folder / "gateway.json5")
@@ -159,7 +144,7 @@ def _laptop(
     members = {path.name: content for path, content in files.items()}
     configs = [each for each in members if each.endswith(".json5")]
     expiry = f"{laptop.certificate.not_valid_after_utc:%Y-%m-%d}"
-    members["ca.pem"] = FileContent(read_file(directory / "ca.pem", "certificate"))
+    members["ca.pem"] = FileContent(ca.certificate_pem())
     members["README.txt"] = FileContent(zenoh_files.laptop_readme(name, role, expiry, configs))
     return files | {bundle: FileContent(_zip(members, now), SECRET_MODE)}
 
@@ -169,28 +154,23 @@ def renew(
 ) -> Path:
     """Renew the certificate of a laptop, a robot ("gateway" for the first) or a console, with the same key.
 
-    Return its path. `hosts`: further names and addresses of a robot or a console. Raises ConfigError.
+    Return its path. `hosts`: further names and addresses of a robot. Raises ConfigError.
     """
-    now = now or now_utc()
+    now, robots = now or now_utc(), robots_of(directory)
     if name != GATEWAY:
         _check_name(name)
     own = f"{name}{_WEB_CA}" if (directory / f"{name}{_WEB_CA}.key").exists() else CA
-    path = robots_of(directory)[name] / "gateway.pem" if name in robots_of(directory) else directory / f"{name}.pem"
+    path = robots[name] / "gateway.pem" if name in robots else directory / f"{name}.pem"
     ca, old, known = load_ca(directory, now, own), read_certificate(path), revoked(directory)
     if known is not None and known.holds(authority.common_name_and_name(old)[0], old.serial_number):
         raise ConfigError(f"{path} is revoked; `hexapod-gateway certs issue` makes another")
     if not is_issued(old, ca.certificate):
         raise ConfigError(f"{path} was not issued by the CA in {directory}: issue a new one there")
     reached = authority.hosts_of(old)
-    if hosts and not reached:
-        raise ConfigError(f"{path} is a laptop's, and nobody dials it: --host is for a robot or a console")
-    further = [host for host in (_dialled_hosts(hosts) if hosts else ()) if host not in reached]
-    if not authority.permits(ca.certificate, further):
-        raise ConfigError(
-            f"{own}.pem, which browsers have imported, is valid for {', '.join(reached)} only: make another with "
-            f"`hexapod-gateway certs issue NAME --role console --host …`, and import NAME{_WEB_CA}.pem"
-        )
-    renewed = authority.renew(ca, old, days, now, [*reached, *further]).public_bytes(serialization.Encoding.PEM)
+    if hosts and (own != CA or not reached):
+        raise ConfigError(f"--host adds one to a robot; {path} keeps its own: `certs issue` makes one for other hosts")
+    reached = list(dict.fromkeys([*reached, *(_dialled_hosts(hosts) if hosts else ())]))
+    renewed = authority.renew(ca, old, days, now, reached).public_bytes(serialization.Encoding.PEM)
     replace(path, FileContent(renewed))
     return path
 
@@ -198,31 +178,29 @@ def renew(
 def revoke(directory: Path, name: str, *, now: dt.datetime | None = None) -> RevocationList:
     """Revoke a laptop, by its name or its common name (`operator-07`); return the new list.
 
-    The laptop's files move to `earlier`, so that its name can be issued again. Raises ConfigError.
+    The laptop's files are deleted, so that its name can be issued again. Raises ConfigError.
     """
     now, known = now or now_utc(), revoked(directory)
     before = () if known is None else known.entries
-    laptops = [each for each in expiries(directory) if each.role in LAPTOP_ROLES]
+    laptops = (each for each in expiries(directory) if each.role in LAPTOP_ROLES)
     found = next((each for each in laptops if name in (each.name, each.common_name)), None)
     if found is None and any(name in (entry.name, entry.common_name) for entry in before):
         raise ConfigError(f"{name} is revoked already")
     if found is None and names.role_of(name) == name:
         raise ConfigError(f"{directory} has no laptop {name!r}: `hexapod-gateway certs list` names them")
-    entry = (
-        Revoked(name, "", _NO_SERIAL, now)
-        if found is None
-        else Revoked(found.common_name, found.name, int(found.serial, 16), now)
-    )
-    made = _sign(directory, (*before, entry), 0, now)
-    if found is not None:
-        _put_away(directory, found)
+    if found is None:
+        return _sign(directory, (*before, Revoked(name, "", _NO_SERIAL, now)), 0, now)
+    made = _sign(directory, (*before, Revoked(found.common_name, found.name, int(found.serial, 16), now)), 0, now)
+    for path in directory.glob(f"{found.path.stem}.*"):
+        if path.suffix in (".pem", ".key", ".json5"):
+            path.unlink()
     return made
 
 
 def adopt(directory: Path, there: RevocationList, *, now: dt.datetime | None = None) -> RevocationList:
     """Sign a list newer than that of a robot, with its entries as well as the folder's."""
     known = revoked(directory)
-    entries = {entry.common_name: entry for entry in (*there.entries, *(() if known is None else known.entries))}
+    entries = {entry.common_name: entry for entry in (*there.entries, *(known.entries if known else ()))}
     return _sign(directory, entries.values(), there.number, now or now_utc())
 
 
@@ -242,58 +220,48 @@ def revoked(directory: Path) -> RevocationList | None:
 
 def states(directory: Path, now: dt.datetime) -> list[tuple[Certificate, str]]:
     """Return all certificates with their states: good, expired, revoked. Works on a robot and on a laptop, too."""
-    known = revoked(directory) if (directory / revocation.REVOCATION_FILE).exists() else None
-    found: list[tuple[Certificate, str]] = []
-    for each in expiries(directory):
-        shut_out = known is not None and known.holds(each.common_name, int(each.serial, 16))
-        found.append((each, "revoked" if shut_out else "expired" if each.not_after <= now else "good"))
-    listed = {each.common_name for each, _ in found}
-    gone = [] if known is None else [entry for entry in known.entries if entry.common_name not in listed]
-    return [*found, *((_gone(entry), "revoked") for entry in gone)]
+    known, found = revoked(directory), expiries(directory)
+    listed = {each.common_name for each in found}
+    for each in known.entries if known else ():
+        if each.common_name not in listed:  # without a file its expiry is unknown
+            role = names.role_of(each.common_name)
+            gone = Certificate(Path(), each.name, role, each.common_name, f"{each.serial:x}", each.since, each.since)
+            found.append(gone)
 
+    def state(each: Certificate) -> str:
+        if known and known.holds(each.common_name, int(each.serial, 16)):
+            return "revoked"
+        return "expired" if each.not_after <= now else "good"
 
-def _gone(entry: Revoked) -> Certificate:
-    """A revoked certificate without a file; its expiry is unknown."""
-    role = names.role_of(entry.common_name)
-    return Certificate(Path(), entry.name, role, entry.common_name, f"{entry.serial:x}", entry.since, entry.since)
+    return [(each, state(each)) for each in found]
 
 
 def expiries(directory: Path) -> list[Certificate]:
     """Return all certificates (*.pem) of a folder: the CA's, then the robots', then by name. Raises ConfigError."""
     try:
-        paths = sorted(path for path in directory.iterdir() if path.suffix == ".pem" and not path.name.startswith("."))
+        paths = [path for path in directory.iterdir() if path.suffix == ".pem" and not path.name.startswith(".")]
     except OSError as error:
-        raise ConfigError(
-            f"cannot read {directory}: {error.strerror}; give the folder that `certs init` made"
-        ) from error
+        fix = "give the folder that `certs init` made"
+        raise ConfigError(f"cannot read {directory}: {error.strerror}; {fix}") from error
     if not paths:
         raise ConfigError(f"{directory} has no certificates (*.pem): make them with `hexapod-gateway certs init`")
     paths += [folder / "gateway.pem" for robot, folder in robots_of(directory).items() if robot != GATEWAY]
-    order = (CA, GATEWAY)
-    found = [describe(path) for path in paths]
-    return sorted(found, key=lambda item: (order.index(item.role) if item.role in order else len(order), item.name))
+    order = {CA: 0, GATEWAY: 1}
+    return sorted(map(describe, paths), key=lambda item: (order.get(item.role, 2), item.name, item.path))
 
 
 def describe(path: Path) -> Certificate:
     """Return the certificate in the PEM file at `path`. Raises ConfigError."""
-    certificate = read_certificate(path)
-    common_name, name = authority.common_name_and_name(certificate)
-    return Certificate(
-        path,
-        name,
-        names.role_of(common_name),
-        common_name,
-        f"{certificate.serial_number:x}",
-        certificate.not_valid_before_utc,
-        certificate.not_valid_after_utc,
-    )
+    found = read_certificate(path)
+    common_name, name = authority.common_name_and_name(found)
+    role, span = names.role_of(common_name), (found.not_valid_before_utc, found.not_valid_after_utc)
+    return Certificate(path, name, role, common_name, f"{found.serial_number:x}", *span)
 
 
 def robots_of(directory: Path) -> dict[str, Path]:
     """Return each robot's folder by its name; the first one, whose files `init` made, is called "gateway"."""
-    found = sorted(path.parent for path in directory.glob("*/gateway.pem"))
     own = {GATEWAY: directory} if (directory / "gateway.pem").exists() else {}
-    return own | {folder.name: folder for folder in found if folder.name != EARLIER}
+    return own | {path.parent.name: path.parent for path in sorted(directory.glob("*/gateway.pem"))}
 
 
 def port_of(config: Path) -> int:
@@ -302,8 +270,7 @@ def port_of(config: Path) -> int:
         nesting.check(read_file(config, "Zenoh configuration"))
         endpoints = zenoh.Config.from_file(str(config)).get_json("listen/endpoints")
     except (ValueError, zenoh.ZError) as error:
-        reason = str(error).splitlines()[0]
-        raise ConfigError(f"cannot read {config}: {reason}; restore it, or fix what it names") from error
+        raise ConfigError(f"cannot read {config}: {str(error).splitlines()[0]}; restore it, or fix that") from error
     found = re.search(r'"tls/[^"]*:(\d+)', endpoints)
     if found is None:
         raise ConfigError(
@@ -314,19 +281,9 @@ def port_of(config: Path) -> int:
 
 def load_ca(directory: Path, now: dt.datetime, name: str = CA) -> KeyPair:
     """Return the folder's CA with its key. Raises ConfigError if it is missing or has expired."""
-    try:
-        (directory / f"{name}.key").lstat()
-    except (FileNotFoundError, NotADirectoryError) as error:
-        raise ConfigError(
-            f"{directory} has no ca.key: give the folder that `hexapod-gateway certs init` made, with --dir"
-        ) from error
-    except OSError:
-        pass  # read_key reports it
     key, certificate = read_key(directory / f"{name}.key"), read_certificate(directory / f"{name}.pem")
     if certificate.public_key() != key.public_key():
-        raise ConfigError(
-            f"{directory}: {name}.key and {name}.pem do not belong together; restore both from the same copy"
-        )
+        raise ConfigError(f"{directory}: {name}.key and {name}.pem do not belong together; restore both from one copy")
     if certificate.not_valid_after_utc <= now:
         raise ConfigError(
             f"the CA in {directory} expired on {certificate.not_valid_after_utc:%Y-%m-%d}: make a new one with "
@@ -340,8 +297,7 @@ def now_utc() -> dt.datetime:
 
 
 def _free_common_name(directory: Path, role: str) -> str:
-    known = revoked(directory)
-    taken = {each.common_name for each in expiries(directory)} | (known.common_names if known else frozenset())
+    taken = {each.common_name for each, _ in states(directory, now_utc())}
     found = next((name for name in names.every(role) if name not in taken), None)
     if found is None:
         raise ConfigError(f"all {names.MOST} common names of {role} are taken: make a new CA in another folder")
@@ -354,11 +310,9 @@ def _parsed(hosts: Sequence[str]) -> list[str]:
 
 def _dialled_hosts(hosts: Sequence[str]) -> list[str]:
     """The hosts in normal form, each once. Raises ConfigError without one, or for an IPv6 address."""
-    if not hosts:
-        raise ConfigError(
-            "name at least one host by which laptops reach the robot: --host robot.local --host 192.0.2.7"
-        )
     found = _parsed(hosts)
+    if not found:
+        raise ConfigError("name at least one host by which laptops reach the robot: --host robot.local")
     for name in found:
         if ":" in name:  # an IPv6 address: parse_host lets no port through
             raise ConfigError(
@@ -366,19 +320,6 @@ def _dialled_hosts(hosts: Sequence[str]) -> list[str]:
                 "it, such as robot.local, or an IPv4 address"
             )
     return found
-
-
-def _paths_of(directory: Path, name: str) -> list[Path]:
-    return [directory / name, *(directory / f"{name}{suffix}" for suffix in (".pem", ".key", ".json5"))]
-
-
-def _put_away(directory: Path, certificate: Certificate) -> None:
-    """Move a laptop's files to `earlier`, with part of the serial number in their names."""
-    target, stem = directory / EARLIER, certificate.path.stem
-    target.mkdir(mode=0o700, exist_ok=True)
-    for path in (*_paths_of(directory, stem), *directory.glob(f"{stem}.*.json5")):
-        if path.is_file():
-            path.rename(target / path.name.replace(stem, f"{stem}-{certificate.serial[:8]}", 1))
 
 
 def _pair(stem: Path, pair: KeyPair) -> dict[Path, FileContent]:
@@ -393,7 +334,7 @@ def _zip(members: dict[str, FileContent], now: dt.datetime) -> bytes:
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, content in members.items():
-            entry = zipfile.ZipInfo(name, (now.year, now.month, now.day, now.hour, now.minute, now.second))
+            entry = zipfile.ZipInfo(name, now.timetuple()[:6])
             entry.create_system = 3  # Unix: `unzip` then restores the mode, and the key stays 0600
             entry.external_attr = (stat.S_IFREG | content.mode) << 16
             archive.writestr(entry, content.data, zipfile.ZIP_DEFLATED)
@@ -401,8 +342,8 @@ def _zip(members: dict[str, FileContent], now: dt.datetime) -> bytes:
 
 
 def _check_name(name: str) -> None:
-    if not _NAME.fullmatch(name) or name.lower() in _RESERVED:
+    if not _NAME.fullmatch(name) or name.lower() in (CA, GATEWAY):
         raise ConfigError(
-            f"{name!r} cannot be a name here: use letters, digits, - and _ (up to 63, a letter or digit first), "
-            f"and not {', '.join(_RESERVED)}"
+            f"{name!r} cannot be a name here: use letters, digits, - and _ (up to 63, a letter or digit first), not "
+            "ca or gateway"
         )

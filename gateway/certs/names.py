@@ -20,14 +20,9 @@ everyone."""
 _COMMON_NAME: Final = re.compile(rf"({'|'.join(LAPTOP_ROLES)})-\d{{2,3}}")
 
 
-def common_name(role: str, number: int) -> str:
-    """Return `operator-07`."""
-    return f"{role}-{number:02}"
-
-
 def every(role: str) -> list[str]:
     """Return all common names of a role."""
-    return [common_name(role, number) for number in range(MOST)]
+    return [f"{role}-{number:02}" for number in range(MOST)]
 
 
 def role_of(common_name: str) -> str:

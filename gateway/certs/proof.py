@@ -66,7 +66,7 @@ class ProofChecker:
             return wrong_clock
         try:
             certificate = x509.load_pem_x509_certificates(proof.certificate.encode())[0]
-            fault = self._certificate_fault(certificate, source, now, purpose.roles, own_names=purpose.own_names)
+            fault = self._certificate_fault(certificate, source, now, purpose)
             if fault is None and not _signed(certificate, proof.signature, purpose.signed(do, source, proof.nonce)):
                 fault = "proof.signature is not made with the certificate's key, for this do, source and nonce"
         except Exception:  # untrusted bytes: no exception of their parser may end the service
@@ -74,27 +74,23 @@ class ProofChecker:
         return fault
 
     def _certificate_fault(
-        self, certificate: x509.Certificate, source: str, now: dt.datetime, roles: Sequence[str], *, own_names: bool
+        self, certificate: x509.Certificate, source: str, now: dt.datetime, purpose: Purpose
     ) -> str | None:
         common_name, person = common_name_and_name(certificate)
         start, end = certificate.not_valid_before_utc, certificate.not_valid_after_utc
-        if not any(is_issued(certificate, ca) for ca in self._cas if _is_valid(ca, now)):
-            return "proof.certificate is not signed by this gateway's CA"
-        if now < start:
-            return f"proof.certificate is valid from {start:%Y-%m-%d %H:%M} UTC; the robot's clock says {_minute(now)}"
-        if now > end:
-            return f"proof.certificate expired at {end:%Y-%m-%d %H:%M} UTC; the robot's clock says {_minute(now)}"
-        fault = self._holders_fault(certificate, common_name, roles)
-        if fault is None and person != source and not (own_names and source.startswith(f"{person}/")):
-            fault = "source is not the person of proof.certificate"
-        return fault
-
-    def _holders_fault(self, certificate: x509.Certificate, common_name: str, roles: Sequence[str]) -> str | None:
-        if self._revoked is not None and self._revoked.holds(common_name, certificate.serial_number):
-            return f"proof.certificate is revoked ({common_name}); get another from the person with the CA's key"
-        if names.role_of(common_name) not in roles:
-            return f"proof.certificate is not that of an {' or a '.join(roles)} of this robot"
-        return None
+        clock, roles = f"the robot's clock says {_minute(now)}", " or a ".join(purpose.roles)
+        issued = any(is_issued(certificate, ca) for ca in self._cas if _is_valid(ca, now))
+        revoked = self._revoked is not None and self._revoked.holds(common_name, certificate.serial_number)
+        own = person == source or (purpose.own_names and source.startswith(f"{person}/"))
+        faults = (
+            (not issued, "is not signed by this gateway's CA"),
+            (now < start, f"is valid from {_minute(start)} UTC; {clock}"),
+            (now > end, f"expired at {_minute(end)} UTC; {clock}"),
+            (revoked, f"is revoked ({common_name}); get another from the person with the CA's key"),
+            (names.role_of(common_name) not in purpose.roles, f"is not that of an {roles} of this robot"),
+        )
+        fault = next((f"proof.certificate {sentence}" for wrong, sentence in faults if wrong), None)
+        return fault if fault or own else "source is not the person of proof.certificate"
 
 
 class CertificateHolder(NamedTuple):
@@ -122,13 +118,12 @@ def _signed(certificate: x509.Certificate, signature: str, text: bytes) -> bool:
     key = certificate.public_key()
     try:
         made = base64.b64decode(signature, validate=True)
-        match key:
-            case ec.EllipticCurvePublicKey():
-                key.verify(made, text, ec.ECDSA(hashes.SHA256()))
-            case rsa.RSAPublicKey():
-                key.verify(made, text, padding.PKCS1v15(), hashes.SHA256())
-            case _:
-                return False
+        if isinstance(key, ec.EllipticCurvePublicKey):
+            key.verify(made, text, ec.ECDSA(hashes.SHA256()))
+        elif isinstance(key, rsa.RSAPublicKey):
+            key.verify(made, text, padding.PKCS1v15(), hashes.SHA256())
+        else:
+            return False
     except (ValueError, InvalidSignature):
         return False
     return True

@@ -17,8 +17,9 @@ from cryptography import x509
 from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec, rsa
 
+from gateway import durable
 from gateway.certs.authority import KeyPair
-from gateway.certs.files import UNREADABLE, read_file
+from gateway.certs.files import UNREADABLE
 from gateway.errors import ConfigError
 
 REVOCATION_FILE: Final = "revoked.crl"
@@ -69,23 +70,15 @@ class RevocationList:
 
 def sign(ca: KeyPair, number: int, entries: Iterable[Revoked], now: dt.datetime) -> RevocationList:
     """Sign a list of these certificates."""
-    kept = tuple(entries)
-    builder = (
-        x509.CertificateRevocationListBuilder()
-        .issuer_name(ca.certificate.subject)
-        .last_update(now)
-        .next_update(ca.certificate.not_valid_after_utc)
-        .add_extension(x509.CRLNumber(number), critical=False)
-        .add_extension(x509.AuthorityKeyIdentifier.from_issuer_public_key(ca.key.public_key()), critical=False)
-    )
-    for entry in kept:
-        builder = builder.add_revoked_certificate(
-            x509.RevokedCertificateBuilder()
-            .serial_number(entry.serial)
-            .revocation_date(entry.since)
-            .add_extension(x509.UnrecognizedExtension(_HOLDER, _encoded(entry)), critical=False)
-            .build()
-        )
+    kept, name = tuple(entries), ca.certificate.subject
+    end = ca.certificate.not_valid_after_utc
+    builder = x509.CertificateRevocationListBuilder().issuer_name(name).last_update(now).next_update(end)
+    authority = x509.AuthorityKeyIdentifier.from_issuer_public_key(ca.key.public_key())
+    builder = builder.add_extension(x509.CRLNumber(number), critical=False).add_extension(authority, critical=False)
+    for each in kept:
+        holder = x509.UnrecognizedExtension(_HOLDER, _encoded(each))
+        entry = x509.RevokedCertificateBuilder().serial_number(each.serial).revocation_date(each.since)
+        builder = builder.add_revoked_certificate(entry.add_extension(holder, critical=False).build())
     pem = builder.sign(ca.key, hashes.SHA256()).public_bytes(serialization.Encoding.PEM)
     return RevocationList(number, now.replace(microsecond=0), kept, pem)
 
@@ -107,15 +100,12 @@ def parse(data: bytes, cas: Sequence[x509.Certificate]) -> RevocationList:
 def read(path: Path, cas: Sequence[x509.Certificate]) -> RevocationList | None:
     """Read the list at `path`; None: there is no file. Raises ConfigError, naming the file."""
     try:
-        if not path.exists():
-            return None
-    except OSError as error:  # the folder is another user's
+        data = durable.read(path, MAX_LIST_BYTES)
+        return None if data is None else parse(data, cas)
+    except OSError as error:
         raise ConfigError(f"{path}: cannot be read ({error.strerror})") from error
-    data = read_file(path, "list of revoked certificates")
-    if len(data) > MAX_LIST_BYTES:
-        raise ConfigError(f"{path} has {len(data)} bytes; that is no list of revoked certificates")
-    try:
-        return parse(data, cas)
+    except ValueError as error:
+        raise ConfigError(f"{path} {error}; that is no list of revoked certificates") from error
     except ConfigError as error:
         raise type(error)(f"{path}: {error}") from error
 
@@ -132,18 +122,17 @@ def why_not_newer(found: RevocationList, known: RevocationList | None) -> str | 
 def _entry(found: x509.RevokedCertificate) -> Revoked:
     extension = found.extensions.get_extension_for_oid(_HOLDER).value
     value = extension.value if isinstance(extension, x509.UnrecognizedExtension) else b""
-    text = value[2:].decode() if value[:1] == bytes([_UTF8_STRING]) and value[1] == len(value) - 2 else ""
-    named = _HOLDER_TEXT.fullmatch(text)
-    if named is None:
+    named = _HOLDER_TEXT.fullmatch(value[2:].decode())
+    if named is None or value[:2] != bytes([_UTF8_STRING, len(value) - 2]):
         raise ValueError("an entry names no common name")
     return Revoked(named[1], named[2], found.serial_number, found.revocation_date_utc)
 
 
 def _encoded(entry: Revoked) -> bytes:
-    text = f"{entry.common_name}/{entry.name}".encode()
-    if len(text) >= _SHORT or _HOLDER_TEXT.fullmatch(text.decode()) is None:
+    text = f"{entry.common_name}/{entry.name}"
+    if len(text) >= _SHORT or _HOLDER_TEXT.fullmatch(text) is None:
         raise ConfigError(f"{entry.common_name} of {entry.name} cannot stand in a list of revoked certificates")
-    return bytes([_UTF8_STRING, len(text)]) + text
+    return bytes([_UTF8_STRING, len(text)]) + text.encode()
 
 
 def _signed_by(found: x509.CertificateRevocationList, ca: x509.Certificate) -> bool:

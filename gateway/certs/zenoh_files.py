@@ -8,54 +8,43 @@ import ipaddress
 import json
 from collections.abc import Sequence
 
-from gateway.certs import BUTTON, LAPTOP_ROLES, OBSERVER, OPERATOR, access
+from gateway.certs import BUTTON, LAPTOP_ROLES, OPERATOR, access
 from gateway.limits import ACCEPT_TIMEOUT_MS, MAX_MESSAGE_SIZE, MAX_SESSIONS, SIZE_LIMIT
-
-DEFAULT_PORT = 7447
 
 _GATEWAY = """\
 // The gateway's Zenoh configuration, made by `hexapod-gateway certs` for @HOSTS@.
 // In gateway.toml:  [zenoh]  config = "/etc/hexapod-gateway/zenoh/gateway.json5"
-// The robot needs this file, ca.pem, gateway.pem and gateway.key. Keep ca.key off the robot: with it,
-// anyone can be let in. Paths are relative to this file's folder.
+// The robot needs this file, ca.pem, gateway.pem and gateway.key in one folder. Keep ca.key elsewhere: it admits all.
 {
   mode: "peer",
   // All addresses, IPv4 and IPv6. On a kernel without IPv6: tls/0.0.0.0:@PORT@
   listen: { endpoints: ["tls/[::]:@PORT@"] },
   connect: { endpoints: [] },
-  // Nobody finds the gateway, or is found by it, by accident.
   scouting: { multicast: { enabled: false }, gossip: { enabled: false } },
   adminspace: { enabled: false },
   transport: {
-    // The gateway keeps some of these places for operators.
     unicast: { max_sessions: @MAX_SESSIONS@, accept_timeout: @ACCEPT_TIMEOUT_MS@ },
-    // Shared memory would go around the size limit.
-    shared_memory: { enabled: false },
+    shared_memory: { enabled: false },  // it would go around the size limit
     link: {
       protocols: ["tls"],
       // A link that is silent for this long (ms) is dead, and what waited on it is dropped with it.
       tx: { lease: 1000 },
-      // Limit in bytes of a message that is assembled from fragments.
+      // Limit in bytes of a message of fragments.
       rx: { max_message_size: @MAX_MESSAGE_SIZE@ },
       tls: {
         root_ca_certificate: "ca.pem",
         listen_certificate: "gateway.pem",
         listen_private_key: "gateway.key",
-        // Where the gateway dials another Zenoh program, too.
-        connect_certificate: "gateway.pem",
+        connect_certificate: "gateway.pem",  // where the gateway dials another Zenoh program
         connect_private_key: "gateway.key",
-        enable_mtls: true,
-        verify_name_on_connect: true,
-        close_link_on_expiration: true,
+        enable_mtls: true, verify_name_on_connect: true, close_link_on_expiration: true,
       },
     },
   },
-  // Who may do what. The gateway replaces each role by its laptops' common names (operator-00, operator-01, …) when it
-  // starts, but for those that are revoked, so a new laptop needs no change here.
-  // Keys are exact: subscribe to hexapod/state, not to hexapod/*.
+  // At its start the gateway replaces each role by its laptops' common names (operator-00, operator-01, …) without the
+  // revoked ones, so a new laptop needs no change here. Keys are exact: subscribe to hexapod/state, not to hexapod/*.
   access_control: {
-    enabled: true,
-    default_permission: "deny",
+    enabled: true, default_permission: "deny",
     rules: [
 @RULES@    ],
     subjects: [
@@ -64,12 +53,9 @@ _GATEWAY = """\
       { id: "button", cert_common_names: ["button"] },
     ],
     policies: [
-      { subjects: ["operator"],
-        rules: @OPERATORS_RULES@ },
-      { subjects: ["button"],
-        rules: @BUTTONS_RULES@ },
-      { subjects: ["operator", "observer", "button"],
-        rules: @EVERYONES_RULES@ },
+      { subjects: ["operator"], rules: @OPERATORS_RULES@ },
+      { subjects: ["button"], rules: @BUTTONS_RULES@ },
+      { subjects: ["operator", "observer", "button"], rules: @EVERYONES_RULES@ },
     ],
   },
   // The gateway answers payloads over 4096 bytes with `too_large`; far larger ones are dropped before they reach it.
@@ -86,12 +72,7 @@ _LAPTOP = """\
 // Paths are relative to this file's folder: keep ca.pem, @NAME@.pem and @NAME@.key beside it.
 {
   mode: "client",
-  connect: {
-    // hexapod-gateway and its Client try them side by side, other Zenoh programs in turn; when the link breaks, Zenoh
-    // tries them in turn, again every 0.1 to 0.5 s.
-    endpoints: @ENDPOINTS@,
-    retry: { period_init_ms: 100, period_max_ms: 500, period_increase_factor: 1.5 },
-  },
+  connect: { endpoints: @ENDPOINTS@, retry: { period_init_ms: 100, period_max_ms: 500, period_increase_factor: 1.5 } },
   scouting: { multicast: { enabled: false }, gossip: { enabled: false } },
   transport: {
     // How long one host may take, name and handshake included. By default it would delay the next one by 10 s.
@@ -106,45 +87,29 @@ _LAPTOP = """\
         root_ca_certificate: "ca.pem",
         connect_certificate: "@NAME@.pem",
         connect_private_key: "@NAME@.key",
-        enable_mtls: true,
-        verify_name_on_connect: true,
+        enable_mtls: true, verify_name_on_connect: true,
       },
     },
   },
 }
 """
 
-_COMMANDS = {OPERATOR: ("walk", "estop"), OBSERVER: (), BUTTON: ("estop",)}
-"""Commands in a bundle's README, besides `status`."""
-
 _README = """\
-The files of @NAME@, @ROLE@ of a hexapod. Valid until @EXPIRY@.
+The files of @NAME@, @ROLE@ of a hexapod. Valid until @EXPIRY@. Unzip them anywhere, together.
+Keep @NAME@.key secret: it proves to be @NAME@.
 
-Unzip them anywhere, together, and keep @NAME@.key secret: it proves to be @NAME@.
+@COMMANDS@
 
-  hexapod-gateway status --zenoh-config path/to/@FILE@@COMMANDS@
-@OTHERS@
-In Python:
-
-  from gateway.client import Client
-  with Client(zenoh_config="path/to/@FILE@") as robot:
-      print(robot.state().mode)
-
+In Python: Client(zenoh_config="path/to/@FILE@"), of gateway.client.
 Other Zenoh programs read the paths in @FILE@ from the folder they are started in: start them in this one.
 """
 
 
 def gateway_json5(hosts: Sequence[str], port: int) -> bytes:
     """Return the robot's Zenoh configuration: mTLS on all addresses, access by role, a size limit, no scouting."""
-    return _fill(
-        _GATEWAY,
-        HOSTS=", ".join(hosts),
-        PORT=str(port),
-        RULES=access.rules(),
-        OPERATORS_RULES=access.rules_for(OPERATOR),
-        BUTTONS_RULES=access.rules_for(BUTTON),
-        EVERYONES_RULES=access.rules_for(*LAPTOP_ROLES),
-    )
+    rules = {"OPERATORS_RULES": (OPERATOR,), "BUTTONS_RULES": (BUTTON,), "EVERYONES_RULES": LAPTOP_ROLES}
+    listed = {name: access.rules_for(*roles) for name, roles in rules.items()}
+    return _fill(_GATEWAY, HOSTS=", ".join(hosts), PORT=str(port), RULES=access.rules(), **listed)
 
 
 def command_for_new_rules(file: str, port: int, program: str = "hexapod-gateway") -> str:
@@ -161,10 +126,9 @@ def laptop_json5(name: str, role: str, hosts: Sequence[str], port: int, file: st
 
 def laptop_readme(name: str, role: str, expiry: str, files: Sequence[str]) -> bytes:
     """Return a bundle's README. `files`: a Zenoh configuration for each robot."""
-    file = files[0]
-    commands = "".join(f"\n  hexapod-gateway {each} --zenoh-config path/to/{file}" for each in _COMMANDS[role])
-    others = f"\nEach robot has a file of its own: {', '.join(files)}.\n" if len(files) > 1 else ""
-    return _fill(_README, NAME=name, ROLE=role, EXPIRY=expiry, COMMANDS=commands, FILE=file, OTHERS=others)
+    commands = ("status", *{OPERATOR: ("walk", "estop"), BUTTON: ("estop",)}.get(role, ()))
+    lines = "\n".join(f"  hexapod-gateway {each} --zenoh-config path/to/{file}" for file in files for each in commands)
+    return _fill(_README, NAME=name, ROLE=role, EXPIRY=expiry, COMMANDS=lines, FILE=files[0])
 
 
 def endpoint(host: str, port: int) -> str:

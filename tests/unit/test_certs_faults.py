@@ -148,7 +148,7 @@ def test_what_init_rejects(tmp_path: Path, options: dict[str, Any], sentence: st
 
 def test_a_folder_without_a_ca(tmp_path: Path) -> None:
     for directory in (tmp_path, tmp_path / "missing"):
-        assert "has no ca.key" in fault(partial(certs.folder.issue, directory, "a", "operator"))
+        assert "cannot read the key" in fault(partial(certs.folder.issue, directory, "a", "operator"))
     assert "cannot read" in fault(lambda: certs.folder.expiries(tmp_path / "missing"))
     assert "has no certificates" in fault(lambda: certs.folder.expiries(tmp_path))
 

@@ -2,7 +2,6 @@
 
 import datetime as dt
 import json
-import os
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -24,42 +23,33 @@ app = typer.Typer(
 )
 
 Directory = Annotated[
-    Path,
-    typer.Option(
-        "--dir", metavar="D", callback=lambda path: Path(os.path.expanduser(path)), help="The folder with the CA."
-    ),
+    Path, typer.Option("--dir", metavar="D", callback=Path.expanduser, help="The folder with the CA.")
 ]
 DEFAULT_FOLDER = Path("~/hexapod-certs")
 Days = Annotated[
     int,
     typer.Option(
-        metavar="N",
-        min=1,
-        max=certs.CA_DAYS,
-        help="How many days the certificate is valid (never longer than its CA, 10 years). Example: --days 90",
+        metavar="N", min=1, max=certs.CA_DAYS, help="Days that the certificate is valid, at most until its CA expires."
+    ),
+]
+Hosts = Annotated[
+    list[str],
+    typer.Option(
+        metavar="HOST", help="A name or address by which the robot or the console is reached; repeat it for each."
     ),
 ]
 
 
 @app.command(epilog="Example: hexapod-gateway certs init --dir ~/hexapod-certs --host robot.local --host 192.0.2.7")
 def init(
-    host: Annotated[
-        list[str],
-        typer.Option(
-            metavar="HOST",
-            help="A name or address by which laptops reach the robot; repeat it for each. Laptops reject it under any "
-            "other. Example: --host robot.local --host 192.0.2.7",
-        ),
-    ],
-    port: Annotated[
-        int, typer.Option(metavar="N", min=1, max=65535, help="The port the robot listens on. Example: --port 7447")
-    ] = 7447,
+    host: Hosts,
+    port: Annotated[int, typer.Option(metavar="N", min=1, max=65535, help="The port the robot listens on.")] = 7447,
     directory: Directory = DEFAULT_FOLDER,
     days: Days = certs.LEAF_DAYS,
 ) -> None:
     """Make a private CA, the robot's certificate, and a Zenoh configuration that admits only certificates of this CA.
 
-    It never overwrites a file: a folder that has a CA already is an error, and then nothing is changed.
+    Laptops reach the robot by its --host only. No file is overwritten: a folder that has a CA already is an error.
     """
     certs.folder.init(directory, host, days=days, port=port)
     typer.echo(f"Made a CA and the robot's files in {directory}. Leave ca.key here, and keep a copy somewhere safe.")
@@ -81,33 +71,19 @@ def _echo_installation(host: str, files: str) -> None:
     epilog="Example: hexapod-gateway certs issue alice --role operator --dir ~/hexapod-certs --bundle alice.zip"
 )
 def issue(
-    name: Annotated[
-        str,
-        typer.Argument(metavar="NAME", help="The laptop or its owner: letters, digits, - and _. Example: alice"),
-    ],
+    name: Annotated[str, typer.Argument(metavar="NAME", help="The laptop or its owner: letters, digits, - and _.")],
     role: Annotated[
         Literal["operator", "observer", "button", "robot", "console"],
         typer.Option(
             help="operator: commands and watches. observer: only watches. button: stops and watches, and moves "
-            "nothing. robot: a further robot of this CA. console: a web console. Example: --role observer",
+            "nothing. robot: a further robot of this CA. console: a web console.",
         ),
     ],
     directory: Directory = DEFAULT_FOLDER,
-    host: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="HOST",
-            help="For a robot or a console: a name or address by which it is reached; repeat it for each. "
-            "Example: --host robot-2.local",
-        ),
-    ] = None,
+    host: Hosts = [],  # noqa: B006 (read only)
     bundle: Annotated[
         Path | None,
-        typer.Option(
-            metavar="ZIP",
-            help="Also put all that the laptop needs into this zip, its key included: hand it over in private. "
-            "Example: --bundle alice.zip",
-        ),
+        typer.Option(metavar="ZIP", help="Also put all that the laptop needs into this zip, its key included."),
     ] = None,
     days: Days = certs.LEAF_DAYS,
 ) -> None:
@@ -116,50 +92,37 @@ def issue(
     A laptop of this CA reaches all its robots: NAME.json5 leads to the first, NAME.ROBOT.json5 to another. A console's
     certificate is valid for 459 days at most. Browsers trust it once NAME-ca.pem is among their authorities.
     """
-    paths = certs.folder.issue(directory, name, role, hosts=host or (), bundle=bundle, days=days)
+    paths = certs.folder.issue(directory, name, role, hosts=host, bundle=bundle, days=days)
+    files = " ".join(path.name for path in paths if path != bundle)
+    typer.echo(f"Made {name}, {role}, in {directory}: {files}")
     if role == certs.folder.ROBOT:
-        typer.echo(f"Made robot {name} in {directory / name}.")
-        _echo_installation((host or [name])[0], " ".join(map(str, paths)))
-        typer.echo(f"Laptops issued before reach it with --connect tls/{(host or [name])[0]}:PORT --zenoh-config …")
-        return
-    if role == certs.authority.CONSOLE:
-        typer.echo(
-            f"Made {name}.pem and {name}.key in {directory}: copy both to the machine of the console, and there:"
-        )
+        _echo_installation(host[0], " ".join(map(str, paths)))
+        typer.echo(f"Laptops issued before reach it with --connect tls/{host[0]}:PORT --zenoh-config …")
+    elif role == certs.authority.CONSOLE:
+        typer.echo(f"Copy {name}.pem and {name}.key to the machine of the console, and there:")
         command = f"hexapod-gateway console --listen 0.0.0.0:8443 --cert {name}.pem --key {name}.key"
         typer.echo(f"  {command} --zenoh-config PERSON.json5")
         typer.echo(f"In each browser, import {directory / f'{name}-ca.pem'} as an authority, once.")
-        return
-    made = certs.folder.describe(directory / f"{name}.pem")
-    files = " ".join(path.name for path in paths if path != bundle)
-    typer.echo(f"Made {name}, {role} ({made.common_name}), in {directory}: {files}")
-    if bundle is not None:
-        typer.echo(
-            f"All that the laptop needs is in {bundle}, its key included: hand it over in private, then delete it."
-        )
-    config = next(path for path in paths if path.suffix == ".json5")
-    typer.echo(f"Try it: {this_command()} check --zenoh-config {config}")
+    else:
+        if bundle is not None:
+            typer.echo(
+                f"All that the laptop needs is in {bundle}, its key too: hand it over in private, then delete it."
+            )
+        config = next(path for path in paths if path.suffix == ".json5")
+        typer.echo(f"Try it: {this_command()} check --zenoh-config {config}")
 
 
 @app.command(epilog="Example: hexapod-gateway certs renew gateway --dir ~/hexapod-certs")
 def renew(
     name: Annotated[
-        str,
-        typer.Argument(metavar="NAME", help='A laptop, a console, a robot; "gateway" is the first. Example: gateway'),
+        str, typer.Argument(metavar="NAME", help='A laptop, a console, a robot; "gateway" is the first robot.')
     ],
     directory: Directory = DEFAULT_FOLDER,
-    host: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="HOST",
-            help="For a robot or a console: one more name or address by which it is reached; repeat it for each. "
-            "The old ones stay. Example: --host 192.0.2.9",
-        ),
-    ] = None,
+    host: Hosts = [],  # noqa: B006 (read only)
     days: Days = certs.LEAF_DAYS,
 ) -> None:
-    """Extend a certificate before it expires, or give a robot a further address. Its key stays."""
-    path = certs.folder.renew(directory, name, hosts=host or (), days=days)
+    """Extend a certificate before it expires, or give a robot a further --host. Its key and its old hosts stay."""
+    path = certs.folder.renew(directory, name, hosts=host, days=days)
     made = certs.folder.describe(path)
     is_robot = made.role == certs.authority.GATEWAY
     where = "the robot, and restart the service" if is_robot else f"{name}'s machine"
@@ -208,29 +171,25 @@ def revoke(
         str | None,
         typer.Argument(
             metavar="[NAME]",
-            help="The laptop; or a common name, such as operator-07. Without it, the list as it is goes to the robots",
+            help="The laptop, or a common name such as operator-07. Without it the list as it is goes to the robots.",
         ),
     ] = None,
     to: Annotated[
         list[str] | None,
         typer.Option(
-            metavar="ROBOT",
-            help="Only to this robot: its name, a host or an endpoint; repeat it for each. Default: all of the folder. "
-            "Example: --to robot-2, or --to tls/192.0.2.7:7447",
+            metavar="ROBOT", help="Only to this robot: its name, a host or an endpoint; repeat it. Default: to all."
         ),
     ] = None,
     zenoh_config: Annotated[
         Path | None,
-        typer.Option(
-            "--zenoh-config", metavar="PATH", help="Whose connection it is. Default: an operator's in the folder."
-        ),
+        typer.Option(metavar="PATH", help="Whose connection it is. Default: an operator's in the folder."),
     ] = None,
 ) -> None:
     """Shut a laptop out: it is lost, stolen, or no longer anybody's.
 
     Signs a list (revoked.crl, an X.509 CRL) and sends it to each robot, a line each. A robot that gets it stops all
-    legs, starts anew within three seconds, and from then on the laptop gets nothing. Nobody else has to do anything. To
-    undo it, `certs issue` the name anew.
+    legs, starts anew within three seconds, and from then on the laptop gets nothing. The laptop's files are deleted
+    here. To undo it, `certs issue` the name anew.
 
     A robot that is off gets it later, by the same command without the name, or by a copy of revoked.crl in
     /etc/hexapod-gateway/zenoh and a restart of the service.
