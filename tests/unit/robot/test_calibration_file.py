@@ -97,11 +97,6 @@ def test_a_broken_one_is_set_aside(tmp_path: Path) -> None:
 # ---- what a gateway starts with
 
 
-def test_a_gateway_starts_with_what_was_kept(tmp_path: Path) -> None:
-    write(tmp_path / "calibration.toml", OWN)
-    assert load(tmp_path / "calibration.toml") == (OWN, None)
-
-
 @pytest.mark.parametrize("text", ["", "trim = 7\n", "\0" * 2000, to_toml(OWN)[:-30], None])
 def test_a_file_that_cannot_be_used_is_a_fault_and_the_next_revision_is_newer_than_all(
     tmp_path: Path, text: str | None

@@ -7,8 +7,8 @@ import pytest
 
 from gateway.host.servo_page import ServoPage
 from gateway.model import elkapod
-from gateway.model.elkapod import SHUTDOWN, START, AnswerError, Measured
-from gateway.robot.spi.elkapod_simulator import GARBAGE, SimulatedElkapod
+from gateway.model.elkapod import START, Measured
+from gateway.robot.spi.elkapod_simulator import SimulatedElkapod
 from gateway.robot.spi.simulated_battery import SimulatedBattery
 from schemas.robot import SERVO_IDS
 
@@ -63,30 +63,6 @@ def bench() -> Bench:
 # ---- start, shutdown and what is between
 
 
-def test_frames_alone_drive_nothing(bench: Bench) -> None:
-    for _ in range(50):
-        bench.exchange()
-    assert bench.controller.energised == frozenset()
-    assert {servo.angle_deg for servo in bench.controller.servos.values()} == {90.0}
-    assert set(bench.page.read().values()) == {None}
-    assert bench.said == []
-
-
-def test_a_start_drives_all_to_the_newest_frame_and_a_shutdown_leaves_all_where_they_are(bench: Bench) -> None:
-    bench.started()
-    assert bench.targets() == bench.page.read() == TARGETS
-    bench.exchange(after_ms=1000)
-    assert {servo_id: servo.angle_deg for servo_id, servo in bench.controller.servos.items()} == TARGETS
-    bench.controller.uart_write(SHUTDOWN)
-    assert bench.controller.energised == frozenset()
-    assert set(bench.page.read().values()) == {None}
-    bench.exchange(frame_of({11: 10.0}), after_ms=1000)
-    assert bench.controller.servos[11].angle_deg == 80.0, "slack: nothing moves it"
-    assert bench.said == ["started", "shut down"]
-    assert [message for _, message in bench.controller.messages] == [START, SHUTDOWN]
-    assert not bench.controller.corruptions
-
-
 def test_a_start_before_any_frame_waits_for_one_and_is_counted(bench: Bench) -> None:
     bench.controller.uart_write(START)
     assert bench.controller.corruptions == {"started before any frame": 1}
@@ -100,35 +76,3 @@ def test_angles_that_no_servo_has_are_driven_to_its_end_and_counted(bench: Bench
     bench.exchange(frame_of({**TARGETS, 11: -20.0, 12: 1e9, 13: math.inf, 21: math.nan}))
     assert [bench.targets()[servo_id] for servo_id in (11, 12, 13, 21)] == [0.0, 180.0, 180.0, 83.0]
     assert sum(bench.controller.corruptions.values()) == 4
-
-
-# ---- what it measures
-
-
-def test_the_first_answer_is_garbage_and_each_is_of_the_transfer_before(bench: Bench) -> None:
-    assert bench.exchange() == GARBAGE
-    with pytest.raises(AnswerError):
-        elkapod.measured(GARBAGE)
-    assert bench.measured().feet == (0,) * 6
-    bench.controller.uart_write(START)
-    assert bench.measured().feet == (0,) * 6, "of before the start"
-    assert bench.measured().feet == pytest.approx((4.38,) * 6, abs=0.01)
-
-
-# ---- faults
-
-
-def test_switched_off_and_on_it_is_slack_and_has_forgotten_its_angles(bench: Bench) -> None:
-    bench.started()
-    bench.exchange(after_ms=1000)
-    bench.controller.uart_write(START[:5])
-    bench.now_ns += 30 * MS
-    bench.controller.power_cycle()
-    assert bench.controller.energised == frozenset()
-    assert set(bench.targets().values()) == set(bench.page.read().values()) == {None}
-    bench.now_ns += 49 * MS
-    assert bench.controller.uart_read() == b"", "its next heartbeat is 50 ms after power-up"
-    bench.controller.uart_write(START[5:])
-    assert bench.exchange() == GARBAGE
-    assert bench.exchange() != GARBAGE
-    assert bench.controller.energised == frozenset(), "half of a start was before, and frames start nothing"

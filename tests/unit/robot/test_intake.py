@@ -10,16 +10,15 @@ from hypothesis import strategies as st
 from gateway.model.frames import STOP as STOP_OP
 from gateway.model.frames import Op, ServoOp
 from gateway.robot.core import intake
-from gateway.robot.core.events import Command, Reset
-from gateway.robot.core.intake import Rejection, echo_of, read, too_large, words_of_stop
+from gateway.robot.core.intake import Rejection, echo_of, words_of_stop
 from gateway.robot.core.message import Received, Verb
 from schemas.command import MAX_PAYLOAD_BYTES
-from schemas.keys import COMMAND_KEYS, ESTOP, CommandKey, servo_command
+from schemas.keys import COMMAND_KEYS, ESTOP, CommandKey
 from schemas.telemetry import Reason
-from tests.fuzz.targets import ENCODINGS, KEYS, MAX_DETAIL, check_intake
+from tests.fuzz.targets import ENCODINGS, KEYS, check_intake
 from tests.support.bad_commands import FAULTS
 from tests.support.commands import LEG, LEG_3, LEGS_KEY, RESET_KEY, SERVO_32, START_90, STOP, as_json, legal, parsed
-from tests.support.reading import Intent, decode, meant
+from tests.support.reading import Intent, decode
 
 JSON = "application/json"
 
@@ -44,55 +43,10 @@ def servo_op(payload: str) -> ServoOp:
 # ---- what is good
 
 
-def test_a_servo() -> None:
-    payload = as_json({"op": "set", "angle_deg": 90.29, "source": "laptop", "sent_ms": 12.5})
-    assert decode(SERVO_32, payload, JSON) == Intent(((32, ServoOp(Op.SET, 90_29)),), "laptop", 12.5)
-
-
-@pytest.mark.parametrize(
-    ("key", "command"),
-    [(SERVO_32, STOP), (SERVO_32, START_90), (LEG_3, LEG), (LEGS_KEY, {"legs": {"1": LEG}}), (RESET_KEY, {})],
-    ids=str,
-)
-def test_the_token_of_a_lease_which_no_repr_shows(key: CommandKey, command: dict[str, Any]) -> None:
-    token = "0123456789abcdef" * 2
-    payload = as_json(command | {"lease": token})
-    answer = read(Received("", "", key, Verb.PUT, payload, len(payload), JSON, None, 0))
-    assert not isinstance(answer, Rejection)
-    assert answer.lease == token
-    assert token not in repr(answer)
-
-
-def test_a_leg() -> None:
-    assert decode(LEG_3, as_json(LEG), JSON) == Intent(
-        ((31, ServoOp(Op.START, 90_00)), (32, STOP_OP), (33, ServoOp(Op.SET, 45_25)))
-    )
-
-
-def test_several_legs_in_their_order_whatever_the_payloads() -> None:
-    answer = decode(LEGS_KEY, as_json({"source": "x", "legs": {"6": LEG, "2": LEG}}), JSON)
-    assert isinstance(answer, Intent)
-    assert [servo_id for servo_id, _ in answer.targets] == [21, 22, 23, 61, 62, 63]
-    assert answer.source == "x"
-
-
-@pytest.mark.parametrize("payload", [b"", b"{}", b" { } "])
-def test_a_reset(payload: bytes) -> None:
-    assert decode(RESET_KEY, payload, JSON) == Intent()
-
-
 def test_a_reset_says_which_emergency_stop_it_leaves_who_sends_it_and_when() -> None:
     payload = {"estop": 7, "source": "anna", "sent_ms": 12.5}
     assert decode(RESET_KEY, as_json(payload), JSON) == Intent((), "anna", 12.5, 7)
     assert decode(RESET_KEY, as_json({"estop": 0}), JSON) == Intent(estop=0)
-
-
-def test_what_only_stops_is_taken_however_old_and_nothing_else_is() -> None:
-    stop, start, move = (11, STOP_OP), (12, ServoOp(Op.START, 90_00)), (12, ServoOp(Op.SET, 1_00))
-    assert Command((stop, stop)).only_stops
-    for targets in ((stop, start), (start, stop), (stop, move, stop), (start,)):
-        assert not Command(targets).only_stops
-    assert not Reset(estop=1).only_stops, "a reset may be delayed, and is then rejected"
 
 
 @pytest.mark.parametrize("payload", [b"", b"{", b"\xff" * 5000, b'{"op": "stop"}'])
@@ -131,45 +85,7 @@ def test_angles_are_rounded_to_the_nearest_hundredth(angle: str, cdeg: int) -> N
     assert servo_op(f'{{"op": "start", "angle_deg": {angle}}}') == ServoOp(Op.START, cdeg)
 
 
-def test_a_hundredth_stays_what_it_is() -> None:
-    for cdeg in range(180_01):
-        assert servo_op(f'{{"op": "set", "angle_deg": {cdeg / 100}}}').angle_cdeg == cdeg
-
-
 # ---- what is rejected before it is read
-
-
-def test_the_largest_payload_and_one_byte_more() -> None:
-    payload = as_json(STOP)
-    largest = payload + b" " * (MAX_PAYLOAD_BYTES - len(payload))
-    assert decode(SERVO_32, largest, JSON) == Intent(((32, STOP_OP),))
-    key = servo_command(32)
-    whole, not_copied = (
-        meant(read(Received(key, key, SERVO_32, Verb.PUT, payload, size, JSON, None, 0))) for size in (4096, 4097)
-    )
-    assert (whole, not_copied) == (Intent(((32, STOP_OP),)), too_large(4097))
-    assert len(largest) == 4096
-    assert rejection(SERVO_32, largest + b" ") == too_large(4097)
-    assert too_large(4097) == Rejection(Reason.TOO_LARGE, "the payload has 4097 bytes; at most 4096 are read")
-
-
-@pytest.mark.parametrize(
-    ("encoding", "named"),
-    [
-        ("text/plain", "text/plain"),
-        ("Application/JSON", "Application/JSON"),
-        ("application/+json", '"application/+json"'),
-        ("application/jsonl", "application/jsonl"),
-        ("text/x+json", '"text/x+json"'),
-        ("", '""'),
-        ("text/json\n\x1b[2J", r'"text/json\n\u001b[2J"'),
-        ("x" * 5000, '"' + "x" * 39 + "…"),
-    ],
-)
-def test_other_encodings(encoding: str, named: str) -> None:
-    assert rejection(SERVO_32, STOP, encoding) == Rejection(
-        Reason.BAD_ENCODING, f"the encoding is {named}; it must be application/json, or left out"
-    )
 
 
 @pytest.mark.parametrize(
@@ -227,13 +143,6 @@ def test_what_is_no_json(payload: bytes) -> None:
         check_intake(key, payload, answer)
 
 
-def test_where_the_json_ends() -> None:
-    assert (
-        rejection(SERVO_32, b'{"op": ').detail
-        == "the payload is not JSON: EOF while parsing a value at line 1 column 7"
-    )
-
-
 # ---- what is JSON, but no command
 
 
@@ -279,19 +188,6 @@ def test_a_legal_command_with_one_value_replaced(command: tuple[str, dict[str, A
         inner = inner[place]
     raw = json.dumps(changed).encode()
     check_intake(parsed(key), raw, decode(parsed(key), raw, JSON))
-
-
-def test_the_longest_answer_is_well_below_the_bound() -> None:
-    """Every part at its worst: a deep place, an echoed value in escapes, a count."""
-    value = "\u2028" * 600
-    longest = max(
-        (rejection(LEGS_KEY, {"legs": {"6": {"servos": [{"op": value}] * 3}}}),
-         rejection(LEGS_KEY, {"legs": {"6": {"servos": [STOP | {value: 1}] * 3}}}),
-         rejection(LEGS_KEY, {"legs": {"6": {"servos": [{"op": "set", "angle_deg": value[:90]}] * 3}}}),
-         rejection(SERVO_32, STOP, value)),
-        key=lambda answer: len(answer.detail),
-    )  # fmt: skip
-    assert len(longest.detail) < MAX_DETAIL // 1.5
 
 
 def test_of_a_key_of_the_senders_own_making_little_is_looked_at_and_less_repeated_and_no_token() -> None:

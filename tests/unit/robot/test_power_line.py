@@ -15,7 +15,7 @@ import pytest
 
 from gateway.allowance import NS_PER_MS
 from gateway.errors import ConfigError
-from gateway.model.power_board import ALL, CanFrame
+from gateway.model.power_board import CanFrame
 from gateway.robot.power.board import News, PowerBoard
 from gateway.robot.power.interface import LineError, open_bus
 from gateway.robot.power.line import PowerLine
@@ -105,25 +105,6 @@ def owner(adapter: Adapter, channel: str) -> Iterator[Owner]:
     assert owner.mistakes == []
 
 
-def test_a_board_behind_an_adapter_feeds_and_is_cut_and_confirms_it(owner: Owner, adapter: Adapter) -> None:
-    owner.feed_all()
-    assert owner.line.status.alive
-    assert adapter.board.fed == ALL
-    confirmed = owner.cut_and_confirm()
-    assert confirmed.confirmed
-    assert adapter.board.fed == 0
-    assert owner.line.status.supplied == frozenset()
-
-
-def test_a_silent_board_is_reported_and_its_answers_are_waited_for(owner: Owner, adapter: Adapter) -> None:
-    owner.feed_all()
-    adapter.silent = True
-    assert owner.until_reported(Kind.POWER_UNCONFIRMED).detail == "the power board does not answer"
-    owner.until(lambda: owner.line.status.lost == ALL_SERVOS)
-    adapter.silent = False
-    owner.until(lambda: owner.line.status.alive)
-
-
 def test_an_adapter_that_is_unplugged_is_reported_and_opened_again(channel: str) -> None:
     first = Adapter(channel)
     owner = Owner(channel)
@@ -138,15 +119,6 @@ def test_an_adapter_that_is_unplugged_is_reported_and_opened_again(channel: str)
     owner.line.close()
     second.unplug()
     assert owner.mistakes == []
-
-
-def test_an_adapter_that_comes_later_is_found(channel: str) -> None:
-    owner = Owner(channel)
-    owner.line.start()
-    adapter = Adapter(channel)
-    owner.feed_all()
-    owner.line.close()
-    adapter.unplug()
 
 
 def test_junk_from_the_adapter_changes_nothing(owner: Owner, adapter: Adapter) -> None:
@@ -167,14 +139,6 @@ def test_junk_from_the_adapter_changes_nothing(owner: Owner, adapter: Adapter) -
         adapter.say(junk)
     assert owner.cut_and_confirm().confirmed
     assert not {Kind.POWER_FAULT, Kind.OFF_BUTTON} & {item.kind for item in owner.news if isinstance(item, News)}
-
-
-@pytest.mark.parametrize("frame", [b"t12380000000000000000\r", b"t0716000000000000\r"], ids=["others'", "the board's"])
-def test_a_flood_of_8_000_frames_a_second_delays_no_confirmation(owner: Owner, adapter: Adapter, frame: bytes) -> None:
-    owner.feed_all()
-    adapter.each_tick = 8 * frame
-    assert owner.cut_and_confirm().confirmed
-    assert adapter.board.fed == 0
 
 
 def test_what_was_requested_before_the_end_is_sent(owner: Owner, adapter: Adapter) -> None:
@@ -368,19 +332,6 @@ def test_an_adapter_that_reads_nothing_is_an_error_and_hangs_nobody(adapter: Ada
     with pytest.raises(can.CanOperationError, match="takes nothing"):
         fill()
     adapter.go_on()
-    bus.shutdown()
-
-
-def test_a_frame_that_comes_in_two_parts_is_one(adapter: Adapter, channel: str) -> None:
-    bus = open_bus(PowerSettings(interface="slcan", channel=channel))
-    bus.send(can.Message(arbitration_id=0x7C, is_extended_id=False))
-    assert bus.recv(MOST_S) is not None  # so the adapter has nothing more to say by itself
-    adapter.say(b"t06")
-    assert bus.recv(0.05) is None
-    adapter.say(b"90\r")
-    message = bus.recv(MOST_S)
-    assert message is not None
-    assert message.arbitration_id == 0x69
     bus.shutdown()
 
 

@@ -44,14 +44,6 @@ def test_the_defaults_may_be_written_down(file: Path, monkeypatch: pytest.Monkey
     assert load(file) == load() == Settings()
 
 
-def test_the_other_protocol_has_no_framing(file: Path) -> None:
-    """Nor the framing's angles that are not sent, nor its fastest clock."""
-    file.write_text('[spi]\nprotocol = "elkapod-2025"\nframing = "length-prefixed"\nspeed_hz = 20_000_000\n')
-    assert settings.load(file).spi.avoid_cdeg is None
-    file.write_text('[spi]\nprotocol = "elkapod-2025"\n')
-    assert settings.load(file).spi.protocol.spi_mode == 2
-
-
 # ---- values out of range, or anything
 
 

@@ -1,23 +1,20 @@
 """The simulated controller against what was measured with the published firmware, on a virtual clock."""
 
 from collections.abc import Iterable
-from typing import Any
 
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from gateway.model.frames import OneLeg, OneServo, Op, ServoOp, decode
+from gateway.model.frames import OneLeg, Op, ServoOp
 from gateway.model.framing import Framing
 from gateway.robot.spi.simulated_servos import ServoState
 from gateway.robot.spi.simulator import SimulatedController
-from schemas.robot import SERVO_IDS
 from tests.fuzz.targets import PAUSES_NS, fuzz_simulator
 from tests.support.transfers import on_wire
-from tests.unit.model.test_frames import LEGAL, bytes_near_a_frame, frames
+from tests.unit.model.test_frames import bytes_near_a_frame, frames
 
 MS = 1_000_000  # ns
-PREAMBLE = bytes(16)
 START_11 = bytes.fromhex("06 02 0b 01 5a 00")
 STOP_11 = bytes.fromhex("06 02 0b 02 00 00")
 START_LEG_1 = bytes.fromhex("0e 01 0b 01 5a 00 0c 01 5a 00 0d 01 5a 00")
@@ -64,33 +61,6 @@ def bench(request: pytest.FixtureRequest) -> Bench:
     return Bench(request.param)
 
 
-# ---- legal frames
-
-
-@pytest.mark.parametrize("framing", Framing)
-@pytest.mark.parametrize("vector", LEGAL, ids=lambda vector: vector["bytes"])
-def test_vectors_set_their_pulses(framing: Framing, vector: dict[str, Any]) -> None:
-    bench = Bench(framing)
-    bench.send(bytes.fromhex(vector["bytes"]))
-    commands = dict(decode(bytes.fromhex(vector["bytes"])).servos)
-    moved = [servo_id for servo_id, command in commands.items() if command.op is not Op.STOP]
-    assert [bench.servo(servo_id).pulse_us for servo_id in moved] == vector["pulse_us"]
-    assert [servo_id for servo_id in SERVO_IDS if bench.servo(servo_id).pulse_us is not None] == moved
-    assert bench.controller.energised == {servo_id for servo_id in moved if commands[servo_id].op is Op.START}
-    assert bench.controller.executed == 1
-    assert not bench.controller.corruptions
-
-
-def test_stop_keeps_the_pulse_and_the_place(bench: Bench) -> None:
-    bench.send(OneServo(11, ServoOp(Op.START, 180_00)).to_bytes())
-    bench.now_ns += 100 * MS
-    bench.send(STOP_11)
-    bench.now_ns += 5_000 * MS
-    assert bench.servo(11).energised is False
-    assert bench.servo(11).pulse_us == 2550
-    assert bench.servo(11).angle_deg == pytest.approx(90 + 35.3, abs=0.1)
-
-
 # ---- one stream of bytes, in and out of sync
 
 
@@ -114,15 +84,6 @@ def test_whatever_comes_it_does_what_a_second_reading_of_the_firmware_does(
         bytes((framing is Framing.LENGTH_PREFIXED,))
         + b"".join(bytes((pause, len(data))) + data for pause, data in sent)
     )
-
-
-def test_an_awaited_body_then_the_preamble_then_a_stop(prefixed: Bench) -> None:
-    """As checked with the compiled firmware: 14 awaited bytes, then the zeros, then a Stop: the Stop is executed."""
-    prefixed.send(START_11)
-    prefixed.transfer("0e", PREAMBLE)
-    prefixed.send(STOP_11)
-    assert prefixed.controller.energised == frozenset()
-    assert prefixed.controller.executed == 2
 
 
 def test_a_lost_byte_misaligns_until_a_second_has_passed(plain: Bench) -> None:
@@ -186,14 +147,6 @@ def test_lengths_of_69_to_255_leave_it_deaf_for_good_once_68_bytes_have_come(pre
     assert prefixed.controller.dead == "69 bytes in a buffer of 64 overwrote its SPI handle"
     prefixed.now_ns += 5_000 * MS
     prefixed.send(STOP_11)
-    assert prefixed.controller.energised == {11}
-
-
-def test_a_length_of_69_that_is_given_up_before_does_no_harm(prefixed: Bench) -> None:
-    prefixed.transfer(b"\x45", bytes(68))
-    prefixed.now_ns += 1_000 * MS
-    prefixed.send(START_11)
-    assert prefixed.controller.dead is None
     assert prefixed.controller.energised == {11}
 
 
