@@ -103,7 +103,8 @@ def _of_one_run(records: Records, run: range, *, alive: bool, now_ns: int) -> It
     noted = _noted(records, run, alive=alive, now_ns=now_ns)
     latest = next(noted, None)
     last = run[-LAST_RECORDS:]
-    if not alive and not any(records.kinds[index] == form.END for index in last):
+    end_known = run.stop not in records.gaps
+    if not alive and end_known and not any(records.kinds[index] == form.END for index in last):
         killed_ns = max(records.times_ns[index] for index in last)
         if latest is not None and latest.begin_ns <= killed_ns <= latest.end_ns:
             latest = replace(latest, killed_ns=killed_ns)

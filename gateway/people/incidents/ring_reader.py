@@ -9,7 +9,8 @@ import os
 import stat
 from array import array
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -19,7 +20,7 @@ from gateway.errors import GatewayError
 from gateway.host.file_lock import written_by_anyone
 from gateway.model.black_box import format as form
 from gateway.model.black_box import header
-from gateway.model.black_box.files import MAX_SLOTS
+from gateway.model.black_box.files import MAX_SLOTS, copies_of
 from gateway.people.incidents.ring_decoding import decode
 from schemas.calibration import Calibration
 
@@ -43,16 +44,19 @@ class Records(Sequence[form.Record]):
         times_ns: Sequence[int],
         kinds: Sequence[int],
         read: Callable[[int], form.Record],
-        calibration: Calibration | None = None,
+        calibrations: Sequence[tuple[int, Calibration]] = (),
+        gaps: Collection[int] = (),
     ) -> None:
         """`read` makes the record at a place from 0 on; their times and types are known without that.
 
-        `calibration` was in force when the newest was written, as far as known.
+        `calibrations`: those that were in force from a time on, besides the changes among the records.
+        `gaps`: the places before which the ring has overwritten records that no copy has.
         """
+        self.gaps = gaps
         self.times_ns = times_ns
         self.kinds = kinds
         self._read = read
-        self._calibration = calibration
+        self._in_force = calibrations
 
     def __len__(self) -> int:
         return len(self.times_ns)
@@ -72,7 +76,7 @@ class Records(Sequence[form.Record]):
         for since_ns, calibration in self._calibrations:
             if found is None or since_ns <= ns:
                 found = calibration  # if all are later, the first: what was in force until then
-        return found or self._calibration
+        return found
 
     def about_at(self, ns: int) -> dict[str, Any]:
         """Versions and settings of the gateway that ran then; empty where they are not known."""
@@ -89,10 +93,11 @@ class Records(Sequence[form.Record]):
 
     @cached_property
     def _calibrations(self) -> list[tuple[int, Calibration]]:
-        """The newest changes, oldest first, and since when each is in force."""
+        """The newest changes, and what headers state, oldest first, and since when each is in force."""
         places = deque((index for index, kind in enumerate(self.kinds) if kind == form.CALIBRATION), MOST_CHANGES)
         changes = [self[index] for index in places]
-        return [(each.ns, each.content.calibration) for each in changes if isinstance(each.content, form.Calibrated)]
+        found = [(each.ns, each.content.calibration) for each in changes if isinstance(each.content, form.Calibrated)]
+        return sorted([*self._in_force, *found], key=lambda each: each[0])
 
     def __iter__(self) -> Iterator[form.Record]:
         return map(self._read, range(len(self)))
@@ -111,10 +116,21 @@ class Content:
     """Whether a gateway writes to it now."""
 
 
-def read(path: Path, most: int = MAX_SLOTS) -> Content:
-    """All whole records of a ring, or those in its newest `most` slots. Raises NoRingError."""
+def read(path: Path) -> Content:
+    """All whole records of a ring, with those that only its copies still have. Raises NoRingError."""
+    data, written = _read_file(path, path)
     try:
-        fd = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
+        ring = _Slots(data)
+    except form.DamagedRingError as error:
+        raise NoRingError(f"{path}: {error}") from error
+    records, damaged, missing = _merged(ring, _copies(path))
+    return Content(records, damaged, missing, written)
+
+
+def _read_file(file: Path, path: Path) -> tuple[bytes, bool]:
+    """A file's bytes, and whether a gateway writes to it. `path`: the ring, or the link to it. Raises NoRingError."""
+    try:
+        fd = os.open(file, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
     except OSError as error:
         raise NoRingError(f"{path}: {error.strerror}") from error
     try:
@@ -123,17 +139,23 @@ def read(path: Path, most: int = MAX_SLOTS) -> Content:
             raise NoRingError(f"{path}: it is no black box")
         _check_owner(found, path)
         written = written_by_anyone(fd)  # first: a gateway that ends meanwhile has written all
-        with os.fdopen(fd, "rb", closefd=False) as file:
-            data = file.read(found.st_size)
+        with os.fdopen(fd, "rb", closefd=False) as opened:
+            return opened.read(found.st_size), written
     except OSError as error:
         raise NoRingError(f"{path}: {error.strerror}") from error
     finally:
         os.close(fd)
+
+
+def _copies(path: Path) -> Iterator["_Slots"]:
+    """The copies beside a ring, oldest first, without those that are cut off or somebody else's."""
     try:
-        records, damaged, missing = parse(data, most)
-    except form.DamagedRingError as error:
-        raise NoRingError(f"{path}: {error}") from error
-    return Content(records, damaged, missing, written)
+        found = copies_of(path.resolve())
+    except OSError:
+        return
+    for copy in found:
+        with suppress(NoRingError, form.DamagedRingError):
+            yield _Slots(_read_file(copy, path)[0])
 
 
 def _check_owner(found: os.stat_result, path: Path) -> None:
@@ -143,67 +165,107 @@ def _check_owner(found: os.stat_result, path: Path) -> None:
         raise NoRingError(f"{path}: another user has made this file, or may write to it; it is not read")
 
 
-def parse(data: bytes, most: int = MAX_SLOTS) -> tuple[Records, int, int]:
+def parse(data: bytes) -> tuple[Records, int, int]:
     """The records in a file's bytes, oldest first; how many slots are damaged and how many missing.
-
-    With `most`, only the newest so many slots are looked at: a full look takes seconds.
 
     The bytes' length bounds its time and memory, whatever they say. Raises DamagedError.
     """
-    slots = header.slots_of(data[: form.HEADER_BYTES], len(data))
-    sequences = array("Q", bytes(slots * 8))  # of each slot's record; 0: it has none
-    damaged = 0
-    most = min(most, slots)
-    newest = form.newest(data, slots)[0] if most < slots else 0
-    looked_at = range(slots) if most == slots else range(max(1, newest - most + 1), newest + 1)
-    for index in (each % slots for each in looked_at):
-        raw = form.slot_bytes(data, index)
-        if raw == _EMPTY:
-            continue
-        slot = form.read_slot(raw)
-        if slot is not None and slot.sequence % slots == index:
-            sequences[index] = slot.sequence
-        else:
-            damaged += 1
-    newest = max(sequences)
-    ring = _Slots(data, slots)
-    numbers, parts, times_ns, kinds = array("Q"), bytearray(), array("q"), bytearray()
-    oldest = kept = 0
-    # What is more than a round behind was overwritten in part: a slot that was left over means nothing.
-    for number in range(max(1, newest - most + 1), newest + 1):
-        if sequences[number % slots] != number:
-            continue
-        oldest, kept = oldest or number, kept + 1
-        try:
-            kind, found = ring.decoded(number)
-        except form.DamagedRingError:
-            damaged += 1
-            continue
-        for part, record in enumerate(found):
-            numbers.append(number)
-            parts.append(part)
-            times_ns.append(record.ns)
-            kinds.append(_KINDS_OF_PARTS[part] if kind == form.CARRIED_OUT else kind)
-    missing = newest - oldest + 1 - kept if kept else 0
-    in_force = _in_force(data[: form.HEADER_BYTES])
-    return Records(times_ns, kinds, lambda index: ring.record(numbers[index], parts[index]), in_force), damaged, missing
+    return _merged(_Slots(data), ())
 
 
-def _in_force(head: bytes) -> Calibration | None:
-    """The calibration in a file's header; None: it states nothing, or what no gateway publishes."""
-    try:
-        content = decode(form.CALIBRATION, 0, header.calibration(head))
-    except form.DamagedRingError:
-        return None
-    return content.calibration if isinstance(content, form.Calibrated) else None
+def _merged(ring: "_Slots", copies: Iterable["_Slots"]) -> tuple[Records, int, int]:
+    """A ring's records, behind those of its copies that are older than all of these."""
+    found = _Decoded()
+    for copy in copies:
+        found.take(copy, copy.numbers(found.newest + 1, ring.oldest))
+    damaged = ring.damaged + found.take(ring, ring.numbers(ring.oldest, ring.newest + 1))
+    missing = ring.newest - ring.oldest + 1 - sum(1 for _ in ring.numbers(ring.oldest, ring.newest + 1))
+    return found.records(), damaged, missing
+
+
+class _Decoded:
+    """Decodable records of several files, in their order."""
+
+    def __init__(self) -> None:
+        self._files: list[_Slots] = []
+        self._places = array("B")  # in `_files`
+        self._numbers = array("Q")
+        self._parts = bytearray()
+        self._times_ns = array("q")
+        self._kinds = bytearray()
+        self._gaps: set[int] = set()
+        self._calibrations: list[tuple[int, Calibration]] = []
+        self.newest = 0
+        """Sequence number of the newest record taken."""
+
+    def take(self, file: "_Slots", numbers: Iterable[int]) -> int:
+        """Add these of a file's records. Returns how many cannot be decoded."""
+        damaged, begin = 0, len(self._numbers)
+        self._files.append(file)
+        for place, number in enumerate(numbers):
+            if not place and self.newest and number > self.newest + 1:
+                self._gaps.add(len(self._numbers))
+            self.newest = number
+            try:
+                kind, found = file.decoded(number)
+            except form.DamagedRingError:
+                damaged += 1
+                continue
+            for part, record in enumerate(found):
+                self._places.append(len(self._files) - 1)
+                self._numbers.append(number)
+                self._parts.append(part)
+                self._times_ns.append(record.ns)
+                self._kinds.append(_KINDS_OF_PARTS[part] if kind == form.CARRIED_OUT else kind)
+        calibration = file.in_force
+        if calibration is not None and self._kinds.find(form.CALIBRATION, begin) < 0:
+            self._calibrations.append((self._times_ns[begin] if begin < len(self._numbers) else 0, calibration))
+        return damaged
+
+    def records(self) -> Records:
+        """All that was taken."""
+        return Records(self._times_ns, self._kinds, self._read, self._calibrations, self._gaps)
+
+    def _read(self, index: int) -> form.Record:
+        return self._files[self._places[index]].record(self._numbers[index], self._parts[index])
 
 
 class _Slots:
     """A file's slots, by sequence number."""
 
-    def __init__(self, data: bytes, slots: int) -> None:
+    def __init__(self, data: bytes) -> None:
+        """Raises DamagedError."""
         self._data = data
-        self._slots = slots
+        self._slots = slots = header.slots_of(data[: form.HEADER_BYTES], len(data))
+        self._sequences = array("Q", bytes(slots * 8))  # of each slot's record; 0: it has none
+        self.damaged = 0
+        for index in range(slots):
+            raw = form.slot_bytes(data, index)
+            if raw == _EMPTY:
+                continue
+            slot = form.read_slot(raw)
+            if slot is not None and slot.sequence % slots == index:
+                self._sequences[index] = slot.sequence
+            else:
+                self.damaged += 1
+        self.newest = max(self._sequences)
+        # What is more than a round behind was overwritten in part: a slot that was left over means nothing.
+        self.oldest = next(self.numbers(max(1, self.newest - slots + 1), self.newest + 1), 0)
+
+    def numbers(self, begin: int, end: int) -> Iterator[int]:
+        """The sequence numbers of whole records from `begin` to before `end`, in order."""
+        slots, sequences = self._slots, self._sequences
+        begin, end = max(begin, self.newest - slots + 1, 1), min(end, self.newest + 1)
+        return (number for number in range(begin, end) if sequences[number % slots] == number)
+
+    @property
+    def in_force(self) -> Calibration | None:
+        """The calibration in the header; None: it states nothing, or what no gateway publishes."""
+        try:
+            content = decode(form.CALIBRATION, 0, header.calibration(self._data[: form.HEADER_BYTES]))
+        except form.DamagedRingError:
+            return None
+        return content.calibration if isinstance(content, form.Calibrated) else None
 
     def record(self, number: int, part: int) -> form.Record:
         """A record that has been decoded before, when it was found."""

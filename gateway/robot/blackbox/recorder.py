@@ -21,6 +21,7 @@ from gateway.model.black_box.incidents import INCIDENT_NAMES, LONGEST_INCIDENT_N
 from gateway.model.calibration import RobotCalibration, report_of
 from gateway.model.elkapod import Measured
 from gateway.robot.blackbox import paths
+from gateway.robot.blackbox.copies import IncidentCopies
 from gateway.robot.blackbox.ring import RecordRing
 from gateway.robot.blackbox.shares import RecordShares
 from gateway.robot.core.events import Announce, Request, Transmit
@@ -81,6 +82,7 @@ class Recorder:
         self._about_ns = -ABOUT_NS
         self._measured_ns = -MEASURED_NS
         self._first_ns = self._until_ns = 0  # what belongs to the latest incident
+        self._copies = IncidentCopies()
         self._on = paths.folder_of(settings) is not None
         if self._on:
             self._about = form.about(_about(settings, facts))
@@ -106,11 +108,13 @@ class Recorder:
             return
         waiting, self._waiting = self._waiting, []
         try:
-            self._ring = RecordRing(paths.prepare(folder), paths.slots_for(self._settings))
+            ring = paths.prepare(folder)
+            self._ring = RecordRing(ring, paths.slots_for(self._settings))
         except OSError as error:
             logger.warning("the black box is off: %s: %s", folder, error.strerror or error)
             self._on, self._append, self.incident = False, _forget, None
             return
+        self._copies.open(ring)
         if self._ring.note:
             logger.warning(self._ring.note)
         self._append = self._ring.append
@@ -122,6 +126,7 @@ class Recorder:
         """Close the ring; later records are discarded."""
         self._append = _forget
         if self._ring is not None:
+            self._copies.close(self._ring.sequence - 1)
             self._ring.close()
             self._ring = None
 
@@ -178,6 +183,7 @@ class Recorder:
         """Record a change of the gateway's mode; where it changes too often, what it is at the next beat."""
         now_ns = self._clock()
         self._mode = mode
+        self._copies.servos_run(mode is Mode.ACTIVE)
         if self._modes.take(now_ns):
             self._record_mode(now_ns)
 
@@ -201,6 +207,8 @@ class Recorder:
         if not self._on:
             return
         now_ns = self._clock()
+        if self._ring is not None:
+            self._copies.look(now_ns, self._ring.sequence - 1)
         self._record_mode(now_ns)
         if lag_ns > LAG_NS:
             self._append(form.LAG, now_ns, form.number(lag_ns))
@@ -258,6 +266,7 @@ class Recorder:
             self._append(form.INCIDENT, now_ns, form.incident(wall_ns, self.incident))
             if self._ring is not None:
                 self._ring.announce()
+        self._copies.happened()
         self._until_ns = max(self._until_ns, now_ns + follow_ns(what))
         return self.incident
 

@@ -10,12 +10,14 @@ busy, which would delay a Stop (measured: docs/blackbox.md).
 import mmap
 import os
 import stat
+from contextlib import suppress
 from pathlib import Path
 from zlib import crc32
 
 from gateway.host.file_lock import lock_to_write
 from gateway.model.black_box import format as form
 from gateway.model.black_box import header
+from gateway.model.black_box.files import copies_of
 from gateway.model.black_box.format import HEAD_BYTES, pack_head, pack_slot_into
 
 _HEADER, _SLOT, _ROOM = form.HEADER_BYTES, form.SLOT, form.ROOM
@@ -39,6 +41,9 @@ class RecordRing:
             whole = self._is_whole(slots)
             if not whole:
                 os.ftruncate(self._fd, 0)
+                for copy in copies_of(path):  # their sequence numbers are those of another ring
+                    with suppress(OSError):
+                        copy.unlink()
             # Allocate all blocks: with a hole and a full disk, a later write would end in SIGBUS.
             os.posix_fallocate(self._fd, 0, size)
             self._map = mmap.mmap(self._fd, size, flags=mmap.MAP_SHARED | getattr(mmap, "MAP_POPULATE", 0))

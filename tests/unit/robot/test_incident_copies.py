@@ -1,0 +1,318 @@
+"""What precedes an incident is copied when it is announced, and is read also after the ring has come round."""
+
+import asyncio
+import os
+import signal
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Final
+
+import pytest
+
+from gateway import durable
+from gateway.model.black_box import format as form
+from gateway.model.black_box import header
+from gateway.model.black_box.files import COPIED_SHARE, MOST_COPIES, RING_FILE, copies_of, copy_path
+from gateway.model.calibration import RobotCalibration, ServoMapping, report_of
+from gateway.onboard import black_box
+from gateway.people.incidents import ring_reader
+from gateway.people.incidents.incidents import find
+from gateway.robot.blackbox import copies, paths
+from gateway.robot.blackbox.ring import RecordRing
+from gateway.robot.settings import Settings
+from schemas import keys
+from tests.support.full_disk import disk_that_takes
+from tests.support.robot import WALL_NS, Robot, leg, servo
+from tests.unit.people.test_recorder import contents, recorded
+
+LEG_3: Final = keys.leg_command(3)
+ESTOP_ID: Final = "20260921-141320-123-estop"
+SLOTS: Final = 160
+RATE_HZ: Final = 2
+FLOOD_S: Final = 150
+"""All records that messages may make at this rate overwrite the ring in 115 s."""
+FLOODS: Final[dict[str, Callable[[Robot, str], None]]] = {
+    "emergency stops": lambda robot, source: robot.put(keys.ESTOP, {"source": source}),
+    "Stops": lambda robot, source: robot.put(keys.servo_command(31), servo("stop", source=source)),
+}
+
+
+async def incident(robot: Robot) -> None:
+    """Anna walks for a second, and Bert stops the robot."""
+    robot.put(LEG_3, leg("start", 90, 45, 120, source="anna"))
+    for number in range(10):
+        await asyncio.sleep(0.1)
+        robot.put(LEG_3, leg("set", 90, 45, 100 + number, source="anna"))
+    robot.put(keys.ESTOP, {"source": "bert"})
+    beat(robot)
+
+
+def beat(robot: Robot) -> None:
+    robot.conductor.recorder.beat(0)
+
+
+def copied(folder: Path, count: int) -> list[Path]:
+    """So many copies, once the thread has made them."""
+    ring = (folder / RING_FILE).resolve()
+    until = time.monotonic() + 10
+    while len(copies_of(ring)) < count and time.monotonic() < until:
+        time.sleep(0.001)
+    return copies_of(ring)
+
+
+@pytest.mark.virtual_time
+@pytest.mark.parametrize("flood", FLOODS)
+async def test_a_flood_that_overwrites_the_whole_ring_leaves_what_precedes_the_incident(
+    folder: Path, flood: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    settings = {"limits": {"leg_rate_hz": RATE_HZ}, "state": {"path": str(folder)}}
+    robot = recorded(folder, limits=settings["limits"])
+    await incident(robot)
+    assert len(copied(folder, 1)) == 1
+    for _ in range(FLOOD_S):
+        for number in range(40):
+            FLOODS[flood](robot, f"button {number % 3}")
+        beat(robot)
+        await asyncio.sleep(1)
+    robot.conductor.recorder.close()
+    assert len(copied(folder, 1)) == 1, "a flood makes no copies"
+    ring_alone = ring_reader.parse((folder / RING_FILE).read_bytes())[0]
+    assert not [each for each in ring_alone if getattr(each.content, "source", None) == "anna"]
+    assert len([each for each in contents(folder, form.CommandRecord) if each.source == "anna"]) == 11
+    first = black_box._find(folder)[0].name
+    black_box.show(Settings.model_validate(settings), first)
+    story = capsys.readouterr().out
+    assert "anna sent 11 commands for leg 3" in story
+    assert "Stop written to all six legs (estop)" in story
+
+
+@pytest.mark.virtual_time
+async def test_emergency_stops_and_resets_of_a_robot_at_rest_make_no_copies(folder: Path) -> None:
+    robot = recorded(folder)
+    await incident(robot)
+    for _ in range(20):
+        robot.put(keys.RESET, {"estop": robot.conductor.supervisor.latch.number, "source": "mallory"})
+        await asyncio.sleep(6)
+        robot.put(keys.ESTOP, {"source": "mallory"})
+        beat(robot)
+    robot.conductor.recorder.close()
+    assert len(contents(folder, form.IncidentBegun)) == 21
+    assert len(copied(folder, 1)) == 1
+
+
+@pytest.mark.virtual_time
+async def test_the_newest_are_kept_and_an_incident_that_goes_on_has_a_copy_for_each_run(folder: Path) -> None:
+    robot = recorded(folder)
+    for _ in range(MOST_COPIES + 4):
+        await incident(robot)
+        robot.put(keys.RESET, {"estop": robot.conductor.supervisor.latch.number, "source": "bert"})
+        for _ in range(7):
+            await asyncio.sleep(0.5)
+            beat(robot)
+    newest = ring_reader.read(folder / RING_FILE).records[-1].sequence
+    robot.conductor.recorder.close()
+    assert len(contents(folder, form.IncidentBegun)) < 4, "most of these prolong an incident"
+    found = copied(folder, MOST_COPIES)
+    assert len(found) == MOST_COPIES
+    assert newest - int(found[-1].suffix[1:]) < 100
+
+
+@pytest.mark.virtual_time
+async def test_incidents_within_seconds_are_copied_when_the_allowance_permits(folder: Path) -> None:
+    robot = recorded(folder)
+    for _ in range(3):
+        await incident(robot)
+        robot.put(keys.RESET, {"estop": robot.conductor.supervisor.latch.number, "source": "bert"})
+    await asyncio.sleep(4)
+    beat(robot)
+    await incident(robot)
+    robot.conductor.recorder.close()
+    assert len(copied(folder, 3)) == 3, "the first, the next two in one, and at the end what was still due"
+
+
+def full(_: Path) -> None:
+    """The limit on a file's size stands for it."""
+
+
+def taken(ring: Path) -> None:
+    durable.staged_for(ring).mkdir()
+
+
+def gone(ring: Path) -> None:
+    ring.rename(ring.with_name("elsewhere"))
+
+
+@pytest.mark.virtual_time
+@pytest.mark.parametrize("spoil", [full, taken, gone])
+async def test_a_copy_that_fails_is_logged_and_stops_nothing(
+    folder: Path, spoil: Callable[[Path], None], caplog: pytest.LogCaptureFixture
+) -> None:
+    robot = recorded(folder)
+    ring = (folder / RING_FILE).resolve()
+    spoil(ring)
+    with disk_that_takes(1000 if spoil is full else 10**9):
+        await incident(robot)
+        robot.conductor.recorder.close()
+    assert copies_of(ring) == []
+    assert not durable.staged_for(ring).is_file()
+    said = [entry.message for entry in caplog.records if "incident" in entry.message]
+    assert len(said) == 1
+    assert said[0].startswith("what precedes this incident is kept for a minute only: [Errno ")
+
+
+# ---- a copy's bytes
+
+
+def filled(ring: Path, last: int, first: int = 1) -> None:
+    """A ring with so many modes, numbered from 1."""
+    made = RecordRing(ring, SLOTS)
+    for number in range(first, last + 1):
+        made.append(form.MODE, number, form.mode(str(number)))
+    made.close()
+
+
+def sequences(file: Path) -> list[int]:
+    return [record.sequence for record in ring_reader.read(file).records]
+
+
+@pytest.mark.parametrize("newest", [1, 5, 19, 20, 21, 159, 160, 161, 170, 1003])
+def test_a_copy_has_the_newest_records_and_the_ring_goes_on_behind_them(tmp_path: Path, newest: int) -> None:
+    ring = tmp_path / RING_FILE
+    filled(ring, newest)
+    copies.copy(ring, newest)
+    (copy,) = copies_of(ring)
+    records, damaged, _ = ring_reader.parse(copy.read_bytes())
+    kept = list(range(max(1, newest - SLOTS // COPIED_SHARE + 1), newest + 1))
+    assert [record.sequence for record in records] == kept
+    assert damaged == 0
+    assert sequences(ring) == list(range(max(1, newest - SLOTS + 1), newest + 1)), "each once"
+    for more in (SLOTS - 3, SLOTS + 50):
+        filled(ring, newest + more, len(sequences(ring)) and sequences(ring)[-1] + 1)
+        left = range(newest + more - SLOTS + 1, newest + more + 1)
+        assert sequences(ring) == [*(each for each in kept if each < left.start), *(each for each in left if each > 0)]
+
+
+def test_copies_that_overlap_show_each_record_once(tmp_path: Path) -> None:
+    ring = tmp_path / RING_FILE
+    filled(ring, 1000)
+    for newest in (900, 910, 1000):
+        copies.copy(ring, newest)
+    filled(ring, 1300, 1001)
+    assert sequences(ring) == [*range(881, 911), *range(981, 1001), *range(1141, 1301)]
+
+
+def cut_off(copy: Path) -> None:
+    with copy.open("r+b") as file:
+        file.truncate(5000)
+
+
+@pytest.mark.parametrize(
+    "spoil",
+    [cut_off, lambda copy: copy.write_bytes(b""), lambda copy: copy.chmod(0o666), lambda copy: os.link(copy, "other")],
+    ids=["half", "empty", "for all to write", "with another name"],
+)
+def test_a_copy_that_is_not_whole_is_left_out(
+    tmp_path: Path, spoil: Callable[[Path], None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    ring = tmp_path / RING_FILE
+    filled(ring, 100)
+    copies.copy(ring, 100)
+    filled(ring, 400, 101)
+    assert sequences(ring)[0] == 81
+    spoil(copies_of(ring)[0])
+    assert sequences(ring) == list(range(241, 401))
+
+
+def test_a_ring_that_is_begun_anew_has_no_copies_of_another(tmp_path: Path) -> None:
+    ring = tmp_path / RING_FILE
+    filled(ring, 100)
+    copies.copy(ring, 100)
+    RecordRing(ring, SLOTS).close()
+    assert copies_of(ring)
+    RecordRing(ring, SLOTS + 1).close()
+    assert not copies_of(ring)
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="to become another user takes root")
+def test_a_folder_that_may_not_be_written_is_an_error_and_the_ring_stays(tmp_path: Path) -> None:
+    ring = tmp_path / RING_FILE
+    filled(ring, 100)
+    os.chown(ring, 65534, -1)
+    for folder in (tmp_path, *tmp_path.parents):
+        folder.chmod(folder.stat().st_mode | 0o055)
+    os.seteuid(65534)
+    try:
+        with pytest.raises(PermissionError):
+            copies.copy(ring, 100)
+        assert len(sequences(ring)) == 100
+    finally:
+        os.seteuid(0)
+
+
+def test_a_process_that_is_killed_meanwhile_leaves_no_half_copy(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ring = tmp_path / RING_FILE
+    filled(ring, 1000)
+    parts = iter((os.pread, lambda *_: os.kill(os.getpid(), signal.SIGKILL)))
+
+    def read(fd: int, count: int, offset: int) -> object:
+        return next(parts)(fd, count, offset)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(os, "pread", read)
+        child = os.fork()
+        if not child:
+            copies.copy(ring, 1000)
+            os._exit(0)
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == -signal.SIGKILL
+    assert durable.staged_for(ring).stat().st_size > 0, "it was half done"
+    assert copies_of(ring) == []
+    copies.copy(ring, 1000)
+    assert copies_of(ring) == [copy_path(ring, 1000)]
+    assert not durable.staged_for(ring).exists()
+
+
+# ---- between a copy and the ring
+
+
+def test_a_gateway_whose_end_was_overwritten_has_not_crashed(tmp_path: Path) -> None:
+    ring = tmp_path / RING_FILE
+    made = RecordRing(ring, SLOTS)
+    made.append(form.START, 1, form.start(WALL_NS, {}))
+    made.append(form.INCIDENT, 5, form.incident(WALL_NS, ESTOP_ID))
+    copies.copy(ring, 2)
+    made.append(form.END, 6, form.mode("asked to"))
+    made.append(form.START, 7, form.start(WALL_NS, {}))
+    for ns in range(8, 8 + SLOTS - 1):
+        made.append(form.MODE, ns, form.mode("idle"))
+    made.close()
+    assert sequences(ring)[:4] == [1, 2, 4, 5], "the end was overwritten, and the next start was not"
+    found = find(ring_reader.read(ring).records, written=True, now_ns=2 * SLOTS)
+    assert [(each.name, each.killed_ns) for each in found] == [(ESTOP_ID, None)]
+
+
+def test_what_was_in_force_at_an_incident_is_the_copys_calibration(tmp_path: Path) -> None:
+    ring = tmp_path / RING_FILE
+    made = RecordRing(ring, SLOTS)
+    for revision in (1, 2, 3):
+        made.calibration = form.calibration(report_of(RobotCalibration(revision, {31: ServoMapping(revision)})))
+        for number in range(2 * SLOTS):
+            made.append(form.MODE, revision * 1000 + number, form.mode("idle"))
+        if revision < 3:
+            copies.copy(ring, made.sequence - 1)
+    made.close()
+    records = ring_reader.read(ring).records
+    assert [records.calibration_at(revision * 1000 + 310).revision for revision in (1, 2, 3)] == [1, 2, 3]  # type: ignore[union-attr]
+
+
+def test_the_copy_of_the_largest_ring_and_of_the_smallest(tmp_path: Path) -> None:
+    assert paths.slots_for(Settings()) // COPIED_SHARE >= 10 * (6 * 50 * 2 + paths.OTHER_RECORDS_PER_S)
+    ring = tmp_path / RING_FILE
+    made = RecordRing(ring, 1)
+    made.append(form.MODE, 1, form.mode("idle"))
+    made.close()
+    copies.copy(ring, 1)
+    assert copy_path(ring, 1).stat().st_size == header.file_bytes(1)
