@@ -28,7 +28,6 @@ GIVEN = {"FOLDER": CERTS, "FILE": f"{CERTS}/revoked.crl"}
 _AGAIN = "cp /root/gateway.toml $toml; systemctl reset-failed $service; systemctl restart $service"
 
 
-_NO_DROP_IN = "rm $unit.d/own.conf; systemctl daemon-reload; systemctl restart $service"
 _MEMORY = (
     "systemctl stop $service; mount -t tmpfs -o {} tmpfs $state; chown $service:$service $state; chmod 700 $state; "
     "systemctl start $service"
@@ -109,6 +108,8 @@ FAULTS = (
         "has settings, which hold in place of gateway.toml",
     ),
     Fault("a drop-in without watchdog", "drop_in WatchdogSec=0", "changes what Stops depend on: WatchdogSec"),
+    Fault("too few descriptors", "drop_in LimitNOFILE=64", "changes what Stops depend on: LimitNOFILE"),
+    Fault("another Python path", "drop_in Environment=PYTHONPATH=/x", "changes what Stops depend on: PYTHONPATH"),
     Fault("a drop-in with another user", "drop_in User=nobody", "changes what Stops depend on: User"),
     Fault(
         "a drop-in that was not read",
@@ -148,11 +149,6 @@ FAULTS = (
     ),
     Fault("a state directory on a full disk", _MEMORY.format("size=1m"), "MB free on its disk", by_hand=_BACK),
     Fault("no inodes for the state directory", _MEMORY.format("nr_inodes=20"), "files left on its disk", by_hand=_BACK),
-    # limits and variables
-    Fault("too few descriptors", "drop_in LimitNOFILE=64", "LimitNOFILE of the unit is 64", by_hand=_NO_DROP_IN),
-    Fault("too little memory", "drop_in MemoryMax=64M", "MemoryMax of the unit is 64M", by_hand=_NO_DROP_IN),
-    Fault("another Python path", "drop_in Environment=PYTHONPATH=/x", "has PYTHONPATH", by_hand=_NO_DROP_IN),
-    Fault("another Python path for all", "systemctl set-environment PYTHONPATH=/x", "has PYTHONPATH"),
     # the device
     Fault("no udev rule", "rm $rules", "60-hexapod-gateway.rules is missing"),
     Fault("another udev rule", "echo >$rules", "60-hexapod-gateway.rules is not as this release has it"),

@@ -118,4 +118,4 @@ def test_check_goes_the_whole_way(robot: Robot) -> None:
     assert names(done, "failure") == []
     way = ["certificate", "certificate", "name", "TCP", "TLS", "certificate", "role", "gateway"]
     assert [name for name in names(done, "ok") if name in way] == way
-    assert done.stdout.splitlines()[-1].startswith("This machine reaches the gateway")
+    assert done.stdout.splitlines()[-1].startswith("This machine can reach the gateway")

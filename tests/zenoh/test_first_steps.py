@@ -46,7 +46,7 @@ def test_the_first_incident_of_a_newcomer_is_kept_and_the_console_finds_a_port(t
             assert "runs on a simulated controller, and is " in told
             assert "ok       black box" in told
             assert not re.search("^(failure|warning  (frames|black box|SPI))", told, re.MULTILINE), told
-            assert told.splitlines()[-1].startswith("The simulated robot is well")
+            assert told.splitlines()[-1].startswith("The simulated robot can be driven")
             command = [*COMMAND, "incidents", "show", "last"]
             assert "leg 3" in subprocess.run(command, env=env, capture_output=True, text=True, check=True).stdout
         finally:

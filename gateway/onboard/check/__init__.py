@@ -8,6 +8,7 @@ import json
 import os
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from itertools import chain
 from pathlib import Path
@@ -16,7 +17,7 @@ from typing import Final
 from gateway.errors import ConfigError
 from gateway.host import effective
 from gateway.host.effective import Effective
-from gateway.onboard import stop, whole
+from gateway.onboard import stop
 from gateway.onboard.check import (
     certificates,
     controller,
@@ -28,7 +29,7 @@ from gateway.onboard.check import (
     power,
     service_user,
     simulated,
-)
+)  # fmt: skip
 from gateway.onboard.check.table import LET_READ, CheckedRobot, Result, Verdict, results
 from gateway.people.terminal import clear_line, rows, say, show_line
 from gateway.robot import settings as settings_file
@@ -58,11 +59,8 @@ def check(config: Path | None, *, as_json: bool = False) -> int:
     def look() -> int:
         found = simulated.found() if config is None else None
         lines = run(config, seen) if found is None else chain(simulated.look(*found), seen or ())
-        concludes = ("This machine can run the service", "This machine cannot run the service")
-        if found is not None:
-            concludes = ("The simulated robot is well", "The simulated robot is not well")
-        lines = chain(lines, results(machine.RELEASE, (runs, whole.INSTALLED)))
-        return _report(lines, *concludes, as_json=as_json)
+        what, can = ("This machine", "run the service") if found is None else ("The simulated robot", "be driven")
+        return _report(chain(lines, results([machine.RELEASE], runs)), what, can, as_json=as_json)
 
     return service_user.run(look, machine.granted_rtprio())
 
@@ -70,32 +68,28 @@ def check(config: Path | None, *, as_json: bool = False) -> int:
 def check_laptop(connect: str | None, zenoh_config: Path | None, timeout_s: float, *, as_json: bool = False) -> int:
     """The same of a laptop: whether it reaches the robot, and what it may do there."""
     steps = laptop.checks(connect, zenoh_config, timeout_s)
-    return _report(
-        steps, "This machine reaches the gateway", "This machine does not reach the gateway", as_json=as_json
-    )
+    return _report(steps, "This machine", "reach the gateway", as_json=as_json)
 
 
-def _report(found: Iterable[Result], well: str, unwell: str, *, as_json: bool) -> int:
+def _report(found: Iterable[Result], what: str, can: str, *, as_json: bool) -> int:
     """Print the lines, each sentence once, and one at the end."""
     lines = dict[str, Result]()
     for result in found:
         if result.sentence not in lines and not as_json:
-            style = _STYLES[result.verdict]
-            rows.show(rows.row(result.verdict, style, result.name, result.sentence, result.fix))
+            rows.show(rows.row(result.verdict, _STYLES[result.verdict], result.name, result.sentence, result.fix))
         lines.setdefault(result.sentence, result)
     count = Counter(each.verdict for each in lines.values())
-    failures, warnings = count[Verdict.FAILURE], count[Verdict.WARNING]
+    failures, warnings = (
+        f"{count[each]} {each}{'s' * (count[each] != 1)}" for each in (Verdict.FAILURE, Verdict.WARNING)
+    )
     if as_json:
-        say(json.dumps({"passed": not failures, "checks": [each._asdict() for each in lines.values()]}))
-        return 1 if failures else 0
-    if failures:
-        return rows.conclude(f"{unwell}: {_count(failures, 'failure')}.", well=False)
-    remark = f", with {_count(warnings, 'warning')}" if warnings else ""
-    return rows.conclude(f"{well}{remark}.", well=True)
-
-
-def _count(number: int, word: str) -> str:
-    return f"{number} {word}{'' if number == 1 else 's'}"
+        passed = not count[Verdict.FAILURE]
+        say(json.dumps({"passed": passed, "checks": [each._asdict() for each in lines.values()]}))
+        return 0 if passed else 1
+    if count[Verdict.FAILURE]:
+        return rows.conclude(f"{what} cannot {can}: {failures}.", well=False)
+    remark = f", with {warnings}" if count[Verdict.WARNING] else ""
+    return rows.conclude(f"{what} can {can}{remark}.", well=True)
 
 
 def run(config: Path | None, seen: Sequence[Result] | None = None) -> Iterator[Result]:
@@ -129,39 +123,32 @@ def run(config: Path | None, seen: Sequence[Result] | None = None) -> Iterator[R
     else:
         where = str(path) if path.exists() else f"the defaults, since there is no {path}"
         yield Result("configuration", Verdict.OK, where)
-        yield from _of_settings(robot if used is None else _in_use(robot, used), used, path)
+        yield from _of_settings(robot, used, path)
     probes = (machine.CLOCK, machine.GOVERNOR, machine.VOLTAGE, machine.MEMORY, machine.UNIT, machine.REALTIME)
     yield from results(probes, robot)
 
 
 def _denied(path: Path) -> bool:
-    try:
-        path.open("rb").close()
-    except PermissionError:
-        return True
-    except OSError:
-        return False
+    with suppress(FileNotFoundError, IsADirectoryError, NotADirectoryError):
+        try:
+            path.open("rb").close()
+        except PermissionError:
+            return True
     return False
 
 
-def _in_use(robot: CheckedRobot, used: Effective) -> CheckedRobot:
-    """The same with the wire that the service uses."""
-    settings = robot.settings
-    uart = settings.controller.model_copy(update={"uart": used.controller.uart})
-    spi = SpiSettings.model_validate(used.tables["spi"])
-    return replace(robot, settings=settings.model_copy(update={"spi": spi, "controller": uart}))
-
-
 def _of_settings(robot: CheckedRobot, used: Effective | None, path: Path) -> Iterator[Result]:
-    settings = robot.settings
-    if used is not None:
-        stated = settings_file.load(None, simulated=True)
-        if stated.spi.device != used.spi.device:
+    if used is not None:  # the wire is the one that the service uses
+        stated = robot.settings
+        uart = stated.controller.model_copy(update={"uart": used.controller.uart})
+        spi = SpiSettings.model_validate(used.tables["spi"])
+        robot = replace(robot, settings=stated.model_copy(update={"spi": spi, "controller": uart}))
+        if stated.spi.device != spi.device:
             yield from results([device.DEVICE], CheckedRobot(stated))
         for each in effective.differences(used, path):
             yield Result("in use", Verdict.WARNING, each, _STATE_IT)
     yield from results([device.DEVICE, *device.BUS], robot)
-    if settings.spi.protocol.measures:
+    if robot.settings.spi.protocol.measures:
         yield from controller.look(robot)
-    yield from results([*device.FRAMES, *device.CALIBRATION, *certificates.CERTIFICATES, network.ZENOH], robot)
-    yield from results([*network.ACCESS, certificates.REVOKED, network.PORTS, *network.LINKS, power.BOARD], robot)
+    probes = (*device.FRAMES, *device.CALIBRATION, *certificates.CERTIFICATES, network.ZENOH, network.ACCESS)
+    yield from results([*probes, network.PORTS, power.BOARD], robot)

@@ -4,6 +4,7 @@ import datetime as dt
 import errno
 import os
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
@@ -15,13 +16,10 @@ from gateway.certs import expiry, revocation
 from gateway.errors import ConfigError
 from gateway.host.directories import state_to_read
 from gateway.onboard.check.table import LET_READ, RESTART, SERVICE, CheckedRobot, Probe, Seen, failure, warning
-from gateway.robot.zenoh_io import revoked
-from gateway.robot.zenoh_io.session import service_config
 from gateway.zenoh_config import certificate_files, get, load_config
 
 DENIED: Final = os.strerror(errno.EACCES)
 _TLS: Final = "transport/link/tls"
-_CA: Final = f"{_TLS}/root_ca_certificate"
 
 
 def _expiries(robot: CheckedRobot) -> Iterator[Seen]:
@@ -30,7 +28,6 @@ def _expiries(robot: CheckedRobot) -> Iterator[Seen]:
 
 def expiries(file: str, now: dt.datetime) -> Iterator[Seen]:
     """The certificates that the Zenoh file names, and for how long they are good."""
-    seen = Seen(fault="", well="none are in use" if not file else f"{file} names none", early=False, left_days=10**6)
     try:
         found = list(map(certs.folder.describe, certificate_files(load_config(Path(file))))) if file else []
     except ConfigError as error:
@@ -43,90 +40,66 @@ def expiries(file: str, now: dt.datetime) -> Iterator[Seen]:
             well=f"{each.path} is good until {each.not_after:%Y-%m-%d}",
         )  # fmt: skip
     if not found:
-        yield seen
+        yield Seen(fault="", well=f"{file} names none" if file else "none are in use", early=False, left_days=10**6)
 
 
-def mismatched(robot: CheckedRobot) -> Iterator[Seen]:
-    """What does not belong together; nothing where no certificates are in use, or one cannot be read."""
-    yield from _pairs(robot)
-    yield from _lists(robot)
-
-
-def _named(robot: CheckedRobot) -> tuple[zenoh.Config, list[x509.Certificate]] | None:
-    file = robot.settings.zenoh.config
-    try:
-        config = load_config(Path(file)) if file else None
-        ca = None if config is None else get(config, _CA)
-        return (config, certs.files.read_certificates(Path(ca))) if config is not None and isinstance(ca, str) else None
-    except ConfigError:  # another line reports it
-        return None
+def _named(robot: CheckedRobot) -> tuple[zenoh.Config, Path, list[x509.Certificate]] | None:
+    """The Zenoh file and its authorities; None without any, or where another line reports that they cannot be read."""
+    with suppress(ConfigError):
+        config = load_config(Path(robot.settings.zenoh.config)) if robot.settings.zenoh.config else zenoh.Config()
+        ca = get(config, f"{_TLS}/root_ca_certificate")
+        if isinstance(ca, str):
+            return config, Path(ca), certs.files.read_certificates(Path(ca))
+    return None
 
 
 def _pairs(robot: CheckedRobot) -> Iterator[Seen]:
-    """Of what the robot listens with, and of what it dials a router with: mostly the same files."""
+    """What the robot listens with, and what it dials a router with: mostly the same files."""
     found = _named(robot)
     if found is None:
         return
-    config, cas = found
+    config, ca, cas = found
     names = ((f"{_TLS}/{side}_certificate", f"{_TLS}/{side}_private_key") for side in ("listen", "connect"))
     for certificate, key in dict.fromkeys(tuple(get(config, name) for name in pair) for pair in names):
-        if not (isinstance(certificate, str) and isinstance(key, str)):
-            continue
-        try:
+        with suppress(ConfigError, TypeError):  # it names none; or another line reports it
             own, public = certs.files.read_certificate(Path(certificate)), certs.files.read_key(Path(key)).public_key()
-        except ConfigError:
-            continue
-        ca = Path(get(config, _CA))
-        seen = Seen(
-            certificate=certificate, key=key, ca=ca, folder=ca.parent, foreign=False, other_key=False,
-            files=f"{{{ca.name},{Path(certificate).name},{Path(key).name}}}",
-        )  # fmt: skip
-        if not any(certs.authority.is_issued(own, each) for each in cas):
-            yield Seen(**{**vars(seen), "foreign": True})
-        if public != own.public_key():
-            yield Seen(**{**vars(seen), "other_key": True})
+            files = f"{{{ca.name},{Path(certificate).name},{Path(key).name}}}"
+            seen = Seen(certificate=certificate, key=key, ca=ca, folder=ca.parent, files=files)
+            seen.foreign = not any(certs.authority.is_issued(own, each) for each in cas)
+            seen.other_key = public != own.public_key()
+            yield seen
 
 
 def _lists(robot: CheckedRobot) -> Iterator[Seen]:
-    """Each list that the service reads at its start: its own, and one that came with the certificates."""
-    found, state = _named(robot), state_to_read(robot.settings.state.path)
-    beside = Path(robot.settings.zenoh.config).absolute().parent
-    for folder in (state, beside) if found is not None else ():
-        if folder is not None:
-            path = folder / revocation.REVOCATION_FILE
-            try:
-                revocation.read(path, found[1] if found else [])
-            except revocation.ForeignListError:
-                yield Seen(path=path, fault="")
-            except ConfigError as error:
-                yield Seen(path=path, fault=str(error))
-            except PermissionError:  # the line of the state directory reports it
-                continue
+    """Each list that the service reads at its start and cannot use: its own, or one that came with the certificates.
 
-
-def _revoked(robot: CheckedRobot) -> Iterator[Seen]:
-    """The list in force; nothing where the Zenoh file names no CA, or another line finds a list damaged."""
-    try:
-        config = service_config(robot.settings.zenoh)
-    except ConfigError:
+    If there is no such list: the one in force.
+    """
+    found = _named(robot)
+    if found is None:
         return
-    if any(_lists(robot)):
-        return
-    try:
-        kept = revoked.revocation_state(config, robot.settings, started_by_systemd=False)
-    except ConfigError as error:
-        yield Seen(fault=str(error))
-        return
-    if kept is not None:
-        found = kept.known
-        well = f"there is no list: nobody is shut out. If somebody was, {_BRING}"
-        if found is not None:
-            well = f"list {found.number} of {found.date:%Y-%m-%d} shuts out {len(found.entries)}"
-        yield Seen(fault="", well=well)
+    folders = (state_to_read(robot.settings.state.path), Path(robot.settings.zenoh.config).absolute().parent)
+    known, faults = list[revocation.RevocationList](), list[Seen]()
+    for path in (folder / revocation.REVOCATION_FILE for folder in folders if folder is not None):
+        try:
+            known += [each] if (each := revocation.read(path, found[2])) is not None else []
+        except ConfigError as error:
+            foreign = isinstance(error, revocation.ForeignListError)
+            faults.append(Seen(path=path, fault="" if foreign else str(error), foreign=foreign))
+    newest, well = (
+        max(known, key=lambda each: each.number, default=None),
+        _NO_LIST,
+    )
+    if newest is not None:
+        well = f"list {newest.number} of {newest.date:%Y-%m-%d} shuts out {len(newest.entries)}"
+    yield from faults or [Seen(fault="", foreign=False, well=well)]
 
 
 _RENEW: Final = f"{{fix}}, then: {RESTART}"
-_BRING: Final = "where ca.key is: hexapod-gateway certs revoke --dir DIR brings the newest list"
+_NO_LIST: Final = (
+    "there is no list: nobody is shut out. If somebody was, where ca.key is: hexapod-gateway certs revoke --dir DIR "
+    "brings the newest list"
+)
 _FROM_ONE_FOLDER: Final = (
     "copy these from one folder of certificates (where ca.key is) to FOLDER here, then: sudo cp FOLDER/{files} {folder}"
     f" && {LET_READ.partition(': ')[2]}"
@@ -151,8 +124,7 @@ CERTIFICATES: Final = (
     )),
     Probe("revoked", _lists, (
         failure(lambda r: r.fault, "{fault}; the service does not start", _ANOTHER_LIST),
-        warning(lambda r: not r.fault, "{path} is of another authority, so nobody is shut out by it", _ANOTHER_LIST),
-    )),
+        warning(lambda r: r.foreign, "{path} is of another authority, so nobody is shut out by it", _ANOTHER_LIST),
+    ), "{well}"),
 )
-REVOKED: Final = Probe("revoked", _revoked, (failure(lambda r: r.fault, "{fault}", _BRING),), "{well}")
 # fmt: on

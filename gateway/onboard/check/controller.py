@@ -20,7 +20,7 @@ from gateway.allowance import NS_PER_MS
 from gateway.errors import SpiError
 from gateway.model import elkapod
 from gateway.model.elkapod import SHUTDOWN, Heartbeats, Measured
-from gateway.onboard.check.device import JOIN_GROUP, denied, no_node, node
+from gateway.onboard.check.device import JOIN_GROUP, NO_NODE, denied, node
 from gateway.onboard.check.table import CheckedRobot, Probe, Result, Seen, Verdict, failure, results, warning
 from gateway.robot.protocol.elkapod import FROZEN_NS, SignsOfLife
 from gateway.robot.spi import DuplexDevice
@@ -73,16 +73,9 @@ def _uart(robot: CheckedRobot) -> Iterator[Seen]:
     if number and re.match(r"Raspberry Pi (5|Compute Module 5)", computer(root)):
         overlay = f"dtoverlay=uart{number[1]}-pi5 in /boot/firmware/config.txt"
         seen.absent = f"switch it on ({overlay}) and reboot; or set controller.uart"
-    seen.tty, seen.kind, seen.console, seen.login, seen.held, seen.error = (
-        name,
-        name.rstrip("0123456789"),
-        "",
-        "",
-        "",
-        "",
-    )
-    seen.opens = f"opens, as {seen.user}"
-    if not seen.lack:
+    seen.tty, seen.kind, seen.opens = name, name.rstrip("0123456789"), f"opens, as {seen.user}"
+    seen.console = seen.login = seen.held = seen.error = ""
+    if not (seen.lack or seen.denied):
         seen.console = name in _text(root / "sys/class/tty/console/active").split()
         seen.login = next(_logins(os.stat(path).st_rdev, root), "")
         if robot.gateway_runs:
@@ -199,7 +192,7 @@ _WIRES: Final = (
 )
 # fmt: off
 UART: Final = Probe("UART", _uart, (
-    *no_node("controller.uart"),
+    NO_NODE,
     denied(lambda r: not r.group, "{path} belongs to root alone: sudo chgrp dialout {path} && sudo chmod 660 {path}"),
     denied(lambda r: not r.service, JOIN_GROUP),
     denied(lambda r: r.service,

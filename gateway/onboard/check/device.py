@@ -41,22 +41,20 @@ _READ_SPEED: Final = 2 << 30 | 4 << 16 | ord("k") << 8 | 4
 
 
 def node(path: str) -> Seen:
-    """A device node. `lack`: why this user cannot open it; "" if nothing is known against it."""
-    seen = Seen(path=path, lack="", why="", rights="", group=None, user=_name(pwd.getpwuid, os.geteuid()))
+    """A device node. `lack`: why it is none, `denied`: this user cannot open it; nothing is known against others."""
+    seen = Seen(path=path, lack="", denied=False, rights="", group=None, user=_name(pwd.getpwuid, os.geteuid()))
     seen.service = service_user.uid() is not None
     try:
         status = os.stat(path)
     except OSError as error:
-        seen.lack, seen.why = "hidden" if isinstance(error, PermissionError) else "absent", error.strerror
+        absent = isinstance(error, FileNotFoundError)
+        seen.lack = "does not exist" if absent else f"cannot be looked at ({error.strerror})"
         return seen
     group = _name(grp.getgrgid, status.st_gid)
     seen.rights = f"{stat.filemode(status.st_mode)}, group {group}"
-    if status.st_gid and status.st_mode & 0o060 == 0o060:
-        seen.group = group
-    if not stat.S_ISCHR(status.st_mode):
-        seen.lack = "no node"
-    elif not os.access(path, os.R_OK | os.W_OK):
-        seen.lack = "denied"
+    seen.group = group if status.st_gid and status.st_mode & 0o060 == 0o060 else None
+    seen.lack = "" if stat.S_ISCHR(status.st_mode) else "is no device node"
+    seen.denied = not seen.lack and not os.access(path, os.R_OK | os.W_OK)
     return seen
 
 
@@ -67,20 +65,13 @@ def _name(find: Callable[[int], tuple[object, ...]], number: int) -> str:
     return str(number)
 
 
-# fmt: off
-def no_node(setting: str) -> tuple[Fault, ...]:
-    """The faults of a node that is not there. The reading has a remedy, `absent`."""
-    return (
-        failure(lambda r: r.lack == "hidden", "{path} cannot be looked at ({why})", "check the folder's permissions"),
-        failure(lambda r: r.lack == "absent", "{path} does not exist", "{absent}"),
-        failure(lambda r: r.lack == "no node", "{path} is no device node", f"set {setting} to one"),
-    )
-# fmt: on
+NO_NODE: Final = failure(lambda r: r.lack, "{path} {lack}", "{absent}")
+"""The reading has a remedy, `absent`."""
 
 
 def denied(when: Callable[[Seen], object], remedy: str) -> Fault:
     """A node that this user may not open, where `when` holds, too."""
-    return failure(lambda r: r.lack == "denied" and when(r), "{path} may not be opened by {user} ({rights})", remedy)
+    return failure(lambda r: r.denied and when(r), "{path} may not be opened by {user} ({rights})", remedy)
 
 
 JOIN_GROUP: Final = "sudo usermod -aG {group} {user} # then log in again"
@@ -98,7 +89,7 @@ def _device(robot: CheckedRobot) -> Iterator[Seen]:
     seen.absent = "switch SPI on (dtparam=spi=on in config.txt) and reboot; without a robot: run --sim"
     seen.absent = f"set spi.device; here there is {others}" if others else seen.absent
     robot.gateway_runs = False
-    if not seen.lack:
+    if not (seen.lack or seen.denied):
         try:
             KernelDevice(spi.device, spi.speed_hz, mode=spi.protocol.spi_mode).close()
         except SpiError as error:
@@ -162,17 +153,19 @@ def wire_ms(spi: SpiSettings, speed_hz: int) -> float:
 
 def speed(robot: CheckedRobot, given_hz: int | None) -> Seen:
     """The clock that is set, and that which the device tree, the protocol and the kernel allow."""
-    spi, known_hz = robot.settings.spi, robot.settings.spi.protocol.speed_hz
+    spi, known_hz, runs = robot.settings.spi, robot.settings.spi.protocol.speed_hz, robot.gateway_runs
     tree_hz = _number(robot.root / "sys/class/spidev" / Path(spi.device).name / "device/of_node/spi-max-frequency")
-    differs = given_hz is not None and (given_hz != spi.speed_hz if robot.gateway_runs else given_hz < spi.speed_hz)
+    differs = given_hz is not None and (given_hz != spi.speed_hz if runs else given_hz < spi.speed_hz)
     slowest_hz = min(spi.speed_hz, given_hz or spi.speed_hz)
+    limits = ((known_hz, "up to which the protocol was measured"), (tree_hz or known_hz, "that the device tree allows"))
+    limit_hz, why = min(limits, key=lambda each: each[0])
+    takes_ms = wire_ms(spi, slowest_hz)
     return Seen(
-        hz=spi.speed_hz, known_hz=known_hz, tree_hz=tree_hz, kernel_hz=given_hz, differs=differs,
-        set=_megahertz(spi.speed_hz), known=_megahertz(known_hz), tree=_megahertz(tree_hz or 0),
-        kernel=_megahertz(given_hz or 0), device=spi.device, runs=robot.gateway_runs, takes_ms=wire_ms(spi, slowest_hz),
-        what="a frame" if spi.protocol.measures else "an emergency stop",
-        how="that the robot's own driver has" if spi.protocol.measures else "up to which the protocol was measured",
+        hz=spi.speed_hz, known_hz=known_hz, limit_hz=limit_hz, why=why, differs=differs, takes_ms=takes_ms,
+        set=_megahertz(spi.speed_hz), limit=_megahertz(limit_hz), kernel=_megahertz(given_hz or 0),
+        takes=f"{'a frame' if spi.protocol.measures else 'an emergency stop'} takes {takes_ms:.1f} ms to write",
         given=f", and the kernel gives {_megahertz(slowest_hz)}" if given_hz is not None else "",
+        fix="sudo systemctl restart hexapod-gateway" if runs else f"set spi.speed_hz = {given_hz} or less",
     )  # fmt: skip
 
 
@@ -203,41 +196,40 @@ def _lists(robot: CheckedRobot) -> Iterator[Seen]:
     """Whether chip select is known to be released between transfers of one call, as a plain controller needs."""
     spi = robot.settings.spi
     if not spi.protocol.measures:
-        driver, gpio = machine.driver_of(spi.device, robot.root), machine.gpio_selects(spi.device, robot.root)
-        how = f"{driver or 'the driver'} may keep chip select within a call; {spi.framing.controller} ignores it"
-        if gpio:
-            how = "chip select is a GPIO, which Linux releases between the transfers of a call"
-        yield Seen(how=how, driver=driver or "this driver", unseen=not gpio and spi.framing.needs_chip_select)
+        driver = machine.driver_of(spi.device, robot.root) or "this driver"
+        gpio = machine.gpio_selects(spi.device, robot.root)
+        how = f"{driver} may keep chip select within a call; {spi.framing.controller} ignores it"
+        released = "chip select is a GPIO, which Linux releases between the transfers of a call"
+        yield Seen(how=released if gpio else how, driver=driver, unseen=not gpio and spi.framing.needs_chip_select)
 
 
 # ---- the calibration
 
 
+def _kept(robot: CheckedRobot) -> tuple[Path | None, bool, RobotCalibration, str | None]:
+    """Where it is, whether this user may not look there, and what is there."""
+    path = path_to_read(robot.settings)
+    hidden = path is not None and path.parent.exists() and not os.access(path.parent, os.X_OK)
+    return (path, hidden, *((RobotCalibration(), None) if path is None or hidden else load(path)))
+
+
 def _calibration(robot: CheckedRobot) -> Iterator[Seen]:
     """Without one that can be used, the service starts, and moves nothing."""
-    path = path_to_read(robot.settings)
-    seen = Seen(path=path, fault=None, late_at="", hidden=False, which="is kept in memory only, until the gateway ends")
-    seen.which += " (state.path)"
+    path, hidden, found, fault = _kept(robot)
+    seen = Seen(path=path, fault=fault, late_at="", hidden=hidden, revision=found.revision)
+    seen.which = "is kept in memory only, until the gateway ends (state.path)"
     if path is not None:
-        seen.hidden = path.parent.exists() and not os.access(path.parent, os.X_OK)
-        found, seen.fault = (RobotCalibration(), None) if seen.hidden else load(path)
-        seen.revision, count = found.revision, len(found.servos)
         with suppress(OSError):  # a change that was begun to be written, and not ended
             begun_s = staged_for(path).lstat().st_mtime
             if time.time() - begun_s > SLOW_S:
                 seen.late_at = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(begun_s))
-        seen.which = f"revision {found.revision}, {count} servo{'' if count == 1 else 's'} ({path})"
-        if not (found.servos or found.landing_cdeg):
-            seen.which = f"none: every servo is as drawn ({path})"
+        seen.which = f"revision {found.revision}, servos that differ: {len(found.servos)} ({path})"
     yield seen
 
 
 def _landing(robot: CheckedRobot) -> Iterator[Seen]:
     """Each angle of the landing pose, where there is one and the calibration can be used."""
-    settings = robot.settings
-    path = path_to_read(settings)
-    hidden = path is not None and path.parent.exists() and not os.access(path.parent, os.X_OK)
-    found, fault = (RobotCalibration(), None) if path is None or hidden else load(path)
+    settings, (_, hidden, found, fault) = robot.settings, _kept(robot)
     if hidden or fault is not None or not settings.watchdog.landing_ms:
         return
     pose = {int(servo): centidegrees(angle) for servo, angle in settings.watchdog.landing.items()}
@@ -248,7 +240,7 @@ def _landing(robot: CheckedRobot) -> Iterator[Seen]:
 
 # fmt: off
 DEVICE: Final = Probe("SPI device", _device, (
-    *no_node("spi.device"),
+    NO_NODE,
     denied(lambda r: r.service, "the udev rule of the installation gives it to the group spi at each boot; now: "
            f"sudo chgrp spi {{path}} && sudo chmod 660 {{path}} && {RESTART}"),
     denied(lambda r: r.group, JOIN_GROUP),
@@ -267,20 +259,12 @@ BUS: Final = (
                 "transfers", "move it to another bus, or see that none of its transfers takes more than 2 ms"),
     ), "no other driver uses it"),
     Probe("SPI speed", _speed, (
-        warning(lambda r: r.tree_hz and r.hz > r.tree_hz,
-                "{set} is above the {tree} that the device tree allows {device}",
-                "set spi.speed_hz = {tree_hz} or less, or raise spi-max-frequency"),
-        warning(lambda r: r.hz > r.known_hz, "{set} is above the {known} {how}",
-                "set spi.speed_hz = {known_hz}, or measure the clock on your wires"),
-        warning(lambda r: r.differs and r.runs, "{set} is set, and the kernel gives {kernel}: another program has set "
-                "it, or the configuration was changed since the gateway was started; {what} takes {takes_ms:.1f} ms to "
-                "write", "sudo systemctl restart hexapod-gateway"),
-        warning(lambda r: r.differs, "{set} is set, and the kernel gives {kernel}: its controller takes no more, or "
-                "another program has the device open; {what} takes {takes_ms:.1f} ms to write",
-                "set spi.speed_hz = {kernel_hz} or less"),
-        warning(lambda r: r.takes_ms > SLOW_STOPS_MS, "{set} is so slow that {what} takes {takes_ms:.0f} ms to write",
-                "set spi.speed_hz = {known_hz}"),
-    ), "{set}{given}; {what} takes {takes_ms:.1f} ms to write"),
+        warning(lambda r: r.hz > r.limit_hz, "{set} is above the {limit} {why}",
+                "set spi.speed_hz = {limit_hz} or less, or measure the clock on your wires"),
+        warning(lambda r: r.differs, "{set} is set, and the kernel gives {kernel}: another program has set it, or the "
+                "controller takes no more, or the configuration was changed since; {takes}", "{fix}"),
+        warning(lambda r: r.takes_ms > SLOW_STOPS_MS, "{set} is slow: {takes}", "set spi.speed_hz = {known_hz}"),
+    ), "{set}{given}; {takes}"),
 )
 FRAMES: Final = (
     Probe("framing", _framing, (

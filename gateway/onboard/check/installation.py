@@ -32,22 +32,15 @@ from gateway.onboard.check.table import (
     failure,
     results,
     warning,
-)
+)  # fmt: skip
 from gateway.onboard.whole import SHOWN, Whole
 
 STATE_FOLDER: Final = f"/var/lib/{SERVICE}"
 _COMMAND: Final = f"/usr/local/bin/{SERVICE}"
-_UNITS: Final = (SERVICE,)
-_PROPERTIES: Final = (
-    "LoadState,ActiveState,SubState,UnitFileState,NeedDaemonReload,DropInPaths,LimitNOFILE,MemoryMax,Environment"
-)
+_PROPERTIES: Final = "LoadState,ActiveState,SubState,UnitFileState,NeedDaemonReload,DropInPaths"
 _GROUPS: Final = ("spi", SERVICE)
 _MOST_FILES: Final = 20_000
 """Of the state directory: a look ends in any case."""
-_LEAST_FILES: Final = 220
-"""Descriptors that the service needs, for 64 sessions and 100 handshakes."""
-_LEAST_MEMORY_MB: Final = 128
-"""It was seen to take 97 MB."""
 _LEAST_FREE_MB: Final = 20
 """For some calibrations and lists."""
 _LEAST_INODES: Final = 100
@@ -63,18 +56,16 @@ class Shipped(NamedTuple):
     after: str
 
 
-def _enabled(unit: str, restart: str) -> str:
-    return f"sudo systemctl daemon-reload && sudo systemctl enable {unit} && {restart}"
-
-
 SHIPPED: Final = (
-    Shipped(f"systemd/{SERVICE}.service", f"/etc/systemd/system/{SERVICE}.service", _enabled(SERVICE, RESTART)),
     Shipped(
-        f"udev/60-{SERVICE}.rules",
-        f"/etc/udev/rules.d/60-{SERVICE}.rules",
+        f"systemd/{SERVICE}.service", f"/etc/systemd/system/{SERVICE}.service",
+        f"sudo systemctl daemon-reload && sudo systemctl enable {SERVICE} && {RESTART}",
+    ),
+    Shipped(
+        f"udev/60-{SERVICE}.rules", f"/etc/udev/rules.d/60-{SERVICE}.rules",
         "sudo udevadm control --reload; sudo udevadm trigger --subsystem-match=spidev",
     ),
-)
+)  # fmt: skip
 # fmt: off
 _DEPENDS: Final = frozenset({
     "Type", "NotifyAccess", "User", "Group", "DynamicUser", "SupplementaryGroups", "RootDirectory",
@@ -83,7 +74,8 @@ _DEPENDS: Final = frozenset({
     "WatchdogSignal", "KillMode", "KillSignal", "FinalKillSignal", "SendSIGKILL", "Restart", "RestartSec",
     "RestartPreventExitStatus", "TimeoutStartSec", "TimeoutStopSec", "TimeoutAbortSec", "TimeoutSec", "LimitRTPRIO",
     "LimitNICE", "Nice", "DevicePolicy", "DeviceAllow", "PrivateDevices", "SystemCallFilter", "RestrictRealtime",
-    "CPUQuota", "CPUSchedulingPolicy", "EnvironmentFile", "ReadOnlyPaths", "InaccessiblePaths"
+    "CPUQuota", "CPUSchedulingPolicy", "EnvironmentFile", "ReadOnlyPaths", "InaccessiblePaths", "LimitNOFILE",
+    "MemoryMax",
 })
 # fmt: on
 """What the service's Stops, or those after its end, depend on; else a person may change what they like."""
@@ -126,21 +118,14 @@ class Installation:
         return [each.gr_name for each in grp.getgrall() if each.gr_name in _GROUPS]
 
     @cached_property
-    def units(self) -> dict[str, dict[str, str]]:
-        """What systemd shows of each, and of itself (""); nothing where it shows nothing."""
-        return {unit: self._properties(unit) for unit in (*_UNITS, "")}
-
-    def shows(self, unit: str, name: str) -> str:
-        """A unit's property; "" if unknown."""
-        return self.units.get(unit, {}).get(name, "")
-
-    def _properties(self, unit: str) -> dict[str, str]:
+    def unit(self) -> dict[str, str]:
+        """What systemd shows of the service; nothing where it shows nothing."""
         try:
-            shown = machine.show(unit and f"{unit}.service", _PROPERTIES if unit else "Environment")
+            shown = machine.show(f"{SERVICE}.service", _PROPERTIES)
         except (OSError, subprocess.SubprocessError):
             return {}
         # systemd does not notice a drop-in in a folder that is new.
-        folders = (self.path(f"{root}/systemd/system/{unit}.service.d") for root in ("etc", "run"))
+        folders = (self.path(f"{root}/systemd/system/{SERVICE}.service.d") for root in ("etc", "run"))
         found = {str(path) for folder in folders for path in folder.glob("*.conf")}
         if not found <= set(shown.get("DropInPaths", "").split()):
             shown["NeedDaemonReload"] = "yes"
@@ -186,21 +171,19 @@ def _command(look: Installation) -> Iterator[Seen]:
 
 
 def _users(look: Installation) -> Iterator[Seen]:
-    yield Seen(missing=look.service is None, again=look.again)
-
-
-def _missing_groups(look: Installation) -> Iterator[Seen]:
-    yield from (Seen(group=each) for each in _GROUPS if look.service is not None and each not in look.groups)
+    """The user, and each group that is missing."""
+    yield Seen(missing=look.service is None, again=look.again, group="")
+    yield from (Seen(missing=False, group=each) for each in _GROUPS if look.service and each not in look.groups)
 
 
 def _shipped(look: Installation) -> Iterator[Seen]:
     """A damaged release is another line."""
     for each in SHIPPED:
-        unit, source = Path(each.place).stem, look.deploy / each.source
+        source = look.deploy / each.source
         wanted, found = _content(source), _content(look.path(each.place))
         yield Seen(
-            unit=unit, place=each.place, source=source, after=each.after, differs=bool(wanted) and found != wanted,
-            masked=look.shows(unit, "LoadState") == "masked",
+            place=each.place, source=source, after=each.after, differs=bool(wanted) and found != wanted,
+            masked=each is SHIPPED[0] and look.unit.get("LoadState") == "masked",
             how="is missing" if found is None else "is not as this release has it",
         )  # fmt: skip
 
@@ -211,43 +194,24 @@ def _content(path: Path) -> bytes | None:
     return None
 
 
-def _units(look: Installation) -> Iterator[Seen]:
-    yield from (Seen(unit=unit, reload=look.shows(unit, "NeedDaemonReload")) for unit in _UNITS)
+def _reload(look: Installation) -> Iterator[Seen]:
+    yield Seen(reload=look.unit.get("NeedDaemonReload"))
 
 
 def _drop_ins(look: Installation) -> Iterator[Seen]:
     """Read as systemd does: a backslash at the end continues a line, # and ; begin comments."""
-    for path in look.shows(SERVICE, "DropInPaths").split():
+    for path in look.unit.get("DropInPaths", "").split():
         text = (_content(look.path(path)) or b"").decode(errors="replace").replace("\\\n", " ")
         lines = [line.strip() for line in text.splitlines() if line.strip() and line.strip()[0] not in "#;["]
         assigned = [(key.strip(), value.strip()) for key, _, value in (line.partition("=") for line in lines)]
         environment = " ".join(value for key, value in assigned if key == "Environment")
         after = [value for key, value in assigned if key == "ExecStopPost"]
         emptied = "" in after and not any("stop-servos" in each for each in after[after.index("") :])
+        python = {name.partition("=")[0] for name in environment.split() if name.startswith("PYTHON")}
         yield Seen(
             path=path, environment=environment, emptied=emptied, simulates="--sim" in environment,
-            depends=", ".join(sorted({key for key, _ in assigned} & _DEPENDS)),
+            depends=", ".join(sorted({key for key, _ in assigned} & _DEPENDS | python)),
         )  # fmt: skip
-
-
-def _limits(look: Installation) -> Iterator[Seen]:
-    """What holds in the end; "infinity" is no number."""
-    for name, least, of, unit in (("LimitNOFILE", _LEAST_FILES, 1, ""), ("MemoryMax", _LEAST_MEMORY_MB, 1 << 20, "M")):
-        value = look.shows(SERVICE, name)
-        if value.isdigit():
-            yield Seen(name=name, value=int(value) // of, small=int(value) < least * of, least=least, unit=unit)
-
-
-def _variables(look: Installation) -> Iterator[Seen]:
-    """Of the unit, and of all units: those that change which files Python loads."""
-    for unit, undo in ((SERVICE, _EDIT), ("", _UNSET)):
-        text = look.shows(unit, "Environment")
-        names = sorted({name for name, _, _ in (each.partition("=") for each in text.split()) if name[:6] == "PYTHON"})
-        yield Seen(names=" ".join(names), undo=undo.replace("NAMES", " ".join(names)))
-
-
-_EDIT: Final = f"take it out of the drop-in that systemctl cat {SERVICE} names, then: sudo systemctl daemon-reload && "
-_UNSET: Final = "sudo systemctl unset-environment NAMES && "
 
 
 def _state(look: Installation) -> Iterator[Seen]:
@@ -300,14 +264,13 @@ def _keys(look: Installation) -> list[Path]:
 def _exposed(look: Installation) -> list[str]:
     """By the file's own rights (a copy or a backup may lie in a folder that is open): others than root and the
     service own it, or may read it."""
-    return [str(key) for key in _keys(look) if _is_exposed(key.stat(), look.service)]
 
+    def exposed(status: os.stat_result) -> bool:
+        user, group = look.service or (status.st_uid, status.st_gid)
+        others = status.st_mode & 0o007 or (status.st_mode & 0o060 and status.st_gid not in (0, group))
+        return bool(others) or status.st_uid not in (0, user)
 
-def _is_exposed(status: os.stat_result, service: tuple[int, int] | None) -> bool:
-    if status.st_mode & 0o007 or service is None:
-        return bool(status.st_mode & 0o007)
-    foreign_group = status.st_mode & 0o060 and status.st_gid not in (0, service[1])
-    return status.st_uid not in (0, service[0]) or bool(foreign_group)
+    return [str(key) for key in _keys(look) if exposed(key.stat())]
 
 
 def _authority_keys(look: Installation) -> list[str]:
@@ -354,20 +317,19 @@ PROBES: Final = (
     _wrong("command", _command, warning(lambda r: r.other,
            f"{_COMMAND} {{leads}}: commands are another release's than the service",
            f"sudo ln -sfnT {whole.INSTALLED}/bin/{SERVICE} {_COMMAND}")),
-    _wrong("user", _users, failure(lambda r: r.missing,
-           f"there is no user {SERVICE}, so {_CANNOT_START}", "{again}")),
-    _wrong("group", _missing_groups, failure(always,
-           f"there is no group {{group}}, so {_CANNOT_START}",
-           f"sudo groupadd --system {{group}} && sudo usermod -aG {{group}} {SERVICE} && sudo chgrp {{group}} "
-           f"/dev/spidev* && {RESTART}")),
+    _wrong("user", _users,
+           failure(lambda r: r.missing, f"there is no user {SERVICE}, so {_CANNOT_START}", "{again}"),
+           failure(lambda r: r.group, f"there is no group {{group}}, so {_CANNOT_START}",
+                   f"sudo groupadd --system {{group}} && sudo usermod -aG {{group}} {SERVICE} && sudo chgrp {{group}} "
+                   f"/dev/spidev* && {RESTART}")),
     _wrong("installed file", _shipped,
-           failure(lambda r: r.masked, "{unit} is masked, or its unit is empty: it cannot start",
-                   "sudo systemctl unmask {unit} && sudo install -m 644 {source} {place} && {after}"),
+           failure(lambda r: r.masked, f"{SERVICE} is masked, or its unit is empty: it cannot start",
+                   f"sudo systemctl unmask {SERVICE} && sudo install -m 644 {{source}} {{place}} && {{after}}"),
            failure(lambda r: r.differs, "{place} {how} (changes belong into a drop-in: systemctl edit)",
                    "stop the robot, then: sudo install -D -m 644 {source} {place} && {after}")),
-    _wrong("systemd unit", _units, failure(lambda r: r.reload == "yes",
-           "{unit} was edited, and systemd still goes by what was there before",
-           "stop the robot, then: sudo systemctl daemon-reload && sudo systemctl restart {unit}")),
+    _wrong("systemd unit", _reload, failure(lambda r: r.reload == "yes",
+           f"{SERVICE} was edited, and systemd still goes by what was there before",
+           f"stop the robot, then: sudo systemctl daemon-reload && sudo systemctl restart {SERVICE}")),
     # A drop-in is named once, by what is worst of it.
     _wrong("drop-in", _drop_ins,
            warning(lambda r: r.simulates, "{path} makes the controller a simulated one: the service moves no robot, "
@@ -379,13 +341,6 @@ PROBES: Final = (
                    f"write them there, and stop the robot, then put it aside: {_ASIDE}"),
            warning(lambda r: r.depends, "{path} changes what Stops depend on: {depends}",
                    f"if nobody knows why, stop the robot, then put it aside: {_ASIDE}")),
-    _wrong("limits", _limits, warning(lambda r: r.small,
-           "{name} of the unit is {value}{unit}, and the service may need {least}{unit}: it fails when many connect",
-           f"take {{name}} out of the drop-in that systemctl cat {SERVICE} names, then: sudo systemctl daemon-reload "
-           f"&& {RESTART}")),
-    _wrong("variables", _variables, warning(lambda r: r.names,
-           "the unit's environment has {names}: Python may load other files than the release's, in its Stops, too",
-           f"{{undo}}{RESTART}")),
     _wrong("state", _state,
            failure(lambda r: not r.is_folder, f"{STATE_FOLDER} is no folder: {_CANNOT_START}",
                    f"sudo mv {STATE_FOLDER} {STATE_FOLDER}.old && {RESTART}"),

@@ -23,7 +23,6 @@ _UNSYNCHRONISED: Final = 5  # TIME_ERROR of adjtimex(2)
 _TIMEX_BYTES: Final = 512  # larger than struct timex on any system; all zeros, it only asks
 _LITTLE_MB: Final = 100
 """The service was seen to take 97 MB under a flood of messages."""
-_SYSTEM_PYTHON: Final = "usr/bin/python3"
 
 
 def show(unit: str, properties: str) -> dict[str, str]:
@@ -51,9 +50,7 @@ def main_process() -> int:
 
 
 def _python(_: CheckedRobot) -> Iterator[Seen]:
-    zenoh = ""
-    with suppress(importlib.metadata.PackageNotFoundError):
-        zenoh = importlib.metadata.version("eclipse-zenoh")  # pip has checked that the versions will do
+    zenoh = importlib.metadata.version("eclipse-zenoh")
     yield Seen(version=".".join(map(str, sys.version_info[:3])), zenoh=zenoh, python=sys.executable)
 
 
@@ -64,21 +61,17 @@ def _user(_: CheckedRobot) -> Iterator[Seen]:
 
 
 def _clock(_: CheckedRobot) -> Iterator[Seen]:
-    try:
-        yield Seen(adjtimex=int(ctypes.CDLL(None).adjtimex(ctypes.create_string_buffer(_TIMEX_BYTES))))
-    except (AttributeError, OSError):  # not Linux
-        yield Seen(adjtimex=-1)
+    yield Seen(adjtimex=int(ctypes.CDLL(None).adjtimex(ctypes.create_string_buffer(_TIMEX_BYTES))))
 
 
 def _unit(robot: CheckedRobot) -> Iterator[Seen]:
-    seen = Seen(systemd=(robot.root / "run/systemd/system").is_dir() and shutil.which("systemctl"), error="")
-    found: dict[str, str] = {}
-    if seen.systemd:
-        try:
-            found = show(SERVICE, "LoadState,ActiveState,UnitFileState,Result")
-        except (OSError, subprocess.SubprocessError) as error:
-            seen.error = str(error)
-    seen.load, seen.active = found.get("LoadState", ""), found.get("ActiveState", "")
+    found, error = dict[str, str](), ""
+    systemd = (robot.root / "run/systemd/system").is_dir() and shutil.which("systemctl")
+    try:
+        found = show(SERVICE, "LoadState,ActiveState,UnitFileState,Result") if systemd else {}
+    except (OSError, subprocess.SubprocessError) as failed:
+        error = str(failed)
+    seen = Seen(systemd=systemd, error=error, load=found.get("LoadState", ""), active=found.get("ActiveState", ""))
     seen.enabled, seen.result = found.get("UnitFileState", ""), found.get("Result", "?")
     if not (robot.installed and seen.load in ("not-found", "masked")):  # the installation's line has the fix
         yield seen
@@ -86,27 +79,21 @@ def _unit(robot: CheckedRobot) -> Iterator[Seen]:
 
 def _realtime(_: CheckedRobot) -> Iterator[Seen]:
     """What the kernel has granted the service that runs; else whether this process may be scheduled before others."""
-    seen = Seen(running=None, priority=LOOP_PRIORITY, rejected="", limit=0, unit=None, linux=True)
+    seen = Seen(running=None, rejected="", limit=resource.getrlimit(resource.RLIMIT_RTPRIO)[0], to="this user")
     with suppress(OSError):
         threads = [int(thread.name) for thread in Path(f"/proc/{main_process()}/task").iterdir()]
-        seen.running = max(os.sched_getparam(thread).sched_priority for thread in threads)
+        seen.running, seen.to = max(os.sched_getparam(each).sched_priority for each in threads), "the service that runs"
     if seen.running is None:
-        seen.linux = hasattr(os, "sched_setscheduler")
         thread = threading.Thread(target=_ask_for_priority, args=(seen,))  # so that this one keeps its priority
         thread.start()
         thread.join()
-        seen.limit = resource.getrlimit(resource.RLIMIT_RTPRIO)[0]
-        seen.unit = granted_rtprio() if os.geteuid() == service_user.uid() else None
-    seen.granted = f"{seen.priority} is granted"
-    if seen.running:
-        seen.granted = f"{seen.running} is granted to the service that runs"
+    seen.priority = seen.running or LOOP_PRIORITY
     yield seen
 
 
 def _ask_for_priority(seen: Seen) -> None:
     try:
-        if seen.linux:
-            os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(seen.priority))
+        os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(LOOP_PRIORITY))
     except OSError as error:
         seen.rejected = error.strerror
 
@@ -118,27 +105,13 @@ def running_release(process: int, root: Path = Path("/")) -> Path | None:
     """
     with suppress(OSError):
         found = re.search(rf"{INSTALLED}-[^/ \n]+", (root / f"proc/{process}/maps").read_text())
-        return None if found is None else Path(found.group())
+        return Path(found.group()) if found else None
     return None
 
 
-def _release(look: tuple[Path | None, Path]) -> Iterator[Seen]:
-    runs, link = look
-    if runs is not None and link.exists():
-        yield Seen(runs=runs, installed=link.resolve())
-
-
-def _interpreter(look: tuple[Path | None, Path]) -> Iterator[Seen]:
-    """The first link that leads out of the release: `python` is a link to `python3.11` next to it, or to `python3`."""
-    root = look[1].parents[2]
-    link, system = look[1] / "bin" / "python", root / _SYSTEM_PYTHON
-    if not link.is_symlink():
-        return
-    while link.is_symlink() and link.is_relative_to(look[1]):
-        link = link.parent / os.readlink(link)
-    yield Seen(
-        link=link, system=system, exact=system.resolve(), there=system.exists(), beside=link.parent == system.parent
-    )
+def _release(runs: Path | None) -> Iterator[Seen]:
+    if runs is not None and INSTALLED.exists():
+        yield Seen(runs=runs, installed=INSTALLED.resolve())
 
 
 def _governors(robot: CheckedRobot) -> Iterator[Seen]:
@@ -166,19 +139,16 @@ def _text(path: Path) -> str:
 
 
 # fmt: off
-PYTHON: Final = Probe("Python", _python, (
-    failure(lambda r: not r.zenoh, "{python} has no eclipse-zenoh", "pip install hexapod-gateway, into it"),
-), "{version} with eclipse-zenoh {zenoh}, {python}")
+PYTHON: Final = Probe("Python", _python, (), "{version} with eclipse-zenoh {zenoh}, {python}")
 USER: Final = Probe("user", _user, (
     warning(lambda r: r.root and not r.own, f"all this is what root may do; the service is {SERVICE}",
             f"outside of this container, or with its rights SETUID and SETGID: root may not become {SERVICE} here"),
     warning(lambda r: not r.own, f"all this is what you may do; the service is {SERVICE}",
             "sudo hexapod-gateway check"),
 ), f"all this is what {SERVICE} may do, the service's user")
-_SET_CLOCK: Final = "switch time synchronisation on (timedatectl set-ntp true): certificates need a right clock"
 CLOCK: Final = Probe("clock", _clock, (
-    warning(lambda r: r.adjtimex == _UNSYNCHRONISED, "is not synchronised", _SET_CLOCK),
-    warning(lambda r: r.adjtimex < 0, "does not report whether it is synchronised", _SET_CLOCK),
+    warning(lambda r: r.adjtimex == _UNSYNCHRONISED, "is not synchronised",
+            "switch time synchronisation on (timedatectl set-ntp true): certificates need a right clock"),
 ), "is synchronised")
 UNIT: Final = Probe("systemd unit", _unit, (
     warning(lambda r: not r.systemd, "none, for this machine does not run systemd",
@@ -196,16 +166,10 @@ _LATE: Final = "on a busy machine a Stop may be late"
 REALTIME: Final = Probe("real-time", _realtime, (
     warning(lambda r: r.running == 0, f"the service that runs was granted none: {_LATE}",
             "see its journal; a kernel with CONFIG_RT_GROUP_SCHED may reject it"),
-    warning(lambda r: not r.linux, "this system has no SCHED_FIFO", "run the gateway on Linux"),
-    warning(lambda r: r.rejected and r.unit is not None and 0 <= r.limit < r.unit,  # root would have raised the limit
-            "the unit grants priority {unit}, but it cannot be tried here: this container lacks CAP_SYS_RESOURCE",
-            "start the service and check again: then what the kernel has granted it is looked at"),
-    warning(lambda r: r.rejected and 0 <= r.limit < r.priority,
-            f"priority {{priority}} is not granted (RLIMIT_RTPRIO is {{limit}}): {_LATE}",
-            f"run it as the service, whose unit sets LimitRTPRIO ({INSTALL})"),
-    warning(lambda r: r.rejected, f"priority {{priority}} is rejected by this kernel ({{rejected}}): {_LATE}",
-            "use a kernel without CONFIG_RT_GROUP_SCHED, or keep other work off this machine"),
-), "priority {granted}")
+    warning(lambda r: r.rejected,
+            f"priority {{priority}} is not granted ({{rejected}}; RLIMIT_RTPRIO is {{limit}}): {_LATE}",
+            f"run it as the service, whose unit sets LimitRTPRIO ({INSTALL}); CONFIG_RT_GROUP_SCHED may reject it"),
+), "priority {priority} is granted to {to}")
 GOVERNOR: Final = Probe("processor", _governors, (
     # Drivers that choose the clock in hardware give this name to a governor that does raise it.
     warning(lambda r: r.governor == "powersave" and not r.driver.endswith("pstate"),
@@ -222,21 +186,9 @@ MEMORY: Final = Probe("memory", _memory, (
             f"{{free_mb}} MB are free, and the service may need {_LITTLE_MB}: the kernel may end programs",
             "end what needs most of it: ps -eo rss,pid,comm --sort=-rss | head"),
 ))
-RELEASE: Final = (
-    Probe("release", _release, (
-        warning(lambda r: r.runs != r.installed,
-                "the service that runs is another release than the one installed: {runs}, not {installed}",
-                f"stop the robot, then: sudo systemctl restart {SERVICE}"),
-    )),
-    Probe("Python", _interpreter, (
-        warning(lambda r: r.link == r.system != r.exact,
-                "the service runs {system}, whatever that is: an upgrade of the system makes it another, and neither "
-                "the service nor its stop-servos starts then",
-                f"before the upgrade: {INSTALL}, which takes {{exact}}"),
-        warning(lambda r: r.there and r.beside and r.link.name != r.exact.name,
-                "the system's python3 is another one now, {exact}; the service still runs {link}, which the system may "
-                "remove", f"before that: {INSTALL}, which takes the new one"),
-    )),
-)
-"""They look at the release that runs, and at the link to the one installed."""
+RELEASE: Final = Probe("release", _release, (
+    warning(lambda r: r.runs != r.installed,
+            "the service that runs is another release than the one installed: {runs}, not {installed}",
+            f"stop the robot, then: sudo systemctl restart {SERVICE}"),
+))
 # fmt: on

@@ -19,7 +19,7 @@ from gateway.model.power_board import (
     BoardError,
     Rails,
 )
-from gateway.onboard.check.device import JOIN_GROUP, denied, no_node, node
+from gateway.onboard.check.device import JOIN_GROUP, NO_NODE, denied, node
 from gateway.onboard.check.table import CheckedRobot, Probe, Seen, always, failure, warning
 from gateway.robot.power.interface import BITRATE, open_bus, received, send
 from gateway.robot.sections import PowerSettings
@@ -40,20 +40,19 @@ def _board(robot: CheckedRobot) -> Iterator[Seen]:
     power, folder = robot.settings.power, robot.root / "sys/class/net" / robot.settings.power.channel
     if not power.interface:
         return
-    seen = node(power.channel) if power.interface == "slcan" else Seen(lack="")
-    seen.absent, seen.channel, seen.bitrate = _PLUG, power.channel, BITRATE
-    seen.where, seen.says = f"{power.interface} {power.channel}", ""
-    seen.simulated = power.interface == "sim"
-    seen.error = seen.silent = seen.answers = seen.board_error = ""
+    seen = node(power.channel) if power.interface == "slcan" else Seen(path=power.channel, lack="", denied=False)
+    seen.absent, seen.off, seen.bitrate = _PLUG, False, BITRATE
+    seen.where, seen.simulated = f"{power.interface} {power.channel}", power.interface == "sim"
+    seen.error = seen.silent = seen.board_error = ""
     if power.interface == "socketcan":  # anybody may use it, and only root can switch it on
         try:
             kind, flags = (folder / "type").read_text().strip(), int((folder / "flags").read_text(), 16)
-            seen.lack = "no CAN" if kind != _CAN else "" if flags & 1 else "off"
+            seen.lack, seen.off = "" if kind == _CAN else "is no CAN interface", not flags & 1
         except (OSError, ValueError):
-            seen.lack = "no interface"
+            seen.lack = "is no network interface"
     seen.answers = f"{seen.where} is the running gateway's, whose status has whether the board answers"
     errors: list[BoardError] = []
-    if not (robot.gateway_runs or seen.simulated or seen.lack):
+    if not (robot.gateway_runs or seen.simulated or seen.lack or seen.denied or seen.off):
         try:
             rails, errors = _of_the_board(power)
             seen.silent, seen.answers = not rails, f"answers on {seen.where}{_values(rails)}"
@@ -110,19 +109,16 @@ def _values(rails: dict[int, tuple[int, ...]]) -> str:
     return f": {'; '.join(said)}" if said else ""
 
 
-_PLUG: Final = "plug the adapter in, or set power.channel (see dmesg)"
+_PLUG: Final = "plug the adapter in or load its driver, or set power.channel (see dmesg, ip link)"
 # fmt: off
 BOARD: Final = Probe("power board", _board, (
     warning(lambda r: r.simulated, "is simulated: no servo loses its supply", 'set power.interface; "" is none'),
-    *no_node("power.channel"),
+    NO_NODE,
     denied(lambda r: r.service or not r.group,
            "the service's user is in dialout: sudo chgrp dialout {path} && sudo chmod 660 {path}"),
     denied(always, JOIN_GROUP),
-    failure(lambda r: r.lack == "no interface", "there is no network interface {channel}",
-            "plug the adapter in or load its driver (ip link names what there is), or set power.channel"),
-    failure(lambda r: r.lack == "no CAN", "{channel} is no CAN interface", "set power.channel to one (ip link)"),
-    failure(lambda r: r.lack == "off", "{channel} is switched off",
-            "sudo ip link set {channel} up type can bitrate {bitrate} restart-ms 100"),
+    failure(lambda r: r.off, "{path} is switched off",
+            "sudo ip link set {path} up type can bitrate {bitrate} restart-ms 100"),
     failure(lambda r: r.error, "{error}", "see dmesg, and the settings of [power]"),
     failure(lambda r: r.silent, "{where} opens, and the board does not answer",
             "press its power button (in standby it is silent); see that CAN-H and CAN-L lead to it, with a resistor of "

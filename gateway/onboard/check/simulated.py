@@ -10,7 +10,7 @@ from gateway import __version__, own_command
 from gateway.errors import ConfigError
 from gateway.model.black_box.files import RING_FILE
 from gateway.onboard.check import certificates, device, machine, network
-from gateway.onboard.check.table import CheckedRobot, Probe, Result, Seen, results, warning
+from gateway.onboard.check.table import CheckedRobot, Probe, Result, Seen, judged, results, warning
 from gateway.robot import settings as settings_file
 from gateway.robot.blackbox import paths
 from gateway.robot.settings import Settings
@@ -36,37 +36,23 @@ def found() -> tuple[Settings, GatewayState] | None:
 def look(settings: Settings, state: GatewayState) -> Iterator[Result]:
     """The lines about a gateway that runs here on a simulated controller."""
     robot, folder = CheckedRobot(settings, gateway_runs=True), paths.folder_to_read(settings)
-    seen = Seen(
-        version=state.version, own=__version__, mode=state.mode, estopped=state.mode == Mode.ESTOPPED, folder=folder,
-        keeps=folder is not None and (folder / RING_FILE).exists(), frames=state.telemetry.frames,
-    )  # fmt: skip
+    seen = Seen(version=state.version, own=__version__, mode=state.mode, folder=folder, frames=state.telemetry.frames)
+    seen.keeps = folder is not None and (folder / RING_FILE).exists()
+    probes = (device.CALIBRATION[0], certificates.CERTIFICATES[0], network.PORTS, machine.CLOCK)
     yield from results([machine.PYTHON], robot)
-    yield from results(_GATEWAY, seen)
-    yield from results([device.CALIBRATION[0], certificates.CERTIFICATES[0], network.PORTS], robot)
-    yield from results(_KEPT, seen)
-    yield from results([machine.CLOCK], robot)
-
-
-def _same(seen: Seen) -> Iterator[Seen]:
-    yield seen
+    yield from judged(GATEWAY, seen)
+    yield from judged(BLACK_BOX, seen)
+    yield from results(probes, robot)
 
 
 _RUNS: Final = "{version} runs on a simulated controller, and is {mode}"
 # fmt: off
-_GATEWAY: Final = (
-    Probe("gateway", _same, (
-        warning(lambda r: r.version != r.own, f"{_RUNS}; this program is {{own}}", "end it, and start it again"),
-        warning(lambda r: r.estopped, _RUNS, "{run[reset]} leaves the emergency stop"),
-    ), _RUNS),
-    Probe("SPI device", _same, (), "none: its controller is simulated. For a real robot, end it and check again"),
-)
-_KEPT: Final = (
-    Probe("black box", _same, (
-        warning(lambda r: not r.keeps, "is off", "`make run` keeps one; for another gateway set state.path"),
-    ), "{folder}; hexapod-gateway incidents shows what it kept"),
-    Probe("frames", _same, (
-        warning(lambda r: r.frames is False, "are not published, so `record` has none",
-                "telemetry.frames = true, as `make run` does"),
-    )),
-)
+GATEWAY: Final = Probe("gateway", lambda seen: [seen], (
+    warning(lambda r: r.version != r.own, f"{_RUNS}; this program is {{own}}", "end it, and start it again"),
+    warning(lambda r: r.mode == Mode.ESTOPPED, _RUNS, "{run[reset]} leaves the emergency stop"),
+    warning(lambda r: not r.frames, f"{_RUNS}, without frames to record", "set telemetry.frames = true"),
+), f"{_RUNS}. For a real robot, end it and check again")
+BLACK_BOX: Final = Probe("black box", lambda seen: [seen], (
+    warning(lambda r: not r.keeps, "is off", "`make run` keeps one; for another gateway set state.path"),
+), "{folder}; hexapod-gateway incidents shows what it kept")
 # fmt: on
