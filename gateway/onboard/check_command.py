@@ -51,8 +51,7 @@ def check(
     simulated gateway runs (`make run`) it looks at that, unless --config names a file.
 
     Without --move and --stops it changes nothing: no byte reaches the servos, and a running gateway is not disturbed.
-    With elkapod-2025, and no gateway running, it shuts all servos down once the controller's heartbeat has come, and
-    clocks frames, since its answers need them. As root it looks with the rights of the service's user.
+    As root it looks with the rights of the service's user.
 
     --stops moves one servo by 5°, after a change and before people come near, and ends with everything stopped, also on
     Ctrl-C. It measures from the frames, where the gateway publishes them (telemetry.frames).

@@ -1,7 +1,6 @@
 """`hexapod-gateway check`: what is missing on this machine to run the service, a line each, and how to fix it.
 
-It changes nothing: no byte reaches the robot, and a running gateway is not disturbed. With elkapod-2025 and no gateway
-running, a controller whose heartbeat comes is shut down, since its answers need frames. A power board is asked.
+It changes nothing: no byte reaches the robot, and a running gateway is not disturbed. A power board is asked.
 """
 
 import json
@@ -147,8 +146,16 @@ def _of_settings(robot: CheckedRobot, used: Effective | None, path: Path) -> Ite
             yield from results([device.DEVICE], CheckedRobot(stated))
         for each in effective.differences(used, path):
             yield Result("in use", Verdict.WARNING, each, _STATE_IT)
-    yield from results([device.DEVICE, *device.BUS], robot)
-    if robot.settings.spi.protocol.measures:
-        yield from controller.look(robot)
-    probes = (*device.FRAMES, *device.CALIBRATION, *certificates.CERTIFICATES, network.ZENOH, network.ACCESS)
-    yield from results([*probes, network.PORTS, power.BOARD], robot)
+    probes = (
+        device.DEVICE,
+        *device.BUS,
+        *controller.CONTROLLER,
+        *device.FRAMES,
+        *device.CALIBRATION,
+        *certificates.CERTIFICATES,
+        network.ZENOH,
+        network.ACCESS,
+        network.PORTS,
+        power.BOARD,
+    )
+    yield from results(probes, robot)

@@ -35,8 +35,7 @@ def checks(connect: str | None, zenoh_config: Path | None, timeout_s: float) -> 
     where = str(zenoh_config) if zenoh_config is not None else "none, so without certificates"
     yield Result("configuration", Verdict.OK, f"{where}; dials {', '.join(endpoints) or 'nobody'}")
     yield from results([CLOCK], None)
-    for finding in diagnosis.own_certificates(identity, dt.datetime.now(dt.UTC)):
-        yield _result(finding)
+    yield from map(_result, diagnosis.own_certificates(identity, dt.datetime.now(dt.UTC)))
     if (soon := diagnosis.own_expiry(config)) is not None:
         fix = "where ca.key is: hexapod-gateway certs renew NAME, then bring its files here"
         yield Result(Stage.CERTIFICATE, Verdict.WARNING, soon, fix)

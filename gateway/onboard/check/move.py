@@ -43,8 +43,7 @@ _PERIOD_S: Final = 0.05
 _HOLDS: Final = (
     "A Stop does not reach it together with others: the driver of this SPI bus does not release chip select between "
     "the transfers of one call, and of six Stops the controller obeys the first. AN EMERGENCY STOP WOULD STOP ONE LEG. "
-    f"To have all stop, {SELECT_BY_GPIO}. "
-    "It was now stopped alone: if it holds even so, switch its power off, for then the cause is another one."
+    f"To have all stop, {SELECT_BY_GPIO}. It was now stopped alone: if it still holds, switch its power off."
 )
 _WHOLE_HOLDS: Final = (
     "The shutdown does not reach the controller: AN EMERGENCY STOP WOULD STOP NOTHING. Switch the servos' power off, "
@@ -54,43 +53,38 @@ _SILENT: Final = (
     "The controller does not answer, so nothing is moved: {status} names what is missing. A controller "
     'of HexapodProtocol v1.0.0 answers nothing; it needs spi.protocol = "hexapod-1.0".'
 )
-_OTHER_OUTPUT: Final = (
-    "power.servos: did another servo move, or is one stiff that you did not name? Then the board's output for yours "
-    "feeds that one: exchange the two there, and restart the gateway."
-)
 _FIRST: Final = (
     "Its Stop was the first of six in one call, so this does not show whether the others arrive: do it once more with "
     "a servo of leg 6."
 )
+# fmt: off
+_OUTPUT: Final = "power.servos: did another servo move, or is one stiff? Exchange them there, and restart it."
+_SUPPLY: Final = "Supply: have the servos one of their own, and is it on? A servo that runs holds against your hand."
+_PLUG: Final = "The servo: is it plugged in where its id says (the leg, then the joint)? Try another one."
+_CAUSES: Final = (
+    _SUPPLY,
+    "Framing: the gateway speaks {framing}. The published STM32 firmware needs length-prefixed, and plain makes it deaf; a "
+    "controller that follows the protocol's document needs plain. Know which one is there before you change it.",
+    "Reset: has the controller ever received the wrong framing? Then it is deaf until its reset: set the right one, "
+    "restart the gateway, and reset the controller (its reset button, or power).",
+    "Wiring: do MOSI, SCLK and GND lead from the Pi to the controller, and have the servos the same ground?",
+    "Chip select: the gateway writes to {device}; CE0 is /dev/spidev0.0, CE1 is /dev/spidev0.1.",
+    _PLUG,
+)
+_WHOLE_CAUSES: Final = (
+    _SUPPLY,
+    "UART: does the Pi's TX lead to the controller's RX? Its heartbeat comes by the other wire.",
+    "Wiring: does MOSI lead from the Pi to the controller? Its answers come by MISO, so SCLK works.",
+    _PLUG,
+)
+# fmt: on
 
 
-def causes(state: GatewayState) -> tuple[str, ...]:
+def causes(state: GatewayState) -> list[str]:
     """Why a servo may stand still though every frame was written; the likeliest first."""
-    output = (_OTHER_OUTPUT,) if state.power is not None else ()
-    supply = (
-        "Supply: have the servos one of their own, and is it switched on? A servo that runs holds against your hand."
-    )
-    plugged = "The servo: is it plugged in where its id says (the leg, then the joint)? Try another one."
-    if starts_whole(state):
-        return (
-            *output,
-            supply,
-            "UART: does the Pi's TX lead to the controller's RX? Its heartbeat comes by the other wire.",
-            "Wiring: does MOSI lead from the Pi to the controller? Its answers come by MISO, so SCLK works.",
-            plugged,
-        )
-    return (
-        *output,
-        supply,
-        f"Framing: the gateway speaks {state.spi.framing}. The published STM32 firmware needs length-prefixed, a "
-        "controller that follows the protocol's document plain. Know which one is there before you change it: nothing "
-        "here tries the other one by itself, for plain makes the published firmware deaf.",
-        "Reset: has the controller ever received the wrong framing? Then it is deaf, whatever is set now: set the "
-        "right one, restart the gateway, and reset the controller (its reset button, or power).",
-        "Wiring: do MOSI, SCLK and GND lead from the Pi to the controller, and have the servos the same ground?",
-        f"Chip select: the gateway writes to {state.spi.device}; CE0 is /dev/spidev0.0, CE1 is /dev/spidev0.1.",
-        plugged,
-    )
+    found = _WHOLE_CAUSES if starts_whole(state) else _CAUSES
+    of_board = () if state.power is None else (_OUTPUT,)
+    return [each.format(framing=state.spi.framing, device=state.spi.device) for each in (*of_board, *found)]
 
 
 def move(connect: Connection, *, agreed: bool) -> int:
@@ -150,10 +144,9 @@ def move(connect: Connection, *, agreed: bool) -> int:
 
 
 class ServoCurrents:
-    """The highest current under each name, at rest and then from `moves` on, in A: the board's, of what it feeds."""
+    """The highest current of each servo, at rest and from `moves` on, in A: the board's, of what it feeds."""
 
     def __init__(self) -> None:
-        """At rest."""
         self.rest: dict[str, float] = {}
         self.moving: dict[str, float] = {}
         self._seen = self.rest
@@ -175,8 +168,8 @@ class ServoCurrents:
         if rise_a >= LEAST_RISE_A:
             return f"The power board's output for servo {servo_id} feeds it ({rise_a * 1000:.0f} mA more than at rest)."
         return (
-            f"The power board has measured no current of servo {servo_id}: the output that power.servos gives to it "
-            "feeds another servo, or none. If it did not move, see by the plugs which one it is, and exchange the two."
+            f"The power board has measured no current of servo {servo_id}: its output in power.servos feeds another "
+            "servo, or none. If it did not move, see by the plugs which one it is, and exchange the two."
         )
 
 
@@ -229,11 +222,9 @@ def _moved(client: Client, motion: ServoMotion, timeout_ms: float) -> bool:
 
 def _stop(client: Client, servo_id: int | None) -> str:
     """By a Stop that is alone in its call; None: of all."""
-    which = "All servos" if servo_id is None else f"Servo {servo_id}"
+    which = "All servos are" if servo_id is None else f"Servo {servo_id} is"
     ack = client.stop() if servo_id is None else client.servo(servo_id, "stop")
-    if not ack.accepted:
-        return f"{which}: {ack.reason}: {ack.detail}"
-    return f"{which} {'are' if servo_id is None else 'is'} stopped."
+    return f"{which} stopped." if ack.accepted else f"{which} not stopped: {ack.reason}: {ack.detail}"
 
 
 def _held(client: Client, servo_id: int, again: Callable[[], Ack], timeout_ms: float) -> bool:

@@ -10,15 +10,7 @@ from typing import TYPE_CHECKING, Final
 from gateway.allowance import NS_PER_S
 from gateway.errors import GatewayError
 from gateway.model import power_board
-from gateway.model.power_board import (
-    ASK_ERROR,
-    ASK_RAILS,
-    CONVERTERS_1_TO_3_MV,
-    SUPPLY_BATTERY_MV,
-    TEMPERATURES_C,
-    BoardError,
-    Rails,
-)
+from gateway.model.power_board import ASK_RAILS, CONVERTERS_1_TO_3_MV, SUPPLY_BATTERY_MV, TEMPERATURES_C, Rails
 from gateway.onboard.check.device import JOIN_GROUP, NO_NODE, denied, node
 from gateway.onboard.check.table import CheckedRobot, Probe, Seen, always, failure, warning
 from gateway.robot.power.interface import BITRATE, open_bus, received, send
@@ -28,7 +20,7 @@ if TYPE_CHECKING:
     import can
 
 _ROUNDS: Final = 4
-"""One question may be lost, and the board has four kinds of errors, each shown once."""
+"""One question may be lost."""
 _ROUND_S: Final = 0.1
 """The board answers within 2 ms."""
 _CAN: Final = "280"
@@ -36,14 +28,14 @@ _CAN: Final = "280"
 
 
 def _board(robot: CheckedRobot) -> Iterator[Seen]:
-    """Nothing where no board is set up; then the board, and a reading for each of its errors."""
+    """Nothing where no board is set up."""
     power, folder = robot.settings.power, robot.root / "sys/class/net" / robot.settings.power.channel
     if not power.interface:
         return
     seen = node(power.channel) if power.interface == "slcan" else Seen(path=power.channel, lack="", denied=False)
     seen.absent, seen.off, seen.bitrate = _PLUG, False, BITRATE
     seen.where, seen.simulated = f"{power.interface} {power.channel}", power.interface == "sim"
-    seen.error = seen.silent = seen.board_error = ""
+    seen.error = seen.silent = ""
     if power.interface == "socketcan":  # anybody may use it, and only root can switch it on
         try:
             kind, flags = (folder / "type").read_text().strip(), int((folder / "flags").read_text(), 16)
@@ -51,50 +43,34 @@ def _board(robot: CheckedRobot) -> Iterator[Seen]:
         except (OSError, ValueError):
             seen.lack = "is no network interface"
     seen.answers = f"{seen.where} is the running gateway's, whose status has whether the board answers"
-    errors: list[BoardError] = []
     if not (robot.gateway_runs or seen.simulated or seen.lack or seen.denied or seen.off):
         try:
-            rails, errors = _of_the_board(power)
+            with open_bus(power) as bus:
+                rails = asked(bus, power)
             seen.silent, seen.answers = not rails, f"answers on {seen.where}{_values(rails)}"
         except GatewayError as error:
             seen.error = str(error)
         except Exception as error:  # from any of python-can's interfaces
             seen.error = f"{seen.where}: {error}"
     yield seen
-    for each in () if seen.silent else errors:
-        sentence, mask = power_board.explained(each)
-        servos = [str(servo) for place, servo in enumerate(power.outputs) if mask >> place & 1]
-        without = f"; no supply for {', '.join(servos)}" if servos else ""
-        yield Seen(**{**vars(seen), "board_error": f"{sentence}{without}"})
-
-
-def _of_the_board(power: PowerSettings) -> tuple[dict[int, tuple[int, ...]], list[BoardError]]:
-    bus = open_bus(power)
-    try:
-        return asked(bus, power)
-    finally:
-        bus.shutdown()
 
 
 def asked(
     bus: "can.BusABC", settings: PowerSettings, clock: Callable[[], int] = time.monotonic_ns
-) -> tuple[dict[int, tuple[int, ...]], list[BoardError]]:
-    """What the board answers: its rails by the question's identifier, and its errors."""
+) -> dict[int, tuple[int, ...]]:
+    """The rails that the board answers, by the question's identifier."""
     rails: dict[int, tuple[int, ...]] = {}
-    errors: list[BoardError] = []
     for _ in range(_ROUNDS):
-        for question in (*(each for each in ASK_RAILS if each.id not in rails), ASK_ERROR):
+        for question in (each for each in ASK_RAILS if each.id not in rails):
             send(bus, question, _ROUND_S)
         end_ns = clock() + round(_ROUND_S * NS_PER_S)
-        while (left_ns := end_ns - clock()) > 0:
+        while (left_ns := end_ns - clock()) > 0 and len(rails) < len(ASK_RAILS):
             message = bus.recv(left_ns / NS_PER_S)
             frame = None if message is None else received(message, settings)
-            match None if frame is None else power_board.read(frame):
-                case Rails(identifier, values):
-                    rails[identifier] = values
-                case BoardError() as error:
-                    errors += [] if error in errors else [error]
-    return rails, errors
+            read = None if frame is None else power_board.read(frame)
+            if isinstance(read, Rails):
+                rails[read.question] = read.values
+    return rails
 
 
 def _values(rails: dict[int, tuple[int, ...]]) -> str:
@@ -123,7 +99,5 @@ BOARD: Final = Probe("power board", _board, (
     failure(lambda r: r.silent, "{where} opens, and the board does not answer",
             "press its power button (in standby it is silent); see that CAN-H and CAN-L lead to it, with a resistor of "
             "120 Ω at each end, and that the interface has its bit rate, 1 Mbit/s"),
-    warning(lambda r: r.board_error, "{board_error}",
-            "remove the cause; a reset of the gateway (after an emergency stop) then deletes it"),
 ), "{answers}")
 # fmt: on

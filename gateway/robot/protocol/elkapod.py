@@ -135,12 +135,6 @@ class Changes:
         self._newest_ns = now_ns
         return True
 
-    @property
-    def constant(self) -> tuple[str, ...]:
-        """What has never changed, in the order of an answer."""
-        moved = {elkapod.VALUE_NAMES[place] for place in self._changed}
-        return tuple(name for name in dict.fromkeys(elkapod.VALUE_NAMES) if name not in moved)
-
 
 class Beats:
     """Heartbeats, and whether two in a row are missing.

@@ -77,7 +77,7 @@ PRIORITY = {"running": None, "rejected": "", "limit": 0, "priority": 20, "to": "
 WIRE = {"lack": "", "denied": False, "path": "/dev/x", "user": "me", "rights": "r", "group": None, "service": False}
 WIRE |= {"absent": "plug it in", "error": "", "opens": "opens", "console": "", "login": "", "held": "", "tty": "ttyS0"}
 WIRE |= {"kind": "ttyS"}
-BOARD = {**WIRE, "simulated": False, "off": False, "bitrate": 10**6, "silent": False, "board_error": ""}
+BOARD = {**WIRE, "simulated": False, "off": False, "bitrate": 10**6, "silent": False}
 BOARD |= {"answers": "answers", "where": "slcan x"}
 SHIPPED = {"masked": False, "differs": False, "unit": "U", "source": "S", "place": "/etc/U", "how": "is missing"}
 SHIPPED |= {"after": "sudo true"}
@@ -135,9 +135,9 @@ FACTS = (
            ({"denied": True, "service": True}, "may not be opened by me (r) → the udev rule … sudo chgrp spi /dev/x"),
            ({"denied": True, "group": "spi"}, "→ sudo usermod -aG spi me"),
            ({"denied": True}, "→ install the udev rule (sudo deploy/install.sh)")),
-    *facts(controller.UART, WIRE,
+    *facts(controller.CONTROLLER[0], WIRE,
            ({"lack": "cannot be looked at (no)"}, "failure UART: /dev/x cannot be looked at"),
-           ({"denied": True}, "/dev/x belongs to root alone: sudo chgrp dialout /dev/x"),
+           ({"denied": True}, "it is root's alone: sudo chgrp dialout /dev/x"),
            ({"denied": True, "group": "dialout"}, "→ sudo usermod -aG dialout me"),
            ({"denied": True, "group": "dialout", "service": True}, "→ install again with --protocol elkapod-2025"),
            ({"console": True}, "failure UART: /dev/x is the Linux console"),
@@ -146,22 +146,14 @@ FACTS = (
            ({"service": True}, "warning UART: /dev/x opens, but the unit lets the service open ttyAMA… only → sudo "
             "systemctl edit hexapod-gateway, with [Service] DeviceAllow=char-ttyS rw"),
            ({"service": True, "tty": "ttyAMA1"}, "ok UART: /dev/x opens")),
-    *facts(controller.TALK[0], {"ms": 300, "error": "", "beats": 0, "bytes": 0},
-           ({"error": "it fails"}, "failure heartbeat: it fails → see dmesg"),
-           ({}, "failure heartbeat: none came in 300 ms"),
-           ({"bytes": 7}, "failure heartbeat: 7 bytes came in 300 ms, and no heartbeat among them")),
-    *facts(controller.TALK[1], {"error": "", "dead": False, "badly": 0, "count": "c", "noisy": False},
-           ({"error": "it fails"}, "failure answers: it fails → see dmesg"),
-           ({"dead": "none"}, "failure answers: none; c → see that MISO"),
-           ({"badly": 2}, "warning answers: c → see that MISO"),
-           ({"noisy": True, "values": "", "constant": "; x"}, "warning answers: c: ; x → see that the inertial")),
+    *facts(controller.CONTROLLER[1], {"ms": 300, "beats": 0},
+           ({"bytes": 7}, "failure heartbeat: none came in 300 ms, but 7 other bytes → see that the controller")),
     *facts(power.BOARD, BOARD,
            ({"lack": "cannot be looked at (no)"}, "failure power board: /dev/x cannot be looked at"),
            ({"denied": True, "service": True}, "the service's user is in dialout: sudo chgrp dialout /dev/x"),
            ({"denied": True, "group": "dialout"}, "→ sudo usermod -aG dialout me"),
            ({"error": "e"}, "failure power board: e → see dmesg"),
-           ({"silent": True}, "failure power board: slcan x opens, and the board does not answer → press its power"),
-           ({"board_error": "hot"}, "warning power board: hot → remove the cause")),
+           ({"silent": True}, "failure power board: slcan x opens, and the board does not answer → press its power")),
     *facts(network.PORTS, PORT,
            ({"taken": True}, "failure port: tcp/h:1 is taken by another program"),
            ({}, "failure port: tcp/h:1 cannot be listened on: ? → set another zenoh.listen")),
@@ -404,12 +396,10 @@ SCENES = (
     scene(device.DEVICE, here(spi={"device": "/dev/null"}), "failure SPI device: /dev/null cannot be opened"),
     scene(device.DEVICE, here(spi={"device": "/bin/sh"}), "failure … /bin/sh is no device node → switch SPI on"),
     scene(device.DEVICE, here(spi={"device": "/dev/none"}), "failure … /dev/none does not exist → switch SPI on"),
-    scene(controller.UART, uart("/none/ttyAMA1", PI_5), "failure UART: … does not exist → … dtoverlay=uart1-pi5 in"),
-    scene(controller.UART, uart("/none/ttyAMA4", "Raspberry Pi Compute Module 5 Rev 1.0"), "dtoverlay=uart4-pi5"),
-    scene(controller.UART, uart("/none/ttyAMA1", "Raspberry Pi 4 Model B"), "→ switch this UART on as this computer"),
-    scene(controller.UART, uart("/none/ttyAMA9", PI_5), "as this computer wants it"),
-    scene(controller.UART, uart("/bin/sh", PI_5), "failure UART: /bin/sh is no device node"),
-    scene(controller.UART, uart("/dev/null", PI_5), "failure UART: the UART /dev/null cannot be opened"),
+    scene(controller.CONTROLLER[0], uart("/none/ttyAMA1", PI_5), "failure UART: … does not exist → install again with"),
+    scene(controller.CONTROLLER, here()),
+    scene(controller.CONTROLLER[0], uart("/bin/sh", PI_5), "failure UART: /bin/sh is no device node"),
+    scene(controller.CONTROLLER[0], uart("/dev/null", PI_5), "failure UART: the UART /dev/null cannot be opened"),
     scene(KEPT, kept(RobotCalibration()), "ok calibration: revision 0, servos that differ: 0 ("),
     scene(KEPT, kept(RobotCalibration(3, {11: ServoMapping(5_00)})), "revision 3, servos that differ: 1 ("),
     scene(KEPT, kept("trim = 7\n"), "failure … version is None; this gateway reads 1; nothing can be started → … "

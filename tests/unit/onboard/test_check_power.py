@@ -1,4 +1,4 @@
-"""What `check` says of a power board: its interface, what it answers, and its errors."""
+"""What `check` says of a power board: its interface, and what it answers."""
 
 import os
 import sys
@@ -7,7 +7,6 @@ from pathlib import Path
 
 import pytest
 
-from gateway.model.power_board import OVERTEMPERATURE, SERVO_OVERCURRENT
 from gateway.onboard.check import power
 from gateway.onboard.check.table import CheckedRobot, Result, Verdict, results
 from gateway.robot.settings import Settings
@@ -39,17 +38,6 @@ def test_a_board_that_answers(adapter: Adapter, channel: str) -> None:
         f"answers on slcan {channel}: supply 15.2 V; the servos' converters 7.4, 7.4, 7.4 V; 30 °C at most"
     )
     assert all(not line.startswith((b"t06A", b"t096")) for line in adapter.received), "it only asks"
-
-
-def test_its_errors_are_named_with_their_servos(adapter: Adapter, channel: str) -> None:
-    adapter.board.fail(SERVO_OVERCURRENT, 0b101)
-    adapter.board.fail(OVERTEMPERATURE, 1)
-    _, *errors = on(channel)
-    assert {result.verdict for result in errors} == {Verdict.WARNING}
-    sentences = " ".join(result.sentence for result in errors)
-    assert "overcurrent" in sentences
-    assert "no supply for 11, 13" in sentences
-    assert "overtemperature: the power board has switched off its converter 1" in sentences
 
 
 def test_a_board_that_is_silent(adapter: Adapter, channel: str) -> None:

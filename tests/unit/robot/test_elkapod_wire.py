@@ -168,13 +168,6 @@ def test_a_robot_whose_values_rest_is_alive(quiet: str) -> None:
     assert signs.restarted == ""
 
 
-def test_what_never_changed_is_named() -> None:
-    signs = SignsOfLife(SILENT_NS, 0)
-    judged(signs, noisy(5))
-    expected = ("temperature", "battery voltage", "battery percentage", "orientation", "linear acceleration", "feet")
-    assert signs.changes.constant == expected
-
-
 # ---- whether it has restarted
 
 

@@ -5,7 +5,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 from gateway.errors import GatewayError, UnansweredError
 from gateway.model.calibration import RobotCalibration, calibration_of
@@ -102,22 +102,17 @@ class Bench:
 
     # ---- commands
 
-    def payload(self, op: str, angle_deg: float) -> dict[str, Any]:
-        """A start or a set, under the lease."""
-        return self.motion.payload(op, angle_deg)
-
     def frame(self, op: Op, angle_deg: float) -> Frame:
         """The frame that such a command is to cause, in the servos' own angles; the leg's, where the others hold."""
-        command = ServoOp(op, centidegrees(angle_deg))
-        if holding := self.motion.holding:
-            angles_deg = {**holding, self.motion.servo_id: angle_deg}
-            one, two, three = (ServoOp(op, centidegrees(angles_deg[10 * self.motion.leg + joint])) for joint in JOINTS)
-            return self.calibration.frame(OneLeg(self.motion.leg, (one, two, three)))
-        return self.calibration.frame(OneServo(self.motion.servo_id, command))
+        motion, angles_deg = self.motion, {**self.motion.holding, self.motion.servo_id: angle_deg}
+        if not motion.holding:
+            return self.calibration.frame(OneServo(motion.servo_id, ServoOp(op, centidegrees(angle_deg))))
+        one, two, three = (ServoOp(op, centidegrees(angles_deg[10 * motion.leg + joint])) for joint in JOINTS)
+        return self.calibration.frame(OneLeg(motion.leg, (one, two, three)))
 
     def ask(self, op: str, angle_deg: float) -> Ack:
         """An acknowledged start or set."""
-        return self.client.ask(self.motion.key, self.payload(op, angle_deg))
+        return self.client.ask(self.motion.key, self.motion.payload(op, angle_deg))
 
     def start(self) -> None:
         """Start the leg. Fails the step where that is rejected."""
@@ -139,7 +134,7 @@ class Bench:
         def stream() -> None:
             with suppress(GatewayError):
                 while not ended.wait(SETPOINT_PERIOD_S):
-                    self.client.publish(self.motion.key, self.payload("set", self.motion.start_deg))
+                    self.client.publish(self.motion.key, self.motion.payload("set", self.motion.start_deg))
 
         thread = threading.Thread(target=stream, name="stream")
         thread.start()

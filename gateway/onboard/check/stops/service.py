@@ -43,36 +43,32 @@ def killed(bench: Bench) -> Figures:
         raise Skipped("only with --restart, on the robot itself")
     before = _unit_of(bench.client.state())
     demand(before.has_stop_servos, f"{_UNIT} runs no stop-servos after its end, so it is not killed")
+    seen = before
+
+    def over() -> bool:
+        """Whether stop-servos has ended, or the new start has come."""
+        nonlocal seen
+        seen = _unit()
+        return bool(seen.stop_servos) or seen.invocation != before.invocation
+
     bench.start()
     with bench.streaming():
         time.sleep(STREAM_S)
         begun_s = time.monotonic()
         _run("systemctl", "kill", "--signal=KILL", _UNIT)
-        ended = _ended(bench, before)
+        bench.wait(over, BACK_S)
         back = bench.wait(lambda: _started_since(bench, begun_s), BACK_S)
         took_s = time.monotonic() - begun_s
         demand(back, f"no new gateway has answered for {BACK_S:g} s; stop the robot by the switch of its supply")
-        state = bench.client.state()
-        demand(
-            state.spi.frames >= len(LEGS), f"the new gateway wrote {state.spi.frames} frames, not a Stop for each leg"
-        )
+        frames, ended = bench.client.state().spi.frames, seen.stop_servos
+        demand(frames >= len(LEGS), f"the new gateway wrote {frames} frames, not a Stop for each leg")
         bench.demand_no_motion(bench.mark(), "after the new start")
         demand(ended == "exited 0", f"stop-servos did not stop the servos after the end: {ended or 'it did not run'}")
     figures: Figures = {"answers_again_after_s": took_s, "stops_of_the_new_start": len(LEGS)}
-    return {**figures, **_of_stop_servos(before.invocation)}
-
-
-def _ended(bench: Bench, before: _Unit) -> str:
-    """How stop-servos ended between the service's end and its new start; "" where it did not run."""
-    seen = before
-
-    def over() -> bool:
-        nonlocal seen
-        seen = _unit()
-        return bool(seen.stop_servos) or seen.invocation != before.invocation
-
-    bench.wait(over, BACK_S)
-    return seen.stop_servos
+    with suppress(FailedError):  # there is no journal
+        journal = _run("journalctl", f"_SYSTEMD_INVOCATION_ID={before.invocation}", "--output=cat")
+        figures |= said_by_stop_servos(journal)
+    return figures
 
 
 def _unit_of(state: GatewayState) -> _Unit:
@@ -94,23 +90,16 @@ def _unit() -> _Unit:
     found = dict(line.partition("=")[::2] for line in shown.splitlines())
     ended = _ENDED.search(shown)
     return _Unit(
-        found.get("LoadState") == "loaded",
-        int(found.get("ExecMainStartTimestampMonotonic", 0)) / 1e6,
-        found.get("InvocationID", ""),
-        "stop-servos" in shown,
-        "" if ended is None else " ".join(ended.groups()),
+        loaded=found.get("LoadState") == "loaded",
+        begun_s=int(found.get("ExecMainStartTimestampMonotonic", 0)) / 1e6,
+        invocation=found.get("InvocationID", ""),
+        has_stop_servos="stop-servos" in shown,
+        stop_servos="" if ended is None else " ".join(ended.groups()),
     )
 
 
-def _of_stop_servos(invocation: str) -> Figures:
-    """What stop-servos reports: its Stops, and when the power board confirmed; nothing where there is no journal."""
-    with suppress(FailedError):
-        return said_by_stop_servos(_run("journalctl", f"_SYSTEMD_INVOCATION_ID={invocation}", "--output=cat"))
-    return {}
-
-
 def said_by_stop_servos(text: str) -> Figures:
-    """The figures of its sentences."""
+    """What it reports: its Stops, and when the power board confirmed."""
     written, confirmed = _WRITTEN.search(text), _CONFIRMED.search(text)
     figures: Figures = {} if written is None else {"stops_of_stop_servos": len(LEGS) * int(written[1])}
     return figures if confirmed is None else {**figures, "supply_off_confirmed_after_ms": int(confirmed[1])}
