@@ -25,7 +25,6 @@ from gateway.certs.revocation import RevocationList, Revoked
 from gateway.errors import ConfigError
 
 ROBOT: Final = "robot"
-ROLES: Final = (*LAPTOP_ROLES, ROBOT, CONSOLE)
 
 # Letters, digits, - and _: a valid file name on every system, and never a path out of the folder.
 _NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,62}")
@@ -81,15 +80,10 @@ def issue(
     days: int = LEAF_DAYS,
     now: dt.datetime | None = None,
 ) -> list[Path]:
-    """Make the files of a laptop, a further robot or a web console; return the paths.
+    """Make the files of a laptop, a further robot or a web console; return the paths. Raises ConfigError.
 
-    - A laptop gets NAME.pem, NAME.key and a Zenoh file for each robot: NAME.json5, NAME.ROBOT.json5. `bundle` is a zip
-      of all it needs.
-    - A robot, dialled at `hosts`, gets a folder NAME with gateway.json5, gateway.pem, gateway.key and ca.pem.
-    - A console, which browsers reach by `hosts`, gets a certificate and a CA of its own. People import NAME-ca.pem into
-      a browser: unlike ca.pem, it is valid for these hosts only.
-
-    Raises ConfigError.
+    A laptop gets a Zenoh file for each robot, and all it needs in the zip `bundle`; a robot, a folder; a console, which
+    browsers reach by `hosts`, a CA of its own: unlike ca.pem, it is valid for these hosts only.
     """
     now = now or now_utc()
     _check_name(name)
@@ -97,8 +91,6 @@ def issue(
     taken = [directory / f"{name}{suffix}" for suffix in ("", ".pem", ".key", ".json5")]
     if any(map(os.path.lexists, taken)):
         raise ConfigError(f"the name {name} is taken in {directory}, and no file is overwritten: choose another")
-    if role not in ROLES:
-        raise ConfigError(f"unknown role {role!r}: choose {', '.join(ROLES)}")
     if hosts and role in LAPTOP_ROLES:
         raise ConfigError("nobody dials a laptop: --host is for a robot or a console")
     if not hosts and role not in LAPTOP_ROLES:

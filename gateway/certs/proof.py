@@ -7,7 +7,6 @@ carry no identity of their link; so the gateway checks the person's, once for ea
 import base64
 import datetime as dt
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import Final, NamedTuple
 
 from cryptography import x509
@@ -17,7 +16,6 @@ from cryptography.hazmat.primitives.asymmetric import ec, padding, rsa
 
 from gateway.certs import BUTTON, OPERATOR, names
 from gateway.certs.authority import common_name_and_name, is_ca, is_issued
-from gateway.certs.files import read_certificates
 from gateway.certs.revocation import RevocationList
 from schemas import button, lease
 from schemas.lease import Proof
@@ -43,11 +41,6 @@ class ProofChecker:
     def __init__(self, cas: Sequence[x509.Certificate], revoked: RevocationList | None = None) -> None:
         self._revoked = revoked
         self._cas = [ca for ca in cas if is_ca(ca)]
-
-    @classmethod
-    def of(cls, ca_file: Path, revoked: RevocationList | None = None) -> "ProofChecker":
-        """Return a checker with the gateway's own file of CAs. Raises ConfigError."""
-        return cls(read_certificates(ca_file), revoked)
 
     def clock_fault(self, now: dt.datetime) -> str | None:
         """A sentence if this robot's clock must be wrong; None: it may be right."""

@@ -27,7 +27,6 @@ _BLOCK: Final = 1 << 20
 class Whole(NamedTuple):
     """A release, compared with its list; all paths are relative to it."""
 
-    listed: bool
     changed: tuple[str, ...] = ()
     """Missing, or with another content."""
     added: tuple[str, ...] = ()
@@ -44,12 +43,11 @@ def compare(release: Path) -> Whole:
         lines = []
     wanted = {line[_HEX + 2 :].removeprefix("./"): line[:_HEX] for line in lines if len(line) > _HEX + 2}
     if not wanted:
-        return Whole(listed=False)
+        return Whole(changed=(_MARK,))
     # hashlib and reading release the interpreter's lock.
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         found = dict(zip(wanted, pool.map(lambda name: _look(release / name), wanted), strict=True))
     return Whole(
-        listed=True,
         changed=tuple(name for name, (digest, _) in found.items() if digest != wanted[name]),
         added=tuple(sorted(name for name in _loadable(release) if name not in wanted)),
         closed=tuple(name for name, (_, open_to_all) in found.items() if not open_to_all),

@@ -68,7 +68,7 @@ FAULTS = (
     ),
     Fault("an emptied file of check's own", ": >$packages/gateway/text.py", "gateway/text.py"),
     Fault("a damaged stop.py", "echo '(' >$packages/gateway/onboard/stop.py", "gateway/onboard/stop.py"),
-    Fault("the list of files emptied", ": >$own/complete", "has no list of its files"),
+    Fault("the list of files emptied", ": >$own/complete", ": complete."),
     Fault("a file that was not installed", "echo >$packages/more.pth", "and not installed with it: lib/python"),
     Fault("a file for root only", "chmod 600 $packages/gateway/people/commands/decode.py", "not for all to read"),
     Fault(

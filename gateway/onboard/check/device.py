@@ -122,8 +122,7 @@ def _carrier(robot: CheckedRobot) -> Iterator[Seen]:
 
 def _neighbours(robot: CheckedRobot) -> Iterator[Seen]:
     found = machine.neighbours(robot.settings.spi.device, robot.root)
-    others = ", ".join(f"{each} (driver {driver})" for each, driver in found)
-    yield Seen(others=others, are="is" if len(found) == 1 else "are")
+    yield Seen(others=", ".join(f"{each} (driver {driver})" for each, driver in found))
 
 
 def kernel_hz(path: str) -> int | None:
@@ -152,17 +151,14 @@ def wire_ms(spi: SpiSettings, speed_hz: int) -> float:
 
 
 def speed(robot: CheckedRobot, given_hz: int | None) -> Seen:
-    """The clock that is set, and that which the device tree, the protocol and the kernel allow."""
+    """The clock that is set, and that which the protocol and the kernel (with the device tree) allow."""
     spi, known_hz, runs = robot.settings.spi, robot.settings.spi.protocol.speed_hz, robot.gateway_runs
-    tree_hz = _number(robot.root / "sys/class/spidev" / Path(spi.device).name / "device/of_node/spi-max-frequency")
     differs = given_hz is not None and (given_hz != spi.speed_hz if runs else given_hz < spi.speed_hz)
     slowest_hz = min(spi.speed_hz, given_hz or spi.speed_hz)
-    limits = ((known_hz, "up to which the protocol was measured"), (tree_hz or known_hz, "that the device tree allows"))
-    limit_hz, why = min(limits, key=lambda each: each[0])
     takes_ms = wire_ms(spi, slowest_hz)
     return Seen(
-        hz=spi.speed_hz, known_hz=known_hz, limit_hz=limit_hz, why=why, differs=differs, takes_ms=takes_ms,
-        set=_megahertz(spi.speed_hz), limit=_megahertz(limit_hz), kernel=_megahertz(given_hz or 0),
+        hz=spi.speed_hz, known_hz=known_hz, differs=differs, takes_ms=takes_ms,
+        set=_megahertz(spi.speed_hz), known=_megahertz(known_hz), kernel=_megahertz(given_hz or 0),
         takes=f"{'a frame' if spi.protocol.measures else 'an emergency stop'} takes {takes_ms:.1f} ms to write",
         given=f", and the kernel gives {_megahertz(slowest_hz)}" if given_hz is not None else "",
         fix="sudo systemctl restart hexapod-gateway" if runs else f"set spi.speed_hz = {given_hz} or less",
@@ -171,14 +167,6 @@ def speed(robot: CheckedRobot, given_hz: int | None) -> Seen:
 
 def _speed(robot: CheckedRobot) -> Iterator[Seen]:
     yield speed(robot, kernel_hz(robot.settings.spi.device))
-
-
-def _number(file: Path) -> int | None:
-    """A device tree's number: four bytes, the highest first."""
-    with suppress(OSError):
-        data = file.read_bytes()
-        return int.from_bytes(data, "big") or None if len(data) == 4 else None
-    return None
 
 
 def _megahertz(hz: int) -> str:
@@ -255,12 +243,12 @@ BUS: Final = (
     ), "{found}"),
     Probe("SPI bus", _neighbours, (
         # A neighbour's transfer of 2 ms is what docs/safety.md allows.
-        warning(lambda r: r.others, "{others} {are} on it, too: an emergency stop waits for two to four of its "
-                "transfers", "move it to another bus, or see that none of its transfers takes more than 2 ms"),
+        warning(lambda r: r.others, "on it, too: {others}: an emergency stop waits for two to four of its transfers",
+                "move it to another bus, or see that none of its transfers takes more than 2 ms"),
     ), "no other driver uses it"),
     Probe("SPI speed", _speed, (
-        warning(lambda r: r.hz > r.limit_hz, "{set} is above the {limit} {why}",
-                "set spi.speed_hz = {limit_hz} or less, or measure the clock on your wires"),
+        warning(lambda r: r.hz > r.known_hz, "{set} is above the {known} up to which the protocol was measured",
+                "set spi.speed_hz = {known_hz} or less, or measure the clock on your wires"),
         warning(lambda r: r.differs, "{set} is set, and the kernel gives {kernel}: another program has set it, or the "
                 "controller takes no more, or the configuration was changed since; {takes}", "{fix}"),
         warning(lambda r: r.takes_ms > SLOW_STOPS_MS, "{set} is slow: {takes}", "set spi.speed_hz = {known_hz}"),

@@ -160,10 +160,6 @@ def _some(names: Callable[[Installation], Sequence[str]]) -> Reading:
     return read
 
 
-def _listed(look: Installation) -> Iterator[Seen]:
-    yield Seen(listed=look.whole.listed, release=look.release, again=look.again)
-
-
 def _command(look: Installation) -> Iterator[Seen]:
     path, wanted = look.path(_COMMAND), look.link / "bin" / SERVICE
     leads = f"leads to {path.resolve()}" if os.path.lexists(path) else "is missing"
@@ -307,8 +303,6 @@ def _wrong(name: str, read: Reading, *faults: Fault) -> Probe:
 PROBES: Final = (
     _wrong("release", _some(lambda look: look.whole.changed), failure(always,
            "not as installed in {release}: {some}. The service, or its Stops after a crash, may fail", "{again}")),
-    _wrong("release", _listed, failure(lambda r: not r.listed,
-           "{release} has no list of its files, so nobody knows whether it is whole", "{again}")),
     _wrong("release", _some(lambda look: look.whole.added), warning(always,
            "in {release}, and not installed with it: {some}. Python may load it", "sudo rm {all}")),
     _wrong("release", _some(lambda look: look.whole.closed), failure(always,

@@ -63,8 +63,8 @@ _SUPPLY: Final = "Supply: have the servos one of their own, and is it on? A serv
 _PLUG: Final = "The servo: is it plugged in where its id says (the leg, then the joint)? Try another one."
 _CAUSES: Final = (
     _SUPPLY,
-    "Framing: the gateway speaks {framing}. The published STM32 firmware needs length-prefixed, and plain makes it deaf; a "
-    "controller that follows the protocol's document needs plain. Know which one is there before you change it.",
+    "Framing: the gateway speaks {framing}. The published STM32 firmware needs length-prefixed (plain makes it deaf), "
+    "one that follows the protocol's document needs plain. Know which one is there before you change it.",
     "Reset: has the controller ever received the wrong framing? Then it is deaf until its reset: set the right one, "
     "restart the gateway, and reset the controller (its reset button, or power).",
     "Wiring: do MOSI, SCLK and GND lead from the Pi to the controller, and have the servos the same ground?",

@@ -80,4 +80,4 @@ class Proofs:
 def checker_of(config: zenoh.Config, revoked: "RevocationList | None" = None) -> "ProofChecker | None":
     """A checker with the CA of the Zenoh file; None if that names no CA. Raises ConfigError."""
     ca: Any = get(config, "transport/link/tls/root_ca_certificate")
-    return certs.proof.ProofChecker.of(Path(ca), revoked) if isinstance(ca, str) else None
+    return certs.proof.ProofChecker(certs.files.read_certificates(Path(ca)), revoked) if isinstance(ca, str) else None

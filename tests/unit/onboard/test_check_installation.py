@@ -81,7 +81,7 @@ class Installed(Installation):
 Plant = Callable[[Installed], object]
 PLANTED: tuple[tuple[Plant, str], ...] = (
     (lambda robot: robot.write("opt/hexapod-gateway/venv-1/bin/hexapod-gateway", "x", 0o755), "not as installed in"),
-    (lambda robot: robot.write("opt/hexapod-gateway/venv-1/complete"), "has no list of its files"),
+    (lambda robot: robot.write("opt/hexapod-gateway/venv-1/complete"), "not as installed in"),
     (lambda robot: robot.write("opt/hexapod-gateway/venv-1/lib/x.pth"), "and not installed with it: lib/x.pth"),
     (lambda robot: robot.write("opt/hexapod-gateway/venv-1/bin/hexapod-gateway", "#", 0o666), "not for all to read"),
     (lambda robot: robot.forget("usr/local/bin/hexapod-gateway"), "/usr/local/bin/hexapod-gateway is missing"),
@@ -160,7 +160,7 @@ def release(tmp_path: Path) -> Path:
 
 def test_a_release_is_compared_with_its_list(release: Path) -> None:
     mine = () if (release / "bin/c").stat().st_uid == 0 else ("lib/a.py", "lib/b.py", "bin/c")
-    assert whole.compare(release) == Whole(listed=True, closed=mine)
+    assert whole.compare(release) == Whole(closed=mine)
     (release / "lib/a.py").write_text("")
     (release / "lib/b.py").unlink()
     (release / "lib/a.py").chmod(0o664)
@@ -172,7 +172,7 @@ def test_a_release_is_compared_with_its_list(release: Path) -> None:
     assert (compared.changed, compared.added) == (("lib/a.py", "lib/b.py"), ("lib/more.pth",))
     assert {"lib/a.py", "bin/c"} <= set(compared.closed)
     (release / "complete").write_text("")
-    assert whole.compare(release) == Whole(listed=False)
+    assert whole.compare(release) == Whole(changed=("complete",))
 
 
 def test_how_to_repeat_an_installation_is_a_command_while_its_source_is_there(tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ from gateway.people.commands.driving import drives
 from gateway.people.commands.moving import ServoMotion, consents, lying, ready, stopped_after
 from gateway.people.commands.reach import Connection, show_differences
 from gateway.people.terminal import NOBODY, hint, on_end_signals, rows, say
-from schemas.telemetry import GatewayState, Mode
+from schemas.telemetry import Mode
 
 START_DEG: Final = 90.0
 _IDLE_S: Final = 2.0
@@ -69,8 +69,10 @@ def stops(
             unplug=unplug,
             config=() if config is None else ("--config", str(config)),
         )
-        if not state.simulated:
-            _agree(bench, state, agreed=agreed)
+        if not (state.simulated or agreed or sys.stdin.isatty()):
+            raise ConfigError(NOBODY)
+        if not (state.simulated or consents(bench.motion, state, agreed=agreed)):
+            raise ConfigError("nothing was moved")
         with bench.receives():
             bench.measure()  # no motion yet: without the right to command it ends here
             if not bench.frames_published:
@@ -99,11 +101,10 @@ def _do(bench: Bench, step: CheckStep, place: str, *, as_json: bool) -> StepOutc
     try:
         with drives(bench.client, LEASE_S, moves=True):
             figures = step.run(bench)
-        detail = ", ".join(f"{name} {_short(value)}" for name, value in figures.items())
-    except FailedError as failed:
-        result, detail = "FAIL", str(failed)
-    except Skipped as skipped:
-        result, detail = "SKIPPED", str(skipped)
+        shown = {name: f"{value:.1f}" if isinstance(value, float) else value for name, value in figures.items()}
+        detail = ", ".join(f"{name} {value}" for name, value in shown.items())
+    except (FailedError, Skipped) as ended:
+        result, detail = "FAIL" if isinstance(ended, FailedError) else "SKIPPED", str(ended)
     except GatewayError as error:
         result, detail = "FAIL", f"the check could not go on: {error}"
     if not as_json:
@@ -111,10 +112,6 @@ def _do(bench: Bench, step: CheckStep, place: str, *, as_json: bool) -> StepOutc
     with suppress(GatewayError):  # the end tries again, and reports it
         _rest(bench)
     return StepOutcome(step.name, result, detail, figures)
-
-
-def _short(value: float | int | str) -> str:
-    return f"{value:.1f}" if isinstance(value, float) else str(value)
 
 
 def _rest(bench: Bench) -> None:
@@ -151,11 +148,3 @@ def _all_stopped(bench: Bench) -> str:
     if running := bench.running():
         return f"Servos still run: {', '.join(map(str, running))}: switch their power off."
     return "All legs are stopped."
-
-
-def _agree(bench: Bench, state: GatewayState, *, agreed: bool) -> None:
-    """Raises ConfigError where nobody agrees."""
-    if not agreed and not sys.stdin.isatty():
-        raise ConfigError(NOBODY)
-    if not consents(bench.motion, state, agreed=agreed):
-        raise ConfigError("nothing was moved")

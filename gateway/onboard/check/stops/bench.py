@@ -60,8 +60,6 @@ class WrittenFrame(NamedTuple):
     at_ns: int
     frame: Frame
     cause: str
-    came_s: float
-    """When its report came here, by this machine's monotonic clock."""
 
     @property
     def leg(self) -> int:
@@ -200,10 +198,9 @@ class Bench:
             self.calibration = calibration_of(self.client.calibration())
 
     def _take_frame(self, record: FrameRecord) -> None:
-        came_s = time.monotonic()
         with suppress(FrameError, ValueError):
             frame = decode(bytes.fromhex(record.bytes))
-            self.frames.append(WrittenFrame(record.monotonic_ns, frame, str(record.cause), came_s))
+            self.frames.append(WrittenFrame(record.monotonic_ns, frame, str(record.cause)))
 
 
 def caused(frames: Sequence[WrittenFrame], cause: Cause) -> list[WrittenFrame]:

@@ -89,9 +89,8 @@ def _demand_frames(bench: Bench, mark: int, wanted: list[Frame], *, on_the_way: 
         lambda: any(not seen.moves and seen.leg == bench.motion.leg for seen in bench.since(mark)), EVIDENCE_S
     )
     of_others = bench.motion.holding  # which hold
-    found = [
-        seen.frame for seen in bench.since(mark) if seen.moves and not (of_others and seen.leg != bench.motion.leg)
-    ]
+    moves = (seen for seen in bench.since(mark) if seen.moves)
+    found = [seen.frame for seen in moves if not (of_others and seen.leg != bench.motion.leg)]
     shown = ", ".join(frame.to_bytes().hex() for frame in found) or "none"
     if on_the_way and found and _never_back(found):
         found = [found[0], found[-1]]
@@ -127,10 +126,7 @@ def silence(bench: Bench) -> Figures:
     demand(bench.client.state().watchdog.expirations > before, "it stopped, but not by the watchdog")
     if not bench.frames_published:
         late_ms = took_ms - timeout_ms - bench.answer_ms
-        demand(
-            late_ms <= bench.late_ms + bench.answer_ms,
-            f"it ran on for {late_ms:.0f} ms after {silent}",
-        )
+        demand(late_ms <= bench.late_ms + bench.answer_ms, f"it ran on for {late_ms:.0f} ms after {silent}")
         return {**figures, "stopped_after_ms_by_state": took_ms}
 
     def watchdog_stops() -> list[WrittenFrame]:
