@@ -34,7 +34,6 @@ def test_eight_seconds_of_a_flood_leave_what_precedes_the_incident(tmp_path: Pat
     settings: dict[str, dict[str, Any]] = {
         "state": {"path": str(box)},
         "limits": {"leg_rate_hz": RATE_HZ},
-        "log": {"level": "error"},
     }
     with ExitStack() as stack:
         gateway = stack.enter_context(Gateway(tmp_path, settings))

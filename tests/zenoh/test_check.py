@@ -16,7 +16,7 @@ from gateway.onboard.check.table import CheckedRobot, judged, results
 from gateway.robot.settings import Settings
 from tests.support.certs_folder import DAY, NOW
 from tests.support.command import Ended, run_here
-from tests.support.gateway_process import Gateway, free_port, write_settings
+from tests.support.gateway_process import Gateway, dialling, free_port, write_settings
 from tests.support.router import zenoh_listening
 
 SPI = {"spi": {"framing": "length-prefixed"}}
@@ -110,10 +110,10 @@ def test_a_port(endpoint: str, sentence: str, taken: int) -> None:
         assert line.sentence == f"{where} is in use {RUNS}"
 
 
-def test_the_port_of_the_metrics(taken: int) -> None:
+def test_the_port_of_the_metrics(tmp_path: Path, taken: int) -> None:
     for number, fix in ((taken, "see whose it is (ss -ltnp), or set another telemetry.metrics"), (free_port(), "")):
         sections = {
-            "zenoh": {"listen": [], "connect": ["tcp/127.0.0.1:1"]},
+            "zenoh": {"listen": [], "config": dialling(tmp_path, "tcp/127.0.0.1:1")},
             "telemetry": {"metrics": f"127.0.0.1:{number}"},
         }
         _, line = results([network.PORTS], CheckedRobot(Settings.model_validate(sections)))
@@ -149,7 +149,9 @@ def test_a_listener_that_zenoh_does_not_open_is_tried(tmp_path: Path) -> None:
 
 def test_a_router_that_is_off_is_a_failure(tmp_path: Path) -> None:
     router = f"tcp/127.0.0.1:{free_port()}"
-    config = write_settings(tmp_path / "robot.toml", {"zenoh": {"listen": [], "connect": [router]}, **SPI})
+    config = write_settings(
+        tmp_path / "robot.toml", {"zenoh": {"listen": [], "config": dialling(tmp_path, router)}, **SPI}
+    )
     (line,) = lines(config, "router")
     assert line.startswith(f"failure  router         {router}: 127.0.0.1 rejects port ")
     assert "nobody behind it reaches this robot → start it there" in line

@@ -20,6 +20,7 @@ from gateway.allowance import NS_PER_MS
 from gateway.errors import SpiError
 from gateway.model import elkapod
 from gateway.model.elkapod import SHUTDOWN, Heartbeats, Measured
+from gateway.model.frames import STOP_REPEAT_MS, STOP_REPEATS
 from gateway.onboard.check.device import JOIN_GROUP, denied, no_node, node
 from gateway.onboard.check.table import CheckedRobot, Probe, Result, Seen, Verdict, failure, results, warning
 from gateway.robot.protocol.elkapod import FROZEN_NS, SignsOfLife
@@ -44,7 +45,7 @@ def look(robot: CheckedRobot) -> Iterator[Result]:
     yield from found
     if robot.gateway_runs or any(each.verdict is Verdict.FAILURE for each in found):
         return
-    spi, watchdog, silent_ms = robot.settings.spi, robot.settings.watchdog, robot.settings.controller.silent_ms
+    spi, silent_ms = robot.settings.spi, robot.settings.controller.silent_ms
     try:
         line = SerialUart(robot.settings.controller.uart)
     except SpiError as error:  # taken since
@@ -55,7 +56,7 @@ def look(robot: CheckedRobot) -> Iterator[Result]:
             line,
             lambda: KernelDevice(spi.device, spi.speed_hz, mode=spi.protocol.spi_mode),
             silent_ns=round(silent_ms * NS_PER_MS),
-            shutdowns=[watchdog.repeat_interval_ms / 1e3] * (1 + watchdog.repeats),
+            shutdowns=[STOP_REPEAT_MS / 1e3] * (1 + STOP_REPEATS),
         ))  # fmt: skip
     finally:
         line.close()

@@ -106,7 +106,8 @@ def _routers(robot: CheckedRobot) -> Iterator[Seen]:
         # A port that speaks no TLS may well be a router's.
         last = next((each for each in reversed(findings) if each.stage is not Stage.GATEWAY), findings[-1])
         sentence, fix = (text.replace("the robot", "the router") for text in (last.sentence, last.fix))
-        yield Seen(endpoint=endpoint, sentence=sentence, fix=fix, off=last.stage in (Stage.NAME, Stage.TCP))
+        off, file = last.stage in (Stage.NAME, Stage.TCP), robot.settings.zenoh.config
+        yield Seen(endpoint=endpoint, sentence=sentence, fix=fix, off=off, file=file)
 
 
 # ---- ports
@@ -323,7 +324,8 @@ LINKS: Final = (
     )),
     Probe("router", _routers, (
         failure(lambda r: r.fix and r.off, "{endpoint}: {sentence}: nobody behind it reaches this robot",
-                "start it there (zenohd -c router.json5), or set another zenoh.connect; the gateway goes on trying"),
+                "start it there (zenohd -c router.json5), or write others as connect.endpoints of {file}; the gateway "
+                "goes on trying"),
         failure(lambda r: r.fix, "{endpoint}: {sentence}: nobody behind it reaches this robot", "{fix}"),
     ), "{endpoint}: {sentence}"),
 )

@@ -32,6 +32,7 @@ from gateway.robot.host.calibration_file import SLOW_S
 from gateway.robot.settings import Settings
 from schemas.keys import CALIBRATION, COMMAND_KEYS, ESTOP, GET_ONLY, STATE
 from tests.support.certs_folder import DAY, NOW, make_folder
+from tests.support.gateway_process import dialling
 from tests.support.machine_tree import PI_4, MachineTree
 from tests.support.remedies import parse_commands
 
@@ -86,7 +87,7 @@ SOME = {"some": "a.py", "all": "/opt/R/a.py", "release": "/opt/R", "again": "sud
 DROP_IN = {"path": "/etc/x.conf", "environment": "", "emptied": False, "simulates": False, "depends": ""}
 STATE_FOLDER = {"is_folder": True, "read_only": False, "mount": "/", "own": True, "free_mb": 999, "inodes": 999}
 STATE_FOLDER |= {"forgets": False, "kind": "ext4"}
-ROUTER = {"endpoint": "tcp/r:1", "sentence": "s", "fix": "set it", "off": False}
+ROUTER = {"endpoint": "tcp/r:1", "sentence": "s", "fix": "set it", "off": False, "file": "/z"}
 PORT = {"where": "tcp/h:1", "setting": "zenoh.listen", "why": "?"}
 PAIR = {"certificate": "/c.pem", "key": "/c.key", "ca": "/ca.pem", "folder": "/", "files": "{}", "foreign": False}
 SIMULATED = {
@@ -273,6 +274,10 @@ def here(tree: Mapping[str, Any] | None = None, **sections: Any) -> Callable[[Pa
         return robot(root, **sections)
 
     return plant
+
+
+def dials(root: Path) -> CheckedRobot:
+    return robot(root, zenoh={"listen": [], "config": dialling(root, "tcp/127.0.0.1:1")})
 
 
 def neighbours(*drivers: str) -> Callable[[Path], CheckedRobot]:
@@ -498,7 +503,7 @@ SCENES = (
     scene(network.ZENOH, here(zenoh={"listen": ["tcp/0.0.0.0:7447"]}), "failure Zenoh … → fix it there"),
     scene(network.ZENOH, here(zenoh={"listen": ["tcp/0.0.0.0:7447"], "allow_insecure": True}),
           "warning Zenoh: … anyone who reaches tcp/0.0.0.0:7447 can move the robot"),
-    scene(network.PORTS, here(zenoh={"listen": [], "connect": ["tcp/127.0.0.1:1"]}),
+    scene(network.PORTS, dials,
           "ok port: none: the gateway listens nowhere"),
     scene(power.BOARD, here()),
     scene(power.BOARD, here(power={"interface": "slcan", "channel": "/none"}), "failure … /none does not exist → plug"),

@@ -145,7 +145,7 @@ async def test_the_headline_names_the_worst_and_who_and_which_legs(folder: Path)
     assert f": the gateway ended without a word; also: {silent}; also: somebody" in told(folder)[0]
 
 
-LANDING = {"watchdog": {"landing_ms": 500, "repeats": 0, "landing": {"31": 30.0}}}
+LANDING = {"watchdog": {"landing_ms": 500, "landing": {"31": 30.0}}, "rules": {"repeats": 0}}
 
 
 def overflow(robot: Robot) -> None:
@@ -244,7 +244,7 @@ async def test_a_landing_that_somebody_stops_and_the_next_one_are_two(folder: Pa
 
 
 async def test_the_stops_of_the_longest_landing_belong_to_the_silence_that_began_it(folder: Path) -> None:
-    robot = recorded(folder, watchdog={"landing_ms": 5000, "repeats": 0})
+    robot = recorded(folder, watchdog={"landing_ms": 5000}, rules={"repeats": 0})
     robot.put(LEG_3, START)
     await asyncio.sleep(6)
     assert told(folder)[-1].endswith("mode idle")

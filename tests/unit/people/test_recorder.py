@@ -153,7 +153,7 @@ async def test_nothing_is_recorded_before_a_frame_is_written(
 
 @pytest.mark.parametrize("framing", Framing)
 async def test_a_setpoint_is_one_record(folder: Path, framing: Framing) -> None:
-    robot = recorded(folder, spi={"framing": framing}, watchdog={"repeats": 0})
+    robot = recorded(folder, spi={"framing": framing}, rules={"repeats": 0})
     robot.put(LEG_3, START)
     before = ring_reader.read(folder / RING_FILE).records
     for angle in (0.01, 90, 180):
