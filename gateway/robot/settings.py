@@ -186,7 +186,7 @@ _REMOVED: Final[Mapping[Place, str]] = {
     ("telemetry", "state_hz"): "was removed; the state comes ten times a second",
     ("telemetry", "rate_hz"): "was removed; what the robot measures comes ten times a second",
     ("telemetry", "metrics_hosts"): "was removed; the page answers to this machine's name and addresses",
-    ("log",): "was removed; all from info on is logged (journalctl -p warning: only from warnings on)",
+    ("log",): "was removed; all from info on is logged, and journalctl -p warning shows only what is worse",
     ("watchdog", "repeats"): f"was removed; a Stop is repeated {STOP_REPEATS} times",
     ("watchdog", "repeat_interval_ms"): f"was removed; a Stop is repeated each {STOP_REPEAT_MS:g} ms",
     ("zenoh", "connect"): "was removed; name what the gateway dials in the file of zenoh.config (connect.endpoints)",
