@@ -23,7 +23,7 @@ from gateway.model.black_box import format as form
 from gateway.model.black_box.files import RING_FILE
 from gateway.model.frames import Frame, OneLeg, OneServo, Op, ServoOp, decode
 from gateway.model.framing import Framing
-from gateway.people.incidents import ring_reader
+from gateway.people.recorder import ring_reader
 from gateway.robot.host.systemd import HANGS_AFTER
 from schemas.robot import LEGS
 from schemas.telemetry import Cause
@@ -217,7 +217,7 @@ def check_black_box(ring: Path, transfers: list[Transfer]) -> None:
     assert content.damaged <= 1, "only the record that was being written"
     assert content.missing == 0
     starts = [index for index, record in enumerate(content.records) if isinstance(record.content, form.Start)]
-    records = content.records[starts[-1] :]
+    records = list(content.records)[starts[-1] :]
     frames = [record.content for record in records if isinstance(record.content, form.FrameWritten)]
     delivered = [each for each in transfers if each.delivered and len(each.data) in (6, 14)]
     assert [frame.data for frame in frames] == [each.data for each in delivered[: len(frames)]]

@@ -16,11 +16,11 @@ from gateway.model.black_box import format as form
 from gateway.model.black_box.files import RING_FILE
 from gateway.model.black_box.incidents import INCIDENT_NAMES, MISTAKE
 from gateway.model.calibration import RobotCalibration, ServoMapping
-from gateway.people.incidents import ring_reader
-from gateway.people.incidents.export import write
-from gateway.people.incidents.incidents import CRASH, Incident, find
-from gateway.people.incidents.messages import RECORDER, messages
-from gateway.people.incidents.story import headline, story, what
+from gateway.people.recorder import ring_reader
+from gateway.people.recorder.export import write
+from gateway.people.recorder.incidents import CRASH, Incident, find
+from gateway.people.recorder.messages import RECORDER, messages
+from gateway.people.recorder.story import headline, story, what
 from gateway.people.ros2.drawing import JOINT_STATES
 from gateway.people.ros2.user_angles import RecordedMessage, frames_in
 from gateway.robot.blackbox import paths
