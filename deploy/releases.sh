@@ -7,15 +7,17 @@ import os, signal, socket, subprocess, sys
 with socket.socket() as free:
     free.bind(("127.0.0.1", 0))
     port = free.getsockname()[1]
-own = {"HEXAPOD_ZENOH__LISTEN": f"[\"tcp/127.0.0.1:{port}\"]", "HEXAPOD_ZENOH__CONNECT": "[]"}
+own = {"HEXAPOD_ZENOH__LISTEN": f"[\"tcp/127.0.0.1:{port}\"]"}
 try:
     from gateway.robot.settings import Settings
 except ImportError:  # a release that is kept from before the two wings
     from gateway.settings import Settings
 fields = Settings.model_fields
+if "log" in fields:  # a release that is kept from before these two were removed
+    own |= {"HEXAPOD_ZENOH__CONNECT": "[]", "HEXAPOD_LOG__LEVEL": "error"}
 # The state belongs to the service, and root must not begin it. A release that is kept may be from before state.path.
 own |= {"HEXAPOD_STATE__PATH": ""} if "state" in fields else {"HEXAPOD_RECORDER__PATH": ""} if "recorder" in fields else {}
-own |= {"HEXAPOD_ZENOH__CONFIG": "", "HEXAPOD_TELEMETRY__METRICS": "", "HEXAPOD_LOG__LEVEL": "error"}
+own |= {"HEXAPOD_ZENOH__CONFIG": "", "HEXAPOD_TELEMETRY__METRICS": ""}
 gateway = subprocess.Popen([*sys.argv[1:]], env={**os.environ, **own}, stdout=subprocess.PIPE, text=True)
 signal.signal(signal.SIGALRM, lambda *_: gateway.kill())
 signal.alarm(30)

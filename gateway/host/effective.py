@@ -20,10 +20,8 @@ from gateway.host.plain_settings import (
     ControllerValues,
     PlainController,
     PlainPower,
-    PlainRepeats,
     PlainSpi,
     PowerValues,
-    RepeatValues,
 )
 
 NAME: Final = "effective.toml"
@@ -33,7 +31,6 @@ _INVOCATION: Final = "INVOCATION_ID"
 
 _SECTIONS: Final = (
     ("spi", PlainSpi),
-    ("watchdog", PlainRepeats),
     ("controller", PlainController),
     ("power", PlainPower),
 )
@@ -43,7 +40,6 @@ class Effective(NamedTuple):
     """What a service uses, and which one."""
 
     spi: PlainSpi
-    watchdog: PlainRepeats
     controller: PlainController
     power: PlainPower | None
     tables: Mapping[str, Any]
@@ -61,7 +57,7 @@ class Effective(NamedTuple):
         return bool(self.tables.get("invocation")) and self.tables["invocation"] == os.environ.get(_INVOCATION)
 
 
-def write(spi: Mapping[str, Any], watchdog: RepeatValues, controller: ControllerValues, power: PowerValues) -> None:
+def write(spi: Mapping[str, Any], controller: ControllerValues, power: PowerValues) -> None:
     """Write what this process uses (`spi` as in a file); nothing without a runtime directory.
 
     Raises OSError, ValueError.
@@ -70,12 +66,11 @@ def write(spi: Mapping[str, Any], watchdog: RepeatValues, controller: Controller
     if folder is None:
         return
     stated = {name: value for name, value in spi.items() if value is not None}
-    repeats = {name: getattr(watchdog, name) for name in PlainRepeats._fields}
     line = {name: getattr(controller, name) for name in PlainController._fields}
     supply = {name: getattr(power, name) for name in PlainPower._fields}
     process = {"process": os.getpid(), "begun": _begun(os.getpid()), "invocation": os.environ.get(_INVOCATION, "")}
     lines = ["# What the service uses. Written by it at its start; to change it, see /etc/hexapod-gateway."]
-    tables = {"": process, "[spi]": stated, "[watchdog]": repeats, "[controller]": line, "[power]": supply}
+    tables = {"": process, "[spi]": stated, "[controller]": line, "[power]": supply}
     for head, table in tables.items():
         lines += [head, *(f"{name} = {json.dumps(value, ensure_ascii=False)}" for name, value in table.items())]
     staged = folder / f".{NAME}.new"

@@ -28,8 +28,8 @@ FLUSH_S: Final = 0.3
 _log_writers: list[LogWriter] = []
 
 
-def set_up(level: str) -> None:
-    """Log to stderr from this level on.
+def set_up() -> None:
+    """Log to stderr from INFO on; from DEBUG on in Python's development mode (`python -X dev`).
 
     From now on two background threads write to stdout and stderr.
     """
@@ -42,7 +42,7 @@ def set_up(level: str) -> None:
     atexit.register(close)
     root = logging.getLogger()
     root.handlers[:] = [_Handler(err)]
-    root.setLevel(level.upper())
+    root.setLevel(logging.DEBUG if sys.flags.dev_mode else logging.INFO)
 
 
 def _is_journal(descriptor: int) -> bool:

@@ -15,7 +15,7 @@ from gateway.model.framing import Framing
 from gateway.model.protocols import SpiProtocol
 
 DEFAULT_PATH: Final = Path("/etc/hexapod-gateway/gateway.toml")
-_OVERRIDES: Final = ("HEXAPOD_SPI__", "HEXAPOD_WATCHDOG__", "HEXAPOD_CONTROLLER__", "HEXAPOD_POWER__")
+_OVERRIDES: Final = ("HEXAPOD_SPI__", "HEXAPOD_CONTROLLER__", "HEXAPOD_POWER__")
 
 
 class PlainSpi(NamedTuple):
@@ -30,13 +30,6 @@ class PlainSpi(NamedTuple):
     @property
     def avoid_cdeg(self) -> None:
         """A Stop has no angle."""
-
-
-class PlainRepeats(NamedTuple):
-    """Of the table [watchdog]."""
-
-    repeats: int = 3
-    repeat_interval_ms: float = 20.0
 
 
 class PlainController(NamedTuple):
@@ -69,15 +62,6 @@ class SpiValues(Protocol):
     def avoid_cdeg(self) -> tuple[int, int] | None: ...
 
 
-class RepeatValues(Protocol):
-    """How often a Stop is repeated, as `PlainRepeats` or as the service has it."""
-
-    @property
-    def repeats(self) -> int: ...
-    @property
-    def repeat_interval_ms(self) -> float: ...
-
-
 class ControllerValues(Protocol):
     """The table [controller], as `PlainController` or as the service has it."""
 
@@ -98,7 +82,6 @@ class Plain(NamedTuple):
     """What a Stop needs of a file."""
 
     spi: PlainSpi
-    watchdog: PlainRepeats
     controller: PlainController
     power: PlainPower | None
     """None: it is not plainly right, which is no reason to write no Stop."""
@@ -107,12 +90,9 @@ class Plain(NamedTuple):
 LIMITS: Final[Mapping[str, tuple[float, float]]] = {
     "speed_hz": (1, 20_000_000),
     "frame_gap_us": (0, 1000),
-    "repeats": (0, 100),
-    "repeat_interval_ms": (1, 1000),
 }
 REMOVED: Final = frozenset({"avoid_deg", "batch", "resync_ms"})
 """Settings of [spi] in files of earlier versions, which must not prevent a Stop; they are not looked at."""
-_WHOLE: Final = frozenset({"speed_hz", "repeats"})
 
 _KNOWN: Final = REMOVED | set(PlainSpi._fields)
 
@@ -135,15 +115,14 @@ def overrides(variables: Mapping[str, str]) -> dict[str, str]:
 
 def of(tables: Mapping[str, Any]) -> Plain | None:
     """What a file's tables say; None where anything of it is not plainly right."""
-    spi, watchdog, controller = tables.get("spi"), tables.get("watchdog", {}), tables.get("controller", {})
-    if not (isinstance(spi, dict) and isinstance(watchdog, dict) and isinstance(controller, dict)):
+    spi, controller = tables.get("spi"), tables.get("controller", {})
+    if not (isinstance(spi, dict) and isinstance(controller, dict)):
         return None
     if not spi.keys() <= _KNOWN:
         return None
     spi = {name: value for name, value in spi.items() if name not in REMOVED}
-    of_watchdog = {name: watchdog[name] for name in PlainRepeats._fields if name in watchdog}
     of_controller = {name: controller[name] for name in PlainController._fields if name in controller}
-    if not all(_is_right(name, value) for name, value in (spi | of_watchdog | of_controller).items()):
+    if not all(_is_right(name, value) for name, value in (spi | of_controller).items()):
         return None
     protocol = spi.get("protocol", SpiProtocol.HEXAPOD_1_0)
     framing = spi.get("framing", None if protocol == SpiProtocol.HEXAPOD_1_0 else Framing.PLAIN)
@@ -152,7 +131,7 @@ def of(tables: Mapping[str, Any]) -> Plain | None:
     known = {"protocol": SpiProtocol(protocol), "framing": Framing(framing)}
     stated = {"speed_hz": SpiProtocol(protocol).speed_hz} | spi | known
     power = _power(tables.get("power", {}))
-    return Plain(PlainSpi(**stated), PlainRepeats(**of_watchdog), PlainController(**of_controller), power)
+    return Plain(PlainSpi(**stated), PlainController(**of_controller), power)
 
 
 def _power(table: Any) -> PlainPower | None:
@@ -184,5 +163,5 @@ def _is_right(name: str, value: Any) -> bool:
     if name in {"device", "uart"}:
         return isinstance(value, str) and value.startswith("/") and "\0" not in value
     low, high = LIMITS[name]
-    known = isinstance(value, int if name in _WHOLE else int | float) and not isinstance(value, bool)
+    known = isinstance(value, int if name == "speed_hz" else int | float) and not isinstance(value, bool)
     return known and low <= value <= high

@@ -10,11 +10,11 @@ import typer
 from gateway.errors import ConfigError, GatewayError
 from gateway.model.black_box.files import RING_FILE
 from gateway.own_command import this_command
-from gateway.people.incidents import ring_reader
-from gateway.people.incidents.export import write
-from gateway.people.incidents.incidents import Incident, find, is_id, time_of
-from gateway.people.incidents.messages import messages
-from gateway.people.incidents.story import NoStoryError, headline, story, what
+from gateway.people.recorder import ring_reader
+from gateway.people.recorder.export import write
+from gateway.people.recorder.incidents import Incident, find, is_id, time_of
+from gateway.people.recorder.messages import messages
+from gateway.people.recorder.story import NoStoryError, headline, story, what
 from gateway.people.terminal import hint, say
 from gateway.robot.blackbox import paths
 from gateway.robot.settings import Settings

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 from gateway.errors import ConfigError, GatewayError
 from gateway.host import effective, plain_settings, realtime
 from gateway.host.effective import Effective
-from gateway.host.plain_settings import DEFAULT_PATH, ControllerValues, PowerValues, RepeatValues, SpiValues
+from gateway.host.plain_settings import DEFAULT_PATH, ControllerValues, PowerValues, SpiValues
+from gateway.model.frames import STOP_REPEATS
 from gateway.model.protocols import SpiProtocol
 from gateway.robot.spi.stop_all import stop_servos as stop
 
@@ -59,9 +60,7 @@ def run(path: Path | None) -> bool:
         _say(f"the servos keep their supply ({error}): switch the power off by hand")
         off = False
     try:
-        stop_servos(
-            chosen.spi, chosen.watchdog, chosen.controller, (lambda: None) if cut is None else cut.stops_written
-        )
+        stop_servos(chosen.spi, chosen.controller, (lambda: None) if cut is None else cut.stops_written)
     finally:
         off = off if cut is None else cut.end()
     if chosen.used is not None and not chosen.used.ended_here:  # the unit's file lacks the unit's variables
@@ -82,7 +81,6 @@ def _cut(power: PowerValues | None) -> "SupplyCut | None":
 
 class _Chosen(NamedTuple):
     spi: SpiValues
-    watchdog: RepeatValues
     controller: ControllerValues
     power: PowerValues | None
     """None: not as it should be."""
@@ -97,7 +95,7 @@ def _choose(path: Path | None) -> _Chosen:
     by a file or a variable, means that one.
     """
     used = effective.read()
-    theirs = None if used is None else _Chosen(used.spi, used.watchdog, used.controller, used.power, used)
+    theirs = None if used is None else _Chosen(used.spi, used.controller, used.power, used)
     named = path is not None or bool(plain_settings.overrides(os.environ))
     runs = used is not None and used.runs
     if theirs is not None and used is not None and (used.ended_here or (runs and not named)):
@@ -123,12 +121,12 @@ def _of_file(path: Path | None) -> _Chosen:
     from gateway.robot import settings  # slow: it takes longer than all Stops
 
     found = settings.load(path, for_stops=True)
-    return _Chosen(found.spi, found.watchdog, found.controller, found.power)
+    return _Chosen(found.spi, found.controller, found.power)
 
 
 def unit() -> tuple[int, dict[str, str]]:
     """The service's process (0: none, or not known), and its unit's variables that override a file: those of `[spi]`,
-    `[watchdog]`, `[controller]` and `[power]`."""
+    `[controller]` and `[power]`."""
     if not _SYSTEMD.exists():
         return 0, {}
     import shlex
@@ -146,18 +144,17 @@ def unit() -> tuple[int, dict[str, str]]:
 
 def stop_servos(
     spi: SpiValues,
-    watchdog: RepeatValues,
     controller: ControllerValues,
     written: Callable[[], None] = lambda: None,
 ) -> None:
     """Stop all six legs. Raises SpiError."""
     spi, changed = plain_settings.within_limits(spi)
     try:
-        noticed = stop(spi, watchdog, controller, written)
+        noticed = stop(spi, controller, written)
     finally:  # after the Stops, which wait for nobody who reads this
         if changed:
             _say(changed)
-    times = 1 + watchdog.repeats
+    times = 1 + STOP_REPEATS
     lines = [f"Stop written to all six legs, {times} times each, on {spi.device}"]
     if spi.protocol is SpiProtocol.ELKAPOD_2025:
         lines = [f"shutdown of all servos written {times} times, on {controller.uart}"]

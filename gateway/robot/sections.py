@@ -29,7 +29,6 @@ class ZenohSettings(Section):
     """The gateway's Zenoh endpoints."""
 
     listen: tuple[str, ...] = ("tcp/127.0.0.1:7447",)
-    connect: tuple[str, ...] = ()
     config: str = ""
     allow_insecure: bool = False
 
@@ -180,8 +179,6 @@ class WatchdogSettings(Section):
 
     timeout_ms: Annotated[float, Finite, Field(ge=20, le=10_000)] = 250.0
     scope: Literal["leg", "robot"] = "leg"
-    repeats: Annotated[int, Field(ge=0, le=100)] = 3
-    repeat_interval_ms: Annotated[float, Finite, Field(ge=1, le=1000)] = 20.0
     landing_ms: Annotated[float, Finite, Field(ge=0, le=5000)] = 0.0
     landing: Annotated[dict[str, AngleDeg], AfterValidator(_known_servos)] = {}
 
@@ -233,9 +230,3 @@ class TelemetrySettings(Section):
         if value and not (host and port.isascii() and port.isdecimal() and 0 < int(port) < 65536):
             raise ValueError('write a host and a port, such as "127.0.0.1:9464", or "" for none')
         return value
-
-
-class LogSettings(Section):
-    """Level of the log."""
-
-    level: Literal["debug", "info", "warning", "error"] = "info"

@@ -103,8 +103,6 @@ def rules(settings: Settings) -> Rules:
         timeout_ns=round(settings.watchdog.timeout_ms * NS_PER_MS),
         whole_robot=settings.watchdog.scope == "robot" or settings.starts_whole,
         starts_whole=settings.starts_whole,
-        repeats=settings.watchdog.repeats,
-        repeat_interval_ns=round(settings.watchdog.repeat_interval_ms * NS_PER_MS),
         period_ns=ceil(NS_PER_S / settings.limits.leg_rate_hz),  # never above the limit
         start_wait_ns=START_WAIT_NS,
         start_pause_ns=round(settings.limits.start_stagger_ms * NS_PER_MS),
@@ -159,7 +157,7 @@ def run(
     realtime.prefer_process()
     realtime.limit_malloc_arenas()
     receive_each_session_alone()
-    logs.set_up(settings.log.level)
+    logs.set_up()
     logs.keep_stacks()
     if not simulated:
         _show_settings(settings)  # before the first frame
@@ -200,7 +198,7 @@ def _configured(
 def _show_settings(settings: Settings) -> None:
     try:
         spi = settings.spi.model_dump(mode="json")
-        effective.write(spi, settings.watchdog, settings.controller, settings.power)
+        effective.write(spi, settings.controller, settings.power)
     except (OSError, ValueError) as error:
         logger.warning("stop-servos by hand cannot read which settings the service uses: %s", error)
 
@@ -250,7 +248,7 @@ async def _run(
         await asyncio.wait((opening, ended), return_when=asyncio.FIRST_COMPLETED)
         if not opening.done():
             notifier.stopping()
-            await stop_the_robot(conductor, bus, settings.watchdog)
+            await stop_the_robot(conductor, bus)
             keeper.flush()
             end.leave()
         ended.cancel()
@@ -282,7 +280,7 @@ async def _run(
         for task in tasks:
             task.cancel()
         deadline = loop.time() + SHUTDOWN_S
-        await stop_the_robot(conductor, bus, settings.watchdog)
+        await stop_the_robot(conductor, bus)
         with owner:
             conductor.close()
         await close_within(

@@ -15,6 +15,7 @@ from pydantic_core import ErrorDetails
 from gateway import nesting
 from gateway.errors import ConfigError
 from gateway.host import plain_settings
+from gateway.model.frames import STOP_REPEAT_MS, STOP_REPEATS
 from gateway.model.framing import Framing
 from gateway.model.protocols import SpiProtocol
 from gateway.own_command import CONNECT_VARIABLE
@@ -25,7 +26,6 @@ from gateway.robot.sections import (
     ControllerSettings,
     LeaseSettings,
     LimitSettings,
-    LogSettings,
     PowerSettings,
     SafetySettings,
     Section,
@@ -56,7 +56,6 @@ class Settings(Section):
     telemetry: TelemetrySettings = TelemetrySettings()
     safety: SafetySettings = SafetySettings()
     power: PowerSettings = PowerSettings()
-    log: LogSettings = LogSettings()
 
     @property
     def starts_whole(self) -> bool:
@@ -187,7 +186,10 @@ _REMOVED: Final[Mapping[Place, str]] = {
     ("telemetry", "state_hz"): "was removed; the state comes ten times a second",
     ("telemetry", "rate_hz"): "was removed; what the robot measures comes ten times a second",
     ("telemetry", "metrics_hosts"): "was removed; the page answers to this machine's name and addresses",
-    ("log", "format"): "was removed; a terminal and the journal get text, everything else JSON",
+    ("log",): "was removed; all from info on is logged, and journalctl -p warning shows only what is worse",
+    ("watchdog", "repeats"): f"was removed; a Stop is repeated {STOP_REPEATS} times",
+    ("watchdog", "repeat_interval_ms"): f"was removed; a Stop is repeated each {STOP_REPEAT_MS:g} ms",
+    ("zenoh", "connect"): "was removed; name what the gateway dials in the file of zenoh.config (connect.endpoints)",
     ("power", "cut_on"): "was removed: a Stop takes the supply of what it stops",
     ("power", "bitrate"): "was removed: the board's bus runs at 1 Mbit/s",
     ("power", "idle_ma"): "was removed: a servo at rest may draw 150 mA",
@@ -261,7 +263,6 @@ def _put(table: Mapping[str, Any], place: Place, value: Any) -> dict[str, Any]:
 
 _LISTS: Final[Mapping[Place, str]] = {
     ("zenoh", "listen"): '["tcp/127.0.0.1:7447"]',
-    ("zenoh", "connect"): '["tcp/127.0.0.1:7447"]',
     ("buttons", "names"): '["kitchen"]',
     ("power", "servos"): "[]",
 }

@@ -10,6 +10,7 @@ from gateway.errors import ConfigError
 from gateway.host.descriptors import Spare
 from gateway.host.sensed_page import SensedPage
 from gateway.host.servo_page import ServoPage
+from gateway.model.frames import STOP_REPEAT_MS, STOP_REPEATS
 from gateway.model.protocols import SpiProtocol
 from gateway.own_command import command
 from gateway.robot.protocol import Wire
@@ -25,8 +26,8 @@ from gateway.robot.spi.simulator import SimulatedController
 from gateway.robot.spi.uart import SerialUart, Uart
 from gateway.robot.spi.unreliable import Faults, UnreliableDevice
 
-MOST_BEFORE_FRAMES_MS: Final = 200
-"""How long the repeats of the first shutdown hold back elkapod-2025's frames at most."""
+BEFORE_FRAMES_MS: Final = (STOP_REPEATS + 0.5) * STOP_REPEAT_MS
+"""How long the repeats of the first shutdown hold back elkapod-2025's frames."""
 
 logger = logging.getLogger(__name__)
 _simulator = logging.getLogger("gateway.robot.spi.simulator")
@@ -60,7 +61,7 @@ def wire(
         return Bus(settings.spi, device_opener(settings, simulated=simulated, page=page, faults=faults))
     if faults is not None:
         raise ConfigError(f"--sim-fault is for {SpiProtocol.HEXAPOD_1_0}; leave it out with {protocol}")
-    spare, spi, uart, repeats = Spare(), settings.spi, settings.controller.uart, settings.watchdog
+    spare, spi, uart = Spare(), settings.spi, settings.controller.uart
     open_device: Callable[[], DuplexDevice]
     open_uart: Callable[[], Uart]
     if simulated:
@@ -69,12 +70,11 @@ def wire(
     else:
         open_device = partial(KernelDevice, spi.device, spi.speed_hz, mode=protocol.spi_mode, spare=spare)
         open_uart = partial(SerialUart, uart)
-    before_frames_ms = min((repeats.repeats + 0.5) * repeats.repeat_interval_ms, MOST_BEFORE_FRAMES_MS)
     return CyclicBus(
         open_device,
         open_uart,
         silent_ns=round(settings.controller.silent_ms * NS_PER_MS),
-        before_frames_ns=round(before_frames_ms * NS_PER_MS),
+        before_frames_ns=round(BEFORE_FRAMES_MS * NS_PER_MS),
         fed_singly=bool(settings.power.interface),
     )
 

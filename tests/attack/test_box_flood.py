@@ -11,10 +11,10 @@ from typing import Any, Final
 import pytest
 
 from gateway.model.black_box.files import RING_FILE
-from gateway.people.incidents import ring_reader
-from gateway.people.incidents.incidents import find
-from gateway.people.incidents.messages import messages
-from gateway.people.incidents.story import story
+from gateway.people.recorder import ring_reader
+from gateway.people.recorder.incidents import find
+from gateway.people.recorder.messages import messages
+from gateway.people.recorder.story import story
 from schemas import keys
 from tests.support.child import Child
 from tests.support.gateway_process import Gateway
@@ -34,7 +34,6 @@ def test_eight_seconds_of_a_flood_leave_what_precedes_the_incident(tmp_path: Pat
     settings: dict[str, dict[str, Any]] = {
         "state": {"path": str(box)},
         "limits": {"leg_rate_hz": RATE_HZ},
-        "log": {"level": "error"},
     }
     with ExitStack() as stack:
         gateway = stack.enter_context(Gateway(tmp_path, settings))

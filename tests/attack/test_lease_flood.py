@@ -29,7 +29,6 @@ MOST_LOST = 8
 """While this machine puts the gateway aside for more than 25 ms. It was 21 to 66, on a busy one."""
 SETTINGS: dict[str, dict[str, Any]] = {
     "buttons": {"timeout_ms": 10_000},
-    "log": {"level": "error"},
 }
 ASKED = {
     "challenges": {"do": "challenge"},

@@ -15,8 +15,7 @@ from tests.support.child import Child
 from tests.support.gateway_process import Gateway
 
 SETTINGS: dict[str, dict[str, Any]] = {
-    "watchdog": {"timeout_ms": 10_000, "repeats": 0},
-    "log": {"level": "error"},
+    "watchdog": {"timeout_ms": 10_000},
 }
 TRIES = 200
 KEY = leg_command(3)

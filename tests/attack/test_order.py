@@ -22,7 +22,7 @@ from tests.benchmarks.subjects import program
 from tests.support.gateway_process import Gateway
 
 SETTINGS = {
-    "watchdog": {"timeout_ms": 10_000, "repeats": 0},
+    "watchdog": {"timeout_ms": 10_000},
     "limits": {"leg_rate_hz": 1000},
 }
 TRIES = 160

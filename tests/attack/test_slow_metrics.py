@@ -35,7 +35,7 @@ def attacked(folder: Path) -> Iterator[tuple[Gateway, str]]:
     address = f"127.0.0.1:{free_port()}"
     settings: dict[str, dict[str, Any]] = {
         "telemetry": {"metrics": address, "frames": True},
-        "watchdog": {"timeout_ms": 20, "repeats": 0},
+        "watchdog": {"timeout_ms": 20},
     }
     limited = ["prlimit", f"--nofile={DESCRIPTORS}", "--"]
     with Gateway(folder, settings, prefix=limited) as gateway:

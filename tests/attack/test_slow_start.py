@@ -13,8 +13,8 @@ def test_a_router_that_is_waited_for_holds_neither_stops_nor_the_end(tmp_path: P
     """So does a name server that does not answer, for ten seconds."""
     waiting = {"connect": {"endpoints": [f"tcp/127.0.0.1:{free_port()}"], "timeout_ms": -1, "exit_on_failure": True}}
     (tmp_path / "zenoh.json5").write_text(json.dumps(waiting))
-    settings = {"zenoh": {"config": str(tmp_path / "zenoh.json5")}, "log": {"level": "debug"}}
-    with Gateway(tmp_path, settings, wait=False) as gateway:
+    settings = {"zenoh": {"config": str(tmp_path / "zenoh.json5")}}
+    with Gateway(tmp_path, settings, env={"PYTHONDEVMODE": "1"}, wait=False) as gateway:
         for leg in range(1, 7):
             gateway.child.wait_for_output(f"servo {leg}3 stopped")
         gateway.child.terminate()

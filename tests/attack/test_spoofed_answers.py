@@ -14,7 +14,7 @@ from gateway.zenoh_config import client_config, open_session
 from schemas import keys
 from schemas.telemetry import GatewayState, Mode
 from tests.support.fixtures import gateway_fixture
-from tests.support.gateway_process import Gateway, free_port
+from tests.support.gateway_process import Gateway, dialling, free_port
 
 FALSE = '{"accepted": true, "stop_frames": 6, "latency_us": 1}'
 NONSENSE = ["{}", "nonsense", '{"accepted": true}', '{"accepted": true, "stop_frames": 6}', "[]", ""]
@@ -65,8 +65,7 @@ def test_the_answer_is_the_gateways(gateway: Gateway, text: str) -> None:
 def test_who_claims_to_be_complete_does_not_take_the_stop_away(tmp_path: Path, text: str) -> None:
     """Zenoh's default asks a complete queryable alone, so a gateway that is a router's client would hear nothing."""
     router = f"tcp/127.0.0.1:{free_port()}"
-    (tmp_path / "zenoh.json5").write_text('{ mode: "client" }')
-    settings = {"zenoh": {"connect": [router], "config": str(tmp_path / "zenoh.json5")}}
+    settings = {"zenoh": {"config": dialling(tmp_path, router, mode="client")}}
     with (
         listening(router, "router"),
         Gateway(tmp_path, settings),

@@ -134,7 +134,6 @@ class Traffic:
             "limits": {"leg_rate_hz": 500.0},
             "watchdog": {"timeout_ms": 100.0},
             "telemetry": {"metrics": self._metrics},
-            "log": {"level": "error"},
         }
         self._gateway = stack.enter_context(Gateway(Path(folder), settings))
         self._client = stack.enter_context(self._gateway.client(source="soak"))

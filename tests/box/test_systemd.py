@@ -11,8 +11,8 @@ import pytest
 
 from gateway.model.frames import ONE_LEG_LEN, Op, decode, stop_leg
 from gateway.model.framing import Framing
-from gateway.people.incidents.incidents import kind_of
-from gateway.people.incidents.story import story
+from gateway.people.recorder.incidents import kind_of
+from gateway.people.recorder.story import story
 from tests.box.box import Box, Unit
 from tests.box.installed import CONFIGURATION, DROP_IN, NAME, REPOSITORY, STOPS, InstalledGateway
 from tests.hil.bed import SYSTEM_PYTHON, Transfer

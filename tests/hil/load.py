@@ -99,7 +99,7 @@ def loaded(folder: Path, bed: SpiTestbed, *, duration_s: float, collect: bool = 
     if collect:
         (folder / "sitecustomize.py").write_text(COLLECTOR)
         env["PYTHONPATH"] = os.pathsep.join([str(folder), *filter(None, [os.environ.get("PYTHONPATH")])])
-    settings: dict[str, dict[str, Any]] = {"watchdog": {"timeout_ms": TIMEOUT_MS}, "log": {"level": "error"}}
+    settings: dict[str, dict[str, Any]] = {"watchdog": {"timeout_ms": TIMEOUT_MS}}
     bed.prefer()
     with Gateway(folder, settings, bed=bed, env=env) as gateway, gateway.client() as client:
         legs = [str(leg) for leg in LEGS]

@@ -51,7 +51,7 @@ def test_a_machine_that_can_run_it_and_not_a_byte_is_written(spi_testbed: SpiTes
 
 
 def test_a_running_gateway_is_recognised_and_not_disturbed(spi_testbed: SpiTestbed, tmp_path: Path) -> None:
-    with Gateway(tmp_path, {"watchdog": {"repeats": 0}}, bed=spi_testbed) as gateway:
+    with Gateway(tmp_path, {}, bed=spi_testbed) as gateway:
         spi_testbed.wait_for_count(6)
         settings = spi_testbed.settings
         child = check(spi_testbed, gateway.config)

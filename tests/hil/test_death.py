@@ -23,7 +23,7 @@ from gateway.model.black_box import format as form
 from gateway.model.black_box.files import RING_FILE
 from gateway.model.frames import Frame, OneLeg, OneServo, Op, ServoOp, decode
 from gateway.model.framing import Framing
-from gateway.people.incidents import ring_reader
+from gateway.people.recorder import ring_reader
 from gateway.robot.host.systemd import HANGS_AFTER
 from schemas.robot import LEGS
 from schemas.telemetry import Cause
@@ -31,13 +31,13 @@ from tests.hil.bed import SpiTestbed, Transfer
 from tests.hil.forks import Forks
 from tests.hil.wire import EACH_FRAMING, LATE_S, START_3, STOPS, Replay, Wire, opening_of, settings_for
 from tests.support.child import Child
-from tests.support.gateway_process import COMMAND, Gateway, free_port, write_settings
+from tests.support.gateway_process import COMMAND, Gateway, dialling, free_port, write_settings
 from tests.support.transfers import on_wire
 
 pytestmark = [pytest.mark.hil, pytest.mark.alone]
 
 MS = 1_000_000
-ROUNDS = 4  # of stop-servos: one, and `watchdog.repeats`, which is 3
+ROUNDS = 4  # of stop-servos: one, and three repeats
 
 
 def stop_servos(bed: SpiTestbed, config: Path) -> list[Transfer]:
@@ -123,7 +123,7 @@ def test_the_kernel_ends_a_service_that_hangs_while_its_manager_does_not_look(
 def test_a_transfer_that_never_returns_is_the_service_managers_case(
     tmp_path: Path, wire: Wire, manager: ManagerSocket
 ) -> None:
-    settings = settings_for(wire, watchdog={"timeout_ms": 10_000, "repeats": 3})
+    settings = settings_for(wire, watchdog={"timeout_ms": 10_000})
     with Gateway(tmp_path, settings, bed=wire.bed, env=manager.environment) as gateway, gateway.client() as client:
         wire.expect_opening(*STOPS)
         for _ in range(3):
@@ -179,7 +179,7 @@ def loaded(framing: Framing, endpoint: str, folder: Path) -> dict[str, dict[str,
         "limits": {"leg_rate_hz": 100},
         # On a busy machine the publisher pauses for longer than the default, and the legs would stop before the kill.
         "watchdog": {"timeout_ms": 10_000},
-        "zenoh": {"listen": [f"tcp/127.0.0.1:{free_port()}"], "connect": [endpoint]},
+        "zenoh": {"listen": [f"tcp/127.0.0.1:{free_port()}"], "config": dialling(folder, endpoint)},
         "state": {"path": str(folder / "box")},
     }
 
@@ -217,7 +217,7 @@ def check_black_box(ring: Path, transfers: list[Transfer]) -> None:
     assert content.damaged <= 1, "only the record that was being written"
     assert content.missing == 0
     starts = [index for index, record in enumerate(content.records) if isinstance(record.content, form.Start)]
-    records = content.records[starts[-1] :]
+    records = list(content.records)[starts[-1] :]
     frames = [record.content for record in records if isinstance(record.content, form.FrameWritten)]
     delivered = [each for each in transfers if each.delivered and len(each.data) in (6, 14)]
     assert [frame.data for frame in frames] == [each.data for each in delivered[: len(frames)]]
@@ -293,7 +293,7 @@ def cuts(framing: Framing) -> Iterator[list[bytes]]:
 @pytest.fixture
 def last_resort(tmp_path: Path, wire: Wire) -> list[Transfer]:
     """What stop-servos writes, and when."""
-    return stop_servos(wire.bed, write_settings(tmp_path / "gateway.toml", settings_for(wire, watchdog={"repeats": 3})))
+    return stop_servos(wire.bed, write_settings(tmp_path / "gateway.toml", settings_for(wire)))
 
 
 def later(transfers: list[Transfer], begin_ns: int) -> list[Transfer]:

@@ -22,7 +22,7 @@ def test_stops_come_in_the_framing_that_the_controller_understands(
 ) -> None:
     """By hand beside the service; and once it was killed, though the unit's variable and the file are gone."""
     monkeypatch.setenv("RUNTIME_DIRECTORY", str(tmp_path))
-    quiet: dict[str, dict[str, Any]] = {"spi": {"framing": "plain"}, "watchdog": {"repeats": 0}}
+    quiet: dict[str, dict[str, Any]] = {"spi": {"framing": "plain"}}
     with Gateway(tmp_path, quiet, bed=wire.bed, env=SERVICE) as gateway:
         wire.expect_opening(*STOPS)
         stop = (*COMMAND, "stop-servos", "--config", str(gateway.config))

@@ -24,8 +24,8 @@ from tests.support.heard import events, states
 
 pytestmark = pytest.mark.hil
 
-WATCHDOG: dict[str, Any] = {"timeout_ms": 10_000, "repeats": 2, "repeat_interval_ms": 20}
-ROUNDS = 3
+WATCHDOG: dict[str, Any] = {"timeout_ms": 10_000}
+ROUNDS = 4
 """Of each Stop: one, and the repeats."""
 POSE = {leg: (80.0 + leg, 100.0 + leg, 120.0 + leg) for leg in LEGS}
 ANGLES = tuple(angle for leg in LEGS for angle in POSE[leg])

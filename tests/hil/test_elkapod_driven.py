@@ -16,7 +16,7 @@ pytestmark = [pytest.mark.hil, pytest.mark.nightly]
 
 def test_it_is_started_once_moved_and_shut_down(tmp_path: Path) -> None:
     with ElkapodBed(tmp_path) as robot:
-        sections = robot.settings_with(watchdog={"timeout_ms": 2000, "repeats": 1})
+        sections = robot.settings_with(watchdog={"timeout_ms": 2000})
         with Gateway(tmp_path, sections, bed=robot) as gateway, gateway.client() as client:
             robot.wait_for_count(1, LATE_S)
             since = len(robot.events)

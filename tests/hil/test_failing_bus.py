@@ -34,7 +34,7 @@ SLOWLY = {0.03: (100.0, 1200.0), 0.10: (1000.0, 4000.0), 0.20: (2000.0, 6500.0)}
 (unit/robot/test_slow_failures.py has a hundred of each in virtual time)."""
 SLOW_TRIALS = int(os.environ.get("SLOW_TRIALS", "4"))
 ALL_START = {"legs": {str(leg): leg_payload("start", (90, 90, 90)) for leg in LEGS}}
-WATCHDOG = {"timeout_ms": 10_000, "repeats": 3}
+WATCHDOG = {"timeout_ms": 10_000}
 
 
 def off_ms(framing: Framing, transfers: list[Transfer], since_ns: int) -> float | None:

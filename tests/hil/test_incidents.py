@@ -87,7 +87,7 @@ def test_one_of_each_kind(tmp_path: Path, spi_testbed: SpiTestbed, monkeypatch: 
             "spi": {"framing": Framing.LENGTH_PREFIXED},
             # A repeated Stop whose preamble met the planted fault would be tried nevertheless, and counts as failed.
             # And a busy machine must not stop the leg before the fault does.
-            "watchdog": {"repeats": 0, "timeout_ms": 1000},
+            "watchdog": {"timeout_ms": 1000},
             "state": {"path": str(tmp_path / "box")},
         },
     )

@@ -34,14 +34,14 @@ def scene(
     folder.mkdir()
     with SpiTestbed() as bed:
         wire = Wire(bed)
-        settings = settings_for(wire, watchdog={"repeats": 2, "repeat_interval_ms": 60, "timeout_ms": 900})
+        settings = settings_for(wire, watchdog={"timeout_ms": 900})
         with Gateway(folder, settings, bed=bed, env=env) as gateway, gateway.client() as client:
             wire.expect_opening(*STOPS)
-            wire.expect_repeats(2, *STOPS)
+            wire.expect_repeats(3, *STOPS)
             assert client.start_leg(3, 90, 45, 120).accepted
             assert client.set_leg(3, 91, 45, 120).accepted
             wire.expect(START_3, SET_3, STOPS[2])  # the last by the watchdog
-            wire.expect_repeats(2, STOPS[2])
+            wire.expect_repeats(3, STOPS[2])
             bed.fail(count=1)
             assert client.ask(keys.ESTOP, {}).stop_frames == len(STOPS)
             gateway.child.terminate()
@@ -67,7 +67,7 @@ def test_check_and_stop_servos_need_no_package(
     tmp_path: Path, spi_testbed: SpiTestbed, without: Mapping[str, str]
 ) -> None:
     wire = Wire(spi_testbed)
-    with Gateway(tmp_path, settings_for(wire, watchdog={"repeats": 0}), bed=spi_testbed, env=without) as gateway:
+    with Gateway(tmp_path, settings_for(wire), bed=spi_testbed, env=without) as gateway:
         wire.expect_opening(*STOPS)
         child = spi_testbed.spawn([*COMMAND, "stop-servos", "--config", str(gateway.config)], env=without)
         assert child.wait(LATE_S) == 0, str(child)

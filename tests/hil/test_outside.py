@@ -21,13 +21,13 @@ pytestmark = pytest.mark.hil
 NOTICED = "The running gateway counts all servos as stopped"
 
 
-def begin_to_stop_servos(folder: Path, wire: Wire, repeats: int = 3) -> Child:
-    settings = settings_for(wire, watchdog={"repeats": repeats, "repeat_interval_ms": 20})
+def begin_to_stop_servos(folder: Path, wire: Wire) -> Child:
+    settings = settings_for(wire)
     return wire.bed.spawn([*COMMAND, "stop-servos", "--config", str(write_settings(folder / "stop.toml", settings))])
 
 
-def stop_servos(folder: Path, wire: Wire, repeats: int = 3) -> Child:
-    child = begin_to_stop_servos(folder, wire, repeats)
+def stop_servos(folder: Path, wire: Wire) -> Child:
+    child = begin_to_stop_servos(folder, wire)
     assert child.wait(LATE_S) == 0, str(child)
     return child
 
@@ -58,7 +58,7 @@ def test_the_gateway_says_that_its_servos_are_stopped_and_a_start_moves_them_aga
         written = wire.skip()
         ours = [each.data.hex() for each in written if each.opening == own and len(each.data) == 14]
         theirs = [each.data.hex() for each in written if each.opening != own and len(each.data) == 14]
-        assert ours in [STOPS * count for count in range(1, times + 1)], "the gateway's own Stop for each leg"
+        assert sorted(set(ours)) == sorted(STOPS), "the gateway's own Stop for each leg"
         assert theirs == STOPS * 4 * times
         assert client.start_leg(3, 90, 45, 120).accepted
         wire.expect(START_3)
@@ -89,9 +89,8 @@ def test_in_the_middle_of_a_batch_of_starts_it_comes_behind_all_of_them(
         assert not replay.controller.corruptions
 
 
-@pytest.mark.parametrize("repeats", [0, 20])
 def test_whoever_starts_legs_meanwhile_the_state_is_what_the_controller_does(
-    tmp_path: Path, wire: Wire, gateway: Gateway, repeats: int
+    tmp_path: Path, wire: Wire, gateway: Gateway
 ) -> None:
     """Legs are started all the time, and once more when the gateway has said that it knows.
 
@@ -116,7 +115,7 @@ def test_whoever_starts_legs_meanwhile_the_state_is_what_the_controller_does(
         for count in range(1, 4):
             with ThreadPoolExecutor(1) as pool:
                 starter = pool.submit(until_known, count)
-                stop_servos(tmp_path, wire, repeats)
+                stop_servos(tmp_path, wire)
                 starter.result(LATE_S)
             replay = Replay(wire.framing)
             replay.play(wire.bed.transfers)

@@ -85,9 +85,8 @@ def test_bad_commands_write_no_more_than_stops(gateway: Gateway, wire: Wire) -> 
 
 @EACH_FRAMING
 def test_silence_stops_a_leg_and_says_it_again(tmp_path: Path, wire: Wire) -> None:
-    watchdog = {"timeout_ms": 300, "repeats": 3, "repeat_interval_ms": 20}
+    watchdog = {"timeout_ms": 300}
     with start(tmp_path, wire, watchdog=watchdog) as gateway, gateway.client() as client:
-        wire.expect_repeats(3, *STOPS)
         heard = events(client)
         assert client.start_leg(3, 90, 45, 120).accepted
         *_, moved = wire.expect(START_3)
@@ -130,9 +129,7 @@ def test_an_emergency_stop_stops_latches_and_is_left_by_a_reset(gateway: Gateway
 def test_a_signal_ends_it_with_stops_as_the_last_that_is_written(
     tmp_path: Path, wire: Wire, number: signal.Signals
 ) -> None:
-    watchdog = {"timeout_ms": 10_000, "repeats": 3, "repeat_interval_ms": 20}
-    with start(tmp_path, wire, watchdog=watchdog) as gateway, gateway.client() as client:
-        wire.expect_repeats(3, *STOPS)
+    with start(tmp_path, wire) as gateway, gateway.client() as client:
         assert client.start_leg(3, 90, 45, 120).accepted
         wire.expect(START_3)
         heard = events(client)
@@ -159,8 +156,9 @@ def test_a_signal_under_load_lets_nothing_pass_after_the_stops(tmp_path: Path, w
                 gateway.child.terminate()
         assert gateway.child.wait(LATE_S) == 0, str(gateway.child)
     frames = [each.data.hex() for each in wire.skip() if len(each.data) == 14]
-    assert set(frames[:-6]) == {START_3}
-    assert frames[-6:] == STOPS
+    assert START_3 in frames
+    assert frames[-4 * 6 :] == STOPS * 4
+    assert set(frames[: -4 * 6]) <= {START_3, *STOPS} - {STOPS[2]}, "legs at rest get Stops"
 
 
 # ---- stop-servos
@@ -175,7 +173,7 @@ def stop_servos(wire: Wire, config: Path) -> list[str]:
 
 
 def config_for(folder: Path, wire: Wire, **spi: Any) -> Path:
-    return write_settings(folder / "gateway.toml", settings_for(wire, watchdog={"repeats": 3}, spi=spi))
+    return write_settings(folder / "gateway.toml", settings_for(wire, spi=spi))
 
 
 @EACH_FRAMING
@@ -214,21 +212,21 @@ def test_stop_servos_never_writes_into_a_frame_of_a_running_gateway(tmp_path: Pa
     legs = {str(leg): leg_payload("start", (90, 90, 90)) for leg in range(1, 7)}
     stops = {str(leg): leg_payload("stop") for leg in range(1, 7)}  # are taken also once it is known to be at work
     spi = {"frame_gap_us": 1000}  # half of the time is between the two
-    watchdog = {"repeats": 25, "repeat_interval_ms": 1}
-    config = write_settings(tmp_path / "stop.toml", settings_for(wire, spi=spi, watchdog=watchdog))
+    config = write_settings(tmp_path / "stop.toml", settings_for(wire, spi=spi))
     with start(tmp_path, wire, spi=spi, limits={"leg_rate_hz": 100}) as gateway, gateway.client() as client:
         assert client.ask(keys.LEGS_COMMAND, {"legs": legs}).accepted
-        child = wire.bed.spawn([*COMMAND, "stop-servos", "--config", str(config)])
-        while child.returncode is None:
-            client.publish(keys.LEGS_COMMAND, {"legs": legs})
-            client.publish(keys.LEGS_COMMAND, {"legs": stops})
-            time.sleep(0.01)  # its rhythm, as fast as the gateway may send
-        assert child.wait(LATE_S) == 0, str(child)
+        for _ in range(4):
+            child = wire.bed.spawn([*COMMAND, "stop-servos", "--config", str(config)])
+            while child.returncode is None:
+                client.publish(keys.LEGS_COMMAND, {"legs": legs})
+                client.publish(keys.LEGS_COMMAND, {"legs": stops})
+                time.sleep(0.02)  # no faster than the emulated device is
+            assert child.wait(LATE_S) == 0, str(child)
         gateway.child.terminate()
         assert gateway.child.wait(LATE_S) == 0, str(gateway.child)
     transfers = wire.bed.transfers
     openings = [each.opening for each in transfers]
-    assert sum(before != after for before, after in pairwise(openings)) > 50, "they take turns"
+    assert sum(before != after for before, after in pairwise(openings)) > 20, "they take turns"
     for announcement, body in pairwise(transfers):
         if announcement.data in (b"\x06", b"\x0e"):
             assert (body.opening, len(body.data)) == (announcement.opening, announcement.data[0])

@@ -1,12 +1,12 @@
 """What a test expects on the emulated wire, in the gateway's framing, and what a controller makes of it."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from gateway.model.frames import STOP, OneServo, Op, decode, stop_leg
+from gateway.model.frames import STOP, STOP_REPEATS, OneServo, Op, decode, stop_leg
 from gateway.model.framing import ZERO, Framing
 from gateway.robot.spi.simulator import SimulatedController
 from schemas.robot import LEGS, SERVO_IDS
@@ -20,8 +20,11 @@ LAST_STOP_3 = [STOPS[2], *STOPS[:2], *STOPS[3:]]
 """Leg 3's Stop, after which no servo runs: all other legs get one behind it."""
 START_3 = "0e011f015a0020012d0021017800"  # leg 3 at 90, 45, 120
 SET_3 = "0e011f035b0020032d0021037800"  # leg 3 at 91, 45, 120
-QUIET: dict[str, Any] = {"repeats": 0, "timeout_ms": 10_000}
+QUIET: dict[str, Any] = {"timeout_ms": 10_000}
 """A watchdog that adds nothing to what a test of something else expects."""
+STOP_FRAMES = frozenset(
+    [stop_leg(leg).to_bytes() for leg in LEGS] + [OneServo(servo_id, STOP).to_bytes() for servo_id in SERVO_IDS]
+)
 EACH_FRAMING = pytest.mark.parametrize("wire", Framing, indirect=True)
 """For what a framing may change: when Stops are written, byte for byte. The rest is the same behind `Framing`."""
 LATE_S = 20.0
@@ -41,8 +44,7 @@ def opening_of(framing: Framing, *frames: str) -> list[bytes]:
 class Wire:
     """Reads the transfers of one device one after the other: what is not expected fails the test that comes upon it.
 
-    Legs of which no servo runs may get Stops at any time while others run, or have just run (Behaviour 4). In `plain`
-    framing these are left out where they are not expected: how long a test takes must not change what it expects.
+    Legs of which no servo runs may get Stops at any time (Behaviour 4). These are left out where they are not expected.
     """
 
     def __init__(self, bed: SpiTestbed, framing: Framing = Framing.PLAIN) -> None:
@@ -68,15 +70,38 @@ class Wire:
         """The next transfers, byte for byte, each answered `errno`."""
         found: list[Transfer] = []
         while len(found) < len(expected):
-            (transfer,) = self.bed.wait_for(lambda transfers: len(transfers) > self._read, LATE_S)[self._read :][:1]
-            self._read += 1
-            if transfer.data == expected[len(found)] or not self._is_by_itself(transfer):
-                found += [transfer]
-            self._follow(transfer)
+            unit = self._next()
+            wanted = expected[len(found) : len(found) + len(unit)]
+            if [each.data for each in unit] == wanted or not self._is_by_itself(unit):
+                found += unit
+            self._follow(unit)
         assert [(transfer.data.hex(), transfer.errno) for transfer in found] == [
             (data.hex(), errno) for data in expected
         ]
         return found
+
+    def _next(self) -> list[Transfer]:
+        """The next transfer, and behind an announcement the frame that it announces."""
+        transfers = self.bed.wait_for(lambda transfers: len(transfers) > self._read, LATE_S)
+        if self._announces(transfers[self._read]):
+            transfers = self.bed.wait_for(lambda transfers: len(transfers) > self._read + 1, LATE_S)
+        unit = self._units(transfers[self._read :])[0]
+        self._read += len(unit)
+        return unit
+
+    def _announces(self, transfer: Transfer) -> bool:
+        prefixed = self.framing is Framing.LENGTH_PREFIXED and transfer.delivered
+        return prefixed and len(transfer.data) == 1 and transfer.data != ZERO
+
+    def _units(self, transfers: Sequence[Transfer]) -> list[list[Transfer]]:
+        """These, each announcement with its frame."""
+        units: list[list[Transfer]] = []
+        for transfer in transfers:
+            if units and len(units[-1]) == 1 and self._announces(units[-1][0]):
+                units[-1].append(transfer)
+            else:
+                units.append([transfer])
+        return units
 
     def expect_behind_rest(self, *frames: str) -> None:
         """These frames at last, and before them nothing but Stops, as a robot at rest gets them (Behaviour 4)."""
@@ -84,35 +109,35 @@ class Wire:
         self.bed.wait_for(
             lambda transfers: [each.data for each in transfers[begin:]][-len(expected) :] == expected, LATE_S
         )
-        singly = [OneServo(servo_id, STOP).to_bytes().hex() for servo_id in SERVO_IDS]
         before = {each.data for each in self.skip()[: -len(expected)]}
-        assert before <= {*opening_of(self.framing, *STOPS, *singly)}
+        assert before <= {*opening_of(self.framing, *(data.hex() for data in STOP_FRAMES))}
 
     def expect_nothing(self) -> None:
         """Nothing has come since what was last read. To be asked when an answer says that all was written."""
-        left = [each for each in self.bed.transfers[self._read :] if not self._is_by_itself(each)]
-        assert [transfer.data.hex() for transfer in left] == []
+        left = [unit for unit in self._units(self.bed.transfers[self._read :]) if not self._is_by_itself(unit)]
+        assert [transfer.data.hex() for unit in left for transfer in unit] == []
 
     def skip(self) -> list[Transfer]:
         """All that has come since what was last read, whatever it is."""
-        begin, transfers = self._read, self.bed.transfers
-        self._read = len(transfers)
-        for transfer in transfers[begin:]:
-            self._follow(transfer)
-        return transfers[begin:]
+        transfers = self.bed.transfers[self._read :]
+        self._read += len(transfers)
+        for unit in self._units(transfers):
+            self._follow(unit)
+        return transfers
 
-    def _is_by_itself(self, transfer: Transfer) -> bool:
-        """Whether the gateway writes it without a command: how long a test takes must not change what it expects."""
-        return self._is_for_a_leg_at_rest(transfer) or (transfer.data == ZERO and transfer.errno == 0)
+    def _is_by_itself(self, unit: list[Transfer]) -> bool:
+        """Whether the gateway writes it without a command: repeats of Stops, and what legs at rest get (Behaviour 4).
+        How long a test takes must not change what it expects.
+        """
+        data = unit[-1].data
+        if data == ZERO:
+            return unit[-1].delivered
+        return data in STOP_FRAMES and self._on.isdisjoint(servo_id for servo_id, _ in decode(data).servos)
 
-    def _is_for_a_leg_at_rest(self, transfer: Transfer) -> bool:
-        if self.framing is not Framing.PLAIN or transfer.data.hex() not in STOPS:
-            return False
-        return self._on.isdisjoint(servo_id for servo_id, _ in decode(transfer.data).servos)
-
-    def _follow(self, transfer: Transfer) -> None:
-        if self.framing is Framing.PLAIN and transfer.delivered:
-            for servo_id, op in decode(transfer.data).servos:
+    def _follow(self, unit: list[Transfer]) -> None:
+        frame = unit[-1]
+        if frame.delivered and len(frame.data) > 1:
+            for servo_id, op in decode(frame.data).servos:
                 (self._on.discard if op.op is Op.STOP else self._on.add)(servo_id)
 
 
@@ -125,7 +150,7 @@ def settings_for(wire: Wire, **sections: dict[str, Any]) -> dict[str, dict[str, 
 def start(folder: Path, wire: Wire, **sections: dict[str, Any]) -> Gateway:
     """A gateway on the wire, whose start has been read."""
     gateway = Gateway(folder, settings_for(wire, **sections), bed=wire.bed)
-    wire.expect_opening(*STOPS)
+    wire.expect_repeats(1 + STOP_REPEATS, *STOPS)
     return gateway
 
 

@@ -67,7 +67,7 @@ class RobotHost(Closing):
             "zenoh": zenoh,
             "telemetry": {"frames": True},
             "limits": {"leg_rate_hz": 1000, "max_age_ms": 0, **(limits or {})},
-            "watchdog": {"timeout_ms": TIMEOUT_MS, "repeats": 0},
+            "watchdog": {"timeout_ms": TIMEOUT_MS},
         }
         for section, values in (settings or {}).items():
             sections[section] = {**sections.get(section, {}), **values}

@@ -59,7 +59,6 @@ def scene(hosts_network: Network, tmp_path_factory: pytest.TempPathFactory) -> I
     settings: dict[str, dict[str, Any]] = {
         "lease": {"ttl_ms": TTL_MS},
         "telemetry": {"metrics": METRICS},
-        "log": {"level": "debug"},
         "state": {"path": str(folder / "black box")},
     }
     with with_certificates(hosts_network, folder, "anna", "bert", port=PORT, settings=settings) as (robot, laptops):

@@ -47,6 +47,13 @@ def free_port() -> int:
             return port
 
 
+def dialling(folder: Path, endpoint: str, **more: Any) -> str:
+    """A Zenoh file of a gateway that dials this."""
+    path = folder / "dialling.json5"
+    path.write_text(json.dumps({"connect": {"endpoints": [endpoint]}, **more}))
+    return str(path)
+
+
 def write_settings(path: Path, settings: Mapping[str, Mapping[str, Any]]) -> Path:
     """Write a TOML file with these sections, and make the state directory that they name.
 

@@ -12,7 +12,7 @@ from mcap.records import Channel, Message
 from mcap.stream_reader import StreamReader
 from pydantic import BaseModel
 
-from gateway.people.incidents.messages import COMMAND_TOPICS, RECORDER, CommandInBox, FrameInBox, Note
+from gateway.people.recorder.messages import COMMAND_TOPICS, RECORDER, CommandInBox, FrameInBox, Note
 from gateway.people.recorder.recording import METADATA, REPORTS
 from gateway.people.ros2.drawing import DRAWN
 from gateway.people.ros2.user_angles import RecordedMessage

@@ -50,10 +50,13 @@ class Robot:
         sections: Mapping[str, Mapping[str, Any]] | None = None,
         keep: WriteAndThen | None = None,
     ) -> None:
-        """`keep`: keeps its calibration; without it, it is in memory only."""
-        spi = (sections or {}).get("spi", {})
+        """`sections`: settings, and as "rules" what is no setting. `keep`: keeps its calibration; without it, it is in
+        memory only."""
+        sections = dict(sections or {})
+        changed = {"start_wait_ns": self.start_wait_ns, **sections.pop("rules", {})}
+        spi = sections.get("spi", {})
         shortest = {"frame_gap_us": Framing(spi.get("framing", Framing.PLAIN)).least_gap_us}  # see _pause
-        merged = {**(sections or {}), "spi": {**shortest, **spi}}
+        merged = {**sections, "spi": {**shortest, **spi}}
         self.settings = Settings.model_validate(merged)
         self.each_takes_ns = 0
         """How long it takes to deal with one message."""
@@ -66,7 +69,7 @@ class Robot:
         self.instant_open = False
         self.conductor = Conductor(
             self.settings,
-            Supervisor(replace(rules(self.settings), start_wait_ns=self.start_wait_ns)),
+            Supervisor(replace(rules(self.settings), **changed)),
             self.wire(),
             self,
             self.loop,

@@ -15,7 +15,7 @@ ROOMS: Final = (
     ("zenoh_config",),
     ("robot.core", "robot.sections", "people.walking", "people.ros2"),
     ("robot.settings", "robot.protocol", "people.physics"),
-    ("robot.host", "people.incidents", "people.client"),
+    ("robot.host", "people.client"),
     ("robot.spi", "client", "people.terminal"),
     ("robot.zenoh_io", "robot.power", "people.commands"),
     ("robot.blackbox", "people.console", "people.bridge", "people.recorder"),

@@ -37,7 +37,6 @@ LEG_1, LEG_3 = keys.leg_command(1), keys.leg_command(3)
 START = leg("start", 90, 90, 90)
 SHOWN_ELSEWHERE = {
     "zenoh.listen": "test_service.py",
-    "zenoh.connect": "test_service.py",
     "zenoh.config": "test_service.py",
     "zenoh.allow_insecure": "test_exposure.py",
     "spi.protocol": "test_elkapod_conductor.py",
@@ -57,7 +56,6 @@ SHOWN_ELSEWHERE = {
     "power.channel": "hil/test_power.py",
     "power.servos": "test_power_line.py",
     "power.confirm_ms": "test_power_board.py",
-    "log.level": "test_logs.py",
 }
 
 
@@ -140,7 +138,9 @@ async def test_angles_that_are_not_sent(spi: dict[str, object], angle_deg: float
 
 @pytest.mark.parametrize(("landing_ms", "landing_deg"), [(0, 30), (500, 30), (500, 120)])
 async def test_landing_ms_and_landing(landing_ms: float, landing_deg: float) -> None:
-    robot = await started_and_quiet(watchdog={"landing_ms": landing_ms, "landing": {"31": landing_deg}, "repeats": 0})
+    robot = await started_and_quiet(
+        watchdog={"landing_ms": landing_ms, "landing": {"31": landing_deg}}, rules={"repeats": 0}
+    )
     began = len(robot.frames)
     robot.put(LEG_3, START)
     await asyncio.sleep(1)
@@ -152,23 +152,12 @@ async def test_landing_ms_and_landing(landing_ms: float, landing_deg: float) -> 
 
 @pytest.mark.parametrize("timeout_ms", [20, 250, 1000])
 async def test_timeout_ms(timeout_ms: float) -> None:
-    robot = await started_and_quiet(watchdog={"timeout_ms": timeout_ms, "repeats": 0})
+    robot = await started_and_quiet(watchdog={"timeout_ms": timeout_ms}, rules={"repeats": 0})
     robot.put(LEG_3, START)
     await asyncio.sleep(timeout_ms / 1000 + 0.5)
     begun_ms, stopped_ms = [at_ms for at_ms, frame in robot.frames if frame.leg == 3]
     assert stopped_ms - begun_ms == pytest.approx(timeout_ms, abs=0.01)
     assert robot.conductor.state().watchdog.timeout_ms == timeout_ms
-
-
-@pytest.mark.parametrize(("repeats", "repeat_interval_ms"), [(0, 20), (3, 20), (5, 7)])
-async def test_repeats_and_repeat_interval_ms(repeats: int, repeat_interval_ms: float) -> None:
-    robot = await started_and_quiet(watchdog={"repeats": repeats, "repeat_interval_ms": repeat_interval_ms})
-    robot.put(LEG_3, START)
-    robot.put(LEG_3, leg("stop"))
-    await asyncio.sleep(1)
-    stops_ms = [at_ms for at_ms, frame in robot.frames if frame.is_stop and frame.leg == 3]
-    expected_ms = [stops_ms[0] + repeat_interval_ms * index for index in range(repeats + 1)]
-    assert stops_ms == pytest.approx(expected_ms, abs=0.01)
 
 
 @pytest.mark.parametrize("frames", [False, True])

@@ -15,7 +15,7 @@ from tests.support.gateway_process import Gateway
 @pytest.fixture(scope="module")
 def gateway(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Gateway]:
     kept = tmp_path_factory.mktemp("kept") / "calibration.toml"
-    settings = patient(10_000, watchdog={"repeats": 0}, telemetry={"frames": True}, state={"path": str(kept.parent)})
+    settings = patient(10_000, telemetry={"frames": True}, state={"path": str(kept.parent)})
     with Gateway(tmp_path_factory.mktemp("gateway"), settings) as running:
         yield running
 

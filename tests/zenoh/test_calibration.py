@@ -28,7 +28,7 @@ def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def gateway(path: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Gateway]:
     settings: dict[str, dict[str, Any]] = {
         "telemetry": {"frames": True},
-        "watchdog": {"timeout_ms": 10_000, "repeats": 0},
+        "watchdog": {"timeout_ms": 10_000},
         "state": {"path": str(path.parent)},
     }
     with Gateway(tmp_path_factory.mktemp("gateway"), settings) as running:

@@ -16,7 +16,7 @@ from gateway.onboard.check.table import CheckedRobot, judged, results
 from gateway.robot.settings import Settings
 from tests.support.certs_folder import DAY, NOW
 from tests.support.command import Ended, run_here
-from tests.support.gateway_process import free_port, write_settings
+from tests.support.gateway_process import dialling, free_port, write_settings
 
 SPI = {"spi": {"framing": "length-prefixed"}}
 
@@ -109,10 +109,10 @@ def test_a_port(endpoint: str, sentence: str, taken: int) -> None:
         assert line.sentence == f"{where} is in use {RUNS}"
 
 
-def test_the_port_of_the_metrics(taken: int) -> None:
+def test_the_port_of_the_metrics(tmp_path: Path, taken: int) -> None:
     for number, fix in ((taken, "see whose it is (ss -ltnp), or set another telemetry.metrics"), (free_port(), "")):
         sections = {
-            "zenoh": {"listen": [], "connect": ["tcp/127.0.0.1:1"]},
+            "zenoh": {"listen": [], "config": dialling(tmp_path, "tcp/127.0.0.1:1")},
             "telemetry": {"metrics": f"127.0.0.1:{number}"},
         }
         _, line = results([network.PORTS], CheckedRobot(Settings.model_validate(sections)))

@@ -63,7 +63,7 @@ def test_stop_stops_all_six_legs(gateway: Gateway) -> None:
 def test_hold_keeps_a_leg_running_past_the_watchdog(tmp_path: Path) -> None:
     # On a busy machine a command may come late, but hardly by a second.
     settings: dict[str, dict[str, Any]] = {
-        "watchdog": {"timeout_ms": 1000, "repeats": 0},
+        "watchdog": {"timeout_ms": 1000},
         "telemetry": {"frames": True},
     }
     with Gateway(tmp_path, settings) as gateway, gateway.client() as client:

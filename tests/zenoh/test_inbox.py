@@ -18,7 +18,7 @@ from tests.support.heard import events, frames, states
 START = leg_payload("start", (90, 45, 120))
 
 
-gateway = gateway_fixture({"telemetry": {"frames": True}, "watchdog": {"timeout_ms": 10_000, "repeats": 0}})
+gateway = gateway_fixture({"telemetry": {"frames": True}, "watchdog": {"timeout_ms": 10_000}})
 
 
 @pytest.fixture

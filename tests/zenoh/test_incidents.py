@@ -69,7 +69,7 @@ def test_a_stop_is_reported_at_once_and_a_killed_gateways_story_is_still_there(
 def test_a_laptop_without_a_black_box_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("STATE_DIRECTORY", raising=False)
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
-    (tmp_path / "gateway.toml").write_text('[log]\nlevel = "info"\n')
+    (tmp_path / "gateway.toml").write_text("[lease]\nrequired = false\n")
     child = Child([*COMMAND, "incidents", "--config", str(tmp_path / "gateway.toml")], os.environ)
     if not Path("/var/lib/hexapod-gateway").is_dir():
         assert child.wait(30) == 2

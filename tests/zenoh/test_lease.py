@@ -75,7 +75,6 @@ class Running:
             folder,
             {
                 "telemetry": {"frames": True, "metrics": self.metrics},
-                "log": {"level": "debug"},
                 "state": {"path": str(folder / "recorder")},
             },
         )

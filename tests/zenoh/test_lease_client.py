@@ -27,7 +27,7 @@ gateway = gateway_fixture(
     {
         "telemetry": {"frames": True},
         "lease": {"ttl_ms": TTL_MS},
-        "watchdog": {"timeout_ms": 1000, "repeats": 0},
+        "watchdog": {"timeout_ms": 1000},
     }
 )
 

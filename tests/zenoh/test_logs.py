@@ -18,7 +18,7 @@ SPEAKER = """
 import logging, sys, threading, warnings
 from gateway.host import logs
 from schemas.telemetry import Kind, Reason
-logs.set_up(sys.argv[1])
+logs.set_up()
 logger = logging.getLogger("gateway.test")
 logger.debug("detail")
 logger.info("hexapod-gateway %s takes commands", 1, extra={
@@ -36,9 +36,9 @@ logging.getLogger("other.library").error("told too")
 HOSTILE = "\x1b\x07\x9b\u2028"
 
 
-def spoken(level: str = "info", program: str = SPEAKER) -> list[str]:
+def spoken(*options: str, program: str = SPEAKER) -> list[str]:
     """What SPEAKER writes to a pipe."""
-    command = [sys.executable, "-c", program, level]
+    command = [sys.executable, *options, "-c", program]
     ran = subprocess.run(command, capture_output=True, text=True, check=True, timeout=30)
     assert ran.stdout == "", "results go to stdout, the log to stderr"
     return ran.stderr.removesuffix("\n").split("\n")
@@ -47,7 +47,7 @@ def spoken(level: str = "info", program: str = SPEAKER) -> list[str]:
 def spoken_on_a_terminal() -> str:
     """What SPEAKER writes to a terminal."""
     ours, theirs = pty.openpty()
-    with subprocess.Popen([sys.executable, "-c", SPEAKER, "info"], stderr=theirs) as speaker:
+    with subprocess.Popen([sys.executable, "-c", SPEAKER], stderr=theirs) as speaker:
         os.close(theirs)
         written = b""
         while chunk := read(ours):
@@ -68,7 +68,7 @@ def read(terminal: int) -> bytes:
 @pytest.fixture(scope="module")
 def written() -> list[str]:
     """SPEAKER's lines to a pipe, where the format is chosen for it."""
-    return spoken("debug")
+    return spoken("-X", "dev")
 
 
 @pytest.fixture(scope="module")
@@ -128,13 +128,13 @@ def test_lines_for_the_journal_begin_with_their_priority() -> None:
     """Only where stderr is the journal's own, as systemd says it by device and inode."""
     journal = "os.environ['JOURNAL_STREAM'] = f'{found.st_dev}:{found.st_ino}'"
     program = f"import os\nfound = os.fstat(2)\n{journal}\n{SPEAKER}"
-    plain = spoken("info", program)
+    plain = spoken(program=program)
     assert plain[:2] == [
         "<6>hexapod-gateway 1 takes commands kind=started",
         "<4>leg 7 does not exist key=hexapod/leg/7/cmd kind=command_rejected reason=invalid source='lap top'",
     ]
     assert not any(char in line for line in plain for char in ("\x1b", *HOSTILE))
-    detailed = spoken("debug", program)
+    detailed = spoken("-X", "dev", program=program)
     assert {line[:3] for line in detailed} == {"<7>", "<6>", "<4>", "<3>"}, "each line of a traceback, too"
-    other = spoken("debug", "import os\nos.environ['JOURNAL_STREAM'] = '1:1'\n" + SPEAKER)
+    other = spoken(program="import os\nos.environ['JOURNAL_STREAM'] = '1:1'\n" + SPEAKER)
     assert all(line.startswith("{") for line in other)

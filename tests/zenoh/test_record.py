@@ -17,11 +17,12 @@ from mcap.reader import make_reader
 from gateway.client import Client
 from gateway.people.ros2.drawing import FRAMES, JOINT_STATES, LOG
 from schemas.keys import EVENT, FRAME, STATE
+from schemas.telemetry import FrameRecord
 from tests.support.child import Child
 from tests.support.command import run_here
 from tests.support.fixtures import client_fixture, gateway_fixture
 from tests.support.gateway_process import Gateway, free_port
-from tests.support.heard import events, frames, states
+from tests.support.heard import Heard, events, frames, states
 from tests.support.mcap_file import checked, whole
 
 KILLS: Final = int(os.environ.get("RECORD_KILLS", "3"))
@@ -75,7 +76,7 @@ def test_all_that_the_gateway_publishes_is_in_the_file_and_as_the_files_own_sche
     gateway: Gateway, robot: Client, tmp_path: Path
 ) -> None:
     path = tmp_path / "ride.mcap"
-    heard, told = frames(robot), events(robot)
+    heard, told = Heard(robot, FRAME, FrameRecord), events(robot)
     with recording(gateway, path, "--csv") as child:
         with walking(robot):
             heard.wait(lambda _: len(heard.all) > 300)

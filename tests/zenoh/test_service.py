@@ -90,10 +90,10 @@ def test_a_mistake_of_ours_stops_the_robot_and_ends_the_service(tmp_path: Path) 
     """A fault planted in the process's own code: nobody knows what state is left, so the robot must stand."""
     config = write_settings(
         tmp_path / "gateway.toml",
-        {"zenoh": {"listen": [(endpoint := f"tcp/127.0.0.1:{free_port()}")]}, "log": {"level": "debug"}},
+        {"zenoh": {"listen": [(endpoint := f"tcp/127.0.0.1:{free_port()}")]}},
     )
     with subprocess.Popen(
-        [sys.executable, "-c", FAULTY, config], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        [sys.executable, "-X", "dev", "-c", FAULTY, config], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     ) as process:
         assert process.stdout is not None
         assert READY in process.stdout.readline()

@@ -62,7 +62,7 @@ def serve(options: Options, role: Role, site: Site, passed: Sequence[socket.sock
     realtime.limit_malloc_arenas()
     threading.stack_size(STACK_BYTES)
     with listening(site, passed) as sockets:
-        logs.set_up("info")  # from now on another thread writes the log: no slow reader delays this process
+        logs.set_up()  # from now on another thread writes the log: no slow reader delays this process
         found = Sessions(sessions.folder(), site.port)
         found.begin(site.url, owner.role, owner.common_name)
         asyncio.run(_run(options, site, sockets, found, owner, geometry))

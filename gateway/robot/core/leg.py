@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from gateway.allowance import NS_PER_MS, NS_PER_S
-from gateway.model.frames import OP_START, ServoOp, servo_ids_of
+from gateway.model.frames import OP_START, STOP_REPEAT_MS, STOP_REPEATS, ServoOp, servo_ids_of
 from gateway.robot.core.events import Command
 from gateway.robot.core.pacing import NEVER, RateSlots
 from schemas.telemetry import WatchdogState
@@ -18,8 +18,8 @@ class Rules:
 
     timeout_ns: int = 250 * NS_PER_MS
     whole_robot: bool = False
-    repeats: int = 3
-    repeat_interval_ns: int = 20 * NS_PER_MS
+    repeats: int = STOP_REPEATS
+    repeat_interval_ns: int = round(STOP_REPEAT_MS * NS_PER_MS)
     rest_ns: int = 800 * NS_PER_MS
     """How often legs at rest get a Stop while others run (Behaviour 4); not a setting, so nobody can switch it off.
 

@@ -15,13 +15,13 @@ import zenoh
 
 from gateway.errors import GatewayError
 from gateway.host import logs
+from gateway.model.frames import STOP_REPEAT_MS, STOP_REPEATS
 from gateway.robot.blackbox.recorder import Recorder
 from gateway.robot.host.ownership import Ownership
 from gateway.robot.protocol import Wire
 from gateway.robot.runtime.conductor import Conductor
 from gateway.robot.runtime.supply import RobotSupply
-from gateway.robot.sections import WatchdogSettings
-from gateway.robot.spi.stop_all import MOST_PAUSE_MS, stop_once
+from gateway.robot.spi.stop_all import stop_once
 from schemas.robot import LEGS, SERVO_IDS
 
 SHUTDOWN_S = 0.8
@@ -105,7 +105,7 @@ class ServiceEnd:
         self.because(f"a mistake in the gateway ended it: {error or context['message']}")
 
 
-async def stop_the_robot(conductor: Conductor, bus: Wire, watchdog: WatchdogSettings) -> None:
+async def stop_the_robot(conductor: Conductor, bus: Wire) -> None:
     """Stop all six legs, and repeat it for REPEATS_S at most; directly on the bus if the conductor fails to."""
     deadline = asyncio.get_running_loop().time() + REPEATS_S
     supply, asked_ns = conductor.supply, time.monotonic_ns()
@@ -118,7 +118,7 @@ async def stop_the_robot(conductor: Conductor, bus: Wire, watchdog: WatchdogSett
             logger.exception("the orderly end failed; writing the Stops directly")
             stopped = False
         if not stopped:
-            _last_attempt(bus, watchdog, deadline)
+            _last_attempt(bus, deadline)
     if stopped:
         with suppress(TimeoutError):
             await asyncio.wait_for(conductor.done.wait(), REPEATS_S)
@@ -151,12 +151,12 @@ async def _confirmed(owner: Ownership, supply: RobotSupply, asked_ns: int) -> st
     return said
 
 
-def _last_attempt(bus: Wire, watchdog: WatchdogSettings, deadline: float) -> None:
+def _last_attempt(bus: Wire, deadline: float) -> None:
     """Stop all six legs repeatedly, so that a transient fault, or one of a single leg's frame, leaves no other moving.
 
     It blocks the loop and keeps the state: after an exception nothing else may write to the bus.
     """
-    unstopped, rounds_left, opened = set(LEGS), 1 + watchdog.repeats, True
+    unstopped, rounds_left, opened = set(LEGS), 1 + STOP_REPEATS, True
     while True:
         stopped, fault = stop_once(bus, opened=opened)
         unstopped -= stopped
@@ -164,7 +164,7 @@ def _last_attempt(bus: Wire, watchdog: WatchdogSettings, deadline: float) -> Non
         rounds_left -= opened
         if not rounds_left or time.monotonic() > deadline:
             break
-        time.sleep(min(watchdog.repeat_interval_ms, MOST_PAUSE_MS) / 1000)
+        time.sleep(STOP_REPEAT_MS / 1000)
     if unstopped:
         logger.critical("no Stop could be written to legs %s: %s", ", ".join(map(str, sorted(unstopped))), fault)
     else:

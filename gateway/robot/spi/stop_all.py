@@ -7,8 +7,8 @@ import time
 from collections.abc import Callable
 from typing import Final
 
-from gateway.host.plain_settings import ControllerValues, RepeatValues, SpiValues
-from gateway.model.frames import stop_leg
+from gateway.host.plain_settings import ControllerValues, SpiValues
+from gateway.model.frames import STOP_REPEAT_MS, STOP_REPEATS, stop_leg
 from gateway.model.protocols import SpiProtocol
 from gateway.robot.host import stop_note
 from gateway.robot.protocol import Wire
@@ -22,13 +22,10 @@ from schemas.robot import LEGS
 MORE_ROUNDS: Final = 10
 """How often legs that got no Stop are tried again after the repeats. This outlasts a fault of a few hundred
 milliseconds, such as a device that comes back, and systemd still does not wait long."""
-MOST_PAUSE_MS: Final = 20.0
-"""Longest pause between these."""
 
 
 def stop_servos(
     spi: SpiValues,
-    watchdog: RepeatValues,
     controller: ControllerValues,
     written: Callable[[], None] = lambda: None,
 ) -> bool | None:
@@ -50,12 +47,11 @@ def stop_servos(
     unstopped = set(LEGS)
     fault: Exception | None = None
     first_ns = 0
-    for repeat in range(1 + watchdog.repeats + MORE_ROUNDS):
-        if repeat > watchdog.repeats and not unstopped:
+    for repeat in range(1 + STOP_REPEATS + MORE_ROUNDS):
+        if repeat > STOP_REPEATS and not unstopped:
             break
         if repeat:
-            pause_ms = watchdog.repeat_interval_ms
-            time.sleep((pause_ms if repeat <= watchdog.repeats else min(pause_ms, MOST_PAUSE_MS)) / 1000)
+            time.sleep(STOP_REPEAT_MS / 1000)
         stopped, fault_now = stop_once(bus)
         first_ns = first_ns if unstopped < set(LEGS) else time.monotonic_ns()
         written()

@@ -23,7 +23,7 @@ def check(config: zenoh.Config, *, allow_insecure: bool) -> None:
     """Raises ConfigError for an endpoint on which anyone may command; with `allow_insecure` it only warns."""
     listen = listen_endpoints(config)
     if not listen and not connect_endpoints(config):
-        raise ConfigError("zenoh.listen and zenoh.connect are both empty, so nobody could reach the gateway")
+        raise ConfigError("zenoh.listen is empty, and the Zenoh file dials nobody, so nobody could reach the gateway")
     _check_namespace(config)
     _check_links(listen + connect_endpoints(config), config)
     open_to_anyone = [endpoint for endpoint in listen if is_open_to_anyone(endpoint, config)]

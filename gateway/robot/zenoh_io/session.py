@@ -50,8 +50,6 @@ def service_config(settings: ZenohSettings) -> zenoh.Config:
     listen_given = "listen" in settings.model_fields_set
     if listen_given or not settings.config or not _file_sets(settings.config, "listen"):
         insert(config, "listen/endpoints", list(settings.listen), "zenoh.listen")
-    if settings.connect or not settings.config:
-        insert(config, "connect/endpoints", list(settings.connect), "zenoh.connect")
     scouting_off(config)
     # Otherwise a gateway without its listener would start without an error, unreachable.
     config.insert_json5("listen/exit_on_failure", "true")

@@ -53,7 +53,7 @@ def robot(framing: Framing = Framing.LENGTH_PREFIXED, power: Mapping[str, Any] |
     settings: dict[str, dict[str, Any]] = {
         "limits": {"max_age_ms": 0},
         "spi": {"device": wire.DEVICE, "framing": str(framing), "speed_hz": SPEED_HZ},
-        "watchdog": {"timeout_ms": 10_000, "repeats": 1},
+        "watchdog": {"timeout_ms": 10_000},
         "power": {**(power or {})},
     }
     with (

@@ -16,7 +16,6 @@ USED = Settings.model_validate(
             "speed_hz": 500_000,
             "frame_gap_us": 60.5,
         },
-        "watchdog": {"repeats": 7, "repeat_interval_ms": 33.5},
         "controller": {"uart": "/dev/ttyS0"},
         "power": {"interface": "slcan", "channel": "/dev/ttyACM0"},
     }
@@ -33,13 +32,13 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def test_without_a_runtime_directory_nothing_is_written(monkeypatch: pytest.MonkeyPatch, folder: Path) -> None:
     monkeypatch.delenv("RUNTIME_DIRECTORY")
-    effective.write(USED.spi.model_dump(mode="json"), USED.watchdog, USED.controller, USED.power)
+    effective.write(USED.spi.model_dump(mode="json"), USED.controller, USED.power)
     assert list(folder.iterdir()) == []
 
 
 def test_a_process_that_ended_and_one_that_has_its_number(folder: Path) -> None:
     """A number alone shows nothing: the kernel gives it again."""
-    effective.write(USED.spi.model_dump(mode="json"), USED.watchdog, USED.controller, USED.power)
+    effective.write(USED.spi.model_dump(mode="json"), USED.controller, USED.power)
     written = (folder / effective.NAME).read_text()
     beyond = 2**22 + 1  # which the kernel gives to none
     for line, others in {"process": beyond, "begun": 1}.items():
@@ -60,21 +59,21 @@ def test_a_damaged_file_says_nothing(folder: Path, content: bytes) -> None:
 
 
 def test_where_a_file_differs(folder: Path) -> None:
-    effective.write(USED.spi.model_dump(mode="json"), USED.watchdog, USED.controller, USED.power)
+    effective.write(USED.spi.model_dump(mode="json"), USED.controller, USED.power)
     found = effective.read()
     assert found is not None
     file = folder / "gateway.toml"
     rest = 'device = "/dev/spi\\"dev1.0"\nspeed_hz = 500_000\nframe_gap_us = 60.5\n'
     uart = "[controller]\nuart = '/dev/ttyS0'\n"
     uart += "[power]\ninterface = 'slcan'\nchannel = '/dev/ttyACM0'\n"
-    watchdog = f"[watchdog]\nrepeats = 7\nrepeat_interval_ms = 33.5\n{uart}"
-    file.write_text(f'[spi]\nframing = "length-prefixed"\n{rest}{watchdog}')
+    file.write_text(f'[spi]\nframing = "length-prefixed"\n{rest}{uart}')
     assert effective.differences(found, file) == []
     assert effective.differs_here(file) == []
-    file.write_text(f'[spi]\nframing = "plain"\n{rest}[watchdog]\nrepeat_interval_ms = 33.5\n{uart}')
+    file.write_text(f'[spi]\nframing = "plain"\nspeed_hz = 500_000\n{uart}')
     assert effective.differs_here(file) == [
         f'{file} has spi.framing = "plain", and the service uses "length-prefixed"',
-        f"{file} has watchdog.repeats = 3, and the service uses 7",
+        f'{file} has spi.device = "/dev/spidev0.0", and the service uses "/dev/spi\\"dev1.0"',
+        f"{file} has spi.frame_gap_us = 50.0, and the service uses 60.5",
     ]
     for text in ("spi = 3\n", "no TOML"):
         file.write_text(text)

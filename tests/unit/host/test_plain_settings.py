@@ -6,7 +6,7 @@ import pytest
 
 from gateway.errors import ConfigError
 from gateway.host import plain_settings
-from gateway.host.plain_settings import PlainPower, PlainRepeats, PlainSpi
+from gateway.host.plain_settings import PlainPower, PlainSpi
 from gateway.model.framing import Framing
 from gateway.robot import settings
 
@@ -28,8 +28,7 @@ repeat_interval_ms = 33.5
 
 @pytest.fixture
 def file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    for variable in ("HEXAPOD_SPI__FRAMING", "HEXAPOD_WATCHDOG__REPEATS"):
-        monkeypatch.delenv(variable, raising=False)
+    monkeypatch.delenv("HEXAPOD_SPI__FRAMING", raising=False)
     return tmp_path / "gateway.toml"
 
 
@@ -52,10 +51,9 @@ def test_the_same_as_the_settings(file: Path, text: str) -> None:
     file.write_text(text)
     found = plain_settings.read(file)
     assert found is not None
-    spi, repeats, controller, power = found
+    spi, controller, power = found
     theirs = settings.load(file, for_stops=True)
     assert spi._asdict() == {name: getattr(theirs.spi, name) for name in type(theirs.spi).model_fields}
-    assert repeats._asdict() == {name: getattr(theirs.watchdog, name) for name in PlainRepeats._fields}
     assert controller.uart == theirs.controller.uart
     assert power is not None
     assert power._asdict() == {name: getattr(theirs.power, name) for name in PlainPower._fields}
@@ -73,12 +71,10 @@ NOT_PLAIN = [
     'spi.framing = "plain"\nspi.frame_gap_us = nan\n',
     'spi.framing = "plain"\nspi.device = "spidev0.0"\n',
     'spi.framing = ["plain"]\n',
-    'spi.framing = "plain"\nwatchdog = 3\n',
     'spi.framing = "plain"\ncontroller = 3\n',
     'spi.framing = "plain"\nspi.protocol = "elkapod"\n',
     'spi.protocol = "hexapod-1.0"\n',
     'spi.protocol = "elkapod-2025"\ncontroller.uart = "ttyAMA1"\n',
-    'spi.framing = "plain"\nwatchdog.repeats = 2.5\n',
     "no TOML",
 ]
 
@@ -138,15 +134,19 @@ def test_a_variable_that_is_too_fast_is_rejected_by_its_name_and_stops_all_the_s
 
 def test_no_setting_of_an_earlier_version_prevents_a_stop(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Which the service rejects."""
-    file.write_text(WHOLE + "[lease]\ntakeover = 'never'\n")
+    file.write_text(WHOLE + "[lease]\ntakeover = 'never'\n[log]\nlevel = 'info'\n[zenoh]\nconnect = []\n")
     monkeypatch.setenv("HEXAPOD_SPI__BATCH", "false")
     assert settings.load(file, for_stops=True).spi.framing is Framing.LENGTH_PREFIXED
     with pytest.raises(ConfigError) as raised:
         settings.load(file)
-    assert [line.rpartition(": ")[0].rpartition(": ")[2] for line in str(raised.value).splitlines()] == [
+    assert {line.rpartition(": ")[0].rpartition(": ")[2] for line in str(raised.value).splitlines()} == {
         "spi.resync_ms",
         "spi.batch",
         "spi.avoid_deg",
+        "watchdog.repeats",
+        "watchdog.repeat_interval_ms",
         "lease.takeover",
+        "log",
+        "zenoh.connect",
         "HEXAPOD_SPI__BATCH",
-    ]
+    }

@@ -31,6 +31,7 @@ from gateway.robot.host.calibration_file import SLOW_S
 from gateway.robot.settings import Settings
 from schemas.keys import CALIBRATION, COMMAND_KEYS, ESTOP, GET_ONLY, STATE
 from tests.support.certs_folder import DAY, NOW, make_folder
+from tests.support.gateway_process import dialling
 from tests.support.machine_tree import PI_4, MachineTree
 from tests.support.remedies import parse_commands
 
@@ -235,6 +236,10 @@ def here(tree: Mapping[str, Any] | None = None, **sections: Any) -> Callable[[Pa
     return plant
 
 
+def dials(root: Path) -> CheckedRobot:
+    return robot(root, zenoh={"listen": [], "config": dialling(root, "tcp/127.0.0.1:1")})
+
+
 def neighbours(*drivers: str) -> Callable[[Path], CheckedRobot]:
     def plant(root: Path) -> CheckedRobot:
         tree = MachineTree(root)
@@ -423,7 +428,7 @@ SCENES = (
     scene(network.ZENOH, here(zenoh={"listen": ["tcp/0.0.0.0:7447"]}), "failure Zenoh … → fix it there"),
     scene(network.ZENOH, here(zenoh={"listen": ["tcp/0.0.0.0:7447"], "allow_insecure": True}),
           "warning Zenoh: … anyone who reaches tcp/0.0.0.0:7447 can move the robot"),
-    scene(network.PORTS, here(zenoh={"listen": [], "connect": ["tcp/127.0.0.1:1"]}),
+    scene(network.PORTS, dials,
           "ok port: none: the gateway listens nowhere"),
     scene(power.BOARD, here()),
     scene(power.BOARD, here(power={"interface": "slcan", "channel": "/none"}), "failure … /none does not exist → plug"),

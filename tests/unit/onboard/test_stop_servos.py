@@ -11,9 +11,7 @@ from gateway.host.plain_settings import (
     ControllerValues,
     PlainController,
     PlainPower,
-    PlainRepeats,
     PowerValues,
-    RepeatValues,
     SpiValues,
 )
 from gateway.model.framing import Framing
@@ -48,9 +46,7 @@ class Robot:
         monkeypatch.setattr(stop, "unit", lambda: self.unit)
         monkeypatch.setattr(stop, "stop", self._stop)
 
-    def _stop(
-        self, spi: SpiValues, _watchdog: RepeatValues, _controller: ControllerValues, written: Callable[[], None]
-    ) -> None:
+    def _stop(self, spi: SpiValues, _controller: ControllerValues, written: Callable[[], None]) -> None:
         self.used.append(spi)
         if self.spi_fails:
             raise SpiError("no such device")
@@ -61,7 +57,7 @@ class Robot:
         if state == NEVER:
             return
         self._patch.setenv("INVOCATION_ID", "1")
-        effective.write({"framing": "length-prefixed"}, PlainRepeats(), PlainController(), self.power)
+        effective.write({"framing": "length-prefixed"}, PlainController(), self.power)
         if state != ENDED_HERE:
             self._patch.delenv("INVOCATION_ID")
         if state in {ENDED, ENDED_HERE}:

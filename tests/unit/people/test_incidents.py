@@ -16,11 +16,11 @@ from gateway.model.black_box import format as form
 from gateway.model.black_box.files import RING_FILE
 from gateway.model.black_box.incidents import INCIDENT_NAMES, MISTAKE
 from gateway.model.calibration import RobotCalibration, ServoMapping
-from gateway.people.incidents import ring_reader
-from gateway.people.incidents.export import write
-from gateway.people.incidents.incidents import CRASH, Incident, find
-from gateway.people.incidents.messages import RECORDER, messages
-from gateway.people.incidents.story import headline, story, what
+from gateway.people.recorder import ring_reader
+from gateway.people.recorder.export import write
+from gateway.people.recorder.incidents import CRASH, Incident, find
+from gateway.people.recorder.messages import RECORDER, messages
+from gateway.people.recorder.story import headline, story, what
 from gateway.people.ros2.drawing import JOINT_STATES
 from gateway.people.ros2.user_angles import RecordedMessage, frames_in
 from gateway.robot.blackbox import paths
@@ -145,7 +145,7 @@ async def test_the_headline_names_the_worst_and_who_and_which_legs(folder: Path)
     assert f": the gateway ended without a word; also: {silent}; also: somebody" in told(folder)[0]
 
 
-LANDING = {"watchdog": {"landing_ms": 500, "repeats": 0, "landing": {"31": 30.0}}}
+LANDING = {"watchdog": {"landing_ms": 500, "landing": {"31": 30.0}}, "rules": {"repeats": 0}}
 
 
 def overflow(robot: Robot) -> None:
@@ -244,7 +244,7 @@ async def test_a_landing_that_somebody_stops_and_the_next_one_are_two(folder: Pa
 
 
 async def test_the_stops_of_the_longest_landing_belong_to_the_silence_that_began_it(folder: Path) -> None:
-    robot = recorded(folder, watchdog={"landing_ms": 5000, "repeats": 0})
+    robot = recorded(folder, watchdog={"landing_ms": 5000}, rules={"repeats": 0})
     robot.put(LEG_3, START)
     await asyncio.sleep(6)
     assert told(folder)[-1].endswith("mode idle")

@@ -17,7 +17,7 @@ from gateway.model.black_box.incidents import incident_id
 from gateway.model.calibration import RobotCalibration, ServoMapping
 from gateway.model.frames import Op, ServoOp, decode, stop_leg
 from gateway.model.framing import Framing
-from gateway.people.incidents import ring_reader
+from gateway.people.recorder import ring_reader
 from gateway.robot.blackbox import paths
 from gateway.robot.core.events import Announce
 from gateway.robot.settings import Settings
@@ -153,13 +153,13 @@ async def test_nothing_is_recorded_before_a_frame_is_written(
 
 @pytest.mark.parametrize("framing", Framing)
 async def test_a_setpoint_is_one_record(folder: Path, framing: Framing) -> None:
-    robot = recorded(folder, spi={"framing": framing}, watchdog={"repeats": 0})
+    robot = recorded(folder, spi={"framing": framing}, rules={"repeats": 0})
     robot.put(LEG_3, START)
     before = ring_reader.read(folder / RING_FILE).records
     for angle in (0.01, 90, 180):
         await asyncio.sleep(0.1)
         robot.put(LEG_3, leg("set", angle, 46, 120, source="anna"), received_ns=robot.now_ns() - 3)
-    records = ring_reader.read(folder / RING_FILE).records[len(before) :]
+    records = list(ring_reader.read(folder / RING_FILE).records)[len(before) :]
     kinds = [type(record.content) for record in records if not isinstance(record.content, form.Clock)]
     assert kinds == [form.CommandRecord, form.FrameWritten] * 3
     assert len({record.sequence for record in records if not isinstance(record.content, form.Clock)}) == 3

@@ -8,8 +8,8 @@ import pytest
 from gateway.model.black_box import format as form
 from gateway.model.black_box import header
 from gateway.model.frames import STOP, Op, ServoOp, stop_leg
-from gateway.people.incidents import ring_reader
-from gateway.people.incidents.ring_reader import NoRingError
+from gateway.people.recorder import ring_reader
+from gateway.people.recorder.ring_reader import NoRingError
 from gateway.robot.blackbox.ring import RecordRing
 from schemas.robot import SERVO_IDS
 

@@ -9,10 +9,10 @@ import pytest
 from gateway.model.black_box import format as form
 from gateway.model.black_box import header
 from gateway.model.frames import Op, ServoOp
-from gateway.people.incidents import ring_reader
-from gateway.people.incidents.export import write
-from gateway.people.incidents.incidents import MOST, find, is_id
-from gateway.people.incidents.messages import RECORDER, messages
+from gateway.people.recorder import ring_reader
+from gateway.people.recorder.export import write
+from gateway.people.recorder.incidents import MOST, find, is_id
+from gateway.people.recorder.messages import RECORDER, messages
 from gateway.robot.blackbox.ring import RecordRing
 from tests.support.mcap_file import read
 from tests.support.robot import WALL_NS

@@ -25,7 +25,7 @@ LEG_RUNS = {number: [10 * number + joint for joint in (1, 2, 3)] for number in L
 async def half_started(**sections: dict[str, object]) -> tuple[Robot, list[Ack]]:
     """Six legs that are started one after the other, in the middle of it."""
     robot = await started_and_quiet(
-        limits={"start_stagger_ms": STAGGER_MS}, watchdog={"timeout_ms": 5000, "repeats": 0}, **sections
+        limits={"start_stagger_ms": STAGGER_MS}, watchdog={"timeout_ms": 5000}, rules={"repeats": 0}, **sections
     )
     answers = robot.get(keys.LEGS_COMMAND, {"legs": {str(number): leg("start", 90, 90, 90) for number in LEGS}})
     await asyncio.sleep(LATER_S)

@@ -86,7 +86,7 @@ async def test_no_answer_and_no_change_before_it_is_on_the_disk() -> None:
 
 
 async def test_while_it_is_being_kept_stops_and_the_watchdog_are_in_time() -> None:
-    robot = await on_disk(disk := Disk(), watchdog={"repeats": 0})
+    robot = await on_disk(disk := Disk(), rules={"repeats": 0})
     robot.put(keys.leg_command(1), START)
     answers = robot.calibrate(OWN)
     await asyncio.sleep(0.3)
@@ -222,7 +222,7 @@ async def test_each_question_is_answered_and_a_pause_behind_it_keeps_a_flood_of_
 
 
 async def test_the_landing_pose_of_the_calibration_goes_before_that_of_the_settings() -> None:
-    robot = await started_and_quiet(watchdog={"landing_ms": 500, "landing": {"31": 30, "32": 40}, "repeats": 0})
+    robot = await started_and_quiet(watchdog={"landing_ms": 500, "landing": {"31": 30, "32": 40}}, rules={"repeats": 0})
     robot.calibrate({"servos": {"31": {"inverted": True}}, "landing": {"31": 60}})
     robot.put(LEG_3, START)
     await asyncio.sleep(2)

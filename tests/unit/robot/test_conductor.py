@@ -72,7 +72,7 @@ async def test_one_instant_applies_legs_then_leg_then_servo() -> None:
 
 
 async def test_a_deadline_does_not_wait_for_a_tick_that_takes_long() -> None:
-    robot = await started_and_quiet(watchdog={"repeats": 0})
+    robot = await started_and_quiet(rules={"repeats": 0})
     robot.put(LEG_3, leg("start", 1, 1, 1))
     for _ in range(8):
         robot.put_later(keys.leg_command(4), b"{")

@@ -11,13 +11,13 @@ from schemas.robot import LEGS
 from schemas.telemetry import Kind, Mode, Reason
 from tests.support.robot import Robot, leg, started_and_quiet
 
-LANDING = {"timeout_ms": 250, "landing_ms": 1000, "repeats": 0, "landing": {"31": 30.0, "41": 30.0}}
+LANDING = {"timeout_ms": 250, "landing_ms": 1000, "landing": {"31": 30.0, "41": 30.0}}
 LEG_3, LEG_4 = keys.leg_command(3), keys.leg_command(4)
 
 
 async def in_mid_landing() -> Robot:
     """Legs 3 and 4 were started at 90, 45, 120, and have been silent since."""
-    robot = await started_and_quiet(watchdog=LANDING)
+    robot = await started_and_quiet(watchdog=LANDING, rules={"repeats": 0})
     for key in (LEG_3, LEG_4):
         robot.put(key, leg("start", 90, 45, 120))
     await asyncio.sleep(0.75)

@@ -171,7 +171,7 @@ async def test_a_silent_controller_of_elkapod_ends_nothing_that_is_known_of_stop
 
 
 async def test_stops_for_stop_servos_are_repeated_though_nothing_else_happens(monkeypatch: pytest.MonkeyPatch) -> None:
-    robot = await started_and_quiet(watchdog={"repeats": 2})
+    robot = await started_and_quiet(rules={"repeats": 2})
     monkeypatch.setattr(robot.controller, "stop_servos_at_work", lambda: True)
     robot.conductor.look_outside()
     await asyncio.sleep(0.2)

@@ -14,6 +14,7 @@ from gateway.robot.sections import ZenohSettings
 from gateway.robot.zenoh_io import exposure
 from gateway.robot.zenoh_io.session import service_config
 from gateway.zenoh_config import listen_endpoints
+from tests.support.gateway_process import dialling
 
 MTLS = {"transport/link/tls/enable_mtls": True, "transport/link/tls/root_ca_certificate": "/ca.pem"}
 
@@ -159,10 +160,10 @@ def test_allow_insecure_is_a_warning_each_time(caplog: pytest.LogCaptureFixture)
     assert "anyone who reaches tcp/0.0.0.0:7447 can move the robot" in record.message
 
 
-def test_listening_nowhere_and_dialling_nobody_is_a_mistake() -> None:
+def test_listening_nowhere_and_dialling_nobody_is_a_mistake(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="nobody could reach the gateway"):
         service_config(ZenohSettings(listen=()))
-    service_config(ZenohSettings(listen=(), connect=("tcp/127.0.0.1:7447",)))
+    service_config(ZenohSettings(listen=(), config=dialling(tmp_path, "tcp/127.0.0.1:7447")))
 
 
 def test_what_makes_one_wonder_is_said(caplog: pytest.LogCaptureFixture) -> None:

@@ -16,8 +16,8 @@ from gateway.model.black_box import header
 from gateway.model.black_box.files import COPIED_SHARE, MOST_COPIES, RING_FILE, copies_of, copy_path
 from gateway.model.calibration import RobotCalibration, ServoMapping, report_of
 from gateway.onboard import black_box
-from gateway.people.incidents import ring_reader
-from gateway.people.incidents.incidents import find
+from gateway.people.recorder import ring_reader
+from gateway.people.recorder.incidents import find
 from gateway.robot.blackbox import copies, paths
 from gateway.robot.blackbox.ring import RecordRing
 from gateway.robot.settings import Settings

@@ -34,7 +34,7 @@ class Meddler:
 
 async def meddled(monkeypatch: pytest.MonkeyPatch, *running: str) -> tuple[Robot, Meddler]:
     """A robot of which these legs run, and which has not written for a while."""
-    robot = await started_and_quiet(watchdog={"timeout_ms": 10_000, "repeats": 2})
+    robot = await started_and_quiet(watchdog={"timeout_ms": 10_000}, rules={"repeats": 2})
     meddler = Meddler(robot, monkeypatch)
     for key in running:
         assert robot.ask(key, START).accepted

@@ -21,9 +21,9 @@ SIX_STOPS = on_wire(Framing.LENGTH_PREFIXED, *map(stop_leg, LEGS))
 STOP_3 = stop_leg(3).to_bytes()
 
 
-async def prefixed(frame_gap_us: float = 20, **watchdog: float) -> Robot:
+async def prefixed(frame_gap_us: float = 20, repeats: int = 3, **watchdog: float) -> Robot:
     spi = {"framing": "length-prefixed", "frame_gap_us": frame_gap_us}
-    robot = await started_and_quiet(spi=spi, watchdog=watchdog)
+    robot = await started_and_quiet(spi=spi, watchdog=watchdog, rules={"repeats": repeats})
     await asyncio.sleep(1)  # long enough for the bus to count as synchronised by its rest
     assert robot.controller.energised == frozenset()
     return robot

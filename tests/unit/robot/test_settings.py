@@ -142,9 +142,9 @@ def test_a_fault_of_the_file(file: Path, text: str, line: str) -> None:
 
 
 def test_each_fault_has_its_line(file: Path) -> None:
-    file.write_text('y = 1\n[telemetry]\nframes = "no"\n[log]\nlevel = "loud"\n[spi]\nx = 1\n')
+    file.write_text('y = 1\n[telemetry]\nframes = "no"\n[watchdog]\nscope = "loud"\n[spi]\nx = 1\n')
     assert [line.split(": ")[1] for line in faults(file)] == [
-        "spi.x", "telemetry.frames", "log.level", "y"
+        "spi.x", "watchdog.scope", "telemetry.frames", "y"
     ]  # fmt: skip
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from gateway.errors import SpiError
-from gateway.host.plain_settings import PlainController, PlainRepeats, PlainSpi
+from gateway.host.plain_settings import PlainController, PlainSpi
 from gateway.model.elkapod import SHUTDOWN
 from gateway.model.frames import stop_leg
 from gateway.model.framing import PREAMBLE_ZEROS, ZERO, Framing
@@ -176,21 +176,20 @@ def stops(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Stops:
         replaced = {"KernelDevice": rounds.device, "SerialUart": rounds.uart, "Notice": rounds.notice, "time": rounds}
         for name, instead in replaced.items():
             monkeypatch.setattr(stop_all, name, instead)
-        repeats = PlainRepeats(repeats=2, repeat_interval_ms=30)
-        return stop_servos(spi, repeats, PlainController(), rounds.written)
+        return stop_servos(spi, PlainController(), rounds.written)
 
     return run
 
 
 @pytest.mark.parametrize(
-    ("failing", "rounds", "pauses_ms", "first_ns"),
+    ("failing", "rounds", "pauses", "first_ns"),
     [
-        (set(), 0, [30, 30], 1),
-        ({3}, 1, [30, 30], 1),
-        (set(LEGS), 1, [30, 30], 2),
-        (set(LEGS), 2, [30, 30], 3),
-        ({3}, 3, [30, 30, 20], 1),
-        (set(LEGS), 12, [30, 30, *[20] * 10], 13),
+        (set(), 0, 3, 1),
+        ({3}, 1, 3, 1),
+        (set(LEGS), 1, 3, 2),
+        (set(LEGS), 3, 3, 4),
+        ({3}, 4, 4, 1),
+        (set(LEGS), 13, 13, 14),
     ],
     ids=[
         "no fault",
@@ -202,14 +201,14 @@ def stops(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Stops:
     ],
 )
 def test_it_repeats_its_stops_and_goes_on_while_a_leg_got_none(
-    failing: set[int], rounds: int, pauses_ms: list[float], first_ns: int, stops: Stops
+    failing: set[int], rounds: int, pauses: int, first_ns: int, stops: Stops
 ) -> None:
     scene = Rounds(failing, rounds)
     assert stops(scene) is None, "no gateway runs"
-    assert scene.sleeps_ms == pauses_ms
+    assert scene.sleeps_ms == [20] * pauses
     assert scene.log[-2:] == ["closed", "ended"]
-    assert scene.log.count("given") == 1 + len(pauses_ms)
-    assert stop_note.take() == (first_ns, 1 + len(pauses_ms))
+    assert scene.log.count("given") == 1 + pauses
+    assert stop_note.take() == (first_ns, 1 + pauses)
 
 
 @pytest.mark.parametrize("failing", [{3}, set(LEGS)])
@@ -217,7 +216,7 @@ def test_it_ends_with_the_fault_where_a_leg_got_no_stop(failing: set[int], stops
     scene = Rounds(failing, 1000)
     with pytest.raises(SpiError, match="told to fail"):
         stops(scene)
-    assert scene.sleeps_ms == [30, 30, *[20] * 10]
+    assert scene.sleeps_ms == [20] * 13
     assert scene.log[-2:] == ["closed", "ended"]
     assert stop_note.take() is None
 
@@ -225,20 +224,20 @@ def test_it_ends_with_the_fault_where_a_leg_got_no_stop(failing: set[int], stops
 def test_the_supply_is_taken_and_the_notice_given_after_the_first_stops(stops: Stops) -> None:
     scene = Rounds(set(), 0, gateway_runs=True)
     assert stops(scene) is True, "the gateway has noticed"
-    assert [line for line in scene.log if line != "closed"] == [*[*["stop"] * 6, "written", "given"] * 3, "ended"]
+    assert [line for line in scene.log if line != "closed"] == [*[*["stop"] * 6, "written", "given"] * 4, "ended"]
 
 
 def test_the_supply_is_taken_also_where_each_stop_fails(stops: Stops) -> None:
     scene = Rounds(set(LEGS), 1000)
     with pytest.raises(SpiError):
         stops(scene)
-    assert scene.log.count("written") == 13
+    assert scene.log.count("written") == 14
 
 
 @pytest.mark.parametrize("failing_rounds", [0, 2])
 def test_elkapod_2025_is_shut_down_over_a_uart_that_a_gateway_may_hold(failing_rounds: int, stops: Stops) -> None:
     scene = Rounds(set(LEGS), failing_rounds)
     assert stops(scene, PlainSpi(protocol=SpiProtocol.ELKAPOD_2025)) is None
-    assert scene.log.count("stop") == 2 * (3 - failing_rounds), "opening it is one, too"
-    assert scene.sleeps_ms == [30, 30]
+    assert scene.log.count("stop") == 2 * (4 - failing_rounds), "opening it is one, too"
+    assert scene.sleeps_ms == [20] * 3
     assert scene.log[-2:] == ["closed", "ended"]

@@ -14,9 +14,9 @@ from mcap.writer import Writer
 from gateway import __version__
 from gateway.errors import ConfigError
 from gateway.geometry import load
-from gateway.people.incidents.incidents import Incident
-from gateway.people.incidents.messages import messages
-from gateway.people.incidents.ring_reader import Records
+from gateway.people.recorder.incidents import Incident
+from gateway.people.recorder.messages import messages
+from gateway.people.recorder.ring_reader import Records
 from gateway.people.ros2.cdr import INSTALLED, definition, encode
 from gateway.people.ros2.drawing import Drawing
 from gateway.people.ros2.messages import Message

@@ -2,7 +2,7 @@
 
 It holds a copy of the file, never more than `header.file_bytes(MAX_SLOTS)`: a mapping would end the reader with
 SIGBUS where somebody makes the file shorter. Besides, it holds some 26 bytes for each record: all of them as objects
-would take eight times the file's size, more than the recorder's service may have (docs/blackbox.md).
+would take eight times the file's size, beside a gateway that runs (docs/blackbox.md).
 """
 
 import os
@@ -14,14 +14,14 @@ from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Final, overload
+from typing import Any, Final
 
 from gateway.errors import GatewayError
 from gateway.host.file_lock import written_by_anyone
 from gateway.model.black_box import format as form
 from gateway.model.black_box import header
 from gateway.model.black_box.files import MAX_SLOTS, copies_of
-from gateway.people.incidents.ring_decoding import decode
+from gateway.people.recorder.ring_decoding import decode
 from schemas.calibration import Calibration
 
 _MAX_BYTES: Final = header.file_bytes(MAX_SLOTS)
@@ -36,7 +36,7 @@ class NoRingError(GatewayError):
     """There is no black box to read."""
 
 
-class Records(Sequence[form.Record]):
+class Records:
     """Records in the order in which they were written. Each is decoded when it is asked for."""
 
     def __init__(
@@ -61,14 +61,8 @@ class Records(Sequence[form.Record]):
     def __len__(self) -> int:
         return len(self.times_ns)
 
-    @overload
-    def __getitem__(self, index: int) -> form.Record: ...
-    @overload
-    def __getitem__(self, index: slice) -> list[form.Record]: ...
-    def __getitem__(self, index: int | slice) -> form.Record | list[form.Record]:
-        if isinstance(index, slice):
-            return [self._read(each) for each in range(*index.indices(len(self)))]
-        return self._read(range(len(self))[index])
+    def __getitem__(self, index: int) -> form.Record:
+        return self._read(range(len(self.times_ns))[index])
 
     def calibration_at(self, ns: int) -> Calibration | None:
         """What was in force then, as far as known."""

@@ -11,8 +11,8 @@ from pydantic import ValidationError
 
 from gateway.model.black_box.incidents import INCIDENT_NAMES, MISTAKE
 from gateway.model.frames import Op
-from gateway.people.incidents.incidents import kind_of
-from gateway.people.incidents.messages import COMMAND_TOPICS, INCIDENT, RECORDER, incident_of
+from gateway.people.recorder.incidents import kind_of
+from gateway.people.recorder.messages import COMMAND_TOPICS, INCIDENT, RECORDER, incident_of
 from gateway.people.ros2.user_angles import FrameIn, RecordedMessage, frames_in
 from gateway.text import visible
 from schemas import keys

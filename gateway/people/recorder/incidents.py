@@ -17,7 +17,7 @@ from gateway.model.black_box.incidents import (
     follow_ns,
     incident_id,
 )
-from gateway.people.incidents.ring_reader import Records
+from gateway.people.recorder.ring_reader import Records
 from schemas import keys
 from schemas.telemetry import Cause, Kind
 

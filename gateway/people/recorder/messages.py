@@ -13,8 +13,8 @@ from gateway.model.black_box import format as form
 from gateway.model.black_box.format import ACCEPTED
 from gateway.model.frames import Op
 from gateway.model.telemetry import report_of
-from gateway.people.incidents.incidents import Incident
-from gateway.people.incidents.ring_reader import Records
+from gateway.people.recorder.incidents import Incident
+from gateway.people.recorder.ring_reader import Records
 from gateway.people.ros2.user_angles import RecordedMessage
 from schemas import keys
 from schemas.telemetry import Event, FrameRecord, Report

@@ -1,1 +1,0 @@
-"""What the black box kept: read, shown as a story, exported."""
