@@ -70,6 +70,7 @@ _BUS: Final = (
     f"{_UNIT}test_slow_failures.py",
 )
 _POWER: Final = (
+    f"{_UNIT}test_power_scenes.py",
     f"{_UNIT}test_power_board.py",
     f"{_UNIT}test_power_board_masks.py",
     f"{_UNIT}test_power_board_faults.py",

@@ -6,7 +6,7 @@ from heapq import heappop, heappush
 from itertools import count
 
 from gateway.allowance import NS_PER_MS
-from gateway.model.power_board import OUTPUTS, CanFrame
+from gateway.model.power_board import OUTPUTS, SET_SUPPLY, CanFrame
 from gateway.robot.power.board import News, PowerBoard
 from gateway.robot.power.offs import Confirmed
 from gateway.robot.power.simulated_board import SimulatedBoard
@@ -40,6 +40,8 @@ class Link:
         self.hangs = False
         """Our sender hangs: nobody asks what is due."""
         self.cable = True
+        self.deaf = False
+        """The board answers questions, and gets no mask."""
         self.held: list[CanFrame] | None = None
         """A list: the link to us pauses, and keeps the board's frames."""
         self.sent: list[tuple[int, CanFrame]] = []
@@ -135,8 +137,10 @@ class Link:
     def _happen(self) -> None:
         while self._flying and self._flying[0][0] <= self.now_ns:
             _, _, to_board, frame = heappop(self._flying)
-            if to_board:
+            if to_board and not (self.deaf and frame.id == SET_SUPPLY):
                 self._answered(self.board.take(frame, self.now_ns))
+            elif to_board:
+                pass
             elif self.held is not None:
                 self.held.append(frame)
             else:

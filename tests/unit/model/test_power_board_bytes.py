@@ -86,22 +86,6 @@ def test_an_answer_is_read_and_one_of_another_length_is_none_or_an_unknown_error
         assert read(CanFrame(identifier, whole[:-1])) == other
 
 
-@pytest.mark.parametrize(
-    ("identifier", "data"),
-    [
-        (0x6B, "040000"),  # a bit that no output has
-        (0x6B, "ffffff"),
-        (0x6A, "000000"),  # a request, of another node
-        (0x70, ""),
-        (0x72, "0000 0000 0000"),
-        (0x5F, ""),
-        (0xA1, "0000 0000 0000"),
-    ],
-)
-def test_what_is_no_answer_is_none(identifier: int, data: str) -> None:
-    assert read(CanFrame(identifier, bytes.fromhex(data))) is None
-
-
 @pytest.mark.parametrize("data", ["03 01", "00", "04", "01", "08 00", "02 0001", "01 20", "04 20", "02 040000"])
 def test_an_error_frame_that_is_not_in_the_table_is_an_unknown_error_that_may_concern_every_output(data: str) -> None:
     error = read(CanFrame(0x65, bytes.fromhex(data)))

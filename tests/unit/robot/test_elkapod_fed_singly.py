@@ -4,7 +4,7 @@ import pytest
 
 from gateway.model import elkapod
 from gateway.model.elkapod import SHUTDOWN, START
-from gateway.model.frames import SETS, STARTS, STOP, Frame, OneLeg, OneServo
+from gateway.model.frames import STARTS, STOP, Frame, OneLeg, OneServo
 from gateway.robot.protocol.elkapod import Commanded
 from schemas.robot import SERVO_IDS
 from tests.unit.robot.test_elkapod_wire import MS, STOPS, Parts, starts
@@ -25,21 +25,6 @@ def cycle(commanded: Commanded) -> bytes | None:
     return commanded.left()
 
 
-def test_a_servo_may_be_fed_once_its_angle_was_in_two_frames_and_the_uart_said_start(commanded: Commanded) -> None:
-    commanded.take([start(11)])
-    assert (cycle(commanded), commanded.ready) == (None, frozenset())
-    commanded.take([start(63)])
-    assert (cycle(commanded), commanded.ready) == (START, frozenset({11}))
-    assert (cycle(commanded), commanded.ready) == (START, frozenset({11, 63}))
-    assert cycle(commanded) is None, "each is said once"
-
-
-def test_a_set_is_no_start(commanded: Commanded) -> None:
-    commanded.take([OneServo(11, SETS[80_00])])
-    assert [cycle(commanded) for _ in range(3)] == [None] * 3
-    assert commanded.ready == frozenset()
-
-
 def test_a_stop_of_one_is_the_boards_alone_while_others_run_or_wait(commanded: Commanded) -> None:
     commanded.take([start(11), start(12)])
     assert commanded.stop([12]) is None, "11 waits"
@@ -58,15 +43,6 @@ def test_a_stop_in_the_middle_of_a_transfer_stops_what_the_frame_would_start(com
     commanded.stop([11])
     assert commanded.left() == START
     assert commanded.ready == {12}
-
-
-def test_a_shutdown_leaves_none_that_may_be_fed(commanded: Commanded) -> None:
-    commanded.take([start(11)])
-    cycle(commanded)
-    cycle(commanded)
-    assert commanded.ready == {11}
-    assert commanded.shut_down() == SHUTDOWN
-    assert commanded.ready == frozenset()
 
 
 def test_a_start_with_another_angle_in_the_middle_of_a_transfer_counts_its_own_frames(commanded: Commanded) -> None:

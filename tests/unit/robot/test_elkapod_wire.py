@@ -47,17 +47,6 @@ def test_a_whole_start_has_its_angles_in_two_frames_before_the_uarts_start() -> 
     assert commanded.left() is None, "once"
 
 
-def test_a_start_that_came_into_a_transfer_counts_from_the_next_frame() -> None:
-    commanded = Commanded()
-    commanded.frame()
-    commanded.take(starts())
-    said = [commanded.left()]
-    for _ in range(2):
-        commanded.frame()
-        said += [commanded.left()]
-    assert said == [None, None, START]
-
-
 @pytest.mark.parametrize("behind", ["the first frame", "the second frame, on its way"])
 def test_no_start_comes_after_a_shutdown(behind: str) -> None:
     commanded = Commanded()
@@ -81,17 +70,6 @@ def test_seventeen_servos_are_no_start_and_sets_are_none() -> None:
     for _ in range(4):
         assert angles(commanded.frame()) == {80.0}
         assert commanded.left() is None
-
-
-def test_a_robot_that_runs_is_started_again_by_a_whole_start() -> None:
-    commanded = Commanded()
-    said = []
-    for _ in range(2):
-        commanded.take(starts())
-        for _ in range(3):
-            commanded.frame()
-            said += [commanded.left()]
-    assert said == [None, START, None] * 2
 
 
 # ---- signs of life
@@ -171,18 +149,6 @@ def test_a_robot_whose_values_rest_is_alive(quiet: str) -> None:
 # ---- whether it has restarted
 
 
-@pytest.mark.parametrize("bad", BAD)
-def test_a_malformed_answer_behind_a_good_one_is_a_restart(bad: str) -> None:
-    signs = SignsOfLife(SILENT_NS, 0)
-    answered(signs, 20 * MS, BAD[bad])
-    assert signs.restarted == "", "the first ones after power-up may be anything"
-    answered(signs, 40 * MS)
-    answered(signs, 60 * MS, BAD[bad])
-    assert signs.restarted.startswith("behind well-formed answers came one that is not: it ")
-    again = signs.anew()
-    assert (again.restarted, again.alive(60 * MS)) == ("", False)
-
-
 def beaten(
     signs: SignsOfLife, until_ms: int, begun_ms: int = 0, *, without: Collection[int] = (), late: int = 0
 ) -> None:
@@ -215,13 +181,6 @@ def test_a_gap_is_noticed_before_the_controller_counts_as_silent() -> None:
     assert signs.restarted, "some 130 ms behind the last one"
 
 
-@pytest.mark.parametrize("late_ms", [10, 19])
-def test_late_looks_are_no_gap(late_ms: int) -> None:
-    signs = SignsOfLife(SILENT_NS, 0)
-    beaten(signs, 9000, late=late_ms)
-    assert signs.restarted == ""
-
-
 @pytest.mark.parametrize("kept", [True, False], ids=["what came is read", "the whole machine stood still"])
 @pytest.mark.parametrize("paused_ms", [80, 150, 3000])
 def test_a_pause_of_ours_is_no_restart(paused_ms: int, *, kept: bool) -> None:
@@ -235,20 +194,6 @@ def test_a_pause_of_ours_is_no_restart(paused_ms: int, *, kept: bool) -> None:
     for cycle in range(60, 70):
         signs.heard(b"", (now_ms + cycle * 20) * MS)
     assert signs.restarted, "but the next gap is one"
-
-
-@pytest.mark.parametrize("missing", ["heartbeat", "well-formed answer"])
-def test_each_sign_is_needed(missing: str) -> None:
-    signs = SignsOfLife(SILENT_NS, 0)
-    assert not signs.alive(0)
-    for now_ms in range(20, 600, 20):
-        if missing != "heartbeat":
-            signs.heard(elkapod.heartbeat(), now_ms * MS)
-        else:
-            answered(signs, now_ms * MS)
-        assert not signs.alive(now_ms * MS)
-        assert (signs.silent(now_ms * MS) is None) == (now_ms < 300)
-    assert f"no {missing} of the controller for 300 ms" in str(signs.silent(600 * MS))
 
 
 # ---- the bus: SPI and UART, neither waiting for the other
@@ -343,15 +288,6 @@ def test_it_begins_with_shutdowns_and_only_then_with_frames(parts: Parts) -> Non
     assert parts.said == [SHUTDOWN]
     assert [parts.cycle() for _ in range(3)] == [None] * 3
     assert angles(parts.cycle()) == {90.0}
-
-
-def test_stops_of_a_step_are_one_shutdown_and_each_counts_as_written(parts: Parts) -> None:
-    parts.bus.open()
-    report = parts.bus.write(STOPS)
-    assert parts.said == [SHUTDOWN, SHUTDOWN]
-    assert [sent.place for sent in report.sent] == [0, 1, 2, 3, 4, 5]
-    assert all(sent.heard for sent in report.sent)
-    assert report.fault is None
 
 
 def test_a_transfer_that_hangs_delays_no_stop_and_its_start_does_not_come(parts: Parts) -> None:
@@ -467,27 +403,6 @@ def test_a_restart_is_shut_down_in_its_cycle_and_nothing_that_waited_is_started(
     assert parts.bus.errors == 1, "it is counted once"
 
 
-def test_one_that_restarts_twice_is_shut_down_twice_and_one_that_stays_away_is_silent(parts: Parts) -> None:
-    parts.bus.open()
-    parts.beats, parts.now_ns = True, 100 * MS
-    for _ in range(2):
-        parts.cycle()
-        parts.answers = [bytes(80), bytes(80)]
-        with pytest.raises(ControllerRestartedError):
-            parts.cycle()
-        parts.cycle()  # no good one has come since, so this is the same restart
-        parts.cycle()
-        parts.bus.open()
-    parts.answers = [bytes(80)] * 100
-    with pytest.raises(ControllerRestartedError):
-        parts.cycle()
-    silent = None
-    for _ in range(20):
-        parts.cycle()
-        silent = silent or parts.bus.silent(parts.now_ns)
-    assert type(silent) is ControllerSilentError
-
-
 def test_a_device_that_fails_while_the_controller_is_silent_opens_anew(parts: Parts) -> None:
     parts.bus.open()
     assert parts.wait(400) is not None
@@ -500,18 +415,6 @@ def test_a_device_that_fails_while_the_controller_is_silent_opens_anew(parts: Pa
     with pytest.raises(SpiError, match="no well-formed answer"):
         parts.bus.open()
     assert parts.opened == 2
-
-
-def test_a_delay_of_this_process_is_no_silence(parts: Parts) -> None:
-    parts.bus.open()
-    parts.beats = True
-    while parts.cycle() is None:
-        pass
-    assert parts.bus.silent(parts.now_ns) is None
-    parts.now_ns += 3000 * MS
-    assert parts.bus.silent(parts.now_ns) is None, "what came meanwhile is not read yet"
-    parts.cycle()
-    assert parts.bus.silent(parts.now_ns) is None
 
 
 def test_without_a_device_only_stops_are_written() -> None:

@@ -4,7 +4,6 @@ import pytest
 
 from gateway.allowance import NS_PER_MS
 from gateway.model.power_board import (
-    ALL,
     ASK_RAILS,
     CLEAR_ERROR,
     SUPPLIED,
@@ -22,34 +21,6 @@ from tests.support.power_link import ALL_SERVOS, CONFIRM_MS, NONE, Link, fed
 # ---- others that switch
 
 
-def test_what_another_node_switches_on_goes_off_again() -> None:
-    link = fed()
-    link.want(NONE)
-    link.run(500)
-    link.news.clear()
-    at_ns = link.now_ns
-    link.other_node(ALL)
-    link.run(500)
-    assert link.masks(at_ns)[0] == (0, 0)
-    assert link.fed() == NONE
-    assert link.ours.confirmed
-    assert [item.kind for _, item in link.news if isinstance(item, News)] == [Kind.POWER_FAULT]
-
-
-def test_what_another_node_switches_off_stays_off_until_it_is_wanted_anew() -> None:
-    link = fed()
-    link.other_node(ALL & ~0b111)
-    link.want(ALL_SERVOS)
-    link.run(1000)
-    assert link.ours.status.lost == {11, 12, 13}
-    assert link.fed() == ALL_SERVOS - {11, 12, 13}
-    [(_, news)] = link.events(Kind.POWER_FAULT)
-    assert news.servos == {11, 12, 13}
-    link.want_anew(ALL_SERVOS)
-    link.run(1000)
-    assert link.fed() == ALL_SERVOS
-
-
 def test_a_node_that_floods_masks_is_answered_at_a_pace_and_reported_once_a_second() -> None:
     link = fed()
     at_ns = link.now_ns
@@ -58,26 +29,6 @@ def test_a_node_that_floods_masks_is_answered_at_a_pace_and_reported_once_a_seco
         link.run(0.125)
     assert len(link.masks(at_ns)) <= 250
     assert len(link.events(Kind.POWER_FAULT)) <= 2
-
-
-def test_what_came_on_without_a_sign_goes_off_with_the_boards_next_answer() -> None:
-    """Another node's mask that we did not receive."""
-    link = fed()
-    link.want(NONE)
-    link.run(500)
-    link.board.take(CanFrame(0x6A, ALL.to_bytes(3, "big")), link.now_ns)
-    link.run(1500)
-    assert link.fed() == NONE
-    assert link.ours.confirmed
-
-
-def test_an_output_that_the_board_takes_by_itself_is_lost() -> None:
-    """Its report was lost, and so was another node's mask; its next answer shows it."""
-    link = fed()
-    link.board.take(CanFrame(0x6A, (ALL & ~1).to_bytes(3, "big")), link.now_ns)
-    link.run(300)
-    assert link.ours.status.lost == {11}
-    assert link.events(Kind.POWER_FAULT)[0][1].servos == {11}
 
 
 def test_where_we_are_not_heard_the_answers_to_another_nodes_questions_confirm_nothing() -> None:
@@ -98,25 +49,6 @@ def test_where_we_are_not_heard_the_answers_to_another_nodes_questions_confirm_n
 
 
 # ---- the board's own faults
-
-
-def test_a_servo_that_is_blocked_leaves_the_mask_at_once_and_stays_off_when_the_error_is_deleted_by_hand() -> None:
-    link = fed()
-    link.board.fail(2, 1 << 4)
-    link.run_until(lambda: link.ours.status.refused != {})
-    at_ns = link.now_ns
-    link.run(5)
-    assert link.masks(at_ns)[0] == (0, ALL & ~(1 << 4))
-    assert link.ours.status.lost == {22}
-    assert list(link.ours.status.refused) == [22]
-    assert "overcurrent" in link.ours.status.refused[22]
-    link.board.clear_by_hand()
-    link.run(1000)
-    assert link.fed() == ALL_SERVOS - {22}
-    assert link.ours.status.refused == {}
-    link.want_anew(ALL_SERVOS)
-    link.run(1000)
-    assert link.fed() == ALL_SERVOS
 
 
 def test_a_report_that_was_lost_is_asked_for() -> None:
@@ -154,18 +86,6 @@ def test_a_reset_deletes_all_errors_and_gives_back_what_they_took(faults: float)
     assert link.fed() == ALL_SERVOS
 
 
-def test_a_servo_that_is_wanted_while_it_is_blocked_is_to_be_wanted_once_more() -> None:
-    """Else it would come on when somebody deletes the error at the board."""
-    link = fed()
-    link.board.fail(2, 1)
-    link.run(100)
-    link.want_anew(ALL_SERVOS)
-    link.run(100)
-    link.board.clear_by_hand()
-    link.run(1500)
-    assert link.fed() == ALL_SERVOS - {11}
-
-
 def test_no_error_is_deleted_while_masks_may_not_arrive() -> None:
     board = PowerBoard(SERVO_IDS, confirm_ns=CONFIRM_MS * NS_PER_MS)
     board.want(frozenset({11, 12, 13}), 0, 0)
@@ -201,30 +121,6 @@ def test_an_error_is_deleted_only_once_the_board_has_the_mask_without_its_servos
     assert 0x96 in sent
     assert sent.index(0x6A) < sent.index(0x96)
     assert link.fed() == ALL_SERVOS - {11}
-
-
-def test_at_70_degrees_all_servos_leave_the_mask_and_are_reported_once() -> None:
-    link = fed()
-    link.board.temperatures_c[0] = 70
-    link.run(1000)
-    assert link.fed() == NONE
-    assert set(link.ours.status.refused) == ALL_SERVOS
-    assert "overtemperature" in link.ours.status.refused[11]
-    [(_, news)] = link.events(Kind.POWER_FAULT)
-    assert news.servos == ALL_SERVOS
-    link.board.temperatures_c[0] = 69
-    link.board.clear_by_hand()
-    link.run(1000)
-    assert link.fed() == NONE, "nothing comes on by itself"
-
-
-def test_an_error_that_cannot_be_read_takes_all_until_it_is_deleted() -> None:
-    link = fed()
-    link.ours.heard(CanFrame(0x65, b"\x10\x01"), link.now_ns)
-    link.run(20)
-    assert link.fed() == NONE
-    [(_, news)] = link.events(Kind.POWER_FAULT)
-    assert (news.servos, "cannot be read" in news.detail) == (ALL_SERVOS, True)
 
 
 # ---- another node, and a second board
@@ -300,29 +196,6 @@ def test_a_frame_that_is_repeated_4000_times_a_second_is_one_announcement(frame:
     assert len([item for _, item in link.news if isinstance(item, News)]) == 2, "it had ended"
 
 
-def test_the_off_button_is_an_emergency_stop_again_behind_a_reset_whatever_was_before() -> None:
-    link = fed()
-    for _ in range(2):
-        link.board.press_button(link.now_ns)
-        link.run(100)
-        link.ours.clear_errors(link.now_ns)
-    assert len(link.events(Kind.OFF_BUTTON)) == 2
-
-
-def test_what_another_node_switches_off_while_our_on_waits_stays_off() -> None:
-    link = Link()
-    link.want(NONE)
-    link.run(100)
-    link.cut()
-    link.want(NONE)
-    link.run(1)
-    link.want(ALL_SERVOS)  # it waits for the board's counter
-    link.other_node(0b111)
-    link.run(1500)
-    assert link.fed() == {11, 12, 13}
-    assert link.ours.status.lost == ALL_SERVOS - {11, 12, 13}
-
-
 def test_a_mask_for_which_there_was_no_room_leaves_first_and_is_confirmed_by_no_question_of_before() -> None:
     board = PowerBoard(SERVO_IDS, confirm_ns=CONFIRM_MS * NS_PER_MS)
     board.heard(CanFrame(0x97), 0)
@@ -336,20 +209,3 @@ def test_a_mask_for_which_there_was_no_room_leaves_first_and_is_confirmed_by_no_
     board.heard(CanFrame(asked.id + 1, bytes(6 if asked.id in (0x7C, 0x80, 0x86) else 4)), 3)
     board.heard(CanFrame(0x6B, bytes(3)), 4)
     assert board.confirmed
-
-
-def test_a_low_supply_is_reported_and_takes_nothing() -> None:
-    link = fed()
-    link.board.fail(SUPPLY_LOW)
-    link.run(1000)
-    [(_, news)] = link.events(Kind.POWER_FAULT)
-    assert "too low" in news.detail
-    assert link.fed() == ALL_SERVOS
-    assert link.ours.status.refused == {}
-
-
-def test_the_off_button_is_news() -> None:
-    link = fed()
-    link.board.press_button(link.now_ns)
-    link.run(10)
-    assert len(link.events(Kind.OFF_BUTTON)) == 1

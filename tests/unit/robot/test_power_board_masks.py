@@ -1,34 +1,22 @@
 """Which masks the power board is sent, and when, where masks are lost or cross its answers: in virtual time."""
 
 from gateway.allowance import NS_PER_MS
-from gateway.model.power_board import ALL, ASK_CURRENTS, ASK_RAILS, SET_SUPPLY, SUPPLIED, CanFrame, set_supply
-from gateway.robot.power.simulated_board import SimulatedBoard
-from schemas.telemetry import Kind
+from gateway.model.power_board import ASK_CURRENTS, ASK_RAILS, SET_SUPPLY, SUPPLIED, CanFrame, set_supply
 from tests.support.power_link import ALL_SERVOS, FLIGHT_NS, NONE, Link, fed
 
 
-class Deaf(SimulatedBoard):
-    """Answers questions, and while it is `deaf` gets no mask."""
-
-    deaf = False
-
-    def take(self, frame: CanFrame, now_ns: int) -> list[CanFrame]:
-        return [] if self.deaf and frame.id == SET_SUPPLY else super().take(frame, now_ns)
-
-
-def at_rest() -> tuple[Link, Deaf]:
+def at_rest() -> Link:
     """A link whose board has confirmed that all is off."""
-    link, board = Link(), Deaf(pass_ns=1_500_000)
-    link.board = board
+    link = Link()
     link.want(NONE)
     link.run(300)
     assert link.ours.confirmed
-    return link, board
+    return link
 
 
 def test_a_mask_that_switches_on_and_is_lost_is_sent_again_for_two_seconds() -> None:
-    link, board = at_rest()
-    board.deaf = True
+    link = at_rest()
+    link.deaf = True
     at_ns = link.now_ns
     for _ in range(500):
         link.want(frozenset({11}))
@@ -37,28 +25,18 @@ def test_a_mask_that_switches_on_and_is_lost_is_sent_again_for_two_seconds() -> 
     assert 10 <= len(times_ms) <= 20
     assert 1800 < max(times_ms) < 2000
     assert link.fed() == NONE
-    board.deaf = False
+    link.deaf = False
     link.want_anew(frozenset({11}))
     link.run(300)
     assert link.fed() == {11}
 
 
-def test_a_mask_that_was_lost_once_is_made_up_for() -> None:
-    link, board = at_rest()
-    board.deaf = True
-    link.want(frozenset({63}))
-    link.run(20)
-    board.deaf = False
-    link.run(200)
-    assert link.fed() == {63}
-
-
 def test_an_on_waits_for_the_answer_to_an_off_that_crossed_the_answer_before() -> None:
     """The counter is not at rest before: the on would be 230 passes late."""
-    link, _ = at_rest()
+    link = at_rest()
     link.want(frozenset({11}))
     answered_ms = link.run_until(lambda: link.ours.status.supplied == {11})
-    link, _ = at_rest()
+    link = at_rest()
     link.want(frozenset({11}))
     link.run(answered_ms - 1)
     at_ns = link.now_ns
@@ -71,41 +49,9 @@ def test_an_on_waits_for_the_answer_to_an_off_that_crossed_the_answer_before() -
     assert link.fed() == {12}
 
 
-def test_nothing_counts_as_confirmed_before_something_is_wanted() -> None:
-    link = Link()
-    link.run(500)
-    assert not link.ours.confirmed
-    link.want(ALL_SERVOS)
-    link.run(1500)
-    assert link.ours.confirmed
-
-
-def test_a_foreign_mask_that_is_ours_changes_nothing() -> None:
-    link = fed()
-    link.want(ALL_SERVOS)
-    link.other_node(ALL)
-    link.run(500)
-    assert link.fed() == ALL_SERVOS
-    assert link.ours.confirmed
-    assert link.events(Kind.POWER_UNCONFIRMED) == []
-
-
-def test_a_cut_that_nobody_waits_for_is_repeated_all_the_same() -> None:
-    link, board = at_rest()
-    board.deaf = True
-    at_ns = link.now_ns
-    link.cut()
-    link.run(5000)
-    assert link.masks(at_ns) == [(20 * number, 0) for number in range(100)]
-    assert len(link.events(Kind.POWER_UNCONFIRMED)) == 1
-    link.cut()
-    link.run(500)
-    assert len(link.events(Kind.POWER_UNCONFIRMED)) == 2, "each is reported"
-
-
 def test_a_repeat_waits_for_5_ms_behind_an_answer() -> None:
     """In whose pass the board would take it 230 passes late."""
-    link, _ = at_rest()
+    link = at_rest()
     link.altered = lambda frame: frame if frame.id == SUPPLIED else CanFrame(0x100)
     at_ns = link.now_ns
     link.cut()
@@ -118,7 +64,7 @@ def test_a_repeat_waits_for_5_ms_behind_an_answer() -> None:
 
 
 def test_what_was_given_up_is_sent_again_for_two_seconds_where_another_node_switches() -> None:
-    link, _ = at_rest()
+    link = at_rest()
     answers = {question.id + 1 for question in ASK_RAILS}
     link.altered = lambda frame: CanFrame(0x100) if frame.id in answers else frame
     link.cut()
@@ -130,37 +76,6 @@ def test_what_was_given_up_is_sent_again_for_two_seconds_where_another_node_swit
     times_ms = [ms for ms, _ in link.masks(at_ns)]
     assert len(times_ms) > 40
     assert 1900 < max(times_ms) < 2000
-
-
-def test_an_output_that_the_board_takes_by_itself_is_lost_also_behind_a_want_that_changes_nothing() -> None:
-    link = fed()
-    link.want(ALL_SERVOS)
-    link.board.take(CanFrame(SET_SUPPLY, (ALL >> 1).to_bytes(3, "big")), link.now_ns)
-    link.run(300)
-    assert link.ours.status.lost == {63}
-
-
-def test_a_gateway_has_a_second_to_start_whenever_that_is() -> None:
-    link = Link()
-    link.cable = False
-    link.run(3000)
-    link.ours.opened(link.now_ns)
-    link.want(NONE)
-    link.run(990)
-    assert link.events(Kind.POWER_UNCONFIRMED) == []
-    link.run(20)
-    assert len(link.events(Kind.POWER_UNCONFIRMED)) == 1
-
-
-def test_what_another_node_takes_leaves_our_mask_at_once_and_is_reported_once() -> None:
-    link = fed()
-    at_ns = link.now_ns
-    link.other_node(ALL & ~0b111)
-    link.run(6)
-    assert [mask for _, mask in link.masks(at_ns)] == [ALL & ~0b111]
-    link.run(500)
-    assert len(link.events(Kind.POWER_FAULT)) == 1
-    assert link.ours.confirmed
 
 
 def test_a_frame_that_is_not_the_boards_is_no_sign_of_it() -> None:
@@ -187,31 +102,6 @@ def test_not_even_the_first_off_is_confirmed_by_an_answer_that_was_on_its_way() 
     assert ours.next_frames(0)[0] == set_supply(0)
     ours.heard(CanFrame(SUPPLIED, bytes(3)), 1)
     assert not ours.confirmed
-
-
-def test_each_off_that_is_not_confirmed_is_reported() -> None:
-    link, board = at_rest()
-    for number in (1, 2):
-        board.deaf = False
-        link.want(frozenset({11}))
-        link.run(300)
-        board.deaf = True
-        link.want(NONE)
-        link.run(300)
-        assert len(link.events(Kind.POWER_UNCONFIRMED)) == number
-        board.deaf = False
-        link.run(300)
-        assert link.ours.confirmed
-
-
-def test_what_another_node_switches_on_is_taken_again_until_the_board_has_confirmed_it() -> None:
-    link, board = at_rest()
-    at_ns = link.now_ns
-    link.other_node(ALL)
-    board.deaf = True
-    link.run(500)
-    assert not link.ours.confirmed
-    assert len(link.masks(at_ns)) > 10
 
 
 def test_what_servos_drew_before_a_silence_is_not_known_any_more() -> None:

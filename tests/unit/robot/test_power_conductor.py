@@ -1,6 +1,8 @@
 """The power board under the service, in virtual time: what is fed when, what is confirmed, and what its news stop."""
 
 import asyncio
+from collections.abc import Callable
+from operator import setitem
 from typing import Final
 
 import pytest
@@ -22,6 +24,7 @@ ALL: Final = frozenset(SERVO_IDS)
 LEG_3: Final = keys.leg_command(3)
 START: Final = leg("start", 90, 90, 90)
 LEG_3_SERVOS: Final = frozenset({31, 32, 33})
+SERVO_31: Final = 1 << SERVO_IDS.index(31)
 UP_S: Final = 1.2
 """The board switches eighteen servos on in three quarters of a second."""
 
@@ -37,9 +40,7 @@ async def ready(**sections: dict[str, object]) -> FedRobot:
 async def runs(**sections: dict[str, object]) -> FedRobot:
     """A robot of which leg 3 runs, and is fed."""
     robot = await ready(**sections)
-    answers = robot.get(LEG_3, START)
-    await asyncio.sleep(0.4)
-    assert [ack.accepted for ack in answers] == [True]
+    await starts(robot, within_s=0.4)
     assert robot.line.fed == LEG_3_SERVOS
     return robot
 
@@ -49,6 +50,20 @@ async def keep(robot: FedRobot | FedElkapod, seconds: float, key: str, payload: 
     for _ in range(round(seconds * 10)):
         robot.put(key, payload)
         await asyncio.sleep(0.1)
+
+
+async def starts(
+    robot: FedRobot | FedElkapod, key: str = LEG_3, payload: dict[str, object] = START, *, within_s: float = 0.5
+) -> None:
+    """A start is accepted once its servos are fed."""
+    answers = robot.get(key, payload)
+    await asyncio.sleep(within_s)
+    assert [ack.accepted for ack in answers] == [True]
+
+
+def shutdowns(robot: FedElkapod) -> int:
+    """How many the UART has said."""
+    return sum(word == "shutdown" for _, word in robot.said)
 
 
 async def test_a_servo_is_fed_while_it_runs_or_waits_to_be_started_and_at_no_other_time() -> None:
@@ -132,9 +147,7 @@ async def test_a_controller_that_hears_nothing_moves_one_servo_of_those_that_are
     robot.line.simulated.draws_ma = [8.0] * len(SERVO_IDS)
     robot.put(keys.RESET, {})
     await asyncio.sleep(0.2)
-    answers = robot.get(LEG_3, START)
-    await asyncio.sleep(0.5)
-    assert [ack.accepted for ack in answers] == [True]
+    await starts(robot)
 
 
 async def test_an_emergency_stop_takes_all_supply_and_its_answer_waits_for_the_boards() -> None:
@@ -228,86 +241,51 @@ async def test_nothing_starts_while_the_board_is_silent_and_what_runs_is_stopped
     assert [(ack.accepted, ack.confirmed) for ack in answers] == [(True, False)]
     robot.line.unplugged = False
     await asyncio.sleep(UP_S)
-    answers = robot.get(LEG_3, START)
-    await asyncio.sleep(0.6)
-    assert [ack.accepted for ack in answers] == [True]
+    await starts(robot)
 
 
-@pytest.mark.parametrize("by_hand", [True, False])
-async def test_a_servo_that_the_board_blocks_is_stopped_and_starts_again_behind_a_reset(by_hand: bool) -> None:
-    robot = await runs()
-    robot.line.simulated.fail(SERVO_OVERCURRENT, 1 << SERVO_IDS.index(31))
-    await keep(robot, 0.2, LEG_3, leg("set", 91, 91, 91))
-    assert running(robot) == []
-    assert robot.line.fed == frozenset()
-    ack = robot.ask(keys.servo_command(31), servo("start", 90))
-    assert (ack.reason, "31" in (ack.detail or "")) == (Reason.NO_POWER, True)
-    assert Kind.POWER_FAULT in [event.kind for event in robot.events()]
-    if by_hand:
-        robot.line.simulated.clear_by_hand()
-    await asyncio.sleep(0.5)
-    assert robot.line.fed == frozenset(), "cleared at the board, nothing comes on by itself"
-    assert robot.ask(keys.servo_command(31), servo("start", 90)).reason is Reason.NO_POWER
-    robot.put(keys.ESTOP)
-    await asyncio.sleep(0.2)
-    robot.put(keys.RESET, {"estop": 1})
-    await asyncio.sleep(UP_S)
-    answers = robot.get(keys.servo_command(31), servo("start", 90))
-    await asyncio.sleep(0.5)
-    assert [ack.accepted for ack in answers] == [True]
+def _nothing(_: FedRobot) -> None:
+    pass
 
 
-async def test_at_70_degrees_all_is_stopped_and_nothing_is_fed_when_somebody_presses_the_boards_button() -> None:
-    robot = await runs()
-    robot.line.simulated.temperatures_c[0] = 70
-    await keep(robot, 0.2, LEG_3, leg("set", 91, 91, 91))
-    assert running(robot) == []
-    assert robot.line.fed == frozenset()
-    assert len(robot.events(Kind.POWER_FAULT)) == 1
+def _cleared(robot: FedRobot) -> None:
     robot.line.simulated.temperatures_c[0] = 40
     robot.line.simulated.clear_by_hand()
-    await asyncio.sleep(UP_S)
-    assert robot.line.fed == frozenset()
-    assert robot.ask(LEG_3, START).reason is Reason.NO_POWER
-    robot.put(keys.RESET, {})
-    await asyncio.sleep(UP_S)
-    answers = robot.get(LEG_3, START)
-    await asyncio.sleep(0.5)
-    assert [ack.accepted for ack in answers] == [True]
 
 
-async def test_what_another_node_switches_off_counts_as_stopped() -> None:
+TAKEN: Final[dict[str, tuple[Callable[[FedRobot], object], Callable[[FedRobot], object], int]]] = {
+    # what takes the supply, what somebody does at the board behind it, and how many faults are published
+    "a blocked servo": (lambda robot: robot.line.simulated.fail(SERVO_OVERCURRENT, SERVO_31), _nothing, 1),
+    "its block is cleared": (lambda robot: robot.line.simulated.fail(SERVO_OVERCURRENT, SERVO_31), _cleared, 1),
+    "70 degrees, and its button": (lambda robot: setitem(robot.line.simulated.temperatures_c, 0, 70), _cleared, 1),
+    "another node's mask": (lambda robot: robot.line.hear_from_another(set_supply(0)), _nothing, 1),
+    # On slcan it shares the terminal, so its masks are never seen, and the board seems silent now and then.
+    "stop-servos": (
+        lambda robot: robot.conductor._step(StoppedOutside(at_work=True)),
+        lambda robot: robot.conductor._step(StoppedOutside(at_work=False)),
+        0,
+    ),
+}
+
+
+@pytest.mark.parametrize("what", TAKEN)
+async def test_what_takes_the_supply_stops_all_of_the_leg_and_nothing_starts_before_a_reset(what: str) -> None:
+    takes, undone, faults = TAKEN[what]
     robot = await runs()
-    robot.line.hear_from_another(set_supply(0))
-    await asyncio.sleep(0.02)
+    takes(robot)
+    await keep(robot, 0.2, LEG_3, leg("set", 91, 91, 91))
     assert running(robot) == []
-    assert Kind.POWER_FAULT in [event.kind for event in robot.events()]
+    assert robot.line.fed == frozenset()
+    assert len(robot.events(Kind.POWER_FAULT)) == faults
+    undone(robot)
     await asyncio.sleep(UP_S)
-    assert robot.line.fed == frozenset(), "whoever took it knows why"
-    assert robot.ask(LEG_3, START).reason == Reason.NO_POWER
+    assert robot.line.fed == frozenset(), "nothing comes on by itself"
+    ack = robot.ask(LEG_3, START)
+    assert (ack.reason, "31" in (ack.detail or "")) == (Reason.NO_POWER, True)
     robot.put(keys.RESET, {})
     await asyncio.sleep(UP_S)
-    assert robot.line.fed == frozenset()
-    answers = robot.get(LEG_3, START)
-    await asyncio.sleep(0.5)
-    assert [ack.accepted for ack in answers] == [True]
-
-
-async def test_what_stop_servos_takes_is_not_started_before_a_reset_though_nothing_of_it_is_seen_on_can() -> None:
-    """On slcan it shares the terminal, so its masks are never seen, and the board seems silent now and then."""
-    robot = await runs()
-    robot.conductor._step(StoppedOutside(at_work=True))
-    assert robot.line.fed == frozenset()
-    assert running(robot) == []
-    robot.conductor._step(StoppedOutside(at_work=False))
-    await asyncio.sleep(UP_S)
-    assert robot.line.fed == frozenset()
-    assert robot.ask(LEG_3, START).reason is Reason.NO_POWER
-    robot.put(keys.RESET, {})
-    await asyncio.sleep(UP_S)
-    answers = robot.get(LEG_3, START)
-    await asyncio.sleep(0.5)
-    assert [ack.accepted for ack in answers] == [True]
+    assert robot.line.fed == frozenset(), "a start is needed"
+    await starts(robot)
 
 
 async def test_a_board_that_restarts_has_all_off_and_a_start_is_needed_once_it_answers() -> None:
@@ -359,14 +337,14 @@ async def test_a_stop_of_one_servo_takes_its_supply_at_once_and_is_confirmed() -
     assert robot.line.fed == {31, 32, 33}
     answers = robot.get(keys.servo_command(32), servo("stop"))
     assert robot.line.fed == {31, 33}
-    shutdowns = len([said for said in robot.said if said[1] == "shutdown"])
+    before = shutdowns(robot)
     await asyncio.sleep(0.1)
     (ack,) = answers
     assert (ack.accepted, ack.confirmed) == (True, True)
-    assert len([said for said in robot.said if said[1] == "shutdown"]) == shutdowns, "the others run"
+    assert shutdowns(robot) == before, "the others run"
     robot.put(LEG_3, leg("stop"))
     assert robot.line.fed == frozenset()
-    assert len([said for said in robot.said if said[1] == "shutdown"]) > shutdowns, "with the last, the UART's too"
+    assert shutdowns(robot) > before, "with the last, the UART's too"
 
 
 async def test_a_stop_that_is_not_confirmed_stops_the_whole_robot_over_the_uart() -> None:
@@ -377,9 +355,9 @@ async def test_a_stop_that_is_not_confirmed_stops_the_whole_robot_over_the_uart(
     assert robot.line.fed == ALL
     robot.line.deaf = True  # it answers questions, and does not obey masks
     robot.put(LEG_3, leg("stop"))
-    shutdowns = len([said for said in robot.said if said[1] == "shutdown"])
+    before = shutdowns(robot)
     await keep(robot, 0.6, keys.leg_command(1), leg("set", 90, 90, 90))
-    assert len([said for said in robot.said if said[1] == "shutdown"]) > shutdowns
+    assert shutdowns(robot) > before
     assert running(robot) == []
 
 
@@ -389,7 +367,7 @@ async def test_a_stop_that_is_not_confirmed_stops_the_whole_robot_over_the_uart(
 async def test_a_servo_that_still_has_supply_and_draws_after_its_stop_is_not_started_until_a_reset() -> None:
     robot = await runs()
     robot.line.simulated.draws_ma[SERVO_IDS.index(31)] = 151.0
-    robot.line.simulated.stuck = 1 << SERVO_IDS.index(31)
+    robot.line.simulated.stuck = SERVO_31
     robot.put(LEG_3, leg("stop"))
     await asyncio.sleep(0.29)
     assert robot.events(Kind.SERVO_DRAWS) == [], "it may still come to rest"
@@ -402,9 +380,7 @@ async def test_a_servo_that_still_has_supply_and_draws_after_its_stop_is_not_sta
     robot.put(keys.RESET, {})
     await asyncio.sleep(0.2)
     robot.line.simulated.draws_ma[SERVO_IDS.index(31)] = 8.0
-    answers = robot.get(keys.servo_command(31), servo("start", 90))
-    await asyncio.sleep(0.5)
-    assert [ack.accepted for ack in answers] == [True]
+    await starts(robot, keys.servo_command(31), servo("start", 90))
 
 
 async def test_a_switch_that_has_melted_is_found_by_the_current_and_stops_the_whole_elkapod() -> None:
@@ -413,7 +389,7 @@ async def test_a_switch_that_has_melted_is_found_by_the_current_and_stops_the_wh
     robot.put(keys.LEGS_COMMAND, all_legs("start", 90))
     await keep(robot, 1.0, keys.LEGS_COMMAND, all_legs("set", 90))
     robot.line.simulated.draws_ma = [300.0] * len(SERVO_IDS)
-    robot.line.simulated.stuck = 1 << SERVO_IDS.index(31)
+    robot.line.simulated.stuck = SERVO_31
     robot.put(keys.servo_command(31), servo("stop"))
     await keep(robot, 0.7, keys.leg_command(1), leg("set", 90, 90, 90))
     assert robot.events(Kind.SERVO_DRAWS)
@@ -428,7 +404,7 @@ async def test_a_reset_lets_an_elkapods_servo_start_that_drew_current_after_its_
     robot.put(keys.servo_command(31), servo("start", 90))
     await keep(robot, 0.5, keys.servo_command(31), servo("set", 90))
     robot.line.simulated.draws_ma = [300.0] * len(SERVO_IDS)
-    robot.line.simulated.stuck = 1 << SERVO_IDS.index(31)
+    robot.line.simulated.stuck = SERVO_31
     robot.put(keys.servo_command(31), servo("stop"))
     await asyncio.sleep(0.7)
     assert robot.events(Kind.SERVO_DRAWS)
@@ -437,9 +413,7 @@ async def test_a_reset_lets_an_elkapods_servo_start_that_drew_current_after_its_
     await asyncio.sleep(0.5)
     robot.put(keys.RESET, {})
     await asyncio.sleep(BEAT_S)
-    answers = robot.get(keys.servo_command(31), servo("start", 90))
-    await asyncio.sleep(0.3)
-    assert [ack.accepted for ack in answers] == [True]
+    await starts(robot, keys.servo_command(31), servo("start", 90))
 
 
 async def test_a_servo_that_runs_and_draws_nothing_is_reported_once() -> None:

@@ -10,9 +10,7 @@ from gateway.model.power_board import (
     ASK_ERROR,
     CLEAR_ERROR,
     CONVERTER_OVERCURRENT,
-    OVERTEMPERATURE,
     SERVO_OVERCURRENT,
-    SUPPLY_LOW,
     TWO_BOARDS,
     UNREADABLE,
     BoardError,
@@ -43,14 +41,6 @@ def test_an_error_blocks_its_outputs_and_is_news_once(errors: BoardErrors) -> No
     assert errors.shown(LAST, 2) == (WHY, 1 << 17, True)
     assert errors.blocked == {0: WHY, 17: WHY}
     assert errors.mask == 1 | 1 << 17
-
-
-def test_an_output_is_blocked_by_the_first_error_that_names_it(errors: BoardErrors) -> None:
-    errors.shown(FIRST, 0)
-    why, new, _ = errors.shown(BoardError(OVERTEMPERATURE, 0b111), 1)
-    assert new == ALL & ~1
-    assert errors.blocked == {0: WHY, **dict.fromkeys(range(1, 18), why)}
-    assert errors.shown(BoardError(SUPPLY_LOW), 2)[1:] == (0, True), "which blocks none"
 
 
 def test_nothing_is_deleted_unasked(errors: BoardErrors) -> None:
@@ -115,26 +105,6 @@ def test_to_delete_anew_begins_with_a_question(errors: BoardErrors) -> None:
     errors.shown(FIRST, 0)
     errors.delete(5 * NS_PER_MS)
     assert frames(errors, range(10)) == [(5, ASK_ERROR)]
-
-
-def test_what_is_shown_to_a_question_in_turn_is_not_deleted_later(errors: BoardErrors) -> None:
-    errors.shown(FIRST, 0)
-    errors.delete(10 * NS_PER_MS)
-    assert frames(errors, range(20))[0] == (10, ASK_ERROR)
-
-
-def test_a_servo_is_free_again_with_its_own_error_while_another_lasts(errors: BoardErrors) -> None:
-    hot = BoardError(OVERTEMPERATURE, 0b100)
-    errors.shown(FIRST, 0)
-    errors.shown(hot, 0)
-    errors.delete(0)
-    errors.shown(FIRST, 1)
-    errors.deleted(2)
-    errors.shown(hot, 3)
-    assert sorted(errors.blocked) == list(range(12, 18))
-    for _ in range(100):
-        errors.deleted(4)
-        assert not errors.shown(hot, 5)[2], "it lasts, and was reported"
 
 
 def test_an_error_that_cannot_be_read_blocks_all_and_is_reported_once(errors: BoardErrors) -> None:

@@ -21,19 +21,6 @@ def ns(ms: float) -> int:
     return round(ms * NS_PER_MS)
 
 
-def test_an_output_is_confirmed_off_by_an_answer_behind_its_mask_that_shows_it_off(offs: OutputsOff) -> None:
-    offs.take(BOTH, 7, ns(0))
-    assert (offs.mask, offs.unconfirmed) == (BOTH, BOTH)
-    offs.answered(0, 6, ns(1))
-    assert offs.unconfirmed == BOTH, "the answer was given before the mask had arrived"
-    offs.answered(ONE, 7, ns(2))
-    assert offs.unconfirmed == ONE, "it shows the first one on"
-    offs.answered(0, 8, ns(3))
-    assert (offs.mask, offs.unconfirmed) == (BOTH, 0)
-    offs.answered(0, 3, ns(4))
-    assert offs.unconfirmed == 0, "an older answer takes nothing back"
-
-
 def test_what_is_to_be_on_is_no_longer_off(offs: OutputsOff) -> None:
     offs.take(BOTH, 1, ns(0))
     offs.feed(ONE | 2)
@@ -76,14 +63,6 @@ def test_who_waits_hears_of_the_confirmation_once(offs: OutputsOff) -> None:
     assert offs.answered(0, 5, ns(8))[1] == [Confirmed(32, True, 10.0)]
     assert offs.answered(0, 6, ns(9))[1] == []
     assert offs.late(ns(1000))[1] == []
-
-
-def test_a_wait_for_two_is_for_the_newer_of_their_masks(offs: OutputsOff) -> None:
-    offs.take(ONE, 4, ns(0))
-    offs.take(LAST, 5, ns(0))
-    offs.wait(BOTH, ns(0), 32, newest=9)
-    assert offs.answered(0, 4, ns(1))[1] == []
-    assert offs.answered(0, 5, ns(2))[1] == [Confirmed(32, True, 2.0)]
 
 
 def test_a_wait_for_what_is_not_off_is_for_the_newest_mask(offs: OutputsOff) -> None:

@@ -10,7 +10,6 @@ from gateway.robot.power.simulated_board import MEASURE_NS, PASS_NS, SimulatedBo
 ALL = CanFrame(0x6A, bytes.fromhex("03ffff"))
 NONE = CanFrame(0x6A, bytes(3))
 ALL_ON = CanFrame(0x6B, bytes.fromhex("03ffff"))
-NONE_ON = CanFrame(0x6B, bytes(3))
 TOO_MUCH_MA = 4000.0
 
 
@@ -75,13 +74,6 @@ def fed(bench: Bench) -> Bench:
 # ---- switching
 
 
-def test_off_is_at_once_and_answered_after_26_passes(fed: Bench) -> None:
-    assert fed.take(NONE) == []
-    assert fed.board.fed == 0
-    assert fed.until(0x6B) == (26, NONE_ON)
-    assert fed.passes(1000) == [], "once"
-
-
 def test_all_eighteen_go_on_one_by_one_in_494_passes(bench: Bench) -> None:
     bench.take(ALL)
     seen = []
@@ -103,62 +95,7 @@ def test_a_mask_within_a_pass_behind_an_answer_waits_230_passes_longer(fed: Benc
     assert {0: 256, 9: 490}[more] == passes
 
 
-def test_off_is_at_once_even_within_a_pass_behind_an_answer(fed: Bench) -> None:
-    fed.take(ALL)
-    fed.until(0x6B)
-    fed.take(NONE)
-    assert fed.board.fed == 0
-    assert fed.until(0x6B) == (256, NONE_ON)
-
-
-def test_a_mask_a_pass_later_is_answered_as_ever(fed: Bench) -> None:
-    fed.take(NONE)
-    fed.until(0x6B)
-    fed.passes(1)
-    fed.take(NONE)
-    assert fed.until(0x6B) == (26, NONE_ON)
-
-
-def test_masks_that_come_while_another_is_worked_on_do_no_harm(bench: Bench) -> None:
-    answers: list[CanFrame] = []
-    for _ in range(80):
-        answers += bench.take(ALL) + bench.passes(5)
-    assert answers == []
-    assert bench.until(0x6B) == (94, ALL_ON)
-
-
-def test_a_mask_that_is_not_three_bytes_long_and_other_frames_change_nothing(fed: Bench) -> None:
-    for frame in (CanFrame(0x6A), CanFrame(0x6A, bytes(2)), CanFrame(0x6A, bytes(4)), CanFrame(0x92, bytes(2))):
-        assert fed.take(frame) == []
-    assert fed.passes(300) == []
-    assert fed.board.fed == 0x3FFFF
-
-
 # ---- questions
-
-
-def test_currents_are_those_of_the_newest_measurement_and_none_of_what_is_off(fed: Bench) -> None:
-    fed.board.draws_ma[:4] = 8.0, 300.7, 3000.0, 256.0
-    fed.measure()
-    assert fed.ask(0x70).hex() == "0008012c0bb8"
-    assert fed.ask(0x72).hex() == "010000000000"
-    fed.take(NONE)
-    assert fed.ask(0x70).hex() == "0008012c0bb8", "not measured yet"
-    fed.measure()
-    assert fed.ask(0x70) == fed.ask(0x72) == bytes(6)
-
-
-def test_rails_and_temperatures(fed: Bench) -> None:
-    fed.board.draws_ma[17] = 2000.0
-    fed.board.battery_mv = 14_800
-    fed.board.temperatures_c[:] = [31, -2, 30]
-    fed.measure()
-    assert fed.ask(0x7C).hex() == "00000384003c"  # the 5 V and 3.3 V that are assumed
-    assert fed.ask(0x7E).hex() == "0014" + (1317).to_bytes(2, "big").hex()  # 2 A at 7.4 V, 0.9 A at 5, 60 mA at 3.3
-    assert fed.ask(0x80).hex() == "1ce8" * 3
-    assert fed.ask(0x82).hex() == "00001388"
-    assert fed.ask(0x84).hex() == "39d0" * 2
-    assert fed.ask(0x86).hex() == "001ffffe001e"
 
 
 def test_a_question_with_data_is_none(fed: Bench) -> None:
@@ -193,24 +130,6 @@ def test_ten_measurements_above_the_limit_block_an_output_and_nine_do_not(fed: B
     assert fed.until(0x6B)[1].data.hex() == "03ffef", "blocked whatever the mask"
 
 
-def test_an_output_of_the_newest_mask_comes_on_by_itself_when_its_error_is_deleted(fed: Bench) -> None:
-    fed.board.fail(2, outputs(5))
-    assert fed.board.fed == 0x3FFFF & ~outputs(5)
-    fed.passes(100)
-    fed.take(CanFrame(0x96))
-    assert fed.passes(1) == [CanFrame(0x97)]
-    fed.passes(26)
-    assert fed.board.fed == 0x3FFFF
-
-
-def test_deleting_by_hand_gives_nothing_back_that_a_newer_mask_leaves_out(fed: Bench) -> None:
-    fed.board.fail(2, outputs(5))
-    fed.take(CanFrame(0x6A, bytes.fromhex("03ffef")))
-    fed.board.clear_by_hand()
-    fed.passes(1000)
-    assert fed.board.fed == 0x3FFFF & ~outputs(5)
-
-
 def test_each_64_shows_the_next_error_and_96_deletes_the_one_shown_last(bench: Bench) -> None:
     bench.board.fail(8)
     bench.board.fail(2, outputs(1))
@@ -228,25 +147,6 @@ def test_each_64_shows_the_next_error_and_96_deletes_the_one_shown_last(bench: B
         bench.take(CanFrame(0x64))
         (answer,) = (frame for frame in bench.passes(1) if frame.id != 0x6B)
         assert answer == CanFrame(0x65, bytes.fromhex(left)), "the second 96 deleted nothing"
-
-
-def test_an_error_that_grows_is_shown_again_and_one_that_repeats_is_not(bench: Bench) -> None:
-    bench.board.fail(2, outputs(5))
-    assert bench.passes(1) == [CanFrame(0x65, bytes.fromhex("02000010"))]
-    bench.board.fail(2, outputs(5))
-    assert not [frame for frame in bench.passes(20) if frame.id == 0x65]
-    bench.board.fail(2, outputs(18))
-    assert bench.passes(1) == [CanFrame(0x65, bytes.fromhex("02020010"))]
-
-
-@pytest.mark.parametrize("code", [1, 4])
-def test_a_converter_that_fails_feeds_none_of_its_six_though_the_mask_shows_them(fed: Bench, code: int) -> None:
-    fed.board.fail(code, 0b10)
-    assert fed.board.fed == 0x3FFFF & ~outputs(7, 8, 9, 10, 11, 12)
-    assert fed.ask(0x80).hex() == "1ce800001ce8"
-    assert fed.until(0x6B)[1] == ALL_ON
-    fed.board.clear_by_hand()
-    assert fed.board.fed == 0x3FFFF, "all six at once"
 
 
 @pytest.mark.parametrize(
@@ -282,13 +182,6 @@ def test_a_sensor_at_70_degrees_switches_converters_off_and_says_so_every_140_ms
 # ---- its button, its own supply
 
 
-def test_its_button_is_said_once_in_the_next_pass(fed: Bench) -> None:
-    fed.board.press_button(fed.now_ns)
-    assert fed.passes(1) == [CanFrame(0x69)]
-    assert fed.passes(100) == []
-    assert fed.board.fed == 0x3FFFF
-
-
 def test_without_supply_it_forgets_everything_and_is_silent_until_its_button_is_pressed(fed: Bench) -> None:
     fed.board.fail(2, outputs(5))
     fed.board.restart()
@@ -315,16 +208,6 @@ def test_66_takes_all_supply_after_1000_passes(fed: Bench) -> None:
 
 
 # ---- faults, time
-
-
-def test_a_switch_that_has_melted_feeds_whatever_the_board_answers(fed: Bench) -> None:
-    fed.board.stuck = outputs(4)
-    fed.board.draws_ma[3] = 500.0
-    fed.take(NONE)
-    assert fed.until(0x6B) == (26, NONE_ON)
-    assert fed.board.fed == outputs(4)
-    fed.measure()
-    assert fed.ask(0x72).hex() == "01f400000000"
 
 
 def test_one_that_looks_only_when_something_is_due_sees_the_same(bench: Bench) -> None:
