@@ -22,6 +22,7 @@ import gc
 import os
 import sys
 from contextlib import suppress
+from pathlib import Path
 from typing import Final
 
 LOOP_PRIORITY: Final = 20
@@ -60,6 +61,11 @@ def prefer_process() -> None:
     with suppress(PermissionError):
         if os.getpriority(os.PRIO_PROCESS, 0) > ZENOH_NICE:
             os.setpriority(os.PRIO_PROCESS, 0, ZENOH_NICE)
+    # Where Linux schedules sessions as groups (autogroup), the above counts only within one. A terminal's session has
+    # other programs, a service leads its own. The file is missing where there are no such groups.
+    if os.getsid(0) == os.getpid():
+        with suppress(OSError):
+            Path("/proc/self/autogroup").write_text(str(ZENOH_NICE))
 
 
 def limit_malloc_arenas() -> None:

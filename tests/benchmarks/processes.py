@@ -23,6 +23,13 @@ def cpu_ns(pid: int) -> int:
     return total
 
 
+def never_delay(pid: int) -> None:
+    """Give all present threads of a process real-time priority, if allowed: it stands for what is no program here."""
+    with suppress(PermissionError):
+        for task in Path(f"/proc/{pid}/task").iterdir():
+            os.sched_setscheduler(int(task.name), os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(50))
+
+
 def rss_kb(pid: int, field: str = "VmRSS") -> int:
     """Resident memory now, or at most (VmHWM)."""
     return _status(pid, field)
@@ -49,6 +56,8 @@ class Written:
 
     monotonic_ns: int
     data: bytes
+    call: int = 0
+    """The number of the ioctl that it was part of."""
 
 
 class OnDevice:
@@ -62,9 +71,7 @@ class OnDevice:
         own = self.child.pid
         self.pid = int(Path(f"/proc/{own}/task/{own}/children").read_text().split()[0])
         # The emulation stands for hardware, which no load slows; it is the same for whatever runs on it.
-        with suppress(PermissionError):
-            for task in Path(f"/proc/{own}/task").iterdir():
-                os.sched_setscheduler(int(task.name), os.SCHED_FIFO, os.sched_param(50))
+        never_delay(own)
 
     def __enter__(self) -> Self:
         return self
@@ -87,7 +94,7 @@ class OnDevice:
             with suppress(ValueError):  # the last line may be half written
                 record = json.loads(line)
                 if record["kind"] in ("write", "message") and record["t"] >= since_ns:
-                    found.append(Written(record["t"], bytes.fromhex(record["data"])))
+                    found.append(Written(record["t"], bytes.fromhex(record["data"]), record["call"]))
         return found
 
 

@@ -26,7 +26,15 @@ def program(name: str, *arguments: str) -> Child:
 class Subject:
     """One of the two, running."""
 
-    def __init__(self, name: str, folder: Path, stack: ExitStack, settings: dict[str, dict[str, Any]] | None = None):
+    def __init__(
+        self,
+        name: str,
+        folder: Path,
+        stack: ExitStack,
+        settings: dict[str, dict[str, Any]] | None = None,
+        prefix: tuple[str, ...] = (),
+    ):
+        """`prefix` goes before the gateway's command."""
         self.name = name
         self.endpoint = f"tcp/127.0.0.1:{free_port()}"
         self._folder = folder
@@ -35,7 +43,7 @@ class Subject:
         if name == "gateway":
             ours: dict[str, dict[str, Any]] = {"zenoh": {"listen": [self.endpoint]}, "spi": {"framing": "plain"}}
             config = write_settings(folder / "gateway.toml", {**ours, **(settings or {})})
-            command, ready = [*COMMAND, "run", "--config", str(config)], READY
+            command, ready = [*prefix, *COMMAND, "run", "--config", str(config)], READY
         else:
             framing = (settings or {}).get("spi", {}).get("framing", Framing.PLAIN)
             command, ready = [sys.executable, "-m", "tests.benchmarks.naive", self.endpoint, framing], "ready"

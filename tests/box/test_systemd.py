@@ -103,6 +103,8 @@ def test_sandbox(robot: InstalledGateway) -> None:
     raised = robot.box.run("prlimit", "--nice=30:30", "--rtprio=20:20", "true", check=False).returncode == 0
     limits = [line.split()[-1] for line in robot.box.read(f"/proc/{pid}/limits").splitlines() if "priority" in line]
     assert limits == (["30", "20"] if raised else ["0", "0"]), "systemd gives what its own machine lets it"
+    group = robot.box.run("cat", f"/proc/{pid}/autogroup", check=False).stdout
+    assert not group or group.endswith(f"nice {-10 if raised else 0}\n"), "it goes ahead of other sessions"
 
 
 @pytest.mark.nightly
