@@ -37,6 +37,8 @@ MOST_S: Final = {"test": 900, "all": 1800, "nightly": 4 * 3600}
 """A run that takes longer ends with the stacks of what hangs: five times what a tier may take, since CI may be slow."""
 SAMPLE: Final = 30
 """Of each changed file, so many mutants; `make nightly` judges all of all files."""
+MUTANTS_S: Final = 240
+"""For so long; the file that is judged then is judged to its end."""
 TOGETHER: Final = "not alone and not attended and not searches"
 _PYTEST: Final = (sys.executable, "-m", "pytest")
 _FAILED: Final = Path(".pytest_cache") / "v" / "cache" / "lastfailed"
@@ -83,17 +85,21 @@ class Stages:
         """Whether all its tests have passed; ends this program where they could not be run to their end."""
         begun_s = time.monotonic()
         process = subprocess.Popen([*_PYTEST, *arguments], process_group=0)
-        try:
-            code = process.wait(max(0.0, self._until_s - begun_s))
-        except subprocess.TimeoutExpired:
-            for pid in (process.pid, *descendants.children(process.pid)):
-                descendants.send(pid, signal.SIGABRT)  # at which pytest says where it stands
-            process.wait()
-            sys.exit(f"stage {name} has not ended after {time.monotonic() - begun_s:.0f} s")
+        code = self.ended(process, f"stage {name}")
         print(f"stage {name}: {time.monotonic() - begun_s:.0f} s", flush=True)
         if code not in (pytest.ExitCode.OK, pytest.ExitCode.TESTS_FAILED):
             sys.exit(code)
         return code == pytest.ExitCode.OK
+
+    def ended(self, process: subprocess.Popen[bytes], name: str) -> int:
+        """Wait for a process. Returns its exit code; ends this program where there is no time left."""
+        try:
+            return process.wait(max(0.0, self._until_s - time.monotonic()))
+        except subprocess.TimeoutExpired:
+            for pid in (process.pid, *descendants.children(process.pid)):
+                descendants.send(pid, signal.SIGABRT)  # at which pytest says where it stands
+            process.wait()
+            sys.exit(f"{name} had no time left")
 
     def twice(self, green: list[bool]) -> bool:
         """Whether these stages were green, or what failed in them is so alone."""
@@ -110,12 +116,13 @@ class Stages:
 def _stages(stages: Stages, workers: int, only: str) -> bool:
     beside = [stages.run("together", "--cache-clear", "-n", str(workers), "-m", TOGETHER + only)]
     search = [*_PYTEST, "-n", "auto", "-p", "no:cacheprovider", "-m", f"searches{only}"]
-    mutants = [sys.executable, "-m", "tests.mutants", "--changed", "--sample", str(SAMPLE)]
+    mutants = [sys.executable, "-m", "tests.mutants", "--changed", "--sample", str(SAMPLE), "--seconds", str(MUTANTS_S)]
     with _behind(search, idle=True) as searches, _behind(mutants, idle=True) as judged:
         beside.append(stages.run("attended", "-n", "2", "-m", f"attended{only}"))
         green = stages.twice(beside)
         green = stages.run("alone", "-m", f"alone{only}") and green
-    return green and searches.returncode == judged.returncode == 0
+        codes = stages.ended(searches, "the searches"), stages.ended(judged, "the mutants")
+    return green and not any(codes)
 
 
 @contextmanager

@@ -6,6 +6,7 @@ room of FLOORED is below FLOOR, or a file's tests fail without a mutant.
 
 import argparse
 import json
+import math
 import subprocess
 import sys
 import time
@@ -38,14 +39,22 @@ def main() -> int:
     parser.add_argument("--accepted", action="store_true", help="run those that are accepted: is one noticed by now?")
     parser.add_argument("--survivors", action="store_true", help="where only tests were added: what survived last time")
     parser.add_argument("--sample", type=int, metavar="N", help="of each file only these many, always the same ones")
+    parser.add_argument("--seconds", type=float, default=math.inf, help="begin with no further file after so many")
     arguments = parser.parse_args()
+    until_s = time.monotonic() + arguments.seconds
     files = [file for file in JUDGES if not arguments.names or any(name in file for name in arguments.names)]
     if arguments.changed:
         files = [file for file in files if file in changed()]
     # Not a list that ends early: a survivor in one file hides none in the next.
     again = {file: last_score(file) if arguments.survivors else None for file in files}
     run_accepted, sample = arguments.accepted, arguments.sample
-    scores = [judge(file, run_accepted=run_accepted, sample=sample, last=again[file]) for file in files]
+    scores = []
+    for number, file in enumerate(files):
+        if time.monotonic() > until_s:
+            print("not judged, for want of time: " + ", ".join(files[number:]))
+            del files[number:]
+            break
+        scores.append(judge(file, run_accepted=run_accepted, sample=sample, last=again[file]))
     killed, wanted = (sum(score[of] for score in scores) for of in ("killed", "wanted"))
     print(f"\n{killed} of {wanted} killed ({killed / max(1, wanted):.1%}) in {len(files)} files")
     low = list(below_floor(dict(zip(files, scores, strict=True))))

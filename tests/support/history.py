@@ -124,7 +124,7 @@ class ServoHistory:
             None if self.bound_cdeg is None else (self.bound_cdeg, rank.get(self.bound_for)),
             speed_age_ns(self.said_ns, now_ns, rules) if self.on else None,
             speed_age_ns(self.edge_ns, now_ns, rules) if self.on and self.edge_ns is not None else None,
-            self.owed and (self.owed, self.owed_ns - now_ns),
+            self.owed and (self.owed, max(0, self.owed_ns - now_ns)),
             self.stopped_by if self.stopped_ns == instant_ns else None,
         )
 

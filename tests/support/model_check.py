@@ -62,10 +62,11 @@ from tests.support.transitions import TRANSITIONS
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """What a complete search saw."""
+    """What a search saw, and whether it has visited every state."""
 
     states: int
     steps: int
+    whole: bool
 
 
 # ---- states: copied, and told apart
@@ -228,7 +229,9 @@ def key(supervisor: Supervisor, now_ns: int, rank: dict[int, int]) -> tuple[obje
                         servo.passing_cdeg,
                         speed_age_ns(servo.since_ns, now_ns, legs._rules) if servo.running else None,
                         # A bus that opens again is told to stop everything anew.
-                        supervisor._bus_ok and servo.repeats_left and (servo.repeats_left, servo.repeat_ns - now_ns),
+                        supervisor._bus_ok
+                        and servo.repeats_left
+                        and (servo.repeats_left, max(0, servo.repeat_ns - now_ns)),
                         servo.stopped_by if servo.stopped_ns == legs.instant_ns else None,
                     )
                     for servo in leg.servos
@@ -403,8 +406,8 @@ def _what_follows(legs: Legs) -> tuple[object, ...]:
 def check(
     configuration: Configuration, make: Callable[[Rules], Supervisor] = Supervisor, *, most_states: float = math.inf
 ) -> Report:
-    """Visit every reachable state, the nearest first. Raises Violation, with the shortest way to it, where a promise is
-    broken."""
+    """Visit every reachable state, the nearest first, until `most_states` are known. Raises Violation, with the
+    shortest way to it, where a promise is broken."""
     seen: set[Key] = set()
     frontier = deque([start(configuration, make)])
     steps = 0
@@ -414,4 +417,4 @@ def check(
             if found not in seen:
                 seen.add(found)
                 frontier.append(state)
-    return Report(len(seen), steps)
+    return Report(len(seen), steps, whole=not frontier)

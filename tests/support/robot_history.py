@@ -106,7 +106,7 @@ class RobotHistory:
             self.outside,
             latched,
             self.unknown,
-            (self.disk[1], self.disk == (self.estops, self.latched_ns is not None)),
+            self.rules.estop_kept and (self.disk[1], self.disk == (self.estops, self.latched_ns is not None)),
             pause,
             pending,
             legs,

@@ -118,6 +118,7 @@ CONFIGURATIONS: Final = (
         (*(("leg", _each(op, 11)) for op in (START, SET, STOP)), ("leg with a time", _each(START, 11))),
         _WAITS,
         ends=False,
+        calm=True,
     ),
     Configuration(
         "two legs, starts without a time",
@@ -133,7 +134,7 @@ CONFIGURATIONS: Final = (
         _rules(repeats=0, start_wait_ns=TICK, window_ns=2 * TICK, starts_whole=True),
         (1, 2),
         (("legs", _each(START, *_BOTH)), ("servo", _each(SET, 21)), ("servo", _each(STOP, 11))),
-        (0, TICK, 3 * TICK),
+        (0, 2 * TICK),
         ends=False,
         calm=True,
     ),

@@ -5,7 +5,7 @@ from collections.abc import Callable, Collection, Iterable, Sequence
 from gateway.model.black_box.format import COALESCED
 from gateway.model.frames import leg_of
 from gateway.robot.blackbox.recorder import Recorder
-from gateway.robot.core.events import Announce, Request
+from gateway.robot.core.events import Announce, Command, Request
 from gateway.robot.core.intake import echo_of
 from gateway.robot.core.outcome import Result
 from gateway.robot.runtime.event_publisher import EventPublisher
@@ -40,6 +40,8 @@ class PendingCommands:
             if type(verdict) is Reason:
                 self.end(request, verdict, detail)
                 continue
+            if isinstance(request, Command) and request.lost:
+                continue  # nobody's, so nobody counts it
             coalesced = verdict == COALESCED
             self._metrics.accepted += 1
             self._metrics.coalesced += coalesced

@@ -150,6 +150,7 @@ async def test_an_overflows_stop_is_nobodys_command_and_what_waited_is_rejected_
     robot.put(LEG_3, leg("start", 90, 90, 90, source="anna"))
     waiting = robot.get(LEG_3, leg("set", 91, 91, 91, source="anna"))
     assert not waiting, "its leg's rate slot has not come"
+    accepted = robot.conductor.state().commands.accepted
     robot.controller.transfers.clear()
     robot.put_later(LEG_3, verb=Verb.LOST, size=50)
     robot.conductor.tick()
@@ -159,6 +160,7 @@ async def test_an_overflows_stop_is_nobodys_command_and_what_waited_is_rejected_
     assert not robot.events(Kind.SOURCE_CHANGED)
     state = robot.conductor.state()
     assert state.legs[2].source is None
+    assert state.commands.accepted == accepted
     assert (state.commands.overflows, state.commands.lost) == (1, 50)
     robot.put_later(LEG_3, verb=Verb.LOST, size=50)
     robot.conductor.tick()
