@@ -142,7 +142,7 @@ CONFIGURATIONS: Final = (
         "two legs, started one after the other without a time",
         _rules(repeats=0, start_wait_ns=TICK, window_ns=2 * TICK, start_pause_ns=3 * TICK),
         (1, 2),
-        (("legs", _each(START, 11, 21)), ("leg", _each(SET, 21)), ("servo", _each(STOP, 11))),
+        (("legs", _each(START, 11, 21)), ("servo", _each(STOP, 11))),
         (0, 2 * TICK),
         ends=False,
         calm=True,
@@ -153,6 +153,7 @@ CONFIGURATIONS: Final = (
         (1,),
         (("leg", _each(START, 11, 12, 13)), ("leg", ((11, STOP), (12, SET), (13, SET)))),
         _WAITS,
+        ends=False,
         unread=(_each(STOP, 11, 12, 13), _each(STOP, 11)),
     ),
     Configuration(
