@@ -81,6 +81,7 @@ def test_what_was_exported_comes_back_whole(gateway: Gateway, anna: Client, tmp_
     assert anna.calibrate({51: ServoChange(trim_deg=2, inverted=True)}, {51: 30}).accepted
     file = tmp_path / "robot.json"
     file.write_text(gateway.run("calibrate", "export").stdout)
+    assert gateway.run("calibrate", "show", "--json").stdout == file.read_text()
     before = anna.calibration()
     assert anna.calibrate(
         {51: ServoChange(trim_deg=0, inverted=False), 52: ServoChange(trim_deg=9)}, {51: None}

@@ -35,10 +35,6 @@ PATIENCE_NS: Final = 300_000_000
 is published meanwhile is no alarm; two that are so far apart, without a confirmation, are one without any event."""
 
 
-FULL_A: Final = 1.0
-"""The bar of a servo that draws this is full, unless another draws more."""
-
-
 def tone_of(kind: AnyKind) -> Tone:
     """How an event of this kind is meant; one of a later gateway is plain."""
     return "bad" if kind in _BAD else "warn" if kind in _WARN else "plain"

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from gateway.people.commands.options import ConnectOption, TimeoutOption, ZenohConfigOption
+from gateway.people.commands.options import ConnectOption, JsonOption, TimeoutOption, ZenohConfigOption
 
 if TYPE_CHECKING:
     from gateway.people.commands.reach import Connection
@@ -45,11 +45,17 @@ def guide(
 
 
 @app.command()
-def show(connect: ConnectOption = None, zenoh_config: ZenohConfigOption = None, timeout: TimeoutOption = 2.0) -> None:
+def show(
+    connect: ConnectOption = None,
+    zenoh_config: ZenohConfigOption = None,
+    timeout: TimeoutOption = 2.0,
+    as_json: JsonOption = False,
+) -> None:
     """Print the calibration in force, all 18 servos."""
     from gateway.people.commands import calibration
 
-    sys.exit(calibration.show(_reach(connect, zenoh_config, timeout)))
+    print_it = calibration.export if as_json else calibration.show
+    sys.exit(print_it(_reach(connect, zenoh_config, timeout)))
 
 
 @app.command("set")
