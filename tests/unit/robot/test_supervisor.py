@@ -20,15 +20,6 @@ def test_the_start_stops_all_six_legs() -> None:
     assert robot.due_ms is None
 
 
-def test_a_start_energises_and_a_set_moves() -> None:
-    robot = Steps()
-    assert robot.command(1, leg_to(1, "start 90")) == ["command 1 start 90", "completed 1"]
-    assert robot.supervisor.mode is Mode.ACTIVE
-    assert robot.running == [11, 12, 13]
-    assert robot.command(30, leg_to(1, "set 45.5")) == ["command 1 set 45.5", "completed 2"]
-    assert robot.command(60, servo_to(12, "set 1")) == ["command 12 set 1", "completed 3"]
-
-
 @pytest.mark.parametrize("servo_id", SERVO_IDS)
 def test_a_set_is_rejected_where_nothing_was_started(servo_id: int) -> None:
     robot = Steps()
@@ -125,14 +116,6 @@ def test_the_newest_of_each_servo_is_sent_in_one_frame() -> None:
     assert robot.time(120) == ["command 1 set 10 | set 25 | set 30", "completed 3", "completed 2 coalesced"]
 
 
-def test_what_nothing_waits_for_is_told_what_it_does_already() -> None:
-    robot = Steps()
-    robot.command(100, leg_to(1, "start 90", "stop", "stop"))
-    robot.command(101, servo_to(12, "start 20"), "servo/12")
-    robot.command(102, servo_to(13, "start 30"), "servo/13")
-    assert robot.time(120) == ["command 1 set 90 | start 20 | start 30", "completed 2", "completed 3"]
-
-
 def test_each_leg_has_rate_slots_of_its_own() -> None:
     robot = Steps()
     robot.command(100, leg_to(1, "start 90"))
@@ -182,17 +165,6 @@ def test_stops_come_first_in_a_command_for_several_legs() -> None:
     robot.command(100, leg_to(2, "start 90"))
     mixed = leg_to(1, "start 90") + leg_to(2, "stop")
     assert robot.command(130, mixed, "legs") == ["command 2 stop", "command 1 start 90", "completed 2"]
-
-
-def test_stops_for_two_servos_of_a_leg_are_two_frames() -> None:
-    robot = Steps()
-    robot.command(100, leg_to(1, "start 90"))
-    assert robot.command(101, servo_to(11, "stop") + servo_to(13, "stop")) == [
-        "command 11 stop",
-        "command 13 stop",
-        "completed 2",
-    ]
-    assert robot.running == [12]
 
 
 def test_a_stop_to_a_leg_that_does_not_run_is_sent() -> None:
@@ -261,26 +233,7 @@ def test_a_single_pending_joint_is_sent_in_its_rate_slot(joint: int) -> None:
     assert robot.time(105) == [f"command {10 + joint} set 80", "completed 2"]
 
 
-@JOINTS
-def test_a_single_joint_waits_to_be_energised_like_a_leg(joint: int) -> None:
-    robot = staggered(50)
-    robot.command(100, leg_to(1, "start 90"))
-    assert robot.command(110, servo_to(20 + joint, "start 90")) == []
-    assert robot.due_ms == 150
-    assert robot.time(150) == [f"command {20 + joint} start 90", "completed 2"]
-
-
 # ---- the queue of starts
-
-
-def test_a_leg_that_need_not_be_energised_any_more_keeps_nobody_off() -> None:
-    robot = staggered(50)
-    robot.command(100, servo_to(22, "start 90"))
-    assert robot.command(110, servo_to(21, "start 90")) == []
-    assert robot.command(112, leg_to(3, "start 90")) == []
-    robot.command(115, servo_to(21, "stop") + servo_to(22, "set 80"))
-    assert robot.due_ms == 150
-    assert robot.time(150) == ["command 3 start 90", "completed 3"]
 
 
 def test_a_leg_whose_start_was_dropped_keeps_nobody_off() -> None:
@@ -300,22 +253,6 @@ def test_a_leg_whose_rate_slot_has_not_come_keeps_its_place() -> None:
     assert robot.command(104, leg_to(2, "start 90")) == []
     assert robot.time(105) == ["command 1 start 80", "completed 3"]
     assert robot.time(106) == ["command 2 start 90", "completed 4"]
-
-
-# ---- the watchdog, as the state shows it
-
-
-def test_a_leg_is_shown_as_expired_until_it_is_started_or_stopped_as_a_whole() -> None:
-    robot = Steps()
-    first = robot.supervisor.legs.by_number[1]
-    for word, shown in (("stop", WatchdogState.IDLE), ("start 90", WatchdogState.ARMED)):
-        robot.command(1000, leg_to(1, "start 90"))
-        robot.time(1250)
-        assert robot.command(1300, servo_to(12, "stop"))[0] == "command 12 stop"
-        assert first.watchdog is WatchdogState.EXPIRED, "one servo says nothing of the leg"
-        robot.command(1310, leg_to(1, word))
-        assert first.watchdog is shown
-        robot.command(1320, leg_to(1, "stop"))
 
 
 # ---- Stops that come with moves
@@ -362,13 +299,3 @@ def test_a_start_does_not_undo_the_watchdogs_stop_of_its_instant() -> None:
         "rejected 2 servo_stopped",
     ]
     assert robot.command(352, leg_to(1, "start 90"), "put leg/1") == ["rejected 3 servo_stopped"]
-
-
-def test_a_stop_of_all_legs_is_seen_on_those_that_the_command_before_it_did_not_move() -> None:
-    robot = Steps()
-    robot.command(100, legs_to("12", "start 90"))
-    robot.command(130, servo_to(11, "set 91"))
-    robot.estop(140)
-    robot.reset(141)
-    assert robot.supervisor.mode is Mode.IDLE
-    assert robot.due_ms is None

@@ -51,13 +51,6 @@ def test_a_bus_that_answers_again_stops_all_and_sends_nothing_that_waited() -> N
     assert robot.time(1000) == []
 
 
-@pytest.mark.parametrize("opened", [True, False])
-def test_a_fault_is_announced_once(opened: bool) -> None:
-    robot = Steps(opened=opened)
-    assert robot.fail(100) == ["announce bus_fault"]
-    assert robot.fail(200) == []
-
-
 def test_the_latch_stays_through_a_fault() -> None:
     robot = Steps()
     robot.estop(100)
@@ -95,14 +88,6 @@ def test_legs_are_energised_with_a_pause_between_them() -> None:
     assert robot.time(200) == ["command 3 start 90", "completed 1"]
 
 
-def test_those_that_run_are_not_held_back() -> None:
-    robot = staggered()
-    robot.command(100, leg_to(1, "start 90"))
-    robot.command(101, leg_to(2, "start 90"))
-    assert robot.command(121, leg_to(1, "start 80")) == ["command 1 start 80", "completed 3"]
-    assert robot.running == [11, 12, 13]
-
-
 @pytest.mark.parametrize("stopped", ["1", "2", "6"])
 def test_a_stop_anywhere_ends_the_queue(stopped: str) -> None:
     robot = staggered()
@@ -112,54 +97,6 @@ def test_a_stop_anywhere_ends_the_queue(stopped: str) -> None:
     assert set(told[1:]) == {"rejected 1 servo_stopped", "completed 2"}
     assert robot.time(150) == []
     assert robot.time(200) == []
-
-
-def test_a_watchdogs_stop_ends_the_queue() -> None:
-    robot = staggered(400)
-    robot.command(100, leg_to(1, "start 90"))
-    robot.command(200, leg_to(2, "start 90"))
-    assert robot.time(350) == ["watchdog 1 stop", "rejected 2 servo_stopped", "announce watchdog_expired"]
-    assert robot.time(500) == []
-
-
-def test_a_leg_that_waits_and_is_not_heard_is_rejected() -> None:
-    robot = staggered(400)
-    robot.command(100, legs_to("12", "start 90"), "legs")
-    assert robot.time(350)[:3] == ["watchdog 1 stop", "watchdog 2 stop", "rejected 1 stale"]
-    assert robot.time(500) == []
-
-
-def test_a_leg_that_waits_and_is_heard_is_energised_in_its_turn() -> None:
-    robot = staggered(400)
-    robot.command(100, legs_to("12", "start 90"), "legs")
-    for at_ms in (200, 300, 400):
-        robot.command(at_ms, legs_to("12", "start 80"), "legs")
-    assert robot.time(500) == ["command 2 start 80", "completed 4"]
-
-
-def test_a_command_that_starts_one_leg_and_stops_another_does_not_reject_itself() -> None:
-    robot = staggered()
-    robot.command(100, leg_to(1, "start 90"))
-    assert robot.command(110, leg_to(2, "start 90") + leg_to(3, "stop"), "legs") == ["command 3 stop"]
-    assert robot.time(150) == ["command 2 start 90", "completed 2"]
-
-
-def test_a_set_keeps_the_start_that_waits_although_a_stop_for_another_leg_comes_with_it() -> None:
-    robot = staggered()
-    robot.command(100, legs_to("1234", "start 90"), "legs")
-    told = robot.command(110, leg_to(2, "stop") + leg_to(3, "set 80"), "legs")
-    assert told == ["command 2 stop", "rejected 1 servo_stopped"]
-    assert robot.time(150) == ["command 3 start 80", "completed 2"]
-    assert robot.time(200) == []
-
-
-def test_a_start_goes_out_at_once_where_the_stop_that_comes_with_it_ends_the_queue_before_it() -> None:
-    robot = staggered(4)
-    robot.command(100, leg_to(1, "start 90"))
-    robot.command(101, leg_to(1, "stop"))
-    robot.command(104, legs_to("12", "start 90"), "legs")
-    told = robot.command(104.5, leg_to(1, "stop") + leg_to(2, "start 80"), "legs")
-    assert told == ["command 1 stop", "completed 3 coalesced", "command 2 start 80", "completed 4"]
 
 
 # ---- 7, the end

@@ -1,6 +1,5 @@
 """Landing: when a leg falls silent, the whole robot goes to its pose, and then gets its Stops. Each step is judged."""
 
-from itertools import pairwise
 from typing import Any
 
 import pytest
@@ -63,15 +62,6 @@ def test_silence_lands_the_whole_robot_and_then_stops_it() -> None:
     assert watchdogs == [WatchdogState.EXPIRED if leg in (3, 4) else WatchdogState.IDLE for leg in range(1, 7)]
 
 
-def test_what_else_is_due_meanwhile_makes_no_frames_sooner() -> None:
-    steps = landing_steps(repeats=80, repeat_interval_ns=NS_PER_MS)
-    steps.time(10 + TIMEOUT_MS)
-    steps.command(300, leg_to(5, "stop"))
-    times_ms = [at_ms for at_ms, _ in until(steps, 400)[31]]
-    assert len(times_ms) >= 4
-    assert min(later - earlier for earlier, later in pairwise(times_ms)) >= 20
-
-
 @pytest.mark.parametrize(("late_ms", "next_ms"), [(0, 300), (5, 300), (15, 300), (16, 301), (20, 320), (65, 365)])
 def test_what_a_timer_is_late_does_not_add_up_and_is_not_made_up_for(late_ms: float, next_ms: float) -> None:
     steps = landing_steps()
@@ -107,15 +97,6 @@ def test_a_leg_that_is_still_commanded_lands_too_and_its_commands_are_rejected()
     assert steps.command(ENDS_MS, leg_to(4, "set 92"))[-1] == "rejected 5 servo_stopped", "the landing has ended"
     assert steps.running == []
     assert steps.command(ENDS_MS + 2, leg_to(4, "start 92")) == ["command 4 start 92", "completed 6"]
-
-
-def test_what_waits_to_be_started_is_not_started() -> None:
-    steps = Steps(Rules(repeats=0, landing_ns=LANDING_MS * NS_PER_MS, start_pause_ns=2000 * NS_PER_MS))
-    steps.command(10, leg_to(3, "start 90"))
-    steps.command(20, leg_to(5, "start 90"))
-    assert steps.time(10 + TIMEOUT_MS) == ["rejected 2 landing", "announce landing"]
-    until(steps, ENDS_MS - 1)
-    assert steps.running == [31, 32, 33]
 
 
 def test_a_stop_stops_its_leg_at_once_and_the_others_go_on() -> None:

@@ -5,9 +5,8 @@ from typing import Any
 import pytest
 
 from gateway.allowance import NS_PER_MS
-from gateway.robot.core.events import Announce, Command, Transmit
+from gateway.robot.core.events import Announce, Command
 from gateway.robot.core.leg import Rules
-from schemas.robot import SERVO_IDS
 from schemas.telemetry import WatchdogState
 from tests.support.steps import Steps, Targets, all_stopped, leg_to, legs_to, servo_to
 
@@ -38,13 +37,6 @@ def test_a_start_of_a_part_is_rejected_and_says_what_to_send(targets: Targets) -
     assert steps.due_ms is None
 
 
-def test_once_all_run_each_servo_is_set_and_started_as_ever() -> None:
-    steps = running()
-    assert steps.running == list(SERVO_IDS)
-    assert steps.command(40, leg_to(2, "set 80")) == ["command 2 set 80", "completed 2"]
-    assert steps.command(50, servo_to(31, "start 70")) == ["command 31 start 70", "completed 3"]
-
-
 @pytest.mark.parametrize(
     "targets", [servo_to(42, "stop"), leg_to(4, "stop"), legs_to("25", "stop"), legs_to(ALL, "stop")]
 )
@@ -66,13 +58,6 @@ def test_a_command_that_stops_and_moves_stops_and_its_moves_are_dropped(other: s
         "this robot only stops as a whole: a Stop in this command stopped it, and its moves are dropped"
     )
     assert not steps.supervisor.legs.due_ns
-
-
-def test_a_whole_start_with_one_stop_in_it_starts_nothing() -> None:
-    steps = whole()
-    words = steps.command(10, (*leg_to(1, "stop", "start 90", "start 90"), *legs_to("23456", "start 90")))
-    assert words == [*all_stopped("command"), "rejected 1 whole_robot stopped"]
-    assert steps.running == []
 
 
 def test_a_start_waits_for_the_last_legs_rate_slot_and_then_leaves_in_one_step() -> None:
@@ -114,14 +99,6 @@ def test_a_stop_while_the_start_waits_leaves_nothing_of_it() -> None:
     assert steps.running == []
 
 
-def test_who_acquires_the_lease_drops_a_start_that_waits_as_a_whole() -> None:
-    steps = running()
-    steps.command(11, leg_to(1, "stop"))
-    steps.command(12, legs_to(ALL, "start 90"), "legs")
-    assert "rejected 3 not_holder" in steps.lease(13, "acquire anna", fresh="a")
-    assert steps.time(60) == []
-
-
 def test_messages_that_were_lost_stop_all_that_one_of_them_may_have_stopped() -> None:
     steps = running()
     lost = Command(leg_to(2, "stop"), key="leg/2", number=9, lost=True)
@@ -145,13 +122,6 @@ def test_a_stop_during_a_landing_stops_all() -> None:
     assert steps.time(260) == ["announce landing"]
     assert steps.command(300, servo_to(11, "stop"))[:6] == all_stopped("command")
     assert steps.supervisor.legs.landing is None
-
-
-def test_the_stops_of_one_servo_name_their_command_so_that_its_answer_names_what_failed() -> None:
-    steps = running()
-    steps.command(20, servo_to(11, "stop"))
-    transmits = [effect for effect in steps.effects if isinstance(effect, Transmit)]
-    assert [[command.number for command in each.commands] for each in transmits] == [[2]] * 6
 
 
 def test_a_start_on_another_channel_in_the_same_instant_is_rejected_for_every_leg() -> None:
