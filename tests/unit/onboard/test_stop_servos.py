@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from gateway.errors import ConfigError, SpiError
-from gateway.host import effective
+from gateway.host import effective, realtime
 from gateway.host.plain_settings import (
     ControllerValues,
     PlainController,
@@ -230,6 +230,8 @@ def test_what_is_not_confirmed_ends_with_a_code_of_its_own(
     robot.file.write_text(PLAIN + BOARD)
     board.bus.silent = True
     monkeypatch.setattr(last_cut, "TRY_NS", 1)
+    monkeypatch.setattr(realtime, "prefer_process", lambda: None)
+    monkeypatch.setattr(realtime, "prefer_thread", lambda _: True)
     assert stop.at_once(["--config", str(robot.file)]) == stop.NOT_CONFIRMED
     assert len(robot.used) == 1
     assert BY_HAND in capsys.readouterr().err
