@@ -16,7 +16,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from gateway.geometry import load
 from gateway.people.ros2.drawing import JOINT_COMMANDS, LOG, SERVOS_OFF, SIM_JOINT_STATES, WORLD
-from gateway.people.ros2.messages import Marker, MarkerArray
+from gateway.people.ros2.messages import SPHERE, MarkerArray
 
 TIMELINE: Final = "message_log_time"
 MARKS: Final = "/off"
@@ -61,7 +61,7 @@ def draw_marks(path: Path) -> None:
     seen: set[int] = set()
     for time_ns, array in marks(path):
         rr.set_time(TIMELINE, timestamp=np.datetime64(time_ns, "ns"))
-        off = {mark.id: mark for mark in array.markers if mark.type == Marker.SPHERE}
+        off = {mark.id: mark for mark in array.markers if mark.type == SPHERE}
         for servo_id in seen - off.keys():
             rr.log(f"{MARKS}/{servo_id}", rr.Ellipsoids3D.cleared())
         for servo_id, mark in off.items():

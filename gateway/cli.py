@@ -16,7 +16,6 @@ from gateway import __version__
 from gateway.errors import ConfigError, GatewayError
 from gateway.model.frames import PROTOCOL_VERSION
 from gateway.onboard import check_command, incidents
-from gateway.people.bridge import command as bridge
 from gateway.people.commands import certs
 from gateway.people.commands.options import (
     AdaptOption,
@@ -30,6 +29,7 @@ from gateway.people.commands.options import (
 from gateway.people.commands.walk import command as walk_command
 from gateway.people.console import calibrate_command
 from gateway.people.recorder import command as recorder
+from gateway.people.ros2 import command as bridge
 from gateway.people.terminal import hint
 
 _PANELS = {

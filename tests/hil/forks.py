@@ -60,7 +60,7 @@ def run(arguments: Sequence[str]) -> int:
 
 def main() -> None:
     for module in pkgutil.walk_packages(gateway.__path__, "gateway."):
-        if not module.name.endswith("__main__") and ".bridge." not in module.name:  # the bridge needs ROS 2
+        if not module.name.endswith("__main__") and ".ros2." not in module.name:  # the node needs ROS 2
             importlib.import_module(module.name)
     importlib.import_module("spidev")
     pid = 0

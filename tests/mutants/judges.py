@@ -177,7 +177,7 @@ JUDGES: Final = {
     ),
     # rules of the people's wing, with the time as an argument
     "gateway/allowance.py": ("tests/unit/test_allowance.py",),
-    "gateway/people/bridge/own_stop.py": (f"{_PEOPLE}test_bridge_own_stop.py", _TIMES),
+    "gateway/people/ros2/own_stop.py": (f"{_PEOPLE}test_ros2_own_stop.py", _TIMES),
     "gateway/people/client/confirmed_stop.py": (
         f"{_PEOPLE}test_confirmed_stop.py",
         f"{_PEOPLE}test_stops.py",

@@ -5,10 +5,11 @@ from collections.abc import Iterator
 import pytest
 
 from gateway.client import Client
-from gateway.people.ros2.messages import DiagnosticArray, Float64, Int32, JointState, JointTrajectory, Twist
+from gateway.people.ros2.messages import DiagnosticArray, JointState
 from tests.support.bridged import PATIENT
 from tests.support.gateway_process import Gateway
 from tests.support.rclpy_peer import COMMANDS, DIAGNOSTICS, RclpyBridge, RclpyPeer
+from tests.support.ros2_messages import Float64, Int32, JointTrajectory, Twist
 
 
 @pytest.fixture(scope="package")

@@ -6,13 +6,14 @@ from collections.abc import Iterator
 import pytest
 
 from gateway.client import Client
-from gateway.people.ros2.messages import FollowGoal, FollowResult, JointTrajectory
+from gateway.people.ros2 import goals
 from tests.support.bridged import RESTS_DEG, SLOW, commanded, keeps, plan
 from tests.support.control_msgs import made
 from tests.support.gateway_process import Gateway
 from tests.support.heard import frames, running, states
 from tests.support.rclpy_action_peer import ActionPeer
 from tests.support.rclpy_peer import DOMAIN, RclpyBridge, needs_rclpy
+from tests.support.ros2_messages import FollowGoal, JointTrajectory
 
 pytestmark = [
     needs_rclpy,
@@ -45,13 +46,13 @@ def test_rclpys_own_client_sends_cancels_and_replaces_goals_and_an_emergency_sto
     assert peer.send(FollowGoal(plan((0.5, 0.0), (1.5, 0.3))))
     desired, actual, error = peer.feedback()
     assert (len(desired), len(actual), len(error)) == (18, 18, 18)
-    assert peer.result(1) == (SUCCEEDED, FollowResult.SUCCESSFUL, "its last point is reached")
+    assert peer.result(1) == (SUCCEEDED, goals.SUCCESSFUL, "its last point is reached")
     assert len(running(watcher)) == 6, "its last point is held"
     assert commanded(written.all, 11)[-1] == pytest.approx(RESTS_DEG[1] + 17.19, abs=0.01)
 
     assert peer.send(FollowGoal(SLOW))
     assert peer.cancel(2) == 1
-    assert peer.result(2) == (CANCELED, FollowResult.SUCCESSFUL, "cancelled on request; it holds where it is")
+    assert peer.result(2) == (CANCELED, goals.SUCCESSFUL, "cancelled on request; it holds where it is")
     count = len(commanded(written.all, 11))
     keeps(lambda: None, lambda: len(commanded(written.all, 11)) > count + 20)
     assert len(set(commanded(written.all, 11)[count + 2 :])) == 1
@@ -59,14 +60,14 @@ def test_rclpys_own_client_sends_cancels_and_replaces_goals_and_an_emergency_sto
 
     assert peer.send(FollowGoal(SLOW))
     assert peer.send(FollowGoal(JointTrajectory(joint_names=("gripper",), points=SLOW.points)))
-    assert peer.result(4)[:2] == (ABORTED, FollowResult.INVALID_JOINTS)
+    assert peer.result(4)[:2] == (ABORTED, goals.INVALID_JOINTS)
     assert peer.send(FollowGoal(SLOW))
-    assert peer.result(3)[:2] == (ABORTED, FollowResult.INVALID_GOAL)
+    assert peer.result(3)[:2] == (ABORTED, goals.INVALID_GOAL)
 
     seen = states(watcher)
     watcher.estop()
     status, code, why = peer.result(5)
-    assert (status, code) == (ABORTED, FollowResult.INVALID_GOAL)
+    assert (status, code) == (ABORTED, goals.INVALID_GOAL)
     assert "emergency stop" in why
     seen.wait(lambda state: state.lease.holder is None)
     assert watcher.reset().accepted

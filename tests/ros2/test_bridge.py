@@ -10,15 +10,7 @@ from typing import Any
 import pytest
 
 from gateway.client import Client
-from gateway.people.ros2.messages import (
-    DiagnosticArray,
-    DiagnosticStatus,
-    Float64,
-    JointState,
-    String,
-    Twist,
-    Vector3,
-)
+from gateway.people.ros2.messages import WARN, DiagnosticArray, JointState, Message, String, Vector3
 from gateway.people.ros2.robot import MEASURED
 from schemas import keys
 from schemas.telemetry import Kind, Mode
@@ -39,6 +31,7 @@ from tests.support.rclpy_peer import (
     RclpyPeer,
     needs_rclpy,
 )
+from tests.support.ros2_messages import Float64, Twist
 
 pytestmark = needs_rclpy
 WALKING = Twist(Vector3(0.05))
@@ -106,7 +99,7 @@ def test_nothing_is_taken_before_somebody_drives(peer: RclpyPeer, watcher: Clien
         name = topic.rpartition("/")[2]
         publish = partial(peer.publish, topic, message)
 
-        def rejected(each: DiagnosticArray, publish: Any = publish, name: str = name) -> bool:
+        def rejected(each: Message, publish: Any = publish, name: str = name) -> bool:
             publish()
             return f"{name}: nobody has called drive" in rejections(each)
 
@@ -184,7 +177,7 @@ def test_after_an_emergency_stop_and_a_reset_nothing_goes_on_by_itself(driven: R
     keeps(lambda: driven.publish(COMMANDS, resting()), lambda: any(state.lease.holder is None for state in seen.all))
     assert watcher.reset().accepted
 
-    def rejected(each: DiagnosticArray) -> bool:
+    def rejected(each: Message) -> bool:
         driven.publish(COMMANDS, resting())
         return "after that nobody has called drive" in rejections(each)
 
@@ -261,7 +254,7 @@ def test_a_graph_that_others_may_reach_is_shown_in_diagnostics_state_and_events(
     with RclpyPeer(OTHER_DOMAIN) as peer:
         peer.subscribe(DIAGNOSTICS, DiagnosticArray)
         bridges = peer.next(DIAGNOSTICS).status[-1]
-        assert bridges.level == DiagnosticStatus.WARN
+        assert bridges.level == WARN
         assert "all who reach it can drive the robot" in bridges.message
     own.terminate()
     assert own.wait() == 0

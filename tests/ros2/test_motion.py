@@ -6,17 +6,7 @@ from typing import Final
 import pytest
 
 from gateway.client import Client
-from gateway.people.ros2.messages import (
-    DiagnosticArray,
-    Float64,
-    Int32,
-    JointState,
-    JointTrajectory,
-    Message,
-    Twist,
-    TwistStamped,
-    Vector3,
-)
+from gateway.people.ros2.messages import JointState, Message, Vector3
 from schemas.telemetry import Kind, Mode
 from tests.support.bad_ros2 import BAD
 from tests.support.bridged import (
@@ -32,6 +22,7 @@ from tests.support.bridged import (
 )
 from tests.support.heard import events, frames, running, states
 from tests.support.rclpy_peer import COMMANDS, DIAGNOSTICS, RclpyPeer, needs_rclpy
+from tests.support.ros2_messages import Float64, Int32, JointTrajectory, Twist, TwistStamped
 
 pytestmark = needs_rclpy
 VELOCITIES: Final = "/hexapod/cmd_vel"
@@ -42,7 +33,7 @@ WALKING: Final = Twist(Vector3(0.05))
 def not_taken(peer: RclpyPeer, topic: str, message: Message, why: str) -> None:
     """Published again and again: what comes just after a pause of the machine has another reason."""
 
-    def explained(array: DiagnosticArray) -> bool:
+    def explained(array: Message) -> bool:
         peer.publish(topic, message)
         return why in rejections(array)
 
@@ -122,7 +113,7 @@ def test_it_is_raised_leans_walks_and_stands_in_silence_and_what_legs_cannot_do_
 
 
 def test_a_zero_velocity_starts_no_servo(driven: RclpyPeer, watcher: Client) -> None:
-    def taken(array: DiagnosticArray) -> bool:
+    def taken(array: Message) -> bool:
         driven.publish(VELOCITIES, Twist())
         return any(value.key == "taken cmd_vel" for value in array.status[-1].values)
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from gateway.client import Client
-from gateway.people.ros2.messages import DiagnosticArray, ImuMessage, JointState, String, Twist
+from gateway.people.ros2.messages import DiagnosticArray, Imu, JointState, String
 from schemas.telemetry import Kind, Mode
 from tests.ros2.test_motion import WALKING
 from tests.support.bridged import GEOMETRY, does, keeps, rejections, resting, strides
@@ -23,6 +23,7 @@ from tests.support.rclpy_peer import (
     RclpyPeer,
     needs_rclpy,
 )
+from tests.support.ros2_messages import Twist
 
 pytestmark = needs_rclpy
 OWN_DOMAIN = DOMAIN % 100 + 1
@@ -84,7 +85,7 @@ def test_parameters_by_file_and_by_name_are_rates_frames_and_where_other_joints_
         assert not done
         assert "read-only" in why
         peer.subscribe("/hexapod/robot_description", String, latched=True)
-        peer.subscribe("/hexapod/imu/data", ImuMessage)
+        peer.subscribe("/hexapod/imu/data", Imu)
         peer.subscribe(JOINT_STATES, JointState)
         assert '<parent link="base_link" />' in peer.next("/hexapod/robot_description").data
         assert peer.next("/hexapod/imu/data").header.frame_id == "imu_link"

@@ -1,31 +1,27 @@
 """What ROS peers must not send, as messages: none of them moves anything, and each has its sentence in diagnostics."""
 
 import math
-from dataclasses import replace
 from typing import Final
 
-from gateway.people.ros2.messages import (
+from gateway.people.ros2.messages import Header, JointState, Message, Time, Vector3
+from tests.support.bridged import resting
+from tests.support.ros2_messages import (
     Duration,
     Float64,
-    Header,
     Int32,
-    JointState,
     JointTrajectory,
     JointTrajectoryPoint,
-    Message,
-    Time,
     Twist,
     TwistStamped,
-    Vector3,
+    replace,
 )
-from tests.support.bridged import resting
 
 SIMULATED: Final = Header(Time(12, 500_000_000))
 """As a simulator's clock has it, some seconds after its start."""
 MANY: Final = tuple(f"joint_{number}" for number in range(10_000))
 
 
-def _trajectory(names: tuple[str, ...], at_rad: tuple[float, ...], header: Header | None = None) -> JointTrajectory:
+def _trajectory(names: tuple[str, ...], at_rad: tuple[float, ...], header: Message | None = None) -> Message:
     return JointTrajectory(header or Header(), names, (JointTrajectoryPoint(at_rad, time_from_start=Duration(1)),))
 
 

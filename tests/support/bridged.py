@@ -8,17 +8,12 @@ from typing import Final
 from gateway.geometry import joint_name, load
 from gateway.model.frames import Op
 from gateway.model.frames import decode as decode_frame
-from gateway.people.ros2.messages import (
-    DiagnosticArray,
-    Duration,
-    JointState,
-    JointTrajectory,
-    JointTrajectoryPoint,
-)
+from gateway.people.ros2.messages import JointState, Message
 from schemas.robot import SERVO_IDS
 from schemas.telemetry import Cause, FrameRecord
 from tests.support.fixtures import patient
 from tests.support.heard import Heard
+from tests.support.ros2_messages import Duration, JointTrajectory, JointTrajectoryPoint
 
 READY: Final = "is in ROS 2's graph"
 GEOMETRY: Final = load()
@@ -31,7 +26,7 @@ def clean() -> dict[str, str]:
     return {name: value for name, value in os.environ.items() if not name.startswith(("ROS_", "RMW_", "FASTDDS_"))}
 
 
-def resting(**moved_rad: float) -> JointState:
+def resting(**moved_rad: float) -> Message:
     """All joints of a robot that lies, but those that are moved: `resting(joint_11=0.1)`, in radians from there."""
     names = tuple(map(joint_name, SERVO_IDS))
     at_rad = [
@@ -65,7 +60,7 @@ def commanded(records: list[FrameRecord], servo_id: int) -> list[float]:
     ]
 
 
-def plan(*points: tuple[float, float]) -> JointTrajectory:
+def plan(*points: tuple[float, float]) -> Message:
     """Seconds and radians of joint_11; the others stay."""
     found = []
     for at_s, moved_rad in points:
@@ -89,11 +84,11 @@ def strides(written: Heard[FrameRecord]) -> bool:
     return len(set(commanded(written.all[-400:], 11))) > 20
 
 
-def rejections(array: DiagnosticArray) -> str:
+def rejections(array: Message) -> str:
     """What the bridge has not taken last, and why."""
     return next((each.value for each in array.status[-1].values if each.key == "latest_rejection"), "")
 
 
-def does(array: DiagnosticArray) -> str:
+def does(array: Message) -> str:
     """What the bridge says of itself."""
-    return array.status[-1].message
+    return str(array.status[-1].message)

@@ -16,7 +16,7 @@ from gateway.people.recorder.messages import COMMAND_TOPICS, RECORDER, CommandIn
 from gateway.people.recorder.recording import METADATA, REPORTS
 from gateway.people.ros2.drawing import DRAWN
 from gateway.people.ros2.user_angles import RecordedMessage
-from tests.support.ros2_bytes import decode
+from tests.support.ros2_messages import decode
 
 IN_A_BOX: Final[dict[str, type[BaseModel]]] = {**dict.fromkeys(COMMAND_TOPICS, CommandInBox), RECORDER: Note}
 

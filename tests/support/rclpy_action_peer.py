@@ -6,7 +6,7 @@ import threading
 from importlib import import_module
 from typing import Any
 
-from gateway.people.ros2.messages import FollowGoal
+from gateway.people.ros2.messages import Message
 from tests.support.rclpy_peer import ANSWER_S, DOMAIN, RclpyPeer, act, packed
 from tests.support.rclpy_peer import Actor as RclpyActor
 
@@ -19,7 +19,7 @@ class ActionPeer(RclpyPeer):
     def __init__(self, env: dict[str, str], domain: int = DOMAIN) -> None:
         super().__init__(domain, "tests.support.rclpy_action_peer", **env)
 
-    def send(self, goal: FollowGoal) -> bool:
+    def send(self, goal: Message) -> bool:
         """Whether it is accepted."""
         return bool(self._ask("send", packed(goal)))
 
@@ -51,7 +51,9 @@ class Actor(RclpyActor):
     def send(self, packed_goal: str) -> bool:
         if not self._client.wait_for_server(ANSWER_S / 2):
             raise TimeoutError(f"nobody serves {NAME}")
-        goal = self._values.to_ros(pickle.loads(bytes.fromhex(packed_goal)))  # noqa: S301 - our own test's
+        fields = vars(pickle.loads(bytes.fromhex(packed_goal)))  # noqa: S301 - our own test's
+        value_of = import_module("gateway.people.ros2.node").ros_value
+        goal = self._type.Goal(**{name: value_of(value) for name, value in fields.items()})
         handle = self._done(self._client.send_goal_async(goal, feedback_callback=self._feed))
         self._handles.append(handle)
         self._results.append(handle.get_result_async() if handle.accepted else None)

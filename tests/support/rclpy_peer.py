@@ -19,11 +19,11 @@ from typing import Any, Final, Self
 
 import pytest
 
-from gateway.people.ros2 import messages
-from gateway.people.ros2.messages import Message, Twist
+from gateway.people.ros2.messages import Message
 from tests.support.bridged import READY, clean
 from tests.support.child import Child
 from tests.support.gateway_process import COMMAND, Gateway
+from tests.support.ros2_messages import Twist, plain
 
 TRIGGER: Final = "std_srvs/srv/Trigger"
 ANSWER_S: Final = 40.0
@@ -64,11 +64,11 @@ class RclpyPeer:
 
     def advertise(self, topic: str, kind: type[Message], *, best_effort: bool = False) -> None:
         """Be a publisher from now on; `best_effort`: by qos_profile_sensor_data."""
-        self._ask("advertise", topic, kind.__name__, best_effort)
+        self._ask("advertise", topic, kind.TYPE, best_effort)
 
     def subscribe(self, topic: str, kind: type[Message], *, latched: bool = False, best_effort: bool = False) -> None:
         """`latched`: and ask for what was published before; `best_effort`: by qos_profile_sensor_data."""
-        self._ask("subscribe", topic, kind.__name__, latched, best_effort)
+        self._ask("subscribe", topic, kind.TYPE, latched, best_effort)
 
     def publish(self, topic: str, message: Message) -> None:
         """One message of a topic that is advertised."""
@@ -136,7 +136,7 @@ class RclpyPeer:
         return answer["ok"]
 
 
-def packed(message: Message) -> str:
+def packed(message: Any) -> str:
     """As a line can hold it."""
     return pickle.dumps(message).hex()
 
@@ -170,16 +170,16 @@ class Actor:
         self._rclpy.init(domain_id=domain)
         self._node = self._rclpy.create_node("peer")
         self._serialization = import_module("rclpy.serialization")
-        self._values: Any = import_module("gateway.people.bridge.values")
+        self._to_ros: Any = import_module("gateway.people.ros2.node").to_ros
         self._publishers: dict[str, Any] = {}
         self._received: defaultdict[str, queue.SimpleQueue[Any]] = defaultdict(queue.SimpleQueue)
         executor = import_module("rclpy.executors").SingleThreadedExecutor()
         executor.add_node(self._node)
         threading.Thread(target=executor.spin, daemon=True).start()
 
-    def advertise(self, topic: str, kind_name: str, best_effort: bool = False) -> None:
+    def advertise(self, topic: str, kind: str, best_effort: bool = False) -> None:
         qos = import_module("rclpy.qos").qos_profile_sensor_data if best_effort else 10
-        publisher = self._node.create_publisher(_ros_type(kind_of(kind_name).TYPE), topic, qos)
+        publisher = self._node.create_publisher(_ros_type(kind), topic, qos)
         self._publishers[topic] = publisher
         _wait(lambda: publisher.get_subscription_count() > 0)
 
@@ -194,7 +194,7 @@ class Actor:
             node.destroy_node()
 
     def publish(self, topic: str, message: str, serialized: bool = False) -> None:
-        made = self._values.to_ros(pickle.loads(bytes.fromhex(message)))  # noqa: S301 - our own test's
+        made = self._to_ros(pickle.loads(bytes.fromhex(message)))  # noqa: S301 - our own test's
         self._publishers[topic].publish(self._serialization.serialize_message(made) if serialized else made)
 
     def publish_empty(self, topic: str) -> None:
@@ -206,17 +206,15 @@ class Actor:
     def publish_bytes(self, topic: str, data: str) -> None:
         self._publishers[topic].publish(bytes.fromhex(data))
 
-    def subscribe(self, topic: str, kind_name: str, latched: bool, best_effort: bool = False) -> None:
+    def subscribe(self, topic: str, kind: str, latched: bool, best_effort: bool = False) -> None:
         qos = import_module("rclpy.qos")
         profile = qos.qos_profile_sensor_data if best_effort else qos.QoSProfile(depth=1000)
         if latched:
             profile.durability = qos.DurabilityPolicy.TRANSIENT_LOCAL
         received = self._received[topic]
-
-        def take(message: Any) -> None:
-            received.put(packed(self._values.from_ros(kind_of(kind_name), message)))
-
-        self._node.create_subscription(_ros_type(kind_of(kind_name).TYPE), topic, take, profile)
+        self._node.create_subscription(
+            _ros_type(kind), topic, lambda found: received.put(packed(plain(found))), profile
+        )
 
     def next(self, topic: str) -> Any:
         return self._received[topic].get(timeout=ANSWER_S / 2)
@@ -279,11 +277,6 @@ def _wait(condition: Any) -> None:
 def _ros_type(type_name: str) -> Any:
     package, kind, name = type_name.split("/")
     return getattr(import_module(f"{package}.{kind}"), name)
-
-
-def kind_of(name: str) -> type[Message]:
-    found: type[Message] = getattr(messages, name)
-    return found
 
 
 def act(actor: object) -> None:

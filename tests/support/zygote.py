@@ -31,7 +31,7 @@ from tests.support.descendants import MARK
 
 READY: Final = b"ready\n"
 _PREFIX: Final = (sys.executable, "-m")
-_NEEDS_ROS: Final = (".bridge.node", ".bridge.follow_action", ".bridge.run")
+_NEEDS_ROS: Final = ".ros2.run"
 _ONE_THREAD: Final = {"OPENBLAS_NUM_THREADS": "1"}
 """NumPy starts a thread for each processor when it is imported."""
 _MOST: Final = 1 << 17

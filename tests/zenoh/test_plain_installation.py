@@ -11,7 +11,7 @@ from typing import Final
 
 PROJECT: Final = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())["project"]
 NEED_AN_EXTRA: Final = {
-    "gateway.people.bridge": "rclpy",
+    **{f"gateway.people.ros2.{name}": "rclpy" for name in ("follow_action", "node", "reports", "run", "topics")},
     "gateway.people.console": "console",
     "gateway.people.physics": "physics",
     "gateway.people.recorder.record": "record",

@@ -22,7 +22,7 @@ from tests.support.child import Child
 from tests.support.fixtures import gateway_fixture
 from tests.support.gateway_process import COMMAND, Gateway
 from tests.support.measuring import MEASURED
-from tests.support.ros2_bytes import decode
+from tests.support.ros2_messages import decode
 
 PATIENCE_S = 10
 

@@ -1,5 +1,1 @@
-"""ROS 2's messages and this robot in them, without ROS 2. Pure: bytes and values.
-
-`messages` has the types, `cdr` turns them into bytes, `drawing` draws the robot's reports with them. The bridge, a
-recording and an exported incident use the same.
-"""
+"""`ros2`: the robot in a ROS 2 graph, as a node of rclpy. Recordings and incidents have its messages."""

@@ -19,9 +19,10 @@ from pydantic import ValidationError
 
 from gateway.geometry import Geometry, transforms
 from gateway.geometry.kinematics import BASE, FramePose
+from gateway.people.ros2 import messages as ros
 from gateway.people.ros2 import robot
 from gateway.people.ros2.commanded import CommandedJoints
-from gateway.people.ros2.messages import DiagnosticArray, JointState, Log, MarkerArray, Message, String, TFMessage
+from gateway.people.ros2.messages import LOG_ERROR, LOG_INFO, LOG_WARN, Message
 from schemas.keys import EVENT, SIM_BODY, STATE, TELEMETRY
 from schemas.robot import SERVO_IDS
 from schemas.telemetry import BodyReport, GatewayState, Kind, Telemetry
@@ -36,21 +37,18 @@ DIAGNOSTICS: Final = "/diagnostics"
 DESCRIPTION: Final = "/robot_description"
 """Viewers look for a URDF under this name only."""
 
-_MEASURED: Final = {f"/{name}": kind for name, kind in robot.MEASURED.items()}
-
 DRAWN: Final[Mapping[str, type[Message]]] = {
-    JOINT_STATES: JointState,
-    JOINT_COMMANDS: JointState,
-    SIM_JOINT_STATES: JointState,
-    FRAMES: TFMessage,
-    SERVOS_OFF: MarkerArray,
-    LOG: Log,
-    DIAGNOSTICS: DiagnosticArray,
-    DESCRIPTION: String,
-    **_MEASURED,
+    JOINT_STATES: ros.JointState,
+    JOINT_COMMANDS: ros.JointState,
+    SIM_JOINT_STATES: ros.JointState,
+    FRAMES: ros.TFMessage,
+    SERVOS_OFF: ros.MarkerArray,
+    LOG: ros.Log,
+    DIAGNOSTICS: ros.DiagnosticArray,
+    DESCRIPTION: ros.String,
+    **{f"/{name}": kind for name, kind in robot.MEASURED.items()},
 }
 """Topic → the type of its messages."""
-_UNKNOWN_DEG: Final = robot.UNKNOWN_DEG
 WORLD: Final = "world"
 COMMANDED: Final = "commanded/"
 BODY_NS: Final = 1_000_000_000
@@ -114,7 +112,7 @@ class Drawing:
         if self._due(SERVOS_OFF, time_ns, MARKS_PERIOD_NS, running):
             yield SERVOS_OFF, robot.servos_off([each for each, runs in running.items() if not runs], time_ns)
 
-    def _commands(self, time_ns: int) -> JointState:
+    def _commands(self, time_ns: int) -> Message:
         rad, running = self.joints.rad, self.joints.running
         at_rad = {each: rad.get(each, math.nan) if running.get(each) else math.nan for each in SERVO_IDS}
         return robot.joint_state(at_rad, time_ns)
@@ -123,10 +121,7 @@ class Drawing:
         """The robot as it was commanded last."""
         self._drawn[FRAMES] = time_ns, None
         body = self._body if time_ns - self._body_ns < BODY_NS else None
-        commanded_rad = {
-            servo_id: self.joints.rad.get(servo_id, self._geometry.joint_rad(servo_id, _UNKNOWN_DEG))
-            for servo_id in SERVO_IDS
-        }
+        commanded_rad = robot.all_at(self._geometry, robot.UNKNOWN_DEG) | self.joints.rad
         yield JOINT_STATES, robot.joint_state(self.joints.rad, time_ns)
         yield from self._marks_if_due(time_ns)
         if body is None:
@@ -153,36 +148,32 @@ class Drawing:
 
 
 _LEVELS: Final = {
-    Kind.COMMAND_REJECTED: Log.WARN,
-    Kind.WATCHDOG_EXPIRED: Log.WARN,
-    Kind.ESTOP_KEPT: Log.WARN,
-    Kind.ESTOP_NOT_KEPT: Log.WARN,
-    Kind.STOPPED_OUTSIDE: Log.WARN,
-    Kind.BUS_MEDDLED: Log.WARN,
-    Kind.ESTOP_ENGAGED: Log.ERROR,
-    Kind.BUS_FAULT: Log.ERROR,
-    Kind.CONTROLLER_SILENT: Log.ERROR,
-    Kind.CONTROLLER_RESTARTED: Log.ERROR,
-    Kind.FALLEN: Log.ERROR,
-    Kind.BATTERY_LOW: Log.WARN,
-    Kind.POWER_CUT: Log.WARN,
-    Kind.POWER_UNCONFIRMED: Log.ERROR,
-    Kind.POWER_FAULT: Log.ERROR,
-    Kind.SERVO_DRAWS: Log.ERROR,
-    Kind.SERVO_SILENT: Log.WARN,
-    Kind.OFF_BUTTON: Log.ERROR,
-}
+    **dict.fromkeys(
+        (
+            Kind.COMMAND_REJECTED, Kind.WATCHDOG_EXPIRED, Kind.ESTOP_KEPT, Kind.ESTOP_NOT_KEPT, Kind.STOPPED_OUTSIDE,
+            Kind.BUS_MEDDLED, Kind.BATTERY_LOW, Kind.POWER_CUT, Kind.SERVO_SILENT,
+        ),
+        LOG_WARN,
+    ),
+    **dict.fromkeys(
+        (
+            Kind.ESTOP_ENGAGED, Kind.BUS_FAULT, Kind.CONTROLLER_SILENT, Kind.CONTROLLER_RESTARTED, Kind.FALLEN,
+            Kind.POWER_UNCONFIRMED, Kind.POWER_FAULT, Kind.SERVO_DRAWS, Kind.OFF_BUTTON,
+        ),
+        LOG_ERROR,
+    ),
+}  # fmt: skip
 
 
-def warning(sentence: str, time_ns: int) -> Log:
+def warning(sentence: str, time_ns: int) -> Message:
     """A line of the log that is no event of the gateway's."""
-    return _line(Log.WARN, sentence, time_ns)
+    return _line(LOG_WARN, sentence, time_ns)
 
 
-def _log(event: Mapping[str, Any], time_ns: int) -> Log:
+def _log(event: Mapping[str, Any], time_ns: int) -> Message:
     where = "".join(f", {event[name]}" for name in ("source", "key") if event.get(name))
-    return _line(_LEVELS.get(event["kind"], Log.INFO), f"{event['kind']}: {event['detail']}{where}", time_ns)
+    return _line(_LEVELS.get(event["kind"], LOG_INFO), f"{event['kind']}: {event['detail']}{where}", time_ns)
 
 
-def _line(level: int, sentence: str, time_ns: int) -> Log:
-    return Log(robot.stamp(time_ns), level, "hexapod-gateway", sentence.replace("\0", "\ufffd"))
+def _line(level: int, sentence: str, time_ns: int) -> Message:
+    return ros.Log(robot.stamp(time_ns), level, "hexapod-gateway", sentence.replace("\0", "\ufffd"))

@@ -3,7 +3,7 @@
 import math
 import re
 from collections.abc import Mapping, Sequence
-from typing import ClassVar, Final
+from typing import Final
 
 from gateway.geometry import Geometry, joint_name
 from schemas.robot import JOINTS, MAX_DEG, SERVO_IDS
@@ -24,11 +24,8 @@ class NamesError(JointsError):
 class JointNames:
     """The joints' names in ROS messages, from a pattern: `leg{leg}_J{joint}` names the Elkapod's leg1_J1 to leg6_J3."""
 
-    OURS: ClassVar = "joint_{leg}{joint}"
-    """As in the URDF."""
-
-    def __init__(self, pattern: str = OURS) -> None:
-        """Raises JointsError where the pattern does not give each joint a name of its own."""
+    def __init__(self, pattern: str = "joint_{leg}{joint}") -> None:
+        """By default as in the URDF. Raises JointsError where the pattern does not give each joint its own name."""
         if not _PATTERN.fullmatch(pattern):
             raise JointsError(f"{pattern[:80]!r} is no pattern of joint names, such as leg{{leg}}_J{{joint}}")
         self._names = {
@@ -36,8 +33,6 @@ class JointNames:
             for servo_id in SERVO_IDS
         }
         self._servos = {name: servo_id for servo_id, name in self._names.items()}
-        self._latest: tuple[Sequence[str], tuple[int, ...]] = (), ()
-        """A stream of messages names the same joints each time."""
         if len(self._servos) < len(SERVO_IDS):
             raise JointsError(f"{pattern!r} gives two joints one name: it needs {{leg}} and {{joint}}")
 
@@ -47,14 +42,6 @@ class JointNames:
 
     def servos(self, names: Sequence[str]) -> tuple[int, ...]:
         """The servos of these joints, in any order, but of whole legs. Raises NamesError."""
-        latest, found = self._latest
-        if names and names == latest:
-            return found
-        found = self._find(names)
-        self._latest = names, found
-        return found
-
-    def _find(self, names: Sequence[str]) -> tuple[int, ...]:
         servos = []
         for name in names:
             if name not in self._servos:
@@ -101,12 +88,11 @@ def check_reach(geometry: Geometry, at_rad: Mapping[int, float]) -> None:
 
 def legs_deg(geometry: Geometry, at_rad: Mapping[int, float]) -> dict[int, Degrees]:
     """Leg → degrees of its servos, which turn from 0 to 180 and no further."""
+
+    def deg(servo_id: int) -> float:
+        return min(max(geometry.servos[servo_id].servo_deg(at_rad[servo_id]), 0.0), MAX_DEG)
+
     return {
-        leg: (_deg(geometry, at_rad, leg, 1), _deg(geometry, at_rad, leg, 2), _deg(geometry, at_rad, leg, 3))
+        leg: (deg(10 * leg + 1), deg(10 * leg + 2), deg(10 * leg + 3))
         for leg in sorted({servo_id // 10 for servo_id in at_rad})
     }
-
-
-def _deg(geometry: Geometry, at_rad: Mapping[int, float], leg: int, joint: int) -> float:
-    servo_id = 10 * leg + joint
-    return min(max(geometry.servos[servo_id].servo_deg(at_rad[servo_id]), 0.0), MAX_DEG)

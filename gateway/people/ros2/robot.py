@@ -2,38 +2,13 @@
 
 import math
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
-from dataclasses import replace
-from typing import Final
+from typing import Any, Final
 
 from gateway.geometry import Geometry, joint_name, transforms, urdf
 from gateway.geometry.kinematics import BASE, LINKS, link_name
 from gateway.geometry.kinematics import FramePose as Step
-from gateway.people.ros2.messages import (
-    BatteryState,
-    ColorRGBA,
-    DiagnosticArray,
-    DiagnosticStatus,
-    Float64MultiArray,
-    Header,
-    ImuMessage,
-    JointState,
-    KeyValue,
-    Marker,
-    MarkerArray,
-    Message,
-    MultiArrayDimension,
-    MultiArrayLayout,
-    Point,
-    Pose,
-    Quaternion,
-    String,
-    Temperature,
-    TFMessage,
-    Time,
-    Transform,
-    TransformStamped,
-    Vector3,
-)
+from gateway.people.ros2 import messages as ros
+from gateway.people.ros2.messages import ERROR, OK, WARN, Header, Marker, Message, Quaternion, Vector3
 from schemas.robot import JOINTS, SERVO_IDS
 from schemas.telemetry import Battery, GatewayState, Mode, Telemetry, WatchdogState
 
@@ -42,13 +17,12 @@ UNKNOWN_DEG: Final = 90.0
 _HEXAPOD: Final = "hexapod"
 _MARK_M: Final = 0.035
 """A little thicker than a leg is drawn."""
-_OFF: Final = ColorRGBA(0.9, 0.15, 0.1, 0.85)
-_OK, _WARN, _ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
+_OFF: Final = ros.ColorRGBA(0.9, 0.15, 0.1, 0.85)
 MEASURED: Final[Mapping[str, type[Message]]] = {
-    "battery_state": BatteryState,
-    "imu/data": ImuMessage,
-    "temperature": Temperature,
-    "foot_forces": Float64MultiArray,
+    "battery_state": ros.BatteryState,
+    "imu/data": ros.Imu,
+    "temperature": ros.Temperature,
+    "foot_forces": ros.Float64MultiArray,
 }
 """Topic → the type of its messages: what a robot may measure."""
 _MOST_AGE_MS: Final = 60_000.0
@@ -56,28 +30,23 @@ _MOST_AGE_MS: Final = 60_000.0
 _MOST_FLOAT32: Final = 3.4e38
 _NONE: Final = (-1.0, *(0.0,) * 8)
 """The covariance of a value that is none; that of one whose accuracy is not known is all zeros."""
-_LEVELS: Final[dict[str, int]] = {Mode.IDLE: _OK, Mode.ACTIVE: _OK, Mode.ESTOPPED: _ERROR, Mode.BUS_FAULT: _ERROR}
+_LEVELS: Final[dict[str, int]] = {Mode.IDLE: OK, Mode.ACTIVE: OK, Mode.ESTOPPED: ERROR, Mode.BUS_FAULT: ERROR}
 
 
-def stamp(time_ns: int) -> Time:
+def stamp(time_ns: int) -> Message:
     """A time since 1970; ROS 2's end in 2038, and whatever is later has that last second."""
     sec, nanosec = divmod(time_ns, 1_000_000_000)
-    return Time(min(sec, 2**31 - 1), nanosec)
+    return ros.Time(min(sec, 2**31 - 1), nanosec)
 
 
-def joint_state(
-    joints_rad: Mapping[int, float], time_ns: int, name_of: Callable[[int], str] = joint_name
-) -> JointState:
+def joint_state(joints_rad: Mapping[int, float], time_ns: int, name_of: Callable[[int], str] = joint_name) -> Message:
     """The joints that are known, by their servos' numbers."""
     known = [servo_id for servo_id in SERVO_IDS if servo_id in joints_rad]
-    return JointState(
-        Header(stamp(time_ns)),
-        tuple(map(name_of, known)),
-        tuple(joints_rad[servo_id] for servo_id in known),
-    )
+    names, at_rad = tuple(map(name_of, known)), tuple(joints_rad[servo_id] for servo_id in known)
+    return ros.JointState(Header(stamp(time_ns)), names, at_rad)
 
 
-def frames(geometry: Geometry, joints_rad: Mapping[int, float], time_ns: int, base: str = BASE) -> TFMessage:
+def frames(geometry: Geometry, joints_rad: Mapping[int, float], time_ns: int, base: str = BASE) -> Message:
     """Where each part of each leg is, in its parent's frame. A joint that is not known is drawn at 90° of its servo."""
     steps = transforms(geometry, all_at(geometry, UNKNOWN_DEG) | dict(joints_rad))
     return transform_message((step._replace(parent=base) if step.parent == BASE else step for step in steps), time_ns)
@@ -88,49 +57,40 @@ def all_at(geometry: Geometry, angle_deg: float) -> dict[int, float]:
     return {servo_id: geometry.joint_rad(servo_id, angle_deg) for servo_id in SERVO_IDS}
 
 
-def transform_message(steps: Iterable[Step], time_ns: int) -> TFMessage:
+def transform_message(steps: Iterable[Step], time_ns: int) -> Message:
     """These frames, each in its parent's."""
     header_stamp = stamp(time_ns)
-    return TFMessage(
-        tuple(
-            TransformStamped(
-                Header(header_stamp, step.parent),
-                step.child,
-                Transform(Vector3(*step.translation_m), Quaternion(*step.rotation)),
-            )
-            for step in steps
-        )
+    moved = ((step, ros.Transform(Vector3(*step.translation_m), Quaternion(*step.rotation))) for step in steps)
+    return ros.TFMessage(
+        tuple(ros.TransformStamped(Header(header_stamp, step.parent), step.child, to) for step, to in moved)
     )
 
 
-def servos_off(servos: Collection[int], time_ns: int) -> MarkerArray:
+def servos_off(servos: Collection[int], time_ns: int) -> Message:
     """Marks on the joints of these servos, in place of any before; and the word, at a leg whose servos are all off."""
     header_stamp = stamp(time_ns)
-    marks = [Marker(Header(header_stamp, BASE), "servos off", action=Marker.DELETEALL)]
+    marks = [Marker(Header(header_stamp, BASE), "servos off", action=ros.DELETEALL)]
+    shown: dict[str, Any] = {"color": _OFF, "frame_locked": True}
     for servo_id in sorted(servos):
         leg, joint = divmod(servo_id, 10)
         header = Header(header_stamp, link_name(leg, LINKS[joint - 1]))
         size = Vector3(_MARK_M, _MARK_M, _MARK_M)
-        marks.append(Marker(header, "servos off", servo_id, Marker.SPHERE, scale=size, color=_OFF, frame_locked=True))
+        marks.append(Marker(header, "servos off", servo_id, ros.SPHERE, scale=size, **shown))
         if joint == 1 and {10 * leg + each for each in JOINTS} <= set(servos):
-            above = Pose(Point(0.0, 0.0, 2 * _MARK_M), Quaternion(w=1.0))
-            marks.append(
-                Marker(
-                    header, "servos off", leg, Marker.TEXT_VIEW_FACING, pose=above, scale=Vector3(z=_MARK_M),
-                    color=_OFF, frame_locked=True, text=f"leg {leg} off",
-                )
-            )  # fmt: skip
-    return MarkerArray(tuple(marks))
+            word = {"pose": ros.Pose(ros.Point(0.0, 0.0, 2 * _MARK_M), Quaternion(w=1.0)), "text": f"leg {leg} off"}
+            size = Vector3(z=_MARK_M)
+            marks.append(Marker(header, "servos off", leg, ros.TEXT_VIEW_FACING, scale=size, **word, **shown))
+    return ros.MarkerArray(tuple(marks))
 
 
-def description(geometry: Geometry, name_of: Callable[[int], str] = joint_name, base: str = BASE) -> String:
+def description(geometry: Geometry, name_of: Callable[[int], str] = joint_name, base: str = BASE) -> Message:
     """The URDF, whose joints are those of `joint_state`, and whose root is `base`."""
     text = urdf(geometry)
     for place in ("link name", "parent link"):
         text = text.replace(f'{place}="{BASE}"', f'{place}="{base}"')
     for servo_id in SERVO_IDS:
         text = text.replace(f'name="{joint_name(servo_id)}"', f'name="{name_of(servo_id)}"')
-    return String(text)
+    return ros.String(text)
 
 
 def measured(found: Telemetry, time_ns: int, base: str = BASE, imu_frame: str = BASE) -> Iterator[tuple[str, Message]]:
@@ -145,7 +105,7 @@ def measured(found: Telemetry, time_ns: int, base: str = BASE, imu_frame: str = 
         w, x, y, z = imu.orientation_wxyz
         yield (
             "imu/data",
-            ImuMessage(
+            ros.Imu(
                 Header(header.stamp, imu_frame),
                 Quaternion(x, y, z, w),
                 orientation_covariance=_NONE if found.tilt_deg is None else (0.0,) * 9,  # no tilt: no orientation yet
@@ -154,38 +114,31 @@ def measured(found: Telemetry, time_ns: int, base: str = BASE, imu_frame: str = 
             ),
         )
     if found.temperature_c is not None:
-        yield "temperature", Temperature(header, found.temperature_c)
+        yield "temperature", ros.Temperature(header, found.temperature_c)
     if (feet := found.feet) is not None:
-        yield (
-            "foot_forces",
-            Float64MultiArray(MultiArrayLayout((MultiArrayDimension("leg", len(feet), len(feet)),)), feet),
-        )
+        legs = ros.MultiArrayDimension("leg", len(feet), len(feet))
+        yield "foot_forces", ros.Float64MultiArray(ros.MultiArrayLayout((legs,)), feet)
 
 
-def _battery(battery: Battery, header: Header) -> BatteryState:
+def _battery(battery: Battery, header: Message) -> Message:
     """ROS 2's percentage is a part of 1; an unknown value is NaN."""
-    unknown = math.nan
-    return BatteryState(
+    return ros.BatteryState(
         header,
-        voltage=battery.voltage_v if abs(battery.voltage_v) < _MOST_FLOAT32 else unknown,
-        temperature=unknown,
-        current=unknown,
-        charge=unknown,
-        capacity=unknown,
-        design_capacity=unknown,
-        percentage=battery.percent / 100 if 0 <= battery.percent <= 100 else unknown,
+        voltage=battery.voltage_v if abs(battery.voltage_v) < _MOST_FLOAT32 else math.nan,
+        **dict.fromkeys(("temperature", "current", "charge", "capacity", "design_capacity"), math.nan),
+        percentage=battery.percent / 100 if 0 <= battery.percent <= 100 else math.nan,
         present=True,
     )
 
 
-def diagnostics(state: GatewayState) -> tuple[DiagnosticStatus, ...]:
+def diagnostics(state: GatewayState) -> tuple[Message, ...]:
     """What the gateway publishes of itself, a status for each part."""
     expired = [leg.leg for leg in state.legs if leg.watchdog == WatchdogState.EXPIRED]
     latency, lease, estopped = state.watchdog.stop_latency_us, state.lease, state.mode == Mode.ESTOPPED
     return (
         status(
             "gateway",
-            _LEVELS.get(state.mode, _WARN),
+            _LEVELS.get(state.mode, WARN),
             state.mode,
             mode=state.mode,
             version=state.version,
@@ -195,7 +148,7 @@ def diagnostics(state: GatewayState) -> tuple[DiagnosticStatus, ...]:
         ),
         status(
             "watchdog",
-            _WARN if expired else _OK,
+            WARN if expired else OK,
             f"it has stopped leg {', '.join(map(str, expired))}" if expired else "no leg is stopped by it",
             timeout_ms=state.watchdog.timeout_ms,
             expirations=state.watchdog.expirations,
@@ -205,7 +158,7 @@ def diagnostics(state: GatewayState) -> tuple[DiagnosticStatus, ...]:
         ),
         status(
             "bus",
-            _ERROR if state.mode == Mode.BUS_FAULT else _OK,
+            ERROR if state.mode == Mode.BUS_FAULT else OK,
             "it does not answer" if state.mode == Mode.BUS_FAULT else "it answers",
             device=state.spi.device,
             frames=state.spi.frames,
@@ -214,14 +167,14 @@ def diagnostics(state: GatewayState) -> tuple[DiagnosticStatus, ...]:
         ),
         status(
             "emergency stop",
-            _ERROR if estopped else _OK,
+            ERROR if estopped else OK,
             f"engaged by {state.estop_source or 'somebody'}" if estopped else "not engaged",
             number=state.estop,
             source=state.estop_source,
         ),
         status(
             "lease",
-            _OK,
+            OK,
             "nobody drives" if lease.holder is None else f"{lease.holder} drives",
             holder=lease.holder,
             verified=lease.verified,
@@ -230,19 +183,19 @@ def diagnostics(state: GatewayState) -> tuple[DiagnosticStatus, ...]:
     )
 
 
-def status(part: str, level: int, message: str, **values: object) -> DiagnosticStatus:
+def status(part: str, level: int, message: str, **values: object) -> Message:
     """One part's; a value that is None is left out."""
-    shown = tuple(KeyValue(key, _text(value)) for key, value in values.items() if value is not None)
-    return DiagnosticStatus(level, f"{_HEXAPOD}: {part}", _text(message), _HEXAPOD, shown)
+    shown = tuple(ros.KeyValue(key, _text(value)) for key, value in values.items() if value is not None)
+    return ros.DiagnosticStatus(level, f"{_HEXAPOD}: {part}", _text(message), _HEXAPOD, shown)
 
 
-def diagnostic_array(
-    statuses: tuple[DiagnosticStatus, ...], time_ns: int, hardware_id: str = _HEXAPOD
-) -> DiagnosticArray:
+def diagnostic_array(statuses: tuple[Message, ...], time_ns: int, hardware_id: str = _HEXAPOD) -> Message:
     """The robot's diagnostics as one message of `/diagnostics`; `hardware_id` tells it from others."""
-    return DiagnosticArray(Header(stamp(time_ns)), tuple(replace(each, hardware_id=hardware_id) for each in statuses))
+    for each in statuses:
+        each.hardware_id = hardware_id
+    return ros.DiagnosticArray(Header(stamp(time_ns)), statuses)
 
 
 def _text(value: object) -> str:
     """Without the zeros that a CDR string cannot have: a stranger's name is in it."""
-    return str(value).replace("\0", "�")
+    return str(value).replace("\0", "\ufffd")

@@ -7,12 +7,11 @@ What it takes stays within each servo's range and speed between its points, too:
 
 import math
 from bisect import bisect_right
-from collections.abc import Iterator, Mapping
-from typing import Final, NamedTuple, Self
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, Final, NamedTuple, Self
 
 from gateway.geometry import MAX_SPEED_DEG_S, Geometry, joint_name
 from gateway.people.ros2.joints import JointNames, JointsError, check_reach, of_joints, positions
-from gateway.people.ros2.messages import Duration, JointTrajectory
 
 MAX_POINTS: Final = 2000
 """Forty seconds at 50 Hz; a longer plan is better sent in pieces."""
@@ -53,10 +52,11 @@ class Trajectory:
         self._from = points[0]
 
     @classmethod
-    def read(
-        cls, message: JointTrajectory, names: JointNames, geometry: Geometry, now_s: float, since_1970_ns: int
-    ) -> Self:
-        """`now_s` is now by the clock of `at`, `since_1970_ns` by that of stamps. Raises JointsError."""
+    def read(cls, message: Any, names: JointNames, geometry: Geometry, now_s: float, since_1970_ns: int) -> Self:
+        """Read a JointTrajectory. `now_s` is now by the clock of `at`, `since_1970_ns` by that of stamps.
+
+        Raises JointsError.
+        """
         servos = names.servos(message.joint_names)
         if not message.points:
             raise JointsError("it has no points")
@@ -180,7 +180,7 @@ def _check_speed(servo_id: int, speed_rad_s: float, where: str) -> None:
 
 
 def _bounded(
-    what: str, servos: tuple[int, ...], values: tuple[float, ...], most: float, unit: str
+    what: str, servos: tuple[int, ...], values: Sequence[float], most: float, unit: str
 ) -> Mapping[int, float]:
     """Servo → value, or none at all. Raises JointsError."""
     found = of_joints(what, servos, values) if values else {}
@@ -192,12 +192,12 @@ def _bounded(
     return found
 
 
-def _elapsed_s(message: JointTrajectory, length_s: float, since_1970_ns: int) -> float:
+def _elapsed_s(message: Any, length_s: float, since_1970_ns: int) -> float:
     """How long ago it began: it has a stamp, or begins now. Raises JointsError."""
-    begins = message.header.stamp
-    if begins.sec == 0 and begins.nanosec == 0:
+    begins_ns = stamp_ns(message.header)
+    if begins_ns == 0:
         return 0.0
-    elapsed_s = (since_1970_ns - begins.sec * 1_000_000_000 - begins.nanosec) / 1e9
+    elapsed_s = (since_1970_ns - begins_ns) / 1e9
     if elapsed_s >= length_s:
         raise OverError(f"it was over {elapsed_s - length_s:.1f} s ago by its stamp (does its clock agree with ours?)")
     if elapsed_s < -MAX_S:
@@ -205,6 +205,11 @@ def _elapsed_s(message: JointTrajectory, length_s: float, since_1970_ns: int) ->
     return elapsed_s
 
 
-def seconds(duration: Duration) -> float:
-    """As one number."""
-    return duration.sec + duration.nanosec / 1e9
+def seconds(duration: Any) -> float:
+    """A Duration as one number."""
+    return float(duration.sec + duration.nanosec / 1e9)
+
+
+def stamp_ns(header: Any) -> int:
+    """A Header's stamp since 1970; 0 is none."""
+    return int(header.stamp.sec * 1_000_000_000 + header.stamp.nanosec)

@@ -14,6 +14,7 @@ from gateway.geometry import joint_name, load, urdf
 from gateway.model.frames import OneServo, Op, ServoOp, stop_leg
 from gateway.people.recorder.recording import REPORTS, Recording
 from gateway.people.recorder.table import Table
+from gateway.people.ros2 import messages as ros
 from gateway.people.ros2.cdr import definition
 from gateway.people.ros2.drawing import (
     DESCRIPTION,
@@ -27,13 +28,13 @@ from gateway.people.ros2.drawing import (
     SIM_JOINT_STATES,
     Drawing,
 )
-from gateway.people.ros2.messages import JointState, Marker, MarkerArray, Message, String, TFMessage, TransformStamped
+from gateway.people.ros2.messages import Message, String
 from schemas import keys
 from schemas.robot import SERVO_IDS
 from tests.support.full_disk import disk_that_takes
 from tests.support.mcap_file import about, checked, whole
 from tests.support.measuring import MEASURED
-from tests.support.ros2_bytes import decode
+from tests.support.ros2_messages import decode
 
 pytestmark = pytest.mark.full
 
@@ -124,7 +125,6 @@ def drawn_in(path: Path, topic: str) -> list[Message]:
 
 def positions(message: Message) -> dict[str, float]:
     """Joint → radians."""
-    assert isinstance(message, JointState)
     return dict(zip(message.name, message.position, strict=True))
 
 
@@ -133,15 +133,13 @@ def commands(drawn: dict[str, Message]) -> dict[str, float]:
     return {name: at_rad for name, at_rad in positions(drawn[JOINT_COMMANDS]).items() if not math.isnan(at_rad)}
 
 
-def marks(drawn: dict[str, Message]) -> tuple[Marker, ...]:
-    found = drawn[SERVOS_OFF]
-    assert isinstance(found, MarkerArray)
-    return found.markers
+def marks(drawn: dict[str, Message]) -> tuple[Message, ...]:
+    found: tuple[Message, ...] = drawn[SERVOS_OFF].markers
+    return found
 
 
-def frames_of(message: Message) -> dict[str, TransformStamped]:
+def frames_of(message: Message) -> dict[str, Message]:
     """By the name of what is there."""
-    assert isinstance(message, TFMessage)
     return {each.child_frame_id: each for each in message.transforms}
 
 
@@ -197,12 +195,12 @@ def test_many_frames_are_few_pictures_and_each_a_command() -> None:
 def test_what_is_off_is_marked_at_once_and_again_each_second() -> None:
     drawing = Drawing(load())
     clear, *unknown = marks(dict(drawing.picture(START_NS)))
-    assert (clear.action, unknown) == (Marker.DELETEALL, [])
+    assert (clear.action, unknown) == (ros.DELETEALL, [])
     stop = {"bytes": stop_leg(3).to_bytes().hex()}
     _, *found = marks(dict(drawing.take(keys.FRAME, stop, START_NS + 1)))
-    spheres = {mark.id: mark.header.frame_id for mark in found if mark.type == Marker.SPHERE}
+    spheres = {mark.id: mark.header.frame_id for mark in found if mark.type == ros.SPHERE}
     assert spheres == {31: "leg_3_coxa", 32: "leg_3_femur", 33: "leg_3_tibia"}
-    assert [mark.text for mark in found if mark.type == Marker.TEXT_VIEW_FACING] == ["leg 3 off"]
+    assert [mark.text for mark in found if mark.type == ros.TEXT_VIEW_FACING] == ["leg 3 off"]
     assert all(mark.frame_locked and mark.color.a > 0 for mark in found), "they go where the leg goes"
     assert SERVOS_OFF not in dict(drawing.take(keys.FRAME, stop, START_NS + 2)), "nothing has changed"
     start = {"bytes": "060220015a00"}  # servo 32
@@ -224,7 +222,7 @@ def test_a_state_marks_what_it_states_to_be_off() -> None:
     state = next(report for topic, report, _ in reports(1) if topic == keys.STATE)
     off = [servo["id"] for leg in state["legs"] for servo in leg["servos"] if not servo["running"]]
     found = marks(dict(drawing.take(keys.STATE, state, START_NS)))
-    assert [mark.id for mark in found if mark.type == Marker.SPHERE and mark.action != Marker.DELETEALL] == off
+    assert [mark.id for mark in found if mark.type == ros.SPHERE and mark.action != ros.DELETEALL] == off
     assert 0 < len(off) < len(SERVO_IDS)
 
 

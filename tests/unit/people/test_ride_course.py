@@ -8,8 +8,8 @@ import pytest
 
 from gateway.errors import WalkError
 from gateway.geometry import load
-from gateway.people.bridge.motions import Course
 from gateway.people.ros2.joints import JointsError
+from gateway.people.ros2.motions import Course
 from gateway.people.ros2.trajectory import Trajectory, Waypoint
 from gateway.people.walking import REST_S, Pose, Ride
 from schemas.robot import LEGS

@@ -1,27 +1,25 @@
 """The goals of FollowJointTrajectory in virtual time: how far one is, and how it ends."""
 
 import math
-from dataclasses import replace
 from typing import Final
 
 import pytest
 
 from gateway.geometry import load
+from gateway.people.ros2 import goals
 from gateway.people.ros2.goals import Followed, GoalProgress, error_code
 from gateway.people.ros2.joints import JointNames, JointsError
-from gateway.people.ros2.messages import (
+from gateway.people.ros2.messages import Header, Message, Time
+from gateway.people.ros2.trajectory import Trajectory
+from tests.support.ros2_messages import (
     Duration,
     FollowGoal,
-    FollowResult,
-    Header,
     JointTolerance,
     JointTrajectory,
     JointTrajectoryPoint,
     MultiDOFJointTrajectory,
-    MultiDOFJointTrajectoryPoint,
-    Time,
+    replace,
 )
-from gateway.people.ros2.trajectory import Trajectory
 
 GEOMETRY: Final = load()
 LEG: Final = ("joint_13", "joint_11", "joint_12")
@@ -31,7 +29,7 @@ NO_STAMP: Final = Time()
 # ---- how far it is
 
 
-def trajectory(*points: tuple[float, float], names: tuple[str, ...] = LEG, stamp: Time = NO_STAMP) -> JointTrajectory:
+def trajectory(*points: tuple[float, float], names: tuple[str, ...] = LEG, stamp: Message = NO_STAMP) -> Message:
     """Seconds, and radians of joint_11."""
     return JointTrajectory(
         Header(stamp),
@@ -43,7 +41,7 @@ def trajectory(*points: tuple[float, float], names: tuple[str, ...] = LEG, stamp
     )
 
 
-def read(goal: FollowGoal) -> Followed:
+def read(goal: Message) -> Followed:
     """From now on, which is 100 s."""
     plan = Trajectory.read(goal.trajectory, JointNames(), GEOMETRY, 100.0, 1_000_000_000_000)
     followed = Followed(goal, JointNames(), plan)
@@ -66,25 +64,25 @@ def test_the_result_follows_once_the_last_point_was_sent() -> None:
     assert followed.judge(sent(followed, 300.0, behind_rad=0.01), 300.0) is None, "no time was given"
     judged = followed.judge(sent(followed, 102.0), 102.0)
     assert judged is not None
-    assert judged.error_code == FollowResult.SUCCESSFUL
+    assert judged.error_code == goals.SUCCESSFUL
 
 
 def test_legs_that_do_not_run_yet_have_not_reached_it() -> None:
     followed = read(WAY)
     assert followed.judge(GoalProgress(followed.plan.at(102.0), {}), 102.0) is None
-    assert followed.feedback(GoalProgress(followed.plan.at(102.0), {}), 102.0, Time()) is None
+    assert followed.positions(GoalProgress(followed.plan.at(102.0), {})) is None
 
 
 def test_what_ends_the_motion_aborts_the_goal() -> None:
     judged = read(WAY).judge(GoalProgress({}, {}, "the emergency stop was engaged"), 101.0)
-    assert judged == FollowResult(FollowResult.INVALID_GOAL, "the emergency stop was engaged")
+    assert judged == goals.Result(goals.INVALID_GOAL, "the emergency stop was engaged")
 
 
 @pytest.mark.parametrize(
     ("position", "behind_rad", "code"),
     [
-        (0.05, 0.06, FollowResult.PATH_TOLERANCE_VIOLATED),
-        (0.05, -0.06, FollowResult.PATH_TOLERANCE_VIOLATED),
+        (0.05, 0.06, goals.PATH_TOLERANCE_VIOLATED),
+        (0.05, -0.06, goals.PATH_TOLERANCE_VIOLATED),
         (0.05, 0.04, None),
         (0.0, 3.0, None),
         (-1.0, 3.0, None),
@@ -103,11 +101,11 @@ def test_what_falls_behind_its_path(position: float, behind_rad: float, code: in
 @pytest.mark.parametrize(
     ("now_s", "behind_rad", "expected"),
     [
-        (102.0, 0.01, FollowResult.SUCCESSFUL),
+        (102.0, 0.01, goals.SUCCESSFUL),
         (102.4, 0.06, None),
         (102.5, 0.06, None),
-        (102.6, 0.06, FollowResult.GOAL_TOLERANCE_VIOLATED),
-        (102.6, 0.05, FollowResult.SUCCESSFUL),
+        (102.6, 0.06, goals.GOAL_TOLERANCE_VIOLATED),
+        (102.6, 0.05, goals.SUCCESSFUL),
     ],
 )
 def test_the_goals_own_tolerance_and_time(now_s: float, behind_rad: float, expected: object) -> None:
@@ -119,47 +117,45 @@ def test_the_goals_own_tolerance_and_time(now_s: float, behind_rad: float, expec
 
 def test_feedback_has_the_goals_order_of_joints() -> None:
     followed = read(WAY)
-    found = followed.feedback(sent(followed, 101.5, behind_rad=0.05), 101.5, Time(7))
+    found = followed.positions(sent(followed, 101.5, behind_rad=0.05))
     assert found is not None
-    assert (found.header.stamp, found.joint_names) == (Time(7), LEG)
-    assert found.desired.positions == pytest.approx((-1.5, 0.2, 0.5))
-    assert found.actual.positions == pytest.approx((-1.5, 0.15, 0.5))
-    assert found.error.positions == pytest.approx((0.0, 0.05, 0.0))
-    assert found.desired.time_from_start == Duration(1, 500_000_000)
+    assert followed.names == LEG
+    assert found[0] == pytest.approx((-1.5, 0.2, 0.5))
+    assert found[1] == pytest.approx((-1.5, 0.15, 0.5))
 
 
 @pytest.mark.parametrize(
     ("goal", "code", "why"),
     [
-        (FollowGoal(trajectory((1, 0.0), names=("a", "b", "c"))), FollowResult.INVALID_JOINTS, "no joint 'a'"),
-        (FollowGoal(trajectory((1, 0.0), names=LEG[:2])), FollowResult.INVALID_JOINTS, "it lacks joint_12"),
-        (FollowGoal(), FollowResult.INVALID_JOINTS, "names no joint"),
-        (FollowGoal(trajectory((1, 9.0))), FollowResult.INVALID_GOAL, "joint_11 at 9 rad"),
-        (FollowGoal(trajectory((1, 0.0), stamp=Time(998))), FollowResult.OLD_HEADER_TIMESTAMP, "over 1.0 s ago"),
-        (FollowGoal(trajectory((1, 0.0), stamp=Time(1))), FollowResult.OLD_HEADER_TIMESTAMP, "does its clock agree"),
+        (FollowGoal(trajectory((1, 0.0), names=("a", "b", "c"))), goals.INVALID_JOINTS, "no joint 'a'"),
+        (FollowGoal(trajectory((1, 0.0), names=LEG[:2])), goals.INVALID_JOINTS, "it lacks joint_12"),
+        (FollowGoal(), goals.INVALID_JOINTS, "names no joint"),
+        (FollowGoal(trajectory((1, 9.0))), goals.INVALID_GOAL, "joint_11 at 9 rad"),
+        (FollowGoal(trajectory((1, 0.0), stamp=Time(998))), goals.OLD_HEADER_TIMESTAMP, "over 1.0 s ago"),
+        (FollowGoal(trajectory((1, 0.0), stamp=Time(1))), goals.OLD_HEADER_TIMESTAMP, "does its clock agree"),
         (
             replace(WAY, path_tolerance=(JointTolerance("joint_21", 0.1),)),
-            FollowResult.INVALID_JOINTS,
+            goals.INVALID_JOINTS,
             "a tolerance for 'joint_21'",
         ),
         (
             replace(WAY, goal_tolerance=(JointTolerance("joint_11", math.nan),)),
-            FollowResult.INVALID_GOAL,
+            goals.INVALID_GOAL,
             "tolerance of joint_11 is nan",
         ),
         (
             replace(WAY, goal_tolerance=(JointTolerance("joint_11", -2.0),)),
-            FollowResult.INVALID_GOAL,
+            goals.INVALID_GOAL,
             "tolerance of joint_11 is -2.0",
         ),
         (
-            replace(WAY, multi_dof_trajectory=MultiDOFJointTrajectory(points=(MultiDOFJointTrajectoryPoint(),))),
-            FollowResult.INVALID_GOAL,
+            replace(WAY, multi_dof_trajectory=MultiDOFJointTrajectory(points=(object(),))),
+            goals.INVALID_GOAL,
             "one degree of freedom",
         ),
     ],
 )
-def test_why_a_goal_cannot_be_followed(goal: FollowGoal, code: int, why: str) -> None:
+def test_why_a_goal_cannot_be_followed(goal: Message, code: int, why: str) -> None:
     with pytest.raises(JointsError, match=why) as caught:
         read(goal)
     assert error_code(caught.value) == code

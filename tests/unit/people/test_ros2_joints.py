@@ -2,7 +2,6 @@
 
 import itertools
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,8 +10,9 @@ from hypothesis import strategies as st
 
 from gateway.geometry import load
 from gateway.people.ros2.joints import JointNames, JointsError, positions
-from gateway.people.ros2.messages import Duration, Header, JointTrajectory, JointTrajectoryPoint, Time
+from gateway.people.ros2.messages import Header, Message, Time
 from gateway.people.ros2.trajectory import MAX_POINTS, MAX_RAD_S, Trajectory
+from tests.support.ros2_messages import Duration, JointTrajectory, JointTrajectoryPoint, replace
 
 GEOMETRY = load()
 NAMES = JointNames()
@@ -27,19 +27,19 @@ NEARLY = 1e-3
 """What extremes between the places looked at may add, and rounding."""
 
 
-def point(at_s: float, first_rad: float, **more: tuple[float, ...]) -> JointTrajectoryPoint:
+def point(at_s: float, first_rad: float, **more: tuple[float, ...]) -> Message:
     nanoseconds = round(at_s * 1e9)
     duration = Duration(*divmod(nanoseconds, 10**9))
     return JointTrajectoryPoint((first_rad, *REST[1:]), time_from_start=duration, **more)
 
 
-def trajectory(*points: JointTrajectoryPoint, begins_s: float | None = None) -> JointTrajectory:
+def trajectory(*points: Message, begins_s: float | None = None) -> Message:
     """`begins_s`: relative to now, as a stamp."""
     stamp = Time() if begins_s is None else Time(*divmod(NOW_NS + round(begins_s * 1e9), 10**9))
     return JointTrajectory(Header(stamp), LEG, points)
 
 
-def read(message: JointTrajectory) -> Trajectory:
+def read(message: Message) -> Trajectory:
     return Trajectory.read(message, NAMES, GEOMETRY, NOW_S, NOW_NS)
 
 
@@ -122,7 +122,7 @@ def test_a_trajectory_is_taken_exactly_where_it_stays_within_range_and_speed(
         assert plan.at(NOW_S + at_s)[11] == pytest.approx(at, abs=1e-6)
 
 
-def extremes(points: list[JointTrajectoryPoint]) -> tuple[float, float]:
+def extremes(points: list[Message]) -> tuple[float, float]:
     """The furthest radians and the fastest radians a second of a spline by its Bernstein form, at many places."""
     furthest, fastest = 0.0, 0.0
     part = np.linspace(0, 1, 501)
@@ -138,8 +138,8 @@ def extremes(points: list[JointTrajectoryPoint]) -> tuple[float, float]:
     return furthest, fastest
 
 
-def seconds(point: JointTrajectoryPoint) -> float:
-    return point.time_from_start.sec + point.time_from_start.nanosec / 1e9
+def seconds(point: Message) -> float:
+    return float(point.time_from_start.sec + point.time_from_start.nanosec / 1e9)
 
 
 def test_from_where_the_robot_is_it_goes_no_faster_either() -> None:
@@ -191,6 +191,6 @@ def test_from_where_the_robot_is_it_goes_no_faster_either() -> None:
         (trajectory(point(1, 0), begins_s=61), r"begins in 61\.0 s by its stamp"),
     ],
 )
-def test_trajectories_that_are_not_taken(message: JointTrajectory, why: str) -> None:
+def test_trajectories_that_are_not_taken(message: Message, why: str) -> None:
     with pytest.raises(JointsError, match=why):
         read(message)

@@ -5,18 +5,8 @@ from typing import Final
 import pytest
 
 from gateway.people.ros2.cdr import encode
-from gateway.people.ros2.messages import (
-    Duration,
-    Header,
-    ImuMessage,
-    JointState,
-    JointTrajectory,
-    JointTrajectoryPoint,
-    Message,
-    String,
-    Time,
-)
-from tests.support.ros2_bytes import decode
+from gateway.people.ros2.messages import Header, Imu, JointState, Message, String, Time
+from tests.support.ros2_messages import Duration, JointTrajectory, JointTrajectoryPoint
 
 _HEADER: Final = Header(Time(1, 2), "base_link")
 CYCLONE: Final = (
@@ -46,11 +36,10 @@ CYCLONE: Final = (
 @pytest.mark.parametrize(("message", "expected"), CYCLONE, ids=["joints", "empty", "trajectory"])
 def test_cyclonedds_writes_the_same_bytes(message: Message, expected: str) -> None:
     assert encode(message).hex() == expected
-    assert decode(type(message), bytes.fromhex(expected)) == message
 
 
 def test_what_cannot_be_written_is_reported() -> None:
-    short = ImuMessage(orientation_covariance=(0.0,) * 8)
+    short = Imu(orientation_covariance=(0.0,) * 8)
     for message in (String("\ud800"), Time(2**31, 0), Duration(0, -1), short):
         with pytest.raises(ValueError, match="cannot be written"):
             encode(message)

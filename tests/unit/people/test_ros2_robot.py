@@ -19,7 +19,7 @@ from gateway.people.ros2.robot import (
 from schemas.robot import SERVO_IDS
 from schemas.telemetry import Telemetry
 from tests.support import measuring
-from tests.support.ros2_bytes import STORE
+from tests.support.ros2_messages import STORE
 
 GEOMETRY: Final = load()
 NOW_NS: Final = 1_700_000_000_123_456_789

@@ -10,10 +10,10 @@ from gateway.errors import UnansweredError
 from gateway.geometry import load
 from gateway.model.protocols import SpiProtocol
 from gateway.model.telemetry import starts_whole
-from gateway.people.bridge.motions import STARTS_WHOLE, Following, JointCommands
 from gateway.people.client.stream import Stream
 from gateway.people.client.walk import robot_of
 from gateway.people.ros2.joints import JointsError
+from gateway.people.ros2.motions import STARTS_WHOLE, Following, JointCommands
 from gateway.people.ros2.trajectory import Trajectory, Waypoint
 from schemas.robot import LEGS, SERVO_IDS
 from schemas.telemetry import Ack, ControllerReport

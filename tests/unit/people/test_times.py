@@ -8,8 +8,8 @@ from types import ModuleType
 
 import pytest
 
-from gateway.people.bridge import own_stop
 from gateway.people.client import confirmed_stop, pace, patience, renewal, silence
+from gateway.people.ros2 import own_stop
 from gateway.people.walking import ride, words
 
 TIMES: dict[tuple[ModuleType, str], float] = {

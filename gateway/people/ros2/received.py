@@ -1,10 +1,15 @@
-"""What the bridge needs of ROS 2's graph, without ROS 2: what has arrived, and whether its sender is still there."""
+"""What is received from ROS 2's graph: by whom, whether its sender is still there, and which of several is followed.
+
+Two nodes that both send, a joystick's and a planner's, would have the robot do what neither wants: half of each. So the
+first is followed until it is silent. Priorities between them are twist_mux's, in front of the bridge.
+"""
 
 import logging
 from collections.abc import Callable, Iterable, Set
 from typing import Any, Final, NamedTuple
 
-from gateway.errors import GatewayError
+SILENT_S: Final = 0.5
+"""As long as a velocity holds: a node that is silent for longer moves nothing."""
 
 _log: Final = logging.getLogger(__name__)
 
@@ -30,17 +35,20 @@ def presence(sender: bytes, present: Present) -> Callable[[], bool]:
     return lambda: bool(before) and before <= present()
 
 
-def too_long(size: int, most: int) -> str:
-    """Why a message of `size` bytes is rejected."""
-    return f"it has {size} bytes, and at most {most} are taken"
+class Rivals:
+    """The senders of one stream of messages."""
 
+    def __init__(self) -> None:
+        self._sender = b""
+        self._latest_s = float("-inf")
 
-def attempt(call: Callable[[], str]) -> tuple[bool, str]:
-    """Success and message of a service that has done `call`."""
-    try:
-        return True, call()
-    except GatewayError as error:
-        return False, str(error).replace("\0", "�")
+    def may_send(self, sender: bytes, now_s: float) -> bool:
+        """Whether its message is followed. A graph that reports no senders has one, with an empty GID."""
+        return sender == self._sender or now_s - self._latest_s > SILENT_S
+
+    def sent(self, sender: bytes, now_s: float) -> None:
+        """Its message was followed."""
+        self._sender, self._latest_s = sender, now_s
 
 
 def read_each(received: Iterable[Any], take: Callable[[Any], object]) -> None:

@@ -73,9 +73,9 @@ def ros2(
     called its service drive; it holds the lease then, until release. The service estop is for everybody, always. reset
     leaves an emergency stop that came through ROS alone while the bridge drove.
     """
-    from gateway.people.bridge import run
-    from gateway.people.bridge.parameters import Parameters
     from gateway.people.commands import reach
+    from gateway.people.ros2 import run
+    from gateway.people.ros2.parameters import Parameters
 
     sys.exit(
         run.serve(

@@ -8,35 +8,22 @@ import json
 import math
 import time
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, Final, TypeVar
+from typing import Any, Final, TypeVar
 
 from pydantic import BaseModel, ValidationError
 from zenoh.handlers import RingChannel
 
 from gateway.geometry import Geometry
-from gateway.people.bridge.driving import Driving
-from gateway.people.bridge.parameters import Parameters
-from gateway.people.bridge.topics import Topics
+from gateway.people.ros2 import messages as ros
+from gateway.people.ros2 import robot
 from gateway.people.ros2.commanded import CommandedJoints
-from gateway.people.ros2.joints import JointNames
-from gateway.people.ros2.messages import DiagnosticArray, DiagnosticStatus, JointState, String, TFMessage
-from gateway.people.ros2.robot import (
-    MEASURED,
-    all_at,
-    description,
-    diagnostic_array,
-    diagnostics,
-    frames,
-    joint_state,
-    measured,
-    status,
-)
+from gateway.people.ros2.driving import Driving
+from gateway.people.ros2.node import Node
+from gateway.people.ros2.parameters import Parameters
+from gateway.people.ros2.topics import Topics
 from schemas import keys
 from schemas.calibration import Calibration
 from schemas.telemetry import FrameRecord, GatewayState, Telemetry
-
-if TYPE_CHECKING:
-    from gateway.people.bridge.node import Node
 
 PERIOD_S: Final = 0.02
 """Of `tick`: the most joint states a second are 50."""
@@ -62,9 +49,8 @@ class Reports:
     def __init__(
         self,
         received: Mapping[str, Any],
-        node: "Node",
+        node: Node,
         geometry: Geometry,
-        joint_names: JointNames,
         driving: Driving,
         topics: Topics,
         parameters: Parameters,
@@ -77,11 +63,10 @@ class Reports:
         self._parameters = parameters
         self._hardware_id = hardware_id
         unknown_deg = parameters.uncommanded_deg
-        self._uncommanded_rad = {} if math.isnan(unknown_deg) else all_at(geometry, unknown_deg)
+        self._uncommanded_rad = {} if math.isnan(unknown_deg) else robot.all_at(geometry, unknown_deg)
         self._is_open = is_open
         self._received = received
         self._geometry = geometry
-        self._joint_names = joint_names
         self._driving = driving
         self._topics = topics
         self._joints = CommandedJoints(geometry)
@@ -90,12 +75,12 @@ class Reports:
         self._moved = False
         """Since the latest joint states."""
         self._diagnosed: object = None
-        self._joint_states = node.publisher("joint_states", JointState)
-        self._diagnostics = node.publisher("diagnostics", DiagnosticArray, always=True)
-        self._measured = {topic: node.publisher(topic, kind) for topic, kind in MEASURED.items()}
-        self._tf = node.publisher("/tf", TFMessage) if with_tf else None
-        text = description(geometry, joint_names.of, parameters.base_frame)
-        node.publisher("robot_description", String, latched=True)(text)
+        self._joint_states = node.publisher("joint_states", ros.JointState)
+        self._diagnostics = node.publisher("diagnostics", ros.DiagnosticArray, always=True)
+        self._measured = {topic: node.publisher(topic, kind) for topic, kind in robot.MEASURED.items()}
+        self._tf = node.publisher("/tf", ros.TFMessage) if with_tf else None
+        text = robot.description(geometry, topics.joints.of, parameters.base_frame)
+        node.publisher("robot_description", ros.String, latched=True)(text)
 
     def begin(self, calibration: Calibration) -> None:
         """The calibration that is in force; changes of it are published."""
@@ -111,23 +96,21 @@ class Reports:
             self._driving.receive(state)
         while self._take(keys.FRAME, FrameRecord) is not None:
             self._moved = True
-        time_ns = time.time_ns()
+        time_ns, base = time.time_ns(), self._parameters.base_frame
         while (telemetry := self._take(keys.TELEMETRY, Telemetry)) is not None:
-            for topic, message in measured(
-                telemetry, time_ns, self._parameters.base_frame, self._parameters.measured_in
-            ):
+            for topic, message in robot.measured(telemetry, time_ns, base, self._parameters.measured_in):
                 self._measured[topic](message)
         if self._moved and now_s - self._published_s >= 1 / self._parameters.joint_states_hz - PERIOD_S / 2:
             self._moved, self._published_s = False, now_s
             at_rad = self._uncommanded_rad | self._joints.rad
-            self._joint_states(joint_state(at_rad, time_ns, self._joint_names.of))
+            self._joint_states(robot.joint_state(at_rad, time_ns, self._topics.joints.of))
             if self._tf is not None:
-                self._tf(frames(self._geometry, at_rad, time_ns, self._parameters.base_frame))
+                self._tf(robot.frames(self._geometry, at_rad, time_ns, base))
         sign = (self._state and self._state.mode, self._driving.does, self._topics.latest_rejection)
         if now_s - self._diagnosed_s >= (1 / self._parameters.diagnostics_hz if sign == self._diagnosed else CHANGED_S):
             self._diagnosed_s, self._diagnosed = now_s, sign
             statuses = (*self._gateway(now_s), self._bridge())
-            self._diagnostics(diagnostic_array(statuses, time_ns, self._hardware_id))
+            self._diagnostics(robot.diagnostic_array(statuses, time_ns, self._hardware_id))
 
     def _take(self, key: str, kind: type[R]) -> R | None:
         """The next report on a key, if it is one: without access control, anybody may publish there."""
@@ -142,20 +125,19 @@ class Reports:
         self._joints.take(key, json.loads(payload))
         return report
 
-    def _gateway(self, now_s: float) -> tuple[DiagnosticStatus, ...]:
+    def _gateway(self, now_s: float) -> tuple[ros.Message, ...]:
         if self._state is None or now_s - self._received_s > SILENT_S:
-            return (status("gateway", DiagnosticStatus.STALE, "nothing is received from the gateway"),)
-        return diagnostics(self._state)
+            return (robot.status("gateway", ros.STALE, "nothing is received from the gateway"),)
+        return robot.diagnostics(self._state)
 
-    def _bridge(self) -> DiagnosticStatus:
-        taken, rejected = self._topics.taken, self._topics.rejected
-        return status(
+    def _bridge(self) -> ros.Message:
+        counts = {"taken": self._topics.taken, "rejected": self._topics.rejected}
+        return robot.status(
             "ROS 2 bridge",
-            DiagnosticStatus.WARN if self._is_open else DiagnosticStatus.OK,
+            ros.WARN if self._is_open else ros.OK,
             f"{self._driving.does}{OPEN if self._is_open else ''}",
             drives=self._driving.drives,
             open_graph=self._is_open,
-            **{f"taken {topic}": count for topic, count in sorted(taken.items())},
-            **{f"rejected {topic}": count for topic, count in sorted(rejected.items())},
+            **{f"{what} {topic}": count for what, found in counts.items() for topic, count in sorted(found.items())},
             latest_rejection=self._topics.latest_rejection or None,
         )

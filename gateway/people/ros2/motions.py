@@ -30,6 +30,7 @@ MARGIN_S: Final = 0.25
 """After the gateway's watchdog must have stopped what is silent."""
 LONGEST_SIT_S: Final = 30.0
 STARTS_WHOLE: Final = "this robot starts as a whole: what starts it has to name all 18 joints"
+REPLACED: Final = "a newer trajectory has replaced it"
 DOES_NOT_STAND: Final = "the robot does not stand; a velocity, or cmd_base_height, has it stand up"
 
 
@@ -112,12 +113,8 @@ class Course:
         """When it sits down."""
         self._ride: Ride | None = None
         """Once it sits down."""
-        self._left = "a newer trajectory has replaced it"
+        self._left = REPLACED
         """Why a plan is not followed any more."""
-
-    @property
-    def _started(self) -> frozenset[int]:
-        return frozenset(self._sent)
 
     @property
     def begun(self) -> bool:
@@ -127,11 +124,9 @@ class Course:
     def follow(self, plan: Trajectory, now_s: float) -> None:
         """From now on, from where the joints that run are. Raises JointsError."""
         self._look(now_s)
-        running = self._started
-        plan.begin({servo_id: at for servo_id, at in self._at_rad.items() if servo_id // 10 in running}, now_s)
-        next_start(legs_deg(self._geometry, self._at_rad | plan.at(now_s)), running, whole=self._whole)
-        self._plan, self._ride, self._rests_s = plan, None, plan.ends_s + REST_S
-        self._left = "a newer trajectory has replaced it"
+        plan.begin({servo_id: at for servo_id, at in self._at_rad.items() if servo_id // 10 in self._sent}, now_s)
+        self._next_start(self._at_rad | plan.at(now_s))
+        self._plan, self._ride, self._rests_s, self._left = plan, None, plan.ends_s + REST_S, REPLACED
 
     def progress(self, plan: Trajectory, now_s: float) -> GoalProgress:
         """How far this plan is."""
@@ -166,7 +161,7 @@ class Course:
             if self._ride is None:
                 return None
         if self._ride is None:
-            return next_start(legs_deg(self._geometry, self._at_rad), self._started, whole=self._whole)
+            return self._next_start(self._at_rad)
         step = self._ride.next(now_s)
         if step.do is not RideTask.SEND:
             return None
@@ -177,6 +172,9 @@ class Course:
     def sent(self, pose: Pose) -> None:
         """This was sent, and its starts were accepted."""
         self._sent = {**self._sent, **pose}
+
+    def _next_start(self, at_rad: dict[int, float]) -> dict[int, Degrees]:
+        return next_start(legs_deg(self._geometry, at_rad), frozenset(self._sent), whole=self._whole)
 
     def _rad(self, pose: Pose) -> dict[int, float]:
         return {
@@ -199,7 +197,7 @@ class Course:
 
         With a leg that does not run, a ride that is sent away before its first word sends nothing.
         """
-        pose = {leg: at for leg, at in legs_deg(self._geometry, self._at_rad).items() if leg in self._started}
+        pose = {leg: at for leg, at in legs_deg(self._geometry, self._at_rad).items() if leg in self._sent}
         try:
             ride = self._make_ride(pose)
             ride.found(ride.robot, pose, now_s)
@@ -317,11 +315,11 @@ class Walking:
         self, *, height_m: float | None = None, roll_rad: float | None = None, pitch_rad: float | None = None
     ) -> None:
         """Another height or lean of the body, of which the others stay; a walk pauses for it. Raises as `go`."""
-        height_before_m, roll_before_rad, pitch_before_rad = self._body
+        height, roll, pitch = self._body
         body = (
-            height_before_m if height_m is None else height_m,
-            roll_before_rad if roll_rad is None else roll_rad,
-            pitch_before_rad if pitch_rad is None else pitch_rad,
+            height if height_m is None else height_m,
+            roll if roll_rad is None else roll_rad,
+            pitch if pitch_rad is None else pitch_rad,
         )
         if height_m is None and self._walk.state.posture in DOWN:
             raise WalkError(DOES_NOT_STAND)

@@ -12,6 +12,7 @@ import threading
 from collections.abc import Callable, Iterable, Iterator, Set
 from contextlib import suppress
 from dataclasses import asdict
+from importlib import import_module
 from pathlib import Path
 from typing import Any, Final
 
@@ -31,15 +32,13 @@ from std_msgs.msg import Empty
 from std_srvs.srv import Trigger
 
 from gateway.endpoints import is_local
-from gateway.errors import ConfigError
-from gateway.people.bridge.graph import Arrived, Present, attempt, read_each, too_long
-from gateway.people.bridge.parameters import DESCRIPTIONS, Parameters
-from gateway.people.bridge.values import from_ros, ros_type, to_ros
-from gateway.people.ros2.messages import JointState, Message, Twist, TwistStamped
+from gateway.errors import ConfigError, GatewayError
+from gateway.people.ros2.messages import Message
+from gateway.people.ros2.parameters import DESCRIPTIONS, Parameters
+from gateway.people.ros2.received import Arrived, Present, read_each
 
 NAME: Final = "hexapod_gateway"
 SIMULATED: Final = "use_sim_time is set, and the time of a robot is real"
-Take = Callable[[Any, Arrived], None]
 
 _JOIN_S: Final = 1.0
 _SPIN_S: Final = 0.5
@@ -49,7 +48,7 @@ _GID_BYTES: Final = 16
 """Of the GID's bytes that have a meaning; before Jazzy there are 24."""
 _REQUESTS: Final = 16
 """Of one service that wait; of more, the oldest have no answer. An emergency stop is engaged all the same."""
-_STREAMS: Final = (JointState, Twist, TwistStamped)
+_STREAMS: Final = ("sensor_msgs/msg/JointState", "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped")
 """Sensor data: received best effort, which matches every publisher, and repeats nothing that a link has lost."""
 _INACTIVE: Final = "the node is not active: its lifecycle is managed, and nobody has activated it"
 
@@ -93,9 +92,8 @@ class Node(LifecycleNode):  # type: ignore[misc]
 
     def parameters(self, given: Parameters) -> Parameters:
         """The node's parameters, which are read at the start; `given` are their defaults. Raises ConfigError."""
-        return Parameters(
-            **{name: self._declared(name, value, DESCRIPTIONS[name]) for name, value in asdict(given).items()}
-        )
+        found = {name: self._declared(name, value, DESCRIPTIONS[name]) for name, value in asdict(given).items()}
+        return Parameters(**found)
 
     # ---- topics and services
 
@@ -119,22 +117,25 @@ class Node(LifecycleNode):  # type: ignore[misc]
         return publish
 
     def subscribe(
-        self, topic: str, kind: type[Message], most_bytes: int, take: Take, reject: Callable[[str], None]
+        self,
+        topic: str,
+        kind: str,
+        most_bytes: int,
+        take: Callable[[Any, Arrived], None],
+        reject: Callable[[str], None],
     ) -> None:
-        """Call `take` with the newest message, or `reject` with the reason why it cannot be read."""
-        found = ros_type(kind.TYPE)
+        """Call `take` with the newest message of this type, or `reject` with the reason why it cannot be read."""
+        found = ros_type(kind)
 
         def received(message: tuple[bytes, dict[str, Any]]) -> None:
             data, info = message
             if len(data) > most_bytes:
-                reject(too_long(len(data), most_bytes))
-            else:
-                try:
-                    read = from_ros(kind, deserialize_message(data, found))
-                except RuntimeError as error:
-                    reject(f"it cannot be read: {error}")
-                else:
-                    take(read, Arrived(_gid(info), info["source_timestamp"]))
+                return reject(f"it has {len(data)} bytes, and at most {most_bytes} are taken")
+            try:
+                read = deserialize_message(data, found)
+            except RuntimeError as error:
+                return reject(f"it cannot be read: {error}")
+            return take(read, Arrived(_gid(info), info["source_timestamp"]))
 
         self._listen(topic, found, received, is_stream=kind in _STREAMS)
 
@@ -149,19 +150,18 @@ class Node(LifecycleNode):  # type: ignore[misc]
         def receive() -> None:
             request, header = made.handle.service_take_request(Trigger.Request)
             if request is not None:
-                success, message = attempt(call)
+                success, message = _attempt(call)
                 with suppress(RuntimeError):
                     made.send_response(Trigger.Response(success=success, message=message), header)
 
         self._start(f"serve {service}", made.handle, "service", receive)
         if always:
-            self._listen(service, Empty, lambda _: attempt(call))
+            self._listen(service, Empty, lambda _: _attempt(call))
 
     def senders(self, topic: str) -> Present:
         """Return who publishes on a topic, at each call."""
-        return _present(
-            lambda: (bytes(each.endpoint_gid[:_GID_BYTES]) for each in self.get_publishers_info_by_topic(topic))
-        )
+        infos = self.get_publishers_info_by_topic
+        return _present(lambda: (bytes(each.endpoint_gid[:_GID_BYTES]) for each in infos(topic)))
 
     def callers(self, service: str) -> Present:
         """Return how many may call a service, at each call: rclpy reports no GIDs of clients."""
@@ -169,14 +169,11 @@ class Node(LifecycleNode):  # type: ignore[misc]
         return _present(lambda: (b"%d" % number for number in range(self.count_clients(name))))
 
     def _listen(self, topic: str, found: Any, take: Callable[[Any], object], *, is_stream: bool = False) -> None:
+        reliability = ReliabilityPolicy.BEST_EFFORT if is_stream else ReliabilityPolicy.RELIABLE
+        qos = QoSProfile(depth=1, reliability=reliability)
+        quiet = SubscriptionEventCallbacks(use_default_callbacks=False)
         made = self.create_subscription(
-            found,
-            topic,
-            _nothing,
-            QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT if is_stream else ReliabilityPolicy.RELIABLE),
-            raw=True,
-            callback_group=self._own_threads,
-            event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
+            found, topic, _nothing, qos, raw=True, callback_group=self._own_threads, event_callbacks=quiet
         )
 
         def receive() -> None:
@@ -246,10 +243,9 @@ class Node(LifecycleNode):  # type: ignore[misc]
                 _log.exception("a request to the node could not be answered")
 
     def _declared(self, name: str, value: Any, description: str) -> Any:
+        described = ParameterDescriptor(description=description, read_only=True)
         try:
-            return self.declare_parameter(
-                name, value, ParameterDescriptor(description=description, read_only=True)
-            ).value
+            return self.declare_parameter(name, value, described).value
         except ParameterException as error:
             raise ConfigError(f"parameter {name}: {error}") from error
 
@@ -278,6 +274,38 @@ class Node(LifecycleNode):  # type: ignore[misc]
         """The same, until it is configured and activated again."""
         self._end(_INACTIVE)
         return super().on_error(state)
+
+
+def ros_type(type_name: str) -> Any:
+    """`std_msgs/msg/String` → rclpy's class. Raises ConfigError if its package is not installed."""
+    package, kind, name = type_name.split("/")
+    try:
+        return getattr(import_module(f"{package}.{kind}"), name)
+    except ImportError as error:
+        raise ConfigError(f"this ROS 2 has no {package}: {error}") from error
+
+
+def to_ros(message: Message) -> Any:
+    """rclpy's message with these fields; the others have their defaults. Raises AssertionError as rclpy does."""
+    made = ros_type(message.TYPE)()
+    for name, value in vars(message).items():
+        setattr(made, name, bytes((value,)) if isinstance(getattr(made, name), bytes) else ros_value(value))
+    return made
+
+
+def ros_value(value: Any) -> Any:
+    """A field's value as rclpy has it."""
+    if isinstance(value, Message):
+        return to_ros(value)
+    return list(map(ros_value, value)) if isinstance(value, tuple) else value
+
+
+def _attempt(call: Callable[[], str]) -> tuple[bool, str]:
+    """Success and message of a service that has done `call`."""
+    try:
+        return True, call()
+    except GatewayError as error:
+        return False, str(error).replace("\0", "\ufffd")
 
 
 class _OwnThreads(CallbackGroup):  # type: ignore[misc]

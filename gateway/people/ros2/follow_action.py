@@ -6,23 +6,18 @@ only a result has a code and a sentence. A new goal replaces the one before, whi
 
 import threading
 import time
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.duration import Duration
 
-from gateway.geometry import Geometry
-from gateway.people.bridge.driving import Driving, NotTakenError
-from gateway.people.bridge.graph import presence
-from gateway.people.bridge.topics import Topics
-from gateway.people.bridge.values import from_ros, ros_type, to_ros
-from gateway.people.ros2.goals import CANCELLED, REPLACED, Followed, error_code
-from gateway.people.ros2.joints import JointNames, JointsError
-from gateway.people.ros2.messages import FollowGoal, FollowResult, Time
-from gateway.people.ros2.trajectory import Trajectory
-
-if TYPE_CHECKING:
-    from gateway.people.bridge.node import Node
+from gateway.people.ros2.driving import Driving, NotTakenError
+from gateway.people.ros2.goals import CANCELLED, REPLACED, SUCCESSFUL, Followed, Result, error_code
+from gateway.people.ros2.joints import JointsError
+from gateway.people.ros2.node import Node, ros_type
+from gateway.people.ros2.received import presence
+from gateway.people.ros2.topics import Topics
 
 NAME: Final = "follow_joint_trajectory"
 FEEDBACK_S: Final = 0.05
@@ -34,19 +29,20 @@ _RESULT_KEPT_S: Final = 60
 class FollowAction:
     """Called by the executor's threads: each goal has one until it ends."""
 
-    def __init__(self, node: "Node", driving: Driving, geometry: Geometry, joints: JointNames, topics: Topics) -> None:
+    def __init__(self, node: Node, driving: Driving, topics: Topics) -> None:
         """Raises ConfigError where this ROS 2 has no control_msgs."""
+        self._node = node
         self._driving = driving
-        self._geometry = geometry
-        self._joints = joints
         self._topics = topics
         self._lock = threading.Lock()
         self._newest: Any = None
         """The handle of the goal that is followed."""
+        self._type = ros_type("control_msgs/action/FollowJointTrajectory")
+        self._point = ros_type("trajectory_msgs/msg/JointTrajectoryPoint")
         self._callers = node.callers(f"{NAME}/_action/send_goal")
         self._server = ActionServer(
             node,
-            ros_type("control_msgs/action/FollowJointTrajectory"),
+            self._type,
             NAME,
             self._execute,
             callback_group=ReentrantCallbackGroup(),
@@ -67,29 +63,28 @@ class FollowAction:
             followed = self._begin(handle)
         except (JointsError, NotTakenError) as error:
             self._topics.reject(NAME, str(error))
-            handle.abort()
-            return to_ros(FollowResult(error_code(error), str(error)))
-        self._topics.taken[NAME] += 1
-        ends, result = self._follow(handle, followed)
-        if ends is not handle.succeed:
-            self._driving.hold(followed.plan)
+            ends, result = handle.abort, Result(error_code(error), str(error))
+        else:
+            self._topics.taken[NAME] += 1
+            ends, result = self._follow(handle, followed)
+            if ends is not handle.succeed:
+                self._driving.hold(followed.plan)
         ends()
-        return to_ros(result)
+        return self._type.Result(**result._asdict())
 
     def _begin(self, handle: Any) -> Followed:
         """Raises JointsError, NotTakenError; then the goal before it goes on."""
-        goal = from_ros(FollowGoal, handle.request)
         is_there = presence(b"", self._callers)
         with self._lock:
             if not is_there():
                 raise JointsError("its sender is not seen in the graph (any more), and could not cancel it")
-            plan = Trajectory.read(goal.trajectory, self._joints, self._geometry, time.monotonic(), time.time_ns())
-            followed = Followed(goal, self._joints, plan)
+            plan = self._topics.plan(handle.request.trajectory)
+            followed = Followed(handle.request, self._topics.joints, plan)
             self._driving.follow(plan, is_there)
             self._newest = handle
         return followed
 
-    def _follow(self, handle: Any, followed: Followed) -> tuple[Any, FollowResult]:
+    def _follow(self, handle: Any, followed: Followed) -> tuple[Any, Result]:
         """What ends the goal, and its result."""
         while True:
             now_s = time.monotonic()
@@ -98,10 +93,18 @@ class FollowAction:
                 return handle.canceled, CANCELLED
             if handle is not self._newest:
                 return handle.abort, REPLACED
-            feedback = followed.feedback(progress, now_s, Time(*divmod(time.time_ns(), 1_000_000_000)))
-            if feedback is not None:
-                handle.publish_feedback(to_ros(feedback))
+            if (positions := followed.positions(progress)) is not None:
+                handle.publish_feedback(self._feedback(followed, *positions, now_s))
             result = followed.judge(progress, now_s)
             if result is not None:
-                return handle.succeed if result.error_code == FollowResult.SUCCESSFUL else handle.abort, result
+                return handle.succeed if result.error_code == SUCCESSFUL else handle.abort, result
             time.sleep(FEEDBACK_S)
+
+    def _feedback(self, followed: Followed, desired: list[float], actual: list[float], now_s: float) -> Any:
+        elapsed = Duration(seconds=followed.plan.elapsed_s(now_s)).to_msg()
+        error = [there - here for there, here in zip(desired, actual, strict=True)]
+        ways = {"desired": desired, "actual": actual, "error": error}
+        points = {name: self._point(positions=way, time_from_start=elapsed) for name, way in ways.items()}
+        feedback = self._type.Feedback(joint_names=followed.names, **points)
+        feedback.header.stamp = self._node.get_clock().now().to_msg()
+        return feedback

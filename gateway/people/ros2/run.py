@@ -8,22 +8,21 @@ from functools import partial
 from pathlib import Path
 from typing import Final
 
-from gateway.errors import ConfigError, GatewayError, RejectedError, UnansweredError
+from gateway.errors import ConfigError, UnansweredError
 from gateway.geometry import load
-from gateway.people.bridge.driving import Driving
-from gateway.people.bridge.parameters import Parameters
-from gateway.people.bridge.reports import CHANNELS, PERIOD_S, Reports
-from gateway.people.bridge.topics import Topics
-from gateway.people.client.dangers import UNCONFIRMED, confirmed_off
 from gateway.people.client.subscriptions import subscribed
 from gateway.people.commands.reach import Connection
+from gateway.people.ros2.driving import Driving
 from gateway.people.ros2.joints import JointNames, JointsError
+from gateway.people.ros2.parameters import Parameters
 from gateway.people.terminal import hint, on_end_signals, say
 from gateway.text import visible
 
 try:
-    from gateway.people.bridge.follow_action import NAME, FollowAction
-    from gateway.people.bridge.node import Node
+    from gateway.people.ros2.follow_action import NAME, FollowAction
+    from gateway.people.ros2.node import Node
+    from gateway.people.ros2.reports import CHANNELS, PERIOD_S, Reports
+    from gateway.people.ros2.topics import Topics
 except ImportError as error:
     raise ConfigError(
         "the command ros2 needs ROS 2 for this Python: source its setup.bash, or pip install "
@@ -60,36 +59,32 @@ def serve(
     shape = load(geometry)
     ended = threading.Event()
     with closing(Node(domain, namespace, ros_args)) as node:
-        is_open = _is_open(node)
+        if is_open := bool(found := node.open_on()):
+            hint(
+                f"ROS 2's graph is open to the network ({node.rmw} has sockets on {', '.join(found)}): all who reach "
+                "it can drive the robot. To keep it on this machine: docs/ros2.md#who-reaches-the-graph"
+            )
         name = OPEN_NAME if is_open else _NAME
         with connect(source=name)() as client, on_end_signals(ended.set), ExitStack() as at_the_end:
             driving = Driving(client, name, shape, _show)
             at_the_end.callback(node.close)
-            topics = Topics(driving, shape, joints, node.senders("joint_trajectory"), _show)
-            node.serve("estop", lambda: _estop(driving), always=True)
+            topics = Topics(node, driving, shape, joints, _show)
+            node.serve("estop", driving.estop, always=True)
             received = at_the_end.enter_context(subscribed(client.session, CHANNELS))
             channels = dict(zip(CHANNELS, received, strict=True))
-            settings = node.parameters(parameters)
+            shown = node.parameters(parameters)
+            robot = namespace.strip("/") or node.get_name()
             reports = Reports(
-                channels,
-                node,
-                shape,
-                joints,
-                driving,
-                topics,
-                settings,
-                hardware_id=namespace.strip("/") or node.get_name(),
-                with_tf=with_tf,
-                is_open=is_open,
+                channels, node, shape, driving, topics, shown, hardware_id=robot, with_tf=with_tf, is_open=is_open
             )
             with suppress(UnansweredError):  # an older gateway has none
                 reports.begin(client.calibration())
-            topics.subscribe(node)
+            topics.subscribe()
             try:
-                FollowAction(node, driving, shape, joints, topics)
+                FollowAction(node, driving, topics)
             except ConfigError as error:
                 hint(f"no action {NAME}: {error}")
-            node.serve("reset", lambda: _reset(driving, of_anybody=allow_reset))
+            node.serve("reset", partial(driving.reset, of_anybody=allow_reset))
             node.serve("drive", driving.drive)
             node.serve("release", driving.release)
             watch = threading.Thread(target=_watch, args=(ended, driving), name="watch the motion", daemon=True)
@@ -97,7 +92,7 @@ def serve(
             at_the_end.callback(watch.join)
             at_the_end.callback(ended.set)
             at_the_end.callback(driving.close)  # first: what it moves is stopped before anything is waited for
-            node.manage(partial(_activate, driving, drives=drives), partial(_deactivate, driving))
+            node.manage(partial(driving.activate, drives=drives), driving.deactivate)
             say(f"{node.get_fully_qualified_name()} is in ROS 2's graph of {node.rmw}, domain {domain}; Ctrl-C ends")
             while not ended.wait(PERIOD_S):
                 topics.turned()
@@ -108,45 +103,6 @@ def serve(
 def _watch(ended: threading.Event, driving: Driving) -> None:
     while not ended.wait(WATCH_S):
         driving.check()
-
-
-def _activate(driving: Driving, *, drives: bool) -> None:
-    driving.activate()
-    if drives:
-        try:
-            driving.drive()
-        except RejectedError as error:
-            hint(visible(f"--drive: {error}; the service drive tries again"))
-
-
-def _deactivate(driving: Driving, why: str) -> None:
-    try:
-        driving.deactivate(why)
-    except GatewayError as error:  # what cannot be stopped from here is stopped by the gateway's watchdog
-        hint(visible(f"{why}: {error}"))
-
-
-def _is_open(node: Node) -> bool:
-    """Whether other machines may reach the node; a person is then shown how to keep it on this one."""
-    found = node.open_on()
-    if found:
-        sockets = f"{node.rmw} has sockets on {', '.join(found)}"
-        hint(
-            f"ROS 2's graph is open to the network ({sockets}): all who reach it can drive the robot. To keep it on "
-            "this machine: docs/ros2.md#who-reaches-the-graph"
-        )
-    return bool(found)
-
-
-def _estop(driving: Driving) -> str:
-    ack = driving.estop()
-    within = f"within {ack.latency_us:.0f} µs{confirmed_off(ack)}{f'. {UNCONFIRMED}' if ack.confirmed is False else ''}"
-    return f"emergency stop {ack.estop}: {ack.stop_frames} Stop frames written {within}"
-
-
-def _reset(driving: Driving, *, of_anybody: bool) -> str:
-    driving.reset(of_anybody=of_anybody)
-    return "the emergency stop is left; nothing moves until it is started again"
 
 
 def _show(text: str) -> None:

@@ -13,14 +13,15 @@ from typing import Final, TypeVar
 
 from gateway.errors import GatewayError, LeaseLostError, RejectedError, StoppedError
 from gateway.geometry import Geometry
-from gateway.people.bridge.motions import DOES_NOT_STAND, Following, JointCommands, Motion, Walking
-from gateway.people.bridge.own_stop import OwnStop
 from gateway.people.client.blocking import Client
+from gateway.people.client.dangers import UNCONFIRMED, confirmed_off
 from gateway.people.client.lease import Lease
 from gateway.people.ros2.goals import GoalProgress
+from gateway.people.ros2.motions import DOES_NOT_STAND, Following, JointCommands, Motion, Walking
+from gateway.people.ros2.own_stop import OwnStop
 from gateway.people.ros2.trajectory import Trajectory
 from gateway.people.walking import Velocity
-from schemas.telemetry import Ack, GatewayState, Mode, Reason
+from schemas.telemetry import GatewayState, Mode, Reason
 
 NOBODY_DRIVES: Final = "nobody has called drive"
 NOT_ACTIVE: Final = "the node is not active yet"
@@ -105,28 +106,37 @@ class Driving:
                 self._give_back(NOBODY_DRIVES)
             return "released"
 
-    def activate(self) -> None:
-        """From now on somebody may call `drive`; nothing begins by this alone."""
+    def activate(self, *, drives: bool) -> None:
+        """From now on somebody may call `drive`; nothing begins by this alone, but with `drives`."""
         with self._lock:
             self._inactive, self._why_not = "", NOBODY_DRIVES
+            try:
+                if drives:
+                    self.drive()
+            except RejectedError as error:
+                self._show(f"--drive: {error}; the service drive tries again")
 
     def deactivate(self, why: str) -> None:
-        """As `release`; after that nobody may drive until `activate`. Raises GatewayError."""
+        """As `release`; after that nobody may drive until `activate`."""
         with self._lock:
             self._inactive = why
             try:
                 self.release()
+            except GatewayError as error:  # what cannot be stopped from here is stopped by the gateway's watchdog
+                self._show(f"{why}: {error}")
             finally:
                 self._why_not = why
 
-    def estop(self) -> Ack:
+    def estop(self) -> str:
         """Engage the emergency stop, waiting for nothing here. Raises GatewayError."""
         drove = self.drives
         ack = self._client.estop()
         self._own.engaged(ack.estop, drove=drove)
-        return ack
+        within = f"within {ack.latency_us:.0f} µs{confirmed_off(ack)}"
+        unconfirmed = f". {UNCONFIRMED}" if ack.confirmed is False else ""
+        return f"emergency stop {ack.estop}: {ack.stop_frames} Stop frames written {within}{unconfirmed}"
 
-    def reset(self, *, of_anybody: bool) -> None:
+    def reset(self, *, of_anybody: bool) -> str:
         """Leave the emergency stop, unless a person may have engaged it too (`of_anybody`: even so).
 
         Anybody who reaches ROS 2's graph may call this, and a person who has pressed a button relies on it.
@@ -139,6 +149,7 @@ class Driving:
         ack = self._client.reset(number)
         if not ack.accepted:
             raise RejectedError(str(ack.reason), ack.detail or "")
+        return "the emergency stop is left; nothing moves until it is started again"
 
     def close(self) -> None:
         """Stop what runs by it at once, and take nothing any more, not even `drive`. Raises GatewayError."""

@@ -1,10 +1,10 @@
-"""Whether a sender is still there, and what an error in one message ends."""
+"""Whether a sender is still there, which of several is followed, and what an error in one message ends."""
 
 import logging
 
 import pytest
 
-from gateway.people.bridge.graph import presence, read_each
+from gateway.people.ros2.received import SILENT_S, Rivals, presence, read_each
 
 A, B, C = b"a", b"b", b"c"
 
@@ -41,3 +41,22 @@ def test_an_error_in_one_message_does_not_end_the_topic(caplog: pytest.LogCaptur
         read_each([5, 0, 2], take)
     assert taken == [2, 5]
     assert "a message could not be handled" in caplog.text
+
+
+def test_the_first_is_followed_until_it_is_silent() -> None:
+    rivals = Rivals()
+    assert rivals.may_send(B, 0.0), "nobody has sent"
+    rivals.sent(A, 10.0)
+    assert rivals.may_send(A, 10.1)
+    assert not rivals.may_send(B, 10.1)
+    rivals.sent(A, 10.2)
+    assert not rivals.may_send(B, 10.2 + SILENT_S)
+    assert rivals.may_send(B, 10.3 + SILENT_S)
+    rivals.sent(B, 10.3 + SILENT_S)
+    assert not rivals.may_send(A, 10.4 + SILENT_S), "and now the other"
+
+
+def test_a_graph_that_reports_no_senders_has_one() -> None:
+    rivals = Rivals()
+    rivals.sent(b"", 10.0)
+    assert rivals.may_send(b"", 10.0)

@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import pytest
 
-from gateway.people.bridge.own_stop import OwnStop
+from gateway.people.ros2.own_stop import OwnStop
 from schemas.telemetry import GatewayState
 from tests.support.published import state as published
 

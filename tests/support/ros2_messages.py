@@ -1,0 +1,66 @@
+"""ROS 2's messages that tests send and the bridge takes; and any message, from rclpy's, or from bytes by rosbags."""
+
+import dataclasses
+from types import SimpleNamespace
+from typing import Any, Final
+
+from rosbags.typesys import Stores, get_typestore
+
+from gateway.people.ros2.messages import Header, Message, Vector3, message_type
+
+
+def _type(type_name: str, **fields: Any) -> type[Message]:
+    return message_type(type_name, __name__, **fields)
+
+
+Int32: Final = _type("std_msgs/msg/Int32", data=0)
+Float64: Final = _type("std_msgs/msg/Float64", data=0.0)
+Twist: Final = _type("geometry_msgs/msg/Twist", linear=Vector3(), angular=Vector3())
+TwistStamped: Final = _type("geometry_msgs/msg/TwistStamped", header=Header(), twist=Twist())
+Duration: Final = _type("builtin_interfaces/msg/Duration", sec=0, nanosec=0)
+JointTrajectoryPoint: Final = _type(
+    "trajectory_msgs/msg/JointTrajectoryPoint",
+    positions=(),
+    velocities=(),
+    accelerations=(),
+    time_from_start=Duration(),
+)
+JointTrajectory: Final = _type("trajectory_msgs/msg/JointTrajectory", header=Header(), joint_names=(), points=())
+MultiDOFJointTrajectory: Final = _type("trajectory_msgs/msg/MultiDOFJointTrajectory", points=())
+JointTolerance: Final = _type("control_msgs/msg/JointTolerance", name="", position=0.0)
+FollowJointTrajectory_Goal: Final = _type(
+    "control_msgs/action/FollowJointTrajectory_Goal",
+    trajectory=JointTrajectory(),
+    multi_dof_trajectory=MultiDOFJointTrajectory(),
+    path_tolerance=(),
+    goal_tolerance=(),
+    goal_time_tolerance=Duration(),
+)
+FollowGoal: Final = FollowJointTrajectory_Goal
+
+
+STORE: Final = get_typestore(Stores.ROS2_JAZZY)
+
+
+def replace(message: Message, **fields: Any) -> Any:
+    """The message, with other values in these fields."""
+    return type(message)(**vars(message) | fields)
+
+
+def plain(found: Any) -> Any:
+    """rclpy's message, or rosbags', as values that can be pickled: all its fields; sequences are tuples."""
+    if hasattr(found, "get_fields_and_field_types"):
+        names = list(found.get_fields_and_field_types())
+    elif dataclasses.is_dataclass(found):
+        names = [each.name for each in dataclasses.fields(found) if each.name != "__msgtype__"]
+    elif isinstance(found, bytes):  # a `byte`
+        return found[0]
+    else:
+        values = found.tolist() if hasattr(found, "tolist") else found
+        return tuple(map(plain, values)) if isinstance(values, list | tuple) else values
+    return SimpleNamespace(**{name: plain(getattr(found, name)) for name in names})
+
+
+def decode(kind: type[Message], data: bytes) -> Any:
+    """A message's bytes, as rosbags reads them."""
+    return plain(STORE.deserialize_cdr(data, kind.TYPE))
