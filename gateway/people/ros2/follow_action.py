@@ -13,7 +13,7 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.duration import Duration
 
 from gateway.people.ros2.driving import Driving, NotTakenError
-from gateway.people.ros2.goals import CANCELLED, REPLACED, SUCCESSFUL, Followed, Result, error_code
+from gateway.people.ros2.goals import CANCELLED, REPLACED, SUCCESSFUL, Followed, GoalResult, error_code
 from gateway.people.ros2.joints import JointsError
 from gateway.people.ros2.node import Node, ros_type
 from gateway.people.ros2.received import presence
@@ -63,7 +63,7 @@ class FollowAction:
             followed = self._begin(handle)
         except (JointsError, NotTakenError) as error:
             self._topics.reject(NAME, str(error))
-            ends, result = handle.abort, Result(error_code(error), str(error))
+            ends, result = handle.abort, GoalResult(error_code(error), str(error))
         else:
             self._topics.taken[NAME] += 1
             ends, result = self._follow(handle, followed)
@@ -84,7 +84,7 @@ class FollowAction:
             self._newest = handle
         return followed
 
-    def _follow(self, handle: Any, followed: Followed) -> tuple[Any, Result]:
+    def _follow(self, handle: Any, followed: Followed) -> tuple[Any, GoalResult]:
         """What ends the goal, and its result."""
         while True:
             now_s = time.monotonic()

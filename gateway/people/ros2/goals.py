@@ -17,15 +17,15 @@ SUCCESSFUL, INVALID_GOAL, INVALID_JOINTS = 0, -1, -2
 OLD_HEADER_TIMESTAMP, PATH_TOLERANCE_VIOLATED, GOAL_TOLERANCE_VIOLATED = -3, -4, -5
 
 
-class Result(NamedTuple):
+class GoalResult(NamedTuple):
     """Of a goal that has ended, as FollowJointTrajectory has it."""
 
     error_code: int
     error_string: str
 
 
-REPLACED: Final = Result(INVALID_GOAL, "a new goal has replaced it")
-CANCELLED: Final = Result(SUCCESSFUL, "cancelled on request; it holds where it is")
+REPLACED: Final = GoalResult(INVALID_GOAL, "a new goal has replaced it")
+CANCELLED: Final = GoalResult(SUCCESSFUL, "cancelled on request; it holds where it is")
 
 
 class GoalProgress(NamedTuple):
@@ -61,19 +61,19 @@ class Followed:
             return None
         return [desired[servo_id] for servo_id in self._servos], [sent[servo_id] for servo_id in self._servos]
 
-    def judge(self, progress: GoalProgress, now_s: float) -> Result | None:
+    def judge(self, progress: GoalProgress, now_s: float) -> GoalResult | None:
         """Its result, or None while it goes on."""
         if progress.ended:
-            return Result(INVALID_GOAL, progress.ended)
+            return GoalResult(INVALID_GOAL, progress.ended)
         if now_s < self.plan.ends_s:
             running = {servo_id: most for servo_id, most in self._path.items() if servo_id in progress.sent_rad}
             late = self._exceeding(progress, running, math.inf)
-            return Result(PATH_TOLERANCE_VIOLATED, late) if late else None
+            return GoalResult(PATH_TOLERANCE_VIOLATED, late) if late else None
         late = self._exceeding(progress, self._goal, _SENT_RAD)
         if not late:
-            return Result(SUCCESSFUL, "its last point is reached")
+            return GoalResult(SUCCESSFUL, "its last point is reached")
         if 0 < self._late_s < now_s - self.plan.ends_s:
-            return Result(GOAL_TOLERANCE_VIOLATED, late)
+            return GoalResult(GOAL_TOLERANCE_VIOLATED, late)
         return None
 
     def _exceeding(self, progress: GoalProgress, tolerances: Mapping[int, float], otherwise: float) -> str:

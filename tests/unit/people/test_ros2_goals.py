@@ -75,7 +75,7 @@ def test_legs_that_do_not_run_yet_have_not_reached_it() -> None:
 
 def test_what_ends_the_motion_aborts_the_goal() -> None:
     judged = read(WAY).judge(GoalProgress({}, {}, "the emergency stop was engaged"), 101.0)
-    assert judged == goals.Result(goals.INVALID_GOAL, "the emergency stop was engaged")
+    assert judged == goals.GoalResult(goals.INVALID_GOAL, "the emergency stop was engaged")
 
 
 @pytest.mark.parametrize(
