@@ -15,9 +15,12 @@ def test_neither_the_service_nor_check_takes_it(tmp_path: Path, direction: str) 
     folder = tmp_path / "D"
     certs.folder.init(folder, ["127.0.0.1"])
     file = folder / "gateway.json5"  # as somebody writes it who wants QUIC
-    file.write_text(file.read_text().replace('protocols: ["tls"]', 'protocols: ["tls", "quic"]'))
-    endpoints = {"listen": [f"tls/127.0.0.1:{free_port()}"], direction: [f"quic/127.0.0.1:{free_port()}"]}
-    zenoh = {"config": str(file), **endpoints}
+    text = file.read_text().replace('protocols: ["tls"]', 'protocols: ["tls", "quic"]')
+    quic = f"quic/127.0.0.1:{free_port()}"
+    if direction == "connect":
+        text = text.replace("connect: { endpoints: [] }", f'connect: {{ endpoints: ["{quic}"] }}')
+    file.write_text(text)
+    zenoh = {"config": str(file), "listen": [quic if direction == "listen" else f"tls/127.0.0.1:{free_port()}"]}
     settings = write_settings(tmp_path / "gateway.toml", {"zenoh": zenoh, "spi": {"framing": "plain"}})
     service = Child([*COMMAND, "run", "--sim", "--config", str(settings)], {})
     ended = service.wait(20)

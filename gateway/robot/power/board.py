@@ -1,6 +1,6 @@
 """What is sent to the power board and when, and what its answers mean. No I/O, no clock: frames and times in and out.
 
-- **Off** goes out at once, and again every 20 ms until it is confirmed, for 2 s.
+- **Off** goes out at once, and again every 20 ms until it is confirmed, for 3 s.
 - **On** waits until each off is confirmed, or late, and the board's counter is at rest: 5 ms behind its answer. The
   board answers once all are on, so that six go on at a time. It is only sent while the board answers, so that no queue
   of a broken link delivers it later.
@@ -44,7 +44,8 @@ REPEAT_NS: Final = 20 * NS_PER_MS
 """Between two masks, until what is off is confirmed."""
 START_NS: Final = 1000 * NS_PER_MS
 """Behind the first opening nothing is reported as not confirmed: a gateway that starts keeps its threads waiting."""
-REPEAT_FOR_NS: Final = 2000 * NS_PER_MS
+REPEAT_FOR_NS: Final = 3000 * NS_PER_MS
+"""Longer than a lost question is waited for (questions.FORGOTTEN_NS): before, a link that lost six confirms nothing."""
 REPEAT_ON_NS: Final = 100 * NS_PER_MS
 """Between two masks, until what is on is confirmed, and at least until the answer to the first is overdue."""
 REST_NS: Final = 5 * NS_PER_MS
