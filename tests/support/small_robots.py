@@ -330,6 +330,7 @@ CONFIGURATIONS: Final = (
         (1,),
         (_ONE_SERVO[0], _ONE_SERVO[1], _ONE_SERVO[2]),
         (0, TICK, 3 * TICK),
+        ends=False,
         boards=(_FED, _ALIVE, _SILENT, _BLOCKED, _DOUBT),
     ),
     Configuration(

@@ -123,7 +123,7 @@ WITH_ALL_FED: Final = {
         want all-11,42; ask 11,42; run 0.3 → fed all-11,42
         run 100 → answers yes; fed all-11,42""",
     "who asks again for what was given up has it sent again": """
-        shows nothing; want all-11; run 2500 → answers
+        shows nothing; want all-11; run 3500 → answers
         ask 11; shows none; run 100 → first all-11; answers yes""",
     "a confirmation of what was off is a new one, at the board's pace": """
         want none; run 500 → fed none
@@ -155,7 +155,7 @@ WITH_ALL_FED: Final = {
         hangs; cut; ask all; run 200 → alive no
         run 200 → unconfirmed 2; answers no""",
     "on a new interface what is not confirmed leaves at once": """
-        cable off; cut; run 2500 → confirmed no
+        cable off; cut; run 3500 → confirmed no
         opened; run 1 → first none; masks none""",
     # ---- others that switch
     "what another node switches on goes off again": """
@@ -216,9 +216,9 @@ WITH_NOTHING_FED: Final = {
         want all; other 11,12,13; run 1500 → fed 11,12,13; lost all-11,12,13""",
     "a mask that was lost once is made up for": """
         want none; run 300; deaf on; want 63; run 20; deaf off; run 200 → fed 63""",
-    "a cut that nobody waits for is repeated for two seconds, and each is reported": """
+    "a cut that nobody waits for is repeated for three seconds, and each is reported": """
         want none; run 300; deaf on → confirmed yes
-        cut; run 5000 → repeats 100; unconfirmed 1
+        cut; run 5000 → repeats 150; unconfirmed 1
         cut; run 500 → unconfirmed 2""",
     "each off that is not confirmed is reported": """
         want 11; run 300; deaf on; want none; run 300 → unconfirmed 1
