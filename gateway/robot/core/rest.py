@@ -58,5 +58,5 @@ class RestStops:
 def rest_stops(leg: Leg, *, joins: bool, singly: bool) -> list[Transmit]:
     """Stops for a leg at rest: one frame, or `singly` one for each servo, of which no lost bytes make a start."""
     if singly:
-        return [Transmit(OneServo(servo.servo_id, STOP), Cause.REPEAT, joins=joins) for servo in leg.servos]
+        return [Transmit(OneServo(servo.servo_id, STOP), Cause.REPEAT) for servo in leg.servos]
     return [Transmit(stop_leg(leg.number), Cause.REPEAT, joins=joins)]

@@ -62,6 +62,15 @@ def test_while_others_run_each_leg_at_rest_gets_a_stop_every_800_ms() -> None:
     assert robot.due_ms == 1700
 
 
+def test_a_service_that_ends_waits_for_no_further_run() -> None:
+    robot = Steps(Rules(repeats=0))
+    robot.command(100, leg_to(1, "start 90"))
+    robot.command(200, leg_to(1, "stop"))
+    assert robot.due_ms is not None
+    robot.end(300)
+    assert robot.due_ms is None
+
+
 def test_the_rounds_go_on_at_their_time_however_many_commands_come() -> None:
     robot = Steps()
     robot.command(10, leg_to(1, "start 90"))
