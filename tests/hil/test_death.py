@@ -109,9 +109,11 @@ def test_the_kernel_ends_a_service_that_hangs_while_its_manager_does_not_look(
     """systemd does not, once it has asked the service to end; it would wait for all of TimeoutStopSec=."""
     with Gateway(tmp_path, settings_for(wire), bed=wire.bed, env=manager.environment) as gateway:
         with gateway.client() as client, ThreadPoolExecutor(1) as pool:
+            for _ in range(4):
+                wire.expect_opening(*STOPS)
             manager.hear_until(b"WATCHDOG=1")
-            wire.bed.block()
             count = len(wire.bed.transfers)
+            wire.bed.block()  # the start hangs, or a further run of Stops
             pool.submit(client.start_leg, 3, 90, 45, 120)
             wire.bed.wait_for_count(count + 1, LATE_S)
             gateway.child.terminate()

@@ -87,6 +87,7 @@ def test_revoked_in_mid_walk_and_everybody_else_is_back_within_three_seconds(sce
     """Nor does she cost anybody a Stop afterwards, when her laptop presses the emergency stop every 50 ms."""
     robot, anna, bert = scene.robot, scene.anna, scene.bert
     walk(scene, anna)
+    lost = shutil.copytree(scene.folder, scene.folder.with_name("lost"))
     child = scene.revoke("anna")
     assert child.returncode == 0, child.stderr
     bert.wait_for_answer()
@@ -101,7 +102,7 @@ def test_revoked_in_mid_walk_and_everybody_else_is_back_within_three_seconds(sce
     assert scene.on_the_robot().state().lease.holder is None
     assert not robot.running
     anna.child.tell("estop")  # over the session that she had, which tries for as long as bert drives
-    with closing(knocking(scene, "anna")) as child:
+    with closing(knocking(scene, lost / "anna.json5")) as child:
         child.wait_for_line(10, 20)
         walk(scene, bert)
         bert.ask("sent 300")
@@ -119,11 +120,7 @@ def test_revoked_in_mid_walk_and_everybody_else_is_back_within_three_seconds(sce
     robot.gateway.child.wait_for_output("rejected connections with revoked certificates: operator-00")
 
 
-def knocking(scene: Scene, name: str) -> Child:
+def knocking(scene: Scene, config: Path) -> Child:
     """A program that comes again and again with a copy of the files of somebody who is revoked."""
-    earlier = scene.folder / "earlier"
-    config = shutil.copy(next(earlier.glob(f"{name}-*.json5")), scene.folder / "lost.json5")
-    for suffix in ("key", "pem"):
-        shutil.copy(next(earlier.glob(f"{name}-*.{suffix}")), scene.folder / f"{name}.{suffix}")
     command = [*scene.network.laptop(0), sys.executable, "-m", "tests.net.knocking", str(config), str(AGAIN_S)]
     return Child(command, os.environ)
