@@ -173,7 +173,7 @@ class LegHistory:
             min(now_ns - self.heard_ns, rules.timeout_ns) if self.heard_ns is not None and armed else None,
             self.held_ns(now_ns, rules.period_ns),
             max(0, self.slot_ns(rules.period_ns) - now_ns),
-            None if self.unfed_ns is None else now_ns - self.unfed_ns,
+            None if self.unfed_ns is None else min(now_ns - self.unfed_ns, rules.feed_ns),
         )
 
     # The rate is a token bucket: it fills by a rate slot in a period, up to three.

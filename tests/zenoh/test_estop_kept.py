@@ -69,7 +69,8 @@ def press(client: Client, source: str = "anna") -> int:
 
 def is_kept(folder: Path, number: int) -> bool:
     path = folder / ESTOP_FILE
-    return path.exists() and json.loads(path.read_text())["number"] == number
+    text = path.read_text() if path.exists() else ""  # it is there before its text is
+    return bool(text) and json.loads(text)["number"] == number
 
 
 def engaged_still(gateway: Gateway, number: int) -> GatewayState:
