@@ -38,7 +38,7 @@ MOST_S: Final = {"test": 900, "all": 1800, "nightly": 4 * 3600}
 SAMPLE: Final = 30
 """Of each changed file, so many mutants; `make nightly` judges all of all files."""
 MUTANTS_S: Final = 240
-"""For so long; the file that is judged then is judged to its end."""
+"""No mutants of a further file are tried after this time; those of the current file are finished."""
 TOGETHER: Final = "not alone and not attended and not searches"
 _PYTEST: Final = (sys.executable, "-m", "pytest")
 _FAILED: Final = Path(".pytest_cache") / "v" / "cache" / "lastfailed"

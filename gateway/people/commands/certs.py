@@ -171,7 +171,7 @@ def revoke(
         str | None,
         typer.Argument(
             metavar="[NAME]",
-            help="The laptop, or a common name such as operator-07. Without it the list as it is goes to the robots.",
+            help="The laptop, or a common name such as operator-07. Without one, the robots get the present list.",
         ),
     ] = None,
     to: Annotated[

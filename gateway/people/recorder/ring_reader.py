@@ -162,7 +162,7 @@ def _check_owner(found: os.stat_result, path: Path) -> None:
 def parse(data: bytes) -> tuple[Records, int, int]:
     """The records in a file's bytes, oldest first; how many slots are damaged and how many missing.
 
-    The bytes' length bounds its time and memory, whatever they say. Raises DamagedError.
+    The bytes' length bounds its time and memory, whatever they say. Raises DamagedRingError.
     """
     return _merged(_Slots(data), ())
 
@@ -228,7 +228,7 @@ class _Slots:
     """A file's slots, by sequence number."""
 
     def __init__(self, data: bytes) -> None:
-        """Raises DamagedError."""
+        """Raises DamagedRingError."""
         self._data = data
         self._slots = slots = header.slots_of(data[: form.HEADER_BYTES], len(data))
         self._sequences = array("Q", bytes(slots * 8))  # of each slot's record; 0: it has none
@@ -268,7 +268,7 @@ class _Slots:
     def decoded(self, number: int) -> tuple[int, list[form.Record]]:
         """A record's type and what it states, with what continues it: a record, or two, if it was CARRIED_OUT.
 
-        None, where it is MORE, or a type of a later version. Raises DamagedError.
+        Empty where it is MORE, or a type of a later version. Raises DamagedRingError.
         """
         slot = last = self._slot(number)
         if slot.kind == form.MORE:

@@ -55,7 +55,7 @@ class Followed:
         self._late_s = seconds(goal.goal_time_tolerance)
 
     def positions(self, progress: GoalProgress) -> tuple[list[float], list[float]] | None:
-        """Desired and sent, in the goal's order. None until all its joints run: before, nobody knows where they are."""
+        """Desired and sent, in the goal's order. None until all joints run: their angles are unknown."""
         desired, sent = progress.desired_rad, progress.sent_rad
         if not all(servo_id in desired and servo_id in sent for servo_id in self._servos):
             return None
