@@ -58,37 +58,6 @@ def test_issue_takes_back_everything_when_the_bundle_cannot_be_made(folder: Path
     assert (tmp_path / "there.zip").read_text() == "mine"
 
 
-@pytest.mark.parametrize("calls", range(5))
-@pytest.mark.parametrize("stage", ["write", "link"])
-def test_a_disk_that_fills_up_leaves_no_trace(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stage: str, calls: int
-) -> None:
-    """Whichever file it is that fails, in either stage, the folder that was made for them is gone too."""
-    left = [calls]
-
-    def full(*_arguments: object) -> None:
-        left[0] -= 1
-        if left[0] < 0:
-            raise OSError(28, "No space left on device")
-
-    real_link, real_sync = os.link, os.fsync
-
-    def link(source: Path, target: Path) -> None:
-        full()
-        real_link(source, target)
-
-    def sync(descriptor: int) -> None:
-        full()
-        real_sync(descriptor)
-
-    if stage == "link":
-        monkeypatch.setattr(os, "link", link)
-    else:
-        monkeypatch.setattr(os, "fsync", sync)
-    assert "No space left" in fault(lambda: certs.folder.init(tmp_path / "new" / "D", HOSTS))
-    assert names(tmp_path) == set()
-
-
 def test_an_interruption_leaves_no_trace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def interrupt(*_arguments: object) -> None:
         raise KeyboardInterrupt

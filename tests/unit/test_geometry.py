@@ -9,7 +9,7 @@ from typing import Any, Final
 import pytest
 
 from gateway.errors import ConfigError
-from gateway.geometry import ELKAPOD, foot_m, load
+from gateway.geometry import ELKAPOD, load
 from gateway.geometry.model import MAX_FILE_BYTES
 from schemas.robot import LEGS
 
@@ -26,16 +26,6 @@ def test_a_servos_angle_and_its_joints_are_as_the_robots_own_software_has_them()
                 servo = GEOMETRY.servos[10 * leg + number]
                 assert servo.servo_deg(joint_rad) == pytest.approx(servo_deg)
                 assert servo.joint_rad(servo_deg) == pytest.approx(joint_rad)
-
-
-def test_a_straight_leg_ends_where_its_lengths_add_up_to() -> None:
-    for leg in LEGS:
-        mount = GEOMETRY.leg_mounts[leg]
-        out_m = 0.0676 + 0.09237 + 0.2135
-        x, y, z = foot_m(GEOMETRY, leg, {})
-        assert x == pytest.approx(mount.xyz_m[0] + out_m * math.cos(mount.yaw_rad), abs=1e-6)
-        assert y == pytest.approx(mount.xyz_m[1] + out_m * math.sin(mount.yaw_rad), abs=1e-6)
-        assert z == pytest.approx(-0.03 + 0.02428 + 0.0086, abs=1e-6)
 
 
 def changed(change: Callable[[dict[str, Any]], object]) -> str:

@@ -114,34 +114,6 @@ def test_the_settings_that_are_used(
         assert [spi.framing for spi in robot.used] == [expected]
 
 
-def test_a_person_is_shown_where_the_file_differs(robot: Robot, capsys: pytest.CaptureFixture[str]) -> None:
-    """After the Stops; not in the journal after each end, where the file lacks the unit's variables by design."""
-    robot.file.write_text(PLAIN)
-    robot.service(RUNS)
-    stop.run(None)
-    shown = f'{robot.file} has spi.framing = "plain", and the service uses "length-prefixed"; used the latter\n'
-    assert capsys.readouterr().err == f"hexapod-gateway: {shown}"
-    robot.service(ENDED_HERE)
-    stop.run(robot.file)
-    assert capsys.readouterr().err == ""
-
-
-def test_before_the_first_start_the_units_variables_count(robot: Robot) -> None:
-    robot.file.write_text(PLAIN)
-    robot.unit = 0, {"HEXAPOD_SPI__FRAMING": "length-prefixed"}
-    stop.run(None)
-    assert [spi.framing for spi in robot.used] == [PREFIXED]
-
-
-def test_another_process_has_spoken_to_the_controller_since(robot: Robot) -> None:
-    """An older release, after a rollback: what is left of a newer one is stale."""
-    robot.file.write_text(PLAIN)
-    robot.service(ENDED)
-    robot.unit = 123, {}
-    stop.run(None)
-    assert [spi.framing for spi in robot.used] == [Framing.PLAIN]
-
-
 def test_a_variable_that_names_another_device_is_meant(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
     robot.file.write_text(PLAIN)
     robot.service(RUNS)
@@ -174,36 +146,6 @@ class Board:
 @pytest.fixture
 def board(monkeypatch: pytest.MonkeyPatch) -> Board:
     return Board(monkeypatch)
-
-
-@pytest.mark.parametrize(
-    ("text", "cut"),
-    [
-        (BOARD, True),
-        (f'{BOARD}cut_on = ["estop"]\n', True),  # a setting of earlier versions
-        ('[power]\ninterface = "sim"\n', False),
-        ("", False),
-    ],
-)
-def test_the_supply_is_taken_where_the_settings_want_it(
-    robot: Robot, board: Board, text: str, cut: bool, capsys: pytest.CaptureFixture[str]
-) -> None:
-    robot.file.write_text(PLAIN + text)
-    assert stop.run(robot.file)
-    shown = capsys.readouterr()
-    assert len(board.asked) == cut
-    assert (CONFIRMED in shown.out) == cut
-    assert shown.err == ""
-    assert bool(board.bus.board.fed) != cut
-
-
-def test_the_services_board_counts_as_its_device_does(robot: Robot, board: Board) -> None:
-    """Its file may name another one by now, or none."""
-    robot.file.write_text(PLAIN)
-    robot.power = PlainPower("slcan", "/dev/ttyACM3")
-    robot.service(ENDED_HERE)
-    assert stop.run(robot.file)
-    assert board.asked == [PlainPower("slcan", "/dev/ttyACM3")]
 
 
 def test_a_wrong_board_is_no_reason_to_write_no_stop(robot: Robot, capsys: pytest.CaptureFixture[str]) -> None:

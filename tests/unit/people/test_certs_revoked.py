@@ -58,19 +58,6 @@ def test_each_laptop_has_a_common_name_of_its_own_until_all_are_taken(
 # ---- the list
 
 
-def test_a_revoked_name_is_on_the_list_and_its_common_name_is_never_given_again(folder: Path) -> None:
-    issue(folder, "anna", "bert")
-    (folder / "anna.txt").touch()  # not the folder's
-    made = certs.folder.revoke(folder, "anna", now=NOW)
-    assert {path.name for path in folder.glob("anna*")} == {"anna.txt"}
-    assert (made.number, set(made.common_names)) == (1, {"operator-00"})
-    assert revocation.read(folder / "revoked.crl", certs.files.read_certificates(folder / "ca.pem")) == made
-    assert issue(folder, "anna") == ["operator-02"]
-    assert states(folder) == {
-        "ca": "good", "gateway": "good", "operator-00": "revoked", "operator-01": "good", "operator-02": "good",
-    }  # fmt: skip
-
-
 def test_who_cannot_be_revoked(folder: Path) -> None:
     issue(folder, "anna")
     before = contents(folder)
@@ -80,11 +67,6 @@ def test_who_cannot_be_revoked(folder: Path) -> None:
     certs.folder.revoke(folder, "anna", now=NOW)
     assert "revoked already" in fault(lambda: certs.folder.revoke(folder, "operator-00", now=NOW))
     assert "no laptop" in fault(lambda: certs.folder.revoke(folder, "anna2", now=NOW))
-
-
-def test_a_common_name_whose_files_are_gone_can_be_revoked(folder: Path) -> None:
-    assert certs.folder.revoke(folder, "operator-40", now=NOW).common_names == {"operator-40"}
-    assert states(folder)["operator-40"] == "revoked"
 
 
 def test_a_revoked_certificate_is_not_renewed(folder: Path) -> None:
@@ -161,22 +143,6 @@ def test_rules_list_each_roles_common_names_but_for_revoked_ones(folder: Path) -
     revoked.list_common_names(config, list_of(folder, 9, *listed["observer"]))
     nobody = {each["id"]: each["cert_common_names"] for each in get(config, "access_control/subjects")}
     assert nobody["observer"] == [names.NOBODY], "Zenoh takes a subject without names as everyone"
-
-
-def test_of_two_places_the_newer_list_is_in_force_and_it_is_kept_in_the_services_own(
-    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    state = tmp_path / "state"
-    state.mkdir()
-    monkeypatch.setenv("STATE_DIRECTORY", str(state))
-    config = load_config(folder / "gateway.json5")
-    (folder / "revoked.crl").write_bytes(list_of(folder, 3).pem)
-    for number, in_force in ((2, 3), (4, 4)):
-        revoked.keep(state / "revoked.crl", list_of(folder, number))
-        kept = revoked.revocation_state(config, robot(folder))
-        assert kept is not None
-        assert kept.known is not None
-        assert (kept.path, kept.known.number) == (state / "revoked.crl", in_force)
 
 
 @pytest.mark.virtual_time

@@ -130,14 +130,6 @@ async def test_who_comes_ends_the_oldest(stand: Stand) -> None:
         writer.close()
 
 
-@pytest.mark.parametrize("half", ["cookie", "key"])
-async def test_half_of_a_session_is_none(stand: Stand, half: str) -> None:
-    cookie = f"Cookie: hexapod-console-8080={stand.session.cookie}\r\n" if half == "cookie" else ""
-    offered = await stand.proved(stand.session.key if half == "key" else "nonsense")
-    assert (await stand.ask(f"GET /ws HTTP/1.1\r\n{UPGRADE}{cookie}{offered}\r\n")).startswith(b"HTTP/1.1 403 ")
-    assert stand.admitted.empty()
-
-
 async def test_a_session_is_admitted_with_its_connection(stand: Stand) -> None:
     offered = await stand.proved(stand.session.key)
     reader, writer = await asyncio.open_connection(*stand.address[:2])

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from gateway.errors import ConfigError
-from gateway.people.console.server.sessions import LINK_S, MAX_ENTRIES, SESSION_S, Sessions, SignIn, begun, revoke_all
+from gateway.people.console.server.sessions import LINK_S, SESSION_S, Sessions, SignIn, begun, revoke_all
 
 URL = "http://127.0.0.1:8080"
 
@@ -63,13 +63,6 @@ def test_a_link_works_once(sessions: Sessions) -> None:
     assert sessions.exchange(found.cookie) is None, "a session is no link"
 
 
-def test_a_link_is_void_once_the_console_is_started_again(sessions: Sessions) -> None:
-    token, session = token_of(sessions.new_link()), new_session(sessions)
-    sessions.begin(URL, "operator")
-    assert sessions.exchange(token) is None
-    assert sessions.cookie(session.cookie) is not None, "a restart signs nobody out"
-
-
 def test_sessions_are_of_one_certificate(sessions: Sessions) -> None:
     """A console may not be connected when its certificate is revoked, and later have another."""
     sessions.begin(URL, "operator", "operator-00")
@@ -80,23 +73,6 @@ def test_sessions_are_of_one_certificate(sessions: Sessions) -> None:
     assert not sessions.still_valid(session.entry)
     sessions.begin(URL, "operator", "operator-00")
     assert not sessions.still_valid(session.entry), "it is over for good"
-
-
-@pytest.mark.parametrize("token", [None, "", "x", "\ud800", "0" * 43])
-def test_what_is_no_session(sessions: Sessions, token: str | None) -> None:
-    sign_in(sessions)
-    assert sessions.cookie(token) is None
-
-
-def test_a_page_that_only_looks_goes_on_so(sessions: Sessions) -> None:
-    """Also at a console that is started again for operators."""
-    sessions.begin(URL, "observer")
-    found = sessions.exchange(token_of(sessions.new_link()))
-    assert found is not None
-    sessions.begin(URL, "operator")
-    entry = sessions.cookie(found.cookie)
-    assert entry is not None
-    assert entry.role == "observer"
 
 
 def test_a_link_becomes_too_old(sessions: Sessions, clock: Clock) -> None:
@@ -114,19 +90,6 @@ def test_a_session_ends(sessions: Sessions, clock: Clock) -> None:
     clock.now_s += 1
     assert not sessions.still_valid(entry)
     assert sessions.cookie(token) is None
-
-
-def test_another_process_knows_the_session_and_revokes_it(sessions: Sessions, tmp_path: Path, clock: Clock) -> None:
-    token = sign_in(sessions)
-    link = sessions.new_link()
-    other = Sessions(tmp_path, 8080, clock)
-    entry = other.cookie(token)
-    assert entry is not None
-    assert revoke_all(tmp_path, clock) == 1
-    assert not sessions.still_valid(entry)
-    assert sessions.cookie(token) is None
-    assert sessions.exchange(token_of(link)) is None
-    sign_in(sessions)  # and it goes on
 
 
 def test_the_port_has_its_own(sessions: Sessions, tmp_path: Path, clock: Clock) -> None:
@@ -153,14 +116,6 @@ def test_a_faulty_file_lets_nobody_in(sessions: Sessions, tmp_path: Path, conten
     assert sessions.cookie(token) is None
     sessions.begin(URL, "operator")
     assert sessions.cookie(sign_in(sessions)) is not None
-
-
-def test_it_is_bounded(sessions: Sessions) -> None:
-    first = sign_in(sessions)
-    for _ in range(MAX_ENTRIES):
-        newest = sign_in(sessions)
-    assert sessions.cookie(first) is None
-    assert sessions.cookie(newest) is not None
 
 
 def test_a_folder_that_cannot_be_written(tmp_path: Path) -> None:

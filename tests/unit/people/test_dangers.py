@@ -17,7 +17,6 @@ from gateway.people.client.dangers import (
 )
 from gateway.people.client.stream import ALL_STOPPED
 from gateway.people.commands.send import command_report, estop_report
-from gateway.people.commands.status import sentences
 from gateway.people.console.pages.pages import Page, Pages
 from gateway.people.terminal.stop_status import SHOWN_NS, StopStatus, Tone
 from schemas.telemetry import Ack, GatewayState, Kind, Mode, PowerReport
@@ -122,12 +121,6 @@ def test_the_command_says_whether_the_board_confirmed(
     assert command_report(ack, "accepted of the request", look) == code
     assert capsys.readouterr().out == f"accepted {words}", "a Stop of single legs, too"
     assert confirmed_off(Ack(accepted=True, confirmed=True)) == ", power confirmed off"
-
-
-def test_status_has_the_board_and_the_alarm() -> None:
-    assert "Power (slcan): 18 fed." in sentences(of(FED))
-    assert f"Power (slcan): does not answer. {UNCONFIRMED}" in sentences(of(SILENT))
-    assert not [line for line in sentences(state()) if line.startswith("Power")]
 
 
 async def test_a_page_gets_the_sentence_with_the_state_and_at_once_with_the_event() -> None:

@@ -11,7 +11,6 @@ import pytest
 from examples.elkapod import gait
 from gateway.geometry import load
 from gateway.model.calibration import RobotCalibration
-from gateway.model.frames import centidegrees
 from gateway.people.walking import Pose, Posture, Robot, Velocity, Walker
 from gateway.people.walking.robot import ranges
 from gateway.robot.host import calibration_file
@@ -54,10 +53,6 @@ def servos_deg(pose: Pose) -> dict[int, float]:
     return {10 * leg + joint: angle for leg, three in pose.items() for joint, angle in zip(JOINTS, three, strict=True)}
 
 
-def servos_cdeg(pose: Pose) -> dict[int, int]:
-    return {servo_id: centidegrees(angle) for servo_id, angle in servos_deg(pose).items()}
-
-
 @pytest.fixture(scope="module")
 def calibration() -> RobotCalibration:
     read = calibration_file.read(FOLDER / "calibration.toml")
@@ -70,30 +65,6 @@ def test_joints_2_and_3_of_the_right_legs_are_mirrored_and_nothing_else(calibrat
         leg, joint = divmod(servo_id, 10)
         assert calibration.of(servo_id).inverted == (leg in (2, 4, 6) and joint in (2, 3))
         assert calibration.of(servo_id).trim_cdeg == 0
-
-
-def test_with_the_calibration_each_servo_stands_where_the_robots_own_software_puts_it(
-    calibration: RobotCalibration,
-) -> None:
-    servos, users = load(), load(FOLDER / "geometry.json")
-    assert servos.model_copy(update={"servos": users.servos}) == users
-    for servo_id in SERVO_IDS:
-        low, high = users.joints[servo_id % 10 - 1].limits_rad
-        for joint_rad in (low, (low + high) / 2, 0.9 * high):
-            user_cdeg = centidegrees(users.servos[servo_id].servo_deg(joint_rad))
-            own_deg = servos.servos[servo_id].servo_deg(joint_rad)
-            assert calibration.of(servo_id).wire_cdeg(user_cdeg) / 100 == pytest.approx(own_deg, abs=0.011)
-
-
-def test_the_walk_and_the_landing_pose_are_within_the_limits(calibration: RobotCalibration) -> None:
-    limits = SETTINGS.limits.servos
-    assert set(limits) == set(SETTINGS.watchdog.landing) == set(map(str, SERVO_IDS))
-    for _, pose in walked():
-        for servo_id, cdeg in servos_cdeg(pose).items():
-            assert limits[str(servo_id)].min_deg <= cdeg / 100 <= limits[str(servo_id)].max_deg
-            assert calibration.why_not(servo_id, cdeg) is None
-    for name, deg in SETTINGS.watchdog.landing.items():
-        assert calibration.why_not(int(name), centidegrees(deg)) is None
 
 
 def test_it_lands_a_little_lower_than_the_walk_sits() -> None:

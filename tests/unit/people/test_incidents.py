@@ -10,7 +10,6 @@ import pytest
 from mcap.reader import make_reader
 
 from gateway import __version__
-from gateway.errors import SpiError
 from gateway.geometry import load
 from gateway.model.black_box import format as form
 from gateway.model.black_box.files import RING_FILE
@@ -25,14 +24,12 @@ from gateway.people.ros2.drawing import JOINT_STATES
 from gateway.people.ros2.user_angles import RecordedMessage, frames_in
 from gateway.robot.blackbox import paths
 from gateway.robot.blackbox.ring import RecordRing
-from gateway.robot.core.events import StoppedOutside
-from gateway.robot.core.message import Verb
 from gateway.robot.runtime.calibrations import Calibrations
 from schemas import keys
 from schemas.telemetry import Kind
 from tests.support.mcap_file import about, checked, read
 from tests.support.measured import MEASURED, ON_ITS_SIDE
-from tests.support.robot import WALL_NS, Robot, leg, servo
+from tests.support.robot import WALL_NS, Robot, leg
 from tests.unit.people.test_recorder import recorded
 from tests.unit.people.test_recordings import drawn_in, positions
 
@@ -148,63 +145,6 @@ async def test_the_headline_names_the_worst_and_who_and_which_legs(folder: Path)
 LANDING = {"watchdog": {"landing_ms": 500, "landing": {"31": 30.0}}, "rules": {"repeats": 0}}
 
 
-def overflow(robot: Robot) -> None:
-    robot.put_later(LEG_3, verb=Verb.LOST, size=50)
-    robot.conductor.tick()
-
-
-def takeover(robot: Robot) -> None:
-    assert robot.lease("acquire", "anna").accepted
-    assert robot.lease("take", "bert").accepted
-
-
-def stop_servos(robot: Robot) -> None:
-    robot.conductor._step(StoppedOutside(at_work=True))
-
-
-@pytest.mark.parametrize(("what", "happens", "line"), [
-    ("overflow", overflow, "overflow: messages were lost on the way to the gateway"),
-    ("lease-taken", takeover, "lease taken: bert has stopped all legs and taken the lease from anna"),
-    ("stopped-outside", stop_servos, "stopped outside: stop-servos stopped all servos past the gateway"),
-])  # fmt: skip
-async def test_what_else_stops_legs_is_an_incident(
-    folder: Path, what: str, happens: Callable[[Robot], None], line: str
-) -> None:
-    robot = recorded(folder)
-    robot.put(LEG_3, START)
-    happens(robot)
-    robot.put(LEG_3, {"servos": [servo("stop")] * 3})  # or the watchdog's would be another
-    await asyncio.sleep(1)
-    assert robot.conductor.state().incident == f"20260921-141320-123-{what}"
-    lines = told(folder)
-    assert f"-{what}: " in lines[0]
-    assert [each for each in lines if line in each], lines
-    assert [each for each in lines if "Stop written to" in each and "startup" not in each], lines
-
-
-async def test_the_story_of_a_landing(folder: Path) -> None:
-    robot = recorded(folder, **LANDING)
-    robot.put(LEG_3, START)
-    robot.put(keys.servo_command(51), servo("start", 80, source="bert"))
-    await asyncio.sleep(0.3)
-    robot.put(keys.servo_command(51), servo("set", 81, source="bert"))
-    robot.put(keys.servo_command(51), servo("set", 82, source="bert"))
-    await asyncio.sleep(1)
-    lines = told(folder)
-    assert lines[0].startswith("20260921-141320-123-landing: a leg was silent, and the robot went to its landing pose,")
-    assert lines[1] == "Before it, anna sent 1 command for leg 3."
-    assert [line.strip() for line in lines[-8:]] == [
-        "−0.250 s  last command of leg 5 (bert, start 80)",
-        "0.000 s  landing: leg 3 was not heard for 250 ms; the robot lands, and is stopped 500 ms later",
-        "+20.0 ms  first frame of the way down",
-        "+50.0 ms  2 commands of bert are rejected until +50.0 ms: landing",
-        "+0.460 s  last frame of the way down, after 23 frames; leg 3 at 30 45 120; leg 5 at 80 off off",
-        "+0.500 s  watchdog: the robot has landed; all six legs are stopped",
-        "+0.500 s  Stop written to all six legs (watchdog), 0 µs after the deadline, the last at +0.500 s",
-        "+0.500 s  mode idle",
-    ]
-
-
 TRIMMED = RobotCalibration(1, {32: ServoMapping(10_00, inverted=True)}, {})
 
 
@@ -243,35 +183,6 @@ async def test_a_landing_that_somebody_stops_and_the_next_one_are_two(folder: Pa
     ] * 2
 
 
-async def test_the_stops_of_the_longest_landing_belong_to_the_silence_that_began_it(folder: Path) -> None:
-    robot = recorded(folder, watchdog={"landing_ms": 5000}, rules={"repeats": 0})
-    robot.put(LEG_3, START)
-    await asyncio.sleep(6)
-    assert told(folder)[-1].endswith("mode idle")
-    events = [event for event in robot.events() if event.kind in (Kind.LANDING, Kind.WATCHDOG_EXPIRED)]
-    assert [event.incident for event in events] == ["20260921-141320-123-landing"] * 2
-    await asyncio.sleep(3)
-    robot.put(keys.ESTOP)
-    ((first,), _) = incidents(folder)
-    assert first.end_ns - first.zero_ns > 12 * SECOND, "and what follows within the 5 s prolongs it"
-
-
-async def test_the_story_of_a_bus_fault_and_of_a_mistake(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    robot = recorded(folder)
-
-    def fail(_: bytes) -> None:
-        raise SpiError("Input/output error")
-
-    monkeypatch.setattr(robot.controller, "transfer", fail)
-    robot.put(LEG_3, START)
-    robot.conductor.recorder.mistake("a mistake in the gateway ended it: planted")
-    lines = "\n".join(told(folder))
-    assert "the SPI bus failed" in lines
-    assert "bus fault: Input/output error" in lines
-    assert "mistake: a mistake in the gateway ended it: planted" in lines
-    assert "a command of anna is rejected: bus_fault" in lines
-
-
 async def test_a_gateway_that_was_killed_is_an_incident_and_one_that_ended_is_none(folder: Path) -> None:
     robot = recorded(folder)
     robot.put(LEG_3, START)
@@ -296,15 +207,6 @@ async def test_a_gateway_that_was_killed_is_an_incident_and_one_that_ended_is_no
     after.conductor.recorder.ended("asked to")
     after.conductor.recorder.close()
     assert [each.name for each in incidents(folder)[0]] == [crash.name, later.name]
-
-
-async def test_a_kill_soon_after_a_stop_belongs_to_it(folder: Path) -> None:
-    robot = recorded(folder)
-    await silence(robot)
-    robot.conductor.recorder.close()
-    ((incident,), content) = incidents(folder)
-    assert incident.name.endswith("-watchdog")
-    assert "its process ended without a word" in story(list(messages(incident, content.records)))[-1]
 
 
 # ---- files
@@ -346,13 +248,6 @@ async def test_an_incidents_file_has_the_settings_of_the_gateway_that_it_happene
     assert [each["watchdog"]["timeout_ms"] for each in facts] == [300, 500]
     assert [each["spi"]["framing"] for each in facts] == ["plain", "length-prefixed"]
     assert {each["version"] for each in facts} == {__version__}
-
-
-def test_of_a_gateway_that_recorded_no_settings_none_are_known() -> None:
-    """An older one, behind one that did."""
-    told = (10.0, form.About({"version": "9"})), (20.0, form.Start(WALL_NS, {}))
-    assert records(*told).about_at(15 * SECOND) == {"version": "9"}
-    assert records(*told).about_at(25 * SECOND) == {}
 
 
 async def test_an_incident_shows_tilt_battery_and_feet_around_it(folder: Path) -> None:
@@ -456,19 +351,6 @@ def test_what_happens_in_its_time_prolongs_an_incident_up_to_half_a_minute() -> 
     later = [(20.0 + 4 * number, event("estop_engaged")) for number in range(1, 12)]
     (many,) = find(records((20, event("watchdog_expired")), (20, BEGUN), *later), written=True, now_ns=0)
     assert many.end_ns == 50 * SECOND
-
-
-def test_its_zero_is_the_deadline_also_where_the_stop_was_late() -> None:
-    stop = form.FrameWritten(bytes.fromhex("0e011f020000200200002102 0000"), "watchdog", 45_000, 300_000)
-    way_down = form.FrameWritten(bytes.fromhex("0e011f035a002003000021030000"), "watchdog", 45_000)
-    found = records((19.5, way_down), (20.001, event("watchdog_expired")), (20.001, BEGUN), (20.0003, stop))
-    (incident,) = find(found, written=True, now_ns=0)
-    assert incident.zero_ns == 20 * SECOND, "a landing's frames have no deadline"
-    lines = story(list(messages(incident, found)))
-    assert [line.strip() for line in lines[3:]] == [
-        "0.000 s  watchdog: a sentence (\\x1b[2Janna)",
-        "+0.3 ms  Stop written to leg 3 (watchdog), 300 µs after the deadline",
-    ], "and no source controls a terminal"
 
 
 def test_every_kind_of_incident_has_its_words_and_its_rank() -> None:

@@ -2,15 +2,8 @@
 
 import pytest
 
-from gateway.people.commands.walk.keypad import PRESSED_S, REPEATED_S, SPEEDS, Keypad
+from gateway.people.commands.walk.keypad import REPEATED_S, SPEEDS, Keypad
 from gateway.people.walking import STILL
-
-
-def test_a_tap_counts_until_a_terminal_would_have_repeated_it() -> None:
-    pad = Keypad()
-    assert pad.press("w", 10.0)
-    assert pad.velocity(10.0 + PRESSED_S - 0.01) == (0.06, 0, 0)
-    assert pad.velocity(10.0 + PRESSED_S) == STILL
 
 
 @pytest.mark.parametrize(("pause_s", "every_s"), [(0.25, 0.03), (0.5, 0.033), (0.66, 0.04), (0.5, 0.09)])

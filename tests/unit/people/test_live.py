@@ -119,12 +119,6 @@ def test_a_busy_loop_gets_the_newest_state_and_a_bounded_number_of_events() -> N
     ]
 
 
-def test_mail_for_a_loop_that_is_closed_goes_nowhere() -> None:
-    loop = asyncio.new_event_loop()
-    loop.close()
-    OnLoop(loop, OnThisLoop()).received_token(True)
-
-
 # ---- a connection that stays
 
 

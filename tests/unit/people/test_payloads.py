@@ -1,7 +1,6 @@
 """What a program may give for legs, servos and angles, and what it is told where it is something else."""
 
 import doctest
-import math
 import re
 from collections.abc import Callable
 from decimal import Decimal
@@ -10,7 +9,6 @@ from typing import Any
 import pytest
 
 from gateway.people.client import payloads
-from gateway.people.client.pace import Radians
 from gateway.people.client.payloads import leg_number, leg_payload, legs_payload, number, row, servo_number
 
 
@@ -91,13 +89,3 @@ def test_a_leg_or_servo_that_is_none_is_reported(
     with pytest.raises(error) as raised:
         call(wrong)
     assert str(raised.value).startswith(sentence)
-
-
-POSE_RAD = (math.pi / 2, 0.8, 2.1)
-
-
-def test_radians_are_suspected_once() -> None:
-    stream = Radians()
-    found = [stream.suspected([POSE_RAD, POSE_RAD], tick / 50) for tick in range(200)]
-    assert found.index(True) == 50
-    assert found.count(True) == 1

@@ -14,9 +14,9 @@ from gateway.people.physics.assumed import FRICTION, MASS_KG, TORQUE_NM, Assumed
 from gateway.people.physics.pace import MOST_BEHIND_S, WINDOW_S, Pace
 from gateway.people.physics.process import Simulated
 from gateway.people.physics.world import World
-from gateway.people.walking import Engine, Robot, Velocity
+from gateway.people.walking import Engine, Robot
 from schemas.robot import SERVO_IDS
-from tests.walking.physics import SINKS_S, SUNK_M, run, stand_up, walk
+from tests.walking.physics import SINKS_S, SUNK_M, run, stand_up
 
 GEOMETRY = load()
 
@@ -71,33 +71,6 @@ def test_it_lies_on_every_ground(text: str) -> None:
     assert lean_deg == pytest.approx(abs(Terrain.parsed(text).slope_deg), abs=5)
 
 
-@pytest.mark.parametrize("text", ["slope:10", "rough:0.02"])
-def test_it_walks_over_every_ground(text: str) -> None:
-    """Uphill or over bumps, at the velocity at which it walks on a floor: by twenty centimetres there."""
-    world = World(GEOMETRY, Assumed(terrain=Terrain.parsed(text)))
-    engine = stood_up(world)
-    begun = world.body()
-    walk(world, engine, GEOMETRY, Velocity(0.08), 2.5)
-    gone = world.body()
-    ahead_m, up_m = (gone.position_m[axis] - begun.position_m[axis] for axis in (0, 2))
-    assert ahead_m > 0.12
-    assert up_m == pytest.approx(ahead_m * math.tan(math.radians(Terrain.parsed(text).slope_deg)), abs=0.015)
-    assert gone.tilt_deg < 5
-
-
-def test_it_slides_down_a_slope_of_ice_and_does_not_creep_down_one_of_wood() -> None:
-    """With MuJoCo's default cone of friction it creeps, with half of what would make it slide."""
-    slid_m = []
-    for friction in (0.05, 0.8):
-        world = World(GEOMETRY, Assumed(friction=friction, terrain=Terrain.parsed("slope:20")))
-        run(world, 1.5)
-        lay_m = world.body().position_m[0]
-        run(world, 3.0)
-        slid_m.append(lay_m - world.body().position_m[0])
-    assert slid_m[0] > 0.5
-    assert abs(slid_m[1]) < 0.002
-
-
 @pytest.mark.parametrize(
     "text", ["", "hills", "slope", "slope:", "slope:90", "slope:nan", "rough:-1", "rough:1", "step:1", "flat:1"]
 )
@@ -121,19 +94,6 @@ def test_a_robot_on_its_back_lies_there_until_it_is_set_upright() -> None:
     assert body.upright
     assert body.tilt_deg < 10
     assert body.position_m[:2] == pytest.approx((0.3, 0.2), abs=0.05), "where it lay"
-
-
-def test_an_explosion_is_reported_with_its_joint_and_the_robot_lies_down_anew() -> None:
-    world = World(GEOMETRY)
-    run(world, 0.5)
-    assert world.fault() is None
-    world.data.qvel[6 + SERVO_IDS.index(32)] = 1234
-    sentence = world.fault()
-    assert sentence is not None
-    assert "joint 32 turned at 1234 rad/s" in sentence
-    run(world, 1.0)
-    assert world.fault() is None
-    assert world.body().upright
 
 
 def test_an_explosion_names_the_leg_that_is_inside_something() -> None:
@@ -179,14 +139,6 @@ def test_where_it_is_counts_as_commands_do() -> None:
 
 
 # ---- real time
-
-
-def test_each_step_is_due_once() -> None:
-    pace = Pace(0.002, 100.0)
-    assert pace.due(100.0) == 0
-    assert pace.due(100.0 + 0.0101) == 5
-    assert pace.due(100.0 + 0.0101) == 0
-    assert sum(pace.due(100.0101 + 0.01 * turn) for turn in range(1, 101)) == 500
 
 
 def test_what_a_stall_cost_is_left_out_and_told_by_how_much() -> None:

@@ -1,14 +1,12 @@
 """What the sensors of the simulated body feel: as it stands, on a slope, while it falls, on its back."""
 
-import math
-
 import pytest
 
 from gateway.geometry import load
 from gateway.host.sensed_page import Sensed, SensedPage
 from gateway.model import elkapod
 from gateway.model.elkapod import Measured
-from gateway.people.physics.assumed import MASS_KG, Assumed, Terrain
+from gateway.people.physics.assumed import Assumed, Terrain
 from gateway.people.physics.sensors import Sensors
 from gateway.people.physics.world import World
 from gateway.people.walking import Engine, Robot
@@ -18,7 +16,6 @@ from tests.walking.physics import run, stand_up
 
 GEOMETRY = load()
 G = 9.81
-WEIGHT_N = MASS_KG * G
 
 
 def standing(terrain: str = "flat") -> tuple[World, Sensors]:
@@ -36,19 +33,6 @@ def on_the_wire(sensed: Sensed) -> Measured:
     controller = SimulatedElkapod(clock=lambda: 0, sensed=page)
     controller.exchange(bytes(elkapod.FRAME_BYTES))
     return elkapod.measured(controller.exchange(bytes(elkapod.FRAME_BYTES)))
-
-
-@pytest.mark.parametrize("slope_deg", [12, -12])
-def test_on_a_slope_it_feels_how_steep_it_is_and_which_way(slope_deg: int) -> None:
-    """Uphill lies ahead, so the ground pushes it forward; downhill, backward."""
-    _, sensors = standing(f"slope:{slope_deg}")
-    sensed = sensors.read()
-    assert on_the_wire(sensed).tilt_deg == pytest.approx(12, abs=1)
-    slope_rad = math.radians(slope_deg)
-    assert sensed.linear_acceleration_m_s2 == pytest.approx(
-        (G * math.sin(slope_rad), 0, G * math.cos(slope_rad)), abs=0.3
-    )
-    assert sum(sensed.feet_n) == pytest.approx(WEIGHT_N * math.cos(slope_rad), rel=0.03)
 
 
 def test_between_two_steps_it_feels_what_it_felt() -> None:

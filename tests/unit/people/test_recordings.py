@@ -10,29 +10,24 @@ from typing import Any, Final
 import pytest
 from mcap.reader import make_reader
 
-from gateway.geometry import joint_name, load, urdf
+from gateway.geometry import load, urdf
 from gateway.model.frames import OneServo, Op, ServoOp, stop_leg
 from gateway.people.recorder.recording import REPORTS, Recording
 from gateway.people.recorder.table import Table
-from gateway.people.ros2 import messages as ros
 from gateway.people.ros2.cdr import definition
 from gateway.people.ros2.drawing import (
     DESCRIPTION,
-    DIAGNOSTICS,
     DRAWN,
-    FRAMES,
     JOINT_COMMANDS,
     JOINT_STATES,
     LOG,
-    SERVOS_OFF,
-    SIM_JOINT_STATES,
     Drawing,
 )
 from gateway.people.ros2.messages import Message, String
 from schemas import keys
 from schemas.robot import SERVO_IDS
 from tests.support.full_disk import disk_that_takes
-from tests.support.mcap_file import about, checked, whole
+from tests.support.mcap_file import about, checked
 from tests.support.measuring import MEASURED
 from tests.support.ros2_messages import decode
 
@@ -133,97 +128,13 @@ def commands(drawn: dict[str, Message]) -> dict[str, float]:
     return {name: at_rad for name, at_rad in positions(drawn[JOINT_COMMANDS]).items() if not math.isnan(at_rad)}
 
 
-def marks(drawn: dict[str, Message]) -> tuple[Message, ...]:
-    found: tuple[Message, ...] = drawn[SERVOS_OFF].markers
-    return found
+def test_what_the_gateway_publishes_is_what_is_recorded() -> None:
+    assert set(keys.PUBLISHED) == REPORTS.keys(), "a new key wants its model in REPORTS"
 
 
 def frames_of(message: Message) -> dict[str, Message]:
     """By the name of what is there."""
     return {each.child_frame_id: each for each in message.transforms}
-
-
-def test_a_simulated_body_is_drawn_where_it_is_beside_what_was_commanded() -> None:
-    drawing = Drawing(load())
-    for topic, report, time_ns in reports(20):
-        list(drawing.take(topic, report, time_ns))
-    before = frames_of(dict(drawing.picture(START_NS))[FRAMES])
-    drawn = dict(drawing.take(keys.SIM_BODY, BODY, START_NS + 10**9))
-    frames = frames_of(drawn[FRAMES])
-    base = frames["base"].transform
-    assert frames["base"].header.frame_id == "world"
-    assert (base.translation.x, base.translation.y, base.translation.z) == (0.3, 0.1, 0.05)
-    assert (base.rotation.x, base.rotation.y, base.rotation.z, base.rotation.w) == (1.0, 0.0, 0.0, 0.0)
-    true_rad = load().joint_rad(12, 45.0)
-    assert positions(drawn[SIM_JOINT_STATES])["joint_12"] == true_rad
-    assert positions(drawn[JOINT_STATES])["joint_12"] != true_rad
-    assert frames["commanded/leg_1_femur"].transform == before["leg_1_femur"].transform
-    assert frames["leg_1_femur"].transform != before["leg_1_femur"].transform
-    later = dict(drawing.picture(START_NS + 3 * 10**9))
-    assert list(frames_of(later[FRAMES])) == list(before), "its process has ended: what was commanded is all"
-    assert SIM_JOINT_STATES not in later
-
-
-def test_what_the_gateway_publishes_is_what_is_recorded() -> None:
-    assert set(keys.PUBLISHED) == REPORTS.keys(), "a new key wants its model in REPORTS"
-
-
-def test_joints_are_drawn_where_they_are_commanded_to_be() -> None:
-    geometry = load()
-    drawing = Drawing(geometry)
-    frame = {"bytes": "0e0129010900 29".replace(" ", ""), "cause": "command"}  # no frame at all
-    assert positions(dict(drawing.take(keys.FRAME, frame, START_NS))[JOINT_STATES]) == {}
-    start = {"bytes": "0602200 15a00".replace(" ", "")}  # servo 32, Start, 90 degrees
-    drawn = dict(drawing.take(keys.FRAME, start, START_NS + 10**9))
-    assert positions(drawn[JOINT_STATES]) == commands(drawn) == {"joint_32": 0.0}
-    assert list(positions(drawn[JOINT_COMMANDS])) == list(map(joint_name, SERVO_IDS)), "each has its place in a plot"
-    assert len(frames_of(drawn[FRAMES])) == 24
-    stop = {"bytes": "060220020000"}
-    after = dict(drawing.take(keys.FRAME, stop, START_NS + 2 * 10**9))
-    assert positions(after[JOINT_STATES]) == {"joint_32": 0.0}, "a stopped servo stays where it was sent"
-    assert commands(after) == {}, "a gap in its plot"
-
-
-def test_many_frames_are_few_pictures_and_each_a_command() -> None:
-    drawing = Drawing(load())
-    start = {"bytes": "060220015a00"}
-    drawn = [dict(drawing.take(keys.FRAME, start, START_NS + number * PERIOD_NS)) for number in range(300)]
-    assert 15 <= sum(FRAMES in each for each in drawn) <= 20
-    assert all(commands(each) == {"joint_32": 0.0} for each in drawn), "at the frames' rate"
-
-
-def test_what_is_off_is_marked_at_once_and_again_each_second() -> None:
-    drawing = Drawing(load())
-    clear, *unknown = marks(dict(drawing.picture(START_NS)))
-    assert (clear.action, unknown) == (ros.DELETEALL, [])
-    stop = {"bytes": stop_leg(3).to_bytes().hex()}
-    _, *found = marks(dict(drawing.take(keys.FRAME, stop, START_NS + 1)))
-    spheres = {mark.id: mark.header.frame_id for mark in found if mark.type == ros.SPHERE}
-    assert spheres == {31: "leg_3_coxa", 32: "leg_3_femur", 33: "leg_3_tibia"}
-    assert [mark.text for mark in found if mark.type == ros.TEXT_VIEW_FACING] == ["leg 3 off"]
-    assert all(mark.frame_locked and mark.color.a > 0 for mark in found), "they go where the leg goes"
-    assert SERVOS_OFF not in dict(drawing.take(keys.FRAME, stop, START_NS + 2)), "nothing has changed"
-    start = {"bytes": "060220015a00"}  # servo 32
-    _, *found = marks(dict(drawing.take(keys.FRAME, start, START_NS + 3)))
-    assert [mark.id for mark in found] == [31, 33], "one of them runs, so the leg is not off"
-    assert SERVOS_OFF in dict(drawing.take(keys.FRAME, start, START_NS + 10**9 + 3))
-
-
-def test_another_mode_is_in_the_diagnostics_at_once() -> None:
-    drawing = Drawing(load())
-    state = next(report for topic, report, _ in reports(1) if topic == keys.STATE)
-    assert DIAGNOSTICS in dict(drawing.take(keys.STATE, state, START_NS))
-    assert DIAGNOSTICS not in dict(drawing.take(keys.STATE, state, START_NS + 10**8))
-    assert DIAGNOSTICS in dict(drawing.take(keys.STATE, {**state, "mode": "estopped"}, START_NS + 2 * 10**8))
-
-
-def test_a_state_marks_what_it_states_to_be_off() -> None:
-    drawing = Drawing(load())
-    state = next(report for topic, report, _ in reports(1) if topic == keys.STATE)
-    off = [servo["id"] for leg in state["legs"] for servo in leg["servos"] if not servo["running"]]
-    found = marks(dict(drawing.take(keys.STATE, state, START_NS)))
-    assert [mark.id for mark in found if mark.type == ros.SPHERE and mark.action != ros.DELETEALL] == off
-    assert 0 < len(off) < len(SERVO_IDS)
 
 
 def test_frames_of_a_calibrated_robot_are_not_taken_for_its_users_angles() -> None:
@@ -239,16 +150,6 @@ def test_frames_of_a_calibrated_robot_are_not_taken_for_its_users_angles() -> No
 
 
 # ---- killed, full
-
-
-def test_of_a_killed_recorder_all_that_was_flushed_is_there(path: Path) -> None:
-    recording = begun(path)
-    recording.flush()
-    killed = path.with_name("killed.mcap")
-    killed.write_bytes(path.read_bytes())  # what the kernel has
-    found = list(whole(killed))
-    assert found == [(topic, report) for topic, report, _ in reports(600)]
-    recording.close()
 
 
 def test_a_disk_that_takes_no_more_is_noticed_with_the_next_flush(path: Path) -> None:

@@ -92,30 +92,6 @@ def test_a_text_of_any_characters_is_no_error(path: Path) -> None:
     assert (len(content.records), content.damaged) == (8, 0)
 
 
-def test_a_ring_is_continued_by_the_next_gateway(path: Path) -> None:
-    filled(path, 60)
-    ring = RecordRing(path, 50)
-    assert (ring.sequence, ring.note) == (61, "")
-    ring.close()
-    assert modes(path) == list(range(11, 61))
-
-
-def test_a_torn_record_is_left_out_and_written_over(path: Path) -> None:
-    filled(path, 60)
-    with path.open("r+b") as file:
-        file.seek(form.HEADER_BYTES + 60 % 50 * form.SLOT + 20)
-        file.write(b"torn")
-    content = ring_reader.read(path)
-    assert modes(path) == list(range(11, 60))
-    assert content.damaged == 1
-    ring = RecordRing(path, 50)
-    assert ring.sequence == 60
-    assert ring.note == "the black box is continued; 1 of its newest records are not whole"
-    ring.append(form.MODE, 0, form.mode("60"))
-    ring.close()
-    assert modes(path) == list(range(11, 61))
-
-
 def test_every_byte_counts(path: Path) -> None:
     """Each byte of a record changed once: it is never read as something else."""
     filled(path, 3)
@@ -184,16 +160,6 @@ def test_a_reader_says_what_it_cannot_read(path: Path, tmp_path: Path) -> None:
         ring_reader.read(path)
 
 
-def test_what_is_left_of_an_older_round_or_in_a_wrong_place_says_nothing(path: Path) -> None:
-    filled(path, 120)
-    data = bytearray(path.read_bytes())
-    for slot, sequence in ((10, 60), (11, 12)):
-        form.put(data, form.HEADER_BYTES + slot * form.SLOT, form.MODE, sequence, 0, form.mode("old"))
-    records, damaged, missing = ring_reader.parse(bytes(data))
-    assert [record.sequence for record in records] == [each for each in range(71, 121) if each not in (110, 111)]
-    assert (damaged, missing) == (1, 2)
-
-
 @pytest.mark.parametrize("source", [None, "anna", "ä" * 18])
 @pytest.mark.parametrize("sent_ms", [None, 0.0, 1e9])
 @pytest.mark.parametrize("after_ns", [0, 80_000, 2**32 - 1])
@@ -212,15 +178,6 @@ def test_a_setpoint_reads_as_the_two_records_that_it_stands_for(
     assert command == form.Record(1, 1000, form.CommandRecord(7, *said))
     assert frame == form.Record(1, 1000 + after_ns, form.FrameWritten(FRAME, "command", 45_000, 0, 7))
     assert mode.sequence == 2
-
-
-def test_what_a_setpoints_record_cannot_hold_is_for_others() -> None:
-    targets = ((31, STOP), (32, STOP), (33, STOP))
-    assert form.carried_out(1, 0, 7, "put", "k", "ä" * 40, None, targets, FRAME, 5, 5) is None
-    assert form.carried_out(1, 0, 7, "put", "k", None, None, targets[:2], FRAME, 5, 5) is None
-    assert form.carried_out(1, 0, 7, "put", "k", None, None, targets, FRAME, 2**32, 5) is None
-    assert form.carried_out(1, 6, 7, "put", "k", None, None, targets, FRAME, 5, 5) is None
-    assert form.carried_out(1, 0, 7, "put", "k", None, None, targets, FRAME + b"\0", 5, 5) is None, "it would be cut"
 
 
 def test_a_cut_off_or_mistaken_setpoint_is_damage() -> None:

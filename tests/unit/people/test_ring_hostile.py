@@ -1,6 +1,5 @@
 """Rings that no gateway wrote, or one with the largest that settings allow: what reading them costs is bounded."""
 
-import tracemalloc
 from collections.abc import Callable
 from pathlib import Path
 
@@ -8,16 +7,10 @@ import pytest
 
 from gateway.model.black_box import format as form
 from gateway.model.black_box import header
-from gateway.model.frames import Op, ServoOp
 from gateway.people.recorder import ring_reader
-from gateway.people.recorder.export import write
 from gateway.people.recorder.incidents import MOST, find, is_id
-from gateway.people.recorder.messages import RECORDER, messages
 from gateway.robot.blackbox.ring import RecordRing
-from tests.support.mcap_file import read
 from tests.support.robot import WALL_NS
-
-SECOND = 1_000_000_000
 
 
 def ring_of(slots: int, record: Callable[[int], tuple[int, bytes]]) -> bytes:
@@ -32,37 +25,6 @@ def ring_of(slots: int, record: Callable[[int], tuple[int, bytes]]) -> bytes:
 def begun(number: int) -> tuple[int, bytes]:
     name = f"20260921-{number // 60_000:02d}{number // 1000 % 60:02d}13-{number % 1000:03d}-watchdog"
     return form.INCIDENT, form.incident(WALL_NS + number, name)
-
-
-def drive(number: int) -> tuple[int, bytes]:
-    """Commands of six legs, and their frames; a gateway starts, and there is an incident near the end."""
-    if number == 1:
-        return form.START, form.start(WALL_NS, {"pid": 1})
-    if number == 3_500:
-        return begun(number)
-    leg = number // 2 % 6 + 1
-    if number % 2:
-        targets = tuple((leg * 10 + joint, ServoOp(Op.SET, number)) for joint in (1, 2, 3))
-        return form.COMMAND, form.command(number, "put", f"hexapod/leg/{leg}/cmd", "anna", number / 1e3, targets)
-    return form.FRAME, form.frame(bytes(14), "command", 45_000, 0, number - 1)
-
-
-def test_reading_a_ring_and_telling_an_incident_takes_little_more_memory_than_the_file(tmp_path: Path) -> None:
-    """As objects the records would take eight times as much, and the recorder's service may have 192 MB."""
-    path = tmp_path / "ring"
-    path.write_bytes(ring_of(4_000, drive))
-    tracemalloc.start()
-    try:
-        content = ring_reader.read(path)
-        incidents = find(content.records, written=False, now_ns=0)
-        count = sum(1 for _ in messages(incidents[0], content.records))
-        _, peak = tracemalloc.get_traced_memory()
-    finally:
-        tracemalloc.stop()
-    assert count > 3_000
-    assert len(content.records) == 4_000
-    assert [len(incidents), incidents[0].name[-8:]] == [1, "watchdog"]
-    assert peak < 2.5 * path.stat().st_size
 
 
 @pytest.mark.parametrize("what", [begun, lambda _: (form.START, form.start(WALL_NS, {}))], ids=["incidents", "starts"])
@@ -158,27 +120,3 @@ def test_a_start_with_facts_that_no_file_takes_is_damaged(fact: object) -> None:
     assert (len(records), damaged) == (0, 1)
     records, damaged, _ = ring_reader.parse(image((form.START, 1, form.start(WALL_NS, {"\udfff": 1}))))
     assert (len(records), damaged) == (0, 1)
-
-
-def test_an_incident_of_a_machine_whose_clock_begins_in_1970_is_kept(tmp_path: Path) -> None:
-    """Ten seconds before it is earlier than any time in a file."""
-    ring = image(
-        (form.START, 8 * SECOND, form.start(SECOND, {"pid": 1})),
-        (form.MODE, 6 * SECOND, form.mode("idle")),
-        (form.INCIDENT, 9 * SECOND, form.incident(2 * SECOND, "19700101-000002-000-estop")),
-    )
-    records = ring_reader.parse(ring)[0]
-    (incident,) = find(records, written=True, now_ns=0)
-    path = tmp_path / "stop.mcap"
-    write(path, incident, records)
-    told = [(each.content["what"], each.time_ns) for each in read(path) if each.topic == RECORDER]
-    assert told == [("mode", 0), ("start", SECOND), ("incident", 2 * SECOND)]
-
-
-def test_an_event_of_an_earlier_time_ends_no_incident_before_it_began() -> None:
-    records = ring_reader.parse(image(
-        (form.INCIDENT, 20 * SECOND, form.incident(WALL_NS, "20260921-141320-123-estop")),
-        (form.EVENT, 1, form.event("estop_engaged", None, None, None, "", 0)),
-    ))[0]  # fmt: skip
-    (incident,) = find(records, written=True, now_ns=0)
-    assert incident.end_ns == 25 * SECOND

@@ -57,16 +57,6 @@ def sent(followed: Followed, now_s: float, behind_rad: float = 0.0) -> GoalProgr
     return GoalProgress(desired, {**desired, 11: desired[11] - behind_rad})
 
 
-def test_the_result_follows_once_the_last_point_was_sent() -> None:
-    followed = read(WAY)
-    assert followed.judge(sent(followed, 101.9), 101.9) is None
-    assert followed.judge(sent(followed, 102.0, behind_rad=0.01), 102.0) is None
-    assert followed.judge(sent(followed, 300.0, behind_rad=0.01), 300.0) is None, "no time was given"
-    judged = followed.judge(sent(followed, 102.0), 102.0)
-    assert judged is not None
-    assert judged.error_code == goals.SUCCESSFUL
-
-
 def test_legs_that_do_not_run_yet_have_not_reached_it() -> None:
     followed = read(WAY)
     assert followed.judge(GoalProgress(followed.plan.at(102.0), {}), 102.0) is None

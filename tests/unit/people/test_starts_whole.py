@@ -8,10 +8,7 @@ import pytest
 
 from gateway.errors import UnansweredError
 from gateway.geometry import load
-from gateway.model.protocols import SpiProtocol
-from gateway.model.telemetry import starts_whole
 from gateway.people.client.stream import Stream
-from gateway.people.client.walk import robot_of
 from gateway.people.ros2.joints import JointsError
 from gateway.people.ros2.motions import STARTS_WHOLE, Following, JointCommands
 from gateway.people.ros2.trajectory import Trajectory, Waypoint
@@ -49,17 +46,6 @@ def whole(monkeypatch: pytest.MonkeyPatch) -> Any:
     robot = Robot("elkapod-2025")
     monkeypatch.setattr("gateway.people.client.stream.time", robot)
     return robot
-
-
-@pytest.mark.parametrize(
-    ("protocol", "whole"), [*((each, each.starts_whole) for each in SpiProtocol), ("of a later gateway", False)]
-)
-def test_a_walk_learns_it_from_the_state_and_a_protocol_that_is_not_known_starts_by_leg(
-    protocol: str, whole: bool
-) -> None:
-    robot: Any = Robot(protocol)
-    assert starts_whole(robot.state()) is whole
-    assert robot_of(robot, GEOMETRY, robot.state()).starts_whole is whole
 
 
 def test_joint_commands_start_all_legs_at_once_and_a_message_with_fewer_starts_none(whole: Any) -> None:

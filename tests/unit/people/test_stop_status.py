@@ -23,14 +23,6 @@ def text(stop: StopStatus, now_ns: int) -> str:
     return "" if remark is None else remark.text
 
 
-def test_a_confirmed_stop_is_shown_for_a_while() -> None:
-    stop = pressed()
-    assert text(stop, 0) == "EMERGENCY STOP sent, waiting for its confirmation"
-    stop.confirm(STOPPED, None, 3 * MS)
-    assert text(stop, 3 * MS + SHOWN_NS).startswith("STOPPED: 6 Stop frames written within 812 µs of the request, ")
-    assert text(stop, 3 * MS + SHOWN_NS + 1) == ""
-
-
 @pytest.mark.parametrize("ack", [Ack(accepted=True, stop_frames=5, latency_us=10), Ack(accepted=True)])
 def test_a_stop_that_was_not_written_whole_is_an_alarm_that_stays(ack: Ack) -> None:
     stop = pressed()

@@ -11,7 +11,7 @@ from gateway.errors import WalkError
 from gateway.geometry import load
 from gateway.geometry.kinematics import Vector, from_rpy
 from gateway.people.walking import STILL, Posture, Robot, Velocity, Walker
-from gateway.people.walking.balance import FALLEN_DEG, LEANS_RAD, ReceivedTelemetry, Senses
+from gateway.people.walking.balance import FALLEN_DEG, ReceivedTelemetry, Senses
 from gateway.people.walking.robot import LIFT_M
 from schemas.robot import LEGS
 from schemas.telemetry import Imu, Telemetry
@@ -54,38 +54,6 @@ class Ground:
 
 def flat(_leg: int, _x_m: float) -> float:
     return 0.0
-
-
-def test_without_telemetry_it_goes_on_from_where_it_is_as_it_always_did() -> None:
-    blind, feels = standing(ROBOT), standing(ROBOT)
-    feels.engine.step(STILL, TICK_S, telemetry())
-    for _ in range(200):
-        assert feels.engine.step(AHEAD, TICK_S) == blind.engine.step(AHEAD, TICK_S)
-
-
-def test_beyond_its_bound_it_stays_as_level_as_it_may_and_its_state_has_the_tilt() -> None:
-    ground = Ground(standing(ROBOT), flat, 0.0, math.radians(25.0))
-    ground.run(8.0)
-    assert abs(ground.engine.body.pitch_rad) <= LEANS_RAD + 1e-9
-    assert ground.engine.posture is Posture.STANDING
-    assert ground.engine.felt.tilt_deg == pytest.approx(25.0 + math.degrees(ground.engine.body.pitch_rad), abs=0.5)
-
-
-def test_over_an_edge_it_stands_still_says_which_foot_hangs_and_goes_back() -> None:
-    walked = standing(ROBOT)
-    ground = Ground(walked, lambda _, x_m: -1.0 if x_m > walked.engine.stance.feet[1][0] + 0.1 else 0.0)
-    ground.run(8.0, AHEAD)
-    engine = walked.engine
-    assert engine.hanging & {1, 2}
-    assert "no ground under leg" in engine.limit
-    assert engine.posture is Posture.STANDING
-    at_m = engine.odometry.x_m
-    assert at_m < 0.2
-    ground.run(1.0, AHEAD)
-    assert engine.odometry.x_m == at_m
-    ground.run(6.0, AHEAD.times(-1.0))
-    assert engine.odometry.x_m < at_m - 0.15
-    assert not engine.hanging
 
 
 @pytest.mark.parametrize(("reads", "hangs"), [(0.0, True), (1.0, False)])

@@ -89,22 +89,6 @@ def test_it_goes_where_it_was_sent(of: str, velocity: Velocity) -> None:
     assert walked.engine.limit == ""
 
 
-@pytest.mark.parametrize("of", sorted(GAITS))
-def test_what_is_too_fast_is_scaled_down_as_a_whole_and_said(of: str) -> None:
-    wanted = Velocity(0.6, -0.3, 0.9)
-    walked = standing(robot("default"), of)
-    walked.run(5.0, wanted)
-    engine = walked.engine
-    assert engine.commanded == wanted
-    factor = engine.scaled.forward_m_s / wanted.forward_m_s
-    assert 0 < factor < 1
-    assert engine.scaled == pytest.approx(wanted.times(factor))
-    slower = engine.scaled.forward_m_s / engine.velocity.forward_m_s  # where servos are too slow, time is slowed down
-    assert 0.7 < slower <= 1
-    assert engine.scaled == pytest.approx(engine.velocity.times(slower), abs=1e-6)
-    assert "the legs' strides reach" in engine.limit
-
-
 def test_limits_that_leave_no_stride_leave_a_robot_that_stands() -> None:
     stiff = {10 * leg + 1: Range(89.0, 91.0) for leg in LEGS}
     walked = standing(Robot(load(), stiff))

@@ -50,14 +50,6 @@ def test_a_low_battery_starts_nothing_and_what_runs_goes_on() -> None:
     assert steps.command(90, leg_to(3, "start 90")) == ["rejected 6 battery_low"]
 
 
-def test_what_waits_to_be_started_when_the_battery_becomes_low_is_started() -> None:
-    steps = body()
-    steps.command(11, leg_to(3, "stop"))
-    assert steps.command(12, leg_to(3, "start 80")) == []
-    steps.measure(13, battery_v=5)
-    assert steps.time(15) == ["command 3 start 80", "completed 3"]
-
-
 def test_a_voltage_that_jitters_is_announced_once() -> None:
     steps = body()
     steps.measure(20, battery_v=6.9)
@@ -101,13 +93,6 @@ def test_until_it_stands_again_nothing_moves_and_a_stop_is_taken() -> None:
     assert steps.command(290, leg_to(3, "start 90")) == ["command 3 start 90", "completed 5"]
 
 
-def test_a_stumble_stops_nothing() -> None:
-    steps = body()
-    for at_ms, tilt_deg in ((20, 90), (200, 90), (215, 30), (230, 31), (240, 31)):
-        assert steps.measure(at_ms, tilt_deg) == []
-    assert steps.running == [31, 32, 33]
-
-
 def test_an_unknown_tilt_neither_begins_nor_ends_the_time() -> None:
     steps = body()
     assert steps.measure(20, None) == []
@@ -116,23 +101,6 @@ def test_an_unknown_tilt_neither_begins_nor_ends_the_time() -> None:
     steps.measure(250, 31)
     assert steps.measure(260, None) == []
     assert steps.measure(450, None) == [*all_stopped("watchdog"), "announce fallen"]
-
-
-def test_one_that_lies_there_already_is_announced_and_gets_no_stop() -> None:
-    steps = body()
-    steps.command(20, leg_to(3, "stop"))
-    steps.measure(30, 170)
-    assert steps.measure(230, 170) == ["announce fallen"]
-    assert steps.only(Announce).legs == ()
-    assert steps.measure(430, 170) == [], "once"
-
-
-def test_what_waits_to_be_started_is_dropped() -> None:
-    steps = body(period_ns=1000 * NS_PER_MS)
-    steps.measure(10, 31)
-    steps.command(20, leg_to(3, "stop"))
-    steps.command(30, leg_to(3, "start 90"))
-    assert steps.measure(210, 31) == [*all_stopped("watchdog"), "rejected 3 fallen", "announce fallen"]
 
 
 def test_where_a_landing_is_configured_it_lands() -> None:
@@ -152,20 +120,6 @@ def test_measurements_of_a_bus_at_fault_are_kept() -> None:
     assert steps.measure(240, 170, 6) == ["announce fallen"]
     steps.open(250)
     assert steps.command(260, leg_to(3, "start 90")) == ["rejected 2 fallen"]
-
-
-def test_a_measurement_before_the_bus_is_open_is_no_mistake() -> None:
-    steps = Steps(Rules(min_battery_mv=7000), opened=False)
-    assert steps.measure(0, battery_v=6) == ["announce battery_low"]
-    assert steps.supervisor.mode is Mode.STARTING
-
-
-def test_an_emergency_stop_of_the_same_instant_comes_as_ever() -> None:
-    steps = body()
-    steps.measure(20, 31)
-    steps.instant_ms = 230
-    steps.measure(230, 31)
-    assert steps.estop(231) == [*all_stopped("estop"), "announce estop_engaged"]
 
 
 def test_the_settings_are_the_rules() -> None:

@@ -86,14 +86,6 @@ def test_the_previous_ten_are_kept(tmp_path: Path) -> None:
     assert read(path) == RobotCalibration(14, {32: ServoMapping(14)})
 
 
-def test_a_broken_one_is_set_aside(tmp_path: Path) -> None:
-    path = tmp_path / "calibration.toml"
-    path.write_text("half a")
-    write(path, OWN)
-    assert read(path) == OWN
-    assert (tmp_path / "calibration.broken.toml").read_text() == "half a"
-
-
 # ---- what a gateway starts with
 
 

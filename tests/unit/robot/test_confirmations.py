@@ -29,18 +29,6 @@ class Asked:
         self.confirmations.wait(servos, at_ms * NS_PER_MS, self.then(name))
 
 
-def test_who_asks_within_a_question_shares_its_answer_each_with_its_own_time() -> None:
-    asked = Asked()
-    asked.ask("first", 100)
-    asked.ask("second", 110)
-    asked.ask("other servos", 110, frozenset({11}))
-    assert [question[0] for question in asked.questions] == [LEG_1, {11}]
-    asked.confirmations.answered(Confirmed(asked.questions[0][2], confirmed=True, ms=30.0))
-    assert asked.answers == {"first": (True, 30.0), "second": (True, 20.0)}
-    asked.ask("later", 200)
-    assert len(asked.questions) == 3
-
-
 def test_an_answer_that_is_older_than_a_stop_does_not_confirm_it() -> None:
     """The board's answer waits for the owner of the state, who takes the next Stop first."""
     asked = Asked()

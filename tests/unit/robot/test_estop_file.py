@@ -193,13 +193,3 @@ def test_the_greater_number_counts(tmp_path: Path) -> None:
     write(tmp_path, KeptEstop(9))
     write(tmp_path, ENGAGED)
     assert read(tmp_path) == ENGAGED._replace(number=9)
-
-
-@pytest.mark.parametrize("kept", [ENGAGED, KeptEstop(7)])
-@pytest.mark.parametrize("place", [ESTOP_FILE, LAST_FILE])
-def test_what_cannot_be_written_is_a_sentence(tmp_path: Path, kept: KeptEstop, place: str) -> None:
-    (tmp_path / place).mkdir()
-    if kept.engaged == (place == LAST_FILE):
-        return  # the one that is not written
-    with pytest.raises(ConfigError, match="cannot be written"):
-        write(tmp_path, kept)

@@ -46,16 +46,6 @@ async def until(condition: Callable[[], bool]) -> None:
             await asyncio.sleep(0.001)
 
 
-async def test_the_end_writes_at_once_what_waits_for_its_turn(kept: Kept, tmp_path: Path) -> None:
-    robot, keeper = kept
-    robot.put(keys.ESTOP)
-    await until(lambda: number_kept(tmp_path) == 1)
-    for _ in range(3):
-        robot.put(keys.ESTOP)
-    keeper.flush()  # the loop stands still, and its timers with it
-    assert number_kept(tmp_path) == 4
-
-
 async def test_a_disk_that_takes_it_again_ends_the_fault(kept: Kept, tmp_path: Path) -> None:
     robot, _ = kept
     (tmp_path / ESTOP_FILE).mkdir()

@@ -15,8 +15,8 @@ from schemas import keys
 from schemas.telemetry import Mode
 from tests.support import robot as robots
 from tests.support.power import FedRobot
-from tests.support.robot import Robot, leg, started_and_quiet
-from tests.support.steps import Steps, all_stopped, leg_to
+from tests.support.robot import leg, started_and_quiet
+from tests.support.steps import Steps, leg_to
 
 KEPT = Rules(repeats=0, rest_runs=0, estop_kept=True)
 START = leg("start", 90, 90, 90)
@@ -32,31 +32,12 @@ def test_until_it_is_known_one_counts_as_engaged_and_no_reset_leaves_it() -> Non
     assert robot.command(3002, leg_to(1, "start 90")) == ["command 1 start 90", "completed 3"]
 
 
-def test_one_that_is_engaged_still_is_left_by_its_number_alone() -> None:
-    robot = Steps(KEPT)
-    robot.take(1, EstopKept(7, engaged=True))
-    assert (robot.supervisor.mode, robot.supervisor.latch.number) == (Mode.ESTOPPED, 7)
-    assert robot.command(2, leg_to(1, "start 90")) == ["rejected 1 estopped"]
-    assert robot.reset(3, newer=-1) == ["rejected 2 estopped"]
-    assert robot.reset(4) == ["announce estop_reset", "completed 3"]
-    assert robot.command(5, leg_to(1, "start 90")) == ["command 1 start 90", "completed 4"]
-
-
 def test_numbers_go_on_so_a_reset_of_an_earlier_run_leaves_no_emergency_stop_of_this_one() -> None:
     robot = Steps(KEPT)
     robot.take(1, EstopKept(7, engaged=False))
     robot.estop(2)
     assert robot.supervisor.latch.number == 8
     assert robot.reset(3, newer=-1) == ["rejected 1 estopped"]
-
-
-def test_an_emergency_stop_that_comes_before_it_is_known_comes_behind_the_earlier_ones() -> None:
-    robot = Steps(KEPT)
-    assert robot.estop(1) == [*all_stopped("estop"), "announce estop_engaged"]
-    assert robot.reset(2000) == ["rejected 1 estopped"]
-    robot.take(3000, EstopKept(7, engaged=False))
-    assert (robot.supervisor.mode, robot.supervisor.latch.number) == (Mode.ESTOPPED, 8)
-    assert robot.reset(3001) == ["announce estop_reset", "completed 2"]
 
 
 def test_what_is_known_late_makes_the_latest_emergency_stop_no_younger() -> None:
@@ -106,20 +87,6 @@ async def test_it_is_told_behind_the_stops_of_each_emergency_stop_and_at_its_res
 
 
 @pytest.mark.virtual_time
-async def test_it_is_told_in_a_bus_fault_and_at_the_end_as_well() -> None:
-    robot = await started_and_quiet()
-    told: list[int] = []
-    robot.conductor.on_latch = lambda: told.append(robot.conductor.supervisor.latch.number)
-    robot.controller.fail_where(lambda _: True)
-    robot.put(keys.ESTOP)
-    assert (robot.mode, told) == (Mode.BUS_FAULT, [1])
-    robot.controller.fail_where(lambda _: False)
-    robot.conductor.shut_down()
-    robot.put(keys.ESTOP)
-    assert (robot.mode, told) == (Mode.STOPPING, [1, 2])
-
-
-@pytest.mark.virtual_time
 async def test_the_power_boards_off_button_is_told_and_nothing_is_fed_before_it_is_known(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -137,15 +104,3 @@ async def test_the_power_boards_off_button_is_told_and_nothing_is_fed_before_it_
     robot.conductor.on_latch = lambda: told.append(robot.conductor.supervisor.latch.number)
     robot.conductor._emergency_stop(off_button(robot.now_ns()), robot.now_ns())
     assert told == [5]
-
-
-@pytest.mark.virtual_time
-async def test_an_earlier_runs_source_and_time_are_in_the_state(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(robots, "rules", lambda settings: replace(service.rules(settings), estop_kept=True))
-    robot = Robot()
-    robot.conductor.start()
-    robot.conductor.restore_estop("anna", None)
-    robot.conductor.ask(EstopKept(4, engaged=True))
-    state = robot.conductor.state()
-    assert (state.estop, state.estop_source, state.mode) == (4, "anna", Mode.ESTOPPED)
-    assert state.estop_since is not None

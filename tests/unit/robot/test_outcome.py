@@ -1,20 +1,15 @@
 """What became of a step's requests: a fault rejects the commands whose frames failed, and no others."""
 
 import asyncio
-from pathlib import Path
 
 import pytest
 
-from gateway.model.black_box import format as form
 from gateway.model.frames import stop_leg
 from gateway.robot.core.events import Command, Completed, Effect, Rejected, Reset, Transmit
 from gateway.robot.core.outcome import Verdict, results
 from schemas import keys
 from schemas.telemetry import Cause, Kind, Mode, Reason
-from tests.support.power import FedRobot
 from tests.support.robot import Robot, leg, started_and_quiet
-from tests.unit.people.test_recorder import contents, recorded
-from tests.unit.robot.test_calibration_conductor import OWN, Disk, on_disk
 
 pytestmark = pytest.mark.virtual_time
 
@@ -71,38 +66,6 @@ async def test_a_reset_whose_step_cannot_write_repeated_stops_is_accepted() -> N
     assert robot.mode == Mode.IDLE, "as its answer says"
 
 
-async def test_the_black_box_has_that_reset_as_accepted(folder: Path) -> None:
-    robot = recorded(folder)
-    await estopped_with_repeats_due(robot)
-    assert robot.ask(keys.RESET, {"estop": 1}).accepted
-    assert [record.verdict for record in contents(folder, form.Decision)] == ["accepted"]
-
-
-async def test_with_a_power_board_that_reset_gives_back_what_was_withheld() -> None:
-    robot = FedRobot()
-    await asyncio.sleep(1)
-    await estopped_with_repeats_due(robot)
-    supply = robot.conductor.supply
-    assert supply is not None
-    supply._withheld[11] = "it drew current after its Stop"
-    assert robot.ask(keys.RESET, {"estop": 1}).accepted
-    assert not supply._withheld
-
-
-async def test_a_calibration_that_is_kept_while_stops_fail_is_accepted() -> None:
-    disk = Disk()
-    robot = await on_disk(disk)
-    robot.put(keys.ESTOP)
-    robot.put(keys.RESET, {"estop": 1})
-    answers = robot.calibrate(OWN)
-    robot.sleep_through(0.03)
-    robot.controller.fail_where(lambda _: True)
-    disk.write()
-    assert [ack.accepted for ack in answers] == [True]
-    assert robot.mode == Mode.BUS_FAULT
-    assert robot.conductor.supervisor.calibrating.in_force.revision == 1
-
-
 async def test_a_stop_that_was_written_is_accepted_though_another_commands_frame_fails() -> None:
     """Leg 1's start leaves in the same step, behind the Stop of leg 3."""
     robot = await started_and_quiet(limits={"leg_rate_hz": 10})
@@ -120,11 +83,3 @@ async def test_a_start_whose_frame_fails_is_rejected_and_the_legs_that_were_writ
     robot.controller.fail_next(1)
     ack = robot.ask(LEG_3, START)
     assert (ack.accepted, ack.reason, ack.written) == (False, Reason.BUS_FAULT, None)
-
-
-async def test_the_black_box_and_the_metrics_have_that_start_as_the_answer_has_it(folder: Path) -> None:
-    robot = recorded(folder)
-    robot.controller.fail_next(1)
-    assert robot.ask(LEG_3, START).reason is Reason.BUS_FAULT
-    assert [record.verdict for record in contents(folder, form.Decision)] == ["bus_fault"]
-    assert robot.conductor.metrics.rejected[Reason.BUS_FAULT] == 1

@@ -116,22 +116,3 @@ def test_nothing_comes_on_unasked_and_what_is_confirmed_is_so(
     link.run(2500)
     assert link.board.fed == ALL
     assert link.now_ns > NS_PER_MS
-
-
-@pytest.mark.parametrize("seed", range(8))
-def test_every_emergency_stop_is_confirmed_within_1_s_with_a_fifth_of_the_answers_faulty(seed: int) -> None:
-    """Lost, delayed by up to 100 ms, too short, or altered: 25 emergency stops for each of eight seeds, 200 of 200."""
-    link = Link(faults=0.2, seed=seed, pass_ns=(1000, 1250, 1500, 1750, 2000)[seed % 5] * 1000, confirm_ms=2000)
-    for token in range(25):
-        link.want_anew(ALL_SERVOS)
-        link.run(1500 + link.random.random() * 100)
-        link.cut()
-        link.when_off(ALL_SERVOS, token)
-        link.run(0.3)
-        assert link.fed() == NONE
-        link.run(2000)
-        [confirmed] = link.confirmations()
-        assert confirmed.token == token
-        assert confirmed.ms is not None
-        assert confirmed.ms <= 1000
-        link.news.clear()

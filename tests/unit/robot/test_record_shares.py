@@ -8,12 +8,10 @@ from typing import Final
 import pytest
 
 from gateway.model.black_box import format as form
-from gateway.robot.blackbox import paths
-from gateway.robot.blackbox.shares import SHARE, SOURCES_COUNTED, RecordShares
-from gateway.robot.settings import Settings
+from gateway.robot.blackbox.shares import SHARE, RecordShares
 from schemas import keys
 from schemas.telemetry import Cause
-from tests.support.robot import MS, Robot, leg, servo
+from tests.support.robot import Robot, leg, servo
 from tests.unit.people.test_recorder import contents, recorded
 
 A_SECOND: Final = 1000
@@ -31,32 +29,6 @@ def test_one_source_leaves_some_for_others_and_what_is_left_out_is_counted_once(
     assert written(shares, "anna", 5000, 0) == A_SECOND - SHARE * A_SECOND
     assert dict(shares.left_out()) == {"flood": 4250, "anna": 4750}
     assert shares.left_out() == []
-
-
-def test_made_up_sources_together_have_no_more_than_all() -> None:
-    shares = RecordShares(A_SECOND)
-    total = sum(
-        written(shares, f"source {number}", 3, ms * MS + number) for ms in range(0, 1000, 10) for number in range(200)
-    )
-    assert total <= 2 * A_SECOND, "what is at once, and what a second gives"
-    assert len(shares._sources) <= SOURCES_COUNTED + 1
-
-
-def test_a_step_is_admitted_whole_or_not_and_time_gives_room_again() -> None:
-    shares = RecordShares(A_SECOND)
-    while shares.admit("flood", 7, 0):
-        pass
-    assert not shares.admit("flood", 7, 5 * MS)
-    assert shares.admit("flood", 7, 12 * MS)
-
-
-@pytest.mark.parametrize("rate_hz", [10, 50, 1000])
-def test_the_ring_has_room_for_what_messages_make_of_it(rate_hz: int) -> None:
-    settings = Settings.model_validate({"limits": {"leg_rate_hz": rate_hz}})
-    a_second = paths.client_records_a_second(settings)
-    own = paths.OTHER_RECORDS_PER_S
-    assert (a_second + own) * paths.REACH_S <= paths.slots_for(settings)
-    assert SHARE * a_second >= rate_hz * 6, "a stream at the limit is recorded whole"
 
 
 def estops_and_resets(robot: Robot, number: int) -> None:

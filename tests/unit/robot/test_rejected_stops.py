@@ -216,39 +216,6 @@ async def test_the_stops_of_a_command_beyond_a_joints_limit_come() -> None:
 
 
 @pytest.mark.virtual_time
-@pytest.mark.parametrize("token", [None, "f" * 32])
-async def test_the_stops_of_a_command_without_the_lease_come(token: str | None) -> None:
-    robot = await running()
-    assert robot.lease("acquire", "anna").accepted
-    ack = robot.ask(LEG_3, {**MIXED, "source": "bert", **({} if token is None else {"lease": token})})
-    assert (ack.reason, ack.stopped) == (Reason.NOT_HOLDER, True)
-    assert stopped(robot) == {31}
-
-
-@pytest.mark.virtual_time
-async def test_the_stops_of_a_command_that_sets_what_does_not_run_come() -> None:
-    robot = await running()
-    robot.put(keys.servo_command(11), servo("stop"))
-    ack = robot.ask(keys.LEGS_COMMAND, {"legs": {"1": {"servos": [SET] * 3}, "3": leg("stop")}})
-    assert (ack.reason, ack.stopped) == (Reason.SERVO_STOPPED, True)
-    assert stopped(robot) == {11, 31, 32, 33}
-
-
-@pytest.mark.virtual_time
-async def test_a_stop_while_the_emergency_stop_is_engaged_is_written_and_rejected() -> None:
-    """Bytes may have been lost, and a servo may run that counts as stopped."""
-    robot = await running()
-    robot.put(keys.ESTOP)
-    await asyncio.sleep(1)
-    before = len(robot.frames)
-    ack = robot.ask(LEG_3, leg("stop"))
-    assert (ack.reason, ack.stopped) == (Reason.ESTOPPED, True)
-    assert len(robot.frames) == before + 1
-    assert robot.mode == Mode.ESTOPPED
-    assert robot.ask(LEG_3, STOPPED_LEG).stopped
-
-
-@pytest.mark.virtual_time
 @pytest.mark.parametrize("payload", [leg("stop"), STOPPED_LEG, b"stop"])
 async def test_nothing_counts_as_stopped_while_the_bus_is_at_fault(payload: object) -> None:
     robot = await running()
@@ -258,15 +225,6 @@ async def test_nothing_counts_as_stopped_while_the_bus_is_at_fault(payload: obje
     ack = robot.ask(LEG_3, payload)
     assert (ack.accepted, ack.stopped) == (False, None)
     assert ack.reason in (Reason.BUS_FAULT, Reason.INVALID, Reason.MALFORMED)
-
-
-@pytest.mark.virtual_time
-async def test_nothing_counts_as_stopped_whose_frame_failed() -> None:
-    robot = await running()
-    robot.controller.fail_for_ms(10_000)
-    ack = robot.ask(LEG_3, STOPPED_LEG)
-    assert (ack.reason, ack.stopped) == (Reason.INVALID, None)
-    assert robot.mode == Mode.BUS_FAULT
 
 
 @pytest.mark.virtual_time

@@ -10,10 +10,6 @@ MS = 1_000_000  # ns
 OFF: dict[int, float | None] = dict.fromkeys(SERVO_IDS)
 
 
-def test_one_that_is_sent_nowhere_takes_what_its_electronics_take() -> None:
-    assert SimulatedDraw().draw_ma(OFF, (), 0) == dict.fromkeys(SERVO_IDS, WAITS_MA)
-
-
 def test_one_that_is_driven_holds_and_takes_more_until_it_is_there() -> None:
     draw = SimulatedDraw()
     assert draw.draw_ma({**OFF, 21: 60.0}, (), 0) == {**dict.fromkeys(SERVO_IDS, WAITS_MA), 21: 450.0}

@@ -1,9 +1,7 @@
 """The simulated controller against what was measured with the published firmware, on a virtual clock."""
 
-from collections.abc import Iterable
-
 import pytest
-from hypothesis import assume, given
+from hypothesis import given
 from hypothesis import strategies as st
 
 from gateway.model.frames import OneLeg, Op, ServoOp
@@ -86,14 +84,6 @@ def test_whatever_comes_it_does_what_a_second_reading_of_the_firmware_does(
     )
 
 
-def test_a_lost_byte_misaligns_until_a_second_has_passed(plain: Bench) -> None:
-    plain.transfer(START_11[1:], START_11, START_11)
-    assert plain.controller.executed == 0
-    plain.now_ns += 1_000 * MS
-    plain.send(START_11)
-    assert plain.controller.executed == 1
-
-
 # ---- memory corruption
 
 
@@ -161,24 +151,3 @@ def test_five_bytes_lost_of_leg_3_start_a_servo_that_nobody_started(prefixed: Be
         bench.transfer(stream[:first] + stream[first + 5 :])
         started |= bench.controller.energised
     assert started == {21}
-
-
-def test_an_unknown_operation_touches_nothing(bench: Bench) -> None:
-    bench.send(bytes((6, 2, 0, 4, 90, 0)))
-    assert bench.said == ["operation 4 ignored"]
-    assert not bench.controller.corruptions
-
-
-@pytest.mark.parametrize("framing", Framing)
-@given(st.lists(st.tuples(st.integers(0, 400), st.sampled_from([b"\x06\x02", b"\x0e\x01", START_11, b"\x0b\x01"]))))
-def test_a_second_of_silence_brings_any_controller_back_in_step(
-    framing: Framing, sent: Iterable[tuple[int, bytes]]
-) -> None:
-    bench = Bench(framing)
-    for pause_ms, data in sent:
-        bench.now_ns += pause_ms * MS
-        bench.transfer(data)
-    assume(bench.controller.dead is None)
-    bench.now_ns += 1_000 * MS
-    bench.send(START_LEG_1)
-    assert bench.controller.energised >= {11, 12, 13}

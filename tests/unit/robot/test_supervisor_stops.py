@@ -3,9 +3,8 @@
 import pytest
 
 from gateway.allowance import NS_PER_MS
-from gateway.robot.core.events import Announce, Transmit
+from gateway.robot.core.events import Announce
 from gateway.robot.core.leg import Rules
-from schemas.robot import LEGS
 from schemas.telemetry import Mode, WatchdogState
 from tests.support.steps import Steps, Targets, all_stopped, leg_to, legs_to, servo_to
 
@@ -32,15 +31,6 @@ def test_a_silent_leg_is_stopped() -> None:
     assert watchdog_of(robot) == [EXPIRED, IDLE, IDLE, IDLE, IDLE, IDLE]
 
 
-def test_the_stop_says_when_it_was_due() -> None:
-    robot = Steps()
-    robot.command(100, leg_to(1, "start 90"))
-    robot.time(400)
-    assert [effect.deadline_ns for effect in robot.effects if isinstance(effect, Transmit) and not effect.joins] == [
-        60_350 * NS_PER_MS
-    ]
-
-
 @pytest.mark.parametrize(
     "targets",
     [leg_to(1, "start 80"), servo_to(12, "set 80"), legs_to("12", "start 1"), leg_to(1, "stop", "stop", "set 80")],
@@ -53,25 +43,6 @@ def test_any_accepted_command_that_starts_or_sets_a_servo_of_the_leg_feeds_it(ta
     assert "watchdog 1 stop" in robot.time(550)
 
 
-@pytest.mark.parametrize("targets", [servo_to(12, "stop"), (*servo_to(12, "stop"), *leg_to(2, "start 90"))])
-def test_a_stop_for_one_servo_does_not_keep_the_others_running(targets: Targets) -> None:
-    robot = Steps()
-    robot.command(100, leg_to(1, "start 90"))
-    for at_ms in range(110, 350, 20):
-        robot.command(at_ms, targets)
-    assert robot.time(350)[:1] == ["watchdog 1 stop"]
-    assert set(robot.running) <= {21, 22, 23}
-
-
-@pytest.mark.parametrize("joint", [1, 2, 3])
-def test_each_servo_by_itself_is_watched(joint: int) -> None:
-    robot = Steps()
-    robot.command(100, servo_to(10 + joint, "start 90"))
-    assert watchdog_of(robot)[0] is ARMED
-    assert robot.supervisor.mode is Mode.ACTIVE
-    assert robot.time(350) == ["watchdog 1 stop", "announce watchdog_expired"]
-
-
 def test_other_legs_do_not_feed_it() -> None:
     robot = Steps()
     robot.command(100, leg_to(1, "start 90"))
@@ -80,84 +51,12 @@ def test_other_legs_do_not_feed_it() -> None:
     assert robot.running == [21, 22, 23]
 
 
-def test_a_command_that_is_held_back_by_the_rate_feeds_it() -> None:
-    robot = Steps(Rules(repeats=0, period_ns=1040 * NS_PER_MS))
-    robot.command(100, leg_to(1, "start 90"))
-    robot.command(200, leg_to(1, "set 80"))
-    assert robot.time(350) == []
-    assert robot.time(360) == ["command 1 set 80", "completed 2"]
-
-
 def test_rejected_commands_do_not_feed_it() -> None:
     robot = Steps(Rules(repeats=0, joint_limits_cdeg={11: (0, 90_00)}))
     robot.command(100, servo_to(11, "start 90"))
     assert robot.command(200, servo_to(12, "set 90")) == ["rejected 2 servo_stopped"]
     assert robot.command(300, servo_to(11, "set 91")) == ["rejected 3 joint_limit"]
     assert robot.time(350) == ["watchdog 1 stop", "announce watchdog_expired"]
-
-
-@pytest.mark.parametrize("late", ["set 90", "start 90"])
-def test_a_command_that_is_late_does_not_save_its_leg(late: str) -> None:
-    """Nobody woke the supervisor at the deadline."""
-    robot = Steps()
-    robot.command(100, leg_to(1, "start 90"))
-    assert robot.command(360, leg_to(1, late)) == [
-        "watchdog 1 stop",
-        "announce watchdog_expired",
-        "rejected 2 servo_stopped",
-    ]
-    assert robot.command(361, leg_to(1, "start 90")) == ["command 1 start 90", "completed 3"]
-    assert watchdog_of(robot)[0] is ARMED
-
-
-def test_a_start_that_waits_too_long_is_never_sent() -> None:
-    robot = Steps(Rules(repeats=0, rest_runs=0, period_ns=4000 * NS_PER_MS))
-    robot.command(100, leg_to(1, "start 90"))
-    robot.command(110, leg_to(1, "stop"))
-    assert robot.command(120, leg_to(1, "start 90")) == []
-    assert robot.due_ms == 370
-    assert robot.time(1200) == ["watchdog 1 stop", "rejected 3 stale", "announce watchdog_expired"]
-    assert robot.time(1300) == []
-
-
-def test_a_rejected_command_takes_no_effect_on_its_other_legs() -> None:
-    robot = Steps(Rules(repeats=0, period_ns=4000 * NS_PER_MS))
-    robot.command(100, legs_to("12", "start 90"), "legs")
-    robot.command(110, legs_to("12", "stop"), "legs")
-    robot.command(120, legs_to("12", "start 90"), "legs")
-    assert robot.command(300, servo_to(21, "start 45")) == []
-    assert robot.time(370)[:2] == ["watchdog 1 stop", "rejected 3 stale"]
-    for at_ms in (500, 700, 900, 1000):
-        robot.command(at_ms, servo_to(21, "start 45"))
-    assert robot.time(1100) == ["command 21 start 45", "completed 8"]
-    assert robot.running == [21]
-
-
-def test_one_silent_leg_stops_all_six_where_the_scope_is_the_robot() -> None:
-    robot = Steps(Rules(repeats=0, whole_robot=True))
-    robot.command(100, leg_to(1, "start 90"))
-    robot.command(200, leg_to(2, "start 90"))
-    robot.command(204, leg_to(2, "set 80"))
-    assert robot.time(350) == [*all_stopped("watchdog"), "rejected 3 stale", "announce watchdog_expired"]
-    assert robot.only(Announce).legs == tuple(LEGS)
-    assert watchdog_of(robot) == [EXPIRED, EXPIRED, IDLE, IDLE, IDLE, IDLE]
-    assert robot.supervisor.expirations == 1
-
-
-def test_waking_up_after_many_deadlines_stops_and_sends_nothing_else() -> None:
-    robot = Steps(Rules(repeats=2))
-    robot.command(100, legs_to("123", "start 90"))
-    robot.command(104, leg_to(2, "stop"))
-    robot.command(104, leg_to(1, "set 80"))
-    assert robot.time(9000) == [
-        "watchdog 1 stop",
-        "watchdog 3 stop",
-        *("repeat 2 stop", "repeat 4 stop", "repeat 5 stop", "repeat 6 stop"),
-        "rejected 3 stale",
-        "announce watchdog_expired",
-        "announce watchdog_expired",
-    ]
-    assert robot.supervisor.expirations == 2
 
 
 # ---- repeats
@@ -186,23 +85,6 @@ def test_repeats_end_when_the_servo_is_started_again() -> None:
     assert robot.time(60) == all_stopped("repeat")[1:]
 
 
-def test_repeats_go_on_while_a_start_waits_for_its_rate_slot() -> None:
-    robot = Steps(Rules(repeats=5, repeat_interval_ns=5 * NS_PER_MS, period_ns=80 * NS_PER_MS))
-    robot.command(100, leg_to(1, "start 90"))
-    robot.command(101, leg_to(1, "stop"))
-    assert robot.command(102, leg_to(1, "start 80")) == []
-    assert "repeat 1 stop" in robot.time(106)
-    assert "command 1 start 80" in robot.time(120)
-    assert "repeat 1 stop" not in robot.time(126)
-
-
-def test_late_repeats_are_not_made_up_in_a_burst() -> None:
-    robot = Steps(Rules(repeats=3))
-    assert robot.time(500) == all_stopped("repeat")
-    assert robot.time(519) == []
-    assert robot.time(520) == all_stopped("repeat")
-
-
 # ---- 5, the emergency stop
 
 
@@ -229,20 +111,6 @@ def test_it_takes_the_place_of_a_watchdogs_stop() -> None:
     assert watchdog_of(robot)[0] == EXPIRED
     robot.estop(252)
     assert watchdog_of(robot) == [IDLE] * 6
-
-
-def test_it_comes_before_frames_whose_rate_slot_has_come() -> None:
-    robot = Steps()
-    robot.command(100, legs_to("12", "start 90"))
-    robot.command(101, legs_to("12", "stop"))
-    robot.command(102, legs_to("12", "start 80"))
-    assert robot.estop(200) == [*all_stopped("estop"), "rejected 3 estopped", "announce estop_engaged"]
-
-
-def test_engaging_twice_sends_the_stops_again() -> None:
-    robot = Steps()
-    robot.estop(100)
-    assert robot.estop(101) == all_stopped("estop")
 
 
 def test_a_reset_leaves_the_latch_and_nothing_moves() -> None:
@@ -289,25 +157,6 @@ def test_a_reset_without_a_number_is_taken_2_s_after_the_latest_emergency_stop()
         "the emergency stop was requested 2.0 s ago; a reset without its number (estop) is accepted after 2 s"
     )
     assert robot.reset_without_number(3000) == ["announce estop_reset", "completed 2"]
-
-
-@pytest.mark.parametrize("newer", [-1, 0, 1])
-def test_with_nothing_latched_a_reset_changes_nothing_whatever_it_names(newer: int) -> None:
-    robot = Steps()
-    robot.estop(100)
-    robot.reset(101)
-    robot.command(102, leg_to(1, "start 90"))
-    assert robot.reset(103, newer=newer) == ["completed 3"]
-    assert robot.reset_without_number(104) == ["completed 4"]
-    assert robot.running == [11, 12, 13]
-
-
-def test_repeats_of_an_emergency_stop_outlast_the_reset() -> None:
-    robot = Steps(Rules(repeats=1))
-    robot.time(20)
-    robot.estop(100)
-    robot.reset(110)
-    assert robot.time(120) == all_stopped("repeat")
 
 
 def test_a_stop_that_left_ahead_of_its_legs_slot_is_not_in_the_frame_of_that_slot() -> None:

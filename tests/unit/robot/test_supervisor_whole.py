@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 
 from gateway.allowance import NS_PER_MS
-from gateway.robot.core.events import Announce, Command
+from gateway.robot.core.events import Announce
 from gateway.robot.core.leg import Rules
 from schemas.telemetry import WatchdogState
 from tests.support.steps import Steps, Targets, all_stopped, leg_to, legs_to, servo_to
@@ -73,38 +73,6 @@ def test_a_start_waits_for_the_last_legs_rate_slot_and_then_leaves_in_one_step()
     assert steps.time(due_ms) == [*STARTED, "completed 5"]
 
 
-def test_a_leg_that_is_set_while_the_start_waits_starts_with_the_others() -> None:
-    steps = running()
-    steps.command(11, leg_to(1, "stop"))
-    assert steps.command(12, legs_to(ALL, "start 90"), "legs") == []
-    assert steps.command(13, leg_to(2, "set 80")) == []
-    due_ms = steps.due_ms
-    assert due_ms is not None
-    assert steps.time(due_ms) == [
-        STARTED[0],
-        "command 2 start 80",
-        "completed 4",
-        *STARTED[2:],
-        "completed 3 coalesced",
-    ]
-
-
-def test_a_stop_while_the_start_waits_leaves_nothing_of_it() -> None:
-    steps = running()
-    steps.command(11, leg_to(1, "stop"))
-    steps.command(12, legs_to(ALL, "start 90"), "legs")
-    words = steps.command(13, servo_to(63, "stop"))
-    assert sorted(words) == sorted([*all_stopped("command"), "completed 3 coalesced", "completed 4"])
-    assert steps.time(60) == []
-    assert steps.running == []
-
-
-def test_messages_that_were_lost_stop_all_that_one_of_them_may_have_stopped() -> None:
-    steps = running()
-    lost = Command(leg_to(2, "stop"), key="leg/2", number=9, lost=True)
-    assert steps.take(20, lost) == [*all_stopped("command"), "completed 9"]
-
-
 def test_one_silent_leg_stops_the_robot_whatever_the_scope_and_the_event_says_why() -> None:
     steps = running(whole_robot=False)
     for leg in "12345":
@@ -115,20 +83,6 @@ def test_one_silent_leg_stops_the_robot_whatever_the_scope_and_the_event_says_wh
         "leg 6 was not heard for 250 ms; all six legs are stopped, since this robot can only be stopped as a whole"
     )
     assert {leg.watchdog for leg in steps.supervisor.legs} == {WatchdogState.EXPIRED}
-
-
-def test_a_stop_during_a_landing_stops_all() -> None:
-    steps = running(landing_ns=1000 * NS_PER_MS)
-    assert steps.time(260) == ["announce landing"]
-    assert steps.command(300, servo_to(11, "stop"))[:6] == all_stopped("command")
-    assert steps.supervisor.legs.landing is None
-
-
-def test_a_start_on_another_channel_in_the_same_instant_is_rejected_for_every_leg() -> None:
-    steps = running()
-    steps.instant_ms = 20
-    steps.command(20, servo_to(11, "stop"), "servo")
-    assert steps.command(21, legs_to(ALL, "start 90"), "legs") == ["rejected 3 servo_stopped"]
 
 
 def test_starts_one_after_the_other_are_no_rules_of_such_a_robot() -> None:
