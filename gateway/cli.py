@@ -15,7 +15,7 @@ from typer.core import TyperCommand, TyperGroup
 from gateway import __version__
 from gateway.errors import ConfigError, GatewayError
 from gateway.model.frames import PROTOCOL_VERSION
-from gateway.onboard import check_command, incidents
+from gateway.onboard import check_command, incidents, setup_command
 from gateway.people.commands import certs
 from gateway.people.commands.options import (
     AdaptOption,
@@ -36,7 +36,7 @@ _PANELS = {
     "Stop": ("estop", "stop", "reset"),
     "Look": ("status", "console", "record", "incidents"),
     "Drive": ("walk", "send", "ros2"),
-    "The robot": ("run", "check", "calibrate", "stop-servos"),
+    "The robot": ("run", "setup", "check", "calibrate", "stop-servos"),
     "People": ("certs",),
     "Files": ("decode",),
 }
@@ -318,6 +318,7 @@ app.add_typer(certs.app, name="certs")
 app.add_typer(recorder.app)
 app.add_typer(incidents.app, name="incidents")
 app.add_typer(check_command.app)
+app.add_typer(setup_command.app)
 app.add_typer(walk_command.app)
 app.add_typer(bridge.app)
 

@@ -25,6 +25,8 @@ from gateway.certs.revocation import RevocationList, Revoked
 from gateway.errors import ConfigError
 
 ROBOT: Final = "robot"
+ROBOT_FILES: Final = ("gateway.json5", "gateway.pem", "gateway.key", "ca.pem")
+"""All that a robot needs of its folder."""
 
 # Letters, digits, - and _: a valid file name on every system, and never a path out of the folder.
 _NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,62}")
@@ -95,11 +97,13 @@ def issue(
         raise ConfigError("nobody dials a laptop: --host is for a robot or a console")
     if not hosts and role not in LAPTOP_ROLES:
         raise ConfigError(f"name at least one host by which the {role} is reached: --host {name}.local")
-    if bundle is not None and role not in LAPTOP_ROLES:
-        raise ConfigError(f"--bundle is for a laptop; {name} is a {role}")
+    if bundle is not None and role == CONSOLE:
+        raise ConfigError(f"--bundle is for a laptop or a robot; {name} is a {role}")
     if role == ROBOT:
         files = _robot(directory / name, ca, _dialled_hosts(hosts), port_of(directory / "gateway.json5"), days, now)
         files[directory / name / "ca.pem"] = FileContent(ca.certificate_pem())
+        if bundle is not None:
+            files |= _bundle(bundle, files, {path.name: content for path, content in files.items()}, now)
     elif role == CONSOLE:
         parsed = _parsed(hosts)
         own = authority.make_web_ca(parsed, now)
@@ -125,20 +129,26 @@ def _laptop(
     laptop = authority.make_laptop(ca, name, _free_common_name(directory, role), days, now)
     files = _pair(directory / name, laptop)
     for robot, folder in robots_of(directory).items():
-        hosts = authority.hosts_of(read_certificate(folder / "gateway.pem"))
+        hosts = hosts_of(folder / "gateway.pem")
         config = directory / (f"{name}.json5" if robot == GATEWAY else f"{name}.{robot}.json5")
         port = port_of(folder / "gateway.json5")
         files[config] = FileContent(zenoh_files.laptop_json5(name, role, hosts, port, config.name))
     if bundle is None:
         return files
-    if bundle in files:
-        raise ConfigError(f"--bundle {bundle} is the place of another file: name it {name}.zip")
     members = {path.name: content for path, content in files.items()}
     configs = [each for each in members if each.endswith(".json5")]
     expiry = f"{laptop.certificate.not_valid_after_utc:%Y-%m-%d}"
     members["ca.pem"] = FileContent(ca.certificate_pem())
     members["README.txt"] = FileContent(zenoh_files.laptop_readme(name, role, expiry, configs))
-    return files | {bundle: FileContent(_zip(members, now), SECRET_MODE)}
+    return files | _bundle(bundle, files, members, now)
+
+
+def _bundle(
+    bundle: Path, files: Iterable[Path], members: dict[str, FileContent], now: dt.datetime
+) -> dict[Path, FileContent]:
+    if bundle in files:
+        raise ConfigError(f"--bundle {bundle} is the place of another file: name it NAME.zip")
+    return {bundle: FileContent(_zip(members, now), SECRET_MODE)}
 
 
 def renew(
@@ -248,6 +258,11 @@ def describe(path: Path) -> Certificate:
     common_name, name = authority.common_name_and_name(found)
     role, span = names.role_of(common_name), (found.not_valid_before_utc, found.not_valid_after_utc)
     return Certificate(path, name, role, common_name, f"{found.serial_number:x}", *span)
+
+
+def hosts_of(path: Path) -> list[str]:
+    """Return the names and addresses that the robot's certificate at `path` is good for. Raises ConfigError."""
+    return authority.hosts_of(read_certificate(path))
 
 
 def robots_of(directory: Path) -> dict[str, Path]:

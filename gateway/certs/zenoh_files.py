@@ -4,6 +4,7 @@ Their paths are relative to the file's own folder (gateway/zenoh_config.py), so 
 anywhere. Every rule has a test with real sessions (tests/zenoh/test_certs_zenoh.py).
 """
 
+import hashlib
 import ipaddress
 import json
 from collections.abc import Sequence
@@ -66,6 +67,8 @@ _GATEWAY = """\
 }
 """
 
+_MARK = b"// `setup` renews the access rules of an unedited file. SHA-256 of the lines above: "
+
 _LAPTOP = """\
 // @NAME@ as @ROLE@, made by `hexapod-gateway certs issue`.
 //   hexapod-gateway status --zenoh-config @FILE@
@@ -109,7 +112,18 @@ def gateway_json5(hosts: Sequence[str], port: int) -> bytes:
     """Return the robot's Zenoh configuration: mTLS on all addresses, access by role, a size limit, no scouting."""
     rules = {"OPERATORS_RULES": (OPERATOR,), "BUTTONS_RULES": (BUTTON,), "EVERYONES_RULES": LAPTOP_ROLES}
     listed = {name: access.rules_for(*roles) for name, roles in rules.items()}
-    return _fill(_GATEWAY, HOSTS=", ".join(hosts), PORT=str(port), RULES=access.rules(), **listed)
+    return marked(_fill(_GATEWAY, HOSTS=", ".join(hosts), PORT=str(port), RULES=access.rules(), **listed))
+
+
+def is_unedited(config: bytes) -> bool:
+    """Return whether a gateway.json5 is as `gateway_json5` made it, in this release or an earlier one."""
+    text, begin, _ = config.rpartition(_MARK)
+    return bool(begin) and config == marked(text)
+
+
+def marked(text: bytes) -> bytes:
+    """Return a gateway.json5 with the line by which `is_unedited` recognises it."""
+    return text + _MARK + hashlib.sha256(text).hexdigest().encode() + b"\n"
 
 
 def command_for_new_rules(file: str, port: int, program: str = "hexapod-gateway") -> str:

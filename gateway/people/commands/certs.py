@@ -53,18 +53,22 @@ def init(
     """
     certs.folder.init(directory, host, days=days, port=port)
     typer.echo(f"Made a CA and the robot's files in {directory}. Leave ca.key here, and keep a copy somewhere safe.")
-    names = ("gateway.json5", "gateway.pem", "gateway.key", "ca.pem")
-    _echo_installation(host[0], " ".join(str(directory / name) for name in names))
+    _echo_installation(host[0], directory)
     typer.echo(
         f"Next, for each laptop: {this_command()} certs issue NAME --role operator --dir {directory} --bundle NAME.zip"
     )
 
 
-def _echo_installation(host: str, files: str) -> None:
+def _echo_installation(host: str, directory: Path, bundle: Path | None = None) -> None:
+    """How a robot gets its files: the zip, or those of its folder without ca.key."""
     typer.echo("The robot's files, and how its service gets them:")
-    typer.echo(f"  ssh {host} mkdir -p -m 700 robot-certs")
-    typer.echo(f"  scp {files} {host}:robot-certs/")
-    typer.echo("and on the robot, in the repository's folder: sudo deploy/install.sh --certs ~/robot-certs")
+    if bundle is not None:
+        typer.echo(f"  scp {bundle} {host}:")
+    else:
+        files = " ".join(str(directory / name) for name in certs.folder.ROBOT_FILES)
+        typer.echo(f"  ssh {host} mkdir -p -m 700 robot-certs")
+        typer.echo(f"  scp {files} {host}:robot-certs/")
+    typer.echo(f"and on the robot: sudo hexapod-gateway setup --certs {bundle.name if bundle else 'robot-certs'}")
 
 
 @app.command(
@@ -83,7 +87,9 @@ def issue(
     host: Hosts = [],  # noqa: B006 (read only)
     bundle: Annotated[
         Path | None,
-        typer.Option(metavar="ZIP", help="Also put all that the laptop needs into this zip, its key included."),
+        typer.Option(
+            metavar="ZIP", help="Also put all that the laptop or robot needs into this zip, its key included."
+        ),
     ] = None,
     days: Days = certs.LEAF_DAYS,
 ) -> None:
@@ -96,7 +102,7 @@ def issue(
     files = " ".join(path.name for path in paths if path != bundle)
     typer.echo(f"Made {name}, {role}, in {directory}: {files}")
     if role == certs.folder.ROBOT:
-        _echo_installation(host[0], " ".join(map(str, paths)))
+        _echo_installation(host[0], directory / name, bundle)
         typer.echo(f"Laptops issued before reach it with --connect tls/{host[0]}:PORT --zenoh-config …")
     elif role == certs.authority.CONSOLE:
         typer.echo(f"Copy {name}.pem and {name}.key to the machine of the console, and there:")
@@ -125,8 +131,10 @@ def renew(
     path = certs.folder.renew(directory, name, hosts=host, days=days)
     made = certs.folder.describe(path)
     is_robot = made.role == certs.authority.GATEWAY
-    where = "the robot, and restart the service" if is_robot else f"{name}'s machine"
-    typer.echo(f"{path} is valid until {made.not_after:%Y-%m-%d}: copy it over the old one on {where}.")
+    where = "" if is_robot else f": copy it over the old one on {name}'s machine"
+    typer.echo(f"{path} is valid until {made.not_after:%Y-%m-%d}{where}.")
+    if is_robot:
+        _echo_installation(certs.folder.hosts_of(path)[0], path.parent)
     if host and is_robot:
         typer.echo(f"Laptops issued before reach that address with --connect tls/{host[0]}:PORT --zenoh-config …")
 

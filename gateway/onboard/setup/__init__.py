@@ -1,0 +1,63 @@
+"""`hexapod-gateway setup`: what an installed package still needs on this robot, each change a sentence.
+
+It changes what differs and states what is already so, so it can be run again at any time.
+"""
+
+import os
+from pathlib import Path
+from typing import NamedTuple
+
+from gateway.errors import GatewayError
+from gateway.onboard.setup import boot, certificates, configuration, service
+from gateway.onboard.setup.machine import ETC, SERVICE, Machine
+from gateway.people.terminal import say
+
+
+class Wanted(NamedTuple):
+    """The command's options."""
+
+    wire: str | None = None
+    framing: str | None = None
+    certs: Path | None = None
+    console: bool = False
+    back: bool = False
+
+
+def setup(machine: Machine, wanted: Wanted) -> int:
+    """Set this machine up, and run `check`; its exit code. Raises GatewayError with one sentence."""
+    try:
+        if wanted.back:
+            service.go_back(machine)
+        else:
+            _set_up(machine, wanted)
+    except OSError as error:
+        raise GatewayError(
+            f"{error.filename or 'setup'}: {error.strerror or error}; nothing after that was done"
+        ) from error
+    return _conclude(machine)
+
+
+def _set_up(machine: Machine, wanted: Wanted) -> None:
+    service.remove_former(machine)
+    stated = configuration.state_wire(machine, wanted.wire, wanted.framing)
+    if wanted.certs is not None:
+        stated = certificates.take(machine, wanted.certs, stated)
+    certificates.refresh(machine)
+    if machine.let_read(ETC, SERVICE):
+        machine.restart_due = True
+    boot.switch_on(machine, device := stated.get("spi", "device", "/dev/spidev0.0"), stated.uart)
+    if not machine.dry:
+        os.sync()  # what a restart runs is what a power cut would leave
+    service.start(machine, device)
+    if wanted.console or machine.show(f"{service.CONSOLE}.socket", "UnitFileState") == "enabled":
+        service.start_console(machine)
+
+
+def _conclude(machine: Machine) -> int:
+    if machine.dry:
+        say("Nothing was changed. Without --dry-run, `check` follows.")
+        return 0
+    if machine.reboot_due:
+        say("Next: sudo reboot; then: sudo hexapod-gateway check")
+        return 0
+    return machine.check()

@@ -1,0 +1,115 @@
+"""The robot's certificates: from a folder, or from the zip of `certs issue`; checked before any file changes."""
+
+import shutil
+import zipfile
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from gateway import certs
+from gateway.certs import zenoh_files
+from gateway.errors import ConfigError
+from gateway.onboard.setup import configuration
+from gateway.onboard.setup.configuration import Configuration
+from gateway.onboard.setup.machine import ETC, Machine, scratch
+from gateway.people.terminal import say
+
+if TYPE_CHECKING:
+    from gateway.certs.folder import Certificate
+
+FOLDER: Final = f"{ETC}/zenoh"
+CONFIG: Final = f"{FOLDER}/gateway.json5"
+_NEEDED: Final = ("gateway.pem", "gateway.key", "ca.pem", "gateway.json5")
+_LIST: Final = "revoked.crl"
+_MOST_BYTES: Final = 1_000_000
+_ISSUE: Final = "make them where ca.key is: hexapod-gateway certs issue NAME --role robot --host HOST --bundle NAME.zip"
+
+
+def take(machine: Machine, source: Path, found: Configuration) -> Configuration:
+    """Bring the files of `source` and let gateway.toml name them; what it states then. Raises ConfigError."""
+    with ExitStack() as stack:
+        folder = source
+        if not source.is_dir():
+            folder = Path(stack.enter_context(scratch()))
+            _unpack(source, folder)
+        _check(folder, source)
+        for name in _NEEDED[:-1]:
+            _put(machine, folder, name)
+        if (folder / _LIST).is_file():
+            _put(machine, folder, _LIST)
+        present = machine.read(CONFIG)
+        if present is None or _is_unedited(present):
+            _put(machine, folder, "gateway.json5")
+        else:
+            say(f"keep {CONFIG}, which somebody has edited")
+        if (folder / "ca.key").exists() and source.is_dir():
+            say(f"{source} has ca.key, which can admit anybody: see that it is on another computer, and delete it here")
+    stated = found.get("zenoh", "config")
+    if stated == CONFIG:
+        say(f"{configuration.FILE} names {CONFIG}")
+    elif stated:
+        say(f'keep zenoh.config = "{stated}" in {configuration.FILE}; to use the certificates, name {CONFIG} there')
+    else:
+        return configuration.write(machine, found, "zenoh", {"config": CONFIG})
+    return found
+
+
+def refresh(machine: Machine) -> None:
+    """Give a gateway.json5 that nobody has edited the access rules of this release."""
+    present = machine.read(CONFIG)
+    if present is None or not _is_unedited(present):
+        return
+    hosts = certs.folder.hosts_of(machine.path(f"{FOLDER}/gateway.pem"))
+    made = zenoh_files.gateway_json5(hosts, certs.folder.port_of(machine.path(CONFIG)))
+    machine.put(CONFIG, made, f"write {CONFIG}: with this release's access rules")
+
+
+def _put(machine: Machine, folder: Path, name: str) -> None:
+    if not machine.put(f"{FOLDER}/{name}", (folder / name).read_bytes()):
+        say(f"{FOLDER}/{name} is the same")
+
+
+def _is_unedited(config: bytes) -> bool:
+    return zenoh_files.is_unedited(config)
+
+
+def _unpack(archive: Path, folder: Path) -> None:
+    """The files that matter, by their names alone. Raises ConfigError."""
+    try:
+        with zipfile.ZipFile(archive) as packed:
+            for member in packed.infolist():
+                name = Path(member.filename).name
+                if member.is_dir() or name.startswith("."):
+                    continue
+                if member.file_size > _MOST_BYTES:
+                    raise ConfigError(f"{archive}: {name} is larger than any certificate")
+                with packed.open(member) as inside, (folder / name).open("wb") as outside:
+                    shutil.copyfileobj(inside, outside)
+    except FileNotFoundError:
+        raise ConfigError(f"there is no {archive}: {_ISSUE}") from None
+    except OSError as error:
+        raise ConfigError(f"cannot read {archive}: {error.strerror}") from error
+    except (zipfile.BadZipFile, RuntimeError, NotImplementedError, EOFError) as error:
+        raise ConfigError(f"{archive} is no folder, and no zip of `certs issue`: {error}; {_ISSUE}") from error
+
+
+def _check(folder: Path, source: Path) -> None:
+    """Raises ConfigError unless these are a robot's files that belong together."""
+    missing = [name for name in _NEEDED if not (folder / name).is_file()]
+    if missing:
+        laptops = [certs.folder.describe(each) for each in folder.glob("*.pem") if each.name != "ca.pem"]
+        theirs = f" It has {_whose(laptops[0])}." if laptops and "gateway.pem" in missing else ""
+        raise ConfigError(f"{source} has no {' and no '.join(missing)}.{theirs} A robot needs its own files: {_ISSUE}")
+    robot = certs.folder.describe(folder / "gateway.pem")
+    if robot.role != certs.authority.GATEWAY:
+        raise ConfigError(f"gateway.pem of {source} is {_whose(robot)}; a robot needs its own files: {_ISSUE}")
+    own, key = certs.files.read_certificate(robot.path), certs.files.read_key(folder / "gateway.key")
+    if key.public_key() != own.public_key():
+        raise ConfigError(f"gateway.key of {source} is not the key of its gateway.pem: copy both from one folder")
+    if not any(certs.authority.is_issued(own, each) for each in certs.files.read_certificates(folder / "ca.pem")):
+        raise ConfigError(f"gateway.pem of {source} is of another authority than its ca.pem: copy both from one folder")
+    certs.folder.port_of(folder / "gateway.json5")
+
+
+def _whose(found: "Certificate") -> str:
+    return f"the certificate of {found.name or found.common_name}, role {found.role}"

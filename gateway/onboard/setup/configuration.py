@@ -1,0 +1,123 @@
+"""gateway.toml: which wire and framing the controller needs. Nobody can find out but a person.
+
+Once the published STM32 firmware has received another framing than its own, it receives nothing until its reset, not
+even a Stop. So `setup` asks before anything is sent.
+"""
+
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import gateway
+from gateway import nesting
+from gateway.errors import ConfigError
+from gateway.model.framing import Framing
+from gateway.model.protocols import SpiProtocol
+from gateway.onboard.setup.machine import ETC, SERVICE, Machine
+from gateway.onboard.setup.toml_text import with_value
+from gateway.people.terminal import say
+
+FILE: Final = f"{ETC}/gateway.toml"
+TEMPLATE: Final = f"/usr/share/{SERVICE}/gateway.toml"
+_SHIPPED: Final = Path(gateway.__file__).parent / "deploy"
+_WIRES: Final = {
+    SpiProtocol.HEXAPOD_1_0: "HexapodProtocol v1.0.0: SPI alone",
+    SpiProtocol.ELKAPOD_2025: "the Elkapod of 2025: SPI and a UART",
+}
+_FRAMINGS: Final = {
+    Framing.LENGTH_PREFIXED: "the published STM32 firmware (after a plain frame, only a reset makes it receive again)",
+    Framing.PLAIN: "a controller written to the protocol document",
+}
+
+
+class Configuration(NamedTuple):
+    """gateway.toml's text, and what of it matters here."""
+
+    text: str
+    tables: Mapping[str, Any]
+
+    def get(self, table: str, name: str, default: str = "") -> str:
+        """A value; `default` if it is not stated. Raises ConfigError if the table is no table."""
+        found = self.tables.get(table, {})
+        if not isinstance(found, dict):
+            raise ConfigError(f"{FILE}: [{table}] is no table; fix it there")
+        return str(found.get(name, default))
+
+    @property
+    def uart(self) -> str | None:
+        """The controller's UART, with a wire that has one."""
+        measures = self.get("spi", "protocol") == SpiProtocol.ELKAPOD_2025
+        return self.get("controller", "uart", "/dev/ttyAMA1") if measures else None
+
+
+def shipped(name: str) -> bytes:
+    """A file that this release ships in deploy/. Raises ConfigError."""
+    try:
+        return (_SHIPPED / name).read_bytes()
+    except OSError as error:
+        raise ConfigError(
+            f"{_SHIPPED / name}: {error.strerror}; install it anew: sudo apt install --reinstall {SERVICE}"
+        ) from error
+
+
+def read(machine: Machine) -> Configuration:
+    """The robot's file; where there is none, the template. Raises ConfigError."""
+    data = machine.read(FILE) or machine.read(TEMPLATE) or shipped("gateway.toml")
+    try:
+        return Configuration(data.decode("utf-8-sig"), nesting.read_toml(data))
+    except ValueError as error:
+        raise ConfigError(f"{FILE} {error}; fix it there") from error
+
+
+def state_wire(machine: Machine, wire: str | None, framing: str | None) -> Configuration:
+    """Let the file state the wire, and the framing where the wire has any; ask a person who gave neither."""
+    found = read(machine)
+    stated = {name: found.get("spi", name) for name in ("protocol", "framing")}
+    if wire is None and framing is None and not any(stated.values()):
+        wire = _ask("wire", _WIRES)
+    wanted = {"protocol": wire or stated["protocol"] or SpiProtocol.HEXAPOD_1_0}
+    if wanted["protocol"] == SpiProtocol.HEXAPOD_1_0:
+        wanted["framing"] = framing or stated["framing"] or _ask("framing", _FRAMINGS)
+        if not stated["protocol"]:
+            del wanted["protocol"]  # the default
+    elif framing is not None:
+        raise ConfigError(f"--framing is for {SpiProtocol.HEXAPOD_1_0}; leave it out with {wanted['protocol']}")
+    changes = {name: value for name, value in wanted.items() if value != stated[name]}
+    for name, value in wanted.items():
+        if name not in changes:
+            say(f'{FILE} states {name} = "{value}"')
+    return write(machine, found, "spi", changes)
+
+
+def write(machine: Machine, found: Configuration, table: str, changes: Mapping[str, str]) -> Configuration:
+    """The file with these values of one table, and everything else as it was. Raises ConfigError."""
+    text = found.text
+    for name, value in changes.items():
+        try:
+            text = with_value(text, table, name, value)
+        except ConfigError as error:
+            raise ConfigError(f"{FILE} {error}") from None
+    new = "made from the template, " if machine.read(FILE) is None else ""
+    stated = " and ".join(f'{name} = "{value}"' for name, value in changes.items())
+    if changes or new:
+        machine.put(FILE, text.encode(), f"write {FILE}: {new}with {stated or 'its own values'}")
+    return Configuration(text, nesting.read_toml(text.encode()))
+
+
+def _ask(what: str, choices: Mapping[Any, str]) -> str:
+    """Ask at the terminal. Raises ConfigError if nobody is there."""
+    names = [str(each) for each in choices]
+    if not sys.stdin.isatty():
+        each = "; ".join(f"{name} ({meaning})" for name, meaning in choices.items())
+        raise ConfigError(f"which {what} does the controller need? State it: --{what} {' or '.join(names)}: {each}")
+    say(f"Which {what} does the controller need?")
+    for name, meaning in choices.items():
+        say(f"  {name:<16} {meaning}")
+    while True:
+        try:
+            answer = input(f"{' or '.join(names)}? ").strip()
+        except EOFError:
+            raise ConfigError(f"nobody answered: state it with --{what}") from None
+        if answer in names:
+            return answer

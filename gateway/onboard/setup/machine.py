@@ -1,0 +1,178 @@
+"""The robot's computer as `setup` changes it: each change is a sentence, and in a dry run nothing else."""
+
+import os
+import stat
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Final
+
+from gateway import durable
+from gateway.errors import ConfigError, GatewayError
+from gateway.onboard.setup import servos
+from gateway.own_command import command
+from gateway.people.terminal import say
+
+SERVICE: Final = "hexapod-gateway"
+ETC: Final = f"/etc/{SERVICE}"
+KEPT_CONFIGURATION: Final = f"/run/{SERVICE}/gateway.toml"
+"""The service's own copy, written at its start."""
+_MOST_BYTES: Final = 1_000_000
+_COMMAND_S: Final = 120
+"""Longer than the unit's TimeoutStopSec and TimeoutStartSec together."""
+
+Run = Callable[[Sequence[str]], "subprocess.CompletedProcess[str]"]
+
+
+def _run(words: Sequence[str]) -> "subprocess.CompletedProcess[str]":
+    """Raises GatewayError."""
+    try:
+        return subprocess.run(words, capture_output=True, text=True, check=False, timeout=_COMMAND_S)
+    except FileNotFoundError:
+        raise GatewayError(f"there is no {words[0]}: the service needs a computer that runs systemd") from None
+    except subprocess.TimeoutExpired:
+        raise GatewayError(f"{' '.join(words)} has not ended after {_COMMAND_S} s; see: systemctl") from None
+
+
+class Machine:
+    """A computer whose files are below `root`, and whose programs `run` starts; other ones in tests."""
+
+    def __init__(self, root: Path = Path("/"), run: Run = _run, *, dry: bool = False, force: bool = False) -> None:
+        self.root = root
+        self.run = run
+        self.dry = dry
+        self.force = force
+        self.reboot_due = False
+        self.restart_due = False
+        """Whether something was changed that the service reads at its start."""
+
+    def path(self, absolute: str) -> Path:
+        """A path of this computer."""
+        return self.root / absolute.lstrip("/")
+
+    def change(self, sentence: str, act: Callable[[], object]) -> None:
+        """State a change, and make it."""
+        say(sentence)
+        if not self.dry:
+            act()
+
+    def read(self, absolute: str) -> bytes | None:
+        """A file's content; None if there is none, or nothing in it, as after a power cut. Raises ConfigError."""
+        try:
+            data = durable.read(self.path(absolute), _MOST_BYTES)
+        except PermissionError:
+            raise ConfigError(f"{absolute} is for root to read: begin the command with sudo") from None
+        except ValueError as error:
+            raise ConfigError(f"{absolute} {error}") from None
+        return data if data is not None and data.strip(b"\0 \t\r\n") else None
+
+    def put(self, absolute: str, data: bytes, sentence: str = "", *, group: str = SERVICE) -> bool:
+        """Write a file for root and `group` if it differs; after a power cut it is the old or the new one, whole."""
+        if self.read(absolute) == data:
+            return False
+        if group == SERVICE:
+            self.will_restart()
+        self.change(sentence or f"write {absolute}", lambda: self._write(absolute, data, group))
+        return True
+
+    def _write(self, absolute: str, data: bytes, group: str) -> None:
+        path, gid = self.path(absolute), self.gid(group)
+        if not path.parent.is_dir():
+            path.parent.mkdir(0o750, parents=True)
+            os.chown(path.parent, -1, gid)
+        durable.write_with_mode(path, data, 0o640, prepare=lambda descriptor: os.fchown(descriptor, -1, gid))
+
+    def gid(self, group: str) -> int:
+        """A group's number. Raises ConfigError."""
+        for line in self.path("/etc/group").read_text().splitlines():
+            name, _, number, *_ = line.split(":")
+            if name == group:
+                return int(number)
+        raise ConfigError(f"there is no group {group}, which the package makes: sudo apt install --reinstall {SERVICE}")
+
+    def let_read(self, absolute: str, group: str) -> bool:
+        """Give a folder to root and this group, and to nobody else: `scp` leaves a key as 0600. True: it was not so."""
+        folder = self.path(absolute)
+        if not folder.is_dir():
+            return False
+        gid = self.gid(group)
+        wrong = [path for path in (folder, *folder.rglob("*")) if not path.is_symlink() and _is_wrong(path, gid)]
+
+        def give() -> None:
+            for path in wrong:
+                os.chown(path, os.geteuid(), gid)
+                path.chmod(0o750 if path.is_dir() else 0o640)
+
+        if wrong:
+            self.change(f"let {group} read all of {absolute}, and nobody else (root:{group})", give)
+        return bool(wrong)
+
+    def check(self) -> int:
+        """Run `check`, and return its exit code. In another process: after --back it is another release's."""
+        installed = self.path(f"/usr/bin/{SERVICE}")
+        own = [str(installed)] if installed.exists() else [sys.executable, "-m", "gateway"]
+        return subprocess.run([*own, "check"], check=False).returncode
+
+    # ---- systemd
+
+    def systemctl(self, *words: str, check: bool = True) -> str:
+        """What systemctl prints. Raises GatewayError with its first line if it fails."""
+        done = self.run(["systemctl", *words])
+        if check and done.returncode:
+            why = (done.stderr.strip() or f"exit code {done.returncode}").splitlines()[0]
+            raise GatewayError(f"systemctl {' '.join(words)} failed: {why}")
+        return done.stdout.strip()
+
+    def show(self, unit: str, name: str) -> str:
+        """One property of a unit."""
+        return self.systemctl("show", f"--property={name}", "--value", unit, check=False)
+
+    def is_active(self, unit: str) -> bool:
+        """Whether a unit runs, or is about to."""
+        return self.show(unit, "ActiveState") in ("active", "activating", "reloading")
+
+    def enable(self, *units: str) -> None:
+        """Let units start with the machine, if they do not."""
+        missing = [unit for unit in units if self.show(unit, "UnitFileState") != "enabled"]
+        if missing:
+            self.change(
+                f"enable {' and '.join(missing)}: starts with the machine",
+                lambda: self.systemctl("enable", "--quiet", *missing),
+            )
+
+    def will_restart(self) -> None:
+        """Call before each change to what the service reads. Raises GatewayError while a servo runs."""
+        if not (self.restart_due or self.dry or self.force):
+            no_servo_runs(self)
+        self.restart_due = True
+
+
+def no_servo_runs(machine: Machine) -> None:
+    """Raises GatewayError if a restart of the service would stop a servo, or nobody knows."""
+    process = int(machine.show(SERVICE, "MainPID") or 0)
+    if not process:
+        return
+    runs = servos.any_runs(machine.path(servos.FILE))
+    if runs is None:
+        raise GatewayError(
+            "the service does not say whether a servo runs, and a restart would stop it: see that none does, and add "
+            "--force"
+        )
+    if runs:
+        raise GatewayError(
+            f"a servo runs, and a restart would stop it: stop the robot ({command('stop')}) and run setup again, or "
+            "add --force"
+        )
+
+
+def _is_wrong(path: Path, gid: int) -> bool:
+    status = path.stat()
+    mode, needed = stat.S_IMODE(status.st_mode), 0o050 if path.is_dir() else 0o040
+    return status.st_gid != gid or status.st_uid != os.geteuid() or bool(mode & 0o027) or mode & needed != needed
+
+
+def scratch() -> "tempfile.TemporaryDirectory[str]":
+    """A folder of root's own, gone afterwards."""
+    return tempfile.TemporaryDirectory(prefix=f"{SERVICE}.")

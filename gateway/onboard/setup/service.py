@@ -1,0 +1,180 @@
+"""Starts the service and the console, and goes back to the payload that the package kept."""
+
+import os
+import re
+import shutil
+import time
+from functools import partial
+from pathlib import Path
+from typing import Final
+
+from gateway import durable
+from gateway.errors import GatewayError
+from gateway.onboard.setup import configuration
+from gateway.onboard.setup.machine import ETC, KEPT_CONFIGURATION, SERVICE, Machine, no_servo_runs
+from gateway.people.terminal import say
+
+PAYLOADS: Final = f"/usr/lib/{SERVICE}"
+CURRENT: Final = f"{PAYLOADS}/current"
+CONSOLE: Final = "hexapod-console"
+_CONSOLE_OPTIONS: Final = f"/etc/{CONSOLE}/console.conf"
+_CONSOLE_STATE: Final = f"/var/lib/{CONSOLE}"
+_LISTENS_S: Final = 60
+"""On a busy Pi the console takes some seconds until it listens."""
+_PAUSE_S: Final = 0.2
+
+_PACKAGED: Final = f"/usr/lib/systemd/system/{SERVICE}.service"
+_FORMER: Final = (
+    *(f"/etc/systemd/system/{unit}" for unit in (f"{SERVICE}.service", f"{CONSOLE}.service", f"{CONSOLE}.socket")),
+    f"/etc/udev/rules.d/60-{SERVICE}.rules",
+    f"/usr/local/bin/{SERVICE}",
+    f"/opt/{SERVICE}",
+)
+"""Of the installer before the package: these would go before the package's own."""
+
+
+def remove_former(machine: Machine) -> None:
+    """Remove what the former installer made, if the package is installed. Configuration and state stay."""
+    found = [each for each in _FORMER if os.path.lexists(machine.path(each))]
+    if not found or not machine.path(_PACKAGED).exists():
+        return
+    machine.will_restart()
+    for each in found:
+        machine.change(f"remove {each}, of the former installer", partial(_remove, machine.path(each)))
+    if not machine.dry:
+        machine.systemctl("daemon-reload")
+
+
+def _remove(path: Path) -> None:
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path)
+    else:
+        path.unlink()
+
+
+def start(machine: Machine, device: str) -> None:
+    """Let the service run with what is set up now. Raises GatewayError."""
+    machine.enable(SERVICE)
+    simulated = "--sim" in machine.show(SERVICE, "Environment")
+    if machine.is_active(SERVICE):
+        if machine.restart_due or _is_outdated(machine):
+            if not (machine.dry or machine.force):
+                no_servo_runs(machine)
+            machine.change("restart the service: all legs stop", lambda: _start(machine, SERVICE))
+        else:
+            say("the service runs with all of this")
+    elif machine.path(device).exists() or simulated:
+        machine.change("start the service", lambda: _start(machine, SERVICE))
+    elif machine.reboot_due:
+        say("the service starts with the reboot")
+    else:
+        say(f"not started: there is no {device}; once there is: sudo systemctl start {SERVICE}")
+
+
+def _is_outdated(machine: Machine) -> bool:
+    """Whether a file was changed since the service's start, as by a `setup` that was interrupted."""
+    kept = machine.path(KEPT_CONFIGURATION)
+    if not kept.exists():
+        return False
+    if machine.read(KEPT_CONFIGURATION) != machine.read(configuration.FILE):
+        return True
+    begun = kept.stat().st_mtime_ns
+    return any(each.stat().st_mtime_ns > begun for each in machine.path(f"{ETC}/zenoh").glob("*"))
+
+
+def _start(machine: Machine, unit: str) -> None:
+    """Also after so many failed starts that systemd begins no other."""
+    machine.systemctl("reset-failed", unit, check=False)
+    try:
+        machine.systemctl("restart", unit)
+    except GatewayError as error:
+        raise GatewayError(
+            f"{unit} does not start: {_last_words(machine, unit) or error}; journalctl -u {unit} shows why"
+        ) from None
+
+
+def _last_words(machine: Machine, unit: str) -> str:
+    shown = machine.run(["journalctl", f"--unit={unit}", "--lines=30", "--output=cat"]).stdout
+    found = [line for line in shown.splitlines() if line.startswith(f"{SERVICE}: ")]
+    return found[-1].removeprefix(f"{SERVICE}: ") if found else ""
+
+
+def start_console(machine: Machine) -> None:
+    """Let the web console run as a service of its own, on loopback unless its socket unit has another address."""
+    readable = machine.let_read(f"/etc/{CONSOLE}", CONSOLE)
+    if machine.read(_CONSOLE_OPTIONS) is None:
+        machine.put(_CONSOLE_OPTIONS, configuration.shipped("systemd/console.conf"), group=CONSOLE)
+    machine.enable(f"{CONSOLE}.service", f"{CONSOLE}.socket")
+    if machine.is_active(f"{CONSOLE}.service") and not readable:
+        say("the console runs")
+        return
+    if machine.is_active(f"{CONSOLE}.service") and not (machine.dry or machine.force):
+        no_servo_runs(machine)  # its pages may drive
+    machine.change(
+        "start the console; a link for a browser: sudo hexapod-gateway console --link", lambda: _begin(machine)
+    )
+
+
+def _begin(machine: Machine) -> None:
+    """systemd counts it as started with its process, which may still find a file that it cannot read."""
+    since_s = time.time() - 1
+    try:
+        machine.systemctl("start", f"{CONSOLE}.socket")
+    except GatewayError:
+        raise GatewayError(
+            f"another program has the console's port (sudo ss -ltnp names it); for another port: "
+            f"sudo systemctl edit {CONSOLE}.socket"
+        ) from None
+    _start(machine, f"{CONSOLE}.service")
+    until_s = time.monotonic() + _LISTENS_S
+    while not any(each.stat().st_mtime > since_s for each in machine.path(_CONSOLE_STATE).glob("console-*.json")):
+        if not machine.is_active(f"{CONSOLE}.service"):
+            raise GatewayError(
+                f"the console started and ended: {_last_words(machine, CONSOLE)}; journalctl -u {CONSOLE}"
+            )
+        if time.monotonic() > until_s:
+            raise GatewayError(f"the console does not listen after {_LISTENS_S} s: journalctl -u {CONSOLE} shows why")
+        time.sleep(_PAUSE_S)
+
+
+def go_back(machine: Machine) -> None:
+    """Let the payload run that the package kept: no network, no package. Raises GatewayError."""
+    link = machine.path(CURRENT)
+    now = link.resolve()
+    kept = [each for each in machine.path(PAYLOADS).glob("*") if _is_payload(each) and each.resolve() != now]
+    if not kept:
+        raise GatewayError(
+            f"{PAYLOADS} has no other release than {now.name}; with its package: "
+            f"sudo apt install --allow-downgrades ./{SERVICE}_VERSION_ARCH.deb"
+        )
+    before = max(kept, key=lambda each: (each.suffix == ".kept", each.stat().st_mtime_ns))
+    if machine.is_active(SERVICE) and not (machine.dry or machine.force):
+        no_servo_runs(machine)
+    machine.change(f"go back from {now.name} to {before.name}, and restart the service", lambda: _turn(machine, before))
+
+
+def _is_payload(folder: Path) -> bool:
+    return not folder.is_symlink() and (folder / "gateway/__init__.py").is_file()
+
+
+def _turn(machine: Machine, to: Path) -> None:
+    link = machine.path(CURRENT)
+    was = link.readlink()
+    _lead(link, Path(to.name) if not was.is_absolute() else Path(re.sub(r"[^/]+$", to.name, str(was))))
+    running = [each for each in (SERVICE, f"{CONSOLE}.service") if machine.is_active(each)]
+    try:
+        for unit in running:
+            _start(machine, unit)
+    except GatewayError as error:
+        _lead(link, was)
+        for unit in running:
+            _start(machine, unit)
+        raise GatewayError(f"{to.name} does not run, so {was.name} runs again: {error}") from None
+
+
+def _lead(link: Path, to: Path) -> None:
+    staged = link.with_name(f"{link.name}.new")
+    staged.unlink(missing_ok=True)
+    staged.symlink_to(to)
+    staged.replace(link)
+    durable.sync(link.parent)

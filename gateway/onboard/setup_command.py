@@ -1,0 +1,71 @@
+"""The command line of `setup`, apart from its parts: an emergency stop from a shell does not load these."""
+
+import os
+import sys
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from gateway.errors import ConfigError
+
+app = typer.Typer()
+
+
+@app.command(
+    epilog="Example: sudo hexapod-gateway setup --framing length-prefixed --certs robot.zip\n\n"
+    "Example: hexapod-gateway setup --wire elkapod-2025 --dry-run"
+)
+def setup(
+    wire: Annotated[
+        Literal["hexapod-1.0", "elkapod-2025"] | None,
+        typer.Option(
+            help="What the controller speaks. hexapod-1.0: HexapodProtocol v1.0.0, SPI. elkapod-2025: SPI and a UART."
+        ),
+    ] = None,
+    framing: Annotated[
+        Literal["length-prefixed", "plain"] | None,
+        typer.Option(
+            help="With hexapod-1.0. length-prefixed: the published STM32 firmware. plain: a controller written to the "
+            "protocol document."
+        ),
+    ] = None,
+    certs: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FOLDER|ZIP",
+            callback=lambda path: path and path.expanduser(),
+            help="The robot's certificates: a folder with gateway.pem, gateway.key, ca.pem and gateway.json5, or the "
+            "zip of `certs issue --role robot --bundle`.",
+        ),
+    ] = None,
+    console: Annotated[
+        bool, typer.Option("--console", help="Also the web console, as a service of its own on 127.0.0.1:8080.")
+    ] = False,
+    back: Annotated[
+        bool, typer.Option("--back", help="Go back to the release that the last upgrade kept; needs no network.")
+    ] = False,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Print each change as a sentence, and change nothing.")
+    ] = False,
+    force: Annotated[
+        bool, typer.Option("--force", help="Also while a servo runs: the restart stops all legs.")
+    ] = False,
+) -> None:
+    """Set this robot up after the package was installed, and run `check`. Run it again at any time.
+
+    It asks which wire and framing the controller needs and writes them to /etc/hexapod-gateway/gateway.toml, where
+    comments and all other settings stay. It switches SPI on (Raspberry Pi OS), frees the controller's UART, takes
+    certificates, and starts the service. It changes what differs, and states what is already so.
+
+    It restarts the service only if something has changed that the service reads, and never while a servo runs.
+    """
+    if os.geteuid() and not dry_run:
+        raise ConfigError("setup needs root: begin the command with sudo; --dry-run shows what it would do")
+    from gateway.onboard.setup import Wanted
+    from gateway.onboard.setup import setup as set_up
+    from gateway.onboard.setup.machine import Machine
+
+    if back and (wire or framing or certs or console):
+        raise ConfigError("--back goes with --dry-run and --force alone")
+    sys.exit(set_up(Machine(dry=dry_run, force=force), Wanted(wire, framing, certs, console, back)))

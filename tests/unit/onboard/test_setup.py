@@ -1,0 +1,444 @@
+"""`setup` on a folder as the robot's computer: what it writes, what it leaves alone, and in which sentences."""
+
+import re
+import shutil
+import stat
+import time
+import tomllib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from gateway import certs
+from gateway.certs import zenoh_files
+from gateway.errors import ConfigError, GatewayError
+from gateway.onboard.setup.boot import overlay_is_on, spi_is_on, with_overlay, with_spi, without_console
+from gateway.onboard.setup.toml_text import with_value
+from gateway.people.commands import certs as commands
+from tests.unit.onboard.computer import CONFIG_TXT, TEMPLATE, TOML, Computer
+
+ZENOH = "/etc/hexapod-gateway/zenoh"
+STOCK = "# Raspberry Pi OS\n#dtparam=spi=on\ndtoverlay=vc4-kms-v3d\n"
+
+
+@pytest.fixture
+def computer(tmp_path: Path) -> Computer:
+    return Computer(tmp_path)
+
+
+# ---- text
+
+
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [
+        ("", '\n[spi]\nframing = "plain"\n'),
+        ('[spi]\nframing = "x" # mine\n', '[spi]\nframing = "plain" # mine\n'),
+        ('[spi]\n# framing = "x"\n# a comment\n', '[spi]\nframing = "plain"\n# a comment\n'),
+        (
+            "[ spi ]\nspeed_hz = 1\n[lease]\n# framing = 1\n",
+            '[ spi ]\nframing = "plain"\nspeed_hz = 1\n[lease]\n# framing = 1\n',
+        ),
+        (
+            "spi.speed_hz = 1\n[lease]\nttl_ms = 900\n",
+            'spi.framing = "plain"\nspi.speed_hz = 1\n[lease]\nttl_ms = 900\n',
+        ),
+        ("spi.framing = 'x'\n", 'spi.framing = "plain"\n'),
+    ],
+)
+def test_one_value_changes_and_everything_else_stays(before: str, after: str) -> None:
+    changed = with_value(before, "spi", "framing", "plain")
+    assert changed.lstrip("\n") == after.lstrip("\n")
+
+
+@pytest.mark.parametrize("text", ['spi = { framing = "x" }\n', '[spi]\nframing = """x\n"""\n', '"spi".framing = "x"\n'])
+def test_a_text_that_a_person_has_to_change(text: str) -> None:
+    with pytest.raises(ConfigError, match="a person has to change"):
+        with_value(text, "spi", "framing", "plain")
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["dtparam=spi=on\n", "dtparam=i2c_arm=on,spi=on\n", "[cm4]\notg_mode=1\n[all]\ndtparam=spi=on\n", "dtparam=spi\n"],
+)
+def test_where_spi_is_on(text: str) -> None:
+    assert spi_is_on(text)
+
+
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [
+        ("dtparam=spi=off\n", "dtparam=spi=on\n"),
+        ("", "dtparam=spi=on\n"),
+        (STOCK, STOCK.replace("#dtparam", "dtparam")),
+        ("dtoverlay=vc4-kms-v3d\n", "dtparam=spi=on\ndtoverlay=vc4-kms-v3d\n"),
+        ("[cm4]\ndtparam=spi=on\n", "dtparam=spi=on\n[cm4]\ndtparam=spi=on\n"),
+        ("[cm4]\n#dtparam=spi=on\n", "dtparam=spi=on\n[cm4]\n#dtparam=spi=on\n"),
+    ],
+)
+def test_where_it_is_not_it_is_switched_on_for_every_pi(before: str, after: str) -> None:
+    """Outside any filter and before any overlay."""
+    assert not spi_is_on(before)
+    assert with_spi(before) == after
+    assert spi_is_on(after)
+
+
+@pytest.mark.parametrize(
+    ("before", "on"),
+    [
+        ("dtoverlay=uart1-pi5,ctsrts\n", True),
+        ("[pi5]\ndtoverlay=uart1-pi5\n", True),
+        ("[pi4]\ndtoverlay=uart1-pi5\n", False),
+        ("", False),
+    ],
+)
+def test_an_overlay(before: str, on: bool) -> None:
+    assert overlay_is_on(before, "uart1-pi5") is on
+    assert overlay_is_on(with_overlay(before, "uart1-pi5"), "uart1-pi5")
+
+
+def test_the_console_leaves_the_controllers_uart_alone() -> None:
+    line = "console=serial0,115200 console=tty1 root=PARTUUID=1 console=ttyAMA1\n"
+    assert without_console(line, {"ttyAMA1"}) == "console=serial0,115200 console=tty1 root=PARTUUID=1\n"
+    assert without_console(line, {"ttyAMA1", "serial0"}) == "console=tty1 root=PARTUUID=1\n"
+
+
+# ---- a whole run
+
+
+def test_a_new_pi(computer: Computer, capsys: pytest.CaptureFixture[str]) -> None:
+    """A dry run states the same changes and makes none; a second run has nothing to change."""
+    computer.write(CONFIG_TXT, STOCK)
+    before = computer.files()
+    assert computer.set_up(dry=True, framing="plain") == 0
+    promised = capsys.readouterr().out.splitlines()
+    assert computer.files() == before
+    assert computer.systemd.calls == []
+    assert computer.set_up(framing="plain") == 0
+    done = capsys.readouterr().out.splitlines()
+    assert done[:-1] == promised[:-1]
+    assert done == [
+        f'write {TOML}: with framing = "plain"',
+        f"switch SPI on (dtparam=spi=on) in {CONFIG_TXT}: a reboot is due",
+        "enable hexapod-gateway: starts with the machine",
+        "the service starts with the reboot",
+        "Next: sudo reboot; then: sudo hexapod-gateway check",
+    ]
+    assert computer.read(TOML) == TEMPLATE.read_text().replace('# framing = "plain"', 'framing = "plain"')
+    assert spi_is_on(computer.read(CONFIG_TXT))
+    changed = computer.files()
+    computer.set_up()
+    assert capsys.readouterr().out.splitlines() == [
+        f'{TOML} states framing = "plain"',
+        f"SPI is on in {CONFIG_TXT}, and /dev/spidev0.0 is not there: a reboot is due",
+        "the service starts with the reboot",
+        "Next: sudo reboot; then: sudo hexapod-gateway check",
+    ]
+    assert computer.files() == changed
+
+
+def test_after_the_reboot_it_starts_the_service_and_checks(
+    computer: Computer, capsys: pytest.CaptureFixture[str]
+) -> None:
+    computer.write("/dev/spidev0.0", "")
+    computer.set_up(framing="plain")
+    assert capsys.readouterr().out.splitlines()[-2:] == ["start the service", "(check)"]
+    assert computer.systemd.calls[-1] == "restart hexapod-gateway"
+    calls = list(computer.systemd.calls)
+    computer.set_up()
+    assert "the service runs with all of this" in capsys.readouterr().out.splitlines()
+    assert computer.systemd.calls == calls
+
+
+def test_another_framing_restarts_the_service(computer: Computer, capsys: pytest.CaptureFixture[str]) -> None:
+    computer.write(TOML, '# mine\nspi.framing = "plain"\n', 0o640)
+    computer.systemd.unit("hexapod-gateway", ActiveState="active", UnitFileState="enabled")
+    computer.set_up(framing="length-prefixed")
+    assert computer.read(TOML) == '# mine\nspi.framing = "length-prefixed"\n'
+    assert "restart the service: all legs stop" in capsys.readouterr().out.splitlines()
+
+
+def test_a_restart_that_an_interrupted_setup_left_out(computer: Computer, capsys: pytest.CaptureFixture[str]) -> None:
+    computer.write(TOML, 'spi.framing = "plain"\n', 0o640)
+    computer.write("/run/hexapod-gateway/gateway.toml", "")
+    computer.systemd.unit("hexapod-gateway", ActiveState="active", UnitFileState="enabled")
+    computer.set_up()
+    assert "restart the service: all legs stop" in capsys.readouterr().out.splitlines()
+
+
+@pytest.mark.parametrize(
+    ("servos", "fault"),
+    [("{now} 1", "a servo runs"), ("1 0", "does not say whether a servo runs"), ("{now} 0", "")],
+)
+def test_while_a_servo_runs_nothing_changes(computer: Computer, servos: str, fault: str) -> None:
+    computer.write("/dev/spidev0.0", "")
+    computer.systemd.unit("hexapod-gateway", ActiveState="active", UnitFileState="enabled", MainPID="1")
+    computer.write("/run/hexapod-gateway/servos", servos.format(now=time.monotonic_ns()))
+    before = computer.files()
+    if not fault:
+        assert computer.set_up(framing="plain") == 0
+        return
+    with pytest.raises(GatewayError, match=fault):
+        computer.set_up(framing="plain")
+    assert computer.files() == before
+    assert computer.set_up(framing="plain", force=True) == 0
+    assert computer.systemd.calls[-1] == "restart hexapod-gateway"
+
+
+@pytest.mark.parametrize(
+    ("text", "options", "fault"),
+    [
+        ("", {}, "which wire does the controller need\\? State it: --wire hexapod-1.0 or elkapod-2025"),
+        ("", {"wire": "hexapod-1.0"}, "which framing does the controller need\\? State it: --framing"),
+        ("", {"wire": "elkapod-2025", "framing": "plain"}, "--framing is for hexapod-1.0"),
+        ("framing = ", {"framing": "plain"}, "gateway.toml is not TOML"),
+        ("spi = 1", {"framing": "plain"}, "is no table"),
+        ("spi = {}", {"framing": "plain"}, "a person has to change"),
+        ("", {"framing": "plain", "certs": Path("/nowhere.zip")}, "there is no /nowhere.zip"),
+    ],
+)  # fmt: skip
+def test_what_it_rejects_in_a_sentence(computer: Computer, text: str, options: dict[str, Any], fault: str) -> None:
+    computer.write(TOML, text or TEMPLATE.read_text(), 0o640)
+    with pytest.raises(ConfigError, match=fault):
+        computer.set_up(**options)
+    assert computer.systemd.calls == []
+
+
+def test_an_empty_file_is_made_anew(computer: Computer) -> None:
+    """A power cut leaves some files empty, or full of zeros."""
+    computer.write(TOML, "\0" * 100, 0o640)
+    computer.set_up(framing="plain")
+    assert tomllib.loads(computer.read(TOML))["spi"] == {"framing": "plain"}
+
+
+def test_a_service_that_does_not_start(computer: Computer) -> None:
+    computer.write("/dev/spidev0.0", "")
+    computer.systemd.is_broken = lambda: True
+    computer.systemd.journal = "hexapod-gateway: spi.speed_hz is too fast\nsomething else\n"
+    with pytest.raises(GatewayError, match=r"hexapod-gateway does not start: spi.speed_hz is too fast; journalctl"):
+        computer.set_up(framing="plain")
+
+
+def test_the_elkapod_on_a_pi_5(computer: Computer, capsys: pytest.CaptureFixture[str]) -> None:
+    """Its UART is switched on, and freed of console and login."""
+    computer.write(CONFIG_TXT, "dtparam=spi=on\n")
+    computer.write("/proc/device-tree/model", "Raspberry Pi 5 Model B Rev 1.0\0")
+    computer.write("/boot/firmware/cmdline.txt", "console=ttyAMA1,115200 console=tty1 root=PARTUUID=1\n")
+    computer.systemd.unit("serial-getty@ttyAMA1.service", ActiveState="active")
+    computer.set_up(wire="elkapod-2025")
+    assert tomllib.loads(computer.read(TOML))["spi"] == {"protocol": "elkapod-2025"}
+    assert overlay_is_on(computer.read(CONFIG_TXT), "uart1-pi5")
+    assert computer.read("/boot/firmware/cmdline.txt") == "console=tty1 root=PARTUUID=1\n"
+    assert "disable --quiet --now serial-getty@ttyAMA1.service" in computer.systemd.calls
+    capsys.readouterr()
+    computer.set_up(dry=True)
+    assert (
+        "/dev/ttyAMA1 is on in /boot/firmware/config.txt, and is not there: a reboot is due" in capsys.readouterr().out
+    )
+
+
+def test_what_the_former_installer_left(computer: Computer) -> None:
+    """Its units would go before the package's; without a package they are what runs."""
+    unit = computer.write("/etc/systemd/system/hexapod-gateway.service", "")
+    computer.write("/opt/hexapod-gateway/venv-1/bin/hexapod-gateway", "")
+    computer.set_up(framing="plain")
+    assert unit.exists()
+    computer.write("/usr/lib/systemd/system/hexapod-gateway.service", "")
+    computer.set_up()
+    assert not unit.exists()
+    assert not (computer.root / "opt/hexapod-gateway").exists()
+    assert "daemon-reload" in computer.systemd.calls
+
+
+def test_the_console(computer: Computer, capsys: pytest.CaptureFixture[str]) -> None:
+    computer.set_up(dry=True, framing="plain", console=True)
+    assert capsys.readouterr().out.splitlines()[-4:-1] == [
+        "write /etc/hexapod-console/console.conf",
+        "enable hexapod-console.service and hexapod-console.socket: starts with the machine",
+        "start the console; a link for a browser: sudo hexapod-gateway console --link",
+    ]
+    future = computer.write("/var/lib/hexapod-console/console-8080.json", "")
+    assert future.exists()
+    computer.set_up(framing="plain", console=True)
+    assert "CONSOLE_OPTIONS=" in computer.read("/etc/hexapod-console/console.conf")
+    assert "restart hexapod-console.service" in computer.systemd.calls
+    capsys.readouterr()
+    computer.set_up()
+    assert "the console runs" in capsys.readouterr().out.splitlines()
+
+
+# ---- certificates
+
+
+@pytest.fixture(scope="module")
+def people(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of certificates: the first robot, a second one, and a laptop."""
+    folder = tmp_path_factory.mktemp("people") / "certs"
+    certs.folder.init(folder, ["robot.local"])
+    certs.folder.issue(folder, "robot-2", "robot", hosts=["robot-2.local"], bundle=folder / "robot-2.zip")
+    certs.folder.issue(folder, "anna", "operator", bundle=folder / "anna.zip")
+    return folder
+
+
+@pytest.mark.parametrize("source", [".", "robot-2", "robot-2.zip"])
+def test_certificates_come_at_any_time(
+    computer: Computer, people: Path, source: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    computer.set_up(framing="plain")
+    capsys.readouterr()
+    computer.set_up(certs=people / source)
+    said = capsys.readouterr().out
+    assert ("has ca.key" in said) == (source == ".")
+    assert tomllib.loads(computer.read(TOML))["zenoh"]["config"] == f"{ZENOH}/gateway.json5"
+    for name in ("gateway.pem", "gateway.key", "ca.pem", "gateway.json5"):
+        assert stat.S_IMODE((computer.root / ZENOH.lstrip("/") / name).stat().st_mode) == 0o640
+    computer.set_up(certs=people / source)
+    again = capsys.readouterr().out.splitlines()
+    assert not [line for line in again if line.startswith("write ")]
+    assert f"{ZENOH}/gateway.pem is the same" in again
+
+
+def _of_a_laptop(folder: Path, people: Path) -> None:
+    for name in ("gateway.key", "ca.pem", "gateway.json5"):
+        (folder / name).write_bytes((people / name).read_bytes())
+    (folder / "gateway.pem").write_bytes((people / "anna.pem").read_bytes())
+
+
+def _of_two_robots(folder: Path, people: Path) -> None:
+    for name in ("gateway.key", "ca.pem", "gateway.json5"):
+        (folder / name).write_bytes((people / name).read_bytes())
+    (folder / "gateway.pem").write_bytes((people / "robot-2/gateway.pem").read_bytes())
+
+
+def _of_two_authorities(folder: Path, people: Path) -> None:
+    certs.folder.init(folder, ["robot.local"])
+    (folder / "ca.pem").write_bytes((people / "ca.pem").read_bytes())
+
+
+def _unzipped(folder: Path, people: Path) -> None:
+    (folder / "anna.pem").write_bytes((people / "anna.pem").read_bytes())
+
+
+@pytest.mark.parametrize(
+    ("make", "fault"),
+    [
+        (
+            _of_a_laptop,
+            "is the certificate of anna, role operator; a robot needs its own files: make them where ca.key",
+        ),
+        (_of_two_robots, "is not the key of its gateway.pem"),
+        (_of_two_authorities, "is of another authority than its ca.pem"),
+        (_unzipped, "has no gateway.pem .*It has the certificate of anna, role operator"),
+        (lambda folder, _: folder.rmdir() or folder.write_text("no zip"), "is no folder, and no zip"),
+    ],
+)
+def test_others_certificates_are_rejected_before_anything_changes(
+    computer: Computer, people: Path, tmp_path_factory: pytest.TempPathFactory, make: object, fault: str
+) -> None:
+    folder = tmp_path_factory.mktemp("other")
+    make(folder, people)  # type: ignore[operator]
+    computer.set_up(framing="plain")
+    before = computer.files()
+    with pytest.raises(ConfigError, match=fault):
+        computer.set_up(certs=folder)
+    assert computer.files() == before
+
+
+def test_a_laptops_zip_in_a_robots_place(computer: Computer, people: Path) -> None:
+    with pytest.raises(
+        ConfigError, match=r"anna\.zip has no gateway\.pem.*It has the certificate of anna, role operator"
+    ):
+        computer.set_up(framing="plain", certs=people / "anna.zip")
+
+
+def test_an_unedited_zenoh_file_gets_new_access_rules(
+    computer: Computer, people: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """An edited one stays, whatever comes."""
+    computer.set_up(framing="plain", certs=people)
+    made = computer.read(f"{ZENOH}/gateway.json5")
+    older = zenoh_files.marked(made.partition("// `setup`")[0].replace("hexapod/reset", "hexapod/older").encode())
+    file = computer.root / ZENOH.lstrip("/") / "gateway.json5"
+    file.write_bytes(older)
+    assert zenoh_files.is_unedited(older)
+    computer.set_up()
+    assert computer.read(f"{ZENOH}/gateway.json5") == made
+    edited = made.replace("7447", "7448")
+    file.write_text(edited)
+    capsys.readouterr()
+    computer.set_up(certs=people)
+    assert computer.read(f"{ZENOH}/gateway.json5") == edited
+    assert f"keep {ZENOH}/gateway.json5, which somebody has edited" in capsys.readouterr().out.splitlines()
+
+
+# ---- back
+
+
+def _release(computer: Computer, name: str) -> None:
+    computer.write(f"/usr/lib/hexapod-gateway/{name}/gateway/__init__.py", "")
+
+
+def test_back_to_the_kept_payload(computer: Computer, capsys: pytest.CaptureFixture[str]) -> None:
+    link = computer.root / "usr/lib/hexapod-gateway/current"
+    _release(computer, "1.1.0")
+    link.symlink_to("1.1.0")
+    with pytest.raises(GatewayError, match=r"has no other release than 1\.1\.0; with its package: sudo apt install"):
+        computer.set_up(back=True)
+    _release(computer, "1.0.0.kept")
+    computer.systemd.unit("hexapod-gateway", ActiveState="active")
+    computer.set_up(dry=True, back=True)
+    assert str(link.readlink()) == "1.1.0"
+    capsys.readouterr()
+    computer.set_up(back=True)
+    assert str(link.readlink()) == "1.0.0.kept"
+    assert computer.systemd.calls == ["reset-failed hexapod-gateway", "restart hexapod-gateway"]
+    assert "go back from 1.1.0 to 1.0.0.kept" in capsys.readouterr().out
+    computer.set_up(back=True)
+    assert str(link.readlink()) == "1.1.0", "and forward again"
+
+
+def test_back_to_a_payload_that_does_not_run(computer: Computer) -> None:
+    link = computer.root / "usr/lib/hexapod-gateway/current"
+    _release(computer, "1.1.0")
+    _release(computer, "1.0.0.kept")
+    link.symlink_to(f"{link.parent}/1.1.0")
+    computer.systemd.unit("hexapod-gateway", ActiveState="active")
+    computer.systemd.is_broken = lambda: link.resolve().name == "1.0.0.kept"
+    with pytest.raises(GatewayError, match=r"1\.0\.0\.kept does not run, so 1\.1\.0 runs again"):
+        computer.set_up(back=True)
+    assert link.resolve().name == "1.1.0"
+
+
+def test_what_certs_prints_for_a_robot_is_taken_as_it_is(
+    computer: Computer, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By `init`, `issue` and `renew`: the files that it names, by its `setup` command."""
+    folder = tmp_path / "made"
+    computer.set_up(framing="plain")
+    capsys.readouterr()
+    second: dict[str, Any] = {"directory": folder, "host": ["robot-2.local"], "bundle": Path("robot-2.zip")}
+    steps: dict[str, Callable[[], None]] = {
+        "init": lambda: commands.init(["robot.local"], directory=folder),
+        "issue": lambda: commands.issue("robot-2", "robot", **second),
+        "issue to a folder": lambda: commands.issue("robot-3", "robot", directory=folder, host=["robot-3.local"]),
+        "renew": lambda: commands.renew("robot-3", directory=folder),
+    }
+    for name, step in steps.items():
+        home = tmp_path / f"home of {name}"
+        home.mkdir()
+        monkeypatch.chdir(home)
+        step()
+        said = capsys.readouterr().out
+        copied = re.search(r"^  scp (.*) \S+:(\S*)$", said, re.MULTILINE)
+        taken = re.search(r"^and on the robot: sudo hexapod-gateway setup --certs (\S+)$", said, re.MULTILINE)
+        assert copied is not None, said
+        assert taken is not None, said
+        (home / copied[2]).mkdir(exist_ok=True)
+        for each in copied[1].split():
+            if Path(each) != Path(taken[1]):
+                shutil.copy(each, home / copied[2])
+        computer.set_up(certs=Path(taken[1]))
+        assert "(check)" in capsys.readouterr().out.splitlines(), name
+    assert certs.folder.hosts_of(computer.root / "etc/hexapod-gateway/zenoh/gateway.pem") == ["robot-3.local"]
