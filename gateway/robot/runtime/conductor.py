@@ -6,8 +6,7 @@ transfer.
 
 import asyncio
 import logging
-from collections.abc import Callable
-from datetime import datetime
+from collections.abc import Callable, Sequence
 from typing import Final
 
 from pydantic import BaseModel
@@ -26,6 +25,7 @@ from gateway.robot.core.events import (
     Calibrate,
     CalibrationSaved,
     Command,
+    Effect,
     EmergencyStop,
     EstopKept,
     Event,
@@ -48,7 +48,7 @@ from gateway.robot.runtime.executor import Executor, Outcome
 from gateway.robot.runtime.metrics import Metrics
 from gateway.robot.runtime.preamble import PreambleInPauses
 from gateway.robot.runtime.report import StateReports, wall_clock
-from gateway.robot.runtime.supply import CarryOut, RobotSupply, off_button
+from gateway.robot.runtime.supply import RobotSupply, off_button
 from gateway.robot.runtime.telemetry import LatestTelemetry
 from gateway.robot.settings import Settings
 from gateway.robot.spi.bus import Bus
@@ -102,17 +102,14 @@ class Conductor:
         self.recorder = recorder
         self.telemetry = LatestTelemetry(outbox, clock, supply)
         self._outbox = outbox
-        self._events = EventPublisher(outbox, recorder, clock)
+        self.events = EventPublisher(outbox, recorder, self.metrics, clock)
         self.supply = supply
-        confirm = None if supply is None else supply.confirm
-        self.answers = PendingCommands(self.metrics, recorder, self._events, confirm)
-        executor = Executor(
-            bus, self.answers, self._events, recorder, self.metrics, publish_frames=settings.telemetry.frames
+        self.answers = PendingCommands(self.metrics, recorder, self.events, supply.confirm if supply else None)
+        self._executor = Executor(
+            bus, self.answers, self.events, recorder, self.metrics, publish_frames=settings.telemetry.frames
         )
-        self._carry_out: CarryOut = executor.carry_out
         if supply is not None:
             supply.on_news = self.power_changed
-            self._carry_out = supply.around(executor.carry_out, supervisor, self._announce_power)
         self._clock = clock
         self._instant_ns = clock()
         self.reports = StateReports(
@@ -146,7 +143,7 @@ class Conductor:
     def start(self) -> None:
         """Open the bus, write the preamble, stop all six legs. Raises SpiError."""
         self.bus.open()
-        fault = self._carry_out(self.supervisor.step(BusOpened(), self._clock()), None).fault
+        fault = self._carry_out(self.supervisor.step(BusOpened(), self._clock())).fault
         if fault is not None:
             raise fault
         self._look_for_stop_servos()
@@ -158,13 +155,13 @@ class Conductor:
 
     def announce_start(self) -> None:
         """Publish that commands are taken from now on."""
-        self._events.announce(Announce(Kind.STARTED, f"hexapod-gateway {__version__} takes commands"))
+        self.announce(Kind.STARTED, f"hexapod-gateway {__version__} takes commands")
         self._published_mode = Mode.STARTING
         self._publish_mode()
 
     def announce(self, kind: Kind, detail: str, key: str | None = None) -> None:
         """Publish an event that the supervisor does not know of."""
-        self._events.announce(Announce(kind, detail, None, key))
+        self.events.announce(Announce(kind, detail, None, key))
 
     def shut_down(self) -> bool:
         """Reject all commands from now on, and stop all six legs: whether all Stops were written without a fault."""
@@ -279,15 +276,11 @@ class Conductor:
         event, announcements = self.supply.look()
         self._step(event)
         for each in announcements:
-            self._announce_power(each)
+            self.events.announce(each)
         if any(each.kind is Kind.OFF_BUTTON for each in announcements):
             self._emergency_stop(off_button(self._clock()), self._clock())
         self._arm()
         self.publish_state()
-
-    def _announce_power(self, what: Announce) -> None:
-        self.metrics.events[what.kind] += 1
-        self._events.announce(what)
 
     def _do_what_is_due(self, instant_ns: int) -> None:
         if self.supervisor.due_ns is not None and self._clock() >= self.supervisor.due_ns:
@@ -345,17 +338,17 @@ class Conductor:
             command = Command(stops, key=key, number=self.answers.next_number(), lost=True)
             self._step(command, instant_ns)
             legs = legs_of(command.servo_ids)
-            self._events.announce(Announce(Kind.OVERFLOW, DETAIL, None, key, legs, Reason.OVERFLOW))
+            self.events.announce(Announce(Kind.OVERFLOW, DETAIL, None, key, legs, Reason.OVERFLOW))
 
     def _emergency_stop(self, received: Received, instant_ns: int) -> None:
         # Nothing of the payload is looked at before the Stops: whatever it is, somebody wants the robot to stop.
-        self._events.note_estop(received)
+        self.events.note_estop(received)
         if self.supervisor.mode is Mode.BUS_FAULT:
             self._reopen()
         stop_frames = self._step(EmergencyStop(received.source, received.key), instant_ns).stop_frames(Cause.ESTOP)
         latency_ns = max(0, self._clock() - received.received_ns)
         heard = Request(
-            key=received.key, source=self._events.estop_source, verb=received.verb, received_ns=received.received_ns
+            key=received.key, source=self.events.estop_source, verb=received.verb, received_ns=received.received_ns
         )
         self.recorder.step(heard, (), ())
         if stop_frames >= len(LEGS):
@@ -383,22 +376,26 @@ class Conductor:
             self._publish_mode()
         return outcome
 
+    def _carry_out(self, effects: Sequence[Effect], heard: Request | None = None) -> Outcome:
+        """The board is asked for what is to be off before the frames, and for what is to be on behind them."""
+        if self.supply is None:
+            return self._executor.carry_out(effects, heard)
+        cuts = self.supply.before(self.supervisor)
+        outcome = self._executor.carry_out(effects, heard)
+        if outcome.resets:
+            self.supply.reset()
+        if outcome.fault is None:  # else it follows, and feeds nothing
+            self.supply.behind(self.supervisor)
+        for each in cuts:
+            self.events.announce(each)
+        return outcome
+
     def _latch_changed(self, number: int) -> None:
         """The emergency stop with this number is engaged (0: it was left); its Stops are written."""
         if not (number and self._engaged):
             self.reports.estop_since = self.reports.estop_since or wall_clock() if number else None
         self._engaged = number
         self.on_latch()
-
-    def restore_estop(self, source: str | None, since: datetime | None) -> None:
-        """Take who had requested the emergency stop that an earlier run has left, and since when it is engaged."""
-        self._events.restore_estop(source)
-        self.reports.estop_since = since
-
-    @property
-    def estop_source(self) -> str | None:
-        """The source of the latest emergency stop; read it after its Stops are written."""
-        return self._events.estop_source
 
     # ---- the bus
 
@@ -409,7 +406,7 @@ class Conductor:
         again, self._in_fault = self._in_fault, True
         if again and kind is not Kind.CONTROLLER_SILENT:
             effects = [each for each in effects if not (isinstance(each, Announce) and each.kind is kind)]
-        self._carry_out(effects, None)
+        self._carry_out(effects)
         if self.supervisor.mode is Mode.BUS_FAULT:
             self._reopen_timer.set_in(REOPEN_S if again else 0)
 
@@ -479,7 +476,7 @@ class Conductor:
             self.bus,
             self.metrics,
             self._clock(),
-            estop_source=self._events.estop_source,
+            estop_source=self.events.estop_source,
             incident=self.recorder.incident,
             battery=self.telemetry.battery,
             power=self.power_report(),

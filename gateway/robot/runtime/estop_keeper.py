@@ -80,7 +80,8 @@ class EstopKeeper:
         conductor = self._conductor
         with conductor.owner:
             if not conductor.supervisor.latch.number:  # else the source and the time are those of a newer one
-                conductor.restore_estop(found.source, found.time)
+                conductor.events.restore_estop(found.source)
+                conductor.reports.estop_since = found.time
             self._unknown = found.fault
             self._written = None if found.fault else found
             conductor.on_latch = self._changed
@@ -114,7 +115,7 @@ class EstopKeeper:
             self._show()
         else:
             reports = self._conductor.reports
-            self._wanted = KeptEstop(latch.number, True, self._conductor.estop_source, reports.estop_since)
+            self._wanted = KeptEstop(latch.number, True, self._conductor.events.estop_source, reports.estop_since)
         if self._wanted != self._written:
             self._idle.clear()
             if not (self._next.armed and _only_number(self._written, self._wanted)):

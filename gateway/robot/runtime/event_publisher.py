@@ -9,6 +9,7 @@ from gateway.robot.core.events import Announce
 from gateway.robot.core.intake import named_source
 from gateway.robot.core.message import Outbox, Received
 from gateway.robot.core.rejection_limit import LIMITED, RejectionLimit
+from gateway.robot.runtime.metrics import Metrics
 from gateway.robot.runtime.report import WARNINGS, wall_clock
 from schemas import keys, telemetry
 from schemas.telemetry import Kind
@@ -19,9 +20,10 @@ logger: Final = logging.getLogger(__name__)
 class EventPublisher:
     """Called by the owner of the state."""
 
-    def __init__(self, outbox: Outbox, recorder: Recorder, clock: Callable[[], int]) -> None:
+    def __init__(self, outbox: Outbox, recorder: Recorder, metrics: Metrics, clock: Callable[[], int]) -> None:
         self._outbox = outbox
         self._recorder = recorder
+        self._metrics = metrics
         self._clock = clock
         self._limits = {kind: RejectionLimit() for kind in LIMITED}
         self._unread: Received | None = None
@@ -46,6 +48,7 @@ class EventPublisher:
     def announce(self, what: Announce) -> None:
         """Publish an event, unless its kind and source exceed their rate limit."""
         kind = what.kind
+        self._metrics.events[kind] += 1
         source = self.estop_source if kind is Kind.ESTOP_ENGAGED else what.source
         limit = self._limits.get(kind)
         left_out = 0 if limit is None else limit.admit(source, self._clock())

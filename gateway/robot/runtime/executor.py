@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from typing import Final, assert_never
 
 from gateway.errors import SpiError
+from gateway.model.black_box.format import ACCEPTED
 from gateway.robot.blackbox.recorder import Recorder, Written
 from gateway.robot.core.events import (
     Announce,
@@ -14,6 +15,7 @@ from gateway.robot.core.events import (
     Rejected,
     Request,
     RequestAnswer,
+    Reset,
     SaveCalibration,
     Transmit,
 )
@@ -53,6 +55,11 @@ class Outcome:
     def rejects(self, request: Request) -> bool:
         """Whether the step has rejected this request; False also while it is pending."""
         return any(each is request and type(verdict) is Reason for each, verdict, _ in self.results)
+
+    @property
+    def resets(self) -> bool:
+        """Whether the step has accepted a reset."""
+        return any(type(request) is Reset and verdict == ACCEPTED for request, verdict, _ in self.results)
 
     def stop_frames(self, cause: Cause) -> int:
         """How many frames with this cause a controller is known to have been sent."""
@@ -102,7 +109,6 @@ class Executor:
                 case Announce(kind=Kind.BUS_RECOVERED | Kind.CONTROLLER_RETURNED) if outcome.fault is not None:
                     pass  # it opened, but did not take six Stops: the fault goes on, and has been published
                 case Announce():
-                    self._metrics.events[effect.kind] += 1
                     self._events.announce(effect)
                 case RequestAnswer():
                     outcome.answer = effect

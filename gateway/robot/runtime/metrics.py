@@ -20,7 +20,7 @@ class Metrics:
     rejected: Counter[Reason] = field(default_factory=Counter)
     frames: Counter[Cause] = field(default_factory=Counter)
     events: Counter[Kind] = field(default_factory=Counter)
-    """Events of the supervisor, published or left out."""
+    """Published, or left out for their rate."""
     watchdog_stops: Latency = field(default_factory=Latency)
     """From a deadline to its Stop written."""
     emergency_stops: Latency = field(default_factory=Latency)

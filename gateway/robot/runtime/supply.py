@@ -18,8 +18,7 @@ from contextlib import suppress
 from typing import Final, Protocol
 
 from gateway.allowance import NS_PER_MS
-from gateway.model.black_box.format import ACCEPTED
-from gateway.robot.core.events import Announce, Effect, PowerSeen, Request, Reset
+from gateway.robot.core.events import Announce, PowerSeen
 from gateway.robot.core.message import Received, Verb
 from gateway.robot.core.supervisor import Supervisor
 from gateway.robot.host.ownership import Ownership
@@ -30,14 +29,12 @@ from gateway.robot.power.offs import Confirmed
 from gateway.robot.protocol import Wire
 from gateway.robot.runtime.answers import legs_of
 from gateway.robot.runtime.confirmations import Confirmations, Then
-from gateway.robot.runtime.executor import Outcome
 from gateway.robot.settings import Settings
 from gateway.robot.spi.cyclic import CyclicBus
 from schemas.keys import ESTOP
 from schemas.robot import LEGS, SERVO_IDS
 from schemas.telemetry import Kind, Mode, PowerReport
 
-CarryOut = Callable[[Sequence[Effect], Request | None], Outcome]
 MOST_LOOKS: Final = 30
 """3 s, in which a line looks three hundred times."""
 _WHY: Final = {
@@ -135,30 +132,11 @@ class RobotSupply:
         self.confirmations.feeds(servos)
 
     def reset(self) -> None:
-        """The emergency stop was left: what was blocked or taken may be fed again."""
+        """A reset was accepted: what was blocked or taken may be fed again."""
         self._withheld.clear()
         self._currents = CurrentRules()
         self._changed = True
         self._line.clear_errors()
-
-    def around(self, carry_out: CarryOut, supervisor: Supervisor, announce: Callable[[Announce], None]) -> CarryOut:
-        """Return an executor's `carry_out` that switches the supply, too.
-
-        Where the frames could not be written, nothing more is fed: the bus's fault follows.
-        """
-
-        def feed(effects: Sequence[Effect], heard: Request | None = None) -> Outcome:
-            announcements = self.before(supervisor)
-            outcome = carry_out(effects, heard)
-            if any(type(request) is Reset and verdict == ACCEPTED for request, verdict, _ in outcome.results):
-                self.reset()
-            if outcome.fault is None:
-                self.behind(supervisor)
-            for each in announcements:
-                announce(each)
-            return outcome
-
-        return feed
 
     # ---- what the board says
 

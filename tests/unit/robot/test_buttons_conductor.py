@@ -38,7 +38,7 @@ async def test_silence_stops_all_six_legs_and_says_who_was_silent() -> None:
     (event,) = robot.events(Kind.BUTTON_SILENT)
     assert (event.source, event.legs) == ("kitchen", tuple(LEGS))
     assert robot.conductor.metrics.frames[Cause.WATCHDOG] == len(LEGS)
-    assert robot.conductor.metrics.events == {Kind.BUTTON_REGISTERED: 1, Kind.BUTTON_SILENT: 1}
+    assert robot.conductor.metrics.events == {Kind.STARTED: 1, Kind.BUTTON_REGISTERED: 1, Kind.BUTTON_SILENT: 1}
     assert robot.conductor.state().watchdog.stop_latency_us.max is not None
     assert robot.conductor.state().buttons == ButtonsReport(required=1)
 
