@@ -12,7 +12,6 @@ _CONDUCTOR: Final = (
     f"{_MODEL}test_staleness.py",
     f"{_MODEL}test_staleness_clocks.py",
     f"{_UNIT}test_preamble.py",
-    f"{_UNIT}test_conductor_landing.py",
     f"{_UNIT}test_calibration_conductor.py",
     f"{_UNIT}test_buttons_conductor.py",
     f"{_UNIT}test_answered_in_part.py",
@@ -44,7 +43,6 @@ _SUPERVISOR: Final = (
     f"{_UNIT}test_preamble.py",
     f"{_UNIT}test_conductor_safety.py",
     f"{_UNIT}test_conductor.py",
-    f"{_UNIT}test_conductor_landing.py",
 )
 _CALIBRATION: Final = (
     f"{_MODEL}test_calibration.py",

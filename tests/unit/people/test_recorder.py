@@ -3,29 +3,23 @@
 import asyncio
 import logging
 import os
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from gateway.errors import SpiError
 from gateway.model.black_box import format as form
 from gateway.model.black_box.files import RING_FILE
-from gateway.model.black_box.incidents import incident_id
 from gateway.model.calibration import RobotCalibration, ServoMapping
-from gateway.model.frames import Op, ServoOp, decode, stop_leg
+from gateway.model.frames import Op, ServoOp, decode
 from gateway.model.framing import Framing
 from gateway.people.recorder import ring_reader
 from gateway.robot.blackbox import paths
-from gateway.robot.core.events import Announce
 from gateway.robot.settings import Settings
 from schemas import keys
-from schemas.robot import LEGS
-from schemas.telemetry import Cause, Kind, Mode
-from tests.support.one_record import writers
-from tests.support.robot import WALL_NS, Robot, leg
+from schemas.telemetry import Cause, Kind
+from tests.support.robot import Robot, leg
 
 pytestmark = pytest.mark.virtual_time
 
@@ -70,13 +64,6 @@ async def test_what_was_in_force_is_known_after_any_time_and_across_runs(folder:
     assert [in_force(records, ns) for ns in (min(revisions), before_ns, after.now_ns())] == [2, 2, 0]
 
 
-async def test_a_button_that_leaves_is_an_incident_only_if_legs_stop_for_it(folder: Path) -> None:
-    recorder = recorded(folder).conductor.recorder
-    assert recorder.event(Announce(Kind.BUTTON_LEFT, "kitchen has left"), "kitchen", 0) is None
-    incident = recorder.event(Announce(Kind.BUTTON_LEFT, "kitchen has left", legs=(3,)), "kitchen", 0)
-    assert (incident or "").endswith("-button")
-
-
 def in_force(records: ring_reader.Records, ns: int) -> int | None:
     """The revision of what was in force."""
     found = records.calibration_at(ns)
@@ -96,43 +83,6 @@ async def test_a_command_its_frame_and_its_decision_are_there(folder: Path) -> N
     assert mode == form.ModeChange("active")
     record = ring_reader.read(folder / RING_FILE).records[before]
     assert record.ns == 77, "the command's own time is its arrival"
-
-
-async def test_the_start_and_the_end_are_there(folder: Path) -> None:
-    robot = recorded(folder)
-    robot.conductor.shut_down()
-    robot.conductor.recorder.ended("asked to")
-    found = contents(folder)
-    assert isinstance(found[0], form.Start)
-    assert (found[0].wall_ns, found[0].facts["pid"]) == (WALL_NS, os.getpid())
-    assert [frame.cause for frame in found[1:7]] == [Cause.STARTUP] * 6
-    assert found[-1] == form.End("asked to")
-
-
-async def test_what_waits_or_is_rejected_has_its_decision_too(folder: Path) -> None:
-    robot = recorded(folder)
-    for angle in (90, 91, 92):
-        robot.put(LEG_3, leg("start", angle, angle, angle))
-    robot.put(LEG_3, b"{")
-    robot.put(LEG_3, leg("start", 1, 1, 1, source="slow", sent_ms=1))
-    await asyncio.sleep(0.7)
-    robot.put(LEG_3, leg("start", 1, 1, 1, source="slow", sent_ms=2))
-    found = contents(folder, form.Decision, form.FrameWritten)
-    verdicts = [
-        (each.number, each.verdict if isinstance(each, form.Decision) else "accepted")
-        for each in found
-        if isinstance(each, form.Decision) or each.number
-    ]
-    assert verdicts[:4] == [(1, "accepted"), (2, "coalesced"), (0, "malformed"), (3, "coalesced")]
-    assert verdicts[-1] == (0, "stale")
-    last = contents(folder, form.CommandRecord)[-1]
-    assert (last.number, last.source, last.sent_ms) == (0, "slow", 2.0), "a stale one is decoded as well"
-
-
-async def test_what_the_core_rejects_has_its_reason_too(folder: Path) -> None:
-    robot = recorded(folder)
-    robot.put(LEG_3, leg("set", 90, 90, 90, source="anna"))
-    assert contents(folder, form.Decision) == [form.Decision(1, "servo_stopped", LEG_3, "anna")]
 
 
 @pytest.mark.parametrize("framing", Framing)
@@ -185,16 +135,6 @@ async def test_what_does_not_fit_into_one_record_has_two(folder: Path) -> None:
     assert [frame.number for frame in found[1::2]] == [1, 2, 3]
 
 
-async def test_what_waits_is_recorded_at_once(folder: Path) -> None:
-    """Its frame may come much later, or never."""
-    robot = recorded(folder)
-    robot.put(LEG_3, leg("start", 90, 90, 90))
-    robot.put(LEG_3, leg("start", 91, 91, 91))
-    assert contents(folder, form.CommandRecord)[-1].number == 2
-    await asyncio.sleep(0.1)
-    assert [frame.number for frame in contents(folder, form.FrameWritten) if frame.number] == [1, 2]
-
-
 async def test_what_waited_and_is_carried_out_in_anothers_step_keeps_its_own_targets(folder: Path) -> None:
     robot = recorded(folder)
     leg_4 = keys.leg_command(4)
@@ -220,70 +160,6 @@ async def test_a_command_that_broke_the_gateway_is_there(folder: Path, monkeypat
         robot.put(LEG_3, START)
     robot.conductor.recorder.mistake("a mistake in the gateway ended it")
     assert contents(folder, form.CommandRecord)[-1].source == "anna"
-
-
-async def test_many_stops_within_seconds_are_one_incident(folder: Path) -> None:
-    robot = recorded(folder)
-    robot.put(LEG_3, START)
-    robot.put(keys.leg_command(4), START)
-    await asyncio.sleep(1)
-    robot.put(keys.ESTOP, {"source": "bert"})
-    first = incident_id(WALL_NS, "watchdog")
-    assert first.endswith("-123-watchdog")
-    told = [event.incident for event in robot.events() if event.kind in (Kind.WATCHDOG_EXPIRED, Kind.ESTOP_ENGAGED)]
-    assert told == [first] * 3
-    assert contents(folder, form.IncidentBegun) == [form.IncidentBegun(WALL_NS, first)]
-    assert robot.conductor.state().incident == first
-    robot.put(keys.RESET, {"estop": 1})
-    await asyncio.sleep(5.1)
-    robot.put(keys.ESTOP, {"source": "bert"})
-    assert [begun.incident for begun in contents(folder, form.IncidentBegun)] == [
-        first,
-        incident_id(WALL_NS, "estop"),
-    ]
-    stops = [found for found in contents(folder, form.CommandRecord) if found.key == keys.ESTOP]
-    assert [(stop.source, stop.number) for stop in stops] == [("bert", 0), ("bert", 0)]
-
-
-async def test_an_incident_does_not_grow_for_ever(folder: Path) -> None:
-    robot = recorded(folder)
-    for _ in range(12):
-        robot.put(LEG_3, leg("start", 1, 1, 1))
-        await asyncio.sleep(3)
-    assert len(contents(folder, form.IncidentBegun)) == 2
-
-
-async def test_a_fault_of_the_bus_is_an_incident(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    robot = recorded(folder)
-
-    def fail(_: bytes) -> None:
-        raise SpiError("EIO")
-
-    monkeypatch.setattr(robot.controller, "transfer", fail)
-    robot.put(LEG_3, START)
-    (begun,) = contents(folder, form.IncidentBegun)
-    assert begun.incident.endswith("-bus-fault")
-    assert contents(folder, form.ModeChange)[-1] == form.ModeChange(Mode.BUS_FAULT)
-
-
-async def test_stops_of_a_batch_that_failed_are_there_as_they_were_written(folder: Path) -> None:
-    """Also the one that the controller may not have received: it is on the wire, but counts as failed."""
-    robot = recorded(folder, spi={"framing": Framing.LENGTH_PREFIXED}, telemetry={"frames": True})
-    await asyncio.sleep(1)
-    robot.controller.transfers.clear()
-    robot.reports.clear()
-    told, counted = len(contents(folder)), robot.conductor.state().spi.frames
-    robot.controller.fail_next(1)  # the first announcement: nobody knows whether it arrived
-    assert robot.ask(keys.ESTOP).stop_frames == 6
-    bodies = [data for _, data in robot.controller.transfers if len(data) > 1]
-    assert bodies == [stop_leg(number).to_bytes() for number in (*reversed(LEGS), 6)], "leg 6's is written again"
-    frames = [each for each in contents(folder)[told:] if isinstance(each, form.FrameWritten)]
-    assert [(frame.data, frame.cause) for frame in frames] == [(data, Cause.ESTOP) for data in bodies]
-    assert [(frame.bytes, frame.cause) for frame in robot.records] == [(data.hex(), Cause.ESTOP) for data in bodies]
-    assert robot.conductor.state().spi.frames - counted == robot.conductor.metrics.frames[Cause.ESTOP] == 7
-    await asyncio.sleep(0.1)
-    again = [frame.data for frame in contents(folder, form.FrameWritten) if frame.cause == Cause.STARTUP][-6:]
-    assert again == [stop_leg(number).to_bytes() for number in LEGS], "all six come again"
 
 
 def a_folder_in_its_place(folder: Path) -> None:
@@ -336,15 +212,6 @@ def test_the_size_follows_from_the_rate(rate: float, records: int) -> None:
     assert paths.slots_for(settings) == records
 
 
-def test_it_is_off_without_a_folder_and_in_the_state_directory_under_systemd(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delenv("STATE_DIRECTORY", raising=False)
-    assert paths.folder_of(Settings()) is None
-    monkeypatch.setenv("STATE_DIRECTORY", "/var/lib/hexapod-gateway")
-    assert paths.folder_of(Settings()) == Path("/var/lib/hexapod-gateway")
-    named = Settings.model_validate({"state": {"path": "/mnt/box"}})
-    assert paths.folder_of(named) == Path("/mnt/box")
-
-
 def test_the_ring_is_in_memory_and_the_folder_names_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """On a disk, a write would wait for the disk, and a Stop with it."""
     monkeypatch.delenv("RUNTIME_DIRECTORY", raising=False)
@@ -356,24 +223,3 @@ def test_the_ring_is_in_memory_and_the_folder_names_it(tmp_path: Path, monkeypat
     assert one.parent == other.parent == tmp_path / "memory"
     assert (tmp_path / "one" / RING_FILE).readlink() == one
     assert paths.prepare(tmp_path / "one") == one
-
-
-MOST_CALLS = {"setpoint with its frame": 18, "command": 21, "decision": 22, "frame": 18}
-"""How many calls a record may take, C functions included. That is under 3 µs (`python -m tests.benchmarks`)."""
-
-
-@pytest.mark.parametrize("record", MOST_CALLS)
-def test_a_record_takes_few_calls(folder: Path, record: str) -> None:
-    call = writers(folder)[record]
-    call()
-    counted: list[int] = []  # once a second a record is preceded by one of the time, but not three times in a row
-
-    def count(_frame: object, event: str, _argument: object) -> None:
-        counted[-1] += event in ("call", "c_call")
-
-    for _ in range(3):
-        counted.append(0)
-        sys.setprofile(count)
-        call()
-        sys.setprofile(None)
-    assert min(counted) <= MOST_CALLS[record]

@@ -5,13 +5,12 @@ from collections.abc import Callable
 
 import pytest
 
-from gateway.model.frames import stop_leg
 from gateway.robot.core.events import StoppedOutside
 from schemas import keys
 from schemas.robot import LEGS
-from schemas.telemetry import Ack, Kind, Mode, Reason
+from schemas.telemetry import Ack, Kind, Reason
 from tests.support.faulty_controller import FaultyController
-from tests.support.robot import Robot, leg, servo, started_and_quiet
+from tests.support.robot import Robot, leg, started_and_quiet
 
 pytestmark = pytest.mark.virtual_time
 
@@ -90,13 +89,6 @@ async def test_what_was_written_is_stopped_when_nobody_commands_it() -> None:
     assert robot.controller.energised == set()
 
 
-async def test_nothing_is_named_where_nothing_was_written() -> None:
-    robot = await started_and_quiet()
-    ack = robot.ask(keys.LEGS_COMMAND, {"legs": {"1": leg("start", 90, 90, 90), "2": leg("set", 90, 90, 90)}})
-    assert (ack.accepted, ack.written) == (False, None)
-    assert robot.ask(keys.leg_command(1), leg("start", 90, 90, 90)).written is None
-
-
 async def test_a_bus_that_fails_on_the_way() -> None:
     """The batch counts as failed wholly: nobody knows how far it came."""
     robot = await started_and_quiet()
@@ -104,21 +96,6 @@ async def test_a_bus_that_fails_on_the_way() -> None:
     ack = robot.ask(keys.LEGS_COMMAND, {"legs": {str(number): leg("start", 90, 90, 90) for number in LEGS}})
     assert (ack.accepted, ack.reason, ack.written) == (False, Reason.BUS_FAULT, None)
     assert robot.controller.energised == {11, 12, 13, 21, 22, 23}
-
-
-async def test_of_stops_those_are_named_that_were_written() -> None:
-    robot = await started_and_quiet()
-    robot.controller.fail_where(lambda data: data == stop_leg(3).data)
-    ack = robot.ask(keys.LEGS_COMMAND, {"legs": {str(number): leg("stop") for number in LEGS}})
-    assert (ack.accepted, ack.reason, ack.written) == (False, Reason.BUS_FAULT, [1, 2, 4, 5, 6])
-
-
-async def test_stops_that_were_all_written_at_last_are_accepted() -> None:
-    """Stops that failed are tried again one by one."""
-    robot = await started_and_quiet()
-    fail_the_third(robot)
-    assert robot.ask(keys.LEGS_COMMAND, {"legs": {str(number): leg("stop") for number in LEGS}}).accepted
-    assert robot.mode == Mode.BUS_FAULT
 
 
 class ThirdFails(FaultyController):
@@ -136,17 +113,3 @@ class ThirdFails(FaultyController):
 def fail_the_third(robot: Robot) -> None:
     robot.controller = ThirdFails(robot.settings.spi.framing, clock=robot.now_ns)
     robot.conductor.bus.open()
-
-
-async def test_a_leg_s_command_whose_stop_went_ahead_of_its_start() -> None:
-    """Its Stop waits for no rate slot, and what waits for one is ended by somebody else's Stop."""
-    robot = await started_and_quiet(limits={"leg_rate_hz": 1})
-    assert robot.ask(keys.leg_command(1), leg("start", 90, 90, 90)).accepted
-    mixed = {"servos": [servo("stop"), servo("set", 80), servo("set", 80)]}
-    answers = robot.get(keys.leg_command(1), mixed)
-    assert answers == []
-    robot.put(keys.ESTOP)
-    (ack,) = answers
-    assert (ack.accepted, ack.written) == (False, [1])
-    assert ack.detail is not None
-    assert ack.detail.endswith("; what it asks of leg 1 had been written before")

@@ -2,6 +2,7 @@
 
 import asyncio
 import random
+from collections.abc import Callable
 
 import pytest
 
@@ -11,14 +12,14 @@ from gateway.robot.core.backlog import START_WAIT_NS
 from gateway.robot.core.events import Command
 from gateway.robot.core.leg import Rules
 from schemas import keys
-from schemas.telemetry import Kind, Reason
+from schemas.telemetry import Kind
 from tests.support.robot import Robot, leg
-from tests.support.steps import Steps, leg_to, legs_to
+from tests.support.steps import Steps, leg_to
 
 pytestmark = pytest.mark.virtual_time
 
 PERIOD_S = 0.02
-STYLES = {
+STYLES: dict[str, Callable[[int], tuple[int, str]]] = {
     "a start, then sets": lambda turn: (3, "set" if turn else "start"),
     "a start each time": lambda _: (3, "start"),
     "a start each second": lambda turn: (3, "set" if turn % 50 else "start"),
@@ -114,14 +115,6 @@ def test_the_fourth_message_in_one_slot_is_a_burst_and_no_start_of_it_is_ever_se
     assert robot.time(353 + WAIT_MS) == ["command 1 start 90", "completed 6"]
 
 
-def test_sets_are_of_the_burst_too_and_a_start_before_them_is_dropped() -> None:
-    robot = Steps(RULES)
-    robot.command(100, leg_to(1, "start 90"))
-    robot.command(101, leg_to(1, "set 90"))
-    robot.command(102, leg_to(1, "set 90"))
-    assert robot.command(103, leg_to(1, "set 90")) == ["rejected 3 stale", "rejected 4 servo_stopped"]
-
-
 def test_other_keys_are_not_concerned_and_neither_is_a_leg_that_runs() -> None:
     robot = Steps(RULES)
     robot.command(50, leg_to(1, "start 90"))
@@ -139,22 +132,6 @@ def test_a_stop_of_a_burst_is_a_stop() -> None:
     mixed = (*leg_to(1, "start 90"), *leg_to(2, "stop"))
     assert robot.command(104, mixed) == ["command 2 stop", "rejected 5 stale stopped"]
     assert robot.command(105, leg_to(1, "stop")) == ["command 1 stop", "completed 6"]
-
-
-def test_a_start_of_all_legs_waits_for_each_that_does_not_run() -> None:
-    robot = Steps(RULES)
-    robot.command(100, legs_to("12", "start 90"))
-    assert robot.time(100 + WAIT_MS) == ["command 1 start 90", "command 2 start 90", "completed 1"]
-
-
-async def test_the_answer_says_why() -> None:
-    robot = made()
-    await asyncio.sleep(1)
-    asked = [robot.ask_later(keys.leg_command(3), leg("start", 90, 90, 90)) for _ in range(5)]
-    robot.conductor.tick()
-    assert [answers[-1].reason for answers in asked][-1] is Reason.STALE
-    assert "send sent_ms" in str(asked[-1][-1].detail)
-    assert all(frame.is_stop for _, frame in robot.frames)
 
 
 async def test_with_sent_ms_a_start_leaves_at_once() -> None:

@@ -178,20 +178,6 @@ def test_a_certificate_has_four_places_and_gives_its_own_silent_ones_away() -> N
     assert robot.button(4, "register", "hall", holder="the hall's") == REGISTERED
 
 
-def test_two_buttons_of_one_certificate_are_one_of_those_that_are_required() -> None:
-    robot = Steps(rules(required=2))
-    for name in ("anna/phone", "anna/tablet"):
-        robot.button(0, "register", name, holder="anna's")
-        robot.button(0, "alive", name, 1, holder="anna's")
-    assert robot.supervisor.buttons.names == ("anna/phone", "anna/tablet")
-    assert robot.command(1, START) == [REFUSED]
-    robot.button(2, "register", "bert", holder="bert's")
-    robot.button(2, "alive", "bert", 1, holder="bert's")
-    assert robot.command(3, START) == ["command 1 start 90", "completed 2"]
-    assert robot.button(4, "leave", "anna/phone", holder="anna's") == ["announce button_left", "granted"]
-    assert robot.button(5, "leave", "anna/tablet", holder="anna's")[:6] == all_stopped("watchdog")
-
-
 def test_one_that_is_not_wanted_checks_in_and_does_not_count() -> None:
     robot = watched()
     robot.button(1, "register", "stranger", counts=False)
@@ -200,15 +186,6 @@ def test_one_that_is_not_wanted_checks_in_and_does_not_count() -> None:
     assert robot.only(RequestAnswer).detail.endswith("is not one of those that are required (buttons.names)")
     assert robot.supervisor.buttons.alive == 1
     assert robot.time(TIMEOUT_MS)[:6] == all_stopped("watchdog")
-
-
-def test_a_flood_of_registrations_takes_bounded_memory_and_pushes_out_nobody_who_is_alive() -> None:
-    robot = watched()
-    for number in range(1000):
-        robot.button(10, "register", f"flood {number}")
-    assert len(robot.supervisor.buttons._by_token) == MOST_UNPROVED
-    assert robot.button(20, "alive", "kitchen", 2) == ALIVE
-    assert robot.running
 
 
 def test_where_all_places_are_alive_no_more_are_taken() -> None:

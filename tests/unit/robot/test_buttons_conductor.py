@@ -5,7 +5,6 @@ from typing import Any
 
 import pytest
 
-from gateway.errors import SpiError
 from gateway.robot.zenoh_io.proofs import Proofs
 from schemas import keys
 from schemas.button import ButtonAck
@@ -49,31 +48,6 @@ async def test_so_many_are_required(required: int) -> None:
     assert robot.ask(LEG_3, START).accepted is (required < 2)
 
 
-async def test_a_check_in_counts_from_when_it_was_sent() -> None:
-    robot = await started_and_quiet(buttons={"required": 1})
-    ack = robot.button("register", "kitchen", sent_ms=0)
-    await asyncio.sleep(0.6)
-    assert robot.button("alive", button=ack.button, count=1, sent_ms=100).accepted
-    assert robot.conductor.state().buttons.alive == 1
-    await asyncio.sleep(0.6)
-    assert robot.conductor.state().buttons.alive == 0
-
-
-async def test_one_that_falls_silent_while_the_bus_goes_on_failing_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
-    """It opens again and again, and each of its Stops takes time to fail: that is when a deadline passes."""
-    robot, _ = await watched()
-
-    def fail(_: bytes) -> None:
-        robot.sleep_through(0.05)
-        raise SpiError("told to fail")
-
-    monkeypatch.setattr(robot.controller, "take", fail)
-    robot.put(LEG_3, START)
-    await asyncio.sleep(3)
-    assert [event.source for event in robot.events(Kind.BUTTON_SILENT)] == ["kitchen"]
-    assert len(robot.events(Kind.BUS_FAULT)) == 1
-
-
 async def test_what_is_rejected_is_told_with_its_reason() -> None:
     robot, ack = await watched()
     again = robot.button("alive", button=ack.button, count=1)
@@ -110,30 +84,11 @@ async def test_what_cannot_be_read_changes_nothing(payload: dict[str, Any], deta
     assert robot.conductor.state().buttons.alive == 1
 
 
-async def test_a_flood_of_registrations_is_told_ten_times_a_second_and_the_button_lives_on() -> None:
-    robot, ack = await watched()
-    for _ in range(100):
-        robot.button("register", "somebody")
-    assert len(robot.events(Kind.BUTTON_REGISTERED)) == 1 + 10
-    assert robot.button("alive", button=ack.button, count=2).accepted
-
-
 async def test_without_a_ca_a_challenge_has_no_nonce_and_names_are_taken_as_they_are() -> None:
     robot, _ = await watched()
     ack = robot.button("challenge")
     assert (ack.accepted, ack.nonce) == (True, None)
     assert not Proofs(None, lambda: pytest.fail("no clock is asked")).wanted
-
-
-async def test_what_waits_in_a_stopped_process_saves_nobody() -> None:
-    """The whole process stood still for 2 s: the deadline comes before the check-in that waited meanwhile."""
-    robot, ack = await watched()
-    assert robot.ask(LEG_3, START).accepted
-    robot.sleep_through(2)
-    assert robot.button("alive", button=ack.button, count=2).accepted
-    assert robot.mode == Mode.IDLE
-    kinds = [event.kind for event in robot.events()]
-    assert kinds[-2:] == [Kind.BUTTON_SILENT, Kind.BUTTON_RETURNED]
 
 
 @pytest.mark.parametrize(

@@ -85,18 +85,6 @@ async def test_no_answer_and_no_change_before_it_is_on_the_disk() -> None:
     assert robot.frames[-1][1].servos[0][1].angle_cdeg == 97_50
 
 
-async def test_while_it_is_being_kept_stops_and_the_watchdog_are_in_time() -> None:
-    robot = await on_disk(disk := Disk(), rules={"repeats": 0})
-    robot.put(keys.leg_command(1), START)
-    answers = robot.calibrate(OWN)
-    await asyncio.sleep(0.3)
-    times_ms = [at_ms for at_ms, _ in robot.frames]
-    assert times_ms[1] - times_ms[0] == pytest.approx(250, abs=0.01)
-    assert robot.get(keys.ESTOP)[0].stop_frames == 6
-    disk.write()
-    assert answers[0].accepted, "it was decided before"
-
-
 async def test_a_disk_that_hangs_is_logged_and_whoever_waits_for_it_learns_that(
     caplog: pytest.LogCaptureFixture,
 ) -> None:

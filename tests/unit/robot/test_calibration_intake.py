@@ -8,9 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gateway.model.calibration import (
-    CalibrationChange,
     CalibrationError,
-    MappingChange,
     RobotCalibration,
     calibration_of,
     report_of,
@@ -31,12 +29,6 @@ def read_whole(payload: object) -> CalibrationCommand:
     command = read(json.dumps(payload).encode())
     assert isinstance(command, CalibrationCommand), command
     return command
-
-
-def test_a_part_of_it_names_only_what_changes() -> None:
-    command = read_whole({"servos": {"32": {"trim_deg": -7.25, "inverted": True}}, "landing": {"11": 90, "12": None}})
-    assert change_of(command) == CalibrationChange({32: MappingChange(-7_25, inverted=True)}, {11: 9000, 12: None})
-    assert (command.revision, command.accept_default, command.source, command.lease) == (None, None, None, None)
 
 
 def test_all_that_it_may_say() -> None:

@@ -89,17 +89,6 @@ async def test_of_a_put_and_a_get_of_one_key_nobody_knows_which_is_older() -> No
     assert robot.controller.energised == {31, 32, 33}, "two of one channel are in order"
 
 
-async def test_a_start_of_an_instant_that_is_still_open_does_not_come_after_its_stop() -> None:
-    robot = await started_and_quiet()
-    robot.instant_open = True
-    robot.put(keys.servo_command(31), servo("stop"))
-    robot.put(LEG_3, START)
-    assert robot.controller.energised == set()
-    robot.instant_open = False
-    robot.put(LEG_3, START)
-    assert robot.controller.energised == {31, 32, 33}
-
-
 # ---- messages that were lost in a flood of their key
 
 
@@ -234,46 +223,6 @@ async def test_when_one_stop_fails_the_others_are_still_written() -> None:
     assert robot.mode == Mode.ESTOPPED
 
 
-async def test_an_emergency_stop_stays_latched_through_a_fault_and_tries_the_bus_at_once() -> None:
-    robot = await started_and_quiet()
-    robot.put(LEG_3, START)
-    robot.controller.fail_for_ms(300)
-    robot.put(LEG_3, leg("stop"))
-    assert robot.mode == Mode.BUS_FAULT
-    openings = len(robot.openings_ns)
-    ack = robot.ask(keys.ESTOP)
-    assert (ack.accepted, ack.stop_frames) == (True, 0)
-    assert len(robot.openings_ns) == openings + 1
-    assert robot.ask(keys.RESET).reason == Reason.BUS_FAULT
-    await asyncio.sleep(1)
-    assert robot.mode == Mode.ESTOPPED
-    assert robot.controller.energised == set()
-    assert robot.ask(LEG_3, START).reason == Reason.ESTOPPED
-
-
-async def test_an_emergency_stop_during_a_fault_that_has_just_ended_stops_at_once() -> None:
-    robot = await started_and_quiet()
-    robot.put(LEG_3, START)
-    robot.controller.fail_next(1)
-    robot.put(LEG_3, leg("stop"))
-    ack = robot.ask(keys.ESTOP)
-    assert ack.stop_frames == 6
-    assert robot.mode == Mode.ESTOPPED
-    opened = len(robot.openings_ns)
-    await asyncio.sleep(0.1)
-    assert len(robot.openings_ns) == opened, "once is enough"
-
-
-async def test_a_controller_that_hears_nothing_for_a_while_gets_the_repeats() -> None:
-    robot = await started_and_quiet()
-    robot.put(LEG_3, START)
-    robot.controller.silent_for_ms(270)
-    await asyncio.sleep(0.26)
-    assert robot.controller.energised == {31, 32, 33}
-    await asyncio.sleep(0.05)
-    assert robot.controller.energised == set()
-
-
 async def test_a_bus_that_cannot_be_opened_at_the_start_ends_the_start() -> None:
     robot = Robot()
     robot.controller.fail_next(100)
@@ -282,31 +231,6 @@ async def test_a_bus_that_cannot_be_opened_at_the_start_ends_the_start() -> None
 
 
 # ---- the end
-
-
-async def test_the_end_stops_all_legs_repeats_it_and_rejects_everything() -> None:
-    robot = await started_and_quiet()
-    robot.put(LEG_3, START)
-    waiting = robot.get(LEG_3, leg("set", 1, 1, 1))
-    robot.conductor.shut_down()
-    assert [frame for _, frame in robot.frames[1:]] == ALL_STOPS
-    assert [answer.reason for answer in waiting] == [Reason.STOPPING]
-    assert robot.ask(LEG_3, START).reason == Reason.STOPPING
-    assert robot.ask(keys.ESTOP).stop_frames == 6
-    await asyncio.wait_for(robot.conductor.done.wait(), 1)
-    assert sum(frame.is_stop for _, frame in robot.frames) == 6 + 6 + 6 * 3
-    assert robot.mode == Mode.STOPPING
-
-
-async def test_the_end_during_a_fault_tries_once_more() -> None:
-    robot = await started_and_quiet()
-    robot.put(LEG_3, START)
-    robot.controller.fail_for_ms(10)
-    robot.put(LEG_3, leg("stop"))
-    robot.sleep_through(0.01)
-    assert robot.controller.energised
-    assert robot.conductor.shut_down()
-    assert robot.controller.energised == set()
 
 
 async def test_the_end_with_a_dead_bus_does_not_wait() -> None:
@@ -333,13 +257,3 @@ async def test_in_a_published_controllers_framing_the_preamble_comes_first_and_a
     assert [data for _, data in robot.controller.transfers][:18] == first
     assert robot.controller.energised == set()
     assert robot.controller.corruptions.total() == 0
-
-
-async def test_of_two_commands_that_a_frame_was_to_complete_both_are_rejected_where_it_fails() -> None:
-    robot = await started_and_quiet()
-    robot.put(keys.leg_command(3), leg("start", 90, 90, 90))
-    robot.put(keys.leg_command(3), leg("set", 91, 91, 91))
-    waiting = [robot.get(keys.servo_command(each), servo("set", 70)) for each in (31, 32)]
-    robot.controller.fail_next(1)
-    await asyncio.sleep(0.1)
-    assert [[ack.reason for ack in each] for each in waiting] == [[Reason.BUS_FAULT], [Reason.BUS_FAULT]]

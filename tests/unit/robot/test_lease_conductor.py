@@ -2,15 +2,11 @@
 
 import asyncio
 import json
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
-import zenoh
 
-from gateway.robot.core.intake import Rejection, too_large
 from gateway.robot.core.message import Verb
-from gateway.robot.runtime.request_answers import BAD_ENCODING, BY_WILDCARD, payload_of
 from schemas import keys
 from schemas.lease import LeaseAck
 from schemas.telemetry import Kind, Reason
@@ -52,16 +48,6 @@ async def test_somebody_elses_start_undoes_no_stop_that_may_have_been_lost() -> 
     robot.put_later(LEG_3, verb=Verb.LOST)
     robot.put(LEG_3, START)
     assert robot.events(Kind.COMMAND_REJECTED)[0].reason == Reason.NOT_HOLDER
-    assert robot.controller.energised == set()
-
-
-async def test_a_takeover_whose_stops_cannot_be_written_is_granted_and_the_fault_told() -> None:
-    robot, _ = await driven_by_anna()
-    robot.controller.fail_next(1)
-    assert robot.lease("take", "bert").accepted
-    assert robot.events(Kind.BUS_FAULT)
-    await asyncio.sleep(0.1)
-    assert robot.conductor.state().lease.holder == "bert"
     assert robot.controller.energised == set()
 
 
@@ -109,26 +95,6 @@ async def test_what_is_no_request_is_answered_and_told_and_repeats_nothing(
     (event,) = robot.events(Kind.COMMAND_REJECTED)
     assert (event.key, event.reason) == (keys.LEASE, reason)
     assert TOKEN.lower() not in (answers[0].decode() + event.model_dump_json()).lower()
-
-
-@pytest.mark.parametrize(
-    ("key", "payload", "encoding", "found"),
-    [
-        (keys.LEASE, None, None, b""),
-        (keys.LEASE, b"{}", "application/json", b"{}"),
-        (keys.LEASE, b"{}", "image/png", BAD_ENCODING),
-        (keys.LEASE, b"12345678", None, b"12345678"),
-        (keys.LEASE, b"123456789", None, too_large(9, 8)),
-        ("hexapod/*/cmd", b"{}", None, BY_WILDCARD),
-    ],
-)
-def test_what_is_read_of_a_query(
-    key: str, payload: bytes | None, encoding: str | None, found: bytes | Rejection
-) -> None:
-    of: Any = SimpleNamespace(
-        key_expr=key, payload=None if payload is None else zenoh.ZBytes(payload), encoding=encoding
-    )
-    assert payload_of(of, 8) == found
 
 
 async def test_after_the_end_nobody_is_answered() -> None:

@@ -4,9 +4,7 @@ import asyncio
 
 import pytest
 
-from gateway.errors import SpiError
 from gateway.model.frames import stop_leg
-from gateway.robot.spi import SpiDevice
 from schemas import keys
 from schemas.robot import LEGS
 from schemas.telemetry import Kind, Mode, Reason
@@ -68,30 +66,6 @@ async def test_the_look_ten_times_a_second_publishes_it_and_stops_all_legs(monke
     assert kinds(robot) == CYCLE
 
 
-async def test_an_emergency_stop_is_written_first_and_six_stops_follow(monkeypatch: pytest.MonkeyPatch) -> None:
-    robot, _ = await meddled(monkeypatch, LEG_3)
-    ack = robot.ask(keys.ESTOP)
-    assert (ack.accepted, ack.stop_frames) == (True, 6)
-    assert [frame for _, frame in robot.frames] == ALL_STOPS
-    await asyncio.sleep(0.001)
-    assert [frame for _, frame in robot.frames] == ALL_STOPS * 2
-    assert robot.mode == Mode.ESTOPPED
-    assert [kind for kind in kinds(robot) if kind is not Kind.ESTOP_ENGAGED] == CYCLE
-
-
-async def test_a_stop_is_accepted_and_a_start_is_not(monkeypatch: pytest.MonkeyPatch) -> None:
-    robot, meddler = await meddled(monkeypatch, LEG_3)
-    assert robot.ask(LEG_3, leg("stop")).accepted
-    await asyncio.sleep(0.5)
-    robot.controller.transfers.clear()
-    meddler.found = "mode 3"
-    assert robot.ask(LEG_3, START).reason is Reason.BUS_FAULT
-    assert robot.frames == []
-    await asyncio.sleep(0.001)
-    assert [frame for _, frame in robot.frames] == ALL_STOPS
-    assert kinds(robot) == CYCLE * 2
-
-
 async def test_at_the_end_the_stops_and_their_repeats_leave(monkeypatch: pytest.MonkeyPatch) -> None:
     robot, meddler = await meddled(monkeypatch, LEG_3)
     assert robot.conductor.shut_down()
@@ -102,26 +76,3 @@ async def test_at_the_end_the_stops_and_their_repeats_leave(monkeypatch: pytest.
     assert robot.conductor.done.is_set()
     assert [event.detail for event in robot.events(Kind.BUS_MEDDLED)] == ["mode 3", "mode 1"]
     assert not robot.events(Kind.BUS_FAULT)
-
-
-async def test_behind_an_opening_it_is_no_second_fault(monkeypatch: pytest.MonkeyPatch) -> None:
-    robot, meddler = await meddled(monkeypatch, LEG_3)
-    meddler.found = None
-    opens_ns = robot.now_ns() + 300_000_000
-
-    def late() -> SpiDevice:
-        if robot.now_ns() < opens_ns:
-            raise SpiError("no such device")
-        meddler.found = "mode 3"  # between the opening and the Stops behind it
-        return robot.controller
-
-    monkeypatch.setattr(robot.conductor.bus, "_open_device", late)
-    robot.controller.fail_next(1)
-    robot.put(LEG_3, leg("stop"))
-    await asyncio.sleep(0.2)
-    robot.conductor.look_outside()
-    assert robot.mode == Mode.BUS_FAULT
-    await asyncio.sleep(1)
-    assert robot.mode == Mode.IDLE
-    assert meddler.found is None
-    assert kinds(robot) == [Kind.BUS_FAULT, Kind.BUS_MEDDLED, Kind.BUS_RECOVERED]

@@ -3,10 +3,8 @@
 import asyncio
 import random
 import threading
-import weakref
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from typing import Any, cast
 
 import pytest
@@ -316,22 +314,3 @@ def test_a_receiver_thread_that_never_comes_back_from_a_message_is_noticed() -> 
     runs.join(PATIENCE_S)
     assert all(made.goes_on() for _ in range(2 * MOST_LOOKS)), "nor that nothing comes any more"
     stage.end()
-
-
-def test_a_receiver_thread_keeps_nothing_of_a_message_while_it_waits_for_the_next() -> None:
-    """A client waits as long as a reference to its query exists."""
-
-    class Query:
-        pass
-
-    def answer(_query: object) -> None:
-        pass
-
-    made, stage, _, ring = receiver(lambda item, _: partial(answer, item))
-    ring.items.clear()
-    ring.items.append(Query())
-    held = weakref.ref(ring.items[0])
-    stage.run(1)
-    assert held() is None
-    stage.end()
-    made.thread.join(PATIENCE_S)

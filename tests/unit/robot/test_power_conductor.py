@@ -10,7 +10,6 @@ import pytest
 from gateway.model.power_board import SERVO_OVERCURRENT, CanFrame, set_supply
 from gateway.robot.core.events import StoppedOutside
 from gateway.robot.runtime.confirmations import MOST_ASKERS
-from gateway.robot.service import BEAT_S
 from schemas import keys
 from schemas.robot import LEGS, SERVO_IDS
 from schemas.telemetry import Kind, Mode, Reason, Telemetry
@@ -20,7 +19,6 @@ from tests.support.robot import leg, servo
 
 pytestmark = pytest.mark.virtual_time
 
-ALL: Final = frozenset(SERVO_IDS)
 LEG_3: Final = keys.leg_command(3)
 START: Final = leg("start", 90, 90, 90)
 LEG_3_SERVOS: Final = frozenset({31, 32, 33})
@@ -61,11 +59,6 @@ async def starts(
     assert [ack.accepted for ack in answers] == [True]
 
 
-def shutdowns(robot: FedElkapod) -> int:
-    """How many the UART has said."""
-    return sum(word == "shutdown" for _, word in robot.said)
-
-
 async def test_a_servo_is_fed_while_it_runs_or_waits_to_be_started_and_at_no_other_time() -> None:
     robot = await ready()
     answers = robot.get(LEG_3, START)
@@ -85,21 +78,6 @@ async def test_a_servo_is_fed_while_it_runs_or_waits_to_be_started_and_at_no_oth
     assert robot.line.fed == frozenset()
     await asyncio.sleep(0.1)
     assert [(ack.accepted, ack.confirmed) for ack in answers] == [(True, True)]
-
-
-async def test_all_eighteen_start_within_1_4_s_at_once_and_their_watchdog_begins_then() -> None:
-    robot = await ready()
-    begun_ns = robot.now_ns()
-    answers = robot.get(keys.LEGS_COMMAND, all_legs("start", 90))
-    for _ in range(140):
-        await asyncio.sleep(0 if answers else 0.01)
-    assert (robot.now_ns() - begun_ns) / 1e9 < 1.4
-    assert running(robot) == list(SERVO_IDS)
-    await asyncio.sleep(0.2)
-    assert running(robot) == list(SERVO_IDS)
-    await asyncio.sleep(0.1)
-    assert running(robot) == []
-    assert robot.line.fed == frozenset()
 
 
 async def test_the_first_servo_that_is_fed_behind_a_fault_is_fed_alone_and_the_others_once_it_rests() -> None:
@@ -204,18 +182,6 @@ async def test_the_end_takes_the_supply() -> None:
     assert robot.line.fed == frozenset()
 
 
-async def test_a_bus_that_fails_takes_the_supply_and_one_that_is_back_gives_nothing() -> None:
-    robot = await runs()
-    robot.controller.fail_where(lambda _: True)
-    robot.put(LEG_3, leg("stop"))
-    assert robot.conductor.state().mode is Mode.BUS_FAULT
-    assert robot.line.fed == frozenset()
-    robot.controller.fail_where(lambda _: False)
-    await asyncio.sleep(UP_S)
-    assert robot.line.fed == frozenset()
-    assert running(robot) == []
-
-
 async def test_a_start_that_the_board_does_not_feed_is_rejected_within_2_s_and_published() -> None:
     robot = await runs()
     robot.line.deaf = True
@@ -226,22 +192,6 @@ async def test_a_start_that_the_board_does_not_feed_is_rejected_within_2_s_and_p
     assert [ack.reason for ack in answers] == [Reason.NO_POWER]
     assert [event.reason for event in robot.events(Kind.COMMAND_REJECTED)][:1] == [Reason.NO_POWER]
     assert not robot.line.board._wanted >> 9 & 0b111, "it is not to be fed any more"
-
-
-async def test_nothing_starts_while_the_board_is_silent_and_what_runs_is_stopped() -> None:
-    robot = await runs()
-    robot.line.unplugged = True
-    await asyncio.sleep(0.19)
-    assert Kind.POWER_UNCONFIRMED in [event.kind for event in robot.events()]
-    assert running(robot) == []
-    ack = robot.ask(LEG_3, START)
-    assert (ack.accepted, ack.reason) == (False, Reason.NO_POWER)
-    answers = robot.get(LEG_3, leg("stop"))
-    await asyncio.sleep(0.46)
-    assert [(ack.accepted, ack.confirmed) for ack in answers] == [(True, False)]
-    robot.line.unplugged = False
-    await asyncio.sleep(UP_S)
-    await starts(robot)
 
 
 def _nothing(_: FedRobot) -> None:
@@ -329,38 +279,6 @@ async def test_a_servo_is_fed_once_its_angle_was_in_two_frames_and_the_uart_has_
     assert first_ms >= round(start_ms)
 
 
-async def test_a_stop_of_one_servo_takes_its_supply_at_once_and_is_confirmed() -> None:
-    robot = FedElkapod()
-    await asyncio.sleep(0.5)
-    robot.put(LEG_3, START)
-    await keep(robot, 0.4, LEG_3, leg("set", 90, 90, 90))
-    assert robot.line.fed == {31, 32, 33}
-    answers = robot.get(keys.servo_command(32), servo("stop"))
-    assert robot.line.fed == {31, 33}
-    before = shutdowns(robot)
-    await asyncio.sleep(0.1)
-    (ack,) = answers
-    assert (ack.accepted, ack.confirmed) == (True, True)
-    assert shutdowns(robot) == before, "the others run"
-    robot.put(LEG_3, leg("stop"))
-    assert robot.line.fed == frozenset()
-    assert shutdowns(robot) > before, "with the last, the UART's too"
-
-
-async def test_a_stop_that_is_not_confirmed_stops_the_whole_robot_over_the_uart() -> None:
-    robot = FedElkapod()
-    await asyncio.sleep(0.5)
-    robot.put(keys.LEGS_COMMAND, all_legs("start", 90))
-    await keep(robot, 1.0, keys.LEGS_COMMAND, all_legs("set", 90))
-    assert robot.line.fed == ALL
-    robot.line.deaf = True  # it answers questions, and does not obey masks
-    robot.put(LEG_3, leg("stop"))
-    before = shutdowns(robot)
-    await keep(robot, 0.6, keys.leg_command(1), leg("set", 90, 90, 90))
-    assert shutdowns(robot) > before
-    assert running(robot) == []
-
-
 # ---- what currents show
 
 
@@ -397,33 +315,6 @@ async def test_a_switch_that_has_melted_is_found_by_the_current_and_stops_the_wh
     assert robot.said[-1][1] == "shutdown"
 
 
-async def test_a_reset_lets_an_elkapods_servo_start_that_drew_current_after_its_stop() -> None:
-    """Nothing of the board changes by it: nothing was fed, and nothing is."""
-    robot = FedElkapod()
-    await asyncio.sleep(0.5)
-    robot.put(keys.servo_command(31), servo("start", 90))
-    await keep(robot, 0.5, keys.servo_command(31), servo("set", 90))
-    robot.line.simulated.draws_ma = [300.0] * len(SERVO_IDS)
-    robot.line.simulated.stuck = SERVO_31
-    robot.put(keys.servo_command(31), servo("stop"))
-    await asyncio.sleep(0.7)
-    assert robot.events(Kind.SERVO_DRAWS)
-    assert robot.ask(keys.servo_command(31), servo("start", 90)).reason == Reason.NO_POWER
-    robot.line.simulated.stuck = 0
-    await asyncio.sleep(0.5)
-    robot.put(keys.RESET, {})
-    await asyncio.sleep(BEAT_S)
-    await starts(robot, keys.servo_command(31), servo("start", 90))
-
-
-async def test_a_servo_that_runs_and_draws_nothing_is_reported_once() -> None:
-    robot = await runs()
-    robot.line.simulated.draws_ma = [8.0] * len(SERVO_IDS)
-    robot.line.simulated.draws_ma[SERVO_IDS.index(32)] = 0.0
-    await keep(robot, 2.5, LEG_3, leg("set", 90, 90, 90))
-    assert ["32" in event.detail for event in robot.events(Kind.SERVO_SILENT)] == [True]
-
-
 async def test_telemetry_has_what_the_board_measures_of_a_robot_that_measures_nothing_itself() -> None:
     robot = await runs(watchdog={"timeout_ms": 10_000})
     robot.line.simulated.draws_ma = [100.0] * len(SERVO_IDS)
@@ -448,24 +339,6 @@ async def test_telemetry_has_what_the_board_measures_of_a_robot_that_measures_no
     assert report.age_ms > 0
 
 
-async def test_an_emergency_stop_that_waits_for_the_state_takes_the_supply_before() -> None:
-    robot = await runs()
-    supply = robot.conductor.supply
-    assert supply is not None
-    supply.cut_early()  # on the thread that has received it, while a transfer holds the state
-    assert robot.line.fed == frozenset()
-    robot.put(LEG_3, START)  # a step that was decided before
-    await asyncio.sleep(0.1)
-    assert robot.line.fed == frozenset()
-    robot.put(keys.ESTOP)
-    await asyncio.sleep(0.2)
-    robot.put(keys.RESET, {"estop": 1})
-    await asyncio.sleep(0.2)
-    robot.put(LEG_3, START)
-    await asyncio.sleep(0.5)
-    assert robot.line.fed == LEG_3_SERVOS
-
-
 async def test_a_line_that_listens_no_more_is_noticed_within_thirty_beats() -> None:
     robot = await runs()
     supply = robot.conductor.supply
@@ -476,32 +349,6 @@ async def test_a_line_that_listens_no_more_is_noticed_within_thirty_beats() -> N
     robot.line.listens = False
     supply.goes_on()
     assert [supply.goes_on() for _ in range(30)] == [True] * 29 + [False]
-
-
-async def test_a_robot_that_lands_since_the_board_is_silent_keeps_its_supply_until_it_is_down() -> None:
-    robot = await runs(watchdog={"landing_ms": 500, "landing": {"31": 45}})
-    robot.line.hears = False
-    await keep(robot, 0.4, LEG_3, leg("set", 90, 90, 90))
-    assert robot.events(Kind.LANDING)
-    assert robot.line.fed == LEG_3_SERVOS
-    await asyncio.sleep(0.5)
-    assert running(robot) == []
-    assert robot.line.fed == frozenset(), "the board hears us, and we do not hear it"
-
-
-async def test_who_waits_as_the_gateway_closes_hears_that_nothing_is_confirmed() -> None:
-    robot = await runs()
-    robot.line.unplugged = True
-    answers = [robot.get(keys.ESTOP), robot.get(keys.ESTOP)]
-    robot.conductor.close()
-    assert [[(ack.accepted, ack.confirmed) for ack in each] for each in answers] == [[(True, False)]] * 2
-
-
-async def test_stops_that_are_asked_for_at_once_are_each_confirmed() -> None:
-    robot = await runs()
-    answers = [robot.get(keys.ESTOP) for _ in range(3)]
-    await asyncio.sleep(0.15)
-    assert [[ack.confirmed for ack in each] for each in answers] == [[True]] * 3
 
 
 async def test_one_question_serves_a_flood_of_emergency_stops_beside_a_silent_board() -> None:

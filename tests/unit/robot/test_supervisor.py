@@ -63,21 +63,6 @@ def test_a_set_may_follow_a_start_that_waits() -> None:
     assert robot.time(21) == ["command 12 start 45", "completed 3"]
 
 
-# ---- joint limits
-
-
-def test_an_angle_outside_a_joints_limits_rejects_the_whole_command() -> None:
-    robot = Steps(Rules(repeats=0, joint_limits_cdeg={12: (20_00, 160_00)}))
-    assert robot.command(1, leg_to(1, "start 10")) == ["rejected 1 joint_limit"]
-    assert "servo 12 may go from 20 to 160 degrees; 10 is outside" in str(robot.effects)
-    assert robot.command(2, legs_to("21", "start 160.01")) == ["rejected 2 joint_limit"]
-    assert robot.running == []
-    assert robot.command(3, leg_to(1, "start 20")) == ["command 1 start 20", "completed 3"]
-    assert robot.command(30, servo_to(12, "set 160")) == ["command 12 set 160", "completed 4"]
-    assert robot.command(60, servo_to(11, "set 180")) == ["command 11 set 180", "completed 5"]
-    assert robot.command(61, leg_to(1, "stop")) == ["command 1 stop", "completed 6"], "a stop has no angle"
-
-
 # ---- 3, the rate limit
 
 
@@ -108,31 +93,6 @@ def test_a_command_comes_just_when_another_legs_slot_does() -> None:
     assert robot.due_ms == 112 + 250, "nothing waits any more"
 
 
-def test_the_newest_of_each_servo_is_sent_in_one_frame() -> None:
-    robot = Steps()
-    robot.command(100, leg_to(1, "start 90"))
-    assert robot.command(101, leg_to(1, "set 10", "set 20", "set 30")) == []
-    assert robot.command(102, servo_to(12, "set 25")) == []
-    assert robot.time(120) == ["command 1 set 10 | set 25 | set 30", "completed 3", "completed 2 coalesced"]
-
-
-def test_each_leg_has_rate_slots_of_its_own() -> None:
-    robot = Steps()
-    robot.command(100, leg_to(1, "start 90"))
-    assert robot.command(101, leg_to(2, "start 90")) == ["command 2 start 90", "completed 2"]
-    assert robot.command(102, legs_to("123", "start 80")) == ["command 3 start 80"]
-    assert robot.time(105) == ["command 1 start 80"]
-    assert robot.time(106) == ["command 2 start 80", "completed 3"]
-
-
-def test_a_command_that_finds_a_rate_slot_is_sent_with_what_waited() -> None:
-    """Nobody woke the supervisor in time: the newer target goes out, not first the older one."""
-    robot = Steps()
-    robot.command(100, leg_to(1, "start 90"))
-    robot.command(101, leg_to(1, "set 10"))
-    assert robot.command(125, leg_to(1, "set 20")) == ["completed 2 coalesced", "command 1 set 20", "completed 3"]
-
-
 # ---- Stops never wait
 
 
@@ -145,26 +105,11 @@ def test_a_stop_goes_out_at_once_and_ends_what_waits() -> None:
     assert robot.supervisor.mode is Mode.IDLE
 
 
-def test_a_stop_among_moves_does_not_wait_for_them() -> None:
-    robot = Steps()
-    robot.command(100, leg_to(1, "start 90"))
-    assert robot.command(101, leg_to(1, "set 80", "stop", "set 70")) == ["command 12 stop"]
-    assert robot.running == [11, 13]
-    assert robot.time(120) == ["command 1 set 80 | stop | set 70", "completed 2"]
-
-
 def test_a_stop_among_moves_reaches_a_servo_that_seems_to_be_stopped() -> None:
     """Its Stop may have been lost on the wire, which acknowledges nothing."""
     robot = Steps()
     robot.command(100, leg_to(1, "start 90", "stop", "start 90"))
     assert robot.command(101, leg_to(1, "set 80", "stop", "set 80")) == ["command 12 stop"]
-
-
-def test_stops_come_first_in_a_command_for_several_legs() -> None:
-    robot = Steps()
-    robot.command(100, leg_to(2, "start 90"))
-    mixed = leg_to(1, "start 90") + leg_to(2, "stop")
-    assert robot.command(130, mixed, "legs") == ["command 2 stop", "command 1 start 90", "completed 2"]
 
 
 def test_a_stop_to_a_leg_that_does_not_run_is_sent() -> None:
@@ -185,13 +130,6 @@ def test_a_stop_wins_over_another_channels_move_in_the_same_instant(move: str) -
     assert robot.command(130, leg_to(2, move.replace("set", "start")), "leg/2")[0].startswith("command 2")
 
 
-def test_the_other_way_round_it_wins_as_well() -> None:
-    robot = Steps()
-    assert robot.command(130, servo_to(11, "start 90"), "servo/11") == ["command 11 start 90", "completed 1"]
-    assert robot.command(130, leg_to(1, "stop"), "legs") == ["command 1 stop", "completed 2"]
-    assert robot.running == []
-
-
 def test_one_channels_own_order_is_known_and_no_others_however_long_an_instant_takes() -> None:
     robot = Steps()
     robot.instant_ms = 130
@@ -200,37 +138,11 @@ def test_one_channels_own_order_is_known_and_no_others_however_long_an_instant_t
     assert robot.command(131.5, leg_to(1, "start 90"), "put leg/1") == ["command 1 start 90", "completed 3"]
 
 
-def test_all_who_stop_in_an_instant_count() -> None:
-    robot = Steps()
-    robot.command(130, servo_to(11, "stop"), "servo/11")
-    robot.command(130, leg_to(1, "stop"), "leg/1")
-    assert robot.command(130, leg_to(1, "start 90"), "leg/1") == ["rejected 3 servo_stopped"]
-    assert robot.command(130.001, leg_to(1, "start 90"), "leg/1") == ["command 1 start 90", "completed 4"]
-
-
 def test_a_stop_among_moves_wins_too() -> None:
     robot = Steps()
     robot.command(130, leg_to(1, "start 90", "stop", "start 90"), "leg/1")
     assert robot.command(130, servo_to(12, "start 90"), "servo/12") == ["rejected 2 servo_stopped"]
     assert robot.running == [11, 13]
-
-
-# ---- what must hold for each joint alone, for the queue of starts, and in an instant in which time passes
-
-
-JOINTS = pytest.mark.parametrize("joint", [1, 2, 3])
-
-
-# ---- each joint
-
-
-@JOINTS
-def test_a_single_pending_joint_is_sent_in_its_rate_slot(joint: int) -> None:
-    robot = Steps()
-    robot.command(100, leg_to(1, "start 90"))
-    assert robot.command(101, servo_to(10 + joint, "set 80")) == []
-    assert robot.due_ms == 105
-    assert robot.time(105) == [f"command {10 + joint} set 80", "completed 2"]
 
 
 # ---- the queue of starts
@@ -245,28 +157,7 @@ def test_a_leg_whose_start_was_dropped_keeps_nobody_off() -> None:
     assert robot.command(200, leg_to(3, "start 90"))[0] == "command 3 start 90"
 
 
-def test_a_leg_whose_rate_slot_has_not_come_keeps_its_place() -> None:
-    robot = staggered(1)
-    robot.command(100, leg_to(1, "start 90"))
-    robot.command(101, leg_to(1, "stop"))
-    assert robot.command(103, leg_to(1, "start 80")) == []
-    assert robot.command(104, leg_to(2, "start 90")) == []
-    assert robot.time(105) == ["command 1 start 80", "completed 3"]
-    assert robot.time(106) == ["command 2 start 90", "completed 4"]
-
-
 # ---- Stops that come with moves
-
-
-def test_a_stop_that_comes_with_moves_is_repeated_like_any_other() -> None:
-    robot = Steps(Rules(repeats=2))
-    robot.command(100, leg_to(1, "start 90"))
-    assert robot.command(130, leg_to(1, "stop", "set 80", "set 80"))[-2:] == [
-        "command 1 stop | set 80 | set 80",
-        "completed 2",
-    ]
-    assert "repeat 11 stop" in robot.time(150)
-    assert "repeat 11 stop" in robot.time(170)
 
 
 def test_a_stream_above_the_rate_that_keeps_a_servo_stopped_leaves_it_to_the_repeats() -> None:
@@ -275,27 +166,3 @@ def test_a_stream_above_the_rate_that_keeps_a_servo_stopped_leaves_it_to_the_rep
     assert "command 11 stop" in robot.command(101, leg_to(1, "stop", "set 80", "set 80"))
     assert "command 11 stop" not in robot.command(102, leg_to(1, "stop", "set 70", "set 70"))
     assert "repeat 11 stop" in robot.time(121)
-
-
-# ---- an instant in which time passes: what was collected together has no order, however long it takes to deal with it
-
-
-def test_a_start_does_not_overtake_a_stop_of_its_instant_that_comes_with_moves() -> None:
-    robot = Steps()
-    robot.command(99, leg_to(1, "start 90"))
-    robot.instant_ms = 100
-    robot.command(101, leg_to(1, "stop", "set 80", "set 80"), "put legs")
-    assert robot.command(102, servo_to(11, "start 10"), "put leg/1") == ["rejected 3 servo_stopped"]
-    assert robot.command(103, servo_to(11, "start 10"), "put legs") == [], "of one channel it is newer: it is pending"
-
-
-def test_a_start_does_not_undo_the_watchdogs_stop_of_its_instant() -> None:
-    robot = Steps()
-    robot.command(100, leg_to(1, "start 90"))
-    robot.instant_ms = 349
-    assert robot.command(351, leg_to(1, "start 90"), "put leg/1") == [
-        "watchdog 1 stop",
-        "announce watchdog_expired",
-        "rejected 2 servo_stopped",
-    ]
-    assert robot.command(352, leg_to(1, "start 90"), "put leg/1") == ["rejected 3 servo_stopped"]

@@ -7,7 +7,7 @@ import pytest
 
 from gateway.allowance import NS_PER_MS
 from gateway.model.calibration import CalibrationChange, MappingChange, RobotCalibration, ServoMapping
-from gateway.robot.core.events import Announce, CalibrationSaved, Transmit
+from gateway.robot.core.events import Announce, CalibrationSaved
 from gateway.robot.core.leg import Rules
 from gateway.robot.core.legal import IllegalEvent
 from schemas.telemetry import Kind, Mode
@@ -49,13 +49,6 @@ def test_the_settings_limits_hold_as_well_and_count_as_users_do() -> None:
     assert steps.command(1, servo_to(32, "start 80")) == ["command 32 start 107", "completed 2"]
 
 
-def test_a_limited_speed_counts_as_users_do_and_goes_the_servos_way() -> None:
-    steps = Steps(Rules(repeats=0, max_speed_cdeg_s={32: 100_00}), calibration=MIRRORED)
-    steps.command(0.5, servo_to(32, "start 90"))
-    assert steps.command(100.5, servo_to(32, "set 170")) == ["command 32 set 95", "completed 2"]
-    assert steps.time(120.5) == ["command 32 set 93"]
-
-
 def test_it_is_the_servos_own_angle_that_is_never_sent() -> None:
     calibration = RobotCalibration(1, {32: ServoMapping(-3_00)})
     steps = Steps(Rules(repeats=0, avoid_cdeg=(1_00, 4_00)), calibration=calibration)
@@ -73,18 +66,6 @@ def test_a_landing_pose_of_angles_that_are_never_sent_is_rejected() -> None:
     assert steps.calibrate(1, CalibrationChange({}, {31: 3_00})) == ["rejected 1 joint_limit"]
     assert steps.calibrate(2, CalibrationChange({32: MappingChange(trim_cdeg=-3_00)}, {})) == ["rejected 2 joint_limit"]
     assert steps.detail.startswith("the landing pose cannot be sent: 5 degrees of servo 32 are its own 2, ")
-
-
-def test_a_landing_goes_to_the_calibrations_pose_on_the_servos_way() -> None:
-    calibration = RobotCalibration(3, MIRRORED.servos, {32: 100_00})
-    rules = Rules(repeats=0, landing_ns=1000 * NS_PER_MS, landing_cdeg={32: 20_00, 31: 50_00})
-    steps = Steps(rules, calibration=calibration)
-    steps.command(0.5, leg_to(3, "start 90"))
-    assert steps.time(250.5) == ["announce landing"]
-    while steps.due_ms is not None and steps.due_ms < 1249:
-        steps.time(steps.due_ms)
-        transmits = [effect for effect in steps.effects if isinstance(effect, Transmit)]
-    assert [op.angle_cdeg for _, op in transmits[-1].frame.servos] == [50_00, 87_00, 90_00]
 
 
 # ---- a change
@@ -121,23 +102,6 @@ def test_a_servo_that_runs_or_waits_to_be_started_is_not_changed() -> None:
         expected = f"servo {servo_id} runs or waits to be started; stop it before its calibration is changed"
         assert steps.detail == expected
     assert steps.calibrate(4, CalibrationChange({31: MappingChange(trim_cdeg=1)}, {32: 90_00})) == ["keep 5"]
-
-
-def test_what_is_named_but_stays_as_it_is_may_run() -> None:
-    steps = Steps(calibration=MIRRORED)
-    steps.command(0.5, servo_to(32, "start 90"))
-    assert steps.calibrate(1, CalibrationChange({32: MappingChange(trim_cdeg=7_00)}, {})) == ["keep 2"]
-    assert steps.command(2, servo_to(32, "set 91")) == []  # it waits for its rate slot, for nothing else
-    assert steps.kept(3) == ["announce calibrated", "completed 2"]
-    assert steps.announced[0].detail == "calibration 4 is in force; it changes nothing"
-
-
-def test_the_landing_pose_is_changed_while_the_robot_stands() -> None:
-    steps = Steps()
-    steps.command(0.5, leg_to(3, "start 90"))
-    assert steps.calibrate(1, CalibrationChange({}, {32: 90_00})) == ["keep 2"]
-    steps.kept(2)
-    assert steps.announced[0].detail == "calibration 1 is in force; it changes the landing pose"
 
 
 def test_nothing_that_is_changed_starts_meanwhile() -> None:
@@ -191,23 +155,6 @@ def test_nothing_is_changed_where_nothing_may_move() -> None:
     assert steps.calibrate(258, TURN_32) == ["rejected 5 bus_fault"]
     steps.end(259)
     assert steps.calibrate(260, TURN_32) == ["rejected 6 stopping"]
-
-
-@pytest.mark.parametrize("what", ["estop", "fail", "end"])
-def test_what_is_on_the_disk_is_in_force_whatever_came_meanwhile(what: str) -> None:
-    """Else the file would say one thing and the frames another, until the next start."""
-    steps = Steps()
-    steps.calibrate(0, TURN_32)
-    getattr(steps, what)(1)
-    assert steps.kept(2) == ["announce calibrated", "completed 1"]
-    assert steps.supervisor.calibrating.in_force.revision == 1
-
-
-def test_the_watchdog_comes_first_in_a_step_with_the_disks_answer() -> None:
-    steps = Steps()
-    steps.command(0.5, leg_to(1, "start 90"))
-    steps.calibrate(1, TURN_32)
-    assert steps.kept(251) == ["watchdog 1 stop", "announce watchdog_expired", "announce calibrated", "completed 2"]
 
 
 @pytest.mark.parametrize("number", [0, 2])

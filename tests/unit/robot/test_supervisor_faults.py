@@ -20,7 +20,7 @@ from gateway.robot.core.leg import Rules
 from gateway.robot.core.legal import IllegalEvent
 from schemas.telemetry import Mode
 from tests.support.model_check import copied, key, pending
-from tests.support.steps import Steps, all_stopped, leg_to, legs_to, servo_to, staggered
+from tests.support.steps import Steps, all_stopped, leg_to, servo_to
 from tests.support.transitions import TRANSITIONS
 
 # ---- 6, bus fault
@@ -51,15 +51,6 @@ def test_a_bus_that_answers_again_stops_all_and_sends_nothing_that_waited() -> N
     assert robot.time(1000) == []
 
 
-def test_the_latch_stays_through_a_fault() -> None:
-    robot = Steps()
-    robot.estop(100)
-    robot.fail(110)
-    assert robot.open(200)[:6] == all_stopped("startup")
-    assert robot.supervisor.mode is Mode.ESTOPPED
-    assert robot.command(210, leg_to(1, "start 90")) == ["rejected 1 estopped"]
-
-
 def test_an_emergency_stop_during_a_fault_latches() -> None:
     robot = Steps()
     robot.fail(100)
@@ -67,36 +58,6 @@ def test_an_emergency_stop_during_a_fault_latches() -> None:
     assert "follow as soon as it does" in str(robot.effects)
     assert robot.open(200)[:6] == all_stopped("startup")
     assert robot.supervisor.mode is Mode.ESTOPPED
-
-
-def test_an_emergency_stop_before_the_bus_was_ever_open_latches() -> None:
-    robot = Steps(opened=False)
-    assert robot.estop(0) == ["announce estop_engaged"]
-    assert robot.open(1) == all_stopped("startup")
-    assert robot.supervisor.mode is Mode.ESTOPPED
-
-
-# ---- starts one after the other
-
-
-def test_legs_are_energised_with_a_pause_between_them() -> None:
-    robot = staggered()
-    assert robot.command(100, legs_to("123", "start 90"), "legs") == ["command 1 start 90"]
-    assert robot.due_ms == 150
-    assert robot.time(149) == []
-    assert robot.time(150) == ["command 2 start 90"]
-    assert robot.time(200) == ["command 3 start 90", "completed 1"]
-
-
-@pytest.mark.parametrize("stopped", ["1", "2", "6"])
-def test_a_stop_anywhere_ends_the_queue(stopped: str) -> None:
-    robot = staggered()
-    robot.command(100, legs_to("123", "start 90"), "legs")
-    told = robot.command(110, legs_to(stopped, "stop"))
-    assert told[0] == f"command {stopped} stop"
-    assert set(told[1:]) == {"rejected 1 servo_stopped", "completed 2"}
-    assert robot.time(150) == []
-    assert robot.time(200) == []
 
 
 # ---- 7, the end
@@ -112,13 +73,6 @@ def test_the_end_stops_all_and_rejects_everything() -> None:
     assert robot.reset(104) == ["rejected 4 stopping"]
     assert robot.estop(105) == [*all_stopped("estop"), "announce estop_engaged"]
     assert robot.time(1000) == []
-
-
-def test_the_stops_of_the_end_are_repeated() -> None:
-    robot = Steps(Rules(repeats=1))
-    robot.end(100)
-    assert robot.time(120) == all_stopped("repeat")
-    assert robot.due_ms is None
 
 
 def test_the_end_during_a_fault_says_that_no_stop_was_sent_until_the_bus_answers() -> None:

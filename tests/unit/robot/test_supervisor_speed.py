@@ -39,12 +39,6 @@ def test_a_far_target_is_approached_and_reached() -> None:
     assert len(said) >= (110 - 92) / (100 / 50)
 
 
-def test_a_near_target_is_reached_at_once() -> None:
-    steps = speed_steps()
-    assert steps.command(51, servo_to(31, "set 91.9"))[0] == "command 31 set 91.9"
-    assert angles(steps, 200) == []
-
-
 def test_the_newest_target_counts() -> None:
     steps = speed_steps()
     steps.command(51, servo_to(31, "set 180"))
@@ -61,10 +55,6 @@ def test_a_start_of_one_that_does_not_run_goes_where_it_says() -> None:
     assert steps.command(1, servo_to(31, "start 180"))[0] == "command 31 start 180"
 
 
-def test_other_servos_are_as_quick_as_ever() -> None:
-    assert speed_steps().command(51, leg_to(3, "set 180"))[0] == "command 3 set 92 | set 180 | set 180"
-
-
 @pytest.mark.parametrize(("others", "deg"), [((32, 33), 91), ((32,), 92)], ids=["a leg's frame", "another servo's"])
 def test_a_frame_that_tells_it_its_angle_again_counts_as_its_last(others: tuple[int, ...], deg: int) -> None:
     steps = speed_steps()
@@ -79,21 +69,6 @@ def test_its_start_counts_as_its_last_frame_too() -> None:
 def avoiding() -> Steps:
     """Servo 31 may go 50 degrees a second; 1 to 4 degrees are never sent."""
     return Steps(Rules(repeats=0, timeout_ns=10**10, max_speed_cdeg_s={31: 50_00}, avoid_cdeg=(1_00, 4_00)))
-
-
-@pytest.mark.parametrize("ended_by", ["a stop", "a new holder"])
-def test_a_way_across_that_has_ended_is_no_part_of_the_next(ended_by: str) -> None:
-    steps = avoiding()
-    steps.command(1, servo_to(31, "start 6"))
-    steps.command(21, servo_to(31, "set 0"))
-    assert angles(steps, 90)[-1] == 4, "its way would be at about 2.5 now"
-    if ended_by == "a stop":
-        steps.command(100, servo_to(31, "stop"))
-        steps.command(120, servo_to(31, "start 4"))
-    else:
-        steps.lease(120, "acquire anna", fresh="a" * 32)
-    steps.command(200, servo_to(31, "set 0"), lease="a" * 32 if ended_by == "a new holder" else None)
-    assert set(angles(steps, 240)) == {4}, "the whole way takes 60 ms, and it began at 200"
 
 
 def across(user_deg: float, at_ms: float = 21) -> list[float]:
@@ -190,12 +165,3 @@ def test_a_servo_does_not_go_on_to_where_a_rejected_command_has_sent_it(reject: 
     assert "rejected 7" in " ".join(reject(steps))
     assert 31 in steps.running
     assert angles(steps, REJECTED_MS + 90) == [], "it holds where it is"
-
-
-@pytest.mark.parametrize("reject", REJECTING)
-def test_it_goes_on_to_where_a_newer_command_has_sent_it(reject: Callable[[Steps], list[str]]) -> None:
-    steps = begun()
-    newer = steps.command(REJECTED_MS - 2, servo_to(31, "set 100"))
-    assert "rejected" not in " ".join(newer)
-    assert "rejected 7" in " ".join(reject(steps))
-    assert angles(steps, REJECTED_MS + 90)[-1] > 9.2
