@@ -14,20 +14,6 @@ def test_units() -> None:
     assert (NS_PER_MS, NS_PER_S) == (MS, 1000 * MS)
 
 
-def test_so_many_at_once_and_then_one_by_one() -> None:
-    allowance = Allowance(a_second=10, at_once=3)
-    assert [allowance.take(7) for _ in range(5)] == [True, True, True, False, False]
-    assert [ms for ms in range(1000) if allowance.take(7 + ms * MS)] == list(range(100, 1000, 100))
-
-
-def test_what_was_not_used_is_kept_up_to_so_many_at_once() -> None:
-    allowance = Allowance(a_second=10, at_once=3)
-    assert allowance.take(0, 3)
-    assert not allowance.is_full(299 * MS)
-    assert allowance.is_full(300 * MS)
-    assert [allowance.take(3600 * NS_PER_S) for _ in range(4)] == [True, True, True, False]
-
-
 def test_all_or_nothing() -> None:
     allowance = Allowance(a_second=10, at_once=3)
     assert not allowance.take(0, 4)

@@ -18,7 +18,7 @@ from gateway.certs import authority
 from gateway.errors import ConfigError
 from gateway.people.commands.certs import app
 from gateway.zenoh_config import load_client_config, load_config
-from tests.support.certs_folder import DAY, HOSTS, MADE_BY_INIT, NOW, contents, fault, make_folder, mode, names
+from tests.support.certs_folder import DAY, HOSTS, MADE_BY_INIT, NOW, fault, make_folder, mode, names
 
 __all__ = ["make_folder"]  # a fixture
 
@@ -60,18 +60,6 @@ def test_a_laptops_certificate_carries_role_and_name_and_cannot_serve(folder: Pa
     assert not alice.extensions.get_extension_for_class(x509.BasicConstraints).value.ca
     key = serialization.load_pem_private_key((folder / "alice.key").read_bytes(), None)
     assert key.public_key() == alice.public_key()
-
-
-def test_how_long_they_live(folder: Path) -> None:
-    certs.folder.issue(folder, "alice", "operator", now=NOW)
-    certs.folder.issue(folder, "brief", "observer", days=7, now=NOW)
-    certs.folder.issue(folder, "late", "observer", now=NOW + 3600 * DAY)
-    left = {found.name: found.days_left(NOW) for found in certs.folder.expiries(folder) if found.role != "ca"}
-    # A leaf never outlives its CA of ten years.
-    assert left == {"robot.local": 730, "alice": 730, "brief": 7, "late": 3650}
-    # A robot without a clock may think that it is last year.
-    assert {found.not_before for found in certs.folder.expiries(folder)} >= {NOW - 365 * DAY}
-    assert all(found.not_before <= NOW - 360 * DAY for found in certs.folder.expiries(folder) if found.name != "late")
 
 
 def test_a_consoles_certificate_only_serves(folder: Path) -> None:
@@ -128,23 +116,6 @@ def test_a_further_robot_has_a_folder_that_is_installed_like_the_first_ones(fold
         assert sentence in fault(partial(certs.folder.issue, folder, name, role, hosts=hosts))
 
 
-def test_renew_keeps_key_and_holder(folder: Path) -> None:
-    certs.folder.issue(folder, "alice", "operator", now=NOW - 700 * DAY)
-    for name in ("alice", "gateway"):
-        before, old = contents(folder), certs.files.read_certificate(folder / f"{name}.pem")
-        certs.folder.renew(folder, name, days=100, now=NOW)
-        new = certs.files.read_certificate(folder / f"{name}.pem")
-        new.verify_directly_issued_by(certs.files.read_certificate(folder / "ca.pem"))
-        assert (new.subject, new.public_key()) == (old.subject, old.public_key())
-        assert new.serial_number != old.serial_number
-        assert new.not_valid_after_utc == NOW + 100 * DAY
-        assert {item.oid for item in new.extensions} == {item.oid for item in old.extensions}
-        assert {key: value for key, value in contents(folder).items() if before[key] != value}.keys() == {f"{name}.pem"}
-    policy = PolicyBuilder().store(Store([certs.files.read_certificate(folder / "ca.pem")])).time(NOW)
-    gateway = certs.files.read_certificate(folder / "gateway.pem")
-    policy.build_server_verifier(x509.DNSName("robot.local")).verify(gateway, [])
-
-
 # --- the commands
 
 
@@ -186,13 +157,6 @@ def test_the_commands_fail_with_one_line_and_code_2(tmp_path: Path) -> None:
         code, text = run(*arguments)
         assert code == 2
         assert len(text.splitlines()) == 1
-
-
-@pytest.mark.parametrize("option", ["--days=0", "--days=3651", "--port=0", "--port=65536"])
-def test_numbers_out_of_range(tmp_path: Path, option: str) -> None:
-    code, text = run("init", "--dir", str(tmp_path / "D"), "--host", "robot.local", option)
-    assert (code, option.partition("=")[0] in text) == (2, True)
-    assert names(tmp_path) == set()
 
 
 @pytest.mark.parametrize("command", ["init", "issue", "list", "renew", "revoke"])

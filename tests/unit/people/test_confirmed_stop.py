@@ -61,30 +61,6 @@ def test_without_an_answer_it_is_asked_again_for_ever() -> None:
     assert press.over
 
 
-def test_one_that_lasts_is_asked_for_until_then_whatever_the_clock_shows() -> None:
-    stop = Stop(lasts_ns=2 * AGAIN_NS)
-    begun_ns = 10**12
-    press = stop.presses(7, begun_ns)
-    for attempt in (0, 1, 2):
-        assert not press.over
-        stop.ended(stop.begins(begun_ns + attempt * AGAIN_NS), begun_ns + attempt * AGAIN_NS, answered=False)
-    assert (press.over, press.attempts) == (True, 3)
-
-
-def test_the_oldest_that_is_unconfirmed_is_how_long_it_has_been_so() -> None:
-    stop = Stop()
-    stop.presses(1, 5)
-    stop.presses(2, 8)
-    assert stop.since_ns == 5
-
-
-def test_a_press_waits_for_no_pause_and_for_no_earlier_request() -> None:
-    stop = Stop()
-    stop.ended(stop.asked(1), 10, answered=False)
-    stop.asked(2, 11)
-    stop.asked(3, 12)
-
-
 def test_an_answer_to_an_earlier_request_does_not_count() -> None:
     """Between the first request and the second press, somebody may have reset it. Also in the same nanosecond."""
     stop = Stop()
@@ -92,49 +68,6 @@ def test_an_answer_to_an_earlier_request_does_not_count() -> None:
     assert ids(stop.ended(first, 1, answered=True)) == [1]
     assert stop.since_ns == 0
     assert ids(stop.ended(second, 1, answered=True)) == [2]
-
-
-def test_one_answer_confirms_all_that_was_pressed_before_its_request_and_the_next_is_no_news() -> None:
-    stop = Stop()
-    first, second = stop.asked(1), stop.asked(2)
-    assert ids(stop.ended(second, 1, answered=True)) == [1, 2]
-    assert stop.ended(first, 2, answered=False) == []
-    assert stop.due_ns is None
-
-
-def test_beyond_those_at_once_the_newest_is_asked_for_as_soon_as_one_has_ended() -> None:
-    stop = Stop()
-    requests = [stop.asked(number) for number in range(REQUESTS_AT_ONCE)]
-    stop.presses(REQUESTS_AT_ONCE, 5)
-    stop.presses(REQUESTS_AT_ONCE + 1, 6)
-    assert (stop.due_ns, stop.begin(7)) == (None, None)
-    stop.ended(requests[0], 8, answered=False)
-    request = stop.begins(8)
-    assert ids(stop.ended(request, 9, answered=True)) == list(range(REQUESTS_AT_ONCE + 2))
-
-
-def test_two_that_fail_at_the_same_moment_do_not_leave_it_to_each_other() -> None:
-    stop = Stop()
-    first, second = stop.asked(1), stop.asked(2)
-    stop.ended(first, 10, answered=False)
-    assert stop.due_ns is None, "the second may still confirm both"
-    stop.ended(second, 10, answered=False)
-    assert stop.due_ns == 10 + AGAIN_NS
-
-
-def test_a_failure_is_not_left_to_an_older_request_that_hangs() -> None:
-    stop = Stop()
-    stop.asked(1)
-    second = stop.asked(2)
-    stop.ended(second, 10, answered=False)
-    assert stop.due_ns == 10 + AGAIN_NS, "no answer to the first would confirm the second press"
-
-
-def test_it_is_asked_by_whoever_pressed_last() -> None:
-    stop = Stop()
-    stop.presses(1, page="anna")
-    stop.presses(1, page="bert")
-    assert stop.begins().what == "by bert"
 
 
 def test_a_press_outlives_its_page_and_those_of_many_pages_are_one() -> None:
@@ -155,30 +88,6 @@ def test_a_page_that_leans_on_it_keeps_its_newest_and_takes_nothing_from_others(
         stop.presses(number)
     confirmed = stop.ended(stop.begins(), 1, answered=True)
     assert ids(confirmed) == [1, *range(9 * MAX_PRESSES, 10 * MAX_PRESSES)]
-
-
-def test_what_is_taken_back_is_not_asked_again_and_what_is_pressed_afterwards_is() -> None:
-    stop = Stop()
-    first = stop.asked(1)
-    stop.take_back()
-    assert stop.since_ns is None
-    second = stop.asked(2, 5)
-    assert stop.ended(first, 6, answered=True) == [], "it may be the answer from before the reset"
-    stop.presses(3, 7)
-    stop.ended(second, 8, answered=False)
-    stop.take_back(second)
-    assert ids(stop.ended(stop.begins(8), 9, answered=True)) == [3]
-
-
-def test_where_it_lasts_for_a_time_it_is_given_up_behind_it() -> None:
-    stop = Stop(lasts_ns=2 * AGAIN_NS)
-    press = stop.presses(1)
-    for now_ns in (0, AGAIN_NS):
-        stop.ended(stop.begins(now_ns), now_ns, answered=False)
-        assert not press.over
-    stop.ended(stop.begins(2 * AGAIN_NS), 2 * AGAIN_NS, answered=False)
-    assert (press.over, press.attempts) == (True, 3)
-    assert (stop.since_ns, stop.due_ns) == (None, None)
 
 
 class AnyOrder(RuleBasedStateMachine):

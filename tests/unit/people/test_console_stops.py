@@ -6,7 +6,7 @@ from collections.abc import AsyncIterator
 import pytest
 
 from gateway.errors import DisconnectedError
-from gateway.people.client.confirmed_stop import AGAIN_NS, REQUESTS_AT_ONCE
+from gateway.people.client.confirmed_stop import AGAIN_NS
 from gateway.people.console.pages.outgoing import Outgoing
 from gateway.people.console.pages.page_messages import Stopping
 from gateway.people.console.pages.page_stops import Stops, send_stopping
@@ -109,15 +109,3 @@ async def test_a_press_outlives_its_page(robot: Robot) -> None:
     await robot.answer(1)
     assert not stops.unconfirmed
     assert page.answered() == []
-
-
-async def test_a_press_waits_for_no_earlier_request(robot: Robot) -> None:
-    stops, page = Stops(robot.estop, send_stopping), Page()
-    for number in range(REQUESTS_AT_ONCE + 1):
-        stops.press(page, number, None)
-        await turns()
-    assert len(robot.requests) == REQUESTS_AT_ONCE
-    await robot.answer(0)
-    assert len(robot.requests) == REQUESTS_AT_ONCE + 1
-    await robot.answer(REQUESTS_AT_ONCE)
-    assert page.answered() == list(range(REQUESTS_AT_ONCE + 1))

@@ -93,15 +93,6 @@ def test_an_rsa_key_and_a_certificate_of_somebodys_own_tools(tmp_path: Path) -> 
     assert CHECKER.fault(made.model_copy(update={"signature": base64.b64encode(wrong).decode()}), "take", "änne", NOW)
 
 
-def test_a_certificate_that_lives_as_long_as_its_ca_is_good_from_the_first_moment_to_the_last() -> None:
-    start, end = CA.certificate.not_valid_before_utc, CA.certificate.not_valid_after_utc
-    made = proof(
-        authority.KeyPair(own_certificate(ANNA.key, name_of("operator", "anna"), start=start, end=end), ANNA.key)
-    )
-    for now in (start, end):
-        assert CHECKER.fault(made, "acquire", "anna", now) is None
-
-
 @pytest.mark.parametrize(
     ("role", "source", "purpose", "fault"),
     [
@@ -187,10 +178,6 @@ def test_what_is_no_proof(make: Callable[[], Proof], sentence: str) -> None:
     assert fault is not None
     assert sentence in fault
     assert "\n" not in fault
-
-
-def test_a_ca_that_is_over_vouches_for_nobody() -> None:
-    assert "not signed by this gateway's CA" in str(CHECKER.fault(proof(), "acquire", "anna", NOW + 4000 * DAY))
 
 
 def test_a_robot_whose_clock_is_plainly_wrong_says_so() -> None:
@@ -349,10 +336,3 @@ def test_the_holder_of_a_token_proves_nothing() -> None:
         ("renew", NONCE, None),
         ("release", NONCE, "bert"),
     ]
-
-
-def test_without_a_ca_names_are_taken_as_they_are_and_no_nonce_is_needed() -> None:
-    desk = Desk(None)
-    assert json.loads(desk.answer_to({"do": "challenge"})) == {"accepted": True}
-    desk.claim("acquire", None)
-    assert [(each.source, each.verified) for each in desk.requests] == [("anna", False)]

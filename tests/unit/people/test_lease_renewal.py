@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.people.client.renewal import RENEWALS, TRY_AGAIN_S, Holds, Renewal, Waiting
+from gateway.people.client.renewal import RENEWALS, Holds, Renewal
 from schemas.lease import LeaseAck
 from schemas.telemetry import Reason
 
@@ -46,14 +46,6 @@ def test_it_is_renewed_three_times_in_the_time_that_it_lives() -> None:
     renewal = granted()
     assert renew(renewal, [DONE] * 5) == pytest.approx([0.3, 0.6, 0.9, 1.2, 1.5])
     assert (renewal.holds, renewal.lost, renewal.elsewhere) == (Holds.YES, None, False)
-
-
-def test_two_renewals_in_a_row_may_be_lost() -> None:
-    """A renewal that nobody answers does not delay the next."""
-    renewal = granted()
-    left_s = renew(renewal, [None, None, DONE] * 10)
-    assert left_s == pytest.approx([0.3 * count for count in range(1, 31)])
-    assert renewal.holds is Holds.YES
 
 
 def test_a_gateway_that_is_silent_for_as_long_as_it_lives_has_lost_it() -> None:
@@ -104,14 +96,3 @@ def test_it_ends_once_whatever_crosses(steps: list[tuple[str, float]]) -> None:
                 ended = Holds.HANDED_OVER if step == "handed over" else Holds.RELEASED
         assert renewal.holds is ended
         assert (renewal.lost is not None) is (ended is Holds.LOST)
-
-
-def test_it_is_tried_again_three_times_a_second_and_no_longer_than_it_may_wait() -> None:
-    waiting = Waiting(BEGUN_S + 1)
-    now_s, tries = BEGUN_S, 0
-    while tries < 100 and (pause_s := waiting.pause_s(now_s)) > 0:
-        assert pause_s <= TRY_AGAIN_S
-        now_s, tries = now_s + pause_s, tries + 1
-    assert now_s == pytest.approx(BEGUN_S + 1)
-    assert tries == 4
-    assert waiting.pause_s(now_s + 60) == 0

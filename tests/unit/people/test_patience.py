@@ -22,17 +22,6 @@ def test_the_dialled_programs_answer_counts_at_once() -> None:
     assert (patience.step(0.002), patience.answer) == (QuestionStep.OVER, "own")
 
 
-def test_anothers_answer_to_one_query_waits_for_that_query_and_gives_way_to_the_own() -> None:
-    patience, first = asked()
-    second = patience.sent(0.1)
-    patience.replied(first, "foreign", own=False)
-    patience.ended(second, 0.2)
-    assert patience.step(0.2) is QuestionStep.WAIT
-    patience.replied(first, "own", own=True)
-    patience.ended(first, 0.3)
-    assert (patience.step(0.3), patience.answer) == (QuestionStep.OVER, "own")
-
-
 def test_anothers_answer_is_better_than_none_in_the_end() -> None:
     patience, query = asked()
     assert patience.step(ATTEMPT_S) is QuestionStep.AGAIN
@@ -53,37 +42,11 @@ def test_a_stop_without_an_answer_is_sent_again_each_second_until_its_end() -> N
     assert (patience.step(END_S), patience.answer) == (QuestionStep.OVER, None)
 
 
-def test_the_answer_to_an_earlier_attempt_counts() -> None:
-    patience, first = asked()
-    assert patience.step(ATTEMPT_S) is QuestionStep.AGAIN
-    patience.sent(ATTEMPT_S)
-    patience.replied(first, "late", own=True)
-    assert patience.answer == "late"
-
-
-def test_where_the_link_is_lost_a_stop_is_sent_again_soon() -> None:
-    patience, query = asked()
-    patience.ended(query, 0.0)
-    assert (patience.step(RESEND_S - 0.001), patience.next_s) == (QuestionStep.WAIT, RESEND_S)
-    assert patience.step(RESEND_S) is QuestionStep.AGAIN
-    patience.ended(patience.sent(RESEND_S), 0.5)
-    assert patience.step(0.5) is QuestionStep.AGAIN, "at once, for the last one left long ago"
-
-
 def test_while_another_query_is_under_way_a_lost_link_changes_nothing() -> None:
     patience, first = asked()
     patience.sent(0.1)
     patience.ended(first, 0.2)
     assert (patience.step(0.9), patience.next_s) == (QuestionStep.WAIT, ATTEMPT_S)
-
-
-def test_what_is_no_stop_is_sent_once_and_ends_where_everybody_has_declined() -> None:
-    patience, query = asked(again=False)
-    assert patience.next_s == END_S
-    assert patience.step(END_S - 0.001) is QuestionStep.WAIT
-    patience.ended(query, 1.0)
-    assert (patience.step(1.0), patience.answer) == (QuestionStep.OVER, None)
-    assert asked(again=False)[0].step(END_S) is QuestionStep.OVER
 
 
 def test_another_way_is_searched_for_once_and_at_once_where_the_link_is_lost() -> None:

@@ -1,6 +1,5 @@
 """A ride's silences and presses, in virtual time: each rule by the clock alone, and none that goes on by itself."""
 
-from collections.abc import Callable
 from typing import Final
 
 import pytest
@@ -10,7 +9,7 @@ from hypothesis import strategies as st
 from gateway.errors import WalkError
 from gateway.people.commands.walk import screen
 from gateway.people.console.pages.page_walk import SILENCES as PAGE
-from gateway.people.walking import STILL, USUAL_SILENCES, Phase, Posture, Ride, RideTask, Silences, Velocity, Wish
+from gateway.people.walking import STILL, USUAL_SILENCES, Phase, Posture, Ride, Silences, Velocity, Wish
 from gateway.people.walking.ride import GIVES_UP_S
 from gateway.people.walking.robot import FEED_S
 from schemas.robot import LEGS
@@ -49,21 +48,6 @@ def test_a_program_that_falls_silent_stands_then_sits_then_is_stopped(silences: 
     ridden.tick()
     assert not ridden.running
     assert (ridden.ride.phase, ridden.posture) == (Phase.RESTS, Posture.SITTING)
-
-
-def test_a_word_while_the_rests_stops_are_sent_goes_on_behind_them() -> None:
-    ridden = standing(Silences(rest_s=1.0))
-    ridden.until(lambda: ridden.ride.over)
-    assert ridden.ride.next(ridden.now_s).do is RideTask.WAIT
-    other = standing(Silences(rest_s=1.0))
-    step = other.ride.next(other.now_s)
-    while step.do is RideTask.SEND:
-        other.now_s += TICK_S
-        step = other.ride.next(other.now_s)
-    assert step.do is RideTask.STOP
-    other.ride.stand(None, other.now_s)
-    other.ride.ended()
-    assert other.ride.next(other.now_s).do is RideTask.FIND
 
 
 def test_legs_that_another_left_standing_are_held_at_once_and_sit_in_silence() -> None:
@@ -192,14 +176,6 @@ def test_a_page_that_wakes_goes_on_with_a_new_press_only(after_s: float) -> None
         pad.until(Posture.WALKING)
 
 
-def test_a_new_press_while_it_sits_down_stands_up_again() -> None:
-    pad = held()
-    pad.ridden.until(lambda: pad.ridden.posture is Posture.MOVING)
-    pad.hold()
-    pad.until(Posture.STANDING)
-    assert not pad.ridden.ride.over
-
-
 def test_who_leaves_sits_down_and_no_press_changes_that() -> None:
     pad = held()
     pad.ridden.ride.leave(pad.ridden.now_s)
@@ -210,18 +186,6 @@ def test_who_leaves_sits_down_and_no_press_changes_that() -> None:
         assert pad.ridden.ride.state.commanded == STILL
     assert pad.ridden.ride.over
     assert pad.ridden.posture is Posture.SITTING
-
-
-@pytest.mark.parametrize("after_s", [0.0, 0.1])
-def test_who_leaves_before_it_stands_leaves_it_lying(after_s: float) -> None:
-    pad = Pad()
-    pad.run(after_s)
-    started = list(pad.ridden.started)
-    pad.ridden.ride.leave(pad.ridden.now_s)
-    pad.run(1.0)
-    assert pad.ridden.ride.over
-    assert not pad.ridden.running
-    assert pad.ridden.started == started
 
 
 def test_after_a_lost_leg_only_a_new_press_goes_on_and_after_an_emergency_stop_it_is_over() -> None:
@@ -266,17 +230,6 @@ def test_a_lost_leg_and_a_page_that_is_gone_are_stopped_as_they_stand() -> None:
     assert not pad.ridden.running
 
 
-def test_a_program_with_a_lost_leg_holds_the_others_until_it_says_something() -> None:
-    ridden = standing()
-    ridden.stop([3])
-    ridden.run(30.0)
-    assert ridden.ride.phase is Phase.HALTED
-    assert len(ridden.running) == 5
-    ridden.ride.start_again()
-    ridden.run(0.5)
-    assert ridden.posture is Posture.STANDING, "the time that it was halted was no silence"
-
-
 def test_a_ride_that_cannot_stand_is_not_made() -> None:
     with pytest.raises(ValueError, match="there is no gait"):
         Ride(ROBOT, "gallop")
@@ -285,36 +238,6 @@ def test_a_ride_that_cannot_stand_is_not_made() -> None:
 # ---- a robot that cannot sit
 
 FELL: Final = Telemetry(time=MEASURED.time, age_ms=1.0, tilt_deg=80.0)
-
-
-@pytest.mark.parametrize(
-    ("ends", "within_s"),
-    [
-        (lambda ride, now_s: ride.sit(now_s), TICK_S),
-        (lambda ride, now_s: ride.leave(now_s), TICK_S),
-    ],
-    ids=["sits", "leaves"],
-)
-def test_a_robot_that_has_fallen_is_stopped_where_it_would_sit_down(
-    ends: Callable[[Ride, float], None], within_s: float
-) -> None:
-    ridden = Ridden(terrain="adapt")
-    for _ in range(300):
-        ridden.ride.go(AHEAD, ridden.now_s)
-        ridden.tick()
-    assert ridden.posture is Posture.WALKING
-    ridden.telemetry = FELL
-    for _ in range(30):
-        ridden.ride.go(AHEAD, ridden.now_s)
-        ridden.tick()
-    fell = len(ridden.sent)
-    assert ridden.ride.state.limit == "the body leans by 80 degrees: it has fallen"
-    ridden.run(0.2)
-    assert ridden.running, "it stands still while its driver is there"
-    ends(ridden.ride, ridden.now_s)
-    ridden.until(lambda: not ridden.running, within_s + TICK_S)
-    assert not moved(ridden, fell)
-    assert (ridden.ride.over, ridden.ride.detail) == (True, "the body leans by 80 degrees: it has fallen")
 
 
 def test_a_robot_that_has_fallen_is_left_to_the_gateways_watchdog_although_its_driver_goes_on() -> None:

@@ -11,7 +11,7 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, rule
 from gateway.errors import GatewayError, StoppedError
 from gateway.people.walking import STILL, Phase, Posture, Robot, Velocity
 from schemas.robot import LEGS
-from tests.support.ridden import FED_SINGLY, ROBOT, TICK_S, WATCHDOG_S, WHOLE, Ridden, standing
+from tests.support.ridden import FED_SINGLY, ROBOT, TICK_S, WHOLE, Ridden, standing
 
 AHEAD: Final = Velocity(0.1)
 ALL: Final = tuple(LEGS)
@@ -57,21 +57,6 @@ def test_after_a_lost_leg_and_an_emergency_stop_it_begins_anew_lying() -> None:
     expect_begins_anew(ridden)
 
 
-@pytest.mark.parametrize("hides", [(), (2, 3, 4, 5, 6), (1, 2, 4, 5, 6)])
-def test_when_all_are_stopped_nobody_stands_however_many_the_first_report_names(hides: tuple[int, ...]) -> None:
-    """A program that paused: the watchdog has stopped all six, whose events come one after the other."""
-    ridden = walking()
-    ridden.hides = hides
-    ridden.wait(WATCHDOG_S + 0.15)
-    ridden.tick()
-    assert ridden.ride.phase is Phase.FAILED
-    assert isinstance(ridden.ride.error, StoppedError)
-    assert ridden.ride.error.legs == ALL
-    assert ridden.posture is Posture.HALTED
-    assert "others stand still" not in str(ridden.ride.error)
-    expect_begins_anew(ridden)
-
-
 def test_a_lost_leg_starts_where_it_was_while_the_others_run() -> None:
     ridden = walking()
     ridden.stop([3])
@@ -108,15 +93,6 @@ def test_a_stopped_leg_that_somebody_has_started_again_is_lost_all_the_same() ->
     ridden = walking()
     assert ridden.ride.stopped(StoppedError("somebody stopped it", (3,)), LEGS) == {1, 2, 4, 5, 6}
     assert ridden.ride.state.lost == (3,)
-    expect_begins_anew(ridden)
-
-
-def test_legs_that_do_not_carry_it_are_stopped_and_it_begins_anew() -> None:
-    """On the three legs of one side it has fallen: angles of before would throw it up."""
-    ridden = walking()
-    ridden.stop([1, 3, 5])
-    ridden.run(1.0)
-    assert ridden.ride.phase is Phase.HALTED
     expect_begins_anew(ridden)
 
 

@@ -8,12 +8,11 @@ import pytest
 
 from gateway.errors import WalkError
 from gateway.geometry import load
-from gateway.people.ros2.joints import JointsError
 from gateway.people.ros2.motions import Course
 from gateway.people.ros2.trajectory import Trajectory, Waypoint
 from gateway.people.walking import REST_S, Pose, Ride
 from schemas.robot import LEGS
-from tests.support.ridden import FED_SINGLY, ROBOT, TICK_S, WHOLE, standing
+from tests.support.ridden import FED_SINGLY, ROBOT, TICK_S, standing
 
 GEOMETRY: Final = load()
 STOOD: Final[Pose] = dict(standing().running)
@@ -103,20 +102,6 @@ def test_what_is_released_sits_down_at_once() -> None:
     one.course.leave(one.now_s)
     one.course.leave(one.now_s)
     assert one.run(SITS_WITHIN_S).over_s < 1.0 + SITS_WITHIN_S
-
-
-def test_a_robot_that_starts_as_a_whole_starts_by_a_plan_of_all_joints_only() -> None:
-    one = Followed(Course(GEOMETRY, lambda pose: Ride(WHOLE, running=pose), whole=True))
-    with pytest.raises(JointsError, match="name all 18 joints"):
-        one.course.follow(plan(0.0, (30.0, 0.1), legs=(1, 2)), 0.0)
-    assert not one.course.begun
-    one.course.follow(plan(0.0, (30.0, 0.1)), 0.0)
-    one.run(TICK_S)
-    assert sorted(one.sent[0]) == list(LEGS)
-    one.course.follow(plan(one.now_s, (30.0, 0.1), legs=(1, 2)), one.now_s)
-    assert sorted(one.run(TICK_S).sent[-1]) == list(LEGS), "what runs is held"
-    one.course.leave(one.now_s)
-    assert one.run(SITS_WITHIN_S).sinks
 
 
 @pytest.mark.parametrize(("legs", "seconds"), [((1, 2), 1.0), (tuple(LEGS), 0.06)], ids=["two", "six, three started"])

@@ -1,12 +1,8 @@
 """A terminal's Stop on real threads: each finds one, and what became of a request is noted in order."""
 
-import threading
 from queue import SimpleQueue
 
-import pytest
-
 from gateway.errors import DisconnectedError
-from gateway.people.client.confirmed_stop import REQUESTS_AT_ONCE
 from gateway.people.client.until_confirmed import UntilConfirmed
 from schemas.telemetry import Ack
 
@@ -56,25 +52,6 @@ def test_it_is_requested_again_until_it_is_confirmed_whatever_goes_wrong() -> No
     for outcome in (*faults, STOPPED):
         gateway.asked().put(outcome)
         assert gateway.noted.get(timeout=LATE_S) is outcome
-    assert gateway.stops.since_ns is None
-
-
-def test_a_press_waits_for_no_earlier_request_and_finds_a_thread_where_there_are_no_more(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    def start(_: threading.Thread) -> None:
-        raise RuntimeError("can't start new thread")
-
-    gateway = Gateway()
-    monkeypatch.setattr(threading.Thread, "start", start)
-    requests = [gateway.pressed() for _ in range(REQUESTS_AT_ONCE)]
-    gateway.stops.press()
-    requests[0].put(STOPPED)
-    requests.append(gateway.asked())
-    assert gateway.noted.get(timeout=LATE_S) is STOPPED
-    assert gateway.stops.since_ns is not None, "only the first press is confirmed"
-    requests[-1].put(STOPPED)
-    assert gateway.noted.get(timeout=LATE_S) is STOPPED
     assert gateway.stops.since_ns is None
 
 

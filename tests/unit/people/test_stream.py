@@ -225,19 +225,6 @@ def test_a_program_whose_setpoints_take_a_leg_from_another_one_is_warned_once(ro
     stream.set({1: POSE, 2: POSE})
 
 
-def test_what_stopped_its_legs_is_past_and_names_no_call(robot: Robot, stream: Stream) -> None:
-    """An error may be shown long after a reset, and to a person who has no program."""
-    detail = "emergency stop; all commands are rejected until a reset"
-    robot.publish_event(
-        event(Kind.ESTOP_ENGAGED, detail, "anna").model_copy(update={"time": WALL + timedelta(hours=1)})
-    )
-    for _ in range(2):
-        with pytest.raises(StoppedError, match="anna engaged") as error:
-            stream.set({1: POSE})
-    assert str(error.value) == "anna engaged the emergency stop"
-    assert error.value.__notes__ == [AGAIN]
-
-
 @pytest.mark.parametrize("kind", [Kind.CONTROLLER_SILENT, Kind.FALLEN])
 def test_what_stops_a_robot_that_measures_ends_it_by_its_event(robot: Robot, stream: Stream, kind: Kind) -> None:
     robot.publish_event(event(kind, "why it stops").model_copy(update={"time": WALL + timedelta(hours=1)}))

@@ -1,7 +1,6 @@
 """Which configurations let a stranger command the robot: rejected, unless somebody says that it is meant."""
 
 import json
-import logging
 from pathlib import Path
 from typing import Any
 
@@ -147,19 +146,6 @@ def test_endpoints_by_mode() -> None:
         exposure.check(config(**by_mode, mode="router"), allow_insecure=False)
 
 
-def test_the_rejection_knows_that_there_are_certificates() -> None:
-    with pytest.raises(ConfigError, match="so write tls/ before the address") as error:
-        exposure.check(config(**{"listen/endpoints": ["tcp/0.0.0.0:7447"], **MTLS}), allow_insecure=False)
-    assert "certs init" not in str(error.value)
-
-
-def test_allow_insecure_is_a_warning_each_time(caplog: pytest.LogCaptureFixture) -> None:
-    exposure.check(config(**{"listen/endpoints": ["tcp/0.0.0.0:7447"]}), allow_insecure=True)
-    (record,) = caplog.records
-    assert record.levelno == logging.WARNING
-    assert "anyone who reaches tcp/0.0.0.0:7447 can move the robot" in record.message
-
-
 def test_listening_nowhere_and_dialling_nobody_is_a_mistake(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="nobody could reach the gateway"):
         service_config(ZenohSettings(listen=()))
@@ -229,13 +215,3 @@ def test_rules_without_the_robots_namespace_are_rejected() -> None:
     assert not with_rules("hexapod/estop/cmd", namespace=None)
     assert not with_rules("robot-1/hexapod/estop/cmd", "@/router/**"), "one key of its own is enough"
     assert not with_rules("hexapod/estop/cmd", enabled=False), "Zenoh ignores them"
-
-
-def test_places_are_bounded(tmp_path: Path) -> None:
-    """With more, visitors would have all file descriptors; a Zenoh file may give them less."""
-    file = tmp_path / "zenoh.json5"
-    for said, there_are in (("", 64), ("max_sessions: 999", 64), ("max_sessions: 12", 12)):
-        file.write_text(f"{{ transport: {{ unicast: {{ {said} }} }} }}")
-        made = service_config(ZenohSettings(config=str(file)))
-        assert made.get_json("transport/unicast/max_sessions") == str(there_are)
-        assert made.get_json("transport/unicast/accept_timeout") == "2000"
