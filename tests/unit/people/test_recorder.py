@@ -85,6 +85,26 @@ async def test_a_command_its_frame_and_its_decision_are_there(folder: Path) -> N
     assert record.ns == 77, "the command's own time is its arrival"
 
 
+async def test_what_waits_or_is_rejected_has_its_decision_too(folder: Path) -> None:
+    robot = recorded(folder)
+    for angle in (90, 91, 92):
+        robot.put(LEG_3, leg("start", angle, angle, angle))
+    robot.put(LEG_3, b"{")
+    robot.put(LEG_3, leg("start", 1, 1, 1, source="slow", sent_ms=1))
+    await asyncio.sleep(0.7)
+    robot.put(LEG_3, leg("start", 1, 1, 1, source="slow", sent_ms=2))
+    found = contents(folder, form.Decision, form.FrameWritten)
+    verdicts = [
+        (each.number, each.verdict if isinstance(each, form.Decision) else "accepted")
+        for each in found
+        if isinstance(each, form.Decision) or each.number
+    ]
+    assert verdicts[:4] == [(1, "accepted"), (2, "coalesced"), (0, "malformed"), (3, "coalesced")]
+    assert verdicts[-1] == (0, "stale")
+    last = contents(folder, form.CommandRecord)[-1]
+    assert (last.number, last.source, last.sent_ms) == (0, "slow", 2.0), "a stale one is decoded as well"
+
+
 @pytest.mark.parametrize("framing", Framing)
 @pytest.mark.parametrize("only_stops", [True, False])
 async def test_nothing_is_recorded_before_a_frame_is_written(

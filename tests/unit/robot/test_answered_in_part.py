@@ -10,7 +10,7 @@ from schemas import keys
 from schemas.robot import LEGS
 from schemas.telemetry import Ack, Kind, Reason
 from tests.support.faulty_controller import FaultyController
-from tests.support.robot import Robot, leg, started_and_quiet
+from tests.support.robot import Robot, leg, servo, started_and_quiet
 
 pytestmark = pytest.mark.virtual_time
 
@@ -113,3 +113,17 @@ class ThirdFails(FaultyController):
 def fail_the_third(robot: Robot) -> None:
     robot.controller = ThirdFails(robot.settings.spi.framing, clock=robot.now_ns)
     robot.conductor.bus.open()
+
+
+async def test_a_leg_s_command_whose_stop_went_ahead_of_its_start() -> None:
+    """Its Stop waits for no rate slot, and what waits for one is ended by somebody else's Stop."""
+    robot = await started_and_quiet(limits={"leg_rate_hz": 1})
+    assert robot.ask(keys.leg_command(1), leg("start", 90, 90, 90)).accepted
+    mixed = {"servos": [servo("stop"), servo("set", 80), servo("set", 80)]}
+    answers = robot.get(keys.leg_command(1), mixed)
+    assert answers == []
+    robot.put(keys.ESTOP)
+    (ack,) = answers
+    assert (ack.accepted, ack.written) == (False, [1])
+    assert ack.detail is not None
+    assert ack.detail.endswith("; what it asks of leg 1 had been written before")

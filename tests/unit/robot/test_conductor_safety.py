@@ -257,3 +257,13 @@ async def test_in_a_published_controllers_framing_the_preamble_comes_first_and_a
     assert [data for _, data in robot.controller.transfers][:18] == first
     assert robot.controller.energised == set()
     assert robot.controller.corruptions.total() == 0
+
+
+async def test_of_two_commands_that_a_frame_was_to_complete_both_are_rejected_where_it_fails() -> None:
+    robot = await started_and_quiet()
+    robot.put(keys.leg_command(3), leg("start", 90, 90, 90))
+    robot.put(keys.leg_command(3), leg("set", 91, 91, 91))
+    waiting = [robot.get(keys.servo_command(each), servo("set", 70)) for each in (31, 32)]
+    robot.controller.fail_next(1)
+    await asyncio.sleep(0.1)
+    assert [[ack.reason for ack in each] for each in waiting] == [[Reason.BUS_FAULT], [Reason.BUS_FAULT]]

@@ -59,6 +59,11 @@ async def starts(
     assert [ack.accepted for ack in answers] == [True]
 
 
+def shutdowns(robot: FedElkapod) -> int:
+    """How many the UART has said."""
+    return sum(word == "shutdown" for _, word in robot.said)
+
+
 async def test_a_servo_is_fed_while_it_runs_or_waits_to_be_started_and_at_no_other_time() -> None:
     robot = await ready()
     answers = robot.get(LEG_3, START)
@@ -280,6 +285,24 @@ async def test_a_servo_is_fed_once_its_angle_was_in_two_frames_and_the_uart_has_
 
 
 # ---- what currents show
+
+
+async def test_a_stop_of_one_servo_takes_its_supply_at_once_and_is_confirmed() -> None:
+    robot = FedElkapod()
+    await asyncio.sleep(0.5)
+    robot.put(LEG_3, START)
+    await keep(robot, 0.4, LEG_3, leg("set", 90, 90, 90))
+    assert robot.line.fed == {31, 32, 33}
+    answers = robot.get(keys.servo_command(32), servo("stop"))
+    assert robot.line.fed == {31, 33}
+    before = shutdowns(robot)
+    await asyncio.sleep(0.1)
+    (ack,) = answers
+    assert (ack.accepted, ack.confirmed) == (True, True)
+    assert shutdowns(robot) == before, "the others run"
+    robot.put(LEG_3, leg("stop"))
+    assert robot.line.fed == frozenset()
+    assert shutdowns(robot) > before, "with the last, the UART's too"
 
 
 async def test_a_servo_that_still_has_supply_and_draws_after_its_stop_is_not_started_until_a_reset() -> None:
