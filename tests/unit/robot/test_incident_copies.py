@@ -12,22 +12,18 @@ import pytest
 
 from gateway import durable
 from gateway.model.black_box import format as form
-from gateway.model.black_box import header
 from gateway.model.black_box.files import COPIED_SHARE, MOST_COPIES, RING_FILE, copies_of, copy_path
-from gateway.model.calibration import RobotCalibration, ServoMapping, report_of
 from gateway.onboard import black_box
 from gateway.people.recorder import ring_reader
-from gateway.people.recorder.incidents import find
-from gateway.robot.blackbox import copies, paths
+from gateway.robot.blackbox import copies
 from gateway.robot.blackbox.ring import RecordRing
 from gateway.robot.settings import Settings
 from schemas import keys
 from tests.support.full_disk import disk_that_takes
-from tests.support.robot import WALL_NS, Robot, leg, servo
+from tests.support.robot import Robot, leg, servo
 from tests.unit.people.test_recorder import contents, recorded
 
 LEG_3: Final = keys.leg_command(3)
-ESTOP_ID: Final = "20260921-141320-123-estop"
 SLOTS: Final = 160
 RATE_HZ: Final = 2
 FLOOD_S: Final = 150
@@ -88,20 +84,6 @@ async def test_a_flood_that_overwrites_the_whole_ring_leaves_what_precedes_the_i
 
 
 @pytest.mark.virtual_time
-async def test_emergency_stops_and_resets_of_a_robot_at_rest_make_no_copies(folder: Path) -> None:
-    robot = recorded(folder)
-    await incident(robot)
-    for _ in range(20):
-        robot.put(keys.RESET, {"estop": robot.conductor.supervisor.latch.number, "source": "mallory"})
-        await asyncio.sleep(6)
-        robot.put(keys.ESTOP, {"source": "mallory"})
-        beat(robot)
-    robot.conductor.recorder.close()
-    assert len(contents(folder, form.IncidentBegun)) == 21
-    assert len(copied(folder, 1)) == 1
-
-
-@pytest.mark.virtual_time
 async def test_the_newest_are_kept_and_an_incident_that_goes_on_has_a_copy_for_each_run(folder: Path) -> None:
     robot = recorded(folder)
     for _ in range(MOST_COPIES + 4):
@@ -116,19 +98,6 @@ async def test_the_newest_are_kept_and_an_incident_that_goes_on_has_a_copy_for_e
     found = copied(folder, MOST_COPIES)
     assert len(found) == MOST_COPIES
     assert newest - int(found[-1].suffix[1:]) < 100
-
-
-@pytest.mark.virtual_time
-async def test_incidents_within_seconds_are_copied_when_the_allowance_permits(folder: Path) -> None:
-    robot = recorded(folder)
-    for _ in range(3):
-        await incident(robot)
-        robot.put(keys.RESET, {"estop": robot.conductor.supervisor.latch.number, "source": "bert"})
-    await asyncio.sleep(4)
-    beat(robot)
-    await incident(robot)
-    robot.conductor.recorder.close()
-    assert len(copied(folder, 3)) == 3, "the first, the next two in one, and at the end what was still due"
 
 
 def full(_: Path) -> None:
@@ -191,15 +160,6 @@ def test_a_copy_has_the_newest_records_and_the_ring_goes_on_behind_them(tmp_path
         filled(ring, newest + more, len(sequences(ring)) and sequences(ring)[-1] + 1)
         left = range(newest + more - SLOTS + 1, newest + more + 1)
         assert sequences(ring) == [*(each for each in kept if each < left.start), *(each for each in left if each > 0)]
-
-
-def test_copies_that_overlap_show_each_record_once(tmp_path: Path) -> None:
-    ring = tmp_path / RING_FILE
-    filled(ring, 1000)
-    for newest in (900, 910, 1000):
-        copies.copy(ring, newest)
-    filled(ring, 1300, 1001)
-    assert sequences(ring) == [*range(881, 911), *range(981, 1001), *range(1141, 1301)]
 
 
 def cut_off(copy: Path) -> None:
@@ -273,46 +233,3 @@ def test_a_process_that_is_killed_meanwhile_leaves_no_half_copy(
     copies.copy(ring, 1000)
     assert copies_of(ring) == [copy_path(ring, 1000)]
     assert not durable.staged_for(ring).exists()
-
-
-# ---- between a copy and the ring
-
-
-def test_a_gateway_whose_end_was_overwritten_has_not_crashed(tmp_path: Path) -> None:
-    ring = tmp_path / RING_FILE
-    made = RecordRing(ring, SLOTS)
-    made.append(form.START, 1, form.start(WALL_NS, {}))
-    made.append(form.INCIDENT, 5, form.incident(WALL_NS, ESTOP_ID))
-    copies.copy(ring, 2)
-    made.append(form.END, 6, form.mode("asked to"))
-    made.append(form.START, 7, form.start(WALL_NS, {}))
-    for ns in range(8, 8 + SLOTS - 1):
-        made.append(form.MODE, ns, form.mode("idle"))
-    made.close()
-    assert sequences(ring)[:4] == [1, 2, 4, 5], "the end was overwritten, and the next start was not"
-    found = find(ring_reader.read(ring).records, written=True, now_ns=2 * SLOTS)
-    assert [(each.name, each.killed_ns) for each in found] == [(ESTOP_ID, None)]
-
-
-def test_what_was_in_force_at_an_incident_is_the_copys_calibration(tmp_path: Path) -> None:
-    ring = tmp_path / RING_FILE
-    made = RecordRing(ring, SLOTS)
-    for revision in (1, 2, 3):
-        made.calibration = form.calibration(report_of(RobotCalibration(revision, {31: ServoMapping(revision)})))
-        for number in range(2 * SLOTS):
-            made.append(form.MODE, revision * 1000 + number, form.mode("idle"))
-        if revision < 3:
-            copies.copy(ring, made.sequence - 1)
-    made.close()
-    records = ring_reader.read(ring).records
-    assert [records.calibration_at(revision * 1000 + 310).revision for revision in (1, 2, 3)] == [1, 2, 3]  # type: ignore[union-attr]
-
-
-def test_the_copy_of_the_largest_ring_and_of_the_smallest(tmp_path: Path) -> None:
-    assert paths.slots_for(Settings()) // COPIED_SHARE >= 10 * (6 * 50 * 2 + paths.OTHER_RECORDS_PER_S)
-    ring = tmp_path / RING_FILE
-    made = RecordRing(ring, 1)
-    made.append(form.MODE, 1, form.mode("idle"))
-    made.close()
-    copies.copy(ring, 1)
-    assert copy_path(ring, 1).stat().st_size == header.file_bytes(1)
