@@ -10,7 +10,7 @@ DEBIAN_PACKAGES := umockdev gir1.2-umockdev-1.0 python3-gi iproute2 tmux systemd
 # And what only `make nightly` needs: the other two browsers, and a display with a window manager for WebKit.
 nightly: DEBIAN_PACKAGES += webkit2gtk-driver xvfb matchbox-window-manager firefox-esr
 
-.PHONY: dist lock help run quick test test-all nightly check bench kernel walk soak mutants schemas docs format clean wheels debian-packages
+.PHONY: deb dist lock help run quick test test-all nightly check bench kernel walk soak mutants schemas docs format clean wheels debian-packages
 
 help:
 	@echo "make run      the service with a simulated controller and a black box, and the console in the browser (makes $(VENV))"
@@ -35,6 +35,7 @@ help:
 	@echo "make format   let ruff format"
 	@echo "make wheels   fill $(WHEELS) for deploy/install.sh --wheels, which needs no network"
 	@echo "              (for a Pi, from another machine: make wheels FOR=aarch64 FOR_PYTHON=3.11)"
+	@echo "make deb      the package for a robot, in dist/ (for a Pi, from another machine: make deb FOR=arm64)"
 	@echo "make lock     write uv.lock and deploy/lock/ anew, after a change of the dependencies (UPGRADE=1: newer versions)"
 	@echo "make dist     fill dist/: wheel, sdist, locks, SBOM, sums and their signature, and a bundle (KEY=~/.ssh/release)"
 
@@ -106,6 +107,9 @@ lock: $(VENV)/dev
 	$(BIN)/uv lock --no-config --default-index https://pypi.org/simple $(if $(UPGRADE),--upgrade)
 	$(EXPORT) --no-emit-project --extra spi --extra console --extra power --output-file deploy/lock/requirements.txt
 	$(EXPORT) --only-group build --output-file deploy/lock/build.txt
+
+deb: $(VENV)/dev
+	$(BIN)/python -m release.deb $(if $(FOR),--architecture $(FOR))
 
 # KEY: an Ed25519 key of ssh-keygen's; without one, nothing is signed. FOR, FOR_PYTHON: whom the bundle is for.
 dist: $(VENV)/dev

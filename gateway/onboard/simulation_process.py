@@ -37,7 +37,8 @@ class SimulationProcess:
         its_end, self._lifeline = os.pipe()
         words, its_words = os.pipe()
         command = [sys.executable, "-m", module, json.dumps({**given, "folder": str(folder)})]
-        self._process = subprocess.Popen(command, stdin=its_end, stdout=its_words, pass_fds=pages)
+        environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}  # an isolated Python has set its own
+        self._process = subprocess.Popen(command, stdin=its_end, stdout=its_words, pass_fds=pages, env=environment)
         os.close(its_end)
         os.close(its_words)
         self._ended = False

@@ -12,6 +12,7 @@ from tests.box.box import Box
 from tests.box.installed import NAME, InstalledGateway
 from tests.box.last_release import LastRelease
 from tests.box.machine import CONFIG_TXT, STOCK, Machine, Prepared
+from tests.box.package import Packages
 from tests.hil.bed import SYSTEM_PYTHON
 
 REPOSITORY = Path(__file__).parents[2]
@@ -33,6 +34,12 @@ def wheels(tmp_path_factory: pytest.TempPathFactory) -> Path:
         )
     assert made.returncode == 0, made.stdout + made.stderr
     return folder / "wheels"
+
+
+@pytest.fixture(scope="session")
+def packages(tmp_path_factory: pytest.TempPathFactory) -> Packages:
+    """Packages of several releases; what they need comes over the network, or from uv's cache."""
+    return Packages(tmp_path_factory.mktemp("packages"))
 
 
 @pytest.fixture(scope="session")

@@ -34,11 +34,12 @@ def share(box: Box, folder: Path) -> str:
 class InstalledGateway(Closing):
     """An installed gateway whose SPI device is emulated outside the box, so that it outlives every process inside."""
 
-    def __init__(self, box: Box, wheels: Path) -> None:
-        """`box` begins with the gateway installed from `wheels`, which it then sees, too."""
+    def __init__(self, box: Box, wheels: Path | None = None) -> None:
+        """`box` begins with the gateway installed; with `wheels`, it then sees these, too."""
         self.box = box
         self.unit = Unit(box, f"{NAME}.service")
-        share(box, wheels)
+        if wheels is not None:
+            share(box, wheels)
         self._configuration = box.read(CONFIGURATION)
         folder = box.shared / "bed"
         folder.mkdir()

@@ -207,7 +207,7 @@ def start_anew() -> NoReturn:
     program inherits its thread's scheduling class, and ours may not give up its own (SCHED_RESET_ON_FORK).
     """
     logs.close(LAST_WORDS_S)
-    command = (sys.executable, "-m", "gateway", *sys.argv[1:])
+    command = (sys.executable, *sys.orig_argv[1:])
     threading.Thread(target=os.execv, args=(sys.executable, command), daemon=True).start()
     threading.Event().wait(EXEC_S)
     os._exit(GatewayError.exit_code)

@@ -1,0 +1,206 @@
+"""Which of the installed releases runs: the link `current` beside their folders.
+
+The package's postinst calls `take` once dpkg has unpacked a release; the release before it is kept, as hard links that
+dpkg does not know. The units are copied from the release, so that they are never newer than what they start.
+"""
+
+import os
+import pwd
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from threading import Timer
+from typing import Final
+
+from gateway.errors import ConfigError, GatewayError
+
+LIBRARY: Final = Path("/usr/lib/hexapod-gateway")
+CONFIGURATION: Final = Path("/etc/hexapod-gateway/gateway.toml")
+UNITS: Final = Path("/usr/lib/systemd/system")
+_SERVICE: Final = "hexapod-gateway"
+_CONSOLE: Final = "hexapod-console"
+_SERVOS: Final = Path("/run/hexapod-gateway/servos")
+"""What gateway.robot.host.servos_file writes."""
+_FRESH_NS: Final = 1_000_000_000
+_LOOKS: Final = 20
+_LOOK_S: Final = 0.1
+_TRIAL_S: Final = 30.0
+"""systemd gives the service as long."""
+_TAKE: Final = "sudo dpkg-reconfigure hexapod-gateway"
+_BACK: Final = "sudo hexapod-gateway setup --back"
+
+
+def main() -> int:
+    """Take the release that this module is of; the exit code of postinst."""
+    try:
+        said, code = take(Path(__file__).resolve().parents[2]), 0
+    except GatewayError as error:
+        said, code = str(error), error.exit_code
+    if said:
+        sys.stderr.write(f"hexapod-gateway: {said}\n")
+    return code
+
+
+def take(release: Path) -> str:
+    """Run `release` from now on, after a trial. Return what to do next, if anything.
+
+    Raises GatewayError if this release does not start; what ran before goes on.
+    """
+    if not _is_set_up():
+        _turn(release)
+        _remove_all_but(release)
+        return "Next: sudo hexapod-gateway setup"
+    _try(release)
+    if reason := why_not_now():
+        return f"{reason}, so the service goes on with the release before this one. {_how_to_go_on(reason, _TAKE)}"
+    return _switch(release)
+
+
+def go_back() -> str:
+    """Run the kept release; the same again returns to the newer one. Raises GatewayError."""
+    current = _current()
+    others = [path for path in LIBRARY.glob("*/") if path != current and (path / "hexapod-gateway").exists()]
+    if len(others) != 1:
+        raise ConfigError("no other release is kept here: sudo apt install ./hexapod-gateway_….deb")
+    _try(others[0])
+    if reason := why_not_now():
+        raise ConfigError(f"{reason}. {_how_to_go_on(reason, _BACK)}")
+    return _switch(others[0])
+
+
+def why_not_now() -> str:
+    """Why a restart would let the robot fall, as far as the service publishes it; empty when it would not."""
+    process = _properties()["MainPID"]
+    if process == "0":
+        return ""
+    maps = Path(f"/proc/{process}/maps").read_text(errors="replace")
+    if not any(line.endswith(f" {_SERVOS}") for line in maps.splitlines()):
+        return _UNKNOWN
+    for _ in range(_LOOKS):
+        try:
+            written_ns, running = map(int, _SERVOS.read_text().split())
+        except (OSError, ValueError):
+            return _UNKNOWN
+        if time.monotonic_ns() - written_ns < _FRESH_NS:
+            return _RUNS if running else ""
+        time.sleep(_LOOK_S)
+    return _UNKNOWN
+
+
+_RUNS: Final = "a servo runs"
+_UNKNOWN: Final = "the service does not report whether a servo runs"
+
+
+def _how_to_go_on(reason: str, command: str) -> str:
+    if reason == _RUNS:
+        return f"Stop the robot, then: {command}"
+    service = f"sudo systemctl stop {_SERVICE} && {command} && sudo systemctl start {_SERVICE}"
+    return f"See that no servo runs, then: {service}"
+
+
+def _is_set_up() -> bool:
+    """Whether the configuration states a wire, or somebody has enabled the service without that."""
+    try:
+        spi = tomllib.loads(CONFIGURATION.read_text()).get("spi", {})
+    except ValueError:  # the trial names the fault
+        return True
+    return bool(spi.get("framing")) or spi.get("protocol", "hexapod-1.0") != "hexapod-1.0" or _is_enabled()
+
+
+def _try(release: Path) -> None:
+    """Start `release` with a simulated controller, this robot's configuration and the rights of the service's user."""
+    user = pwd.getpwnam(_SERVICE)
+    with tempfile.TemporaryDirectory() as folder:
+        os.chown(folder, user.pw_uid, user.pw_gid)
+        own = {"ZENOH__LISTEN": f'["unixsock-stream/{folder}/trial"]', "ZENOH__CONFIG": ""}
+        own |= {"TELEMETRY__METRICS": "", "STATE__PATH": ""}
+        environment = {"PATH": "/usr/bin:/bin"} | {f"HEXAPOD_{name}": value for name, value in own.items()}
+        command = [str(release / "hexapod-gateway"), "run", "--sim", "--config", str(CONFIGURATION)]
+        with subprocess.Popen(
+            command,
+            env=environment,
+            cwd="/",
+            user=user.pw_uid,
+            group=user.pw_gid,
+            extra_groups=[],
+            stdout=subprocess.PIPE,
+            text=True,
+        ) as trial:
+            end = Timer(_TRIAL_S, trial.kill)
+            end.start()
+            is_ready = trial.stdout is not None and "is ready" in trial.stdout.readline()
+            trial.terminate()
+            is_ready = trial.wait() == 0 and is_ready
+            end.cancel()
+    if not is_ready:
+        raise GatewayError(f"{release.name} does not start with {CONFIGURATION} (above is why); nothing was changed")
+
+
+def _switch(release: Path) -> str:
+    before, state = _current(), _properties()
+    _turn(release)
+    ran = state["ActiveState"] in {"active", "reloading"}
+    if ran or (_is_enabled() and (before is None or state["ActiveState"] != "inactive")):
+        if _systemctl("restart", _SERVICE) != 0:
+            if not ran or before is None or before == release:
+                return f"{release.name} is installed, and does not run: journalctl -u {_SERVICE}"
+            _turn(before)
+            _systemctl("reset-failed", _SERVICE)
+            runs = "runs again" if _systemctl("restart", _SERVICE) == 0 else "does not run either"
+            raise GatewayError(f"{release.name} does not run: journalctl -u {_SERVICE}. {before.name} {runs}")
+        _systemctl("try-restart", _CONSOLE)
+    _remove_all_but(release, *([before] if before is not None else []))
+    return ""
+
+
+def _turn(release: Path) -> None:
+    """At every instant the link leads to a whole release, and each unit is whole."""
+    new = LIBRARY / "current.new"
+    new.unlink(missing_ok=True)
+    new.symlink_to(release.name)
+    new.rename(LIBRARY / "current")
+    for unit in (release / "units").iterdir():
+        shutil.copy(unit, UNITS / f"{unit.name}.new")
+        subprocess.run(["sync", UNITS / f"{unit.name}.new"], check=True)
+        (UNITS / f"{unit.name}.new").rename(UNITS / unit.name)
+    os.sync()
+    _systemctl("daemon-reload")
+
+
+def _current() -> Path | None:
+    current = LIBRARY / "current"
+    return current.resolve() if current.exists() else None
+
+
+def _remove_all_but(*releases: Path) -> None:
+    for path in LIBRARY.iterdir():
+        if not path.is_symlink() and path not in releases:
+            shutil.rmtree(path)
+
+
+def _is_enabled() -> bool:
+    command = ["systemctl", "is-enabled", _SERVICE]
+    return _has_systemd() and subprocess.run(command, capture_output=True, check=False).returncode == 0
+
+
+def _properties() -> Mapping[str, str]:
+    """MainPID and ActiveState of the service; as of one that does not run where there is no systemd."""
+    shown = {"MainPID": "0", "ActiveState": "inactive"}
+    if not _has_systemd():
+        return shown
+    command = ["systemctl", "show", *(f"--property={name}" for name in shown), _SERVICE]
+    lines = subprocess.run(command, capture_output=True, text=True, check=True).stdout.splitlines()
+    return dict(line.split("=", 1) for line in lines)
+
+
+def _systemctl(*arguments: str) -> int:
+    return subprocess.run(["systemctl", *arguments], check=False).returncode if _has_systemd() else 1
+
+
+def _has_systemd() -> bool:
+    return Path("/run/systemd/system").is_dir()

@@ -1,0 +1,108 @@
+"""Packages of several releases, all of the code as it is, and a robot in a box to install them on."""
+
+import re
+import shutil
+from functools import cached_property
+from pathlib import Path
+from zipfile import ZIP_STORED, ZipFile
+
+from release.build import build
+from release.deb import deb, dependencies
+from tests.box.box import PATH_INSIDE, SHARED_INSIDE, Box
+from tests.box.installed import InstalledGateway
+
+WHEN = 1_700_000_000
+LIBRARY = "/usr/lib/hexapod-gateway"
+UNIT_FILE = "/usr/lib/systemd/system/hexapod-gateway.service"
+LATE = "\nimport os, sys\nif 'run' in sys.argv and 'NOTIFY_SOCKET' in os.environ: raise SystemExit(7)\n"
+"""A change by which a release starts in its trial and not under systemd."""
+BROKEN = "\nimport sys\nif 'run' in sys.argv: raise SystemExit(7)\n"
+
+
+class Packages:
+    """Made in `folder`, each once; without compression."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+
+    @cached_property
+    def _wheel(self) -> Path:
+        return build(self._folder, "1.1.0", WHEN)[0]
+
+    @cached_property
+    def _dependencies(self) -> Path:
+        return dependencies(self._folder, "amd64")
+
+    def make(self, release: str, change: str = "") -> Path:
+        """The package of `release`; its gateway/__init__.py has `change` besides."""
+        folder = self._folder / release
+        if not folder.exists():
+            folder.mkdir()
+            wheel = folder / self._wheel.name
+            with ZipFile(self._wheel) as plain, ZipFile(wheel, "w", ZIP_STORED) as changed:
+                for name in plain.namelist():
+                    text = change.encode() if name == "gateway/__init__.py" else b""
+                    changed.writestr(name, plain.read(name) + text)
+            deb(folder, wheel, self._dependencies, release, WHEN, "amd64", pack="none")
+        return next(folder.glob("*.deb"))
+
+
+def install(box: Box, package: Path, *options: str, check: bool = True) -> str:
+    """Install it as apt does; what dpkg and the package printed. Recommended packages are left out: no network."""
+    if not (box.shared / package.name).exists():
+        shutil.copy(package, box.shared)
+    command = ("dpkg", *options, "--install", f"{SHARED_INSIDE}/{package.name}")
+    return dpkg(box, *command, check=check)
+
+
+def dpkg(box: Box, *command: str, check: bool = True) -> str:
+    """Run a command of Debian's; what it printed. `check`: whether it succeeds."""
+    done = box.run(*command, env={"DEBIAN_FRONTEND": "noninteractive", "PATH": PATH_INSIDE}, check=check, timeout_s=300)
+    said = done.stdout + done.stderr
+    assert check == (done.returncode == 0), said
+    return said
+
+
+class Robot(InstalledGateway):
+    """A robot with a package installed, its configuration written and its service enabled."""
+
+    def __init__(self, box: Box) -> None:
+        super().__init__(box)
+        self.configure("")
+        self.unit.systemctl("enable")
+
+    def runs(self) -> str:
+        """The release that the service's process has loaded, wherever that lies by now."""
+        found = re.search(f"{LIBRARY}/([^/]+)/", self.box.read(f"/proc/{self.unit.property('MainPID')}/maps"))
+        assert found is not None
+        return found[1].removesuffix(".kept")
+
+    def is_at_work(self, release: str) -> None:
+        """This release runs and moves a servo, and its last means of stopping works."""
+        assert self.runs() == release
+        folder = self.box.read(f"/proc/{self.unit.property('MainPID')}/cmdline").split("\0")[2]
+        assert self.box.exists(f"{folder}/gateway/__init__.py"), "what it has not yet imported is there"
+        assert "accepted" in self.gateway("send", "leg", "3", "start", "90", "45", "120")
+        self.gateway("send", "leg", "3", "stop")
+        self.stops_work()
+
+    def stops_work(self) -> None:
+        """`stop-servos` writes six Stops by the installed command."""
+        since = len(self.bed.transfers)
+        self.box.run(
+            "env", *self.emulated, "hexapod-gateway", "stop-servos", "--config", "/etc/hexapod-gateway/gateway.toml"
+        )
+        self.wait_for_stops(since)
+
+    def hold(self) -> str:
+        """Hold leg 3 from now on, by a process of this number."""
+        command = "hexapod-gateway send leg 3 start 90 45 120 --hold 300 >/dev/null 2>&1 & echo $!"
+        held = self.box.run("sh", "-c", command).stdout.strip()
+        self.box.run("sh", "-c", "until grep -q ' 1$' /run/hexapod-gateway/servos; do sleep 0.05; done")
+        return held
+
+    def let_go(self, held: str) -> None:
+        """Servos rest again."""
+        self.box.run("kill", held)
+        self.gateway("send", "leg", "3", "stop")
+        self.box.run("sh", "-c", "until grep -q ' 0$' /run/hexapod-gateway/servos; do sleep 0.05; done")

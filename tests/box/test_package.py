@@ -1,0 +1,138 @@
+"""The package's life on a robot: what installs, what is taken when, what stays, and what is gone at the end."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.box.box import Box
+from tests.box.installed import CONFIGURATION, NAME
+from tests.box.package import BROKEN, LATE, LIBRARY, UNIT_FILE, Packages, Robot, dpkg, install
+
+pytestmark = pytest.mark.systemd
+
+RECONFIGURE = f"sudo dpkg-reconfigure {NAME}"
+
+
+@pytest.fixture(scope="module")
+def installed(tmp_path_factory: pytest.TempPathFactory, packages: Packages) -> Iterator[Robot]:
+    """One robot for all tests of this file, with release 1.1.0."""
+    with Box(tmp_path_factory.mktemp("robot")) as box:
+        said = install(box, packages.make("1.1.0"))
+        assert "hexapod-gateway: Next: sudo hexapod-gateway setup\n" in said, said
+        with Robot(box) as robot:
+            yield robot
+
+
+@pytest.fixture
+def robot(installed: Robot, packages: Packages) -> Robot:
+    """Release 1.1.0 runs."""
+    if current(installed) != "1.1.0":
+        installed.unit.systemctl("stop", check=False)
+        install(installed.box, packages.make("1.1.0"))
+    installed.unit.systemctl("restart")
+    return installed
+
+
+def current(robot: Robot) -> str:
+    return robot.box.run("readlink", f"{LIBRARY}/current", check=False).stdout.strip()
+
+
+def test_an_installation_that_is_not_set_up_stays_stopped(tmp_path: Path, packages: Packages) -> None:
+    with Box(tmp_path) as box:
+        said = install(box, packages.make("1.1.0"))
+        assert "hexapod-gateway: Next: sudo hexapod-gateway setup\n" in said, said
+        assert box.run("systemctl", "is-active", NAME, check=False).stdout == "inactive\n"
+        assert box.run("systemctl", "is-enabled", NAME, check=False).stdout == "disabled\n"
+        modes = box.run("stat", "--format=%A %U:%G", f"/etc/{NAME}", CONFIGURATION).stdout.splitlines()
+        assert modes == [f"drwxr-x--- root:{NAME}", f"-rw-r----- root:{NAME}"]
+        assert set(box.run("id", "--groups", "--name", NAME).stdout.split()) == {NAME, "spi"}
+        assert box.run("find", LIBRARY, "!", "-user", "root").stdout == ""
+        assert "hexapod-gateway 1." in box.run(NAME, "--version").stdout
+        assert dpkg(box, "dpkg", "--verify", NAME) == ""
+        assert "warning" not in dpkg(box, "dpkg", "--remove", NAME)
+        assert box.exists(CONFIGURATION)
+        dpkg(box, "dpkg", "--purge", NAME)
+        left = box.run(
+            "sh", "-c", f"ls -d /etc/{NAME} /var/lib/{NAME} {LIBRARY} {UNIT_FILE} /usr/bin/{NAME}", check=False
+        )
+        assert left.stdout == ""
+
+
+def test_upgrade_and_back(robot: Robot, packages: Packages) -> None:
+    """The state and the configuration stay. The way back is the older package, and nothing asks."""
+    box = robot.box
+    robot.gateway("estop")
+    box.run("sh", "-c", f"echo '# mine' >>{CONFIGURATION}")
+    said = install(box, packages.make("1.1.1"))
+    assert "warning" not in said
+    assert (current(robot), robot.runs()) == ("1.1.1", "1.1.1")
+    assert "nothing runs until a reset" in robot.gateway("status")
+    assert box.read(CONFIGURATION).endswith("# mine\n")
+    robot.gateway("reset")
+    robot.is_at_work("1.1.1")
+    assert "stop-servos" in box.read(UNIT_FILE)
+    install(box, packages.make("1.1.0"))
+    robot.is_at_work("1.1.0")
+    folders = box.run("sh", "-c", f"cd {LIBRARY} && ls").stdout.split()
+    assert folders == ["1.1.0", "1.1.1.kept", "current"]
+
+
+@pytest.mark.parametrize(("release", "change"), [("1.2.0", BROKEN), ("1.2.1", LATE)], ids=["trial", "systemd"])
+def test_a_release_that_does_not_start(robot: Robot, packages: Packages, release: str, change: str) -> None:
+    """In its trial nothing is changed; under systemd the service returns to the one before."""
+    process = robot.unit.property("MainPID")
+    said = install(robot.box, packages.make(release, change), check=False)
+    if change is BROKEN:
+        assert f"{release} does not start with {CONFIGURATION} (above is why); nothing was changed" in said
+        assert robot.unit.property("MainPID") == process
+    else:
+        assert f"{release} does not run: journalctl -u {NAME}. 1.1.0.kept runs again" in said
+    robot.is_at_work("1.1.0")
+    install(robot.box, packages.make("1.1.1"))
+    robot.is_at_work("1.1.1")
+
+
+def test_a_servo_runs_during_the_upgrade(robot: Robot, packages: Packages) -> None:
+    """The robot goes on as it stands, and the new release is taken by the command that is printed."""
+    process, held = robot.unit.property("MainPID"), robot.hold()
+    said = install(robot.box, packages.make("1.1.1"))
+    assert (
+        f"a servo runs, so the service goes on with the release before this one. Stop the robot, then: {RECONFIGURE}"
+        in said
+    )
+    assert robot.unit.property("MainPID") == process
+    dpkg(robot.box, *RECONFIGURE.split()[1:])
+    assert robot.unit.property("MainPID") == process
+    robot.let_go(held)
+    robot.is_at_work("1.1.0")
+    dpkg(robot.box, *RECONFIGURE.split()[1:])
+    robot.is_at_work("1.1.1")
+
+
+def test_a_service_that_does_not_report_its_servos_counts_as_one_that_holds_the_robot(
+    robot: Robot, packages: Packages
+) -> None:
+    box, process = robot.box, robot.unit.property("MainPID")
+    box.run("sh", "-c", f"printf '%020d 0\n' 1 >/run/stale && mount --bind /run/stale /run/{NAME}/servos")
+    said = install(box, packages.make("1.1.1"))
+    box.run("umount", f"/run/{NAME}/servos")
+    command = f"sudo systemctl stop {NAME} && {RECONFIGURE} && sudo systemctl start {NAME}"
+    assert f"See that no servo runs, then: {command}" in said
+    assert robot.unit.property("MainPID") == process
+    dpkg(box, "sh", "-c", command.replace("sudo ", ""))
+    robot.is_at_work("1.1.1")
+
+
+def test_removed_and_installed_again_it_runs_as_before(robot: Robot, packages: Packages) -> None:
+    box = robot.box
+    robot.gateway("estop")
+    since = len(robot.bed.transfers)
+    assert "warning" not in dpkg(box, "dpkg", "--remove", NAME)
+    robot.wait_for_stops(since)
+    assert robot.unit.property("ActiveState") == "inactive"
+    assert not box.exists(LIBRARY)
+    install(box, packages.make("1.1.0"))
+    assert "nothing runs until a reset" in robot.gateway("status")
+    robot.gateway("reset")
+    robot.is_at_work("1.1.0")
