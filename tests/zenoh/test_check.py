@@ -85,7 +85,7 @@ def taken() -> Iterator[int]:
         yield port
 
 
-TAKEN, FREE, RUNS = "is taken by another program", "is free", "by the gateway that runs here, it seems"
+TAKEN, FREE, RUNS = "is taken by another program", "is free", "by the gateway that runs here"
 
 
 @pytest.mark.parametrize(
@@ -135,8 +135,9 @@ def test_the_whole_of_a_robot_with_certificates(tmp_path: Path) -> None:
 # ---- the machine
 
 REALTIME = (
-    "import os; from gateway.onboard.check.machine import REALTIME; from gateway.onboard.check.table import results;"
-    "r, = results([REALTIME], None); print(r.verdict, r.sentence, r.fix);"
+    "import os; from gateway.onboard.check.machine import MACHINE;"
+    "from gateway.onboard.check.table import CheckedRobot, results;"
+    "r, = results(MACHINE[-1:], CheckedRobot()); print(r.verdict, r.sentence, r.fix);"
     "print(os.sched_getscheduler(0))"
 )
 

@@ -144,7 +144,7 @@ def test_the_port_of_the_service_is_the_services(machine: Machine) -> None:
         service.wait_for_output("Try, on a laptop: hexapod-gateway check --zenoh-config NAME.json5")
         child = machine.check()
         assert line(child, "port").startswith(
-            f"ok       port           tls/[::]:{machine.port} is in use by the service"
+            f"ok       port           tls/[::]:{machine.port} is in use by the gateway"
         )
     finally:
         service.close()

@@ -156,7 +156,7 @@ def systemctl(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., 
 @pytest.mark.parametrize(
     ("load", "ago", "says"),
     [
-        ("", 0, "systemd on this machine reports no service"),
+        ("", 0, "this machine has no hexapod-gateway.service"),
         ("not-found", 0, "this machine has no hexapod-gateway.service"),
         ("loaded", -1000, "hexapod-gateway.service of this machine is not the gateway that answers"),
     ],

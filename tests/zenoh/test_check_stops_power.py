@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from gateway.onboard.check.stops import power, service
+from gateway.onboard.check.stops import steps
 from schemas import keys
 from schemas.telemetry import GatewayState
 from tests.support.command import Ended
@@ -63,7 +63,7 @@ def robot(tmp_path: Path) -> Iterator[Callable[..., Robot]]:
             robot = Robot(tmp_path, **settings)
             stack.callback(robot.close)
             client = stack.enter_context(stack.enter_context(robot.gateway).client())
-            Heard(client, keys.STATE, GatewayState).wait(lambda _: power.is_at_rest(client))
+            Heard(client, keys.STATE, GatewayState).wait(lambda _: steps.is_at_rest(client))
             return robot
 
         yield made
@@ -74,9 +74,9 @@ def person(monkeypatch: pytest.MonkeyPatch) -> Callable[[Callable[[str], str]], 
     """Somebody is at the simulated robot, and does this when asked."""
 
     def does(answer: Callable[[str], str]) -> None:
-        monkeypatch.setattr(power, "_by_hand", power._board)
-        for name in ("_asked", "ask", "hint"):
-            monkeypatch.setattr(power, name, answer)
+        monkeypatch.setattr(steps, "by_hand", steps.board)
+        for name in ("person", "hint"):
+            monkeypatch.setattr(steps, name, answer)
 
     return does
 
@@ -134,6 +134,6 @@ def test_what_stop_servos_says_is_counted() -> None:
         "Stop written to all six legs, 4 times each, on /dev/spidev0.0\n"
         "the power board has confirmed: all servos without supply, after 412 ms\n"
     )
-    found = service.said_by_stop_servos(text)
+    found = steps.said_by_stop_servos(text)
     assert found == {"stops_of_stop_servos": 24, "supply_off_confirmed_after_ms": 412}
-    assert service.said_by_stop_servos("") == {}
+    assert steps.said_by_stop_servos("") == {}

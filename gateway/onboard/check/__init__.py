@@ -8,38 +8,58 @@ import os
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import replace
 from itertools import chain
 from pathlib import Path
 from typing import Final
 
+from gateway import __version__, own_command
 from gateway.errors import ConfigError
 from gateway.host import effective
 from gateway.host.effective import Effective
+from gateway.model.black_box.files import RING_FILE
 from gateway.onboard import stop
-from gateway.onboard.check import (
-    certificates,
-    controller,
-    device,
-    installation,
-    laptop,
-    machine,
-    network,
-    power,
-    service_user,
-    simulated,
-)  # fmt: skip
-from gateway.onboard.check.table import LET_READ, CheckedRobot, Result, Verdict, results
+from gateway.onboard.check import certificates, installation, laptop, machine, network, service_user, wire
+from gateway.onboard.check.table import (
+    LET_READ,
+    CheckedRobot,
+    Probe,
+    Result,
+    Seen,
+    Verdict,
+    judged,
+    results,
+    warning,
+)
 from gateway.people.terminal import clear_line, rows, say, show_line
 from gateway.robot import settings as settings_file
+from gateway.robot.blackbox import paths
 from gateway.robot.sections import SpiSettings
 from gateway.robot.settings import FramingNotSetError, Settings
+from gateway.robot.zenoh_io.session import service_config
+from gateway.zenoh_config import listen_endpoints
+from schemas.telemetry import GatewayState, Mode
 
 _STYLES: Final = {Verdict.OK: rows.GOOD, Verdict.WARNING: rows.NOTE, Verdict.FAILURE: rows.BAD}
-_FRAMING: Final = "hexapod_spi__framing"
 _STATE_IT: Final = (
     "state in the file what the controller needs, and take the variable out (systemctl cat hexapod-gateway)"
 )
+_RUNS: Final = "{version} runs on a simulated controller, and is {mode}"
+# fmt: off
+SIMULATED: Final = (
+    Probe("gateway", lambda seen: seen, (
+        warning(lambda r: r.version != r.own, f"{_RUNS}; this program is {{own}}", "end it, and start it again"),
+        warning(lambda r: r.mode == Mode.ESTOPPED, _RUNS, "{run[reset]} leaves the emergency stop"),
+        warning(lambda r: not r.frames, f"{_RUNS}, without frames to record", "set telemetry.frames = true"),
+    ), f"{_RUNS}. For a real robot, end it and check again"),
+    Probe("black box", lambda seen: seen, (
+        warning(lambda r: not r.keeps, "is off", "`make run` keeps one; for another gateway set state.path"),
+    ), "{folder}; hexapod-gateway incidents shows what it kept"),
+)
+CONFIGURED: Final = (
+    *wire.PROBES, *certificates.CERTIFICATES, network.ZENOH, network.ACCESS, network.PORTS, *wire.POWER,
+)
+# fmt: on
+"""What depends on the settings."""
 
 
 def check(config: Path | None, *, as_json: bool = False) -> int:
@@ -50,18 +70,15 @@ def check(config: Path | None, *, as_json: bool = False) -> int:
     Raises ConfigError where oneself may not read the configuration, and FramingNotSetError: what the machine can do
     matters only once it is known what the controller understands.
     """
-    runs = machine.running_release(machine.main_process())  # only root may see it
+    robot = CheckedRobot()
     show_line("reading the files of the installed release …")
-    seen = installation.look()  # root sees it all
+    seen = list(results(installation.PROBES, robot)) if robot.installed else []  # root sees it all
     clear_line()
-
-    def look() -> int:
-        found = simulated.found() if config is None else None
-        lines = run(config, seen) if found is None else chain(simulated.look(*found), seen or ())
-        what, can = ("This machine", "run the service") if found is None else ("The simulated robot", "be driven")
-        return _report(chain(lines, results([machine.RELEASE], runs)), what, can, as_json=as_json)
-
-    return service_user.run(look, machine.granted_rtprio())
+    service_user.go_on_as(robot.unit.get("LimitRTPRIO", ""))
+    found = _simulated() if config is None else None
+    if found is None:
+        return _report(run(config, robot, seen), "This machine", "run the service", as_json=as_json)
+    return _report(chain(_beside(*found), seen), "The simulated robot", "be driven", as_json=as_json)
 
 
 def check_laptop(connect: str | None, zenoh_config: Path | None, timeout_s: float, *, as_json: bool = False) -> int:
@@ -78,20 +95,19 @@ def _report(found: Iterable[Result], what: str, can: str, *, as_json: bool) -> i
             rows.show(rows.row(result.verdict, _STYLES[result.verdict], result.name, result.sentence, result.fix))
         lines.setdefault(result.sentence, result)
     count = Counter(each.verdict for each in lines.values())
+    passed = not count[Verdict.FAILURE]
+    if as_json:
+        say(json.dumps({"passed": passed, "checks": [each._asdict() for each in lines.values()]}))
+        return 0 if passed else 1
     failures, warnings = (
         f"{count[each]} {each}{'s' * (count[each] != 1)}" for each in (Verdict.FAILURE, Verdict.WARNING)
     )
-    if as_json:
-        passed = not count[Verdict.FAILURE]
-        say(json.dumps({"passed": passed, "checks": [each._asdict() for each in lines.values()]}))
-        return 0 if passed else 1
-    if count[Verdict.FAILURE]:
+    if not passed:
         return rows.conclude(f"{what} cannot {can}: {failures}.", well=False)
-    remark = f", with {warnings}" if count[Verdict.WARNING] else ""
-    return rows.conclude(f"{what} can {can}{remark}.", well=True)
+    return rows.conclude(f"{what} can {can}{f', with {warnings}' if count[Verdict.WARNING] else ''}.", well=True)
 
 
-def run(config: Path | None, seen: Sequence[Result] | None = None) -> Iterator[Result]:
+def run(config: Path | None, robot: CheckedRobot, seen: Sequence[Result]) -> Iterator[Result]:
     """All checks, in order; those of the settings only where these can be read. Raises FramingNotSetError at once.
 
     While the service runs, and no file is named, its device is looked at with the settings that it uses.
@@ -101,18 +117,19 @@ def run(config: Path | None, seen: Sequence[Result] | None = None) -> Iterator[R
         raise ConfigError(f"{path} is not for you to read, as it may name keys: sudo hexapod-gateway check")
     used = effective.read() if config is None else None
     used = used if used is not None and used.runs else None
-    stated_in_unit = used is not None and any(name.lower() == _FRAMING for name in stop.unit()[1])
     settings: Settings | None = None
     faults: list[str] = []
     try:
-        settings = settings_file.load(config, simulated=stated_in_unit)
+        settings = settings_file.load(
+            config, simulated=used is not None and "HEXAPOD_SPI__FRAMING" in map(str.upper, stop.unit()[1])
+        )
     except ConfigError as error:
         if isinstance(error, FramingNotSetError) and used is None:  # else it runs, and would not start again
             raise
         faults = str(error).splitlines()
-    robot = CheckedRobot(settings or Settings(), installed=seen is not None)
+    robot.settings = settings or robot.settings
     yield from results([machine.PYTHON, machine.USER], robot)
-    yield from seen or ()
+    yield from seen
     for fault in faults:
         fix = LET_READ if certificates.DENIED in fault else "fix it there, and check again"
         yield Result("configuration", Verdict.FAILURE, fault, fix)
@@ -122,9 +139,9 @@ def run(config: Path | None, seen: Sequence[Result] | None = None) -> Iterator[R
     else:
         where = str(path) if path.exists() else f"the defaults, since there is no {path}"
         yield Result("configuration", Verdict.OK, where)
-        yield from _of_settings(robot, used, path)
-    probes = (machine.CLOCK, machine.GOVERNOR, machine.VOLTAGE, machine.MEMORY, machine.UNIT, machine.REALTIME)
-    yield from results(probes, robot)
+        yield from _in_use(robot, used, path)
+        yield from results(CONFIGURED, robot)
+    yield from results([machine.CLOCK, installation.UNIT, *machine.MACHINE], robot)
 
 
 def _denied(path: Path) -> bool:
@@ -136,26 +153,35 @@ def _denied(path: Path) -> bool:
     return False
 
 
-def _of_settings(robot: CheckedRobot, used: Effective | None, path: Path) -> Iterator[Result]:
-    if used is not None:  # the wire is the one that the service uses
+def _in_use(robot: CheckedRobot, used: Effective | None, path: Path) -> Iterator[Result]:
+    """Where the service uses other settings than the file's; the wire is looked at with the service's."""
+    if used is not None:
         stated = robot.settings
         uart = stated.controller.model_copy(update={"uart": used.controller.uart})
         spi = SpiSettings.model_validate(used.tables["spi"])
-        robot = replace(robot, settings=stated.model_copy(update={"spi": spi, "controller": uart}))
-        if stated.spi.device != spi.device:
-            yield from results([device.DEVICE], CheckedRobot(stated))
+        robot.settings = stated.model_copy(update={"spi": spi, "controller": uart})
         for each in effective.differences(used, path):
             yield Result("in use", Verdict.WARNING, each, _STATE_IT)
-    probes = (
-        device.DEVICE,
-        *device.BUS,
-        *controller.CONTROLLER,
-        *device.FRAMES,
-        *device.CALIBRATION,
-        *certificates.CERTIFICATES,
-        network.ZENOH,
-        network.ACCESS,
-        network.PORTS,
-        power.BOARD,
-    )
-    yield from results(probes, robot)
+
+
+# ---- a gateway with a simulated controller, as `make run` starts it: it needs neither device nor framing
+
+
+def _simulated() -> tuple[Settings, GatewayState] | None:
+    """The settings that are found without a file named, and what answers there; None: no simulated gateway does."""
+    with suppress(ConfigError):
+        settings = settings_file.load(None, simulated=True)
+        for endpoint in listen_endpoints(service_config(settings.zenoh)):
+            if endpoint.startswith("tcp/") and (state := network.state_at(endpoint)) is not None and state.simulated:
+                own_command.reach_by(connect=endpoint)
+                return settings, state
+    return None
+
+
+def _beside(settings: Settings, state: GatewayState) -> Iterator[Result]:
+    robot, folder = CheckedRobot(settings, gateway_runs=True), paths.folder_to_read(settings)
+    seen = Seen(version=state.version, own=__version__, mode=state.mode, folder=folder, frames=state.telemetry.frames)
+    seen.keeps = folder is not None and (folder / RING_FILE).exists()
+    yield from results([machine.PYTHON], robot)
+    yield from chain.from_iterable(judged(probe, seen) for probe in SIMULATED)
+    yield from results([wire.CALIBRATION[0], certificates.CERTIFICATES[0], network.PORTS, machine.CLOCK], robot)

@@ -1,8 +1,9 @@
-"""The robot's certificates: whether they are good, belong together, and who is shut out."""
+"""The robot's certificates: whether they are good, belong together and to this robot, and who is shut out."""
 
 import datetime as dt
 import errno
 import os
+import socket
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -20,10 +21,11 @@ from gateway.zenoh_config import certificate_files, get, load_config
 
 DENIED: Final = os.strerror(errno.EACCES)
 _TLS: Final = "transport/link/tls"
+_ALWAYS_DAYS: Final = 10**6
 
 
 def _expiries(robot: CheckedRobot) -> Iterator[Seen]:
-    yield from expiries(robot.settings.zenoh.config, dt.datetime.now(dt.UTC))
+    return expiries(robot.settings.zenoh.config, dt.datetime.now(dt.UTC))
 
 
 def expiries(file: str, now: dt.datetime) -> Iterator[Seen]:
@@ -40,7 +42,8 @@ def expiries(file: str, now: dt.datetime) -> Iterator[Seen]:
             well=f"{each.path} is good until {each.not_after:%Y-%m-%d}",
         )  # fmt: skip
     if not found:
-        yield Seen(fault="", well=f"{file} names none" if file else "none are in use", early=False, left_days=10**6)
+        well = f"{file} names none" if file else "none are in use"
+        yield Seen(fault="", well=well, early=False, left_days=_ALWAYS_DAYS)
 
 
 def _named(robot: CheckedRobot) -> tuple[zenoh.Config, Path, list[x509.Certificate]] | None:
@@ -55,19 +58,35 @@ def _named(robot: CheckedRobot) -> tuple[zenoh.Config, Path, list[x509.Certifica
 
 def _pairs(robot: CheckedRobot) -> Iterator[Seen]:
     """What the robot listens with, and what it dials a router with: mostly the same files."""
-    found = _named(robot)
-    if found is None:
+    if (found := _named(robot)) is None:
         return
     config, ca, cas = found
-    names = ((f"{_TLS}/{side}_certificate", f"{_TLS}/{side}_private_key") for side in ("listen", "connect"))
-    for certificate, key in dict.fromkeys(tuple(get(config, name) for name in pair) for pair in names):
+    parts, hosts_of = ("certificate", "private_key"), certs.authority.hosts_of
+    pairs = {tuple(get(config, f"{_TLS}/{side}_{part}") for part in parts): side for side in ("connect", "listen")}
+    for names, side in pairs.items():
         with suppress(ConfigError, TypeError):  # it names none; or another line reports it
-            own, public = certs.files.read_certificate(Path(certificate)), certs.files.read_key(Path(key)).public_key()
-            files = f"{{{ca.name},{Path(certificate).name},{Path(key).name}}}"
-            seen = Seen(certificate=certificate, key=key, ca=ca, folder=ca.parent, files=files)
-            seen.foreign = not any(certs.authority.is_issued(own, each) for each in cas)
-            seen.other_key = public != own.public_key()
-            yield seen
+            certificate, key = map(Path, names)
+            own = certs.files.read_certificate(certificate)
+            yield Seen(
+                certificate=certificate, key=key, ca=ca, folder=ca.parent, role=certs.folder.describe(certificate).role,
+                files=f"{{{ca.name},{certificate.name},{key.name}}}", listens=side == "listen",
+                foreign=not any(certs.authority.is_issued(own, each) for each in cas), hosts=", ".join(hosts_of(own)),
+                other_key=certs.files.read_key(key).public_key() != own.public_key(),
+                here=any(map(_is_here, hosts_of(own))), host=socket.gethostname(),
+            )  # fmt: skip
+
+
+def _is_here(host: str) -> bool:
+    """Whether a name or an address is this machine's. Nobody is asked for it."""
+    name = socket.gethostname().partition(".")[0].lower()
+    if host.partition(".")[0].lower() in (name, "localhost"):
+        return True
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    with suppress(OSError, UnicodeError), socket.socket(family, socket.SOCK_DGRAM) as probe:
+        if family == socket.AF_INET6 or host.replace(".", "").isdigit():
+            probe.bind((host, 0))
+            return True
+    return False
 
 
 def _lists(robot: CheckedRobot) -> Iterator[Seen]:
@@ -75,24 +94,20 @@ def _lists(robot: CheckedRobot) -> Iterator[Seen]:
 
     If there is no such list: the one in force.
     """
-    found = _named(robot)
-    if found is None:
+    if (found := _named(robot)) is None:
         return
     folders = (state_to_read(robot.settings.state.path), Path(robot.settings.zenoh.config).absolute().parent)
-    known, faults = list[revocation.RevocationList](), list[Seen]()
+    known, well = list[revocation.RevocationList](), ""
     for path in (folder / revocation.REVOCATION_FILE for folder in folders if folder is not None):
         try:
             known += [each] if (each := revocation.read(path, found[2])) is not None else []
         except ConfigError as error:
-            foreign = isinstance(error, revocation.ForeignListError)
-            faults.append(Seen(path=path, fault="" if foreign else str(error), foreign=foreign))
-    newest, well = (
-        max(known, key=lambda each: each.number, default=None),
-        _NO_LIST,
-    )
-    if newest is not None:
-        well = f"list {newest.number} of {newest.date:%Y-%m-%d} shuts out {len(newest.entries)}"
-    yield from faults or [Seen(fault="", foreign=False, well=well)]
+            foreign, well = isinstance(error, revocation.ForeignListError), "-"
+            yield Seen(path=path, fault="" if foreign else str(error), foreign=foreign)
+    newest = max(known, key=lambda each: each.number, default=None)
+    if not well:
+        shuts_out = newest and f"list {newest.number} of {newest.date:%Y-%m-%d} shuts out {len(newest.entries)}"
+        yield Seen(fault="", foreign=False, well=shuts_out or _NO_LIST)
 
 
 _RENEW: Final = f"{{fix}}, then: {RESTART}"
@@ -121,6 +136,10 @@ CERTIFICATES: Final = (
         failure(lambda r: r.foreign, "{certificate} is of another authority than {ca}: nobody can connect",
                 _FROM_ONE_FOLDER),
         failure(lambda r: r.other_key, "{key} is not the key of {certificate}: nobody can connect", _FROM_ONE_FOLDER),
+        failure(lambda r: r.listens and r.role != certs.authority.GATEWAY,
+                "{certificate} is of {role}, not of a robot: laptops reject it", _FROM_ONE_FOLDER),
+        warning(lambda r: r.listens and not r.here, "{certificate} is good for {hosts}, and this machine is {host}: is "
+                "it another robot's?", _FROM_ONE_FOLDER),
     )),
     Probe("revoked", _lists, (
         failure(lambda r: r.fault, "{fault}; the service does not start", _ANOTHER_LIST),

@@ -3,13 +3,12 @@
 import datetime as dt
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Final
 
 from gateway import certs
 from gateway.certs import expiry
 from gateway.errors import ConfigError, ZenohError
 from gateway.onboard.check.machine import CLOCK, PYTHON
-from gateway.onboard.check.table import Result, Verdict, results
+from gateway.onboard.check.table import RESTART, Result, Verdict, results
 from gateway.own_command import this_command
 from gateway.people.client import diagnosis
 from gateway.people.client.blocking import Client
@@ -18,8 +17,6 @@ from gateway.people.client.requests import Identity
 from gateway.people.commands import why
 from gateway.zenoh_config import client_config, connect_endpoints
 from schemas.telemetry import CertificateReport, RevocationsReport
-
-_SOURCE: Final = "hexapod-gateway check"
 
 
 def checks(connect: str | None, zenoh_config: Path | None, timeout_s: float) -> Iterator[Result]:
@@ -40,7 +37,9 @@ def checks(connect: str | None, zenoh_config: Path | None, timeout_s: float) -> 
         fix = "where ca.key is: hexapod-gateway certs renew NAME, then bring its files here"
         yield Result(Stage.CERTIFICATE, Verdict.WARNING, soon, fix)
     try:
-        client = Client(connect, zenoh_config=zenoh_config, source=_SOURCE, timeout_s=timeout_s, explain=False)
+        client = Client(
+            connect, zenoh_config=zenoh_config, source="hexapod-gateway check", timeout_s=timeout_s, explain=False
+        )
     except ZenohError:
         yield from _way(endpoints, identity, opened=False)
         return
@@ -61,8 +60,7 @@ def _way(endpoints: list[str], identity: Identity, *, opened: bool) -> Iterator[
             if opened and finding.stage is Stage.GATEWAY:
                 continue  # that no gateway speaks TLS on a tcp/ port is no fault: the session is open
             said = f"{endpoint}: {finding.sentence}" if len(endpoints) > 1 else finding.sentence
-            worst = Verdict.WARNING if opened else Verdict.FAILURE
-            yield _result(Finding(finding.stage, said, finding.fix), worst)
+            yield _result(Finding(finding.stage, said, finding.fix), Verdict.WARNING if opened else Verdict.FAILURE)
 
 
 def _result(finding: Finding, worst: Verdict = Verdict.FAILURE) -> Result:
@@ -72,7 +70,9 @@ def _result(finding: Finding, worst: Verdict = Verdict.FAILURE) -> Result:
 def _robots_certificate(certificate: CertificateReport | None, now: dt.datetime) -> Iterator[Result]:
     soon = None if certificate is None else expiry.soon(certificate.file, certificate.expires, now)
     if soon is not None:
-        fix = "hexapod-gateway certs renew gateway, where ca.key is, copy it to the robot, and restart the service"
+        fix = (
+            f"where ca.key is: hexapod-gateway certs renew gateway; copy gateway.pem to the robot, and there: {RESTART}"
+        )
         yield Result(Stage.CERTIFICATE, Verdict.WARNING, f"the robot's {soon}", fix)
 
 
@@ -80,16 +80,14 @@ def shut_out(there: RevocationsReport | None, identity: Identity) -> Iterator[Re
     """The list in force at the robot, and whether it is older than that in the laptop's own folder."""
     if identity.ca is None:
         return
-    said, folder = "the robot names no list of revoked certificates", identity.ca.parent
+    said, folder, fix = "the robot names no list of revoked certificates", identity.ca.parent, ""
     if there is not None:
         said = f"the robot goes by list {there.number} of {there.date:%Y-%m-%d}"
     try:
         own = certs.folder.revoked(folder)
     except ConfigError as error:
-        yield Result("revoked", Verdict.WARNING, str(error), "restore it from a copy of the folder")
-        return
+        own, said, fix = None, str(error), "restore it from a copy of the folder"
     if own is not None and own.number > (0 if there is None else there.number):
         said += f"; {folder} has list {own.number} of {own.date:%Y-%m-%d}"
-        yield Result("revoked", Verdict.WARNING, said, f"{this_command()} certs revoke --dir {folder}")
-    else:
-        yield Result("revoked", Verdict.OK, said)
+        fix = f"{this_command()} certs revoke --dir {folder}"
+    yield Result("revoked", Verdict.WARNING if fix else Verdict.OK, said, fix)

@@ -8,10 +8,9 @@ select between the transfers of a call, and a controller that needs it then obey
 that comes back to the gateway, so a person is asked whether the servo is loose.
 """
 
-import math
 import time
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
 from functools import partial
 from typing import Final
 
@@ -52,6 +51,11 @@ _WHOLE_HOLDS: Final = (
 _SILENT: Final = (
     "The controller does not answer, so nothing is moved: {status} names what is missing. A controller "
     'of HexapodProtocol v1.0.0 answers nothing; it needs spi.protocol = "hexapod-1.0".'
+)
+_LATE: Final = (
+    "The watchdog stopped servo {servo}: this machine's commands came some {apart:.0f} ms apart, and {timeout:g} ms of "
+    "silence are allowed. The robot is well; the way to it is slow, or this machine is. Try again on the robot itself, "
+    "or nearer to its Wi-Fi."
 )
 _FIRST: Final = (
     "Its Stop was the first of six in one call, so this does not show whether the others arrive: do it once more with "
@@ -99,31 +103,24 @@ def move(connect: Connection, *, agreed: bool) -> int:
         if whole and not state.controller.alive:
             say(_SILENT.format(status=command("status")))
             return 1
-        held = lying(client, state) if whole else {}
-        usual = ServoMotion(DEFAULT_SERVO, held.get(DEFAULT_SERVO, DEFAULT_ANGLE_DEG), held)
-        motion = usual if agreed else _asked(held)
-        servo_id = motion.servo_id
+        motion = _motion(lying(client, state) if whole else {}, agreed=agreed)
         if not consents(motion, state, agreed=agreed):
             say("Nothing was moved.")
             return 1
-        state = ready(client)  # the questions took their time
+        state, name = ready(client), f"servo {motion.servo_id}"  # the questions took their time
+        stop = partial(_stop, client, None if whole else motion.servo_id)
         with (
-            _measured(client, state) as currents,
+            ServoCurrents.measured(client, state) as currents,
             drives(client, _HOLD_S, moves=True),
-            stopped_after(
-                "all servos are" if whole else f"servo {servo_id} is",
-                partial(_stop, client, None if whole else servo_id),
-            ),
+            stopped_after("all servos are" if whole else f"{name} is", stop),
         ):
-            if currents is not None:
-                currents.moves()
             if not (_moved(client, motion, state.watchdog.timeout_ms) and _accepted(client.stop())):
                 return 1
             if state.simulated:
                 say("A simulated controller took it: no servo is there to move.")
-            say(f"All six legs were stopped at once, servo {servo_id} with them.")
+            say(f"All six legs were stopped at once, {name} with them.")
             if currents is not None:
-                say(currents.finding(servo_id))
+                say(currents.finding(motion.servo_id))
             if agreed:
                 say("Every frame was written, and SPI has no way back: look whether it moved, and whether it is loose.")
                 return 0
@@ -137,8 +134,8 @@ def move(connect: Connection, *, agreed: bool) -> int:
         say(_WHOLE_HOLDS if whole else _HOLDS)
     if loose != "yes":
         return 1
-    say(f"Then everything from here to servo {servo_id} works.")
-    if servo_id // 10 == LEGS[0] and not whole:
+    say(f"Then everything from here to {name} works.")
+    if motion.leg == LEGS[0] and not whole:
         say(_FIRST)
     return 0
 
@@ -150,6 +147,25 @@ class ServoCurrents:
         self.rest: dict[str, float] = {}
         self.moving: dict[str, float] = {}
         self._seen = self.rest
+
+    @classmethod
+    @contextmanager
+    def measured(cls, client: Client, state: GatewayState) -> Iterator["ServoCurrents | None"]:
+        """Those at rest until now, those of a motion meanwhile; None where they do not show which output feeds a servo.
+
+        Where supply is what starts a servo, the one at that output moves, whichever it is.
+        """
+        if state.power is None or state.controller.protocol != SpiProtocol.HEXAPOD_1_0:
+            yield None
+            return
+        currents = cls()
+        subscriber = client.watch_telemetry(currents.take)
+        try:
+            time.sleep(_REST_S)
+            currents.moves()
+            yield currents
+        finally:
+            subscriber.undeclare()
 
     def moves(self) -> None:
         """The servo is started now."""
@@ -173,51 +189,39 @@ class ServoCurrents:
         )
 
 
-@contextmanager
-def _measured(client: Client, state: GatewayState) -> Iterator[ServoCurrents | None]:
-    """Take the currents meanwhile, and those at rest first; None where these do not show which output feeds a servo.
-
-    Where supply is what starts a servo, the one at that output moves, whichever it is.
-    """
-    if state.power is None or state.controller.protocol != SpiProtocol.HEXAPOD_1_0:
-        yield None
-        return
-    currents = ServoCurrents()
-    subscriber = client.watch_telemetry(currents.take)
-    try:
-        time.sleep(_REST_S)
-        yield currents
-    finally:
-        subscriber.undeclare()
-
-
-def _asked(held: Mapping[int, float]) -> ServoMotion:
-    """Raises ConfigError for what is no servo, or no angle."""
-    text = ask(f"Which servo, 11 to 63? [{DEFAULT_SERVO}] ") or str(DEFAULT_SERVO)
+def _motion(held: Mapping[int, float], *, agreed: bool) -> ServoMotion:
+    """Which servo goes where. Raises ConfigError for what is no servo, or no angle."""
+    text = ("" if agreed else ask(f"Which servo, 11 to 63? [{DEFAULT_SERVO}] ")) or str(DEFAULT_SERVO)
     if not (text.isdigit() and int(text) in SERVO_IDS):
         raise ConfigError(f"{text!r} is no servo: the leg, 1 to 6, then the joint, 1 to 3")
     usual_deg = held.get(int(text), DEFAULT_ANGLE_DEG)
-    angle = ask(f"Start it at which angle? [{usual_deg:g}] ") or str(usual_deg)
-    try:
-        angle_deg = float(angle)
-    except ValueError:
-        angle_deg = math.nan
-    if not 0 <= angle_deg <= MAX_DEG:
-        raise ConfigError(f"{angle!r} is no angle: 0 to 180 degrees")
-    return ServoMotion(int(text), angle_deg, held)
+    angle = ("" if agreed else ask(f"Start it at which angle? [{usual_deg:g}] ")) or str(usual_deg)
+    with suppress(ValueError):
+        if 0 <= float(angle) <= MAX_DEG:
+            return ServoMotion(int(text), float(angle), held)
+    raise ConfigError(f"{angle!r} is no angle: 0 to 180 degrees")
 
 
 def _moved(client: Client, motion: ServoMotion, timeout_ms: float) -> bool:
-    """Whether all that was asked for was accepted."""
-
-    def ask(op: str, angle_deg: float) -> Ack:
-        return client.ask(motion.key, motion.payload(op, angle_deg))
-
-    # Only one start: a set is rejected for what somebody else has stopped.
-    return _accepted(ask("start", motion.start_deg)) and all(
-        _held(client, motion.servo_id, partial(ask, "set", angle_deg), timeout_ms)
-        for angle_deg in (motion.start_deg, motion.end_deg)
-    )
+    """Start it, and set it to each angle again and again for a while; whether all was accepted."""
+    if not _accepted(client.ask(motion.key, motion.payload("start", motion.start_deg))):
+        return False  # only one start: a set is rejected for what somebody else has stopped
+    period_s, before_s = min(_PERIOD_S, timeout_ms / 5000), time.monotonic()
+    for angle_deg in (motion.start_deg, motion.end_deg):
+        end_s = time.monotonic() + _HOLD_S
+        while before_s < end_s:
+            ack = client.ask(motion.key, motion.payload("set", angle_deg))
+            apart_ms = (time.monotonic() - before_s) * 1000
+            if ack.reason == Reason.SERVO_STOPPED and any(
+                leg.leg == motion.leg and leg.watchdog == WatchdogState.EXPIRED for leg in client.state().legs
+            ):
+                say(_LATE.format(servo=motion.servo_id, apart=apart_ms, timeout=timeout_ms))
+                return False
+            if not _accepted(ack):
+                return False
+            before_s = time.monotonic()
+            time.sleep(period_s)
+    return True
 
 
 def _stop(client: Client, servo_id: int | None) -> str:
@@ -225,32 +229,6 @@ def _stop(client: Client, servo_id: int | None) -> str:
     which = "All servos are" if servo_id is None else f"Servo {servo_id} is"
     ack = client.stop() if servo_id is None else client.servo(servo_id, "stop")
     return f"{which} stopped." if ack.accepted else f"{which} not stopped: {ack.reason}: {ack.detail}"
-
-
-def _held(client: Client, servo_id: int, again: Callable[[], Ack], timeout_ms: float) -> bool:
-    """Set it again and again for a while; whether each was accepted."""
-
-    def expired() -> bool:
-        watchdogs = {leg.leg: leg.watchdog for leg in client.state().legs}
-        return watchdogs.get(servo_id // 10) == WatchdogState.EXPIRED
-
-    period_s = min(_PERIOD_S, timeout_ms / 5000)
-    begun_s = before_s = time.monotonic()
-    while before_s < begun_s + _HOLD_S:
-        ack = again()
-        apart_ms = (time.monotonic() - before_s) * 1000
-        if ack.reason == Reason.SERVO_STOPPED and expired():
-            say(
-                f"The watchdog stopped servo {servo_id}: this machine's commands came some {apart_ms:.0f} ms apart, "
-                f"and {timeout_ms:g} ms of silence are allowed. The robot is well; the way to it is slow, or this "
-                "machine is. Try again on the robot itself, or nearer to its Wi-Fi."
-            )
-            return False
-        if not _accepted(ack):
-            return False
-        before_s = time.monotonic()
-        time.sleep(period_s)
-    return True
 
 
 def _accepted(ack: Ack) -> bool:

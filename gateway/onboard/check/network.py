@@ -5,6 +5,7 @@ import logging
 import re
 import socket
 from collections.abc import Iterator
+from contextlib import suppress
 from itertools import chain
 from types import MappingProxyType
 from typing import Any, Final
@@ -13,7 +14,7 @@ import zenoh
 from pydantic import ValidationError
 
 from gateway.certs import BUTTON
-from gateway.certs.access import TRAFFIC
+from gateway.certs.access import TRAFFIC, Traffic
 from gateway.certs.zenoh_files import command_for_new_rules
 from gateway.errors import ConfigError, GatewayError
 from gateway.host.sockets import listening
@@ -32,33 +33,22 @@ _LAST_PORT: Final = 65_535
 _LINKS: Final = MappingProxyType({"tcp": 1, "tls": 1, "ws": 1, "udp": 0, "quic": 0})
 """Whether each listens on TCP; else on UDP."""
 _ENDPOINT: Final = re.compile(r"(?P<link>[a-z0-9-]+)/(?P<host>\[[^\]]+\]|[^:#?\[\]]+):(?P<port>\d{1,5})(?:[#?].*)?")
-_LOOPBACK: Final = MappingProxyType({"0.0.0.0": "127.0.0.1", "[::]": "[::1]"})  # noqa: S104 (dialled, not opened)
 _GET_ONLY_NEEDS: Final = frozenset({"query", "reply", "declare_queryable"})
 _SHOWN: Final = 3
 
 
-class _Warnings(logging.Handler):
-    """Collects the warnings of a configuration, which go nowhere else."""
-
-    def __init__(self) -> None:
-        super().__init__(logging.WARNING)
-        self.lines: list[str] = []
-
-    def emit(self, record: logging.LogRecord) -> None:
-        self.lines.append(record.getMessage())
-
-
 def configuration(robot: CheckedRobot) -> tuple[zenoh.Config | None, list[str], list[str]]:
     """What the service would open, its faults, and the warnings that it would log about it."""
-    logger, logged = logging.getLogger("gateway"), _Warnings()
+    logger, logged, handler = logging.getLogger("gateway"), list[str](), logging.Handler(logging.WARNING)
+    handler.emit = lambda record: logged.append(record.getMessage())  # type: ignore[method-assign]
     propagate, logger.propagate = logger.propagate, False
-    logger.addHandler(logged)
+    logger.addHandler(handler)
     try:
-        return service_config(robot.settings.zenoh), [], logged.lines
+        return service_config(robot.settings.zenoh), [], logged
     except ConfigError as error:
         return None, str(error).splitlines(), []
     finally:
-        logger.removeHandler(logged)
+        logger.removeHandler(handler)
         logger.propagate = propagate
 
 
@@ -78,33 +68,23 @@ def _ports(robot: CheckedRobot) -> Iterator[Seen]:
     endpoints = [] if config is None else listen_endpoints(config)
     yield from (port(each, gateway_runs=robot.gateway_runs) for each in endpoints)
     if config is not None and not endpoints:
-        yield Seen(where="none:", why="", taken=False, well="the gateway listens nowhere, and dials others")
+        yield Seen(where="none:", error=0, well="the gateway listens nowhere, and dials others")
     if metrics := robot.settings.telemetry.metrics:
         yield port(f"tcp/{metrics}", "telemetry.metrics", gateway_runs=robot.gateway_runs)
 
 
 def port(endpoint: str, setting: str = "zenoh.listen", *, gateway_runs: bool = False) -> Seen:
     """Why the service could not listen on `endpoint`; a gateway that listens there already is fine."""
-    seen = Seen(where=endpoint, setting=setting, why="", taken=False, well="was not tried: it names no port")
+    seen = Seen(where=endpoint, setting=setting, error=0, well="was not tried: it names no port")
     found = _ENDPOINT.fullmatch(endpoint)
     if found is None or found["link"] not in _LINKS:
         return seen
     host, number = found["host"], int(found["port"])
     kind = socket.SOCK_STREAM if _LINKS[found["link"]] else socket.SOCK_DGRAM
     error, seen.well = _listen(host, number, kind), "is free"
-    seen.why, seen.taken = (
-        "" if error is None else error.strerror,
-        error is not None and error.errno == errno.EADDRINUSE,
-    )
-    if seen.taken:
-        # TLS would demand a certificate.
-        state = state_at(f"tcp/{_LOOPBACK.get(host, host)}:{number}") if found["link"] == "tcp" else None
-        used = "by the service" if service_user.uid() in owners(number, kind) else ""
-        if state is not None:
-            used = f"by a gateway that is {state.mode}{', on a simulated controller' if state.simulated else ''}"
-        used = used or ("by the gateway that runs here, it seems" if gateway_runs else "")
-        if used:
-            seen.well, seen.why, seen.taken = f"is in use {used}", "", False
+    seen.error, seen.why = (error.errno, error.strerror) if error is not None else (0, "")
+    if seen.error == errno.EADDRINUSE and (gateway_runs or service_user.uid() in owners(number, kind)):
+        seen.well, seen.error = "is in use by the gateway that runs here", 0
     return seen
 
 
@@ -112,13 +92,14 @@ def _listen(host: str, number: int, kind: socket.SocketKind) -> OSError | None:
     """Why nothing could listen there now; None: it could. For a name, none of its addresses may be in use."""
     if number > _LAST_PORT:  # getaddrinfo would take the lower 16 bits
         return OSError(errno.EINVAL, f"ports end at {_LAST_PORT}")
+    errors: list[OSError | None] = []
     try:
-        found = socket.getaddrinfo(host.strip("[]"), number, type=kind)
+        for family, _, _, _, address in socket.getaddrinfo(host.strip("[]"), number, type=kind):
+            errors += [_bind(family, kind, address)]
     except OSError as error:
         return error
-    errors = [_bind(family, kind, address) for family, _, _, _, address in found]
-    taken = [error for error in errors if error is not None and error.errno == errno.EADDRINUSE]
-    return taken[0] if taken else None if None in errors else errors[0]
+    taken = (error for error in errors if error is not None and error.errno == errno.EADDRINUSE)
+    return next(taken, None if None in errors else errors[0])
 
 
 def _bind(family: socket.AddressFamily, kind: socket.SocketKind, address: Any) -> OSError | None:
@@ -136,11 +117,12 @@ def _bind(family: socket.AddressFamily, kind: socket.SocketKind, address: Any) -
 
 def state_at(endpoint: str) -> GatewayState | None:
     """What answers there; None: no gateway does."""
-    try:
-        with Client(endpoint, source="hexapod-gateway check", timeout_s=_ANSWER_S) as client:
-            return client.state()
-    except (GatewayError, ValidationError):
-        return None
+    with (
+        suppress(GatewayError, ValidationError),
+        Client(endpoint, source="hexapod-gateway check", timeout_s=_ANSWER_S) as client,
+    ):
+        return client.state()
+    return None
 
 
 def owners(port: int, kind: socket.SocketKind) -> set[int]:
@@ -151,58 +133,45 @@ def owners(port: int, kind: socket.SocketKind) -> set[int]:
 # ---- access control: what an older release's does not let through is dropped without a word on either side
 
 
-def _access(robot: CheckedRobot) -> Iterator[Seen]:
+def _access(robot: CheckedRobot) -> Seen | None:
     config = configuration(robot)[0]
-    if config is not None:
-        yield from passes(config, robot.settings.zenoh.config)
+    return None if config is None else passes(config, robot.settings.zenoh.config)
 
 
-def passes(config: zenoh.Config, file: str) -> Iterator[Seen]:
+def passes(config: zenoh.Config, file: str) -> Seen | None:
     """What the access control of this Zenoh file drops of the others' messages; else, of a button's."""
-    if get(config, "access_control/enabled") is not True or get(config, "access_control/default_permission") != "deny":
-        return
-    dropped, effect = _dropped(config, buttons=False), "messages there are lost without a word"
-    if not dropped:
-        dropped, effect = _dropped(config, buttons=True), "until it does, a stop button needs an operator's certificate"
-    messages, keys = dict.fromkeys(chain.from_iterable(dropped.values())), list(dropped)
-    ports = (re.search(r":(\d+)$", each) for each in listen_endpoints(config))
+    control, namespace = get(config, "access_control") or {}, get(config, "namespace")
+    if not control.get("enabled") or control.get("default_permission") != "deny":
+        return None
+    dropped: dict[str, dict[str, None]] = {}
+    for buttons in (False, True):  # a button may send little, and an operator's rules must let all of it through
+        policies = (each["rules"] for each in control.get("policies") or [] if buttons <= (BUTTON in each["subjects"])
+                    and (buttons or each["subjects"] != [BUTTON]))  # fmt: skip
+        named = set(chain(*policies))
+        rules = [each for each in control.get("rules") or [] if each["id"] in named]
+        for traffic in (each for each in TRAFFIC if (BUTTON in each.roles if buttons else each.roles != (BUTTON,))):
+            # Key by key: a file that was made by hand may name each.
+            for key in (*COMMAND_KEYS, *GET_ONLY) if traffic.keys == (ALL_COMMANDS,) else traffic.keys:
+                whole = f"{namespace}/{key}" if namespace else key
+                lost = [each for each in traffic.messages if key not in GET_ONLY or each in _GET_ONLY_NEEDS]
+                lost = [each for each in lost if not any(_lets(rule, traffic, each, whole) for rule in rules)]
+                if lost:
+                    dropped.setdefault(whole, {}).update(dict.fromkeys(lost))
+        if dropped:
+            break
+    ports, keys = (re.search(r":(\d+)$", each) for each in listen_endpoints(config)), list(dropped)
     listener = next((int(found[1]) for found in ports if found), 7447)
-    yield Seen(
-        file=file, dropped=dropped, effect=effect, messages=", ".join(messages),
+    return Seen(
+        file=file, dropped=dropped, buttons=buttons, messages=", ".join(dict.fromkeys(chain(*dropped.values()))),
         keys=", ".join(keys[:_SHOWN]) + (f" and {len(keys) - _SHOWN} more" if len(keys) > _SHOWN else ""),
         anew=f"{command_for_new_rules(file, listener, this_command())} && {RESTART}",
     )  # fmt: skip
 
 
-def _dropped(config: zenoh.Config, *, buttons: bool) -> dict[str, list[str]]:
-    """The keys that something is dropped on, each with the messages that a button sends and receives, or the others.
-
-    A button may send little, and an operator's rules must let all of it through.
-    """
-    namespace, policies = get(config, "namespace"), get(config, "access_control/policies") or []
-    policies = [each for each in policies if (BUTTON in each["subjects"] if buttons else each["subjects"] != [BUTTON])]
-    named = {name for policy in policies for name in policy["rules"]}
-    rules = [each for each in get(config, "access_control/rules") or [] if each["id"] in named]
-    dropped: dict[str, list[str]] = {}
-    for traffic in (each for each in TRAFFIC if (BUTTON in each.roles if buttons else each.roles != (BUTTON,))):
-        flow = "ingress" if traffic.from_people else "egress"
-        # Key by key: a file that was made by hand may name each.
-        for key in (*COMMAND_KEYS, *GET_ONLY) if traffic.keys == (ALL_COMMANDS,) else traffic.keys:
-            whole = f"{namespace}/{key}" if namespace else key
-            for message in traffic.messages:
-                needed = key not in GET_ONLY or message in _GET_ONLY_NEEDS
-                if needed and not any(_lets(rule, flow, message, whole) for rule in rules):
-                    dropped.setdefault(whole, []).append(message)
-    return dropped
-
-
-def _lets(rule: dict[str, Any], flow: str, message: str, key: str) -> bool:
-    return (
-        rule["permission"] == "allow"
-        and flow in (rule.get("flows") or (flow,))
-        and message in rule["messages"]
-        and any(zenoh.KeyExpr(each).includes(zenoh.KeyExpr(key)) for each in rule["key_exprs"])
-    )
+def _lets(rule: dict[str, Any], traffic: Traffic, message: str, key: str) -> bool:
+    flow = "ingress" if traffic.from_people else "egress"
+    allows = rule["permission"] == "allow" and flow in (rule.get("flows") or (flow,)) and message in rule["messages"]
+    return allows and any(zenoh.KeyExpr(each).includes(zenoh.KeyExpr(key)) for each in rule["key_exprs"])
 
 
 # fmt: off
@@ -212,12 +181,15 @@ ZENOH: Final = Probe("Zenoh", _zenoh, (
     warning(lambda r: r.logged, "{logged}", "see docs/security.md for what each link needs"),
 ), "{well}")
 ACCESS: Final = Probe("access control", _access, (
-    warning(lambda r: r.dropped, "{file} does not let {keys} through ({messages}): {effect}", "make it anew: {anew}"),
+    warning(lambda r: r.dropped and not r.buttons, "{file} does not let {keys} through ({messages}): messages there "
+            "are lost without a word", "make it anew: {anew}"),
+    warning(lambda r: r.dropped, "{file} does not let {keys} through ({messages}): until it does, a stop button needs "
+            "an operator's certificate", "make it anew: {anew}"),
 ), "lets all of this gateway's keys through")
 PORTS: Final = Probe("port", _ports, (
-    failure(lambda r: r.taken, "{where} is taken by another program",
+    failure(lambda r: r.error == errno.EADDRINUSE, "{where} is taken by another program",
             "see whose it is (ss -ltnp), or set another {setting}"),
-    failure(lambda r: r.why, "{where} cannot be listened on: {why}",
+    failure(lambda r: r.error, "{where} cannot be listened on: {why}",
             "set another {setting}: an address of this machine (ip address), a port from 1024 to 65535"),
 ), "{where} {well}")
 # fmt: on

@@ -1,17 +1,21 @@
-"""The table of `check`: a probe reads something of this machine, and the first of its faults that holds is its result.
+"""The table of `check`: a probe reads something of this machine, and the first of its faults that holds is its line.
 
 A new fault is a row: when what was read is a fault, the sentence, the remedy. Values of the reading fill in both texts.
 A remedy's commands help as printed; a word in capitals is for a person to fill in.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+import pwd
+import subprocess
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
 from enum import StrEnum
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from types import SimpleNamespace as Seen
 from typing import Any, Final, NamedTuple
 
+from gateway.onboard.whole import INSTALLED
 from gateway.own_command import command
 from gateway.robot.settings import Settings
 from gateway.robot.spi.machine import ROOT_DIR
@@ -49,12 +53,52 @@ class Result(NamedTuple):
 class CheckedRobot:
     """What the probes look at, and what they find out for each other."""
 
-    settings: Settings
+    settings: Settings = field(default_factory=Settings)
     root: Path = ROOT_DIR
-    """Where the kernel's files are: another folder in tests."""
+    """Where the machine's files are: another folder in tests."""
     gateway_runs: bool = False
     """Whether a gateway holds the SPI device. The device's probe finds it out."""
-    installed: bool = False
+    locked: bool = False
+    """Whether another program has locked it."""
+
+    def path(self, absolute: str | Path) -> Path:
+        """A path of the machine."""
+        return self.root / str(absolute).lstrip("/")
+
+    @property
+    def installed(self) -> bool:
+        """Whether the service is installed on this machine."""
+        return self.path(INSTALLED).is_dir() or self.unit.get("LoadState") == "loaded"
+
+    @cached_property
+    def unit(self) -> Mapping[str, str]:
+        """What systemd shows of the service; nothing where it shows nothing."""
+        return shown(SERVICE)
+
+    @cached_property
+    def service(self) -> tuple[int, int] | None:
+        """User and group of the service; None where there is no such user."""
+        with suppress(KeyError):
+            return pwd.getpwnam(SERVICE)[2:4]
+        return None
+
+
+def shown(*arguments: str) -> dict[str, str]:
+    """What `systemctl show` prints, the values of one name together; nothing where it fails."""
+    found = dict[str, str]()
+    with suppress(OSError, subprocess.SubprocessError):
+        asked = ["systemctl", "show", *arguments]
+        lines = subprocess.run(asked, capture_output=True, text=True, check=True, timeout=5).stdout.splitlines()
+        for name, _, value in (line.partition("=") for line in lines):
+            found[name] = f"{found.get(name, '')} {value}".strip()
+    return found
+
+
+def text(path: Path) -> str:
+    """A file's text; "" where it is none, or not for this user to read."""
+    with suppress(OSError):
+        return path.read_text(errors="replace").strip()
+    return ""
 
 
 class Fault(NamedTuple):
@@ -71,19 +115,28 @@ warning = partial(Fault, Verdict.WARNING)
 
 
 class Probe(NamedTuple):
-    """What is read: nothing where it does not concern this machine, or several things. `well`: "" for no line."""
+    """What is read: one thing, several, or None where it does not concern this machine. `well`: "" for no line."""
 
     name: str
-    read: Callable[[Any], Iterable[Seen]]
+    read: Callable[[Any], Seen | Iterable[Seen | None] | None]
     faults: tuple[Fault, ...]
     well: str = ""
 
 
+def readings(probe: Probe, looked_at: object) -> Iterator[Seen]:
+    """Read, and leave out what does not concern this machine."""
+    found = probe.read(looked_at) or ()
+    yield from filter(None, [found] if isinstance(found, Seen) else found)
+
+
 def results(probes: Sequence[Probe], looked_at: object) -> Iterator[Result]:
-    """Read each, and judge it."""
+    """Read each, and judge it. What this user may not look at is a warning."""
     for probe in probes:
-        for seen in probe.read(looked_at):
-            yield from judged(probe, seen)
+        try:
+            for seen in readings(probe, looked_at):
+                yield from judged(probe, seen)
+        except OSError as error:
+            yield Result(probe.name, Verdict.WARNING, f"cannot be looked at: {error}", "sudo hexapod-gateway check")
 
 
 def judged(probe: Probe, seen: Seen) -> Iterator[Result]:
@@ -91,9 +144,8 @@ def judged(probe: Probe, seen: Seen) -> Iterator[Result]:
     values = {"run": _OwnCommands(), **vars(seen)}
     for fault in probe.faults:
         if fault.when(seen):
-            yield Result(
-                probe.name, fault.verdict, fault.sentence.format_map(values), fault.remedy.format_map(values).strip()
-            )
+            sentence, remedy = fault.sentence.format_map(values), fault.remedy.format_map(values).strip()
+            yield Result(probe.name, fault.verdict, sentence, remedy)
             return
     if probe.well:
         yield Result(probe.name, Verdict.OK, probe.well.format_map(values))
@@ -104,8 +156,3 @@ class _OwnCommands:
 
     def __getitem__(self, arguments: str) -> str:
         return command(arguments)
-
-
-def always(_: Seen) -> bool:
-    """That a reading exists is the fault."""
-    return True

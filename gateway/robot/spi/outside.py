@@ -94,3 +94,12 @@ def _held(fd: int, place: int) -> bool | None:
     except OSError:  # the device is going away
         return None
     return bool(_FLOCK.unpack(answer)[0] != fcntl.F_UNLCK)
+
+
+def is_gateways(path: str) -> bool:
+    """Whether a gateway holds the device that somebody has locked; also where the device does not say."""
+    fd = os.open(path, os.O_RDWR | os.O_CLOEXEC)
+    try:
+        return _held(fd, _UNSEEN) is not False
+    finally:
+        os.close(fd)

@@ -1,6 +1,7 @@
 """`check`: what is planted on a machine, and the line that it prints. Each row of its table is reached here."""
 
 import ast
+import errno
 import os
 import re
 import time
@@ -14,18 +15,9 @@ import zenoh
 from gateway import certs, durable
 from gateway.certs.zenoh_files import gateway_json5
 from gateway.model.calibration import RobotCalibration, ServoMapping
-from gateway.onboard.check import (
-    certificates,
-    controller,
-    device,
-    installation,
-    machine,
-    network,
-    power,
-    simulated,
-    table,
-)
-from gateway.onboard.check.table import CheckedRobot, Probe, Result, Seen, Verdict, judged, results
+from gateway.onboard import check
+from gateway.onboard.check import certificates, installation, machine, network, release, table, wire
+from gateway.onboard.check.table import CheckedRobot, Probe, Result, Seen, Verdict, judged, readings, results
 from gateway.robot.host import calibration_file
 from gateway.robot.host.calibration_file import SLOW_S
 from gateway.robot.settings import Settings
@@ -36,7 +28,7 @@ from tests.support.machine_tree import PI_4, MachineTree
 from tests.support.remedies import parse_commands
 
 __all__ = ["make_folder"]  # a fixture
-MODULES = (certificates, controller, device, installation, machine, network, power, simulated)
+MODULES = (certificates, installation, machine, network, release, wire, check)
 GATEWAY = Path(certs.__file__).parents[1]
 LENGTH: dict[str, Any] = {"framing": "length-prefixed"}
 
@@ -48,8 +40,13 @@ def flat(value: object) -> list[Probe]:
     return [each for each in value if isinstance(each, Probe)] if isinstance(value, tuple) else []
 
 
-PROBES = [probe for module in MODULES for value in vars(module).values() for probe in flat(value)]
+PROBES = list(dict.fromkeys(probe for module in MODULES for value in vars(module).values() for probe in flat(value)))
 """The whole table."""
+
+
+def named(name: str, place: int = 0) -> Probe:
+    """The probe of this name; of several, in the order of the modules."""
+    return [each for each in PROBES if each.name == name][place]
 
 
 def compare(lines: list[Result], expected: tuple[str, ...]) -> None:
@@ -73,21 +70,24 @@ def robot(root: Path, *, gateway_runs: bool = False, **sections: Any) -> Checked
 
 # ---- judged: facts in place of a reading
 
-UNIT = {"systemd": True, "error": "", "load": "loaded", "active": "active", "enabled": "enabled", "result": "exit-code"}
+UNIT = {"systemd": True, "load": "loaded", "active": "active", "enabled": "enabled", "result": "exit-code"}
+UNIT |= {"program": "", "stops": True}
 PRIORITY = {"running": None, "rejected": "", "limit": 0, "priority": 20, "to": "it"}
 WIRE = {"lack": "", "denied": False, "path": "/dev/x", "user": "me", "rights": "r", "group": None, "service": False}
 WIRE |= {"absent": "plug it in", "error": "", "opens": "opens", "console": "", "login": "", "held": "", "tty": "ttyS0"}
-WIRE |= {"kind": "ttyS"}
+WIRE |= {"kind": "ttyS", "locked": ""}
 BOARD = {**WIRE, "simulated": False, "off": False, "bitrate": 10**6, "silent": False}
 BOARD |= {"answers": "answers", "where": "slcan x"}
 SHIPPED = {"masked": False, "differs": False, "unit": "U", "source": "S", "place": "/etc/U", "how": "is missing"}
 SHIPPED |= {"after": "sudo true"}
 SOME = {"some": "a.py", "all": "/opt/R/a.py", "release": "/opt/R", "again": "sudo bash i.sh"}
 DROP_IN = {"path": "/etc/x.conf", "environment": "", "emptied": False, "simulates": False, "depends": ""}
-STATE_FOLDER = {"is_folder": True, "read_only": False, "mount": "/", "own": True, "free_mb": 999, "inodes": 999}
-STATE_FOLDER |= {"forgets": False, "kind": "ext4"}
-PORT = {"where": "tcp/h:1", "setting": "zenoh.listen", "why": "?", "taken": False}
+DROP_IN |= {"keys": "CPUWeight"}
+STATE_FOLDER = {"is_folder": True, "own": True, "kind": "ext4"}
+DISK = {"read_only": False, "mount": "/mnt", "free_mb": 999, "inodes": 999}
+PORT = {"where": "tcp/h:1", "setting": "zenoh.listen", "why": "?", "error": errno.EINVAL}
 PAIR = {"certificate": "/c.pem", "key": "/c.key", "ca": "/ca.pem", "folder": "/", "files": "{}", "foreign": False}
+PAIR |= {"other_key": False, "listens": True, "role": "gateway", "here": True, "hosts": "a.local", "host": "b"}
 SIMULATED = {"version": "1", "own": "1", "mode": "idle", "keeps": True, "frames": True, "folder": "f"}
 
 
@@ -104,10 +104,6 @@ def facts(probe: Probe, usual: Mapping[str, Any], *rows: tuple[Mapping[str, Any]
     return [Fact(probe, usual, each, line) for each, line in rows]
 
 
-def installed(name: str, place: int = 0) -> Probe:
-    return [each for each in installation.PROBES if each.name == name][place]
-
-
 # fmt: off
 FACTS = (
     *facts(machine.USER, {},
@@ -118,45 +114,48 @@ FACTS = (
            ({"adjtimex": 0}, "ok clock: is synchronised"),
            ({"adjtimex": 4}, "ok clock: is synchronised"),
            ({"adjtimex": 5}, "warning clock: is not synchronised → switch time synchronisation on")),
-    *facts(machine.UNIT, UNIT,
+    *facts(installation.UNIT, UNIT,
            ({}, "ok systemd unit: is enabled and active"),
            ({"systemd": None}, "warning … does not run systemd"),
-           ({"error": "it hangs"}, "warning … systemctl fails (it hangs)"),
+           ({"load": ""}, "warning … systemctl shows nothing of it"),
+           ({"program": "/x/y"}, "failure … /x/y cannot be run: the service cannot start, nor stop … sudo deploy/"),
+           ({"stops": False}, "failure … runs no stop-servos after its end"),
            ({"active": "inactive"}, "warning … → sudo systemctl start hexapod-gateway"),
            ({"enabled": "disabled"}, "warning … → sudo systemctl enable --now hexapod-gateway"),
            ({"active": "failed"}, "failure … has failed (exit-code) → journalctl -u … sudo systemctl reset-failed"),
            ({"load": "not-found"}, "warning … is not installed … → sudo deploy/install.sh"),
            ({"load": "bad-setting"}, "failure … cannot be loaded (bad-setting)")),
-    *facts(machine.REALTIME, PRIORITY,
+    *facts(named("real-time"), PRIORITY,
            ({"running": 20}, "ok real-time"),
            ({"running": 0}, "warning real-time: the service that runs was granted none"),
            ({"rejected": "no"}, "priority 20 is not granted (no; RLIMIT_RTPRIO is 0)")),
-    *facts(device.DEVICE, WIRE,
+    *facts(wire.DEVICE, WIRE,
            ({"lack": "cannot be looked at (no)"}, "failure SPI device: /dev/x cannot be looked at (no)"),
            ({"denied": True, "service": True}, "may not be opened by me (r) → the udev rule … sudo chgrp spi /dev/x"),
            ({"denied": True, "group": "spi"}, "→ sudo usermod -aG spi me"),
-           ({"denied": True}, "→ install the udev rule (sudo deploy/install.sh)")),
-    *facts(controller.CONTROLLER[0], WIRE,
+           ({"denied": True}, "→ install the udev rule (sudo deploy/install.sh)"),
+           ({"locked": "vi (process 7)"}, "failure … /dev/x is locked by vi (process 7), which is no gateway")),
+    *facts(wire.CONTROLLER[0], WIRE,
            ({"lack": "cannot be looked at (no)"}, "failure UART: /dev/x cannot be looked at"),
            ({"denied": True}, "it is root's alone: sudo chgrp dialout /dev/x"),
            ({"denied": True, "group": "dialout"}, "→ sudo usermod -aG dialout me"),
-           ({"denied": True, "group": "dialout", "service": True}, "→ install again with --protocol elkapod-2025"),
+           ({"denied": True, "group": "dialout", "service": True}, "→ sudo usermod -aG dialout hexapod-gateway"),
            ({"console": True}, "failure UART: /dev/x is the Linux console"),
            ({"login": "agetty"}, "failure UART: /dev/x is the terminal of agetty … serial-getty@ttyS0"),
            ({"held": True}, "failure UART: /dev/x is held by another program"),
            ({"service": True}, "warning UART: /dev/x opens, but the unit lets the service open ttyAMA… only → sudo "
             "systemctl edit hexapod-gateway, with [Service] DeviceAllow=char-ttyS rw"),
            ({"service": True, "tty": "ttyAMA1"}, "ok UART: /dev/x opens")),
-    *facts(controller.CONTROLLER[1], {"ms": 300, "beats": 0},
+    *facts(wire.CONTROLLER[1], {"ms": 300, "beats": 0},
            ({"bytes": 7}, "failure heartbeat: none came in 300 ms, but 7 other bytes → see that the controller")),
-    *facts(power.BOARD, BOARD,
+    *facts(wire.POWER[0], BOARD,
            ({"lack": "cannot be looked at (no)"}, "failure power board: /dev/x cannot be looked at"),
            ({"denied": True, "service": True}, "the service's user is in dialout: sudo chgrp dialout /dev/x"),
            ({"denied": True, "group": "dialout"}, "→ sudo usermod -aG dialout me"),
            ({"error": "e"}, "failure power board: e → see dmesg"),
            ({"silent": True}, "failure power board: slcan x opens, and the board does not answer → press its power")),
     *facts(network.PORTS, PORT,
-           ({"taken": True}, "failure port: tcp/h:1 is taken by another program"),
+           ({"error": errno.EADDRINUSE}, "failure port: tcp/h:1 is taken by another program"),
            ({}, "failure port: tcp/h:1 cannot be listened on: ? → set another zenoh.listen")),
     *facts(network.ZENOH, {"fault": "x", "logged": ""},
            ({"denied": True}, "failure Zenoh: x → let the service read it … sudo chown")),
@@ -164,43 +163,51 @@ FACTS = (
            ({"denied": True}, "failure … → let the service read it")),
     *facts(certificates.CERTIFICATES[1], PAIR,
            ({"foreign": True}, "failure certificates: /c.pem is of another authority than /ca.pem … sudo cp FOLDER/"),
-           ({"other_key": True}, "failure certificates: /c.key is not the key of /c.pem: nobody can connect")),
+           ({"other_key": True}, "failure certificates: /c.key is not the key of /c.pem: nobody can connect"),
+           ({"role": "operator"}, "failure certificates: /c.pem is of operator, not of a robot: laptops reject it"),
+           ({"here": False}, "warning … is good for a.local, and this machine is b: is it another robot's?")),
     *facts(certificates.CERTIFICATES[2], {"path": "/l"},
            ({"fault": "x"}, "failure revoked: x; the service does not start → copy revoked.crl … FILE /l && sudo"),
            ({"fault": "", "foreign": True}, "warning revoked: /l is of another authority, so nobody is")),
-    *facts(device.CALIBRATION[0], {"hidden": True, "path": "/p"}, ({}, "warning … /p is not for you to read")),
-    *facts(machine.RELEASE, {"runs": "/opt/a", "installed": "/opt/b"}, ({}, "warning release … /opt/a, not /opt/b")),
-    *facts(simulated.GATEWAY, SIMULATED,
+    *facts(wire.CALIBRATION[0], {"hidden": True, "path": "/p"}, ({}, "warning … /p is not for you to read")),
+    *facts(release.PROBES[1], {"runs": "/opt/a", "installed": "/opt/b"}, ({}, "warning release … /opt/a, not /opt/b")),
+    *facts(check.SIMULATED[0], SIMULATED,
            ({"version": "2"}, "warning gateway: 2 runs on a simulated controller, and is idle; this program is 1"),
            ({"frames": False}, "warning gateway: 1 runs … without frames to record"),
            ({"mode": "estopped"}, "is estopped → hexapod-gateway reset leaves the emergency stop")),
-    *facts(simulated.BLACK_BOX, SIMULATED, ({"keeps": False}, "warning black box: is off"), ({}, "ok black box: f;")),
-    *facts(installed("release"), SOME, ({}, "failure release: not as installed in /opt/R: a.py. … → sudo bash i.sh")),
-    *facts(installed("release", 1), SOME, ({}, "warning … and not installed with it: a.py … sudo rm /opt/R/a.py")),
-    *facts(installed("release", 2), SOME, ({}, "failure … not for all to read … sudo chown -R root:root /opt/R")),
-    *facts(installed("command"), {"leads": "is missing"},
+    *facts(check.SIMULATED[1], SIMULATED, ({"keeps": False}, "warning black box: is off"), ({}, "ok black box: f;")),
+    *facts(named("release"), SOME,
+           ({"kind": "changed"}, "failure release: not as installed in /opt/R: a.py. … → sudo bash i.sh"),
+           ({"kind": "added"}, "warning … and not installed with it: a.py … sudo rm /opt/R/a.py"),
+           ({"kind": "closed"}, "failure … not for all to read … sudo chown -R root:root /opt/R")),
+    *facts(named("command"), {"leads": "is missing"},
            ({"other": True}, "warning command: /usr/local/bin/hexapod-gateway is missing … → sudo ln -sfnT /opt")),
-    *facts(installed("user"), SOME, ({"missing": True}, "failure user: there is no user hexapod-gateway, so"),
+    *facts(named("user"), SOME, ({"missing": True}, "failure user: there is no user hexapod-gateway, so"),
            ({"missing": False, "group": "spi"}, "failure user: there is no group spi … sudo groupadd --system spi")),
-    *facts(installed("installed file"), SHIPPED,
+    *facts(named("installed file"), SHIPPED,
            ({"masked": True}, "is masked, or its unit is empty … sudo systemctl unmask hexapod-gateway && sudo"),
            ({"differs": True}, "failure … /etc/U is missing (changes … sudo install -D -m 644 S /etc/U && sudo true")),
-    *facts(installed("systemd unit"), {}, ({"reload": "yes"}, "failure … was edited, and systemd still")),
-    *facts(installed("drop-in"), DROP_IN,
+    *facts(named("systemd unit", 1), {}, ({"unread": True}, "failure … was edited, and systemd still")),
+    *facts(named("drop-in"), DROP_IN,
            ({"simulates": True, "emptied": True}, "warning drop-in: /etc/x.conf makes the controller a simulated one"),
            ({"emptied": True}, "failure drop-in: /etc/x.conf empties ExecStopPost="),
            ({"environment": "HEXAPOD_A=1"}, "has settings, which hold in place of gateway.toml: HEXAPOD_A=1"),
+           ({}, "ok drop-in: /etc/x.conf sets CPUWeight"),
            ({"depends": "Nice"}, "changes what Stops depend on: Nice → if nobody knows why … sudo mv /etc/x.conf ")),
-    *facts(installed("state"), STATE_FOLDER,
+    *facts(named("state"), STATE_FOLDER,
            ({"is_folder": False}, "failure state: /var/lib/hexapod-gateway is no folder"),
-           ({"read_only": True, "own": False}, "is on a file system that is read-only … sudo mount -o remount,rw /"),
            ({"own": False}, "failure state: /var/lib/hexapod-gateway is not the service's to write"),
-           ({"free_mb": 3}, "failure … has 3 MB free on its disk … sudo journalctl --vacuum-size=50M"),
-           ({"inodes": 9}, "failure … has 9 files left on its disk … sudo du -x --inodes /"),
-           ({"forgets": True, "kind": "overlay"}, "warning … is on overlay, which a boot empties")),
-    *facts(installed("state", 1), SOME, ({}, "failure … not the service's to read and write: a.py")),
-    *facts(installed("private key"), SOME, ({}, "others than root and the service may read a.py")),
-    *facts(installed("private key", 1), SOME, ({}, "a.py is the authority's key … sudo shred -u /opt/R/a.py")),
+           ({"kind": "overlay"}, "warning … is on overlay, which a boot empties")),
+    *facts(named("state", 1), SOME, ({}, "failure … not the service's to read and write: a.py")),
+    *facts(named("disk"), DISK,
+           ({"read_only": True}, "/mnt is a file system that is read-only … sudo mount -o remount,rw /mnt"),
+           ({"free_mb": 3}, "failure disk: /mnt has 3 MB free … sudo journalctl --vacuum-size=50M"),
+           ({"inodes": 9}, "failure disk: /mnt has room for 9 files … sudo du -x --inodes /mnt")),
+    *facts(named("private key"), SOME,
+           ({"exposed": True}, "others than root and the service may read a.py"),
+           ({"exposed": False}, "a.py is the authority's key … sudo shred -u /opt/R/a.py")),
+    *facts(named("Wi-Fi"), {"wifi": "wlan0"}, ({"saves": True}, "warning Wi-Fi: wlan0 saves power … sudo tee")),
+    *facts(wire.POWER[1], {"path": "can0"}, ({"kept": False}, "can0 is switched on until the next boot only")),
 )
 # fmt: on
 
@@ -266,7 +273,7 @@ def clocked(speed_hz: int, *lines: str, kernel_hz: int | None = None, runs: bool
     def plant(root: Path) -> CheckedRobot:
         return robot(root, gateway_runs=runs, spi={"speed_hz": speed_hz, **spi})
 
-    return scene(device.BUS[2]._replace(read=lambda look: [device.speed(look, kernel_hz)]), plant, *lines)
+    return scene(wire.BUS[2]._replace(read=lambda look: wire.speed(look, kernel_hz)), plant, *lines)
 
 
 def dated(days_left: int, *lines: str) -> Scene:
@@ -346,11 +353,10 @@ def no_deletes(text: str) -> str:
 
 
 ACCESS = network.ACCESS._replace(read=lambda look: network.passes(*look))
-CARRIER, NEIGHBOURS, _ = device.BUS
-FRAMING, LISTS = device.FRAMES
-KEPT, LANDING = device.CALIBRATION
+CARRIER, NEIGHBOURS, _ = wire.BUS
+FRAMING, LISTS = wire.FRAMES
+(KEPT,) = wire.CALIBRATION
 PI_5 = "Raspberry Pi 5 Model B Rev 1.0"
-LANDS = {"landing_ms": 500, "landing": {"11": 90, "12": 5, "13": 4}}
 RENEW = "hexapod-gateway certs renew gateway, where ca.key is, and copy gateway.pem here, then: sudo systemctl"
 TAKES = "an emergency stop takes {} ms to write"
 CPU = "sys/devices/system/cpu/cpu0/cpufreq/scaling_"
@@ -388,35 +394,32 @@ SCENES = (
     scene(LISTS, here(), "warning SPI lists: nobody has seen whether this driver"),
     scene(FRAMING, here(), "warning framing: plain, … the published STM32 firmware jams in it"),
     scene(FRAMING, here(spi=LENGTH), "ok framing: length-prefixed, … angles from 1 up to 4 degrees are never sent"),
-    scene((*device.FRAMES,), here(spi={"protocol": "elkapod-2025"})),
-    scene(device.DEVICE, here(spi={"device": "/dev/null"}), "failure SPI device: /dev/null cannot be opened"),
-    scene(device.DEVICE, here(spi={"device": "/bin/sh"}), "failure … /bin/sh is no device node → switch SPI on"),
-    scene(device.DEVICE, here(spi={"device": "/dev/none"}), "failure … /dev/none does not exist → switch SPI on"),
-    scene(controller.CONTROLLER[0], uart("/none/ttyAMA1", PI_5), "failure UART: … does not exist → install again with"),
-    scene(controller.CONTROLLER, here()),
-    scene(controller.CONTROLLER[0], uart("/bin/sh", PI_5), "failure UART: /bin/sh is no device node"),
-    scene(controller.CONTROLLER[0], uart("/dev/null", PI_5), "failure UART: the UART /dev/null cannot be opened"),
+    scene((*wire.FRAMES,), here(spi={"protocol": "elkapod-2025"})),
+    scene(wire.DEVICE, here(spi={"device": "/dev/null"}), "failure SPI device: /dev/null cannot be opened"),
+    scene(wire.DEVICE, here(spi={"device": "/bin/sh"}), "failure … /bin/sh is no device node → switch SPI on"),
+    scene(wire.DEVICE, here(spi={"device": "/dev/none"}), "failure … /dev/none does not exist → switch SPI on"),
+    scene(wire.CONTROLLER[0], uart("/none/ttyAMA1", PI_5), "failure UART: … does not exist → install again with"),
+    scene(wire.CONTROLLER[0], uart("/none/ttyAMA1", "Raspberry Pi 4 Model B"), "does not exist → switch a UART of"),
+    scene(wire.CONTROLLER, here()),
+    scene(wire.CONTROLLER[0], uart("/bin/sh", PI_5), "failure UART: /bin/sh is no device node"),
+    scene(wire.CONTROLLER[0], uart("/dev/null", PI_5), "failure UART: the UART /dev/null cannot be opened"),
     scene(KEPT, kept(RobotCalibration()), "ok calibration: revision 0, servos that differ: 0 ("),
     scene(KEPT, kept(RobotCalibration(3, {11: ServoMapping(5_00)})), "revision 3, servos that differ: 1 ("),
     scene(KEPT, kept("trim = 7\n"), "failure … version is None; this gateway reads 1; nothing can be started → … "
           "hexapod-gateway calibrate accept-default"),
     scene(KEPT, kept(RobotCalibration(3), staged_s=0), "ok calibration: revision 3"),
     scene(KEPT, kept(RobotCalibration(3), staged_s=SLOW_S + 1), "warning … was not kept, and revision 3 is … restart"),
-    scene(LANDING, kept(RobotCalibration(3, {12: ServoMapping(-3_00)}, {21: 2_50}), spi=LENGTH, watchdog=LANDS),
-          "warning landing pose: 5 degrees of servo 12 are its own 2, with its calibration; … in a landing it holds",
-          "warning landing pose: 2.5 degrees of servo 21; … in a landing it holds its angle → choose another angle"),
-    scene(LANDING, kept(RobotCalibration(3, {}, {21: 2_50}), spi=LENGTH, watchdog={"landing_ms": 0})),
-    scene(machine.GOVERNOR, files({f"{CPU}governor": "powersave", f"{CPU}driver": "cpufreq-dt"}),
+    scene(named("processor"), files({f"{CPU}governor": "powersave", f"{CPU}driver": "cpufreq-dt"}),
           "warning processor: its governor is powersave … sudo tee /etc/tmpfiles.d/"),
-    scene(machine.GOVERNOR, files({f"{CPU}governor": "powersave", f"{CPU}driver": "intel_pstate"})),
-    scene(machine.GOVERNOR, files({f"{CPU}governor": "ondemand", f"{CPU}driver": "cpufreq-dt"})),
-    scene(machine.VOLTAGE, files({"sys/class/hwmon/hwmon1/name": "rpi_volt\n", "sys/class/hwmon/hwmon1/in0_lcrit_alarm":
+    scene(named("processor"), files({f"{CPU}governor": "powersave", f"{CPU}driver": "intel_pstate"})),
+    scene(named("processor"), files({f"{CPU}governor": "ondemand", f"{CPU}driver": "cpufreq-dt"})),
+    scene(named("supply"), files({"sys/class/hwmon/hwmon1/name": "rpi_volt\n", "sys/class/hwmon/hwmon1/in0_lcrit_alarm":
                                   "1\n"}), "warning supply: this Raspberry Pi's supply is under its voltage"),
-    scene(machine.VOLTAGE, files({"sys/class/hwmon/hwmon1/name": "rpi_volt", "sys/class/hwmon/hwmon1/in0_lcrit_alarm":
+    scene(named("supply"), files({"sys/class/hwmon/hwmon1/name": "rpi_volt", "sys/class/hwmon/hwmon1/in0_lcrit_alarm":
                                   "0"})),
-    scene(machine.MEMORY, files({"proc/meminfo": "MemTotal: 9 kB\nMemAvailable:   81920 kB\n"}),
+    scene(named("memory"), files({"proc/meminfo": "MemTotal: 9 kB\nMemAvailable:   81920 kB\n"}),
           "warning memory: 80 MB are free, and the service may need 100"),
-    scene(machine.MEMORY, files({"proc/meminfo": "MemAvailable:   819200 kB\n"})),
+    scene(named("memory"), files({"proc/meminfo": "MemAvailable:   819200 kB\n"})),
     dated(61, "ok certificates: … gateway.pem is good until"),
     dated(59, f"warning … days more → {RENEW}"),
     dated(1, f"warning … days more → {RENEW}"),
@@ -430,13 +433,14 @@ SCENES = (
           "warning Zenoh: … anyone who reaches tcp/0.0.0.0:7447 can move the robot"),
     scene(network.PORTS, dials,
           "ok port: none: the gateway listens nowhere"),
-    scene(power.BOARD, here()),
-    scene(power.BOARD, here(power={"interface": "slcan", "channel": "/none"}), "failure … /none does not exist → plug"),
-    scene(power.BOARD, interface(None), "failure power board: can7 is no network interface"),
-    scene(power.BOARD, interface(ETHERNET, 1), "failure power board: can7 is no CAN interface"),
-    scene(power.BOARD, interface(CAN, 0x40080), "failure power board: can7 is switched off → … bitrate 1000000"),
-    scene(power.BOARD, interface(CAN, 0x40081), "failure power board: … cannot be opened"),
-    scene(power.BOARD, here(power={"interface": "sim"}), "warning power board: is simulated"),
+    scene(wire.POWER[0], here()),
+    scene(wire.POWER[0], here(power={"interface": "slcan", "channel": "/none"}), "/none does not exist → plug"),
+    scene(wire.POWER[0], interface(None), "failure power board: can7 is no network interface"),
+    scene(wire.POWER[0], interface(ETHERNET, 1), "failure power board: can7 is no CAN interface"),
+    scene(wire.POWER[0], interface(CAN, 0x40080), "can7 is switched off → … sudo tee /etc/systemd/network/80-can7"),
+    scene(wire.POWER[0], interface(CAN, 0x40081), "failure power board: … cannot be opened"),
+    scene(wire.POWER[1], interface(CAN, 0x40081), "warning power board: can7 is switched on until the next boot only"),
+    scene(wire.POWER[0], here(power={"interface": "sim"}), "warning power board: is simulated"),
     scene(ACCESS, access(str), "ok access control: lets all"),
     scene(ACCESS, access(without(CALIBRATION)), f"warning access control: gateway.json5 does not let {CALIBRATION} "
           "through (declare_subscriber, … put … lost without a word → make it anew: … --port 7448"),
@@ -468,7 +472,7 @@ def test_each_row_of_the_table_is_reached_and_its_commands_are_the_programs(tmp_
         root = tmp_path / str(place)
         root.mkdir()
         look = planted.plant(root)
-        reached |= {fault for probe in planted.probes for seen in probe.read(look) for fault in first(probe, seen)}
+        reached |= {fault for probe in planted.probes for seen in readings(probe, look) for fault in first(probe, seen)}
     rows = [(probe.name, fault) for probe in PROBES for fault in probe.faults]
     assert [(name, fault.sentence) for name, fault in rows if fault not in reached] == []
     for _, fault in rows:

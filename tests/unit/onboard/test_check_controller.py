@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from gateway.onboard.check import controller, device
+from gateway.onboard.check import wire
 from gateway.onboard.check.table import CheckedRobot, Result, Verdict, judged, results
 from gateway.robot.settings import Settings
 from gateway.robot.spi.elkapod_simulator import SimulatedElkapod
@@ -58,7 +58,7 @@ def terminal(tmp_path: Path) -> Iterator[Terminal]:
 
 def looked_at(terminal: Terminal, *, gateway_runs: bool = False) -> Result:
     settings = Settings.model_validate({"spi": {"protocol": "elkapod-2025"}, "controller": {"uart": terminal.path}})
-    (found,) = results([controller.CONTROLLER[0]], CheckedRobot(settings, terminal.root, gateway_runs))
+    (found,) = results([wire.CONTROLLER[0]], CheckedRobot(settings, terminal.root, gateway_runs))
     return found
 
 
@@ -68,7 +68,7 @@ def test_a_uart_that_is_free_opens(terminal: Terminal) -> None:
     found = looked_at(terminal)
     assert (found.verdict, found.sentence) == (
         Verdict.OK,
-        f"{terminal.path} opens, as {device.node(terminal.path).user}",
+        f"{terminal.path} opens, as {wire.node(terminal.path).user}",
     )
 
 
@@ -127,8 +127,8 @@ def test_its_heartbeat_is_awaited(sends: bytes | None, beats: int, sentence: str
 
     simulated = SimulatedElkapod(clock=lambda: now_ns)
     read = simulated.uart_read if sends is None else lambda: sends
-    seen = controller.heartbeat(read, 300 * MS, lambda: now_ns, pause)
-    (found,) = judged(controller.CONTROLLER[1], seen)
+    seen = wire.heartbeat(read, 300 * MS, lambda: now_ns, pause)
+    (found,) = judged(wire.CONTROLLER[1], seen)
     assert (seen.beats, found.sentence) == (beats, sentence)
     assert found.verdict is (Verdict.OK if beats else Verdict.FAILURE)
 
@@ -137,7 +137,7 @@ def test_a_uart_with_a_fault_of_its_own_is_not_listened_to(terminal: Terminal) -
     terminal.console(Path(terminal.path).name)
     os.write(terminal.ours, b"\x7e\xaa\n")
     settings = Settings.model_validate({"spi": {"protocol": "elkapod-2025"}, "controller": {"uart": terminal.path}})
-    assert list(results(controller.CONTROLLER[1:], CheckedRobot(settings, terminal.root))) == []
+    assert list(results(wire.CONTROLLER[1:], CheckedRobot(settings, terminal.root))) == []
     reader = os.open(terminal.path, os.O_RDONLY | os.O_NONBLOCK)
     assert os.read(reader, 16) == b"\x7e\xaa\n"
     os.close(reader)

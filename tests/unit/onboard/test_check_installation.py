@@ -12,7 +12,8 @@ import pytest
 from gateway import certs
 from gateway.onboard import whole
 from gateway.onboard.check import certificates, installation, laptop
-from gateway.onboard.check.installation import PROBES, SHIPPED, Installation
+from gateway.onboard.check.installation import PROBES, UNIT
+from gateway.onboard.check.release import SHIPPED
 from gateway.onboard.check.table import CheckedRobot, Result, Verdict, results
 from gateway.onboard.whole import Whole
 from gateway.people.client.requests import Identity
@@ -24,11 +25,12 @@ from tests.support.certs_folder import NOW, make_folder
 __all__ = ["make_folder"]  # a fixture
 
 UP = {"LoadState": "loaded", "ActiveState": "active", "UnitFileState": "enabled", "NeedDaemonReload": "no"}
+UP |= {"ExecStopPost": "{ path=/run/program ; argv[]=/run/program stop-servos }"}
 DROP_IN = "/etc/systemd/system/hexapod-gateway.service.d/own.conf"
 STATE = "var/lib/hexapod-gateway"
 
 
-class Installed(Installation):
+class Installed(CheckedRobot):
     """A release in a folder, with what systemd would show of its units. Its user is the one that runs this."""
 
     def __init__(self, root: Path) -> None:
@@ -40,15 +42,17 @@ class Installed(Installation):
         (release / "complete").write_text(f"{hashlib.sha256(b'#').hexdigest()}  ./bin/hexapod-gateway\n")
         (release / "bin").mkdir()
         (release / "bin/hexapod-gateway").write_text("#")
+        (root / "run/systemd/system").mkdir(parents=True)
+        self.root = root
+        self.write("run/program", "#!/run/program", 0o755)
         (release / "bin/hexapod-gateway").chmod(0o755)
         (root / "opt/hexapod-gateway/venv").symlink_to("venv-1")
         (root / "usr/local/bin").mkdir(parents=True)
         (root / "usr/local/bin/hexapod-gateway").symlink_to(release / "bin/hexapod-gateway")
         (root / STATE).mkdir(parents=True)
-        super().__init__(root)
+        super().__init__(root=root)
         self.service = os.getuid(), os.getgid()
-        self.groups = ["spi", "hexapod-gateway"]
-        self.unit = dict(UP)
+        self.unit: dict[str, str] = dict(UP)
 
     def drop_in(self, text: str) -> None:
         path = self.path(DROP_IN)
@@ -74,6 +78,10 @@ class Installed(Installation):
         (self.root / STATE).rmdir()
         self.write(STATE)
 
+    def forget_python(self) -> None:
+        self.write("x", "#!/usr/bin/python3.1 -I\n", 0o755)
+        self.shown(ExecStart="{ path=/x ; argv[]=/x }")
+
     def forget(self, name: str) -> None:
         (self.root / name).unlink()
 
@@ -87,7 +95,9 @@ PLANTED: tuple[tuple[Plant, str], ...] = (
     (lambda robot: robot.forget("usr/local/bin/hexapod-gateway"), "/usr/local/bin/hexapod-gateway is missing"),
     (lambda robot: robot.forget("etc/systemd/system/hexapod-gateway.service"), "hexapod-gateway.service is missing"),
     (lambda robot: robot.write("etc/systemd/system/hexapod-gateway.service"), "gateway.service is not as this"),
-    (lambda robot: setattr(robot, "groups", ["spi"]), "there is no group hexapod-gateway"),
+    (lambda robot: robot.shown(ExecStart="{ path=/none ; argv[]=/none }"), "/none cannot be run"),
+    (lambda robot: robot.forget_python(), "/usr/bin/python3.1 cannot be run"),
+    (lambda robot: robot.shown(ExecStopPost="{ path=/run/program ; }"), "runs no stop-servos after its end"),
     (lambda robot: robot.shown(LoadState="masked"), "hexapod-gateway is masked, or its unit is empty"),
     (lambda robot: robot.shown(NeedDaemonReload="yes"), "hexapod-gateway was edited, and systemd still"),
     (lambda robot: robot.drop_in("Environment=GATEWAY_OPTIONS=--sim\nExecStopPost="), "makes the controller a simu"),
@@ -112,7 +122,7 @@ FINE: tuple[Plant, ...] = (
 
 def found(robot: Installed) -> list[Result]:
     """Without what is so of this machine: a folder that a boot empties, and files that are not root's."""
-    lines = list(results(PROBES, robot))
+    lines = [each for each in results([*PROBES, UNIT], robot) if each.name != "user" and each.verdict is not Verdict.OK]
     return [each for each in lines if "which a boot empties" not in each.sentence and (not os.getuid() or (
         "not for root alone" not in each.sentence
     ))]  # fmt: skip
@@ -125,7 +135,7 @@ def test_each_fault_of_an_installation_is_one_line(plant: Plant, sentence: str, 
     (line,) = found(robot)
     assert sentence in line.sentence
     assert line.verdict is not Verdict.OK
-    assert "sudo " in line.fix
+    assert "sudo " in line.fix or "systemctl cat" in line.fix
 
 
 @pytest.mark.parametrize("plant", FINE)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from gateway.onboard.check import power
+from gateway.onboard.check import wire
 from gateway.onboard.check.table import CheckedRobot, Result, Verdict, results
 from gateway.robot.settings import Settings
 from tests.support.slcan_adapter import Adapter
@@ -27,7 +27,7 @@ def adapter(channel: str) -> Iterator[Adapter]:
 
 def on(channel: str, *, gateway_runs: bool = False) -> list[Result]:
     settings = Settings.model_validate({"power": {"interface": "slcan", "channel": channel}})
-    return list(results([power.BOARD], CheckedRobot(settings, gateway_runs=gateway_runs)))
+    return list(results([wire.POWER[0]], CheckedRobot(settings, gateway_runs=gateway_runs)))
 
 
 def test_a_board_that_answers(adapter: Adapter, channel: str) -> None:

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Final
 
 from gateway.errors import ConfigError, GatewayError
 from gateway.model.telemetry import starts_whole
@@ -23,16 +23,6 @@ _IDLE_S: Final = 2.0
 LEASE_S: Final = 1.0
 """Any time: a step holds the lease until it ends."""
 _STYLES: Final = {"PASS": rows.GOOD, "FAIL": rows.BAD, "SKIPPED": rows.NOTE}
-
-
-class StepOutcome(NamedTuple):
-    """The result of one step, as `--json` prints it."""
-
-    step: str
-    result: str
-    """PASS, FAIL or SKIPPED."""
-    detail: str
-    figures: Figures
 
 
 def stops(
@@ -55,48 +45,37 @@ def stops(
     if unknown:
         raise ConfigError(f"no step {', '.join(sorted(unknown))}; there are {', '.join(step.name for step in STEPS)}")
     steps = [step for step in STEPS if not only or step.name in only]
-    outcomes: list[StepOutcome] = []
+    outcomes: list[dict[str, object]] = []
     with connect() as client:
         state = ready(client)
         show_differences(config)
-        holding = lying(client, state) if starts_whole(state) else {}
-        bench = Bench(
-            client,
-            ServoMotion(10 * leg + 1, START_DEG, holding),
-            late_ms=late_ms,
-            lands=bool(state.watchdog.landing_ms),
-            restart=restart,
-            unplug=unplug,
-            config=() if config is None else ("--config", str(config)),
-        )
+        motion = ServoMotion(10 * leg + 1, START_DEG, lying(client, state) if starts_whole(state) else {})
+        options = () if config is None else ("--config", str(config))
+        bench = Bench(client, motion, late_ms=late_ms, restart=restart, unplug=unplug, config=options)
         if not (state.simulated or agreed or sys.stdin.isatty()):
             raise ConfigError(NOBODY)
-        if not (state.simulated or consents(bench.motion, state, agreed=agreed)):
+        if not (state.simulated or consents(motion, state, agreed=agreed)):
             raise ConfigError("nothing was moved")
         with bench.receives():
             bench.measure()  # no motion yet: without the right to command it ends here
             if not bench.frames_published:
                 hint("The gateway publishes no frames (telemetry.frames), so what is measured comes from its state.")
+            end = "land the robot, then stop it" if state.watchdog.landing_ms else "stop it"
+            texts = {"servos": motion.which, "start": motion.start_deg, "end": motion.end_deg, "end_of_silence": end}
             with _ended_stopped(bench):
                 for number, step in enumerate(steps, 1):
-                    outcomes.append(_do(bench, step, f"{number}/{len(steps)}", as_json=as_json))
-    failed = [outcome.step for outcome in outcomes if outcome.result == "FAIL"]
+                    hint(f"{number}/{len(steps)} {step.name}: {step.does.format_map(texts)} …")
+                    outcomes.append(_do(bench, step, as_json=as_json))
+    failed = [str(outcome["step"]) for outcome in outcomes if outcome["result"] == "FAIL"]
     passed = len(outcomes) == len(steps) and not failed
-    sentence = "all passed" if passed else f"NOT passed: {', '.join(failed) or 'not finished'}"
     if as_json:
-        say(json.dumps({"passed": passed, "steps": [outcome._asdict() for outcome in outcomes]}))
+        say(json.dumps({"passed": passed, "steps": outcomes}))
         return 0 if passed else 1
-    return rows.conclude(sentence, well=passed)
+    return rows.conclude("all passed" if passed else f"NOT passed: {', '.join(failed) or 'not finished'}", well=passed)
 
 
-def _do(bench: Bench, step: CheckStep, place: str, *, as_json: bool) -> StepOutcome:
-    does = step.does.format(
-        servos=bench.motion.which,
-        start=bench.motion.start_deg,
-        end=bench.motion.end_deg,
-        end_of_silence="land the robot, then stop it" if bench.lands else "stop it",
-    )
-    hint(f"{place} {step.name}: {does} …")
+def _do(bench: Bench, step: CheckStep, *, as_json: bool) -> dict[str, object]:
+    """The step's outcome, as `--json` prints it."""
     result, figures = "PASS", Figures()
     try:
         with drives(bench.client, LEASE_S, moves=True):
@@ -109,16 +88,17 @@ def _do(bench: Bench, step: CheckStep, place: str, *, as_json: bool) -> StepOutc
         result, detail = "FAIL", f"the check could not go on: {error}"
     if not as_json:
         rows.show(rows.row(result, _STYLES[result], step.name, detail))
-    with suppress(GatewayError):  # the end tries again, and reports it
+    with suppress(GatewayError, FailedError):  # the end tries again, and reports it
         _rest(bench)
-    return StepOutcome(step.name, result, detail, figures)
+    return {"step": step.name, "result": result, "detail": detail, "figures": figures}
 
 
 def _rest(bench: Bench) -> None:
     """Stop all legs, and leave the emergency stop that this program has engaged."""
     bench.client.stop()
     if bench.estop and bench.client.state().mode == Mode.ESTOPPED:
-        bench.reset(bench.estop)  # rejected where somebody else has engaged a newer one
+        with suppress(FailedError):  # rejected where somebody else has engaged a newer one
+            bench.reset()
     bench.wait(lambda: bench.client.state().mode in (Mode.IDLE, Mode.ESTOPPED), _IDLE_S)
 
 

@@ -15,15 +15,14 @@ from gateway.people.client.subscriptions import reports, subscribed
 from gateway.people.commands.moving import ServoMotion
 from schemas import keys
 from schemas.robot import JOINTS
-from schemas.telemetry import Ack, Cause, Event, FrameRecord, GatewayState, Reason
+from schemas.telemetry import Ack, Cause, Event, FrameRecord, GatewayState, Kind, Reason
 
 SETPOINT_PERIOD_S: Final = 0.02
 STREAM_S: Final = 0.3
 """How long setpoints stream before the step acts."""
 QUIET_S: Final = 0.15
 """After this time all pending frames are sent: a leg's rate slot comes every 20 ms."""
-POLL_S: Final = 0.01
-EVIDENCE_S: Final = 5.0
+_POLL_S: Final = 0.01
 
 Figures = dict[str, float | int | str]
 """Measured by a step; names carry the units."""
@@ -43,28 +42,12 @@ def demand(true: object, sentence: str) -> None:
         raise FailedError(sentence)
 
 
-def demand_accepted(ack: Ack, what: str) -> None:
-    """Fail the step unless the command was accepted. `what`: `a start`."""
-    demand(ack.accepted, f"{what} was rejected: {ack.reason}: {ack.detail}")
-
-
-def demand_rejected(ack: Ack, reason: Reason, what: str) -> None:
-    """Fail the step unless the command was rejected for this reason. `what`: `a start, although …`."""
-    demand(not ack.accepted, f"{what} was accepted")
-    demand(ack.reason == reason, f"{what} was rejected for another reason: {ack.reason}: {ack.detail}")
-
-
 class WrittenFrame(NamedTuple):
     """A frame that the gateway wrote."""
 
     at_ns: int
     frame: Frame
     cause: str
-
-    @property
-    def leg(self) -> int:
-        """Whose servos it is for."""
-        return self.frame.leg
 
     @property
     def moves(self) -> bool:
@@ -80,8 +63,6 @@ class Bench:
     motion: ServoMotion
     late_ms: float
     """How late a Stop may be. With every core busy 2.9 ms were measured; 100 ms are a fault."""
-    lands: bool = False
-    """Whether silence lands the robot before it stops it."""
     restart: bool = False
     """Whether the service may be killed."""
     unplug: bool = False
@@ -89,7 +70,6 @@ class Bench:
     config: Sequence[str] = ()
     """Arguments of `stop-servos`."""
     calibration: RobotCalibration = field(default_factory=RobotCalibration)
-    """In force on the robot."""
     frames_published: bool = False
     answer_ms: float = 0.0
     """How long the gateway takes to answer at rest."""
@@ -108,25 +88,27 @@ class Bench:
         one, two, three = (ServoOp(op, centidegrees(angles_deg[10 * motion.leg + joint])) for joint in JOINTS)
         return self.calibration.frame(OneLeg(motion.leg, (one, two, three)))
 
-    def ask(self, op: str, angle_deg: float) -> Ack:
-        """An acknowledged start or set."""
-        return self.client.ask(self.motion.key, self.motion.payload(op, angle_deg))
+    def ask(self, op: str, angle_deg: float, reason: Reason | None = None) -> None:
+        """An acknowledged start or set. Fails the step unless it is accepted, or rejected for this reason."""
+        self.demand(self.client.ask(self.motion.key, self.motion.payload(op, angle_deg)), f"a {op}", reason)
 
-    def start(self) -> None:
-        """Start the leg. Fails the step where that is rejected."""
-        demand_accepted(self.ask("start", self.motion.start_deg), "a start")
+    def demand(self, ack: Ack, what: str, reason: Reason | None = None) -> None:
+        """Fail the step unless the command was accepted, or rejected for this reason."""
+        found = "accepted" if ack.accepted else f"rejected: {ack.reason}: {ack.detail}"
+        demand(ack.reason == reason, f"{what} was {found}; wanted: {reason or 'accepted'}")
 
-    def reset(self, estop: int) -> Ack:
-        """Ask to leave the emergency stop of this number."""
-        return self.client.ask(keys.RESET, {"estop": estop})
+    def start(self, reason: Reason | None = None) -> None:
+        """Start the leg, or see that it is rejected for this reason."""
+        self.ask("start", self.motion.start_deg, reason)
 
-    def stop(self) -> None:
-        """Stop all legs. Fails the step where that is rejected."""
-        demand(self.client.stop().accepted, "a Stop was rejected")
+    def reset(self) -> None:
+        """Leave this program's own emergency stop."""
+        self.demand(self.client.ask(keys.RESET, {"estop": self.estop}), "the reset")
 
     @contextmanager
-    def streaming(self) -> Iterator[None]:
-        """Publish setpoints at 50 Hz meanwhile, whatever the gateway answers."""
+    def streaming(self, lead_s: float = STREAM_S) -> Iterator[None]:
+        """Start the leg, and publish setpoints at 50 Hz meanwhile, whatever the gateway answers."""
+        self.start()
         ended = threading.Event()
 
         def stream() -> None:
@@ -137,6 +119,7 @@ class Bench:
         thread = threading.Thread(target=stream, name="stream")
         thread.start()
         try:
+            time.sleep(lead_s)
             yield
         finally:
             ended.set()
@@ -144,35 +127,36 @@ class Bench:
 
     # ---- their effect
 
-    def mark(self) -> int:
-        """The present, for `since`."""
-        return len(self.frames)
-
-    def since(self, mark: int) -> list[WrittenFrame]:
-        """Frames written since a mark."""
-        return self.frames[mark:]
-
     def wait(self, condition: Callable[[], object], timeout_s: float) -> bool:
         """Wait until it holds. Returns False after `timeout_s`."""
         end_s = time.monotonic() + timeout_s
         while not condition():
             if time.monotonic() >= end_s:
                 return False
-            time.sleep(POLL_S)
+            time.sleep(_POLL_S)
         return True
+
+    def wait_for_event(self, kind: Kind, since: int, timeout_s: float) -> bool:
+        """Wait for an event behind the first `since` ones."""
+        return self.wait(lambda: any(each.kind == kind for each in self.events[since:]), timeout_s)
+
+    def caused(self, cause: Cause, since: int, *, moves: bool) -> list[WrittenFrame]:
+        """The frames of the leg since a mark that were written for this reason."""
+        found = (each for each in self.frames[since:] if each.cause == cause and each.moves is moves)
+        return [each for each in found if each.frame.leg == self.motion.leg]
 
     def running(self, state: GatewayState | None = None) -> list[int]:
         """The servos that run, of all legs, as the gateway reports them."""
         state = state or self.client.state()
         return [servo.id for leg in state.legs for servo in leg.servos if servo.running]
 
-    def demand_no_motion(self, mark: int, when: str) -> None:
-        """Fail the step if a frame since `mark` starts or sets a servo, or one runs."""
+    def demand_no_motion(self, when: str, since: int | None = None) -> None:
+        """Fail the step if a frame since the mark, or from now on, starts or sets a servo, or one runs."""
+        since = len(self.frames) if since is None else since
         time.sleep(QUIET_S)
-        moving = [seen for seen in self.since(mark) if seen.moves]
-        demand(not moving, f"{when}, {len(moving)} frames moved a servo: {moving and moving[0].frame.to_bytes().hex()}")
-        running = self.running()
-        demand(not running, f"{when}, servos run: {', '.join(map(str, running))}")
+        moving = [seen.frame.to_bytes().hex() for seen in self.frames[since:] if seen.moves]
+        demand(not moving, f"{when}, {len(moving)} frames moved a servo: {moving[:1]}")
+        demand(not (running := self.running()), f"{when}, servos run: {running}")
 
     # ---- received
 
@@ -192,7 +176,7 @@ class Bench:
             self.client.state()
             took_ms.append((time.monotonic() - begun_s) * 1000)
         self.answer_ms = sorted(took_ms)[2]
-        self.stop()
+        self.demand(self.client.stop(), "a Stop")
         self.frames_published = self.wait(lambda: self.frames, 1.0)
         with suppress(UnansweredError):  # a gateway that knows of no calibration
             self.calibration = calibration_of(self.client.calibration())
@@ -201,8 +185,3 @@ class Bench:
         with suppress(FrameError, ValueError):
             frame = decode(bytes.fromhex(record.bytes))
             self.frames.append(WrittenFrame(record.monotonic_ns, frame, str(record.cause)))
-
-
-def caused(frames: Sequence[WrittenFrame], cause: Cause) -> list[WrittenFrame]:
-    """Those frames that were written for this reason."""
-    return [seen for seen in frames if seen.cause == cause]

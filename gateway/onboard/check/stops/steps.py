@@ -1,15 +1,17 @@
 """The steps of `check --stops`. Each returns its figures, or raises FailedError or Skipped."""
 
+import re
 import subprocess
 import sys
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from gateway.model.frames import Frame, Op
+from gateway.errors import GatewayError
+from gateway.model.frames import Op
 from gateway.onboard.check.stops.bench import (
-    EVIDENCE_S,
     QUIET_S,
     SETPOINT_PERIOD_S,
     STREAM_S,
@@ -17,22 +19,29 @@ from gateway.onboard.check.stops.bench import (
     FailedError,
     Figures,
     Skipped,
-    WrittenFrame,
-    caused,
     demand,
-    demand_accepted,
-    demand_rejected,
 )
-from gateway.onboard.check.stops.power import can_unplugged, confirmed_off, spi_unplugged
-from gateway.onboard.check.stops.service import killed
+from gateway.onboard.check.table import SERVICE, shown
+from gateway.people.client.blocking import Client
+from gateway.people.terminal import ask, hint
 from schemas.robot import LEGS
-from schemas.telemetry import Cause, Kind, Mode, Reason
+from schemas.telemetry import Cause, GatewayState, Kind, Mode, PowerReport, Reason
 
+EVIDENCE_S: Final = 5.0
 ANSWER_MS: Final = 100.0
 """How long the answer to an emergency stop may take, beyond that of any other question."""
 TRAVEL_S: Final = 20.0
 """For 15° at 1° a second."""
-STOP_SERVOS_S: Final = 20.0
+PROGRAM_S: Final = 20.0
+"""For stop-servos, systemctl, and a new start of the service."""
+_SAME_START_S: Final = 15.0
+"""From the begin of the service's process to that of its uptime: loading Python, on a slow board."""
+REST_S: Final = 3.0
+"""The board's errors are deleted behind a reset, for 2 s at most."""
+SILENT_MS: Final = 200.0
+"""A power board that is silent for so long is reported."""
+PLUGGED_S: Final = 60.0
+"""How long a person may take to plug or unplug something."""
 
 
 class CheckStep(NamedTuple):
@@ -44,174 +53,290 @@ class CheckStep(NamedTuple):
 
 
 def command(bench: Bench) -> Figures:
-    """Start, set and stop; exactly their frames are written."""
-    mark = bench.mark()
-    begun_s = time.monotonic()
+    """Start, set and stop; their frames are written, none that goes back, and no others."""
+    mark, motion, begun_s = len(bench.frames), bench.motion, time.monotonic()
     bench.start()
-    start_ms = (time.monotonic() - begun_s) * 1000
-    demand_accepted(bench.ask("set", bench.motion.end_deg), "a set")
-    on_the_way = _arrive(bench)
-    bench.stop()
-    wanted = [bench.frame(Op.START, bench.motion.start_deg), bench.frame(Op.SET, bench.motion.end_deg)]
-    _demand_frames(bench, mark, wanted, on_the_way=on_the_way)
-    bench.demand_no_motion(len(bench.frames), "after the Stop")
-    return {"start_to_answer_ms": start_ms, "frame": wanted[0].to_bytes().hex()}
-
-
-def _arrive(bench: Bench) -> bool:
-    """Set the servos until they arrive. Returns whether they took several steps, by their max_speed_deg_s."""
-    end_s = time.monotonic() + TRAVEL_S
-    low_deg, high_deg = sorted((bench.motion.start_deg, bench.motion.end_deg))
-    on_the_way = False
-    while True:
+    start_ms, end_s = (time.monotonic() - begun_s) * 1000, time.monotonic() + TRAVEL_S
+    arrived = False
+    while not arrived:  # several steps where max_speed_deg_s limits it
+        bench.ask("set", motion.end_deg)
         state = bench.client.state()
-        demand(
-            bench.running(state) == bench.motion.started_ids,
-            f"these servos were started: {bench.motion.started_ids}; these run: {bench.running(state)}",
-        )
-        running = [servo for leg in state.legs for servo in leg.servos if servo.id == bench.motion.servo_id]
-        angles = [servo.angle_deg for servo in running]
-        if set(angles) == {bench.motion.end_deg}:
-            return on_the_way
-        on_the_way = {servo.target_deg for servo in running} == {bench.motion.end_deg} and all(
-            angle is not None and low_deg <= angle <= high_deg for angle in angles
-        )
-        shown = ", ".join(map(str, angles))
-        demand(on_the_way and time.monotonic() < end_s, f"set to {bench.motion.end_deg:g}°, and the state has {shown}")
-        demand_accepted(bench.ask("set", bench.motion.end_deg), "a set")
-        time.sleep(SETPOINT_PERIOD_S)
-
-
-def _demand_frames(bench: Bench, mark: int, wanted: list[Frame], *, on_the_way: bool) -> None:
-    if not bench.frames_published:
-        return
-    stopped = bench.wait(
-        lambda: any(not seen.moves and seen.leg == bench.motion.leg for seen in bench.since(mark)), EVIDENCE_S
-    )
-    of_others = bench.motion.holding  # which hold
-    moves = (seen for seen in bench.since(mark) if seen.moves)
-    found = [seen.frame for seen in moves if not (of_others and seen.leg != bench.motion.leg)]
-    shown = ", ".join(frame.to_bytes().hex() for frame in found) or "none"
-    if on_the_way and found and _never_back(found):
-        found = [found[0], found[-1]]
-    demand(found == wanted, f"these frames moved it: {shown}; wanted: {', '.join(f.to_bytes().hex() for f in wanted)}")
-    demand(stopped, "no Stop was written")
-
-
-def _never_back(frames: list[Frame]) -> bool:
-    """Whether these are one start and then sets of the same servos, whose angles go one way only."""
-    if len({tuple(servo_id for servo_id, _ in frame.servos) for frame in frames}) != 1:
-        return False
-    if any(command.op is not Op.SET for frame in frames[1:] for _, command in frame.servos):
-        return False
-    angles = [[command.angle_cdeg for _, command in frame.servos] for frame in frames]
-    ways = [list(way) for way in zip(*angles, strict=True)]
-    return all(way in (sorted(way), sorted(way, reverse=True)) for way in ways)
+        running = bench.running(state)
+        demand(running == motion.started_ids, f"these servos were started: {motion.started_ids}; these run: {running}")
+        (servo,) = (each for leg in state.legs for each in leg.servos if each.id == motion.servo_id)
+        arrived = servo.angle_deg == motion.end_deg
+        on_the_way = servo.target_deg == motion.end_deg and time.monotonic() < end_s
+        demand(arrived or on_the_way, f"set to {motion.end_deg:g}°, and the state has {servo.angle_deg}")
+        time.sleep(0 if arrived else SETPOINT_PERIOD_S)
+    bench.demand(bench.client.stop(), "a Stop")
+    wanted = [bench.frame(Op.START, motion.start_deg), bench.frame(Op.SET, motion.end_deg)]
+    if bench.frames_published:
+        stopped = bench.wait(lambda: bench.caused(Cause.COMMAND, mark, moves=False), EVIDENCE_S)
+        found = [each.frame for each in bench.frames[mark:] if each.moves]
+        found = [each for each in found if each.leg == motion.leg or not motion.holding]  # the others hold
+        shown = ", ".join(each.to_bytes().hex() for each in found) or "none"
+        first, last = (each.to_bytes().hex() for each in wanted)
+        ends = [found[0], found[-1]] == wanted if found else False
+        angles = [sorted((servo, each.angle_cdeg) for servo, each in frame.servos) for frame in found]
+        one_way = angles in (sorted(angles), sorted(angles, reverse=True))
+        sets = all(each.op is Op.SET for frame in found[1:] for _, each in frame.servos)
+        demand(ends and one_way and sets, f"these frames moved it: {shown}; wanted: {first}, {last}")
+        demand(stopped, "no Stop was written")
+    bench.demand_no_motion("after the Stop")
+    return {"start_to_answer_ms": start_ms, "frame": wanted[0].to_bytes().hex()}
 
 
 def silence(bench: Bench) -> Figures:
     """Start, and send nothing more."""
-    state = bench.client.state()
-    timeout_ms, before = state.watchdog.stops_after_ms, state.watchdog.expirations
-    silent, figures = f"{state.watchdog.timeout_ms:g} ms of silence", {"timeout_ms": state.watchdog.timeout_ms}
-    if state.watchdog.landing_ms:
-        silent += f" and {state.watchdog.landing_ms:g} ms of landing"
-        figures["landing_ms"] = state.watchdog.landing_ms
-    mark = bench.mark()
+    watchdog, mark = bench.client.state().watchdog, len(bench.frames)
+    silent, figures = f"{watchdog.timeout_ms:g} ms of silence", Figures(timeout_ms=watchdog.timeout_ms)
+    if watchdog.landing_ms:
+        silent += f" and {watchdog.landing_ms:g} ms of landing"
+        figures["landing_ms"] = watchdog.landing_ms
     bench.start()
     begun_s = time.monotonic()
-    stopped = bench.wait(lambda: not bench.running(), timeout_ms / 1000 + 1)
+    stopped = bench.wait(lambda: not bench.running(), watchdog.stops_after_ms / 1000 + 1)
     took_ms = (time.monotonic() - begun_s) * 1000
     demand(stopped, f"it still runs, {took_ms:.0f} ms after its last command; it was to stop after {silent}")
-    demand(bench.client.state().watchdog.expirations > before, "it stopped, but not by the watchdog")
+    now = bench.client.state().watchdog
+    demand(now.expirations > watchdog.expirations, "it stopped, but not by the watchdog")
     if not bench.frames_published:
-        late_ms = took_ms - timeout_ms - bench.answer_ms
+        late_ms = took_ms - watchdog.stops_after_ms - bench.answer_ms
         demand(late_ms <= bench.late_ms + bench.answer_ms, f"it ran on for {late_ms:.0f} ms after {silent}")
         return {**figures, "stopped_after_ms_by_state": took_ms}
-
-    def watchdog_stops() -> list[WrittenFrame]:
-        ours = caused(bench.since(mark), Cause.WATCHDOG)  # and those of a landing
-        return [seen for seen in ours if seen.leg == bench.motion.leg and not seen.moves]
-
-    bench.wait(watchdog_stops, EVIDENCE_S)
-    started = [seen for seen in caused(bench.since(mark), Cause.COMMAND) if seen.moves]
-    stops = watchdog_stops()
-    demand(started and stops, "no Stop of the watchdog was written for the leg")
-    late_us = (stops[0].at_ns - started[-1].at_ns) / 1000 - timeout_ms * 1000
+    written = bench.wait(lambda: bench.caused(Cause.WATCHDOG, mark, moves=False), EVIDENCE_S)
+    started = bench.caused(Cause.COMMAND, mark, moves=True)
+    demand(written and started, "no Stop of the watchdog was written for the leg")
+    stop = bench.caused(Cause.WATCHDOG, mark, moves=False)[0]
+    late_us = (stop.at_ns - started[-1].at_ns) / 1000 - watchdog.stops_after_ms * 1000
     demand(late_us <= bench.late_ms * 1000, f"the Stop came {late_us / 1000:.1f} ms after {silent}")
     demand(late_us >= -bench.late_ms * 1000, f"the Stop came {-late_us / 1000:.1f} ms before the end of {silent}")
     time.sleep(QUIET_S)
-    later = [seen for seen in bench.since(mark) if seen.at_ns > stops[0].at_ns and seen.leg == bench.motion.leg]
-    repeats = caused(later, Cause.REPEAT)
-    return {**figures, "later_us": late_us, "repeats": len(repeats)}
+    return {**figures, "later_us": late_us, "repeats": len(bench.caused(Cause.REPEAT, mark, moves=False))}
 
 
 def estop(bench: Bench) -> Figures:
     """An emergency stop while setpoints go on streaming, and its reset."""
-    bench.start()
     with bench.streaming():
-        time.sleep(STREAM_S)
         demand(bench.running(), "the leg does not run in a stream of setpoints")
-        mark = bench.mark()
-        begun_s = time.monotonic()
+        mark, begun_s = len(bench.frames), time.monotonic()
         ack = bench.client.estop()
         took_ms = (time.monotonic() - begun_s) * 1000
         time.sleep(STREAM_S)
-    bench.estop = ack.estop or 0
+    bench.estop, latency_us = ack.estop or 0, ack.latency_us or 0.0
     state = bench.client.state()
     demand(not bench.running(state), f"servos run after the emergency stop: {bench.running(state)}")
     demand(state.mode == Mode.ESTOPPED, f"the mode is {state.mode} after the emergency stop")
     demand(ack.stop_frames == len(LEGS), f"{ack.stop_frames} Stops were written, not {len(LEGS)}")
-    latency_us = ack.latency_us or 0.0
     demand(latency_us <= bench.late_ms * 1000, f"the sixth Stop came {latency_us / 1000:.1f} ms after the request")
     limit_ms = ANSWER_MS + bench.answer_ms
     demand(took_ms <= limit_ms, f"the answer took {took_ms:.1f} ms, where any other takes {bench.answer_ms:.1f} ms")
     if bench.frames_published:
-        _demand_six_stops(bench.since(mark))
-    demand_rejected(bench.ask("start", bench.motion.start_deg), Reason.ESTOPPED, "a start in the emergency stop")
-    mark = bench.mark()  # a setpoint may have been written between the first mark and the emergency stop
-    demand_accepted(bench.reset(bench.estop), "the reset")
-    bench.demand_no_motion(mark, "after the reset")
+        frames = bench.frames[mark:]
+        stops = [place for place, each in enumerate(frames) if each.cause == Cause.ESTOP and not each.moves]
+        legs = {frames[place].frame.leg for place in stops}
+        demand(legs == set(LEGS), f"Stops were written for the legs {sorted(legs)} only")
+        after = [each for each in frames[stops[0] :] if each.moves]
+        demand(not after, f"{len(after)} frames moved a servo after the emergency stop")
+    bench.start(Reason.ESTOPPED)
+    mark = len(bench.frames)  # a setpoint may have been written between the first mark and the emergency stop
+    bench.reset()
+    bench.demand_no_motion("after the reset", mark)
     return {"request_to_sixth_stop_us": latency_us, "request_to_answer_ms": took_ms, "stop_frames": len(LEGS)}
-
-
-def _demand_six_stops(frames: list[WrittenFrame]) -> None:
-    stops = caused(frames, Cause.ESTOP)
-    legs = {seen.leg for seen in stops if not seen.moves}
-    demand(legs == set(LEGS), f"Stops were written for the legs {sorted(legs)} only")
-    after = [seen for seen in frames[frames.index(stops[0]) :] if seen.moves]
-    demand(not after, f"{len(after)} frames moved a servo after the emergency stop")
 
 
 def stop_servos(bench: Bench) -> Figures:
     """`stop-servos`, while the gateway runs."""
     state = bench.client.state()
-    if state.simulated:
-        raise Skipped("a simulated controller has no other way in")
-    if not Path(state.spi.device).exists():
-        raise Skipped(f"{state.spi.device} is not on this machine; run this on the robot")
-    bench.start()
+    if state.simulated or not Path(state.spi.device).exists():
+        raise Skipped(f"{'a simulated controller' if state.simulated else state.spi.device} is not on this machine")
     with bench.streaming():
-        time.sleep(STREAM_S)
-        mark, events = bench.mark(), len(bench.events)
-        begun_s = time.monotonic()
-        command = [sys.executable, "-m", "gateway", "stop-servos", *bench.config]
-        try:
-            done = subprocess.run(command, capture_output=True, text=True, timeout=STOP_SERVOS_S, check=False)
-        except subprocess.TimeoutExpired as error:
-            raise FailedError(f"stop-servos did not end within {STOP_SERVOS_S:g} s") from error
+        mark, events, begun_s = len(bench.frames), len(bench.events), time.monotonic()
+        _run(sys.executable, "-m", "gateway", "stop-servos", *bench.config)
         took_ms = (time.monotonic() - begun_s) * 1000
-        demand(done.returncode == 0, f"stop-servos ended with {done.returncode}: {done.stderr.strip()}")
-        noticed = bench.wait(
-            lambda: any(event.kind == Kind.STOPPED_OUTSIDE for event in bench.events[events:]), EVIDENCE_S
-        )
-        demand(noticed, "the gateway did not notice it")
-        after = [seen for seen in bench.since(mark) if seen.cause == Cause.REPEAT]
-        demand(after or not bench.frames_published, "the gateway wrote no Stops of its own")
-        bench.demand_no_motion(bench.mark(), "after stop-servos")
+        demand(bench.wait_for_event(Kind.STOPPED_OUTSIDE, events, EVIDENCE_S), "the gateway did not notice it")
+        own = [each for each in bench.frames[mark:] if each.cause == Cause.REPEAT]
+        demand(own or not bench.frames_published, "the gateway wrote no Stops of its own")
+        bench.demand_no_motion("after stop-servos")
     return {"took_ms": took_ms}
 
 
+# ---- the service is killed, on the robot itself
+
+
+def killed(bench: Bench) -> Figures:
+    """The service dies in a stream of setpoints; systemd stops the servos and starts it again."""
+    if not bench.restart:
+        raise Skipped("only with --restart, on the robot itself")
+    before = seen = shown(SERVICE)
+    begun_s = int(before.get("ExecMainStartTimestampMonotonic") or 0) / 1e6
+    if before.get("LoadState") != "loaded":
+        raise Skipped(f"this machine has no {SERVICE}.service; run it on the robot")
+    if abs(time.monotonic() - bench.client.state().uptime_s - begun_s) > _SAME_START_S:
+        raise Skipped(f"{SERVICE}.service of this machine is not the gateway that answers; run it on the robot")
+    demand("stop-servos" in before.get("ExecStopPost", ""), "no stop-servos runs after its end, so it is not killed")
+    ended = ""
+
+    def over() -> bool:
+        """Whether stop-servos has ended, or the new start has come, at which systemd forgets how."""
+        nonlocal seen, ended
+        seen = shown(SERVICE)
+        found = re.search(r"stop-servos[^}]* code=(\w+) ; status=(\d+)", seen.get("ExecStopPost", ""))
+        ended = " ".join(found.groups()) if found else ""
+        return bool(ended) or seen.get("InvocationID") != before.get("InvocationID")
+
+    def back() -> bool:
+        with suppress(GatewayError):
+            state = bench.client.state(1.0)
+            return state.uptime_s < time.monotonic() - begun_s and state.mode == Mode.IDLE
+        return False
+
+    with bench.streaming():
+        begun_s = time.monotonic()
+        _run("systemctl", "kill", "--signal=KILL", f"{SERVICE}.service")
+        bench.wait(over, PROGRAM_S)
+        answers = bench.wait(back, PROGRAM_S)
+        took_s = time.monotonic() - begun_s
+        demand(answers, f"no new gateway has answered for {PROGRAM_S:g} s; stop the robot by the switch of its supply")
+        frames = bench.client.state().spi.frames
+        demand(frames >= len(LEGS), f"the new gateway wrote {frames} frames, not a Stop for each leg")
+        bench.demand_no_motion("after the new start")
+        demand(ended == "exited 0", f"stop-servos did not stop the servos after the end: {ended or 'it did not run'}")
+    figures: Figures = {"answers_again_after_s": took_s, "stops_of_the_new_start": len(LEGS)}
+    with suppress(FailedError):  # there is no journal
+        figures |= said_by_stop_servos(
+            _run("journalctl", f"_SYSTEMD_INVOCATION_ID={before.get('InvocationID')}", "--output=cat")
+        )
+    return figures
+
+
+def said_by_stop_servos(text: str) -> Figures:
+    """What it reports: its Stops, and when the power board confirmed."""
+    written = re.search(r"Stop written to all six legs, (\d+) times each", text)
+    confirmed = re.search(r"the power board has confirmed: .* after (\d+) ms", text)
+    figures: Figures = {} if written is None else {"stops_of_stop_servos": len(LEGS) * int(written[1])}
+    return figures if confirmed is None else {**figures, "supply_off_confirmed_after_ms": int(confirmed[1])}
+
+
+def _run(*command: str) -> str:
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=PROGRAM_S, check=False)
+    except (OSError, subprocess.TimeoutExpired) as error:
+        raise FailedError(f"{' '.join(command)}: {error}") from error
+    demand(done.returncode == 0, f"{' '.join(command)} ended with {done.returncode}: {done.stderr.strip()}")
+    return done.stdout
+
+
+# ---- a power board: what it confirms, and one of its two ways unplugged
+
+
+def confirmed_off(bench: Bench) -> Figures:
+    """An emergency stop: the board confirms that no servo is fed, and a reset feeds none."""
+    board(bench)
+    with bench.streaming(0.0):
+        figures = _cut(bench, own=True)
+        bench.start(Reason.ESTOPPED)
+        demand(not _fed(bench), f"while the emergency stop is engaged, the board feeds {_fed(bench)}")
+    _give_back(bench)
+    return figures
+
+
+def spi_unplugged(bench: Bench) -> Figures:
+    """The controller cannot be reached while a servo runs: the emergency stop takes its supply all the same."""
+    by_hand(bench)
+    with bench.streaming():
+        person("Unplug the servo controller from the Pi (SPI), and press Enter. The servo goes on holding: ")
+        figures = _cut(bench, own=False)
+    loose = person("Turn the servo's horn gently with a finger: is it loose? yes or no: ")
+    # The controller has not received its Stop: fed again, the servo would run.
+    person("Plug the controller in again, and press Enter: ")
+    again = bench.client.estop()  # six Stops, which arrive now
+    demand(again.stop_frames == len(LEGS), f"{again.stop_frames} Stops were written, not {len(LEGS)}")
+    bench.estop = again.estop or 0
+    demand(loose == "yes", "the board has confirmed that it feeds no servo, and one is not loose")
+    _give_back(bench)
+    return figures
+
+
+def can_unplugged(bench: Bench) -> Figures:
+    """The board cannot be reached while a servo runs: that is reported, and the robot stopped over SPI."""
+    by_hand(bench)
+    with bench.streaming():
+        events = len(bench.events)
+        hint("Unplug the power board's CAN now, and leave its supply on …")
+        seen = bench.wait_for_event(Kind.POWER_UNCONFIRMED, events, PLUGGED_S)
+        state = bench.client.state()
+        silent_ms = _power(state).age_ms or 0.0
+        demand(seen, f"no event power_unconfirmed has come within {PLUGGED_S:g} s")
+        stopped = bench.wait(lambda: not bench.running(), state.watchdog.stops_after_ms / 1000 + 1)
+        demand(stopped, "it still runs, and the board does not answer")
+        bench.start(Reason.NO_POWER)
+        bench.demand_no_motion("while the board does not answer")
+        person("Plug it in again, and press Enter: ")
+        back = bench.wait(lambda: _power(bench.client.state()).alive, EVIDENCE_S)
+        demand(back, "the board does not answer; is it in standby?")
+        bench.demand_no_motion("once the board answers again")
+    late_ms = silent_ms - SILENT_MS
+    demand(late_ms <= bench.late_ms + bench.answer_ms, f"it was reported {silent_ms:.0f} ms after the last answer")
+    return {"silent_when_reported_ms": silent_ms}
+
+
+def _power(state: GatewayState) -> PowerReport:
+    if state.power is None:
+        raise FailedError("the gateway has no power board any more")
+    return state.power
+
+
+def board(bench: Bench) -> None:
+    """Raises Skipped where no servo's supply can be taken."""
+    power = bench.client.state().power
+    if power is None:
+        raise Skipped("this robot has no power board")
+    demand(power.alive, "the power board does not answer")
+
+
+def by_hand(bench: Bench) -> None:
+    """Raises Skipped where nobody has agreed to unplug anything, or nothing can be unplugged."""
+    if not bench.unplug or not sys.stdin.isatty():
+        raise Skipped("only with --unplug, and a person at the robot")
+    board(bench)
+    if bench.client.state().simulated:
+        raise Skipped("a simulated controller has no plug")
+
+
+def person(question: str) -> str:
+    """What a person answers."""
+    return ask(question)
+
+
+def _fed(bench: Bench) -> tuple[int, ...]:
+    return _power(bench.client.state()).supplied
+
+
+def _cut(bench: Bench, *, own: bool) -> Figures:
+    """An emergency stop that the board confirms. `own`: to be left at the step's end, whatever happens."""
+    ack = bench.client.estop()
+    bench.estop = (ack.estop or 0) if own else 0
+    demand(ack.confirmed, "the board has not confirmed that the servos have no supply: SWITCH IT OFF BY HAND")
+    demand(not _fed(bench), f"the board has confirmed that it feeds nothing, and feeds {_fed(bench)}")
+    return {"confirmed_after_ms": ack.confirmed_ms or 0.0}
+
+
+def _give_back(bench: Bench) -> None:
+    """Leave the emergency stop: nothing is fed then, and nothing runs."""
+    mark = len(bench.frames)
+    bench.reset()
+    demand(bench.wait(lambda: is_at_rest(bench.client), REST_S), "servos are fed after the reset, and none was started")
+    bench.demand_no_motion("after the reset", mark)
+
+
+def is_at_rest(client: Client) -> bool:
+    """Whether nothing runs, and the board answers and feeds nothing."""
+    state = client.state()
+    return state.mode is Mode.IDLE and _power(state).alive and not _power(state).supplied
+
+
+# fmt: off
 STEPS: Final = (
     CheckStep("command", "starts {servos} at {start:g}°, sets {end:g}°, and stops again", command),
     CheckStep("silence", "starts {servos} and falls silent: the watchdog must {end_of_silence}", silence),
@@ -219,15 +344,10 @@ STEPS: Final = (
     CheckStep("stop-servos", "runs stop-servos while the gateway runs and setpoints stream", stop_servos),
     CheckStep("restart", "kills the service while setpoints stream: stopped at once, and at its new start", killed),
     CheckStep("power", "engages the emergency stop: the power board must confirm that no servo is fed", confirmed_off),
-    CheckStep(
-        "spi-unplugged",
-        "engages the emergency stop while the controller is unplugged: the power board must confirm it",
-        spi_unplugged,
-    ),
-    CheckStep(
-        "can-unplugged",
-        "the power board is unplugged while {servos} runs: must be reported, and stopped over SPI",
-        can_unplugged,
-    ),
+    CheckStep("spi-unplugged", "engages the emergency stop while the controller is unplugged: the power board must "
+              "confirm it", spi_unplugged),
+    CheckStep("can-unplugged", "the power board is unplugged while {servos} runs: must be reported, and stopped over "
+              "SPI", can_unplugged),
 )
+# fmt: on
 """In their order. Each leaves all legs stopped, or `check --stops` does."""

@@ -1,0 +1,481 @@
+"""What leads to the servos: SPI device, bus and clock, framing, calibration, elkapod-2025's UART, and the power board.
+
+Nothing is written to the robot: the published firmware of HexapodProtocol v1.0.0 takes the first byte of elkapod-2025
+for a length of 126, which leaves it deaf to Stops until its reset. A power board is only asked. Nothing is read from
+UART and board while a gateway runs: they are its own.
+"""
+
+import errno
+import fcntl
+import grp
+import os
+import pwd
+import re
+import stat
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import closing, suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from gateway.allowance import NS_PER_MS, NS_PER_S
+from gateway.durable import staged_for
+from gateway.errors import GatewayError, SpiError
+from gateway.model import power_board
+from gateway.model.elkapod import FRAME_BYTES, Heartbeats
+from gateway.model.frames import ONE_LEG_LEN
+from gateway.model.framing import Framing
+from gateway.model.power_board import ASK_RAILS, CONVERTERS_1_TO_3_MV, SUPPLY_BATTERY_MV, TEMPERATURES_C, Rails
+from gateway.onboard.check import service_user
+from gateway.onboard.check.table import INSTALL, RESTART, CheckedRobot, Fault, Probe, Seen, failure, text, warning
+from gateway.robot.core.calibrating import ACCEPT_DEFAULT
+from gateway.robot.host.calibration_file import SLOW_S, load, path_to_read
+from gateway.robot.power.interface import BITRATE, open_bus, received, send
+from gateway.robot.sections import PowerSettings
+from gateway.robot.spi import ioctls, machine, outside
+from gateway.robot.spi.bus import CS_CHANGE_NS
+from gateway.robot.spi.kernel import KernelDevice
+from gateway.robot.spi.uart import SerialUart
+from schemas.robot import LEGS
+
+if TYPE_CHECKING:
+    import can
+
+SLOW_STOPS_MS: Final = 20.0
+"""Six Stops should not take longer to write than the shortest watchdog timeout that can be set; nor should a frame of
+elkapod-2025 than its default cycle."""
+_READ_SPEED: Final = 2 << 30 | 4 << 16 | ord("k") << 8 | 4
+"""SPI_IOC_RD_MAX_SPEED_HZ."""
+
+
+# ---- nodes
+
+
+def node(path: str) -> Seen:
+    """A device node. `lack`: why it is none, `denied`: this user cannot open it."""
+    seen = Seen(path=path, lack="", denied=False, rights="", group=None, user=_name(pwd.getpwuid, os.geteuid()))
+    seen.service, seen.error = service_user.uid() is not None, ""
+    try:
+        status = os.stat(path)
+    except OSError as error:
+        absent = isinstance(error, FileNotFoundError)
+        seen.lack = "does not exist" if absent else f"cannot be looked at ({error.strerror})"
+        return seen
+    group = _name(grp.getgrgid, status.st_gid)
+    seen.rights = f"{stat.filemode(status.st_mode)}, group {group}"
+    seen.group = group if status.st_gid and status.st_mode & 0o060 == 0o060 else None
+    seen.lack = "" if stat.S_ISCHR(status.st_mode) else "is no device node"
+    seen.denied = not seen.lack and not os.access(path, os.R_OK | os.W_OK)
+    return seen
+
+
+def _name(find: Callable[[int], tuple[object, ...]], number: int) -> str:
+    """Of a user or a group; their number where they have none."""
+    with suppress(KeyError):
+        return str(find(number)[0])
+    return str(number)
+
+
+NO_NODE: Final = failure(lambda r: r.lack, "{path} {lack}", "{absent}")
+"""The reading has a remedy, `absent`."""
+JOIN_GROUP: Final = "sudo usermod -aG {group} {user} # then log in again"
+
+
+def denied(when: Callable[[Seen], object], remedy: str) -> Fault:
+    """A node that this user may not open, where `when` holds, too."""
+    return failure(lambda r: r.denied and when(r), "{path} may not be opened by {user} ({rights})", remedy)
+
+
+def _locked_by(path: str) -> str:
+    """The program that has locked a node, by the kernel's list; "" where a gateway has, or the list does not say."""
+    status = os.stat(path)
+    where = rf"{os.major(status.st_dev):02x}:{os.minor(status.st_dev):02x}:{status.st_ino}"
+    found = re.search(rf"FLOCK +ADVISORY +WRITE (\d+) {where} ", text(Path("/proc/locks")))
+    if found is None or outside.is_gateways(path):
+        return ""
+    return f"{text(Path(f'/proc/{found[1]}/comm')) or 'another program'} (process {found[1]})"
+
+
+# ---- the device
+
+
+def _device(robot: CheckedRobot) -> Seen:
+    """Set it up as the service does it, and close it at once."""
+    spi = robot.settings.spi
+    seen, path = node(spi.device), Path(spi.device)
+    seen.locked, seen.opens = "", f"opens, as {seen.user}"
+    others = ", ".join(sorted(map(str, path.parent.glob("spidev*"))))
+    seen.absent = "switch SPI on (dtparam=spi=on in config.txt) and reboot; without a robot: run --sim"
+    seen.absent = f"set spi.device; here there is {others}" if others else seen.absent
+    robot.gateway_runs = False
+    if not (seen.lack or seen.denied):
+        try:
+            KernelDevice(spi.device, spi.speed_hz, mode=spi.protocol.spi_mode).close()
+        except SpiError as error:
+            held = isinstance(error.__cause__, BlockingIOError)
+            seen.locked, seen.error = (_locked_by(spi.device), "") if held else ("", str(error))
+            robot.gateway_runs = held and not seen.locked
+        seen.opens += f"; {ioctls.USED}" if ioctls.are_used() else ""
+    if robot.gateway_runs:
+        seen.opens = "is held by a running gateway; a second one would be rejected"
+    robot.locked = bool(seen.locked)
+    return seen
+
+
+def _carrier(robot: CheckedRobot) -> Seen:
+    """Computer, kernel, driver and chip select; and whether this kernel loses clock edges."""
+    device, root = robot.settings.spi.device, robot.root
+    release, built = machine.kernel(root)
+    selects = {True: ", chip select is a GPIO", False: ", the controller drives chip select", None: ""}
+    found = f"{machine.computer(root) or 'a computer without a device tree'}, Linux {release or 'of unknown release'}, "
+    found += f"driver {machine.driver_of(device, root) or 'unknown'}{selects[machine.gpio_selects(device, root)]}"
+    return Seen(
+        found=found,
+        when="that was built at an unknown time" if built is None else f"of {built}",
+        loses=machine.on_rp1(device, root) and (built is None or built < machine.RP1_FIXED),
+    )
+
+
+def _neighbours(robot: CheckedRobot) -> Seen:
+    found = machine.neighbours(robot.settings.spi.device, robot.root)
+    return Seen(others=", ".join(f"{each} (driver {driver})" for each, driver in found))
+
+
+def kernel_hz(path: str) -> int | None:
+    """The clock that the kernel gives the device where nobody has set one: what device tree and controller allow.
+
+    While another program has the device open it is what that one has set.
+    """
+    with suppress(OSError):
+        fd = os.open(path, os.O_RDWR | os.O_CLOEXEC | os.O_NONBLOCK)
+        try:
+            return int.from_bytes(fcntl.ioctl(fd, _READ_SPEED, bytes(4)), sys.byteorder) or None
+        finally:
+            os.close(fd)
+    return None
+
+
+def speed(robot: CheckedRobot, given_hz: int | None) -> Seen:
+    """The clock that is set, and that which the protocol and the kernel (with the device tree) allow.
+
+    `takes_ms`: six Stops on the wire; where these do not go over SPI, a frame.
+    """
+    spi, known_hz, runs = robot.settings.spi, robot.settings.spi.protocol.speed_hz, robot.gateway_runs
+    differs = given_hz is not None and (given_hz != spi.speed_hz if runs else given_hz < spi.speed_hz)
+    slowest_hz = min(spi.speed_hz, given_hz or spi.speed_hz)
+    transfers = 1 + (spi.framing is Framing.LENGTH_PREFIXED)
+    bits, pause_ms = 8 * (ONE_LEG_LEN + transfers - 1), transfers * (spi.frame_gap_us / 1e3 + CS_CHANGE_NS / 1e6)
+    takes_ms = len(LEGS) * (bits / slowest_hz * 1e3 + pause_ms)
+    if spi.protocol.measures:
+        takes_ms = 8 * FRAME_BYTES / slowest_hz * 1e3
+    return Seen(
+        hz=spi.speed_hz, known_hz=known_hz, differs=differs, takes_ms=takes_ms,
+        set=_megahertz(spi.speed_hz), known=_megahertz(known_hz), kernel=_megahertz(given_hz or 0),
+        takes=f"{'a frame' if spi.protocol.measures else 'an emergency stop'} takes {takes_ms:.1f} ms to write",
+        given=f", and the kernel gives {_megahertz(slowest_hz)}" if given_hz is not None else "",
+        fix="sudo systemctl restart hexapod-gateway" if runs else f"set spi.speed_hz = {given_hz} or less",
+    )  # fmt: skip
+
+
+def _speed(robot: CheckedRobot) -> Seen:
+    """A program that has locked the device has its own clock there, which is none of ours."""
+    return speed(robot, None if robot.locked else kernel_hz(robot.settings.spi.device))
+
+
+def _megahertz(hz: int) -> str:
+    return f"{hz / 1e6:g} MHz" if hz >= 10_000 else f"{hz} Hz"
+
+
+def _frames(robot: CheckedRobot) -> Seen | None:
+    """The framing, and whether chip select is known to be released between transfers of one call."""
+    spi = robot.settings.spi
+    if spi.protocol.measures:
+        return None
+    driver = machine.driver_of(spi.device, robot.root) or "this driver"
+    gpio, (low, high) = machine.gpio_selects(spi.device, robot.root), spi.avoid_cdeg or (0, 0)
+    how = f"{driver} may keep chip select within a call; {spi.framing.controller} ignores it"
+    released = "chip select is a GPIO, which Linux releases between the transfers of a call"
+    return Seen(
+        framing=spi.framing, wants=spi.framing.controller, low=low / 100, high=high / 100, driver=driver,
+        how=released if gpio else how, unseen=not gpio and spi.framing.needs_chip_select,
+    )  # fmt: skip
+
+
+# ---- the calibration
+
+
+def _calibration(robot: CheckedRobot) -> Seen:
+    """Without one that can be used, the service starts, and moves nothing."""
+    path = path_to_read(robot.settings)
+    if path is None:
+        return Seen(
+            hidden=False, fault="", late_at="", which="is kept in memory only, until the gateway ends (state.path)"
+        )
+    if path.parent.exists() and not os.access(path.parent, os.X_OK):
+        return Seen(path=path, hidden=True)
+    found, fault = load(path)
+    seen = Seen(path=path, hidden=False, fault=fault, late_at="", revision=found.revision)
+    seen.which = f"revision {found.revision}, servos that differ: {len(found.servos)} ({path})"
+    with suppress(OSError):  # a change that was begun to be written, and not ended
+        begun_s = staged_for(path).lstat().st_mtime
+        if time.time() - begun_s > SLOW_S:
+            seen.late_at = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(begun_s))
+    return seen
+
+
+# ---- the UART of elkapod-2025
+
+_ALLOWED: Final = "ttyAMA"
+"""The unit's DeviceAllow=: the kernel's name of a Raspberry Pi's PL011 UARTs."""
+_CYCLE_S: Final = 0.02
+"""The robot's own driver has this cycle. Heartbeats come within 0.1 s, after which that driver starts again."""
+_PI_5: Final = ("Raspberry Pi 5", "Raspberry Pi Compute Module 5")
+_SWITCH_ON: Final = (
+    "install again with --protocol elkapod-2025, which switches it on, and reboot; or set controller.uart"
+)
+_NO_PI_5: Final = (
+    "switch a UART of 1 152 000 baud on as this computer wants it (a Raspberry Pi: an overlay in config.txt), reboot, "
+    "and set controller.uart to its node; here there is {}"
+)
+
+
+def _uart(robot: CheckedRobot) -> Seen | None:
+    """It is opened and closed, unless a gateway holds it."""
+    path, root = robot.settings.controller.uart, robot.root
+    if not robot.settings.spi.protocol.measures:
+        return None
+    seen, name = node(path), Path(path).resolve().name
+    here = ", ".join(sorted(map(str, Path("/dev").glob(f"{_ALLOWED}*")))) or "none"
+    seen.absent = _SWITCH_ON if machine.computer(root).startswith(_PI_5) else _NO_PI_5.format(here)
+    seen.tty, seen.kind, seen.opens = name, name.rstrip("0123456789"), f"opens, as {seen.user}"
+    seen.console = seen.login = seen.held = ""
+    if not (seen.lack or seen.denied):
+        seen.console = name in text(root / "sys/class/tty/console/active").split()
+        seen.login = next(_logins(os.stat(path).st_rdev, root), "")
+        if robot.gateway_runs:
+            seen.opens, seen.service = "is the running gateway's, which reports whether the controller answers", False
+        elif not (seen.console or seen.login):
+            try:
+                SerialUart(path).close()
+            except SpiError as error:
+                cause = error.__cause__
+                seen.held = isinstance(cause, OSError) and cause.errno in (errno.EAGAIN, errno.EBUSY)
+                seen.error = str(error)
+    return seen
+
+
+def _logins(rdev: int, root: Path) -> Iterator[str]:
+    """The programs whose controlling terminal it is: /proc shows that of everybody's."""
+    major, minor = os.major(rdev), os.minor(rdev)
+    terminal = str(minor & 0xFF | major << 8 | (minor & ~0xFF) << 12)
+    for file in (root / "proc").glob("[0-9]*/stat"):
+        head, _, rest = text(file).rpartition(") ")
+        if rest.split()[4:5] == [terminal]:  # state, parent, group, session, terminal
+            yield head.partition(" (")[2]
+
+
+def _heartbeat(robot: CheckedRobot) -> Seen | None:
+    """Listen only; nothing while a gateway runs, or where the UART's own line has the fault."""
+    seen = _uart(robot)
+    if seen is None or robot.gateway_runs or any((seen.lack, seen.denied, seen.console, seen.login, seen.error)):
+        return None
+    with suppress(SpiError), closing(SerialUart(seen.path)) as line:
+        return heartbeat(line.read, round(robot.settings.controller.silent_ms * NS_PER_MS))
+    return None
+
+
+def heartbeat(
+    read: Callable[[], bytes],
+    silent_ns: int,
+    clock: Callable[[], int] = time.monotonic_ns,
+    pause: Callable[[float], None] = time.sleep,
+) -> Seen:
+    """What comes within `silent_ns`."""
+    heartbeats, beats, received, until_ns = Heartbeats(), 0, 0, clock() + silent_ns
+    while clock() < until_ns:
+        pause(_CYCLE_S)
+        data = read()
+        received += len(data)
+        beats += heartbeats.feed(data)
+    return Seen(beats=beats, bytes=received, ms=silent_ns // NS_PER_MS)
+
+
+# ---- the power board
+
+_ROUNDS: Final = 4
+"""One question may be lost."""
+_ROUND_S: Final = 0.1
+"""The board answers within 2 ms."""
+_CAN: Final = "280"
+"""ARPHRD_CAN, in /sys/class/net/…/type."""
+_NETWORKD: Final = ("etc", "run", "usr/lib")
+"""Where systemd-networkd has its files."""
+
+
+def _board(robot: CheckedRobot) -> Seen | None:
+    """Nothing where no board is set up."""
+    power = robot.settings.power
+    if not power.interface:
+        return None
+    seen = node(power.channel) if power.interface == "slcan" else Seen(path=power.channel, lack="", denied=False)
+    seen.absent = "plug the adapter in or load its driver, or set power.channel (see dmesg, ip link)"
+    seen.where, seen.simulated = f"{power.interface} {power.channel}", power.interface == "sim"
+    seen.off, seen.error, seen.silent = False, "", False
+    if power.interface == "socketcan":  # anybody may use it, and only root can switch it on
+        folder = robot.root / "sys/class/net" / power.channel
+        kind = text(folder / "type")
+        seen.lack = "" if kind == _CAN else "is no CAN interface" if kind else "is no network interface"
+        seen.off = not int(text(folder / "flags") or "0", 16) & 1
+    seen.answers = f"{seen.where} is the running gateway's, whose status has whether the board answers"
+    if not (robot.gateway_runs or seen.simulated or seen.lack or seen.denied or seen.off):
+        try:
+            with open_bus(power) as bus:
+                rails = asked(bus, power)
+            seen.silent, seen.answers = not rails, f"answers on {seen.where}: {_values(rails)}"
+        except GatewayError as error:
+            seen.error = str(error)
+        except Exception as error:  # from any of python-can's interfaces
+            seen.error = f"{seen.where}: {error}"
+    return seen
+
+
+def _kept(robot: CheckedRobot) -> Seen | None:
+    """A CAN interface that is on: whether systemd-networkd switches it on at each boot."""
+    power, net = robot.settings.power, robot.root / "sys/class/net"
+    if power.interface != "socketcan" or not int(text(net / power.channel / "flags") or "0", 16) & 1:
+        return None
+    files = (file for each in _NETWORKD for file in (robot.root / each / "systemd/network").glob("*.network"))
+    return Seen(path=power.channel, kept=any(f"Name={power.channel}" in text(file) for file in files))
+
+
+def asked(
+    bus: "can.BusABC", settings: PowerSettings, clock: Callable[[], int] = time.monotonic_ns
+) -> dict[int, tuple[int, ...]]:
+    """The rails that the board answers, by the question's identifier."""
+    rails: dict[int, tuple[int, ...]] = {}
+    for _ in range(_ROUNDS):
+        for question in (each for each in ASK_RAILS if each.id not in rails):
+            send(bus, question, _ROUND_S)
+        end_ns = clock() + round(_ROUND_S * NS_PER_S)
+        while (left_ns := end_ns - clock()) > 0 and len(rails) < len(ASK_RAILS):
+            message = bus.recv(left_ns / NS_PER_S)
+            frame = None if message is None else received(message, settings)
+            read = None if frame is None else power_board.read(frame)
+            if isinstance(read, Rails):
+                rails[read.question] = read.values
+    return rails
+
+
+def _values(rails: dict[int, tuple[int, ...]]) -> str:
+    supply, converters, hottest = (
+        rails.get(each) for each in (SUPPLY_BATTERY_MV, CONVERTERS_1_TO_3_MV, TEMPERATURES_C)
+    )
+    said = [f"supply {supply[0] / 1000:.1f} V"] if supply else []
+    said += [f"the servos' converters {', '.join(f'{mv / 1000:.1f}' for mv in converters)} V"] if converters else []
+    return "; ".join([*said, *([f"{max(hottest)} °C at most"] if hottest else [])])
+
+
+# ---- the tables
+
+_OFF: Final = (
+    "sudo raspi-config nonint do_serial_cons 1 && sudo systemctl disable --now serial-getty@{tty}, see that "
+    "/boot/firmware/cmdline.txt has no console={tty}, and reboot"
+)
+_ON: Final = (
+    f"printf '[Match]\\nName={{path}}\\n[CAN]\\nBitRate={BITRATE}\\nRestartSec=100ms\\n' | sudo tee "
+    "/etc/systemd/network/80-{path}.network && sudo systemctl enable systemd-networkd && "
+    "sudo systemctl restart systemd-networkd"
+)
+"""Now and at each boot."""
+# fmt: off
+DEVICE: Final = Probe("SPI device", _device, (
+    NO_NODE,
+    denied(lambda r: r.service, "the udev rule of the installation gives it to the group spi at each boot; now: "
+           f"sudo chgrp spi {{path}} && sudo chmod 660 {{path}} && {RESTART}"),
+    denied(lambda r: r.group, JOIN_GROUP),
+    denied(lambda _: True, f"install the udev rule ({INSTALL}), which gives it to the group spi"),
+    failure(lambda r: r.locked, "{path} is locked by {locked}, which is no gateway",
+            f"end that program, then: {RESTART}"),
+    failure(lambda r: r.error, "{error}", "is {path} a SPI device? see dmesg"),
+), "{path} {opens}")
+BUS: Final = (
+    Probe("SPI controller", _carrier, (
+        warning(lambda r: r.loses, "{found}: a kernel {when}, and before February 2025 this driver lost clock edges of "
+                "transfers that only send; the controller then takes in nothing until it is reset",
+                "update the kernel (sudo apt full-upgrade) and reboot"),
+    ), "{found}"),
+    Probe("SPI bus", _neighbours, (
+        # A neighbour's transfer of 2 ms is what docs/safety.md allows.
+        warning(lambda r: r.others, "on it, too: {others}: an emergency stop waits for two to four of its transfers",
+                "move it to another bus, or see that none of its transfers takes more than 2 ms"),
+    ), "no other driver uses it"),
+    Probe("SPI speed", _speed, (
+        warning(lambda r: r.hz > r.known_hz, "{set} is above the {known} up to which the protocol was measured",
+                "set spi.speed_hz = {known_hz} or less, or measure the clock on your wires"),
+        warning(lambda r: r.differs, "{set} is set, and the kernel gives {kernel}: another program has set it, or the "
+                "controller takes no more, or the configuration was changed since; {takes}", "{fix}"),
+        warning(lambda r: r.takes_ms > SLOW_STOPS_MS, "{set} is slow: {takes}", "set spi.speed_hz = {known_hz}"),
+    ), "{set}{given}; {takes}"),
+)
+FRAMES: Final = (
+    Probe("framing", _frames, (
+        warning(lambda r: r.framing is Framing.PLAIN,
+                "plain, as in the protocol's document; the published STM32 firmware jams in it until it is reset",
+                'set spi.framing = "length-prefixed" for that firmware, and reset it'),
+    ), "{framing}, as {wants} wants it; wire angles from {low:g} up to {high:g} degrees are never sent"),
+    Probe("SPI lists", _frames, (
+        warning(lambda r: r.unseen, "nobody has seen whether {driver} releases chip select between the transfers of a "
+                "call", "{run[check --move]} shows it: if servo 61 still holds when all are stopped, "
+                f"{machine.SELECT_BY_GPIO}"),
+    ), "{how}"),
+)
+CALIBRATION: Final = (
+    Probe("calibration", _calibration, (
+        warning(lambda r: r.hidden, "{path} is not for you to read", "sudo hexapod-gateway check"),
+        failure(lambda r: r.fault, "{fault}; nothing can be started",
+                f"put a good one in its place and restart, or, if the robot is as drawn: {{run[{ACCEPT_DEFAULT}]}}"),
+        warning(lambda r: r.late_at, "a change of {late_at} was not kept, and revision {revision} is ({path})",
+                "if the gateway runs, its disk hangs (dmesg): restart it once that is fixed; else nothing is wrong"),
+    ), "{which}"),
+)
+CONTROLLER: Final = (
+    Probe("UART", _uart, (
+        NO_NODE,
+        denied(lambda r: not r.group, "it is root's alone: sudo chgrp dialout {path} && sudo chmod 660 {path}"),
+        denied(lambda r: not r.service, JOIN_GROUP),
+        denied(lambda r: r.service, f"sudo usermod -aG {{group}} hexapod-gateway && {RESTART}"),
+        failure(lambda r: r.console, "{path} is the Linux console: the kernel's messages go to the controller", _OFF),
+        failure(lambda r: r.login, "{path} is the terminal of {login}, which takes the controller's bytes", _OFF),
+        failure(lambda r: r.held, "{path} is held by another program",
+                "end that program, which is named by: sudo fuser -v {path}"),
+        failure(lambda r: r.error, "{error}", "is {path} a UART? see dmesg"),
+        warning(lambda r: r.service and not r.tty.startswith(_ALLOWED),
+                f"{{path}} opens, but the unit lets the service open {_ALLOWED}… only",
+                "sudo systemctl edit hexapod-gateway, with [Service] DeviceAllow=char-{kind} rw"),
+    ), "{path} {opens}"),
+    Probe("heartbeat", _heartbeat, (
+        failure(lambda r: not r.beats, "none came in {ms} ms, but {bytes} other bytes",
+                "see that the controller has power, that its TX leads to the Pi's RX, and both have the same ground; a "
+                'controller of HexapodProtocol v1.0.0 needs spi.protocol = "hexapod-1.0"'),
+    ), "{beats} came in {ms} ms, so the controller speaks elkapod-2025"),
+)
+POWER: Final = (
+    Probe("power board", _board, (
+        warning(lambda r: r.simulated, "is simulated: no servo loses its supply", 'set power.interface; "" is none'),
+        NO_NODE,
+        denied(lambda r: r.service or not r.group,
+               "the service's user is in dialout: sudo chgrp dialout {path} && sudo chmod 660 {path}"),
+        denied(lambda _: True, JOIN_GROUP),
+        failure(lambda r: r.off, "{path} is switched off", _ON),
+        failure(lambda r: r.error, "{error}", "see dmesg, and the settings of [power]"),
+        failure(lambda r: r.silent, "{where} opens, and the board does not answer",
+                "press its power button (in standby it is silent); see that CAN-H and CAN-L lead to it, with a "
+                "resistor of 120 Ω at each end, and that the interface has its bit rate, 1 Mbit/s"),
+    ), "{answers}"),
+    Probe("power board", _kept, (
+        warning(lambda r: not r.kept, "{path} is switched on until the next boot only", _ON),
+    )),
+)
+PROBES: Final = (DEVICE, *BUS, *CONTROLLER, *FRAMES, *CALIBRATION)
+# fmt: on
