@@ -58,10 +58,10 @@ def how_to_repeat(release: Path) -> str:
     """The command that installs a release anew, where this machine still has what it needs."""
     try:
         command = (release / _AGAIN).read_text().strip()
-        needed = [Path(each) for each in shlex.split(command) if each.startswith("/")]
-    except (OSError, ValueError):
+        needed = [Path(each).exists() for each in shlex.split(command) if each.startswith("/")]
+    except (OSError, ValueError):  # also of a folder that this user may not enter
         command, needed = "", []
-    if needed and all(each.exists() for each in needed):
+    if needed and all(needed):
         return f"sudo {command}"
     return "install it anew, from the bundle or repository that it came from: sudo deploy/install.sh"
 

@@ -122,7 +122,7 @@ FAULTS = (
     Fault(
         "a state directory on a read-only file system",
         "mount --bind $state $state; mount -o remount,bind,ro $state",
-        "is on a file system that is read-only",
+        "is a file system that is read-only",
         then="systemctl stop $service; umount $state; systemctl start $service",
     ),
     Fault(
@@ -147,8 +147,8 @@ FAULTS = (
     Fault(
         "a state directory in memory", _MEMORY.format("mode=700"), "is on tmpfs, which a boot empties", by_hand=_BACK
     ),
-    Fault("a state directory on a full disk", _MEMORY.format("size=1m"), "MB free on its disk", by_hand=_BACK),
-    Fault("no inodes for the state directory", _MEMORY.format("nr_inodes=20"), "files left on its disk", by_hand=_BACK),
+    Fault("a state directory on a full disk", _MEMORY.format("size=1m"), "MB free", by_hand=_BACK),
+    Fault("no inodes for the state directory", _MEMORY.format("nr_inodes=20"), "has room for", by_hand=_BACK),
     # the device
     Fault("no udev rule", "rm $rules", "60-hexapod-gateway.rules is missing"),
     Fault("another udev rule", "echo >$rules", "60-hexapod-gateway.rules is not as this release has it"),

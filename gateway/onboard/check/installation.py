@@ -13,8 +13,10 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
+import gateway
 from gateway import certs
 from gateway.errors import ConfigError
+from gateway.onboard import whole
 from gateway.onboard.check import release
 from gateway.onboard.check.release import names
 from gateway.onboard.check.table import (
@@ -31,6 +33,8 @@ from gateway.onboard.check.table import (
 )
 
 STATE_FOLDER: Final = f"/var/lib/{SERVICE}"
+TEMPLATE: Final = Path(gateway.__file__).parent / "deploy/gateway.toml"
+"""Has each setting with its default."""
 _NEEDED: Final = ("spi", "dialout", SERVICE)
 """Groups of the unit."""
 _MOST_FILES: Final = 20_000
@@ -101,10 +105,35 @@ def _drop_ins(robot: CheckedRobot) -> Iterator[Seen]:
         )  # fmt: skip
 
 
+def _variables(robot: CheckedRobot) -> Iterator[Seen]:
+    """Those of the service that neither its unit nor a drop-in has: systemd's own, or of the process that runs."""
+    process = text(robot.path(f"proc/{robot.unit.get('MainPID', 0)}/environ")).replace("\0", " ")
+    theirs = set(_OURS.findall(f"{robot.manager.get('Environment', '')} {process}"))
+    for name in sorted(theirs - set(_OURS.findall(robot.unit.get("Environment", "")))):
+        yield Seen(name=name)
+
+
+def _new_settings(robot: CheckedRobot) -> Seen | None:
+    """Those that this release has and gateway.toml does not mention, with or without a #."""
+    mentioned, known = _mentioned(text(robot.path(f"{ETC}/gateway.toml"))), _mentioned(text(TEMPLATE))
+    new = sorted(known - mentioned) if mentioned else []
+    return Seen(new=", ".join(new)) if new else None
+
+
+def _mentioned(toml: str) -> set[str]:
+    section, found = "", set[str]()
+    for line in toml.splitlines():
+        if head := re.match(r"(?:# )?\[([\w.]+)\]", line):
+            section = f"{head[1]}."
+        elif name := re.match(r"(?:# ?)?([a-z_.]+) *= ", line):
+            found.add(name[1] if "." in name[1] else section + name[1])
+    return found
+
+
 def _users(robot: CheckedRobot) -> Iterator[Seen]:
     """The user, and each group that is missing."""
-    there = {each.gr_name for each in grp.getgrall()}
-    yield Seen(missing=robot.service is None, group="")
+    there, again = {each.gr_name for each in grp.getgrall()}, whole.how_to_repeat(robot.path(whole.INSTALLED).resolve())
+    yield Seen(missing=robot.service is None, group="", again=again)
     yield from (Seen(missing=False, group=each) for each in _NEEDED if robot.service and each not in there)
 
 
@@ -203,7 +232,7 @@ UNIT: Final = Probe("systemd unit", _unit, (
 PROBES: Final = (
     *release.PROBES,
     Probe("user", _users, (
-        failure(lambda r: r.missing, f"there is no user {SERVICE}, so {_CANNOT_START}", INSTALL),
+        failure(lambda r: r.missing, f"there is no user {SERVICE}, so {_CANNOT_START}", "{again}"),
         failure(lambda r: r.group, f"there is no group {{group}}, so {_CANNOT_START}",
                 f"sudo groupadd --system {{group}} && sudo usermod -aG {{group}} {SERVICE} && sudo chgrp {{group}} "
                 f"/dev/spidev* && {RESTART}"),
@@ -223,6 +252,12 @@ PROBES: Final = (
         warning(lambda r: r.depends, "{path} changes what Stops depend on: {depends}",
                 f"if nobody knows why, stop the robot, then put it aside: {_ASIDE}"),
     ), "{path} sets {keys}"),
+    Probe("variable", _variables, (
+        warning(lambda _: True, "{name} is in the service's environment, and neither its unit nor a drop-in sets it",
+                "take it out of DefaultEnvironment= in /etc/systemd/system.conf if it is there; stop the robot, then: "
+                f"sudo systemctl daemon-reexec; sudo systemctl unset-environment {{name}}; {RESTART}"),
+    )),
+    Probe("settings", _new_settings, (), f"{ETC}/gateway.toml does not mention these, whose defaults hold: {{new}}"),
     Probe("state", _state, (
         failure(lambda r: not r.is_folder, f"{STATE_FOLDER} is no folder: {_CANNOT_START}",
                 f"sudo mv {STATE_FOLDER} {STATE_FOLDER}.old && {RESTART}"),

@@ -76,6 +76,11 @@ class CheckedRobot:
         return shown(SERVICE)
 
     @cached_property
+    def manager(self) -> Mapping[str, str]:
+        """What systemd shows of the environment that it gives to all services."""
+        return shown("--property=Environment")
+
+    @cached_property
     def service(self) -> tuple[int, int] | None:
         """User and group of the service; None where there is no such user."""
         with suppress(KeyError):

@@ -206,6 +206,7 @@ FACTS = (
     *facts(named("private key"), SOME,
            ({"exposed": True}, "others than root and the service may read a.py"),
            ({"exposed": False}, "a.py is the authority's key … sudo shred -u /opt/R/a.py")),
+    *facts(named("variable"), {"name": "A"}, ({}, "A is in the service's environment … sudo systemctl daemon-reexec")),
     *facts(named("Wi-Fi"), {"wifi": "wlan0"}, ({"saves": True}, "warning Wi-Fi: wlan0 saves power … sudo tee")),
     *facts(wire.POWER[1], {"path": "can0"}, ({"kept": False}, "can0 is switched on until the next boot only")),
 )

@@ -53,6 +53,7 @@ class Installed(CheckedRobot):
         super().__init__(root=root)
         self.service = os.getuid(), os.getgid()
         self.unit: dict[str, str] = dict(UP)
+        self.manager: dict[str, str] = {}
 
     def drop_in(self, text: str) -> None:
         path = self.path(DROP_IN)
@@ -77,6 +78,10 @@ class Installed(CheckedRobot):
     def file_for_folder(self) -> None:
         (self.root / STATE).rmdir()
         self.write(STATE)
+
+    def runs(self, variables: str) -> None:
+        self.write("proc/7/environ", variables)
+        self.shown(MainPID="7")
 
     def forget_python(self) -> None:
         self.write("x", "#!/usr/bin/python3.1 -I\n", 0o755)
@@ -106,6 +111,9 @@ PLANTED: tuple[tuple[Plant, str], ...] = (
     (lambda robot: robot.drop_in("User=root\nNice=3"), "changes what Stops depend on: Nice, User"),
     (lambda robot: robot.drop_in("Environment=A=1 PYTHONPATH=/x\nMemoryMax=64M"), "depend on: MemoryMax, PYTHONPATH"),
     (lambda robot: robot.drop_in("ExecStopPost=\nExecStopPost=/opt/x \\\n  stop-servos"), "depend on: ExecStopPost"),
+    (lambda robot: robot.runs("A=1\0HEXAPOD_SPI__FRAMING=plain\0"), "HEXAPOD_SPI__FRAMING is in the service's env"),
+    (lambda robot: robot.manager.update(Environment="PATH=/bin HEXAPOD_LOG__LEVEL=debug"), "HEXAPOD_LOG__LEVEL is in"),
+    (lambda robot: robot.runs("PYTHONPATH=/x\0"), "PYTHONPATH is in the service's environment"),
     (lambda robot: robot.file_for_folder(), "is no folder"),
     (lambda robot: robot.path(STATE).chmod(0o500), "is not the service's to write"),
     (lambda robot: robot.write(f"{STATE}/a", mode=0o400), "not the service's to read and write: a"),
@@ -117,6 +125,7 @@ FINE: tuple[Plant, ...] = (
     lambda _: None,
     lambda robot: robot.drop_in("# ExecStopPost=\n;User=root\nCPUWeight=9"),
     lambda robot: robot.drop_in("Environment=LANG=C"),
+    lambda robot: robot.write("etc/hexapod-gateway/gateway.toml", "[spi]\nframing = 7\n"),
 )
 
 
@@ -143,6 +152,14 @@ def test_what_is_well_is_no_line(plant: Plant, tmp_path: Path) -> None:
     robot = Installed(tmp_path)
     plant(robot)
     assert found(robot) == []
+
+
+def test_settings_that_are_new_are_named(tmp_path: Path) -> None:
+    robot = Installed(tmp_path)
+    text = installation.TEMPLATE.read_text()
+    robot.write("etc/hexapod-gateway/gateway.toml", text.replace("# max_age_ms = ", "# ").replace("# speed_hz =", "#"))
+    (line,) = (each for each in results(PROBES, robot) if each.name == "settings")
+    assert line.sentence.endswith("whose defaults hold: limits.max_age_ms, spi.speed_hz")
 
 
 def test_a_state_directory_in_memory_is_known() -> None:
