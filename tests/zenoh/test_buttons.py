@@ -84,22 +84,6 @@ def test_a_program_is_a_button_and_its_silence_stops_all_legs(robot: Client) -> 
     assert heard.wait(lambda event: event.kind == Kind.BUTTON_LEFT).source == "kitchen"
 
 
-def test_a_press_is_the_emergency_stop_by_the_buttons_name(gateway: Gateway) -> None:
-    with gateway.client(source="a program") as robot, robot.button("door") as button:
-        assert button.press().stop_frames == len(LEGS)
-        assert robot.state().estop_source == "door"
-        assert robot.reset().accepted is False, "nobody is alive"
-        button.alive()
-        assert robot.reset().accepted
-
-
-def test_a_put_is_rejected_with_a_sentence(robot: Client) -> None:
-    heard = events(robot)
-    robot.session.put(keys.BUTTON, json.dumps({"do": "register", "source": "kitchen"}))
-    rejected = heard.wait(lambda event: event.kind == Kind.COMMAND_REJECTED)
-    assert rejected.detail == "hexapod/button/cmd takes get only: a check-in without an answer does not count"
-
-
 def test_after_a_restart_all_register_anew_and_nothing_moves_before(tmp_path: Path) -> None:
     settings = {**SETTINGS, "zenoh": {"listen": [f"tcp/127.0.0.1:{free_port()}"]}}
     with Gateway(tmp_path, settings) as first, first.client(source="kitchen") as robot:

@@ -57,26 +57,6 @@ def test_the_landing_pose_is_where_the_running_servos_stand(gateway: Gateway, an
     assert all(servo.running for servo in anna.state().legs[0].servos), "it stops nobody, and needs no lease for that"
 
 
-def test_a_broken_file_is_shown_and_replaced_by_the_default_once_somebody_says_so(tmp_path: Path) -> None:
-    kept = tmp_path / "calibration.toml"
-    kept.write_text("half a fi")
-    with Gateway(tmp_path, {"state": {"path": str(kept.parent)}}) as gateway:
-        asked = gateway.run("calibrate", "accept-default")
-        assert asked.returncode == 1
-        assert "calibration.toml: is not TOML" in asked.stdout
-        landing = gateway.run("calibrate", "landing", "--yes")
-        assert landing.returncode == 1
-        assert "calibrate accept-default" in landing.stdout
-        end = gateway.run("calibrate", "accept-default", "--yes")
-        assert end.returncode == 0, str(end)
-        with gateway.client() as client:
-            assert client.start_leg(1, 1, 2, 3).accepted
-        again = gateway.run("calibrate", "accept-default", "--yes")
-        assert again.returncode == 0
-        assert again.stdout.startswith("there is nothing to accept: revision ")
-    assert (tmp_path / "calibration.broken.toml").read_text() == "half a fi"
-
-
 def test_what_was_exported_comes_back_whole(gateway: Gateway, anna: Client, tmp_path: Path) -> None:
     assert anna.calibrate({51: ServoChange(trim_deg=2, inverted=True)}, {51: 30}).accepted
     file = tmp_path / "robot.json"

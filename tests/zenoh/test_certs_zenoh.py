@@ -4,7 +4,7 @@ Nothing is proved by waiting for nothing: what must not arrive is followed, on t
 """
 
 import datetime as dt
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +16,7 @@ from gateway import certs
 from gateway.certs import authority
 from gateway.certs.files import read_certificate, read_key
 from tests.support.gateway_process import free_port
-from tests.support.zenoh_actor import Remote, RemoteError
+from tests.support.zenoh_actor import Remote
 
 # Good for the gateway's certificate; "localhost" is not among them: the wrong name for a machine that answers to it.
 HOST = "127.0.0.1"
@@ -203,41 +203,6 @@ def test_a_certificate_without_a_role_commands_nothing(robot: SecuredRobot, role
 # --- those whom TLS turns away
 
 
-@pytest.fixture(scope="module")
-def outsider() -> Iterator[Remote]:
-    with Remote() as laptop:
-        yield laptop
-
-
-def turned_away(robot: SecuredRobot, outsider: Remote, overrides: Mapping[str, object], name: str = "alice") -> None:
-    """Without TLS's consent no session opens; with alice's own files, right after, one does."""
-    with pytest.raises(RemoteError, match="Unable to connect to any of"):
-        outsider.open(str(robot.folder / f"{name}.json5"), {**absolute(robot.folder, name), **overrides}, False)
-    zid = robot.join(outsider, "alice")
-    outsider.leave()
-    assert robot.gateway.wait_gone(zid)
-
-
-@pytest.mark.parametrize(
-    "how", ["no certificate", "a certificate of another CA", "a gateway of another CA", "plain TCP"]
-)
-def test_who_is_turned_away(robot: SecuredRobot, outsider: Remote, tmp_path: Path, how: str) -> None:
-    """Even who trusts the gateway, and calls himself operator; and a laptop talks to no robot that it does not know."""
-    certs.folder.init(tmp_path / "E", [HOST])
-    certs.folder.issue(tmp_path / "E", "eve", "operator")
-    overrides: dict[str, dict[str, object]] = {
-        "no certificate": {
-            f"{TLS}/enable_mtls": False, f"{TLS}/connect_certificate": None, f"{TLS}/connect_private_key": None
-        },
-        "a certificate of another CA": {
-            **absolute(tmp_path / "E", "eve"), f"{TLS}/root_ca_certificate": str(robot.folder / "ca.pem")
-        },
-        "a gateway of another CA": {f"{TLS}/root_ca_certificate": str(tmp_path / "E" / "ca.pem")},
-        "plain TCP": {"connect/endpoints": [f"tcp/{HOST}:{robot.port}"], "transport/link/protocols": ["tcp"]},
-    }  # fmt: skip
-    turned_away(robot, outsider, overrides[how])
-
-
 def test_a_link_ends_when_its_certificate_expires(robot: SecuredRobot) -> None:
     forge(robot.folder, "brief", "operator-41", now() - dt.timedelta(days=1, seconds=-3))
     with Remote() as brief:
@@ -252,15 +217,6 @@ def test_a_link_ends_when_its_certificate_expires(robot: SecuredRobot) -> None:
 
 def now() -> dt.datetime:
     return dt.datetime.now(dt.UTC)
-
-
-def absolute(folder: Path, name: str) -> dict[str, object]:
-    """The paths of NAME.json5 made absolute by hand: past the checks that our own programs make before they open."""
-    return {
-        f"{TLS}/root_ca_certificate": str(folder / "ca.pem"),
-        f"{TLS}/connect_certificate": str(folder / f"{name}.pem"),
-        f"{TLS}/connect_private_key": str(folder / f"{name}.key"),
-    }
 
 
 def forge(folder: Path, name: str, common_name: str, made: dt.datetime | None = None) -> None:

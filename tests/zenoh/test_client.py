@@ -4,7 +4,6 @@ import doctest
 import json
 import os
 import sys
-import threading
 from pathlib import Path
 from queue import SimpleQueue
 from types import FrameType, ModuleType
@@ -18,7 +17,7 @@ from gateway.client import Client, leg_payload
 from gateway.errors import UnansweredError, ZenohError
 from gateway.people.client import blocking, lease, stream
 from schemas import keys
-from schemas.telemetry import Ack, Event, GatewayState, Mode, Telemetry
+from schemas.telemetry import Ack, Telemetry
 from tests.support.child import Child
 from tests.support.fixtures import client_fixture, gateway_fixture
 from tests.support.gateway_process import Gateway, free_port
@@ -47,31 +46,6 @@ robot = client_fixture("test", rests=True)
 def test_the_examples_run(gateway: Gateway, module: ModuleType, examples: int) -> None:
     failed, tried = doctest.testmod(module, extraglobs={"endpoint": gateway.endpoint, "Client": Client})
     assert (failed, tried) == (0, examples)
-
-
-def test_states_and_events_are_called_back(gateway: Gateway) -> None:
-    states: list[GatewayState] = []
-    events: list[Event] = []
-    active, rejected = threading.Event(), threading.Event()
-
-    def on_state(state: GatewayState) -> None:
-        states.append(state)
-        if state.mode is Mode.ACTIVE:
-            active.set()
-
-    def on_event(event: Event) -> None:
-        events.append(event)
-        rejected.set()
-
-    with Client(gateway.endpoint, source="a gait") as client:
-        subscribers = (client.on_state(on_state), client.on_event(on_event))
-        client.state()
-        client.publish(keys.leg_command(4), leg_payload("set", (1, 2, 3)))
-        assert rejected.wait(10)
-        assert (events[0].source, events[0].reason) == ("a gait", "servo_stopped")
-        client.start_leg(4, 1, 2, 3)
-        assert active.wait(10)
-        assert len(subscribers) == 2
 
 
 def test_what_the_robot_measures_is_asked_for_and_called_back() -> None:

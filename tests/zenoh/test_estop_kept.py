@@ -126,41 +126,7 @@ def test_engaged_left_and_engaged_at_once_is_engaged(gateway: Gateways) -> None:
     engaged_still(gateway.start(), 20)
 
 
-def test_a_flood_of_requests_costs_the_disk_few_writes_and_the_last_number_is_kept(gateway: Gateways) -> None:
-    with gateway.start().client() as client:
-        number, seen = press(client), set[int]()
-        until(lambda: is_kept(gateway.state, number))
-        begun = time.monotonic()
-        for _ in range(200):
-            number = press(client)
-            seen.add((gateway.state / ESTOP_FILE).stat().st_mtime_ns)
-        took_s = time.monotonic() - begun
-        until(lambda: is_kept(gateway.state, number))
-    assert len(seen) <= 3 + took_s / 0.1
-
-
-def test_an_end_in_order_keeps_the_last_number(gateway: Gateways) -> None:
-    """Which waits for its turn, behind that of the request before it."""
-    first = gateway.start()
-    with first.client() as client:
-        number = press(client)
-        until(lambda: is_kept(gateway.state, number))
-        for _ in range(3):
-            number = press(client)
-        first.child.send_signal(signal.SIGTERM)
-    assert first.child.wait(LATE_S) == 0
-    assert is_kept(gateway.state, number)
-
-
 # ---- the disk
-
-
-def test_without_a_state_directory_nothing_is_kept_and_the_log_says_so(tmp_path: Path) -> None:
-    with Gateway(tmp_path) as first, first.client() as client:
-        first.child.wait_for_output("an emergency stop is kept in memory only")
-        press(client)
-    with Gateway(tmp_path) as again, again.client() as client:
-        assert (client.state().mode, client.state().estop) == (Mode.IDLE, 0)
 
 
 @pytest.mark.parametrize("what", ["damaged", "missing", "full"])
@@ -203,22 +169,6 @@ def test_a_disk_that_goes_is_reported_and_an_emergency_stop_is_not_forgotten(gat
         assert not gateway.state.exists(), "nobody makes it anew"
         away.rename(gateway.state)
         until((gateway.state / ESTOP_FILE).exists)  # tried again within a second
-
-
-def test_an_end_that_is_not_kept_is_reported_and_engaged_again(gateway: Gateways) -> None:
-    first = gateway.start()
-    with first.client() as client:
-        heard = events(client)
-        press(client)
-        until(lambda: is_kept(gateway.state, 1))
-        durable.staged_for(gateway.state / LAST_FILE).symlink_to("/dev/full")
-        assert client.ask(keys.RESET, {"estop": 1}).accepted
-        event = heard.wait(lambda each: each.kind == Kind.ESTOP_NOT_KEPT, timeout_s=LATE_S)
-        assert "the end of the emergency stop is not kept, so a restart engages it again" in event.detail
-        assert "No space left on device" in event.detail
-        assert client.start_leg(3, 90, 90, 90).accepted
-    os.kill(first.child.pid, signal.SIGKILL)
-    engaged_still(gateway.start(), 1)
 
 
 def test_no_stop_waits_for_a_disk_that_hangs_while_it_runs(gateway: Gateways) -> None:

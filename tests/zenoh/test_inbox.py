@@ -1,7 +1,6 @@
 """Every key and every verb, through the real Zenoh from one process to another; and floods."""
 
 import json
-import threading
 from collections.abc import Iterator
 
 import pytest
@@ -13,7 +12,7 @@ from schemas.robot import LEGS, SERVO_IDS
 from schemas.telemetry import Ack, FrameRecord, Kind, Mode, Reason
 from tests.support.fixtures import gateway_fixture
 from tests.support.gateway_process import Gateway
-from tests.support.heard import events, frames, states
+from tests.support.heard import events, frames
 
 START = leg_payload("start", (90, 45, 120))
 
@@ -139,67 +138,3 @@ def test_an_unknown_key_is_rejected_by_both_verbs_and_the_next_command_works(cli
     event = heard.wait(lambda event: event.key == key, count=2)
     assert (event.kind, event.reason) == (Kind.COMMAND_REJECTED, Reason.INVALID)
     assert client.start_leg(3, 1, 2, 3).accepted
-
-
-class Flood:
-    """Publishes on one key as fast as one thread can, from a session of its own."""
-
-    def __init__(self, gateway: Gateway, key: str, payload: str) -> None:
-        self._client = gateway.client()
-        self._key, self._payload = key, payload
-        self._end = threading.Event()
-        self._thread = threading.Thread(target=self._run)
-        self.sent = 0
-
-    def _run(self) -> None:
-        publisher = self._client.session.declare_publisher(self._key)
-        while not self._end.is_set():
-            publisher.put(self._payload)
-            self.sent += 1
-
-    def __enter__(self) -> "Flood":
-        self._thread.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._end.set()
-        self._thread.join()
-        self._client.close()
-
-
-@pytest.mark.parametrize(
-    ("key", "payload"),
-    [
-        (keys.leg_command(1), json.dumps(leg_payload("set", (1, 2, 3)))),
-        (keys.leg_command(1), "{ not JSON"),
-        ("hexapod/nothing/cmd", "{}"),
-        (keys.RESET, "{}"),
-    ],
-)
-def test_a_flood_of_one_key_keeps_nothing_from_the_others(
-    gateway: Gateway, client: Client, key: str, payload: str
-) -> None:
-    client.start_leg(1, 1, 2, 3)
-    with Flood(gateway, key, payload) as flood:
-        assert client.start_leg(2, 1, 2, 3).accepted
-        accepted = sum(client.set_leg(2, count, 2, 3).accepted for count in range(100))
-        assert accepted == 100
-        assert client.estop().stop_frames == 6, "while the flood goes on"
-    assert flood.sent > 1000
-
-
-@pytest.mark.parametrize("expression", ["hexapod/**", "hexapod/*/cmd"])
-def test_who_lists_what_there_is_engages_no_emergency_stop_and_a_put_by_wildcard_does(
-    client: Client, expression: str
-) -> None:
-    before = client.state().estop
-    answers = [reply.ok for reply in client.session.get(expression, timeout=5) if reply.ok is not None]
-    (told,) = [answer.payload.to_string() for answer in answers if str(answer.key_expr) == keys.ESTOP]
-    assert (
-        Ack.model_validate_json(told).detail
-        == "a get by wildcard engages no emergency stop; get or put on " + keys.ESTOP
-    )
-    assert client.state().estop == before
-    heard = states(client)
-    client.session.put(expression, b"")
-    heard.wait(lambda state: state.estop == before + 1)

@@ -76,16 +76,3 @@ def test_a_laptop_without_a_black_box_says_so(tmp_path: Path, monkeypatch: pytes
         assert "the black box is off: " in child.stderr
         assert "`make run` and the installed service keep one" in child.stderr
     child.close()
-
-
-def test_no_token_of_a_lease_is_in_the_ring(gateway: Gateway, tmp_path: Path) -> None:
-    token = "0123456789abcdef" * 2
-    with gateway.client() as client:
-        leg = {"servos": [{"op": "start", "angle_deg": 90}] * 3, "lease": token}
-        client.session.put(LEG_3, json.dumps(leg))
-        client.session.put(LEG_3, json.dumps({**leg, "more": token}))
-        assert client.stop(3).accepted
-    ring = (tmp_path / "box" / "black-box").read_bytes()
-    assert LEG_3.encode() in ring
-    assert token.encode() not in ring
-    assert bytes.fromhex(token) not in ring

@@ -5,7 +5,6 @@ import select
 import shutil
 import signal
 import sys
-import threading
 from pathlib import Path
 
 import pytest
@@ -66,16 +65,3 @@ def test_what_does_not_want_to_end_is_killed(run: Run, monkeypatch: pytest.Monke
         run.close()
         assert run.processes() == set()
         assert stopped.wait() == -signal.SIGTERM
-
-
-def test_the_end_of_a_program_does_not_wait_for_what_it_has_started(run: Run) -> None:
-    """Which holds its output open, and may never end: a test that fails would hang here."""
-    child = Child(["sh", "-c", "sleep 1000 & echo ready; wait"], {"PATH": os.environ["PATH"]})
-    child.wait_for_output("ready")
-    closing = threading.Thread(target=child.close, daemon=True)
-    closing.start()
-    closing.join(LATE_S / 4)
-    waits = closing.is_alive()
-    run.close()
-    closing.join()
-    assert not waits

@@ -2,19 +2,17 @@
 
 import threading
 import time
-from contextlib import suppress
 from functools import partial
 
 import pytest
 import zenoh
 
-from gateway.client import Client, LeaseLostError, RejectedError, Stream, leg_payload
+from gateway.client import Client, LeaseLostError, Stream, leg_payload
 from gateway.model.frames import decode
 from schemas import keys
 from schemas.robot import LEGS
 from schemas.telemetry import Kind, Reason
 from tests.support.fixtures import client_fixture, gateway_fixture
-from tests.support.gateway_process import Gateway
 from tests.support.heard import events, frames, is_stop, running, states
 
 POSE = (90, 45, 120)
@@ -85,47 +83,6 @@ def test_a_stop_carries_no_token(anna: Client, bert: Client) -> None:
     assert not [payload for payload in asked.values() if b'"lease"' in payload]
     for each in declared:
         each.undeclare()
-
-
-def test_a_gait_goes_on_under_the_one_who_is_handed_it(gateway: Gateway, anna: Client, bert: Client) -> None:
-    """Neither the handover nor the end of the stream that handed over stops a leg."""
-    written = frames(bert)
-    handed = threading.Event()
-    asked: list[str] = []
-
-    def on_asked(who: str) -> None:
-        asked.append(who)
-        lease.hand_over(who)
-        handed.set()
-
-    walks, begun = threading.Event(), threading.Event()
-    lease = anna.lease(on_asked=on_asked)
-
-    def walk() -> None:
-        with lease, anna.stream(HZ) as stream:
-            with suppress(RejectedError):  # what is sent between the handover and its answer
-                while not handed.is_set():
-                    stream.set({1: POSE, 4: POSE})
-                    walks.set()
-            assert begun.wait(LATE_S)
-
-    walking = threading.Thread(target=walk)
-    walking.start()
-    assert walks.wait(LATE_S)
-    with bert.lease(wait_s=LATE_S) as theirs, bert.stream(HZ) as stream:
-        assert theirs.held
-        while walking.is_alive():
-            stream.set({1: (91, 45, 120), 4: (91, 45, 120)})
-            begun.set()
-        for _ in range(5):
-            stream.set({1: (92, 45, 120), 4: (92, 45, 120)})
-        stopped = [frame for frame in written.all if is_stop(frame)]
-        assert running(bert) == [1, 4]
-    walking.join(LATE_S)
-    assert asked == ["bert"]
-    assert not stopped
-    assert running(bert) == [], "the end of the stream of whoever drives does stop them"
-    del gateway
 
 
 def test_a_forced_take_stops_all_legs_and_ends_the_other_ones_gait(anna: Client, bert: Client) -> None:

@@ -1,6 +1,5 @@
 """The locks by which a gateway learns of `stop-servos`, between processes; and what the gateway then says."""
 
-import asyncio
 import os
 import subprocess
 import sys
@@ -9,13 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from gateway.model.frames import stop_leg
 from gateway.robot.spi import outside
 from gateway.robot.spi.outside import Listener, Notice
 from schemas import keys
-from schemas.robot import LEGS
-from schemas.telemetry import Kind, Mode, Reason
-from tests.support.robot import leg, started_and_quiet
 
 LEG_3 = keys.leg_command(3)
 
@@ -126,50 +121,3 @@ def test_what_a_vanished_device_does_not_say_is_not_known(device: Path, monkeypa
 
 
 # ---- what the gateway says
-
-
-class Seen:
-    """A device on which `stop-servos` is at work when the test says so."""
-
-    def __init__(self) -> None:
-        self.at_work = False
-
-    def __call__(self) -> bool:
-        return self.at_work
-
-
-@pytest.mark.virtual_time
-async def test_the_gateway_says_so_and_takes_its_servos_as_stopped(monkeypatch: pytest.MonkeyPatch) -> None:
-    robot = await started_and_quiet(rules={"repeats": 0})
-    seen = Seen()
-    monkeypatch.setattr(robot.controller, "stop_servos_at_work", seen)
-    robot.put(LEG_3, leg("start", 90, 90, 90))
-    robot.conductor.look_outside()
-    assert robot.mode == Mode.ACTIVE
-    robot.controller.transfers.clear()
-
-    seen.at_work = True
-    for _ in range(3):
-        robot.conductor.look_outside()
-    assert [frame for _, frame in robot.frames] == [stop_leg(number) for number in LEGS]
-    (event,) = robot.events(Kind.STOPPED_OUTSIDE)
-    assert event.detail == "stop-servos stopped all servos past the gateway; nothing moves until it is started again"
-    assert robot.states[-1].mode is Mode.IDLE
-    assert not any(servo.running for each in robot.states[-1].legs for servo in each.servos)
-    assert robot.ask(LEG_3, leg("set", 91, 91, 91)).reason is Reason.SERVO_STOPPED
-
-    seen.at_work = False
-    await asyncio.sleep(0.1)  # past the leg's rate limit, in virtual time
-    robot.conductor.look_outside()
-    assert robot.ask(LEG_3, leg("set", 91, 91, 91)).reason is Reason.SERVO_STOPPED
-    assert robot.ask(LEG_3, leg("start", 90, 90, 90)).accepted
-    assert robot.mode == Mode.ACTIVE
-
-
-@pytest.mark.virtual_time
-async def test_in_a_bus_fault_nobody_looks(monkeypatch: pytest.MonkeyPatch) -> None:
-    robot = await started_and_quiet()
-    monkeypatch.setattr(robot.controller, "stop_servos_at_work", lambda: True)
-    robot.conductor.bus.close()
-    robot.conductor.look_outside()
-    assert robot.events() == []

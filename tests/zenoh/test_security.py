@@ -1,6 +1,6 @@
 """Who may do what at the running gateway: with certificates, without, and with the wrong ones.
 
-Every way in which TLS turns somebody away is in test_certs_zenoh.py, and in test_diagnosis.py as a person reads of it.
+Every way in which TLS turns somebody away is in test_diagnosis.py, as a person reads of it.
 """
 
 import json

@@ -3,21 +3,17 @@
 import os
 import pty
 import subprocess
-import threading
 import time
 from contextlib import suppress
 from pathlib import Path
 
 import pytest
 
-from gateway.people.client.dangers import UNCONFIRMED
-from schemas import keys
-from schemas.telemetry import Kind, Mode
+from schemas.telemetry import Mode
 from tests.support.fixtures import gateway_fixture, patient
-from tests.support.gateway_process import COMMAND, Gateway, free_port
+from tests.support.gateway_process import COMMAND, Gateway
 from tests.support.heard import states
-from tests.support.published import event
-from tests.support.tmux import LATE_S, at_terminal
+from tests.support.tmux import LATE_S
 
 pytestmark = [pytest.mark.full, pytest.mark.attended]
 
@@ -65,29 +61,3 @@ def wait_for_stuck_writer(pid: int) -> None:
 
 
 _WRITE = {"x86_64": 1, "aarch64": 64}.get(os.uname().machine, 1)
-
-
-def test_a_stop_that_the_power_board_does_not_confirm_is_red(tmp_path: Path) -> None:
-    """This robot has no board, so each state ends the event's alarm: the event is published again until it is shown."""
-    listen = {"listen": [f"tcp/127.0.0.1:{free_port()}"]}
-    shown = threading.Event()
-    with (
-        Gateway(tmp_path, {"zenoh": listen}) as gateway,
-        gateway.client(source="watcher") as watcher,
-        at_terminal(tmp_path, "walk", gateway.endpoint) as terminal,
-    ):
-        terminal.wait("forward, backward")
-
-        def publish() -> None:
-            while not shown.wait(0.01):
-                watcher.session.put(keys.EVENT, event(Kind.POWER_UNCONFIRMED).model_dump_json())
-
-        publisher = threading.Thread(target=publish)
-        publisher.start()
-        try:
-            terminal.wait(UNCONFIRMED)
-        finally:
-            shown.set()
-            publisher.join()
-        terminal.press("C-c")
-        assert terminal.wait_for_end() == 0
