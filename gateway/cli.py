@@ -16,7 +16,7 @@ from gateway import __version__
 from gateway.errors import ConfigError, GatewayError
 from gateway.model.frames import PROTOCOL_VERSION
 from gateway.onboard import check_command, incidents, setup_command
-from gateway.people.commands import certs
+from gateway.people.commands import certs, walk
 from gateway.people.commands.options import (
     AdaptOption,
     ConfigOption,
@@ -26,7 +26,6 @@ from gateway.people.commands.options import (
     TimeoutOption,
     ZenohConfigOption,
 )
-from gateway.people.commands.walk import command as walk_command
 from gateway.people.console import calibrate_command
 from gateway.people.recorder import command as recorder
 from gateway.people.ros2 import command as bridge
@@ -319,7 +318,7 @@ app.add_typer(recorder.app)
 app.add_typer(incidents.app, name="incidents")
 app.add_typer(check_command.app)
 app.add_typer(setup_command.app)
-app.add_typer(walk_command.app)
+app.add_typer(walk.app)
 app.add_typer(bridge.app)
 
 send_app = typer.Typer(

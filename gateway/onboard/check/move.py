@@ -19,9 +19,8 @@ from gateway.model.protocols import SpiProtocol
 from gateway.model.telemetry import starts_whole
 from gateway.own_command import command
 from gateway.people.client.blocking import Client
-from gateway.people.commands.driving import drives, rejected
 from gateway.people.commands.moving import ServoMotion, consents, lying, ready, stopped_after
-from gateway.people.commands.reach import Connection, show_differences
+from gateway.people.commands.reach import Connection, drives, rejected, show_differences
 from gateway.people.terminal import ask, say
 from gateway.robot.spi.machine import SELECT_BY_GPIO
 from schemas.robot import LEGS, MAX_DEG, SERVO_IDS

@@ -13,9 +13,9 @@ from gateway.model.frames import centidegrees
 from gateway.own_command import command
 from gateway.people.client.blocking import Client
 from gateway.people.client.payloads import calibration_payload
-from gateway.people.commands import driving, reach
+from gateway.people.commands import reach
 from gateway.people.commands.reach import Connection
-from gateway.people.terminal import agrees, hint, say
+from gateway.people.terminal import NOBODY, ask, hint, say
 from schemas import calibration as wire
 from schemas import keys
 from schemas.robot import SERVO_IDS
@@ -208,9 +208,9 @@ def _change(client: Client, done: str, state: GatewayState, payload: Mapping[str
         if ack.reason in (Reason.NOT_HOLDER, Reason.NO_LEASE):
             ack = _when_free(client, payload)
     except LeaseError as error:
-        return driving.rejected(error)
+        return reach.rejected(error)
     if not ack.accepted:
-        return driving.rejected(ack)
+        return reach.rejected(ack)
     say(f"{done}: revision {client.calibration().revision}")
     if not state.calibration.kept:
         hint("The calibration is in memory only, and lost at a restart (state.path).")
@@ -239,11 +239,10 @@ def _angle(cdeg: int | None) -> str:
 
 
 def _agree(question: str) -> bool:
-    try:
-        agreed = agrees(question)
-    except ConfigError as error:
-        say(f"nothing is written: {error}")
+    if not sys.stdin.isatty():
+        say(f"nothing is written: {NOBODY}")
         return False
+    agreed = ask(f"{question} [y/N] ") in ("y", "yes")
     if not agreed:
         say("nothing is written")
     return agreed

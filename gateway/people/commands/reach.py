@@ -1,4 +1,5 @@
-"""Reaching the gateway from a command: where nobody answers, which step of the way fails; and whether it is at rest.
+"""Reaching the gateway from a command: where nobody answers, which step of the way fails; whether it is at rest; and
+the lease of commands that drive.
 
 A program's own `Client` raises at once when a question is not answered; a command ends then, so it has time to look.
 """
@@ -11,12 +12,12 @@ from functools import partial
 from pathlib import Path
 from typing import Final
 
-from gateway.errors import ConfigError, UnansweredError, ZenohError
+from gateway.errors import ConfigError, LeaseError, UnansweredError, ZenohError
 from gateway.host import effective, plain_settings
 from gateway.own_command import command
 from gateway.people.client.blocking import Client
-from gateway.people.terminal import hint
-from schemas.telemetry import GatewayState, Mode
+from gateway.people.terminal import hint, say
+from schemas.telemetry import Ack, GatewayState, Mode, Reason
 
 _WAIT: Final = "wait until it is idle"
 
@@ -75,3 +76,41 @@ def show_differences(config: Path | None = None) -> None:
     """Print where the file does not state what the service of this machine uses; nothing where none runs."""
     for each in effective.differs_here(config or plain_settings.DEFAULT_PATH):
         hint(each)
+
+
+@contextmanager
+def drives(client: Client, hold_s: float, *, moves: bool) -> Iterator[None]:
+    """Hold the lease for the time of a `with`, if something moves for `hold_s`.
+
+    Raises LeaseError where somebody else holds it.
+    """
+    if not moves or not hold_s:
+        yield
+        return
+    lease = client.lease(source=me())
+    try:
+        lease.acquire()
+    except UnansweredError:  # a gateway that knows of no lease
+        pass
+    except LeaseError as error:
+        if error.reason == Reason.LEASE_HELD:
+            raise
+        if error.reason == Reason.LEASE_DENIED:  # and not by an older gateway, which does not know the request
+            hint(f"It is sent without the lease: {error.detail}")
+    try:
+        yield
+    finally:
+        lease.release()
+
+
+def rejected(error: LeaseError | Ack) -> int:
+    """Print why it was rejected, and what can be done. Returns the exit code."""
+    say(f"rejected: {error.reason}: {error.detail}")
+    if error.reason in (Reason.NOT_HOLDER, Reason.LEASE_HELD):
+        hint(
+            f"Wait until it is free (`{command('status --follow')}`), or ask for it or take it on the console's "
+            "page. Stops work for everybody."
+        )
+    elif error.reason == Reason.NO_LEASE:
+        hint(f"This robot wants to know who drives: `{command('send … --hold S')}` holds the lease meanwhile.")
+    return 1

@@ -81,14 +81,12 @@ def send_stop(connect: Connection) -> int:
 
 def _send(connect: Connection, key: str, payload: dict[str, object], *, moves: bool, hold_s: float) -> int:
     """Send an acknowledged command, repeat it for `hold_s`, and print the result. Returns the exit code."""
-    from gateway.people.commands import driving  # a Stop does not wait for what this loads
-
     with connect() as client:
         try:
-            with driving.drives(client, hold_s, moves=moves):
+            with reach.drives(client, hold_s, moves=moves):
                 code = _send_for(client, key, payload, moves=moves, hold_s=hold_s)
         except LeaseError as error:
-            code = driving.rejected(error)
+            code = reach.rejected(error)
         _warn_of_others(client, key)
         return code
 
@@ -183,6 +181,4 @@ def command_report(ack: Ack, accepted: str, look: Callable[[], GatewayState]) ->
         if alarm := _alarm(ack, look):
             say(alarm)
         return 1 if alarm else 0
-    from gateway.people.commands import driving
-
-    return driving.rejected(ack)
+    return reach.rejected(ack)

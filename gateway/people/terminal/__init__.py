@@ -1,23 +1,15 @@
-"""What a command prints (results on stdout, remarks on stderr), what it asks, and how it is asked to end.
+"""What a command prints (results on stdout, remarks on stderr), what it asks, and how it is asked to end."""
 
-`screen` is the frame of programs that fill the terminal.
-"""
-
-import importlib.util
 import shutil
 import signal
 import sys
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
-from typing import Final, Self
+from typing import Final
 
-from gateway.errors import ConfigError, GatewayError
 from gateway.text import visible
 
-_REDRAW_S: Final = 0.2
-"""How often a line of progress changes."""
 NOBODY: Final = "this is no terminal, so nobody can be asked; --yes agrees"
 
 
@@ -25,27 +17,6 @@ def say(text: str) -> None:
     """A line of result, on stdout. It may contain foreign text."""
     sys.stdout.write(f"{visible(text)}\n")
     sys.stdout.flush()
-
-
-class Progress:
-    """One line on the terminal that changes while something takes long; nothing where there is no terminal."""
-
-    def __init__(self) -> None:
-        self._shown_s = time.monotonic()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """Clear the line."""
-        clear_line()
-
-    def show(self, text: str) -> None:
-        """Show this, unless something was shown just now."""
-        now_s = time.monotonic()
-        if now_s - self._shown_s >= _REDRAW_S:
-            self._shown_s = now_s
-            show_line(text)
 
 
 def show_line(text: str) -> None:
@@ -67,31 +38,11 @@ def hint(text: str) -> None:
     sys.stderr.flush()
 
 
-def check_terminal(
-    program: str, otherwise: str, *, on_windows: str = "", error: type[GatewayError] = GatewayError
-) -> None:
-    """Raises `error` where the program cannot fill this terminal.
-
-    `otherwise` continues the sentence with what to do instead.
-    """
-    if importlib.util.find_spec("termios") is None:
-        raise error(f"{program} needs a Unix terminal; on Windows, run it in WSL{on_windows}")
-    if not (sys.stdin.isatty() and sys.stdout.isatty()):
-        raise error(f"{program} needs a terminal{otherwise}")
-
-
 def ask(question: str) -> str:
     """One typed line, in lower case; "" at the end of the input."""
     sys.stderr.write(question)
     sys.stderr.flush()
     return sys.stdin.readline().strip().lower()
-
-
-def agrees(question: str, *, nobody: str = NOBODY) -> bool:
-    """Whether a person answers yes. Raises ConfigError, with the sentence `nobody`, where stdin is no terminal."""
-    if not sys.stdin.isatty():
-        raise ConfigError(nobody)
-    return ask(f"{question} [y/N] ") in ("y", "yes")
 
 
 @contextmanager

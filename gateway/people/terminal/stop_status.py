@@ -17,7 +17,6 @@ class Tone(StrEnum):
     """How a sentence is meant."""
 
     GOOD = "good"
-    NOTE = "note"
     BAD = "bad"
 
 
@@ -79,19 +78,16 @@ class StopStatus:
         """The person asks for the reset, so no Stop is wanted."""
         self.wanted_ns = self.outcome = None
 
-    def alarm(self, now_ns: int, *, live: bool = False) -> str | None:
-        """The alarm about a Stop that nobody confirms, or None. `live`: whether the gateway still publishes."""
+    def alarm(self, now_ns: int) -> str | None:
+        """The alarm about a Stop that nobody confirms, or None."""
         if self.wanted_ns is None or (not self._tries and now_ns - self.wanted_ns < PATIENCE_NS):
             return None
-        why = "trying again"
-        if live:
-            why = "the gateway runs but does not take it (an observer's certificate may not stop)"
         waited_s = (now_ns - self.wanted_ns) / 1e9
-        return f"NOT STOPPED, NO ANSWER for {waited_s:.0f} s: switch the servos' power off; {why}"
+        return f"NOT STOPPED, NO ANSWER for {waited_s:.0f} s: switch the servos' power off; trying again"
 
-    def remark(self, now_ns: int, *, live: bool = False) -> Remark | None:
+    def remark(self, now_ns: int) -> Remark | None:
         """The sentence to show: a Stop that is not confirmed, or what became of the last one."""
-        if (alarm := self.alarm(now_ns, live=live)) is not None:
+        if (alarm := self.alarm(now_ns)) is not None:
             return Remark(Tone.BAD, alarm)
         if self.wanted_ns is not None:
             return Remark(Tone.BAD, "EMERGENCY STOP sent, waiting for its confirmation")

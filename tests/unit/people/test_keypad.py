@@ -2,7 +2,7 @@
 
 import pytest
 
-from gateway.people.commands.walk.keypad import REPEATED_S, SPEEDS, Keypad
+from gateway.people.commands.walk.screen import REPEATED_S, SPEEDS, Keypad
 from gateway.people.walking import STILL
 
 

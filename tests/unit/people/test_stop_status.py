@@ -4,7 +4,7 @@ import pytest
 from rich.cells import cell_len
 from rich.text import Text
 
-from gateway.people.terminal.screen import SMALL_ROWS, fitted
+from gateway.people.commands.walk.screen import SMALL_ROWS, fitted
 from gateway.people.terminal.stop_status import PATIENCE_NS, SHOWN_NS, Remark, StopStatus, Tone
 from schemas.telemetry import Ack
 
@@ -75,11 +75,11 @@ def test_a_reset_takes_the_stop_back() -> None:
 @pytest.mark.parametrize("tone", Tone)
 def test_what_a_small_terminal_shows(columns: int, rows: int, tone: Tone) -> None:
     """Its Stop key in the last row; but a Stop that is not confirmed goes before all else."""
-    picture = fitted([Text("猫 and more")] * 30, Text("  q: quit"), columns, rows, Remark(tone, "NOT STOPPED"))
+    picture = fitted([Text("猫 and more")] * 30, columns, rows, Remark(tone, "NOT STOPPED"))
     shown = picture.plain.split("\n")
     assert len(shown) == rows
     assert max(map(cell_len, shown)) <= columns
-    alarm, keys = " NOT STOPPED "[:columns], " SPACE or e: EMERGENCY STOP   q: quit"[:columns]
+    alarm, keys = " NOT STOPPED "[:columns], " SPACE or e: EMERGENCY STOP "[:columns]
     first = alarm if tone is Tone.BAD and rows < SMALL_ROWS else keys if rows == 1 else "猫 and more"[: columns - 1]
     assert shown[0].rstrip() == first.rstrip()
     assert shown[-1] == (keys if rows > 1 else first)

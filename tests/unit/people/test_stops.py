@@ -3,7 +3,7 @@
 from queue import SimpleQueue
 
 from gateway.errors import DisconnectedError
-from gateway.people.client.until_confirmed import UntilConfirmed
+from gateway.people.client.confirmed_stop import UntilConfirmed
 from schemas.telemetry import Ack
 
 STOPPED = Ack(accepted=True, stop_frames=6, latency_us=800.0)

@@ -12,9 +12,8 @@ from gateway.errors import ConfigError, GatewayError
 from gateway.model.telemetry import starts_whole
 from gateway.onboard.check.stops.bench import Bench, FailedError, Figures, Skipped
 from gateway.onboard.check.stops.steps import STEPS, CheckStep
-from gateway.people.commands.driving import drives
 from gateway.people.commands.moving import ServoMotion, consents, lying, ready, stopped_after
-from gateway.people.commands.reach import Connection, show_differences
+from gateway.people.commands.reach import Connection, drives, show_differences
 from gateway.people.terminal import NOBODY, hint, on_end_signals, rows, say
 from schemas.telemetry import Mode
 

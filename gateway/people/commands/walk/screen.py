@@ -1,27 +1,71 @@
-"""The terminal of `walk`: keys, the robot and drawing on a thread each, so that none waits for another."""
+"""The terminal of `walk`: keys, Stops, the robot and drawing on a thread each, so that none waits for another.
 
+The Stop key works while the terminal takes no more output, and while the gateway is frozen.
+"""
+
+import importlib.util
 import math
+import os
 import queue
+import select
+import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Final
 
+from rich.console import Console
+from rich.live import Live
 from rich.text import Text
 
 from gateway.errors import GatewayError, LeaseError, ZenohError
 from gateway.people.client.blocking import Client
+from gateway.people.client.confirmed_stop import UntilConfirmed
+from gateway.people.client.subscriptions import reports, subscribed
 from gateway.people.client.walk import Walk
-from gateway.people.commands import driving, reach
+from gateway.people.commands import reach
 from gateway.people.commands.reach import Connection
-from gateway.people.commands.walk.keypad import Keypad
 from gateway.people.commands.walk.script import went
-from gateway.people.terminal import check_terminal
-from gateway.people.terminal.screen import STYLES, Screen, fitted
-from gateway.people.walking import GAITS, Velocity, ground_now
+from gateway.people.terminal import hint
+from gateway.people.terminal.keyboard import Keyboard, keys_at_once, wake_on_signals
+from gateway.people.terminal.stop_status import Remark, StopStatus, Tone
+from gateway.people.walking import GAITS, STILL, Velocity, ground_now
 from gateway.text import visible
-from schemas.telemetry import Mode
+from schemas import keys as wire
+from schemas.telemetry import Ack, Event, GatewayState, Mode
+
+FRAME_S: Final = 0.1
+"""Ages count up, so it draws ten times a second."""
+LEAST_FRAME_S: Final = 0.03
+"""Shortest time between two pictures, however much happens: drawing must not load the robot's computer."""
+DRAWER_END_S: Final = 0.5
+SMALL_ROWS: Final = 4
+"""In a terminal with fewer rows, a Stop that is not confirmed replaces everything else."""
+STOP_KEYS: Final = frozenset(" eExX")
+_ALARM: Final = "bold white on red"
+_STYLES: Final = {Tone.GOOD: "bold green", Tone.BAD: _ALARM}
+_READ: Final = 4096
+"""All that a terminal keeps: keys that were pressed while this program could not run count as one reading."""
+PRESSED_S: Final = 0.7
+"""How long a key counts when it is pressed: until the terminal repeats it, which takes up to 0.66 s (X11's default)."""
+REPEATED_S: Final = 0.2
+"""How long it counts after a repetition; these come every 30 to 90 ms."""
+SPEEDS: Final = (0.02, 0.04, 0.06, 0.08, 0.1, 0.12)
+"""m/s; the turning goes with it."""
+_TURN: Final = 4.0
+"""rad/s for each m/s."""
+_DIRECTIONS: Final = {
+    "w": Velocity(1, 0, 0),
+    "up": Velocity(1, 0, 0),
+    "s": Velocity(-1, 0, 0),
+    "down": Velocity(-1, 0, 0),
+    "a": Velocity(0, 1, 0),
+    "d": Velocity(0, -1, 0),
+    "left": Velocity(0, 0, _TURN),
+    "right": Velocity(0, 0, -_TURN),
+}
 
 _TICK_S: Final = 0.02
 KEYS_HOLD_S: Final = 0.25
@@ -37,17 +81,61 @@ _KEYS: Final = f"""
   t         stand     c  sit down      q       sit down, stop and leave
                                        g       go on after a stop (a person's word)
 """
+NOT_STOPPED: Final = "The emergency stop was NOT confirmed: switch the servos' power off."
 _UNCONFIRMED: Final = "Nobody has confirmed that the legs are stopped: if they hold, switch the servos' power off."
 
 
-class WalkScreen(Screen):
-    """Drives the robot from the keyboard until q."""
+class Keypad:
+    """The velocity of the key that was pressed last, for as long as it counts. Pure.
+
+    A terminal reports presses and repetitions of a key, never its release.
+    """
+
+    def __init__(self) -> None:
+        self._key = ""
+        self._until_s = 0.0
+        self._speed = SPEEDS.index(0.06)
+
+    @property
+    def speed_m_s(self) -> float:
+        """The speed that a held key commands."""
+        return SPEEDS[self._speed]
+
+    def press(self, key: str, now_s: float) -> bool:
+        """Take a key. Returns whether it belongs to the pad; any other key releases the held one."""
+        key = key.lower()
+        if key in ("+", "=", "-"):
+            self._speed = max(0, min(len(SPEEDS) - 1, self._speed + (-1 if key == "-" else 1)))
+            return True
+        if key not in _DIRECTIONS:
+            self.release()
+            return False
+        repeated = key == self._key and now_s < self._until_s
+        self._key = key
+        self._until_s = now_s + (REPEATED_S if repeated else PRESSED_S)
+        return True
+
+    def release(self) -> None:
+        """From now on no key is held."""
+        self._key = ""
+
+    def velocity(self, now_s: float) -> Velocity:
+        """The velocity that the held keys command now."""
+        if not self._key or now_s >= self._until_s:
+            return STILL
+        return _DIRECTIONS[self._key].times(self.speed_m_s)
+
+
+class WalkScreen:
+    """Drives the robot from the keyboard until q, a signal or a fault.
+
+    Where drawing fails it ends: an old picture must not pass for the present state.
+    """
 
     def __init__(
         self, client: Client, holder: str, gait: str, geometry: Path | None, terrain: str, height_m: float | None
     ) -> None:
         """`holder`: our name as the lease has it."""
-        super().__init__(client.estop)
         self._client = client
         self._holder = holder
         self._walk: Walk = client.walk(gait, geometry, terrain=terrain)
@@ -60,31 +148,93 @@ class WalkScreen(Screen):
         self._sits = False
         self._legs_stopped = True
         """Whether the Stops at the end are confirmed, or none was needed."""
+        self._failures: list[str] = []
+        self._lock = threading.Lock()
+        """Of what is shown. Held for moments only."""
+        self._changed = threading.Event()
+        """Set to draw soon."""
+        self._stop = StopStatus()
+        self._stops = UntilConfirmed(client.estop, self._stop_answered)
+        self._noted = threading.Event()
+        """Whether `_stop` knows of the newest press."""
+        self._ended = threading.Event()
+        self._wake = -1
+        # The terminal's own size: what a shell has exported of it is not that of a window that was made smaller since.
+        environ = {name: value for name, value in os.environ.items() if name not in ("COLUMNS", "LINES")}
+        self._console = Console(_environ=environ)
+        self._live = Live(console=self._console, screen=True, auto_refresh=False, redirect_stderr=False)
 
     def run(self) -> int:
         """Until q (it sits down first), Ctrl-C or a signal (it is stopped at once). Returns the exit code."""
         self._walk.open()
         self._walk.hold_s, self._walk.rest_s = KEYS_HOLD_S, KEYS_REST_S
-        with self.receives(self._client.session):
-            return self.show()
+        taken = {wire.STATE: reports(GatewayState, self._take_state), wire.EVENT: reports(Event, self._take_event)}
+        terminal, drawer = sys.stdin.fileno(), threading.Thread(target=self._draw, name="draw", daemon=True)
+        with (
+            subscribed(self._client.session, taken),
+            keys_at_once(terminal),
+            wake_on_signals() as (woken, self._wake),
+        ):
+            threading.Thread(target=self._drive, name="drive", daemon=True).start()
+            drawer.start()
+            try:
+                self._read_keys(terminal, woken)
+            finally:
+                self._driven.set()
+                try:
+                    self._walk.close(sits=self._sits)
+                except GatewayError as error:
+                    self._legs_stopped = not isinstance(error, ZenohError)
+                    self._failures.append(str(error))
+                finally:
+                    self._ended.set()
+                    self._changed.set()
+                    drawer.join(DRAWER_END_S)
+        return 1 if self._failures else 0
 
-    def begin(self) -> None:
-        threading.Thread(target=self._drive, name="drive", daemon=True).start()
+    @contextmanager
+    def _changes(self) -> Iterator[None]:
+        """What is shown changes: with the lock, and drawn soon."""
+        with self._lock:
+            yield
+        self._changed.set()
 
-    def end(self) -> None:
-        self._driven.set()
-        try:
-            self._walk.close(sits=self._sits)
-        except ZenohError:
-            self._legs_stopped = False
-            raise
+    # ---- received, on threads of Zenoh's
 
-    def last_words(self) -> list[str]:
-        return super().last_words() or ([] if self._legs_stopped else [_UNCONFIRMED])
+    def _take_state(self, state: GatewayState) -> None:
+        with self._changes():
+            self._stop.power.received_state(state, time.monotonic_ns())
+
+    def _take_event(self, event: Event) -> None:
+        with self._changes():
+            self._stop.power.received_event(event.kind)
 
     # ---- keys
 
-    def press(self, key: str) -> bool:
+    def _read_keys(self, terminal: int, woken: int) -> None:
+        keyboard = Keyboard()
+        while True:
+            ready, _, _ = select.select([terminal, woken], [], [])
+            if woken in ready:
+                return
+            try:
+                data = os.read(terminal, _READ)
+            except OSError:  # the terminal is gone
+                return
+            if not data or not self._act_on(keyboard.keys(data, time.monotonic())):
+                return
+            self._changed.set()
+
+    def _act_on(self, keys: list[str]) -> bool:
+        """Act on one reading; whether to go on. Where a key requests the emergency stop, the others do nothing."""
+        if STOP_KEYS.isdisjoint(keys):
+            return all(map(self._press, keys))
+        self._request_stop()
+        return True
+
+    def _press(self, key: str) -> bool:
+        if key == "ctrl-c":
+            return False
         if key in ("q", "escape"):
             self._sits, self._message = True, "It sits down …"
             self._pad.release()
@@ -93,10 +243,25 @@ class WalkScreen(Screen):
             self._act(key.lower())
         return True
 
-    def request_stop(self) -> None:
-        super().request_stop()
+    def _request_stop(self) -> None:
+        """Request it at once and without waiting, and again until it is confirmed."""
+        self._noted.clear()
+        self._stops.press()  # first: not even the lock stands between the key and the wire
+        with self._changes():
+            self._stop.press(time.monotonic_ns())
+        self._noted.set()
         self._pad.release()
         self._message = ""
+
+    def _stop_answered(self, outcome: Ack | Exception) -> bool:
+        """What became of a request; whether the Stop is still wanted. On a thread that requests Stops."""
+        self._noted.wait()
+        with self._changes():
+            if not isinstance(outcome, Ack):
+                self._stop.unanswered()
+                return self._stop.wanted_ns is not None
+            self._stop.confirm(outcome, self._stops.since_ns, time.monotonic_ns())
+        return True
 
     def _act(self, key: str) -> None:
         walk = self._walk
@@ -105,8 +270,9 @@ class WalkScreen(Screen):
         elif key == "c":
             self._todo.put(walk.sit)
         elif key == "g":
-            with self.changes():  # here, in the order of the keys: not a Stop that is pressed after it
-                self.take_stop_back()
+            with self._changes():  # here, in the order of the keys: not a Stop that is pressed after it
+                self._stops.take_back()
+                self._stop.reset()
             self._todo.put(self._go_on)
         elif key in _GAITS:
             self._todo.put(lambda: walk.walk_as(_GAITS[key]))
@@ -146,15 +312,33 @@ class WalkScreen(Screen):
 
     # ---- drawing
 
-    def picture(self, columns: int, rows: int) -> Text:
+    def _draw(self) -> None:
+        try:
+            with self._live:
+                while not self._ended.is_set():
+                    self._changed.clear()
+                    # Shown without any lock: this waits for the terminal.
+                    self._live.update(self._picture(*self._console.size), refresh=True)
+                    self._ended.wait(LEAST_FRAME_S)
+                    self._changed.wait(FRAME_S - LEAST_FRAME_S)
+        except Exception as error:
+            why = f"this terminal cannot be drawn on ({error}); it needs UTF-8, such as LC_ALL=C.UTF-8"
+            self._failures.append(why)
+            os.write(self._wake, b".")
+            self._ended.wait()
+        last = NOT_STOPPED if self._stop.wanted_ns is not None else self._stop.power.sentence
+        last = last or ("" if self._legs_stopped else _UNCONFIRMED)
+        with suppress(OSError):  # the terminal is gone; in one that is stuck this waits, as drawing does
+            for line in (*(f"hexapod-gateway: {failure}" for failure in self._failures), *([last] if last else [])):
+                hint(line)
+
+    def _picture(self, columns: int, rows: int) -> Text:
         title = f"walk · {visible(' '.join(self._client.robot[1:]))} · {visible(self._holder)} drives"
-        stop = self.stop_remark()
-        lines = [Text(title, "bold")]
-        if stop is not None:
-            lines.append(Text(stop.text, STYLES[stop.tone]))
-        lines += self._lines()
+        with self._lock:
+            stop = self._stop.remark(time.monotonic_ns())
+        lines = [Text(title, "bold"), *([] if stop is None else [Text(stop.text, _STYLES[stop.tone])]), *self._lines()]
         wrapped = [row for line in lines for row in line.wrap(self._console, max(1, columns))]
-        return fitted(wrapped, Text(), columns, rows, stop)
+        return fitted(wrapped, columns, rows, stop)
 
     def _lines(self) -> list[Text]:
         try:
@@ -174,18 +358,37 @@ class WalkScreen(Screen):
         ]
 
 
+def fitted(lines: list[Text], columns: int, rows: int, stop: Remark | None = None) -> Text:
+    """A picture of exactly `rows` rows of at most `columns`: the first lines that fit, and the Stop key in the last.
+
+    In fewer than SMALL_ROWS rows a Stop that is not confirmed replaces the lines, and in a single row that key, too.
+    """
+    last = Text(" SPACE or e: EMERGENCY STOP ", _ALARM)
+    if stop is not None and stop.tone is Tone.BAD and rows < SMALL_ROWS:
+        lines = [Text(f" {stop.text} ", _ALARM)]
+        last = lines[0] if rows == 1 else last
+    shown = lines[: rows - 1]
+    shown += [Text()] * (rows - 1 - len(shown))
+    shown.append(last)
+    for line in shown:
+        line.truncate(columns)
+    return Text("\n", no_wrap=True, overflow="crop", end="").join(shown)
+
+
 def _shown(velocity: Velocity) -> str:
     forward, left, turn = velocity
     return f"{forward:+.2f} m/s ahead, {left:+.2f} m/s left, {math.degrees(turn):+.0f} °/s"
 
 
 def drive(connect: Connection, gait: str, geometry: Path | None, terrain: str, height_m: float | None) -> int:
-    """Drive until q. Returns the exit code. Raises WalkError, ConfigError, ZenohError."""
-    without_one = "; without one: --forward 0.1 --seconds 5"
-    check_terminal("walk from the keyboard", without_one, on_windows=", or give --seconds")
+    """Drive until q. Returns the exit code. Raises GatewayError."""
+    if importlib.util.find_spec("termios") is None:
+        raise GatewayError("walk from the keyboard needs a Unix terminal; on Windows, run it in WSL, or give --seconds")
+    if not (sys.stdin.isatty() and sys.stdout.isatty()):
+        raise GatewayError("walk from the keyboard needs a terminal; without one: --forward 0.1 --seconds 5")
     with connect() as client:
         try:
             with client.lease(source=reach.me()) as lease:
                 return WalkScreen(client, lease.holder, gait, geometry, terrain, height_m).run()
         except LeaseError as error:
-            return driving.rejected(error)
+            return reach.rejected(error)

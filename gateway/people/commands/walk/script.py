@@ -10,13 +10,14 @@ from pathlib import Path
 from typing import Final, Protocol
 
 from gateway.errors import LeaseError, RejectedError, StoppedError
-from gateway.people.commands import driving, reach
+from gateway.people.commands import reach
 from gateway.people.commands.reach import Connection
-from gateway.people.terminal import Progress, clear_line, hint, on_end_signals, say, show_line
+from gateway.people.terminal import clear_line, hint, on_end_signals, say, show_line
 from gateway.people.walking import Posture, Velocity, WalkState
 
 _ENDED_EARLY: Final = 130
 """As a shell reports a program that Ctrl-C ended."""
+_REDRAW_S: Final = 0.2
 
 
 class AtOnce(BaseException):  # not KeyboardInterrupt, at which a walk sits down
@@ -63,7 +64,7 @@ def walk(
             ):
                 whole = go(robot, wanted, seconds, height_m, end)
         except LeaseError as error:
-            return driving.rejected(error)
+            return reach.rejected(error)
         except (StoppedError, RejectedError) as error:
             say(str(error))
             return 1
@@ -108,7 +109,8 @@ def go(
             clear_line()
             hint(text)
 
-    with Progress() as progress:
+    shown_s = clock()
+    try:
         show_line("stands up …")
         robot.stand(height_m, wait=False)
         while not end.asked and robot.state.posture is Posture.MOVING:
@@ -119,7 +121,9 @@ def go(
             state = robot.state
             if state.limit:
                 remark(f"it is slower than that: {state.limit}")
-            progress.show(f"walks {elapsed_s:.1f} of {seconds:g} s: {went(state)}")
+            if clock() - shown_s >= _REDRAW_S:
+                shown_s = clock()
+                show_line(f"walks {elapsed_s:.1f} of {seconds:g} s: {went(state)}")
         whole = not end.asked
         if whole:
             robot.stand()
@@ -128,6 +132,8 @@ def go(
         show_line(f"{went(robot.state)}; sits down …")
         robot.sit()
         end.stops()
+    finally:
+        clear_line()
     early = "" if whole else "ended early: "
     say(f"{early}walked {went(robot.state)}; it sits, and its servos are stopped")
     return whole
