@@ -13,7 +13,7 @@ from typing import Any, Final, NamedTuple
 
 from gateway.client import Client, Stream
 from gateway.geometry import load
-from gateway.people.walking import Odometry, Pose, Posture, Robot, Velocity, Walker
+from gateway.people.walking import STILL, Engine, Odometry, Pose, Posture, Robot, Velocity
 from gateway.people.walking.robot import ranges
 from schemas import keys
 from schemas.robot import LEGS
@@ -89,13 +89,13 @@ class _Written:
 
 
 class _Lockstep:
-    """A walker whose clock stands still until the gateway has written what it wanted."""
+    """An engine whose clock stands still until the gateway has written what it wanted."""
 
-    def __init__(self, walker: Walker, stream: Stream, written: _Written) -> None:
-        self._walker, self._stream, self._written = walker, stream, written
+    def __init__(self, engine: Engine, stream: Stream, written: _Written) -> None:
+        self._engine, self._stream, self._written = engine, stream, written
         self._ticks = 0
         self.records: list[FrameRecord] = []
-        pose = walker.engine.pose
+        pose = engine.pose
         for last in LEGS:  # one leg more at a time, as Client.walk starts them
             self._set({leg: pose[leg] for leg in LEGS if leg <= last})
 
@@ -104,20 +104,19 @@ class _Lockstep:
         return self._ticks / HZ
 
     def walk(self, part: Leg) -> Walked:
-        begin, begin_s = self._walker.state.odometry, self.now_s
+        begin, begin_s = self._engine.odometry, self.now_s
         for _ in range(round(part.seconds * HZ)):
-            self._walker.go(part.velocity, self.now_s)
-            self._tick()
+            self._tick(part.velocity)
         held_s = self.now_s - begin_s
         self.stand()
-        return Walked(part, held_s, begin_s, self.now_s, begin, self._walker.state.odometry)
+        return Walked(part, held_s, begin_s, self.now_s, begin, self._engine.odometry)
 
     def stand(self) -> None:
-        self._walker.stand(None, self.now_s)
+        self._engine.stand()
         self._until(Posture.STANDING)
 
     def sit(self) -> None:
-        self._walker.sit(self.now_s)
+        self._engine.sit()
         self._until(Posture.SITTING)
 
     def stops(self) -> None:
@@ -126,13 +125,13 @@ class _Lockstep:
 
     def _until(self, posture: Posture) -> None:
         self._tick()
-        while self._walker.engine.posture is not posture:
+        while self._engine.posture is not posture:
             self._tick()
         for _ in range(round(SETTLES_S * HZ)):
             self._tick()
 
-    def _tick(self) -> None:
-        self._set(self._walker.tick(self.now_s))
+    def _tick(self, velocity: Velocity = STILL) -> None:
+        self._set(self._engine.step(velocity, 1 / HZ))
 
     def _set(self, pose: Pose) -> None:
         self._stream.set(pose)
@@ -149,9 +148,9 @@ def record(folder: Path, gait: str, course: Sequence[Leg]) -> Recording:
     with Gateway(folder, _PATIENT) as gateway, gateway.client(source="watcher") as watcher:
         written = _Written(watcher)
         with gateway.client(source="walker") as client, client.lease():
-            walker = Walker(Robot(load(), ranges(client.state().limits, client.calibration())), gait)
+            engine = Engine(Robot(load(), ranges(client.state().limits, client.calibration())), gait)
             with client.stream(_STREAM_HZ) as stream:
-                lockstep = _Lockstep(walker, stream, written)
+                lockstep = _Lockstep(engine, stream, written)
                 lockstep.stand()
                 parts = [lockstep.walk(part) for part in course]
                 lockstep.sit()

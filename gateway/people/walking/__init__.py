@@ -1,17 +1,16 @@
 """Walking: body velocities in, servo angles out. Pure: time is an argument, and nothing here reads or sends.
 
 `Ride` is what a program, a console or a bridge drives: it decides which legs start, and stops by itself when its driver
-falls silent. `Walker` below it decides where the legs go; `Engine` is the gait, `Robot` where the feet can be.
+falls silent. `Engine` decides where the legs go, `Robot` where the feet can be.
 """
 
 from gateway.people.walking.distance import Distance
 from gateway.people.walking.engine import Engine
 from gateway.people.walking.gaits import GAITS, Gait
-from gateway.people.walking.motion import STILL, BodyPose, Odometry, Velocity
-from gateway.people.walking.ride import USUAL_SILENCES, Phase, Ride, RideStep, RideTask, Silences, Wish
+from gateway.people.walking.motion import DOWN, STILL, BodyPose, Odometry, Posture, Velocity, WalkState
+from gateway.people.walking.ride import HOLD_S, REST_S, USUAL_SILENCES, Phase, Ride, RideStep, RideTask, Silences, Wish
 from gateway.people.walking.robot import Pose, Range, Robot, Stance
-from gateway.people.walking.walker import DOWN, HOLD_S, LONGEST_S, REST_S, Walker, WalkState
-from gateway.people.walking.ways import Posture
+from gateway.people.walking.ways import LONGEST_S
 from gateway.people.walking.words import ground_now, lease_lost, robot_now
 
 __all__ = [
@@ -39,7 +38,6 @@ __all__ = [
     "Stance",
     "Velocity",
     "WalkState",
-    "Walker",
     "Wish",
     "ground_now",
     "lease_lost",

@@ -7,9 +7,9 @@ import math
 from typing import Final
 
 from gateway.errors import WalkError
-from gateway.people.walking.motion import Odometry, Velocity
+from gateway.people.walking.motion import Odometry, Velocity, WalkState
 from gateway.people.walking.tempo import SLEW_M_S2, SLEW_RAD_S2
-from gateway.people.walking.walker import LONGEST_S, WalkState
+from gateway.people.walking.ways import LONGEST_S
 
 MOST_M: Final = 20.0
 """Four minutes of walking. More is probably millimetres."""

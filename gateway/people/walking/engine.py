@@ -27,7 +27,7 @@ from gateway.people.walking.balance import (
     levelled,
     lowered_by,
 )
-from gateway.people.walking.motion import ORIGIN, STILL, BodyPose, Odometry, Velocity, carried
+from gateway.people.walking.motion import ORIGIN, STILL, BodyPose, Odometry, Posture, Velocity, carried
 from gateway.people.walking.planning import Planner, balanced
 from gateway.people.walking.robot import LIFT_M, WIDE_RAD, Pose, Robot, Stance
 from gateway.people.walking.swing import State, Swing
@@ -48,7 +48,6 @@ from gateway.people.walking.tempo import (
 from gateway.people.walking.ways import (
     CLIMB,
     ON_GROUND_M,
-    Posture,
     Shift,
     across,
     between,

@@ -1,10 +1,11 @@
-"""Velocities over the ground, and the body's pose above it. Pure.
+"""Velocities over the ground, the body's pose above it, and the state of a walk. Pure.
 
 The ground frame lies on the ground below the body and goes with it: x forward, y left, z up. In it a foot that stands
 moves backward as the body moves forward.
 """
 
 import math
+from enum import StrEnum
 from typing import Final, NamedTuple, Self
 
 from gateway.errors import WalkError
@@ -114,3 +115,44 @@ class BodyPose(NamedTuple):
         pairs = zip(self, other, strict=True)
         height_m, roll_rad, pitch_rad = (a + (b - a) * part for a, b in pairs)
         return BodyPose(height_m, roll_rad, pitch_rad)
+
+
+class Posture(StrEnum):
+    """The robot's posture."""
+
+    LYING = "lying"
+    SITTING = "sitting"
+    STANDING = "standing"
+    WALKING = "walking"
+    MOVING = "moving"
+    HALTED = "halted"
+
+
+DOWN: Final = (Posture.LYING, Posture.SITTING)
+
+
+class WalkState(NamedTuple):
+    """The state of a walk."""
+
+    posture: Posture
+    gait: str
+    height_m: float
+    commanded: Velocity
+    """The requested velocity; 0 after `hold_s`."""
+    scaled: Velocity
+    """The velocity that the legs can reach: the same direction, slower for the reason in `limit`."""
+    limit: str
+    odometry: Odometry
+    """Where its steps have carried it since the walk began."""
+    lost: tuple[int, ...]
+    """Legs that somebody else has stopped."""
+    terrain: str = "level"
+    """`adapt`: it walks by its sensors, where there are some."""
+    tilt_deg: float | None = None
+    """Of the body against the world's up, as measured; None: not measured."""
+    carrying: tuple[bool, ...] | None = None
+    """Which of legs 1 to 6 carry, as measured."""
+    corrected_deg: float = 0.0
+    """How far the body leans against its feet, so as to be level."""
+    hanging: tuple[int, ...] = ()
+    """Legs that found no ground."""

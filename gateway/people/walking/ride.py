@@ -7,7 +7,7 @@ carries out the result, and reports the outcome: `sent`, `found`, `stopped`, `fa
 |---|---|---|
 | RESTS | nothing | a command: STARTS |
 | STARTS | legs that ran already, and one more each `START_PAUSE_S`; no leg that runs moves | the sixth is fed: RUNS |
-| RUNS | all six, by the walker | silence, after it has sat down: ENDS |
+| RUNS | all six, by the engine | silence, after it has sat down: ENDS |
 | HALTED | some; somebody stopped the others. Feet in the air are put down, and nothing moves | `start_again` |
 | FAILED | nothing is sent; the gateway's watchdog stops what runs | `start_again` |
 | ENDS | nothing is sent; the shell stops what runs | `ended`: RESTS |
@@ -27,14 +27,18 @@ from enum import Enum, auto
 from typing import Final, NamedTuple
 
 from gateway.errors import GatewayError, StoppedError, WalkError
+from gateway.people.walking.balance import terrain_named
+from gateway.people.walking.engine import Engine
 from gateway.people.walking.inverse import Angles
-from gateway.people.walking.motion import ORIGIN, STILL, BodyPose, Odometry, Velocity
-from gateway.people.walking.robot import Pose, Robot
-from gateway.people.walking.walker import DOWN, HOLD_S, REST_S, Walker, WalkState
-from gateway.people.walking.ways import Posture
+from gateway.people.walking.motion import DOWN, ORIGIN, STILL, BodyPose, Odometry, Posture, Velocity, WalkState
+from gateway.people.walking.robot import Pose, Robot, Stance
 from schemas.robot import LEGS
 from schemas.telemetry import Telemetry
 
+HOLD_S: Final = 0.5
+"""As in diff_drive_controller and twist_mux."""
+REST_S: Final = 10.0
+"""Servos that hold a robot up get hot."""
 START_PAUSE_S: Final = 0.015
 """Least pause between the starts of two legs: a servo draws most then. A tick of 50 Hz, less what it may come early."""
 GIVES_UP_S: Final = 2.0
@@ -123,8 +127,9 @@ class Ride:
         `once`: over for good after it has sat down or failed. Raises WalkError.
         """
         self._once = once
-        self._terrain = terrain
-        self._silences = silences
+        self._terrain = terrain_named(terrain)
+        self.silences = silences
+        """Its times; may be changed at any time."""
         self.phase = Phase.RESTS
         self.error: GatewayError | None = None
         """The error that ended it, until `start_again` has succeeded."""
@@ -152,7 +157,7 @@ class Ride:
         self._sound_s = now_s
         """When it last had neither fallen nor been lifted."""
         self._said_s = self._pressed_s = now_s
-        self._walker = self._new_walker(robot, gait, running or {})
+        self._begin(robot, gait, running or {})
         if self._takes_over:
             self.phase = Phase.STARTS
 
@@ -161,25 +166,33 @@ class Ride:
     def go(self, velocity: Velocity, now_s: float) -> None:
         """Walk at this velocity for `hold_s`; a robot that lies stands up first."""
         self._check()
-        self._walker.go(velocity, now_s)
+        if velocity.moves:
+            self._engine.stance.check_walks()
+            if self._engine.posture in DOWN:
+                self._sits = False
+                self._engine.stand()
+        self._velocity = velocity
         self._wanted(now_s)
 
     def stand(self, body: BodyPose | None, now_s: float) -> None:
         """End the walk, and stand at this pose (None: as before)."""
         self._check()
-        engine = self._walker.engine
-        self._walker.stand(None if body is None else engine.robot.stance(body), now_s)
+        stance = None if body is None else self.robot.stance(body)
+        self._velocity, self._sits = STILL, False
+        self._engine.stand(stance)
+        self._prepare(stance)
         self._wanted(now_s)
 
     def sit(self, now_s: float) -> None:
         """End the walk, and lie down on the belly."""
         self._check()
-        self._walker.sit(now_s)
+        self._lie_down(now_s)
         self._wanted(now_s)
 
     def walk_as(self, gait: str, now_s: float) -> None:
         """Change the gait; a walk pauses meanwhile."""
-        self._walker.walk_as(gait, now_s)
+        self._engine.walk_as(gait)
+        self._said_s = now_s
 
     def wish(self, wish: Wish, now_s: float) -> None:
         """Carry out what has changed. With a used press it only shows that the driver is there. Raises nothing."""
@@ -191,8 +204,7 @@ class Ride:
         if self.over or self.error is not None:
             return
         if wish.press <= self.spent or self._leaving:
-            if not self._walker.sits:
-                self._walker.go(STILL, now_s)
+            self._velocity = STILL
             return
         try:
             self._obey(wish, now_s)
@@ -213,13 +225,13 @@ class Ride:
     # ---- what the shell does
 
     def next(self, now_s: float, telemetry: Telemetry | None = None) -> RideStep:
-        """What to do now. The walker makes each step that moves. `telemetry`: None if none is fresh."""
+        """What to do now. `telemetry`: None if none is fresh."""
         self.look(now_s)
         if self._wants_again:
             return RideStep(RideTask.STOP if self.phase is Phase.FAILED and self._ours else RideTask.FIND)
         pose = _NO_LEGS
         if self.phase in (Phase.RUNS, Phase.HALTED):
-            pose = self._walker.tick(now_s, telemetry)
+            pose = self._tick(now_s, telemetry)
             self.look(now_s)  # it may have sat down by this tick
         elif self.phase is Phase.STARTS and not self._found:
             return RideStep(RideTask.FIND)
@@ -230,7 +242,7 @@ class Ride:
                 return RideStep(RideTask.STOP)
             case Phase.RESTS | Phase.FAILED:
                 waits = self.phase is Phase.RESTS and not self.over
-                return RideStep(RideTask.WAIT, look_s=self._said_s + self._silences.rest_s if waits else math.inf)
+                return RideStep(RideTask.WAIT, look_s=self._said_s + self.silences.rest_s if waits else math.inf)
         self._ours = True
         return RideStep(RideTask.SEND, pose)
 
@@ -239,32 +251,32 @@ class Ride:
         if self._found and now_s - self._started_s > self.robot.limp_s > 0:
             self._run_if_started()
         silent_s = now_s - self._said_s
-        if silent_s > self._silences.hold_s:
+        if silent_s > self.silences.hold_s:
             self.spent = max(self.spent, self._press)
-        ends = self._walker.sits and (self._press >= 0 or self._leaving)
-        fault = self._walker.engine.felt.fault  # a robot that has fallen, or hangs in somebody's hands, cannot sit
+        ends = (self._sits and (self._press >= 0 or self._leaving)) or self._is_silent(self._ticked_s)
+        fault = self._engine.felt.fault  # a robot that has fallen, or hangs in somebody's hands, cannot sit
         if not fault or self.phase is not Phase.RUNS:
             self._sound_s = now_s
-        to_end = silent_s > self._silences.rest_s or (self._walker.sits and not self._takes_over)
+        to_end = silent_s > self.silences.rest_s or (self._sits and not self._takes_over)
         match self.phase:
             case Phase.RUNS if fault and to_end:
                 self._spend(fault)
                 self._end()
             case Phase.RUNS if now_s - self._sound_s > GIVES_UP_S:
                 self.failed(WalkError(fault))
-            case Phase.RUNS if self._walker.is_over or (ends and self._walker.engine.posture in DOWN):
+            case Phase.RUNS if ends and self._engine.posture in DOWN:
                 self._end()
-            case Phase.RUNS if now_s - self._pressed_s > self._silences.idle_s and not self._walker.sits:
+            case Phase.RUNS if now_s - self._pressed_s > self.silences.idle_s and not self._sits:
                 self._sit_down(now_s)
-                self.detail = f"nothing was pressed for {self._silences.idle_s:g} s, so it sits down"
-            case Phase.HALTED if silent_s > self._silences.halted_s:
+                self.detail = f"nothing was pressed for {self.silences.idle_s:g} s, so it sits down"
+            case Phase.HALTED if silent_s > self.silences.halted_s:
                 self._end()
-            case Phase.RESTS if silent_s > self._silences.rest_s:
+            case Phase.RESTS if silent_s > self.silences.rest_s:
                 self.over = True
 
     def found(self, robot: Robot, running: Pose, now_s: float) -> None:
         """By the gateway's newest state these legs run, at these angles; the answer to FIND. Raises WalkError."""
-        engine = self._walker.engine
+        engine = self._engine
         if not self._wants_again:
             if running or engine.posture not in DOWN:
                 engine.find(running)
@@ -277,7 +289,7 @@ class Ride:
         elif self._ours:
             self.phase = Phase.FAILED
         else:
-            self._walker = self._new_walker(robot, engine.gait_name, running, engine.odometry)
+            self._begin(robot, engine.gait_name, running, engine.odometry)
             self.phase, self._found = Phase.RESTS, False
             self._goes_on(now_s)
 
@@ -293,14 +305,15 @@ class Ride:
 
         Returns the legs that stand still from now on; none: the ride has failed.
         """
-        engine = self._walker.engine
+        engine = self._engine
         left = (self._running & frozenset(running)) - frozenset(error.legs)
         stands = self.phase in (Phase.RUNS, Phase.HALTED) or bool(engine.lost)
         if not left or not stands:
             error.legs = tuple(sorted(_ALL - left)) if stands else error.legs
             self.failed(error)
             return frozenset()
-        self._walker.halt(_ALL - left, self._sent)
+        self._velocity = STILL
+        engine.halt(_ALL - left, self._sent)
         self._running = left
         error.legs = tuple(sorted(engine.lost))
         self._ends_by(error)
@@ -332,19 +345,9 @@ class Ride:
         return self._wants_again
 
     @property
-    def silences(self) -> Silences:
-        """Its times; may be changed at any time."""
-        return self._silences
-
-    @silences.setter
-    def silences(self, silences: Silences) -> None:
-        self._silences = silences
-        self._walker.hold_s, self._walker.rest_s = silences.hold_s, silences.rest_s
-
-    @property
     def posture(self) -> Posture:
         """The robot's posture; standing or moving only while legs run or are being started."""
-        posture = self._walker.engine.posture
+        posture = self._engine.posture
         if self.phase is Phase.FAILED:
             return Posture.HALTED
         return posture if posture in DOWN or self.phase is not Phase.RESTS else Posture.LYING
@@ -352,26 +355,65 @@ class Ride:
     @property
     def robot(self) -> Robot:
         """The robot, with the limits that were in force when it began."""
-        return self._walker.engine.robot
+        return self._engine.robot
 
     @property
     def body(self) -> BodyPose:
         """The pose in which it stands and walks."""
-        return self._walker.engine.stance.body
+        return self._engine.stance.body
 
     @property
     def state(self) -> WalkState:
         """See `WalkState`; after a StoppedError with its legs as `lost`."""
-        state = self._walker.state._replace(posture=self.posture)
-        if isinstance(self.error, StoppedError):
-            return state._replace(lost=self.error.legs)
-        return state
+        engine = self._engine
+        return WalkState(
+            posture=self.posture,
+            gait=engine.gait_name,
+            height_m=engine.body.height_m,
+            commanded=self._velocity,
+            scaled=engine.scaled,
+            limit=engine.limit,
+            odometry=engine.odometry,
+            lost=self.error.legs if isinstance(self.error, StoppedError) else tuple(sorted(engine.lost)),
+            terrain=self._terrain,
+            tilt_deg=engine.felt.tilt_deg,
+            carrying=engine.felt.carrying,
+            corrected_deg=math.degrees(engine.corrected_rad),
+            hanging=tuple(sorted(engine.hanging)),
+        )
 
     # ---- inside
 
-    def _new_walker(self, robot: Robot, gait: str, running: Pose, odometry: Odometry = ORIGIN) -> Walker:
-        hold_s, rest_s = self._silences.hold_s, self._silences.rest_s
-        return Walker(robot, gait, running, hold_s=hold_s, rest_s=rest_s, odometry=odometry, terrain=self._terrain)
+    def _begin(self, robot: Robot, gait: str, running: Pose, odometry: Odometry = ORIGIN) -> None:
+        self._engine = Engine(robot, gait, running, odometry)
+        self._velocity = STILL
+        self._sits = True
+        """Whether it is to lie; false after a command to stand or walk."""
+        self._ticked_s = self._busy_s = -math.inf
+        """When it was moved last, and when it was last on its way to another posture."""
+        self._prepare()
+
+    def _prepare(self, stance: Stance | None = None) -> None:
+        """Find out now what takes longer than a tick."""
+        if self._terrain == "adapt":
+            self.robot.widened((stance or self._engine.stance).body)
+
+    def _tick(self, now_s: float, telemetry: Telemetry | None) -> Pose:
+        """The angles of all legs now, in degrees."""
+        if now_s - self._said_s > self.silences.hold_s:
+            self._velocity = STILL
+        if self._engine.posture is Posture.MOVING:
+            self._busy_s = now_s
+        elif self._engine.posture is Posture.STANDING and self._is_silent(now_s):
+            self._sits = True
+            self._engine.sit()
+        elapsed_s = now_s - self._ticked_s if math.isfinite(self._ticked_s) else 0.0
+        self._ticked_s = now_s
+        return self._engine.step(self._velocity, elapsed_s, telemetry if self._terrain == "adapt" else None)
+
+    def _is_silent(self, now_s: float) -> bool:
+        """A way to another posture is no silence, however long it takes: the time counts from its end."""
+        return now_s - max(self._said_s, self._busy_s) > self.silences.rest_s
 
     def _check(self) -> None:
         if self.error is not None:
@@ -389,17 +431,17 @@ class Ride:
         if wish.velocity.moves:
             self._pressed_s = now_s
         before, self._obeyed = self._obeyed, wish
-        if wish.gait != (self._walker.engine.gait_name if before is None else before.gait):
-            self._walker.walk_as(wish.gait, now_s)
-        if before is None or self._walker.sits or wish.height_m != before.height_m:
+        if wish.gait != (self._engine.gait_name if before is None else before.gait):
+            self._engine.walk_as(wish.gait)
+        if before is None or self._sits or wish.height_m != before.height_m:
             self.stand(BodyPose(self.robot.usual_m if wish.height_m is None else wish.height_m), now_s)
         self.go(wish.velocity, now_s)
 
     def _run_if_started(self) -> None:
         if self.phase is Phase.STARTS and self._running == _ALL:
             self.phase = Phase.RUNS
-            if self._walker.engine.lost:
-                self._walker.engine.resume()
+            if self._engine.lost:
+                self._engine.resume()
 
     def _next_start(self, now_s: float) -> Pose:
         legs = self._running
@@ -409,17 +451,21 @@ class Ride:
         elif missing and now_s - self._started_s >= START_PAUSE_S:
             self._started_s = now_s
             legs |= {missing[0]}
-        pose = self._walker.engine.whole_pose
+        pose = self._engine.whole_pose
         return {leg: pose[leg] for leg in sorted(legs)}
 
     def _sit_down(self, now_s: float) -> None:
         """Use up the newest press. A robot that has not stood up yet, or cannot sit, is stopped."""
         self._spend("")
-        stood = self.phase is Phase.STARTS and (self._running == _ALL or bool(self._walker.engine.lost))
+        stood = self.phase is Phase.STARTS and (self._running == _ALL or bool(self._engine.lost))
         if self.phase is Phase.RUNS or stood:
-            self._walker.sit(now_s)
+            self._lie_down(now_s)
         elif self.phase is not Phase.ENDS:
             self._end()
+
+    def _lie_down(self, now_s: float) -> None:
+        self._said_s, self._velocity, self._sits = now_s, STILL, True
+        self._engine.sit()
 
     def _end(self) -> None:
         self.over = True
@@ -435,4 +481,4 @@ class Ride:
     def _goes_on(self, now_s: float) -> None:
         self.error, self._wants_again = None, False
         self._said_s = self._pressed_s = now_s
-        self._walker.go(STILL, now_s)
+        self._velocity = STILL

@@ -1,4 +1,4 @@
-"""The robot for its walker: geometry, range and speed of each servo, and where its feet can be. Pure."""
+"""The robot for its rides: geometry, range and speed of each servo, and where its feet can be. Pure."""
 
 import math
 from collections.abc import Mapping

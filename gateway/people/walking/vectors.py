@@ -1,6 +1,6 @@
 """Vectors and rotations as tuples. Pure.
 
-Rotations are matrices: with the quaternions of geometry/kinematics.py a walker's tick would take four times as long.
+Rotations are matrices: with the quaternions of geometry/kinematics.py an engine's step would take four times as long.
 """
 
 import math

@@ -4,7 +4,6 @@ import math
 from collections.abc import Iterable, Iterator, Mapping
 from copy import copy
 from dataclasses import dataclass
-from enum import StrEnum
 from typing import Final, NamedTuple, Self
 
 from gateway.geometry.kinematics import Vector
@@ -14,18 +13,8 @@ from gateway.people.walking.motion import BodyPose
 from gateway.people.walking.robot import LIFT_M, Robot
 from schemas.robot import LEGS
 
-
-class Posture(StrEnum):
-    """The robot's posture."""
-
-    LYING = "lying"
-    SITTING = "sitting"
-    STANDING = "standing"
-    WALKING = "walking"
-    MOVING = "moving"
-    HALTED = "halted"
-
-
+LONGEST_S: Final = 30.0
+"""Longer than any way to a posture, even with servos ten times slower than usual."""
 STEP_S: Final = 0.5
 """The time of a foot's step to another place."""
 _SINK_M_S: Final = 0.08

@@ -8,8 +8,7 @@ is shown.
 from collections.abc import Iterable
 from typing import Final
 
-from gateway.people.walking.walker import DOWN, WalkState
-from gateway.people.walking.ways import Posture
+from gateway.people.walking.motion import DOWN, Posture, WalkState
 from schemas.robot import LEGS
 from schemas.telemetry import GatewayState, Mode
 

@@ -11,7 +11,7 @@ import pytest
 from examples.elkapod import gait
 from gateway.geometry import load
 from gateway.model.calibration import RobotCalibration
-from gateway.people.walking import Pose, Posture, Robot, Velocity, Walker
+from gateway.people.walking import STILL, Engine, Pose, Posture, Robot, Velocity
 from gateway.people.walking.robot import ranges
 from gateway.robot.host import calibration_file
 from gateway.robot.runtime.report import limits_of
@@ -29,21 +29,20 @@ WALK_S: Final = 10.0
 @cache
 def walked() -> tuple[tuple[Posture, Pose], ...]:
     """What the program makes of the geometry and the limits, tick by tick: it lies, stands up, walks and sits down."""
-    walker = Walker(Robot(load(gait.GEOMETRY), ranges(limits_of(SETTINGS), None)))
-    ticks = [(walker.engine.posture, walker.tick(0.0))]
+    engine = Engine(Robot(load(gait.GEOMETRY), ranges(limits_of(SETTINGS), None)))
+    ticks = [(engine.posture, engine.pose)]
 
-    def tick() -> Posture:
-        ticks.append((walker.engine.posture, walker.tick(len(ticks) * PERIOD_S)))
-        return walker.engine.posture
+    def tick(velocity: Velocity = STILL) -> Posture:
+        ticks.append((engine.posture, engine.step(velocity, PERIOD_S)))
+        return engine.posture
 
-    walker.stand(None, 0.0)
+    engine.stand()
     while tick() is not Posture.STANDING:
-        assert walker.state.limit == ""
+        assert engine.limit == ""
     for _ in range(round(WALK_S / PERIOD_S)):
-        walker.go(Velocity(gait.FORWARD_M_S), len(ticks) * PERIOD_S)
-        tick()
-        assert walker.state.limit == "", "the limits are wide enough for this velocity"
-    walker.sit(len(ticks) * PERIOD_S)
+        tick(Velocity(gait.FORWARD_M_S))
+        assert engine.limit == "", "the limits are wide enough for this velocity"
+    engine.sit()
     while tick() is not Posture.SITTING:
         assert len(ticks) * PERIOD_S < 2 * WALK_S
     return tuple(ticks)

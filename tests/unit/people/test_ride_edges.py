@@ -123,7 +123,7 @@ def fallen(rest_s: float, at_s: float) -> Ride:
     ride.silences = Silences(rest_s=rest_s)
     ride.go(STILL, at_s)
     ride.look(at_s)
-    ride._walker.engine.felt = ride._walker.engine.felt._replace(fault="it has fallen")
+    ride._engine.felt = ride._engine.felt._replace(fault="it has fallen")
     return ride
 
 

@@ -10,11 +10,12 @@ import pytest
 from gateway.errors import WalkError
 from gateway.geometry import load
 from gateway.geometry.kinematics import Vector, from_rpy
-from gateway.people.walking import STILL, Posture, Robot, Velocity, Walker
+from gateway.people.walking import STILL, Posture, Ride, Robot, Velocity
 from gateway.people.walking.balance import FALLEN_DEG, ReceivedTelemetry, Senses
 from gateway.people.walking.robot import LIFT_M
 from schemas.robot import LEGS
 from schemas.telemetry import Imu, Telemetry
+from tests.support.ridden import Ridden
 from tests.support.walked import TICK_S, Walked, standing
 
 ROBOT: Final = Robot(load())
@@ -157,19 +158,19 @@ def test_a_robot_on_its_back_or_with_an_imu_upside_down_does_not_walk() -> None:
     assert feels.engine.limit == "the body leans by 180 degrees: it has fallen"
 
 
-def test_a_walker_adapts_only_where_it_is_asked_to() -> None:
+def test_a_ride_adapts_only_where_it_is_asked_to() -> None:
     leaning = telemetry([1.0] * 6, roll_rad=0.1)
     for terrain, tilt_deg in (("level", None), ("adapt", pytest.approx(math.degrees(0.1)))):
-        walker = Walker(ROBOT, terrain=terrain)
-        walker.stand(None, 0.0)
-        for number in range(300):
-            walker.tick(number * TICK_S, leaning)
-        state = walker.state
+        ridden = Ridden(terrain=terrain)
+        ridden.telemetry = leaning
+        ridden.ride.stand(None, ridden.now_s)
+        ridden.run(6.0)
+        state = ridden.ride.state
         assert (state.terrain, state.tilt_deg) == (terrain, tilt_deg)
         assert state.carrying == (None if terrain == "level" else (True,) * 6)
-        assert (walker.engine.body.roll_rad != 0.0) == (terrain == "adapt")
+        assert (state.corrected_deg != 0.0) == (terrain == "adapt")
     with pytest.raises(WalkError, match="there is no terrain 'moon'; there are level, adapt"):
-        Walker(ROBOT, terrain="moon")
+        Ride(ROBOT, terrain="moon")
 
 
 def test_telemetry_counts_while_it_is_fresh() -> None:

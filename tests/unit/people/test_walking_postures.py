@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gateway.geometry import load
-from gateway.people.walking import STILL, Engine, Posture, Robot, Velocity, Walker
+from gateway.people.walking import Engine, Posture, Robot, Velocity
 from schemas.robot import LEGS
 from tests.support.walked import Walked, standing
 
@@ -83,34 +83,3 @@ def lose(walked: Walked, lost: tuple[int, ...]) -> None:
     x_m = walked.engine.odometry.x_m
     walked.run(1.5, Velocity(0.1))
     assert walked.engine.odometry.x_m > x_m + 0.1
-
-
-def test_a_silent_driver_has_the_robot_stand_then_sit_then_be_over() -> None:
-    """By the clock alone; a way that it was sent on is no silence, however long it takes."""
-    walker = Walker(ROBOT, hold_s=0.5, rest_s=2.0)
-    walker.stand(None, 0.0)
-    now_s = 0.0
-    while walker.state.posture is not Posture.STANDING:
-        now_s += 0.02
-        walker.tick(now_s)
-    assert now_s > walker.rest_s
-    begun_s = now_s
-    walker.go(Velocity(0.1), now_s)
-    postures: list[Posture] = []
-    while not walker.is_over:
-        now_s += 0.02
-        walker.tick(now_s)
-        if now_s - begun_s < 0.49:
-            assert walker.state.commanded == Velocity(0.1)
-        if now_s - begun_s > 0.51:
-            assert walker.state.commanded == STILL
-        if not postures or postures[-1] is not walker.state.posture:
-            postures.append(walker.state.posture)
-    assert postures == [Posture.WALKING, Posture.STANDING, Posture.MOVING, Posture.SITTING]
-    assert now_s - begun_s < 7
-    x_m = walker.state.odometry.x_m
-    assert 0 < x_m < 0.1
-    walker.go(Velocity(0.1), now_s)
-    assert not walker.is_over
-    walker.tick(now_s + 0.02)
-    assert walker.state.posture is Posture.MOVING
