@@ -5,7 +5,7 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
-    from gateway.certs import authority, files, folder, names, proof, revocation
+    from gateway.certs import authority, files, folder, proof, revocation
 
 OPERATOR: Final = "operator"
 OBSERVER: Final = "observer"
@@ -17,7 +17,7 @@ LEAF_DAYS: Final = 730
 CONSOLE_DAYS: Final = 459
 """Apple's browsers accept a server's certificate of at most 825 days, and ours begin a year in the past."""
 
-__all__ = ["authority", "files", "folder", "names", "proof", "revocation"]
+__all__ = ["authority", "files", "folder", "proof", "revocation"]
 
 
 def __getattr__(name: str) -> ModuleType:

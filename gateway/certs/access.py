@@ -1,4 +1,9 @@
-"""The access control of the Zenoh files: one table of the messages that people and a robot may exchange.
+"""Access by role: the laptops' common names, and one table of the messages that people and a robot may exchange.
+
+Zenoh's access control identifies a laptop by its whole common name, without patterns. So each laptop has a common name
+of its own, such as `operator-07`, which can be revoked alone. The rules in gateway.json5 name roles; the gateway
+replaces each role by its common names when it starts (`robot/zenoh_io/revoked.py`), so that a new laptop needs no
+change on the robot.
 
 For declarations of clients, keys are exact: Zenoh keeps each accepted declaration and compares it with all others. An
 observer who may declare `hexapod/*` could declare 20 000 keys, which would delay Stops. For messages, and for the
@@ -9,11 +14,32 @@ Zenoh compares a rule's keys with those on the wire, which begin with the robot'
 """
 
 import json
+import re
 from typing import Any, Final, NamedTuple
 
 from gateway.certs import BUTTON, LAPTOP_ROLES, OPERATOR
 from schemas import keys
 from schemas.keys import ALIVE, ALL_COMMANDS, ASKABLE, CALIBRATION, ESTOP, PUBLISHED, SIM_BODY, SIM_UPRIGHT
+
+MOST: Final = 1000
+"""Common names of each role. A laptop keeps its common name for ever, also once it is revoked."""
+
+NOBODY: Final = "(nobody)"
+"""A common name without a certificate, for a subject whose names are all revoked: Zenoh takes one without names as
+everyone."""
+
+_COMMON_NAME: Final = re.compile(rf"({'|'.join(LAPTOP_ROLES)})-\d{{2,3}}")
+
+
+def every(role: str) -> list[str]:
+    """Return all common names of a role."""
+    return [f"{role}-{number:02}" for number in range(MOST)]
+
+
+def role_of(common_name: str) -> str:
+    """Return a laptop's role; for any other common name (`gateway`, `console`), the name itself."""
+    found = _COMMON_NAME.fullmatch(common_name)
+    return common_name if found is None else found[1]
 
 
 class Traffic(NamedTuple):

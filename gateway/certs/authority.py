@@ -1,6 +1,6 @@
 """X.509 without files: a private CA, the gateway's and laptops' certificates, and reading them back.
 
-Zenoh's access control identifies a laptop by the first common name of its certificate, its own (names.py). The
+Zenoh's access control identifies a laptop by the first common name of its certificate, its own (access.py). The
 laptop's name, or its person's, is in the organizational unit.
 """
 
@@ -10,7 +10,7 @@ import re
 import secrets
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 from cryptography import x509
 from cryptography.exceptions import InvalidSignature
@@ -20,6 +20,7 @@ from cryptography.hazmat.primitives.asymmetric.types import CertificatePublicKey
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID, ObjectIdentifier
 
 from gateway.certs import CA_DAYS, CONSOLE_DAYS
+from gateway.certs.access import role_of
 from gateway.errors import ConfigError
 
 GATEWAY = "gateway"
@@ -33,7 +34,8 @@ BACKDATE = dt.timedelta(days=365)
 _Kind = TypeVar("_Kind", bound=x509.ExtensionType)
 _ORGANIZATION = "hexapod-gateway"
 _LABEL = re.compile(r"[a-z0-9]([a-z0-9-]{0,61}[a-z0-9])?")
-_SERVES = x509.ExtendedKeyUsage([ExtendedKeyUsageOID.SERVER_AUTH])
+_Extension = tuple[x509.ExtensionType, bool]
+"""And whether it is critical."""
 
 
 @dataclass(frozen=True)
@@ -53,80 +55,59 @@ class KeyPair:
         )
 
 
-def make_ca(now: dt.datetime) -> KeyPair:
-    """A CA for leaf certificates only; its name has a random part, so that two CAs are never confused."""
-    return _make_ca(now, CA, [])
+def make_ca(now: dt.datetime, hosts: Sequence[str] = ()) -> KeyPair:
+    """A CA for leaf certificates only; its name has a random part, so that two CAs are never confused.
 
-
-def make_web_ca(hosts: Sequence[str], now: dt.datetime) -> KeyPair:
-    """A CA for browsers, valid only for these hosts as servers: with its key nobody can pose as another site."""
-    # A kind of name without an entry is not constrained, so each gets an unused one.
-    names = [
-        *map(_general_name, hosts),
-        x509.DNSName("invalid"),
-        x509.IPAddress(ipaddress.ip_address("255.255.255.255")),
-    ]
-    permitted = [x509.IPAddress(ipaddress.ip_network(n.value)) if isinstance(n, x509.IPAddress) else n for n in names]
-    constraints = x509.NameConstraints(permitted_subtrees=permitted, excluded_subtrees=None)
-    return _make_ca(now, CONSOLE, [(constraints, True), (_SERVES, False)])
-
-
-def make_gateway(ca: KeyPair, hosts: Sequence[str], days: int, now: dt.datetime) -> KeyPair:
-    """The gateway's certificate: a server for `hosts`, and a client where it dials another Zenoh program."""
-    both = x509.ExtendedKeyUsage([ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH])
-    return _make_leaf(ca, _name(GATEWAY, GATEWAY), both, hosts, days, now)
-
-
-def make_laptop(ca: KeyPair, name: str, common_name: str, days: int, now: dt.datetime) -> KeyPair:
-    """A laptop's certificate: a client only, so that no laptop can pose as the robot."""
-    usage = x509.ExtendedKeyUsage([ExtendedKeyUsageOID.CLIENT_AUTH])
-    return _make_leaf(ca, _name(common_name, name), usage, (), days, now)
-
-
-def make_console(ca: KeyPair, name: str, hosts: Sequence[str], days: int, now: dt.datetime) -> KeyPair:
-    """A web console's certificate: a server for `hosts` only, without a role in Zenoh's access control."""
-    return _make_leaf(ca, _name(CONSOLE, name), _SERVES, hosts, days, now)
-
-
-def renew(
-    ca: KeyPair, old: x509.Certificate, days: int, now: dt.datetime, hosts: Sequence[str] = ()
-) -> x509.Certificate:
-    """`old` with a new serial number and expiry, same holder and key, valid as a server for `hosts`."""
-    return _leaf(ca, old.subject, old.public_key(), _extension(old, x509.ExtendedKeyUsage), hosts, days, now)
-
-
-def _make_ca(now: dt.datetime, unit: str, more: Sequence[tuple[x509.ExtensionType, bool]]) -> KeyPair:
+    With `hosts` it is for browsers, and valid only for these as servers: with its key nobody can pose as another site.
+    """
     key = ec.generate_private_key(ec.SECP256R1())
-    subject = _name(f"{_ORGANIZATION} CA {secrets.token_hex(4)}", unit)
+    extensions: list[_Extension] = [(x509.SubjectKeyIdentifier.from_public_key(key.public_key()), False)]
+    if hosts:
+        # A kind of name without an entry is not constrained, so each gets an unused one.
+        names = map(_general_name, (*hosts, "invalid", "255.255.255.255"))
+        permitted = [
+            x509.IPAddress(ipaddress.ip_network(n.value)) if isinstance(n, x509.IPAddress) else n for n in names
+        ]
+        constraints = x509.NameConstraints(permitted_subtrees=permitted, excluded_subtrees=None)
+        extensions += [(constraints, True), (_usage(CONSOLE), False)]
+    subject = _name(f"{_ORGANIZATION} CA {secrets.token_hex(4)}", CONSOLE if hosts else CA)
     span = (now - BACKDATE, now + dt.timedelta(days=CA_DAYS))
-    extensions = [(x509.SubjectKeyIdentifier.from_public_key(key.public_key()), False), *more]
     return KeyPair(_signed(subject, key, subject, key.public_key(), span, extensions, ca=True), key)
 
 
-def _make_leaf(
-    ca: KeyPair, subject: x509.Name, usage: x509.ExtendedKeyUsage, hosts: Sequence[str], days: int, now: dt.datetime
-) -> KeyPair:
+def make_leaf(ca: KeyPair, common_name: str, name: str, hosts: Sequence[str], days: int, now: dt.datetime) -> KeyPair:
+    """The certificate of a robot (GATEWAY), a web console (CONSOLE) or a laptop, as a server valid for `hosts`."""
     key = ec.generate_private_key(ec.SECP256R1())
-    return KeyPair(_leaf(ca, subject, key.public_key(), usage, hosts, days, now), key)
+    return KeyPair(_leaf(ca, _name(common_name, name), key.public_key(), hosts, days, now), key)
+
+
+def renew(ca: KeyPair, old: x509.Certificate, hosts: Sequence[str], days: int, now: dt.datetime) -> x509.Certificate:
+    """`old` with a new serial number and expiry, same holder and key, valid as a server for `hosts`."""
+    return _leaf(ca, old.subject, old.public_key(), hosts, days, now)
+
+
+def _usage(common_name: str) -> x509.ExtendedKeyUsage:
+    """A robot also dials other Zenoh programs. A laptop is a client only, so that none can pose as the robot."""
+    server, client = ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH
+    return x509.ExtendedKeyUsage({GATEWAY: [server, client], CONSOLE: [server]}.get(common_name, [client]))
 
 
 def _leaf(
     ca: KeyPair,
     subject: x509.Name,
     key: CertificatePublicKeyTypes,
-    usage: x509.ExtendedKeyUsage | None,
     hosts: Sequence[str],
     days: int,
     now: dt.datetime,
 ) -> x509.Certificate:
-    issuer = ca.certificate
-    if _attribute(subject, NameOID.COMMON_NAME) == CONSOLE:
-        days = min(days, CONSOLE_DAYS)
+    issuer, common_name = ca.certificate, _attribute(subject, NameOID.COMMON_NAME)
+    days = min(days, CONSOLE_DAYS) if common_name == CONSOLE else days
     # A leaf that outlives its CA would be rejected while `certs list` still shows it as good.
     end = min(now + dt.timedelta(days=days), issuer.not_valid_after_utc)
-    names = x509.SubjectAlternativeName([_general_name(host) for host in hosts]) if hosts else None
-    found = (x509.AuthorityKeyIdentifier.from_issuer_public_key(ca.key.public_key()), usage, names)
-    extensions = [(each, False) for each in found if each is not None]
+    authority = x509.AuthorityKeyIdentifier.from_issuer_public_key(ca.key.public_key())
+    extensions: list[_Extension] = [(authority, False), (_usage(common_name), False)]
+    if hosts:
+        extensions.append((x509.SubjectAlternativeName([_general_name(host) for host in hosts]), False))
     span = (max(now - BACKDATE, issuer.not_valid_before_utc), end)
     return _signed(issuer.subject, ca.key, subject, key, span, extensions, ca=False)
 
@@ -137,11 +118,11 @@ def _signed(
     subject: x509.Name,
     key: CertificatePublicKeyTypes,
     span: tuple[dt.datetime, dt.datetime],
-    more: Sequence[tuple[x509.ExtensionType, bool]],
+    more: Sequence[_Extension],
     *,
     ca: bool,
 ) -> x509.Certificate:
-    """`span`: begin and end. `more`: extensions, and whether each is critical."""
+    """`span`: begin and end."""
     usage = x509.KeyUsage(not ca, False, False, False, False, ca, ca, False, False)
     builder = x509.CertificateBuilder().subject_name(subject).issuer_name(issuer).public_key(key)
     builder = builder.serial_number(x509.random_serial_number()).not_valid_before(span[0]).not_valid_after(span[1])
@@ -187,13 +168,25 @@ def hosts_of(certificate: x509.Certificate) -> list[str]:
     return [str(name.value) for name in names if isinstance(name, x509.DNSName | x509.IPAddress)]
 
 
-def common_name_and_name(certificate: x509.Certificate) -> tuple[str, str]:
-    """The holder: ("ca", its name), ("gateway", its first host), or a laptop's (common name, name); "" if absent."""
+class Holder(NamedTuple):
+    """Both, since one person may have several certificates."""
+
+    common_name: str
+    name: str
+
+    @property
+    def role(self) -> str:
+        """The common name without a laptop's number."""
+        return role_of(self.common_name)
+
+
+def holder_of(certificate: x509.Certificate) -> Holder:
+    """("ca", its name), ("gateway", its first host), or a laptop's (common name, name); "" if absent."""
     common = _attribute(certificate.subject, NameOID.COMMON_NAME)
     unit = _attribute(certificate.subject, NameOID.ORGANIZATIONAL_UNIT_NAME)
     if is_ca(certificate):
-        return CA, common
-    return common, next(iter(hosts_of(certificate)), unit) if common == GATEWAY else unit
+        return Holder(CA, common)
+    return Holder(common, next(iter(hosts_of(certificate)), unit) if common == GATEWAY else unit)
 
 
 def _extension(certificate: x509.Certificate, kind: type[_Kind]) -> _Kind | None:

@@ -17,6 +17,7 @@ from cryptography import x509
 from cryptography.exceptions import UnsupportedAlgorithm
 from cryptography.hazmat.primitives import serialization
 from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.hazmat.primitives.asymmetric.types import PrivateKeyTypes
 
 from gateway import durable
 from gateway.errors import ConfigError
@@ -52,12 +53,17 @@ def read_certificates(path: Path) -> list[x509.Certificate]:
     return found
 
 
-def read_key(path: Path) -> ec.EllipticCurvePrivateKey:
-    """An unencrypted elliptic-curve key of a PEM file. Raises ConfigError."""
+def read_private_key(path: Path) -> PrivateKeyTypes:
+    """An unencrypted key of a PEM file. Raises ConfigError."""
     try:
-        key = serialization.load_pem_private_key(read_file(path, "key"), password=None)
+        return serialization.load_pem_private_key(read_file(path, "key"), password=None)
     except (ValueError, TypeError) as error:  # TypeError: it is encrypted
         raise ConfigError(f"{path} holds no unencrypted key in PEM form: restore it from a copy") from error
+
+
+def read_key(path: Path) -> ec.EllipticCurvePrivateKey:
+    """An unencrypted elliptic-curve key of a PEM file. Raises ConfigError."""
+    key = read_private_key(path)
     if not isinstance(key, ec.EllipticCurvePrivateKey):
         raise ConfigError(f"{path} is not the elliptic-curve key that `certs init` makes: restore it from a copy")
     return key

@@ -18,7 +18,7 @@ import zenoh
 from cryptography.hazmat.primitives import serialization
 
 from gateway import nesting
-from gateway.certs import CONSOLE_DAYS, LAPTOP_ROLES, LEAF_DAYS, authority, names, revocation, zenoh_files
+from gateway.certs import LAPTOP_ROLES, LEAF_DAYS, access, authority, revocation, zenoh_files
 from gateway.certs.authority import CA, CONSOLE, GATEWAY, KeyPair, is_issued
 from gateway.certs.files import SECRET_MODE, FileContent, publish, read_certificate, read_file, read_key, replace
 from gateway.certs.revocation import RevocationList, Revoked
@@ -106,8 +106,8 @@ def issue(
             files |= _bundle(bundle, files, {path.name: content for path, content in files.items()}, now)
     elif role == CONSOLE:
         parsed = _parsed(hosts)
-        own = authority.make_web_ca(parsed, now)
-        made = authority.make_console(own, name, parsed, min(days, CONSOLE_DAYS), now)
+        own = authority.make_ca(now, parsed)
+        made = authority.make_leaf(own, CONSOLE, name, parsed, days, now)
         files = _pair(directory / name, made) | _pair(directory / f"{name}{_WEB_CA}", own)
     else:
         files = _laptop(directory, ca, name, role, bundle, days, now)
@@ -118,7 +118,7 @@ def issue(
 def _robot(
     directory: Path, ca: KeyPair, hosts: Sequence[str], port: int, days: int, now: dt.datetime
 ) -> dict[Path, FileContent]:
-    made = authority.make_gateway(ca, hosts, days, now)
+    made = authority.make_leaf(ca, GATEWAY, GATEWAY, hosts, days, now)
     config = {directory / "gateway.json5": FileContent(zenoh_files.gateway_json5(hosts, port))}
     return _pair(directory / GATEWAY, made) | config
 
@@ -126,7 +126,7 @@ def _robot(
 def _laptop(
     directory: Path, ca: KeyPair, name: str, role: str, bundle: Path | None, days: int, now: dt.datetime
 ) -> dict[Path, FileContent]:
-    laptop = authority.make_laptop(ca, name, _free_common_name(directory, role), days, now)
+    laptop = authority.make_leaf(ca, _free_common_name(directory, role), name, (), days, now)
     files = _pair(directory / name, laptop)
     for robot, folder in robots_of(directory).items():
         hosts = hosts_of(folder / "gateway.pem")
@@ -164,7 +164,7 @@ def renew(
     own = f"{name}{_WEB_CA}" if (directory / f"{name}{_WEB_CA}.key").exists() else CA
     path = robots[name] / "gateway.pem" if name in robots else directory / f"{name}.pem"
     ca, old, known = load_ca(directory, now, own), read_certificate(path), revoked(directory)
-    if known is not None and known.holds(authority.common_name_and_name(old)[0], old.serial_number):
+    if known is not None and known.holds(authority.holder_of(old).common_name, old.serial_number):
         raise ConfigError(f"{path} is revoked; `hexapod-gateway certs issue` makes another")
     if not is_issued(old, ca.certificate):
         raise ConfigError(f"{path} was not issued by the CA in {directory}: issue a new one there")
@@ -172,7 +172,7 @@ def renew(
     if hosts and (own != CA or not reached):
         raise ConfigError(f"--host adds one to a robot; {path} keeps its own: `certs issue` makes one for other hosts")
     reached = list(dict.fromkeys([*reached, *(_dialled_hosts(hosts) if hosts else ())]))
-    renewed = authority.renew(ca, old, days, now, reached).public_bytes(serialization.Encoding.PEM)
+    renewed = authority.renew(ca, old, reached, days, now).public_bytes(serialization.Encoding.PEM)
     replace(path, FileContent(renewed))
     return path
 
@@ -188,7 +188,7 @@ def revoke(directory: Path, name: str, *, now: dt.datetime | None = None) -> Rev
     found = next((each for each in laptops if name in (each.name, each.common_name)), None)
     if found is None and any(name in (entry.name, entry.common_name) for entry in before):
         raise ConfigError(f"{name} is revoked already")
-    if found is None and names.role_of(name) == name:
+    if found is None and access.role_of(name) == name:
         raise ConfigError(f"{directory} has no laptop {name!r}: `hexapod-gateway certs list` names them")
     if found is None:
         return _sign(directory, (*before, Revoked(name, "", _NO_SERIAL, now)), 0, now)
@@ -226,7 +226,7 @@ def states(directory: Path, now: dt.datetime) -> list[tuple[Certificate, str]]:
     listed = {each.common_name for each in found}
     for each in known.entries if known else ():
         if each.common_name not in listed:  # without a file its expiry is unknown
-            role = names.role_of(each.common_name)
+            role = access.role_of(each.common_name)
             gone = Certificate(Path(), each.name, role, each.common_name, f"{each.serial:x}", each.since, each.since)
             found.append(gone)
 
@@ -255,9 +255,8 @@ def expiries(directory: Path) -> list[Certificate]:
 def describe(path: Path) -> Certificate:
     """Return the certificate in the PEM file at `path`. Raises ConfigError."""
     found = read_certificate(path)
-    common_name, name = authority.common_name_and_name(found)
-    role, span = names.role_of(common_name), (found.not_valid_before_utc, found.not_valid_after_utc)
-    return Certificate(path, name, role, common_name, f"{found.serial_number:x}", *span)
+    holder, span = authority.holder_of(found), (found.not_valid_before_utc, found.not_valid_after_utc)
+    return Certificate(path, holder.name, holder.role, holder.common_name, f"{found.serial_number:x}", *span)
 
 
 def hosts_of(path: Path) -> list[str]:
@@ -305,9 +304,9 @@ def now_utc() -> dt.datetime:
 
 def _free_common_name(directory: Path, role: str) -> str:
     taken = {each.common_name for each, _ in states(directory, now_utc())}
-    found = next((name for name in names.every(role) if name not in taken), None)
+    found = next((name for name in access.every(role) if name not in taken), None)
     if found is None:
-        raise ConfigError(f"all {names.MOST} common names of {role} are taken: make a new CA in another folder")
+        raise ConfigError(f"all {access.MOST} common names of {role} are taken: make a new CA in another folder")
     return found
 
 

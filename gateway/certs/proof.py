@@ -7,6 +7,7 @@ carry no identity of their link; so the gateway checks the person's, once for ea
 import base64
 import datetime as dt
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Final, NamedTuple
 
 from cryptography import x509
@@ -14,9 +15,11 @@ from cryptography.exceptions import InvalidSignature
 from cryptography.hazmat.primitives import hashes
 from cryptography.hazmat.primitives.asymmetric import ec, padding, rsa
 
-from gateway.certs import BUTTON, OPERATOR, names
-from gateway.certs.authority import common_name_and_name, is_ca, is_issued
+from gateway.certs import BUTTON, OPERATOR
+from gateway.certs.authority import Holder, holder_of, is_ca, is_issued
+from gateway.certs.files import read_private_key
 from gateway.certs.revocation import RevocationList
+from gateway.errors import ConfigError
 from schemas import button, lease
 from schemas.lease import Proof
 
@@ -69,38 +72,37 @@ class ProofChecker:
     def _certificate_fault(
         self, certificate: x509.Certificate, source: str, now: dt.datetime, purpose: Purpose
     ) -> str | None:
-        common_name, person = common_name_and_name(certificate)
+        holder = holder_of(certificate)
         start, end = certificate.not_valid_before_utc, certificate.not_valid_after_utc
         clock, roles = f"the robot's clock says {_minute(now)}", " or a ".join(purpose.roles)
         issued = any(is_issued(certificate, ca) for ca in self._cas if _is_valid(ca, now))
-        revoked = self._revoked is not None and self._revoked.holds(common_name, certificate.serial_number)
-        own = person == source or (purpose.own_names and source.startswith(f"{person}/"))
+        revoked = self._revoked is not None and self._revoked.holds(holder.common_name, certificate.serial_number)
+        own = holder.name == source or (purpose.own_names and source.startswith(f"{holder.name}/"))
         faults = (
             (not issued, "is not signed by this gateway's CA"),
             (now < start, f"is valid from {_minute(start)} UTC; {clock}"),
             (now > end, f"expired at {_minute(end)} UTC; {clock}"),
-            (revoked, f"is revoked ({common_name}); get another from the person with the CA's key"),
-            (names.role_of(common_name) not in purpose.roles, f"is not that of an {roles} of this robot"),
+            (revoked, f"is revoked ({holder.common_name}); get another from the person with the CA's key"),
+            (holder.role not in purpose.roles, f"is not that of an {roles} of this robot"),
         )
         fault = next((f"proof.certificate {sentence}" for wrong, sentence in faults if wrong), None)
         return fault if fault or own else "source is not the person of proof.certificate"
 
 
-class CertificateHolder(NamedTuple):
-    """Both, since one person may have several certificates."""
-
-    common_name: str
-    person: str
-
-    @property
-    def role(self) -> str:
-        """The role without the number."""
-        return names.role_of(self.common_name)
-
-
-def holder(proof: Proof) -> CertificateHolder:
+def holder(proof: Proof) -> Holder:
     """The holder of the certificate in an accepted proof."""
-    return CertificateHolder(*common_name_and_name(x509.load_pem_x509_certificates(proof.certificate.encode())[0]))
+    return holder_of(x509.load_pem_x509_certificates(proof.certificate.encode())[0])
+
+
+def sign(key_file: Path, text: bytes) -> bytes:
+    """The signature of a certificate's key under `text`. Raises ConfigError."""
+    key = read_private_key(key_file)
+    if isinstance(key, ec.EllipticCurvePrivateKey):
+        return key.sign(text, ec.ECDSA(hashes.SHA256()))
+    if isinstance(key, rsa.RSAPrivateKey):
+        return key.sign(text, padding.PKCS1v15(), hashes.SHA256())
+    issue = "get one from `hexapod-gateway certs issue`"
+    raise ConfigError(f"{key_file} is neither an elliptic-curve nor an RSA key: {issue}")
 
 
 def _is_valid(ca: x509.Certificate, now: dt.datetime) -> bool:

@@ -28,7 +28,7 @@ def test_what_people_import_into_a_browser_is_good_for_the_console_only(
     ca = authority.KeyPair(certs.files.read_certificate(folder / "web-ca.pem"), read_key(folder / "web-ca.key"))
     for host in hosts:
         assert trusted(folder / "web-ca.pem", folder / "web.pem", folder / "web.key", host)
-    stolen = authority.make_console(ca, "stolen", [other], 10, dt.datetime.now(dt.UTC))
+    stolen = authority.make_leaf(ca, "console", "stolen", [other], 10, dt.datetime.now(dt.UTC))
     (folder / "stolen.pem").write_bytes(stolen.certificate_pem())
     (folder / "stolen.key").write_bytes(stolen.key_pem())
     assert trusted(folder / "web-ca.pem", folder / "stolen.pem", folder / "stolen.key", other) == (other in hosts)

@@ -222,7 +222,7 @@ def now() -> dt.datetime:
 def forge(folder: Path, name: str, common_name: str, made: dt.datetime | None = None) -> None:
     """A certificate of the folder's CA that `issue` would not make: any common name, good for a day from `made`."""
     ca = authority.KeyPair(read_certificate(folder / "ca.pem"), read_key(folder / "ca.key"))
-    pair = authority.make_laptop(ca, name, common_name, 1, made or now())
+    pair = authority.make_leaf(ca, common_name, name, (), 1, made or now())
     (folder / f"{name}.pem").write_bytes(pair.certificate_pem())
     (folder / f"{name}.key").write_bytes(pair.key_pem())
     text = (folder / "alice.json5").read_text()

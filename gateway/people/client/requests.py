@@ -80,7 +80,7 @@ class Identity:
 
         from schemas.lease import signed_text
 
-        signature = _sign(_named(self.key), (text or signed_text)(do, source, nonce))
+        signature = certs.proof.sign(_named(self.key), (text or signed_text)(do, source, nonce))
         pem = self._read().public_bytes(serialization.Encoding.PEM).decode()
         return {"nonce": nonce, "certificate": pem, "signature": base64.b64encode(signature).decode()}
 
@@ -92,21 +92,6 @@ def _named(file: Path | None) -> Path:
     if file is None:
         raise ConfigError("no certificate is given: get one from `hexapod-gateway certs issue NAME --role operator`")
     return file
-
-
-def _sign(file: Path, data: bytes) -> bytes:
-    from cryptography.hazmat.primitives import hashes, serialization
-    from cryptography.hazmat.primitives.asymmetric import ec, padding, rsa
-
-    try:
-        key: Any = serialization.load_pem_private_key(certs.files.read_file(file, "key"), password=None)
-    except (ValueError, TypeError) as error:  # TypeError: it is encrypted
-        raise ConfigError(f"{file} holds no unencrypted key in PEM form: restore it from a copy") from error
-    if isinstance(key, ec.EllipticCurvePrivateKey):
-        return key.sign(data, ec.ECDSA(hashes.SHA256()))
-    if isinstance(key, rsa.RSAPrivateKey):
-        return key.sign(data, padding.PKCS1v15(), hashes.SHA256())
-    raise ConfigError(f"{file} is neither an elliptic-curve nor an RSA key: get one from `hexapod-gateway certs issue`")
 
 
 class Get(Protocol):

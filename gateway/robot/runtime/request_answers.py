@@ -28,7 +28,8 @@ from schemas.lease import LEASE_REQUEST, Challenge, Claim, LeaseAck, Release, Re
 from schemas.telemetry import Reason
 
 if TYPE_CHECKING:
-    from gateway.certs.proof import CertificateHolder, ProofChecker
+    from gateway.certs.authority import Holder
+    from gateway.certs.proof import ProofChecker
 
 PAUSE_S: Final = 0.05
 """Between two requests that may write a file: 20/s, each of which may take a millisecond."""
@@ -224,8 +225,8 @@ class ButtonAnswers(RequestAnswers):
         detail = answer.detail or None
         reply(self.accepted(detail=detail, button=answer.token, timeout_ms=timeout_ms, alive=alive, required=required))
 
-    def _counts(self, source: str, holder: "CertificateHolder | None") -> bool:
+    def _counts(self, source: str, holder: "Holder | None") -> bool:
         """Whether `buttons.names` admits its person (`anna` of `anna/phone`) or its certificate's role."""
-        person = source.partition("/")[0] if holder is None else holder.person
+        person = source.partition("/")[0] if holder is None else holder.name
         names = self._settings.names
         return not names or person in names or (holder is not None and holder.role in names)

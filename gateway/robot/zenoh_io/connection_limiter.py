@@ -23,7 +23,8 @@ import zenoh
 from zenoh.handlers import RingChannel
 
 from gateway.allowance import Allowance
-from gateway.certs import BUTTON, OPERATOR, names
+from gateway.certs import BUTTON, OPERATOR
+from gateway.certs.access import role_of
 from gateway.endpoints import host_and_port
 from gateway.host.realtime import PAGE_PRIORITY, prefer_thread
 from gateway.limits import MAX_SESSIONS, OPERATORS_PLACES
@@ -105,7 +106,7 @@ class ConnectionLimiter:
 
 def is_operator(identity: str) -> bool:
     """Whether this common name may stop the robot: `operator-07`, `button-07`."""
-    return names.role_of(identity) in (OPERATOR, BUTTON)
+    return role_of(identity) in (OPERATOR, BUTTON)
 
 
 def shut_down(addresses: Collection[Any]) -> None:

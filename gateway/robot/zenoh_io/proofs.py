@@ -19,7 +19,8 @@ from gateway.zenoh_config import get
 from schemas.lease import Proof
 
 if TYPE_CHECKING:
-    from gateway.certs.proof import CertificateHolder, ProofChecker
+    from gateway.certs.authority import Holder
+    from gateway.certs.proof import ProofChecker
     from gateway.certs.revocation import RevocationList
 
 CHECKS_PER_S: Final = 20
@@ -72,7 +73,7 @@ class Proofs:
         purpose = certs.proof.WATCHING if self._watching else certs.proof.DRIVING
         return self._checker.fault(proof, do, source, self._wall_clock(), purpose)
 
-    def holder(self, proof: Proof | None) -> "CertificateHolder | None":
+    def holder(self, proof: Proof | None) -> "Holder | None":
         """The holder of the certificate behind an accepted proof; None: no proof is needed."""
         return None if self._checker is None or proof is None else certs.proof.holder(proof)
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import zenoh
 
 from gateway import certs, durable
-from gateway.certs import LAPTOP_ROLES, names
+from gateway.certs import LAPTOP_ROLES, access
 from gateway.errors import ConfigError
 from gateway.host.directories import state_directory, state_to_read
 from gateway.robot.settings import Settings
@@ -66,8 +66,8 @@ def list_common_names(config: zenoh.Config, known: "RevocationList | None") -> N
     for subject in subjects or ():
         named = subject.get("cert_common_names")
         if named:
-            listed = [name for each in named for name in (names.every(each) if each in LAPTOP_ROLES else [each])]
-            subject["cert_common_names"] = [name for name in listed if name not in shut_out] or [names.NOBODY]
+            listed = [name for each in named for name in (access.every(each) if each in LAPTOP_ROLES else [each])]
+            subject["cert_common_names"] = [name for name in listed if name not in shut_out] or [access.NOBODY]
     if subjects:
         config.insert_json5(_SUBJECTS, json.dumps(subjects))
 

@@ -73,7 +73,7 @@ def test_a_consoles_certificate_only_serves(folder: Path) -> None:
             certs.folder.renew(folder, "web", days=days, now=NOW)
         certificate = certs.files.read_certificate(folder / "web.pem")
         assert certificate.not_valid_after_utc - certificate.not_valid_before_utc <= 825 * DAY
-        assert authority.common_name_and_name(certificate) == ("console", "web")
+        assert authority.holder_of(certificate) == ("console", "web")
         assert authority.hosts_of(certificate) == ["robot.local", "192.0.2.7", "2001:db8::7"]
         usage = certificate.extensions.get_extension_for_class(x509.ExtendedKeyUsage).value
         assert list(usage) == [ExtendedKeyUsageOID.SERVER_AUTH]

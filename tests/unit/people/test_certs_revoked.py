@@ -11,7 +11,7 @@ from queue import SimpleQueue
 import pytest
 
 from gateway import certs
-from gateway.certs import authority, names, revocation
+from gateway.certs import access, authority, revocation
 from gateway.certs.folder import load_ca
 from gateway.certs.revocation import RevocationList, Revoked
 from gateway.errors import ConfigError
@@ -50,7 +50,7 @@ def test_each_laptop_has_a_common_name_of_its_own_until_all_are_taken(
 ) -> None:
     assert issue(folder, "anna", "bert") == ["operator-00", "operator-01"]
     assert issue(folder, "otto", role="observer") == ["observer-00"]
-    monkeypatch.setattr(names, "MOST", 2)
+    monkeypatch.setattr(access, "MOST", 2)
     assert "all 2 common names of operator" in fault(lambda: certs.folder.issue(folder, "carl", "operator", now=NOW))
     assert not (folder / "carl.pem").exists()
 
@@ -139,10 +139,10 @@ def test_rules_list_each_roles_common_names_but_for_revoked_ones(folder: Path) -
     revoked.list_common_names(config, known)
     listed = {each["id"]: each["cert_common_names"] for each in get(config, "access_control/subjects")}
     assert listed["operator"] == [f"operator-{number:02}" for number in range(1, 1000)]
-    assert listed["observer"] == names.every("observer")
+    assert listed["observer"] == access.every("observer")
     revoked.list_common_names(config, list_of(folder, 9, *listed["observer"]))
     nobody = {each["id"]: each["cert_common_names"] for each in get(config, "access_control/subjects")}
-    assert nobody["observer"] == [names.NOBODY], "Zenoh takes a subject without names as everyone"
+    assert nobody["observer"] == [access.NOBODY], "Zenoh takes a subject without names as everyone"
 
 
 @pytest.mark.virtual_time

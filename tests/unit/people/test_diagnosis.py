@@ -57,7 +57,7 @@ def test_a_robot_whose_certificate_has_expired(tmp_path: Path) -> None:
     certs.folder.init(tmp_path, ["127.0.0.1"])
     certs.folder.issue(tmp_path, "anna", "operator")
     ca = authority.KeyPair(read_certificate(tmp_path / "ca.pem"), read_key(tmp_path / "ca.key"))
-    old = authority.make_gateway(ca, ["127.0.0.1"], 1, dt.datetime.now(dt.UTC) - 2 * DAY)
+    old = authority.make_leaf(ca, "gateway", "gateway", ["127.0.0.1"], 1, dt.datetime.now(dt.UTC) - 2 * DAY)
     (tmp_path / "old.pem").write_bytes(old.certificate_pem())
     (tmp_path / "old.key").write_bytes(old.key_pem())
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)

@@ -32,8 +32,8 @@ DAY = dt.timedelta(days=1)
 NONCE = "0123456789abcdef" * 2
 CA = authority.make_ca(NOW)
 OTHER_CA = authority.make_ca(NOW)
-ANNA = authority.make_laptop(CA, "anna", "operator", 30, NOW)
-BERT = authority.make_laptop(CA, "bert", "operator", 30, NOW)
+ANNA = authority.make_leaf(CA, "operator", "anna", (), 30, NOW)
+BERT = authority.make_leaf(CA, "operator", "bert", (), 30, NOW)
 CHECKER = ProofChecker([CA.certificate])
 
 
@@ -107,7 +107,7 @@ def test_an_rsa_key_and_a_certificate_of_somebodys_own_tools(tmp_path: Path) -> 
 def test_who_may_watch_with_a_hand_on_a_stop_and_under_which_names(
     role: str, source: str, purpose: Purpose, fault: str | None
 ) -> None:
-    anna = authority.make_laptop(CA, "anna", role, 30, NOW)
+    anna = authority.make_leaf(CA, role, "anna", (), 30, NOW)
     signature = anna.key.sign(purpose.signed("register", source, NONCE), ec.ECDSA(hashes.SHA256()))
     made = proof(anna, signature=base64.b64encode(signature).decode())
     found = CHECKER.fault(made, "register", source, NOW, purpose)
@@ -124,7 +124,7 @@ BAD: dict[str, tuple[Callable[[], Proof], str]] = {
     "another person's name": (lambda: proof(BERT), "source is not the person"),
     "another person's key": (lambda: proof(BERT, certificate=pem(ANNA.certificate)), "proof.signature is not made"),
     "another CA's": (
-        lambda: proof(authority.make_laptop(OTHER_CA, "anna", "operator", 30, NOW)),
+        lambda: proof(authority.make_leaf(OTHER_CA, "operator", "anna", (), 30, NOW)),
         "is not signed by this gateway's CA",
     ),
     "one that only names the CA": (
@@ -140,10 +140,16 @@ BAD: dict[str, tuple[Callable[[], Proof], str]] = {
         "is not signed by this gateway's CA",
     ),
     "the CA itself": (lambda: proof(CA), "not that of an operator"),
-    "an observer's": (lambda: proof(authority.make_laptop(CA, "anna", "observer", 30, NOW)), "not that of an operator"),
-    "the gateway's": (lambda: proof(authority.make_gateway(CA, ["anna"], 30, NOW)), "not that of an operator"),
+    "an observer's": (
+        lambda: proof(authority.make_leaf(CA, "observer", "anna", (), 9, NOW)),
+        "not that of an operator",
+    ),
+    "the gateway's": (
+        lambda: proof(authority.make_leaf(CA, "gateway", "", ["anna"], 30, NOW)),
+        "not that of an operator",
+    ),
     "an expired one's": (
-        lambda: proof(authority.make_laptop(CA, "anna", "operator", 30, NOW - 31 * DAY)),
+        lambda: proof(authority.make_leaf(CA, "operator", "anna", (), 30, NOW - 31 * DAY)),
         "expired at",
     ),
     "one of tomorrow": (
