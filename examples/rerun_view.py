@@ -15,7 +15,7 @@ from mcap.reader import make_reader
 from rosbags.typesys import Stores, get_typestore
 
 from gateway.geometry import load
-from gateway.people.ros2.drawing import JOINT_COMMANDS, LOG, SERVOS_OFF, SIM_JOINT_STATES, WORLD
+from gateway.people.recorder.drawing import JOINT_COMMANDS, LOG, SERVOS_OFF, SIM_JOINT_STATES, WORLD
 from gateway.people.ros2.messages import SPHERE, MarkerArray
 
 TIMELINE: Final = "message_log_time"

@@ -16,6 +16,7 @@ from gateway import __version__
 from gateway.errors import ConfigError, GatewayError
 from gateway.model.frames import PROTOCOL_VERSION
 from gateway.onboard import check_command, incidents, setup_command
+from gateway.people import recorder
 from gateway.people.commands import certs, walk
 from gateway.people.commands.options import (
     AdaptOption,
@@ -27,7 +28,6 @@ from gateway.people.commands.options import (
     ZenohConfigOption,
 )
 from gateway.people.console import calibrate_command
-from gateway.people.recorder import command as recorder
 from gateway.people.ros2 import command as bridge
 from gateway.people.terminal import hint
 

@@ -14,7 +14,7 @@ from gateway.people.recorder import ring_reader
 from gateway.people.recorder.export import write
 from gateway.people.recorder.incidents import Incident, find, is_id, time_of
 from gateway.people.recorder.messages import messages
-from gateway.people.recorder.story import NoStoryError, headline, story, what
+from gateway.people.recorder.story import headline, story
 from gateway.people.terminal import hint, say
 from gateway.robot.blackbox import paths
 from gateway.robot.settings import Settings
@@ -38,7 +38,8 @@ def list_all(settings: Settings, *, as_json: bool = False) -> int:
     folder = _folder(settings)
     found = _find(folder)
     rows: list[dict[str, Any]] = [
-        {"id": each.name, "time": time_of(each.name).isoformat(), "what": _headline(each)} for each in reversed(found)
+        {"id": each.name, "time": time_of(each.name).isoformat(), "what": headline(messages(*each))}
+        for each in reversed(found)
     ]
     if as_json:
         typer.echo(json.dumps(rows, indent=1))
@@ -50,21 +51,10 @@ def list_all(settings: Settings, *, as_json: bool = False) -> int:
     return 0
 
 
-def _headline(found: _Found) -> str:
-    """What happened, in a line."""
-    try:
-        return headline(messages(*found))
-    except (NoStoryError, KeyError, TypeError, AttributeError):
-        return what(found.name)
-
-
 def show(settings: Settings, name: str, *, as_json: bool = False) -> int:
     """Print the story of an incident."""
     found = _one(settings, name)
-    try:
-        lines = story(list(messages(*found)))
-    except (NoStoryError, KeyError, TypeError, AttributeError) as error:  # of another version
-        raise ConfigError(f"{name}: is no incident that this version can tell") from error
+    lines = story(list(messages(*found)))
     if as_json:
         typer.echo(json.dumps({"id": found.name, "story": lines}, indent=1, ensure_ascii=False))
         return 0

@@ -12,10 +12,9 @@ from mcap.records import Channel, Message
 from mcap.stream_reader import StreamReader
 from pydantic import BaseModel
 
-from gateway.people.recorder.messages import COMMAND_TOPICS, RECORDER, CommandInBox, FrameInBox, Note
+from gateway.people.recorder.drawing import DRAWN
+from gateway.people.recorder.messages import COMMAND_TOPICS, RECORDER, CommandInBox, FrameInBox, Note, RecordedMessage
 from gateway.people.recorder.recording import METADATA, REPORTS
-from gateway.people.ros2.drawing import DRAWN
-from gateway.people.ros2.user_angles import RecordedMessage
 from tests.support.ros2_messages import decode
 
 IN_A_BOX: Final[dict[str, type[BaseModel]]] = {**dict.fromkeys(COMMAND_TOPICS, CommandInBox), RECORDER: Note}

@@ -38,8 +38,7 @@ PURE_FILES: Final = frozenset(
 ) | frozenset(
     f"people/ros2/{name}.py"
     for name in (
-        "cdr", "commanded", "drawing", "goals", "joints", "messages", "own_stop", "parameters", "robot", "trajectory",
-        "user_angles",
+        "commanded", "goals", "joints", "messages", "own_stop", "parameters", "robot", "trajectory",
     )
 )  # fmt: skip
 """In rooms that also do I/O."""

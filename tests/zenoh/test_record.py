@@ -15,7 +15,7 @@ import pytest
 from mcap.reader import make_reader
 
 from gateway.client import Client
-from gateway.people.ros2.drawing import FRAMES, JOINT_STATES, LOG
+from gateway.people.recorder.drawing import FRAMES, JOINT_STATES, LOG
 from schemas.keys import EVENT, FRAME, STATE
 from schemas.telemetry import FrameRecord
 from tests.support.child import Child

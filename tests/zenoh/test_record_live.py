@@ -15,8 +15,8 @@ import pytest
 from websockets import Subprotocol
 from websockets.sync.client import ClientConnection, connect
 
+from gateway.people.recorder.drawing import DRAWN, LOG, SIM_JOINT_STATES
 from gateway.people.recorder.recording import REPORTS
-from gateway.people.ros2.drawing import DRAWN, LOG, SIM_JOINT_STATES
 from schemas.keys import SIM_BODY, STATE, TELEMETRY
 from tests.support.child import Child
 from tests.support.fixtures import gateway_fixture

@@ -10,7 +10,7 @@ from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 
-from gateway.people.ros2.drawing import DRAWN, FRAMES, JOINT_COMMANDS, LOG
+from gateway.people.recorder.drawing import DRAWN, FRAMES, JOINT_COMMANDS, LOG
 from gateway.people.ros2.robot import MEASURED
 from tests.unit.people.test_recordings import drawn_in, positions, recorded
 

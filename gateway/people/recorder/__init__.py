@@ -1,1 +1,62 @@
-"""`record`: what a gateway publishes, as a file, live, or as a table; and what its black box kept of each incident."""
+"""`record`: what a gateway publishes, as a file, live, or as a table; and what its black box kept of each incident.
+
+Here is the command line alone.
+"""
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from gateway.errors import ConfigError
+from gateway.people.commands.options import ConnectOption, OtherShapeOption, TimeoutOption, ZenohConfigOption
+
+app = typer.Typer()
+
+
+@app.command()
+def record(
+    file: Annotated[
+        Path | None, typer.Argument(metavar="[FILE]", show_default=False, help="The file to make, such as ride.mcap")
+    ] = None,
+    live: Annotated[
+        bool, typer.Option("--live", help="Let Foxglove or Lichtblick on this machine look; FILE may be left out.")
+    ] = False,
+    csv: Annotated[
+        bool, typer.Option("--csv", help="Write the commanded angles of all servos as a table, too: FILE with .csv.")
+    ] = False,
+    port: Annotated[
+        int, typer.Option("--port", metavar="N", min=0, max=65535, help="Of --live, on 127.0.0.1; 0: any free one.")
+    ] = 8765,
+    seconds: Annotated[
+        float | None, typer.Option("--for", metavar="S", min=0, help="End by itself after this many seconds.")
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Overwrite a file that exists.")] = False,
+    geometry: OtherShapeOption = None,
+    connect: ConnectOption = None,
+    zenoh_config: ZenohConfigOption = None,
+    timeout: TimeoutOption = 2.0,
+) -> None:
+    """Record what the gateway publishes into an MCAP file, or show it live, until Ctrl-C. It commands nothing.
+
+    Foxglove, Lichtblick, Rerun and ROS 2's tools open it (docs/recordings.md). Frames are in it where the gateway
+    publishes them (telemetry.frames).
+    """
+    if file is None and (csv or not live):
+        raise ConfigError("name the file to make, such as ride.mcap, or show the robot in a viewer with --live")
+    if file is not None and file.suffix != ".mcap":
+        raise ConfigError(f"{file}: name the file with .mcap, by which viewers know it: {file.with_suffix('.mcap')}")
+    from gateway.people.commands import reach
+    from gateway.people.recorder.record import record
+
+    ended = record(
+        reach.connection(connect, zenoh_config, timeout, source="hexapod-gateway record"),
+        file,
+        table=csv,
+        live_port=port if live else None,
+        geometry=geometry,
+        overwrite=force,
+        seconds=seconds,
+    )
+    sys.exit(ended)

@@ -5,7 +5,7 @@ from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict
 from datetime import UTC, datetime
-from typing import Annotated, Final
+from typing import Annotated, Any, Final, NamedTuple
 
 from pydantic import AwareDatetime, Field
 
@@ -15,13 +15,20 @@ from gateway.model.frames import Op
 from gateway.model.telemetry import report_of
 from gateway.people.recorder.incidents import Incident
 from gateway.people.recorder.ring_reader import Records
-from gateway.people.ros2.user_angles import RecordedMessage
 from schemas import keys
 from schemas.telemetry import Event, FrameRecord, Report
 
 RECORDER: Final = f"{keys.ROOT}/recorder"
 """The channel of what no key of ours carries."""
 INCIDENT: Final = "incident"
+
+
+class RecordedMessage(NamedTuple):
+    """A message of the gateway's: its key, its JSON, and when it was recorded (ns since 1970)."""
+
+    topic: str
+    content: dict[str, Any]
+    time_ns: int
 
 
 class TargetInBox(Report):
@@ -67,11 +74,6 @@ class Note(Report):
 
 
 COMMAND_TOPICS: Final = tuple(keys.COMMAND_KEYS)
-
-
-def incident_of(those: Iterable[RecordedMessage]) -> RecordedMessage | None:
-    """Of an incident's messages the one that is about itself."""
-    return next((each for each in those if each.topic == RECORDER and each.content.get("what") == INCIDENT), None)
 
 
 def messages(incident: Incident, records: Records) -> Iterator[RecordedMessage]:

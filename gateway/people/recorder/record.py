@@ -1,5 +1,6 @@
 """`record`: everything that the gateway publishes, into a file and to viewers, until somebody ends it."""
 
+import csv
 import time
 from collections import Counter
 from contextlib import ExitStack, suppress
@@ -12,9 +13,10 @@ from gateway.geometry import load
 from gateway.people.client.live import ReportQueue
 from gateway.people.commands.reach import Connection
 from gateway.people.recorder.recording import HOST, REPORTS, Recording, about
-from gateway.people.recorder.table import Table
+from gateway.people.ros2.commanded import CommandedJoints
 from gateway.people.terminal import clear_line, hint, on_end_signals, say, show_line
 from schemas.keys import CALIBRATION, EVENT, FRAME, STATE
+from schemas.robot import SERVO_IDS
 from schemas.telemetry import GatewayState
 
 FLUSH_S: Final = 0.1
@@ -26,6 +28,29 @@ _MOST_WAITING: Final = 100_000
 """Reports that wait for the disk: minutes of frames. More are dropped and counted, before memory runs out."""
 
 _NAMES: Final = {STATE: "states", EVENT: "events", FRAME: "frames"}
+
+
+class Table:
+    """A row for each frame and each state: seconds since 1970, and degrees; empty where a servo is off."""
+
+    def __init__(self, path: Path, *, overwrite: bool) -> None:
+        """Raises FileExistsError, OSError."""
+        self._file = path.open("w" if overwrite else "x", newline="", encoding="ascii")
+        self._writer = csv.writer(self._file)
+        self._writer.writerow(["time_s", *(f"servo_{servo_id}_deg" for servo_id in SERVO_IDS)])
+
+    def add(self, joints: CommandedJoints, time_ns: int) -> None:
+        """One row."""
+        angles = (joints.deg.get(each) if joints.running.get(each) else None for each in SERVO_IDS)
+        self._writer.writerow([f"{time_ns / 1e9:.6f}", *angles])
+
+    def flush(self) -> None:
+        """Hand all to the kernel. Raises OSError."""
+        self._file.flush()
+
+    def close(self) -> None:
+        """Raises OSError."""
+        self._file.close()
 
 
 def record(

@@ -14,8 +14,7 @@ from pydantic import BaseModel
 from gateway import __version__
 from gateway.errors import AddressTakenError, ConfigError
 from gateway.geometry import Geometry
-from gateway.people.ros2 import cdr
-from gateway.people.ros2.drawing import DESCRIPTION, DRAWN, LOG, Drawing, warning
+from gateway.people.recorder.drawing import DESCRIPTION, DRAWN, LOG, Drawing, definition, encode, warning
 from gateway.people.ros2.messages import Message
 from schemas.calibration import Calibration
 from schemas.keys import CALIBRATION, EVENT, FRAME, SIM_BODY, STATE, TELEMETRY
@@ -23,7 +22,7 @@ from schemas.telemetry import BodyReport, Event, FrameRecord, GatewayState, Tele
 
 try:
     import foxglove
-    import rosbags  # noqa: F401  # `cdr` can be imported without
+    import rosbags  # noqa: F401  # `drawing` can be imported without
     from foxglove.mcap import MCAPWriteOptions
     from foxglove.websocket import ChannelView, ServerListener
     from foxglove.websocket import Client as Viewer
@@ -55,7 +54,7 @@ class Recording(ServerListener):
         create = self._context._create_channel
         self._channels = {key: create(key, message_encoding="json") for key in REPORTS}
         for topic, kind in DRAWN.items():
-            schema = foxglove.Schema(name=kind.TYPE, encoding="ros2msg", data=cdr.definition(kind).encode())
+            schema = foxglove.Schema(name=kind.TYPE, encoding="ros2msg", data=definition(kind).encode())
             self._channels[topic] = create(topic, message_encoding="cdr", schema=schema)
         self._asked = False  # a new viewer, for the robot's description
         self._file: foxglove.MCAPWriter | None = None
@@ -100,7 +99,7 @@ class Recording(ServerListener):
 
     def _draw(self, drawn: Iterable[tuple[str, Message]], time_ns: int) -> None:
         for topic, message in drawn:
-            self._channels[topic].log(cdr.encode(message), log_time=time_ns)
+            self._channels[topic].log(encode(message), log_time=time_ns)
 
     def on_subscribe(self, client: Viewer, channel: ChannelView) -> None:
         """Send the robot's description, which is published only once, to a viewer that opens the 3D panel."""

@@ -4,16 +4,13 @@ from array import array
 from bisect import bisect
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import suppress
 from typing import Any, Final, NamedTuple
 
-from pydantic import ValidationError
-
 from gateway.model.black_box.incidents import INCIDENT_NAMES, MISTAKE
-from gateway.model.frames import Op
+from gateway.model.frames import Frame, Op
 from gateway.people.recorder.incidents import kind_of
-from gateway.people.recorder.messages import COMMAND_TOPICS, INCIDENT, RECORDER, incident_of
-from gateway.people.ros2.user_angles import FrameIn, RecordedMessage, frames_in
+from gateway.people.recorder.messages import COMMAND_TOPICS, INCIDENT, RECORDER, RecordedMessage
+from gateway.people.ros2.commanded import UserAngles
 from gateway.text import visible
 from schemas import keys
 from schemas.robot import LEGS
@@ -24,7 +21,7 @@ _TOGETHER_NS: Final = 15_000_000
 FINE_MS: Final = 100.0
 """Times nearer than this to the incident are reported in milliseconds."""
 
-_WHAT: Final = {
+WORDS: Final = {
     "watchdog": "a leg was silent, and was stopped",
     "fallen": "the body tilted too far, and all legs were stopped",
     "button": "too few stop buttons were alive, and all legs were stopped",
@@ -44,7 +41,7 @@ _WHAT: Final = {
     "crash": "the gateway ended without a word",
 }
 """By how ids end. A list names first what is further down, where several happened."""
-_RANKS: Final = {ending: rank for rank, ending in enumerate(_WHAT)}
+_RANKS: Final = {ending: rank for rank, ending in enumerate(WORDS)}
 _EVENTS: Final[dict[object, str]] = {
     Kind.WATCHDOG_EXPIRED: "watchdog",
     Kind.ESTOP_ENGAGED: "emergency stop",
@@ -65,6 +62,10 @@ CAME_NS: Final = 500_000_000
 """What was published while nobody read is there by then."""
 
 
+FrameIn = tuple[RecordedMessage, Frame]
+"""A frame of a recording, and the message that has it."""
+
+
 class Line(NamedTuple):
     """When (ns since the incident), and what."""
 
@@ -72,20 +73,9 @@ class Line(NamedTuple):
     text: str
 
 
-class NoStoryError(ValueError):
-    """These messages are no incident."""
-
-
-def what(name: str) -> str:
-    """What an incident with this id is, in a few words."""
-    return _WHAT.get(kind_of(name), kind_of(name))
-
-
 def story(messages: list[RecordedMessage]) -> list[str]:
-    """The lines to print. Raises NoStoryError."""
-    zero = incident_of(messages)
-    if zero is None:
-        raise NoStoryError("it has no incident")
+    """The lines to print of an incident's messages."""
+    zero = _zero(messages)
     name = str(zero.content.get("detail"))
     reported = [each._replace(time_ns=each.time_ns - zero.time_ns) for each in messages if each is not zero]
     frames = list(frames_in(reported))
@@ -101,7 +91,7 @@ def story(messages: list[RecordedMessage]) -> list[str]:
 def headline(messages: Iterable[RecordedMessage]) -> str:
     """The worst that happened in an incident, who asked for it, which legs it stopped, and what else happened.
 
-    Of many messages it holds few. Raises NoStoryError.
+    Of many messages it holds few.
     """
     reported: list[RecordedMessage] = []
     moved_ns = array("q")  # when commands that move came
@@ -111,9 +101,7 @@ def headline(messages: Iterable[RecordedMessage]) -> str:
                 moved_ns.append(message.time_ns)
         elif _is_headline(message):
             reported.append(message)
-    zero = incident_of(reported)
-    if zero is None:
-        raise NoStoryError("it has no incident")
+    zero = _zero(reported)
     happened = {kind_of(str(zero.content.get("detail"))): ""}
     for message in reported:
         ending = _ENDINGS.get(str(message.content.get("kind") or message.content.get("what")))
@@ -124,13 +112,18 @@ def headline(messages: Iterable[RecordedMessage]) -> str:
         happened.pop("watchdog", None)  # its Stops are the landing's end
     worst = max(happened, key=lambda ending: _RANKS.get(ending, -1))
     legs = sorted(_stopped_legs(frames_in(reported), zero.time_ns))
-    words = {ending: f"{_WHAT.get(ending, ending)}{by}" for ending, by in happened.items()}
+    words = {ending: f"{WORDS.get(ending, ending)}{by}" for ending, by in happened.items()}
     if legs and "watchdog" in words:
         words["watchdog"] += f": {_named(legs)}"
     first = words.pop(worst)
     if worst in ("watchdog", "landing"):
         first = _stood_still(reported, moved_ns, zero.time_ns) or first
     return visible("; also: ".join((first, *words.values())))
+
+
+def _zero(messages: Iterable[RecordedMessage]) -> RecordedMessage:
+    """Of an incident's messages the one that is about itself."""
+    return next(each for each in messages if each.topic == RECORDER and each.content.get("what") == INCIDENT)
 
 
 def _is_headline(message: RecordedMessage) -> bool:
@@ -146,10 +139,7 @@ def _stood_still(notes: Sequence[RecordedMessage], moved_ns: Sequence[int], zero
     for note in notes:
         if note.content.get("what") != "lag":
             continue
-        try:
-            lag_ns = round(float(str(note.content.get("detail")).removesuffix(" ms")) * 1e6)
-        except ValueError:
-            continue
+        lag_ns = round(float(str(note.content["detail"]).removesuffix(" ms")) * 1e6)
         begun_ns = note.time_ns - lag_ns
         if lag_ns >= STOOD_NS and begun_ns - STOOD_NS <= zero_ns <= note.time_ns + STOOD_NS:
             came = any(begun_ns <= each <= note.time_ns + CAME_NS for each in moved_ns)
@@ -348,11 +338,9 @@ def _landings(messages: Iterable[RecordedMessage], frames: Iterable[FrameIn]) ->
 
 def _measured(messages: Iterable[RecordedMessage]) -> Iterator[Line]:
     """What the robot measured when it happened, and when its body was tilted most and its battery lowest."""
-    found: list[tuple[int, Telemetry]] = []
-    for message in messages:
-        if message.topic == keys.TELEMETRY:
-            with suppress(ValidationError):  # changed by hand
-                found.append((message.time_ns, Telemetry.model_validate(message.content)))
+    found = [
+        (each.time_ns, Telemetry.model_validate(each.content)) for each in messages if each.topic == keys.TELEMETRY
+    ]
     if not found:
         return
     named = {max((number for number, (at_ns, _) in enumerate(found) if at_ns <= 0), default=0): "measured"}
@@ -410,3 +398,13 @@ def _notes(messages: list[RecordedMessage]) -> Iterator[Line]:
             case _:
                 continue
         yield Line(message.time_ns, text)
+
+
+def frames_in(messages: Iterable[RecordedMessage]) -> Iterator[FrameIn]:
+    """Their frames in users' angles, as far as known."""
+    angles = UserAngles()
+    for message in messages:
+        angles.take(message.topic, message.content)
+        frame = angles.frame(message.content) if message.topic == keys.FRAME else None
+        if frame is not None:
+            yield message, frame

@@ -1,12 +1,53 @@
-"""Where each joint was commanded to be, from what a gateway publishes. Nothing comes back from the controller."""
+"""Where each joint was commanded to be, from what a gateway publishes. Nothing comes back from the controller.
+
+On the wire frames have the servos' own angles, and commands have users'.
+"""
 
 from collections.abc import Mapping
 from typing import Any
 
 from gateway.geometry import Geometry
-from gateway.model.frames import Op
-from gateway.people.ros2.user_angles import UserAngles
-from schemas.keys import FRAME, STATE
+from gateway.model.calibration import RobotCalibration, calibration_of
+from gateway.model.frames import Frame, FrameError, Op, decode
+from schemas import calibration as wire
+from schemas.keys import CALIBRATION, FRAME, STATE
+
+
+class UserAngles:
+    """Reads each frame by the calibration that was published before it."""
+
+    def __init__(self) -> None:
+        self.consistent = True
+        """Whether the calibration that was published last is the one that is in force."""
+        self._calibration = RobotCalibration()
+
+    def take(self, topic: str, content: Mapping[str, Any]) -> None:
+        """Take a message, in their order: what it states of calibration holds for all frames after it."""
+        if topic == STATE:
+            # An older gateway publishes no calibration, and had none.
+            found = content.get("calibration")
+            revision = found.get("revision", 0) if isinstance(found, dict) else 0
+            self.consistent = revision == self._calibration.revision
+        elif topic == CALIBRATION:
+            try:
+                self._calibration = calibration_of(wire.Calibration.model_validate(content))
+                self.consistent = True
+            except ValueError:  # none that a gateway publishes
+                self.consistent = False
+
+    def frame(self, record: Mapping[str, Any]) -> Frame | None:
+        """Return a FrameRecord's frame in users' angles, as far as known.
+
+        As on the wire where no user could have meant it; None if it is of a later protocol, or none.
+        """
+        try:
+            frame = decode(bytes.fromhex(record["bytes"]))
+        except (FrameError, ValueError, KeyError, TypeError):
+            return None
+        try:
+            return self._calibration.user_frame(frame)
+        except FrameError:
+            return frame
 
 
 class CommandedJoints:

@@ -12,17 +12,17 @@ from mcap.reader import make_reader
 
 from gateway.geometry import load, urdf
 from gateway.model.frames import OneServo, Op, ServoOp, stop_leg
-from gateway.people.recorder.recording import REPORTS, Recording
-from gateway.people.recorder.table import Table
-from gateway.people.ros2.cdr import definition
-from gateway.people.ros2.drawing import (
+from gateway.people.recorder.drawing import (
     DESCRIPTION,
     DRAWN,
     JOINT_COMMANDS,
     JOINT_STATES,
     LOG,
     Drawing,
+    definition,
 )
+from gateway.people.recorder.record import Table
+from gateway.people.recorder.recording import REPORTS, Recording
 from gateway.people.ros2.messages import Message, String
 from schemas import keys
 from schemas.robot import SERVO_IDS

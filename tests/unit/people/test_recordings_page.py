@@ -9,8 +9,8 @@ from typing import Any, Final
 
 import pytest
 
+from gateway.people.recorder.drawing import DRAWN, FRAMES
 from gateway.people.recorder.recording import REPORTS
-from gateway.people.ros2.drawing import DRAWN, FRAMES
 from tests.support.mcap_file import checked
 from tests.unit.people.test_recordings import frames_of, recorded
 

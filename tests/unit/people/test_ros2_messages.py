@@ -4,7 +4,7 @@ from typing import Final
 
 import pytest
 
-from gateway.people.ros2.cdr import encode
+from gateway.people.recorder.drawing import encode
 from gateway.people.ros2.messages import Header, Imu, JointState, Message, String, Time
 from tests.support.ros2_messages import Duration, JointTrajectory, JointTrajectoryPoint
 

@@ -7,7 +7,7 @@ import pytest
 
 from gateway.geometry import foot_m, load
 from gateway.geometry.kinematics import Quaternion, Vector, plus, rotated, times
-from gateway.people.ros2.cdr import encode
+from gateway.people.recorder.drawing import encode
 from gateway.people.ros2.messages import JointState
 from gateway.people.ros2.robot import (
     MEASURED,

@@ -6,7 +6,9 @@ import pytest
 
 from gateway.model.calibration import RobotCalibration, ServoMapping, report_of
 from gateway.model.frames import OneLeg, OneServo, Op, ServoOp, stop_leg
-from gateway.people.ros2.user_angles import RecordedMessage, UserAngles, frames_in
+from gateway.people.recorder.messages import RecordedMessage
+from gateway.people.recorder.story import frames_in
+from gateway.people.ros2.commanded import UserAngles
 from schemas.keys import CALIBRATION, FRAME, STATE
 
 MIRRORED = RobotCalibration(1, {31: ServoMapping(7_50), 32: ServoMapping(-10_00, inverted=True)})
