@@ -50,8 +50,8 @@ class Legs:
         self.at_rest = True
         """Whether no servo of any leg runs."""
         self.rest = RestStops(rules)
-        self._stops = False
-        """Whether a servo gets a first Stop in this step."""
+        self._first_stops: set[int] = set()
+        """The servos that get a first Stop in this step."""
         self._moved: list[Leg] | None = None
         """The only legs that this step has changed; None: any may have changed."""
         self.given: set[int] = set()
@@ -72,7 +72,7 @@ class Legs:
     @property
     def running(self) -> bool:
         """Whether a servo runs now, in the middle of a step, too."""
-        return any(servo.running for servo in self.servos.values())
+        return {servo.angle_cdeg for servo in self.servos.values()} != {None}
 
     # ---- time
 
@@ -81,8 +81,7 @@ class Legs:
         self.instant_ns = instant_ns
         if self._fed:  # the supply of what was stopped went with it
             self._fed = frozenset([each for each in self._fed if each in self.servos and self.servos[each].will_run])
-        self.given = set()
-        self._silent = self._stops = False
+        self.given, self._first_stops, self._silent = set(), set(), False
 
     def look(self, now_ns: int) -> None:
         """A step ends: see what is due next, and whether anything runs. Legs that did not change are left out."""
@@ -118,8 +117,8 @@ class Legs:
             at_rest = at_rest and not leg.runs
             rests = rests or leg.rests
         if at_rest or self.at_rest or self.rest.due_ns is None:
-            self.rest.plan(now_ns, at_rest=at_rest, stopped=self._stops)
-            self._stops = False
+            self.rest.plan(now_ns, at_rest=at_rest, stopped=bool(self._first_stops))
+            self._first_stops = set()
         if rests and self.rest.due_ns is not None:
             due_ns = self.rest.due_ns if self.rest.due_ns < due_ns else due_ns
             repeat_ns = self.rest.due_ns if self.rest.due_ns < repeat_ns else repeat_ns
@@ -175,11 +174,14 @@ class Legs:
         step anyway, or is still to be repeated, gets no other.
         """
         ran = not self.at_rest and bool(self.given)
-        come_to_rest = ran and not any(servo.running for servo in self.servos.values())
+        come_to_rest = ran and not self.running
+        if come_to_rest and len(self._first_stops) == len(self.servos):
+            self.rest.take(now_ns, is_run=False)  # all six legs were stopped by this step: none is owed another Stop
+            return []
         at_once = come_to_rest or self._silent
         due = self.rest.due_ns is not None and now_ns >= self.rest.due_ns
         if due and self.at_rest:  # a start ends these runs, and waits for none
-            due = not any(servo.running for servo in self.servos.values())
+            due = not self.running
         resting = [leg for leg in self if not leg.armed] if at_once or due else []
         if not resting:
             return []
@@ -429,7 +431,7 @@ class Legs:
         return [*transmits, *self.drop(servos, reason, detail), *self._empty_start_queue()]
 
     def _stopped(self, servo: Servo, now_ns: int) -> None:
-        self._stops = True
+        self._first_stops.add(servo.servo_id)
         self.given.add(servo.servo_id)
         servo.angle_cdeg = servo.target_cdeg = servo.announced_cdeg = None
         if not servo.repeats_left:  # else the next one stays where it is
