@@ -1,4 +1,4 @@
-"""How many Python calls lie between a message and the device: what is added in between shows here (docs/performance.md)."""
+"""How many Python calls lie between a message and the device: what is added shows here (docs/performance.md)."""
 
 import asyncio
 import sys
