@@ -118,7 +118,6 @@ class Legs:
             rests = rests or leg.rests
         if at_rest or self.at_rest or self.rest.due_ns is None:
             self.rest.plan(now_ns, at_rest=at_rest, stopped=bool(self._first_stops))
-            self._first_stops = set()
         if rests and self.rest.due_ns is not None:
             due_ns = self.rest.due_ns if self.rest.due_ns < due_ns else due_ns
             repeat_ns = self.rest.due_ns if self.rest.due_ns < repeat_ns else repeat_ns
@@ -176,7 +175,7 @@ class Legs:
         ran = not self.at_rest and bool(self.given)
         come_to_rest = ran and not self.running
         if come_to_rest and len(self._first_stops) == len(self.servos):
-            self.rest.take(now_ns, is_run=False)  # all six legs were stopped by this step: none is owed another Stop
+            self.rest.due_ns = None  # all six legs were stopped by this step: none is owed another Stop
             return []
         at_once = come_to_rest or self._silent
         due = self.rest.due_ns is not None and now_ns >= self.rest.due_ns
