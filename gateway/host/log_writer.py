@@ -9,12 +9,10 @@ import logging
 import os
 import select
 import threading
-import time
 from collections.abc import Callable
 from functools import partial
 from typing import Final
 
-from gateway.host.log_condenser import Condenser
 from gateway.host.worker import Worker
 
 MAX_LINES_WAITING: Final = 1000
@@ -31,7 +29,6 @@ class LogWriter:
         self,
         descriptor: int,
         render: Callable[[logging.LogRecord], str] = logging.LogRecord.getMessage,
-        condenser: Condenser | None = None,
     ) -> None:
         self.descriptor = descriptor
         self.dropped = 0
@@ -39,8 +36,7 @@ class LogWriter:
         self._render = render
         self._dropped_logged = 0
         self._full = False
-        self._condenser = condenser
-        self._worker = Worker(f"log_writer-{descriptor}", look=self._look)
+        self._worker = Worker(f"log_writer-{descriptor}")
 
     def put(self, item: logging.LogRecord | str) -> None:
         """Queue a record, written as one line, or a text, written unchanged."""
@@ -54,29 +50,12 @@ class LogWriter:
 
     def close(self, timeout_s: float) -> None:
         """Write the queued lines and end the thread; gives up after `timeout_s`."""
-        self._worker.do(self._write_rest)
         self._worker.close(timeout_s)
 
     # ---- on the thread
 
-    def _look(self) -> float | None:
-        if self._condenser is None:
-            return None
-        now_s = time.monotonic()
-        for record in self._condenser.due(now_s):
-            self._write_item(record)
-        due_at_s = self._condenser.due_at_s()
-        return None if due_at_s is None else max(0.0, due_at_s - now_s)
-
-    def _write_rest(self) -> None:
-        for record in [] if self._condenser is None else self._condenser.rest():
-            self._write_item(record)
-
     def _write(self, item: logging.LogRecord | str) -> None:
-        items = (
-            [item] if self._condenser is None or isinstance(item, str) else self._condenser.take(item, time.monotonic())
-        )
-        written = all([*map(self._write_item, items)])
+        written = self._write_item(item)
         dropped = self.dropped
         if written and dropped != self._dropped_logged and self._worker.waiting <= MAX_LINES_WAITING // 2:
             self._write_item(_left_out(dropped - self._dropped_logged))

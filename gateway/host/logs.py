@@ -18,7 +18,6 @@ from datetime import UTC, datetime
 from typing import Final
 
 from gateway.host.directories import runtime_directory
-from gateway.host.log_condenser import Condenser
 from gateway.host.log_writer import LogStream, LogWriter
 from gateway.text import visible, visible_json
 
@@ -35,8 +34,7 @@ def set_up() -> None:
     """
     journal = _is_journal(2)
     render = _formatter(terminal=os.isatty(2), journal=journal).format
-    condenser = Condenser() if journal else None
-    out, err = LogWriter(1), LogWriter(2, _with_priority(render) if journal else render, condenser)
+    out, err = LogWriter(1), LogWriter(2, _with_priority(render) if journal else render)
     _log_writers[:] = [out, err]
     sys.stdout, sys.stderr = LogStream(out), LogStream(err)
     atexit.register(close)

@@ -2,7 +2,7 @@
 
 import threading
 from collections.abc import Callable
-from queue import Empty, SimpleQueue
+from queue import SimpleQueue
 
 from gateway.host.realtime import PAGE_PRIORITY, prefer_thread
 
@@ -14,15 +14,9 @@ class Worker:
     function would block the caller.
     """
 
-    def __init__(
-        self, name: str, priority: int | None = PAGE_PRIORITY, look: Callable[[], float | None] = lambda: None
-    ) -> None:
-        """`priority`: so that it is not preempted while it holds the interpreter's lock (realtime.py); None: normal.
-
-        `look` is called on the thread before each wait; it returns the maximum wait in seconds, None for no limit.
-        """
+    def __init__(self, name: str, priority: int | None = PAGE_PRIORITY) -> None:
+        """`priority`: so that it is not preempted while it holds the interpreter's lock (realtime.py); None: normal."""
         self._priority = priority
-        self._look = look
         self._waiting: SimpleQueue[Callable[[], object] | None] = SimpleQueue()
         self.thread = threading.Thread(target=self._run, name=name, daemon=True)
         self.thread.start()
@@ -45,10 +39,7 @@ class Worker:
         if self._priority is not None:
             prefer_thread(self._priority)
         while True:
-            try:
-                work = self._waiting.get(timeout=self._look())
-            except Empty:
-                continue
+            work = self._waiting.get()
             if work is None:
                 return
             work()

@@ -8,9 +8,7 @@ from typing import IO
 
 import pytest
 
-from gateway.host.log_condenser import Condenser
 from gateway.host.log_writer import MAX_LINES_WAITING, LogStream, LogWriter
-from schemas.telemetry import Kind
 
 
 class Pipe:
@@ -87,14 +85,4 @@ def test_what_is_printed_goes_the_same_way(pipe: Pipe) -> None:
     assert [next(lines) for _ in range(2)] == ["a result", "two"]
     print(flush=True, file=stream)
     assert next(lines) == "lines and a part"
-    log_writer.close(10)
-
-
-def test_what_is_gathered_is_written_without_another_line(pipe: Pipe) -> None:
-    """The thread looks again by itself: after a stop nothing else may be logged for hours."""
-    log_writer = LogWriter(pipe.theirs, condenser=Condenser())
-    for leg in (2, 5):
-        fields = {"msg": f"leg {leg} is stopped", "kind": Kind.WATCHDOG_EXPIRED, "legs": (leg,)}
-        log_writer.put(logging.makeLogRecord(fields))
-    assert next(pipe.lines()) == "leg 2 is stopped; so is leg 5"
     log_writer.close(10)
