@@ -2,6 +2,7 @@
 
 import json
 from datetime import UTC, datetime
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -11,15 +12,14 @@ from jsonschema import Draft202012Validator
 from pydantic import BaseModel, TypeAdapter, ValidationError
 
 from gateway.errors import RejectedError
-from schemas import telemetry
 from schemas.__main__ import documents
 from schemas.button import BUTTON_REQUEST, ButtonAck
 from schemas.command import MAX_PAYLOAD_BYTES, SERVO_COMMAND, LegCommand, LegsCommand, ResetCommand
 from schemas.keys import CommandKey, Target
 from schemas.lease import LEASE_REQUEST, LeaseAck
 from schemas.revocation import RevocationAck
-from schemas.robot import LEGS, SERVO_IDS
-from schemas.telemetry import Ack, Cause, Event, FrameRecord, GatewayState, Kind, Mode, Reason
+from schemas.robot import LEGS
+from schemas.telemetry import Ack, Cause, Event, FrameRecord, GatewayState, Kind, Reason
 from tests.support.bad_commands import FAULTS
 from tests.support.commands import LEG, as_json
 
@@ -54,25 +54,8 @@ def model_takes(name: str, payload: bytes) -> bool:
 
 
 VALUES: list[Any] = [
-    None,
-    True,
-    0,
-    1,
-    1.0,
-    -1,
-    180,
-    180.5,
-    2**53,
-    "",
-    "1",
-    "90",
-    "stop",
-    "x" * 64,
-    "x" * 65,
-    "0" * 32,
-    [],
-    {},
-]
+    None, True, 0, 1, 1.0, -1, 180, 180.5, 2**53, "", "1", "90", "stop", "x" * 64, "x" * 65, "0" * 32, [], {},
+]  # fmt: skip
 PROOF = {"nonce": "0" * 32, "certificate": "x", "signature": "x"}
 FULL: list[tuple[str, dict[str, Any]]] = [
     ("ServoCommand", {"op": "set", "angle_deg": 1, "source": "x", "sent_ms": 1}),
@@ -150,35 +133,7 @@ def test_the_fullest_command_needs_less_than_a_payload_may_have() -> None:
 # ---- what goes out
 
 
-def state() -> GatewayState:
-    return GatewayState(
-        mode=Mode.ACTIVE,
-        time=NOW,
-        uptime_s=1.5,
-        version="1",
-        protocol="1.0.0",
-        simulated=True,
-        legs=tuple(
-            telemetry.LegReport(
-                leg=leg,
-                watchdog=telemetry.WatchdogState.IDLE,
-                age_ms=None,
-                servos=tuple(  # type: ignore[arg-type]
-                    telemetry.ServoReport(id=servo_id, running=False, angle_deg=None)
-                    for servo_id in SERVO_IDS
-                    if servo_id // 10 == leg
-                ),
-            )
-            for leg in LEGS
-        ),
-        commands=telemetry.CommandCounts(accepted=1, rejected=2, coalesced=0),
-        spi=telemetry.SpiReport(device="x", framing="plain", frames=7, errors=0),
-        watchdog=telemetry.WatchdogReport(
-            timeout_ms=250, expirations=0, stop_latency_us=telemetry.StopLatency(p50=None, p99=1.5, max=2)
-        ),
-    )
-
-
+STATES = (Path(__file__).parents[1] / "data/wire/1.3/state.jsonl").read_text().splitlines()
 reasons = st.sampled_from(Reason)
 texts = st.text(st.characters(exclude_categories=["Cs"]))
 floats = st.floats(0, 1e9)
@@ -198,7 +153,7 @@ reports: st.SearchStrategy[BaseModel] = st.one_of(
     st.builds(ButtonAck, accepted=st.booleans(), reason=st.none() | reasons, detail=st.none() | texts,
               nonce=st.none() | texts, button=st.none() | texts, timeout_ms=st.none() | floats,
               alive=st.none() | st.integers(0), required=st.none() | st.integers(0)),
-    st.just(state()),
+    st.sampled_from(STATES).map(GatewayState.model_validate_json),
 )  # fmt: skip
 
 
@@ -256,17 +211,9 @@ def test_the_fields_of_version_1_0_are_required_and_later_ones_are_not(name: str
 
 
 REPORTS = (
-    "Ack",
-    "LeaseAck",
-    "RevocationAck",
-    "ButtonAck",
-    "Calibration",
-    "GatewayState",
-    "Event",
-    "FrameRecord",
-    "BodyReport",
-    "Telemetry",
-)
+    "Ack", "LeaseAck", "RevocationAck", "ButtonAck", "Calibration", "GatewayState", "Event", "FrameRecord",
+    "BodyReport", "Telemetry",
+)  # fmt: skip
 
 
 def every_object(schema: object) -> list[dict[str, Any]]:
