@@ -95,22 +95,6 @@ async def test_the_story_of_a_silent_leg(folder: Path) -> None:
     ]
 
 
-async def test_the_story_of_an_emergency_stop(folder: Path) -> None:
-    robot = recorded(folder)
-    await estop(robot)
-    lines = [line.strip().partition("  ")[2] for line in told(folder) if "startup" not in line]
-    wanted = [
-        "last command of leg 3 (anna, start 90 45 120)",
-        "emergency stop requested by bert",
-        "emergency stop; all commands are rejected until a reset (bert)",
-        "Stop written to all six legs (estop), the last at 0.000 s",
-        "2 commands of anna are rejected until +0.0 ms: estopped",
-        "reset requested by bert",
-        "first command after it for leg 4 (anna, start 90 45 120)",
-    ]
-    assert [line for line in lines if line in wanted] == wanted, lines
-
-
 async def test_a_gateway_that_stood_still_is_not_reported_as_a_silent_leg(folder: Path) -> None:
     robot = recorded(folder)
     robot.put(LEG_3, START)

@@ -11,12 +11,11 @@ import pytest
 from mcap.reader import make_reader
 
 from gateway.geometry import load, urdf
-from gateway.model.frames import OneServo, Op, ServoOp, stop_leg
+from gateway.model.frames import stop_leg
 from gateway.people.recorder.drawing import (
     DESCRIPTION,
     DRAWN,
     JOINT_COMMANDS,
-    JOINT_STATES,
     LOG,
     Drawing,
     definition,
@@ -135,18 +134,6 @@ def test_what_the_gateway_publishes_is_what_is_recorded() -> None:
 def frames_of(message: Message) -> dict[str, Message]:
     """By the name of what is there."""
     return {each.child_frame_id: each for each in message.transforms}
-
-
-def test_frames_of_a_calibrated_robot_are_not_taken_for_its_users_angles() -> None:
-    drawing = Drawing(load())
-    state = next(report for topic, report, _ in reports(1) if topic == keys.STATE)
-    list(drawing.take(keys.STATE, {**state, "calibration": {"revision": 3}}, START_NS))
-    assert not list(drawing.take(keys.FRAME, {"bytes": "060220015a00"}, START_NS + 10**9))
-    told = {"revision": 3, "servos": {"32": {"trim_deg": 10}}, "landing": {}}
-    assert not list(drawing.take(keys.CALIBRATION, told, START_NS + 2 * 10**9))
-    its_own_110 = {"bytes": OneServo(32, ServoOp(Op.SET, 110_00)).to_bytes().hex()}
-    drawn = dict(drawing.take(keys.FRAME, its_own_110, START_NS + 3 * 10**9))
-    assert positions(drawn[JOINT_STATES])["joint_32"] == load().joint_rad(32, 100.0)
 
 
 # ---- killed, full

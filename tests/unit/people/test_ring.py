@@ -160,26 +160,6 @@ def test_a_reader_says_what_it_cannot_read(path: Path, tmp_path: Path) -> None:
         ring_reader.read(path)
 
 
-@pytest.mark.parametrize("source", [None, "anna", "ä" * 18])
-@pytest.mark.parametrize("sent_ms", [None, 0.0, 1e9])
-@pytest.mark.parametrize("after_ns", [0, 80_000, 2**32 - 1])
-def test_a_setpoint_reads_as_the_two_records_that_it_stands_for(
-    path: Path, source: str | None, sent_ms: float | None, after_ns: int
-) -> None:
-    targets = ((31, ServoOp(Op.START, 0)), (32, STOP), (33, ServoOp(Op.SET, 180_00)))
-    said = ("put", "hexapod/leg/3/cmd", source, sent_ms, targets)
-    ring = RecordRing(path, 50)
-    body = form.carried_out(ring.sequence, 1000, 7, *said, FRAME, 1000 + after_ns, 45_000)
-    assert body is not None
-    ring.put(body)
-    ring.append(form.MODE, 0, form.mode("idle"))
-    ring.close()
-    command, frame, mode = ring_reader.read(path).records
-    assert command == form.Record(1, 1000, form.CommandRecord(7, *said))
-    assert frame == form.Record(1, 1000 + after_ns, form.FrameWritten(FRAME, "command", 45_000, 0, 7))
-    assert mode.sequence == 2
-
-
 def test_a_cut_off_or_mistaken_setpoint_is_damage() -> None:
     targets = ((31, STOP), (32, STOP), (33, STOP))
     body = form.carried_out(1, 0, 7, "put", "k", "anna", None, targets, FRAME, 5, 5)
