@@ -66,6 +66,18 @@ def test_a_set_may_follow_a_start_that_waits() -> None:
 # ---- 3, the rate limit
 
 
+def test_an_angle_outside_a_joints_limits_rejects_the_whole_command() -> None:
+    robot = Steps(Rules(repeats=0, joint_limits_cdeg={12: (20_00, 160_00)}))
+    assert robot.command(1, leg_to(1, "start 10")) == ["rejected 1 joint_limit"]
+    assert "servo 12 may go from 20 to 160 degrees; 10 is outside" in str(robot.effects)
+    assert robot.command(2, legs_to("21", "start 160.01")) == ["rejected 2 joint_limit"]
+    assert robot.running == []
+    assert robot.command(3, leg_to(1, "start 20")) == ["command 1 start 20", "completed 3"]
+    assert robot.command(30, servo_to(12, "set 160")) == ["command 12 set 160", "completed 4"]
+    assert robot.command(60, servo_to(11, "set 180")) == ["command 11 set 180", "completed 5"]
+    assert robot.command(61, leg_to(1, "stop")) == ["command 1 stop", "completed 6"], "a stop has no angle"
+
+
 def without_slots() -> Steps:
     """Leg 1 runs and has used up all its rate slots; the next comes at 120 ms."""
     robot = Steps()
