@@ -1,7 +1,6 @@
 """What `hexapod-gateway incidents` does: what the black box kept, and the story of each."""
 
 import json
-import time
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -93,7 +92,7 @@ def _find(folder: Path) -> list[_Found]:
         if not isinstance(error.__cause__, FileNotFoundError):
             hint(f"hexapod-gateway: {error}")
         return []
-    found = find(content.records, written=content.written, now_ns=time.monotonic_ns())
+    found = find(content.records, written=content.written)
     return [_Found(each, content.records) for each in found]
 
 

@@ -4,8 +4,7 @@ import json
 from collections.abc import Sequence
 from pathlib import Path
 
-from gateway.host.sensed_page import SensedPage
-from gateway.host.servo_page import ServoPage
+from gateway.host.shared_page import SensedPage, ServoPage
 from gateway.onboard.simulation_process import SimulationProcess, private_folder
 
 

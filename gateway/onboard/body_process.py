@@ -8,8 +8,7 @@ from typing import Final
 import zenoh
 
 from gateway.errors import ConfigError
-from gateway.host.sensed_page import SensedPage
-from gateway.host.servo_page import ServoPage
+from gateway.host.shared_page import SensedPage, ServoPage
 from gateway.onboard.simulation_process import SimulationProcess, private_folder
 from gateway.people.physics.assumed import Assumed
 from gateway.robot.zenoh_io import simulated_body

@@ -19,8 +19,7 @@ from gateway import __version__
 from gateway.allowance import NS_PER_MS, NS_PER_S
 from gateway.host import descriptors, effective, logs, realtime
 from gateway.host.directories import runtime_directory, state_directory
-from gateway.host.sensed_page import SensedPage
-from gateway.host.servo_page import ServoPage
+from gateway.host.shared_page import SensedPage, ServoPage
 from gateway.model.black_box.format import STOP_FACTS
 from gateway.model.frames import centidegrees
 from gateway.own_command import command

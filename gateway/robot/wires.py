@@ -8,8 +8,7 @@ from typing import Final
 from gateway.allowance import NS_PER_MS
 from gateway.errors import ConfigError
 from gateway.host.descriptors import Spare
-from gateway.host.sensed_page import SensedPage
-from gateway.host.servo_page import ServoPage
+from gateway.host.shared_page import SensedPage, ServoPage
 from gateway.model.frames import STOP_REPEAT_MS, STOP_REPEATS
 from gateway.model.protocols import SpiProtocol
 from gateway.own_command import command

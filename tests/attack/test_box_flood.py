@@ -49,7 +49,7 @@ def test_eight_seconds_of_a_flood_leave_what_precedes_the_incident(tmp_path: Pat
         time.sleep(FLOOD_S)
         flooding.close()
     content = ring_reader.read(box / RING_FILE)
-    incident = find(content.records, written=False, now_ns=time.monotonic_ns())[0]
+    incident = find(content.records, written=False)[0]
     told = list(messages(incident, content.records))
     commands = [each for each in told if each.topic == keys.leg_command(3)]
     assert [each.content["source"] for each in commands] == ["anna"] * 11

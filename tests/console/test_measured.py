@@ -9,7 +9,8 @@ from playwright.sync_api import expect
 
 from gateway import geometry
 from gateway.client import Client
-from gateway.people.console.app import lying_deg
+from gateway.people.walking import Robot
+from gateway.people.walking.planning import lying_deg
 from schemas.robot import LEGS, SERVO_IDS
 from schemas.telemetry import Battery, GatewayState, Telemetry
 from tests.console.browser import Opened, Visitor
@@ -120,7 +121,7 @@ def test_one_hold_starts_all_six_legs_at_once_lying_and_a_stop_of_one_is_one_of_
     page.page.keyboard.down("h")
     first = seen.wait(lambda state: bool(running(state)))
     assert running(first) == set(SERVO_IDS)
-    lying = lying_deg(geometry.load())
+    lying = lying_deg(Robot(geometry.load()))
     assert {servo.id: servo.angle_deg for leg in first.legs for servo in leg.servos} == pytest.approx(lying, abs=0.01)
     expect(page.said).to_have_text("Running legs 1, 2, 3, 4, 5 and 6 while you hold.")
     page["stop-leg"].click()

@@ -13,8 +13,7 @@ import can
 import pytest
 from can.interfaces.slcan import slcanBus
 
-from gateway.host.sensed_page import Sensed, SensedPage
-from gateway.host.servo_page import ServoPage
+from gateway.host.shared_page import Sensed, SensedPage, ServoPage
 from gateway.model.power_board import CanFrame, set_supply
 from gateway.onboard.board_process import BoardProcess
 from schemas.robot import SERVO_IDS

@@ -15,9 +15,7 @@ from pydantic import BaseModel, Field
 
 from gateway.errors import ConfigError, LeaseLostError, StoppedError, UnansweredError, UnreachedError, ZenohError
 from gateway.people.client.button import Button
-from gateway.people.client.close_at_exit import close_at_the_end
 from gateway.people.client.hosts import Hosts
-from gateway.people.client.kept_signals import keep_signals
 from gateway.people.client.lease import Lease
 from gateway.people.client.payloads import (
     Angle,
@@ -29,6 +27,7 @@ from gateway.people.client.payloads import (
     servo_number,
     servo_payload,
 )
+from gateway.people.client.process_end import close_at_the_end, keep_signals
 from gateway.people.client.question import JSON, Question
 from gateway.people.client.requests import ButtonRequests, Identity, LeaseRequests
 from gateway.people.client.stream import Stream

@@ -15,7 +15,7 @@ from gateway.own_command import command
 from gateway.people.client.blocking import Client
 from gateway.people.commands.reach import check_at_rest
 from gateway.people.terminal import ask, hint
-from gateway.people.walking.planning import Planner
+from gateway.people.walking.planning import lying_deg
 from gateway.people.walking.robot import Robot, ranges
 from gateway.text import visible
 from schemas import keys
@@ -70,13 +70,8 @@ class ServoMotion(NamedTuple):
 
 
 def lying(client: Client, state: GatewayState) -> dict[int, float]:
-    """The angle of each servo of a robot that lies, its feet just off the ground. Raises WalkError."""
-    pose = Planner(Robot(geometry.load(), ranges(state.limits, client.calibration()))).found({}).pose
-    return {
-        10 * leg + joint: round(angle_deg, 2)
-        for leg, angles_deg in pose.items()
-        for joint, angle_deg in zip(JOINTS, angles_deg, strict=True)
-    }
+    """The angle of each servo of this robot when it lies. Raises WalkError."""
+    return lying_deg(Robot(geometry.load(), ranges(state.limits, client.calibration())))
 
 
 def ready(client: Client) -> GatewayState:

@@ -6,7 +6,6 @@ from typing import Final
 
 from gateway import __version__
 from gateway.errors import WalkError
-from gateway.geometry import Geometry
 from gateway.people.console.pages.page_messages import Hello
 from gateway.people.console.pages.page_tasks import EndError
 from gateway.people.console.pages.pages import Page, Pages, Shared
@@ -14,8 +13,8 @@ from gateway.people.console.server.auth import SignedIn
 from gateway.people.console.server.listener import Admitted
 from gateway.people.console.server.sessions import Sessions
 from gateway.people.console.server.websocket import POLICY_VIOLATION, ClosedError, WebSocket
-from gateway.people.walking import Engine, Robot
-from schemas.robot import JOINTS
+from gateway.people.walking import Robot
+from gateway.people.walking.planning import lying_deg
 
 MAX_PAGES: Final = 64
 """Open at once, as many as the gateway takes sessions."""
@@ -41,7 +40,9 @@ class Console:
         self._pages = pages
         self._shared = shared
         self._geometry = shared.geometry.model_dump(mode="json")
-        self._lying = lying_deg(shared.geometry)
+        self._lying: dict[int, float] = {}
+        with suppress(WalkError):  # one that cannot lie
+            self._lying = lying_deg(Robot(shared.geometry))
         self._loop = asyncio.get_running_loop()
         self._open: dict[WebSocket, asyncio.Task[None]] = {}
 
@@ -134,15 +135,3 @@ class Console:
             if not self._sessions.still_valid(session.entry):
                 raise EndError(SIGNED_OUT)
             await asyncio.sleep(CHECK_S)
-
-
-def lying_deg(geometry: Geometry) -> dict[int, float]:
-    """Each servo's angle in commands when the robot lies on its belly, its feet in the air; empty where it cannot."""
-    with suppress(WalkError):
-        pose = Engine(Robot(geometry)).whole_pose
-        return {
-            10 * leg + joint: round(deg, 2)
-            for leg, angles in pose.items()
-            for joint, deg in zip(JOINTS, angles, strict=True)
-        }
-    return {}

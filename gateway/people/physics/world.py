@@ -13,6 +13,7 @@ import numpy as np
 
 from gateway.geometry import Geometry
 from gateway.geometry.kinematics import Quaternion, Vector, about, rotated
+from gateway.host.shared_page import Sensed
 from gateway.model.servo import NO_LOAD_DEG_S
 from gateway.people.physics.assumed import USUAL, Assumed
 from gateway.people.physics.model import TIMESTEP_S, built
@@ -222,6 +223,34 @@ class World:
         body = self.model.body(f"leg_{leg}_foot").id
         solid = [geom for geom in range(self.model.ngeom) if self.model.geom_bodyid[geom] == body]
         return int(min(solid, key=lambda geom: float(self.model.geom_size[geom][0])))
+
+
+class Sensors:
+    """An IMU in the body's middle, a force in each foot, each servo's torque; to be read again and again."""
+
+    def __init__(self, world: World) -> None:
+        self._world = world
+        self._time_s = world.time_s
+        self._velocity_m_s: Any = world.data.qvel[:3].copy()
+        self._felt_m_s2: Any = -world.model.opt.gravity
+        """Acceleration in the world's frame; a body at rest is held up against gravity."""
+
+    def read(self) -> Sensed:
+        """What they feel now. The acceleration is the mean since the last call, as an IMU's filter has it."""
+        world, data = self._world, self._world.data
+        passed_s = world.time_s - self._time_s
+        if passed_s > 0:
+            velocity_m_s = data.qvel[:3].copy()
+            self._felt_m_s2 = (velocity_m_s - self._velocity_m_s) / passed_s - world.model.opt.gravity
+            self._time_s, self._velocity_m_s = world.time_s, velocity_m_s
+        w, x, y, z = map(float, data.qpos[3:7])
+        return Sensed(
+            orientation_wxyz=(w, x, y, z),
+            angular_velocity_rad_s=vector(data.qvel[3:6]),
+            linear_acceleration_m_s2=rotated((-x, -y, -z, w), vector(self._felt_m_s2)),
+            feet_n=world.feet_n(),
+            torques_nm=tuple(map(float, data.actuator_force)),
+        )
 
 
 def vector(values: Any) -> Vector:

@@ -48,8 +48,6 @@ class Incident:
     end_ns: int
     wall_offset_ns: int
     """Add it for the time that people read, ns since 1970."""
-    whole: bool
-    """Whether nothing can be added to it any more."""
     killed_ns: int | None = None
     """When the gateway's last record was written, if it ended within this time without a word."""
 
@@ -83,7 +81,7 @@ def kind_of(name: str) -> str:
     return name.split("-", 3)[-1]
 
 
-def find(records: Records, *, written: bool, now_ns: int) -> list[Incident]:
+def find(records: Records, *, written: bool) -> list[Incident]:
     """The newest incidents in a ring, oldest first. `written`: a gateway writes to it now."""
     if not len(records):
         return []
@@ -92,15 +90,15 @@ def find(records: Records, *, written: bool, now_ns: int) -> list[Incident]:
     found: list[Incident] = []  # newest first
     for number in reversed(range(len(bounds) - 1)):
         run = range(bounds[number], bounds[number + 1])
-        found += _of_one_run(records, run, alive=written and run.stop == len(records), now_ns=now_ns)
+        found += _of_one_run(records, run, alive=written and run.stop == len(records))
         if len(found) >= MOST:
             break
     return found[:MOST][::-1]
 
 
-def _of_one_run(records: Records, run: range, *, alive: bool, now_ns: int) -> Iterator[Incident]:
+def _of_one_run(records: Records, run: range, *, alive: bool) -> Iterator[Incident]:
     """The incidents of one gateway, newest first. `run` are the places of its records."""
-    noted = _noted(records, run, alive=alive, now_ns=now_ns)
+    noted = _noted(records, run)
     latest = next(noted, None)
     last = run[-LAST_RECORDS:]
     end_known = run.stop not in records.gaps
@@ -109,7 +107,7 @@ def _of_one_run(records: Records, run: range, *, alive: bool, now_ns: int) -> It
         if latest is not None and latest.begin_ns <= killed_ns <= latest.end_ns:
             latest = replace(latest, killed_ns=killed_ns)
         else:
-            crash = _crash(records, run, killed_ns, now_ns=now_ns)
+            crash = _crash(records, run, killed_ns)
             if crash is not None:
                 yield crash
     if latest is not None:
@@ -117,7 +115,7 @@ def _of_one_run(records: Records, run: range, *, alive: bool, now_ns: int) -> It
     yield from noted
 
 
-def _noted(records: Records, run: range, *, alive: bool, now_ns: int) -> Iterator[Incident]:
+def _noted(records: Records, run: range) -> Iterator[Incident]:
     """What the gateway noted itself, newest first."""
     begun = [index for index in run if records.kinds[index] == form.INCIDENT][-MOST:]
     triggers, follow = _triggers(records, range(begun[0], run.stop) if begun else range(0))
@@ -130,8 +128,7 @@ def _noted(records: Records, run: range, *, alive: bool, now_ns: int) -> Iterato
             near = range(max(run.start, index - NEAR_RECORDS), min(run.stop, index + NEAR_RECORDS))
             zero_ns = _zero(records, near, record.ns, kind_of(name))
             offset_ns = record.content.wall_ns - record.ns
-            whole = not alive or now_ns > end_ns
-            yield Incident(name, zero_ns, zero_ns - BEFORE_NS, end_ns, offset_ns, whole)
+            yield Incident(name, zero_ns, zero_ns - BEFORE_NS, end_ns, offset_ns)
 
 
 def _triggers(records: Records, places: range) -> tuple[Sequence[int], Sequence[int]]:
@@ -173,7 +170,7 @@ def _zero(records: Records, near: range, noted_ns: int, kind: str) -> int:
     return zero_ns
 
 
-def _crash(records: Records, run: range, killed_ns: int, *, now_ns: int) -> Incident | None:
+def _crash(records: Records, run: range, killed_ns: int) -> Incident | None:
     """The end of a gateway that recorded nothing of it; None where no record shows the time of day."""
     for index in reversed(run):
         if records.kinds[index] not in _TELL_THE_TIME:
@@ -185,7 +182,6 @@ def _crash(records: Records, run: range, killed_ns: int, *, now_ns: int) -> Inci
             ):
                 offset_ns = wall_ns - ns
                 name = incident_id(killed_ns + offset_ns, CRASH)
-                end_ns = killed_ns + FOLLOW_NS
-                begin_ns, whole = killed_ns - BEFORE_NS, now_ns > end_ns
-                return Incident(name, killed_ns, begin_ns, end_ns, offset_ns, whole, killed_ns)
+                begin_ns, end_ns = killed_ns - BEFORE_NS, killed_ns + FOLLOW_NS
+                return Incident(name, killed_ns, begin_ns, end_ns, offset_ns, killed_ns)
     return None

@@ -16,7 +16,6 @@ from gateway.people.ros2.driving import Driving
 from gateway.people.ros2.joints import JointNames, JointsError
 from gateway.people.ros2.parameters import Parameters
 from gateway.people.terminal import hint, on_end_signals, say
-from gateway.text import visible
 
 try:
     from gateway.people.ros2.follow_action import NAME, FollowAction
@@ -66,9 +65,9 @@ def serve(
             )
         name = OPEN_NAME if is_open else _NAME
         with connect(source=name)() as client, on_end_signals(ended.set), ExitStack() as at_the_end:
-            driving = Driving(client, name, shape, _show)
+            driving = Driving(client, name, shape, hint)
             at_the_end.callback(node.close)
-            topics = Topics(node, driving, shape, joints, _show)
+            topics = Topics(node, driving, shape, joints, hint)
             node.serve("estop", driving.estop, always=True)
             received = at_the_end.enter_context(subscribed(client.session, CHANNELS))
             channels = dict(zip(CHANNELS, received, strict=True))
@@ -103,7 +102,3 @@ def serve(
 def _watch(ended: threading.Event, driving: Driving) -> None:
     while not ended.wait(WATCH_S):
         driving.check()
-
-
-def _show(text: str) -> None:
-    hint(visible(text))

@@ -131,6 +131,12 @@ class Planner:
             figure.follow(self._robot, move, sample / _SAMPLES)
 
 
+def lying_deg(robot: Robot) -> dict[int, float]:
+    """The angle of each servo of a robot that lies, its feet just off the ground. Raises WalkError."""
+    pose = Planner(robot).found({}).pose
+    return {10 * leg + joint: round(deg, 2) for leg, degs in pose.items() for joint, deg in enumerate(degs, start=1)}
+
+
 def balanced(robot: Robot, figure: Figure, stand: Iterable[int]) -> bool:
     """Whether the centre of mass is well inside the polygon of the feet that stand."""
     joints_rad = {leg: robot.joints_rad(leg, angles) for leg, angles in figure.pose.items()}

@@ -37,8 +37,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final, TextIO
 
-from gateway.host.sensed_page import SensedPage
-from gateway.host.servo_page import ServoPage
+from gateway.host.shared_page import SensedPage, ServoPage
 from gateway.model.power_board import CONVERTER_OVERCURRENT, CanFrame
 from gateway.robot.power.simulated_adapter import SimulatedAdapter, frame_of, text_of
 from gateway.robot.power.simulated_board import SimulatedBoard

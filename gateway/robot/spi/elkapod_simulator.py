@@ -32,8 +32,7 @@ from collections.abc import Callable
 from typing import Final
 
 from gateway.geometry.masses import MASSES
-from gateway.host.sensed_page import Sensed, SensedPage
-from gateway.host.servo_page import ServoPage
+from gateway.host.shared_page import Sensed, SensedPage, ServoPage
 from gateway.model import elkapod
 from gateway.model.elkapod import BEGIN, END, FRAME_BYTES, SHUTDOWN, START, Measured
 from gateway.model.servo import A_PER_NM, IDLE_A, MOVING_A

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from gateway.host.servo_page import ServoPage
+from gateway.host.shared_page import ServoPage
 from gateway.model.servo import NO_LOAD_DEG_S
 from schemas.robot import SERVO_IDS
 

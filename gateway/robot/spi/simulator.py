@@ -37,7 +37,7 @@ import time
 from collections.abc import Callable
 from typing import Final
 
-from gateway.host.servo_page import ServoPage
+from gateway.host.shared_page import ServoPage
 from gateway.model.frames import ONE_LEG_LEN, ONE_LEG_TYPE, ONE_SERVO_LEN, ONE_SERVO_TYPE, Op
 from gateway.model.framing import Framing
 from gateway.robot.spi import ByteDevice

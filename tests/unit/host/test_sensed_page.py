@@ -1,6 +1,6 @@
 """The page between a simulated body and a simulated controller: the newest reading, whole."""
 
-from gateway.host.sensed_page import Sensed, SensedPage
+from gateway.host.shared_page import Sensed, SensedPage
 
 
 def sensed(number: float) -> Sensed:

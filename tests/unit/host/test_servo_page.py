@@ -1,6 +1,6 @@
 """The page about simulated servos: where they are sent, and which of them have supply."""
 
-from gateway.host.servo_page import ServoPage
+from gateway.host.shared_page import ServoPage
 
 
 def test_another_process_reads_what_was_written() -> None:

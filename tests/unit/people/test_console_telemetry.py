@@ -6,10 +6,10 @@ from typing import Any, cast
 import pytest
 
 from gateway import geometry
-from gateway.people.console.app import lying_deg
 from gateway.people.console.pages.outgoing import Outgoing
 from gateway.people.console.pages.pages import Page, Pages
 from gateway.people.walking import Engine, Robot
+from gateway.people.walking.planning import lying_deg
 from schemas.robot import LEGS
 from schemas.telemetry import ControllerReport, Report, Telemetry
 from tests.support.published import WALL, state
@@ -100,7 +100,7 @@ async def test_a_state_tells_a_page_whether_only_the_whole_robot_starts(protocol
 
 def test_a_page_knows_the_pose_from_which_a_walk_begins() -> None:
     robot = geometry.load()
-    lying = lying_deg(robot)
+    lying = lying_deg(Robot(robot))
     pose = {leg: (lying[10 * leg + 1], lying[10 * leg + 2], lying[10 * leg + 3]) for leg in LEGS}
     engine = Engine(Robot(robot), angles_deg=pose)
     assert engine.is_down

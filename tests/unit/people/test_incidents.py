@@ -39,9 +39,9 @@ START = leg("start", 90, 45, 120, source="anna")
 SECOND = 1_000_000_000
 
 
-def incidents(folder: Path, now_ns: int = 0) -> tuple[list[Incident], ring_reader.Content]:
+def incidents(folder: Path) -> tuple[list[Incident], ring_reader.Content]:
     content = ring_reader.read(folder / RING_FILE)
-    return find(content.records, written=content.written, now_ns=now_ns), content
+    return find(content.records, written=content.written), content
 
 
 def exported(folder: Path, incident: Incident, content: ring_reader.Content) -> Path:
@@ -139,7 +139,7 @@ async def test_a_calibrated_robots_story_and_picture_have_its_users_angles(folde
     await asyncio.sleep(2)
     robot.conductor.recorder.calibration(RobotCalibration(2))  # of later frames
     await asyncio.sleep(10)
-    (incident,), content = incidents(folder, robot.now_ns())
+    (incident,), content = incidents(folder)
     path = exported(folder, incident, content)
     told = list(read(path))
     (way_down,) = [line for line in story(told) if "last frame of the way down" in line]
@@ -313,13 +313,13 @@ BEGUN = form.IncidentBegun(WALL_NS, "20260921-141320-123-watchdog")
 
 
 def test_what_happens_in_its_time_prolongs_an_incident_up_to_half_a_minute() -> None:
-    (alone,) = find(records((20, event("watchdog_expired")), (20, BEGUN)), written=True, now_ns=0)
+    (alone,) = find(records((20, event("watchdog_expired")), (20, BEGUN)), written=True)
     assert (alone.begin_ns, alone.end_ns) == (10 * SECOND, 25 * SECOND)
     later = [(20.0 + 4 * number, event("estop_engaged")) for number in range(1, 3)]
-    (two,) = find(records((20, event("watchdog_expired")), (20, BEGUN), *later), written=True, now_ns=0)
+    (two,) = find(records((20, event("watchdog_expired")), (20, BEGUN), *later), written=True)
     assert two.end_ns == 33 * SECOND
     later = [(20.0 + 4 * number, event("estop_engaged")) for number in range(1, 12)]
-    (many,) = find(records((20, event("watchdog_expired")), (20, BEGUN), *later), written=True, now_ns=0)
+    (many,) = find(records((20, event("watchdog_expired")), (20, BEGUN), *later), written=True)
     assert many.end_ns == 50 * SECOND
 
 

@@ -11,8 +11,7 @@ from gateway.geometry.kinematics import about, rotated
 from gateway.geometry.masses import MASSES
 from gateway.model.calibration import RobotCalibration, ServoMapping
 from gateway.people.physics.assumed import FRICTION, MASS_KG, TORQUE_NM, Assumed, Terrain, assumed
-from gateway.people.physics.pace import MOST_BEHIND_S, WINDOW_S, Pace
-from gateway.people.physics.process import Simulated
+from gateway.people.physics.process import MOST_BEHIND_S, WINDOW_S, Pace, Simulated
 from gateway.people.physics.world import World
 from gateway.people.walking import Engine, Robot
 from schemas.robot import SERVO_IDS

@@ -3,12 +3,11 @@
 import pytest
 
 from gateway.geometry import load
-from gateway.host.sensed_page import Sensed, SensedPage
+from gateway.host.shared_page import Sensed, SensedPage
 from gateway.model import elkapod
 from gateway.model.elkapod import Measured
 from gateway.people.physics.assumed import Assumed, Terrain
-from gateway.people.physics.sensors import Sensors
-from gateway.people.physics.world import World
+from gateway.people.physics.world import Sensors, World
 from gateway.people.walking import Engine, Robot
 from gateway.robot.spi.elkapod_simulator import SimulatedElkapod
 from schemas.robot import SERVO_IDS

@@ -36,7 +36,7 @@ def test_a_ring_of_nothing_but_incidents_is_no_endless_work(what: Callable[[int]
         decoded.append(index)
         return records[index]
 
-    found = find(ring_reader.Records(records.times_ns, records.kinds, counted), written=True, now_ns=0)
+    found = find(ring_reader.Records(records.times_ns, records.kinds, counted), written=True)
     assert len(found) == MOST
     assert found[-1].zero_ns >= 4_999 * 1_000_000, "the newest"
     assert [each.zero_ns for each in found] == sorted(each.zero_ns for each in found)

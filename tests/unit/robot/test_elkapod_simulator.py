@@ -5,7 +5,7 @@ import struct
 
 import pytest
 
-from gateway.host.servo_page import ServoPage
+from gateway.host.shared_page import ServoPage
 from gateway.model import elkapod
 from gateway.model.elkapod import START, Measured
 from gateway.robot.spi.elkapod_simulator import SimulatedElkapod

@@ -1,0 +1,70 @@
+"""The end of a program that uses clients: signals that arrive in a Zenoh callback, and clients that nobody closed.
+
+Zenoh calls a callback in the thread that asks where nobody else has to answer. An exception in a callback is only
+logged, so what the handler of Ctrl-C or SIGTERM raises there would be lost. The signal is delivered again.
+
+At its end Python waits for Zenoh's callback threads, which end with their session, and runs `atexit` functions only
+after that wait. So another thread closes the clients.
+"""
+
+import logging
+import os
+import signal
+import threading
+from contextlib import suppress
+from typing import Final, Protocol
+from weakref import WeakSet
+
+_SIGNALS: Final = {KeyboardInterrupt: signal.SIGINT, SystemExit: signal.SIGTERM}
+"""What handlers raise, and for which signal."""
+_AGAIN_S: Final = 0.01
+"""Long after the callback has returned. A signal that meets another callback is delivered once more."""
+_CALLBACKS: Final = "pyo3-closure"
+"""Part of the names of Zenoh's own threads."""
+
+
+def keep_signals() -> None:
+    """Begin, for all sessions of this process. A second call changes nothing."""
+    logging.getLogger("zenoh.handlers").addFilter(_is_no_signal)
+
+
+def _is_no_signal(record: logging.LogRecord) -> bool:
+    raised = record.exc_info[1] if record.exc_info else None
+    for error, number in _SIGNALS.items():
+        if isinstance(raised, error) and threading.current_thread() is threading.main_thread():
+            again = threading.Timer(_AGAIN_S, os.kill, (os.getpid(), number))  # to the process: it ends a wait, too
+            again.daemon = True
+            again.start()
+            return False
+    return True
+
+
+class Closable(Protocol):
+    """A client, as far as this module needs it."""
+
+    def close(self) -> None: ...
+
+
+_open: WeakSet[Closable] = WeakSet()
+_lock: Final = threading.Lock()
+
+
+def close_at_the_end(client: Closable) -> None:
+    """Close it when all threads of the program have ended, apart from Zenoh's and daemons."""
+    with _lock:
+        _open.add(client)
+        if not any(isinstance(thread, _Closer) for thread in threading.enumerate()):
+            with suppress(RuntimeError):  # the program is ending already
+                _Closer(name="close clients at the end").start()
+
+
+class _Closer(threading.Thread):
+    def run(self) -> None:
+        threading.main_thread().join()
+        for thread in threading.enumerate():
+            if not thread.daemon and thread is not self and _CALLBACKS not in thread.name:
+                thread.join()
+        with _lock:
+            forgotten = list(_open)
+        for client in forgotten:
+            client.close()
