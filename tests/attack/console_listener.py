@@ -1,13 +1,9 @@
-"""A console on TLS on a robot, a page on one laptop, strangers on another: how soon is STOP ALL confirmed?
-
-`python -m tests.attack.console_listener` prints the table of docs/security.md. It needs root, for network namespaces.
-"""
+"""A console on TLS on a robot, a page on one laptop, strangers on another: how soon is STOP ALL confirmed?"""
 
 import json
 import os
 import statistics
 import sys
-import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -15,7 +11,6 @@ from typing import Final
 
 from gateway import certs
 from gateway.people.console.server.sessions import Sessions
-from tests.benchmarks.processes import rss_kb, threads
 from tests.net.namespaces import Network
 from tests.support.child import Child
 from tests.support.closing import Closing
@@ -42,8 +37,6 @@ CASES: Final = (
     ("garbage", 100),
 )
 """What strangers do, and on how many connections at once."""
-FLOODS: Final = (("pings", 1), ("pings", 8), ("pongs", 4), ("fragments", 4), ("messages", 8))
-"""What pages that are signed in do, and how many of them."""
 
 
 class PagePresses(Closing):
@@ -120,53 +113,10 @@ class ListenerStand(Closing):
         with strangers(kind, address, PORT, count, prefix=self.network.laptop(STRANGERS)) as child:
             yield child
 
-    @contextmanager
-    def flooded(self, kind: str, count: int) -> Iterator[list[Child]]:
-        """Pages that are signed in are at it."""
-        url = f"https://{self.network.robot_address(STRANGERS)}:{PORT}"
-        program = [sys.executable, "-m", "tests.attack.flooding_page", kind, url, *self.page.session]
-        children = [Child([*self.network.laptop(STRANGERS), *program], os.environ) for _ in range(count)]
-        try:
-            for child in children:
-                child.wait_for_output("ended", 20)
-            yield children
-        finally:
-            for child in children:
-                child.close()
-
     def close(self) -> None:
         self._stack.close()
-
-
-def row(what: str, quiet_ms: Sequence[float], attacked_ms: Sequence[float]) -> str:
-    """One line of the table."""
-    return (
-        "| "
-        + " | ".join((what, *(f"{value:.0f}" for each in (quiet_ms, attacked_ms) for value in spread(each))))
-        + " |"
-    )
 
 
 def spread(took_ms: Sequence[float]) -> tuple[float, float]:
     """The median, and the worst."""
     return statistics.median(took_ms), max(took_ms)
-
-
-def main() -> None:
-    """Print the table: of all, or of the kinds that are named."""
-    wanted = sys.argv[1:]
-    with tempfile.TemporaryDirectory() as folder, ListenerStand(Path(folder)) as stand:
-        stand.press(10)
-        for cases, attack in ((CASES, stand.attacked), (FLOODS, stand.flooded)):
-            for kind, count in cases:
-                if wanted and kind not in wanted:
-                    continue
-                quiet_ms = stand.press()
-                with attack(kind, count):
-                    print(row(f"{kind}, {count}", quiet_ms, stand.press()), flush=True)
-        pid = stand.console.pid
-        print(f"{rss_kb(pid) / 1024:.0f} MB, {threads(pid)} threads")
-
-
-if __name__ == "__main__":
-    main()

@@ -1,8 +1,8 @@
 """A program that publishes one payload on one key as fast as it can, until it is killed.
 
-    python -m tests.attack.flood ENDPOINT KEY PAYLOAD     # or --delete in place of a payload
+    python -m tests.attack.flood ENDPOINT KEY PAYLOAD [--ask]     # or --delete in place of a payload
 
-It prints `flooding` once it has begun.
+With `--ask` it asks in place of publishing, and waits for no answer. It prints `flooding` once it has begun.
 """
 
 import sys
@@ -16,17 +16,21 @@ DELETE = "--delete"
 
 def main() -> None:
     """Never ends."""
-    endpoint, key, payload = sys.argv[1:]
+    endpoint, key, payload, *ask = sys.argv[1:]
     with zenoh.open(client_config(endpoint)) as session:
         publisher = session.declare_publisher(key, encoding="application/json")
+        querier = session.declare_querier(key, timeout=0.05, congestion_control=zenoh.CongestionControl.DROP)
 
         def send() -> None:
-            if payload == DELETE:
+            if ask:
+                querier.get(zenoh.handlers.RingChannel(1), payload=payload)
+            elif payload == DELETE:
                 publisher.delete()
             else:
                 publisher.put(payload)
 
-        send()
+        for _ in range(1000 if ask else 1):  # until it is fast
+            send()
         print("flooding", flush=True)
         while True:
             send()

@@ -12,7 +12,6 @@ from tests.deaf.faults import (
     STOPS_MS,
     STOPS_NS,
     BoundedController,
-    Fault,
     Tally,
     lose_bytes,
     lose_in_stops,
@@ -20,7 +19,6 @@ from tests.deaf.faults import (
     recorded,
     stretch_gaps,
 )
-from tests.deaf.scene import Written
 
 
 @pytest.fixture(autouse=True)
@@ -86,15 +84,6 @@ def test_a_firmware_that_rejects_other_lengths_than_6_and_14_survives_them(run: 
     assert tally.faults > 60
     assert not tally.dead
     assert tally.on_for_good == 0
-
-
-def test_a_run_of_lost_bytes_goes_on_over_the_ends_of_transfers() -> None:
-    log = [Written(0, data, repeat=False) for data in (b"\6", b"\6\2\x0b\1\x5a\0", b"\0", b"\0")]
-    assert Fault(0, 0, 1).received(log) == {0: b""}
-    assert Fault(1, 1, 4).received(log) == {1: b"\6\0"}
-    assert Fault(1, 4, 3).received(log) == {1: b"\6\2\x0b\1", 2: b""}
-    assert Fault(0, 0, 100).received(log) == {0: b"", 1: b"", 2: b"", 3: b""}
-    assert Fault(1, 1, 0).received(log) == {1: b"\6\2\2\x0b\1\x5a\0"}
 
 
 @pytest.mark.parametrize("first", [16, 17])

@@ -43,11 +43,11 @@ gateway = gateway_fixture(SETTINGS, scope="function")
 @contextmanager
 def asking(gateway: Gateway, key: str, question: dict[str, str]) -> Iterator[None]:
     """Three programs ask this, some ten thousand times a second each."""
-    command = [sys.executable, "-m", "tests.attack.asking", gateway.endpoint, key, json.dumps(question)]
+    command = [sys.executable, "-m", "tests.attack.flood", gateway.endpoint, key, json.dumps(question), "--ask"]
     with ExitStack() as stack:
         askers = [stack.enter_context(closing(Child(command, os.environ))) for _ in range(ASKERS)]
         for each in askers:
-            each.wait_for_output("asking")
+            each.wait_for_output("flooding")
         yield
 
 

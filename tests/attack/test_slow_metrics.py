@@ -1,7 +1,6 @@
 """Somebody connects to the metrics, again and again, and says nothing: a scrape is answered, and Stops are on time."""
 
 import socket
-import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
@@ -75,13 +74,3 @@ def let_expire(client: Client, times: int) -> None:
     for count in range(1, times + 1):
         assert client.start_leg(3, 90, 45, 120).accepted
         heard.wait(lambda frame: frame.cause is Cause.WATCHDOG, count=count)
-
-
-def answered(address: str, until_s: float) -> int:
-    """How many of its requests got an answer, of which one byte is read."""
-    count = 0
-    while time.monotonic() < until_s:
-        with suppress(OSError), connect(address, 1) as connection:
-            connection.sendall(b"GET /metrics HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n")
-            count += bool(connection.recv(1))
-    return count

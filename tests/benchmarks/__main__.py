@@ -1,6 +1,6 @@
 """The benchmark: this gateway beside the naive script, in one run, on emulated SPI devices.
 
-    python -m tests.benchmarks [--quick] [--only PART] [--markdown]    # PART: steady, flood, wildcards, idle, memory
+    python -m tests.benchmarks [--quick] [--only PART]    # PART: steady, flood, wildcards, idle, memory
 
 Each is a process of its own, and so is each publisher. A message carries its number in its angles, so that a transfer
 is matched with the moment when its message was published; all clocks are the machine's one monotonic clock. The two
@@ -21,12 +21,11 @@ from pathlib import Path
 from typing import Self
 
 from schemas.keys import leg_command
-from tests.benchmarks.processes import Figures, cpu_ns, now_ns, rss_kb, say
+from tests.benchmarks.processes import Figures, cpu_ns, now_ns, rss_kb, say, sixth_stop_us
 from tests.benchmarks.publisher import number_of
 from tests.benchmarks.steady import SCENARIOS, Scenario, run
-from tests.benchmarks.stops import sixth_stop_us
 from tests.benchmarks.subjects import Subject
-from tests.benchmarks.table import Row, as_markdown, as_text, microseconds
+from tests.benchmarks.table import Row, as_text, microseconds
 from tests.benchmarks.wildcards import wildcards
 from tests.hil.bed import missing_packages
 
@@ -231,7 +230,6 @@ def main() -> int:
     parser = argparse.ArgumentParser(description="Measure the gateway beside a naive script.")
     parser.add_argument("--only", choices=PARTS)
     parser.add_argument("--quick", action="store_true", help="the streams that matter most: a minute")
-    parser.add_argument("--markdown", action="store_true")
     options = parser.parse_args()
     if lack := missing_packages():
         print(f"the emulated device cannot be had: {lack}")
@@ -243,7 +241,7 @@ def main() -> int:
         if options.only in (None, name):
             with tempfile.TemporaryDirectory() as folder:
                 rows += part(Path(folder))
-    print(as_markdown(rows) if options.markdown else as_text(rows))
+    print(as_text(rows))
     print(
         f"\n{where}; the run took {time.monotonic() - begun_s:.0f} s;"
         " ratios are medians over the rounds (least to most)"

@@ -37,21 +37,11 @@ def on_legs(sample: zenoh.Sample) -> None:
         write(int(leg), command["servos"])
 
 
-def on_query(query: zenoh.Query) -> None:
-    """One leg, acknowledged."""
-    write(
-        int(str(query.key_expr).split("/")[2]), json.loads(query.payload.to_bytes() if query.payload else b"")["servos"]
-    )
-    with query:
-        query.reply(query.key_expr, '{"accepted":true}')
-
-
 config = zenoh.Config()
 config.insert_json5("listen/endpoints", json.dumps([sys.argv[1]]))
 config.insert_json5("scouting/multicast/enabled", "false")
 with zenoh.open(config) as session:
     session.declare_subscriber("hexapod/leg/*/cmd", on_command)
     session.declare_subscriber("hexapod/legs/cmd", on_legs)
-    session.declare_queryable("hexapod/leg/*/cmd", on_query)
     print("ready", flush=True)
     signal.pause()

@@ -116,6 +116,17 @@ class Figures:
         return cls(len(ordered), percentile(ordered, 0.5), percentile(ordered, 0.99), ordered[-1])
 
 
+def sixth_stop_us(written: list[Written], begun_ns: int) -> float | None:
+    """From then until all six legs have been written a Stop since."""
+    legs: set[int] = set()
+    for transfer in written:
+        if transfer.monotonic_ns >= begun_ns and len(transfer.data) == 14 and transfer.data[3] == 2:
+            legs.add(transfer.data[2] // 10)
+            if len(legs) == 6:
+                return (transfer.monotonic_ns - begun_ns) / 1000
+    return None
+
+
 def now_ns() -> int:
     """The clock that all processes of this machine share."""
     return time.monotonic_ns()

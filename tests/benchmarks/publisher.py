@@ -2,15 +2,14 @@
 
     python -m tests.benchmarks.publisher ENDPOINT --legs 1 2 3 --hz 50 [--log FILE] [--shape SHAPE]
 
-Of the shapes, `apart` spreads the legs evenly over time, `servos` does so with each servo's own key, `burst` publishes
-all in one instant (and notes for each when the first one was), `one-message` is all legs in one message on
-`hexapod/legs/cmd`, `asked` are acknowledged commands.
+Of the shapes, `apart` spreads the legs evenly over time, `burst` publishes all in one instant (and notes for each when
+the first one was), `one-message` is all legs in one message on `hexapod/legs/cmd`.
 
 What is not a flood carries what the shipped client sends with it: a source, and the time by the sender's clock.
 
 It prints `ready` once it is connected. Then each line on its standard input is a number of seconds to publish for; it
 answers `done COUNT`. The log is appended to after each: three 64-bit numbers a message (leg, number, monotonic ns).
-`--hz 0` is a flood: as fast as it can. With `asked`, the third number is how long the answer took.
+`--hz 0` is a flood: as fast as it can.
 
 The number of a message travels in the angles of joints 1 and 2, in hundredths of a degree, so that whoever looks at the
 frame on the wire knows which message it came from, and when that was published.
@@ -21,15 +20,14 @@ import array
 import itertools
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import zenoh
 
 from gateway.zenoh_config import client_config
-from schemas.keys import LEASE, LEGS_COMMAND, leg_command, servo_command
+from schemas.keys import LEASE, LEGS_COMMAND, leg_command
 from schemas.lease import LeaseAck
-from schemas.robot import JOINTS
 
 ANGLES = 177_00
 """How many numbers fit into one angle: 0.00° to 179.99°, without 1.00° to 3.99°, which one framing does not send."""
@@ -50,11 +48,6 @@ def payload(number: int) -> str:
         f'{{"servos":[{{"op":"start","angle_deg":{angle_deg(high)}}},'
         f'{{"op":"start","angle_deg":{angle_deg(low)}}},{{"op":"start","angle_deg":90}}]}}'
     )
-
-
-def servo_payload(number: int) -> str:
-    """A servo's command: nobody reads a number out of its frame, but no two in a row have the same angle."""
-    return f'{{"op":"start","angle_deg":{60 + number % 60}}}'
 
 
 def acquired(session: zenoh.Session) -> str:
@@ -92,10 +85,6 @@ def wait_until(when_s: float) -> None:
         time.sleep(left_s)
 
 
-Send = Callable[[str], int | None]
-"""Sends a payload; for a question, how long the answer took, in ns."""
-
-
 class Stream:
     """What is sent, in which rhythm."""
 
@@ -110,15 +99,9 @@ class Stream:
         self._legs = legs
         self._shape = shape
         keys = [LEGS_COMMAND] if one_message else [leg_command(leg) for leg in legs]
-        if shape == "servos":
-            keys = [servo_command(leg * 10 + joint) for joint in JOINTS for leg in legs]
-        self._pause_s = 0.0 if not hz else 1 / hz / (len(keys) if shape in ("apart", "servos", "asked") else 1)
-        self._sends: list[Send] = [
-            _asking(session, key)
-            if shape == "asked"
-            else _putting(
-                session.declare_publisher(key, encoding="application/json", congestion_control=control, express=hz > 0)
-            )
+        self._pause_s = 0.0 if not hz else 1 / hz / (len(keys) if shape == "apart" else 1)
+        self._publishers = [
+            session.declare_publisher(key, encoding="application/json", congestion_control=control, express=hz > 0)
             for key in keys
         ]
         self._numbers = itertools.count()
@@ -129,7 +112,7 @@ class Stream:
         due_s = time.monotonic()
         end_s = due_s + duration_s
         noted_ns = 0
-        for index, send in itertools.cycle(enumerate(self._sends)):
+        for index, publisher in itertools.cycle(enumerate(self._publishers)):
             number = next(self._numbers)
             text = self._text(number)[:-1]
             begins = self._shape != "burst" or index == 0
@@ -143,40 +126,16 @@ class Stream:
                 noted_ns = now_ns
             if self._as_client:
                 text += f',"source":"publisher","sent_ms":{now_ns / 1e6}'
-            answered_ns = send(text + self._end)
+            publisher.put(text + self._end)
             count += 1
             for leg in self._legs if self._shape == "one-message" else self._legs[index : index + 1]:
-                log.extend((leg, number, noted_ns if answered_ns is None else answered_ns))
+                log.extend((leg, number, noted_ns))
         return count
 
     def _text(self, number: int) -> str:
         if self._shape == "one-message":
             return legs_payload(number, self._legs)
-        return servo_payload(number) if self._shape == "servos" else payload(number)
-
-
-def _putting(publisher: zenoh.Publisher) -> Send:
-    return publisher.put
-
-
-def _asking(session: zenoh.Session, key: str) -> Send:
-    def ask(text: str) -> int:
-        begun_ns = time.monotonic_ns()
-        answers: Iterator[zenoh.Reply] = iter(
-            session.get(
-                key,
-                zenoh.handlers.FifoChannel(1),
-                payload=text,
-                encoding="application/json",
-                timeout=5,
-                consolidation=zenoh.ConsolidationMode.NONE,
-            )
-        )
-        if next(answers).ok is None:
-            raise RuntimeError("no answer")
-        return time.monotonic_ns() - begun_ns
-
-    return ask
+        return payload(number)
 
 
 def main() -> None:
@@ -186,7 +145,7 @@ def main() -> None:
     parser.add_argument("--legs", type=int, nargs="+", required=True)
     parser.add_argument("--hz", type=float, required=True, help="messages a second for each leg; 0: a flood")
     parser.add_argument("--log", type=Path, help="leave it out for runs without end: it grows")
-    parser.add_argument("--shape", choices=("apart", "servos", "burst", "one-message", "asked"), default="apart")
+    parser.add_argument("--shape", choices=("apart", "burst", "one-message"), default="apart")
     parser.add_argument("--lease", action="store_true", help="acquire the lease, and send its token with each message")
     parser.add_argument("--block", action="store_true", help="wait where the way is congested, and lose nothing")
     options = parser.parse_args()

@@ -46,8 +46,6 @@ class Scenario:
     @property
     def measured(self) -> str:
         """What its latency is."""
-        if self.shape == "asked":
-            return "asked → answered"
         return "publish → sixth frame" if self.shape in ("burst", "one-message") else "publish → transfer"
 
 
@@ -68,7 +66,6 @@ SCENARIOS = (
         settings={"lease": {"ttl_ms": 10_000}},
         short=False,
     ),
-    Scenario("an acked leg", "asked", legs=(3,), short=False),
     Scenario("one leg", "apart", legs=(3,), short=False),
     Scenario("six legs", "apart", hz=200, settings={"limits": {"leg_rate_hz": 250}}, short=False),
 )
@@ -87,12 +84,8 @@ def _round(subject: Subject, publisher: Publisher, scenario: Scenario, duration_
     begun_ns, begun_cpu_ns = now_ns(), cpu_ns(subject.pid)
     count = publisher.run(duration_s)
     cpu_us = (cpu_ns(subject.pid) - begun_cpu_ns) / count / 1000
-    if scenario.shape == "asked":
-        latencies_ns = publisher.answers_ns(count)  # the newest
-    else:
-        leg = LAST_LEG if scenario.shape in ("burst", "one-message") else None
-        latencies_ns = publisher.latencies_ns(subject.device.written(begun_ns), leg)
-    figures = Figures.of(latencies_ns)
+    leg = LAST_LEG if scenario.shape in ("burst", "one-message") else None
+    figures = Figures.of(publisher.latencies_ns(subject.device.written(begun_ns), leg))
     return _Round(figures.p50_us, figures.p99_us, cpu_us)
 
 

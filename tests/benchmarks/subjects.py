@@ -100,7 +100,3 @@ class Publisher:
             if number in published and leg in (None, number[0]):
                 found.append(transfer.monotonic_ns - published[number])
         return found
-
-    def answers_ns(self, count: int) -> list[int]:
-        """Asked → answered, of the last `count` questions."""
-        return list(read_log(self._log).values())[-count:]

@@ -1,4 +1,4 @@
-"""The benchmark's results: one row a figure, as text for a terminal or as Markdown for the README."""
+"""The benchmark's results: one row a figure, as text for a terminal."""
 
 from dataclasses import dataclass
 from statistics import median
@@ -29,12 +29,6 @@ def as_text(rows: list[Row]) -> str:
     widths = [max(len(line[column]) for line in cells) for column in range(len(HEAD))]
     lines = ["  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip() for line in cells]
     return "\n".join([lines[0], "-" * len(lines[0]), *lines[1:]])
-
-
-def as_markdown(rows: list[Row]) -> str:
-    """The same as a table of Markdown."""
-    lines = [f"| {' | '.join(line)} |" for line in (HEAD, *(row.cells for row in rows))]
-    return "\n".join([lines[0], "|---" * len(HEAD) + "|", *lines[1:]])
 
 
 def microseconds(value_us: float) -> str:

@@ -12,8 +12,7 @@ from statistics import median
 from gateway.client import leg_payload
 from schemas.keys import leg_command
 from tests.attack.flood import DELETE
-from tests.benchmarks.processes import Written, never_delay, now_ns, say
-from tests.benchmarks.stops import sixth_stop_us
+from tests.benchmarks.processes import Written, never_delay, now_ns, say, sixth_stop_us
 from tests.benchmarks.subjects import Subject
 from tests.benchmarks.table import Row, microseconds
 from tests.support.child import Child

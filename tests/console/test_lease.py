@@ -51,21 +51,6 @@ def test_two_pages_ask_hand_over_and_take(visitor: Visitor, gateway: Gateway) ->
         assert robot.state().mode == "estopped"
 
 
-@pytest.mark.nightly
-def test_a_handover_to_a_hidden_page_ends_and_whoever_looks_again_reads_that_it_is_free(visitor: Visitor) -> None:
-    anna, bert = visitor.open(), visitor.open()
-    anna["lease-acquire"].click()
-    bert["lease-ask"].click()
-    expect(bert.said).to_contain_text("Asked ")
-    bert.page.evaluate(HIDE)
-    anna["lease-hand-over"].click()
-    expect(anna["driver"]).to_contain_text("(page ")
-    expect(anna["driver"]).to_have_text("nobody")
-    expect(bert.said).to_have_text("The lease is free: press Drive.")
-    bert.page.evaluate(SHOW)
-    expect(bert["driver"]).to_have_text("nobody")
-
-
 def test_a_page_that_is_hidden_drives_no_more(visitor: Visitor, gateway: Gateway) -> None:
     page, other = visitor.open(), visitor.open()
     page["lease-acquire"].click()

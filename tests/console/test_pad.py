@@ -5,7 +5,6 @@ from typing import Any, Final
 import pytest
 from playwright.sync_api import CDPSession, expect
 
-from gateway.client import Client
 from tests.console import browser
 from tests.console.browser import HIDE, SHOW, WISHES, Opened, Visitor, walks
 from tests.support.fixtures import client_fixture
@@ -131,21 +130,6 @@ def test_a_network_that_is_throttled_while_it_walks_stands_still_until_a_new_pre
     expect(page["quality"]).not_to_have_attribute("data-bars", "0")
     expect(page["driver"]).to_have_text("you")
     walks(page, lambda _: thumb.push(-20))
-
-
-@pytest.mark.nightly
-def test_a_second_phone_that_takes_the_lease_while_a_thumb_is_held_stops_all(visitor: Visitor, robot: Client) -> None:
-    page, other = driving(visitor), visitor.open()
-    thumb = pushing(page, -20)
-    other["lease-take"].click()
-    other["question-yes"].click()
-    expect(other["driver"]).to_have_text("you")
-    expect(page["pad"]).to_have_attribute("data-held", "no")
-    page.page.evaluate("window.wishes = []")
-    thumb.move(0, -30)
-    expect(page["driver"]).not_to_have_text("you")
-    assert not page.page.evaluate("window.wishes.some((each) => each.forward_m_s || each.left_m_s)")
-    assert not any(servo.running for leg in robot.state().legs for servo in leg.servos)
 
 
 @pytest.mark.nightly

@@ -17,8 +17,6 @@ import errno as errors
 import importlib.util
 import json
 import os
-import platform
-import signal
 import socket
 import subprocess
 import threading
@@ -35,8 +33,6 @@ from tests.support.closing import Closing
 DEVICE = "/dev/spidev0.0"
 SYSTEM_PYTHON = "/usr/bin/python3"  # the one Debian's gi belongs to
 PROGRAM = Path(__file__).with_name("spi_testbed.py")
-RECEIVING = {"x86_64": ("45",), "aarch64": ("207",)}.get(platform.machine(), ())
-"""The number of the system call by which umockdev's library waits for the emulation (recvfrom)."""
 REPLY_TIMEOUT_S = 5.0  # a reply takes about a millisecond; 12 ms where the node goes or returns
 
 
@@ -205,23 +201,6 @@ class SpiTestbed(Closing):
         self._children.append(child)
         return child
 
-    @staticmethod
-    def freeze(child: Child) -> None:
-        """Stop a program (SIGSTOP) between two calls on the device.
-
-        The emulation reads the memory of a program that calls, so one that is stopped within a call would stop it, too.
-        """
-        for _ in range(100):
-            child.send_signal(signal.SIGSTOP)
-            tasks = list(Path(f"/proc/{child.pid}/task").iterdir())
-            while any((task / "stat").read_text().rpartition(")")[2].split()[0] != "T" for task in tasks):
-                time.sleep(0.001)
-            if not {(task / "syscall").read_text().split()[0] for task in tasks} & set(RECEIVING):
-                return
-            child.send_signal(signal.SIGCONT)
-            time.sleep(0.005)
-        raise TimeoutError("the program calls the device all the time")
-
     @property
     def events(self) -> list[Event]:
         """All that has arrived up to now: openings, settings and transfers, in order."""
@@ -239,11 +218,6 @@ class SpiTestbed(Closing):
     def settings(self) -> list[Setting]:
         """The settings made up to now, in order."""
         return [event for event in self.events if isinstance(event, Setting)]
-
-    @property
-    def messages(self) -> list[Message]:
-        """What was written to the UART up to now, in order."""
-        return [event for event in self.events if isinstance(event, Message)]
 
     @property
     def delivered(self) -> list[bytes]:
@@ -319,13 +293,9 @@ class SpiTestbed(Closing):
         """A driver that does not release chip select within a call: a list of transfers is one cycle."""
         self._command("ignore_cs_change")
 
-    def add_quirk(self, quirk: Literal["gpio", "half-duplex", "loses-edges"]) -> None:
-        """What some controllers and kernels do, see `spi_testbed.py`."""
-        self._command("add_quirk", quirk=quirk)
-
-    def set_bufsiz(self, size: int) -> None:
-        """How many bytes a call may hold, where each transfer takes a multiple of 128."""
-        self._command("set_bufsiz", size=size)
+    def add_chip_select_high(self) -> None:
+        """Chip select is a GPIO: as older kernels do, this one adds SPI_CS_HIGH to the mode, and shows it."""
+        self._command("add_chip_select_high")
 
     def shorten(self, count: int | None = None) -> None:
         """The next `count` transfers are short: half of the bytes reach the wire, and spidev is told so."""
@@ -362,10 +332,6 @@ class SpiTestbed(Closing):
         """The device is back, as a new node; ends `remove_node` and `fail_open`."""
         self._command("restore_node")
 
-    def answer(self, data: bytes) -> None:
-        """The controller sends these bytes during each message from now on, and zeros behind them."""
-        self._command("answer", data=data.hex())
-
     def attach_uart(self, path: Path) -> None:
         """From now on there is a UART at this path."""
         self._command("attach_uart", path=str(path))
@@ -373,10 +339,6 @@ class SpiTestbed(Closing):
     def detach_uart(self) -> None:
         """The UART goes, from below the programs that hold it, too."""
         self._command("detach_uart")
-
-    def send_uart(self, data: bytes) -> None:
-        """The controller sends these bytes over the UART."""
-        self._command("send_uart", data=data.hex())
 
     def tell(self, name: str, data: bytes) -> None:
         """`answer` or `send_uart`, without waiting until it holds."""

@@ -4,8 +4,6 @@ What is sent during a transfer was made ready before it, as on the robot: each t
 is recorded, and what it then wants to say is what the next one reads. So no transfer waits for the test.
 """
 
-import os
-import termios
 import threading
 import time
 from collections.abc import Callable
@@ -100,15 +98,6 @@ class ElkapodBed(SpiTestbed):
             if time.monotonic() > deadline_s:
                 raise TimeoutError(f"waited {timeout_s} s")
             self.follow(len(self.events), 0.1)
-
-    def terminal(self) -> tuple[int, bool, bool]:
-        """How the UART is set up now: its speed (termios names it), two stop bits, and parity."""
-        descriptor = os.open(self.uart, os.O_RDWR | os.O_NOCTTY)
-        try:
-            _, _, flags, _, _, speed, _ = termios.tcgetattr(descriptor)
-        finally:
-            os.close(descriptor)
-        return speed, bool(flags & termios.CSTOPB), bool(flags & termios.PARENB)
 
     def _play(self) -> None:
         seen = 0

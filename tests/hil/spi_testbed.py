@@ -94,7 +94,7 @@ class SpiController:
         self._openings: dict[Any, int] = {}
         self._gone_before = 0  # clients up to this number hold a descriptor of a device that was removed
         self._mode, self._bits, self._speed_hz = 0, 8, DEFAULT_SPEED_HZ
-        self._quirks: set[str] = set()
+        self._shown_mode = 0
         self._fail_errno = 0
         self._fail_left: int | None = 0
         self._fail_after = 0
@@ -102,7 +102,6 @@ class SpiController:
         self._failing_data: bytes | None = None  # transfers of these bytes fail
         self._failure_s = 0.0  # what a failing call takes
         self._chance = random.Random()  # noqa: S311  (faults, no secrets)
-        self._bufsiz = BUFSIZ
         self._list_errno = 0
         self._ignores_cs_change = False
         self._calls = 0
@@ -152,16 +151,9 @@ class SpiController:
         with self._lock:
             self._ignores_cs_change = True
 
-    def add_quirk(self, quirk: str) -> None:
-        """`gpio`: chip select is one, and as older kernels do, this one adds SPI_CS_HIGH to the mode, and shows it.
-        `half-duplex`: messages with a receive buffer answer EINVAL. `loses-edges`: transfers without one lack the clock
-        edge of their last bit, as on a Raspberry Pi 5 before 2025-02; it then arrives as 0."""
-        self._quirks.add(quirk)
-
-    def set_bufsiz(self, size: int) -> None:
-        """How many bytes a message may hold."""
-        with self._lock:
-            self._bufsiz = size
+    def add_chip_select_high(self) -> None:
+        """Chip select is a GPIO: as older kernels do, this one adds SPI_CS_HIGH to the mode, and shows it."""
+        self._shown_mode = CS_HIGH
 
     def delay(self, delay_ms: float) -> None:
         """Each transfer from now on takes this long."""
@@ -235,15 +227,9 @@ class SpiController:
         for offset in range(0, size, SEGMENT.size):
             tx_buf, rx_buf, length, speed_hz, delay_us, bits, cs_change, *_ = SEGMENT.unpack_from(raw, offset)
             sent = bytes(argument.resolve(offset, length).retrieve()) if tx_buf and length else bytes(length)
-            if rx_buf and "half-duplex" in self._quirks:
-                _answer(client, 0, errno.EINVAL)
-                return
-            if rx_buf and length:
-                if (rx_buf, length) not in filled:  # each is a message to the program
-                    argument.resolve(offset + 8, length).update(0, answer[:length].ljust(length, b"\0"))
-                    filled.add((rx_buf, length))
-            elif "loses-edges" in self._quirks:
-                sent = (int.from_bytes(sent) >> 1 << 1).to_bytes(length)
+            if rx_buf and length and (rx_buf, length) not in filled:  # each is a message to the program
+                argument.resolve(offset + 8, length).update(0, answer[:length].ljust(length, b"\0"))
+                filled.add((rx_buf, length))
             segments.append((sent, speed_hz, bits, delay_us, cs_change))
         self._transfer(now_ns, client, "message", segments)
 
@@ -316,7 +302,7 @@ class SpiController:
         if len(data) > 1 and self._list_errno:
             return self._list_errno
         held = sum(-(-len(each) // ALIGNED) * ALIGNED for each in data)
-        return errno.EMSGSIZE if held > self._bufsiz else 0
+        return errno.EMSGSIZE if held > BUFSIZ else 0
 
     def _verdict(self, data: bytes) -> int:
         """What becomes of the next transfer."""
@@ -336,7 +322,7 @@ class SpiController:
             self._opening(now_ns, client)
             gone = self._clients[client] <= self._gone_before
             lsb_first = int(bool(self._mode & LSB_FIRST))
-            mode = self._mode | (CS_HIGH if "gpio" in self._quirks else 0)
+            mode = self._mode | self._shown_mode
             values = {"mode": mode, "lsb_first": lsb_first, "bits": self._bits, "speed": self._speed_hz}
         if not gone:
             argument.update(0, values[SETTINGS[number]].to_bytes(size, sys.byteorder))
@@ -396,8 +382,7 @@ class Testbed:
             "heal": self._controller.heal,
             "reject_lists": self._controller.reject_lists,
             "ignore_cs_change": self._controller.ignore_cs_change,
-            "add_quirk": self._controller.add_quirk,
-            "set_bufsiz": self._controller.set_bufsiz,
+            "add_chip_select_high": self._controller.add_chip_select_high,
             "delay": self._controller.delay,
             "block": self._controller.block,
             "release": self._controller.release,

@@ -1,8 +1,5 @@
 """The simulated power board in its own process, by a real client: python-can over slcan on a pseudo terminal."""
 
-import signal
-import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
@@ -13,7 +10,6 @@ import can
 import pytest
 from can.interfaces.slcan import slcanBus
 
-from gateway.host.shared_page import Sensed, SensedPage, ServoPage
 from gateway.model.power_board import CanFrame, set_supply
 from gateway.onboard.board_process import BoardProcess
 from schemas.robot import SERVO_IDS
@@ -105,34 +101,6 @@ def test_a_client_switches_servos_and_the_page_shows_them(client: Client) -> Non
     assert client.until(0x6B) == bytes(3)
 
 
-def test_a_simulated_body_decides_the_currents() -> None:
-    page, sensed = ServoPage(), SensedPage()
-    torques_nm = [0.0] * 18
-    torques_nm[SERVO_IDS.index(11)] = 1.0
-    sensed.write(Sensed((1.0, 0.0, 0.0, 0.0), (0.0,) * 3, (0.0,) * 3, (0.0,) * 6, tuple(torques_nm)))
-    with BoardProcess(SERVO_IDS, page, sensed) as board:
-        client = Client(board)
-        client.feed(0b111)
-        page.write(11, 90.0)
-        page.write(12, 90.0)
-        answer = client.asked_until(0x70, lambda data: data[:2] == (1260).to_bytes(2, "big"))
-        assert answer.hex() == "04ec000a0008"
-        client.close()
-
-
-@pytest.mark.nightly
-def test_a_flood_of_another_node_leaves_the_board_as_quick_as_it_is(client: Client) -> None:
-    client.board.disturb(flood="t10080011223344556677", flood_hz=8000)
-    assert client.until(0x100) == bytes.fromhex("0011223344556677")
-    client.send(set_supply(0b10))
-    deadline_s = time.monotonic() + MOST_S
-    while client.board.page.fed != frozenset((11,)):
-        assert time.monotonic() < deadline_s
-        client.bus.recv(0.1)
-    client.board.disturb(flood_hz=0)
-    client.feed(0)
-
-
 def test_the_adapter_goes_and_returns_under_the_same_path(client: Client) -> None:
     client.feed(0b10)
     client.board.disturb(unplug=True)
@@ -147,25 +115,6 @@ def test_the_adapter_goes_and_returns_under_the_same_path(client: Client) -> Non
     again = Client(client.board)
     again.feed(0)
     again.close()
-
-
-@pytest.mark.nightly
-@pytest.mark.parametrize(("ended", "status"), [("by its input's end", 0), ("by SIGTERM", 143)])
-def test_it_runs_by_itself_and_leaves_nothing_at_its_end(ended: str, status: int) -> None:
-    command = [sys.executable, "-m", "gateway.robot.power.simulator"]
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
-        assert process.stdin is not None
-        assert process.stdout is not None
-        channel = Path(process.stdout.readline().strip())
-        assert channel.is_char_device()
-        process.send_signal(signal.SIGHUP)
-        process.send_signal(signal.SIGINT)
-        if ended == "by SIGTERM":
-            process.terminate()
-        else:
-            process.stdin.close()
-        assert process.wait(MOST_S) == status
-    assert not channel.parent.exists()
 
 
 def test_it_ends_with_its_gateway_and_leaves_nothing() -> None:

@@ -28,7 +28,6 @@ from gateway.robot.host.systemd import HANGS_AFTER
 from schemas.robot import LEGS
 from schemas.telemetry import Cause
 from tests.hil.bed import SpiTestbed, Transfer
-from tests.hil.forks import Forks
 from tests.hil.wire import EACH_FRAMING, LATE_S, START_3, STOPS, Replay, Wire, opening_of, settings_for
 from tests.support.child import Child
 from tests.support.gateway_process import COMMAND, Gateway, dialling, free_port, write_settings
@@ -186,15 +185,15 @@ def loaded(framing: Framing, endpoint: str, folder: Path) -> dict[str, dict[str,
     }
 
 
-def kill_once(forks: Forks, bed: SpiTestbed, framing: Framing, config: Path, moment_s: float) -> bool:
+def kill_once(bed: SpiTestbed, framing: Framing, config: Path, moment_s: float) -> bool:
     """Kill a gateway that long after its first start, and run stop-servos; whether half a frame was written."""
     before = len(bed.transfers)
-    forks.start("run", "--config", str(config))
+    gateway = bed.spawn([*COMMAND, "run", "--config", str(config)])
     bed.wait_for(lambda transfers: any(moves(each) for each in transfers[before:]), 60)
     time.sleep(moment_s)  # the moment itself; nothing is waited for
-    assert forks.kill() == -signal.SIGKILL
-    forks.start("stop-servos", "--config", str(config))
-    assert forks.wait() == 0, str(forks)
+    gateway.close()
+    assert gateway.returncode == -signal.SIGKILL
+    stops = stop_servos(bed, config)
     transfers = bed.transfers[before:]
     of_gateway = [each for each in transfers if each.opening == transfers[0].opening]
     check_black_box(config.parent / "box" / RING_FILE, of_gateway)
@@ -203,7 +202,8 @@ def kill_once(forks: Forks, bed: SpiTestbed, framing: Framing, config: Path, mom
     first_move = next(place for place, each in enumerate(of_gateway) if moves(each))
     stopped_again = any(each.data.hex() in STOPS for each in of_gateway[first_move:])  # see check_black_box
     assert replay.controller.energised or stopped_again
-    check_stops(framing, replay, transfers[len(of_gateway) :])
+    check_stops(framing, replay, stops)
+    assert len(of_gateway) + len(stops) == len(transfers)
     return len(of_gateway[-1].data) == 1
 
 
@@ -251,8 +251,7 @@ def test_killed_at_random_moments_under_load(tmp_path: Path, framing: Framing, m
         folder.mkdir()
         config = write_settings(folder / "gateway.toml", loaded(framing, endpoint, folder))
         with SpiTestbed() as bed:
-            forks = Forks(bed)
-            return sum(kill_once(forks, bed, framing, config, at_s) for at_s in moments_s[number::LANES])
+            return sum(kill_once(bed, framing, config, at_s) for at_s in moments_s[number::LANES])
 
     with load() as endpoint, ThreadPoolExecutor(LANES) as pool:
         within_frames = sum(pool.map(lane, range(LANES)))

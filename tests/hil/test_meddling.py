@@ -79,22 +79,6 @@ def stops(child: Child) -> tuple[int, str, str | None]:
     return count, fault, meddled
 
 
-def test_the_device_keeps_its_settings_as_linux_does(spi_testbed: SpiTestbed) -> None:
-    first, second = Colleague(spi_testbed), Colleague(spi_testbed)
-    assert first.opens() == [0, 8, DEFAULT_HZ]
-    assert second.opens(mode=3, **FASTER) == [3, 8, 20_000_000]
-    second.closes()
-    assert second.opens() == [3, 8, 20_000_000], "the first has it open"
-    second.closes()
-    first.closes()
-    for _ in range(100):  # the emulated device learns of a close some time after it
-        found = first.opens()
-        if found[2] == DEFAULT_HZ:
-            break
-        first.closes()
-    assert found == [3, 8, DEFAULT_HZ], "the speed falls back at the last close, and nothing else does"
-
-
 @pytest.mark.parametrize("stays", [True, False])
 @pytest.mark.parametrize("settings", [FASTER, SLOWER])
 @EACH_FRAMING
@@ -159,7 +143,7 @@ def test_a_first_stop_after_a_pause_leaves_with_the_mode_put_right(spi_testbed: 
 
 
 def test_what_the_kernel_adds_to_the_mode_is_no_other_program_s(spi_testbed: SpiTestbed) -> None:
-    spi_testbed.add_quirk("gpio")
+    spi_testbed.add_chip_select_high()
     child, colleague = spi_testbed.spawn([sys.executable, "-c", BUS]), Colleague(spi_testbed)
     assert stops(child) == (6, "None", None)
     colleague.opens(mode=1)

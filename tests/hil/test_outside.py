@@ -1,6 +1,5 @@
 """`stop-servos` beside a running gateway, each a process on the emulated device: what the gateway then says is true."""
 
-import signal
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -121,14 +120,3 @@ def test_whoever_starts_legs_meanwhile_the_state_is_what_the_controller_does(
             replay.play(wire.bed.transfers)
             assert replay.energised_for_good() == running(client.state())
             assert not replay.controller.corruptions
-
-
-def test_a_gateway_that_hangs_is_not_waited_for(tmp_path: Path, wire: Wire, gateway: Gateway) -> None:
-    wire.bed.freeze(gateway.child)
-    try:
-        child = stop_servos(tmp_path, wire)
-    finally:
-        gateway.child.send_signal(signal.SIGCONT)
-    assert "has not noticed" in child.stdout
-    for _ in range(4):
-        wire.expect_opening(*STOPS)

@@ -185,27 +185,6 @@ def test_stop_servos_without_a_gateway(tmp_path: Path, wire: Wire) -> None:
     wire.expect_nothing()
 
 
-@pytest.mark.parametrize("separate", [True, False], ids=["read at once", "read by the settings"])
-def test_stop_servos_stops_though_the_service_rejects_speed_and_pause(
-    tmp_path: Path, spi_testbed: SpiTestbed, separate: bool
-) -> None:
-    wire = Wire(spi_testbed, Framing.LENGTH_PREFIXED)
-    config = config_for(tmp_path, wire, speed_hz=20_000_000, frame_gap_us=0)
-    run = spi_testbed.spawn([*COMMAND, "run", "--config", str(config)])
-    assert run.wait(LATE_S) == 2
-    assert "spi: speed_hz is 20000000, and length-prefixed allows 5000000 at most" in run.stderr
-    child = spi_testbed.spawn(
-        [*COMMAND, "stop-servos", *(["--config", str(config)] if separate else [f"--config={config}"])]
-    )
-    assert child.wait(LATE_S) == 0, str(child)
-    assert child.stderr.endswith("stop-servos uses 5000000 Hz and 20 µs\n")
-    for _ in range(4):
-        found = wire.expect_opening(*STOPS)
-        assert {each.speed_hz for each in found} == {5_000_000}
-        assert {each.segments[0].delay_us for each in found if each.data != b"\0"} == {20}
-    wire.expect_nothing()
-
-
 def test_stop_servos_never_writes_into_a_frame_of_a_running_gateway(tmp_path: Path, spi_testbed: SpiTestbed) -> None:
     """A transfer between an announcement and its body would put the controller out of sync, and Stops would be lost."""
     wire = Wire(spi_testbed, Framing.LENGTH_PREFIXED)

@@ -93,15 +93,6 @@ class Network(Closing):
         """And now it arrives again."""
         _ip("-n", self._laptops[laptop], "neighbour", "delete", address, "dev", "robot")
 
-    def lose_answers(self, laptop: int) -> None:
-        """The same the other way: what the robot sends to that laptop is lost."""
-        ours = ("-n", self._robot, "neighbour", "replace", self._laptop_address(laptop))
-        _ip(*ours, *NO_CARD, "dev", _link(laptop))
-
-    def find_answers(self, laptop: int) -> None:
-        """And now it arrives again."""
-        _ip("-n", self._robot, "neighbour", "delete", self._laptop_address(laptop), "dev", _link(laptop))
-
     def _laptop_address(self, laptop: int) -> str:
         return f"10.77.{laptop}.2"
 

@@ -16,14 +16,12 @@ JSON:
     sent [COUNT]        once that many of the stream have been sent: see `Sent`
     deaf LEGS…          from now on, 50 times a second, sets for all of these legs, asking for acknowledgements, while a
                         subscription that nobody reads keeps Zenoh from reading anything that the gateway sends
-    deaf-flood LEGS…    the same, 6000 times a second for each of these legs
     pause [COUNT]       the same, and no more of the stream
     out-of-reach        {} once Zenoh has given the gateway up
     in-reach            {} once it has found the gateway again
     try LEG             energise this leg, acknowledged: the answer
-    lease HOW           hold the lease: `acquire` it, `take` it, or `wait` for it: the holder, whether verified, and the
-                        token, which only this test may see; or {"rejected": reason, "detail": …, "holder": …}
-    hand-over NAME      {} once it is handed over
+    lease HOW           hold the lease: `acquire` it, or `take` it: the holder, whether verified, and the token, which
+                        only this test may see; or {"rejected": reason, "detail": …, "holder": …}
     release             {} once the lease is released
     lost                how the lease was lost, once it is
     watch               from now on, be a stop button that checks in by itself
@@ -56,9 +54,6 @@ from gateway.people.client.button import Button
 from schemas.keys import ALIVE, EVENT, FRAME, STATE, leg_command
 
 PERIOD_S = 0.02
-PERIODS_S = {"flood": 0.0, "deaf-flood": 0.005}
-FLOOD = 30
-"""How often in each such period."""
 ANSWER_S = 10
 """Also how long it may take until the gateway has come up."""
 BOUND_S = 15
@@ -109,9 +104,9 @@ class Streamer:
         match word:
             case "start":
                 return {"accepted": [self._client.start_leg(int(leg), *self._angles()).accepted for leg in rest]}
-            case "try" | "lease" | "hand-over" | "release" | "lost" | "watch" | "checked-in":
+            case "try" | "lease" | "release" | "lost" | "watch" | "checked-in":
                 return self._drive(word, *rest)
-            case "stream" | "ask" | "flood" | "deaf" | "deaf-flood":
+            case "stream" | "ask" | "flood" | "deaf":
                 return self._begin(word, rest)
             case "sent" | "pause":
                 return self._report(int(rest[0]) if rest else 0, end=word == "pause")
@@ -136,15 +131,14 @@ class Streamer:
             "stream": lambda: self._publish(rest[0], rest[1:]),
             "flood": lambda: self._flood([leg_command(int(leg)) for leg in rest]),
             "deaf": lambda: self._ask_unheard(rest),
-            "deaf-flood": lambda: self._ask_unheard([*rest] * FLOOD),
             "ask": lambda: self._ask(next(legs)),
         }
-        if word in ("deaf", "deaf-flood"):
+        if word == "deaf":
             self._declared.append(self._client.session.declare_subscriber(STATE, FifoChannel(1)))
-        set_nice(FLOOD_NICE if word in PERIODS_S else NICE)
+        set_nice(FLOOD_NICE if word == "flood" else NICE)
         self._sent = Sent()
         self._paused.clear()
-        self._thread = threading.Thread(target=self._run, args=(sends[word], PERIODS_S.get(word, PERIOD_S)))
+        self._thread = threading.Thread(target=self._run, args=(sends[word], 0.0 if word == "flood" else PERIOD_S))
         self._thread.start()
         return {}
 
@@ -154,13 +148,10 @@ class Streamer:
                 return self._client.start_leg(int(rest[0]), *self._angles()).model_dump(mode="json")
             case "lease":
                 self._lost.clear()
-                wait_s = ANSWER_S if rest[0] == "wait" else 0
-                lease = self._client.lease(take=rest[0] == "take", wait_s=wait_s, on_lost=lambda _: self._lost.set())
+                lease = self._client.lease(take=rest[0] == "take", on_lost=lambda _: self._lost.set())
                 lease.acquire()
                 self._lease = lease
                 return {"holder": lease.holder, "verified": lease.verified, "token": lease.token}
-            case "hand-over" if self._lease is not None:
-                self._lease.hand_over(rest[0])
             case "release" if self._lease is not None:
                 self._lease.release()
             case "watch":

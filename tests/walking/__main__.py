@@ -2,9 +2,7 @@
 
 import itertools
 import sys
-import tempfile
-from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
-from pathlib import Path
+from concurrent.futures import ProcessPoolExecutor
 from typing import Final
 
 from gateway.geometry import MAX_SPEED_DEG_S
@@ -50,9 +48,7 @@ def fast(gait: str) -> str:
 
 
 def main() -> int:
-    print(f"Three gateways write the frames of {len(course('wave'))} parts of {SECONDS:g} s each …")
-    with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor() as threads:
-        recordings = list(threads.map(lambda gait: record(Path(folder), gait, course(gait)), SPEEDS_M_S))
+    recordings = [record(gait, course(gait)) for gait in SPEEDS_M_S]
     print(f"{len(VARIATIONS)} worlds walk by them: {'; '.join(map(str, VARIATIONS))} …")
     jobs = list(itertools.product(recordings, VARIATIONS))
     with ProcessPoolExecutor() as processes:

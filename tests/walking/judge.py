@@ -1,11 +1,11 @@
-"""Whether a simulated robot went where it was sent, from the frames that a gateway wrote: figures, and their limits."""
+"""Whether a simulated robot went where it was sent, from what a walker sends: figures, and their limits."""
 
 import math
 from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 from gateway.people.walking.motion import travelled
-from tests.walking.physics import Assumed, Track, World, sent_by, went
+from tests.walking.physics import Assumed, Track, World, went
 from tests.walking.recorded import Recording, Walked
 
 OFF: Final = 0.10
@@ -64,7 +64,7 @@ class Verdict(NamedTuple):
 
 def judge(recording: Recording, assumed: Assumed) -> Verdict:
     """Stand up, the parts, sit down."""
-    track = World(assumed).run(sent_by(recording.records))
+    track = World(assumed).run(recording.sent)
     results = [_result(recording.gait, walked, track, assumed) for walked in recording.parts]
     faults = [fault for result in results for fault in result.faults]
     if track.fell:

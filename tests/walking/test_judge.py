@@ -1,6 +1,6 @@
-"""The short form of `make walk`: each gait through a real gateway, and its frames in three worlds."""
+"""The short form of `make walk`: each gait in three worlds."""
 
-from concurrent.futures import ThreadPoolExecutor
+from functools import cache
 from typing import Final
 
 import pytest
@@ -26,24 +26,20 @@ def course(gait: str) -> list[Leg]:
     ]
 
 
-@pytest.fixture(scope="module")
-def recordings(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Recording]:
-    """All gaits at the same time, each through a gateway of its own."""
-    folders = {gait: tmp_path_factory.mktemp(gait) for gait in GAITS}
-    with ThreadPoolExecutor() as threads:
-        found = threads.map(lambda gait: record(folders[gait], gait, course(gait)), GAITS)
-    return {recording.gait: recording for recording in found}
+@cache
+def recorded(gait: str) -> Recording:
+    return record(gait, course(gait))
 
 
 @pytest.mark.parametrize("gait", sorted(GAITS))
 @pytest.mark.parametrize("world", WORLDS, ids=str)
-def test_it_goes_where_it_was_sent(recordings: dict[str, Recording], gait: str, world: Assumed) -> None:
-    verdict = judge(recordings[gait], world)
+def test_it_goes_where_it_was_sent(gait: str, world: Assumed) -> None:
+    verdict = judge(recorded(gait), world)
     assert not verdict.faults, table(verdict.results)
-    assert verdict.track.at(recordings[gait].parts[0].begin_s).height_m == pytest.approx(STANDS_M, abs=0.015)
+    assert verdict.track.at(recorded(gait).parts[0].begin_s).height_m == pytest.approx(STANDS_M, abs=0.015)
     assert verdict.track.poses[-1].height_m < LIES_M
 
 
-def test_the_judge_notices_a_robot_that_slips(recordings: dict[str, Recording]) -> None:
+def test_the_judge_notices_a_robot_that_slips() -> None:
     """On ice it does not go where it was sent; so the figures are those of the world, not of the walker."""
-    assert judge(recordings["tripod"], Assumed(friction=0.01)).faults
+    assert judge(recorded("tripod"), Assumed(friction=0.01)).faults

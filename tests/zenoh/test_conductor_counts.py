@@ -5,36 +5,18 @@ import itertools
 
 import pytest
 
-from gateway.errors import SpiError
 from gateway.model.frames import OneLeg, Op, ServoOp, stop_leg
 from gateway.model.framing import PREAMBLE_ZEROS, ZERO
 from gateway.robot.core.events import Transmit
 from gateway.robot.core.intake import MAX_KEY
 from schemas import keys
-from schemas.telemetry import Cause, Kind, Mode, Reason
-from tests.support.faulty_controller import FaultyController
-from tests.support.robot import MS, Robot, leg, started_and_quiet
+from schemas.telemetry import Cause, Kind, Reason
+from tests.support.robot import MS, leg, started_and_quiet
 
 pytestmark = pytest.mark.virtual_time
 
 LEG_1, LEG_3 = keys.leg_command(1), keys.leg_command(3)
 START = leg("start", 90, 90, 90)
-
-
-class WillNotOpen:
-    """Stands in front of a robot's device, and fails to open it so many times."""
-
-    def __init__(self, robot: Robot, times: int) -> None:
-        self._robot, self._left = robot, times
-        self.tried_ns: list[int] = []
-        robot.bus._open_device = self
-
-    def __call__(self) -> FaultyController:
-        self.tried_ns.append(self._robot.now_ns())
-        self._left -= 1
-        if self._left >= 0:
-            raise SpiError("no such device")
-        return self._robot.controller
 
 
 # ---- the emergency stop
@@ -121,26 +103,6 @@ async def test_the_end_says_whether_all_six_stops_were_written() -> None:
     assert not robot.conductor.shut_down()
 
 
-async def test_a_device_that_will_not_open_is_tried_again_and_again_with_the_same_pauses() -> None:
-    robot = await started_and_quiet()
-    device = WillNotOpen(robot, 10)
-    for _ in range(2):
-        robot.controller.fail_next(1)
-        robot.put(LEG_1, START)
-        failed_ns = robot.now_ns()
-        assert robot.mode == Mode.BUS_FAULT
-        await asyncio.sleep(10)
-        assert robot.mode == Mode.IDLE
-        assert device.tried_ns[0] - failed_ns <= 100 * MS, "also after a second fault"
-        pauses_ms = [
-            (later - earlier) / MS for earlier, later in zip(device.tried_ns, device.tried_ns[1:], strict=False)
-        ]
-        assert pauses_ms == pytest.approx([20] * len(pauses_ms), abs=0.1), "no leg is known to be stopped meanwhile"
-        device = WillNotOpen(robot, 10)
-    assert len(robot.events(Kind.BUS_FAULT)) == len(robot.events(Kind.BUS_RECOVERED)) == 2, "each fault is told once"
-    assert robot.conductor.bus.errors == 2 + 2 * 10, "nothing is written to what is not open"
-
-
 async def test_the_stops_behind_an_opening_are_repeated_though_nothing_else_comes() -> None:
     robot = await started_and_quiet()
     repeats = robot.conductor.metrics.frames[Cause.REPEAT]
@@ -148,26 +110,6 @@ async def test_the_stops_behind_an_opening_are_repeated_though_nothing_else_come
     robot.put(LEG_1, START)
     await asyncio.sleep(0.1)
     assert robot.conductor.metrics.frames[Cause.REPEAT] - repeats == 3 * 6
-
-
-async def test_the_end_releases_the_device(monkeypatch: pytest.MonkeyPatch) -> None:
-    robot = await started_and_quiet()
-    closed: list[bool] = []
-    monkeypatch.setattr(robot.controller, "close", lambda: closed.append(True))
-    robot.conductor.close()
-    assert closed == [True]
-
-
-async def test_after_the_end_no_timer_opens_the_device_again() -> None:
-    robot = await started_and_quiet()
-    device = WillNotOpen(robot, 1000)
-    robot.controller.fail_next(1)
-    robot.put(LEG_1, START)
-    await asyncio.sleep(0.1)
-    robot.conductor.close()
-    tried = len(device.tried_ns)
-    await asyncio.sleep(1)
-    assert len(device.tried_ns) == tried > 1
 
 
 # ---- the preamble

@@ -14,14 +14,13 @@ import pytest
 import zenoh
 
 from gateway.host.realtime import LOOP_PRIORITY
-from gateway.robot.core.events import Command
 from gateway.robot.core.intake import words_of_stop
 from gateway.robot.core.message import Received, Reply, Verb
 from gateway.robot.host.ownership import Ownership
-from gateway.robot.zenoh_io.inbox import FLOOD_PAUSE_S, READER_DEPTH, Inbox, _received
+from gateway.robot.zenoh_io.inbox import READER_DEPTH, Inbox, _received
 from gateway.robot.zenoh_io.questions import MOST_OF_TOKEN, Knows
 from gateway.robot.zenoh_io.receiver import Deal, Reader
-from gateway.robot.zenoh_io.rings import RING_DEPTH, Ring
+from gateway.robot.zenoh_io.rings import RING_DEPTH
 from schemas.command import MAX_PAYLOAD_BYTES
 from schemas.keys import BUTTON, COMMAND_KEYS, ESTOP, LEASE, LEGS_COMMAND, RESET, STATE, leg_command, servo_command
 from schemas.telemetry import Ack, Reason
@@ -92,13 +91,6 @@ def received(key: str, verb: Verb) -> Received:
 
 
 # ---- channels
-
-
-def test_put_and_delete_of_a_key_are_in_order_and_a_get_is_another_channel() -> None:
-    put, delete, get = (Command(key=LEG_1, verb=verb).channel for verb in (Verb.PUT, Verb.DELETE, Verb.GET))
-    assert put == delete != get
-    others = {Command(key=SERVO_11, verb=verb).channel for verb in (Verb.PUT, Verb.GET)}
-    assert len({put, get} | others) == 4
 
 
 # ---- what is kept
@@ -293,11 +285,6 @@ def named(key: str) -> Any:
     return SimpleNamespace(key_expr=key)
 
 
-async def test_a_flood_lets_the_receivers_have_the_processor_for_a_moment(held: Held) -> None:
-    held.inbox._read_all = True
-    assert held.inbox._on_wakeup(named(SERVO_11), 0) == FLOOD_PAUSE_S <= 0.002
-
-
 async def test_an_instant_that_a_flood_left_open_is_closed_though_nothing_else_comes(
     held: Held, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -305,11 +292,6 @@ async def test_an_instant_that_a_flood_left_open_is_closed_though_nothing_else_c
     monkeypatch.setattr(held.inbox, "_rings", rings)
     assert list(held.inbox.take()) == []
     await held.woken()
-
-
-def test_of_a_flooded_ring_no_more_than_its_depth_is_taken_at_once() -> None:
-    flood = iter(range(1000))
-    assert len(Ring(LEG_1, lambda: next(flood), RING_DEPTH).rest(-1)) == RING_DEPTH
 
 
 # ---- what a message says

@@ -94,16 +94,6 @@ async def test_a_message_whose_wakeup_was_lost_while_the_state_was_owned_is_take
     await taker.wait_for(leg_command(1))
 
 
-@pytest.mark.parametrize("count", range(OTHER_DEPTH - 4, OTHER_DEPTH + 8))
-async def test_no_bell_that_the_thread_holds_is_lost(session: zenoh.Session, taker: Taker, count: int) -> None:
-    """About as many as the wakeup is deep: some are with its thread, and some may have been lost before."""
-    wanted = KEYS[:count]
-    for _ in range(40):
-        for key in wanted:
-            session.put(key, b"{}")
-        await taker.wait_for(*wanted)
-
-
 class LateRings:
     """A session whose messages reach a wakeup's ring and their key's when the test says so."""
 
@@ -248,45 +238,6 @@ async def test_as_many_are_looked_for_as_were_heard_of_and_not_taken(counted: Co
     assert counted.left == ({K: left} if left else {})
     assert counted.taker.taken == [K] * steps.count("M")
     assert counted.inbox._look_again.armed or left <= 0
-
-
-async def test_a_wildcard_is_heard_of_for_each_key_that_it_names_each_time(counted: Counted) -> None:
-    for _ in range(2):
-        counted.step("W", "hexapod/leg/*/cmd")
-    assert counted.left == {leg_command(number): 2 for number in range(1, 7)}
-
-
-async def test_a_message_that_is_looked_for_is_looked_for_five_times(counted: Counted) -> None:
-    """Within a tenth of a second, beginning anew only where another one is missed; then it is given up."""
-    assert sum(LOOK_AGAIN_S) < 0.1
-    counted.step("W")
-    for attempt in range(len(LOOK_AGAIN_S)):
-        assert (counted.inbox._attempt, counted.left) == (attempt, {K: 1})
-        for step in "MT":  # of this key one was taken early, and nothing more is missed
-            counted.step(step, OTHER)
-        assert counted.inbox._attempt == attempt
-        counted.step("W", OTHER)
-        counted.inbox._looked()
-    assert counted.left == {}
-    counted.step("W")
-    counted.inbox._looked()
-    assert counted.inbox._attempt == 1
-    counted.step("W", FURTHER)
-    assert counted.inbox._attempt == 0, "of a further message all looks are taken"
-
-
-async def test_a_message_that_was_counted_once_too_often_is_forgotten(counted: Counted) -> None:
-    for step in "MT":
-        counted.step(step)
-    until_s = counted.inbox._early_until_s
-    counted.step("W", OTHER)
-    assert counted.left == {K: -1, OTHER: 1}
-    assert counted.inbox._early_until_s == until_s, "others do not keep it"
-    await asyncio.sleep(max(0.0, until_s - asyncio.get_running_loop().time()) + 0.001)
-    counted.step("W", FURTHER)
-    assert K not in counted.left
-    counted.step("W")
-    assert counted.left[K] == 1, "and the next one is looked for"
 
 
 @pytest.mark.parametrize(

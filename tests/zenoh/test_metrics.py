@@ -61,35 +61,6 @@ def test_the_list_in_the_docs_is_the_page(tmp_path: Path) -> None:
     assert described(page) == documented()
 
 
-def test_prometheus_reads_everything(tmp_path: Path) -> None:
-    address = f"127.0.0.1:{free_port()}"
-    with (
-        Gateway(tmp_path, {"telemetry": {"metrics": address}, "watchdog": {"timeout_ms": 20}}) as gateway,
-        gateway.client() as client,
-    ):
-        client.start_leg(3, 1, 2, 3)
-        gateway.child.wait_for_output("was not heard")
-        client.set_leg(3, 1, 2, 3)
-        client.estop()
-        samples = read(address)
-        assert value(samples, "hexapod_commands_accepted_total") == 1
-        assert value(samples, "hexapod_commands_rejected_total", reason="servo_stopped") == 1
-        assert value(samples, "hexapod_commands_rejected_total", reason="stale") == 0
-        assert value(samples, "hexapod_frames_written_total", cause="estop") == 6
-        assert value(samples, "hexapod_frames_written_total", cause="watchdog") == 1
-        assert value(samples, "hexapod_spi_errors_total") == 0
-        assert value(samples, "hexapod_watchdog_expirations_total") == 1
-        assert value(samples, "hexapod_mode", mode="estopped") == 1
-        assert value(samples, "hexapod_mode", mode="idle") == 0
-        assert value(samples, "hexapod_calibration_revision") == value(samples, "hexapod_calibration_fault") == 0
-        assert value(samples, "hexapod_watchdog_stop_latency_seconds_count") == 1
-        assert value(samples, "hexapod_emergency_stop_latency_seconds_count") == 1
-        assert value(samples, "hexapod_emergency_stop_latency_seconds_sum") > 0
-        assert value(samples, "hexapod_spi_transfer_seconds_count") >= 4, "Stops, a start, a Stop, Stops"
-        assert value(samples, "hexapod_loop_lag_seconds_bucket", le="+Inf") >= 0
-        assert value(samples, "process_resident_memory_bytes") > 1e6
-
-
 def test_a_port_that_is_taken_is_a_fault_of_the_configuration(tmp_path: Path) -> None:
     address = f"127.0.0.1:{free_port()}"
     settings = {"telemetry": {"metrics": address}}
