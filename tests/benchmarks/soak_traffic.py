@@ -8,11 +8,8 @@ import json
 import sys
 import time
 
-import zenoh
-
 from gateway.client import Client, leg_payload, servo_payload
-from gateway.zenoh_config import client_config
-from schemas.keys import ESTOP, LEGS_COMMAND, RESET, leg_command, servo_command
+from schemas.keys import LEGS_COMMAND, leg_command, servo_command
 
 ROUND_S = 1.0
 FLOOD = 10_000  # messages in one go
@@ -32,8 +29,10 @@ WRONG: tuple[tuple[str, str | bytes], ...] = (
 )
 
 
-def one_round(session: zenoh.Session, number: int) -> None:
+def one_round(client: Client, number: int) -> None:
     """A second's worth; leg 5 falls silent at its end, so its watchdog has work."""
+
+    session = client.session
 
     def put(key: str, payload: object) -> None:
         session.put(key, json.dumps({"source": f"traffic-{number % 7}", **payload}))  # type: ignore[dict-item]
@@ -51,9 +50,7 @@ def one_round(session: zenoh.Session, number: int) -> None:
     if number % 5 == 0:
         put("hexapod/leg/*/cmd", leg_payload("stop"))
     if number % 10 == 3:
-        session.put(ESTOP, b"", priority=zenoh.Priority.REAL_TIME, express=True)
-        time.sleep(0.02)
-        session.put(RESET, "{}")
+        client.reset(client.estop().estop)
     if number % 15 == 7:
         flood = json.dumps(leg_payload("start", (90.0, 90.0, 90.0)))
         for _ in range(FLOOD):
@@ -63,10 +60,10 @@ def one_round(session: zenoh.Session, number: int) -> None:
 def main() -> None:
     """Go on until killed; every other round a client connects, asks and leaves."""
     endpoint = sys.argv[1]
-    with zenoh.open(client_config(endpoint)) as session:
+    with Client(endpoint, source="traffic", timeout_s=5) as client:
         for number in itertools.count():
             begun_s = time.monotonic()
-            one_round(session, number)
+            one_round(client, number)
             if number % 2 == 0:
                 with Client(endpoint, source=f"visitor-{number}", timeout_s=5) as visitor:
                     visitor.state()
