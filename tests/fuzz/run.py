@@ -46,11 +46,8 @@ class Report:
         )
 
 
-def fuzz(target: str, runs: int, folder: Path, *, seed: int = 1, tree: Path | None = None) -> Report:
-    """Run `target` on `runs` inputs. `folder` takes the corpus (kept for the next run), and what is found.
-
-    `tree` is a checkout whose code is fuzzed, in place of the one that is installed.
-    """
+def fuzz(target: str, runs: int, folder: Path, *, seed: int = 1) -> Report:
+    """Run `target` on `runs` inputs. `folder` takes the corpus (kept for the next run), and what is found."""
     corpus = folder / f"corpus-{target}"
     corpus.mkdir(parents=True, exist_ok=True)
     for number, data in enumerate(seeds(target)):
@@ -71,7 +68,7 @@ def fuzz(target: str, runs: int, folder: Path, *, seed: int = 1, tree: Path | No
     command = [sys.executable, "-m", "tests.fuzz.worker", target, str(runs), str(notes), *options]
     begun_s = time.monotonic()
     ran = subprocess.run(
-        command, cwd=tree, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, errors="replace", check=False
+        command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, errors="replace", check=False
     )
     seconds = time.monotonic() - begun_s
     done = _DONE.search(ran.stdout)

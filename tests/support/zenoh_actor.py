@@ -1,15 +1,7 @@
-"""One Zenoh session in a process of its own, told what to do over stdin: a JSON list a line, a JSON value back.
+"""One Zenoh session of a test that has many: what it declared, and what has arrived at it."""
 
-`Remote` is the end that a test holds, `Actor` the end inside the process. Who may do what over TLS is only real between
-processes.
-"""
-
-import json
-import os
-import sys
 import time
 from collections.abc import Callable
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -18,43 +10,15 @@ from zenoh.handlers import RingChannel
 
 from gateway.robot.zenoh_io.revoked import list_common_names
 from gateway.zenoh_config import load_config
-from tests.support.child import Child
 from tests.support.closing import Closing
 
 DEPTH = 1000
 POLL_S = 0.002  # several rings have no common wait; every loop below ends
-ANSWER_S = 20  # far above anything seen (0.2 s): a test that hangs must end, not flicker
+LATE_S = 10.0
 
 
-class RemoteError(Exception):
-    """The process answered with an error; its text is the error's."""
-
-
-class Remote(Closing):
-    """A process with an Actor; calling a method that is not here calls the Actor's."""
-
-    def __init__(self) -> None:
-        environment = os.environ | {"PYTHONPATH": str(Path(__file__).parents[2])}
-        # As a service: relative paths in a Zenoh file must not depend on where it runs.
-        self._child = Child([sys.executable, "-m", "tests.support.zenoh_actor"], environment, Path("/"))
-
-    def __getattr__(self, name: str) -> Callable[..., Any]:
-        def call(*arguments: object) -> Any:
-            answer = json.loads(self._child.ask(json.dumps([name, *arguments]), ANSWER_S))
-            if "error" in answer:
-                raise RemoteError(answer["error"])
-            return answer["ok"]
-
-        return call
-
-    def close(self) -> None:
-        """Close its session, and end it."""
-        with self._child, suppress(TimeoutError, BrokenPipeError):  # it may have ended
-            self._child.ask(json.dumps(["leave"]), ANSWER_S)
-
-
-class Actor:
-    """A session and what it declared; each public method is a command."""
+class Actor(Closing):
+    """A session and what it declared."""
 
     def __init__(self) -> None:
         self._session: Any = None
@@ -63,12 +27,10 @@ class Actor:
         self._asked: list[str] = []
         self._kept: list[Any] = []
 
-    def open(self, path: str, overrides: dict[str, Any], resolve: bool = True) -> str:
-        """Opens the Zenoh file at `path`, as our programs do or (not `resolve`) as it stands; the session's id."""
-        config = load_config(Path(path)) if resolve else zenoh.Config.from_file(path)
+    def open(self, path: Path) -> str:
+        """Opens the Zenoh file at `path`, as our programs do; the session's id."""
+        config = load_config(path)
         list_common_names(config, None)  # as the service does with its own file
-        for key, value in overrides.items():
-            config.insert_json5(key, json.dumps(value))
         self._session = zenoh.open(config)
         listener = self._session.info.declare_link_events_listener(RingChannel(DEPTH), history=True)
         self._links = listener.handler
@@ -110,7 +72,7 @@ class Actor:
             reply.ok.payload.to_string() for reply in self._session.get(key, payload=payload, timeout=5) if reply.ok
         ]
 
-    def get_alive(self, key: str, count: int = 0, seconds: float = 5) -> list[str]:
+    def get_alive(self, key: str, count: int = 0) -> list[str]:
         """The tokens, once there are `count`: on a busy machine Zenoh now and then answers too early that none is."""
         found: list[str] = []
 
@@ -118,10 +80,10 @@ class Actor:
             found[:] = [str(reply.ok.key_expr) for reply in self._session.liveliness().get(key, timeout=5) if reply.ok]
             return len(found) >= count
 
-        _wait(enough, seconds)
+        _wait(enough)
         return found
 
-    def taken(self, count: int = 0, seconds: float = 5) -> list[list[Any]]:
+    def taken(self, count: int = 0) -> list[list[Any]]:
         """What arrived at all subscriptions since last asked, once there are `count`: [verb, key, size of payload]."""
         found: list[list[Any]] = []
 
@@ -132,7 +94,7 @@ class Actor:
                     found.append([verb, str(sample.key_expr), len(sample.payload.to_bytes())])
             return len(found) >= count
 
-        _wait(enough, seconds)
+        _wait(enough)
         return found
 
     def asked(self) -> list[str]:
@@ -140,12 +102,12 @@ class Actor:
         found, self._asked = self._asked, []
         return found
 
-    def matching(self, key: str, seconds: float = 5) -> bool:
+    def matching(self, key: str) -> bool:
         """Whether a publisher on `key` comes to see a subscriber."""
         publisher = self._session.declare_publisher(key)
-        return _wait(lambda: bool(publisher.matching_status.matching), seconds)
+        return _wait(lambda: bool(publisher.matching_status.matching))
 
-    def wait_gone(self, zid: str, seconds: float = 10) -> bool:
+    def wait_gone(self, zid: str) -> bool:
         """Whether the link to `zid` ends; all that came over it has been read by then."""
 
         def gone() -> bool:
@@ -154,9 +116,9 @@ class Actor:
                     return True
             return False
 
-        return _wait(gone, seconds)
+        return _wait(gone)
 
-    def identity(self, zid: str, seconds: float = 5) -> str | None:
+    def identity(self, zid: str) -> str | None:
         """Whom the certificate of the link to `zid` names, once there is one."""
         found: dict[str, str | None] = {}
 
@@ -164,11 +126,10 @@ class Actor:
             found.update({str(link.zid): link.auth_identifier for link in self._session.info.links()})
             return zid in found
 
-        _wait(seen, seconds)
+        _wait(seen)
         return found[zid]
 
-    def leave(self) -> None:
-        """Closes the session; another may be opened."""
+    def close(self) -> None:
         if self._session is not None:
             self._session.close()
 
@@ -177,27 +138,8 @@ class Actor:
         self._rings.append(subscriber.handler)
 
 
-def _wait(done: Callable[[], bool], seconds: float) -> bool:
-    end = time.monotonic() + seconds
+def _wait(done: Callable[[], bool]) -> bool:
+    end = time.monotonic() + LATE_S
     while not (seen := done()) and time.monotonic() < end:
         time.sleep(POLL_S)
     return seen
-
-
-def main() -> None:
-    actor = Actor()
-    try:
-        for line in sys.stdin:
-            name, *arguments = json.loads(line)
-            command: Callable[..., Any] = getattr(actor, name)
-            try:
-                answer = {"ok": command(*arguments)}
-            except Exception as error:
-                answer = {"error": f"{type(error).__name__}: {error}"}
-            print(json.dumps(answer), flush=True)
-    finally:
-        actor.leave()
-
-
-if __name__ == "__main__":
-    main()

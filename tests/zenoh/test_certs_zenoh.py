@@ -1,4 +1,4 @@
-"""What each certificate opens, with real Zenoh sessions in processes of their own over TLS on loopback.
+"""What each certificate opens, with real Zenoh sessions over TLS on loopback.
 
 Nothing is proved by waiting for nothing: what must not arrive is followed, on the same link, by something that must.
 """
@@ -16,7 +16,7 @@ from gateway import certs
 from gateway.certs import authority
 from gateway.certs.files import read_certificate, read_key
 from tests.support.gateway_process import free_port
-from tests.support.zenoh_actor import Remote
+from tests.support.zenoh_actor import Actor
 
 # Good for the gateway's certificate; "localhost" is not among them: the wrong name for a machine that answers to it.
 HOST = "127.0.0.1"
@@ -29,15 +29,14 @@ TELEMETRY = ["hexapod/state", "hexapod/event", "hexapod/frame"]
 class SecuredRobot:
     """A stand-in for the gateway, opened from the gateway.json5 that `init` made, and the folder it came from."""
 
-    gateway: Remote
+    gateway: Actor
     zid: str
     folder: Path
     port: int
 
-    def join(self, laptop: Remote, name: str, **overrides: object) -> str:
+    def join(self, laptop: Actor, name: str) -> str:
         """Opens a laptop's session with NAME.json5 just as it was issued."""
-        zid: str = laptop.open(str(self.folder / f"{name}.json5"), overrides)
-        return zid
+        return laptop.open(self.folder / f"{name}.json5")
 
 
 @pytest.fixture(scope="module")
@@ -47,11 +46,11 @@ def robot(tmp_path_factory: pytest.TempPathFactory) -> Iterator[SecuredRobot]:
 
 
 @contextmanager
-def start(folder: Path, **overrides: object) -> Iterator[SecuredRobot]:
+def start(folder: Path) -> Iterator[SecuredRobot]:
     port = free_port()
     certs.folder.init(folder, [HOST], port=port)
-    with Remote() as gateway:
-        zid = gateway.open(str(folder / "gateway.json5"), overrides)
+    with Actor() as gateway:
+        zid = gateway.open(folder / "gateway.json5")
         gateway.serve()
         # Issued while the gateway runs: new laptops need no change on the robot.
         certs.folder.issue(folder, "alice", "operator")
@@ -65,8 +64,8 @@ def laptop(name: str, *commands: str) -> Any:
     """A fixture: the laptop of that name, in reach of the keys it commands on."""
 
     @pytest.fixture(scope="module", name=name)
-    def joined(robot: SecuredRobot) -> Iterator[Remote]:
-        with Remote() as made:
+    def joined(robot: SecuredRobot) -> Iterator[Actor]:
+        with Actor() as made:
             robot.join(made, name)
             assert all(map(made.matching, commands))
             yield made
@@ -84,14 +83,14 @@ def quiet(robot: SecuredRobot) -> None:
     robot.gateway.asked()
 
 
-def put_and_settle(laptop: Remote, keys: list[str]) -> None:
+def put_and_settle(laptop: Actor, keys: list[str]) -> None:
     """Puts on each key; when the state has answered, all of them have passed the gateway's filter or fallen to it."""
     for key in keys:
         laptop.put(key, "{}")
     assert laptop.get("hexapod/state") == ["answer to "]
 
 
-def subscribe_and_settle(laptop: Remote, wanted: list[str]) -> None:
+def subscribe_and_settle(laptop: Actor, wanted: list[str]) -> None:
     """Subscribes; when the state has answered, the gateway knows: declarations travel ahead of all data on a link."""
     for key in wanted:
         laptop.subscribe(key)
@@ -105,9 +104,9 @@ def keys(samples: list[list[Any]]) -> list[str]:
 # --- an operator
 
 
-def test_an_operator_cannot_pose_as_the_robot(robot: SecuredRobot, alice: Remote, carol: Remote) -> None:
+def test_an_operator_cannot_pose_as_the_robot(robot: SecuredRobot, alice: Actor, carol: Actor) -> None:
     """Neither telemetry nor the token nor the answers to others' commands; and it does not overhear them."""
-    with Remote() as bob:
+    with Actor() as bob:
         robot.join(bob, "bob")
         carol.watch_alive("hexapod/alive")
         subscribe_and_settle(carol, TELEMETRY)
@@ -128,7 +127,7 @@ def test_an_operator_cannot_pose_as_the_robot(robot: SecuredRobot, alice: Remote
         assert robot.gateway.get_alive("**/hexapod/alive", 1) == ["hexapod/alive"]
 
 
-def test_an_operators_reach_ends_at_the_commands(robot: SecuredRobot, alice: Remote) -> None:
+def test_an_operators_reach_ends_at_the_commands(robot: SecuredRobot, alice: Actor) -> None:
     """Wildcards that match a command and more than commands do not pass; nothing is half allowed."""
     put_and_settle(alice, ["**", "hexapod/**", "hexapod/leg/1/**", "hexapod/leg/1/*", "*/leg/1/cmd", "**/cmd"])
     assert robot.gateway.taken() == []
@@ -137,7 +136,7 @@ def test_an_operators_reach_ends_at_the_commands(robot: SecuredRobot, alice: Rem
 # --- a button
 
 
-def test_a_button_stops_checks_in_and_watches_and_moves_nothing(robot: SecuredRobot, kitchen: Remote) -> None:
+def test_a_button_stops_checks_in_and_watches_and_moves_nothing(robot: SecuredRobot, kitchen: Actor) -> None:
     subscribe_and_settle(kitchen, TELEMETRY)
     others = [key for key in COMMANDS if key != "hexapod/estop/cmd"]
     wild = ["hexapod/**/cmd", "hexapod/*/cmd", "hexapod/leg/*/cmd"]
@@ -157,9 +156,9 @@ def test_a_button_stops_checks_in_and_watches_and_moves_nothing(robot: SecuredRo
 # --- an observer
 
 
-def test_an_observer_sees_telemetry_only_and_takes_no_wildcard(robot: SecuredRobot, alice: Remote) -> None:
+def test_an_observer_sees_telemetry_only_and_takes_no_wildcard(robot: SecuredRobot, alice: Actor) -> None:
     """A client that may declare a wildcard may declare 20 000 keys below it, each to be compared with all others."""
-    with Remote() as watcher, Remote() as wild:
+    with Actor() as watcher, Actor() as wild:
         robot.join(watcher, "carol")
         robot.join(wild, "carol")
         subscribe_and_settle(wild, ["hexapod/*", "**/hexapod/*", "hexapod/secret", "hexapod/**"])
@@ -184,7 +183,7 @@ def test_a_certificate_without_a_role_commands_nothing(robot: SecuredRobot, role
     outcome = []
     for name, common_name in (("someone", role), ("someone-else", "operator-40")):
         forge(robot.folder, name, common_name)
-        with Remote() as laptop:
+        with Actor() as laptop:
             zid = robot.join(laptop, name)
             assert robot.gateway.identity(zid) == common_name
             laptop.put("hexapod/leg/1/cmd", "{}")
@@ -205,7 +204,7 @@ def test_a_certificate_without_a_role_commands_nothing(robot: SecuredRobot, role
 
 def test_a_link_ends_when_its_certificate_expires(robot: SecuredRobot) -> None:
     forge(robot.folder, "brief", "operator-41", now() - dt.timedelta(days=1, seconds=-3))
-    with Remote() as brief:
+    with Actor() as brief:
         zid = robot.join(brief, "brief")
         assert brief.get("hexapod/leg/1/cmd", "in time") == ["answer to in time"]
         assert robot.gateway.wait_gone(zid)

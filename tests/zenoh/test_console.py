@@ -1,24 +1,17 @@
 """The console between real pages and a real gateway: what is shown, what is sent, and who is let in."""
 
-import os
-import signal
-import sys
-import time
 from collections.abc import Callable, Iterator
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import pytest
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
-from gateway.client import Client
 from gateway.people.walking import GAITS
 from schemas.robot import LEGS
-from tests.support.child import Child
-from tests.support.console_process import LINK, NOBODY, Console, Page, SignedIn
+from tests.support.console_process import NOBODY, Console, Page, SignedIn
 from tests.support.fixtures import console_fixture, gateway_fixture, patient, session_fixture
-from tests.support.gateway_process import READY, Gateway, free_port
+from tests.support.gateway_process import Gateway, free_port
 
 LEG_3 = "hexapod/leg/3/cmd"
 START = {"servos": [{"op": "start", "angle_deg": angle} for angle in (90, 45, 120)]}
@@ -141,52 +134,3 @@ def test_it_waits_for_a_gateway(tmp_path: Path) -> None:
             page.wait("link", lambda message: message["status"] == "connected")
             gateway.child.kill()
             page.wait("link", lambda message: message["status"] == "gone")
-
-
-@pytest.mark.parametrize("end", [signal.SIGINT, signal.SIGTERM], ids=["Ctrl-C", "SIGTERM"])
-def test_make_run_starts_and_ends_both(tmp_path: Path, end: signal.Signals) -> None:
-    """And the gateway goes on without the console."""
-    port = free_port()
-    console = f"CONSOLE=--listen 127.0.0.1:{free_port()} --connect tcp/127.0.0.1:{port}"
-    settings = {"HEXAPOD_ZENOH__LISTEN": f'["tcp/127.0.0.1:{port}"]', "STATE_DIRECTORY": str(tmp_path)}
-    command = ["setsid", "make", "--old-file", f"{sys.prefix}/run", "run", f"VENV={sys.prefix}", console]
-    child = Child(command, {**os.environ, **settings}, cwd=Path(__file__).parents[2])
-    try:
-        child.wait_for_output(READY, 20)
-        child.wait_for_output(LINK, 20)
-        started = descendants(child.pid)
-        if end is signal.SIGTERM:
-            console_pid = next(pid for pid in started if b"\0console\0" in command_line(pid))
-            os.kill(console_pid, signal.SIGKILL)
-            with Client(f"tcp/127.0.0.1:{port}", timeout_s=5) as client:
-                assert client.state().mode == "idle"
-            child.terminate()
-        else:
-            os.killpg(child.pid, end)  # as a terminal does
-        child.wait(10)
-        assert "Traceback" not in child.stderr
-        end_s = time.monotonic() + 10
-        while any(map(runs, started)) and time.monotonic() < end_s:  # make itself does not wait
-            time.sleep(0.02)
-        assert not any(map(runs, started))
-    finally:
-        with suppress(ProcessLookupError):
-            os.killpg(child.pid, signal.SIGKILL)
-        child.close()
-
-
-def runs(pid: int) -> bool:
-    """Whether it runs; one that has ended and that nobody has asked about does not."""
-    with suppress(FileNotFoundError, ProcessLookupError):
-        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
-    return False
-
-
-def descendants(pid: int) -> list[int]:
-    """Its children, and theirs."""
-    found = [int(each) for each in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
-    return found + [each for child in found for each in descendants(child)]
-
-
-def command_line(pid: int) -> bytes:
-    return Path(f"/proc/{pid}/cmdline").read_bytes()

@@ -49,23 +49,6 @@ def lease(page: Page, do: str) -> dict[str, Any]:
     return answer
 
 
-def test_one_page_drives_and_all_stop(anna: Page, bert: Page) -> None:
-    got = lease(anna, "acquire")
-    assert (got["mine"], got["accepted"], got["ttl_ms"]) == (True, True, TTL_MS)
-    assert got["holder"] == anna.hello["source"]
-    assert anna.ask(LEG_3, START)["ack"]["accepted"]
-    ack = bert.ask(LEG_3, START)["ack"]
-    assert (ack["accepted"], ack["reason"]) == (False, "not_holder")
-    assert anna.hello["source"] in ack["detail"]
-    denied = lease(bert, "acquire")
-    assert (denied["mine"], denied["reason"], denied["holder"]) == (False, "lease_held", anna.hello["source"])
-    assert bert.ask(LEG_3, STOP)["ack"]["accepted"], "whoever sees danger stops"
-    stopped = bert.stop_all()
-    assert bert.reset(stopped["estop"])["ack"]["reason"] == "not_holder"
-    assert anna.reset(stopped["estop"])["ack"]["accepted"]
-    assert not lease(anna, "release")["mine"]
-
-
 def test_the_token_stays_in_the_server(anna: Page, bert: Page) -> None:
     """No message to any page has it: 32 hex digits in a row."""
     assert lease(anna, "acquire")["mine"]

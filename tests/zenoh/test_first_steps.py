@@ -6,20 +6,26 @@ import signal
 import socket
 import subprocess
 import sys
+import time
 from contextlib import suppress
 from pathlib import Path
+
+import pytest
 
 from gateway.client import Client
 from tests.support.child import Child
 from tests.support.console_process import LINK
+from tests.support.descendants import MARK, Run
 from tests.support.gateway_process import COMMAND, READY, free_port
 from tests.support.heard import frames
 
 REPOSITORY = Path(__file__).parents[2]
 
 
-def test_the_first_incident_of_a_newcomer_is_kept_and_the_console_finds_a_port(tmp_path: Path) -> None:
-    """`make run` with port 8080 taken; what it prints at last is where the console is."""
+def test_make_run_keeps_an_incident_finds_a_port_and_ends_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With port 8080 taken; what it prints at last is where the console is. The gateway goes on without the console."""
+    monkeypatch.setenv(MARK, os.environ[MARK])  # as it was, afterwards
+    run = Run()
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     env = {**os.environ, "XDG_STATE_HOME": str(tmp_path), "HEXAPOD_ZENOH__LISTEN": f'["{endpoint}"]'}
     env.pop("STATE_DIRECTORY", None)
@@ -49,8 +55,17 @@ def test_the_first_incident_of_a_newcomer_is_kept_and_the_console_finds_a_port(t
             assert told.splitlines()[-1].startswith("The simulated robot can be driven")
             command = [*COMMAND, "incidents", "show", "last"]
             assert "leg 3" in subprocess.run(command, env=env, capture_output=True, text=True, check=True).stdout
-        finally:
-            with suppress(ProcessLookupError):
-                os.killpg(child.pid, signal.SIGTERM)
+            (console,) = [pid for pid in run.processes() if b"\0console\0" in Path(f"/proc/{pid}/cmdline").read_bytes()]
+            os.kill(console, signal.SIGKILL)
+            with Client(endpoint, timeout_s=5) as client:
+                assert client.state().mode == "idle"
+            child.terminate()
             child.wait(20)
+            assert "Traceback" not in child.stderr
+            end_s = time.monotonic() + 10
+            while run.processes() and time.monotonic() < end_s:  # make itself does not wait
+                time.sleep(0.02)
+            assert run.processes() == set()
+        finally:
+            run.close()
             child.close()

@@ -1,7 +1,7 @@
 """The module's log and parameters: what the controller was asked to do, message by message."""
 
 import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from time import monotonic, sleep
@@ -164,9 +164,3 @@ STOPS: Final = [stop(each) for each in SIX]
 def announced(frames: list[bytes]) -> list[bytes]:
     """Frames as the published firmware wants them: each length first."""
     return [part for frame in frames for part in (frame[:1], frame)]
-
-
-def in_order(found: list[bytes], wanted: list[bytes]) -> bool:
-    """Whether these come in this order, whatever comes between them."""
-    left: Iterator[bytes] = iter(found)
-    return all(each in left for each in wanted)
