@@ -3,7 +3,7 @@
 The numbers come from one file (default: elkapod.json), for the console, recordings and examples.
 """
 
-from gateway.geometry.kinematics import FramePose, foot_m, joint_name, transforms
+from gateway.geometry.kinematics import FramePose, joint_name, transforms
 from gateway.geometry.model import ELKAPOD, MAX_SPEED_DEG_S, Geometry, JointServo, load
 from gateway.geometry.urdf import urdf
 
@@ -13,7 +13,6 @@ __all__ = [
     "FramePose",
     "Geometry",
     "JointServo",
-    "foot_m",
     "joint_name",
     "load",
     "transforms",

@@ -55,16 +55,6 @@ def transforms(geometry: Geometry, joints_rad: Mapping[int, float]) -> Iterator[
         yield FramePose(parent, link_name(leg, "foot"), geometry.foot.origin_xyz_m, _UNTURNED)
 
 
-def foot_m(geometry: Geometry, leg: int, joints_rad: Mapping[int, float]) -> Vector:
-    """The position of a leg's foot in the body's frame."""
-    at_m, turned = _ORIGIN, _UNTURNED
-    for step in transforms(geometry, joints_rad):
-        if step.child.startswith(f"leg_{leg}_"):
-            at_m = plus(at_m, rotated(turned, step.translation_m))
-            turned = times(turned, step.rotation)
-    return at_m
-
-
 # ---- vectors and rotations
 
 _ORIGIN: Final[Vector] = (0.0, 0.0, 0.0)

@@ -7,7 +7,7 @@ import pytest
 from playwright.sync_api import Browser
 
 from gateway import geometry
-from gateway.geometry.kinematics import foot_m
+from gateway.people.walking import Robot
 from schemas.robot import LEGS, SERVO_IDS
 from tests.console.browser import Opened, Visitor
 from tests.support.console_process import Console, SignedIn
@@ -24,7 +24,6 @@ def page(browser: Browser, console: Console, session: SignedIn) -> Iterator[Open
 def test_the_page_puts_each_foot_where_the_geometry_does(page: Opened) -> None:
     robot = geometry.load()
     degrees = {servo: (37.0 * servo) % 180 for servo in SERVO_IDS}
-    joints = {servo: robot.joint_rad(servo, degrees[servo]) for servo in SERVO_IDS}
     drawn = page.module(
         "kinematics",
         "(m, [geometry, degrees]) => m.LEGS.map((leg) =>"
@@ -32,7 +31,8 @@ def test_the_page_puts_each_foot_where_the_geometry_does(page: Opened) -> None:
         [robot.model_dump(mode="json"), {str(servo): deg for servo, deg in degrees.items()}],
     )
     for leg, foot in zip(LEGS, drawn, strict=True):
-        assert foot == pytest.approx(foot_m(robot, leg, joints), abs=1e-9)
+        angles_deg = degrees[10 * leg + 1], degrees[10 * leg + 2], degrees[10 * leg + 3]
+        assert foot == pytest.approx(Robot(robot).foot_m(leg, angles_deg), abs=1e-9)
     assert math.dist(drawn[0], drawn[1]) > 0.01
 
 

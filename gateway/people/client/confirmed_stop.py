@@ -74,7 +74,6 @@ class ConfirmedStop(Generic[P, W]):
         return self._unconfirmed[0].pressed_ns if self._unconfirmed else None
 
     def press(self, page: P, press_id: int | None, what: W, now_ns: int) -> Press[P, W]:
-        """A page requests the Stop now."""
         self._presses += 1
         press: Press[P, W] = Press(page, press_id, what, now_ns, self._presses)
         mine = [other for other in self._unconfirmed if other.page is page]

@@ -37,6 +37,8 @@ _OLDEST_YEAR: Final = 2024
 """No certificate of ours is older: an earlier clock was never set."""
 
 _NOT_YET_VALID, _EXPIRED = 9, 10  # OpenSSL's X509_V_ERR_…
+_SETS_CLOCK: Final = "timedatectl set-ntp true"
+_CLOCK: Final = f"set the clock ({_SETS_CLOCK})"
 _UNKNOWN_CA: Final = (2, 18, 19, 20, 21)
 _WRONG_HOST: Final = (62, 64)
 
@@ -111,11 +113,8 @@ def look(endpoint: str, identity: Identity, end_s: float) -> Iterator[Finding]:
         return
     host, port, tls = parsed["host"].strip("[]"), int(parsed["port"]), parsed["link"] == "tls"
     if tls and _is_ipv6(host):
-        yield Finding(
-            Stage.ENDPOINT,
-            "Zenoh dials no IPv6 address over TLS",
-            "dial the robot's name, or its IPv4 address",
-        )
+        fix = "dial the robot's name, or its IPv4 address"
+        yield Finding(Stage.ENDPOINT, "Zenoh dials no IPv6 address over TLS", fix)
         return
     try:
         addresses = _resolve(host, port, end_s)
@@ -170,7 +169,7 @@ def validity(name: str, begin: dt.datetime, end: dt.datetime, now: dt.datetime) 
         sentence = f"{name} is good from {begin:%Y-%m-%d} only, and {clock}"
         if now.year < _OLDEST_YEAR:
             sentence = f"{clock}, which is before any certificate was made"
-        return Finding(Stage.CERTIFICATE, sentence, "set the clock (timedatectl set-ntp true)")
+        return Finding(Stage.CERTIFICATE, sentence, _CLOCK)
     if now >= end:
         fix = "get a new one from `hexapod-gateway certs renew` (is this clock right?)"
         return Finding(Stage.CERTIFICATE, f"{name} expired on {end:%Y-%m-%d}", fix)
@@ -230,12 +229,9 @@ def _connect(addresses: _Addresses, end_s: float) -> socket.socket:
 
 def _unreachable(host: str, port: int, error: OSError) -> Finding:
     if isinstance(error, ConnectionRefusedError):
-        return Finding(
-            Stage.TCP,
-            f"{host} rejects port {port}: nothing listens there",
-            "does the gateway run (systemctl status hexapod-gateway), and on this port? Without certificates it "
-            "listens on its own machine only",
-        )
+        ports = "does the gateway run (systemctl status hexapod-gateway), and on this port?"
+        fix = f"{ports} Without certificates it listens on its own machine only"
+        return Finding(Stage.TCP, f"{host} rejects port {port}: nothing listens there", fix)
     if isinstance(error, TimeoutError):
         fix = "is the robot on, and in this network? A firewall may drop what comes for the port"
         return Finding(Stage.TCP, f"{host} does not answer on port {port}", fix)
@@ -273,7 +269,6 @@ _NEW_BUNDLE: Final = "unzip the bundle of `hexapod-gateway certs issue` again, a
 _SHOWS_NONE: Final = "the robot wants a certificate, and you show none"
 _GIVE_CERTIFICATE: Final = "give --zenoh-config NAME.json5, which `hexapod-gateway certs issue` made"
 _NO_TLS: Final = "does the gateway use certificates? Without them it is tcp/…, and on its own machine only"
-_CLOCK: Final = "set the clock (timedatectl set-ntp true)"
 
 
 def _context(identity: Identity) -> ssl.SSLContext:
@@ -300,47 +295,40 @@ def _after_handshake(secured: ssl.SSLSocket, end_s: float) -> Finding:
 
 def _distrusted(host: str, error: ssl.SSLCertVerificationError) -> Finding:
     """We reject the robot's certificate."""
-    code = error.verify_code
+    code, fix = error.verify_code, f"{_CLOCK} here"
     if code in _WRONG_HOST:
-        return Finding(
-            Stage.TLS,
-            f"the robot's certificate does not name {host}",
-            f"dial it by a name that it has (hexapod-gateway certs list), or make it one with --host {host}",
-        )
+        fix = f"dial it by a name that it has (hexapod-gateway certs list), or make it one with --host {host}"
+        return Finding(Stage.TLS, f"the robot's certificate does not name {host}", fix)
+    sentence = f"does not do ({error.verify_message})"
     if code == _EXPIRED:
-        fix = f"hexapod-gateway certs renew gateway, and copy gateway.pem to the robot; or {_CLOCK} here"
-        return Finding(Stage.CERTIFICATE, "the robot's certificate has expired", fix)
-    if code == _NOT_YET_VALID:
-        return Finding(Stage.CERTIFICATE, "the robot's certificate is not valid yet", f"{_CLOCK} here")
-    if code in _UNKNOWN_CA:
-        return Finding(
-            Stage.CERTIFICATE,
-            "the robot's certificate is of another CA than yours",
-            "is it the right robot? Take certificates from the folder that made the robot's",
-        )
-    return Finding(Stage.CERTIFICATE, f"the robot's certificate does not do ({error.verify_message})", _NEW_BUNDLE)
+        sentence = "has expired"
+        fix = f"hexapod-gateway certs renew gateway, and copy gateway.pem to the robot; or {fix}"
+    elif code == _NOT_YET_VALID:
+        sentence = "is not valid yet"
+    elif code in _UNKNOWN_CA:
+        sentence = "is of another CA than yours"
+        fix = "is it the right robot? Take certificates from the folder that made the robot's"
+    else:
+        fix = _NEW_BUNDLE
+    return Finding(Stage.CERTIFICATE, f"the robot's certificate {sentence}", fix)
 
 
 def _alert(error: ssl.SSLError) -> Finding:
     """The robot rejects our certificate, or this is no TLS."""
     reason = error.reason or ""
     if "UNKNOWN_CA" in reason:
-        return Finding(
-            Stage.CERTIFICATE,
-            "the robot does not know the CA of your certificate",
-            "get one from the folder that made the robot's (`hexapod-gateway certs issue`)",
-        )
-    if "EXPIRED" in reason:
-        return Finding(
-            Stage.CERTIFICATE,
-            "your certificate has expired, or is not valid yet, by the robot's clock",
-            "hexapod-gateway certs renew NAME; or set the robot's clock (timedatectl set-ntp true)",
-        )
-    if "CERTIFICATE_REQUIRED" in reason:
-        return Finding(Stage.CERTIFICATE, _SHOWS_NONE, _GIVE_CERTIFICATE)
-    if "ALERT" in reason:
-        return Finding(Stage.CERTIFICATE, f"the robot does not take your certificate ({reason})", _NEW_BUNDLE)
-    return Finding(Stage.TLS, f"the port speaks no TLS ({reason or error.strerror})", _NO_TLS)
+        sentence = "the robot does not know the CA of your certificate"
+        fix = "get one from the folder that made the robot's (`hexapod-gateway certs issue`)"
+    elif "EXPIRED" in reason:
+        sentence = "your certificate has expired, or is not valid yet, by the robot's clock"
+        fix = f"hexapod-gateway certs renew NAME; or set the robot's clock ({_SETS_CLOCK})"
+    elif "CERTIFICATE_REQUIRED" in reason:
+        sentence, fix = _SHOWS_NONE, _GIVE_CERTIFICATE
+    elif "ALERT" in reason:
+        sentence, fix = f"the robot does not take your certificate ({reason})", _NEW_BUNDLE
+    else:
+        return Finding(Stage.TLS, f"the port speaks no TLS ({reason or error.strerror})", _NO_TLS)
+    return Finding(Stage.CERTIFICATE, sentence, fix)
 
 
 def _plain(connection: socket.socket, end_s: float) -> Iterator[Finding]:

@@ -75,7 +75,6 @@ class Doubt:
         self._raised = False
 
     def sent(self, now_s: float) -> None:
-        """A setpoint was sent."""
         self._sent_s = now_s
 
     def received(self, now_s: float) -> None:

@@ -64,7 +64,6 @@ class Patience(Generic[A]):
         """The answer that counts; None: none so far."""
 
     def sent(self, now_s: float) -> Query[A]:
-        """A query was sent."""
         self._sent_s = now_s
         self.under_way += 1
         return Query()

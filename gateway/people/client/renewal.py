@@ -68,7 +68,6 @@ class Renewal:
         return max(self._period_s, LEAST_ANSWER_S)
 
     def asked(self, now_s: float) -> None:
-        """A renewal is sent now."""
         self.due_s = now_s + self._period_s
 
     def answered(self, ack: "LeaseAck", asked_s: float) -> None:

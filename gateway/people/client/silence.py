@@ -60,7 +60,6 @@ class Silence:
         return self.is_long(now_ns) and now_ns >= self._look_ns
 
     def looked(self, now_ns: int) -> None:
-        """A look has ended."""
         self._look_ns = now_ns + WHY_EVERY_S * 1e9
 
     def _is_older(self, now_ns: int, most_ms: float) -> bool:

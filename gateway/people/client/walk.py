@@ -459,7 +459,6 @@ class Walk:
             ride.found(robot, running, time.monotonic())
 
     def _failed(self, ride: Ride, step: RideStep, error: Exception) -> None:
-        """A step has raised `error`."""
         stream = self._stream
         if ride.wants_again and step.do is not RideTask.SEND:
             with self._changed:

@@ -42,12 +42,10 @@ class ServoMotion(NamedTuple):
 
     @property
     def leg(self) -> int:
-        """The servo's leg, 1 to 6."""
         return self.servo_id // 10
 
     @property
     def started_ids(self) -> list[int]:
-        """All servos that a start starts."""
         return sorted(self.holding) or [self.servo_id]
 
     @property
@@ -65,7 +63,6 @@ class ServoMotion(NamedTuple):
 
     @property
     def which(self) -> str:
-        """`servo 61`."""
         return f"servo {self.servo_id}"
 
 

@@ -1,4 +1,4 @@
-"""`hexapod-gateway calibrate`: arguments in, one call of tools/calibration.py each; by itself, the console's guide."""
+"""`hexapod-gateway calibrate`: one call of commands/calibration.py each; without a command, the console's guide."""
 
 import sys
 from pathlib import Path

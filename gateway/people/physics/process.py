@@ -254,7 +254,7 @@ def _say(sentence: str) -> None:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """What `tools/body_process.py` starts. Ctrl-C and the terminal's end are for the gateway, and its end ends this."""
+    """What `onboard/body_process.py` starts. Ctrl-C and the terminal's end go to the gateway, whose end ends this."""
     for number in (signal.SIGINT, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
     os.setpriority(os.PRIO_PROCESS, 0, NICE)

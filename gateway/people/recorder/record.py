@@ -40,7 +40,6 @@ class Table:
         self._writer.writerow(["time_s", *(f"servo_{servo_id}_deg" for servo_id in SERVO_IDS)])
 
     def add(self, joints: CommandedJoints, time_ns: int) -> None:
-        """One row."""
         angles = (joints.deg.get(each) if joints.running.get(each) else None for each in SERVO_IDS)
         self._writer.writerow([f"{time_ns / 1e9:.6f}", *angles])
 

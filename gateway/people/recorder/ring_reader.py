@@ -217,7 +217,6 @@ class _Decoded:
         return damaged
 
     def records(self) -> Records:
-        """All that was taken."""
         return Records(self._times_ns, self._kinds, self._read, self._calibrations, self._gaps)
 
     def _read(self, index: int) -> form.Record:

@@ -238,7 +238,6 @@ def _commands(messages: list[RecordedMessage], frames: Sequence[FrameIn], name: 
 
 
 def _stopped_legs(frames: Iterable[FrameIn], zero_ns: int = 0) -> set[int]:
-    """The legs that the watchdog stopped."""
     return {frame.leg for message, frame in frames if _is_watchdogs(message) and message.time_ns >= zero_ns}
 
 

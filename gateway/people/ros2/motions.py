@@ -78,7 +78,6 @@ class JointCommands:
         return self._stream.is_over
 
     def check(self, now_s: float) -> bool:
-        """See Motion."""
         if now_s - self._received_s > self._silent_s:
             raise StoppedError(f"{self.title} fell silent, and the gateway has stopped its legs", self._started)
         return True
@@ -129,7 +128,6 @@ class Course:
         self._plan, self._ride, self._rests_s, self._left = plan, None, plan.ends_s + REST_S, REPLACED
 
     def progress(self, plan: Trajectory, now_s: float) -> GoalProgress:
-        """How far this plan is."""
         if plan is not self._plan:
             return GoalProgress({}, {}, self._left)
         self._look(now_s)
@@ -241,7 +239,6 @@ class Following:
             self._changed.notify_all()
 
     def progress(self, plan: Trajectory) -> GoalProgress:
-        """How far this plan is."""
         with self._changed:
             if self._error is not None:
                 return GoalProgress({}, {}, str(self._error))
@@ -253,7 +250,6 @@ class Following:
             self._course.hold(plan, time.monotonic())
 
     def check(self, now_s: float) -> bool:
-        """See Motion."""
         with self._changed:
             if self._error is not None:
                 raise self._error.with_traceback(None)
@@ -262,7 +258,6 @@ class Following:
             return self._course.begun and not self._over
 
     def end(self, *, sits: bool) -> None:
-        """See Motion."""
         with self._changed:
             self._stops = not sits or not self._course.begun
             self._course.leave(time.monotonic())
@@ -334,14 +329,12 @@ class Walking:
             self._walk.walk_as(gait)
 
     def check(self, now_s: float) -> bool:
-        """See Motion."""
         if self._walk.error is not None:
             raise self._walk.error.with_traceback(None)
         del now_s
         return not self._walk.is_over
 
     def end(self, *, sits: bool) -> None:
-        """See Motion."""
         self._walk.close(sits=sits)
 
 

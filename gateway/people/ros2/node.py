@@ -312,7 +312,6 @@ class _OwnThreads(CallbackGroup):  # type: ignore[misc]
     """What threads of ours wait for, and no executor."""
 
     def can_execute(self, entity: Any) -> bool:
-        """See CallbackGroup."""
         del entity
         return False
 

@@ -68,7 +68,6 @@ class ReceivedTelemetry:
         """The telemetry and when it was received: one object."""
 
     def take(self, telemetry: Telemetry, now_s: float) -> None:
-        """It was received now."""
         self._newest = telemetry, now_s
 
     def fresh(self, now_s: float) -> Telemetry | None:
@@ -103,7 +102,6 @@ class Senses:
         self._tilted_s = self._lifted_s = 0.0
 
     def copy(self) -> Self:
-        """An independent copy."""
         new = copy(self)
         new._seen = dict(self._seen)
         return new

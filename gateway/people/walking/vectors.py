@@ -12,22 +12,18 @@ Matrix = tuple[Vector, Vector, Vector]
 
 
 def scaled(vector: Vector, factor: float) -> Vector:
-    """`vector` times `factor`."""
     return vector[0] * factor, vector[1] * factor, vector[2] * factor
 
 
 def minus(first: Vector, second: Vector) -> Vector:
-    """The difference of two vectors."""
     return first[0] - second[0], first[1] - second[1], first[2] - second[2]
 
 
 def dot(first: Vector, second: Vector) -> float:
-    """The scalar product of two vectors."""
     return first[0] * second[0] + first[1] * second[1] + first[2] * second[2]
 
 
 def cross(first: Vector, second: Vector) -> Vector:
-    """The vector product of two vectors."""
     return (
         first[1] * second[2] - first[2] * second[1],
         first[2] * second[0] - first[0] * second[2],
@@ -36,7 +32,6 @@ def cross(first: Vector, second: Vector) -> Vector:
 
 
 def apply(matrix: Matrix, vector: Vector) -> Vector:
-    """Apply a rotation matrix to `vector`."""
     (a, b, c), (d, e, f), (g, h, i) = matrix
     x, y, z = vector
     return a * x + b * y + c * z, d * x + e * y + f * z, g * x + h * y + i * z

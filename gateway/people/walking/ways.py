@@ -92,7 +92,6 @@ class Figure:
     """Whether it sits or lies, at the end of its way if it is on one."""
 
     def copy(self) -> Self:
-        """An independent copy."""
         new = copy(self)
         new.feet, new.pose = dict(self.feet), dict(self.pose)
         return new

@@ -1,10 +1,11 @@
 """`walk --seconds`, in virtual time: how long it walks, and how it is ended early."""
 
 from collections.abc import Callable
-from typing import Final
+from typing import Final, cast
 
 import pytest
 
+from gateway.people.client.walk import Walk
 from gateway.people.commands.walk.script import AtOnce, EndRequests, go
 from gateway.people.walking import Posture, Velocity, WalkState
 from gateway.people.walking.motion import BodyPose
@@ -48,7 +49,7 @@ class Walked:
 
 def test_it_stands_up_walks_for_so_long_and_sits(capsys: pytest.CaptureFixture[str]) -> None:
     robot = Walked()
-    assert go(robot, AHEAD, 1.0, 0.14, EndRequests(), robot.clock)
+    assert go(cast(Walk, robot), AHEAD, 1.0, 0.14, EndRequests(), robot.clock)
     assert robot.walked_s == pytest.approx(1.0, abs=0.05)
     assert robot.state.posture is Posture.SITTING
     assert 0.02 < robot.state.odometry.x_m < 0.15
@@ -66,7 +67,7 @@ def test_ended_early_it_finishes_its_step_and_sits(when: Posture, capsys: pytest
             end.asked = True
 
     robot = Walked(asks)
-    assert not go(robot, AHEAD, 600.0, None, end, robot.clock)
+    assert not go(cast(Walk, robot), AHEAD, 600.0, None, end, robot.clock)
     assert robot.walked_s < 0.2
     assert robot.state.posture is Posture.SITTING
     assert capsys.readouterr().out.startswith("ended early: walked ")

@@ -5,7 +5,7 @@ from typing import Any, Final
 
 import pytest
 
-from gateway.geometry import foot_m, load
+from gateway.geometry import load
 from gateway.geometry.kinematics import Quaternion, Vector, plus, rotated, times
 from gateway.people.recorder.drawing import encode
 from gateway.people.ros2.messages import JointState
@@ -16,7 +16,8 @@ from gateway.people.ros2.robot import (
     joint_state,
     measured,
 )
-from schemas.robot import SERVO_IDS
+from gateway.people.walking.inverse import Limb
+from schemas.robot import JOINTS, SERVO_IDS
 from schemas.telemetry import Telemetry
 from tests.support import measuring
 from tests.support.ros2_messages import STORE
@@ -46,7 +47,8 @@ def test_frames_lead_to_the_feet() -> None:
             to, by = move.translation, move.rotation
             at_m = plus(at_m, rotated(turned, (to.x, to.y, to.z)))
             turned = times(turned, (by.x, by.y, by.z, by.w))
-        assert at_m == pytest.approx(foot_m(GEOMETRY, leg, joints_rad))
+        first, second, third = (joints_rad[10 * leg + joint] for joint in JOINTS)
+        assert at_m == pytest.approx(Limb(GEOMETRY, leg).forward((first, second, third)).foot_m)
 
 
 def as_rosbags_reads(found: Telemetry) -> dict[str, Any]:

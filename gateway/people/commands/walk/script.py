@@ -7,9 +7,10 @@ import math
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Final, Protocol
+from typing import Final
 
 from gateway.errors import LeaseError, RejectedError, StoppedError
+from gateway.people.client.walk import Walk
 from gateway.people.commands import reach
 from gateway.people.commands.reach import Connection
 from gateway.people.terminal import clear_line, hint, on_end_signals, say, show_line
@@ -75,25 +76,8 @@ def walk(
     return 0 if whole else _ENDED_EARLY
 
 
-class Walks(Protocol):
-    """The methods of `Walk` that `go` calls."""
-
-    @property
-    def state(self) -> WalkState:
-        """See `Walk.state`."""
-
-    def go(self, forward_m_s: float = 0.0, left_m_s: float = 0.0, turn_rad_s: float = 0.0) -> None:
-        """See `Walk.go`."""
-
-    def stand(self, height_m: float | None = None, *, wait: bool = True) -> None:
-        """See `Walk.stand`."""
-
-    def sit(self) -> None:
-        """See `Walk.sit`."""
-
-
 def go(
-    robot: Walks,
+    robot: Walk,
     velocity: Velocity,
     seconds: float,
     height_m: float | None,

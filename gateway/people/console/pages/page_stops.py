@@ -40,7 +40,6 @@ class Stops(Generic[W]):
         return self._stop.since_ns is not None
 
     def press(self, page: Outgoing, press_id: int | None, what: W) -> None:
-        """A page requests it, now."""
         press = self._stop.press(page, press_id, what, now_ns())
         self._begin()
         self._note(press, None, None)
