@@ -9,7 +9,7 @@ from typing import Final
 GATEWAY = Path(__file__).parents[2] / "gateway"
 
 ROOMS: Final = (
-    ("allowance", "durable", "endpoints", "errors", "limits", "nesting", "own_command", "text", "web_hosts"),
+    ("allowance", "durable", "endpoints", "errors", "limits", "nesting", "own_command", "text"),
     ("model", "geometry"),
     ("host", "certs"),
     ("zenoh_config",),

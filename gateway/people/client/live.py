@@ -315,6 +315,11 @@ class Live:
 # ---- to an event loop
 
 
+def _later(name: str) -> Any:
+    """A method that has the receiver's method of this name called on the loop."""
+    return lambda on_loop, *arguments: on_loop._put(getattr(on_loop._receiver, name), *arguments)
+
+
 class OnLoop(Receiver):
     """Calls a receiver on an event loop, in order: the newest of each kind, and at most 256 events, so a
     flood or a busy loop takes no memory."""
@@ -327,29 +332,14 @@ class OnLoop(Receiver):
         self._events: deque[Event] = deque()
         self._left_out = 0
 
-    def opened(self) -> None:
-        self._put(self._receiver.opened)
-
-    def not_opened(self, error: Exception) -> None:
-        self._put(self._receiver.not_opened, error)
-
-    def looked(self, reasons: list[str]) -> None:
-        self._put(self._receiver.looked, reasons)
-
-    def answered(self, client: Client) -> None:
-        self._put(self._receiver.answered, client)
-
-    def received_state(self, state: GatewayState, received_ns: int) -> None:
-        self._put(self._receiver.received_state, state, received_ns)
-
-    def received_body(self, body: BodyReport) -> None:
-        self._put(self._receiver.received_body, body)
-
-    def received_telemetry(self, telemetry: Telemetry) -> None:
-        self._put(self._receiver.received_telemetry, telemetry)
-
-    def received_token(self, alive: bool) -> None:
-        self._put(self._receiver.received_token, alive)
+    opened: Any = _later("opened")
+    not_opened: Any = _later("not_opened")
+    looked: Any = _later("looked")
+    answered: Any = _later("answered")
+    received_state: Any = _later("received_state")
+    received_body: Any = _later("received_body")
+    received_telemetry: Any = _later("received_telemetry")
+    received_token: Any = _later("received_token")
 
     def received_event(self, event: Event, left_out: int = 0) -> None:
         with self._lock:

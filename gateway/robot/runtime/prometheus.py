@@ -23,11 +23,11 @@ from gateway.model.telemetry import currents_a
 from gateway.robot.core.latency import BOUNDS_US, Latency
 from gateway.robot.runtime.conductor import Conductor
 from gateway.robot.runtime.metrics_page import MetricsPage
-from gateway.web_hosts import LOOPBACK, may_ask
 from schemas.robot import LEGS, SERVO_IDS
 from schemas.telemetry import Cause, Kind, Mode, PowerReport, Reason, Telemetry
 
 METRICS_PATH: Final = "/metrics"
+LOOPBACK: Final = frozenset({"localhost", "127.0.0.1", "::1"})
 
 _PREFIX: Final = "hexapod"
 
@@ -169,6 +169,28 @@ def _histogram(name: str, help_text: str, latency: Latency) -> HistogramMetricFa
         total += count
         buckets.append((bound, float(total)))
     return HistogramMetricFamily(f"{_PREFIX}_{name}_seconds", help_text, buckets, latency.sum_us / 1e6)
+
+
+def is_one_of(host: str | None, ours: Collection[str]) -> bool:
+    """Whether a Host header (`robot.local:9464`, `[::1]:9464`) names one of these hosts, which are in lower case.
+
+    The port is not compared: a tunnel has another, and no page can choose the host that its browser sends.
+    """
+    name = (host or "").lower()
+    if name.startswith("["):
+        name = name[1:].partition("]")[0]
+    elif name.count(":") == 1:
+        name = name.partition(":")[0]
+    return name in ours
+
+
+def may_ask(host: str | None, origin: str | None, ours: Collection[str]) -> bool:
+    """Whether a request comes from no page (`origin` is None), or from our own.
+
+    A page of another site reaches every port of its browser's machine: under its own origin, or by a name of its own
+    that resolves to this machine (DNS rebinding), which `host` shows.
+    """
+    return is_one_of(host, ours) and (origin is None or origin == f"http://{host}")
 
 
 def _guarded(ours: Collection[str], page: "WSGIApplication") -> "WSGIApplication":
