@@ -9,13 +9,10 @@ from hypothesis import strategies as st
 from gateway.model.angle_limits import AngleLimits
 from gateway.model.calibration import (
     AS_DRAWN,
-    CalibrationChange,
     CalibrationError,
-    MappingChange,
     RobotCalibration,
     ServoMapping,
     calibration_of,
-    changed_servos,
     report_of,
 )
 from gateway.model.frames import (
@@ -180,19 +177,3 @@ def test_what_is_no_calibration(servos: Mapping[int, ServoMapping], landing: Map
     with pytest.raises(CalibrationError) as raised:
         RobotCalibration(1, servos, landing)
     assert str(raised.value) == fault
-
-
-def test_a_change_changes_what_it_names() -> None:
-    before = RobotCalibration(4, {32: ServoMapping(7_00, inverted=True)}, {32: 80_00, 33: 90_00})
-    after = CalibrationChange(
-        {32: MappingChange(max_cdeg=150_00), 11: MappingChange(trim_cdeg=-1)}, {33: None}
-    ).applied_to(before)
-    assert after == RobotCalibration(
-        5, {32: ServoMapping(7_00, inverted=True, max_cdeg=150_00), 11: ServoMapping(-1)}, {32: 80_00}
-    )
-    assert changed_servos(before, after) == {11, 32}
-
-
-def test_a_change_back_to_the_drawing_leaves_the_default() -> None:
-    before = RobotCalibration(1, {32: ServoMapping(7_00)})
-    assert not CalibrationChange({32: MappingChange(trim_cdeg=0)}, {}).applied_to(before).servos

@@ -12,7 +12,6 @@ from gateway.model.framing import Framing
 from gateway.robot.spi import Batch, SpiDevice
 from gateway.robot.spi.guard import Guard, IllegalTransferError, _is_frame
 from schemas.robot import LEGS, SERVO_IDS
-from tests.support.faulty_controller import FaultyController
 from tests.support.transfers import on_wire
 from tests.unit.model.test_frames import ILLEGAL, bytes_near_a_frame, frames
 
@@ -113,29 +112,6 @@ def test_no_illegal_vector_passes_also_behind_a_legal_frame(framing: Framing, ve
     assert not passes(framing, *announcement, data, *on_wire(framing, STOP_1))
 
 
-@pytest.mark.parametrize("op", [Op.START, Op.SET])
-@pytest.mark.parametrize(
-    ("angle_cdeg", "avoided"), [(0, False), (99, False), (1_00, True), (2_50, True), (3_99, True), (4_00, False)]
-)
-def test_an_angle_that_is_never_sent_is_rejected_also_among_others(op: Op, angle_cdeg: int, *, avoided: bool) -> None:
-    servo, elsewhere = ServoOp(op, angle_cdeg), ServoOp(op, 90_00)
-    for frame in (
-        OneServo(63, servo),
-        OneLeg(6, (servo, elsewhere, elsewhere)),
-        OneLeg(6, (elsewhere, STOP, servo)),
-    ):
-        batch = [(data, 0) for data in on_wire(PREFIXED, stop_leg(1), frame)]
-        Guard(Recorder(), PREFIXED).transfer(batch)
-        device = Recorder()
-        guarded = Guard(device, PREFIXED, (1_00, 4_00))
-        if avoided:
-            with pytest.raises(IllegalTransferError, match=f"to {angle_cdeg / 100:g} degrees, which is never sent"):
-                guarded.transfer(batch)
-        else:
-            guarded.transfer(batch)
-        assert device.batches == ([] if avoided else [batch])
-
-
 def test_the_reason_is_the_first_servo_that_is_not_allowed_not_one_at_the_end_of_the_interval() -> None:
     frame = OneLeg(6, (ServoOp(Op.SET, 4_00), ServoOp(Op.SET, 2_00), STOP))
     with pytest.raises(IllegalTransferError, match="moves servo 62 to 2 degrees"):
@@ -162,17 +138,6 @@ def test_zeros_in_one_transfer_jam_a_controller_and_never_pass(zeros: bytes) -> 
     assert not passes(PREFIXED, ZERO, zeros)
     for announcement in (b"\x06", b"\x0e"):
         assert not passes(PREFIXED, announcement, zeros)
-
-
-def test_a_device_s_fault_comes_through_and_changes_nothing() -> None:
-    controller = FaultyController(PREFIXED)
-    guarded = Guard(controller, PREFIXED)
-    batch = [(data, 0) for data in (b"\x0e", STOP_1)]
-    controller.fail_next(1)
-    with pytest.raises(SpiError):
-        guarded.transfer(batch)
-    guarded.transfer(batch)
-    assert controller.executed == 1
 
 
 def test_a_bug_is_not_an_spi_error() -> None:
