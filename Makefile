@@ -2,15 +2,13 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
-WHEELS ?= dist/wheels
 # What `make test-all` needs of Debian: an emulated kernel device (for the system's own Python), network namespaces, a browser, a
-# terminal, a systemd to start in a box of its own, and a compiler for a robot's processor, which `make wheels` needs, too.
-DEBIAN_PACKAGES := umockdev gir1.2-umockdev-1.0 python3-gi iproute2 tmux systemd dbus chromium \
-	gcc-aarch64-linux-gnu libc6-dev-arm64-cross
+# terminal, and a systemd to start in a box of its own.
+DEBIAN_PACKAGES := umockdev gir1.2-umockdev-1.0 python3-gi iproute2 tmux systemd dbus chromium
 # And what only `make nightly` needs: the other two browsers, and a display with a window manager for WebKit.
 nightly: DEBIAN_PACKAGES += webkit2gtk-driver xvfb matchbox-window-manager firefox-esr
 
-.PHONY: deb dist lock help run quick test test-all nightly check bench kernel walk soak mutants schemas docs format clean wheels debian-packages
+.PHONY: deb dist lock help run quick test test-all nightly check bench kernel walk soak mutants schemas docs format clean debian-packages
 
 help:
 	@echo "make run      the service with a simulated controller and a black box, and the console in the browser (makes $(VENV))"
@@ -33,11 +31,9 @@ help:
 	@echo "make docs     all pages and the Python API as one searchable site, in build/docs; fails on a broken link"
 	@echo "make schemas  write schemas/json/ anew"
 	@echo "make format   let ruff format"
-	@echo "make wheels   fill $(WHEELS) for deploy/install.sh --wheels, which needs no network"
-	@echo "              (for a Pi, from another machine: make wheels FOR=aarch64 FOR_PYTHON=3.11)"
 	@echo "make deb      the package for a robot, in dist/ (for a Pi, from another machine: make deb FOR=arm64)"
-	@echo "make lock     write uv.lock and deploy/lock/ anew, after a change of the dependencies (UPGRADE=1: newer versions)"
-	@echo "make dist     fill dist/: wheel, sdist, locks, SBOM, sums and their signature, and a bundle (KEY=~/.ssh/release)"
+	@echo "make lock     write uv.lock and release/build.txt anew, after a change of the dependencies (UPGRADE=1: newer versions)"
+	@echo "make dist     fill dist/: wheel, sdist, both packages, SBOM, sums and their signature (KEY=~/.ssh/release)"
 
 # Ctrl-C, and SIGTERM to make, end all; the console's end does not end the gateway.
 run: $(VENV)/run
@@ -98,22 +94,18 @@ format: $(VENV)/dev
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
 
-wheels: $(VENV)/bin/python
-	@deploy/wheels.sh $(abspath $(BIN)/python) $(WHEELS) $(FOR) $(FOR_PYTHON)
-
-# uv.lock has every version and hash, for every platform and extra; the two files in deploy/lock are what a robot installs.
-EXPORT = $(BIN)/uv export --quiet --frozen --no-config --no-header --no-annotate --format requirements.txt
+# uv.lock has every version and hash, for every platform and extra; release/build.txt has what builds our wheel.
 lock: $(VENV)/dev
 	$(BIN)/uv lock --no-config --default-index https://pypi.org/simple $(if $(UPGRADE),--upgrade)
-	$(EXPORT) --no-emit-project --extra spi --extra console --extra power --output-file deploy/lock/requirements.txt
-	$(EXPORT) --only-group build --output-file deploy/lock/build.txt
+	$(BIN)/uv export --quiet --frozen --no-config --no-header --no-annotate --format requirements.txt \
+		--only-group build --output-file release/build.txt
 
 deb: $(VENV)/dev
 	$(BIN)/python -m release.deb $(if $(FOR),--architecture $(FOR))
 
-# KEY: an Ed25519 key of ssh-keygen's; without one, nothing is signed. FOR, FOR_PYTHON: whom the bundle is for.
+# KEY: an Ed25519 key of ssh-keygen's; without one, nothing is signed.
 dist: $(VENV)/dev
-	$(BIN)/python -m release $(if $(KEY),--key $(KEY)) $(if $(FOR),--processor $(FOR)) $(if $(FOR_PYTHON),--python $(FOR_PYTHON))
+	$(BIN)/python -m release $(if $(KEY),--key $(KEY))
 
 clean:
 	rm -rf $(VENV) build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis

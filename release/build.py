@@ -1,33 +1,49 @@
 """Wheel and sdist, equal to the byte wherever and whenever they are built from the same commit.
 
-The build sees a copy of the sources with the commit's time and plain modes (deploy/stamp.sh), and the setuptools of the
-lock. It writes the wheel that way by itself (SOURCE_DATE_EPOCH); the sdist's members have owners and times of the
-machine, so its archive is written anew.
+The build sees a copy of the sources with the commit's time and plain modes, and the setuptools of the lock. It writes
+the wheel that way by itself (SOURCE_DATE_EPOCH); the sdist's members have owners and times of the machine, so its
+archive is written anew.
 """
 
 import gzip
 import io
 import os
+import re
+import shutil
 import subprocess
 import sys
 import tarfile
 import tempfile
+import time
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 UV = str(Path(sys.executable).with_name("uv"))
 """Of the same environment."""
-_COPY = '. deploy/stamp.sh && copy_sources "$PWD" "$1" "$2"'
+_GIT = ["git", "-c", f"safe.directory={ROOT}", "-C", str(ROOT)]
+"""Whoever owns the repository."""
+_VERSION = re.compile(r'^__version__ = "(.*)"$', re.MULTILINE)
+_SOURCES = ("pyproject.toml", "README.md", "LICENSE", "gateway", "schemas")
 
 
 def version() -> str:
-    """The release, with the commit unless that has its tag."""
-    return _shell('. deploy/stamp.sh && version_of "$PWD"')
+    """The release, with the commit unless that has its tag: 1.1.0+g4aa0d07, or 1.1.0+g4aa0d07.changed.
+
+    Three commits with one version would be hard to tell apart on a robot. Without git it stays 1.1.0.
+    """
+    found = _VERSION.search((ROOT / "gateway/__init__.py").read_text())
+    if found is None:
+        raise SystemExit("gateway/__init__.py has no __version__")
+    commit = _git("rev-parse", "--short=7", "HEAD")
+    changed = _git("status", "--porcelain", "--", "pyproject.toml", "deploy", "gateway", "schemas")
+    if not commit or (not changed and f"v{found[1]}" in _git("tag", "--points-at", "HEAD").splitlines()):
+        return found[1]
+    return f"{found[1]}+g{commit}{'.changed' if changed else ''}"
 
 
 def epoch() -> int:
-    """When the commit was made, in seconds since 1970, or SOURCE_DATE_EPOCH."""
-    return int(os.environ.get("SOURCE_DATE_EPOCH") or _shell('. deploy/stamp.sh && epoch_of "$PWD"'))
+    """When the commit was made, in seconds since 1970, or SOURCE_DATE_EPOCH; now, without git."""
+    return int(os.environ.get("SOURCE_DATE_EPOCH") or _git("log", "-1", "--format=%ct") or time.time())
 
 
 def build(folder: Path, released: str, when: int) -> list[Path]:
@@ -35,15 +51,30 @@ def build(folder: Path, released: str, when: int) -> list[Path]:
     environment = {**os.environ, "SOURCE_DATE_EPOCH": str(when)}
     with tempfile.TemporaryDirectory() as temporary:
         sources, made = Path(temporary) / "sources", Path(temporary) / "made"
-        sources.mkdir()
-        _shell(_COPY, str(sources), released, environment=environment)
+        _copy_sources(sources, released, when)
         command = [UV, "build", "--quiet", "--no-config", "--require-hashes", "--build-constraints"]
-        lock = ROOT / "deploy" / "lock" / "build.txt"
+        lock = ROOT / "release" / "build.txt"
         run([*command, str(lock), "--out-dir", str(made), str(sources)], environment)
         wheel, sdist = next(made.glob("*.whl")), next(made.glob("*.tar.gz"))
         (folder / wheel.name).write_bytes(wheel.read_bytes())
         (folder / sdist.name).write_bytes(_plain(sdist.read_bytes(), when))
         return [folder / wheel.name, folder / sdist.name]
+
+
+def _copy_sources(to: Path, released: str, when: int) -> None:
+    """Copy what a build needs: it would leave files in the repository, and find old ones."""
+    for name in _SOURCES:
+        source, place = ROOT / name, to / name
+        place.parent.mkdir(exist_ok=True)
+        if source.is_dir():
+            shutil.copytree(source, place, ignore=shutil.ignore_patterns("__pycache__"))
+        else:
+            shutil.copyfile(source, place)
+    init = to / "gateway/__init__.py"
+    init.write_text(_VERSION.sub(f'__version__ = "{released}"', init.read_text()))
+    for path in to.rglob("*"):
+        path.chmod(0o755 if path.is_dir() else 0o644)
+        os.utime(path, (when, when))
 
 
 def plain_tar(members: dict[str, bytes], when: int, modes: dict[str, int] | None = None) -> bytes:
@@ -65,8 +96,12 @@ def run(command: list[str], environment: dict[str, str] | None = None, data: byt
     return done.stdout
 
 
-def _shell(script: str, *arguments: str, environment: dict[str, str] | None = None) -> str:
-    return run(["bash", "-euo", "pipefail", "-c", script, "bash", *arguments], environment).decode().strip()
+def _git(*arguments: str) -> str:
+    """What git prints; empty where there is no git, or no repository of its."""
+    try:
+        return subprocess.run([*_GIT, *arguments], capture_output=True, text=True, check=False).stdout.strip()
+    except FileNotFoundError:
+        return ""
 
 
 def _plain(sdist: bytes, when: int) -> bytes:

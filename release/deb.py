@@ -8,6 +8,7 @@ Python in their names, so one folder holds those of all of them. Of one commit e
 import argparse
 import hashlib
 import os
+import re
 import shutil
 import sys
 import tempfile
@@ -33,9 +34,8 @@ _OF_AN_INSTALLATION: Final = {"RECORD", "INSTALLER", "REQUESTED", "WHEEL", "dire
 
 def debian_version(released: str, when: int) -> str:
     """The release as dpkg sorts it: 1.2.0rc1 before 1.2.0, and an earlier commit before a later one."""
-    for stage in ("a", "b", "rc", ".dev"):
-        released = released.replace(stage, f"~{stage}", 1) if stage in released.partition("+")[0] else released
     number, plus, commit = released.partition("+")
+    number = re.sub(r"(a|b|rc)(?=\d)", r"~\1", number).replace(".dev", "~~dev")
     return f"{number}+{time.strftime('%Y%m%d%H%M%S', time.gmtime(when))}.{commit}" if plus else number
 
 
@@ -105,10 +105,8 @@ def _fill(root: Path, full: str, wheel: Path, packages: Path) -> None:
         for name in packed.namelist():
             if not _is_left_out(Path(name)):
                 _add(packed.read(name), payload / name)
-    (payload / "units").mkdir()
     for unit in ("hexapod-gateway.service", "hexapod-console.service", "hexapod-console.socket"):
-        text = (DEPLOY / "systemd" / unit).read_text().replace("/opt/hexapod-gateway/venv/bin/", "/usr/bin/")
-        (payload / "units" / unit).write_text(text)
+        _write(DEPLOY / "systemd" / unit, payload / "units" / unit, {})
     share = root / "usr/share/hexapod-gateway"
     for name, place in {
         "debian/command": root / "usr/bin/hexapod-gateway",

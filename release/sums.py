@@ -12,7 +12,6 @@ from release.build import run
 
 SUMS = "SHA256SUMS"
 SIGNATURE = "SHA256SUMS.sig"
-PUBLIC_KEY = "release.pub"
 NAMESPACE = "hexapod-gateway-release"
 
 
@@ -32,8 +31,3 @@ def sign(folder: Path, key: Path) -> Path:
     (folder / SIGNATURE).unlink(missing_ok=True)
     run(["ssh-keygen", "-q", "-Y", "sign", "-f", str(key.absolute()), "-n", NAMESPACE, str((folder / SUMS).absolute())])
     return folder / SIGNATURE
-
-
-def public_key(key: Path) -> bytes:
-    """Of this private key, without its comment."""
-    return b" ".join(run(["ssh-keygen", "-y", "-f", str(key.absolute())]).split()[:2]) + b"\n"

@@ -212,7 +212,7 @@ async def _run(
     faults: Faults | None,
     on_ready: Callable[[zenoh.Config], None],
 ) -> ServiceEnd:
-    # The servos file exists before systemd counts the service as active, when the installer reads it.
+    # The servos file exists before systemd counts the service as active, when an upgrade reads it.
     loop, owner, servos = asyncio.get_running_loop(), Ownership(), ServosFile(runtime_directory())
     state = state_directory(settings.state.path)
     end, notifier = ServiceEnd(loop, owner, recorder), SystemdNotifier()

@@ -97,6 +97,11 @@ class Box(Closing):
             self._system.close()
 
     @property
+    def root(self) -> Path:
+        """Its root, as it is seen from outside."""
+        return Path(f"/proc/{self._pid}/root")
+
+    @property
     def journal_option(self) -> str:
         """What makes a `journalctl` outside read the journal inside."""
         folder = next(path for path in ("var/log/journal", "run/log/journal") if self.exists(f"/{path}"))

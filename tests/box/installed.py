@@ -1,7 +1,5 @@
 """A robot's computer in a box: the gateway installed, its service under systemd, every byte on SPI seen by the test."""
 
-import os
-import shutil
 from pathlib import Path
 
 import pytest
@@ -15,31 +13,24 @@ from tests.support.closing import Closing
 
 REPOSITORY = Path(__file__).parents[2]
 NAME = "hexapod-gateway"
-INSTALLER = f"{SHARED_INSIDE}/deploy/install.sh"
 CONFIGURATION = f"/etc/{NAME}/gateway.toml"
+PYTHON = (
+    "/usr/bin/python3.11",
+    "-ISc",
+    f"import sys; sys.path.insert(0, '/usr/lib/{NAME}/current'); exec(sys.argv.pop(1))",
+)
+"""Runs the text that follows with what is installed."""
 DROP_IN = f"/run/systemd/system/{NAME}.service.d"
 STOPS = {stop_leg(leg).to_bytes() for leg in LEGS}
-
-
-def share(box: Box, folder: Path) -> str:
-    """Put a folder of the tests' own to where the box sees it, and the installer with it; its path inside.
-
-    The repository itself may lie in /tmp, which the box has for itself.
-    """
-    shutil.copytree(REPOSITORY / "deploy", box.shared / "deploy", dirs_exist_ok=True)
-    shutil.copytree(folder, box.shared / folder.name, copy_function=os.link, dirs_exist_ok=True)
-    return str(SHARED_INSIDE / folder.name)
 
 
 class InstalledGateway(Closing):
     """An installed gateway whose SPI device is emulated outside the box, so that it outlives every process inside."""
 
-    def __init__(self, box: Box, wheels: Path | None = None) -> None:
-        """`box` begins with the gateway installed; with `wheels`, it then sees these, too."""
+    def __init__(self, box: Box) -> None:
+        """`box` begins with the gateway installed."""
         self.box = box
         self.unit = Unit(box, f"{NAME}.service")
-        if wheels is not None:
-            share(box, wheels)
         self._configuration = box.read(CONFIGURATION)
         folder = box.shared / "bed"
         folder.mkdir()

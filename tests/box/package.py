@@ -49,10 +49,19 @@ class Packages:
 
 def install(box: Box, package: Path, *options: str, check: bool = True) -> str:
     """Install it as apt does; what dpkg and the package printed. Recommended packages are left out: no network."""
+    return dpkg(box, "dpkg", *options, "--install", share(box, package), check=check)
+
+
+def share(box: Box, package: Path) -> str:
+    """Put a package where the box sees it; its path inside."""
     if not (box.shared / package.name).exists():
         shutil.copy(package, box.shared)
-    command = ("dpkg", *options, "--install", f"{SHARED_INSIDE}/{package.name}")
-    return dpkg(box, *command, check=check)
+    return f"{SHARED_INSIDE}/{package.name}"
+
+
+def current(box: Box) -> str:
+    """The name that the link leads to; empty without one."""
+    return box.run("readlink", f"{LIBRARY}/current", check=False).stdout.strip()
 
 
 def dpkg(box: Box, *command: str, check: bool = True) -> str:
@@ -63,13 +72,36 @@ def dpkg(box: Box, *command: str, check: bool = True) -> str:
     return said
 
 
+CONFIG_TXT = "/boot/firmware/config.txt"
+STOCK = "#dtparam=i2c_arm=on\n#dtparam=spi=on\n\ndtoverlay=vc4-kms-v3d\n[cm4]\notg_mode=1\n"
+WITHOUT_UDEV = "#!/bin/sh\necho Failed to send reload request: No such file or directory >&2\nexit 1\n"
+"""`udevadm` of a machine on which no udev runs, as in a box. Whether this machine has the package must not show."""
+
+
+def prepare(box: Box, package: Path) -> str:
+    """Install and set up a Raspberry Pi to be; what `setup` printed. Its `check` finds no SPI device."""
+    box.write(CONFIG_TXT, STOCK)
+    box.write("/usr/local/sbin/udevadm", WITHOUT_UDEV)
+    box.run("chmod", "+x", "/usr/local/sbin/udevadm")
+    install(box, package)
+    return box.run("hexapod-gateway", "setup", "--framing", "plain", check=False, timeout_s=120).stdout
+
+
+def simulate(box: Box) -> None:
+    """The service begins, with the simulated controller in place of SPI, as simulated.conf says."""
+    drop_in = "/etc/systemd/system/hexapod-gateway.service.d/simulated.conf"
+    box.run("install", "-Dm644", "/usr/share/hexapod-gateway/simulated.conf", drop_in)
+    box.run("systemctl", "daemon-reload")
+    box.run("systemctl", "restart", "hexapod-gateway")
+
+
 class Robot(InstalledGateway):
     """A robot with a package installed, its configuration written and its service enabled."""
 
     def __init__(self, box: Box) -> None:
         super().__init__(box)
         self.configure("")
-        self.unit.systemctl("enable")
+        self.unit.systemctl("enable", check=False)
 
     def runs(self) -> str:
         """The release that the service's process has loaded, wherever that lies by now."""
@@ -102,7 +134,8 @@ class Robot(InstalledGateway):
         return held
 
     def let_go(self, held: str) -> None:
-        """Servos rest again."""
+        """Servos rest again, and nobody drives."""
         self.box.run("kill", held)
         self.gateway("send", "leg", "3", "stop")
         self.box.run("sh", "-c", "until grep -q ' 0$' /run/hexapod-gateway/servos; do sleep 0.05; done")
+        self.box.run("sh", "-c", "until hexapod-gateway status | grep -q '^Nobody drives'; do sleep 0.05; done")

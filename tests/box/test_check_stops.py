@@ -2,7 +2,7 @@
 
 import pytest
 
-from tests.box.installed import NAME, STOPS, InstalledGateway
+from tests.box.installed import NAME, PYTHON, STOPS, InstalledGateway
 from tests.box.test_systemd import has_started
 
 pytestmark = [pytest.mark.systemd, pytest.mark.nightly]
@@ -17,7 +17,7 @@ with Client() as robot:
 
 def test_the_service_is_killed_and_its_stops_are_counted(robot: InstalledGateway) -> None:
     robot.unit.systemctl("start")
-    robot.box.run(f"/opt/{NAME}/venv/bin/python", "-c", CALIBRATE)
+    robot.box.run(*PYTHON, CALIBRATE)
     before = robot.bed.transfers[-1].opening
     said = robot.gateway("check", "--stops", "--restart", "--yes", "--only", "restart", "--late", "70")
     assert "PASS     restart" in said

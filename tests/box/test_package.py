@@ -1,13 +1,16 @@
 """The package's life on a robot: what installs, what is taken when, what stays, and what is gone at the end."""
 
+import subprocess
 from collections.abc import Iterator
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
 
+from release.deb import debian_version
 from tests.box.box import Box
 from tests.box.installed import CONFIGURATION, NAME
-from tests.box.package import BROKEN, LATE, LIBRARY, UNIT_FILE, Packages, Robot, dpkg, install
+from tests.box.package import BROKEN, LATE, LIBRARY, UNIT_FILE, Packages, Robot, current, dpkg, install
 
 pytestmark = pytest.mark.systemd
 
@@ -27,15 +30,12 @@ def installed(tmp_path_factory: pytest.TempPathFactory, packages: Packages) -> I
 @pytest.fixture
 def robot(installed: Robot, packages: Packages) -> Robot:
     """Release 1.1.0 runs."""
-    if current(installed) != "1.1.0":
+    if current(installed.box) != "1.1.0":
         installed.unit.systemctl("stop", check=False)
         install(installed.box, packages.make("1.1.0"))
+    installed.configure("")
     installed.unit.systemctl("restart")
     return installed
-
-
-def current(robot: Robot) -> str:
-    return robot.box.run("readlink", f"{LIBRARY}/current", check=False).stdout.strip()
 
 
 def test_an_installation_that_is_not_set_up_stays_stopped(tmp_path: Path, packages: Packages) -> None:
@@ -66,7 +66,7 @@ def test_upgrade_and_back(robot: Robot, packages: Packages) -> None:
     box.run("sh", "-c", f"echo '# mine' >>{CONFIGURATION}")
     said = install(box, packages.make("1.1.1"))
     assert "warning" not in said
-    assert (current(robot), robot.runs()) == ("1.1.1", "1.1.1")
+    assert (current(box), robot.runs()) == ("1.1.1", "1.1.1")
     assert "nothing runs until a reset" in robot.gateway("status")
     assert box.read(CONFIGURATION).endswith("# mine\n")
     robot.gateway("reset")
@@ -95,6 +95,8 @@ def test_a_release_that_does_not_start(robot: Robot, packages: Packages, release
 
 def test_a_servo_runs_during_the_upgrade(robot: Robot, packages: Packages) -> None:
     """The robot goes on as it stands, and the new release is taken by the command that is printed."""
+    robot.configure("watchdog.timeout_ms = 10000\nlease.ttl_ms = 10000\n")  # dpkg may take the processor for a while
+    robot.unit.systemctl("restart")
     process, held = robot.unit.property("MainPID"), robot.hold()
     said = install(robot.box, packages.make("1.1.1"))
     assert (
@@ -136,3 +138,16 @@ def test_removed_and_installed_again_it_runs_as_before(robot: Robot, packages: P
     assert "nothing runs until a reset" in robot.gateway("status")
     robot.gateway("reset")
     robot.is_at_work("1.1.0")
+
+
+def test_debian_sorts_the_versions_as_they_were_made() -> None:
+    order = [
+        debian_version(released, when)
+        for released, when in [
+            ("1.2.0.dev1", 9), ("1.2.0a1", 8), ("1.2.0rc1", 7), ("1.2.0rc2", 6), ("1.2.0", 5),
+            ("1.2.0+gfffffff", 60), ("1.2.0+g0000000.changed", 61), ("1.10.0", 1),
+        ]
+    ]  # fmt: skip
+    assert order[-2] == "1.2.0+19700101000101.g0000000.changed"
+    for older, newer in pairwise(order):
+        assert subprocess.run(["dpkg", "--compare-versions", older, "lt", newer], check=False).returncode == 0, newer

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import pytest
 
-from tests.box.box import PATH_INSIDE
+from tests.box.box import PATH_INSIDE, Box
 from tests.box.installed import NAME
-from tests.box.machine import Machine
+from tests.box.package import simulate
 from tests.support.pages import SCP, SSH, SUDO, commands
 
 pytestmark = [pytest.mark.systemd, pytest.mark.nightly]
@@ -22,7 +22,7 @@ STATE = f"/var/lib/{NAME}"
 class Scene:
     """A robot with certificates, and people with files of their own."""
 
-    machine: Machine
+    box: Box
 
     def follow(self, lines: Iterable[str]) -> str:
         """Run these lines in root's home; what they printed. A `check` may find that this machine has no SPI."""
@@ -35,16 +35,16 @@ class Scene:
 
     def _bash(self, line: str) -> subprocess.CompletedProcess[str]:
         env = {"PATH": f"/root/bin:{PATH_INSIDE}", "HOSTS": "/root/hosts"}
-        return self.machine.box.run("bash", "-c", f"cd && {line}", env=env, check=False, timeout_s=60)
+        return self.box.run("bash", "-c", f"cd && {line}", env=env, check=False, timeout_s=60)
 
     def take_files_of(self, name: str) -> None:
         """Onto a laptop of their own."""
-        self.machine.box.run("sh", "-c", f"mkdir /root/{name} && cp {FOLDER}/{name}.* {FOLDER}/ca.pem /root/{name}")
+        self.box.run("sh", "-c", f"mkdir /root/{name} && cp {FOLDER}/{name}.* {FOLDER}/ca.pem /root/{name}")
 
     def may_stop(self, name: str, *wait: str) -> bool:
         """Whether this laptop may command the robot."""
         config = ("--zenoh-config", f"/root/{name}/{name}.json5")
-        done = self.machine.box.run(NAME, "send", "leg", "3", "stop", *config, *wait, check=False)
+        done = self.box.run(NAME, "send", "leg", "3", "stop", *config, *wait, check=False)
         return "accepted" in done.stdout
 
     def lets_in(self, *names: str) -> bool:
@@ -54,24 +54,23 @@ class Scene:
 
 
 @pytest.fixture(name="scene")
-def make_scene(machine: Machine) -> Scene:
-    box = machine.box
+def make_scene(box: Box) -> Scene:
     for name, text in {"ssh": SSH, "scp": SCP, "sudo": SUDO}.items():
         box.write(f"/root/bin/{name}", text)
     box.run("sh", "-c", "chmod +x /root/bin/* && mkdir -p /root/hosts/robot.local")
     box.run("sh", "-c", "echo 127.0.0.1 robot.local >>/etc/hosts")
     box.run(NAME, "certs", "init", "--dir", FOLDER, "--host", "robot.local")
-    scene = Scene(machine)
+    scene = Scene(box)
     for name in ("anna", "bert", "lena"):
         box.run(NAME, "certs", "issue", name, "--role", "operator", "--dir", FOLDER)
         scene.take_files_of(name)
-    machine.install("--certs", FOLDER)
-    machine.simulate()
+    box.run(NAME, "setup", "--certs", FOLDER, check=False, timeout_s=60)  # its `check` finds no SPI device
+    simulate(box)
     return scene
 
 
 def test_a_restored_backup_lets_nobody_in_once_the_page_is_followed_to_its_end(scene: Scene) -> None:
-    box = scene.machine.box
+    box = scene.box
     assert scene.lets_in("anna", "lena")
     assert "there is no list: nobody is shut out" in box.run(NAME, "check", check=False).stdout
     (revoke,) = commands("certificates.md", "## A laptop is lost, or was stolen")

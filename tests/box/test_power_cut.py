@@ -1,50 +1,211 @@
-"""Somebody pulls the plug after install.sh has finished, as it asks for itself to get SPI: the robot comes up.
+"""The plug is pulled while dpkg works: the old or the new release runs after the next boot, and dpkg finishes.
 
-HEXAPOD_POWER_CUTS=30 cuts at thirty moments, a second apart, as long as the kernel may keep in memory what was written.
+A cut is a copy of the disk while everything in the box is frozen: it has what had reached the disk by then. dpkg
+flushes its files, as on a Pi; container images switch that off. `make test-all` cuts an upgrade at two instants, `make
+nightly` install, upgrade and removal at ten instants inside dpkg's work each, and an upgrade at thirty random ones.
 """
 
-import os
+import random
 import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 
-from tests.box.box import Box
+from tests.box.box import PATH_INSIDE, Box
 from tests.box.disk import Disk
 from tests.box.installed import CONFIGURATION, NAME
-from tests.box.machine import Machine
+from tests.box.package import LIBRARY, Packages, Robot, dpkg, install, prepare, share, simulate
+from tests.support.child import Child
 
-pytestmark = [pytest.mark.systemd, pytest.mark.nightly]
+pytestmark = pytest.mark.systemd
 
-MOMENTS = int(os.environ.get("HEXAPOD_POWER_CUTS", "2"))
-FILES = f"find /opt/{NAME} /etc/{NAME} /etc/systemd/system -type f -print0 | sort -z | xargs -0 sha256sum | sha256sum"
+LIFE_S = 3600
+RANDOM = 30
+TEN = (0.05, 0.3, 0.6, 0.9, 1.05, 1.2, 1.4, 1.6, 1.8, 1.95)
+FLUSHING = "grep -l unsafe-io /etc/dpkg/dpkg.cfg.d/* | xargs rm -f"
+SLOW_WATCHDOG = "[Service]\nWatchdogSec=0\n"
+"""While it is frozen the service is not late."""
+Reached = Callable[[], bool]
 
 
-def test_the_plug_is_pulled(tmp_path: Path, wheels: Path) -> None:
-    disk = Disk.new(tmp_path / "disk")
-    with Box(folder(tmp_path, "first"), disk=disk.image) as box:
-        Machine(box, wheels).install()
-        end_s = time.monotonic()
-        cuts = [disk.cut(tmp_path / "cut-0")]
-        installed = box.run("sh", "-c", FILES).stdout
-        written = disk.writes()
-        for moment in range(1, MOMENTS):
-            time.sleep(max(0.0, end_s + moment - time.monotonic()))  # a moment, and not a wait for anything
-            if disk.writes() != written:  # else the disk is as at the moment before
-                written = disk.writes()
-                cuts.append(disk.cut(tmp_path / f"cut-{moment}"))
-    print(f"{len(cuts)} different disks at {MOMENTS} moments")
+@pytest.fixture(name="folder")
+def make_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """With a short name: a socket's has 107 bytes at most."""
+    return tmp_path_factory.mktemp("cut")
+
+
+@contextmanager
+def cuttable(folder: Path, packages: Packages, *, installed: bool = True) -> Iterator[tuple[Box, Disk]]:
+    """A robot whose power can be cut; `installed`: release 1.1.0 runs there."""
+    disk = Disk.new(folder / "disk")
+    with Box(sub(folder, "first"), disk=disk.image, life_s=LIFE_S) as box:
+        box.run("sh", "-c", FLUSHING)
+        if installed:
+            prepare(box, packages.make("1.1.0"))
+            box.write(f"/etc/systemd/system/{NAME}.service.d/watchdog.conf", SLOW_WATCHDOG)
+            simulate(box)
+        box.run("sync")
+        yield box, disk
+
+
+def sub(parent: Path, name: str) -> Path:
+    (parent / name).mkdir()
+    return parent / name
+
+
+def cut_while(box: Box, disk: Disk, command: Sequence[str], instants: Sequence[Reached], to: Path) -> list[Disk]:
+    """Run a command inside, and cut the power at each of these instants; the command then goes on as if nothing was."""
+    made: list[Disk] = []
+    with Child(box.command(*command), {"PATH": PATH_INSIDE, "LANG": "C.UTF-8"}) as child:
+        for number, reached in enumerate(instants):
+            while child.returncode is None and not reached():
+                pass  # an instant may last some milliseconds
+            with frozen(box):
+                made.append(disk.cut(to / f"cut-{number}"))
+        assert child.wait(120) == 0, child
+    return made
+
+
+@contextmanager
+def frozen(box: Box) -> Iterator[None]:
+    """Nothing in the box runs meanwhile, systemd included."""
+    freeze = box.root / "sys/fs/cgroup/cgroup.freeze"
+    freeze.write_text("1")
+    try:
+        yield
+    finally:
+        freeze.write_text("0")
+
+
+class Unpacking:
+    """How far dpkg is with a release, which has so many files."""
+
+    def __init__(self, box: Box, release: str, files: int) -> None:
+        self._folder = box.root / LIBRARY.lstrip("/") / release
+        self._files = files
+
+    def at(self, share: float) -> Reached:
+        """0 … 1: so much is written, under dpkg's own names. 1 … 2: so much has got its name."""
+        return lambda: self._share() >= share
+
+    def gone(self, share: float) -> Reached:
+        """So much is removed."""
+        return lambda: len(list(files_in(self._folder))) <= (1 - share) * self._files
+
+    def _share(self) -> float:
+        names = [path.name for path in files_in(self._folder)]
+        new = sum(name.endswith(".dpkg-new") for name in names)
+        named = len(names) - new
+        return 1 + named / self._files if named else new / self._files
+
+
+def files_in(folder: Path) -> Iterator[Path]:
+    """Those that dpkg knows."""
+    return (path for path in folder.rglob("*") if path.suffix != ".pyc" and not path.is_dir())
+
+
+class Elapsed:
+    """How long a command has run, without the time in which it was frozen."""
+
+    def __init__(self) -> None:
+        self._seconds = 0.0
+        self._last_s = time.monotonic()
+
+    def at(self, seconds: float) -> Reached:
+        """After so much of it."""
+        return lambda: self._look() >= seconds
+
+    def _look(self) -> float:
+        now_s = time.monotonic()
+        self._seconds += min(now_s - self._last_s, 0.1)
+        self._last_s = now_s
+        time.sleep(0.005)
+        return self._seconds
+
+
+def comes_up(cut: Disk, folder: Path, packages: Packages) -> str:
+    """Boot from what was on the disk: one of both releases runs; dpkg then finishes. Returns which one ran."""
+    with Box(folder, disk=cut.image) as box:
+        assert 'framing = "plain"' in box.read(CONFIGURATION)
+        with Robot(box) as robot:
+            robot.unit.systemctl("start")
+            ran = robot.runs()
+            robot.is_at_work(ran)
+            box.run("dpkg", "--configure", "-a", check=False, timeout_s=120)
+            robot.is_at_work(robot.runs())
+            install(box, packages.make("1.1.1"))
+            robot.is_at_work("1.1.1")
+            assert dpkg(box, "dpkg", "--audit") == ""
+    cut.image.unlink()
+    return ran
+
+
+@pytest.mark.parametrize("shares", [(0.6, 1.5), pytest.param(TEN, marks=pytest.mark.nightly)], ids=["two", "ten"])
+def test_an_upgrade_is_cut_while_dpkg_unpacks(folder: Path, packages: Packages, shares: Sequence[float]) -> None:
+    with cuttable(folder, packages) as (box, disk):
+        files = len(list(files_in(box.root / LIBRARY.lstrip("/") / "1.1.0")))
+        unpacking = Unpacking(box, "1.1.1", files)
+        command = ("dpkg", "--install", share(box, packages.make("1.1.1")))
+        cuts = cut_while(box, disk, command, [unpacking.at(each) for each in shares], folder)
+    ran = [comes_up(cut, sub(folder, f"after-{cut.image.name}"), packages) for cut in cuts]
+    assert set(ran) == {"1.1.0"}, "nothing has switched yet"
+
+
+@pytest.mark.nightly
+def test_an_upgrade_is_cut_at_random_instants(folder: Path, packages: Packages) -> None:
+    with cuttable(folder, packages) as (box, disk):
+        begun_s = time.monotonic()
+        install(box, packages.make("1.1.0"))
+        took_s = time.monotonic() - begun_s
+        seed = time.time_ns() % 1000
+        chance = random.Random(seed)  # noqa: S311
+        at_s = sorted(chance.uniform(0, took_s) for _ in range(RANDOM))
+        elapsed = Elapsed()
+        command = ("dpkg", "--install", share(box, packages.make("1.1.1")))
+        cuts = cut_while(box, disk, command, [elapsed.at(each) for each in at_s], folder)
+    ran = [comes_up(cut, sub(folder, f"after-{cut.image.name}"), packages) for cut in cuts]
+    print(
+        f"seed {seed}, {took_s:.1f} s: {ran.count('1.1.0')} times the old one ran, {ran.count('1.1.1')} times the new"
+    )
+    assert set(ran) <= {"1.1.0", "1.1.1"}
+
+
+@pytest.mark.nightly
+def test_a_first_installation_is_cut(folder: Path, packages: Packages) -> None:
+    """Nothing runs, and the same command again installs it."""
+    package = packages.make("1.1.0")
+    with cuttable(folder, packages, installed=False) as (box, disk):
+        unpacking = Unpacking(box, "1.1.0", len(dpkg(box, "dpkg", "--contents", share(box, package)).splitlines()))
+        command = ("dpkg", "--install", share(box, package))
+        cuts = cut_while(box, disk, command, [unpacking.at(each * 0.9) for each in TEN], folder)
     for cut in cuts:
-        with Box(folder(tmp_path, f"after-{cut.image.name}"), disk=cut.image) as box:
-            assert box.run("sh", "-c", FILES).stdout == installed, cut.image.name
-            machine = Machine(box, wheels)
-            assert machine.unit.property("UnitFileState") == "enabled"
-            machine.simulate()
-            assert "accepted" in machine.send()
-            assert 'framing = "plain"' in box.read(CONFIGURATION).splitlines()
+        with Box(sub(folder, f"after-{cut.image.name}"), disk=cut.image) as box:
+            assert box.run("systemctl", "is-active", NAME, check=False).stdout == "inactive\n"
+            prepare(box, package)
+            simulate(box)
+            with Robot(box) as robot:
+                robot.is_at_work("1.1.0")
         cut.image.unlink()
 
 
-def folder(parent: Path, name: str) -> Path:
-    (parent / name).mkdir()
-    return parent / name
+@pytest.mark.nightly
+def test_a_removal_is_cut(folder: Path, packages: Packages) -> None:
+    """While the command is there it stops the servos; the same command again removes the rest."""
+    with cuttable(folder, packages) as (box, disk):
+        unpacking = Unpacking(box, "1.1.0", len(list(files_in(box.root / LIBRARY.lstrip("/") / "1.1.0"))))
+        instants = [unpacking.gone(each / 2) for each in TEN]
+        cuts = cut_while(box, disk, ("dpkg", "--remove", NAME), instants, folder)
+    worked = 0
+    for cut in cuts:
+        with Box(sub(folder, f"after-{cut.image.name}"), disk=cut.image) as box:
+            if box.exists(f"/usr/bin/{NAME}"):
+                with Robot(box) as robot:
+                    robot.stops_work()
+                worked += 1
+            dpkg(box, "dpkg", "--remove", NAME)
+            assert not box.exists(LIBRARY)
+            assert box.exists(CONFIGURATION)
+        cut.image.unlink()
+    assert worked

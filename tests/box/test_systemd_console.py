@@ -5,8 +5,9 @@ import os
 
 import pytest
 
-from tests.box.box import SHARED_INSIDE, Unit
-from tests.box.installed import INSTALLER, NAME, InstalledGateway
+from tests.box.box import Unit
+from tests.box.installed import NAME, PYTHON, InstalledGateway
+from tests.box.package import dpkg
 from tests.support.child import Child
 
 pytestmark = [pytest.mark.systemd, pytest.mark.nightly]
@@ -64,45 +65,31 @@ print(json.dumps(met), flush=True)
 """
 """A page that connects again and again; whom it met: somebody else, nobody, or a console that knew its key."""
 
-BEFORE_SOCKETS = f"""
-set -e
-cp -a "$(readlink -e /opt/{NAME}/venv)" /opt/{NAME}/venv-000000000000
-cd /opt/{NAME}/venv-000000000000
-units=$(echo lib/python*/site-packages/gateway/deploy/systemd)
-rm "$units/{CONSOLE}.socket" complete
-sed -i 's/ {CONSOLE}.socket$//; /^Requires={CONSOLE}.socket/d' "$units/{CONSOLE}.service"
-list=$(find . -type f -print0 | sort -z | xargs -0 sha256sum)
-printf '%s\\n' "$list" >complete
-ln -sfn /opt/{NAME}/venv-000000000000 /opt/{NAME}/previous
-"""
-
 
 def test_console(robot: InstalledGateway) -> None:
     box, unit = robot.box, Unit(robot.box, f"{CONSOLE}.service")
-    options = ("--framing", "plain", "--wheels", str(SHARED_INSIDE / "wheels"))
-    before = box.run("ls", f"/opt/{NAME}").stdout
-    said = box.run(INSTALLER, *options, "--console", timeout_s=300).stdout
-    assert f"make the user {CONSOLE}" in said
-    assert "restart the service" not in said, "the robot goes on"
-    assert box.run("ls", f"/opt/{NAME}").stdout == before
+    robot.unit.systemctl("start")
+    process = robot.unit.property("MainPID")
+    said = robot.gateway("setup", "--console", check=False)
+    assert f"enable {CONSOLE}.service and {CONSOLE}.socket: starts with the machine" in said
+    assert robot.unit.property("MainPID") == process, "the robot goes on"
     assert unit.properties("ActiveState", "UnitFileState") == ["active", "enabled"]
 
-    python = f"/opt/{NAME}/venv/bin/python"
     link = box.run(NAME, "console", "--link").stdout.split()[4]
     assert "token=" not in box.run("journalctl", "--unit", CONSOLE, "--output=cat").stdout, "a journal is kept"
-    status, cookie, key = box.run(python, "-c", SIGN_IN, link).stdout.split()
+    status, cookie, key = box.run(*PYTHON, SIGN_IN, link).stdout.split()
     assert status == "303"
     as_nobody = ("setpriv", "--reuid=nobody", "--regid=nogroup", "--clear-groups", "--")
     with (
-        Child(box.command(*as_nobody, python, "-c", THIEF), os.environ) as thief,
-        Child(box.command(python, "-c", PAGE, cookie, key), os.environ) as page,
+        Child(box.command(*as_nobody, *PYTHON, THIEF), os.environ) as thief,
+        Child(box.command(*PYTHON, PAGE, cookie, key), os.environ) as page,
     ):
         thief.wait_for_output("waits for the port")
         page.wait_for_output("connected")
         unit.systemctl("restart")
-        box.run(python, "-c", SESSION, cookie, key)
+        box.run(*PYTHON, SESSION, cookie, key)
         box.run("systemctl", "kill", "--signal=KILL", unit.name)
-        box.run(python, "-c", SESSION, cookie, key)
+        box.run(*PYTHON, SESSION, cookie, key)
         (box.shared / "enough").touch()
         assert page.wait() == 0, page
         assert thief.wait() == 0, thief
@@ -121,44 +108,22 @@ def test_console(robot: InstalledGateway) -> None:
     assert "spidev" not in box.run(*inside, "ls", "/dev").stdout
 
     assert "1 session ended" in box.run(NAME, "console", "--sign-out").stdout
-    assert box.run(python, "-c", SESSION, cookie, key).stdout.startswith("403")
+    assert box.run(*PYTHON, SESSION, cookie, key).stdout.startswith("403")
 
-    again = box.run(INSTALLER, *options).stdout.splitlines()
-    assert f"keep /etc/{CONSOLE}/console.conf, your options" in again
-    assert not [line for line in again if "restart" in line or "start the console" in line]
+    assert "the console runs\n" in robot.gateway("setup", check=False)
 
-    # As an installation from before there was a socket unit left it, with an address of its own.
-    box.run("systemctl", "disable", "--now", f"{CONSOLE}.socket")
-    box.run("rm", f"/etc/systemd/system/{CONSOLE}.socket")
-    box.write(f"/etc/{CONSOLE}/console.conf", "CONSOLE_OPTIONS=--timeout 3 --listen localhost:8090\n")
-    said = box.run(INSTALLER, *options).stdout
-    assert f"let {CONSOLE}.socket listen where /etc/{CONSOLE}/console.conf says: 127.0.0.1:8090 [::1]:8090" in said
-    assert "http://127.0.0.1:8090/?token=" in box.run(NAME, "console", "--link").stdout
     # Two addresses: the unit's is the one, and the console says so.
     box.write(f"/etc/{CONSOLE}/console.conf", "CONSOLE_OPTIONS=--listen 127.0.0.1:8091\n")
     unit.systemctl("restart")
     box.run("sh", "-c", f"until systemctl is-failed {CONSOLE}.service; do :; done", timeout_s=60)
     assert unit.property("ExecMainStatus") == "2"
     assert (
-        "is not where hexapod-console.socket listens (localhost:8090)"
+        "is not where hexapod-console.socket listens (127.0.0.1:8080)"
         in box.run("journalctl", "--unit", CONSOLE, "--output=cat").stdout
     )
     assert Unit(box, f"{CONSOLE}.socket").property("ActiveState") == "active", "nobody else gets the port"
 
-    # Back to a release from before there was a socket unit: its console binds by itself, and nothing else has the port.
-    box.run("sh", "-c", BEFORE_SOCKETS)
-    said = box.run(INSTALLER, "--rollback", "--force", timeout_s=120).stdout
-    assert f"remove /etc/systemd/system/{CONSOLE}.socket" in said
-    assert Unit(box, f"{CONSOLE}.socket").property("ActiveState") == "inactive"
-    link = box.run("sh", "-c", f"until {NAME} console --link 2>/dev/null; do sleep 0.1; done", timeout_s=60).stdout
-    assert "http://127.0.0.1:8091/?token=" in link
-    # And forward, while that console has the port.
-    assert "restart the console" in box.run(INSTALLER, *options, timeout_s=300).stdout
-    assert Unit(box, f"{CONSOLE}.socket").properties("ActiveState", "UnitFileState") == ["active", "enabled"]
-    assert "http://127.0.0.1:8091/?token=" in box.run(NAME, "console", "--link").stdout
-
-    gone = box.run(INSTALLER, "--uninstall").stdout
-    assert f"remove the user {CONSOLE}" in gone
+    dpkg(box, "dpkg", "--purge", NAME)
     assert unit.property("LoadState") == "not-found"
     assert Unit(box, f"{CONSOLE}.socket").property("ActiveState") == "inactive"
     assert not box.exists(f"/var/lib/{CONSOLE}")

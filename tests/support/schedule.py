@@ -38,7 +38,7 @@ APART: Final = ("hil", "fuzz", "zenoh/test_service.py")
 """Tests that share nothing with those beside them, so that each may run on whichever worker is free."""
 TOGETHER: Final = ("box", "net", "ros2")
 """Folders that share a machine or a bridge; files of other folders share a gateway."""
-SECOND_BOX: Final = ("box/test_upgrade.py", "box/test_check_faults.py", "box/test_pages.py")
+SECOND_BOX: Final = ("box/test_package.py", "box/test_check_faults.py", "box/test_pages.py")
 """These prepare a machine of their own, beside the other boxes: one after the other would take twice as long."""
 
 

@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 
 from release.build import ROOT, UV
+from release.documents import EXTRAS
 from tests.support.child import Child
 from tests.support.gateway_process import READY, free_port
 
@@ -56,8 +57,8 @@ def test_two_builds_are_equal_to_the_byte(twice: tuple[dict[str, bytes], dict[st
     assert [name for name in first if first[name] != second[name]] == []
     with tarfile.open(fileobj=io.BytesIO(next(first[name] for name in first if name.endswith(".tar.gz")))) as archive:
         assert any(name.endswith("/gateway/robot/core/supervisor.py") for name in archive.getnames())
-    kinds = {name.rpartition(".")[2] for name in first}
-    assert {"whl", "gz", "toml", "txt", "json", "SHA256SUMS"} <= kinds
+    kinds = sorted(name.rpartition(".")[2] for name in first)
+    assert kinds == ["SHA256SUMS", "deb", "deb", "gz", "json", "whl"]
 
 
 def test_the_wheel_has_both_packages_their_types_the_schemas_the_licence_and_what_a_robot_needs(wheel: Path) -> None:
@@ -66,8 +67,7 @@ def test_the_wheel_has_both_packages_their_types_the_schemas_the_licence_and_wha
     page = ROOT / "gateway/people/console/page"
     assert {str(path.relative_to(ROOT)) for path in page.rglob("*") if path.is_file()} <= names
     assert any(name.endswith("LICENSE") for name in names)
-    deploy = ROOT / "deploy"
-    assert {f"gateway/deploy/{path.relative_to(deploy)}" for path in deploy.rglob("*") if path.is_file()} <= names
+    assert {"gateway/deploy/gateway.toml", "gateway/deploy/systemd/console.conf"} <= names
     assert not [each for each in names if each.startswith(("release/", "tests/"))]
 
 
@@ -77,7 +77,8 @@ def test_the_sbom_names_every_package_of_the_lock_with_its_hashes(
     sbom = json.loads(twice[0]["sbom.cdx.json"])
     assert (sbom["bomFormat"], sbom["specVersion"]) == ("CycloneDX", "1.5")
     assert sbom["metadata"]["timestamp"] == "2023-11-14T22:13:20Z"
-    lock = (ROOT / "deploy" / "lock" / "requirements.txt").read_text()
+    export = [UV, "export", "--quiet", "--frozen", "--no-config", "--no-header", "--no-annotate", "--no-emit-project"]
+    lock = subprocess.run([*export, *EXTRAS], cwd=ROOT, check=True, capture_output=True, text=True).stdout
     locked = {tuple(line.split(" ")[0].split("==")) for line in lock.splitlines() if not line.startswith(" ")}
     assert locked == {(each["name"], each["version"]) for each in sbom["components"]}
     hashes = {
@@ -143,37 +144,3 @@ def test_schemas_needs_neither_zenoh_nor_spidev(python: Path, tmp_path: Path) ->
     )
     said = subprocess.run([python, "-I", "-c", code], check=True, capture_output=True, text=True, cwd=tmp_path)
     assert said.stdout == "[]\n"
-
-
-OWN_WHEEL = """
-import sys
-from pathlib import Path
-from gateway.onboard.install_service import own_wheel
-print(own_wheel(Path(sys.argv[1])))
-"""
-
-
-def test_the_installer_is_in_it_and_installs_what_is_installed(python: Path, tmp_path: Path) -> None:
-    """`install-service` without a repository: a wheel of the installed files, which is what the service then runs."""
-    installer = [str(python), "-m", "gateway.onboard.install_service", "--help"]
-    shown = subprocess.run(installer, cwd=tmp_path, capture_output=True, text=True, check=True)
-    assert "--bundle FILE" in shown.stdout
-    made = subprocess.run(
-        [python, "-c", OWN_WHEEL, tmp_path], cwd=tmp_path, capture_output=True, text=True, check=True
-    )  # where no gateway is but the installed one
-    target = tmp_path / "target"
-    options = ("--quiet", "--no-deps", "--no-index", "--target", target)
-    subprocess.run([python, "-m", "pip", "install", *options, made.stdout.strip()], check=True)
-    installed = next(python.parents[1].glob("lib/python*/site-packages"))
-    for package in ("gateway", "schemas"):
-        files = {path.relative_to(installed) for path in (installed / package).rglob("*") if path.is_file()}
-        files = {path for path in files if "__pycache__" not in path.parts}
-        assert files == {
-            path.relative_to(target)
-            for path in (target / package).rglob("*")
-            if path.is_file() and "__pycache__" not in path.parts
-        }
-        assert all((installed / path).read_bytes() == (target / path).read_bytes() for path in files)
-    assert Path("gateway/deploy/lock/requirements.txt") in {
-        path.relative_to(target) for path in (target / "gateway" / "deploy").rglob("*")
-    }

@@ -1,4 +1,4 @@
-"""Whether a servo runs, for deploy/install.sh, which has no certificate to ask over the network.
+"""Whether a servo runs, for an upgrade and `setup`, which have no certificate to ask over the network.
 
 One line in the service's runtime directory: `MONOTONIC_NS 0` or `MONOTONIC_NS 1`, written ten times a second. The file
 is memory-mapped, so a write needs no system call. A line older than a second means that the service hangs.
@@ -32,7 +32,7 @@ class ServosFile:
             finally:
                 os.close(descriptor)
         except OSError as error:
-            logger.warning("the installer cannot see whether a servo runs: %s", error)
+            logger.warning("an upgrade cannot see whether a servo runs: %s", error)
 
     def write(self, now_ns: int, *, any_runs: bool) -> None:
         """Record whether any servo runs, at `now_ns` of the monotonic clock."""
