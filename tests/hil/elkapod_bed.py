@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from gateway.model.elkapod import FRAME_BYTES, SHUTDOWN, START, angles_of
+from gateway.model.elkapod import SHUTDOWN, START, angles_of
 from gateway.robot.spi.elkapod_simulator import SimulatedElkapod
 from schemas.robot import SERVO_IDS
 from tests.hil.bed import Event, Message, SpiTestbed, Transfer
@@ -55,7 +55,6 @@ class ElkapodBed(SpiTestbed):
         super().__init__()
         self.uart = folder / "ttyAMA1"
         self.controller = SimulatedElkapod()
-        self.last_answer = bytes(FRAME_BYTES)
         self.attach_uart(self.uart)
         self._player = threading.Thread(target=self._play, daemon=True)
         self._player.start()
@@ -108,8 +107,7 @@ class ElkapodBed(SpiTestbed):
                     if isinstance(event, Message):
                         self.controller.uart_write(event.data)
                     elif isinstance(event, Transfer) and event.delivered:
-                        self.last_answer = self.controller.exchange(event.data)
-                        self.tell("answer", self.last_answer)
+                        self.tell("answer", self.controller.exchange(event.data))
                 if beats := self.controller.uart_read():
                     self.tell("send_uart", beats)
             except OSError:  # the emulation has ended

@@ -1,6 +1,10 @@
-"""A machine with far too much to do: fifty clients, a flood, questions, a spinning process on every core."""
+"""A machine with far too much to do: fifty clients, a flood, questions, a spinning process on every core.
+
+python -m tests.hil.load ENDPOINT    fifty sessions, each listening, and commanding what the gateway rejects
+"""
 
 import itertools
+import json
 import os
 import sys
 import time
@@ -10,14 +14,20 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
+import zenoh
+from zenoh.handlers import RingChannel
+
+from gateway.client import leg_payload
+from gateway.zenoh_config import client_config
+from schemas.keys import EVENT, STATE, leg_command
 from schemas.robot import LEGS
 from schemas.telemetry import GatewayState
+from tests.benchmarks.publisher import payload
 from tests.hil.bed import SpiTestbed, Transfer
 from tests.support.child import Child
 from tests.support.gateway_process import Gateway
 
 CLIENTS: Final = 50
-QUESTIONS_HZ: Final = 100
 FLOODED_LEG: Final = 1
 TIMEOUT_MS: Final = 100.0
 SPEECH_S, SILENCE_S = 0.5, 0.25
@@ -42,8 +52,6 @@ class Outcome:
 
     transfers: list[Transfer]
     state: GatewayState
-    answers: int
-    """To the questions for the state."""
 
     def gaps_ms(self) -> list[float]:
         """For each frame that moves a leg: how long until the leg's next frame, a Stop or another."""
@@ -75,22 +83,19 @@ def is_stop(data: bytes) -> bool:
 
 
 @contextmanager
-def crowd(endpoint: str) -> Iterator[Child]:
-    """All of them at work; yields the one that asks, whose last line says how many answers it got."""
+def crowd(endpoint: str) -> Iterator[None]:
+    """All of them at work."""
     with ExitStack() as stack:
-
-        def program(module: str, *arguments: object) -> Child:
-            child = Child([sys.executable, "-m", module, endpoint, *map(str, arguments)], os.environ)
-            stack.callback(child.close)
-            child.wait_for_output("ready", timeout_s=30)
-            return child
-
-        program("tests.support.load_crowd", "clients", CLIENTS)
-        questions = program("tests.support.load_crowd", "state", QUESTIONS_HZ)
-        program("tests.support.load_crowd", "flood", FLOODED_LEG)
+        for module, *arguments in (
+            ("tests.hil.load", endpoint),
+            ("tests.attack.flood", endpoint, STATE, "", "--ask"),
+            ("tests.attack.flood", endpoint, leg_command(FLOODED_LEG), payload(0)),
+        ):
+            child = stack.enter_context(Child([sys.executable, "-m", module, *arguments], os.environ))
+            child.wait_for_output("ing", timeout_s=30)  # it is flooding, or commanding
         for _ in range(os.cpu_count() or 1):
             stack.callback(Child([sys.executable, "-c", "while True: pass"], os.environ).close)
-        yield questions
+        yield
 
 
 def loaded(folder: Path, bed: SpiTestbed, *, duration_s: float, collect: bool = False) -> Outcome:
@@ -109,7 +114,7 @@ def loaded(folder: Path, bed: SpiTestbed, *, duration_s: float, collect: bool = 
         )
         try:
             stream.wait_for_output("ready", timeout_s=20)
-            with crowd(gateway.endpoint) as questions:
+            with crowd(gateway.endpoint):
                 end_s = time.monotonic() + duration_s
                 for spoken in itertools.count(1):
                     stream.tell(str(SPEECH_S))
@@ -117,8 +122,22 @@ def loaded(folder: Path, bed: SpiTestbed, *, duration_s: float, collect: bool = 
                     time.sleep(SILENCE_S)
                     if time.monotonic() >= end_s:
                         break
-                answers = int((questions.stdout.splitlines()[-1].split() or ["0"])[-1])
             time.sleep(3 * TIMEOUT_MS / 1000)
-            return Outcome(bed.transfers, client.state(), answers)
+            return Outcome(bed.transfers, client.state())
         finally:
             stream.close()
+
+
+def clients(endpoint: str) -> None:
+    """Every client listens to state and events (nobody reads: rings), and sends commands that are rejected."""
+    sessions = [zenoh.open(client_config(endpoint)) for _ in range(CLIENTS)]
+    listeners = [session.declare_subscriber(key, RingChannel(1)) for session in sessions for key in (STATE, EVENT)]
+    print("commanding", len(listeners), flush=True)
+    wrong = json.dumps(leg_payload("set", (1, 2, 181)))
+    for session in itertools.cycle(sessions):
+        session.put(leg_command(6), wrong)
+        time.sleep(0.2 / CLIENTS)
+
+
+if __name__ == "__main__":
+    clients(sys.argv[1])

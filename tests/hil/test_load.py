@@ -25,9 +25,8 @@ def test_no_servo_is_unattended_under_load_and_nothing_accepted_is_lost(
     outcome = loaded(tmp_path, spi_testbed, duration_s=6.0, collect=True)
     gaps_ms = outcome.gaps_ms()
     late = outcome.state.watchdog.stop_latency_us
-    print(f"{len(gaps_ms)} moves; longest gap {max(gaps_ms):.1f} ms; watchdog {late}; {outcome.answers} answers")
+    print(f"{len(gaps_ms)} moves; longest gap {max(gaps_ms):.1f} ms; watchdog {late}")
     assert outcome.state.watchdog.expirations >= 25, "the watchdog had work"
-    assert outcome.answers > 0
     assert late.max is not None
     assert late.max <= LATE_MS * 1000
     assert max(gaps_ms) <= TIMEOUT_MS + LATE_MS

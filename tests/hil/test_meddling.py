@@ -129,19 +129,6 @@ def test_another_program_s_mode_is_put_right_published_and_a_fault(
         assert [event.kind for event in heard.all if event.kind in of_the_bus] == of_the_bus
 
 
-def test_a_first_stop_after_a_pause_leaves_with_the_mode_put_right(spi_testbed: SpiTestbed) -> None:
-    child, colleague = spi_testbed.spawn([sys.executable, "-c", BUS]), Colleague(spi_testbed)
-    assert stops(child) == (6, "None", None)
-    colleague.opens(mode=3)
-    count, fault, meddled = stops(child)
-    assert (count, fault) == (6, "None")
-    assert meddled is not None
-    assert "SPI mode 0x03" in meddled
-    assert stops(child) == (6, "None", None)
-    assert settings_of(spi_testbed.transfers) == OWN
-    assert len(spi_testbed.transfers) == 18
-
-
 def test_what_the_kernel_adds_to_the_mode_is_no_other_program_s(spi_testbed: SpiTestbed) -> None:
     spi_testbed.add_chip_select_high()
     child, colleague = spi_testbed.spawn([sys.executable, "-c", BUS]), Colleague(spi_testbed)

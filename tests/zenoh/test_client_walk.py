@@ -8,7 +8,7 @@ from typing import Final
 import pytest
 
 from gateway.client import Client, Walk
-from gateway.errors import LeaseError, LeaseLostError, StoppedError, WalkError
+from gateway.errors import LeaseError, LeaseLostError, StoppedError
 from gateway.model.frames import Op, decode
 from gateway.people.walking import Posture
 from schemas.robot import JOINTS, LEGS
@@ -126,21 +126,3 @@ def test_after_stops_of_others_it_goes_on_as_the_robot_then_is_and_an_error_of_t
         leaves()
     assert watcher.state().mode == Mode.IDLE
     assert watcher.state().lease.holder is None
-
-
-def test_what_it_cannot_do_is_reported_before_anything_moves(robot: Client, watcher: Client) -> None:
-    before = watcher.state().commands
-    with pytest.raises(WalkError, match="there is no gait"):
-        robot.walk(gait="gallop")
-    with pytest.raises(ValueError, match="0 Hz; a stream's rate"):
-        robot.walk(hz=0)
-    with robot.walk() as walk:
-        with pytest.raises(WalkError, match=r"it cannot stand 0\.5 m high: leg 1 does not reach"):
-            walk.stand(height_m=0.5)
-        with pytest.raises(WalkError, match="a velocity is a finite number"):
-            walk.go(forward_m_s=float("nan"))
-        with pytest.raises(ValueError, match="a time above 0"):
-            walk.hold_s = 0
-        with pytest.raises(WalkError, match="there is no gait"):
-            walk.walk_as("gallop")
-    assert watcher.state().commands == before
