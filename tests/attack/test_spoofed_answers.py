@@ -12,7 +12,7 @@ import zenoh
 from gateway.client import Client
 from gateway.zenoh_config import client_config, open_session
 from schemas import keys
-from schemas.telemetry import GatewayState, Mode
+from schemas.telemetry import Mode
 from tests.support.fixtures import gateway_fixture
 from tests.support.gateway_process import Gateway, dialling, free_port
 
@@ -88,25 +88,3 @@ def listening(endpoint: str, mode: str = "peer") -> Iterator[zenoh.Session]:
     config.insert_json5("scouting/multicast/enabled", "false")
     with zenoh.open(config) as session:
         yield session
-
-
-def test_reports_that_are_none_are_passed_over(gateway: Gateway, caplog: pytest.LogCaptureFixture) -> None:
-    heard, real = threading.Event(), threading.Event()
-
-    def on_state(state: GatewayState) -> None:
-        if heard.is_set() and state.legs:
-            real.set()
-
-    def on_sample(sample: zenoh.Sample) -> None:
-        if sample.payload.to_string() == "{}":
-            heard.set()
-
-    with gateway.client() as client, gateway.client() as stranger:
-        subscriber = client.on_state(on_state)
-        client.session.declare_subscriber(keys.STATE, on_sample)
-        client.state()
-        stranger.session.put(keys.STATE, "{}")
-        assert heard.wait(10)
-        assert real.wait(10)
-        subscriber.undeclare()
-    assert "ValidationError" not in caplog.text

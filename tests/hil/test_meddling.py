@@ -16,7 +16,6 @@ from tests.support.heard import events
 pytestmark = pytest.mark.hil
 
 OWN = {(0, 8, 2_500_000)}
-DEFAULT_HZ = 125_000_000
 FASTER, SLOWER = {"max_speed_hz": 20_000_000}, {"max_speed_hz": 10_000}
 
 COLLEAGUE = """

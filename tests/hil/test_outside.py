@@ -5,12 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from gateway.client import leg_payload
-from gateway.model.frames import OneLeg, Op, ServoOp
-from schemas import keys
-from schemas.robot import LEGS
 from schemas.telemetry import GatewayState, Kind, Mode, Reason
-from tests.hil.wire import EACH_FRAMING, LATE_S, START_3, STOPS, Replay, Wire, settings_for
+from tests.hil.wire import LATE_S, START_3, STOPS, Replay, Wire, settings_for
 from tests.support.child import Child
 from tests.support.gateway_process import COMMAND, Gateway, write_settings
 from tests.support.heard import events
@@ -63,29 +59,6 @@ def test_the_gateway_says_that_its_servos_are_stopped_and_a_start_moves_them_aga
         wire.expect(START_3)
         assert running(client.state()) == {31, 32, 33}
         assert len([event for event in heard.all if event.kind is Kind.STOPPED_OUTSIDE]) in range(1, times + 1)
-
-
-@EACH_FRAMING
-def test_in_the_middle_of_a_batch_of_starts_it_comes_behind_all_of_them(
-    tmp_path: Path, wire: Wire, gateway: Gateway
-) -> None:
-    with gateway.client() as client:
-        wire.bed.block()
-        client.publish(keys.LEGS_COMMAND, {"legs": {str(leg): leg_payload("start", (90, 90, 90)) for leg in LEGS}})
-        last = OneLeg(LEGS[-1], (ServoOp(Op.START, 90_00),) * 3)
-        wire.bed.wait_for_data(last.to_bytes(), timeout_s=LATE_S)
-        batch = wire.skip()
-        child = begin_to_stop_servos(tmp_path, wire)
-        first, *_ = wire.expect_opening(*STOPS)
-        assert first.opening != batch[-1].opening
-        assert len({each.call for each in batch}) == 1, "and it has not ended"
-        wire.bed.release()
-        assert child.wait(LATE_S) == 0, str(child)
-        assert NOTICED in child.stdout
-        replay = Replay(wire.framing)
-        replay.play(wire.bed.transfers)
-        assert replay.energised_for_good() == running(client.state()) == set()
-        assert not replay.controller.corruptions
 
 
 def test_whoever_starts_legs_meanwhile_the_state_is_what_the_controller_does(

@@ -3,6 +3,9 @@
 Neither way waits for the other: each is shown with the other one hung.
 """
 
+import os
+import time
+import tty
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -25,6 +28,8 @@ from tests.support.recorded_board import RecordedBoard, answers_steadily
 pytestmark = pytest.mark.hil
 
 LEG_3: Final = 0b111 << 6
+STANDS_STILL_S: Final = 1.0
+"""Ten times what a board may be silent."""
 FLOOD: Final = 8000
 """Frames a second of another node: a full bus of 1 Mbit/s."""
 
@@ -170,3 +175,63 @@ def test_with_elkapod_2025_a_servos_supply_is_its_start_and_its_stop(tmp_path: P
             assert client.estop().confirmed
             assert board.next("fed").mask == 0
             assert {servo.id for leg in client.state().legs for servo in leg.servos} == set(SERVO_IDS)
+
+
+# ---- faults
+
+
+def test_a_gateway_that_stood_still_for_a_second_takes_no_board_for_silent(
+    tmp_path: Path, wire: Wire, board: RecordedBoard
+) -> None:
+    with alive(tmp_path, wire, board) as gateway, gateway.client() as client:
+        heard = events(client)
+        leg_3_runs(client, wire, board)
+        with frozen(gateway.child.pid):
+            time.sleep(STANDS_STILL_S)
+        ack = client.estop()
+        assert (ack.accepted, ack.confirmed) == (True, True)
+        assert board.next("fed").mask == 0
+        heard.wait(lambda event: event.kind is Kind.POWER_CUT)
+        assert not [event for event in heard.all if event.kind is Kind.POWER_UNCONFIRMED]
+
+
+def test_an_adapter_that_opens_and_is_mute_lets_nothing_start_and_holds_up_no_stop(tmp_path: Path, wire: Wire) -> None:
+    ours, theirs = os.openpty()
+    tty.setraw(theirs)
+    power = {"interface": "slcan", "channel": os.ttyname(theirs), "confirm_ms": 100}
+    with start(tmp_path, wire, power=power) as gateway, gateway.client() as client:
+        ack = client.start_leg(3, 90, 45, 120)
+        assert (ack.accepted, ack.reason) == (False, Reason.NO_POWER)
+        stop = client.estop()
+        assert (stop.accepted, stop.confirmed, stop.stop_frames) == (True, False, 6)
+        wire.expect(*STOPS)
+        power_report = client.state().power
+        assert power_report is not None
+        assert (power_report.alive, power_report.confirmed, power_report.age_ms) == (False, False, None)
+    os.close(ours)
+    os.close(theirs)
+
+
+def test_stop_servos_on_the_same_adapter_takes_the_supply_until_a_reset(
+    tmp_path: Path, wire: Wire, board: RecordedBoard
+) -> None:
+    """Both read the one terminal: the gateway does not see the other's masks, and may read all answers to them, so
+    that `stop-servos` says that nothing is confirmed (docs/power.md)."""
+    with alive(tmp_path, wire, board) as gateway, gateway.client() as client:
+        leg_3_runs(client, wire, board)
+        begun = board.skip()
+        with wire.bed.spawn([*COMMAND, "stop-servos", "--config", str(gateway.config)]) as child:
+            assert board.next("fed").mask == 0
+            assert child.wait(LATE_S) == 0 or "NOT confirmed" in child.stderr, str(child)
+        state = client.state()
+        assert state.mode is Mode.IDLE
+        assert not any(servo.running for leg in state.legs for servo in leg.servos)
+        assert client.estop().confirmed
+        assert [each.mask for each in board.noted[begun:] if each.what == "fed"] == [0], "once, and for good"
+        assert client.reset().accepted
+        Heard(client, keys.STATE, GatewayState).wait(answers_steadily())
+        power = client.state().power
+        assert power is not None
+        assert power.alive
+        retries = (client.start_leg(3, 90, 45, 120).accepted for _ in range(100))
+        assert any(retries), "the reset reaches the rule of the supply within a tenth of a second"

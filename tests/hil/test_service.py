@@ -4,18 +4,15 @@ The gateway is a process of its own; the test, or a command that it runs, is the
 device is expected byte for byte and in order, so a frame too many fails a test as surely as one too few.
 """
 
-import fcntl
 import json
 import signal
 import time
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from gateway.client import leg_payload
-from gateway.model.framing import Framing
 from schemas import keys
 from schemas.telemetry import Kind, Mode, Reason
 from tests.hil.bed import DEVICE, Opened, Setting, SpiTestbed, Transfer
@@ -25,9 +22,7 @@ from tests.hil.wire import (
     LATE_S,
     START_3,
     STOPS,
-    Replay,
     Wire,
-    opening_of,
     settings_for,
     start,
     transfers_of,
@@ -183,51 +178,6 @@ def test_stop_servos_without_a_gateway(tmp_path: Path, wire: Wire) -> None:
         found = wire.expect_opening(*STOPS)
         assert {(each.mode, each.bits_per_word, each.speed_hz) for each in found} == {(0, 8, 2_500_000)}
     wire.expect_nothing()
-
-
-def test_stop_servos_never_writes_into_a_frame_of_a_running_gateway(tmp_path: Path, spi_testbed: SpiTestbed) -> None:
-    """A transfer between an announcement and its body would put the controller out of sync, and Stops would be lost."""
-    wire = Wire(spi_testbed, Framing.LENGTH_PREFIXED)
-    legs = {str(leg): leg_payload("start", (90, 90, 90)) for leg in range(1, 7)}
-    stops = {str(leg): leg_payload("stop") for leg in range(1, 7)}  # are taken also once it is known to be at work
-    spi = {"frame_gap_us": 1000}  # half of the time is between the two
-    config = write_settings(tmp_path / "stop.toml", settings_for(wire, spi=spi))
-    with start(tmp_path, wire, spi=spi, limits={"leg_rate_hz": 100}) as gateway, gateway.client() as client:
-        assert client.ask(keys.LEGS_COMMAND, {"legs": legs}).accepted
-        for _ in range(4):
-            child = wire.bed.spawn([*COMMAND, "stop-servos", "--config", str(config)])
-            while child.returncode is None:
-                client.publish(keys.LEGS_COMMAND, {"legs": legs})
-                client.publish(keys.LEGS_COMMAND, {"legs": stops})
-                time.sleep(0.02)  # no faster than the emulated device is
-            assert child.wait(LATE_S) == 0, str(child)
-        gateway.child.terminate()
-        assert gateway.child.wait(LATE_S) == 0, str(gateway.child)
-    transfers = wire.bed.transfers
-    openings = [each.opening for each in transfers]
-    assert sum(before != after for before, after in pairwise(openings)) > 20, "they take turns"
-    for announcement, body in pairwise(transfers):
-        if announcement.data in (b"\x06", b"\x0e"):
-            assert (body.opening, len(body.data)) == (announcement.opening, announcement.data[0])
-    replay = Replay(wire.framing)
-    replay.play(transfers)
-    assert not replay.controller.corruptions
-    assert replay.controller.executed == sum(len(each.data) > 1 for each in transfers)
-
-
-def test_a_program_that_keeps_its_turn_for_ever_holds_nobody_up_for_long(
-    tmp_path: Path, spi_testbed: SpiTestbed
-) -> None:
-    wire = Wire(spi_testbed, Framing.LENGTH_PREFIXED)
-    node = Path(spi_testbed.environment["UMOCKDEV_DIR"]) / DEVICE.lstrip("/")
-    with node.open("r+b") as hung:
-        fcntl.lockf(hung, fcntl.LOCK_EX, 2)  # the bytes of the bus lock
-        with start(tmp_path, wire) as gateway, gateway.client() as client:
-            assert client.estop().stop_frames == 6
-            wire.expect(*STOPS)
-            stop_servos(wire, config_for(tmp_path, wire))
-            theirs = [each.data for each in wire.skip() if each.opening != 1]  # the gateway's own Stops beside them
-            assert theirs == opening_of(wire.framing, *STOPS) * 4
 
 
 # ---- whose device

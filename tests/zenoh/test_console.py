@@ -106,18 +106,6 @@ def test_a_flood_ends_it_and_delays_nobody(
     assert page.stop_all()["stop_frames"] == len(LEGS)
 
 
-def test_an_observer_only_looks(gateway: Gateway, tmp_path: Path) -> None:
-    with Console(tmp_path, "--connect", gateway.endpoint, "--role", "observer") as console:
-        session = console.sign_in()
-        for message in ({"type": "stop_all", "id": 1}, {"type": "lease", "id": 1, "do": "acquire"}):
-            with console.page(session) as page:
-                assert page.hello["role"] == "observer"
-                page.state()
-                page.send(**message)
-                with pytest.raises(ConnectionClosed, match="this page only looks"):
-                    page.wait("never")
-
-
 # ---- its own beginning and end
 
 
