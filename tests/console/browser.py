@@ -52,12 +52,18 @@ Navigator.prototype.vibrate = (pattern) => window.shakes.push(pattern);
 """Counts how often the screen was to stay on, and what the phone was to do."""
 
 GAMEPAD: Final = """
-window.pad = { connected: true, mapping: "standard", axes: [0, 0, 0, 0],
-               buttons: Array.from({ length: 17 }, () => ({ pressed: false, value: 0 })) };
+const made = (mapping, id) => ({ connected: true, mapping, id, timestamp: 1, axes: [0, 0, 0, 0],
+               buttons: Array.from({ length: 17 }, () => ({ pressed: false, value: 0 })) });
+window.pad = made("standard", "Pad");
+window.pads = [window.pad, made("standard", "Second"), made("", "Unknown stick")];
 window.looks = 0;
-navigator.getGamepads = () => ((window.looks += 1), [window.pad]);
+navigator.getGamepads = () => {
+  window.looks += 1;
+  if (!window.frozen) window.pad.timestamp += 1;
+  return window.pads;
+};
 """
-"""And counts how often it was looked at."""
+"""Three gamepads, of which the first drives; counts how often they were looked at. `frozen`: it is out of reach."""
 
 WISHES: Final = """
 window.wishes = [];

@@ -179,7 +179,16 @@ def test_what_is_lost_stops_the_legs_and_the_page_says_why(
     expect(page["hold"]).to_have_attribute("data-held", "no")
 
 
-def test_a_gamepad_runs_one_leg_while_its_trigger_is_pulled_and_may_vanish(pages: Visitor, robot: Robot) -> None:
+@pytest.mark.parametrize(
+    ("vanishes", "words"),
+    [
+        ("navigator.getGamepads = () => [null]", "the gamepad is disconnected"),
+        ("window.frozen = true", "the gamepad sends nothing"),
+    ],
+)
+def test_a_gamepad_runs_one_leg_while_its_trigger_is_pulled_and_may_vanish(
+    pages: Visitor, robot: Robot, vanishes: str, words: str
+) -> None:
     page = pages.open(script=GAMEPAD)
     page.drive()
     page.select(2)
@@ -187,9 +196,9 @@ def test_a_gamepad_runs_one_leg_while_its_trigger_is_pulled_and_may_vanish(pages
     since = len(robot.bed.transfers)
     page.page.evaluate("pad.buttons[7].value = 1; pad.axes[0] = 1")
     robot.bed.wait_for(lambda all_: any(_moved(each, 21, 9500) for each in all_[since:]), LATE_MS / 1000)
-    page.page.evaluate("navigator.getGamepads = () => [null]")
+    page.page.evaluate(vanishes)
     robot.expect_stopped(2, since=since)
-    expect(page.said).to_contain_text("the gamepad is disconnected")
+    expect(page.said).to_contain_text(words)
 
 
 def _moved(transfer: Transfer, servo: int, beyond_cdeg: int) -> bool:

@@ -11,7 +11,7 @@ from playwright.sync_api import expect
 
 from gateway.client import Client
 from tests.console.browser import GAMEPAD, HIDE, SHOW, WISHES, Opened, Visitor, walks
-from tests.support.fixtures import client_fixture, console_fixture, gateway_fixture, patient
+from tests.support.fixtures import client_fixture, console_fixture, gateway_fixture, patient, session_fixture
 from tests.support.heard import states
 
 pytestmark = pytest.mark.browser
@@ -19,6 +19,7 @@ pytestmark = pytest.mark.browser
 
 gateway = gateway_fixture(patient())
 console = console_fixture()
+session = session_fixture()
 robot = client_fixture("watcher")
 
 
@@ -73,25 +74,52 @@ def test_keys_walk_and_turn_and_letting_go_stands(visitor: Visitor, robot: Clien
     assert robot.state().mode == "idle"
 
 
+def push_stick(page: Opened) -> None:
+    for deflection in (0, -1):
+        page.page.evaluate("(deflection) => { pad.axes[1] = deflection; window.looks = 0; }", deflection)
+        page.page.wait_for_function("() => window.looks > 2")
+
+
+def expect_no_walk_by_a_held_stick(page: Opened) -> None:
+    page.page.evaluate("window.wishes = []")
+    page.page.wait_for_function("() => window.wishes.length > 20")
+    assert not page.page.evaluate("window.wishes.some((wish) => wish.forward_m_s)")
+
+
 @pytest.mark.nightly
-def test_a_gamepads_sticks_walk_and_its_b_button_is_stop_all(visitor: Visitor, robot: Client) -> None:
-    """A stick that is held while the console hears nothing of the page moves nothing until it was in the middle."""
+def test_a_stick_that_no_longer_counts_moves_nothing_until_it_was_in_the_middle(
+    visitor: Visitor,
+) -> None:
     page = visitor.open(script=GAMEPAD + WISHES)
-
-    def push_stick(page: Opened) -> None:
-        for deflection in (0, -1):
-            page.page.evaluate("(deflection) => { pad.axes[1] = deflection; window.looks = 0; }", deflection)
-            page.page.wait_for_function("() => window.looks > 2")
-
     drive(page)
     walks(page, push_stick)
     page.page.evaluate("window.muted = true")
     expect(page.said).to_have_text("It stands still: the console received nothing of this page for a moment.")
-    page.page.evaluate("window.muted = false; window.wishes = []")
-    page.page.wait_for_function("() => window.wishes.length > 20")
-    assert not page.page.evaluate("window.wishes.some((wish) => wish.forward_m_s)")
+    page.page.evaluate("window.muted = false")
+    expect_no_walk_by_a_held_stick(page)
     walks(page, push_stick)
-    page.page.evaluate("pad.buttons[1].pressed = true")
+    expect(page.said).to_contain_text("It stands still: a stick was pushed for 10 s", timeout=12_000)
+    page.page.evaluate("pad.buttons[4].pressed = true")
+    walks(page, push_stick)
+
+
+def test_a_gamepad_out_of_reach_counts_as_let_go_and_each_ones_b_button_is_stop_all(
+    visitor: Visitor, robot: Client
+) -> None:
+    """A browser shows the last values of one that is out of reach, for ever: its stick seems to be held."""
+    page = visitor.open(script=GAMEPAD + WISHES)
+    expect(page["gamepad-unusable"]).to_contain_text("Unknown stick")
+    drive(page)
+    walks(page, push_stick)
+    page.page.evaluate("window.frozen = true")
+    expect(page.said).to_have_text(
+        "It stands still: the gamepad sends nothing; let its sticks go, and push again.", timeout=3000
+    )
+    expect(page["walk-known"]).to_contain_text("It stands")
+    page.page.evaluate("window.frozen = false")
+    expect_no_walk_by_a_held_stick(page)
+    walks(page, push_stick)
+    page.page.evaluate("pads[2].buttons[1].pressed = true")
     expect(page["stop-known"]).to_contain_text("6 Stops written within")
     assert robot.state().mode == "estopped"
 

@@ -1,7 +1,10 @@
 // @ts-check
 /**
  * A gamepad (standard mapping): its sticks walk. While its right trigger is pulled they turn the joints of the selected
- * leg instead, and nothing runs without it.
+ * leg instead, and nothing runs without it. STOP ALL is on every gamepad, whatever its mapping.
+ *
+ * A wireless gamepad that is out of reach looks like one that is held: browsers show its last values for ever. So one
+ * whose clock stands still while something is held counts as let go.
  */
 
 import { byId, show, text } from "./dom.js";
@@ -10,12 +13,17 @@ const TRIGGER = 7;
 const STAND_BUTTON = 0;
 const STOP_BUTTON = 1;
 const SIT_BUTTON = 2;
+const SHOULDERS = [4, 5];
 const PRESSED = 0.5;
 const DEAD_ZONE = 0.15;
 const SPEED_DEG_S = 60;
 /** Left stick sideways, left stick up and down, right stick up and down: joints 1, 2 and 3. */
 const AXES = [0, 1, 3];
 const WATCH_MS = 50;
+/** A hand that holds a stick moves it a little all the time. */
+const SILENT_MS = 500;
+/** Longer than anybody walks straight on in a room; a shoulder button that is held shows that more is intended. */
+const PUSH_MS = 10_000;
 
 export class Pad {
   /**
@@ -33,6 +41,10 @@ export class Pad {
     this.ready = false;
     this.stopping = true;
     this.pressing = true;
+    /** The clock of the gamepad that drives, and when this page last saw it go on. */
+    this.clock = { timestamp: NaN, seenMs: 0 };
+    /** When its sticks were last in the middle. */
+    this.centredMs = 0;
     window.addEventListener("gamepaddisconnected", () => this.#look());
     setInterval(() => this.#look(), WATCH_MS);
   }
@@ -55,21 +67,28 @@ export class Pad {
   }
 
   #look() {
+    const pads = connectedPads();
+    const stops = pads.some((pad) => pad.buttons[STOP_BUTTON]?.pressed);
+    if (stops && !this.stopping) this.callbacks.stopAll();
+    this.stopping = stops;
+    const unusable = pads.filter((pad) => pad.mapping !== "standard").map((pad) => pad.id);
+    show(byId("gamepad-unusable"), unusable.length > 0);
+    text(byId("gamepad-unusable"), `No gamepad that this browser knows the buttons of: ${unusable.join(", ")}. Its second button is STOP ALL.`);
     const pad = connected();
     show(byId("gamepad"), pad !== null);
-    if (!pad) {
+    const nowMs = performance.now();
+    const why = pad ? this.#whyNot(pad, nowMs) : "the gamepad is disconnected";
+    if (!pad || why) {
       this.ready = false;
+      if (this.walk.pad.held) this.walk.drop(why);
       this.walk.pad.release();
       if (this.held) {
         this.held = false;
-        this.hold.drop("the gamepad is disconnected");
+        this.hold.drop(why);
       }
       return;
     }
     text(byId("gamepad-leg"), String(this.callbacks.leg()));
-    const stops = pad.buttons[STOP_BUTTON]?.pressed ?? false;
-    if (stops && !this.stopping) this.callbacks.stopAll();
-    this.stopping = stops;
     const pulled = (pad.buttons[TRIGGER]?.value ?? 0) > PRESSED;
     this.#walk(pad, pulled);
     if (!pulled) this.ready = true;
@@ -81,6 +100,17 @@ export class Pad {
       this.held = false;
       this.hold.release("gamepad");
     }
+  }
+
+  /** Why what it holds counts no longer, in words; "" if it counts. @param {Gamepad} pad @param {number} nowMs */
+  #whyNot(pad, nowMs) {
+    const sticks = pad.axes.some(beyond);
+    if (!sticks || SHOULDERS.some((button) => pad.buttons[button]?.pressed)) this.centredMs = nowMs;
+    if (pad.timestamp !== this.clock.timestamp) this.clock = { timestamp: pad.timestamp, seenMs: nowMs };
+    const holds = sticks || (pad.buttons[TRIGGER]?.value ?? 0) > PRESSED;
+    if (holds && nowMs - this.clock.seenMs > SILENT_MS) return "the gamepad sends nothing; let its sticks go, and push again";
+    if (nowMs - this.centredMs > PUSH_MS) return `a stick was pushed for ${PUSH_MS / 1000} s; let it go once, or hold a shoulder button`;
+    return "";
   }
 
   /** @param {Gamepad} pad @param {boolean} pulled */
@@ -98,8 +128,12 @@ function beyond(value = 0) {
   return Math.abs(value) < DEAD_ZONE ? 0 : value;
 }
 
-/** @returns {Gamepad | null} */
+/** @returns {Gamepad[]} */
+function connectedPads() {
+  return [...(navigator.getGamepads?.() ?? [])].flatMap((pad) => (pad?.connected ? [pad] : []));
+}
+
+/** The one that drives. @returns {Gamepad | null} */
 function connected() {
-  for (const pad of navigator.getGamepads?.() ?? []) if (pad?.connected && pad.mapping === "standard") return pad;
-  return null;
+  return connectedPads().find((pad) => pad.mapping === "standard") ?? null;
 }
