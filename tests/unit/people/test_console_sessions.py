@@ -8,19 +8,26 @@ from pathlib import Path
 import pytest
 
 from gateway.errors import ConfigError
-from gateway.people.console.server.sessions import LINK_S, SESSION_S, Sessions, SignIn, begun, revoke_all
+from gateway.people.console.server.sessions import LINK_S, SESSION_S, Now, Sessions, SignIn, begun, revoke_all
 
 URL = "http://127.0.0.1:8080"
 
 
 class Clock:
-    """A wall clock that somebody sets."""
+    """A machine's clocks; somebody may set the one on its wall, or start it anew."""
 
     def __init__(self) -> None:
-        self.now_s = 1_700_000_000.0
+        self.boot, self.boot_s, self.wall_s = "first", 100.0, 1_700_000_000.0
 
-    def __call__(self) -> float:
-        return self.now_s
+    def __call__(self) -> Now:
+        return Now(self.boot, self.boot_s, self.wall_s)
+
+    def passes(self, seconds: float) -> None:
+        self.boot_s += seconds
+        self.wall_s += seconds
+
+    def reboots(self, wall_s: float) -> None:
+        self.boot, self.boot_s, self.wall_s = "second", 5.0, wall_s
 
 
 @pytest.fixture
@@ -77,7 +84,7 @@ def test_sessions_are_of_one_certificate(sessions: Sessions) -> None:
 
 def test_a_link_becomes_too_old(sessions: Sessions, clock: Clock) -> None:
     token = token_of(sessions.new_link())
-    clock.now_s += LINK_S
+    clock.passes(LINK_S)
     assert sessions.exchange(token) is None
 
 
@@ -85,11 +92,43 @@ def test_a_session_ends(sessions: Sessions, clock: Clock) -> None:
     token = sign_in(sessions)
     entry = sessions.cookie(token)
     assert entry is not None
-    clock.now_s += SESSION_S - 1
+    clock.passes(SESSION_S - 1)
     assert sessions.still_valid(entry)
-    clock.now_s += 1
+    clock.passes(1)
     assert not sessions.still_valid(entry)
     assert sessions.cookie(token) is None
+
+
+@pytest.mark.parametrize("step_s", [13 * 3600, -2 * 3600, 30 * 365 * 86400, -30 * 365 * 86400])
+def test_a_clock_that_is_set_signs_nobody_out_and_shortens_no_link(
+    sessions: Sessions, clock: Clock, step_s: float
+) -> None:
+    """A Raspberry Pi without a battery learns the time minutes after its start: who drives must keep STOP ALL."""
+    session, token = new_session(sessions), token_of(sessions.new_link())
+    clock.wall_s += step_s
+    assert sessions.still_valid(session.entry)
+    assert sessions.cookie(session.cookie) == session.entry
+    assert sessions.exchange(token) is not None
+    clock.passes(SESSION_S)
+    assert not sessions.still_valid(session.entry)
+
+
+@pytest.mark.parametrize(("wall_s", "lasts_s"), [(-7 * 86400, SESSION_S), (3600, SESSION_S - 3600), (SESSION_S, 0)])
+def test_across_a_reboot_an_age_is_by_the_wall_clock_unless_that_went_back(
+    sessions: Sessions, clock: Clock, wall_s: float, lasts_s: float
+) -> None:
+    cookie, token = sign_in(sessions), token_of(sessions.new_link())
+    clock.reboots(clock.wall_s + wall_s)
+    assert sessions.exchange(token) is None, "how old a link is, nobody knows now"
+    sessions.begin(URL, "operator")
+    entry = sessions.cookie(cookie)
+    assert (entry is not None) is (lasts_s > 0)
+    if entry is not None:
+        clock.wall_s += 13 * 3600
+        clock.boot_s += lasts_s - 1
+        assert sessions.still_valid(entry)
+        clock.boot_s += 1
+        assert not sessions.still_valid(entry)
 
 
 def test_the_port_has_its_own(sessions: Sessions, tmp_path: Path, clock: Clock) -> None:
@@ -135,7 +174,7 @@ def test_consoles_that_have_begun_the_latest_first(tmp_path: Path, clock: Clock)
 
 
 def test_without_a_free_descriptor_who_is_signed_in_stays_so_and_nobody_else_comes_in(
-    sessions: Sessions, clock: Clock
+    sessions: Sessions,
 ) -> None:
     """Strangers can take the last one; the file of the sessions may have changed just before."""
     before = new_session(sessions)
@@ -152,5 +191,5 @@ def test_without_a_free_descriptor_who_is_signed_in_stays_so_and_nobody_else_com
     finally:
         resource.setrlimit(resource.RLIMIT_NOFILE, limits)
     assert sessions.still_valid(before.entry)
-    revoke_all(sessions.path.parent, clock)
+    revoke_all(sessions.path.parent)
     assert not sessions.still_valid(before.entry)

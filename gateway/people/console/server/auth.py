@@ -28,7 +28,7 @@ from websockets.datastructures import Headers, MultipleValuesError
 from websockets.http11 import Request, Response
 
 from gateway.people.console.pages.page_messages import Role, least
-from gateway.people.console.server.sessions import SESSION_S, Entry, Sessions
+from gateway.people.console.server.sessions import Entry, Sessions
 from gateway.people.console.server.site import Site
 
 PAGE: Final = Path(__file__).parents[1] / "page"
@@ -39,6 +39,8 @@ PROOF_PREFIX: Final = "proof."
 WebSocket's request."""
 NONCE_S: Final = 10.0
 """How long a nonce may be used, once: a page opens its WebSocket as soon as it receives it."""
+COOKIE_S: Final = 30 * 24 * 3600
+"""Of a browser's cookie, by the browser's wall clock, which may be set, too; the session itself ends earlier."""
 MAX_NONCES: Final = 256
 """As many as the bound on connections allows in five seconds; beyond these the oldest are dropped."""
 PUBLIC: Final = ("/enter.html", "/enter.js", "/key.js", "/refused.css")
@@ -160,7 +162,7 @@ class Auth:
             return self._refused("This link was used already, or is too old.")
         card = f"?{card}" if card.isascii() and card.isalpha() else ""
         secure = "; Secure" if self._site.certificate is not None else ""
-        cookie = f"{self._site.cookie}={found.cookie}; HttpOnly; Max-Age={SESSION_S}; Path=/; SameSite=strict{secure}"
+        cookie = f"{self._site.cookie}={found.cookie}; HttpOnly; Max-Age={COOKIE_S}; Path=/; SameSite=strict{secure}"
         response = _response(HTTPStatus.SEE_OTHER, b"", "plain")
         response.headers["Location"] = f"{PUBLIC[0]}{card}#{found.key}"
         response.headers["Set-Cookie"] = cookie

@@ -2,8 +2,10 @@
 
 They are kept in a file, so a console that is started again knows its pages, and `console --link` and `--sign-out` reach
 the one that runs. The file holds only the SHA-256 of each random token; that of a session's key serves to check a
-page's proof, and opens nothing without the cookie. Ages are by the wall clock, since the file outlives the process;
-an entry from the future is void.
+page's proof, and opens nothing without the cookie.
+
+Ages are by the time since the boot, so a wall clock that is set (a Raspberry Pi has no battery for it) signs nobody
+out, and STOP ALL stays in reach. Only across a reboot an age is by the wall clock, where that has not gone back.
 """
 
 import fcntl
@@ -15,7 +17,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple, Self
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
@@ -32,6 +34,23 @@ MAX_SESSIONS_BYTES: Final = 1_000_000
 STATE_DIRECTORY: Final = Path("/var/lib/hexapod-console")
 """Of the service hexapod-console, also for root's commands."""
 _LOCK_FLAGS: Final = os.O_RDWR | os.O_CREAT | os.O_CLOEXEC
+_BOOT_ID: Final = Path("/proc/sys/kernel/random/boot_id")
+
+
+class Now(NamedTuple):
+    """The time since this boot, which nobody sets; the boot's id ("": the system tells none); and the wall clock."""
+
+    boot: str
+    boot_s: float
+    wall_s: float
+
+
+def clocks() -> Now:
+    """As they are."""
+    try:
+        return Now(_BOOT_ID.read_text().strip(), time.clock_gettime(time.CLOCK_BOOTTIME), time.time())
+    except (OSError, AttributeError):  # not on Linux
+        return Now("", 0.0, time.time())
 
 
 class Entry(BaseModel):
@@ -43,11 +62,27 @@ class Entry(BaseModel):
     """Empty for a link, and for a session of an earlier version, which no key fits."""
     role: Role
     created_s: float
+    """By the wall clock."""
+    boot: str = ""
+    boot_s: float = 0.0
+    """In which boot it was created, and when."""
     lives_s: float
 
-    def is_valid(self, now_s: float) -> bool:
-        """Whether it has begun and not ended, by the wall clock."""
-        return self.created_s <= now_s < self.created_s + self.lives_s
+    def age_s(self, now: Now) -> float:
+        """Of an entry from the wall clock's future: 0."""
+        return now.boot_s - self.boot_s if self.is_of(now) else max(0.0, now.wall_s - self.created_s)
+
+    def is_of(self, now: Now) -> bool:
+        """Whether it was created in this boot."""
+        return bool(now.boot) and self.boot == now.boot
+
+    def is_valid(self, now: Now) -> bool:
+        """Whether it has begun and not ended."""
+        return 0 <= self.age_s(now) < self.lives_s
+
+    def in_this_boot(self, now: Now) -> Self:
+        """The same, from now on by the time since this boot."""
+        return self.model_copy(update={"boot": now.boot, "boot_s": now.boot_s - self.age_s(now)})
 
 
 @dataclass(frozen=True)
@@ -73,10 +108,10 @@ class _Entries(BaseModel):
 class Sessions:
     """The links and sessions of the console at one port. For any thread and process."""
 
-    def __init__(self, folder: Path, port: int, now_s: Callable[[], float] = time.time) -> None:
+    def __init__(self, folder: Path, port: int, now: Callable[[], Now] = clocks) -> None:
         self.path = folder / f"console-{port}.json"
         """Where they are kept."""
-        self._now_s = now_s
+        self._now = now
         self._known: tuple[tuple[int, int, int] | None, _Entries] = None, _Entries()
         """The file's inode, time and size, and its content: one tuple, since several threads read it."""
 
@@ -115,7 +150,7 @@ class Sessions:
 
     def exchange(self, token: str) -> SignIn | None:
         """A new session for a link's token, which is void from now on; None if no valid link has this token."""
-        found = _find(self._read().links, token, self._now_s())
+        found = _find(_links(self._read(), self._now()), token)
         if found is None:
             return None
         cookie, key = secrets.token_urlsafe(32), secrets.token_urlsafe(32)
@@ -132,11 +167,11 @@ class Sessions:
 
     def cookie(self, cookie: str | None) -> Entry | None:
         """The valid session of this cookie. It gives access to the page's files; the WebSocket requires the key too."""
-        return None if cookie is None else _find(self._read().sessions, cookie, self._now_s())
+        return None if cookie is None else _find(_sessions(self._read(), self._now()), cookie)
 
     def still_valid(self, session: Entry) -> bool:
         """Whether it has neither ended nor been revoked."""
-        return session.is_valid(self._now_s()) and session in self._read().sessions
+        return session.is_valid(self._now()) and session in self._read().sessions
 
     def revoke(self) -> int:
         """End all sessions and links; returns how many sessions there were."""
@@ -144,8 +179,11 @@ class Sessions:
         return len(before.sessions)
 
     def _entry(self, token: str, role: Role, lives_s: float, key: str = "") -> Entry:
-        hashed, created_s = key and _sha256(key), self._now_s()
-        return Entry(sha256=_sha256(token), key_sha256=hashed, role=role, created_s=created_s, lives_s=lives_s)
+        hashed, (boot, boot_s, created_s) = key and _sha256(key), self._now()
+        return Entry(
+            sha256=_sha256(token), key_sha256=hashed, role=role, lives_s=lives_s,
+            created_s=created_s, boot=boot, boot_s=boot_s,
+        )  # fmt: skip
 
     def _read(self) -> _Entries:
         """The file's content; a missing or faulty file has no entries, so it signs nobody in.
@@ -184,11 +222,9 @@ class Sessions:
             with os.fdopen(os.open(self.path.with_suffix(".lock"), _LOCK_FLAGS, 0o600)) as lock:
                 durable.like_the_folder(self.path, lock.fileno())
                 fcntl.flock(lock, fcntl.LOCK_EX)
-                now_s = self._now_s()
+                now = self._now()
                 found = self._load() if self.path.exists() else _Entries()
-                links = tuple(link for link in found.links if link.is_valid(now_s))
-                sessions = tuple(session for session in found.sessions if session.is_valid(now_s))
-                before = found.model_copy(update={"links": links, "sessions": sessions})
+                before = found.model_copy(update={"links": _links(found, now), "sessions": _sessions(found, now)})
                 write_private(self.path, change(before).model_dump_json())
         except OSError as error:
             raise ConfigError(
@@ -221,9 +257,9 @@ def begun(folder: Path) -> list[tuple[int, str]]:
     return [(port, url) for port in _ports(folder) if (url := Sessions(folder, port).url)]
 
 
-def revoke_all(folder: Path, now_s: Callable[[], float] = time.time) -> int:
+def revoke_all(folder: Path) -> int:
     """End the sessions of all consoles with a file in this folder; returns how many there were."""
-    return sum(Sessions(folder, port, now_s).revoke() for port in _ports(folder))
+    return sum(Sessions(folder, port).revoke() for port in _ports(folder))
 
 
 def _ports(folder: Path) -> list[int]:
@@ -231,10 +267,20 @@ def _ports(folder: Path) -> list[int]:
     return [int(number) for path in paths if (number := path.stem.removeprefix("console-")).isdigit()]
 
 
-def _find(entries: tuple[Entry, ...], token: str, now_s: float) -> Entry | None:
+def _links(entries: _Entries, now: Now) -> tuple[Entry, ...]:
+    """Those that open a page: none of an earlier boot, after which a link's age is not sure."""
+    return tuple(link for link in entries.links if link.is_valid(now) and (link.is_of(now) or not now.boot))
+
+
+def _sessions(entries: _Entries, now: Now) -> tuple[Entry, ...]:
+    """Those that have not ended."""
+    return tuple(each if each.is_of(now) else each.in_this_boot(now) for each in entries.sessions if each.is_valid(now))
+
+
+def _find(entries: tuple[Entry, ...], token: str) -> Entry | None:
     """Compares SHA-256 values, so the time that it takes shows nothing about a token."""
     wanted = _sha256(token)
-    return next((entry for entry in entries if entry.sha256 == wanted and entry.is_valid(now_s)), None)
+    return next((entry for entry in entries if entry.sha256 == wanted), None)
 
 
 def _sha256(token: str) -> str:
