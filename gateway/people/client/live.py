@@ -1,24 +1,22 @@
-"""What a gateway publishes, live: validated, and delivered to a thread, a queue or an event loop."""
+"""What a gateway publishes, live: validated, and delivered to a thread or an event loop."""
 
-import json
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Callable
+from contextlib import suppress
 from datetime import datetime
 from enum import Enum, auto
 from functools import partial
-from queue import Empty, SimpleQueue
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final
 
 import zenoh
-from pydantic import BaseModel, ValidationError
+from pydantic import ValidationError
 
 from gateway.errors import GatewayError, UnansweredError
 from gateway.people.client.blocking import Client
 from gateway.people.client.silence import LOOK_EVERY_S, Silence
-from gateway.people.client.subscriptions import KEPT_EVENTS, reports, subscribed
+from gateway.people.client.subscriptions import KEPT_EVENTS, reports
 from schemas import keys
 from schemas.telemetry import Ack, BodyReport, Event, GatewayState, Telemetry
 
@@ -53,81 +51,6 @@ def set_upright(client: Client) -> Ack:
         return client.ask(keys.SIM_UPRIGHT, {})
     except UnansweredError as error:
         raise UnansweredError("no simulated body answers: set upright is for `run --sim=physics`") from error
-
-
-# ---- to one thread
-
-
-class ReceivedReport(NamedTuple):
-    """A report, and when it was received, in nanoseconds since 1970."""
-
-    key: str
-    report: dict[str, Any]
-    time_ns: int
-
-
-class ReportQueue:
-    """A queue from Zenoh's threads to one reader. At most `most` reports wait, which limits memory."""
-
-    def __init__(self, models: Mapping[str, type[BaseModel]], most: int, physics: str | None = None) -> None:
-        """`models`: the report of each key. `physics`: that of the newest state; later states replace it."""
-        self._models = models
-        self._most = most
-        self._physics = physics
-        self._waiting: SimpleQueue[tuple[str, bytes, int] | None] = SimpleQueue()
-        self._since_1970_ns = time.time_ns() - time.monotonic_ns()
-        self.dropped = 0
-        """The count of reports for which there was no place."""
-        self.invalid = 0
-        """The count of invalid reports."""
-
-    @contextmanager
-    def receives(self, session: zenoh.Session) -> Iterator[None]:
-        """Subscribe, and put in what is received."""
-
-        def receive(key: str, sample: zenoh.Sample) -> None:
-            if key == keys.SIM_BODY and not is_of_physics(sample, self._physics):
-                self.invalid += 1
-            else:
-                self.put(key, sample.payload.to_bytes())
-
-        with subscribed(session, {key: partial(receive, key) for key in self._models}):
-            yield
-
-    def put(self, key: str, payload: bytes) -> None:
-        """Put in an entry, received now. For any thread."""
-        if self._waiting.qsize() >= self._most:
-            self.dropped += 1
-        else:
-            self._waiting.put((key, payload, self.now_ns()))
-
-    def end(self) -> None:
-        """Make `get` return None after all earlier entries. May be called in a signal handler."""
-        self._waiting.put(None)
-
-    def get(self, timeout_s: float) -> ReceivedReport | None:
-        """The next valid entry; None: the queue has ended. Raises queue.Empty if none comes in time."""
-        end_s = time.monotonic() + timeout_s
-        while True:
-            found = self._waiting.get(timeout=max(0.0, end_s - time.monotonic()))
-            if found is None:
-                return None
-            key, payload, time_ns = found
-            try:
-                self._models[key].model_validate_json(payload)
-            except ValidationError:
-                self.invalid += 1
-                if time.monotonic() >= end_s:
-                    raise Empty from None
-                continue
-            report = json.loads(payload)
-            if key == keys.STATE:
-                self._physics = report.get("physics")
-            return ReceivedReport(key, report, time_ns)
-
-    def now_ns(self) -> int:
-        """Nanoseconds since 1970, by a clock that is not set meanwhile."""
-        return time.monotonic_ns() + self._since_1970_ns
 
 
 # ---- which gateway it is

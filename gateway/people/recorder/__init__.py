@@ -15,8 +15,8 @@ from gateway.people.commands.options import ConnectOption, OtherShapeOption, Tim
 app = typer.Typer()
 
 
-@app.command()
-def record(
+@app.command("record")
+def command(
     file: Annotated[
         Path | None, typer.Argument(metavar="[FILE]", show_default=False, help="The file to make, such as ride.mcap")
     ] = None,

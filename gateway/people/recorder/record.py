@@ -1,21 +1,28 @@
 """`record`: everything that the gateway publishes, into a file and to viewers, until somebody ends it."""
 
 import csv
+import json
 import time
 from collections import Counter
-from contextlib import ExitStack, suppress
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from functools import partial
 from pathlib import Path
-from queue import Empty
+from queue import Empty, SimpleQueue
 from typing import Any, Final
+
+import zenoh
+from pydantic import ValidationError
 
 from gateway.errors import ConfigError, GatewayError
 from gateway.geometry import load
-from gateway.people.client.live import ReportQueue
+from gateway.people.client.live import is_of_physics
+from gateway.people.client.subscriptions import subscribed
 from gateway.people.commands.reach import Connection
 from gateway.people.recorder.recording import HOST, REPORTS, Recording, about
 from gateway.people.ros2.commanded import CommandedJoints
 from gateway.people.terminal import clear_line, hint, on_end_signals, say, show_line
-from schemas.keys import CALIBRATION, EVENT, FRAME, STATE
+from schemas.keys import CALIBRATION, EVENT, FRAME, SIM_BODY, STATE
 from schemas.robot import SERVO_IDS
 from schemas.telemetry import GatewayState
 
@@ -24,7 +31,7 @@ FLUSH_S: Final = 0.1
 _PROGRESS_S: Final = 0.5
 _SILENT_S: Final = 1.0
 """A gateway publishes its state ten times a second."""
-_MOST_WAITING: Final = 100_000
+MOST_WAITING: Final = 100_000
 """Reports that wait for the disk: minutes of frames. More are dropped and counted, before memory runs out."""
 
 _NAMES: Final = {STATE: "states", EVENT: "events", FRAME: "frames"}
@@ -52,6 +59,67 @@ class Table:
         self._file.close()
 
 
+class ReportQueue:
+    """A queue from Zenoh's threads to the recorder. At most MOST_WAITING reports wait, which limits memory."""
+
+    def __init__(self, physics: str | None = None) -> None:
+        """`physics`: that of the newest state; later states replace it."""
+        self._physics = physics
+        self._waiting: SimpleQueue[tuple[str, bytes, int] | None] = SimpleQueue()
+        self._since_1970_ns = time.time_ns() - time.monotonic_ns()
+        self.dropped = 0
+        """The count of reports for which there was no place."""
+        self.invalid = 0
+        """The count of invalid reports."""
+
+    @contextmanager
+    def receives(self, session: zenoh.Session) -> Iterator[None]:
+        """Subscribe, and put in what is received."""
+
+        def receive(key: str, sample: zenoh.Sample) -> None:
+            if key == SIM_BODY and not is_of_physics(sample, self._physics):
+                self.invalid += 1
+            else:
+                self.put(key, sample.payload.to_bytes())
+
+        with subscribed(session, {key: partial(receive, key) for key in REPORTS}):
+            yield
+
+    def put(self, key: str, payload: bytes) -> None:
+        """Put in an entry, received now. For any thread."""
+        if self._waiting.qsize() >= MOST_WAITING:
+            self.dropped += 1
+        else:
+            self._waiting.put((key, payload, self.now_ns()))
+
+    def end(self) -> None:
+        """Make `get` return None after all earlier entries. May be called in a signal handler."""
+        self._waiting.put(None)
+
+    def get(self, timeout_s: float) -> tuple[str, dict[str, Any], int] | None:
+        """The next entry's key, report, and when it came (ns since 1970); None: the queue has ended.
+
+        Raises queue.Empty if none comes in time, or an invalid one.
+        """
+        found = self._waiting.get(timeout=max(0.0, timeout_s))
+        if found is None:
+            return None
+        key, payload, time_ns = found
+        try:
+            REPORTS[key].model_validate_json(payload)
+        except ValidationError:
+            self.invalid += 1
+            raise Empty from None
+        report = json.loads(payload)
+        if key == STATE:
+            self._physics = report.get("physics")
+        return key, report, time_ns
+
+    def now_ns(self) -> int:
+        """Nanoseconds since 1970, by a clock that is not set meanwhile."""
+        return time.monotonic_ns() + self._since_1970_ns
+
+
 def record(
     connect: Connection,
     path: Path | None,
@@ -71,7 +139,7 @@ def record(
                 port = recording.serve(live_port)
                 say(f"In Foxglove or Lichtblick, open the Foxglove WebSocket ws://{HOST}:{port}; Ctrl-C ends")
             rows = _open(recording, opened, path, state, table=table, overwrite=overwrite)
-            reports = ReportQueue(REPORTS, _MOST_WAITING, state.physics)
+            reports = ReportQueue(state.physics)
             if state.calibration.revision:  # so that the frames can be read; the default, and an older gateway, have 0
                 reports.put(CALIBRATION, client.calibration().model_dump_json().encode())
             opened.enter_context(reports.receives(client.session))

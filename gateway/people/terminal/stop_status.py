@@ -1,35 +1,34 @@
 """What a person is shown of the emergency stop that a key has requested. Pure: `now_ns` is monotonic."""
 
-from enum import StrEnum
 from typing import Final, NamedTuple
 
 from gateway.people.client.dangers import PowerAlarm, confirmed_off
 from schemas.robot import LEGS
 from schemas.telemetry import Ack
 
+ALARM: Final = "bold white on red"
 PATIENCE_NS: Final = 500_000_000
 """A Stop takes milliseconds. If its confirmation takes longer, the person must go to the power switch."""
 SHOWN_NS: Final = 15_000_000_000
 """How long a success is shown. A failure stays until another key is pressed."""
 
 
-class Tone(StrEnum):
-    """How a sentence is meant."""
-
-    GOOD = "good"
-    BAD = "bad"
-
-
 class Remark(NamedTuple):
     """One sentence for the person who pressed a key."""
 
-    tone: Tone
     text: str
+    is_bad: bool
+    """Not a success: it stays until it is over, or another key is pressed."""
     since_ns: int = 0
+
+    @property
+    def style(self) -> str:
+        """For rich."""
+        return ALARM if self.is_bad else "bold green"
 
     def is_over(self, now_ns: int) -> bool:
         """Whether it has been shown for long enough."""
-        return self.tone is not Tone.BAD and now_ns - self.since_ns > SHOWN_NS
+        return not self.is_bad and now_ns - self.since_ns > SHOWN_NS
 
 
 class StopStatus:
@@ -69,10 +68,10 @@ class StopStatus:
                 f"STOPPED: {frames} Stop frames written within {ack.latency_us:.0f} µs of the request, "
                 f"confirmed {took_ms:.0f} ms after the key{confirmed_off(ack)}"
             )
-            self.outcome = Remark(Tone.GOOD, text, now_ns)
+            self.outcome = Remark(text, False, now_ns)
         else:
             text = f"LATCHED, BUT ONLY {frames} OF {len(LEGS)} STOP FRAMES WERE WRITTEN: switch the servos' power off"
-            self.outcome = Remark(Tone.BAD, text, now_ns)
+            self.outcome = Remark(text, True, now_ns)
 
     def reset(self) -> None:
         """The person asks for the reset, so no Stop is wanted."""
@@ -88,9 +87,9 @@ class StopStatus:
     def remark(self, now_ns: int) -> Remark | None:
         """The sentence to show: a Stop that is not confirmed, or what became of the last one."""
         if (alarm := self.alarm(now_ns)) is not None:
-            return Remark(Tone.BAD, alarm)
+            return Remark(alarm, True)
         if self.wanted_ns is not None:
-            return Remark(Tone.BAD, "EMERGENCY STOP sent, waiting for its confirmation")
+            return Remark("EMERGENCY STOP sent, waiting for its confirmation", True)
         if self.power.sentence:
-            return Remark(Tone.BAD, self.power.sentence)
+            return Remark(self.power.sentence, True)
         return None if self.outcome is None or self.outcome.is_over(now_ns) else self.outcome

@@ -18,7 +18,7 @@ from gateway.people.client.dangers import (
 from gateway.people.client.stream import ALL_STOPPED
 from gateway.people.commands.send import command_report, estop_report
 from gateway.people.console.pages.pages import Page, Pages
-from gateway.people.terminal.stop_status import SHOWN_NS, StopStatus, Tone
+from gateway.people.terminal.stop_status import SHOWN_NS, StopStatus
 from schemas.telemetry import Ack, GatewayState, Kind, Mode, PowerReport
 from tests.support.published import event, state
 from tests.unit.people.test_console_telemetry import OpenPage
@@ -84,11 +84,11 @@ def test_a_terminal_is_red_until_the_board_confirms_a_stop() -> None:
     stop = StopStatus()
     stop.press(0)
     stop.confirm(STOPPED.model_copy(update={"confirmed": False}), None, 150 * MS)
-    assert stop.remark(10 * SHOWN_NS) == (Tone.BAD, UNCONFIRMED, 0)
+    assert stop.remark(10 * SHOWN_NS) == (UNCONFIRMED, True, 0)
     stop.power.received_state(of(OFF, Mode.ESTOPPED), 200 * MS)
     remark = stop.remark(200 * MS)
     assert remark is not None
-    assert remark.tone is Tone.GOOD
+    assert not remark.is_bad
 
 
 @pytest.mark.parametrize(

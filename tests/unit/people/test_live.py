@@ -1,52 +1,17 @@
-"""What a gateway publishes, on its way to a queue and to an event loop, and which gateway it is."""
+"""What a gateway publishes, on its way to an event loop, and which gateway it is."""
 
 import asyncio
 import threading
-from queue import Empty, SimpleQueue
+from queue import SimpleQueue
 from typing import cast
 
-import pytest
 import zenoh
-from pydantic import BaseModel
 
 from gateway.client import Client
-from gateway.people.client.live import Live, OnLoop, Receiver, ReportQueue
+from gateway.people.client.live import Live, OnLoop, Receiver
 from gateway.people.client.subscriptions import KEPT_EVENTS
-from schemas.keys import EVENT, STATE
 from schemas.telemetry import BodyReport, Event, GatewayState, Kind, Telemetry
 from tests.support.published import WALL, event, state
-
-MODELS: dict[str, type[BaseModel]] = {STATE: GatewayState, EVENT: Event}
-
-
-# ---- to one thread
-
-
-def test_a_queue_leaves_out_what_is_no_report() -> None:
-    queue = ReportQueue(MODELS, 10)
-    queue.put(STATE, b"{}")
-    queue.put(EVENT, b"nonsense")
-    queue.put(EVENT, event(Kind.STOPPING, "it ends").model_dump_json().encode())
-    before_ns = queue.now_ns()
-    found = queue.get(1.0)
-    assert found is not None
-    assert (found.key, found.report["detail"], queue.invalid) == (EVENT, "it ends", 2)
-    assert found.time_ns <= before_ns
-    queue.put(EVENT, b"nonsense")
-    with pytest.raises(Empty):
-        queue.get(0.0)
-    queue.end()
-    assert queue.get(1.0) is None
-
-
-def test_a_queue_that_nobody_reads_does_not_grow() -> None:
-    queue = ReportQueue(MODELS, 2)
-    for _ in range(5):
-        queue.put(STATE, b"{}")
-    assert queue.dropped == 3
-    queue.end()
-    assert queue.get(1.0) is None, "what ends it has a place all the same"
-
 
 # ---- to an event loop
 

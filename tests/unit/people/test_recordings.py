@@ -5,6 +5,7 @@ import json
 import math
 from collections.abc import Iterator
 from pathlib import Path
+from queue import Empty
 from typing import Any, Final
 
 import pytest
@@ -20,14 +21,16 @@ from gateway.people.recorder.drawing import (
     Drawing,
     definition,
 )
-from gateway.people.recorder.record import Table
+from gateway.people.recorder.record import MOST_WAITING, ReportQueue, Table
 from gateway.people.recorder.recording import REPORTS, Recording
 from gateway.people.ros2.messages import Message, String
 from schemas import keys
 from schemas.robot import SERVO_IDS
+from schemas.telemetry import Kind
 from tests.support.full_disk import disk_that_takes
 from tests.support.mcap_file import about, checked
 from tests.support.measuring import MEASURED
+from tests.support.published import event
 from tests.support.ros2_messages import decode
 
 pytestmark = pytest.mark.full
@@ -178,3 +181,30 @@ def test_a_table_has_the_commanded_angles_and_a_gap_where_a_servo_is_off(path: P
     assert list(on) == [f"servo_{servo_id}_deg" for servo_id in SERVO_IDS]
     assert set(off.values()) == {"", off["time_s"]}
     table.close()
+
+
+def test_the_queue_leaves_out_what_is_no_report() -> None:
+    queue = ReportQueue()
+    queue.put(keys.STATE, b"{}")
+    queue.put(keys.EVENT, b"nonsense")
+    queue.put(keys.EVENT, event(Kind.STOPPING, "it ends").model_dump_json().encode())
+    for _ in range(2):
+        with pytest.raises(Empty):
+            queue.get(1.0)
+    before_ns = queue.now_ns()
+    found = queue.get(1.0)
+    assert found is not None
+    key, report, time_ns = found
+    assert (key, report["detail"], queue.invalid) == (keys.EVENT, "it ends", 2)
+    assert time_ns <= before_ns
+    with pytest.raises(Empty):
+        queue.get(0.0)
+    queue.end()
+    assert queue.get(1.0) is None
+
+
+def test_a_queue_that_nobody_reads_does_not_grow() -> None:
+    queue = ReportQueue()
+    for _ in range(MOST_WAITING + 3):
+        queue.put(keys.EVENT, b"{}")
+    assert queue.dropped == 3

@@ -5,7 +5,7 @@ from rich.cells import cell_len
 from rich.text import Text
 
 from gateway.people.commands.walk.screen import SMALL_ROWS, fitted
-from gateway.people.terminal.stop_status import PATIENCE_NS, SHOWN_NS, Remark, StopStatus, Tone
+from gateway.people.terminal.stop_status import PATIENCE_NS, SHOWN_NS, Remark, StopStatus
 from schemas.telemetry import Ack
 
 MS = 1_000_000
@@ -29,7 +29,7 @@ def test_a_stop_that_was_not_written_whole_is_an_alarm_that_stays(ack: Ack) -> N
     stop.confirm(ack, None, MS)
     remark = stop.remark(10 * SHOWN_NS)
     assert remark is not None
-    assert remark.tone is Tone.BAD
+    assert remark.is_bad
     assert "switch the servos' power off" in remark.text
 
 
@@ -72,14 +72,14 @@ def test_a_reset_takes_the_stop_back() -> None:
 
 @pytest.mark.parametrize("columns", [2, 10, 80])
 @pytest.mark.parametrize("rows", [1, 2, SMALL_ROWS - 1, SMALL_ROWS, 24])
-@pytest.mark.parametrize("tone", Tone)
-def test_what_a_small_terminal_shows(columns: int, rows: int, tone: Tone) -> None:
+@pytest.mark.parametrize("is_bad", [True, False])
+def test_what_a_small_terminal_shows(columns: int, rows: int, is_bad: bool) -> None:
     """Its Stop key in the last row; but a Stop that is not confirmed goes before all else."""
-    picture = fitted([Text("猫 and more")] * 30, columns, rows, Remark(tone, "NOT STOPPED"))
+    picture = fitted([Text("猫 and more")] * 30, columns, rows, Remark("NOT STOPPED", is_bad))
     shown = picture.plain.split("\n")
     assert len(shown) == rows
     assert max(map(cell_len, shown)) <= columns
     alarm, keys = " NOT STOPPED "[:columns], " SPACE or e: EMERGENCY STOP "[:columns]
-    first = alarm if tone is Tone.BAD and rows < SMALL_ROWS else keys if rows == 1 else "猫 and more"[: columns - 1]
+    first = alarm if is_bad and rows < SMALL_ROWS else keys if rows == 1 else "猫 and more"[: columns - 1]
     assert shown[0].rstrip() == first.rstrip()
     assert shown[-1] == (keys if rows > 1 else first)

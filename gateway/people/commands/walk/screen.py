@@ -30,7 +30,7 @@ from gateway.people.commands.reach import Connection
 from gateway.people.commands.walk.script import went
 from gateway.people.terminal import hint
 from gateway.people.terminal.keyboard import Keyboard, keys_at_once, wake_on_signals
-from gateway.people.terminal.stop_status import Remark, StopStatus, Tone
+from gateway.people.terminal.stop_status import ALARM, Remark, StopStatus
 from gateway.people.walking import GAITS, STILL, Velocity, ground_now
 from gateway.text import visible
 from schemas import keys as wire
@@ -44,8 +44,6 @@ DRAWER_END_S: Final = 0.5
 SMALL_ROWS: Final = 4
 """In a terminal with fewer rows, a Stop that is not confirmed replaces everything else."""
 STOP_KEYS: Final = frozenset(" eExX")
-_ALARM: Final = "bold white on red"
-_STYLES: Final = {Tone.GOOD: "bold green", Tone.BAD: _ALARM}
 _READ: Final = 4096
 """All that a terminal keeps: keys that were pressed while this program could not run count as one reading."""
 PRESSED_S: Final = 0.7
@@ -336,7 +334,11 @@ class WalkScreen:
         title = f"walk · {visible(' '.join(self._client.robot[1:]))} · {visible(self._holder)} drives"
         with self._lock:
             stop = self._stop.remark(time.monotonic_ns())
-        lines = [Text(title, "bold"), *([] if stop is None else [Text(stop.text, _STYLES[stop.tone])]), *self._lines()]
+        lines = [
+            Text(title, "bold"),
+            *([] if stop is None else [Text(stop.text, stop.style)]),
+            *self._lines(),
+        ]
         wrapped = [row for line in lines for row in line.wrap(self._console, max(1, columns))]
         return fitted(wrapped, columns, rows, stop)
 
@@ -363,9 +365,9 @@ def fitted(lines: list[Text], columns: int, rows: int, stop: Remark | None = Non
 
     In fewer than SMALL_ROWS rows a Stop that is not confirmed replaces the lines, and in a single row that key, too.
     """
-    last = Text(" SPACE or e: EMERGENCY STOP ", _ALARM)
-    if stop is not None and stop.tone is Tone.BAD and rows < SMALL_ROWS:
-        lines = [Text(f" {stop.text} ", _ALARM)]
+    last = Text(" SPACE or e: EMERGENCY STOP ", ALARM)
+    if stop is not None and stop.is_bad and rows < SMALL_ROWS:
+        lines = [Text(f" {stop.text} ", ALARM)]
         last = lines[0] if rows == 1 else last
     shown = lines[: rows - 1]
     shown += [Text()] * (rows - 1 - len(shown))
