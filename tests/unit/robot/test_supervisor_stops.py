@@ -5,6 +5,7 @@ import pytest
 from gateway.allowance import NS_PER_MS
 from gateway.robot.core.events import Announce
 from gateway.robot.core.leg import Rules
+from schemas.robot import LEGS
 from schemas.telemetry import Mode, WatchdogState
 from tests.support.steps import Steps, Targets, all_stopped, leg_to, legs_to, servo_to
 
@@ -60,6 +61,17 @@ def test_rejected_commands_do_not_feed_it() -> None:
 
 
 # ---- repeats
+
+
+def test_one_silent_leg_stops_all_six_where_the_scope_is_the_robot() -> None:
+    robot = Steps(Rules(repeats=0, whole_robot=True))
+    robot.command(100, leg_to(1, "start 90"))
+    robot.command(200, leg_to(2, "start 90"))
+    robot.command(204, leg_to(2, "set 80"))
+    assert robot.time(350) == [*all_stopped("watchdog"), "rejected 3 stale", "announce watchdog_expired"]
+    assert robot.only(Announce).legs == tuple(LEGS)
+    assert watchdog_of(robot) == [EXPIRED, EXPIRED, IDLE, IDLE, IDLE, IDLE]
+    assert robot.supervisor.expirations == 1
 
 
 def test_every_stop_is_repeated() -> None:
