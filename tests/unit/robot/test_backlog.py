@@ -115,6 +115,14 @@ def test_the_fourth_message_in_one_slot_is_a_burst_and_no_start_of_it_is_ever_se
     assert robot.time(353 + WAIT_MS) == ["command 1 start 90", "completed 6"]
 
 
+def test_sets_are_of_the_burst_too_and_a_start_before_them_is_dropped() -> None:
+    robot = Steps(RULES)
+    robot.command(100, leg_to(1, "start 90"))
+    robot.command(101, leg_to(1, "set 90"))
+    robot.command(102, leg_to(1, "set 90"))
+    assert robot.command(103, leg_to(1, "set 90")) == ["rejected 3 stale", "rejected 4 servo_stopped"]
+
+
 def test_other_keys_are_not_concerned_and_neither_is_a_leg_that_runs() -> None:
     robot = Steps(RULES)
     robot.command(50, leg_to(1, "start 90"))

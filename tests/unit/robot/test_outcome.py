@@ -10,6 +10,7 @@ from gateway.robot.core.outcome import Verdict, results
 from schemas import keys
 from schemas.telemetry import Cause, Kind, Mode, Reason
 from tests.support.robot import Robot, leg, started_and_quiet
+from tests.unit.robot.test_calibration_conductor import OWN, Disk, on_disk
 
 pytestmark = pytest.mark.virtual_time
 
@@ -64,6 +65,20 @@ async def test_a_reset_whose_step_cannot_write_repeated_stops_is_accepted() -> N
     robot.controller.fail_where(lambda _: False)
     await asyncio.sleep(0.1)
     assert robot.mode == Mode.IDLE, "as its answer says"
+
+
+async def test_a_calibration_that_is_kept_while_stops_fail_is_accepted() -> None:
+    disk = Disk()
+    robot = await on_disk(disk)
+    robot.put(keys.ESTOP)
+    robot.put(keys.RESET, {"estop": 1})
+    answers = robot.calibrate(OWN)
+    robot.sleep_through(0.03)
+    robot.controller.fail_where(lambda _: True)
+    disk.write()
+    assert [ack.accepted for ack in answers] == [True]
+    assert robot.mode == Mode.BUS_FAULT
+    assert robot.conductor.supervisor.calibrating.in_force.revision == 1
 
 
 async def test_a_stop_that_was_written_is_accepted_though_another_commands_frame_fails() -> None:

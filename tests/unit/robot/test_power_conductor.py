@@ -85,6 +85,21 @@ async def test_a_servo_is_fed_while_it_runs_or_waits_to_be_started_and_at_no_oth
     assert [(ack.accepted, ack.confirmed) for ack in answers] == [(True, True)]
 
 
+async def test_all_eighteen_start_within_1_4_s_at_once_and_their_watchdog_begins_then() -> None:
+    robot = await ready()
+    begun_ns = robot.now_ns()
+    answers = robot.get(keys.LEGS_COMMAND, all_legs("start", 90))
+    for _ in range(140):
+        await asyncio.sleep(0 if answers else 0.01)
+    assert (robot.now_ns() - begun_ns) / 1e9 < 1.4
+    assert running(robot) == list(SERVO_IDS)
+    await asyncio.sleep(0.2)
+    assert running(robot) == list(SERVO_IDS)
+    await asyncio.sleep(0.1)
+    assert running(robot) == []
+    assert robot.line.fed == frozenset()
+
+
 async def test_the_first_servo_that_is_fed_behind_a_fault_is_fed_alone_and_the_others_once_it_rests() -> None:
     robot = await ready()
     seen: list[frozenset[int]] = []

@@ -72,6 +72,19 @@ def test_a_leg_that_waits_to_be_started_gets_none() -> None:
 
 # ---- more runs, once nothing runs
 
+
+def test_a_round_uses_no_rate_slot_and_the_state_says_what_it_said() -> None:
+    robot = Steps()
+    robot.command(10, leg_to(2, "start 90"))
+    robot.time(260)
+    robot.command(300, leg_to(1, "start 90"))
+    slots = [each.slots.next_ns for each in robot.supervisor.legs]
+    robot.time(550)
+    assert stopped_too(robot) == [2, 3, 4, 5, 6]
+    assert [each.slots.next_ns for each in robot.supervisor.legs] == slots
+    assert [each.watchdog for each in robot.supervisor.legs][:3] == ["expired", "expired", "idle"]
+
+
 RUN_MS = 1100
 REPEATED = [f"repeat {number} stop" for number in LEGS]
 SINGLY = [f"repeat {servo_id} stop" for servo_id in SERVO_IDS]

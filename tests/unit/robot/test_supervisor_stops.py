@@ -44,6 +44,16 @@ def test_any_accepted_command_that_starts_or_sets_a_servo_of_the_leg_feeds_it(ta
     assert "watchdog 1 stop" in robot.time(550)
 
 
+@pytest.mark.parametrize("targets", [servo_to(12, "stop"), (*servo_to(12, "stop"), *leg_to(2, "start 90"))])
+def test_a_stop_for_one_servo_does_not_keep_the_others_running(targets: Targets) -> None:
+    robot = Steps()
+    robot.command(100, leg_to(1, "start 90"))
+    for at_ms in range(110, 350, 20):
+        robot.command(at_ms, targets)
+    assert robot.time(350)[:1] == ["watchdog 1 stop"]
+    assert set(robot.running) <= {21, 22, 23}
+
+
 def test_other_legs_do_not_feed_it() -> None:
     robot = Steps()
     robot.command(100, leg_to(1, "start 90"))

@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 
 from gateway.allowance import NS_PER_MS
-from gateway.robot.core.events import Announce
+from gateway.robot.core.events import Announce, Command
 from gateway.robot.core.leg import Rules
 from schemas.telemetry import WatchdogState
 from tests.support.steps import Steps, Targets, all_stopped, leg_to, legs_to, servo_to
@@ -71,6 +71,12 @@ def test_a_start_waits_for_the_last_legs_rate_slot_and_then_leaves_in_one_step()
     assert due_ms > 24
     assert steps.time(due_ms - 0.1) == []
     assert steps.time(due_ms) == [*STARTED, "completed 5"]
+
+
+def test_messages_that_were_lost_stop_all_that_one_of_them_may_have_stopped() -> None:
+    steps = running()
+    lost = Command(leg_to(2, "stop"), key="leg/2", number=9, lost=True)
+    assert steps.take(20, lost) == [*all_stopped("command"), "completed 9"]
 
 
 def test_one_silent_leg_stops_the_robot_whatever_the_scope_and_the_event_says_why() -> None:
