@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from datetime import timedelta
+from types import SimpleNamespace
 from typing import Any, Self
 
 import pytest
@@ -172,6 +173,15 @@ def test_a_program_that_stalls_asks_before_it_sends_and_learns_what_the_watchdog
     stream.set({2: POSE})
     assert (robot.asked, robot.running) == (["start", "start"], {2})
     assert stream.missed > 10
+
+
+def test_the_end_of_a_stream_whose_lease_is_elsewhere_stops_nothing(robot: Any) -> None:
+    """Whoever was handed it, or took it, may drive these legs."""
+    robot.carried_lease = SimpleNamespace(elsewhere=False, check=lambda: None)
+    with Stream(robot, HZ) as stream:
+        stream.set({1: POSE})
+        robot.carried_lease.elsewhere = True
+    assert robot.running == {1}
 
 
 def test_a_leg_that_is_left_out_is_stopped_and_not_repeated(robot: Robot, stream: Stream) -> None:
