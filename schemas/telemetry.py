@@ -410,6 +410,10 @@ class GatewayState(Report):
     certificate: Annotated[
         CertificateReport | None, Field(description="the first to expire; null: none are in use, or an older gateway")
     ] = None
+    missing_endpoints: Annotated[
+        tuple[str, ...],
+        Field(description="those that the gateway does not listen on yet, since their address is not there"),
+    ] = ()
     revocations: Annotated[
         RevocationsReport | None, Field(description="null: no list is in force, or an older gateway")
     ] = None

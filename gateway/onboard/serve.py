@@ -1,19 +1,24 @@
 """`run`: the service, and what it prints once it is ready."""
 
+import os
+import sys
+import time
 from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Final
+from typing import Final, NoReturn
 
 import zenoh
 
 from gateway import own_command
+from gateway.errors import GatewayError, SpiError, ZenohError
 from gateway.onboard.board_process import BoardProcess
 from gateway.onboard.body_process import BodyProcess
 from gateway.people.physics.assumed import Assumed
-from gateway.people.terminal import say
+from gateway.people.terminal import hint, say
 from gateway.robot import service
 from gateway.robot import settings as settings_file
+from gateway.robot.host.systemd import NOTIFY_SOCKET
 from gateway.robot.sections import SIMULATED
 from gateway.robot.settings import Settings
 from gateway.robot.spi import unreliable
@@ -21,6 +26,8 @@ from gateway.robot.spi.unreliable import Faults
 from gateway.robot.zenoh_io.simulated_body import endpoint
 from gateway.zenoh_config import listen_endpoints
 
+PAUSE_S: Final = 11.0
+"""With the unit's RestartSec and StartLimitBurst more than its StartLimitIntervalSec."""
 _CERTIFICATE: Final = "NAME.json5"
 
 
@@ -55,7 +62,11 @@ def _run(
     controller = "a simulated controller" if simulated else settings.spi.device
     robot = controller if body is None else "a simulated robot"
 
+    is_ready = False
+
     def ready(config: zenoh.Config) -> None:
+        nonlocal is_ready
+        is_ready = True
         if body is not None:
             body.connect(config)
         endpoints = [each for each in listen_endpoints(config) if body is None or each != endpoint(body.folder)]
@@ -66,7 +77,23 @@ def _run(
 
     physics = None if body is None else service.Physics(body.page, body.sensed, body.zenoh_id, body.folder)
     at = None if board is None else service.PowerBoardAt(board.channel, board.page)
-    service.run(settings, simulated=simulated, physics=physics, board=at, faults=faults, on_ready=ready)
+    try:
+        service.run(settings, simulated=simulated, physics=physics, board=at, faults=faults, on_ready=ready)
+    except (SpiError, ZenohError) as error:
+        if not is_ready and NOTIFY_SOCKET in os.environ:
+            _pause(error)
+        raise
+
+
+def _pause(error: GatewayError) -> NoReturn:
+    """Under systemd, wait before the end of a start that time may cure.
+
+    Such starts never reach the unit's limit, which is for crashes. Nothing runs meanwhile that a Stop would have to reach.
+    SIGTERM ends the pause.
+    """
+    hint(f"hexapod-gateway: {error}")
+    time.sleep(PAUSE_S)
+    sys.exit(error.exit_code)
 
 
 def _reach_by(endpoints: Sequence[str]) -> None:

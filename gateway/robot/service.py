@@ -51,6 +51,7 @@ from gateway.robot.spi.unreliable import Faults
 from gateway.robot.zenoh_io import simulated_body
 from gateway.robot.zenoh_io.connection_limiter import ConnectionLimiter
 from gateway.robot.zenoh_io.inbox import Inbox
+from gateway.robot.zenoh_io.late_addresses import LateAddresses
 from gateway.robot.zenoh_io.outbox import ZenohOutbox
 from gateway.robot.zenoh_io.proofs import checker_of
 from gateway.robot.zenoh_io.revoked import RevocationState, list_common_names, revocation_state
@@ -58,7 +59,6 @@ from gateway.robot.zenoh_io.rings import put_depth
 from gateway.robot.zenoh_io.session import receive_each_session_alone, service_config
 from gateway.robot.zenoh_io.unknown_keys import UnknownKeys
 from gateway.robot.zenoh_io.upkeep import Upkeep
-from gateway.zenoh_config import open_session
 from schemas.keys import CALIBRATION, STATE, TELEMETRY
 
 if TYPE_CHECKING:
@@ -251,7 +251,7 @@ async def _run(
             keeper.flush()
             end.leave()
         ended.cancel()
-        session, _ = opening.result()
+        (session, late), _ = opening.result()
         outbox.open(session)
         with owner:  # its threads receive at once, and have to wait until the conductor is connected
             inbox = _inbox(session, loop, conductor, checker, settings, calibrations, revocations)
@@ -264,7 +264,7 @@ async def _run(
             for part in (conductor, keeper, calibrations):
                 part.announce_start()
         notifier.ready("takes commands")
-        connection_limiter, upkeep = _attendants(session, config, conductor, notifier, shut_out)
+        connection_limiter, upkeep = _attendants(session, config, conductor, notifier, shut_out, late)
         on_ready(config)
         tasks = [
             *_report_tasks(settings, conductor, outbox),
@@ -328,11 +328,12 @@ def _calibrations(settings: Settings, conductor: Conductor, loop: asyncio.Abstra
     return Calibrations(conductor, lambda new, then: disk.write(partial(calibration_file.write, path, new), then), loop)
 
 
-def _open(settings: Settings, config: zenoh.Config, conductor: Conductor) -> zenoh.Session:
+def _open(settings: Settings, config: zenoh.Config, conductor: Conductor) -> tuple[zenoh.Session, LateAddresses]:
     """Open the metrics page and Zenoh. Waits for name servers, and for routers if the Zenoh file demands it."""
-    if settings.telemetry.metrics:
-        exposition.serve(settings.telemetry.metrics, conductor)
-    return open_session(config)
+    late, metrics = LateAddresses(conductor.reports.has_missing), settings.telemetry.metrics
+    if metrics:
+        late.serve(metrics, partial(exposition.serve, metrics, conductor))
+    return late.open(config), late
 
 
 def _inbox(
@@ -374,9 +375,10 @@ def _attendants(
     conductor: Conductor,
     notifier: SystemdNotifier,
     shut_out: RevocationState | None,
+    late: LateAddresses,
 ) -> tuple[ConnectionLimiter, Upkeep]:
     """The threads that watch the session."""
-    upkeep = Upkeep(session, config, notifier.status, wall_clock)
+    upkeep = Upkeep(session, config, notifier.status, wall_clock, late)
     conductor.reports.certificate = upkeep.certificate
     revoked = frozenset() if shut_out is None or shut_out.known is None else shut_out.known.common_names
     return ConnectionLimiter(session, conductor.metrics.count_sessions, revoked), upkeep

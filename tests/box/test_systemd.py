@@ -1,6 +1,7 @@
 """The service unit under a real systemd: it starts, is watched, is stopped from outside after every end, gives up."""
 
 import json
+import re
 import subprocess
 import time
 from collections.abc import Iterator
@@ -328,16 +329,37 @@ def test_broken_configuration(robot: InstalledGateway) -> None:
 
 
 @pytest.mark.nightly
-def test_no_device(robot: InstalledGateway) -> None:
-    """Exit code 3: tried again as often as the unit's limit has it, then given up."""
-    assert robot.unit.property("StartLimitBurst") == "10"
-    robot.drop_in("sooner", "RestartSec=20ms\n[Unit]\nStartLimitBurst=3")
+def test_what_time_may_cure_is_tried_without_an_end(robot: InstalledGateway) -> None:
+    """Exit code 3: its starts stay below the unit's limit, here one of 3 in 30 s."""
+    robot.drop_in("sooner", "RestartSec=20ms\n[Unit]\nStartLimitBurst=3\nStartLimitIntervalSec=30")
     robot.configure('spi.device = "/dev/spidev9.9"\n')
     with robot.journal() as journal:
-        robot.unit.systemctl("start", check=False)
-        journal.wait_for_output("Start request repeated too quickly", timeout_s=60)
-        assert journal.stdout.count("Main process exited, code=exited, status=3") == 3
-    assert robot.unit.properties("ActiveState", "ExecMainStatus") == ["failed", "3"]
+        robot.unit.systemctl("start", "--no-block")
+        journal.wait_for_output("restart counter is at 4", timeout_s=90)
+        assert journal.stdout.count("Main process exited, code=exited, status=3") == 4
+    assert "repeated too quickly" not in journal.stdout
+
+
+def test_a_crash_loop_ends_and_the_remedy_of_check_works(robot: InstalledGateway) -> None:
+    """Ten kills within two minutes; until a person looks, nothing moves."""
+    robot.drop_in("sooner", "RestartSec=20ms")
+    robot.unit.systemctl("start")
+    with robot.journal() as journal:
+        for kill in range(1, 11):
+            robot.unit.systemctl("kill", "--signal=SIGKILL")
+            if kill < 10:
+                journal.wait_for_output(f"restart counter is at {kill}.")
+            robot.box.run("sh", "-c", f"until systemctl is-active {NAME} || systemctl is-failed {NAME}; do :; done")
+        journal.wait_for_output("Start request repeated too quickly")
+    assert robot.unit.property("ActiveState") == "failed"
+    refused = robot.unit.systemctl("start", check=False)
+    print("REFUSED", refused.stdout, refused.stderr)
+    said = robot.gateway("check", check=False)
+    print(said)
+    remedy = re.search(rf"has failed .*?(sudo systemctl reset-failed {NAME}.*)$", said, re.MULTILINE)
+    assert remedy is not None, said
+    robot.box.run("sh", "-c", remedy[1].replace("sudo ", ""))
+    assert robot.unit.property("ActiveState") == "active"
 
 
 def test_a_list_of_revoked_certificates_starts_it_anew_and_systemd_sees_no_end(robot: InstalledGateway) -> None:

@@ -2,6 +2,7 @@
 
 import datetime as dt
 import os
+import signal
 import socket
 from collections.abc import Iterator
 from pathlib import Path
@@ -78,3 +79,14 @@ def test_an_expiry_is_said_before_it_comes(tmp_path: Path, systemd: Systemd) -> 
     assert state.certificate is not None
     assert state.certificate.file == "gateway.pem"
     assert expiry.soon("gateway.pem", state.certificate.expires, state.time) is not None
+
+
+def test_a_start_that_time_may_cure_pauses_under_systemd_alone(tmp_path: Path, systemd: Systemd) -> None:
+    """It says why at once, and SIGTERM ends the pause. In a terminal it ends at once."""
+    missing = {"spi": {"device": "/dev/spidev9.9", "framing": "plain"}}
+    with Gateway(tmp_path, missing, options=(), wait=False) as gateway:
+        assert gateway.child.wait() == 3
+    with Gateway(tmp_path, missing, options=(), wait=False, env=systemd.env) as gateway:
+        gateway.child.wait_for_output("/dev/spidev9.9 does not exist")
+        gateway.child.terminate()
+        assert gateway.child.wait() == -signal.SIGTERM

@@ -27,6 +27,7 @@ def topics(state: GatewayState) -> dict[str, str]:
     lease, buttons, certificate = state.lease, state.buttons, state.certificate
     drives = "drives" if lease.held_s is not None else "is handed the lease"
     soon = None if certificate is None else expiry.soon(certificate.file, certificate.expires, state.time)
+    missing = ", ".join(state.missing_endpoints)
     watched = f"Stop buttons: {buttons.alive} alive, {buttons.required} required."
     return {
         "robot": f"{robot_now(state)}.",
@@ -35,6 +36,7 @@ def topics(state: GatewayState) -> dict[str, str]:
         "calibration": "" if state.calibration.fault is None else f"Nothing can be started: {state.calibration.fault}",
         "controller": _controller(state.controller),
         "power": "" if state.power is None else f"Power ({state.power.interface}): {power_now(state.power)}.",
+        "address": f"Does not listen on {missing} yet: the address is not there." if missing else "",
         "certificate": "" if soon is None else f"The robot's {soon}: see `certs renew`.",
     }
 
@@ -58,7 +60,7 @@ def sentences(state: GatewayState) -> list[str]:
         f"{state.commands.accepted} commands accepted, {state.commands.rejected} rejected; "
         f"the watchdog ({watchdog.timeout_ms:g} ms) has stopped {watchdog.expirations} legs."
     )
-    found.append(asked["certificate"])
+    found += (asked["address"], asked["certificate"])
     if state.incident is not None:
         found.append(f"Latest incident: {state.incident} (hexapod-gateway incidents show {state.incident}).")
     return [each for each in found if each]

@@ -6,6 +6,8 @@ import socket
 from collections.abc import Mapping
 from typing import Final
 
+NOTIFY_SOCKET: Final = "NOTIFY_SOCKET"
+"""The variable by which systemd names its socket to the service."""
 PINGS_PER_TIMEOUT = 4
 """More than one, so that a late or lost ping does not kill a working service."""
 
@@ -22,7 +24,7 @@ class SystemdNotifier:
     """systemd's notification socket, from `NOTIFY_SOCKET`, and its watchdog's period, from `WATCHDOG_USEC`."""
 
     def __init__(self, environment: Mapping[str, str] = os.environ) -> None:
-        path = environment.get("NOTIFY_SOCKET", "")
+        path = environment.get(NOTIFY_SOCKET, "")
         self._address = "\0" + path[1:] if path.startswith("@") else path  # "@" stands for the abstract namespace
         self._socket: socket.socket | None = None
         if path:

@@ -87,12 +87,17 @@ class StateReports:
         self.protocol = self.wire.version(settings.spi.framing)
         self.certificate: CertificateReport | None = None
         """The first certificate in use to expire; None: none is in use."""
+        self._missing: tuple[str, ...] = ()
         self.estop_since: datetime | None = None
         """Since when the emergency stop is engaged; None: it is not."""
         self.estop_fault: str | None = None
         """Why the emergency stop may not outlast a restart, or counts as engaged."""
         self.revocations: RevocationsReport | None = None
         """The list in force; None: there is none."""
+
+    def has_missing(self, endpoints: tuple[str, ...]) -> None:
+        """Report these as not listened on yet. Callable from any thread."""
+        self._missing = endpoints
 
     def state(
         self,
@@ -154,6 +159,7 @@ class StateReports:
             ),
             telemetry=TelemetryReport(frames=settings.telemetry.frames),
             certificate=self.certificate,
+            missing_endpoints=self._missing,
             revocations=self.revocations,
             limits=self._limits,
             controller=_controller(self.wire, bus, now_ns),

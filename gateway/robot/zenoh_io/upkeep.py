@@ -1,6 +1,6 @@
-"""Watches for certificates that expire and routers that cannot be reached, and reports them to the log and systemd.
+"""Watches for certificates that expire, routers that cannot be reached and addresses that are not there yet.
 
-Neither stops the service, and Zenoh reports neither. A background thread looks.
+It reports them to the log and systemd. None stops the service, and Zenoh reports none. A background thread looks.
 """
 
 import datetime as dt
@@ -18,6 +18,7 @@ from gateway.certs import expiry
 from gateway.endpoints import host_and_port
 from gateway.errors import ConfigError
 from gateway.host.realtime import PAGE_PRIORITY, prefer_thread
+from gateway.robot.zenoh_io.late_addresses import LateAddresses
 from gateway.zenoh_config import Expiry, connect_endpoints, first_expiry, listen_endpoints
 from schemas.telemetry import CertificateReport
 
@@ -39,9 +40,11 @@ class Upkeep:
         config: zenoh.Config,
         status: Callable[[str], None],
         wall_clock: Callable[[], dt.datetime],
+        late: LateAddresses,
     ) -> None:
         """`status` shows a sentence in `systemctl status`, replacing the previous one."""
         self._session = session
+        self._late = late
         self._dials = connect_endpoints(config)
         self._dialled_ports = _ports(self._dials) - _ports(listen_endpoints(config))
         self._config = config
@@ -73,19 +76,21 @@ class Upkeep:
         with suppress(zenoh.ZError):  # the session was closed
             while True:
                 self._look(time.monotonic())
+                often = self._dials or self._late.missing
                 if self._closed.wait(
-                    LINKS_PERIOD_S if self._dials else max(LINKS_PERIOD_S, self._clock_due_s - time.monotonic())
+                    LINKS_PERIOD_S if often else max(LINKS_PERIOD_S, self._clock_due_s - time.monotonic())
                 ):
                     return
 
     def _look(self, now_s: float) -> None:
-        changed = self._look_at_links(now_s)
+        changed = self._look_at_links(now_s) | self._late.look()
         if now_s >= self._clock_due_s:
             self._clock_due_s = now_s + CLOCK_S
             changed |= self._look_at_clock()
         if changed:
             unreached = "" if self._reached is not False else f"; {', '.join(self._dials)} is not reached"
-            self._status(f"takes commands{unreached}{f'; {self._fault}' if self._fault else ''}")
+            missing = "" if not self._late.missing else f"; does not listen on {', '.join(self._late.missing)} yet"
+            self._status(f"takes commands{missing}{unreached}{f'; {self._fault}' if self._fault else ''}")
 
     def _look_at_links(self, now_s: float) -> bool:
         """Whether reachability of the dialled endpoints has changed."""

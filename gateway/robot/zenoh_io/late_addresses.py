@@ -1,0 +1,158 @@
+"""Endpoints whose address is not there yet: a phone's hotspot, DHCP, a name server, an address family of the kernel.
+
+The gateway listens on what is there. Zenoh tries the others once a second in the background, in the same session
+(measured with 1.10.2: it listens within a second of the address). An endpoint whose port is taken is another fault,
+which ends the start.
+"""
+
+import errno
+import json
+import logging
+import socket
+from collections.abc import Callable, Sequence
+from typing import Any, Final
+
+import zenoh
+
+from gateway.endpoints import host_and_port
+from gateway.errors import GatewayError, ZenohError
+from gateway.zenoh_config import listen_endpoints, open_session, why_not_opened
+
+_LINKS: Final = {
+    "tcp": socket.SOCK_STREAM,
+    "tls": socket.SOCK_STREAM,
+    "ws": socket.SOCK_STREAM,
+    "quic": socket.SOCK_DGRAM,
+    "udp": socket.SOCK_DGRAM,
+}
+_LATE: Final = frozenset({errno.EADDRNOTAVAIL, errno.EAFNOSUPPORT})
+_RETRY: Final = {
+    "exit_on_failure": "false",
+    "retry_period_init_ms": "1000",
+    "retry_period_max_ms": "1000",
+    "retry_period_increase_factor": "1",
+}
+"""Zenoh's settings of one endpoint, behind its #."""
+_OTHERS_MS: Final = 1000
+"""How long Zenoh tries the other endpoints; with 0 it would try none again, these included."""
+_ALL, _ALL_IPV4 = "::", "0.0.0.0"  # noqa: S104 (as the configuration has it)
+
+logger = logging.getLogger(__name__)
+
+
+class LateAddresses:
+    """Those of one session: `report` gets the endpoints that are missing, at the first look and at each change."""
+
+    def __init__(self, report: Callable[[tuple[str, ...]], None] = lambda _: None) -> None:
+        self._report = report
+        self.missing: tuple[str, ...] = ()
+        self._seen: tuple[str, ...] = ()
+        self._pages: dict[str, Callable[[], None]] = {}
+
+    def serve(self, address: str, page: Callable[[], None]) -> None:
+        """Call `page`, which listens on `address` (`host:port`), now or once the address is there."""
+        endpoint = f"tcp/{address}"
+        fault = bind_fault(endpoint)
+        if fault is None or not is_late(fault):
+            page()
+            return
+        self._pages[endpoint] = page
+        self._miss(endpoint, fault)
+
+    def open(self, config: zenoh.Config) -> zenoh.Session:
+        """Open a session that listens on what is there, and on the others later. Raises ZenohError. Blocks."""
+        endpoints = listen_endpoints(config)
+        faults = {each: fault for each in endpoints if (fault := bind_fault(each)) is not None}
+        late = {each: fault for each, fault in faults.items() if is_late(fault)}
+        if not late:
+            return open_session(config)
+        for each, fault in faults.items():
+            if each not in late:  # Zenoh's own sentence would name none of them
+                raise ZenohError(why_not_opened(str(fault), [each]))
+        tried = dict.fromkeys(_tried(each, late.get(each)) for each in endpoints)
+        _set(config, "endpoints", list(tried))
+        _set(config, "timeout_ms", _OTHERS_MS)
+        try:
+            session = open_session(config)
+        finally:
+            _set(config, "endpoints", endpoints)
+        for each, fault in late.items():
+            if not _is_all_without_ipv6(each, fault):
+                self._miss(each, fault)
+        return session
+
+    def _miss(self, endpoint: str, fault: OSError) -> None:
+        logger.warning("does not listen on %s yet, and keeps trying: %s", endpoint, fault.strerror)
+        self.missing += (endpoint,)
+
+    def look(self) -> bool:
+        """Whether what is missing has changed since the last look. Blocks on name servers."""
+        still = tuple(each for each in self.missing if not self._is_there(each))
+        for each in set(self.missing) - set(still):
+            logger.info("listens on %s, too", each)
+        self.missing = still
+        if still == self._seen:
+            return False
+        self._seen = still
+        self._report(still)
+        return True
+
+    def _is_there(self, endpoint: str) -> bool:
+        fault = bind_fault(endpoint)
+        if endpoint not in self._pages:
+            return fault is not None and fault.errno == errno.EADDRINUSE  # by Zenoh
+        if fault is not None:
+            return False
+        try:
+            self._pages[endpoint]()
+        except GatewayError as error:
+            logger.warning("%s", error)
+            return False
+        return True
+
+
+def bind_fault(endpoint: str) -> OSError | None:
+    """Why nothing could listen on an endpoint now; None: something could, or the endpoint names no port."""
+    kind, (host, port) = _LINKS.get(endpoint.partition("/")[0]), host_and_port(endpoint)
+    if kind is None or not port.isdecimal():
+        return None
+    try:
+        found = socket.getaddrinfo(host, int(port), type=kind)
+    except OSError as error:  # also a name that no server knows
+        return error
+    faults = [_bind(family, kind, address) for family, _, _, _, address in found]
+    return None if None in faults else faults[0]
+
+
+def is_late(fault: OSError) -> bool:
+    """Whether time may cure it."""
+    return isinstance(fault, socket.gaierror) or fault.errno in _LATE
+
+
+def _bind(family: socket.AddressFamily, kind: socket.SocketKind, address: Any) -> OSError | None:
+    try:
+        with socket.socket(family, kind) as probe:
+            if kind is socket.SOCK_STREAM:  # as Zenoh does: a recently closed connection is no obstacle
+                probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            probe.bind(address)
+    except OSError as error:
+        return error
+    return None
+
+
+def _is_all_without_ipv6(endpoint: str, fault: OSError) -> bool:
+    return host_and_port(endpoint)[0] == _ALL and fault.errno == errno.EAFNOSUPPORT
+
+
+def _tried(endpoint: str, fault: OSError | None) -> str:
+    """The endpoint as Zenoh is to try it."""
+    if fault is None:
+        return endpoint
+    if _is_all_without_ipv6(endpoint, fault):  # all that is there of all addresses
+        return endpoint.replace(f"[{_ALL}]", _ALL_IPV4)
+    settings = ";".join(f"{name}={value}" for name, value in _RETRY.items())
+    return f"{endpoint}{';' if '#' in endpoint else '#'}{settings}"
+
+
+def _set(config: zenoh.Config, name: str, value: Sequence[str] | int) -> None:
+    config.insert_json5(f"listen/{name}", json.dumps(value))

@@ -1,0 +1,62 @@
+"""An address that comes late, or an address family that the kernel lacks: the gateway listens on what is there."""
+
+import os
+import socket
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.net.namespaces import Network
+from tests.support.child import Child
+from tests.support.gateway_process import COMMAND, Gateway, free_port
+
+pytestmark = pytest.mark.net
+
+
+def test_what_is_there_is_listened_on_and_the_rest_as_soon_as_it_comes(network: Network, tmp_path: Path) -> None:
+    """In one session: who is connected stays so. A page of metrics waits likewise."""
+    port, page, late = free_port(), free_port(), "10.77.0.3"
+    here, there = f"tcp/127.0.0.1:{port}", f"tcp/{late}:{port}"
+    settings: dict[str, dict[str, Any]] = {
+        "zenoh": {"listen": [there, here], "allow_insecure": True},
+        "telemetry": {"metrics": f"{late}:{page}"},
+    }
+    with Gateway(tmp_path, settings, prefix=network.robot) as gateway:
+        gateway.child.wait_for_output(f"does not listen on {there} yet, and keeps trying: Cannot assign requested")
+        with Child([*network.robot, *COMMAND, "status", "--follow", "--connect", here], os.environ) as inside:
+            inside.wait_for_output(f"Does not listen on tcp/{late}:{page}, {there} yet: the address is not there.")
+            assert network.another_address(0) == late
+            gateway.child.wait_for_output(f"listens on {there}, too")
+            gateway.child.wait_for_output(f"listens on tcp/{late}:{page}, too")
+            with Child([*network.laptop(0), *COMMAND, "status", "--connect", there], os.environ) as outside:
+                assert outside.wait() == 0
+                assert "Does not listen" not in outside.stdout
+            with Child([*network.robot, *COMMAND, "estop", "--connect", here], os.environ) as estop:
+                assert estop.wait() == 0
+            inside.wait_for_output("estop_engaged")
+            assert "silent" not in inside.stdout, "its session went on"
+
+
+@pytest.mark.parametrize(("listen", "missing"), [("tcp/[::]:{}", False), ("tcp/[::1]:{}", True)])
+def test_without_ipv6_it_listens_by_ipv4(tmp_path: Path, listen: str, missing: bool) -> None:
+    """On all addresses, where the file names all; what certs makes does."""
+    port = free_port()
+    here, given = f"tcp/127.0.0.1:{port}", listen.format(port)
+    settings = {"zenoh": {"listen": [given, *([here] if missing else [])], "allow_insecure": True}}
+    with Gateway(tmp_path, settings, prefix=(sys.executable, "-m", "tests.support.without_ipv6")) as gateway:
+        with Child([*COMMAND, "status", "--follow", "--connect", here], os.environ) as status:
+            status.wait_for_output(f"Does not listen on {given} yet" if missing else "Nobody drives.")
+            assert ("Does not listen" in status.stdout) is missing
+        assert (f"does not listen on {given} yet" in gateway.child.stderr) is missing
+
+
+def test_a_port_that_is_taken_is_no_late_address(tmp_path: Path) -> None:
+    """The start ends, and names it, whatever else is late."""
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        here = f"tcp/127.0.0.1:{other.getsockname()[1]}"
+        settings = {"zenoh": {"listen": ["tcp/192.0.2.9:7447", here], "allow_insecure": True}}
+        with Gateway(tmp_path, settings, wait=False) as gateway:
+            assert gateway.child.wait() == 4
+            assert f"{here} is taken by another program" in gateway.child.stderr
