@@ -40,12 +40,12 @@ def check(data: bytes) -> None:
 
 
 def read_toml(data: bytes) -> dict[str, Any]:
-    """Parse TOML. Raises ValueError with one sentence."""
+    """Parse TOML, also with the byte order mark of some editors. Raises ValueError with one sentence."""
     _check_size(data)
     if any(line.count(b".") > MOST_DOTS for line in data.splitlines()):
         raise ValueError(f"has a line with more than {MOST_DOTS} dots")
     try:
-        values = tomllib.loads(data.decode())
+        values = tomllib.loads(data.decode("utf-8-sig"))
     except RecursionError:
         raise _too_deep() from None
     except ValueError as error:  # TOML's own errors, and bytes that are no UTF-8

@@ -275,7 +275,9 @@ class CalibrationReport(Report):
     fault: Annotated[
         str | None, Field(description="why the kept calibration cannot be used; nothing can be started then")
     ] = None
-    kept: Annotated[bool, Field(description="whether it outlasts a restart; false: in memory only")] = False
+    kept: Annotated[
+        bool, Field(description="whether it is there after the next boot; false: not, as far as the gateway can tell")
+    ] = False
 
 
 class TelemetryReport(Report):

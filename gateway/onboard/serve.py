@@ -88,8 +88,7 @@ def _run(
 def _pause(error: GatewayError) -> NoReturn:
     """Under systemd, wait before the end of a start that time may cure.
 
-    Such starts never reach the unit's limit, which is for crashes. Nothing runs meanwhile that a Stop would have to reach.
-    SIGTERM ends the pause.
+    Such starts never reach the unit's limit, which is for crashes. No servo runs then. SIGTERM ends the pause.
     """
     hint(f"hexapod-gateway: {error}")
     time.sleep(PAUSE_S)

@@ -66,6 +66,6 @@ def setup(
     from gateway.onboard.setup import setup as set_up
     from gateway.onboard.setup.machine import Machine
 
-    if back and (wire or framing or certs or console):
-        raise ConfigError("--back goes with --dry-run and --force alone")
+    if back and (wire or framing or certs or console or force):
+        raise ConfigError("--back goes with --dry-run alone")
     sys.exit(set_up(Machine(dry=dry_run, force=force), Wanted(wire, framing, certs, console, back)))

@@ -19,6 +19,7 @@ from gateway import __version__
 from gateway.allowance import NS_PER_MS, NS_PER_S
 from gateway.host import descriptors, effective, logs, realtime
 from gateway.host.directories import runtime_directory, state_directory
+from gateway.host.mounts import forgets
 from gateway.host.shared_page import SensedPage, ServoPage
 from gateway.model.black_box.format import STOP_FACTS
 from gateway.model.frames import centidegrees
@@ -231,7 +232,7 @@ async def _run(
         physics=physics and physics.zenoh_id,
         recorder=recorder,
         owner=owner,
-        calibration_kept=state is not None,
+        calibration_kept=_is_kept(state),
         supply=supply,
     )
     keeper, calibrations = EstopKeeper(conductor, state, loop), _calibrations(settings, conductor, loop)
@@ -298,6 +299,19 @@ async def _run(
             conductor.close()
         notifier.close()
     return end
+
+
+def _is_kept(state: Path | None) -> bool:
+    """Whether what is in the state directory is there after the next boot; log it if a boot empties that."""
+    kind = "" if state is None else forgets(state)
+    if kind:
+        logger.warning(
+            "%s is on %s, which a boot empties: calibration, revocations and the emergency stop are lost then "
+            "(docs/troubles.md)",
+            state,
+            kind,
+        )
+    return state is not None and not kind
 
 
 def _wire(

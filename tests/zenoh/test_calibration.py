@@ -1,5 +1,6 @@
 """The calibration of a real gateway: changed by real clients, on the wire, on the disk, and after a restart."""
 
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -85,3 +86,20 @@ def test_a_restart_finds_it(tmp_path: Path) -> None:
     with Gateway(tmp_path, settings) as again, again.client() as client:
         assert client.calibration().servos["11"].trim_deg == 13
         assert client.state().calibration.revision == 1
+
+
+def test_on_a_file_system_that_a_boot_empties_it_does_not_count_as_kept(tmp_path: Path) -> None:
+    """As with Raspberry Pi OS's overlay: a restart of the gateway finds it, a boot does not."""
+    with tempfile.TemporaryDirectory(dir="/dev/shm") as folder:
+        settings = {"state": {"path": folder}}
+        with Gateway(tmp_path, settings) as first, first.client() as client:
+            first.child.wait_for_output(f"{folder} is on tmpfs, which a boot empties")
+            assert client.calibrate({11: ServoChange(trim_deg=2)}).accepted
+            assert client.state().calibration.kept is False
+            shown = first.run("calibrate", "show")
+            assert "revision 1, until the next boot only" in shown.stderr
+            assert (
+                "The calibration is lost at the next boot" in first.run("calibrate", "set", "11", "--trim", "3").stderr
+            )
+        with Gateway(tmp_path, settings) as again, again.client() as client:
+            assert client.calibration().servos["11"].trim_deg == 3

@@ -4,10 +4,12 @@ It changes what differs and states what is already so, so it can be run again at
 """
 
 import os
+import subprocess
 from pathlib import Path
 from typing import NamedTuple
 
 from gateway.errors import GatewayError
+from gateway.onboard import release_switch
 from gateway.onboard.setup import boot, certificates, configuration, service
 from gateway.onboard.setup.machine import ETC, SERVICE, Machine
 from gateway.people.terminal import say
@@ -27,13 +29,12 @@ def setup(machine: Machine, wanted: Wanted) -> int:
     """Set this machine up, and run `check`; its exit code. Raises GatewayError with one sentence."""
     try:
         if wanted.back:
-            service.go_back(machine)
+            machine.change("go back to the release before this one, and restart the service", _go_back)
         else:
             _set_up(machine, wanted)
-    except OSError as error:
-        raise GatewayError(
-            f"{error.filename or 'setup'}: {error.strerror or error}; nothing after that was done"
-        ) from error
+    except (OSError, subprocess.SubprocessError) as error:
+        what = f"{error.filename or 'setup'}: {error.strerror or error}" if isinstance(error, OSError) else str(error)
+        raise GatewayError(f"{what}; nothing after that was done") from error
     return _conclude(machine)
 
 
@@ -51,6 +52,11 @@ def _set_up(machine: Machine, wanted: Wanted) -> None:
     service.start(machine, device)
     if wanted.console or machine.show(f"{service.CONSOLE}.socket", "UnitFileState") == "enabled":
         service.start_console(machine)
+
+
+def _go_back() -> None:
+    if said := release_switch.go_back():
+        say(said)
 
 
 def _conclude(machine: Machine) -> int:

@@ -11,7 +11,7 @@ from typing import Final
 
 from gateway import durable
 from gateway.errors import ConfigError, GatewayError
-from gateway.onboard.setup import servos
+from gateway.onboard import release_switch
 from gateway.own_command import command
 from gateway.people.terminal import say
 
@@ -37,11 +37,21 @@ def _run(words: Sequence[str]) -> "subprocess.CompletedProcess[str]":
 
 
 class Machine:
-    """A computer whose files are below `root`, and whose programs `run` starts; other ones in tests."""
+    """A computer whose files are below `root`, and whose programs `run` starts; others in tests."""
 
-    def __init__(self, root: Path = Path("/"), run: Run = _run, *, dry: bool = False, force: bool = False) -> None:
+    def __init__(
+        self,
+        root: Path = Path("/"),
+        run: Run = _run,
+        why_not_now: Callable[[], str] = release_switch.why_not_now,
+        *,
+        dry: bool = False,
+        force: bool = False,
+    ) -> None:
         self.root = root
         self.run = run
+        self.why_not_now = why_not_now
+        """Why the service may not be restarted; "": it may."""
         self.dry = dry
         self.force = force
         self.reboot_due = False
@@ -144,27 +154,19 @@ class Machine:
 
     def will_restart(self) -> None:
         """Call before each change to what the service reads. Raises GatewayError while a servo runs."""
-        if not (self.restart_due or self.dry or self.force):
-            no_servo_runs(self)
+        if not self.restart_due:
+            self.check_no_servo_runs()
         self.restart_due = True
 
-
-def no_servo_runs(machine: Machine) -> None:
-    """Raises GatewayError if a restart of the service would stop a servo, or nobody knows."""
-    process = int(machine.show(SERVICE, "MainPID") or 0)
-    if not process:
-        return
-    runs = servos.any_runs(machine.path(servos.FILE))
-    if runs is None:
-        raise GatewayError(
-            "the service does not say whether a servo runs, and a restart would stop it: see that none does, and add "
-            "--force"
-        )
-    if runs:
-        raise GatewayError(
-            f"a servo runs, and a restart would stop it: stop the robot ({command('stop')}) and run setup again, or "
-            "add --force"
-        )
+    def check_no_servo_runs(self) -> None:
+        """Raises GatewayError if a restart of the service would stop a servo, or nobody knows."""
+        if self.dry or self.force:
+            return
+        if reason := self.why_not_now():
+            raise GatewayError(
+                f"{reason}, and a restart would stop it: stop the robot ({command('stop')}) and run setup again, or "
+                "add --force"
+            )
 
 
 def _is_wrong(path: Path, gid: int) -> bool:

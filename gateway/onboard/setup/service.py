@@ -1,21 +1,17 @@
-"""Starts the service and the console, and goes back to the payload that the package kept."""
+"""Starts the service and the console."""
 
 import os
-import re
 import shutil
 import time
 from functools import partial
 from pathlib import Path
 from typing import Final
 
-from gateway import durable
 from gateway.errors import GatewayError
 from gateway.onboard.setup import configuration
-from gateway.onboard.setup.machine import ETC, KEPT_CONFIGURATION, SERVICE, Machine, no_servo_runs
+from gateway.onboard.setup.machine import ETC, KEPT_CONFIGURATION, SERVICE, Machine
 from gateway.people.terminal import say
 
-PAYLOADS: Final = f"/usr/lib/{SERVICE}"
-CURRENT: Final = f"{PAYLOADS}/current"
 CONSOLE: Final = "hexapod-console"
 _CONSOLE_OPTIONS: Final = f"/etc/{CONSOLE}/console.conf"
 _CONSOLE_STATE: Final = f"/var/lib/{CONSOLE}"
@@ -58,8 +54,7 @@ def start(machine: Machine, device: str) -> None:
     simulated = "--sim" in machine.show(SERVICE, "Environment")
     if machine.is_active(SERVICE):
         if machine.restart_due or _is_outdated(machine):
-            if not (machine.dry or machine.force):
-                no_servo_runs(machine)
+            machine.check_no_servo_runs()
             machine.change("restart the service: all legs stop", lambda: _start(machine, SERVICE))
         else:
             say("the service runs with all of this")
@@ -108,8 +103,8 @@ def start_console(machine: Machine) -> None:
     if machine.is_active(f"{CONSOLE}.service") and not readable:
         say("the console runs")
         return
-    if machine.is_active(f"{CONSOLE}.service") and not (machine.dry or machine.force):
-        no_servo_runs(machine)  # its pages may drive
+    if machine.is_active(f"{CONSOLE}.service"):
+        machine.check_no_servo_runs()  # its pages may drive
     machine.change(
         "start the console; a link for a browser: sudo hexapod-gateway console --link", lambda: _begin(machine)
     )
@@ -135,46 +130,3 @@ def _begin(machine: Machine) -> None:
         if time.monotonic() > until_s:
             raise GatewayError(f"the console does not listen after {_LISTENS_S} s: journalctl -u {CONSOLE} shows why")
         time.sleep(_PAUSE_S)
-
-
-def go_back(machine: Machine) -> None:
-    """Let the payload run that the package kept: no network, no package. Raises GatewayError."""
-    link = machine.path(CURRENT)
-    now = link.resolve()
-    kept = [each for each in machine.path(PAYLOADS).glob("*") if _is_payload(each) and each.resolve() != now]
-    if not kept:
-        raise GatewayError(
-            f"{PAYLOADS} has no other release than {now.name}; with its package: "
-            f"sudo apt install --allow-downgrades ./{SERVICE}_VERSION_ARCH.deb"
-        )
-    before = max(kept, key=lambda each: (each.suffix == ".kept", each.stat().st_mtime_ns))
-    if machine.is_active(SERVICE) and not (machine.dry or machine.force):
-        no_servo_runs(machine)
-    machine.change(f"go back from {now.name} to {before.name}, and restart the service", lambda: _turn(machine, before))
-
-
-def _is_payload(folder: Path) -> bool:
-    return not folder.is_symlink() and (folder / "gateway/__init__.py").is_file()
-
-
-def _turn(machine: Machine, to: Path) -> None:
-    link = machine.path(CURRENT)
-    was = link.readlink()
-    _lead(link, Path(to.name) if not was.is_absolute() else Path(re.sub(r"[^/]+$", to.name, str(was))))
-    running = [each for each in (SERVICE, f"{CONSOLE}.service") if machine.is_active(each)]
-    try:
-        for unit in running:
-            _start(machine, unit)
-    except GatewayError as error:
-        _lead(link, was)
-        for unit in running:
-            _start(machine, unit)
-        raise GatewayError(f"{to.name} does not run, so {was.name} runs again: {error}") from None
-
-
-def _lead(link: Path, to: Path) -> None:
-    staged = link.with_name(f"{link.name}.new")
-    staged.unlink(missing_ok=True)
-    staged.symlink_to(to)
-    staged.replace(link)
-    durable.sync(link.parent)

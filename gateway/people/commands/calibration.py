@@ -213,7 +213,8 @@ def _change(client: Client, done: str, state: GatewayState, payload: Mapping[str
         return reach.rejected(ack)
     say(f"{done}: revision {client.calibration().revision}")
     if not state.calibration.kept:
-        hint("The calibration is in memory only, and lost at a restart (state.path).")
+        hint("The calibration is lost at the next boot: it is in memory only (state.path), or on a file system that")
+        hint("a boot empties (docs/troubles.md).")
     return 0
 
 
@@ -230,7 +231,7 @@ def _when_free(client: Client, payload: Mapping[str, Any]) -> Ack:
 def _about(report: CalibrationReport, calibration: RobotCalibration) -> str:
     if report.fault is not None:
         return f"NOT TRUSTED ({report.fault}), so nothing can be started"
-    kept = "kept on the robot" if report.kept else "in memory only"
+    kept = "kept on the robot" if report.kept else "until the next boot only"
     return f"revision {calibration.revision}, {kept}"
 
 

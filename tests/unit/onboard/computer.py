@@ -55,7 +55,7 @@ class Computer:
     """The folder, with the package installed and nothing set up."""
 
     def __init__(self, root: Path) -> None:
-        self.root, self.systemd = root, Systemd()
+        self.root, self.systemd, self.busy = root, Systemd(), ""
         gid = os.getgid()
         self.write("/etc/group", f"root:x:0:\nhexapod-gateway:x:{gid}:\nhexapod-console:x:{gid}:\n")
         self.write("/usr/share/hexapod-gateway/gateway.toml", TEMPLATE.read_text())
@@ -77,5 +77,5 @@ class Computer:
         return {str(each.relative_to(self.root)): each.read_bytes() for each in self.root.rglob("*") if each.is_file()}
 
     def set_up(self, *, dry: bool = False, force: bool = False, **wanted: Any) -> int:
-        machine = _Checked(self.root, self.systemd, dry=dry, force=force)
+        machine = _Checked(self.root, self.systemd, lambda: self.busy, dry=dry, force=force)
         return setup(machine, Wanted(**wanted))

@@ -3,7 +3,6 @@
 import re
 import shutil
 import stat
-import time
 import tomllib
 from collections.abc import Callable
 from pathlib import Path
@@ -168,23 +167,17 @@ def test_a_restart_that_an_interrupted_setup_left_out(computer: Computer, capsys
     assert "restart the service: all legs stop" in capsys.readouterr().out.splitlines()
 
 
-@pytest.mark.parametrize(
-    ("servos", "fault"),
-    [("{now} 1", "a servo runs"), ("1 0", "does not say whether a servo runs"), ("{now} 0", "")],
-)
-def test_while_a_servo_runs_nothing_changes(computer: Computer, servos: str, fault: str) -> None:
+def test_while_a_servo_runs_nothing_changes(computer: Computer) -> None:
     computer.write("/dev/spidev0.0", "")
-    computer.systemd.unit("hexapod-gateway", ActiveState="active", UnitFileState="enabled", MainPID="1")
-    computer.write("/run/hexapod-gateway/servos", servos.format(now=time.monotonic_ns()))
+    computer.systemd.unit("hexapod-gateway", ActiveState="active", UnitFileState="enabled")
+    computer.busy = "a servo runs"
     before = computer.files()
-    if not fault:
-        assert computer.set_up(framing="plain") == 0
-        return
-    with pytest.raises(GatewayError, match=fault):
+    with pytest.raises(GatewayError, match="a servo runs, and a restart would stop it: stop the robot"):
         computer.set_up(framing="plain")
     assert computer.files() == before
     assert computer.set_up(framing="plain", force=True) == 0
     assert computer.systemd.calls[-1] == "restart hexapod-gateway"
+    assert computer.set_up(framing="plain") == 0, "there is nothing to restart it for"
 
 
 @pytest.mark.parametrize(
@@ -371,44 +364,6 @@ def test_an_unedited_zenoh_file_gets_new_access_rules(
     computer.set_up(certs=people)
     assert computer.read(f"{ZENOH}/gateway.json5") == edited
     assert f"keep {ZENOH}/gateway.json5, which somebody has edited" in capsys.readouterr().out.splitlines()
-
-
-# ---- back
-
-
-def _release(computer: Computer, name: str) -> None:
-    computer.write(f"/usr/lib/hexapod-gateway/{name}/gateway/__init__.py", "")
-
-
-def test_back_to_the_kept_payload(computer: Computer, capsys: pytest.CaptureFixture[str]) -> None:
-    link = computer.root / "usr/lib/hexapod-gateway/current"
-    _release(computer, "1.1.0")
-    link.symlink_to("1.1.0")
-    with pytest.raises(GatewayError, match=r"has no other release than 1\.1\.0; with its package: sudo apt install"):
-        computer.set_up(back=True)
-    _release(computer, "1.0.0.kept")
-    computer.systemd.unit("hexapod-gateway", ActiveState="active")
-    computer.set_up(dry=True, back=True)
-    assert str(link.readlink()) == "1.1.0"
-    capsys.readouterr()
-    computer.set_up(back=True)
-    assert str(link.readlink()) == "1.0.0.kept"
-    assert computer.systemd.calls == ["reset-failed hexapod-gateway", "restart hexapod-gateway"]
-    assert "go back from 1.1.0 to 1.0.0.kept" in capsys.readouterr().out
-    computer.set_up(back=True)
-    assert str(link.readlink()) == "1.1.0", "and forward again"
-
-
-def test_back_to_a_payload_that_does_not_run(computer: Computer) -> None:
-    link = computer.root / "usr/lib/hexapod-gateway/current"
-    _release(computer, "1.1.0")
-    _release(computer, "1.0.0.kept")
-    link.symlink_to(f"{link.parent}/1.1.0")
-    computer.systemd.unit("hexapod-gateway", ActiveState="active")
-    computer.systemd.is_broken = lambda: link.resolve().name == "1.0.0.kept"
-    with pytest.raises(GatewayError, match=r"1\.0\.0\.kept does not run, so 1\.1\.0 runs again"):
-        computer.set_up(back=True)
-    assert link.resolve().name == "1.1.0"
 
 
 def test_what_certs_prints_for_a_robot_is_taken_as_it_is(
