@@ -383,7 +383,9 @@ def main() -> None:
     except RuntimeError as error:
         if "home directory" not in str(error):  # pathlib's, for a user without HOME and without an entry in passwd
             raise
-        hint("hexapod-gateway: this user has no home folder, in which this command keeps its files: set HOME to a folder")
+        hint(
+            "hexapod-gateway: this user has no home folder, in which this command keeps its files: set HOME to a folder"
+        )
         _end(ConfigError.exit_code)
     except KeyboardInterrupt:
         _end(130)

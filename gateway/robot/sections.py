@@ -130,6 +130,13 @@ class PowerSettings(Section):
         """The servo on each of the board's outputs, in their order."""
         return self.servos or SERVO_IDS
 
+    @field_validator("interface")
+    @classmethod
+    def _is_within_reach(cls, interface: str) -> str:
+        if interface == "gs_usb":  # python-can's goes around the kernel by libusb, whose devices the unit denies
+            raise ValueError('Linux has a driver for this adapter: write interface = "socketcan", channel = "can0"')
+        return interface
+
     @field_validator("servos")
     @classmethod
     def _each_once(cls, servos: tuple[int, ...]) -> tuple[int, ...]:

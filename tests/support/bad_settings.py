@@ -36,6 +36,8 @@ FILE_FAULTS = [
     ("[watchdog]\ntimeout_ms = true", f"watchdog.timeout_ms: true {NUMBER}"),
     ('[watchdog]\ntimeout_ms = "100"', f'watchdog.timeout_ms: "100" {NUMBER}'),
     ("[watchdog]\ntimeout_ms = 07:32:00", f'watchdog.timeout_ms: "07:32:00" {NUMBER}'),
+    ('[power]\ninterface = "gs_usb"',
+     'power.interface: Linux has a driver for this adapter: write interface = "socketcan", channel = "can0"'),
     ("[zenoh]\nallow_insecure = 1", "zenoh.allow_insecure: 1 will not do: input should be a valid boolean"),
     ('[zenoh]\nlisten = "tcp/a"', 'zenoh.listen: "tcp/a" will not do: input should be a valid array'),
     ('[zenoh]\nlisten = ["a", 1]', f"zenoh.listen[1]: 1 {STRING}"),

@@ -42,3 +42,7 @@ def test_json5_that_nests_without_end(text: str) -> None:
 def test_toml_that_is_none_of_ours(text: str, why: str) -> None:
     with pytest.raises(ValueError, match=why):
         nesting.read_toml(text.encode())
+
+
+def test_toml_with_a_byte_order_mark() -> None:
+    assert nesting.read_toml(b"\xef\xbb\xbf[spi]\nspeed_hz = 1\n") == {"spi": {"speed_hz": 1}}

@@ -89,3 +89,18 @@ def test_commands_that_reach_a_gateway_are_built_in_one_place() -> None:
         if REACHES.fullmatch(found["command"]) and text != found[0] and not ENOUGH.search(text)
     ]
     assert not by_hand
+
+
+@pytest.mark.parametrize("arguments", [("certs", "list"), ("incidents",), ("console", "--link")])
+def test_a_user_without_a_home_gets_a_sentence(arguments: tuple[str, ...], monkeypatch: pytest.MonkeyPatch) -> None:
+    """A container's: no HOME, and no entry in passwd."""
+
+    def no_entry(number: int) -> None:
+        raise KeyError(number)
+
+    for name in ("HOME", "XDG_STATE_HOME", "STATE_DIRECTORY"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr("pwd.getpwuid", no_entry)
+    end = run_here(*arguments)
+    assert end.returncode == 2
+    assert end.stderr.startswith("hexapod-gateway: this user has no home folder")
