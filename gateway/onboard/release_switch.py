@@ -64,7 +64,8 @@ def take(release: Path) -> str:
 def go_back() -> str:
     """Run the kept release; the same again returns to the newer one. Raises GatewayError."""
     current = _current()
-    others = [path for path in LIBRARY.glob("*/") if path != current and (path / "hexapod-gateway").exists()]
+    releases = (path for path in LIBRARY.iterdir() if not path.is_symlink() and (path / "hexapod-gateway").exists())
+    others = [path for path in releases if path != current]
     if len(others) != 1:
         raise ConfigError("no other release is kept here: sudo apt install ./hexapod-gateway_….deb")
     _try(others[0])
