@@ -352,10 +352,8 @@ def test_a_crash_loop_ends_and_the_remedy_of_check_works(robot: InstalledGateway
             robot.box.run("sh", "-c", f"until systemctl is-active {NAME} || systemctl is-failed {NAME}; do :; done")
         journal.wait_for_output("Start request repeated too quickly")
     assert robot.unit.property("ActiveState") == "failed"
-    refused = robot.unit.systemctl("start", check=False)
-    print("REFUSED", refused.stdout, refused.stderr)
+    assert robot.unit.systemctl("start", check=False).returncode != 0
     said = robot.gateway("check", check=False)
-    print(said)
     remedy = re.search(rf"has failed .*?(sudo systemctl reset-failed {NAME}.*)$", said, re.MULTILINE)
     assert remedy is not None, said
     robot.box.run("sh", "-c", remedy[1].replace("sudo ", ""))
