@@ -185,7 +185,7 @@ def _complete(package: griffe.Module, module: griffe.Module) -> None:
     ]
     for owner, name in made:
         method = getattr(getattr(import_module(module.path), owner.name), name, None)
-        if isfunction(method):
+        if isfunction(method) and "<locals>" not in method.__qualname__:  # else a lambda, with no text of its own
             function = copy(package[method.__module__.removeprefix(f"{package.path}.")][method.__qualname__])
             function.labels = {*function.labels, *(("async",) if iscoroutinefunction(method) else ())}
             owner.set_member(name, function)
