@@ -22,6 +22,8 @@ from gateway.errors import ConfigError, GatewayError
 LIBRARY: Final = Path("/usr/lib/hexapod-gateway")
 CONFIGURATION: Final = Path("/etc/hexapod-gateway/gateway.toml")
 UNITS: Final = Path("/usr/lib/systemd/system")
+_FORMER: Final = Path("/opt/hexapod-gateway")
+"""Of the installer before the package: its unit and its command go before the package's until `setup` removes them."""
 _SERVICE: Final = "hexapod-gateway"
 _CONSOLE: Final = "hexapod-console"
 _SERVOS: Final = Path("/run/hexapod-gateway/servos")
@@ -51,10 +53,10 @@ def take(release: Path) -> str:
 
     Raises GatewayError if this release does not start; what ran before goes on.
     """
-    if not _is_set_up():
+    if _FORMER.exists() or not _is_set_up():
         _turn(release)
         _remove_all_but(release)
-        return "Next: sudo hexapod-gateway setup"
+        return f"Next: sudo {'/usr/bin/' if _FORMER.exists() else ''}hexapod-gateway setup"
     _try(release)
     if reason := why_not_now():
         return f"{reason}, so the service goes on with the release before this one. {_how_to_go_on(reason, _TAKE)}"

@@ -59,6 +59,25 @@ def test_an_installation_that_is_not_set_up_stays_stopped(tmp_path: Path, packag
         assert left.stdout == ""
 
 
+def test_it_runs_with_any_python_that_fits(installed: Robot) -> None:
+    """With each that works, though another is half removed; without any, a sentence says what is missing."""
+    box, pythons = installed.box, ("/usr/bin/python3.11", "/usr/bin/python3.13")
+    assert not box.exists(pythons[1])
+    box.run("mv", pythons[0], "/root/python")
+    done = box.run(NAME, "--version", check=False)
+    assert (done.returncode, done.stderr) == (
+        1,
+        f"{NAME}: no Python that it runs with is here ({' '.join(pythons)}): sudo apt-get install python3\n",
+    )
+    box.run("cp", "/root/python", pythons[1])
+    assert f"{NAME} 1." in box.run(NAME, "--version").stdout
+    box.write(pythons[0], "#!/bin/sh\nexit 1\n")
+    box.run("chmod", "+x", pythons[0])
+    assert f"{NAME} 1." in box.run(NAME, "--version").stdout
+    box.run("mv", "/root/python", pythons[0])
+    box.run("rm", pythons[1])
+
+
 def test_upgrade_and_back(robot: Robot, packages: Packages) -> None:
     """The state and the configuration stay. The way back is the older package, and nothing asks."""
     box = robot.box
