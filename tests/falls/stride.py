@@ -10,6 +10,7 @@ from gateway.people.physics.assumed import Assumed
 from gateway.people.physics.world import World
 from gateway.people.walking import GAITS, Engine, Robot, Velocity
 from gateway.robot.settings import Settings
+from tests.support.walked import copied
 from tests.walking.__main__ import SPEEDS_M_S
 from tests.walking.physics import TICK_S, angles_of, stand_up, walk
 
@@ -68,7 +69,7 @@ def moments(stance: str, assumed: Assumed, phases: int = PHASES) -> list[Moment]
     for number in range(ticks):
         walk(world, engine, GEOMETRY, wanted)
         found += [
-            Moment(stance, phase, deepcopy(world), angles_of(engine), engine.copy())
+            Moment(stance, phase, deepcopy(world), angles_of(engine), copied(engine))
             for phase, at in enumerate(due)
             if at == number
         ]

@@ -12,6 +12,7 @@ from gateway.robot.core.landing import landing
 from gateway.robot.settings import Settings
 from schemas.robot import JOINTS, LEGS, SERVO_IDS
 from tests.falls.stride import Angles, Moment, velocity
+from tests.support.walked import copied
 from tests.walking.physics import TICK_S, Sent, angles_of
 
 STOP_SERVOS_S: Final = 0.4
@@ -39,7 +40,7 @@ def _robot_watchdog(_moment: Moment, settings: Settings) -> Iterator[Sent]:
 def _leg_watchdog(moment: Moment, settings: Settings) -> Iterator[Sent]:
     """One leg hears nothing more, and goes slack; the walker then puts the other feet down and stands still."""
     leg = LEGS[moment.phase % len(LEGS)]
-    engine, timeout_s = moment.engine.copy(), settings.watchdog.timeout_ms / 1000
+    engine, timeout_s = copied(moment.engine), settings.watchdog.timeout_ms / 1000
     silent = {10 * leg + joint for joint in JOINTS}
     number = 1
     while number * TICK_S < timeout_s:

@@ -11,11 +11,30 @@ import pytest
 from gateway.people.walking import STILL, Engine, Pose, Posture, Robot, Velocity
 from gateway.people.walking.stability import MARGIN_M, centre_of_mass, margin_m
 from gateway.people.walking.tempo import SLEW_M_S2, SLEW_RAD_S2
+from gateway.people.walking.ways import ON_GROUND_M, Shift
+from schemas.robot import LEGS
 
 TICK_S: Final = 0.02
 _ROUNDING: Final = 1e-6
 _LOW_M: Final = 0.010
 """Servos give way under load, so a foot may touch the ground from here on."""
+
+
+def copied(engine: Engine) -> Engine:
+    """Another engine that goes on by itself from here."""
+    new = copy(engine)
+    new._state, new._wanted, new._senses = engine._state.copy(), engine._wanted.copy(), copy(engine._senses)
+    new._senses._seen = dict(engine._senses._seen)
+    return new
+
+
+def legs_that_carry(engine: Engine) -> frozenset[int]:
+    """Those whose feet are on the ground, and not about to leave it."""
+    state = engine._state
+    move = state.moves[0] if state.moves else None
+    away = set(state.swings) | (set() if move is None or isinstance(move, Shift) else set(move.paths))
+    low_m = ON_GROUND_M if state.sits or engine.lost else math.inf
+    return frozenset(leg for leg in LEGS if leg not in away and state.feet[leg][2] < low_m)
 
 
 class Walked:
@@ -31,7 +50,7 @@ class Walked:
 
     def tick(self, velocity: Velocity = STILL, seconds: float = TICK_S) -> None:
         """One tick, and the checks."""
-        before_feet, stood = dict(self.engine.feet), self.engine.standing
+        before_feet, stood = dict(self.engine.feet), legs_that_carry(self.engine)
         before_ground = {leg: self._on_the_floor(leg) for leg in before_feet}
         walked = self.engine.posture in (Posture.STANDING, Posture.WALKING)
         after = self.engine.step(velocity, seconds)
@@ -63,7 +82,7 @@ class Walked:
     def copy(self) -> "Walked":
         """Another one that goes on by itself from here."""
         new = copy(self)
-        new.engine = self.engine.copy()
+        new.engine = copied(self.engine)
         return new
 
     def _on_the_floor(self, leg: int) -> tuple[float, float]:
@@ -84,9 +103,9 @@ class Walked:
     def _check_stance(self, before: dict[int, tuple[float, float, float]], stood: frozenset[int]) -> None:
         """Feet that stand stay where they are on the ground, so they move as one rigid body."""
         engine = self.engine
-        for leg in stood & engine.standing:
+        for leg in stood & legs_that_carry(engine):
             assert engine.feet[leg][2] == before[leg][2]
-        moved = {leg: (before[leg], engine.feet[leg]) for leg in stood & engine.standing}
+        moved = {leg: (before[leg], engine.feet[leg]) for leg in stood & legs_that_carry(engine)}
         legs = sorted(moved)
         for one, other in pairwise(legs):
             (a, b), (c, d) = moved[one], moved[other]
@@ -100,12 +119,12 @@ class Walked:
 
     def _check_balance(self) -> None:
         engine = self.engine
-        assert len(engine.standing) >= 3
+        assert len(legs_that_carry(engine)) >= 3
         joints = {leg: self.robot.joints_rad(leg, angles) for leg, angles in engine.pose.items()}
         if engine.lost:
             return
         x, y, _ = centre_of_mass(self.robot, engine.body, joints)
-        margin = margin_m((x, y), [engine.feet[leg][:2] for leg in engine.standing])
+        margin = margin_m((x, y), [engine.feet[leg][:2] for leg in legs_that_carry(engine)])
         self.margin_m = min(self.margin_m, margin)
         assert margin >= MARGIN_M
 

@@ -6,8 +6,7 @@ and walks as it would without sensors. Forces have the robot's own unit, so they
 
 import math
 from collections.abc import Mapping
-from copy import copy
-from typing import Final, NamedTuple, Self
+from typing import Final, NamedTuple
 
 from gateway.errors import WalkError
 from gateway.people.walking.motion import BodyPose
@@ -100,11 +99,6 @@ class Senses:
         self._weight = 0.0
         self._seen: dict[int, frozenset[bool]] = {}
         self._tilted_s = self._lifted_s = 0.0
-
-    def copy(self) -> Self:
-        new = copy(self)
-        new._seen = dict(self._seen)
-        return new
 
     def take(self, telemetry: Telemetry | None, seconds: float, *, stands: bool = True) -> Felt:
         """What this telemetry says; None where none is fresh. `stands`: its feet alone carry it, not its belly."""

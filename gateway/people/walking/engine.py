@@ -12,7 +12,6 @@ and body move the same way, only slower.
 import math
 from collections import deque
 from collections.abc import Iterable, Mapping
-from copy import copy
 from typing import Final
 
 from gateway.errors import WalkError
@@ -203,12 +202,6 @@ class Engine:
         left = [leg for leg in LEGS if leg not in self.lost]
         return self.is_down or balanced(self.robot, self._state, left)
 
-    def copy(self) -> "Engine":
-        """An independent engine in the same state."""
-        new = copy(self)
-        new._state, new._wanted, new._senses = self._state.copy(), self._wanted.copy(), self._senses.copy()
-        return new
-
     # ---- its state
 
     @property
@@ -280,15 +273,6 @@ class Engine:
     def hanging(self) -> frozenset[int]:
         """The legs whose feet found no ground: they hang over an edge."""
         return self._state.hanging
-
-    @property
-    def standing(self) -> frozenset[int]:
-        """The legs that carry: their feet are on the ground, and not about to leave it."""
-        state = self._state
-        move = state.moves[0] if state.moves else None
-        away = set(state.swings) | (set() if move is None or isinstance(move, Shift) else set(move.paths))
-        low_m = ON_GROUND_M if state.sits or self.lost else math.inf
-        return frozenset(leg for leg in LEGS if leg not in away and state.feet[leg][2] < low_m)
 
     # ---- postures
 
