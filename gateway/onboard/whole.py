@@ -1,31 +1,27 @@
-"""Whether the installed release is whole: the installer wrote the SHA-256 of each file into the release's `complete`.
+"""Whether the installed package is whole, by dpkg's own list of its files and their sums.
 
 Imports the standard library alone: it has to load where other files of the release are damaged.
 """
 
-import hashlib
 import os
-import shlex
 import stat
+import subprocess
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Final, NamedTuple
 
-INSTALLED: Final = Path("/opt/hexapod-gateway/venv")
+PACKAGE: Final = "hexapod-gateway"
+LIBRARY: Final = Path(f"/usr/lib/{PACKAGE}")
+CURRENT: Final = LIBRARY / "current"
 SHOWN: Final = 3
 """As many files are named in a sentence."""
-_MARK: Final = "complete"
-_AGAIN: Final = "again"
-"""The command line by which the release was installed, as the installer noted it."""
-_RUN: Final = (".py", ".pth", ".so")
-"""What Python loads by itself from a folder of packages."""
-_HEX: Final = 64
-_BLOCK: Final = 1 << 20
+_LOADED: Final = (".py", ".so")
+"""What Python loads from the release's folder."""
+_DPKG_S: Final = 60
 
 
 class Whole(NamedTuple):
-    """A release, compared with its list; all paths are relative to it."""
+    """The package, compared with dpkg's list."""
 
     changed: tuple[str, ...] = ()
     """Missing, or with another content."""
@@ -35,61 +31,49 @@ class Whole(NamedTuple):
     """May be written by others than root, or not be read by all: the service is not root."""
 
 
-def compare(release: Path) -> Whole:
-    """Read every file of a release; some 5 000 with 100 MB, in a second or two."""
-    try:
-        lines = (release / _MARK).read_text().splitlines()
-    except (OSError, ValueError):
-        lines = []
-    wanted = {line[_HEX + 2 :].removeprefix("./"): line[:_HEX] for line in lines if len(line) > _HEX + 2}
-    if not wanted:
-        return Whole(changed=(_MARK,))
-    # hashlib and reading release the interpreter's lock.
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        found = dict(zip(wanted, pool.map(lambda name: _look(release / name), wanted), strict=True))
+def version() -> str:
+    """The installed version; "" where no package is installed."""
+    return _dpkg("dpkg-query", "--show", "--showformat=${Version}")
+
+
+def compare() -> Whole:
+    """Read every file of the package, in a second or two."""
+    listed = set(_dpkg("dpkg-query", "--listfiles").splitlines())
+    verified = _dpkg("dpkg", "--verify").splitlines()
+    release = CURRENT.resolve()
+    is_this = str(release).removesuffix(".kept") in listed  # and not the one before
+    there = [path for path in _files(release) if is_this and str(path).replace(".kept/", "/", 1) not in listed]
     return Whole(
-        changed=tuple(name for name, (digest, _) in found.items() if digest != wanted[name]),
-        added=tuple(sorted(name for name in _loadable(release) if name not in wanted)),
-        closed=tuple(name for name, (_, open_to_all) in found.items() if not open_to_all),
+        changed=tuple(line.split(None, 1)[1] for line in verified if line),
+        added=tuple(sorted(str(path) for path in there if path.suffix in _LOADED)),
+        closed=tuple(str(path) for path in _files(release) if not _is_open(path.lstat())),
     )
 
 
-def how_to_repeat(release: Path) -> str:
-    """The command that installs a release anew, where this machine still has what it needs."""
-    try:
-        command = (release / _AGAIN).read_text().strip()
-        needed = [Path(each).exists() for each in shlex.split(command) if each.startswith("/")]
-    except (OSError, ValueError):  # also of a folder that this user may not enter
-        command, needed = "", []
-    if needed and all(needed):
-        return f"sudo {command}"
-    return "install it anew, from the bundle or repository that it came from: sudo deploy/install.sh"
+def how_to_repeat(version: str) -> str:
+    """The command that installs the package anew."""
+    return f"with the package of this release: sudo apt-get install --reinstall ./{PACKAGE}_{version}_ARCH.deb"
 
 
 def why_nothing_loads() -> str:
     """What `check` says where a damaged file keeps it from being loaded itself; "": no file is."""
-    release = INSTALLED.resolve()
-    changed = compare(release).changed
-    if not changed:
-        return ""
-    return f"not as installed in {release}: {', '.join(changed[:SHOWN])} → {how_to_repeat(release)}"
+    changed = compare().changed
+    return f"not as installed: {', '.join(changed[:SHOWN])} → {how_to_repeat(version())}" if changed else ""
 
 
-def _look(path: Path) -> tuple[str, bool]:
-    """SHA-256 in hex ("" if it cannot be read), and whether only root may change it and everybody read it."""
-    digest = hashlib.sha256()
+def _dpkg(*command: str) -> str:
     try:
-        with path.open("rb") as file:
-            status = os.fstat(file.fileno())
-            while block := file.read(_BLOCK):
-                digest.update(block)
-    except OSError:
-        return "", True
-    mode = stat.S_IMODE(status.st_mode)
-    return digest.hexdigest(), status.st_uid == 0 and not mode & 0o022 and bool(mode & 0o004)
+        done = subprocess.run([*command, PACKAGE], capture_output=True, text=True, check=False, timeout=_DPKG_S)
+    except (OSError, subprocess.TimeoutExpired):
+        return ""
+    return done.stdout
 
 
-def _loadable(release: Path) -> Iterator[str]:
-    for folder, folders, files in os.walk(release / "lib"):
-        folders[:] = [each for each in folders if each != "__pycache__"]  # a look at a module compiles it
-        yield from (os.path.relpath(Path(folder, file), release) for file in files if file.endswith(_RUN))
+def _files(release: Path) -> Iterator[Path]:
+    for folder, folders, files in os.walk(release):
+        folders[:] = [each for each in folders if each != "__pycache__"]  # postinst compiles
+        yield from (Path(folder, file) for file in files)
+
+
+def _is_open(status: os.stat_result) -> bool:
+    return status.st_uid == 0 and not status.st_mode & 0o022 and bool(status.st_mode & stat.S_IROTH)

@@ -9,11 +9,12 @@ from typing import NamedTuple
 from tests.box.installed import NAME
 
 NAMES = f"""
-own=/opt/{NAME}/venv; own=$(readlink -f $own); packages=$(echo $own/lib/python*/site-packages)
+lib=/usr/lib/{NAME}; own=$(readlink -f $lib/current)
 etc=/etc/{NAME}; toml=$etc/gateway.toml; pki=$etc/zenoh; state=/var/lib/{NAME}; service={NAME}
-units=/etc/systemd/system; unit=$units/$service.service; rules=/etc/udev/rules.d/60-$service.rules
+units=/etc/systemd/system; unit=/usr/lib/systemd/system/$service.service; rules=/usr/lib/udev/rules.d/60-$service.rules
 drop_in() {{
-    mkdir -p $unit.d && printf '[Service]\\n' >$unit.d/own.conf && printf '%s\\n' "$@" >>$unit.d/own.conf
+    mkdir -p $units/$service.service.d && printf '[Service]\\n' >$units/$service.service.d/own.conf
+    printf '%s\\n' "$@" >>$units/$service.service.d/own.conf
     systemctl daemon-reload
 }}
 set -e
@@ -22,7 +23,8 @@ set -e
 CERTS = "/root/certs"
 """Where the folder of certificates is, as if on another machine, and one of another authority."""
 OTHER = "/root/other"
-GIVEN = {"FOLDER": CERTS, "FILE": f"{CERTS}/revoked.crl"}
+PACKAGE = "/box-out/hexapod-gateway_1.1.0_amd64.deb"
+GIVEN = {"FOLDER": CERTS, "FILE": f"{CERTS}/revoked.crl", "./hexapod-gateway_1.1.0_ARCH.deb": PACKAGE}
 """What a person fills in."""
 
 _AGAIN = "cp /root/gateway.toml $toml; systemctl reset-failed $service; systemctl restart $service"
@@ -51,7 +53,7 @@ class Fault(NamedTuple):
 TAKE_A_STOP = (
     Fault(
         "a unit without Stops",
-        "sed -i /^ExecStopPost/d $unit; systemctl daemon-reload",
+        "sed -i /^ExecStopPost.*stop-servos/d $unit; systemctl daemon-reload",
         f"{NAME}.service is not as this release has it",
     ),
     Fault("a drop-in without Stops", "drop_in ExecStopPost=", "empties ExecStopPost="),
@@ -60,33 +62,46 @@ TAKE_A_STOP = (
 """After these a crash leaves the servos on: `make test` shows them, `make test-all` the others."""
 
 FAULTS = (
-    # the release
+    # the package
     Fault(
         "an emptied file and a missing one",
-        ": >$packages/gateway/people/commands/decode.py; rm $packages/mcap/writer.py",
-        "gateway/people/commands/decode.py, ",
+        "rm $own/gateway/people/commands/decode.py; : >$own/mcap/writer.py",
+        "gateway/people/commands/decode.py",
     ),
-    Fault("an emptied file of check's own", ": >$packages/gateway/text.py", "gateway/text.py"),
-    Fault("a damaged stop.py", "echo '(' >$packages/gateway/onboard/stop.py", "gateway/onboard/stop.py"),
-    Fault("the list of files emptied", ": >$own/complete", ": complete."),
-    Fault("a file that was not installed", "echo >$packages/more.pth", "and not installed with it: lib/python"),
-    Fault("a file for root only", "chmod 600 $packages/gateway/people/commands/decode.py", "not for all to read"),
+    Fault("an emptied file of check's own", ": >$own/gateway/text.py", "gateway/text.py"),
+    Fault("a damaged stop.py", "echo '(' >$own/gateway/onboard/stop.py", "gateway/onboard/stop.py"),
+    Fault("a module that was not installed", "echo >$own/json.py", "and not installed with it: /usr/lib"),
+    Fault("a file for root only", "chmod 600 $own/gateway/people/commands/decode.py", "not for all to read"),
+    Fault("a file that all may write", "chmod 666 $own/gateway/people/commands/decode.py", "not for root alone to"),
+    Fault("a damaged command", "echo 'exit 1 # damaged' >>/usr/bin/$service", "not as installed: /usr/bin/hexapod"),
     Fault(
-        "a file that all may write", "chmod 666 $packages/gateway/people/commands/decode.py", "not for root alone to"
+        "a command of the former installer",
+        "ln -s /bin/true /usr/local/bin/$service",
+        "/usr/local/bin/hexapod-gateway is of the former installer",
+        by_hand="/usr/bin/hexapod-gateway setup",
     ),
-    Fault("the command of another release", "ln -sfn /bin/true /usr/local/bin/$service", "leads to /usr/bin/true"),
-    Fault("no command", "rm /usr/local/bin/$service", f"/usr/local/bin/{NAME} is missing"),
+    Fault(
+        "no Python that it runs with",
+        "mv /usr/bin/python3.11 /usr/bin/gone; systemctl kill --signal=KILL $service",
+        "no Python that it runs with is here",
+        by_hand="mv /usr/bin/gone /usr/bin/python3.11; systemctl reset-failed $service; systemctl restart $service",
+    ),
     # user and groups
     Fault("no user", "systemctl stop $service; userdel $service", f"there is no user {NAME}"),
     Fault("no group spi", "systemctl stop $service; groupdel spi", "there is no group spi"),
     # units
-    Fault("a unit that is missing", "rm $unit; systemctl daemon-reload", f"{NAME}.service is missing"),
+    Fault("a unit that is missing", "rm $unit; systemctl daemon-reload", f"{NAME}.service is not as this release"),
     Fault("an emptied unit", ": >$unit; systemctl daemon-reload", f"{NAME} is masked, or its unit is empty"),
+    Fault(
+        "a unit of somebody's own",
+        "sed /^ExecStopPost/d $unit >$units/$service.service; systemctl daemon-reload; systemctl restart $service",
+        "is in force in place of the package's unit",
+    ),
     Fault("a unit of another release", "sed -i '1i # older' $unit; systemctl daemon-reload", "as this release has it"),
     Fault("a unit that was edited only", "echo '# edited' >>$unit", f"{NAME} was edited, and systemd still", more=1),
     Fault(
         "a masked unit",
-        "systemctl stop $service; rm $unit; systemctl mask $service",
+        "systemctl stop $service; systemctl mask $service",
         f"{NAME} is masked, or its unit is empty",
     ),
     Fault("a disabled unit", "systemctl disable $service", "is active, but does not start with the machine"),
@@ -110,10 +125,25 @@ FAULTS = (
     Fault("a drop-in without watchdog", "drop_in WatchdogSec=0", "changes what Stops depend on: WatchdogSec"),
     Fault("too few descriptors", "drop_in LimitNOFILE=64", "changes what Stops depend on: LimitNOFILE"),
     Fault("another Python path", "drop_in Environment=PYTHONPATH=/x", "changes what Stops depend on: PYTHONPATH"),
+    Fault("too little memory for it", "drop_in MemoryMax=64M", "changes what Stops depend on: MemoryMax"),
+    Fault(
+        "a variable for all services",
+        "systemctl set-environment HEXAPOD_LIMITS__LEG_RATE_HZ=20; systemctl restart $service",
+        "HEXAPOD_LIMITS__LEG_RATE_HZ is in the service's environment",
+    ),
+    Fault(
+        "a Python path for all services", "systemctl set-environment PYTHONPATH=/x", "PYTHONPATH is in the service's"
+    ),
+    Fault(
+        "forty kills",
+        "for each in $(seq 40); do systemctl kill --signal=KILL $service; sleep .2; systemctl start $service || break; done"
+        " 2>/dev/null; systemctl is-failed $service",
+        "has failed",
+    ),
     Fault("a drop-in with another user", "drop_in User=nobody", "changes what Stops depend on: User"),
     Fault(
         "a drop-in that was not read",
-        "mkdir -p $unit.d; printf '[Service]\\nNice=5\\n' >$unit.d/own.conf",
+        "mkdir -p $units/$service.service.d; printf '[Service]\\nNice=5\\n' >$units/$service.service.d/own.conf",
         f"{NAME} was edited, and systemd still goes by",
         more=1,
     ),
@@ -150,8 +180,14 @@ FAULTS = (
     Fault("a state directory on a full disk", _MEMORY.format("size=1m"), "MB free", by_hand=_BACK),
     Fault("no inodes for the state directory", _MEMORY.format("nr_inodes=20"), "has room for", by_hand=_BACK),
     # the device
-    Fault("no udev rule", "rm $rules", "60-hexapod-gateway.rules is missing"),
-    Fault("another udev rule", "echo >$rules", "60-hexapod-gateway.rules is not as this release has it"),
+    Fault("no udev rule", "rm $rules", "60-hexapod-gateway.rules"),
+    Fault("another udev rule", "echo >$rules", "60-hexapod-gateway.rules"),
+    Fault(
+        "a device that another program has locked",
+        "systemctl stop $service; setsid flock $(readlink -f /dev/spidev0.0) sleep 999 >/dev/null 2>&1 & sleep 1",
+        "is locked by",
+        by_hand="pkill sleep; systemctl reset-failed $service; systemctl start $service",
+    ),
     Fault("a node of another group", "chgrp audio $(readlink -f /dev/spidev0.0)", "group audio)", then=""),
     Fault("a node for root only", "chgrp root /dev/spidev0.0; chmod 600 /dev/spidev0.0", "may not be opened by"),
     Fault(
@@ -195,6 +231,16 @@ FAULTS = (
     ),
     Fault("the key of another", "cp /root/other/gateway.key $pki", "gateway.key is not the key of"),
     Fault("another authority", "cp /root/other/ca.pem $pki", "is of another authority than"),
+    Fault(
+        "a laptop's certificate in the robot's place",
+        "cp /root/certs/anna.pem $pki/gateway.pem; cp /root/certs/anna.key $pki/gateway.key",
+        "gateway.pem is of operator, not of a robot",
+    ),
+    Fault(
+        "another robot's certificate",
+        "cp /root/certs/robots/leo/gateway.pem /root/certs/robots/leo/gateway.key $pki",
+        "is it another robot's?",
+    ),
     Fault(
         "a certificate of another authority",
         "cp /root/other/gateway.pem /root/other/gateway.key $pki",

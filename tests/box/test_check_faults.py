@@ -7,23 +7,27 @@ from typing import NamedTuple
 
 import pytest
 
+from tests.box.box import Box
 from tests.box.faults import CERTS, FAULTS, GIVEN, NAMES, OTHER, TAKE_A_STOP, Fault
-from tests.box.installed import NAME, InstalledGateway
+from tests.box.installed import NAME
+from tests.box.package import Packages, install
+from tests.box.package import Robot as Packaged
 
 pytestmark = [pytest.mark.systemd, pytest.mark.nightly]
 
-PROGRAM = f"/opt/{NAME}/venv/bin/{NAME}"
-KEPT = "/etc/passwd /etc/group /etc/shadow /etc/gshadow /etc/hexapod-gateway /etc/systemd/system /etc/udev/rules.d"
+PROGRAM = f"/usr/bin/{NAME}"
+KEPT = "/etc/passwd /etc/group /etc/shadow /etc/gshadow /etc/hexapod-gateway /etc/systemd/system $unit $rules"
+KEPT += f" {PROGRAM} /usr/lib/{NAME}"
 PREPARE = f"""
 printf '#!/bin/sh\\nexec "$@"\\n' >/usr/local/bin/sudo
-printf '#!/bin/sh\\n' >/usr/local/sbin/udevadm # no udev runs in a box
-chmod +x /usr/local/bin/sudo /usr/local/sbin/udevadm
+chmod +x /usr/local/bin/sudo
 for each in {CERTS} {OTHER}; do
     {NAME} certs init --dir $each --host 127.0.0.1
     for name in anna carl; do {NAME} certs issue $name --role operator --dir $each; done
     {NAME} certs revoke carl --dir $each || [ $? = 1 ]  # no robot confirms it yet
 done
-/opt/{NAME}/venv/bin/python - <<'END'
+{NAME} certs issue leo --role robot --host leo.local --dir {CERTS}
+PYTHONPATH=$own /usr/bin/python3.11 -S - <<'END'
 import datetime as dt
 from pathlib import Path
 from gateway import certs
@@ -41,16 +45,15 @@ chown -R root:$service $etc && chmod -R u=rwX,g=rX,o= $etc
 cp -p $toml /root
 systemctl restart $service
 {NAME} certs revoke --dir {CERTS}
-tar -cpf /root/kept.tar {KEPT} $state
-cp -a /opt/{NAME} /root/opt
+tar -cPpf /root/kept.tar {KEPT} $state
 """
 UNDO = f"""
 systemctl stop $service other || true
 umount $state || true
-rm -rf $state $units/$service* /opt/{NAME}
-tar -xpf /root/kept.tar -C /
-cp -a /root/opt /opt/{NAME}
-ln -sfnT /opt/{NAME}/venv/bin/{NAME} /usr/local/bin/{NAME}
+mv -f /usr/bin/gone /usr/bin/python3.11 || true
+rm -rf $state $units/$service* /usr/lib/{NAME} /usr/local/bin/$service
+systemctl unset-environment HEXAPOD_LIMITS__LEG_RATE_HZ PYTHONPATH
+tar -xPpf /root/kept.tar
 chgrp -R spi /box-out/bed && chmod -R g+rwX /box-out/bed
 systemctl daemon-reload
 systemctl reset-failed
@@ -68,7 +71,7 @@ class Line(NamedTuple):
 class Robot:
     """An installed robot with certificates, of which `check` has nothing new to say."""
 
-    def __init__(self, installed: InstalledGateway) -> None:
+    def __init__(self, installed: Packaged) -> None:
         self.installed = installed
         self.env = dict(each.split("=", 1) for each in installed.emulated)
         self.shell(f"ln -sf {self.env['UMOCKDEV_DIR']}/dev/spidev0.0 /dev/spidev0.0")
@@ -98,8 +101,11 @@ class Robot:
 
 
 @pytest.fixture(scope="module")
-def well(installed: InstalledGateway) -> Robot:
-    return Robot(installed)
+def well(tmp_path_factory: pytest.TempPathFactory, packages: Packages) -> Iterator[Robot]:
+    with Box(tmp_path_factory.mktemp("robot")) as box:
+        install(box, packages.make("1.1.0"))
+        with Packaged(box) as installed:
+            yield Robot(installed)
 
 
 @pytest.fixture
@@ -153,5 +159,5 @@ def follow(robot: Robot, line: Line) -> None:
 
 def filled_in(command: str) -> str:
     for word, meant in GIVEN.items():
-        command = re.sub(rf"\b{word}\b", meant, command)
+        command = re.sub(rf"(?<![\w/]){re.escape(word)}(?!\w)", meant, command)
     return command

@@ -69,7 +69,7 @@ NO_DEVICE: dict[str, tuple[Callable[[SpiTestbed], None], str]] = {
     "this user may not open it": (lambda bed: bed.fail_open(errno.EACCES), f"{DEVICE} may not be opened by "),
     "it is not there": (
         lambda bed: bed.remove_node(),
-        f"{DEVICE} does not exist → switch SPI on (dtparam=spi=on",
+        f"{DEVICE} does not exist → switch SPI on and reboot: sudo hexapod-gateway setup;",
     ),
     "it does not open": (lambda bed: bed.fail_open(errno.ENXIO), f"{DEVICE} "),
 }

@@ -68,8 +68,8 @@ def _pairs(robot: CheckedRobot) -> Iterator[Seen]:
             certificate, key = map(Path, names)
             own = certs.files.read_certificate(certificate)
             yield Seen(
-                certificate=certificate, key=key, ca=ca, folder=ca.parent, role=certs.folder.describe(certificate).role,
-                files=f"{{{ca.name},{certificate.name},{key.name}}}", listens=side == "listen",
+                certificate=certificate, key=key, ca=ca, role=certs.folder.describe(certificate).role,
+                files=f"{ca.name}, {certificate.name}, {key.name}", listens=side == "listen",
                 foreign=not any(certs.authority.is_issued(own, each) for each in cas), hosts=", ".join(hosts_of(own)),
                 other_key=certs.files.read_key(key).public_key() != own.public_key(),
                 here=any(map(_is_here, hosts_of(own))), host=socket.gethostname(),
@@ -116,8 +116,8 @@ _NO_LIST: Final = (
     "brings the newest list"
 )
 _FROM_ONE_FOLDER: Final = (
-    "copy these from one folder of certificates (where ca.key is) to FOLDER here, then: sudo cp FOLDER/{files} {folder}"
-    f" && {LET_READ.partition(': ')[2]}"
+    "copy gateway.json5 and {files} from one folder of certificates (where ca.key is) to FOLDER here, then: "
+    "sudo hexapod-gateway setup --certs FOLDER"
 )
 _ANOTHER_LIST: Final = (
     f"copy {revocation.REVOCATION_FILE} from the folder of certificates (where ca.key is) to FILE here, then: "

@@ -6,19 +6,17 @@
 import grp
 import os
 import re
+import shlex
 import shutil
 import stat
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
-import gateway
 from gateway import certs
 from gateway.errors import ConfigError
 from gateway.onboard import whole
-from gateway.onboard.check import release
-from gateway.onboard.check.release import names
 from gateway.onboard.check.table import (
     ETC,
     INSTALL,
@@ -33,10 +31,13 @@ from gateway.onboard.check.table import (
 )
 
 STATE_FOLDER: Final = f"/var/lib/{SERVICE}"
-TEMPLATE: Final = Path(gateway.__file__).parent / "deploy/gateway.toml"
+TEMPLATE: Final = Path("/usr/share/hexapod-gateway/gateway.toml")
 """Has each setting with its default."""
 _NEEDED: Final = ("spi", "dialout", SERVICE)
 """Groups of the unit."""
+_FORMER: Final = (f"/usr/local/bin/{SERVICE}", f"/opt/{SERVICE}")
+_SHEBANG: Final = 127
+"""As much of a first line as Linux reads."""
 _MOST_FILES: Final = 20_000
 """Of the state directory: a look ends in any case."""
 _LEAST_FREE_MB: Final = 20
@@ -64,15 +65,48 @@ _OURS: Final = re.compile(r"\b(?:HEXAPOD_|PYTHON|GATEWAY_)\w+")
 # ---- what the probes read
 
 
+def _package(robot: CheckedRobot) -> Iterator[Seen | None]:
+    """A reading for each kind of fault of the package's files."""
+    for kind, found in robot.files._asdict().items():
+        yield names(found, "/", kind=kind, again=whole.how_to_repeat(robot.package))
+
+
+def names(found: Sequence[str], folder: Path | str, **more: object) -> Seen | None:
+    """A few names in one sentence; nothing without any."""
+    rest = f" and {len(found) - whole.SHOWN} more" if len(found) > whole.SHOWN else ""
+    paths = shlex.join(str(Path(folder, each)) for each in found)
+    return Seen(some=", ".join(found[: whole.SHOWN]) + rest, all=paths, **more) if found else None
+
+
+def _release(robot: CheckedRobot) -> Seen | None:
+    """Which release is installed, which the link leads to, and which the service has loaded, as the kernel reports."""
+    link = robot.path(whole.CURRENT)
+    loaded = re.search(rf"{whole.LIBRARY}/([^/\s]+)/", text(robot.path(f"proc/{robot.unit.get('MainPID', 0)}/maps")))
+    if not link.is_dir():
+        return None
+    current = link.resolve().name.removesuffix(".kept")
+    runs = loaded[1].removesuffix(".kept") if loaded else current
+    former = [each for each in _FORMER if robot.path(each).exists()]
+    return Seen(current=current, package=robot.package or current, runs=runs, former=former)
+
+
+def _unit_file(robot: CheckedRobot) -> Seen | None:
+    """The package copies it out of the release."""
+    unit, place, link = robot.unit, f"/usr/lib/systemd/system/{SERVICE}.service", robot.path(whole.CURRENT)
+    wanted, found = text(link / f"units/{SERVICE}.service"), unit.get("FragmentPath", "")
+    return Seen(
+        masked=unit.get("LoadState") == "masked" or (found and not text(robot.path(found))), found=found, place=place,
+        other=found not in ("", place) and not robot.path(found).samefile(robot.path(place)),
+        differs=wanted != text(robot.path(place)), source=f"{whole.CURRENT}/units/{SERVICE}.service",
+    ) if wanted else None  # fmt: skip
+
+
 def _unit(robot: CheckedRobot) -> Seen | None:
     unit, program = robot.unit, ""
     for path in re.findall(r"path=(\S+)", f"{unit.get('ExecStart')} {unit.get('ExecStopPost')}"):
-        first = text(robot.path(path)).partition("\n")[0] if robot.path(path).is_file() else ""
-        script = re.match(r"#! *(\S+)", first)
-        lacks = [
-            each for each in (path, *(script.groups() if script else ())) if not os.access(robot.path(each), os.X_OK)
-        ]
-        program = program or next(iter(lacks), "")
+        script = re.match(r"#! *(\S+)", text(robot.path(path))[:_SHEBANG])
+        needs = (path, *(script.groups() if script else ()))
+        program = program or next((each for each in needs if not os.access(robot.path(each), os.X_OK)), "")
     return None if unit.get("LoadState") == "masked" else Seen(
         systemd=(robot.root / "run/systemd/system").is_dir() and shutil.which("systemctl"), program=program,
         load=unit.get("LoadState", ""), active=unit.get("ActiveState", ""), enabled=unit.get("UnitFileState", ""),
@@ -115,7 +149,7 @@ def _variables(robot: CheckedRobot) -> Iterator[Seen]:
 
 def _new_settings(robot: CheckedRobot) -> Seen | None:
     """Those that this release has and gateway.toml does not mention, with or without a #."""
-    mentioned, known = _mentioned(text(robot.path(f"{ETC}/gateway.toml"))), _mentioned(text(TEMPLATE))
+    mentioned, known = _mentioned(text(robot.path(f"{ETC}/gateway.toml"))), _mentioned(text(robot.path(TEMPLATE)))
     new = sorted(known - mentioned) if mentioned else []
     return Seen(new=", ".join(new)) if new else None
 
@@ -131,10 +165,10 @@ def _mentioned(toml: str) -> set[str]:
 
 
 def _users(robot: CheckedRobot) -> Iterator[Seen]:
-    """The user, and each group that is missing."""
-    there, again = {each.gr_name for each in grp.getgrall()}, whole.how_to_repeat(robot.path(whole.INSTALLED).resolve())
-    yield Seen(missing=robot.service is None, group="", again=again)
-    yield from (Seen(missing=False, group=each) for each in _NEEDED if robot.service and each not in there)
+    """The user and each group that are missing."""
+    there = {each.gr_name for each in grp.getgrall()}
+    found = [f"user {SERVICE}"] if robot.service is None else [f"group {each}" for each in _NEEDED if each not in there]
+    return (Seen(missing=each) for each in found)
 
 
 def _state(robot: CheckedRobot) -> Seen | None:
@@ -210,6 +244,7 @@ _ASIDE: Final = f"sudo mv {{path}} {{path}}.off && sudo systemctl daemon-reload 
 _OWN_STATE: Final = (
     f"sudo chown -R {SERVICE}:{SERVICE} {STATE_FOLDER} && sudo chmod -R u+rwX {STATE_FOLDER} && {RESTART}"
 )
+_AFTER: Final = f"sudo systemctl daemon-reload && sudo systemctl enable {SERVICE} && {RESTART}"
 _CANNOT_START: Final = "the service cannot start, nor stop the servos after its end"
 _NOT_KEPT: Final = "no calibration, emergency stop or list is kept"
 # fmt: off
@@ -230,12 +265,34 @@ UNIT: Final = Probe("systemd unit", _unit, (
     warning(lambda r: r.active != "active", "is enabled, but {active}", f"sudo systemctl start {SERVICE}"),
 ), "is enabled and active")
 PROBES: Final = (
-    *release.PROBES,
+    Probe("package", _package, (
+        failure(lambda r: r.kind == "changed",
+                "not as installed: {some}. The service, or its Stops after a crash, may fail", "{again}"),
+        warning(lambda r: r.kind == "added", "in the release, and not installed with it: {some}. Python may load it",
+                "sudo rm {all}"),
+        failure(lambda r: r.kind == "closed", "not for all to read, or not for root alone to write: {some}",
+                f"sudo chown root:root {{all}} && sudo chmod u+rw,go+r,go-w {{all}} && {RESTART}"),
+    )),
+    Probe("release", _release, (
+        warning(lambda r: r.package != r.current, "{package} is installed, and {current} runs until no servo does",
+                "stop the robot, then: sudo dpkg-reconfigure {0}".replace("{0}", SERVICE)),
+        warning(lambda r: r.runs != r.current, "the service that runs is {runs}, and {current} is installed",
+                f"stop the robot, then: sudo systemctl restart {SERVICE}"),
+        warning(lambda r: r.former, "{former[0]} is of the former installer: commands may be another release's",
+                "sudo hexapod-gateway setup"),
+    )),
     Probe("user", _users, (
-        failure(lambda r: r.missing, f"there is no user {SERVICE}, so {_CANNOT_START}", "{again}"),
-        failure(lambda r: r.group, f"there is no group {{group}}, so {_CANNOT_START}",
-                f"sudo groupadd --system {{group}} && sudo usermod -aG {{group}} {SERVICE} && sudo chgrp {{group}} "
-                f"/dev/spidev* && {RESTART}"),
+        failure(lambda _: True, f"there is no {{missing}}, so {_CANNOT_START}",
+                f"sudo systemd-sysusers {SERVICE}.conf && sudo chgrp -f spi /dev/spidev*; {RESTART}"),
+    )),
+    Probe("unit file", _unit_file, (
+        failure(lambda r: r.masked, f"{SERVICE} is masked, or its unit is empty: it cannot start",
+                f"sudo rm -f /etc/systemd/system/{SERVICE}.service && sudo install -m 644 {{source}} {{place}} && "
+                f"{_AFTER}"),
+        failure(lambda r: r.other, "{found} is in force in place of the package's unit (changes belong into a drop-in: "
+                "systemctl edit)", f"stop the robot, then: sudo mv {{found}} {{found}}.off && {_AFTER}"),
+        failure(lambda r: r.differs, "{place} is not as this release has it (changes belong into a drop-in: systemctl "
+                "edit)", f"stop the robot, then: sudo install -m 644 {{source}} {{place}} && {_AFTER}"),
     )),
     Probe("systemd unit", _reload, (
         failure(lambda r: r.unread, f"{SERVICE} was edited, and systemd still goes by what was there before",

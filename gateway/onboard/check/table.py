@@ -15,7 +15,7 @@ from pathlib import Path
 from types import SimpleNamespace as Seen
 from typing import Any, Final, NamedTuple
 
-from gateway.onboard.whole import INSTALLED
+from gateway.onboard import whole
 from gateway.own_command import command
 from gateway.robot.settings import Settings
 from gateway.robot.spi.machine import ROOT_DIR
@@ -24,7 +24,7 @@ __all__ = ["Seen"]
 SERVICE: Final = "hexapod-gateway"
 RESTART: Final = f"sudo systemctl reset-failed {SERVICE}; sudo systemctl restart {SERVICE}"
 """Also after so many failed starts that systemd begins no other."""
-INSTALL: Final = "sudo deploy/install.sh"
+INSTALL: Final = f"sudo apt install ./{SERVICE}_VERSION_ARCH.deb"
 ETC: Final = f"/etc/{SERVICE}"
 LET_READ: Final = (
     f"let the service read it, and nobody else: sudo chown -R root:{SERVICE} {ETC}; "
@@ -68,7 +68,17 @@ class CheckedRobot:
     @property
     def installed(self) -> bool:
         """Whether the service is installed on this machine."""
-        return self.path(INSTALLED).is_dir() or self.unit.get("LoadState") == "loaded"
+        return self.path(whole.CURRENT).is_dir() or self.unit.get("LoadState") == "loaded"
+
+    @cached_property
+    def package(self) -> str:
+        """The version of the installed package; "" without one."""
+        return whole.version()
+
+    @cached_property
+    def files(self) -> whole.Whole:
+        """The package's files, compared with dpkg's list."""
+        return whole.compare() if self.package else whole.Whole()
 
     @cached_property
     def unit(self) -> Mapping[str, str]:

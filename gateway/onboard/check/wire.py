@@ -106,7 +106,7 @@ def _device(robot: CheckedRobot) -> Seen:
     seen, path = node(spi.device), Path(spi.device)
     seen.locked, seen.opens = "", f"opens, as {seen.user}"
     others = ", ".join(sorted(map(str, path.parent.glob("spidev*"))))
-    seen.absent = "switch SPI on (dtparam=spi=on in config.txt) and reboot; without a robot: run --sim"
+    seen.absent = "switch SPI on and reboot: sudo hexapod-gateway setup; without a robot: run --sim"
     seen.absent = f"set spi.device; here there is {others}" if others else seen.absent
     robot.gateway_runs = False
     if not (seen.lack or seen.denied):
@@ -231,9 +231,7 @@ _ALLOWED: Final = "ttyAMA"
 _CYCLE_S: Final = 0.02
 """The robot's own driver has this cycle. Heartbeats come within 0.1 s, after which that driver starts again."""
 _PI_5: Final = ("Raspberry Pi 5", "Raspberry Pi Compute Module 5")
-_SWITCH_ON: Final = (
-    "install again with --protocol elkapod-2025, which switches it on, and reboot; or set controller.uart"
-)
+_SWITCH_ON: Final = "switch it on and reboot: sudo hexapod-gateway setup --wire elkapod-2025; or set controller.uart"
 _NO_PI_5: Final = (
     "switch a UART of 1 152 000 baud on as this computer wants it (a Raspberry Pi: an overlay in config.txt), reboot, "
     "and set controller.uart to its node; here there is {}"
@@ -378,10 +376,7 @@ def _values(rails: dict[int, tuple[int, ...]]) -> str:
 
 # ---- the tables
 
-_OFF: Final = (
-    "sudo raspi-config nonint do_serial_cons 1 && sudo systemctl disable --now serial-getty@{tty}, see that "
-    "/boot/firmware/cmdline.txt has no console={tty}, and reboot"
-)
+_OFF: Final = "free it, and reboot: sudo hexapod-gateway setup --wire elkapod-2025"
 _ON: Final = (
     f"printf '[Match]\\nName={{path}}\\n[CAN]\\nBitRate={BITRATE}\\nRestartSec=100ms\\n' | sudo tee "
     "/etc/systemd/network/80-{path}.network && sudo systemctl enable systemd-networkd && "
@@ -394,7 +389,7 @@ DEVICE: Final = Probe("SPI device", _device, (
     denied(lambda r: r.service, "the udev rule of the installation gives it to the group spi at each boot; now: "
            f"sudo chgrp spi {{path}} && sudo chmod 660 {{path}} && {RESTART}"),
     denied(lambda r: r.group, JOIN_GROUP),
-    denied(lambda _: True, f"install the udev rule ({INSTALL}), which gives it to the group spi"),
+    denied(lambda _: True, f"install the package, whose udev rule gives it to the group spi: {INSTALL}"),
     failure(lambda r: r.locked, "{path} is locked by {locked}, which is no gateway",
             f"end that program, then: {RESTART}"),
     failure(lambda r: r.error, "{error}", "is {path} a SPI device? see dmesg"),

@@ -16,7 +16,7 @@ from gateway import certs, durable
 from gateway.certs.zenoh_files import gateway_json5
 from gateway.model.calibration import RobotCalibration, ServoMapping
 from gateway.onboard import check
-from gateway.onboard.check import certificates, installation, machine, network, release, table, wire
+from gateway.onboard.check import certificates, installation, machine, network, table, wire
 from gateway.onboard.check.table import CheckedRobot, Probe, Result, Seen, Verdict, judged, readings, results
 from gateway.robot.host import calibration_file
 from gateway.robot.host.calibration_file import SLOW_S
@@ -28,7 +28,7 @@ from tests.support.machine_tree import PI_4, MachineTree
 from tests.support.remedies import parse_commands
 
 __all__ = ["make_folder"]  # a fixture
-MODULES = (certificates, installation, machine, network, release, wire, check)
+MODULES = (certificates, installation, machine, network, wire, check)
 GATEWAY = Path(certs.__file__).parents[1]
 LENGTH: dict[str, Any] = {"framing": "length-prefixed"}
 
@@ -78,15 +78,14 @@ WIRE |= {"absent": "plug it in", "error": "", "opens": "opens", "console": "", "
 WIRE |= {"kind": "ttyS", "locked": ""}
 BOARD = {**WIRE, "simulated": False, "off": False, "bitrate": 10**6, "silent": False}
 BOARD |= {"answers": "answers", "where": "slcan x"}
-SHIPPED = {"masked": False, "differs": False, "unit": "U", "source": "S", "place": "/etc/U", "how": "is missing"}
-SHIPPED |= {"after": "sudo true"}
+UNIT_FILE = {"masked": False, "other": False, "differs": True, "source": "S", "place": "/usr/U", "found": "/etc/U"}
 SOME = {"some": "a.py", "all": "/opt/R/a.py", "release": "/opt/R", "again": "sudo bash i.sh"}
 DROP_IN = {"path": "/etc/x.conf", "environment": "", "emptied": False, "simulates": False, "depends": ""}
 DROP_IN |= {"keys": "CPUWeight"}
 STATE_FOLDER = {"is_folder": True, "own": True, "kind": "ext4"}
 DISK = {"read_only": False, "mount": "/mnt", "free_mb": 999, "inodes": 999}
 PORT = {"where": "tcp/h:1", "setting": "zenoh.listen", "why": "?", "error": errno.EINVAL}
-PAIR = {"certificate": "/c.pem", "key": "/c.key", "ca": "/ca.pem", "folder": "/", "files": "{}", "foreign": False}
+PAIR = {"certificate": "/c.pem", "key": "/c.key", "ca": "/ca.pem", "files": "a, b, c", "foreign": False}
 PAIR |= {"other_key": False, "listens": True, "role": "gateway", "here": True, "hosts": "a.local", "host": "b"}
 SIMULATED = {"version": "1", "own": "1", "mode": "idle", "keeps": True, "frames": True, "folder": "f"}
 
@@ -118,12 +117,12 @@ FACTS = (
            ({}, "ok systemd unit: is enabled and active"),
            ({"systemd": None}, "warning … does not run systemd"),
            ({"load": ""}, "warning … systemctl shows nothing of it"),
-           ({"program": "/x/y"}, "failure … /x/y cannot be run: the service cannot start, nor stop … sudo deploy/"),
+           ({"program": "/x/y"}, "failure … /x/y cannot be run: the service cannot start, nor stop … sudo apt install"),
            ({"stops": False}, "failure … runs no stop-servos after its end"),
            ({"active": "inactive"}, "warning … → sudo systemctl start hexapod-gateway"),
            ({"enabled": "disabled"}, "warning … → sudo systemctl enable --now hexapod-gateway"),
            ({"active": "failed"}, "failure … has failed (exit-code) → journalctl -u … sudo systemctl reset-failed"),
-           ({"load": "not-found"}, "warning … is not installed … → sudo deploy/install.sh"),
+           ({"load": "not-found"}, "warning … is not installed … → sudo apt install"),
            ({"load": "bad-setting"}, "failure … cannot be loaded (bad-setting)")),
     *facts(named("real-time"), PRIORITY,
            ({"running": 20}, "ok real-time"),
@@ -133,7 +132,7 @@ FACTS = (
            ({"lack": "cannot be looked at (no)"}, "failure SPI device: /dev/x cannot be looked at (no)"),
            ({"denied": True, "service": True}, "may not be opened by me (r) → the udev rule … sudo chgrp spi /dev/x"),
            ({"denied": True, "group": "spi"}, "→ sudo usermod -aG spi me"),
-           ({"denied": True}, "→ install the udev rule (sudo deploy/install.sh)"),
+           ({"denied": True}, "→ install the package, whose udev rule"),
            ({"locked": "vi (process 7)"}, "failure … /dev/x is locked by vi (process 7), which is no gateway")),
     *facts(wire.CONTROLLER[0], WIRE,
            ({"lack": "cannot be looked at (no)"}, "failure UART: /dev/x cannot be looked at"),
@@ -141,7 +140,7 @@ FACTS = (
            ({"denied": True, "group": "dialout"}, "→ sudo usermod -aG dialout me"),
            ({"denied": True, "group": "dialout", "service": True}, "→ sudo usermod -aG dialout hexapod-gateway"),
            ({"console": True}, "failure UART: /dev/x is the Linux console"),
-           ({"login": "agetty"}, "failure UART: /dev/x is the terminal of agetty … serial-getty@ttyS0"),
+           ({"login": "agetty"}, "failure UART: /dev/x is the terminal of agetty … setup --wire elkapod-2025"),
            ({"held": True}, "failure UART: /dev/x is held by another program"),
            ({"service": True}, "warning UART: /dev/x opens, but the unit lets the service open ttyAMA… only → sudo "
             "systemctl edit hexapod-gateway, with [Service] DeviceAllow=char-ttyS rw"),
@@ -162,7 +161,7 @@ FACTS = (
     *facts(certificates.CERTIFICATES[0], {"fault": "x", "early": False, "left_days": 99},
            ({"denied": True}, "failure … → let the service read it")),
     *facts(certificates.CERTIFICATES[1], PAIR,
-           ({"foreign": True}, "failure certificates: /c.pem is of another authority than /ca.pem … sudo cp FOLDER/"),
+           ({"foreign": True}, "/c.pem is of another authority than /ca.pem … sudo hexapod-gateway setup --certs FOLDER"),
            ({"other_key": True}, "failure certificates: /c.key is not the key of /c.pem: nobody can connect"),
            ({"role": "operator"}, "failure certificates: /c.pem is of operator, not of a robot: laptops reject it"),
            ({"here": False}, "warning … is good for a.local, and this machine is b: is it another robot's?")),
@@ -170,23 +169,24 @@ FACTS = (
            ({"fault": "x"}, "failure revoked: x; the service does not start → copy revoked.crl … FILE /l && sudo"),
            ({"fault": "", "foreign": True}, "warning revoked: /l is of another authority, so nobody is")),
     *facts(wire.CALIBRATION[0], {"hidden": True, "path": "/p"}, ({}, "warning … /p is not for you to read")),
-    *facts(release.PROBES[1], {"runs": "/opt/a", "installed": "/opt/b"}, ({}, "warning release … /opt/a, not /opt/b")),
     *facts(check.SIMULATED[0], SIMULATED,
            ({"version": "2"}, "warning gateway: 2 runs on a simulated controller, and is idle; this program is 1"),
            ({"frames": False}, "warning gateway: 1 runs … without frames to record"),
            ({"mode": "estopped"}, "is estopped → hexapod-gateway reset leaves the emergency stop")),
     *facts(check.SIMULATED[1], SIMULATED, ({"keeps": False}, "warning black box: is off"), ({}, "ok black box: f;")),
-    *facts(named("release"), SOME,
-           ({"kind": "changed"}, "failure release: not as installed in /opt/R: a.py. … → sudo bash i.sh"),
+    *facts(named("package"), SOME,
+           ({"kind": "changed"}, "failure package: not as installed: a.py. … → sudo bash i.sh"),
            ({"kind": "added"}, "warning … and not installed with it: a.py … sudo rm /opt/R/a.py"),
-           ({"kind": "closed"}, "failure … not for all to read … sudo chown -R root:root /opt/R")),
-    *facts(named("command"), {"leads": "is missing"},
-           ({"other": True}, "warning command: /usr/local/bin/hexapod-gateway is missing … → sudo ln -sfnT /opt")),
-    *facts(named("user"), SOME, ({"missing": True}, "failure user: there is no user hexapod-gateway, so"),
-           ({"missing": False, "group": "spi"}, "failure user: there is no group spi … sudo groupadd --system spi")),
-    *facts(named("installed file"), SHIPPED,
-           ({"masked": True}, "is masked, or its unit is empty … sudo systemctl unmask hexapod-gateway && sudo"),
-           ({"differs": True}, "failure … /etc/U is missing (changes … sudo install -D -m 644 S /etc/U && sudo true")),
+           ({"kind": "closed"}, "failure … not for all to read … sudo chown root:root /opt/R/a.py")),
+    *facts(named("release"), {"package": "2", "current": "2", "runs": "2", "former": ["/opt/R"]},
+           ({"current": "1"}, "warning release: 2 is installed, and 1 runs … sudo dpkg-reconfigure hexapod-gateway"),
+           ({"runs": "1"}, "warning release: the service that runs is 1, and 2 is installed"),
+           ({}, "warning release: /opt/R is of the former installer … sudo hexapod-gateway setup")),
+    *facts(named("user"), {"missing": "group spi"}, ({}, "user: there is no group spi … sudo systemd-sysusers")),
+    *facts(named("unit file"), UNIT_FILE,
+           ({"masked": True}, "is masked, or its unit is empty … sudo install -m 644 S /usr/U && sudo"),
+           ({"other": True}, "failure … /etc/U is in force in place of … sudo mv /etc/U /etc/U.off && sudo"),
+           ({}, "failure … /usr/U is not as this release has it … sudo install -m 644 S /usr/U && sudo")),
     *facts(named("systemd unit", 1), {}, ({"unread": True}, "failure … was edited, and systemd still")),
     *facts(named("drop-in"), DROP_IN,
            ({"simulates": True, "emptied": True}, "warning drop-in: /etc/x.conf makes the controller a simulated one"),
@@ -399,7 +399,7 @@ SCENES = (
     scene(wire.DEVICE, here(spi={"device": "/dev/null"}), "failure SPI device: /dev/null cannot be opened"),
     scene(wire.DEVICE, here(spi={"device": "/bin/sh"}), "failure … /bin/sh is no device node → switch SPI on"),
     scene(wire.DEVICE, here(spi={"device": "/dev/none"}), "failure … /dev/none does not exist → switch SPI on"),
-    scene(wire.CONTROLLER[0], uart("/none/ttyAMA1", PI_5), "failure UART: … does not exist → install again with"),
+    scene(wire.CONTROLLER[0], uart("/none/ttyAMA1", PI_5), "does not exist → switch it on and reboot: sudo"),
     scene(wire.CONTROLLER[0], uart("/none/ttyAMA1", "Raspberry Pi 4 Model B"), "does not exist → switch a UART of"),
     scene(wire.CONTROLLER, here()),
     scene(wire.CONTROLLER[0], uart("/bin/sh", PI_5), "failure UART: /bin/sh is no device node"),

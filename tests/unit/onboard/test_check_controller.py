@@ -94,7 +94,7 @@ def test_the_linux_console_on_it(terminal: Terminal) -> None:
     found = looked_at(terminal)
     assert found.verdict is Verdict.FAILURE
     assert "is the Linux console" in found.sentence
-    assert found.fix.startswith("sudo raspi-config nonint do_serial_cons 1 && ")
+    assert found.fix == "free it, and reboot: sudo hexapod-gateway setup --wire elkapod-2025"
 
 
 def test_a_login_on_it(terminal: Terminal) -> None:
@@ -102,7 +102,7 @@ def test_a_login_on_it(terminal: Terminal) -> None:
     found = looked_at(terminal)
     assert found.verdict is Verdict.FAILURE
     assert "is the terminal of agetty" in found.sentence
-    assert "sudo raspi-config nonint do_serial_cons 1 && " in found.fix
+    assert "sudo hexapod-gateway setup --wire elkapod-2025" in found.fix
 
 
 # ---- the controller

@@ -1,6 +1,5 @@
 """`check`: what an installation is, read from files below a folder, and certificates that belong together or not."""
 
-import hashlib
 import os
 import tempfile
 from collections.abc import Callable
@@ -10,10 +9,8 @@ from pathlib import Path
 import pytest
 
 from gateway import certs
-from gateway.onboard import whole
 from gateway.onboard.check import certificates, installation, laptop
 from gateway.onboard.check.installation import PROBES, UNIT
-from gateway.onboard.check.release import SHIPPED
 from gateway.onboard.check.table import CheckedRobot, Result, Verdict, results
 from gateway.onboard.whole import Whole
 from gateway.people.client.requests import Identity
@@ -28,36 +25,30 @@ UP = {"LoadState": "loaded", "ActiveState": "active", "UnitFileState": "enabled"
 UP |= {"ExecStopPost": "{ path=/run/program ; argv[]=/run/program stop-servos }"}
 DROP_IN = "/etc/systemd/system/hexapod-gateway.service.d/own.conf"
 STATE = "var/lib/hexapod-gateway"
+LIBRARY = "usr/lib/hexapod-gateway"
+UNIT_FILE = "usr/lib/systemd/system/hexapod-gateway.service"
+TEMPLATE = Path(__file__).parents[3] / "deploy/gateway.toml"
 
 
 class Installed(CheckedRobot):
-    """A release in a folder, with what systemd would show of its units. Its user is the one that runs this."""
+    """A package in a folder, with what systemd would show of its unit. Its user is the one that runs this."""
 
     def __init__(self, root: Path) -> None:
-        release = root / "opt/hexapod-gateway/venv-1"
-        for each in SHIPPED:
-            for path in (release / "deploy" / each.source, root / each.place.lstrip("/")):
-                path.parent.mkdir(parents=True, exist_ok=True)
-                path.write_text(each.source)
-        (release / "complete").write_text(f"{hashlib.sha256(b'#').hexdigest()}  ./bin/hexapod-gateway\n")
-        (release / "bin").mkdir()
-        (release / "bin/hexapod-gateway").write_text("#")
-        (root / "run/systemd/system").mkdir(parents=True)
-        self.root = root
-        self.write("run/program", "#!/run/program", 0o755)
-        (release / "bin/hexapod-gateway").chmod(0o755)
-        (root / "opt/hexapod-gateway/venv").symlink_to("venv-1")
-        (root / "usr/local/bin").mkdir(parents=True)
-        (root / "usr/local/bin/hexapod-gateway").symlink_to(release / "bin/hexapod-gateway")
-        (root / STATE).mkdir(parents=True)
         super().__init__(root=root)
+        self.write("run/program", "#!/run/program", 0o755)
+        for place in (f"{LIBRARY}/1.1.0/units/hexapod-gateway.service", UNIT_FILE):
+            self.write(place, "[Service]", 0o644)
+        (root / LIBRARY / "current").symlink_to("1.1.0")
+        for folder in (STATE, "run/systemd/system"):
+            (root / folder).mkdir(parents=True)
         self.service = os.getuid(), os.getgid()
+        self.package, self.files = "1.1.0", Whole()
         self.unit: dict[str, str] = dict(UP)
         self.manager: dict[str, str] = {}
 
     def drop_in(self, text: str) -> None:
         path = self.path(DROP_IN)
-        path.parent.mkdir()
+        path.parent.mkdir(parents=True)
         path.write_text(f"[Service]\n{text}\n")
         self.unit["DropInPaths"] = DROP_IN
 
@@ -79,8 +70,13 @@ class Installed(CheckedRobot):
         (self.root / STATE).rmdir()
         self.write(STATE)
 
-    def runs(self, variables: str) -> None:
+    def replace_unit(self) -> None:
+        self.write("etc/systemd/system/hexapod-gateway.service", "[Service]")
+        self.shown(FragmentPath="/etc/systemd/system/hexapod-gateway.service")
+
+    def runs(self, variables: str, maps: str = "") -> None:
         self.write("proc/7/environ", variables)
+        self.write("proc/7/maps", maps)
         self.shown(MainPID="7")
 
     def forget_python(self) -> None:
@@ -93,13 +89,18 @@ class Installed(CheckedRobot):
 
 Plant = Callable[[Installed], object]
 PLANTED: tuple[tuple[Plant, str], ...] = (
-    (lambda robot: robot.write("opt/hexapod-gateway/venv-1/bin/hexapod-gateway", "x", 0o755), "not as installed in"),
-    (lambda robot: robot.write("opt/hexapod-gateway/venv-1/complete"), "not as installed in"),
-    (lambda robot: robot.write("opt/hexapod-gateway/venv-1/lib/x.pth"), "and not installed with it: lib/x.pth"),
-    (lambda robot: robot.write("opt/hexapod-gateway/venv-1/bin/hexapod-gateway", "#", 0o666), "not for all to read"),
-    (lambda robot: robot.forget("usr/local/bin/hexapod-gateway"), "/usr/local/bin/hexapod-gateway is missing"),
-    (lambda robot: robot.forget("etc/systemd/system/hexapod-gateway.service"), "hexapod-gateway.service is missing"),
-    (lambda robot: robot.write("etc/systemd/system/hexapod-gateway.service"), "gateway.service is not as this"),
+    (lambda robot: setattr(robot, "files", Whole(changed=("/usr/a", "/usr/b"))), "not as installed: /usr/a, /usr/b"),
+    (lambda robot: setattr(robot, "files", Whole(added=("/usr/a",))), "and not installed with it: /usr/a"),
+    (lambda robot: setattr(robot, "files", Whole(closed=("/usr/a",))), "not for all to read"),
+    (lambda robot: setattr(robot, "package", "1.2.0"), "1.2.0 is installed, and 1.1.0 runs until no servo does"),
+    (
+        lambda robot: robot.runs("", "7f-8a r-xp /usr/lib/hexapod-gateway/1.0.9.kept/x.so"),
+        "the service that runs is 1.0",
+    ),
+    (lambda robot: robot.write("usr/local/bin/hexapod-gateway"), "/usr/local/bin/hexapod-gateway is of the former"),
+    (lambda robot: robot.forget(UNIT_FILE), f"/{UNIT_FILE} is not as this release"),
+    (lambda robot: robot.write(UNIT_FILE, "x"), "hexapod-gateway.service is not as this release"),
+    (lambda robot: robot.replace_unit(), "/etc/systemd/system/hexapod-gateway.service is in force in place of"),
     (lambda robot: robot.shown(ExecStart="{ path=/none ; argv[]=/none }"), "/none cannot be run"),
     (lambda robot: robot.forget_python(), "/usr/bin/python3.1 cannot be run"),
     (lambda robot: robot.shown(ExecStopPost="{ path=/run/program ; }"), "runs no stop-servos after its end"),
@@ -156,7 +157,8 @@ def test_what_is_well_is_no_line(plant: Plant, tmp_path: Path) -> None:
 
 def test_settings_that_are_new_are_named(tmp_path: Path) -> None:
     robot = Installed(tmp_path)
-    text = installation.TEMPLATE.read_text()
+    text = TEMPLATE.read_text()
+    robot.write("usr/share/hexapod-gateway/gateway.toml", text)
     robot.write("etc/hexapod-gateway/gateway.toml", text.replace("# max_age_ms = ", "# ").replace("# speed_hz =", "#"))
     (line,) = (each for each in results(PROBES, robot) if each.name == "settings")
     assert line.sentence.endswith("whose defaults hold: limits.max_age_ms, spi.speed_hz")
@@ -171,45 +173,6 @@ def test_a_state_directory_in_memory_is_known() -> None:
 def test_the_file_system_of_a_folder_is_known() -> None:
     mount, kind = installation.mount_of(Path("/proc/self"))
     assert (mount, kind) == ("/proc", "proc")
-
-
-@pytest.fixture
-def release(tmp_path: Path) -> Path:
-    for name in ("lib/a.py", "lib/b.py", "bin/c"):
-        path = tmp_path / name
-        path.parent.mkdir(exist_ok=True)
-        path.write_text(name)
-        path.chmod(0o644)
-    digests = {name: hashlib.sha256(name.encode()).hexdigest() for name in ("lib/a.py", "lib/b.py", "bin/c")}
-    (tmp_path / "complete").write_text("".join(f"{digest}  ./{name}\n" for name, digest in digests.items()))
-    return tmp_path
-
-
-def test_a_release_is_compared_with_its_list(release: Path) -> None:
-    mine = () if (release / "bin/c").stat().st_uid == 0 else ("lib/a.py", "lib/b.py", "bin/c")
-    assert whole.compare(release) == Whole(closed=mine)
-    (release / "lib/a.py").write_text("")
-    (release / "lib/b.py").unlink()
-    (release / "lib/a.py").chmod(0o664)
-    (release / "bin/c").chmod(0o646)
-    (release / "lib/__pycache__").mkdir()
-    for name in ("lib/more.pth", "lib/notes.txt", "lib/__pycache__/a.py"):
-        (release / name).touch()
-    compared = whole.compare(release)
-    assert (compared.changed, compared.added) == (("lib/a.py", "lib/b.py"), ("lib/more.pth",))
-    assert {"lib/a.py", "bin/c"} <= set(compared.closed)
-    (release / "complete").write_text("")
-    assert whole.compare(release) == Whole(changed=("complete",))
-
-
-def test_how_to_repeat_an_installation_is_a_command_while_its_source_is_there(tmp_path: Path) -> None:
-    source = tmp_path / "the wheels"
-    source.mkdir()
-    (tmp_path / "again").write_text(f"bash /bin/true --wheels '{source}'\n")
-    assert whole.how_to_repeat(tmp_path) == f"sudo bash /bin/true --wheels '{source}'"
-    source.rmdir()
-    assert whole.how_to_repeat(tmp_path).endswith(": sudo deploy/install.sh")
-    assert whole.how_to_repeat(source).endswith(": sudo deploy/install.sh")
 
 
 # ---- certificates
