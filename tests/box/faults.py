@@ -6,8 +6,7 @@ Shell, with the names of `NAMES`. The services run before each.
 
 from typing import NamedTuple
 
-from tests.box.installed import NAME
-
+NAME = "hexapod-gateway"
 NAMES = f"""
 lib=/usr/lib/{NAME}; own=$(readlink -f $lib/current)
 etc=/etc/{NAME}; toml=$etc/gateway.toml; pki=$etc/zenoh; state=/var/lib/{NAME}; service={NAME}
@@ -136,8 +135,8 @@ FAULTS = (
     ),
     Fault(
         "forty kills",
-        "for each in $(seq 40); do systemctl kill --signal=KILL $service; sleep .2; systemctl start $service || break; done"
-        " 2>/dev/null; systemctl is-failed $service",
+        "for each in $(seq 40); do systemctl kill --signal=KILL $service; systemctl start $service || break; done; "
+        "systemctl is-failed $service",
         "has failed",
     ),
     Fault("a drop-in with another user", "drop_in User=nobody", "changes what Stops depend on: User"),
@@ -263,3 +262,15 @@ FAULTS = (
     Fault("a list of another authority", "cp /root/other/revoked.crl $state", "is of another authority, so nobody is"),
     Fault("a damaged list beside", "echo x >$pki/revoked.crl", "this is no list of", then="rm $pki/revoked.crl"),
 )
+
+
+def table() -> str:
+    """The table of docs/troubles.md; `python -m tests.box.faults` prints it."""
+    rows = [f"| {each.what} | …{each.says}… | {'by hand' if each.by_hand else 'as printed'} |" for each in EVERY]
+    return "\n".join(["| planted | `check` prints | remedy |", "|---|---|---|", *rows]) + "\n"
+
+
+EVERY = (*TAKE_A_STOP, *FAULTS)
+
+if __name__ == "__main__":
+    print(table(), end="")

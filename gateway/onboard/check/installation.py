@@ -45,19 +45,17 @@ _LEAST_FREE_MB: Final = 20
 _LEAST_INODES: Final = 100
 _FORGETS: Final = ("overlay", "tmpfs", "ramfs")
 """File systems that are empty, or as before, after a boot."""
-# fmt: off
-_DEPENDS: Final = frozenset({
-    "Type", "NotifyAccess", "User", "Group", "DynamicUser", "SupplementaryGroups", "RootDirectory",
-    "WorkingDirectory", "ExecStart", "ExecStartPre", "ExecStop", "ExecStopPost", "RuntimeDirectory",
-    "RuntimeDirectoryMode", "RuntimeDirectoryPreserve", "StateDirectory", "StateDirectoryMode", "WatchdogSec",
-    "WatchdogSignal", "KillMode", "KillSignal", "FinalKillSignal", "SendSIGKILL", "Restart", "RestartSec",
-    "RestartPreventExitStatus", "TimeoutStartSec", "TimeoutStopSec", "TimeoutAbortSec", "TimeoutSec", "LimitRTPRIO",
-    "LimitNICE", "Nice", "DevicePolicy", "DeviceAllow", "PrivateDevices", "SystemCallFilter", "RestrictRealtime",
-    "CPUQuota", "CPUSchedulingPolicy", "EnvironmentFile", "ReadOnlyPaths", "InaccessiblePaths", "LimitNOFILE",
-    "MemoryMax",
-})
-# fmt: on
-"""What the service's Stops, or those after its end, depend on; else a person may change what they like."""
+_HARMLESS: Final = {
+    "Description",
+    "After",
+    "Wants",
+    "Environment",
+    "ReadWritePaths",
+    "CPUWeight",
+    "IOWeight",
+    "LogLevelMax",
+}
+"""What a drop-in may set: on anything else a Stop may depend, or one after the service's end."""
 _OURS: Final = re.compile(r"\b(?:HEXAPOD_|PYTHON|GATEWAY_)\w+")
 """Variables that change what the service does."""
 
@@ -134,8 +132,8 @@ def _drop_ins(robot: CheckedRobot) -> Iterator[Seen]:
         yield Seen(
             path=path, environment=environment, keys=", ".join(sorted(keys)),
             emptied="" in after and not any("stop-servos" in each for each in after[after.index("") :]),
-            simulates="--sim" in environment, own=_OURS.search(environment),
-            depends=", ".join(sorted(keys & _DEPENDS | set(re.findall(r"\bPYTHON\w+", environment)))),
+            simulates="--sim" in environment,
+            depends=", ".join(sorted(keys - _HARMLESS | set(re.findall(r"\bPYTHON\w+", environment)))),
         )  # fmt: skip
 
 

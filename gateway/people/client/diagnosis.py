@@ -40,6 +40,7 @@ _NOT_YET_VALID, _EXPIRED = 9, 10  # OpenSSL's X509_V_ERR_…
 _SETS_CLOCK: Final = "timedatectl set-ntp true"
 _CLOCK: Final = f"set the clock ({_SETS_CLOCK})"
 _UNKNOWN_CA: Final = (2, 18, 19, 20, 21)
+_WRONG_PURPOSE: Final = 26
 _WRONG_HOST: Final = (62, 64)
 
 
@@ -308,6 +309,9 @@ def _distrusted(host: str, error: ssl.SSLCertVerificationError) -> Finding:
     elif code in _UNKNOWN_CA:
         sentence = "is of another CA than yours"
         fix = "is it the right robot? Take certificates from the folder that made the robot's"
+    elif code == _WRONG_PURPOSE:
+        sentence = "is no robot's, such as a laptop's"
+        fix = "on the robot, with its folder of certificates: sudo hexapod-gateway setup --certs FOLDER"
     else:
         fix = _NEW_BUNDLE
     return Finding(Stage.CERTIFICATE, f"the robot's certificate {sentence}", fix)

@@ -22,6 +22,7 @@ from gateway.robot.host import calibration_file
 from gateway.robot.host.calibration_file import SLOW_S
 from gateway.robot.settings import Settings
 from schemas.keys import CALIBRATION, COMMAND_KEYS, ESTOP, GET_ONLY, STATE
+from tests.box import faults
 from tests.support.certs_folder import DAY, NOW, make_folder
 from tests.support.gateway_process import dialling
 from tests.support.machine_tree import PI_4, MachineTree
@@ -161,7 +162,7 @@ FACTS = (
     *facts(certificates.CERTIFICATES[0], {"fault": "x", "early": False, "left_days": 99},
            ({"denied": True}, "failure … → let the service read it")),
     *facts(certificates.CERTIFICATES[1], PAIR,
-           ({"foreign": True}, "/c.pem is of another authority than /ca.pem … sudo hexapod-gateway setup --certs FOLDER"),
+           ({"foreign": True}, "/c.pem is of another authority than /ca.pem … sudo hexapod-gateway setup --certs"),
            ({"other_key": True}, "failure certificates: /c.key is not the key of /c.pem: nobody can connect"),
            ({"role": "operator"}, "failure certificates: /c.pem is of operator, not of a robot: laptops reject it"),
            ({"here": False}, "warning … is good for a.local, and this machine is b: is it another robot's?")),
@@ -478,6 +479,12 @@ def test_each_row_of_the_table_is_reached_and_its_commands_are_the_programs(tmp_
     assert [(name, fault.sentence) for name, fault in rows if fault not in reached] == []
     for _, fault in rows:
         parse_commands(fault.remedy)
+
+
+def test_the_docs_have_each_fault_that_a_box_tries() -> None:
+    """`python -m tests.box.faults` prints the table anew."""
+    assert faults.table() in (GATEWAY.parent / "docs/troubles.md").read_text()
+    assert len(faults.EVERY) >= 60
 
 
 def test_each_command_that_a_message_names_is_the_programs() -> None:

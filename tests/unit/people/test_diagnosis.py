@@ -52,14 +52,23 @@ def test_what_is_not_dialled_is_reported_at_once(endpoint: str) -> None:
     assert finding.fix
 
 
-def test_a_robot_whose_certificate_has_expired(tmp_path: Path) -> None:
-    """As after two years in a cupboard; the service itself would not start with it, but one that runs goes on."""
+@pytest.mark.parametrize(
+    ("role", "sentence", "fix"),
+    [
+        ("gateway", "the robot's certificate has expired", "hexapod-gateway certs renew gateway"),
+        ("operator", "the robot's certificate is no robot's, such as a laptop's", "setup --certs FOLDER"),
+    ],
+)
+def test_a_robot_with_a_wrong_certificate(role: str, sentence: str, fix: str, tmp_path: Path) -> None:
+    """Expired, as after two years in a cupboard: the service would not start with it, but one that runs goes on."""
     certs.folder.init(tmp_path, ["127.0.0.1"])
     certs.folder.issue(tmp_path, "anna", "operator")
     ca = authority.KeyPair(read_certificate(tmp_path / "ca.pem"), read_key(tmp_path / "ca.key"))
-    old = authority.make_leaf(ca, "gateway", "gateway", ["127.0.0.1"], 1, dt.datetime.now(dt.UTC) - 2 * DAY)
-    (tmp_path / "old.pem").write_bytes(old.certificate_pem())
-    (tmp_path / "old.key").write_bytes(old.key_pem())
+    now = dt.datetime.now(dt.UTC)
+    wrong = authority.make_leaf(ca, "gateway", "gateway", ["127.0.0.1"], 1, now - 2 * DAY)
+    wrong = wrong if role == "gateway" else authority.make_leaf(ca, "operator-07", "bob", [], 9, now)
+    (tmp_path / "old.pem").write_bytes(wrong.certificate_pem())
+    (tmp_path / "old.key").write_bytes(wrong.key_pem())
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
     context.load_cert_chain(tmp_path / "old.pem", tmp_path / "old.key")
     with socket.create_server(("127.0.0.1", 0)) as robot:
@@ -71,8 +80,8 @@ def test_a_robot_whose_certificate_has_expired(tmp_path: Path) -> None:
         threading.Thread(target=shake_hands, daemon=True).start()
         identity = Identity(tmp_path / "anna.pem", tmp_path / "anna.key", tmp_path / "ca.pem")
         *_, last = look(f"tls/127.0.0.1:{robot.getsockname()[1]}", identity, time.monotonic() + 10)
-    assert last.sentence == "the robot's certificate has expired"
-    assert "hexapod-gateway certs renew gateway" in last.fix
+    assert last.sentence == sentence
+    assert fix in last.fix
 
 
 def test_a_certificate_that_has_run_out_meanwhile(tmp_path: Path) -> None:

@@ -2,15 +2,14 @@
 
 import json
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from functools import partial
-from pathlib import Path
 from typing import Final
 
 from gateway.errors import ConfigError, GatewayError
 from gateway.model.telemetry import starts_whole
-from gateway.onboard.check.stops.bench import Bench, FailedError, Figures, Skipped
+from gateway.onboard.check.stops.bench import Bench, FailedError, Figures, Skipped, Wanted
 from gateway.onboard.check.stops.steps import STEPS, CheckStep
 from gateway.people.commands.moving import ServoMotion, consents, lying, ready, stopped_after
 from gateway.people.commands.reach import Connection, drives, show_differences
@@ -24,36 +23,24 @@ LEASE_S: Final = 1.0
 _STYLES: Final = {"PASS": rows.GOOD, "FAIL": rows.BAD, "SKIPPED": rows.NOTE}
 
 
-def stops(
-    connect: Connection,
-    *,
-    leg: int,
-    agreed: bool,
-    only: Sequence[str],
-    late_ms: float,
-    restart: bool,
-    unplug: bool,
-    config: Path | None,
-    as_json: bool,
-) -> int:
+def stops(connect: Connection, wanted: Wanted) -> int:
     """Do the steps. Return the exit code.
 
     Raises ConfigError if nothing may be moved, ZenohError if no gateway answers, also where it is lost on the way.
     """
-    unknown = set(only) - {step.name for step in STEPS}
+    unknown = set(wanted.only) - {step.name for step in STEPS}
     if unknown:
         raise ConfigError(f"no step {', '.join(sorted(unknown))}; there are {', '.join(step.name for step in STEPS)}")
-    steps = [step for step in STEPS if not only or step.name in only]
+    steps = [step for step in STEPS if not wanted.only or step.name in wanted.only]
     outcomes: list[dict[str, object]] = []
     with connect() as client:
         state = ready(client)
-        show_differences(config)
-        motion = ServoMotion(10 * leg + 1, START_DEG, lying(client, state) if starts_whole(state) else {})
-        options = () if config is None else ("--config", str(config))
-        bench = Bench(client, motion, late_ms=late_ms, restart=restart, unplug=unplug, config=options)
-        if not (state.simulated or agreed or sys.stdin.isatty()):
+        show_differences(wanted.config)
+        motion = ServoMotion(10 * wanted.leg + 1, START_DEG, lying(client, state) if starts_whole(state) else {})
+        bench = Bench(client, motion, wanted)
+        if not (state.simulated or wanted.agreed or sys.stdin.isatty()):
             raise ConfigError(NOBODY)
-        if not (state.simulated or consents(motion, state, agreed=agreed)):
+        if not (state.simulated or consents(motion, state, agreed=wanted.agreed)):
             raise ConfigError("nothing was moved")
         with bench.receives():
             bench.measure()  # no motion yet: without the right to command it ends here
@@ -64,16 +51,16 @@ def stops(
             with _ended_stopped(bench):
                 for number, step in enumerate(steps, 1):
                     hint(f"{number}/{len(steps)} {step.name}: {step.does.format_map(texts)} …")
-                    outcomes.append(_do(bench, step, as_json=as_json))
+                    outcomes.append(_do(bench, step))
     failed = [str(outcome["step"]) for outcome in outcomes if outcome["result"] == "FAIL"]
     passed = len(outcomes) == len(steps) and not failed
-    if as_json:
+    if wanted.as_json:
         say(json.dumps({"passed": passed, "steps": outcomes}))
         return 0 if passed else 1
     return rows.conclude("all passed" if passed else f"NOT passed: {', '.join(failed) or 'not finished'}", well=passed)
 
 
-def _do(bench: Bench, step: CheckStep, *, as_json: bool) -> dict[str, object]:
+def _do(bench: Bench, step: CheckStep) -> dict[str, object]:
     """The step's outcome, as `--json` prints it."""
     result, figures = "PASS", Figures()
     try:
@@ -85,7 +72,7 @@ def _do(bench: Bench, step: CheckStep, *, as_json: bool) -> dict[str, object]:
         result, detail = "FAIL" if isinstance(ended, FailedError) else "SKIPPED", str(ended)
     except GatewayError as error:
         result, detail = "FAIL", f"the check could not go on: {error}"
-    if not as_json:
+    if not bench.wanted.as_json:
         rows.show(rows.row(result, _STYLES[result], step.name, detail))
     with suppress(GatewayError, FailedError):  # the end tries again, and reports it
         _rest(bench)

@@ -5,6 +5,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Final, NamedTuple
 
 from gateway.errors import GatewayError, UnansweredError
@@ -55,20 +56,29 @@ class WrittenFrame(NamedTuple):
         return any(command.op is not Op.STOP for _, command in self.frame.servos)
 
 
+class Wanted(NamedTuple):
+    """What the command line of `check --stops` states."""
+
+    leg: int = 1
+    agreed: bool = False
+    only: Sequence[str] = ()
+    late_ms: float = 20.0
+    """How late a Stop may be. With every core busy 2.9 ms were measured; 100 ms are a fault."""
+    restart: bool = False
+    """Whether the service may be killed."""
+    unplug: bool = False
+    """Whether a person is there who unplugs things."""
+    config: Path | None = None
+    as_json: bool = False
+
+
 @dataclass(slots=True)
 class Bench:
     """One leg of one robot."""
 
     client: Client
     motion: ServoMotion
-    late_ms: float
-    """How late a Stop may be. With every core busy 2.9 ms were measured; 100 ms are a fault."""
-    restart: bool = False
-    """Whether the service may be killed."""
-    unplug: bool = False
-    """Whether a person is there who unplugs things."""
-    config: Sequence[str] = ()
-    """Arguments of `stop-servos`."""
+    wanted: Wanted
     calibration: RobotCalibration = field(default_factory=RobotCalibration)
     frames_published: bool = False
     answer_ms: float = 0.0

@@ -102,15 +102,17 @@ def silence(bench: Bench) -> Figures:
     demand(now.expirations > watchdog.expirations, "it stopped, but not by the watchdog")
     if not bench.frames_published:
         late_ms = took_ms - watchdog.stops_after_ms - bench.answer_ms
-        demand(late_ms <= bench.late_ms + bench.answer_ms, f"it ran on for {late_ms:.0f} ms after {silent}")
+        demand(late_ms <= bench.wanted.late_ms + bench.answer_ms, f"it ran on for {late_ms:.0f} ms after {silent}")
         return {**figures, "stopped_after_ms_by_state": took_ms}
     written = bench.wait(lambda: bench.caused(Cause.WATCHDOG, mark, moves=False), EVIDENCE_S)
     started = bench.caused(Cause.COMMAND, mark, moves=True)
     demand(written and started, "no Stop of the watchdog was written for the leg")
     stop = bench.caused(Cause.WATCHDOG, mark, moves=False)[0]
     late_us = (stop.at_ns - started[-1].at_ns) / 1000 - watchdog.stops_after_ms * 1000
-    demand(late_us <= bench.late_ms * 1000, f"the Stop came {late_us / 1000:.1f} ms after {silent}")
-    demand(late_us >= -bench.late_ms * 1000, f"the Stop came {-late_us / 1000:.1f} ms before the end of {silent}")
+    demand(late_us <= bench.wanted.late_ms * 1000, f"the Stop came {late_us / 1000:.1f} ms after {silent}")
+    demand(
+        late_us >= -bench.wanted.late_ms * 1000, f"the Stop came {-late_us / 1000:.1f} ms before the end of {silent}"
+    )
     time.sleep(QUIET_S)
     return {**figures, "later_us": late_us, "repeats": len(bench.caused(Cause.REPEAT, mark, moves=False))}
 
@@ -128,7 +130,9 @@ def estop(bench: Bench) -> Figures:
     demand(not bench.running(state), f"servos run after the emergency stop: {bench.running(state)}")
     demand(state.mode == Mode.ESTOPPED, f"the mode is {state.mode} after the emergency stop")
     demand(ack.stop_frames == len(LEGS), f"{ack.stop_frames} Stops were written, not {len(LEGS)}")
-    demand(latency_us <= bench.late_ms * 1000, f"the sixth Stop came {latency_us / 1000:.1f} ms after the request")
+    demand(
+        latency_us <= bench.wanted.late_ms * 1000, f"the sixth Stop came {latency_us / 1000:.1f} ms after the request"
+    )
     limit_ms = ANSWER_MS + bench.answer_ms
     demand(took_ms <= limit_ms, f"the answer took {took_ms:.1f} ms, where any other takes {bench.answer_ms:.1f} ms")
     if bench.frames_published:
@@ -152,7 +156,8 @@ def stop_servos(bench: Bench) -> Figures:
         raise Skipped(f"{'a simulated controller' if state.simulated else state.spi.device} is not on this machine")
     with bench.streaming():
         mark, events, begun_s = len(bench.frames), len(bench.events), time.monotonic()
-        _run(sys.executable, "-m", "gateway", "stop-servos", *bench.config)
+        config = bench.wanted.config
+        _run(sys.executable, "-m", "gateway", "stop-servos", *(() if config is None else ("--config", str(config))))
         took_ms = (time.monotonic() - begun_s) * 1000
         demand(bench.wait_for_event(Kind.STOPPED_OUTSIDE, events, EVIDENCE_S), "the gateway did not notice it")
         own = [each for each in bench.frames[mark:] if each.cause == Cause.REPEAT]
@@ -166,7 +171,7 @@ def stop_servos(bench: Bench) -> Figures:
 
 def killed(bench: Bench) -> Figures:
     """The service dies in a stream of setpoints; systemd stops the servos and starts it again."""
-    if not bench.restart:
+    if not bench.wanted.restart:
         raise Skipped("only with --restart, on the robot itself")
     before = seen = shown(SERVICE)
     begun_s = int(before.get("ExecMainStartTimestampMonotonic") or 0) / 1e6
@@ -277,7 +282,9 @@ def can_unplugged(bench: Bench) -> Figures:
         demand(back, "the board does not answer; is it in standby?")
         bench.demand_no_motion("once the board answers again")
     late_ms = silent_ms - SILENT_MS
-    demand(late_ms <= bench.late_ms + bench.answer_ms, f"it was reported {silent_ms:.0f} ms after the last answer")
+    demand(
+        late_ms <= bench.wanted.late_ms + bench.answer_ms, f"it was reported {silent_ms:.0f} ms after the last answer"
+    )
     return {"silent_when_reported_ms": silent_ms}
 
 
@@ -297,7 +304,7 @@ def board(bench: Bench) -> None:
 
 def by_hand(bench: Bench) -> None:
     """Raises Skipped where nobody has agreed to unplug anything, or nothing can be unplugged."""
-    if not bench.unplug or not sys.stdin.isatty():
+    if not bench.wanted.unplug or not sys.stdin.isatty():
         raise Skipped("only with --unplug, and a person at the robot")
     board(bench)
     if bench.client.state().simulated:
