@@ -63,13 +63,13 @@ def check(
     if move or stops:
         from gateway.onboard.check.move import move as move_servo
         from gateway.onboard.check.stops import stops as prove_stops
-        from gateway.onboard.check.stops.bench import Wanted
+        from gateway.onboard.check.stops.bench import StopsOptions
         from gateway.people.commands import reach
 
         connection = reach.connection(connect, zenoh_config, timeout, source="hexapod-gateway check")
         if move:
             sys.exit(move_servo(connection, agreed=yes))
-        sys.exit(prove_stops(connection, Wanted(leg, yes, only or (), late, restart, unplug, config, as_json)))
+        sys.exit(prove_stops(connection, StopsOptions(leg, yes, only or (), late, restart, unplug, config, as_json)))
     from gateway.onboard.check import check, check_laptop
 
     if connect is not None or zenoh_config is not None:

@@ -26,7 +26,6 @@ for each in {CERTS} {OTHER}; do
     for name in anna carl; do {NAME} certs issue $name --role operator --dir $each; done
     {NAME} certs revoke carl --dir $each || [ $? = 1 ]  # no robot confirms it yet
 done
-{NAME} certs issue leo --role robot --host leo.local --dir {CERTS}
 PYTHONPATH=$own /usr/bin/python3.11 -S - <<'END'
 import datetime as dt
 from pathlib import Path
@@ -45,6 +44,7 @@ chown -R root:$service $etc && chmod -R u=rwX,g=rX,o= $etc
 cp -p $toml /root
 systemctl restart $service
 {NAME} certs revoke --dir {CERTS}
+{NAME} certs issue leo --role robot --host leo.local --dir {CERTS}
 tar -cPpf /root/kept.tar {KEPT} $state
 """
 UNDO = f"""

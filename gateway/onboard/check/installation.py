@@ -94,7 +94,7 @@ def _unit_file(robot: CheckedRobot) -> Seen | None:
     wanted, found = text(link / f"units/{SERVICE}.service"), unit.get("FragmentPath", "")
     return Seen(
         masked=unit.get("LoadState") == "masked" or (found and not text(robot.path(found))), found=found, place=place,
-        other=found not in ("", place) and not robot.path(found).samefile(robot.path(place)),
+        other=found and robot.path(found).resolve() != robot.path(place).resolve(),
         differs=wanted != text(robot.path(place)), source=f"{whole.CURRENT}/units/{SERVICE}.service",
     ) if wanted else None  # fmt: skip
 

@@ -16,7 +16,7 @@ from gateway.people.client.diagnosis import Finding, Stage
 from gateway.people.client.requests import Identity
 from gateway.people.commands import why
 from gateway.zenoh_config import client_config, connect_endpoints
-from schemas.telemetry import CertificateReport, RevocationsReport
+from schemas.telemetry import RevocationsReport
 
 
 def checks(connect: str | None, zenoh_config: Path | None, timeout_s: float) -> Iterator[Result]:
@@ -50,7 +50,12 @@ def checks(connect: str | None, zenoh_config: Path | None, timeout_s: float) -> 
         observer = finding.fix and finding.stage is Stage.ROLE and len(allowed) > 1
         yield _result(finding, Verdict.WARNING if observer else Verdict.FAILURE)
     if state is not None:
-        yield from _robots_certificate(state.certificate, state.time)
+        theirs = state.certificate
+        if theirs is not None and (soon := expiry.soon(theirs.file, theirs.expires, state.time)) is not None:
+            fix = (
+                f"where ca.key is: hexapod-gateway certs renew gateway; copy gateway.pem to the robot, there: {RESTART}"
+            )
+            yield Result(Stage.CERTIFICATE, Verdict.WARNING, f"the robot's {soon}", fix)
         yield from shut_out(state.revocations, identity)
 
 
@@ -65,15 +70,6 @@ def _way(endpoints: list[str], identity: Identity, *, opened: bool) -> Iterator[
 
 def _result(finding: Finding, worst: Verdict = Verdict.FAILURE) -> Result:
     return Result(finding.stage, worst if finding.fix else Verdict.OK, finding.sentence, finding.fix)
-
-
-def _robots_certificate(certificate: CertificateReport | None, now: dt.datetime) -> Iterator[Result]:
-    soon = None if certificate is None else expiry.soon(certificate.file, certificate.expires, now)
-    if soon is not None:
-        fix = (
-            f"where ca.key is: hexapod-gateway certs renew gateway; copy gateway.pem to the robot, and there: {RESTART}"
-        )
-        yield Result(Stage.CERTIFICATE, Verdict.WARNING, f"the robot's {soon}", fix)
 
 
 def shut_out(there: RevocationsReport | None, identity: Identity) -> Iterator[Result]:

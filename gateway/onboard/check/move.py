@@ -61,33 +61,29 @@ _FIRST: Final = (
     "a servo of leg 6."
 )
 # fmt: off
-_OUTPUT: Final = "power.servos: did another servo move, or is one stiff? Exchange them there, and restart it."
-_SUPPLY: Final = "Supply: have the servos one of their own, and is it on? A servo that runs holds against your hand."
-_PLUG: Final = "The servo: is it plugged in where its id says (the leg, then the joint)? Try another one."
+_BOARD, _ALL, _LEGS, _WHOLE = "board", "all", "legs", "whole"
 _CAUSES: Final = (
-    _SUPPLY,
-    "Framing: the gateway speaks {framing}. The published STM32 firmware needs length-prefixed (plain makes it deaf), "
-    "one that follows the protocol's document needs plain. Know which one is there before you change it.",
-    "Reset: has the controller ever received the wrong framing? Then it is deaf until its reset: set the right one, "
-    "restart the gateway, and reset the controller (its reset button, or power).",
-    "Wiring: do MOSI, SCLK and GND lead from the Pi to the controller, and have the servos the same ground?",
-    "Chip select: the gateway writes to {device}; CE0 is /dev/spidev0.0, CE1 is /dev/spidev0.1.",
-    _PLUG,
-)
-_WHOLE_CAUSES: Final = (
-    _SUPPLY,
-    "UART: does the Pi's TX lead to the controller's RX? Its heartbeat comes by the other wire.",
-    "Wiring: does MOSI lead from the Pi to the controller? Its answers come by MISO, so SCLK works.",
-    _PLUG,
+    (_BOARD, "power.servos: did another servo move, or is one stiff? Exchange them there, and restart it."),
+    (_ALL, "Supply: have the servos one of their own, and is it on? A servo that runs holds against your hand."),
+    (_LEGS, "Framing: the gateway speaks {framing}. The published STM32 firmware needs length-prefixed (plain makes it "
+            "deaf), one that follows the protocol's document needs plain. Know which is there before you change it."),
+    (_LEGS, "Reset: has the controller ever received the wrong framing? Then it is deaf until its reset: set the right "
+            "one, restart the gateway, and reset the controller (its reset button, or power)."),
+    (_LEGS, "Wiring: do MOSI, SCLK and GND lead from the Pi to the controller, and have the servos the same ground?"),
+    (_LEGS, "Chip select: the gateway writes to {device}; CE0 is /dev/spidev0.0, CE1 is /dev/spidev0.1."),
+    (_WHOLE, "UART: does the Pi's TX lead to the controller's RX? Its heartbeat comes by the other wire."),
+    (_WHOLE, "Wiring: does MOSI lead from the Pi to the controller? Its answers come by MISO, so SCLK works."),
+    (_ALL, "The servo: is it plugged in where its id says (the leg, then the joint)? Try another one."),
 )
 # fmt: on
+"""Of which robots each is, the likeliest first."""
 
 
 def causes(state: GatewayState) -> list[str]:
     """Why a servo may stand still though every frame was written; the likeliest first."""
-    found = _WHOLE_CAUSES if starts_whole(state) else _CAUSES
-    of_board = () if state.power is None else (_OUTPUT,)
-    return [each.format(framing=state.spi.framing, device=state.spi.device) for each in (*of_board, *found)]
+    of = {_ALL, _WHOLE if starts_whole(state) else _LEGS, _ALL if state.power is None else _BOARD}
+    spi = state.spi
+    return [text.format(framing=spi.framing, device=spi.device) for robots, text in _CAUSES if robots in of]
 
 
 def move(connect: Connection, *, agreed: bool) -> int:

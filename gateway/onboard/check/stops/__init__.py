@@ -9,7 +9,7 @@ from typing import Final
 
 from gateway.errors import ConfigError, GatewayError
 from gateway.model.telemetry import starts_whole
-from gateway.onboard.check.stops.bench import Bench, FailedError, Figures, Skipped, Wanted
+from gateway.onboard.check.stops.bench import Bench, FailedError, Figures, Skipped, StopsOptions
 from gateway.onboard.check.stops.steps import STEPS, CheckStep
 from gateway.people.commands.moving import ServoMotion, consents, lying, ready, stopped_after
 from gateway.people.commands.reach import Connection, drives, show_differences
@@ -23,24 +23,24 @@ LEASE_S: Final = 1.0
 _STYLES: Final = {"PASS": rows.GOOD, "FAIL": rows.BAD, "SKIPPED": rows.NOTE}
 
 
-def stops(connect: Connection, wanted: Wanted) -> int:
+def stops(connect: Connection, options: StopsOptions) -> int:
     """Do the steps. Return the exit code.
 
     Raises ConfigError if nothing may be moved, ZenohError if no gateway answers, also where it is lost on the way.
     """
-    unknown = set(wanted.only) - {step.name for step in STEPS}
+    unknown = set(options.only) - {step.name for step in STEPS}
     if unknown:
         raise ConfigError(f"no step {', '.join(sorted(unknown))}; there are {', '.join(step.name for step in STEPS)}")
-    steps = [step for step in STEPS if not wanted.only or step.name in wanted.only]
+    steps = [step for step in STEPS if not options.only or step.name in options.only]
     outcomes: list[dict[str, object]] = []
     with connect() as client:
         state = ready(client)
-        show_differences(wanted.config)
-        motion = ServoMotion(10 * wanted.leg + 1, START_DEG, lying(client, state) if starts_whole(state) else {})
-        bench = Bench(client, motion, wanted)
-        if not (state.simulated or wanted.agreed or sys.stdin.isatty()):
+        show_differences(options.config)
+        motion = ServoMotion(10 * options.leg + 1, START_DEG, lying(client, state) if starts_whole(state) else {})
+        bench = Bench(client, motion, options)
+        if not (state.simulated or options.agreed or sys.stdin.isatty()):
             raise ConfigError(NOBODY)
-        if not (state.simulated or consents(motion, state, agreed=wanted.agreed)):
+        if not (state.simulated or consents(motion, state, agreed=options.agreed)):
             raise ConfigError("nothing was moved")
         with bench.receives():
             bench.measure()  # no motion yet: without the right to command it ends here
@@ -54,7 +54,7 @@ def stops(connect: Connection, wanted: Wanted) -> int:
                     outcomes.append(_do(bench, step))
     failed = [str(outcome["step"]) for outcome in outcomes if outcome["result"] == "FAIL"]
     passed = len(outcomes) == len(steps) and not failed
-    if wanted.as_json:
+    if options.as_json:
         say(json.dumps({"passed": passed, "steps": outcomes}))
         return 0 if passed else 1
     return rows.conclude("all passed" if passed else f"NOT passed: {', '.join(failed) or 'not finished'}", well=passed)
@@ -72,7 +72,7 @@ def _do(bench: Bench, step: CheckStep) -> dict[str, object]:
         result, detail = "FAIL" if isinstance(ended, FailedError) else "SKIPPED", str(ended)
     except GatewayError as error:
         result, detail = "FAIL", f"the check could not go on: {error}"
-    if not bench.wanted.as_json:
+    if not bench.options.as_json:
         rows.show(rows.row(result, _STYLES[result], step.name, detail))
     with suppress(GatewayError, FailedError):  # the end tries again, and reports it
         _rest(bench)

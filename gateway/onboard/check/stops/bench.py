@@ -56,7 +56,7 @@ class WrittenFrame(NamedTuple):
         return any(command.op is not Op.STOP for _, command in self.frame.servos)
 
 
-class Wanted(NamedTuple):
+class StopsOptions(NamedTuple):
     """What the command line of `check --stops` states."""
 
     leg: int = 1
@@ -78,7 +78,7 @@ class Bench:
 
     client: Client
     motion: ServoMotion
-    wanted: Wanted
+    options: StopsOptions
     calibration: RobotCalibration = field(default_factory=RobotCalibration)
     frames_published: bool = False
     answer_ms: float = 0.0

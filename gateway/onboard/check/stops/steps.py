@@ -102,16 +102,16 @@ def silence(bench: Bench) -> Figures:
     demand(now.expirations > watchdog.expirations, "it stopped, but not by the watchdog")
     if not bench.frames_published:
         late_ms = took_ms - watchdog.stops_after_ms - bench.answer_ms
-        demand(late_ms <= bench.wanted.late_ms + bench.answer_ms, f"it ran on for {late_ms:.0f} ms after {silent}")
+        demand(late_ms <= bench.options.late_ms + bench.answer_ms, f"it ran on for {late_ms:.0f} ms after {silent}")
         return {**figures, "stopped_after_ms_by_state": took_ms}
     written = bench.wait(lambda: bench.caused(Cause.WATCHDOG, mark, moves=False), EVIDENCE_S)
     started = bench.caused(Cause.COMMAND, mark, moves=True)
     demand(written and started, "no Stop of the watchdog was written for the leg")
     stop = bench.caused(Cause.WATCHDOG, mark, moves=False)[0]
     late_us = (stop.at_ns - started[-1].at_ns) / 1000 - watchdog.stops_after_ms * 1000
-    demand(late_us <= bench.wanted.late_ms * 1000, f"the Stop came {late_us / 1000:.1f} ms after {silent}")
+    demand(late_us <= bench.options.late_ms * 1000, f"the Stop came {late_us / 1000:.1f} ms after {silent}")
     demand(
-        late_us >= -bench.wanted.late_ms * 1000, f"the Stop came {-late_us / 1000:.1f} ms before the end of {silent}"
+        late_us >= -bench.options.late_ms * 1000, f"the Stop came {-late_us / 1000:.1f} ms before the end of {silent}"
     )
     time.sleep(QUIET_S)
     return {**figures, "later_us": late_us, "repeats": len(bench.caused(Cause.REPEAT, mark, moves=False))}
@@ -131,7 +131,7 @@ def estop(bench: Bench) -> Figures:
     demand(state.mode == Mode.ESTOPPED, f"the mode is {state.mode} after the emergency stop")
     demand(ack.stop_frames == len(LEGS), f"{ack.stop_frames} Stops were written, not {len(LEGS)}")
     demand(
-        latency_us <= bench.wanted.late_ms * 1000, f"the sixth Stop came {latency_us / 1000:.1f} ms after the request"
+        latency_us <= bench.options.late_ms * 1000, f"the sixth Stop came {latency_us / 1000:.1f} ms after the request"
     )
     limit_ms = ANSWER_MS + bench.answer_ms
     demand(took_ms <= limit_ms, f"the answer took {took_ms:.1f} ms, where any other takes {bench.answer_ms:.1f} ms")
@@ -156,7 +156,7 @@ def stop_servos(bench: Bench) -> Figures:
         raise Skipped(f"{'a simulated controller' if state.simulated else state.spi.device} is not on this machine")
     with bench.streaming():
         mark, events, begun_s = len(bench.frames), len(bench.events), time.monotonic()
-        config = bench.wanted.config
+        config = bench.options.config
         _run(sys.executable, "-m", "gateway", "stop-servos", *(() if config is None else ("--config", str(config))))
         took_ms = (time.monotonic() - begun_s) * 1000
         demand(bench.wait_for_event(Kind.STOPPED_OUTSIDE, events, EVIDENCE_S), "the gateway did not notice it")
@@ -171,7 +171,7 @@ def stop_servos(bench: Bench) -> Figures:
 
 def killed(bench: Bench) -> Figures:
     """The service dies in a stream of setpoints; systemd stops the servos and starts it again."""
-    if not bench.wanted.restart:
+    if not bench.options.restart:
         raise Skipped("only with --restart, on the robot itself")
     before = seen = shown(SERVICE)
     begun_s = int(before.get("ExecMainStartTimestampMonotonic") or 0) / 1e6
@@ -283,7 +283,7 @@ def can_unplugged(bench: Bench) -> Figures:
         bench.demand_no_motion("once the board answers again")
     late_ms = silent_ms - SILENT_MS
     demand(
-        late_ms <= bench.wanted.late_ms + bench.answer_ms, f"it was reported {silent_ms:.0f} ms after the last answer"
+        late_ms <= bench.options.late_ms + bench.answer_ms, f"it was reported {silent_ms:.0f} ms after the last answer"
     )
     return {"silent_when_reported_ms": silent_ms}
 
@@ -304,7 +304,7 @@ def board(bench: Bench) -> None:
 
 def by_hand(bench: Bench) -> None:
     """Raises Skipped where nobody has agreed to unplug anything, or nothing can be unplugged."""
-    if not bench.wanted.unplug or not sys.stdin.isatty():
+    if not bench.options.unplug or not sys.stdin.isatty():
         raise Skipped("only with --unplug, and a person at the robot")
     board(bench)
     if bench.client.state().simulated:

@@ -1,0 +1,190 @@
+"""`check` on a UART and a power board that answer or do not, and what `--move` says of the board's currents."""
+
+import datetime as dt
+import os
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from gateway.onboard.check import wire
+from gateway.onboard.check.move import ServoCurrents
+from gateway.onboard.check.table import CheckedRobot, Result, judged, results
+from gateway.robot.settings import Settings
+from gateway.robot.spi.elkapod_simulator import SimulatedElkapod
+from gateway.robot.spi.uart import SerialUart
+from schemas.telemetry import ServoTelemetry, Telemetry
+from tests.support.machine_tree import MachineTree
+from tests.support.slcan_adapter import Adapter
+
+BYTES = b"\x7e\xaa\n"
+
+
+# ---- the UART of elkapod-2025
+
+
+class Terminal:
+    """A pseudo terminal in place of a UART, on which something has been sent, and the /proc and /sys of its machine."""
+
+    def __init__(self, root: Path) -> None:
+        self.ours, self._theirs = os.openpty()
+        os.write(self.ours, BYTES)
+        self.path = os.ttyname(self._theirs)
+        settings = Settings.model_validate({"spi": {"protocol": "elkapod-2025"}, "controller": {"uart": self.path}})
+        self.robot = CheckedRobot(settings, root)
+        MachineTree(root)
+
+    def console(self, names: str) -> None:
+        folder = self.robot.root / "sys/class/tty/console"
+        folder.mkdir(parents=True)
+        (folder / "active").write_text(f"{names}\n")
+
+    def process(self, program: str, minor: int) -> None:
+        """As the kernel writes it to /proc/N/stat: pseudo terminals have the major number 136, and small minors."""
+        (self.robot.root / "proc/7").mkdir()
+        (self.robot.root / "proc/7/stat").write_text(f"7 ({program}) S 1 7 7 {136 << 8 | minor} -1 4194560 0\n")
+
+    @property
+    def minor(self) -> int:
+        return os.minor(os.stat(self.path).st_rdev)
+
+    def unread(self) -> bytes:
+        reader = os.open(self.path, os.O_RDONLY | os.O_NONBLOCK)
+        try:
+            return os.read(reader, 16)
+        finally:
+            os.close(reader)
+
+    def close(self) -> None:
+        os.close(self.ours)
+        os.close(self._theirs)
+
+
+@pytest.fixture
+def terminal(tmp_path: Path) -> Iterator[Terminal]:
+    made = Terminal(tmp_path)
+    yield made
+    made.close()
+
+
+def nothing(_: Terminal) -> None:
+    pass
+
+
+@pytest.mark.parametrize(
+    ("plant", "verdict", "says"),
+    [
+        (nothing, "ok", "opens, as"),
+        (lambda each: each.console("tty1"), "ok", "opens, as"),
+        (lambda each: each.process("bash) S 1 7 7 0 (", 200), "ok", "opens, as"),
+        (lambda each: setattr(each.robot, "gateway_runs", True), "ok", "is the running gateway's"),
+        (lambda each: each.console(f"tty1 {Path(each.path).name}"), "failure", "is the Linux console"),
+        (lambda each: each.process("agetty", each.minor), "failure", "is the terminal of agetty"),
+    ],
+)
+def test_a_uart(terminal: Terminal, plant: Callable[[Terminal], None], verdict: str, says: str) -> None:
+    """What a gateway will read, or nobody may, is left there: the heartbeat is not listened to, either."""
+    plant(terminal)
+    (found,) = results(wire.CONTROLLER[:1], terminal.robot)
+    assert (found.verdict, says in found.sentence) == (verdict, True), found
+    if verdict != "ok" or terminal.robot.gateway_runs:
+        assert list(results(wire.CONTROLLER[1:], terminal.robot)) == []
+        assert terminal.unread() == BYTES
+
+
+def test_a_uart_that_another_program_holds(terminal: Terminal) -> None:
+    other = SerialUart(terminal.path)
+    (held,) = results(wire.CONTROLLER[:1], terminal.robot)
+    assert (held.verdict, held.sentence) == ("failure", f"{terminal.path} is held by another program")
+    assert held.fix.endswith(f"sudo fuser -v {terminal.path}")
+    other.close()
+    (free,) = results(wire.CONTROLLER[:1], terminal.robot)
+    assert free.verdict == "ok"
+
+
+@pytest.mark.parametrize(
+    ("sends", "line"),
+    [
+        (None, "ok 6 came in 300 ms, so the controller speaks elkapod-2025"),
+        (b"", "failure none came in 300 ms, but 0 other bytes"),
+        (b"login: ", "failure none came in 300 ms, but 105 other bytes"),
+    ],
+)
+def test_its_heartbeat_is_awaited(sends: bytes | None, line: str) -> None:
+    """Nothing can be written by what only reads: 80 bytes would make a controller of v1.0.0 deaf to Stops."""
+    now_ns = 10**9
+
+    def pause(seconds: float) -> None:
+        nonlocal now_ns
+        now_ns += round(seconds * 1e9)
+
+    simulated = SimulatedElkapod(clock=lambda: now_ns)
+    read = simulated.uart_read if sends is None else lambda: sends
+    (found,) = judged(wire.CONTROLLER[1], wire.heartbeat(read, 300_000_000, lambda: now_ns, pause))
+    assert f"{found.verdict} {found.sentence}" == line
+
+
+# ---- the power board
+
+
+@pytest.fixture
+def adapter(tmp_path: Path) -> Iterator[Adapter]:
+    made = Adapter(str(tmp_path / "adapter"))
+    yield made
+    made.unplug()
+
+
+def board(tmp_path: Path, *, gateway_runs: bool = False) -> Result:
+    settings = Settings.model_validate({"power": {"interface": "slcan", "channel": str(tmp_path / "adapter")}})
+    (found,) = results(wire.POWER, CheckedRobot(settings, gateway_runs=gateway_runs))
+    return found
+
+
+def test_a_board_that_answers_and_one_that_is_silent(adapter: Adapter, tmp_path: Path) -> None:
+    adapter.board.battery_mv = 15_200
+    said = board(tmp_path).sentence
+    assert said.endswith(": supply 15.2 V; the servos' converters 7.4, 7.4, 7.4 V; 30 °C at most")
+    assert all(not line.startswith((b"t06A", b"t096")) for line in adapter.received), "it only asks"
+    adapter.silent = True
+    silent = board(tmp_path)
+    assert (silent.verdict, "does not answer" in silent.sentence) == ("failure", True)
+
+
+def test_a_board_that_is_the_gateways_or_not_for_this_user_is_not_asked(
+    adapter: Adapter, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert board(tmp_path, gateway_runs=True).verdict == "ok"
+    with monkeypatch.context() as patch:
+        patch.setitem(sys.modules, "can", None)
+        assert "python-can is not installed" in board(tmp_path).sentence
+    monkeypatch.setattr(os, "access", lambda *_: False)
+    assert "may not be opened" in board(tmp_path).sentence
+    assert adapter.received == []
+
+
+# ---- currents
+
+
+@pytest.mark.parametrize(
+    ("moving", "says"),
+    [
+        ({"11": 0.009, "12": 0.008, "61": 0.4}, "output for servo 61 feeds it (392 mA"),
+        ({"11": 0.009, "12": 0.4, "61": 0.008}, "feeds another servo, or none"),
+        ({"61": 0.04}, "has measured no current of servo 61"),
+        ({}, "has measured no current of servo 61"),
+    ],
+)
+def test_the_highest_currents_show_which_output_feeds_a_servo(moving: dict[str, float], says: str) -> None:
+    currents = ServoCurrents()
+
+    def take(amperes: dict[str, float | None]) -> None:
+        servos = {name: ServoTelemetry(supplied=True, current_a=each) for name, each in amperes.items()}
+        currents.take(Telemetry(time=dt.datetime.now(dt.UTC), age_ms=0, servos=servos))
+
+    take({"11": 0.008, "12": 0.008, "61": 0.008})
+    take({"61": 0.003, "12": None})
+    currents.moves()
+    take(dict(moving))
+    take(dict.fromkeys(moving, 0.001))
+    assert says in currents.finding(61)
