@@ -31,7 +31,7 @@ def main() -> None:
         damage = whole.why_nothing_loads()
         if not damage:
             raise
-        sys.stdout.write(f"failure  release        {damage}\n")
+        sys.stdout.write(f"failure  package        {damage}\n")
         sys.exit(1)
 
 

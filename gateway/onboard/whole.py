@@ -56,9 +56,12 @@ def how_to_repeat(version: str) -> str:
 
 
 def why_nothing_loads() -> str:
-    """What `check` says where a damaged file keeps it from being loaded itself; "": no file is."""
-    changed = compare().changed
-    return f"not as installed: {', '.join(changed[:SHOWN])} → {how_to_repeat(version())}" if changed else ""
+    """What `check` says where a file keeps it from being loaded itself; "": none does."""
+    found = compare()
+    if found.changed:
+        return f"not as installed: {', '.join(found.changed[:SHOWN])} → {how_to_repeat(version())}"
+    added = " ".join(found.added)  # such as a json.py, which comes before Python's own
+    return f"in the release, and not installed with it: {added} → sudo rm {added}" if added else ""
 
 
 def _dpkg(*command: str) -> str:

@@ -77,7 +77,6 @@ FAULTS = (
         "a command of the former installer",
         "ln -s /bin/true /usr/local/bin/$service",
         "/usr/local/bin/hexapod-gateway is of the former installer",
-        by_hand="/usr/bin/hexapod-gateway setup",
     ),
     Fault(
         "no Python that it runs with",
@@ -237,7 +236,7 @@ FAULTS = (
     ),
     Fault(
         "another robot's certificate",
-        "cp /root/certs/robots/leo/gateway.pem /root/certs/robots/leo/gateway.key $pki",
+        "cp /root/certs/leo/gateway.pem /root/certs/leo/gateway.key $pki",
         "is it another robot's?",
     ),
     Fault(

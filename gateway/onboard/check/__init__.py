@@ -159,6 +159,8 @@ def _in_use(robot: CheckedRobot, used: Effective | None, path: Path) -> Iterator
         stated = robot.settings
         uart = stated.controller.model_copy(update={"uart": used.controller.uart})
         spi = SpiSettings.model_validate(used.tables["spi"])
+        if stated.spi.device != spi.device:
+            yield from results([wire.DEVICE], robot)
         robot.settings = stated.model_copy(update={"spi": spi, "controller": uart})
         for each in effective.differences(used, path):
             yield Result("in use", Verdict.WARNING, each, _STATE_IT)

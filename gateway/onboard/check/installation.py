@@ -277,7 +277,7 @@ PROBES: Final = (
         warning(lambda r: r.runs != r.current, "the service that runs is {runs}, and {current} is installed",
                 f"stop the robot, then: sudo systemctl restart {SERVICE}"),
         warning(lambda r: r.former, "{former[0]} is of the former installer: commands may be another release's",
-                "sudo hexapod-gateway setup"),
+                "sudo /usr/bin/hexapod-gateway setup"),
     )),
     Probe("user", _users, (
         failure(lambda _: True, f"there is no {{missing}}, so {_CANNOT_START}",

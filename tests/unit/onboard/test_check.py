@@ -182,7 +182,7 @@ FACTS = (
     *facts(named("release"), {"package": "2", "current": "2", "runs": "2", "former": ["/opt/R"]},
            ({"current": "1"}, "warning release: 2 is installed, and 1 runs … sudo dpkg-reconfigure hexapod-gateway"),
            ({"runs": "1"}, "warning release: the service that runs is 1, and 2 is installed"),
-           ({}, "warning release: /opt/R is of the former installer … sudo hexapod-gateway setup")),
+           ({}, "warning release: /opt/R is of the former installer … sudo /usr/bin/hexapod-gateway setup")),
     *facts(named("user"), {"missing": "group spi"}, ({}, "user: there is no group spi … sudo systemd-sysusers")),
     *facts(named("unit file"), UNIT_FILE,
            ({"masked": True}, "is masked, or its unit is empty … sudo install -m 644 S /usr/U && sudo"),
