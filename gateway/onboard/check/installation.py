@@ -16,6 +16,7 @@ from typing import Final
 
 from gateway import certs
 from gateway.errors import ConfigError
+from gateway.host.mounts import FORGETS, mount_of
 from gateway.onboard import whole
 from gateway.onboard.check.table import (
     ETC,
@@ -43,8 +44,6 @@ _MOST_FILES: Final = 20_000
 _LEAST_FREE_MB: Final = 20
 """For some calibrations and lists."""
 _LEAST_INODES: Final = 100
-_FORGETS: Final = ("overlay", "tmpfs", "ramfs")
-"""File systems that are empty, or as before, after a boot."""
 _HARMLESS: Final = {
     "Description",
     "After",
@@ -189,16 +188,6 @@ def _disks(robot: CheckedRobot) -> Iterator[Seen]:
         )  # fmt: skip
 
 
-def mount_of(path: Path) -> tuple[str, str]:
-    """Where its file system is mounted, and of which kind it is, by the kernel's list.
-
-    A bind mount is on the same device as what is above it.
-    """
-    lines = (line.split() for line in Path("/proc/self/mountinfo").read_text().splitlines())
-    mounts = [(words[4].replace("\\040", " "), words[words.index("-") + 1]) for words in lines]
-    return max((each for each in mounts if path.is_relative_to(each[0])), key=lambda each: len(each[0]))
-
-
 def _foreign(robot: CheckedRobot) -> Seen | None:
     """What another user owns in the state directory, or its owner may not read and write."""
     folder, found = robot.path(STATE_FOLDER), list[str]()
@@ -318,7 +307,7 @@ PROBES: Final = (
                 f"sudo mv {STATE_FOLDER} {STATE_FOLDER}.old && {RESTART}"),
         failure(lambda r: not r.own, f"{STATE_FOLDER} is not the service's to write: it may not start, nor stop the "
                 "servos after its end", _OWN_STATE),
-        warning(lambda r: r.kind in _FORGETS, f"{STATE_FOLDER} is on {{kind}}, which a boot empties: calibration, "
+        warning(lambda r: r.kind in FORGETS, f"{STATE_FOLDER} is on {{kind}}, which a boot empties: calibration, "
                 "revocations and the emergency stop are lost then",
                 "keep the folder on a partition of its own (docs/troubles.md)"),
     )),

@@ -7,7 +7,6 @@ import socket
 from collections.abc import Iterator
 from contextlib import suppress
 from itertools import chain
-from types import MappingProxyType
 from typing import Any, Final
 
 import zenoh
@@ -16,6 +15,7 @@ from pydantic import ValidationError
 from gateway.certs import BUTTON
 from gateway.certs.access import TRAFFIC, Traffic
 from gateway.certs.zenoh_files import command_for_new_rules
+from gateway.endpoints import host_and_port
 from gateway.errors import ConfigError, GatewayError
 from gateway.host.sockets import listening
 from gateway.onboard.check import service_user
@@ -23,6 +23,7 @@ from gateway.onboard.check.certificates import DENIED
 from gateway.onboard.check.table import LET_READ, RESTART, CheckedRobot, Probe, Seen, failure, warning
 from gateway.own_command import this_command
 from gateway.people.client.blocking import Client
+from gateway.robot.zenoh_io.late_addresses import bind_fault, is_late
 from gateway.robot.zenoh_io.session import service_config
 from gateway.zenoh_config import get, listen_endpoints
 from schemas.keys import ALL_COMMANDS, COMMAND_KEYS, GET_ONLY
@@ -30,9 +31,7 @@ from schemas.telemetry import GatewayState
 
 _ANSWER_S: Final = 1.0
 _LAST_PORT: Final = 65_535
-_LINKS: Final = MappingProxyType({"tcp": 1, "tls": 1, "ws": 1, "udp": 0, "quic": 0})
-"""Whether each listens on TCP; else on UDP."""
-_ENDPOINT: Final = re.compile(r"(?P<link>[a-z0-9-]+)/(?P<host>\[[^\]]+\]|[^:#?\[\]]+):(?P<port>\d{1,5})(?:[#?].*)?")
+_NO_PORT: Final = OSError(errno.EINVAL, f"ports end at {_LAST_PORT}")  # getaddrinfo would take the lower 16 bits
 _GET_ONLY_NEEDS: Final = frozenset({"query", "reply", "declare_queryable"})
 _SHOWN: Final = 3
 
@@ -68,51 +67,22 @@ def _ports(robot: CheckedRobot) -> Iterator[Seen]:
     endpoints = [] if config is None else listen_endpoints(config)
     yield from (port(each, gateway_runs=robot.gateway_runs) for each in endpoints)
     if config is not None and not endpoints:
-        yield Seen(where="none:", error=0, well="the gateway listens nowhere, and dials others")
+        yield Seen(where="none:", taken=False, late=False, why="", well="the gateway listens nowhere, and dials others")
     if metrics := robot.settings.telemetry.metrics:
         yield port(f"tcp/{metrics}", "telemetry.metrics", gateway_runs=robot.gateway_runs)
 
 
 def port(endpoint: str, setting: str = "zenoh.listen", *, gateway_runs: bool = False) -> Seen:
     """Why the service could not listen on `endpoint`; a gateway that listens there already is fine."""
-    seen = Seen(where=endpoint, setting=setting, error=0, well="was not tried: it names no port")
-    found = _ENDPOINT.fullmatch(endpoint)
-    if found is None or found["link"] not in _LINKS:
-        return seen
-    host, number = found["host"], int(found["port"])
-    kind = socket.SOCK_STREAM if _LINKS[found["link"]] else socket.SOCK_DGRAM
-    error, seen.well = _listen(host, number, kind), "is free"
-    seen.error, seen.why = (error.errno, error.strerror) if error is not None else (0, "")
-    if seen.error == errno.EADDRINUSE and (gateway_runs or service_user.uid() in owners(number, kind)):
-        seen.well, seen.error = "is in use by the gateway that runs here", 0
+    number = host_and_port(endpoint)[1]
+    fault = bind_fault(endpoint) if not number.isdecimal() or int(number) <= _LAST_PORT else _NO_PORT
+    well = "is free" if number.isdecimal() else "was not tried: it names no port"
+    seen = Seen(where=endpoint, setting=setting, why=fault and fault.strerror, late=fault and is_late(fault), well=well)
+    seen.taken = fault is not None and fault.errno == errno.EADDRINUSE
+    kind = socket.SOCK_DGRAM if endpoint.startswith(("udp/", "quic/")) else socket.SOCK_STREAM
+    if seen.taken and (gateway_runs or service_user.uid() in owners(int(number), kind)):
+        seen.well, seen.taken, seen.why = "is in use by the gateway that runs here", False, ""
     return seen
-
-
-def _listen(host: str, number: int, kind: socket.SocketKind) -> OSError | None:
-    """Why nothing could listen there now; None: it could. For a name, none of its addresses may be in use."""
-    if number > _LAST_PORT:  # getaddrinfo would take the lower 16 bits
-        return OSError(errno.EINVAL, f"ports end at {_LAST_PORT}")
-    errors: list[OSError | None] = []
-    try:
-        for family, _, _, _, address in socket.getaddrinfo(host.strip("[]"), number, type=kind):
-            errors += [_bind(family, kind, address)]
-    except OSError as error:
-        return error
-    taken = (error for error in errors if error is not None and error.errno == errno.EADDRINUSE)
-    return next(taken, None if None in errors else errors[0])
-
-
-def _bind(family: socket.AddressFamily, kind: socket.SocketKind, address: Any) -> OSError | None:
-    try:
-        with socket.socket(family, kind) as probe:
-            if kind is socket.SOCK_STREAM:  # as the listener does: a recently closed connection is no obstacle
-                probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            probe.bind(address)
-            if kind is socket.SOCK_STREAM:
-                probe.listen(1)
-    except OSError as error:
-        return error
-    return None
 
 
 def state_at(endpoint: str) -> GatewayState | None:
@@ -187,9 +157,11 @@ ACCESS: Final = Probe("access control", _access, (
             "an operator's certificate", "make it anew: {anew}"),
 ), "lets all of this gateway's keys through")
 PORTS: Final = Probe("port", _ports, (
-    failure(lambda r: r.error == errno.EADDRINUSE, "{where} is taken by another program",
+    failure(lambda r: r.taken, "{where} is taken by another program",
             "see whose it is (ss -ltnp), or set another {setting}"),
-    failure(lambda r: r.error, "{where} cannot be listened on: {why}",
+    warning(lambda r: r.late, "{where} is not there yet ({why}): the service keeps trying, and listens on the others",
+            "see the addresses of this machine (ip address), or set another {setting}"),
+    failure(lambda r: r.why, "{where} cannot be listened on: {why}",
             "set another {setting}: an address of this machine (ip address), a port from 1024 to 65535"),
 ), "{where} {well}")
 # fmt: on

@@ -1,7 +1,6 @@
 """`check`: what is planted on a machine, and the line that it prints. Each row of its table is reached here."""
 
 import ast
-import errno
 import os
 import re
 import time
@@ -85,7 +84,7 @@ DROP_IN = {"path": "/etc/x.conf", "environment": "", "emptied": False, "simulate
 DROP_IN |= {"keys": "CPUWeight"}
 STATE_FOLDER = {"is_folder": True, "own": True, "kind": "ext4"}
 DISK = {"read_only": False, "mount": "/mnt", "free_mb": 999, "inodes": 999}
-PORT = {"where": "tcp/h:1", "setting": "zenoh.listen", "why": "?", "error": errno.EINVAL}
+PORT = {"where": "tcp/h:1", "setting": "zenoh.listen", "why": "?", "taken": False, "late": False}
 PAIR = {"certificate": "/c.pem", "key": "/c.key", "ca": "/ca.pem", "files": "a, b, c", "foreign": False}
 PAIR |= {"other_key": False, "listens": True, "role": "gateway", "here": True, "hosts": "a.local", "host": "b"}
 SIMULATED = {"version": "1", "own": "1", "mode": "idle", "keeps": True, "frames": True, "folder": "f"}
@@ -155,7 +154,8 @@ FACTS = (
            ({"error": "e"}, "failure power board: e → see dmesg"),
            ({"silent": True}, "failure power board: slcan x opens, and the board does not answer → press its power")),
     *facts(network.PORTS, PORT,
-           ({"error": errno.EADDRINUSE}, "failure port: tcp/h:1 is taken by another program"),
+           ({"late": True}, "warning port: tcp/h:1 is not there yet (?): the service keeps trying"),
+           ({"taken": True}, "failure port: tcp/h:1 is taken by another program"),
            ({}, "failure port: tcp/h:1 cannot be listened on: ? → set another zenoh.listen")),
     *facts(network.ZENOH, {"fault": "x", "logged": ""},
            ({"denied": True}, "failure Zenoh: x → let the service read it … sudo chown")),

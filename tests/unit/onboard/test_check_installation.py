@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from gateway import certs
-from gateway.onboard.check import certificates, installation, laptop
+from gateway.onboard.check import certificates, laptop
 from gateway.onboard.check.installation import PROBES, UNIT
 from gateway.onboard.check.table import CheckedRobot, Result, Verdict, results
 from gateway.onboard.whole import Whole
@@ -168,11 +168,6 @@ def test_a_state_directory_in_memory_is_known() -> None:
     with tempfile.TemporaryDirectory(dir="/dev/shm") as folder:
         lines = results(PROBES, Installed(Path(folder)))
         assert "is on tmpfs, which a boot empties" in " ".join(each.sentence for each in lines)
-
-
-def test_the_file_system_of_a_folder_is_known() -> None:
-    mount, kind = installation.mount_of(Path("/proc/self"))
-    assert (mount, kind) == ("/proc", "proc")
 
 
 # ---- certificates
