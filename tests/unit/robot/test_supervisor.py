@@ -172,6 +172,16 @@ def test_a_leg_whose_start_was_dropped_keeps_nobody_off() -> None:
 # ---- Stops that come with moves
 
 
+def test_a_leg_whose_rate_slot_has_not_come_keeps_its_place() -> None:
+    robot = staggered(1)
+    robot.command(100, leg_to(1, "start 90"))
+    robot.command(101, leg_to(1, "stop"))
+    assert robot.command(103, leg_to(1, "start 80")) == []
+    assert robot.command(104, leg_to(2, "start 90")) == []
+    assert robot.time(105) == ["command 1 start 80", "completed 3"]
+    assert robot.time(106) == ["command 2 start 90", "completed 4"]
+
+
 def test_a_stream_above_the_rate_that_keeps_a_servo_stopped_leaves_it_to_the_repeats() -> None:
     robot = Steps(Rules(repeats=3))
     robot.command(100, leg_to(1, "start 90"))

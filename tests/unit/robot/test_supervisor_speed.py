@@ -71,6 +71,21 @@ def avoiding() -> Steps:
     return Steps(Rules(repeats=0, timeout_ns=10**10, max_speed_cdeg_s={31: 50_00}, avoid_cdeg=(1_00, 4_00)))
 
 
+@pytest.mark.parametrize("ended_by", ["a stop", "a new holder"])
+def test_a_way_across_that_has_ended_is_no_part_of_the_next(ended_by: str) -> None:
+    steps = avoiding()
+    steps.command(1, servo_to(31, "start 6"))
+    steps.command(21, servo_to(31, "set 0"))
+    assert angles(steps, 90)[-1] == 4, "its way would be at about 2.5 now"
+    if ended_by == "a stop":
+        steps.command(100, servo_to(31, "stop"))
+        steps.command(120, servo_to(31, "start 4"))
+    else:
+        steps.lease(120, "acquire anna", fresh="a" * 32)
+    steps.command(200, servo_to(31, "set 0"), lease="a" * 32 if ended_by == "a new holder" else None)
+    assert set(angles(steps, 240)) == {4}, "the whole way takes 60 ms, and it began at 200"
+
+
 def across(user_deg: float, at_ms: float = 21) -> list[float]:
     """What servo 31 is told on its way from 6 degrees."""
     steps = avoiding()
