@@ -25,7 +25,7 @@ class FaultyController(SimulatedController):
         self._fails: Callable[[bytes], bool] = lambda _: False
         self._cost_ms = self._stall_ms = 0.0
         self._failing_transfers = 0
-        self._failing_until_ns = self._silent_until_ns = clock()
+        self._failing_until_ns = clock()
         self._bytes_to_take = self._bytes_to_lose = 0
         self.all_off_ns: int | None = None
         """When the last servo was off, since this was last None."""
@@ -37,10 +37,6 @@ class FaultyController(SimulatedController):
     def fail_for_ms(self, duration_ms: float) -> None:
         """Let every transfer raise SpiError for a while."""
         self._failing_until_ns = self._clock() + round(duration_ms * 1e6)
-
-    def silent_for_ms(self, duration_ms: float) -> None:
-        """Let the controller receive nothing for a while, although transfers succeed."""
-        self._silent_until_ns = self._clock() + round(duration_ms * 1e6)
 
     def lose_bytes(self, count: int, *, behind: int = 0) -> None:
         """Lose `count` bytes on the wire, behind the next `behind`."""
@@ -78,5 +74,4 @@ class FaultyController(SimulatedController):
         lost = min(self._bytes_to_lose, len(data) - taken)
         self._bytes_to_take -= taken
         self._bytes_to_lose -= lost
-        if now_ns >= self._silent_until_ns:
-            super()._receive(data[:taken] + data[taken + lost :], now_ns)
+        super()._receive(data[:taken] + data[taken + lost :], now_ns)
