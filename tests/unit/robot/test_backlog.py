@@ -3,6 +3,7 @@
 import asyncio
 import random
 from collections.abc import Callable
+from dataclasses import replace
 
 import pytest
 
@@ -121,6 +122,22 @@ def test_sets_are_of_the_burst_too_and_a_start_before_them_is_dropped() -> None:
     robot.command(101, leg_to(1, "set 90"))
     robot.command(102, leg_to(1, "set 90"))
     assert robot.command(103, leg_to(1, "set 90")) == ["rejected 3 stale", "rejected 4 servo_stopped"]
+
+
+def test_a_start_that_a_burst_of_sets_drops_keeps_no_other_leg_waiting() -> None:
+    robot = Steps(replace(RULES, start_pause_ns=50 * NS_PER_MS))
+    robot.command(50, leg_to(2, "start 90"))
+    robot.time(50 + WAIT_MS)
+    robot.command(120, leg_to(1, "start 90"))
+    robot.take(121, Command(leg_to(3, "start 90"), key="another", number=99, sent_ms=1))
+    robot.command(122, leg_to(2, "set 80"))
+    robot.command(123, leg_to(2, "set 70"))
+    assert robot.command(124, leg_to(2, "set 60")) == [
+        "rejected 2 stale",
+        "completed 4 coalesced",
+        "command 3 start 90",
+        "completed 99",
+    ]
 
 
 def test_other_keys_are_not_concerned_and_neither_is_a_leg_that_runs() -> None:
