@@ -63,27 +63,5 @@ def test_a_signal_is_its_exit_status(forked: bool) -> None:
         assert child.returncode == -signal.SIGKILL
 
 
-@pytest.mark.parametrize(
-    ("command", "env", "fits"),
-    [
-        ([sys.executable, "-m", "gateway", "status"], {}, True),
-        ([sys.executable, "-m", "tests.hil.starter"], {}, True),
-        ([sys.executable, "-m", "gateway"], {"PYTHONOPTIMIZE": "1"}, False),
-        ([sys.executable, "-m", "pytest"], {}, False),
-        ([sys.executable, "-c", "pass"], {}, False),
-        (["hexapod-gateway", "status"], {}, False),
-    ],
-)
-def test_only_programs_of_ours_are_forked(
-    command: list[str], env: dict[str, str], fits: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    for name in [name for name in os.environ if name.startswith("PYTHON")]:
-        monkeypatch.delenv(name)
-    monkeypatch.setenv("ZYGOTE", "yes")
-    assert zygote.fits(command, env) is fits
-    monkeypatch.setenv("ZYGOTE", "no")
-    assert not zygote.fits(command, env)
-
-
 if __name__ == "__main__":
     main()
