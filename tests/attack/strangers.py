@@ -10,9 +10,11 @@ import os
 import resource
 import ssl
 import sys
-from collections.abc import Awaitable, Callable
-from contextlib import suppress
+from collections.abc import Awaitable, Callable, Iterator
+from contextlib import contextmanager, suppress
 from typing import Final
+
+from tests.support.child import Child
 
 Connect = Callable[[], Awaitable[tuple[asyncio.StreamReader, asyncio.StreamWriter]]]
 
@@ -155,6 +157,15 @@ async def attack(kind: str, host: str, port: int, count: int, *, tls: bool) -> N
     while True:
         await asyncio.wait(tasks, timeout=0.3)
         print("made", stranger.made, flush=True)
+
+
+@contextmanager
+def strangers(kind: str, port: int, count: int, *plain: str) -> Iterator[None]:
+    """Connections without a session to a console of this machine, so many at once."""
+    program = [sys.executable, "-m", "tests.attack.strangers", kind, "127.0.0.1", str(port), str(count), *plain]
+    with Child(program, os.environ) as child:
+        child.wait_for_output("made ", 20)
+        yield
 
 
 if __name__ == "__main__":

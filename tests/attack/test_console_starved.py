@@ -11,7 +11,7 @@ import pytest
 from gateway.people.client.confirmed_stop import REQUESTS_AT_ONCE
 from gateway.people.console.link import PAGE_QUESTIONS_AT_ONCE, STOPS_AT_ONCE
 from gateway.people.console.server.sessions import Sessions
-from tests.attack.console_listener import strangers
+from tests.attack.strangers import strangers
 from tests.benchmarks.processes import threads
 from tests.support.closing import Closing
 from tests.support.console_process import Page, sign_in
@@ -94,7 +94,7 @@ def test_a_stderr_that_nobody_reads(tmp_path: Path, kind: str, count: int) -> No
     with Gateway(tmp_path) as gateway, BareConsole(tmp_path, gateway.endpoint) as console, console.page() as page:
         page.state()
         console.use_up_descriptors()
-        with strangers(kind, "127.0.0.1", console.port, count, "plain"):
+        with strangers(kind, console.port, count, "plain"):
             for _ in range(10):
                 assert page.stop_all()["stop_frames"] == 6
         assert page.stop_all()["stop_frames"] == 6
@@ -106,7 +106,7 @@ def test_without_descriptors_and_with_the_link_lost(tmp_path: Path) -> None:
     with BareConsole(tmp_path, endpoint) as console, Gateway(tmp_path, listens) as gateway, console.page() as page:
         page.wait("link", lambda message: message["status"] == "connected", LATE_S)
         console.use_up_descriptors()
-        with strangers("slow_headers", "127.0.0.1", console.port, 100, "plain"):
+        with strangers("slow_headers", console.port, 100, "plain"):
             gateway.child.kill()
             page.wait("link", lambda message: message["status"] == "gone", LATE_S)
             page.send(type="stop_all", id=1)
