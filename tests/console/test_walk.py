@@ -124,6 +124,25 @@ def test_a_gamepad_out_of_reach_counts_as_let_go_and_each_ones_b_button_is_stop_
     assert robot.state().mode == "estopped"
 
 
+def test_a_page_that_is_loaded_anew_drives_on_and_stands_until_something_is_pressed(
+    visitor: Visitor, robot: Client
+) -> None:
+    """On a phone a reload is one pull with the thumb. A page of another browser gets nothing by it."""
+    page = visitor.open(script=WISHES)
+    drive(page)
+    walks(page, push)
+    page.page.reload()
+    expect(page["driver"]).to_have_text("you", timeout=2000)
+    expect(page["walk-known"]).to_contain_text("It stands")
+    page.page.wait_for_function("() => window.wishes.length > 120")  # longer than a silent page's robot stands
+    assert not page.page.evaluate("window.wishes.some((wish) => wish.forward_m_s)")
+    expect(page["walk-known"]).to_contain_text("It stands")
+    assert robot.state().mode == "active"
+    walks(page, push)
+    page.page.mouse.up()
+    sit(page)
+
+
 def test_a_hidden_page_stands_and_goes_on_with_a_new_press_only(visitor: Visitor, robot: Client) -> None:
     page = visitor.open()
     drive(page)

@@ -81,7 +81,8 @@ class Console:
         await websocket.closed.wait()
 
     async def _serve_page(self, websocket: WebSocket, session: SignedIn) -> None:
-        page = Page(self._pages.next_number(), session.role, self._shared)
+        tab = session.tab and f"{session.entry.sha256} {session.tab[:32]}"
+        page = Page(self._pages.next_number(), session.role, self._shared, self._pages.former(tab))
         hello = Hello(
             role=session.role,
             person=self._shared.person,
@@ -89,18 +90,20 @@ class Console:
             version=__version__,
             geometry=self._geometry,
             lying=self._lying,
+            last_id=page.last_id,
         )
         self._pages.add(page)
         try:
             with suppress(ClosedError):
                 await websocket.send(hello.model_dump_json())
+                page.go_on()
                 await self._exchange(websocket, page, session)
         except EndError as end:
             websocket.close(POLICY_VIOLATION, str(end))
         except TimeoutError:
             websocket.abort()  # it does not read, so it gets no reason
         finally:
-            self._pages.remove(page)
+            self._pages.remove(page, tab)
             page.close()
 
     async def _exchange(self, websocket: WebSocket, page: Page, session: SignedIn) -> None:

@@ -8,6 +8,7 @@
  */
 
 const NAME = "hexapod-console-key";
+const TAB = "hexapod-console-tab";
 const PREFIX = "proof.";
 const SUBPROTOCOL = "hexapod-console";
 const bytes = new TextEncoder();
@@ -29,6 +30,13 @@ export async function subprotocols(timeoutMs) {
     throw new Error("You are not signed in: what answers does not know this page's key, so another program may listen here");
   }
   return [SUBPROTOCOL, `${PREFIX}${answer.nonce}.${await proof(`page ${answer.nonce}`)}`];
+}
+
+/** A name of this tab, which a reload leaves as it is: so the console knows who drove here. */
+export function tab() {
+  const name = sessionStorage.getItem(TAB) ?? hex(crypto.getRandomValues(new Uint8Array(16)));
+  sessionStorage.setItem(TAB, name);
+  return name;
 }
 
 /** @param {string} address @param {number} timeoutMs @returns {Promise<{nonce?: string, proof?: string}>} */

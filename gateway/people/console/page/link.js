@@ -1,7 +1,7 @@
 // @ts-check
 /** The WebSocket to the console: receives and sends messages, and connects again whenever it ends. */
 
-import { subprotocols } from "./key.js";
+import { subprotocols, tab } from "./key.js";
 
 /** Why the page is cut off: the sentences for what ends a drive, and for what is shown. */
 export const LOST = "the connection to the console is lost";
@@ -90,6 +90,7 @@ export class Link {
     this.receivedMs = performance.now();
     const address = new URL("ws", location.href);
     address.protocol = location.protocol === "https:" ? "wss:" : "ws:";
+    address.searchParams.set("tab", tab());
     const socket = new WebSocket(address, offered);
     this.socket = socket;
     socket.addEventListener("open", () => {

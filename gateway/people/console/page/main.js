@@ -121,6 +121,7 @@ function received(message) {
     case "hello":
       model.hello = message;
       walk.offer(message.gaits);
+      walk.goOn(message.last_id);
       model.forgetEvents(); // the newest ones come again
       break;
     case "state":

@@ -22,7 +22,7 @@
  *            supply?: {voltage_v: number, current_a: number}}} Telemetry
  *
  * @typedef {{type: "hello", role: "operator" | "button" | "observer", person: string, source: string, version: string,
- *            geometry: Geometry, lying: Record<string, number>, gaits: string[]}} Hello
+ *            geometry: Geometry, lying: Record<string, number>, gaits: string[], last_id: number}} Hello
  * @typedef {{type: "state", age_ms: number, now: string, whole: boolean, power: string, unconfirmed: string, state: GatewayState}} StateMessage
  * @typedef {{type: "telemetry", telemetry: Telemetry}} TelemetryMessage
  * @typedef {{type: "link", status: "connected" | "silent" | "gone", detail: string}} LinkMessage

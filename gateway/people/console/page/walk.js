@@ -52,6 +52,8 @@ export class Walk {
     this.dropped = false;
     /** @type {ReturnType<typeof setInterval> | undefined} */
     this.timer = undefined;
+    /** Whether a walk that the page before this one began stands here until something is pressed. */
+    this.goesOn = false;
     /** When each wish was sent whose use is not reported yet. @type {Map<number, number>} */
     this.sentMs = new Map();
     this.answerMs = NaN;
@@ -79,6 +81,12 @@ export class Walk {
       return element("label", {}, input, element("span", {}, gait));
     });
     byId("gaits").replaceChildren(...choices);
+  }
+
+  /** The page was loaded anew: go on standing, and count on. @param {number} lastId of the page before; 0: there was none */
+  goOn(lastId) {
+    this.link.lastId = Math.max(this.link.lastId, lastId);
+    this.goesOn = lastId > 0;
   }
 
   /** Whether this page makes the robot stand or walk, or is about to. */
@@ -134,6 +142,7 @@ export class Walk {
   /** @param {WalkMessage} message */
   received(message) {
     if (message.press < this.press && message.posture === null && !message.detail) return; // of a walk before
+    if (this.goesOn && message.posture !== null && this.callbacks.mine()) this.#stand(message);
     const before = this.report;
     this.report = message.posture === null ? null : message;
     const at = message.id === null ? undefined : this.sentMs.get(message.id);
@@ -190,6 +199,14 @@ export class Walk {
     return `${known}, ${Math.hypot(forward, left).toFixed(2)} m/s${way}`;
   }
 
+  /** Nothing is pressed, and this page only shows that it is there. @param {WalkMessage} message */
+  #stand({ press, gait, height_m }) {
+    [this.press, this.sits, this.goesOn, this.heightM] = [press, false, false, height_m];
+    this.gait = gait ?? this.gait;
+    this.lastTickMs = this.pressedMs = performance.now();
+    this.timer ??= setInterval(() => this.#tick(), PERIOD_MS);
+  }
+
   /** Something is held now, or a little further. */
   #held() {
     if (moves(this.deflection) && !this.moved) this.#press(false);
@@ -218,6 +235,7 @@ export class Walk {
       return;
     }
     this.press = this.link.nextId();
+    this.goesOn = false;
     this.pressedMs = nowMs;
     this.dropped = false;
     this.sits = sits;

@@ -33,8 +33,8 @@ class PageLease:
     def __init__(self, client: Callable[[], Client], name: str, send: Callable[[LeaseMessage], None]) -> None:
         """`client` raises GatewayError while there is no session. `name` is the page's."""
         self._client = client
-        self._name = name
-        self._send = send
+        self.name = name
+        self.send = send
         self.tasks = PageTasks(MAX_REQUESTS, "requests for the lease", in_turn=True)
         self.mine = False
         """Whether the page drives."""
@@ -43,6 +43,13 @@ class PageLease:
         self._kept_s = -math.inf
         """When the page sent its latest request that was granted, monotonic."""
         self._ttl_s = math.inf
+
+    def go_on(self) -> None:
+        """The page was opened anew: it learns that it still drives, or gets the lease again if nobody has it."""
+        if self.mine:
+            self.send(LeaseMessage(mine=True, ttl_ms=self._ttl_s * 1000 if self._ttl_s < math.inf else None))
+        else:
+            self.ask(DriveRequest(type="lease", id=0, do="acquire"))
 
     def ask(self, request: DriveRequest) -> None:
         """Do what the page requests, and send it the answer."""
@@ -54,7 +61,7 @@ class PageLease:
             self.mine = False
             silent = time.monotonic() - self._kept_s > self._ttl_s
             detail = self._why_lost(time.monotonic(), None) if silent else ack.detail
-            self._send(LeaseMessage(mine=False, reason=str(ack.reason), detail=detail))
+            self.send(LeaseMessage(mine=False, reason=str(ack.reason), detail=detail))
 
     def close(self) -> None:
         """The page is gone: release the lease, if it has it."""
@@ -65,7 +72,7 @@ class PageLease:
         try:
             ack = await self._asked(request)
         except GatewayError as error:
-            self._send(LeaseMessage(mine=self.mine, id=request.id, detail=str(error)))
+            self.send(LeaseMessage(mine=self.mine, id=request.id, detail=str(error)))
             return
         if ack.accepted:
             self._kept_s, self._ttl_s = asked_s, (ack.ttl_ms or math.inf) / 1000
@@ -81,7 +88,7 @@ class PageLease:
             if request.do == "renew":
                 return await asyncio.to_thread(requests.renew, token, RENEW_S)
             return await asyncio.to_thread(requests.release, token, request.to)
-        return await asyncio.to_thread(requests.as_person, request.do, self._name)
+        return await asyncio.to_thread(requests.as_person, request.do, self.name)
 
     def _answered(self, request: DriveRequest, ack: LeaseAck) -> None:
         if ack.accepted and request.do in ("acquire", "take"):
@@ -91,7 +98,7 @@ class PageLease:
         elif request.do == "renew":
             self.mine = ack.accepted
         # LeaseMessage ignores the token, which a page must not learn.
-        self._send(LeaseMessage.model_validate({**ack.model_dump(), "mine": self.mine, "id": request.id}))
+        self.send(LeaseMessage.model_validate({**ack.model_dump(), "mine": self.mine, "id": request.id}))
 
     def _why_lost(self, now_s: float, holder: str | None) -> str:
         return lease_lost(now_s - self._kept_s, self._ttl_s, holder)

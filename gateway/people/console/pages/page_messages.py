@@ -257,6 +257,8 @@ class Hello(Report):
     geometry: dict[str, Any]
     lying: dict[int, float] = Field(default_factory=dict)
     gaits: tuple[str, ...] = tuple(GAITS)
+    last_id: int = 0
+    """Of a page that drives on where the one before it was reloaded: its numbers begin behind this one."""
 
 
 class StateMessage(Report):

@@ -57,8 +57,8 @@ class PageWalks:
     ) -> None:
         """`connect` opens a session under a name, and waits for that; it is called on a thread."""
         self._loop = asyncio.get_running_loop()
-        self._send = send
-        self._new = partial(_WalkThread, name, partial(connect, name), geometry, terrain, partial(self._later, send))
+        self.send = send
+        self._new = partial(_WalkThread, name, partial(connect, name), geometry, terrain, self._send_later)
         self._walk: _WalkThread | None = None
         self._spent = -1
         """The newest press that has been used."""
@@ -79,13 +79,13 @@ class PageWalks:
             return
         self._spent = wish.press
         if token is None:
-            self._send(WalkMessage(press=wish.press, detail="this page does not have the lease; press Drive first"))
+            self.send(WalkMessage(press=wish.press, detail="this page does not have the lease; press Drive first"))
             return
         walk = self._new(token, wish)
         try:
             walk.start()
         except RuntimeError as error:  # the system allows no further thread
-            self._send(WalkMessage(press=wish.press, detail=str(error)))
+            self.send(WalkMessage(press=wish.press, detail=str(error)))
         else:
             self._walk = walk
 
@@ -93,6 +93,14 @@ class PageWalks:
         """Call `then` once the legs are stopped. `sits`: sit down now; else the page's silence makes it sit."""
         if self._walk is None or not self._walk.when_over(partial(self._later, then), sits=sits):
             then()
+
+    @property
+    def newest_press(self) -> int:
+        """Later ones are pressed anew."""
+        return max(self._spent, 0 if self._walk is None else self._walk.newest.press)
+
+    def _send_later(self, message: WalkMessage) -> None:
+        self._later(lambda: self.send(message))
 
     def _later(self, call: Callable[..., None], *arguments: object) -> None:
         """Call on the loop; for the walk's thread."""
@@ -127,7 +135,8 @@ class _WalkThread(threading.Thread):
         self._over = False
         self.spent = wish.press
         """Once it is over, wishes of this press and older ones move nothing."""
-        self._newest = wish
+        self.newest = wish
+        """The newest wish that was used."""
 
     # ---- called on the loop
 
@@ -161,7 +170,7 @@ class _WalkThread(threading.Thread):
             with self._changed:
                 self._over = True
                 then = list(self._then)
-            self.spent = max(self.spent, self._newest.press)
+            self.spent = max(self.spent, self.newest.press)
             self._send(WalkMessage(press=self.spent, detail=detail))
             for each in then:
                 each()
@@ -170,7 +179,7 @@ class _WalkThread(threading.Thread):
         """Returns why it has ended, in words."""
         with closing(self._connect()) as client:
             client.carry(LentLease(client, self._token))
-            gait, silences = self._newest.gait, SILENCES
+            gait, silences = self.newest.gait, SILENCES
             walk = Walk(client, gait, self._geometry, SETPOINTS_HZ, silences=silences, once=True, terrain=self._terrain)
             walk.open()
             try:
@@ -191,8 +200,8 @@ class _WalkThread(threading.Thread):
                 self._changed.wait(WISH_WAIT_S)
             taken, self._wish = self._wish, None
         if taken is not None:
-            self._newest, came_s = taken
-            wish = _wish(self._newest)
+            self.newest, came_s = taken
+            wish = _wish(self.newest)
             walk.use(lambda ride, _: ride.wish(wish, came_s))
         if self._ending:
             walk.use(Ride.leave)
@@ -200,8 +209,8 @@ class _WalkThread(threading.Thread):
     def _report(self, walk: Walk, ride: Ride, _now_s: float) -> WalkMessage:
         state = ride.state
         return WalkMessage(
-            press=self._newest.press,
-            id=self._newest.id,
+            press=self.newest.press,
+            id=self.newest.id,
             posture=state.posture,
             now=walk.now,
             gait=state.gait,
@@ -212,7 +221,7 @@ class _WalkThread(threading.Thread):
             lost=list(state.lost),
             ground=ground_now(state),
             detail=ride.detail,
-            waits=self._newest.press <= ride.spent,
+            waits=self.newest.press <= ride.spent,
         )
 
 

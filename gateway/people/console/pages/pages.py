@@ -50,6 +50,8 @@ STOP_LASTS_S: Final = 2.0
 """How long such a Stop is requested again: later, another client may drive that leg."""
 PAST_EVENTS: Final = 50
 """What a page that opens receives of the past."""
+GOES_ON_S: Final = 10.0
+"""How long after a page's end the next one in its tab goes on driving: a reload, which on a phone is one pull."""
 TELEMETRY_HZ: Final = 8.0
 TELEMETRY_AT_ONCE: Final = 2
 """So at most 10 messages in any second, while the gateway may publish 100: a phone draws each."""
@@ -89,6 +91,8 @@ class Pages(LinkReceiver):
         self._end_sessions = end_sessions
         self._ending: asyncio.Future[int] | None = None
         self._pages: set[Page] = set()
+        self._left: dict[str, tuple[Page, int]] = {}
+        """The page of each tab that drove when it was closed, and when that was."""
         self._opened = 0
         self._newest: tuple[GatewayState, int] | None = None
         self._alarm = PowerAlarm()
@@ -110,9 +114,18 @@ class Pages(LinkReceiver):
             page.outgoing.put_state(self._state)
         page.allow_age(self._max_age_ms)
 
-    def remove(self, page: "Page") -> None:
-        """Send it nothing more; it is closed."""
+    def remove(self, page: "Page", tab: str = "") -> None:
+        """Send it nothing more; it is closed. `tab`: in which tab of which session it was; empty: nobody knows."""
         self._pages.discard(page)
+        if tab and page.drives:
+            self._left[tab] = page, self._clock_ns()
+
+    def former(self, tab: str) -> "Page | None":
+        """The page that drove in this tab just before, for the page that comes after it; None: none did."""
+        since_ns = self._clock_ns() - round(GOES_ON_S * 1e9)
+        self._left = {name: left for name, left in self._left.items() if left[1] > since_ns}
+        page, _ = self._left.pop(tab, (None, 0))
+        return page
 
     def next_number(self) -> int:
         """A page's number, never given twice: by it the gateway keeps the pages' clocks apart."""
@@ -168,7 +181,8 @@ def _state_text(state: str, known: str, received_ns: int) -> str:
 class Page:
     """One page's WebSocket: takes its messages, and answers into `outgoing`. On the event loop."""
 
-    def __init__(self, number: int, role: messages.Role, shared: Shared) -> None:
+    def __init__(self, number: int, role: messages.Role, shared: Shared, former: "Page | None" = None) -> None:
+        """`former`: the tab's page before this one, whose lease and walk go on here."""
         person, link = shared.person[:40], shared.link
         self.source = f"{person} (page {number})"
         """Its name in states and events."""
@@ -177,11 +191,18 @@ class Page:
         self._link = link
         self._stops = shared.stops
         self._new_link = shared.new_link
-        self._lease = PageLease(link.client, self.source, self.outgoing.put)
+        self._former = former
+        self._handed_on = False
         self._calibration = PageCalibration(link, partial(self._signed, sent_ms=None), self.outgoing.put)
-        self._walks = PageWalks(
-            link.connect, f"{self.source} walks", shared.geometry, shared.terrain, self.outgoing.put
-        )
+        if former is None:
+            self._lease = PageLease(link.client, self.source, self.outgoing.put)
+            walker = f"{self.source} walks"
+            self._walks = PageWalks(link.connect, walker, shared.geometry, shared.terrain, self.outgoing.put)
+        else:
+            former._handed_on = True
+            self._lease, self._walks = former._lease, former._walks
+            self._lease.name = self.source
+            self._lease.send = self._walks.send = self.outgoing.put
         self._button = StopButton(link.client, f"{person}/page {number}", self.outgoing.put)
         self._max_age_ms = LimitsReport().max_age_ms
         self._staleness = Staleness(self._max_age_ms)
@@ -215,10 +236,30 @@ class Page:
         else:
             self._do(message)
 
+    @property
+    def drives(self) -> bool:
+        """Whether it has the lease."""
+        return self._lease.mine
+
+    @property
+    def last_id(self) -> int:
+        """The newest number that the page before this one gave a press; 0: there was none."""
+        return 0 if self._former is None else self._walks.newest_press
+
+    def go_on(self) -> None:
+        """Drive on where the page before this one drove. Nothing moves: every press of it is used up."""
+        if self._former is not None:
+            self._lease.go_on()
+
     def close(self) -> None:
-        """The WebSocket is closed. A stop that it requested goes on; the lease is released after the walk."""
-        self._walks.when_over(self._lease.close, sits=False)
+        """The WebSocket is closed. A stop that it requested goes on; the lease is released after the walk, unless the
+        tab's next page drives on."""
+        self._walks.when_over(self._left, sits=False)
         self._stops.leave(self.outgoing)
+
+    def _left(self) -> None:
+        if not self._handed_on:
+            self._lease.close()
 
     def _do(self, message: messages.FromPage) -> None:
         match message:

@@ -68,6 +68,8 @@ class SignedIn:
 
     entry: Entry
     role: Role
+    tab: str = ""
+    """The browser's tab, by a name that it gave itself: the same after a reload. Empty: it told none."""
 
 
 _PAGES: Final = {"/": "/index.html", "/button": "/button.html"}
@@ -136,7 +138,7 @@ class Auth:
             return _no(f"You are not signed in. {NEW_LINK} {self._site.link_command}")
         role = least(entry.role, self._role)
         if path == WEBSOCKET:
-            return SignedIn(entry, role)
+            return SignedIn(entry, role, tab if (tab := _given(query, "tab") or "").isalnum() else "")
         if path == "/session":
             nonce = self._new_nonce()
             answer = {"nonce": nonce, "proof": proof(entry.key_sha256, f"console {_given(query, 'nonce')} {nonce}")}
