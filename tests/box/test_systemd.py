@@ -340,6 +340,22 @@ def test_what_time_may_cure_is_tried_without_an_end(robot: InstalledGateway) -> 
     assert "repeated too quickly" not in journal.stdout
 
 
+def test_an_address_that_comes_late_costs_no_start(robot: InstalledGateway) -> None:
+    """Loopback clients are served meanwhile, systemd shows what is missing, and it is listened on once it is there."""
+    here, late = "tcp/127.0.0.1:7447", "tcp/192.0.2.77:7447"
+    robot.configure(f'[zenoh]\nlisten = ["{late}", "{here}"]\nallow_insecure = true\n')
+    with robot.journal() as journal:
+        robot.unit.systemctl("start")
+        journal.wait_for_output(f"does not listen on {late} yet")
+        assert "accepted" in robot.gateway(*MOVE_LEG_3, "--connect", here)
+        assert f"does not listen on {late} yet" in robot.unit.property("StatusText")
+        robot.box.run("ip", "address", "add", "192.0.2.77/32", "dev", "lo")
+        journal.wait_for_output(f"listens on {late}, too")
+    assert "accepted" in robot.gateway(*MOVE_LEG_3, "--connect", late)
+    assert robot.unit.properties("NRestarts", "StatusText") == ["0", "takes commands"]
+    robot.box.run("ip", "address", "del", "192.0.2.77/32", "dev", "lo")
+
+
 def test_a_crash_loop_ends_and_the_remedy_of_check_works(robot: InstalledGateway) -> None:
     """Ten kills within two minutes; until a person looks, nothing moves."""
     robot.drop_in("sooner", "RestartSec=20ms")
