@@ -24,8 +24,6 @@ JSON:
                         only this test may see; or {"rejected": reason, "detail": …, "holder": …}
     release             {} once the lease is released
     lost                how the lease was lost, once it is
-    watch               from now on, be a stop button that checks in by itself
-    checked-in          once the gateway has taken a check-in from now on: when it was sent, on the monotonic clock
     stop                stop all six legs, acknowledged
     estop               engage the emergency stop, acknowledged
     reset               leave it, acknowledged
@@ -49,8 +47,7 @@ import zenoh
 from zenoh.handlers import FifoChannel, RingChannel
 
 from gateway.client import Client, Lease, LeaseError, leg_payload
-from gateway.errors import GatewayError, RejectedError, ZenohError
-from gateway.people.client.button import Button
+from gateway.errors import ZenohError
 from schemas.keys import ALIVE, EVENT, FRAME, STATE, leg_command
 
 PERIOD_S = 0.02
@@ -92,8 +89,6 @@ class Streamer:
         self._in_reach = False
         self._lease: Lease | None = None
         self._lost = threading.Event()
-        self._confirmed_s = 0.0
-        """When the latest check-in that the gateway took was sent."""
         session = client.session
         self._declared: list[Any] = [session.declare_subscriber(key, RingChannel(1)) for key in (STATE, EVENT, FRAME)]
         self._alive = session.liveliness().declare_subscriber(ALIVE, self._take_alive, history=True)
@@ -104,7 +99,7 @@ class Streamer:
         match word:
             case "start":
                 return {"accepted": [self._client.start_leg(int(leg), *self._angles()).accepted for leg in rest]}
-            case "try" | "lease" | "release" | "lost" | "watch" | "checked-in":
+            case "try" | "lease" | "release" | "lost":
                 return self._drive(word, *rest)
             case "stream" | "ask" | "flood" | "deaf":
                 return self._begin(word, rest)
@@ -154,38 +149,10 @@ class Streamer:
                 return {"holder": lease.holder, "verified": lease.verified, "token": lease.token}
             case "release" if self._lease is not None:
                 self._lease.release()
-            case "watch":
-                button = self._client.button()
-                button.register()
-                threading.Thread(target=self._check_in, args=(button,), daemon=True).start()
-            case "checked-in":
-                return self._checked_in()
             case "lost" if self._lease is not None:
                 assert self._lost.wait(BOUND_S), "the lease is not lost"
                 raise self._lease.lost or AssertionError
         return {}
-
-    def _check_in(self, button: Button) -> None:
-        """Four times within the time that one counts; anew where the gateway does not know this button."""
-        while True:
-            began_s = time.monotonic()
-            try:
-                button.alive()
-                self._confirmed_s = began_s
-            except RejectedError:
-                with suppress(GatewayError):
-                    button.register()
-            except GatewayError:
-                pass  # nobody answered within its time
-            time.sleep(max(0.0, began_s + button.timeout_ms / 4000 - time.monotonic()))
-
-    def _checked_in(self) -> Any:
-        before_s, end_s = self._confirmed_s, time.monotonic() + BOUND_S
-        while self._confirmed_s == before_s:
-            if time.monotonic() > end_s:
-                return {"error": f"none in {BOUND_S} s"}
-            time.sleep(0.001)
-        return {"sent_ns": round(self._confirmed_s * 1e9)}
 
     def _report(self, count: int, *, end: bool) -> Any:
         with self._progress:

@@ -15,7 +15,7 @@ import zenoh
 
 from gateway.host.realtime import LOOP_PRIORITY
 from gateway.robot.core.intake import words_of_stop
-from gateway.robot.core.message import Received, Reply, Verb
+from gateway.robot.core.message import Received, Reply
 from gateway.robot.host.ownership import Ownership
 from gateway.robot.zenoh_io.inbox import READER_DEPTH, Inbox, _received
 from gateway.robot.zenoh_io.questions import MOST_OF_TOKEN, Knows
@@ -84,13 +84,6 @@ async def held(session: zenoh.Session) -> AsyncIterator[Held]:
     made = Held(session)
     yield made
     await made.close()
-
-
-def received(key: str, verb: Verb) -> Received:
-    return Received(key, key, COMMAND_KEYS[key], verb, b"", 0, "", None, 0)
-
-
-# ---- channels
 
 
 # ---- what is kept

@@ -30,7 +30,6 @@ class Taker:
 
     def __init__(self, session: zenoh.Session) -> None:
         self.taken: list[str] = []
-        self.ticks = 0
         self._changed = asyncio.Event()
         self._loop = asyncio.get_running_loop()
         self.owner = Ownership()
@@ -46,7 +45,6 @@ class Taker:
 
     def tick(self) -> None:
         """As owner, on any thread."""
-        self.ticks += 1
         self.taken += [received.key for received in self.inbox.take()]
         self._loop.call_soon_threadsafe(self._changed.set)
 

@@ -11,7 +11,6 @@ from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 
 from gateway.people.recorder.drawing import DRAWN, FRAMES, JOINT_COMMANDS, LOG
-from gateway.people.ros2.robot import MEASURED
 from tests.unit.people.test_recordings import drawn_in, positions, recorded
 
 RERUN: Final = Path(sys.executable).with_name("rerun")
@@ -36,19 +35,6 @@ def test_rosbags_reads_it_as_a_ros_2_bag(ride: Path) -> None:
     ours = [positions(each) for each in drawn_in(ride, JOINT_COMMANDS)]
     assert repr(commanded) == repr([(list(each), list(each.values())) for each in ours]), "as text, since NaN != NaN"
     assert commanded
-
-
-def test_rosbags_reads_what_the_robot_measured(ride: Path) -> None:
-    with AnyReader([ride]) as reader:
-        wanted = [each for each in reader.connections if each.topic.removeprefix("/") in MEASURED]
-        found: dict[str, Any] = {
-            each.topic: reader.deserialize(raw, each.msgtype) for each, _, raw in reader.messages(connections=wanted)
-        }
-    battery, imu, temperature, feet = (found[f"/{topic}"] for topic in MEASURED)
-    assert battery.percentage == pytest.approx(0.8)
-    assert imu.linear_acceleration.z == 9.81
-    assert temperature.temperature == 31.5
-    assert feet.data.tolist() == [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]
 
 
 def test_mcap_ros2_decodes_every_message(ride: Path) -> None:
