@@ -87,6 +87,7 @@ FAULTS = (
     # user and groups
     Fault("no user", "systemctl stop $service; userdel $service", f"there is no user {NAME}"),
     Fault("no group spi", "systemctl stop $service; groupdel spi", "there is no group spi"),
+    Fault("no group dialout", "groupdel dialout", "there is no group dialout"),
     # units
     Fault("a unit that is missing", "rm $unit; systemctl daemon-reload", f"{NAME}.service is not as this release"),
     Fault("an emptied unit", ": >$unit; systemctl daemon-reload", f"{NAME} is masked, or its unit is empty"),
@@ -204,6 +205,12 @@ FAULTS = (
     Fault("no framing", "sed -i /framing/d $toml", "spi.framing: is not set", by_hand=_AGAIN),
     Fault(
         "a configuration for root only", "chown root:root $toml; chmod 600 $toml", "cannot be read (Permission denied)"
+    ),
+    Fault(
+        "an address that is not there",
+        'sed -i \'s|\\[.*\\]|["tls/127.0.0.1:7447", "tls/192.0.2.9:7447"]|\' $toml; systemctl restart $service',
+        "tls/192.0.2.9:7447 is not there yet",
+        by_hand=_AGAIN,
     ),
     Fault(
         "a port that is taken",
