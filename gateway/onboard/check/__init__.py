@@ -18,18 +18,8 @@ from gateway.host import effective
 from gateway.host.effective import Effective
 from gateway.model.black_box.files import RING_FILE
 from gateway.onboard import stop
-from gateway.onboard.check import certificates, installation, laptop, machine, network, service_user, wire
-from gateway.onboard.check.table import (
-    LET_READ,
-    CheckedRobot,
-    Probe,
-    Result,
-    Seen,
-    Verdict,
-    judged,
-    results,
-    warning,
-)
+from gateway.onboard.check import certificates, installation, laptop, machine, network, service_user, table, wire
+from gateway.onboard.check.table import CheckedRobot, Probe, Result, Seen, Verdict, judged, results, warning
 from gateway.people.terminal import clear_line, rows, say, show_line
 from gateway.robot import settings as settings_file
 from gateway.robot.blackbox import paths
@@ -99,12 +89,10 @@ def _report(found: Iterable[Result], what: str, can: str, *, as_json: bool) -> i
     if as_json:
         say(json.dumps({"passed": passed, "checks": [each._asdict() for each in lines.values()]}))
         return 0 if passed else 1
-    failures, warnings = (
-        f"{count[each]} {each}{'s' * (count[each] != 1)}" for each in (Verdict.FAILURE, Verdict.WARNING)
-    )
-    if not passed:
-        return rows.conclude(f"{what} cannot {can}: {failures}.", well=False)
-    return rows.conclude(f"{what} can {can}{f', with {warnings}' if count[Verdict.WARNING] else ''}.", well=True)
+    worst = Verdict.WARNING if passed else Verdict.FAILURE
+    many = f"{count[worst]} {worst}{'s' * (count[worst] != 1)}"
+    end = f"can {can}{f', with {many}' if count[worst] else ''}" if passed else f"cannot {can}: {many}"
+    return rows.conclude(f"{what} {end}.", well=passed)
 
 
 def run(config: Path | None, robot: CheckedRobot, seen: Sequence[Result]) -> Iterator[Result]:
@@ -117,12 +105,10 @@ def run(config: Path | None, robot: CheckedRobot, seen: Sequence[Result]) -> Ite
         raise ConfigError(f"{path} is not for you to read, as it may name keys: sudo hexapod-gateway check")
     used = effective.read() if config is None else None
     used = used if used is not None and used.runs else None
-    settings: Settings | None = None
-    faults: list[str] = []
+    settings, faults = None, list[str]()
+    in_unit = used is not None and "HEXAPOD_SPI__FRAMING" in map(str.upper, stop.unit()[1])
     try:
-        settings = settings_file.load(
-            config, simulated=used is not None and "HEXAPOD_SPI__FRAMING" in map(str.upper, stop.unit()[1])
-        )
+        settings = settings_file.load(config, simulated=in_unit)
     except ConfigError as error:
         if isinstance(error, FramingNotSetError) and used is None:  # else it runs, and would not start again
             raise
@@ -131,11 +117,11 @@ def run(config: Path | None, robot: CheckedRobot, seen: Sequence[Result]) -> Ite
     yield from results([machine.PYTHON, machine.USER], robot)
     yield from seen
     for fault in faults:
-        fix = LET_READ if certificates.DENIED in fault else "fix it there, and check again"
+        fix = table.LET_READ if certificates.DENIED in fault else "fix it there, and check again"
         yield Result("configuration", Verdict.FAILURE, fault, fix)
     if settings is None:
-        what = "device, ports and certificates were not looked at"
-        yield Result("the rest", Verdict.WARNING, what, "fix the configuration first")
+        rest = "device, ports and certificates were not looked at"
+        yield Result("the rest", Verdict.WARNING, rest, "fix the configuration first")
     else:
         where = str(path) if path.exists() else f"the defaults, since there is no {path}"
         yield Result("configuration", Verdict.OK, where)

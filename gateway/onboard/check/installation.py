@@ -18,19 +18,9 @@ from gateway import certs
 from gateway.errors import ConfigError
 from gateway.host.mounts import FORGETS, mount_of
 from gateway.onboard import whole
-from gateway.onboard.check.table import (
-    ETC,
-    INSTALL,
-    RESTART,
-    SERVICE,
-    CheckedRobot,
-    Probe,
-    Seen,
-    failure,
-    text,
-    warning,
-)
+from gateway.onboard.check.table import INSTALL, RESTART, SERVICE, CheckedRobot, Probe, Seen, failure, text, warning
 
+ETC: Final = f"/etc/{SERVICE}"
 STATE_FOLDER: Final = f"/var/lib/{SERVICE}"
 TEMPLATE: Final = Path("/usr/share/hexapod-gateway/gateway.toml")
 """Has each setting with its default."""

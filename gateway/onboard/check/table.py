@@ -25,10 +25,9 @@ SERVICE: Final = "hexapod-gateway"
 RESTART: Final = f"sudo systemctl reset-failed {SERVICE}; sudo systemctl restart {SERVICE}"
 """Also after so many failed starts that systemd begins no other."""
 INSTALL: Final = f"sudo apt install ./{SERVICE}_VERSION_ARCH.deb"
-ETC: Final = f"/etc/{SERVICE}"
 LET_READ: Final = (
-    f"let the service read it, and nobody else: sudo chown -R root:{SERVICE} {ETC}; "
-    f"sudo chmod -R u=rwX,g=rX,o= {ETC}; {RESTART}"
+    f"let the service read it, and nobody else: sudo chown -R root:{SERVICE} /etc/{SERVICE}; "
+    f"sudo chmod -R u=rwX,g=rX,o= /etc/{SERVICE}; {RESTART}"
 )
 
 

@@ -11,16 +11,7 @@ from typing import Final, NamedTuple
 
 from gateway.errors import GatewayError
 from gateway.model.frames import Op
-from gateway.onboard.check.stops.bench import (
-    QUIET_S,
-    SETPOINT_PERIOD_S,
-    STREAM_S,
-    Bench,
-    FailedError,
-    Figures,
-    Skipped,
-    demand,
-)
+from gateway.onboard.check.stops.bench import SETPOINT_PERIOD_S, STREAM_S, Bench, FailedError, Figures, Skipped, demand
 from gateway.onboard.check.table import SERVICE, shown
 from gateway.people.client.blocking import Client
 from gateway.people.terminal import ask, hint
@@ -113,7 +104,7 @@ def silence(bench: Bench) -> Figures:
     demand(
         late_us >= -bench.options.late_ms * 1000, f"the Stop came {-late_us / 1000:.1f} ms before the end of {silent}"
     )
-    time.sleep(QUIET_S)
+    bench.demand_no_motion("after the watchdog's Stop")
     return {**figures, "later_us": late_us, "repeats": len(bench.caused(Cause.REPEAT, mark, moves=False))}
 
 
@@ -209,9 +200,8 @@ def killed(bench: Bench) -> Figures:
         demand(ended == "exited 0", f"stop-servos did not stop the servos after the end: {ended or 'it did not run'}")
     figures: Figures = {"answers_again_after_s": took_s, "stops_of_the_new_start": len(LEGS)}
     with suppress(FailedError):  # there is no journal
-        figures |= said_by_stop_servos(
-            _run("journalctl", f"_SYSTEMD_INVOCATION_ID={before.get('InvocationID')}", "--output=cat")
-        )
+        journal = _run("journalctl", f"_SYSTEMD_INVOCATION_ID={before.get('InvocationID')}", "--output=cat")
+        figures |= said_by_stop_servos(journal)
     return figures
 
 
