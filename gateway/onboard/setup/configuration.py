@@ -79,7 +79,7 @@ def state_wire(machine: Machine, wire: str | None, framing: str | None) -> Confi
     wanted = {"protocol": wire or stated["protocol"] or SpiProtocol.HEXAPOD_1_0}
     if wanted["protocol"] == SpiProtocol.HEXAPOD_1_0:
         wanted["framing"] = framing or stated["framing"] or _ask("framing", _FRAMINGS)
-        if not stated["protocol"]:
+        if not (wire or stated["protocol"]):
             del wanted["protocol"]  # the default
     elif framing is not None:
         raise ConfigError(f"--framing is for {SpiProtocol.HEXAPOD_1_0}; leave it out with {wanted['protocol']}")

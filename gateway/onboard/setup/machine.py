@@ -140,8 +140,8 @@ class Machine:
         return self.systemctl("show", f"--property={name}", "--value", unit, check=False)
 
     def is_active(self, unit: str) -> bool:
-        """Whether a unit runs, or is about to."""
-        return self.show(unit, "ActiveState") in ("active", "activating", "reloading")
+        """Whether a unit runs. One that is tried again and again, since a start fails, does not."""
+        return self.show(unit, "ActiveState") in ("active", "reloading")
 
     def enable(self, *units: str) -> None:
         """Let units start with the machine, if they do not."""

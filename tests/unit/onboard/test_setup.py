@@ -199,6 +199,42 @@ def test_what_it_rejects_in_a_sentence(computer: Computer, text: str, options: d
     assert computer.systemd.calls == []
 
 
+def test_at_a_terminal_it_asks_until_the_answer_is_one(
+    computer: Computer, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Wire and framing, with what each means; and no question whose answer the file has."""
+    answers = ["spi", "hexapod-1.0", "", "plain"]
+    monkeypatch.setattr("sys.stdin.isatty", lambda: True)
+    monkeypatch.setattr("builtins.input", lambda _: answers.pop(0))
+    computer.set_up()
+    said = capsys.readouterr().out
+    assert said.index("Which wire does the controller need?") < said.index("Which framing does the controller need?")
+    assert "length-prefixed  the published STM32 firmware" in said
+    assert tomllib.loads(computer.read(TOML))["spi"] == {"framing": "plain", "protocol": "hexapod-1.0"}
+    computer.set_up()
+    assert answers == []
+
+
+def test_nobody_answers(computer: Computer, monkeypatch: pytest.MonkeyPatch) -> None:
+    def end(_: str) -> str:
+        raise EOFError
+
+    monkeypatch.setattr("sys.stdin.isatty", lambda: True)
+    monkeypatch.setattr("builtins.input", end)
+    with pytest.raises(ConfigError, match="nobody answered: state it with --wire"):
+        computer.set_up()
+
+
+def test_a_service_that_is_tried_again_and_again_is_started(
+    computer: Computer, capsys: pytest.CaptureFixture[str]
+) -> None:
+    computer.write("/dev/spidev0.0", "")
+    computer.write(TOML, 'spi.framing = "plain"\n', 0o640)
+    computer.systemd.unit("hexapod-gateway", ActiveState="activating", UnitFileState="enabled")
+    computer.set_up()
+    assert "start the service" in capsys.readouterr().out.splitlines()
+
+
 def test_an_empty_file_is_made_anew(computer: Computer) -> None:
     """A power cut leaves some files empty, or full of zeros."""
     computer.write(TOML, "\0" * 100, 0o640)
