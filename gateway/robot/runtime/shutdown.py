@@ -9,10 +9,12 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
+from pathlib import Path
 from typing import Any, NoReturn
 
 import zenoh
 
+import gateway
 from gateway.errors import GatewayError
 from gateway.host import logs
 from gateway.model.frames import STOP_REPEAT_MS, STOP_REPEATS
@@ -207,7 +209,10 @@ def start_anew() -> NoReturn:
     program inherits its thread's scheduling class, and ours may not give up its own (SCHED_RESET_ON_FORK).
     """
     logs.close(LAST_WORDS_S)
-    command = (sys.executable, *sys.orig_argv[1:])
+    here = Path(gateway.__file__).parents[1]
+    # A package's folder is a program, run without this machine's packages (deploy/debian/hexapod-gateway).
+    program = ("-IS", str(here)) if (here / "__main__.py").exists() else ("-m", "gateway")
+    command = (sys.executable, *program, *sys.argv[1:])
     threading.Thread(target=os.execv, args=(sys.executable, command), daemon=True).start()
     threading.Event().wait(EXEC_S)
     os._exit(GatewayError.exit_code)

@@ -19,4 +19,4 @@ def test_without_a_folder_it_is_nothing(tmp_path: Path, caplog: pytest.LogCaptur
     ServosFile(None).write(1, any_runs=True)
     with caplog.at_level(logging.WARNING):
         ServosFile(tmp_path / "none").write(1, any_runs=True)
-    assert "the installer cannot see whether a servo runs" in caplog.text
+    assert "an upgrade cannot see whether a servo runs" in caplog.text
