@@ -356,6 +356,7 @@ def test_an_address_that_comes_late_costs_no_start(robot: InstalledGateway) -> N
     robot.box.run("ip", "address", "del", "192.0.2.77/32", "dev", "lo")
 
 
+@pytest.mark.nightly
 def test_a_crash_loop_ends_and_the_remedy_of_check_works(robot: InstalledGateway) -> None:
     """Ten kills within two minutes; until a person looks, nothing moves."""
     robot.drop_in("sooner", "RestartSec=20ms")
