@@ -19,7 +19,7 @@ from contextlib import closing, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from gateway.allowance import NS_PER_MS, NS_PER_S
+from gateway.allowance import NS_PER_MS
 from gateway.durable import staged_for
 from gateway.errors import GatewayError, SpiError
 from gateway.model import power_board
@@ -28,7 +28,7 @@ from gateway.model.frames import ONE_LEG_LEN
 from gateway.model.framing import Framing
 from gateway.model.power_board import ASK_RAILS, CONVERTERS_1_TO_3_MV, SUPPLY_BATTERY_MV, TEMPERATURES_C, Rails
 from gateway.onboard.check import service_user
-from gateway.onboard.check.table import INSTALL, RESTART, CheckedRobot, Fault, Probe, Seen, failure, text, warning
+from gateway.onboard.check.table import RESTART, CheckedRobot, Fault, Probe, Seen, failure, text, warning
 from gateway.robot.core.calibrating import ACCEPT_DEFAULT
 from gateway.robot.host.calibration_file import SLOW_S, load, path_to_read
 from gateway.robot.power.interface import BITRATE, open_bus, received, send
@@ -77,14 +77,15 @@ def _name(find: Callable[[int], tuple[object, ...]], number: int) -> str:
     return str(number)
 
 
-NO_NODE: Final = failure(lambda r: r.lack, "{path} {lack}", "{absent}")
-"""The reading has a remedy, `absent`."""
-JOIN_GROUP: Final = "sudo usermod -aG {group} {user} # then log in again"
-
-
-def denied(when: Callable[[Seen], object], remedy: str) -> Fault:
-    """A node that this user may not open, where `when` holds, too."""
-    return failure(lambda r: r.denied and when(r), "{path} may not be opened by {user} ({rights})", remedy)
+def _node_faults(group: str) -> tuple[Fault, ...]:
+    """Of a node that is of this group where the package is installed. The reading has a remedy, `absent`."""
+    may_not, group_has_it = "{path} may not be opened by {user} ({rights})", f"sudo chgrp {group} {{path}}"
+    return (
+        failure(lambda r: r.lack, "{path} {lack}", "{absent}"),
+        failure(lambda r: r.denied and r.service, may_not, f"{group_has_it} && sudo chmod 660 {{path}} && {RESTART}"),
+        failure(lambda r: r.denied and r.group, may_not, "sudo usermod -aG {group} {user} # then log in again"),
+        failure(lambda r: r.denied, may_not, "until the next boot: sudo chown {user} {path}"),
+    )
 
 
 def _locked_by(path: str) -> str:
@@ -329,7 +330,7 @@ def _board(robot: CheckedRobot) -> Seen | None:
     if not (robot.gateway_runs or seen.simulated or seen.lack or seen.denied or seen.off):
         try:
             with open_bus(power) as bus:
-                rails = asked(bus, power)
+                rails = _asked(bus, power)
             seen.silent, seen.answers = not rails, f"answers on {seen.where}: {_values(rails)}"
         except GatewayError as error:
             seen.error = str(error)
@@ -347,17 +348,15 @@ def _kept(robot: CheckedRobot) -> Seen | None:
     return Seen(path=power.channel, kept=any(f"Name={power.channel}" in text(file) for file in files))
 
 
-def asked(
-    bus: "can.BusABC", settings: PowerSettings, clock: Callable[[], int] = time.monotonic_ns
-) -> dict[int, tuple[int, ...]]:
+def _asked(bus: "can.BusABC", settings: PowerSettings) -> dict[int, tuple[int, ...]]:
     """The rails that the board answers, by the question's identifier."""
     rails: dict[int, tuple[int, ...]] = {}
     for _ in range(_ROUNDS):
         for question in (each for each in ASK_RAILS if each.id not in rails):
             send(bus, question, _ROUND_S)
-        end_ns = clock() + round(_ROUND_S * NS_PER_S)
-        while (left_ns := end_ns - clock()) > 0 and len(rails) < len(ASK_RAILS):
-            message = bus.recv(left_ns / NS_PER_S)
+        end_s = time.monotonic() + _ROUND_S
+        while (left_s := end_s - time.monotonic()) > 0 and len(rails) < len(ASK_RAILS):
+            message = bus.recv(left_s)
             frame = None if message is None else received(message, settings)
             read = None if frame is None else power_board.read(frame)
             if isinstance(read, Rails):
@@ -385,11 +384,7 @@ _ON: Final = (
 """Now and at each boot."""
 # fmt: off
 DEVICE: Final = Probe("SPI device", _device, (
-    NO_NODE,
-    denied(lambda r: r.service, "the udev rule of the installation gives it to the group spi at each boot; now: "
-           f"sudo chgrp spi {{path}} && sudo chmod 660 {{path}} && {RESTART}"),
-    denied(lambda r: r.group, JOIN_GROUP),
-    denied(lambda _: True, f"install the package, whose udev rule gives it to the group spi: {INSTALL}"),
+    *_node_faults("spi"),
     failure(lambda r: r.locked, "{path} is locked by {locked}, which is no gateway",
             f"end that program, then: {RESTART}"),
     failure(lambda r: r.error, "{error}", "is {path} a SPI device? see dmesg"),
@@ -436,10 +431,7 @@ CALIBRATION: Final = (
 )
 CONTROLLER: Final = (
     Probe("UART", _uart, (
-        NO_NODE,
-        denied(lambda r: not r.group, "it is root's alone: sudo chgrp dialout {path} && sudo chmod 660 {path}"),
-        denied(lambda r: not r.service, JOIN_GROUP),
-        denied(lambda r: r.service, f"sudo usermod -aG {{group}} hexapod-gateway && {RESTART}"),
+        *_node_faults("dialout"),
         failure(lambda r: r.console, "{path} is the Linux console: the kernel's messages go to the controller", _OFF),
         failure(lambda r: r.login, "{path} is the terminal of {login}, which takes the controller's bytes", _OFF),
         failure(lambda r: r.held, "{path} is held by another program",
@@ -458,10 +450,7 @@ CONTROLLER: Final = (
 POWER: Final = (
     Probe("power board", _board, (
         warning(lambda r: r.simulated, "is simulated: no servo loses its supply", 'set power.interface; "" is none'),
-        NO_NODE,
-        denied(lambda r: r.service or not r.group,
-               "the service's user is in dialout: sudo chgrp dialout {path} && sudo chmod 660 {path}"),
-        denied(lambda _: True, JOIN_GROUP),
+        *_node_faults("dialout"),
         failure(lambda r: r.off, "{path} is switched off", _ON),
         failure(lambda r: r.error, "{error}", "see dmesg, and the settings of [power]"),
         failure(lambda r: r.silent, "{where} opens, and the board does not answer",
