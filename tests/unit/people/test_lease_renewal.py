@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.people.client.renewal import RENEWALS, Holds, Renewal
+from gateway.people.client.renewal import RENEWALS, TRY_AGAIN_S, Holds, Renewal, Waiting
 from schemas.lease import LeaseAck
 from schemas.telemetry import Reason
 
@@ -96,3 +96,14 @@ def test_it_ends_once_whatever_crosses(steps: list[tuple[str, float]]) -> None:
                 ended = Holds.HANDED_OVER if step == "handed over" else Holds.RELEASED
         assert renewal.holds is ended
         assert (renewal.lost is not None) is (ended is Holds.LOST)
+
+
+def test_it_is_tried_again_three_times_a_second_and_no_longer_than_it_may_wait() -> None:
+    waiting = Waiting(BEGUN_S + 1)
+    now_s, tries = BEGUN_S, 0
+    while tries < 100 and (pause_s := waiting.pause_s(now_s)) > 0:
+        assert pause_s <= TRY_AGAIN_S
+        now_s, tries = now_s + pause_s, tries + 1
+    assert now_s == pytest.approx(BEGUN_S + 1)
+    assert tries == 4
+    assert waiting.pause_s(now_s + 60) == 0

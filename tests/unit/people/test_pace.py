@@ -6,7 +6,7 @@ import random
 import pytest
 
 from gateway.people.client import pace as pace_module
-from gateway.people.client.pace import LATE_PART, MOST_DEG, RADIANS_S, Radians, SetpointPace
+from gateway.people.client.pace import LATE_PART, MOST_DEG, RADIANS_S, SILENCE_S, Doubt, Radians, SetpointPace
 
 BEGUN_S = 1000.0
 PERIOD_S = 0.02
@@ -31,6 +31,27 @@ def test_after_any_stalls_there_is_no_burst_and_no_drift() -> None:
         assert sent_s[-1] - due_s <= LATE_PART * PERIOD_S + 1e-6
         assert sent_s[-1] - sent_s[-2] >= (1 - LATE_PART) * PERIOD_S - 1e-6
     assert pace.missed > 1000
+
+
+WATCHDOG_S = 0.25
+
+
+def streaming() -> Doubt:
+    """A stream that has just sent, and just received."""
+    doubt = Doubt(WATCHDOG_S)
+    doubt.sent(BEGUN_S)
+    doubt.received(BEGUN_S)
+    return doubt
+
+
+def test_a_gateway_that_publishes_nothing_for_half_a_second_is_asked() -> None:
+    doubt = streaming()
+    for late_s, is_there in ((SILENCE_S - 0.001, False), (SILENCE_S, True), (60.0, True)):
+        doubt.sent(BEGUN_S + late_s)  # the program goes on
+        assert doubt.is_there(BEGUN_S + late_s) is is_there
+    doubt.received(BEGUN_S + 60)
+    assert not doubt.is_there(BEGUN_S + 60)
+    assert SILENCE_S == 0.5
 
 
 def test_the_examples_are_right() -> None:

@@ -49,6 +49,15 @@ def test_while_another_query_is_under_way_a_lost_link_changes_nothing() -> None:
     assert (patience.step(0.9), patience.next_s) == (QuestionStep.WAIT, ATTEMPT_S)
 
 
+def test_what_is_no_stop_is_sent_once_and_ends_where_everybody_has_declined() -> None:
+    patience, query = asked(again=False)
+    assert patience.next_s == END_S
+    assert patience.step(END_S - 0.001) is QuestionStep.WAIT
+    patience.ended(query, 1.0)
+    assert (patience.step(1.0), patience.answer) == (QuestionStep.OVER, None)
+    assert asked(again=False)[0].step(END_S) is QuestionStep.OVER
+
+
 def test_another_way_is_searched_for_once_and_at_once_where_the_link_is_lost() -> None:
     patience, _ = asked(other_ways=True)
     assert (patience.step(OTHER_WAY_S - 0.001), patience.next_s) == (QuestionStep.WAIT, OTHER_WAY_S)
