@@ -61,6 +61,23 @@ def test_without_an_answer_it_is_asked_again_for_ever() -> None:
     assert press.over
 
 
+def test_one_that_lasts_is_asked_for_until_then_whatever_the_clock_shows() -> None:
+    stop = Stop(lasts_ns=2 * AGAIN_NS)
+    begun_ns = 10**12
+    press = stop.presses(7, begun_ns)
+    for attempt in (0, 1, 2):
+        assert not press.over
+        stop.ended(stop.begins(begun_ns + attempt * AGAIN_NS), begun_ns + attempt * AGAIN_NS, answered=False)
+    assert (press.over, press.attempts) == (True, 3)
+
+
+def test_the_oldest_that_is_unconfirmed_is_how_long_it_has_been_so() -> None:
+    stop = Stop()
+    stop.presses(1, 5)
+    stop.presses(2, 8)
+    assert stop.since_ns == 5
+
+
 def test_an_answer_to_an_earlier_request_does_not_count() -> None:
     """Between the first request and the second press, somebody may have reset it. Also in the same nanosecond."""
     stop = Stop()
@@ -68,6 +85,17 @@ def test_an_answer_to_an_earlier_request_does_not_count() -> None:
     assert ids(stop.ended(first, 1, answered=True)) == [1]
     assert stop.since_ns == 0
     assert ids(stop.ended(second, 1, answered=True)) == [2]
+
+
+def test_beyond_those_at_once_the_newest_is_asked_for_as_soon_as_one_has_ended() -> None:
+    stop = Stop()
+    requests = [stop.asked(number) for number in range(REQUESTS_AT_ONCE)]
+    stop.presses(REQUESTS_AT_ONCE, 5)
+    stop.presses(REQUESTS_AT_ONCE + 1, 6)
+    assert (stop.due_ns, stop.begin(7)) == (None, None)
+    stop.ended(requests[0], 8, answered=False)
+    request = stop.begins(8)
+    assert ids(stop.ended(request, 9, answered=True)) == list(range(REQUESTS_AT_ONCE + 2))
 
 
 def test_a_press_outlives_its_page_and_those_of_many_pages_are_one() -> None:
