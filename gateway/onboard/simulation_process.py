@@ -59,11 +59,6 @@ class SimulationProcess:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    @property
-    def pid(self) -> int:
-        """Its process."""
-        return self._process.pid
-
     def tell(self, line: str) -> None:
         """Write it this line. Never waits."""
         with suppress(OSError):  # it has ended, which `_watch` reports

@@ -3,7 +3,7 @@
 | bytes   | content                                                                                       |
 |---------|-----------------------------------------------------------------------------------------------|
 | 0-27    | magic, version, the size of a slot, and how many there are                                    |
-| 64-71   | the sequence number of the newest start or incident                                           |
+| 64-71   | of files of earlier versions; nobody reads it                                                 |
 | 128-133 | CRC-32 and length of the calibration; 0: none                                                 |
 | 134-    | the calibration in force, whose record the ring overwrites sooner than it changes             |
 """
@@ -18,8 +18,6 @@ VERSION: Final = 2
 MAGIC: Final = b"hexapod black box\n"
 
 _BEGIN: Final = struct.Struct("<18sHII")
-_ANNOUNCED: Final = struct.Struct("<Q")
-_ANNOUNCED_AT: Final = 64
 _CALIBRATION: Final = struct.Struct("<IH")
 _CALIBRATION_AT: Final = 128
 _CALIBRATION_BEGIN: Final = _CALIBRATION_AT + _CALIBRATION.size
@@ -47,18 +45,6 @@ def slots_of(head: bytes, size: int) -> int:
     if not slots or size != file_bytes(slots):
         raise DamagedRingError(f"it has {size} bytes, and its header says {slots} records")
     return int(slots)
-
-
-def announce(buffer: Any, sequence: int) -> None:
-    """Write the sequence number of the newest start or incident, for a watcher that polls the file."""
-    _ANNOUNCED.pack_into(buffer, _ANNOUNCED_AT, sequence)
-
-
-def announced(head: bytes) -> int:
-    """The number written by `announce`; 0 if the header is truncated."""
-    if len(head) < HEADER_BYTES:
-        return 0
-    return int(_ANNOUNCED.unpack_from(head, _ANNOUNCED_AT)[0])
 
 
 def put_calibration(buffer: Any, data: bytes) -> None:

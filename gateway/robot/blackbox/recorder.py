@@ -120,7 +120,6 @@ class Recorder:
         self._append = self._ring.append
         for kind, ns, rest in waiting:
             self._append(kind, ns, rest)
-        self._ring.announce()  # so that the watcher sees this start even if the gateway is killed at once
 
     def close(self) -> None:
         """Close the ring; later records are discarded."""
@@ -264,8 +263,6 @@ class Recorder:
             self.incidents += 1
             self._first_ns = now_ns
             self._append(form.INCIDENT, now_ns, form.incident(wall_ns, self.incident))
-            if self._ring is not None:
-                self._ring.announce()
         self._copies.happened()
         self._until_ns = max(self._until_ns, now_ns + follow_ns(what))
         return self.incident

@@ -75,10 +75,6 @@ class RecordRing:
         pack_slot_into(self._map, _HEADER + sequence % self._slots * _SLOT, crc32(body), body)
         self.sequence = sequence + 1
 
-    def announce(self) -> None:
-        """Notify watchers of the file: the latest record is a start or an incident."""
-        header.announce(self._map, self.sequence - 1)
-
     @property
     def calibration(self) -> bytes:
         """The header's calibration, in the bytes of `format.calibration`; empty: none."""
