@@ -12,9 +12,10 @@ from gateway.model.frames import SETS, STARTS
 from gateway.robot.core.events import Announce, BusOpened, Command, PowerSeen, TimePassed, Transmit
 from gateway.robot.core.latch import Latch
 from gateway.robot.core.leg import Rules
+from gateway.robot.core.power import PowerRule
 from gateway.robot.core.supervisor import Supervisor
 from schemas.telemetry import Mode
-from tests.support.steps import Steps, all_stopped, leg_to, servo_to
+from tests.support.steps import Steps, all_stopped, leg_to, legs_to, servo_to
 
 
 def fed(**changes: Any) -> Steps:
@@ -77,6 +78,20 @@ def test_what_was_fed_before_a_stop_is_not_fed_behind_it() -> None:
     steps.command(20, leg_to(3, "stop"))
     assert steps.command(30, leg_to(3, "start 90")) == []
     assert steps.board(90) == ["command 3 start 90", "completed 3"]
+
+
+def test_nothing_lands_where_the_last_servo_was_stopped_in_the_same_step() -> None:
+    """The start that nobody fed ends in the step in which the board falls silent."""
+    steps = Steps(Rules(repeats=0, power=True, landing_ns=500 * NS_PER_MS, timeout_ns=5000 * NS_PER_MS))
+    steps.board(5)
+    steps.command(10, servo_to(31, "start 90"))
+    steps.board(20, fed=[31])
+    steps.command(30, servo_to(32, "start 90"))
+    steps.command(40, servo_to(41, "start 90"))
+    found = steps.board(30 + 1800, alive=False)
+    assert found[0] == "watchdog 3 stop"
+    assert "watchdog 4 stop" in found
+    assert "announce landing" not in found
 
 
 @pytest.mark.parametrize("how", ["stop", "estop"])
@@ -150,6 +165,15 @@ def test_a_leg_with_a_servo_that_is_not_fed_any_more_is_stopped_and_the_others_g
     assert steps.board(60) == ["command 3 start 80", "completed 4"]
 
 
+def test_where_the_robot_stops_as_one_a_servo_that_is_lost_stops_all() -> None:
+    steps = Steps(Rules(repeats=0, power=True, whole_robot=True))
+    steps.board(5)
+    steps.command(10, legs_to("123456", "start 90"))
+    steps.board(15)
+    assert steps.board(20, lost=(32,)) == all_stopped("watchdog")
+    assert steps.running == []
+
+
 def test_a_start_that_waits_for_a_servo_that_is_now_blocked_is_never_sent() -> None:
     steps = fed(period_ns=1000 * NS_PER_MS)
     steps.command(20, leg_to(3, "stop"))
@@ -157,6 +181,12 @@ def test_a_start_that_waits_for_a_servo_that_is_now_blocked_is_never_sent() -> N
     assert steps.board(40, refused="31") == ["watchdog 3 stop", "rejected 3 no_power"]
     assert steps.time(1100) == []
     assert steps.running == []
+
+
+def test_a_servo_that_does_not_run_is_no_news() -> None:
+    steps = fed()
+    assert steps.board(20, lost=(11,), refused="11") == []
+    assert steps.running == [31, 32, 33]
 
 
 def test_all_is_stopped_when_the_board_does_not_answer() -> None:
@@ -216,6 +246,27 @@ def test_at_a_bus_at_fault_and_at_the_end_the_board_changes_nothing_that_is_sent
 
 
 # ---- a reset that may be older than the emergency stop
+
+
+def test_what_the_board_says_before_the_bus_is_open_is_no_mistake() -> None:
+    steps = Steps(Rules(repeats=0, power=True), opened=False)
+    assert steps.board(0) == []
+    steps.open(10)
+    assert steps.command(20, leg_to(3, "start 90")) == []
+    assert steps.board(30) == ["command 3 start 90", "completed 1"]
+
+
+def test_an_emergency_stop_of_the_same_instant_comes_as_ever() -> None:
+    steps = fed()
+    steps.instant_ms = 20
+    steps.board(20, lost=(31,))
+    assert steps.estop(21) == [*all_stopped("estop"), "announce estop_engaged"]
+
+
+def test_the_supply_stands_in_the_way_of_moves_only_while_it_has_a_reason() -> None:
+    without, supply = PowerRule(Rules()), PowerRule(Rules(power=True))
+    assert (without.alive, without.closed) == (True, False)
+    assert (supply.alive, supply.closed) == (False, True)
 
 
 @pytest.mark.parametrize(

@@ -20,6 +20,15 @@ def test_the_start_stops_all_six_legs() -> None:
     assert robot.due_ms is None
 
 
+def test_a_start_energises_and_a_set_moves() -> None:
+    robot = Steps()
+    assert robot.command(1, leg_to(1, "start 90")) == ["command 1 start 90", "completed 1"]
+    assert robot.supervisor.mode is Mode.ACTIVE
+    assert robot.running == [11, 12, 13]
+    assert robot.command(30, leg_to(1, "set 45.5")) == ["command 1 set 45.5", "completed 2"]
+    assert robot.command(60, servo_to(12, "set 1")) == ["command 12 set 1", "completed 3"]
+
+
 @pytest.mark.parametrize("servo_id", SERVO_IDS)
 def test_a_set_is_rejected_where_nothing_was_started(servo_id: int) -> None:
     robot = Steps()
@@ -108,6 +117,39 @@ def test_a_command_comes_just_when_another_legs_slot_does() -> None:
 # ---- Stops never wait
 
 
+def test_the_newest_of_each_servo_is_sent_in_one_frame() -> None:
+    robot = Steps()
+    robot.command(100, leg_to(1, "start 90"))
+    assert robot.command(101, leg_to(1, "set 10", "set 20", "set 30")) == []
+    assert robot.command(102, servo_to(12, "set 25")) == []
+    assert robot.time(120) == ["command 1 set 10 | set 25 | set 30", "completed 3", "completed 2 coalesced"]
+
+
+def test_what_nothing_waits_for_is_told_what_it_does_already() -> None:
+    robot = Steps()
+    robot.command(100, leg_to(1, "start 90", "stop", "stop"))
+    robot.command(101, servo_to(12, "start 20"), "servo/12")
+    robot.command(102, servo_to(13, "start 30"), "servo/13")
+    assert robot.time(120) == ["command 1 set 90 | start 20 | start 30", "completed 2", "completed 3"]
+
+
+def test_each_leg_has_rate_slots_of_its_own() -> None:
+    robot = Steps()
+    robot.command(100, leg_to(1, "start 90"))
+    assert robot.command(101, leg_to(2, "start 90")) == ["command 2 start 90", "completed 2"]
+    assert robot.command(102, legs_to("123", "start 80")) == ["command 3 start 80"]
+    assert robot.time(105) == ["command 1 start 80"]
+    assert robot.time(106) == ["command 2 start 80", "completed 3"]
+
+
+def test_a_command_that_finds_a_rate_slot_is_sent_with_what_waited() -> None:
+    """Nobody woke the supervisor in time: the newer target goes out, not first the older one."""
+    robot = Steps()
+    robot.command(100, leg_to(1, "start 90"))
+    robot.command(101, leg_to(1, "set 10"))
+    assert robot.command(125, leg_to(1, "set 20")) == ["completed 2 coalesced", "command 1 set 20", "completed 3"]
+
+
 def test_a_stop_goes_out_at_once_and_ends_what_waits() -> None:
     robot = Steps()
     robot.command(100, leg_to(1, "start 90"))
@@ -117,11 +159,37 @@ def test_a_stop_goes_out_at_once_and_ends_what_waits() -> None:
     assert robot.supervisor.mode is Mode.IDLE
 
 
+def test_a_stop_among_moves_does_not_wait_for_them() -> None:
+    robot = Steps()
+    robot.command(100, leg_to(1, "start 90"))
+    assert robot.command(101, leg_to(1, "set 80", "stop", "set 70")) == ["command 12 stop"]
+    assert robot.running == [11, 13]
+    assert robot.time(120) == ["command 1 set 80 | stop | set 70", "completed 2"]
+
+
 def test_a_stop_among_moves_reaches_a_servo_that_seems_to_be_stopped() -> None:
     """Its Stop may have been lost on the wire, which acknowledges nothing."""
     robot = Steps()
     robot.command(100, leg_to(1, "start 90", "stop", "start 90"))
     assert robot.command(101, leg_to(1, "set 80", "stop", "set 80")) == ["command 12 stop"]
+
+
+def test_stops_come_first_in_a_command_for_several_legs() -> None:
+    robot = Steps()
+    robot.command(100, leg_to(2, "start 90"))
+    mixed = leg_to(1, "start 90") + leg_to(2, "stop")
+    assert robot.command(130, mixed, "legs") == ["command 2 stop", "command 1 start 90", "completed 2"]
+
+
+def test_stops_for_two_servos_of_a_leg_are_two_frames() -> None:
+    robot = Steps()
+    robot.command(100, leg_to(1, "start 90"))
+    assert robot.command(101, servo_to(11, "stop") + servo_to(13, "stop")) == [
+        "command 11 stop",
+        "command 13 stop",
+        "completed 2",
+    ]
+    assert robot.running == [12]
 
 
 def test_a_stop_to_a_leg_that_does_not_run_is_sent() -> None:
@@ -142,12 +210,27 @@ def test_a_stop_wins_over_another_channels_move_in_the_same_instant(move: str) -
     assert robot.command(130, leg_to(2, move.replace("set", "start")), "leg/2")[0].startswith("command 2")
 
 
+def test_the_other_way_round_it_wins_as_well() -> None:
+    robot = Steps()
+    assert robot.command(130, servo_to(11, "start 90"), "servo/11") == ["command 11 start 90", "completed 1"]
+    assert robot.command(130, leg_to(1, "stop"), "legs") == ["command 1 stop", "completed 2"]
+    assert robot.running == []
+
+
 def test_one_channels_own_order_is_known_and_no_others_however_long_an_instant_takes() -> None:
     robot = Steps()
     robot.instant_ms = 130
     robot.command(130.5, leg_to(1, "stop"), "put leg/1")
     assert robot.command(131, leg_to(1, "start 90"), "get leg/1") == ["rejected 2 servo_stopped"]
     assert robot.command(131.5, leg_to(1, "start 90"), "put leg/1") == ["command 1 start 90", "completed 3"]
+
+
+def test_all_who_stop_in_an_instant_count() -> None:
+    robot = Steps()
+    robot.command(130, servo_to(11, "stop"), "servo/11")
+    robot.command(130, leg_to(1, "stop"), "leg/1")
+    assert robot.command(130, leg_to(1, "start 90"), "leg/1") == ["rejected 3 servo_stopped"]
+    assert robot.command(130.001, leg_to(1, "start 90"), "leg/1") == ["command 1 start 90", "completed 4"]
 
 
 def test_a_stop_among_moves_wins_too() -> None:
@@ -158,6 +241,37 @@ def test_a_stop_among_moves_wins_too() -> None:
 
 
 # ---- the queue of starts
+
+
+JOINTS = pytest.mark.parametrize("joint", [1, 2, 3])
+
+
+@JOINTS
+def test_a_single_pending_joint_is_sent_in_its_rate_slot(joint: int) -> None:
+    robot = Steps()
+    robot.command(100, leg_to(1, "start 90"))
+    assert robot.command(101, servo_to(10 + joint, "set 80")) == []
+    assert robot.due_ms == 105
+    assert robot.time(105) == [f"command {10 + joint} set 80", "completed 2"]
+
+
+@JOINTS
+def test_a_single_joint_waits_to_be_energised_like_a_leg(joint: int) -> None:
+    robot = staggered(50)
+    robot.command(100, leg_to(1, "start 90"))
+    assert robot.command(110, servo_to(20 + joint, "start 90")) == []
+    assert robot.due_ms == 150
+    assert robot.time(150) == [f"command {20 + joint} start 90", "completed 2"]
+
+
+def test_a_leg_that_need_not_be_energised_any_more_keeps_nobody_off() -> None:
+    robot = staggered(50)
+    robot.command(100, servo_to(22, "start 90"))
+    assert robot.command(110, servo_to(21, "start 90")) == []
+    assert robot.command(112, leg_to(3, "start 90")) == []
+    robot.command(115, servo_to(21, "stop") + servo_to(22, "set 80"))
+    assert robot.due_ms == 150
+    assert robot.time(150) == ["command 3 start 90", "completed 3"]
 
 
 def test_a_leg_whose_start_was_dropped_keeps_nobody_off() -> None:
@@ -182,9 +296,64 @@ def test_a_leg_whose_rate_slot_has_not_come_keeps_its_place() -> None:
     assert robot.time(106) == ["command 2 start 90", "completed 4"]
 
 
+def test_a_leg_is_shown_as_expired_until_it_is_started_or_stopped_as_a_whole() -> None:
+    robot = Steps()
+    first = robot.supervisor.legs.by_number[1]
+    for word, shown in (("stop", WatchdogState.IDLE), ("start 90", WatchdogState.ARMED)):
+        robot.command(1000, leg_to(1, "start 90"))
+        robot.time(1250)
+        assert robot.command(1300, servo_to(12, "stop"))[0] == "command 12 stop"
+        assert first.watchdog is WatchdogState.EXPIRED, "one servo says nothing of the leg"
+        robot.command(1310, leg_to(1, word))
+        assert first.watchdog is shown
+        robot.command(1320, leg_to(1, "stop"))
+
+
+def test_a_stop_that_comes_with_moves_is_repeated_like_any_other() -> None:
+    robot = Steps(Rules(repeats=2))
+    robot.command(100, leg_to(1, "start 90"))
+    assert robot.command(130, leg_to(1, "stop", "set 80", "set 80"))[-2:] == [
+        "command 1 stop | set 80 | set 80",
+        "completed 2",
+    ]
+    assert "repeat 11 stop" in robot.time(150)
+    assert "repeat 11 stop" in robot.time(170)
+
+
 def test_a_stream_above_the_rate_that_keeps_a_servo_stopped_leaves_it_to_the_repeats() -> None:
     robot = Steps(Rules(repeats=3))
     robot.command(100, leg_to(1, "start 90"))
     assert "command 11 stop" in robot.command(101, leg_to(1, "stop", "set 80", "set 80"))
     assert "command 11 stop" not in robot.command(102, leg_to(1, "stop", "set 70", "set 70"))
     assert "repeat 11 stop" in robot.time(121)
+
+
+def test_a_start_does_not_overtake_a_stop_of_its_instant_that_comes_with_moves() -> None:
+    robot = Steps()
+    robot.command(99, leg_to(1, "start 90"))
+    robot.instant_ms = 100
+    robot.command(101, leg_to(1, "stop", "set 80", "set 80"), "put legs")
+    assert robot.command(102, servo_to(11, "start 10"), "put leg/1") == ["rejected 3 servo_stopped"]
+    assert robot.command(103, servo_to(11, "start 10"), "put legs") == [], "of one channel it is newer: it is pending"
+
+
+def test_a_start_does_not_undo_the_watchdogs_stop_of_its_instant() -> None:
+    robot = Steps()
+    robot.command(100, leg_to(1, "start 90"))
+    robot.instant_ms = 349
+    assert robot.command(351, leg_to(1, "start 90"), "put leg/1") == [
+        "watchdog 1 stop",
+        "announce watchdog_expired",
+        "rejected 2 servo_stopped",
+    ]
+    assert robot.command(352, leg_to(1, "start 90"), "put leg/1") == ["rejected 3 servo_stopped"]
+
+
+def test_a_stop_of_all_legs_is_seen_on_those_that_the_command_before_it_did_not_move() -> None:
+    robot = Steps()
+    robot.command(100, legs_to("12", "start 90"))
+    robot.command(130, servo_to(11, "set 91"))
+    robot.estop(140)
+    robot.reset(141)
+    assert robot.supervisor.mode is Mode.IDLE
+    assert robot.due_ms is None

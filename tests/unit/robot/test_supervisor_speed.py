@@ -39,6 +39,12 @@ def test_a_far_target_is_approached_and_reached() -> None:
     assert len(said) >= (110 - 92) / (100 / 50)
 
 
+def test_a_near_target_is_reached_at_once() -> None:
+    steps = speed_steps()
+    assert steps.command(51, servo_to(31, "set 91.9"))[0] == "command 31 set 91.9"
+    assert angles(steps, 200) == []
+
+
 def test_the_newest_target_counts() -> None:
     steps = speed_steps()
     steps.command(51, servo_to(31, "set 180"))
@@ -53,6 +59,10 @@ def test_a_start_of_a_servo_that_runs_is_no_way_round_it() -> None:
 def test_a_start_of_one_that_does_not_run_goes_where_it_says() -> None:
     steps = Steps(Rules(repeats=0, max_speed_cdeg_s={31: 100}))
     assert steps.command(1, servo_to(31, "start 180"))[0] == "command 31 start 180"
+
+
+def test_other_servos_are_as_quick_as_ever() -> None:
+    assert speed_steps().command(51, leg_to(3, "set 180"))[0] == "command 3 set 92 | set 180 | set 180"
 
 
 @pytest.mark.parametrize(("others", "deg"), [((32, 33), 91), ((32,), 92)], ids=["a leg's frame", "another servo's"])
@@ -180,3 +190,12 @@ def test_a_servo_does_not_go_on_to_where_a_rejected_command_has_sent_it(reject: 
     assert "rejected 7" in " ".join(reject(steps))
     assert 31 in steps.running
     assert angles(steps, REJECTED_MS + 90) == [], "it holds where it is"
+
+
+@pytest.mark.parametrize("reject", REJECTING)
+def test_it_goes_on_to_where_a_newer_command_has_sent_it(reject: Callable[[Steps], list[str]]) -> None:
+    steps = begun()
+    newer = steps.command(REJECTED_MS - 2, servo_to(31, "set 100"))
+    assert "rejected" not in " ".join(newer)
+    assert "rejected 7" in " ".join(reject(steps))
+    assert angles(steps, REJECTED_MS + 90)[-1] > 9.2

@@ -54,21 +54,6 @@ def test_a_stop_for_one_servo_does_not_keep_the_others_running(targets: Targets)
     assert set(robot.running) <= {21, 22, 23}
 
 
-def test_a_leg_is_expired_until_all_its_servos_are_stopped_on_command() -> None:
-    robot = Steps()
-    robot.command(100, leg_to(1, "start 90"))
-    robot.time(350)
-    robot.command(360, servo_to(11, "stop"))
-    assert robot.supervisor.legs.by_number[1].watchdog == "expired"
-    robot.command(370, leg_to(1, "stop"))
-    assert robot.supervisor.legs.by_number[1].watchdog == "idle"
-    robot.command(400, leg_to(2, "start 90"))
-    robot.command(430, servo_to(21, "stop"))
-    assert robot.supervisor.legs.by_number[2].watchdog == "armed"
-    robot.command(460, leg_to(2, "stop"))
-    assert robot.supervisor.legs.by_number[2].watchdog == "idle"
-
-
 def test_other_legs_do_not_feed_it() -> None:
     robot = Steps()
     robot.command(100, leg_to(1, "start 90"))
