@@ -5,8 +5,8 @@ BIN := $(VENV)/bin
 # What `make test-all` needs of Debian: an emulated kernel device (for the system's own Python), network namespaces, a browser, a
 # terminal, and a systemd to start in a box of its own.
 DEBIAN_PACKAGES := umockdev gir1.2-umockdev-1.0 python3-gi iproute2 tmux systemd dbus chromium
-# And what only `make nightly` needs: the other two browsers, and a display with a window manager for WebKit.
-nightly: DEBIAN_PACKAGES += webkit2gtk-driver xvfb matchbox-window-manager firefox-esr
+# And what only `make nightly` needs: the other two browsers, a display with a window manager for WebKit, and Debian 13.
+nightly: DEBIAN_PACKAGES += webkit2gtk-driver xvfb matchbox-window-manager firefox-esr debootstrap
 
 .PHONY: deb dist lock help run quick test test-all nightly check bench kernel walk soak mutants schemas docs format clean debian-packages
 

@@ -60,11 +60,13 @@ class Box(Closing):
         disk: Path | None = None,
         base: Path | None = None,
         keep: Path | None = None,
+        root: Path | None = None,
         life_s: int = LIFE_S,
     ) -> None:
         """Boot it. `folder` gets the script and the shared folder; `disk`, an ext4 image, what is written inside.
 
-        `keep` becomes an archive of that at the end; a box with it as its `base` begins there.
+        `root`: the folder of another system, in place of this machine's. `keep` becomes an archive of what is written
+        inside at the end; a box with it as its `base` begins there.
         """
         self.shared = folder / "shared"
         self.shared.mkdir()
@@ -74,7 +76,7 @@ class Box(Closing):
         for name in ("up", "end"):
             os.mkfifo(self.shared / name)
         up = os.open(self.shared / "up", os.O_RDONLY | os.O_NONBLOCK)
-        places = {"BOX_OUT": self.shared, "BOX_DISK": disk, "BOX_BASE": base, "BOX_KEEP": keep}
+        places = {"BOX_OUT": self.shared, "BOX_DISK": disk, "BOX_BASE": base, "BOX_KEEP": keep, "BOX_ROOT": root}
         given = {name: str(place) for name, place in places.items() if place is not None}
         self._system = Child([str(PROGRAM), str(script), str(life_s)], {**os.environ, **given})
         try:

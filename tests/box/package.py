@@ -118,12 +118,10 @@ class Robot(InstalledGateway):
         self.gateway("send", "leg", "3", "stop")
         self.stops_work()
 
-    def stops_work(self) -> None:
-        """`stop-servos` writes six Stops by the installed command."""
+    def stops_work(self, command: str = "hexapod-gateway") -> None:
+        """`stop-servos` writes six Stops."""
         since = len(self.bed.transfers)
-        self.box.run(
-            "env", *self.emulated, "hexapod-gateway", "stop-servos", "--config", "/etc/hexapod-gateway/gateway.toml"
-        )
+        self.box.run("env", *self.emulated, command, "stop-servos", "--config", "/etc/hexapod-gateway/gateway.toml")
         self.wait_for_stops(since)
 
     def hold(self) -> str:
