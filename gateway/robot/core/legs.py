@@ -118,6 +118,7 @@ class Legs:
             rests = rests or leg.rests
         if at_rest or self.at_rest or self.rest.due_ns is None:
             self.rest.plan(now_ns, at_rest=at_rest, stopped=bool(self._first_stops))
+            self._first_stops = set()
         if rests and self.rest.due_ns is not None:
             due_ns = self.rest.due_ns if self.rest.due_ns < due_ns else due_ns
             repeat_ns = self.rest.due_ns if self.rest.due_ns < repeat_ns else repeat_ns
@@ -481,7 +482,12 @@ class Legs:
         return [withdrawn(command, reason, detail) for command in rejected]
 
     def _repeat(self, leg: Leg, now_ns: int, *, together: bool) -> list[Effect]:
-        due = [servo for servo in leg.servos if servo.repeats_left and (together or now_ns >= servo.repeat_ns)]
+        due = [
+            servo
+            for servo in leg.servos
+            if servo.repeats_left
+            and (now_ns >= servo.repeat_ns or (together and servo.servo_id not in self._first_stops))
+        ]
         for servo in due:
             servo.repeats_left -= servo.servo_id not in self.given  # a first Stop of this step owes all of its repeats
             self.given.add(servo.servo_id)

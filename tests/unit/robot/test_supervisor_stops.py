@@ -188,3 +188,13 @@ def test_a_stop_that_left_ahead_of_its_legs_slot_is_not_in_the_frame_of_that_slo
     stopped = steps.command(102, leg_to(3, "set 80", "stop", "stop"))
     assert stopped == ["command 32 stop", "command 33 stop", "completed 2 coalesced"]
     assert steps.time(122) == ["command 31 set 80", "completed 3"]
+
+
+def test_where_nothing_runs_a_first_stop_of_a_step_is_not_repeated_with_those_that_are_due() -> None:
+    robot = Steps(Rules(repeats=1, rest_runs=0))
+    robot.command(5000, leg_to(2, "stop"))
+    assert robot.command(5020, leg_to(1, "start 90", "stop", "stop")) == [
+        "repeat 2 stop",
+        "command 1 start 90 | stop | stop",
+        "completed 2",
+    ]
