@@ -132,7 +132,7 @@ def _behind(command: list[str], *, idle: bool = False) -> Iterator[subprocess.Po
     What it prints comes behind the others' output.
     """
     with tempfile.TemporaryFile() as output:
-        process = subprocess.Popen(command, stdout=output, stderr=subprocess.STDOUT, process_group=0)
+        process = subprocess.Popen(command, stdout=output, stderr=subprocess.STDOUT, start_new_session=True)
         try:
             if idle:
                 schedule.give_way(process.pid)

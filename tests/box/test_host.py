@@ -11,7 +11,8 @@ import pytest
 from tests.box.box import Box
 from tests.support.child import Child
 
-pytestmark = pytest.mark.systemd
+pytestmark = [pytest.mark.systemd, pytest.mark.alone]
+"""Other boxes would show."""
 
 SETTINGS = Path("/proc/sys")
 COUNTERS = (

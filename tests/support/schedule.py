@@ -9,6 +9,7 @@ test or its file (`pytestmark`), or is its folder's: FOLDERS. Marks also say how
 import os
 import re
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
@@ -71,8 +72,10 @@ def is_elsewhere(path: Path, marks: str) -> bool:
 
 def give_way(process: int) -> None:
     """Let it, and what it starts, leave the processors to whoever else wants one, at once: a nice value only gives them
-    more of the time."""
+    more of the time. It leads a session, to which Linux would give as much as to a browser's, say (autogroup)."""
     os.sched_setscheduler(process, os.SCHED_IDLE, os.sched_param(0))
+    with suppress(OSError):
+        Path(f"/proc/{process}/autogroup").write_text("19", encoding="ascii")
 
 
 def group(nodeid: str) -> str:

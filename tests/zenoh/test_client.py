@@ -85,7 +85,8 @@ def test_what_nobody_answers_is_one_sentence_and_no_busy_loop(tmp_path: Path) ->
         gateway.child.kill()
         gateway.child.wait()
         for ask, why in (
-            (lambda: client.start_leg(3, 1, 2, 3), "and the link may have been lost"),
+            # By then the session may know that the link has ended, and may not.
+            (lambda: client.start_leg(3, 1, 2, 3), r"(and the link may have been lost|within 0\.5 s)"),
             (client.state, r"within 0\.5 s"),
             (client.telemetry, r"within 0\.5 s"),
             (client.stop, r"within 0\.5 s"),
