@@ -11,6 +11,8 @@ from hypothesis import strategies as st
 
 from gateway.model.frames import (
     STOP,
+    STOP_REPEAT_MS,
+    STOP_REPEATS,
     Frame,
     FrameError,
     OneLeg,
@@ -104,6 +106,7 @@ def test_illegal_vectors_are_rejected_by_name_of_the_byte(vector: dict[str, str]
         ("06 02 0e 01 5a 00", "byte 3 is 14 (0x0e); a servo id is leg 1-6 then joint 1-3, such as 13"),
         ("06 02 0b 04 5a 00", "byte 4 is 4 (0x04); an OP is 1 (Start), 2 (Stop) or 3 (Set)"),
         ("06 02 0b 03 b5 00", "byte 5 is 181 (0xb5); INT PART is 0 to 180 whole degrees"),
+        ("06 02 0b 03 5a 64", "byte 6 is 100 (0x64); FLOAT PART is 0 to 99 hundredths of a degree"),
         ("06 02 0b 03 b4 01", "byte 6 is 1 (0x01) after 180 whole degrees; the largest angle is 180.00"),
         ("06 02 0b 03 5a", "byte 6 is missing; a ONE SERVO frame has 6 bytes"),
         ("06 02 0b 03 5a 00 00", "byte 7 is too many; a ONE SERVO frame has 6 bytes, here are 7"),
@@ -150,6 +153,17 @@ def test_an_operation_is_an_op(op: Any) -> None:
 def test_a_stop_has_no_angle() -> None:
     with pytest.raises(FrameError, match="a Stop has none"):
         ServoOp(Op.STOP, 1)
+
+
+@given(ops=st.tuples(*[st.sampled_from([STOP, ServoOp(Op.START, 9000), ServoOp(Op.SET, 1)])] * 3))
+def test_a_frame_is_a_stop_where_all_of_its_operations_are(ops: tuple[ServoOp, ServoOp, ServoOp]) -> None:
+    assert OneLeg(4, ops).is_stop is all(each is STOP for each in ops)
+    assert OneServo(41, ops[0]).is_stop is (ops[0] is STOP)
+
+
+def test_a_stop_is_repeated_three_times_each_20_ms() -> None:
+    """As docs/stops.md says of every Stop."""
+    assert (STOP_REPEATS, STOP_REPEAT_MS) == (3, 20)
 
 
 @pytest.mark.parametrize("commands", [(), (STOP, STOP), (STOP,) * 4, [STOP] * 3, (STOP, STOP, None), STOP])
