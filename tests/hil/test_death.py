@@ -193,8 +193,9 @@ def kill_once(bed: SpiTestbed, framing: Framing, config: Path, moment_s: float) 
     time.sleep(moment_s)  # the moment itself; nothing is waited for
     gateway.close()
     assert gateway.returncode == -signal.SIGKILL
-    stops = stop_servos(bed, config)
+    stop_servos(bed, config)
     transfers = bed.transfers[before:]
+    # By who opened the device: what a gateway wrote last may be reported only after its end.
     of_gateway = [each for each in transfers if each.opening == transfers[0].opening]
     check_black_box(config.parent / "box" / RING_FILE, of_gateway)
     replay = Replay(framing)
@@ -202,8 +203,7 @@ def kill_once(bed: SpiTestbed, framing: Framing, config: Path, moment_s: float) 
     first_move = next(place for place, each in enumerate(of_gateway) if moves(each))
     stopped_again = any(each.data.hex() in STOPS for each in of_gateway[first_move:])  # see check_black_box
     assert replay.controller.energised or stopped_again
-    check_stops(framing, replay, stops)
-    assert len(of_gateway) + len(stops) == len(transfers)
+    check_stops(framing, replay, transfers[len(of_gateway) :])
     return len(of_gateway[-1].data) == 1
 
 

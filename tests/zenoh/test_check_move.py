@@ -263,11 +263,16 @@ def test_a_controller_that_does_not_answer_is_not_moved(
 # ---- a power board
 
 
+TRIES = 3
+
+
 def test_by_its_current_it_shows_which_output_feeds_the_servo(tmp_path: Path) -> None:
     settings: dict[str, dict[str, object]] = {"watchdog": {"timeout_ms": 9000}, "power": {"interface": "sim"}}
     with Gateway(tmp_path, settings) as gateway, gateway.client() as client:
-        heard = Heard(client, keys.STATE, GatewayState)
-        heard.wait(answers_steadily())
-        end = gateway.run("check", "--move", "--yes")
+        for _ in range(TRIES):
+            Heard(client, keys.STATE, GatewayState).wait(answers_steadily())
+            end = gateway.run("check", "--move", "--yes")
+            if "does not answer" not in end.stdout and "does not run" not in end.stdout:
+                break  # else the board, a process without priority, or this one had no processor just then
     assert end.returncode == 0, str(end)
     assert "output for servo 61 feeds it" in end.stdout
