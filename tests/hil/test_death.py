@@ -40,12 +40,18 @@ ROUNDS = 4  # of stop-servos: one, and three repeats
 
 
 def stop_servos(bed: SpiTestbed, config: Path) -> list[Transfer]:
-    """Run it to its end; what it wrote."""
-    before = len(bed.transfers)
+    """Run it to its end; what it wrote. What others wrote may be reported only now: theirs are other openings."""
+    earlier = newest_opening(bed)
     child = bed.spawn([*COMMAND, "stop-servos", "--config", str(config)])
     assert child.wait(60) == 0, str(child)
     child.close()
-    return bed.transfers[before:]
+    bed.heal()  # whose answer comes behind all reports
+    return [each for each in bed.transfers if each.opening > earlier]
+
+
+def newest_opening(bed: SpiTestbed) -> int:
+    """The number of the device's newest opening."""
+    return max((each.opening for each in bed.transfers), default=0)
 
 
 def check_stops(framing: Framing, replay: Replay, stops: list[Transfer]) -> None:
@@ -187,23 +193,21 @@ def loaded(framing: Framing, endpoint: str, folder: Path) -> dict[str, dict[str,
 
 def kill_once(bed: SpiTestbed, framing: Framing, config: Path, moment_s: float) -> bool:
     """Kill a gateway that long after its first start, and run stop-servos; whether half a frame was written."""
-    before = len(bed.transfers)
+    earlier = newest_opening(bed)
     gateway = bed.spawn([*COMMAND, "run", "--config", str(config)])
-    bed.wait_for(lambda transfers: any(moves(each) for each in transfers[before:]), 60)
+    bed.wait_for(lambda transfers: any(moves(each) for each in transfers if each.opening > earlier), 60)
     time.sleep(moment_s)  # the moment itself; nothing is waited for
     gateway.close()
     assert gateway.returncode == -signal.SIGKILL
-    stop_servos(bed, config)
-    transfers = bed.transfers[before:]
-    # By who opened the device: what a gateway wrote last may be reported only after its end.
-    of_gateway = [each for each in transfers if each.opening == transfers[0].opening]
+    stops = stop_servos(bed, config)
+    of_gateway = [each for each in bed.transfers if each.opening == earlier + 1]
     check_black_box(config.parent / "box" / RING_FILE, of_gateway)
     replay = Replay(framing)
     replay.play(of_gateway)
     first_move = next(place for place, each in enumerate(of_gateway) if moves(each))
     stopped_again = any(each.data.hex() in STOPS for each in of_gateway[first_move:])  # see check_black_box
     assert replay.controller.energised or stopped_again
-    check_stops(framing, replay, transfers[len(of_gateway) :])
+    check_stops(framing, replay, stops)
     return len(of_gateway[-1].data) == 1
 
 
