@@ -18,15 +18,16 @@ from threading import Timer
 from typing import Final
 
 from gateway.errors import ConfigError, GatewayError
+from gateway.host.directories import SERVICE_RUNTIME
+from gateway.host.plain_settings import DEFAULT_PATH as CONFIGURATION
 
 LIBRARY: Final = Path("/usr/lib/hexapod-gateway")
-CONFIGURATION: Final = Path("/etc/hexapod-gateway/gateway.toml")
 UNITS: Final = Path("/usr/lib/systemd/system")
 _FORMER: Final = Path("/opt/hexapod-gateway")
 """Of the installer before the package: its unit and its command go before the package's until `setup` removes them."""
 _SERVICE: Final = "hexapod-gateway"
 _CONSOLE: Final = "hexapod-console"
-_SERVOS: Final = Path("/run/hexapod-gateway/servos")
+_SERVOS: Final = SERVICE_RUNTIME / "servos"
 """What gateway.robot.host.servos_file writes."""
 _FRESH_NS: Final = 1_000_000_000
 _LOOKS: Final = 20

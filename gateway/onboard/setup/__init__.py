@@ -46,7 +46,8 @@ def _set_up(machine: Machine, wanted: Wanted) -> None:
     certificates.refresh(machine)
     if machine.let_read(ETC, SERVICE):
         machine.restart_due = True
-    boot.switch_on(machine, device := stated.get("spi", "device", "/dev/spidev0.0"), stated.uart)
+    device = stated.get("spi", "device", "/dev/spidev0.0")
+    boot.switch_on(machine, device, stated.uart)
     if not machine.dry:
         os.sync()  # what a restart runs is what a power cut would leave
     service.start(machine, device)

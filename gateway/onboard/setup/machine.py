@@ -159,7 +159,7 @@ class Machine:
         self.restart_due = True
 
     def check_no_servo_runs(self) -> None:
-        """Raises GatewayError if a restart of the service would stop a servo, or nobody knows."""
+        """Raises GatewayError if a servo runs, or the service does not report whether one does."""
         if self.dry or self.force:
             return
         if reason := self.why_not_now():

@@ -32,7 +32,7 @@ export async function subprotocols(timeoutMs) {
   return [SUBPROTOCOL, `${PREFIX}${answer.nonce}.${await proof(`page ${answer.nonce}`)}`];
 }
 
-/** A name of this tab, which a reload leaves as it is: so the console knows who drove here. */
+/** The name of this tab. It stays after a reload, so the console knows which tab drove. */
 export function tab() {
   const name = sessionStorage.getItem(TAB) ?? hex(crypto.getRandomValues(new Uint8Array(16)));
   sessionStorage.setItem(TAB, name);

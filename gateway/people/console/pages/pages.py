@@ -115,7 +115,7 @@ class Pages(LinkReceiver):
         page.allow_age(self._max_age_ms)
 
     def remove(self, page: "Page", tab: str = "") -> None:
-        """Send it nothing more; it is closed. `tab`: in which tab of which session it was; empty: nobody knows."""
+        """Send it nothing more; it is closed. `tab`: the session and its tab; empty: the page gave none."""
         self._pages.discard(page)
         if tab and page.drives:
             self._left[tab] = page, self._clock_ns()
@@ -254,10 +254,10 @@ class Page:
     def close(self) -> None:
         """The WebSocket is closed. A stop that it requested goes on; the lease is released after the walk, unless the
         tab's next page drives on."""
-        self._walks.when_over(self._left, sits=False)
+        self._walks.when_over(self._release, sits=False)
         self._stops.leave(self.outgoing)
 
-    def _left(self) -> None:
+    def _release(self) -> None:
         if not self._handed_on:
             self._lease.close()
 
