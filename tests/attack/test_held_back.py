@@ -92,7 +92,7 @@ def test_no_stop_among_what_was_held_back_is_lost(tmp_path: Path, stack: ExitSta
         messages = [(key, setpoint(key))] * count
         messages[place] = (key, stop)
         robot.deliver_at_once(messages)
-        assert not robot.laptop.set_leg(3, *POSE).accepted, f"it runs, and the {place}th was a Stop"
+        assert not robot.laptop.set_leg(3, *POSE, check=False).accepted, f"it runs, and the {place}th was a Stop"
     assert not robot.reported(Kind.OVERFLOW)
 
 

@@ -154,7 +154,7 @@ class ServoCurrents:
             yield None
             return
         currents = cls()
-        subscriber = client.watch_telemetry(currents.take)
+        subscriber = client.on_telemetry(currents.take)
         try:
             time.sleep(_REST_S)
             currents.moves()

@@ -14,6 +14,7 @@ from gateway.people.client.blocking import Client
 from gateway.people.client.button import Button
 from gateway.people.client.interrupts import Interrupts
 from gateway.people.client.lease import Lease
+from gateway.people.client.pace import Jitter
 from gateway.people.client.stream import Stream
 from gateway.people.client.walk import Walk
 from gateway.people.walking import Distance, WalkState
@@ -129,10 +130,13 @@ class AsyncStream(Twin[Stream]):
     """`Stream` for asyncio, for one task at a time."""
 
     missed: int = same("missed")
+    jitter: Jitter = same("jitter")
     is_over: bool = same("is_over")
     start_again: Callable[[], None] = same("start_again")
     go_on_without: Callable[[Iterable[int]], None] = same("go_on_without")
+    open, close = waits(Stream.open), waits(Stream.close, stops=True)
     set = waits(Stream.set, stops=True)
+    recover = waits(Stream.recover)
 
 
 class AsyncLease(Twin[Lease]):
@@ -164,6 +168,7 @@ class AsyncWalk(Twin[Walk]):
     hold_s: float = same("hold_s")
     rest_s: float = same("rest_s")
     walk_as: Callable[[str], None] = same("walk_as")
+    open, close = waits(Walk.open), waits(Walk.close, stops=True)
     go = waits(Walk.go)
     stand = waits(Walk.stand)
     sit = waits(Walk.sit)
@@ -212,22 +217,19 @@ class AsyncClient(Twin[Client]):
 
     async def close(self) -> None:
         """Disconnect after all pending Stops have their answers."""
-        client, self._there = self._there, None
-        if client is not None:
-            await self._calls.run(partial(self._calls.wait_for_stops, client.close))
-
-    @property
-    def connected(self) -> bool:
-        return self._there is not None and self._there.connected
+        if self._there is not None:
+            await self._calls.run(partial(self._calls.wait_for_stops, self._there.close))
 
     name: str = same("name")
+    connected: bool = same("connected")
     stream = makes(Client.stream, AsyncStream)
     walk = makes(Client.walk, AsyncWalk)
     lease = makes(Client.lease, AsyncLease)
     button = makes(Client.button, AsyncButton)
     on_state = makes(Client.on_state, lambda subscriber, _: subscriber)
     on_event = makes(Client.on_event, lambda subscriber, _: subscriber)
-    watch_telemetry = makes(Client.watch_telemetry, lambda subscriber, _: subscriber)
+    on_frame = makes(Client.on_frame, lambda subscriber, _: subscriber)
+    on_telemetry = makes(Client.on_telemetry, lambda subscriber, _: subscriber)
     wait_ready = waits(Client.wait_ready)
     ask_for_lease = waits(Client.ask_for_lease)
     start_leg = waits(Client.start_leg)

@@ -476,7 +476,7 @@ class Ride:
 
     def _ends_by(self, error: GatewayError) -> None:
         self.error, self._obeyed = error, None
-        self._spend(str(error))
+        self._spend(error.lasting)
 
     def _goes_on(self, now_s: float) -> None:
         self.error, self._wants_again = None, False

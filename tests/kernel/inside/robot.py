@@ -36,7 +36,7 @@ class Robot:
 
     def start(self) -> None:
         """All six legs, at 90 degrees."""
-        ack = self.client.start_legs(dict.fromkeys(wire.SIX, (90, 90, 90)))
+        ack = self.client.start_legs(dict.fromkeys(wire.SIX, (90, 90, 90)), check=False)
         assert ack.accepted, ack.detail
 
 

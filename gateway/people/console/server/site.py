@@ -126,11 +126,17 @@ def free_address() -> str:
 
 def _is_free(port: int) -> bool:
     with socket.socket() as probe, suppress(OSError):
-        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # as the console itself
+        share_no_port(probe)  # as the console itself
         probe.bind((DEFAULT_ADDRESS, port))
         probe.listen()
         return True
     return False
+
+
+def share_no_port(own: socket.socket) -> None:
+    """Bind at once after an earlier console, but never beside one: SO_REUSEADDR would allow that on Windows."""
+    exclusive = getattr(socket, "SO_EXCLUSIVEADDRUSE", None)
+    own.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR if exclusive is None else exclusive, 1)
 
 
 def _is_loopback(address: str) -> bool:
