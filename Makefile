@@ -29,7 +29,7 @@ help:
 	@echo "make mutants  small faults in the files that keep the robot safe, one at a time: does a test fail for each?"
 	@echo "              (MUTANTS=\"spi zenoh_io\": only files whose name has one of these in it)"
 	@echo "make docs     all pages and the Python API as one searchable site, in build/docs; fails on a broken link"
-	@echo "make schemas  write schemas/json/ anew"
+	@echo "make schemas  write schemas/json/ anew, and what docs/ has of the settings"
 	@echo "make format   let ruff format"
 	@echo "make deb      the package for a robot, in dist/ (for a Pi, from another machine: make deb FOR=arm64)"
 	@echo "make lock     write uv.lock and release/build.txt anew, after a change of the dependencies (UPGRADE=1: newer versions)"
@@ -64,6 +64,7 @@ check: $(VENV)/dev
 	$(BIN)/mypy
 	$(BIN)/mypy examples
 	$(BIN)/python -m schemas --check
+	$(BIN)/python -m release.settings_page --check
 
 bench: $(VENV)/dev debian-packages
 	$(BIN)/python -m tests.benchmarks $(if $(QUICK),--quick) $(if $(RELEASE),--release $(RELEASE))
@@ -89,6 +90,7 @@ docs: $(VENV)/dev
 
 schemas: $(VENV)/dev
 	$(BIN)/python -m schemas
+	$(BIN)/python -m release.settings_page
 
 format: $(VENV)/dev
 	$(BIN)/ruff format .

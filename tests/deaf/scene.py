@@ -126,7 +126,7 @@ class Scene(SpiDevice):
     """A gateway, its controller, and a watcher of both; messages come at their times."""
 
     def __init__(self, messages: Sequence[Message], *, tick_phase_ns: int = 0) -> None:
-        self.settings = Settings.model_validate({"spi": {"framing": "length-prefixed"}})
+        self.settings = Settings.of({"spi": {"framing": "length-prefixed"}})
         self.loop = VirtualLoop()
         self.controller = SimulatedController(
             Framing.LENGTH_PREFIXED, clock=self.loop.now_ns, tick_phase_ns=tick_phase_ns

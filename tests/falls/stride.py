@@ -17,7 +17,7 @@ from tests.walking.physics import TICK_S, angles_of, stand_up, walk
 ELKAPOD: Final = Path(__file__).parents[2] / "examples" / "elkapod"
 GEOMETRY: Final = load(ELKAPOD / "geometry.json")
 """Angles as commands name them, the same on both sides; so is the landing pose."""
-SETTINGS: Final = Settings.model_validate(tomllib.loads((ELKAPOD / "gateway.toml").read_text()))
+SETTINGS: Final = Settings.of(tomllib.loads((ELKAPOD / "gateway.toml").read_text()))
 ROBOT: Final = Robot(GEOMETRY)
 PHASES: Final = 24
 STAND: Final = "stand"

@@ -115,7 +115,7 @@ def test_a_real_gateways_frames_let_it_walk_and_land_as_computed(tmp_path: Path)
     there = deepcopy(world)
     after = [record for record in written if record.monotonic_ns > silent_ns]
     real = looked_at(world, sent_by(after, silent_ns), geometry)
-    rules = Settings.model_validate(nested(settings))
+    rules = Settings.of(nested(settings))
     computed = looked_at(there, landed(commanded, rules), geometry)
     assert real.drop_m == pytest.approx(computed.drop_m, abs=0.005)
     assert real.speed_m_s == pytest.approx(computed.speed_m_s, abs=0.05)

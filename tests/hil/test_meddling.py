@@ -39,7 +39,7 @@ BUS = """
 import json, sys
 from gateway.errors import SpiError
 from gateway.model.frames import stop_leg
-from gateway.robot.sections import SpiSettings
+from gateway.host.settings_table import SpiSettings
 from gateway.robot.spi.bus import PAUSE_NS, Bus
 from gateway.robot.spi.kernel import KernelDevice
 now_ns = 0

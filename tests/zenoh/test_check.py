@@ -115,7 +115,7 @@ def test_the_port_of_the_metrics(tmp_path: Path, taken: int) -> None:
             "zenoh": {"listen": [], "config": dialling(tmp_path, "tcp/127.0.0.1:1")},
             "telemetry": {"metrics": f"127.0.0.1:{number}"},
         }
-        _, line = results([network.PORTS], CheckedRobot(Settings.model_validate(sections)))
+        _, line = results([network.PORTS], CheckedRobot(Settings.of(sections)))
         assert line.fix == fix
 
 

@@ -207,8 +207,14 @@ async def test_errors_are_the_same(tmp_path: Path) -> None:
     assert not client.connected
 
 
-def test_the_commands_load_neither_asyncio_nor_what_only_a_lease_needs() -> None:
-    """A `hexapod-gateway estop` has better use for the time."""
-    late = "{'asyncio', 'cryptography', 'schemas.lease'}"
-    code = f"import sys, gateway.people.commands.send; assert not {late} & set(sys.modules), sys.modules"
+@pytest.mark.parametrize(
+    ("module", "late"),
+    [
+        ("gateway.people.commands.send", {"asyncio", "cryptography", "schemas.lease"}),
+        ("gateway.onboard.stop", {"asyncio", "pydantic", "typer", "zenoh"}),
+    ],
+)
+def test_what_stops_a_robot_loads_nothing_slow(module: str, late: set[str]) -> None:
+    """A `hexapod-gateway estop` has better use for the time, and pydantic takes longer than all Stops."""
+    code = f"import sys, {module}; assert not {late} & set(sys.modules), sys.modules"
     assert subprocess.run([sys.executable, "-c", code], check=False, timeout=60).returncode == 0
