@@ -10,13 +10,11 @@ import os
 import resource
 import ssl
 import sys
-from collections.abc import Awaitable, Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from typing import Final
 
 from tests.support.child import Child
-
-Connect = Callable[[], Awaitable[tuple[asyncio.StreamReader, asyncio.StreamWriter]]]
 
 CLIENT_HELLO_HALF: Final = bytes.fromhex("16030102000100") + bytes(200)
 """The beginning of a handshake whose rest does not come."""

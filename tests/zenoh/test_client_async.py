@@ -7,7 +7,6 @@ import subprocess
 import sys
 import threading
 from collections.abc import AsyncIterator, Callable
-from pathlib import Path
 from typing import Any, Final
 
 import pytest
@@ -20,18 +19,16 @@ from gateway.client import (
     AsyncWalk,
     Button,
     Client,
-    DisconnectedError,
     Lease,
     StoppedError,
     Stream,
     Walk,
 )
-from gateway.errors import ZenohError
 from schemas import keys
 from schemas.calibration import ServoChange
 from schemas.telemetry import Event, Kind, Mode, Reason
 from tests.support.fixtures import gateway_fixture, patient
-from tests.support.gateway_process import Gateway, free_port
+from tests.support.gateway_process import Gateway
 
 POSE = (90, 45, 120)
 HZ = 50
@@ -190,21 +187,6 @@ async def test_a_stop_does_not_wait_behind_questions_and_closing_waits_for_it(ga
         answered.set()
         await asyncio.gather(closing, *pending)
     assert order == ["stopped", "closed"]
-
-
-async def test_errors_are_the_same(tmp_path: Path) -> None:
-    with pytest.raises(ZenohError, match="no gateway answers"):
-        async with AsyncClient(f"tcp/127.0.0.1:{free_port()}", timeout_s=0.3):
-            pass
-    with Gateway(tmp_path) as gateway:
-        client = AsyncClient(gateway.endpoint, timeout_s=1)
-        with pytest.raises(ZenohError, match="this client is not open"):
-            await client.state()
-        async with client:
-            gateway.child.kill()
-            with pytest.raises(DisconnectedError):
-                await client.start_leg(3, *POSE)
-    assert not client.connected
 
 
 @pytest.mark.parametrize(
