@@ -8,7 +8,7 @@ DEBIAN_PACKAGES := umockdev gir1.2-umockdev-1.0 python3-gi iproute2 tmux systemd
 # And what only `make nightly` needs: the other two browsers, a display with a window manager for WebKit, and Debian 13.
 nightly: DEBIAN_PACKAGES += webkit2gtk-driver xvfb matchbox-window-manager firefox-esr debootstrap
 
-.PHONY: deb dist lock help run quick test test-all nightly check bench kernel walk soak mutants schemas docs format clean debian-packages
+.PHONY: deb dist lock help run quick test test-all nightly check bench kernel soak mutants schemas docs format clean debian-packages
 
 help:
 	@echo "make run      the service with a simulated controller and a black box, and the console in the browser (makes $(VENV))"
@@ -23,8 +23,6 @@ help:
 	@echo "make bench    the benchmark: this gateway beside the naive script (QUICK=1: in a minute; RELEASE=FOLDER: and an earlier one)"
 	@echo "make kernel   a virtual machine (QEMU) with Debian's kernel: lists, Stops and failures on its real spidev; some minutes"
 	@echo "              (SCENES=\"atomic killed\": only these)"
-	@echo "make walk     a simulated robot (MuJoCo) walks by a gateway's frames: every gait, direction and assumption"
-	@echo "make falls    what a stop does to that robot: each gait, every way of stopping, 24 phases; a table"
 	@echo "make soak     an hour of mixed traffic at ten times the real rate: does anything drift?"
 	@echo "make mutants  small faults in the files that keep the robot safe, one at a time: does a test fail for each?"
 	@echo "              (MUTANTS=\"spi zenoh_io\": only files whose name has one of these in it)"
@@ -71,12 +69,6 @@ bench: $(VENV)/dev debian-packages
 
 kernel: $(VENV)/dev
 	@$(BIN)/python -m tests.kernel $(SCENES)
-
-walk: $(VENV)/dev
-	$(BIN)/python -m tests.walking
-
-falls: $(VENV)/dev
-	$(BIN)/python -m tests.falls
 
 soak: $(VENV)/dev
 	$(BIN)/python -m tests.benchmarks.soak
