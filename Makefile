@@ -8,7 +8,7 @@ DEBIAN_PACKAGES := umockdev gir1.2-umockdev-1.0 python3-gi iproute2 tmux systemd
 # And what only `make nightly` needs: the other two browsers, a display with a window manager for WebKit, and Debian 13.
 nightly: DEBIAN_PACKAGES += webkit2gtk-driver xvfb matchbox-window-manager firefox-esr debootstrap
 
-.PHONY: deb dist lock help run quick test test-all nightly check bench kernel soak mutants schemas docs format clean debian-packages
+.PHONY: three deb dist lock help run quick test test-all nightly check bench kernel soak mutants schemas docs format clean debian-packages
 
 help:
 	@echo "make run      the service with a simulated controller and a black box, and the console in the browser (makes $(VENV))"
@@ -100,6 +100,15 @@ deb: $(VENV)/dev
 # KEY: an Ed25519 key of ssh-keygen's; without one, nothing is signed.
 dist: $(VENV)/dev
 	$(BIN)/python -m release $(if $(KEY),--key $(KEY))
+
+# three.js for the console's page: what its modules use, minified. Needs npm; tests/unit/test_console_page.py has its checksum.
+THREE := gateway/people/console/page/vendor/three/three.js
+three:
+	@made=$$(mktemp -d) && grep -oh 'three\.[A-Z][A-Za-z0-9]*' $(dir $(THREE))../../*.js | sed 's/three\.//' | sort -u | paste -sd, \
+		| sed 's/.*/export{&}from"three"/' > $$made/entry.js \
+		&& npm install --silent --no-audit --no-fund --prefix $$made three@0.187.0 esbuild@0.28.2 \
+		&& $$made/node_modules/.bin/esbuild $$made/entry.js --bundle --minify --format=esm --legal-comments=inline --outfile=$(THREE); \
+		rm -rf $$made
 
 clean:
 	rm -rf $(VENV) build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis

@@ -264,9 +264,9 @@ async def _run(
         with owner:
             for part in (conductor, keeper, calibrations):
                 part.announce_start()
+        on_ready(config)  # first, so what `make run` prints when it is notified comes after this
         notifier.ready("takes commands")
         connection_limiter, upkeep = _attendants(session, config, conductor, notifier, shut_out, late)
-        on_ready(config)
         tasks = [
             *_report_tasks(settings, conductor, outbox),
             asyncio.create_task(
