@@ -12,6 +12,7 @@ import zenoh
 
 from gateway import own_command
 from gateway.errors import GatewayError, SpiError, ZenohError
+from gateway.host.settings_table import SIMULATED
 from gateway.onboard.board_process import BoardProcess
 from gateway.onboard.body_process import BodyProcess
 from gateway.people.physics.assumed import Assumed
@@ -19,7 +20,6 @@ from gateway.people.terminal import hint, say
 from gateway.robot import service
 from gateway.robot import settings as settings_file
 from gateway.robot.host.systemd import NOTIFY_SOCKET
-from gateway.robot.sections import SIMULATED
 from gateway.robot.settings import Settings
 from gateway.robot.spi import unreliable
 from gateway.robot.spi.unreliable import Faults

@@ -166,6 +166,7 @@ JUDGES: Final = {
     "gateway/model/calibration.py": (*_CALIBRATION, f"{_UNIT}test_calibration_intake.py"),
     "gateway/robot/core/calibration_intake.py": _CALIBRATION_REQUESTS,
     "gateway/robot/core/targets.py": (f"{_UNIT}test_targets.py", f"{_UNIT}test_intake.py"),
+    "gateway/robot/core/flat.py": (f"{_UNIT}test_flat.py", f"{_UNIT}test_intake.py"),
     "gateway/robot/core/losses.py": (f"{_UNIT}test_rejected_stops.py", f"{_UNIT}test_conductor_safety.py"),
     "gateway/robot/runtime/calibrations.py": _CALIBRATION_REQUESTS,
     "gateway/robot/runtime/answers.py": (*_CONDUCTOR, f"{_PEOPLE}test_recorder.py", f"{_UNIT}test_power_conductor.py"),

@@ -8,6 +8,7 @@ import os
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from itertools import chain
 from pathlib import Path
 from typing import Final
@@ -15,6 +16,7 @@ from typing import Final
 from gateway import __version__, own_command
 from gateway.errors import ConfigError
 from gateway.host import effective
+from gateway.host.directories import CONFIGURATION
 from gateway.host.effective import Effective
 from gateway.model.black_box.files import RING_FILE
 from gateway.onboard import stop
@@ -23,7 +25,6 @@ from gateway.onboard.check.table import CheckedRobot, Probe, Result, Seen, Verdi
 from gateway.people.terminal import clear_line, rows, say, show_line
 from gateway.robot import settings as settings_file
 from gateway.robot.blackbox import paths
-from gateway.robot.sections import SpiSettings
 from gateway.robot.settings import FramingNotSetError, Settings
 from gateway.robot.zenoh_io.session import service_config
 from gateway.zenoh_config import listen_endpoints
@@ -100,7 +101,7 @@ def run(config: Path | None, robot: CheckedRobot, seen: Sequence[Result]) -> Ite
 
     While the service runs, and no file is named, its device is looked at with the settings that it uses.
     """
-    path = config or settings_file.DEFAULT_PATH
+    path = config or CONFIGURATION
     if os.geteuid() not in (0, service_user.uid()) and _denied(path):
         raise ConfigError(f"{path} is not for you to read, as it may name keys: sudo hexapod-gateway check")
     used = effective.read() if config is None else None
@@ -143,11 +144,10 @@ def _in_use(robot: CheckedRobot, used: Effective | None, path: Path) -> Iterator
     """Where the service uses other settings than the file's; the wire is looked at with the service's."""
     if used is not None:
         stated = robot.settings
-        uart = stated.controller.model_copy(update={"uart": used.controller.uart})
-        spi = SpiSettings.model_validate(used.tables["spi"])
-        if stated.spi.device != spi.device:
+        uart = replace(stated.controller, uart=used.controller.uart)
+        if stated.spi.device != used.spi.device:
             yield from results([wire.DEVICE], robot)
-        robot.settings = stated.model_copy(update={"spi": spi, "controller": uart})
+        robot.settings = replace(stated, spi=used.spi, controller=uart)
         for each in effective.differences(used, path):
             yield Result("in use", Verdict.WARNING, each, _STATE_IT)
 

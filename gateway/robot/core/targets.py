@@ -7,12 +7,13 @@ known by its key elsewhere, since it has rings and threads of its own, and nothi
 """
 
 from collections.abc import Callable
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from gateway.model.frames import SETS, STARTS, STOP, servo_ids_of
 from gateway.robot.core.events import Command, Reset, Targets
+from gateway.robot.core.flat import into_dicts
 from schemas import keys
-from schemas.command import SERVO_COMMAND, LegCommand, LegsCommand, Move, ResetCommand, Stop
+from schemas.command import SERVO_COMMAND, LegCommand, LegsCommand, ResetCommand
 from schemas.keys import CommandKey, Target
 from schemas.robot import JOINTS, LEGS, SERVO_IDS
 
@@ -20,28 +21,28 @@ from schemas.robot import JOINTS, LEGS, SERVO_IDS
 
 _MOVES: Final = {"start": STARTS, "set": SETS}
 _IDS_OF_LEG: Final = {leg: servo_ids_of(leg) for leg in LEGS}
-_LEG_COMMAND, _LEGS_COMMAND = LegCommand.__pydantic_validator__, LegsCommand.__pydantic_validator__
-"""Called without the wrapper around them: they read each setpoint of a gait."""
+_LEG_COMMAND, _LEGS_COMMAND = into_dicts(LegCommand), into_dicts(LegsCommand)
+"""They read each setpoint of a gait."""
 
 
 def _read_servo(servo_id: int, payload: bytes) -> Command:
     command = SERVO_COMMAND.validate_json(payload)
-    targets = _targets((servo_id,), (command,))
-    return Command(targets, source=command.source, sent_ms=command.sent_ms, lease=command.lease)
+    op = STOP if command.op == "stop" else _MOVES[command.op][round(command.angle_deg * 100)]
+    return Command(((servo_id, op),), source=command.source, sent_ms=command.sent_ms, lease=command.lease)
 
 
 def _read_leg(leg: int, payload: bytes) -> Command:
-    command: LegCommand = _LEG_COMMAND.validate_json(payload)
-    targets = _targets(_IDS_OF_LEG[leg], command.servos)
-    return Command(targets, source=command.source, sent_ms=command.sent_ms, lease=command.lease)
+    command: dict[str, Any] = _LEG_COMMAND.validate_json(payload)
+    targets = _targets(_IDS_OF_LEG[leg], command["servos"])
+    return Command(targets, source=command["source"], sent_ms=command["sent_ms"], lease=command["lease"])
 
 
 def _read_legs(_: int, payload: bytes) -> Command:
-    command: LegsCommand = _LEGS_COMMAND.validate_json(payload)
+    command: dict[str, Any] = _LEGS_COMMAND.validate_json(payload)
     targets: Targets = ()
-    for leg, setpoint in sorted(command.legs.items()):
-        targets += _targets(_IDS_OF_LEG[int(leg)], setpoint.servos)
-    return Command(targets, source=command.source, sent_ms=command.sent_ms, lease=command.lease)
+    for leg, setpoint in sorted(command["legs"].items()):
+        targets += _targets(_IDS_OF_LEG[int(leg)], setpoint["servos"])
+    return Command(targets, source=command["source"], sent_ms=command["sent_ms"], lease=command["lease"])
 
 
 def _read_reset(_: int, payload: bytes) -> Reset:
@@ -49,12 +50,13 @@ def _read_reset(_: int, payload: bytes) -> Reset:
     return Reset(source=command.source, sent_ms=command.sent_ms, lease=command.lease, estop=command.estop)
 
 
-def _targets(servo_ids: tuple[int, ...], setpoints: tuple[Move | Stop, ...]) -> Targets:
+def _targets(servo_ids: tuple[int, ...], setpoints: tuple[dict[str, Any], ...]) -> Targets:
     """Each servo's operation; angles to the nearest hundredth, as `centidegrees` says."""
     targets: Targets = ()
     for place, servo_id in enumerate(servo_ids):
         setpoint = setpoints[place]
-        op = STOP if setpoint.op == "stop" else _MOVES[setpoint.op][round(setpoint.angle_deg * 100)]
+        name = setpoint["op"]
+        op = STOP if name == "stop" else _MOVES[name][round(setpoint["angle_deg"] * 100)]
         targets += ((servo_id, op),)
     return targets
 

@@ -65,7 +65,7 @@ def compare(lines: list[Result], expected: tuple[str, ...]) -> None:
 
 
 def robot(root: Path, *, gateway_runs: bool = False, **sections: Any) -> CheckedRobot:
-    return CheckedRobot(Settings.model_validate(sections), root, gateway_runs)
+    return CheckedRobot(Settings.of(sections), root, gateway_runs)
 
 
 # ---- judged: facts in place of a reading

@@ -1,0 +1,50 @@
+"""Reads payloads with pydantic, but into plain dicts: a message of a gait makes fewer objects so.
+
+`schemas.command` stays the only source: a validator here is a model's own core schema, with a dict of the same fields
+in the place of each model. It accepts and rejects the same with the same errors; only what is no object has the type
+`dict_type` in its error, where a model's has `model_type` (`intake.explain` has one sentence for both), and an unknown
+name that is given twice is two errors.
+"""
+
+from typing import Any
+
+from pydantic import BaseModel
+from pydantic_core import SchemaValidator
+
+
+def into_dicts(model: type[BaseModel]) -> SchemaValidator:
+    """Return a validator of the model's payloads whose `validate_json` returns dicts, with the defaults filled in.
+
+    Raises ValueError for a model that is more than its fields: with a function that validates, or computed fields.
+    """
+    return SchemaValidator(_without_models(model.__pydantic_core_schema__))
+
+
+def _without_models(node: Any) -> Any:
+    if isinstance(node, list | tuple):
+        return type(node)(map(_without_models, node))
+    if not isinstance(node, dict):
+        return node
+    if str(node.get("type")).startswith("function-"):
+        raise ValueError("a function of a model expects the model, and not a dict")
+    if node.get("type") != "model":
+        return {name: part if name == "metadata" else _without_models(part) for name, part in node.items()}
+    fields = node["schema"]
+    if fields["type"] != "model-fields" or fields.get("computed_fields"):
+        raise ValueError(f"{node['cls'].__name__} is more than its fields")
+    schemas = {name: field["schema"] for name, field in fields["fields"].items()}
+    return {
+        "type": "typed-dict",
+        "fields": {
+            name: {
+                "type": "typed-dict-field",
+                "schema": _without_models(schema),
+                "required": schema["type"] != "default",
+            }
+            for name, schema in schemas.items()
+        },
+        "strict": node["config"]["strict"],
+        "extra_behavior": node["config"]["extra_fields_behavior"],
+        "config": node["config"],
+        **({"ref": node["ref"]} if "ref" in node else {}),
+    }
