@@ -74,10 +74,10 @@ class Jitter(NamedTuple):
     max_ms: float
 
 
-class Lateness:
+class SetpointLateness:
     """Collects how late setpoints were. Pure.
 
-    >>> late = Lateness()
+    >>> late = SetpointLateness()
     >>> for ms in range(101):
     ...     late.add(ms / 1000)
     >>> late.jitter

@@ -64,7 +64,7 @@ def passes(error: GatewayError) -> bool:
     return True
 
 
-class Received(NamedTuple):
+class ReceivedEvent(NamedTuple):
     """An event, and when it was received (monotonic)."""
 
     event: Event
@@ -83,9 +83,9 @@ def expired(legs: Collection[int], timeout_ms: float, at_s: float | None = None)
     return StoppedError(sentence, legs, None, Kind.WATCHDOG_EXPIRED, at_s)
 
 
-def reported(stops: Iterable[Received], started: frozenset[int], timeout_ms: float) -> StoppedError:
+def reported(stops: Iterable[ReceivedEvent], started: frozenset[int], timeout_ms: float) -> StoppedError:
     """The error for all events that stopped legs of a stream, each cause once. `started`: the stream's legs."""
-    causes: dict[tuple[str, str | None], list[Received]] = {}
+    causes: dict[tuple[str, str | None], list[ReceivedEvent]] = {}
     for each in stops:
         causes.setdefault((each.event.kind, each.event.source), []).append(each)
     errors = []

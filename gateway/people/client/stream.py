@@ -19,9 +19,18 @@ import zenoh
 from gateway.errors import DisconnectedError, GatewayError, LeaseLostError, RejectedError, StoppedError, ZenohError
 from gateway.people.client import stopped
 from gateway.people.client.lease import CONFIRM_S, NOT_OURS, Lease, LeaseClient
-from gateway.people.client.pace import LIKE_RADIANS, Doubt, Jitter, Lateness, Radians, Retries, SetpointPace, thins
+from gateway.people.client.pace import (
+    LIKE_RADIANS,
+    Doubt,
+    Jitter,
+    SetpointLateness,
+    Radians,
+    Retries,
+    SetpointPace,
+    thins,
+)
 from gateway.people.client.payloads import LegAngles, Setpoints, Unit, legs_angles, legs_payload, setpoints
-from gateway.people.client.stopped import Received
+from gateway.people.client.stopped import ReceivedEvent
 from gateway.text import legs_named
 from schemas import keys
 from schemas.telemetry import Ack, Event, GatewayState, Kind, Reason, WatchdogState
@@ -84,7 +93,7 @@ class Stream:
         self._client = client
         self._hz = checked_hz(hz)
         self._pace = SetpointPace(hz)
-        self._lateness = Lateness()
+        self._lateness = SetpointLateness()
         self._retries = Retries()
         self._radians = Radians()
         self._started: frozenset[int] = frozenset()
@@ -93,8 +102,8 @@ class Stream:
         self._since: datetime | None = None  # by the gateway's clock: since then all started legs run
         self._over: GatewayError | None = None
         self._doubt = Doubt(0.0)
-        self._events: deque[Received] = deque(maxlen=_KEPT)
-        self._changes: dict[int, Received] = {}  # by leg: who commanded it last, other than we
+        self._events: deque[ReceivedEvent] = deque(maxlen=_KEPT)
+        self._changes: dict[int, ReceivedEvent] = {}  # by leg: who commanded it last, other than we
         self._received_stop = threading.Event()
         self.answer: GatewayState | None = None
         """The gateway's newest answer; the reader sets it to None."""
@@ -344,7 +353,7 @@ class Stream:
             self._doubt.raise_it()
 
     def _receive_event(self, event: Event) -> None:
-        received = Received(event, time.monotonic())
+        received = ReceivedEvent(event, time.monotonic())
         self._doubt.received(received.received_s)
         if event.kind == Kind.COMMAND_REJECTED:
             # A command with a leg that is not ours is another stream's, of the same client.
@@ -386,14 +395,14 @@ class Stream:
         if self._in_doubt():
             self._ask()
 
-    def _fresh_events(self) -> list[Received]:
+    def _fresh_events(self) -> list[ReceivedEvent]:
         """The events since the latest call. Those before the start concern earlier motion."""
         events = []
         while self._events:
             events.append(self._events.popleft())
         return [each for each in events if self._since is not None and each.event.time > self._since]
 
-    def _reported_stop(self, events: Iterable[Received]) -> StoppedError | None:
+    def _reported_stop(self, events: Iterable[ReceivedEvent]) -> StoppedError | None:
         """The error for all events that stopped this stream's legs; None: there are none."""
         stops = [each for each in events if each.event.kind != Kind.COMMAND_REJECTED]
         return stopped.reported(stops, self._started, self._doubt.watchdog_s * 1000) if stops else None
