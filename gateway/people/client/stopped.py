@@ -23,9 +23,9 @@ STOPPED_LEGS: Final = (Kind.WATCHDOG_EXPIRED, Kind.OVERFLOW)
 """Events of single legs that the gateway stopped by a rule of its own."""
 STOP: Final = "stop"
 """The cause of a StoppedError if somebody sent a Stop."""
-AGAIN: Final = "recover() waits until the cause is over, and goes on then; start_again() goes on at once"
+AGAIN: Final = "start_again() goes on; recover() of a stream waits until the cause is over, and goes on then"
 """A program's next call, as a note of the error: tracebacks show it, `str()` does not."""
-DECIDES: Final = "start_again() goes on, which a person decides; recover() undoes nobody's Stop"
+DECIDES: Final = "start_again() goes on, which a person decides"
 """The note where time does not end the cause."""
 _PASSING_CAUSES: Final = frozenset(
     {

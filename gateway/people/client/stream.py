@@ -23,9 +23,9 @@ from gateway.people.client.pace import (
     LIKE_RADIANS,
     Doubt,
     Jitter,
-    SetpointLateness,
     Radians,
     Retries,
+    SetpointLateness,
     SetpointPace,
     thins,
 )

@@ -14,6 +14,7 @@ import zenoh
 from gateway.errors import GatewayError, RejectedError, StoppedError, UnansweredError, WalkError
 from gateway.geometry import Geometry, load
 from gateway.model.telemetry import fed_singly, starts_whole
+from gateway.people.client import stopped
 from gateway.people.client.lease import CONFIRM_S, Lease
 from gateway.people.client.pace import Retries
 from gateway.people.client.stream import Stream, StreamClient, checked_hz
@@ -195,10 +196,8 @@ class Walk:
 
     def start_again(self) -> None:
         """Go on after an error, which a person decides. If the other legs carry the robot, lost legs start where they
-        were; else all are stopped, and the next call begins anew, from lying.
-
-        A lost lease of its own is acquired again. Raises LeaseError if somebody else drives. Further calls, after the
-        first, are at least half a second apart.
+        were; else all are stopped, and the next call begins anew, from lying. Acquires a lost lease of its own again.
+        Raises LeaseError if somebody else drives, StoppedError while the gateway accepts no commands.
         """
         time.sleep(max(0.0, self._retries.next_s - time.monotonic()))
         self._retries.asked(time.monotonic())
@@ -454,6 +453,8 @@ class Walk:
             lease.acquire()
             self._lease = lease
         state = self._ask(None)
+        if again and (why := stopped.unready(state)) is not None:
+            raise stopped.until_reset(why, self._client.reset_command)
         running = running_deg(state)
         changed = state.calibration.revision != self._revision
         if again and ride.phase is Phase.HALTED:

@@ -329,7 +329,7 @@ class Ride:
     def not_again(self, error: Exception) -> None:
         """`start_again` has failed; the ride stays as it was."""
         self._wants_again = False
-        self._spend(str(error))
+        self._spend(error.lasting if isinstance(error, GatewayError) else str(error))
 
     def ended(self) -> None:
         """Its legs are stopped. A command that came meanwhile starts it again."""
