@@ -1,7 +1,6 @@
 """The client for asyncio: the names, arguments, rules and errors of the blocking one, whose calls wait on threads."""
 
 import asyncio
-import time
 from collections.abc import Callable, Coroutine, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, suppress
@@ -52,8 +51,7 @@ class Twin(Generic[H]):
 
     def __init__(self, own: H | None, calls: Calls) -> None:
         """Made by AsyncClient. @private"""
-        self._there = own
-        self._calls = calls
+        self._there, self._calls = own, calls
 
     @property
     def _own(self) -> H:
@@ -134,7 +132,8 @@ class AsyncStream(Twin[Stream]):
     is_over: bool = same("is_over")
     start_again: Callable[[], None] = same("start_again")
     go_on_without: Callable[[Iterable[int]], None] = same("go_on_without")
-    open, close = waits(Stream.open), waits(Stream.close, stops=True)
+    open = waits(Stream.open)
+    close = waits(Stream.close, stops=True)
     set = waits(Stream.set, stops=True)
     recover = waits(Stream.recover)
 
@@ -168,7 +167,8 @@ class AsyncWalk(Twin[Walk]):
     hold_s: float = same("hold_s")
     rest_s: float = same("rest_s")
     walk_as: Callable[[str], None] = same("walk_as")
-    open, close = waits(Walk.open), waits(Walk.close, stops=True)
+    open = waits(Walk.open)
+    close = waits(Walk.close, stops=True)
     go = waits(Walk.go)
     stand = waits(Walk.stand)
     sit = waits(Walk.sit)
@@ -193,7 +193,7 @@ class AsyncWalk(Twin[Walk]):
 
     async def _cover(self, distance: Distance) -> None:
         # Tick by tick on the loop: a cancelled call must leave no thread that walks on.
-        while (velocity := distance.next(self.state, time.monotonic())) is not None:
+        while (velocity := distance.next(self.state, asyncio.get_running_loop().time())) is not None:
             await self.go(*velocity)
         await self.stand()
 
