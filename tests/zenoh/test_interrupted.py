@@ -52,16 +52,3 @@ def test_nothing_is_left(how: str, number: signal.Signals, run: Run, tmp_path: P
         tests.send_signal(number)
         assert tests.wait(LATE_S) != 0
         assert run.processes() == set(), str(tests)
-
-
-def test_what_does_not_want_to_end_is_killed(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
-    """One that ignores SIGTERM, in a session of its own, without a parent. What was stopped is ended in order."""
-    monkeypatch.setitem(descendants.PATIENCE_S, signal.SIGTERM, 0.5)
-    deaf = "setsid --fork sh -c \"trap '' TERM; echo deaf; while :; do sleep 1; done\""
-    with Child(["sh", "-c", deaf], {}) as parent, Child(["sleep", "1000"], {}) as stopped:
-        parent.wait_for_output("deaf")
-        stopped.send_signal(signal.SIGSTOP)
-        assert len(run.processes()) >= 2
-        run.close()
-        assert run.processes() == set()
-        assert stopped.wait() == -signal.SIGTERM
