@@ -148,7 +148,7 @@ def _lets(rule: dict[str, Any], traffic: Traffic, message: str, key: str) -> boo
 ZENOH: Final = Probe("Zenoh", _zenoh, (
     failure(lambda r: r.fault and r.denied, "{fault}", LET_READ),
     failure(lambda r: r.fault, "{fault}", "fix it there"),
-    warning(lambda r: r.logged, "{logged}", "see docs/security.md for what each link needs"),
+    warning(lambda r: r.logged, "{logged}", "see docs/certificates.md for what each link needs"),
 ), "{well}")
 ACCESS: Final = Probe("access control", _access, (
     warning(lambda r: r.dropped and not r.buttons, "{file} does not let {keys} through ({messages}): messages there "
