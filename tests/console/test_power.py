@@ -43,7 +43,7 @@ def test_a_stop_that_the_board_does_not_confirm_is_red_and_one_that_it_confirms_
     expect(page["stop-known"]).to_contain_text("ms, power confirmed off after 34 ms")
     expect(page["stop"]).to_have_attribute("data-tone", "good")
     page.page.evaluate("(said) => (window.board = said)", NOT_CONFIRMED)
-    expect(page["stop-known"]).to_have_text(UNCONFIRMED)
+    expect(page["stop-line"]).to_have_text(UNCONFIRMED)
     expect(page["stop"]).to_have_attribute("data-tone", "bad")
     expect(page["stop-aloud"]).to_have_text(UNCONFIRMED)
     expect(page["power"]).to_have_attribute("data-bad", "yes")
