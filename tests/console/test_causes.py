@@ -131,7 +131,7 @@ def test_the_person_who_pressed_stop_all_is_named_and_a_stopped_robot_looks_stop
     assert re.fullmatch(r"(?!root).+ \(page \d+\)", stopper)
     assert stopper != name
     expect(anna["stop-next"]).to_have_text("When all are clear, reset.")
-    expect(anna["stop"]).to_have_attribute("data-tone", "bad")
+    expect(anna["stop"]).to_have_attribute("data-tone", "stopped")
     expect_grey(anna, grey=True)
     anna["stop-known"].click()
     expect(anna.said).to_have_text(f"STOP ALL by {stopper}: nothing runs until a reset.")

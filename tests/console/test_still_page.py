@@ -10,7 +10,7 @@ from tests.console.browser import Opened, Visitor
 pytestmark = [pytest.mark.browser, pytest.mark.nightly]
 
 HELD: Final = ((320, 568), (568, 320), (360, 640), (640, 360), (390, 844), (844, 390), (768, 1024), (1024, 768))
-DESK: Final = (1280, 800)
+DESKS: Final = ((1280, 800), (1440, 900))
 HEAR: Final = """
 const listen = WebSocket.prototype.addEventListener;
 WebSocket.prototype.addEventListener = function (name, heard, ...more) {
@@ -215,7 +215,7 @@ def situations(source: str) -> dict[str, tuple[list[dict[str, Any]], dict[str, A
     }
 
 
-@pytest.mark.parametrize("size", [*HELD, DESK], ids=lambda size: f"{size[0]}x{size[1]}")
+@pytest.mark.parametrize("size", [*HELD, *DESKS], ids=lambda size: f"{size[0]}x{size[1]}")
 def test_nothing_on_the_driving_page_shifts_is_covered_cut_off_or_out_of_a_thumbs_reach(
     size: tuple[int, int], visitor: Visitor
 ) -> None:

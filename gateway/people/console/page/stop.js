@@ -18,7 +18,7 @@ const DEAF_MS = 1000;
  *          mode: string, by: string | null, since: string | null, now: string, unconfirmed: string}} known
  *          `by`: who engaged STOP ALL, and `since` when; `now`: what the robot does, by the console; `unconfirmed`: its
  *          sentence while the power board does not confirm a Stop
- * @returns {{tone: "bad" | "asked" | "plain", line: string, next: string, reason: string}}
+ * @returns {{tone: "bad" | "stopped" | "asked" | "plain", line: string, next: string, reason: string}}
  */
 export function inWords({ looks, touch, cut, askedMsAgo, answer, mode, by, since, now, unconfirmed }) {
   const asked = askedMsAgo === null ? "" : `asked ${(askedMsAgo / 1000).toFixed(1)} s ago, `;
@@ -39,7 +39,7 @@ export function inWords({ looks, touch, cut, askedMsAgo, answer, mode, by, since
     const within = answer?.latency_us == null ? "" : ` within ${(answer.latency_us / 1000).toFixed(1)} ms`;
     const reason = answer?.answered ? `${frames} Stops written${within}${answer.power ?? ""}` : worded(now);
     const line = `STOPPED${by ? ` by ${short(by)}` : ""}${since ? `, ${clock(since)}` : ""}`;
-    return { tone: "bad", line, next: looks ? "Who may drive it resets it." : "When all are clear, reset.", reason };
+    return { tone: "stopped", line, next: looks ? "Who may drive it resets it." : "When all are clear, reset.", reason };
   }
   if (mode !== "idle" && mode !== "active") return { tone: "bad", line: now.split(":")[0], next: "If it moves, use the switch.", reason: now };
   if (looks) return { tone: "plain", line: "View only: use the power switch", next: "", reason: "" };
@@ -140,7 +140,7 @@ export class StopAll {
     attribute(byId("stop"), "data-tone", known.tone);
     show(byId("reset"), latched && !model.looks && model.live(nowMs));
     enable(byId("stop-all", HTMLButtonElement), !this.#looks);
-    const aloud = known.tone === "plain" ? "" : `${known.line.replace(/asked [\d.]+ s ago/, "asked")}. ${known.next}`;
+    const aloud = known.tone === "plain" ? "" : [known.line.replace(/asked [\d.]+ s ago/, "asked"), known.next].filter(Boolean).join(". ");
     if (aloud !== this.spoken) {
       this.spoken = aloud;
       text(byId("stop-aloud"), aloud);
