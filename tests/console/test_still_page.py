@@ -61,7 +61,7 @@ SHOW: Final = """([messages, state]) => {
   const texts = "#stop-known *, #measured > *, #walk-known, .facts div, #quality";
   for (const each of document.querySelectorAll(`button:not(.label), label, .stick, #picture, ${texts}`)) {
     const { left, top, right, bottom, width, height } = each.getBoundingClientRect();
-    if (!width || !height || !each.checkVisibility() || each.closest("#panel main, dialog, .aloud")) continue;
+    if (!width || !height || !each.checkVisibility() || each.closest(".rest, dialog, .aloud")) continue;
     const corners = each.matches(".stick") ? [] : [[1, 1], [1, -1], [-1, 1], [-1, -1]];
     for (const [x, y] of [[0, 0], ...corners.map(([x, y]) => [x * (width / 2 - 6), y * (height / 2 - 6)])]) {
       const by = over(each, (left + right) / 2 + x, (top + bottom) / 2 + y);
