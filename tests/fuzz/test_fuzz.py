@@ -1,4 +1,4 @@
-"""A short run of each fuzzer on every change (long ones: `python -m tests.fuzz`, docs/fuzzing.md)."""
+"""A short run of each fuzzer on every change (long ones: `python -m tests.fuzz`)."""
 
 import importlib.util
 import os
