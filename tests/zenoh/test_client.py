@@ -236,7 +236,9 @@ def test_wait_ready_says_at_once_who_engaged_the_emergency_stop_and_its_command_
         robot.wait_ready(timeout_s=60)
     assert time.monotonic() - begun_s < 30, "at once"
     command = f"hexapod-gateway reset --connect {gateway.endpoint}"
-    sentence = f"emergency stop: nothing moves until a person runs `{command}`; bert engaged the emergency stop, "
+    sentence = (
+        f"emergency stop: nothing moves until a person runs `{command}`; the emergency stop was engaged by bert, "
+    )
     assert re.fullmatch(re.escape(sentence) + r"\d+\.\d s ago", str(error.value))
     assert (error.value.by, error.value.cause) == ("bert", "estop_engaged")
     assert run_here(*command.split()[1:]).returncode == 0

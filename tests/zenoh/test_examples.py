@@ -120,7 +120,7 @@ def test_a_gait_that_recovers(patient: Gateway) -> None:
         gait = Child([sys.executable, str(EXAMPLES / "recover.py"), *arguments], os.environ)
         written.wait(moves)
         stopped = client.estop()
-        gait.wait_for_output("ended: test engaged the emergency stop, ")
+        gait.wait_for_output("ended: the emergency stop was engaged by test, ")
         rejected = client.state().commands.rejected
         again = frames(client)
         assert client.reset(stopped.estop).accepted
@@ -228,7 +228,7 @@ def test_the_session(gateway: Gateway) -> None:
     assert "event: watchdog_expired leg 1 was not heard for 250 ms" in said
     assert "does not run; start it before you set it" in said
     assert "6 Stop frames within" in said
-    assert "; session engaged the emergency stop, " in said
+    assert "; the emergency stop was engaged by session, " in said
     assert "Jitter(" in said
 
 

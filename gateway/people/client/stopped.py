@@ -145,4 +145,4 @@ def not_free(state: GatewayState) -> RejectedError | None:
 
 
 def _engaged(who: str | None) -> str:
-    return f"{who or 'somebody'} engaged the emergency stop"
+    return f"the emergency stop was engaged by {who or 'somebody'}"

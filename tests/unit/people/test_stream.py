@@ -266,7 +266,11 @@ def test_a_controller_that_fell_silent_is_named_where_its_event_was_lost(robot: 
 @pytest.mark.parametrize(
     ("kind", "detail", "sentence"),
     [
-        (Kind.ESTOP_ENGAGED, "emergency stop; all is rejected until a reset", "somebody engaged the emergency stop"),
+        (
+            Kind.ESTOP_ENGAGED,
+            "emergency stop; all is rejected until a reset",
+            "the emergency stop was engaged by somebody",
+        ),
         (Kind.STOPPING, "the gateway ends; all servos are stopped", "the gateway ends"),
         (Kind.BUS_FAULT, "write failed; tried again", "write failed; tried again"),
     ],
@@ -383,7 +387,7 @@ def test_recover_waits_for_the_end_of_the_cause_and_the_next_set_starts(
         (
             estopped,
             "emergency stop: nothing moves until a person runs `hexapod-gateway reset --connect tcp/192.0.2.7:7447`; "
-            "bert engaged the emergency stop",
+            "the emergency stop was engaged by bert",
         ),
         (vanished, "no gateway answered"),
     ],
@@ -480,7 +484,7 @@ def test_each_cause_is_named_once_and_the_one_that_a_person_decides_about_counts
         robot.publish_event(newer(Kind.FALLEN, "the robot has fallen", None, 1, 2))
     with pytest.raises(StoppedError) as error:
         stream.set({1: POSE, 2: POSE})
-    assert error.value.lasting == "bert engaged the emergency stop; the robot has fallen"
+    assert error.value.lasting == "the emergency stop was engaged by bert; the robot has fallen"
     assert (error.value.by, error.value.cause, error.value.legs) == (None, "fallen", (1, 2))
     with pytest.raises(StoppedError):
         stream.recover(timeout_s=100)
