@@ -15,7 +15,6 @@ _CONDUCTOR: Final = (
     f"{_UNIT}test_calibration_conductor.py",
     f"{_UNIT}test_buttons_conductor.py",
     f"{_UNIT}test_answered_in_part.py",
-    "tests/zenoh/test_outside.py::test_the_gateway_says_so_and_takes_its_servos_as_stopped",
     f"{_UNIT}test_stop.py",
     f"{_UNIT}test_ownership.py",
     "tests/unit/test_setting_effects.py",
