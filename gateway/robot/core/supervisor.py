@@ -125,9 +125,8 @@ class Supervisor:
         self._interlocks: tuple[Interlock[Any], ...] = tuple(found.values())
         self._timed = tuple(each for each in self._interlocks if type(each).expire is not Interlock.expire)
         # The last one first: what a rule stops by itself is not what the robot lands for.
-        self._with_deadlines = tuple(
-            each for each in self._interlocks[::-1] if type(each).overdue is not Interlock.overdue
-        )
+        late = [each for each in self._interlocks if type(each).overdue is not Interlock.overdue]
+        self._with_deadlines = tuple(reversed(late))
         self._own = {event: each for each in self._interlocks for event in each.takes}
         self.outside: Outside = found[Outside]
         self.lease: RobotLease = found[RobotLease]

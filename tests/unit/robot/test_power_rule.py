@@ -309,3 +309,11 @@ def test_without_an_emergency_stop_no_reset_is_too_old() -> None:
     for estop in (None, 7):
         reset = Reset(estop=estop)
         assert Latch(Rules()).take(reset, 0, Supervisor(Rules()).legs) == [Completed(reset)]
+
+
+def test_a_start_that_is_not_fed_is_stopped_ahead_of_a_landing() -> None:
+    """Its leg is not what the robot lands for, and stands on nothing."""
+    steps = fed(landing_ns=500 * NS_PER_MS, feed_ns=240 * NS_PER_MS)
+    steps.command(20, leg_to(1, "start 90"))
+    assert steps.time(261)[:1] == ["watchdog 1 stop"]
+    assert steps.supervisor.legs.landing is not None
