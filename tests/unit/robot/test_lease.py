@@ -258,3 +258,10 @@ def test_the_end_of_the_service_ends_it() -> None:
     assert robot.supervisor.lease.holder is None
     assert robot.due_ms is None
     assert robot.lease(3, "take bert", fresh=BERT) == ["stopping"]
+
+
+def test_what_others_had_waiting_is_dropped_for_a_new_holder() -> None:
+    robot = Steps()
+    robot.command(1, leg_to(3, "start 90"))
+    assert robot.command(2, leg_to(3, "set 95")) == [], "it waits for its rate slot"
+    assert robot.lease(3, "acquire anna", fresh=ANNA)[0] == "rejected 2 not_holder"
