@@ -50,7 +50,10 @@ class Rules:
     max_speed_cdeg_s: dict[int, int] = field(default_factory=dict)
     """Servos that go no faster than this from one frame to the next (Behaviour *Speed*)."""
     takeover_cdeg_s: int = 0
-    """The highest speed of a servo on its first way under another source, or behind a Stop (Behaviour *Take-over and first frame*); 0: off."""
+    """The highest speed on the first way under another source, or behind a Stop; 0: off.
+
+    Behaviour *Take-over and first frame*.
+    """
     takeover_known_ns: int = 2 * NS_PER_S
     """For how long behind its Stop a servo counts as standing where it was; not a setting."""
     landing_ns: int = 0
