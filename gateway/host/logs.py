@@ -22,7 +22,7 @@ from gateway.host.log_writer import LogStream, LogWriter
 from gateway.text import visible, visible_json
 
 FLUSH_S: Final = 0.3
-"""How long the end waits for unwritten lines, of the second that it may take (docs/interface.md, Behaviour 7)."""
+"""How long the end waits for unwritten lines, of the second that it may take (docs/interface.md, Behaviour *End*)."""
 
 _log_writers: list[LogWriter] = []
 

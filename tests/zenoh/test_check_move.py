@@ -223,6 +223,3 @@ def test_all_legs_start_lying_one_servo_moves_and_all_are_stopped(
         one, two, three = (start[1][10 * leg + joint] / 100 for joint in JOINTS)
         assert robot.foot_m(leg, (one, two, three))[2] > -robot.lying_m, "no leg pushes against the ground"
     assert client.state().mode is Mode.IDLE
-
-
-# ---- a power board
