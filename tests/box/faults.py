@@ -135,8 +135,9 @@ FAULTS = (
     ),
     Fault(
         "forty kills",
-        "for each in $(seq 40); do systemctl kill --signal=KILL $service || true; systemctl start $service || true; done\n"
-        "! systemctl start $service 2>/root/refused; systemctl is-failed $service; grep 'systemctl status' /root/refused\n"
+        "for each in $(seq 40); do systemctl kill --signal=KILL $service || :; systemctl start $service || :; done\n"
+        "! systemctl start $service 2>/root/refused; systemctl is-failed $service\n"
+        "grep 'systemctl status' /root/refused\n"
         "systemctl status $service | head -1 | grep 'sudo hexapod-gateway check'",
         "has failed",
     ),
