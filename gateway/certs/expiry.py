@@ -20,6 +20,11 @@ def soon(name: str, end: dt.datetime, now: dt.datetime) -> str | None:
 def remedy(file: str, role: str, name: str) -> str:
     """How to renew the certificate in `file`; `role` and `name` as `folder.describe` returns them."""
     if role == "ca":
-        return "make a new CA in another folder (`hexapod-gateway certs init`) and issue all certificates again"
+        return "hexapod-gateway certs init --host ROBOT --dir DIR in another folder, and issue all certificates again"
     holder = name if role != "gateway" else role
-    return f"hexapod-gateway certs renew {holder}, where ca.key is, and copy {file} here"
+    return f"{renewal(holder)}, and copy {file} here"
+
+
+def renewal(holder: str) -> str:
+    """The command that renews a certificate; DIR is for a person to fill in."""
+    return f"where ca.key is: hexapod-gateway certs renew {holder} --dir DIR"

@@ -35,8 +35,8 @@ class BoardProcess(SimulationProcess):
         folder = private_folder("power")
         self.channel = str(folder / "can")
         """The serial device for python-can's `slcan`."""
-        super().__init__("gateway.robot.power.simulator", given, pages, folder, self.channel)
+        super().__init__("gateway.simulation.board_port", given, pages, folder, self.channel)
 
     def disturb(self, **fault: object) -> None:
-        """A fault, as `gateway.robot.power.simulator` names them. Never waits."""
+        """A fault, as `gateway.simulation.board_port` names them. Never waits."""
         self.tell(json.dumps(fault))

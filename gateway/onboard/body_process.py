@@ -11,7 +11,7 @@ from gateway.errors import ConfigError
 from gateway.host.shared_page import SensedPage, ServoPage
 from gateway.onboard.simulation_process import SimulationProcess, private_folder
 from gateway.people.physics.assumed import Assumed
-from gateway.robot.zenoh_io import simulated_body
+from gateway.simulation import body as simulated_body
 
 READY: Final = "ready"
 

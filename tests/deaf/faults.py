@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from gateway.model.framing import ZERO, Framing
-from gateway.robot.spi.simulator import SimulatedController
+from gateway.simulation.controller import SimulatedController
 from tests.deaf.recorded import Written
 from tests.deaf.watcher import State, Watcher, pulses
 from tests.support.robot import MS

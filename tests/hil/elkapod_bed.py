@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from gateway.model.elkapod import SHUTDOWN, START, angles_of
-from gateway.robot.spi.elkapod_simulator import SimulatedElkapod
+from gateway.simulation.elkapod import SimulatedElkapod
 from schemas.robot import SERVO_IDS
 from tests.hil.bed import Event, Message, SpiTestbed, Transfer
 

@@ -8,7 +8,7 @@ import pytest
 
 from gateway.model.frames import STOP, STOP_REPEATS, OneServo, Op, decode, stop_leg
 from gateway.model.framing import ZERO, Framing
-from gateway.robot.spi.simulator import SimulatedController
+from gateway.simulation.controller import SimulatedController
 from schemas.robot import LEGS, SERVO_IDS
 from tests.hil.bed import SpiTestbed, Transfer
 from tests.support.gateway_process import Gateway

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 from gateway.errors import SpiError
 from gateway.model.framing import Framing
-from gateway.robot.spi.simulator import SimulatedController
+from gateway.simulation.controller import SimulatedController
 
 
 class FaultyController(SimulatedController):

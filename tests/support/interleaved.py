@@ -16,7 +16,7 @@ import zenoh
 
 from gateway.model.framing import Framing
 from gateway.robot.spi import Batch
-from gateway.robot.spi.simulator import SimulatedController
+from gateway.simulation.controller import SimulatedController
 
 PATIENCE_S: Final = 10.0
 """A thread that comes to no further point in this time hangs."""

@@ -7,7 +7,7 @@ import pytest
 from gateway.model.frames import STOP, OneServo, stop_leg
 from gateway.model.framing import ZERO, Framing
 from gateway.robot.spi.awaited import ANYTHING, NOTHING, after, after_failure, after_stall, next_on_the_way_back
-from gateway.robot.spi.simulator import SimulatedController
+from gateway.simulation.controller import SimulatedController
 from schemas.robot import LEGS, SERVO_IDS
 
 LEG_STOPS = tuple(stop_leg(leg).to_bytes() for leg in LEGS)

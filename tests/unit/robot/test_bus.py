@@ -15,7 +15,7 @@ from gateway.model.frames import Frame, OneLeg, OneServo, Op, ServoOp, stop_leg
 from gateway.model.framing import ZERO, Framing
 from gateway.robot.spi import ByteDevice
 from gateway.robot.spi.bus import IDLE_NS, RESYNC_NS, Bus
-from gateway.robot.spi.simulator import SimulatedController
+from gateway.simulation.controller import SimulatedController
 from schemas.robot import LEGS
 from tests.support.transfers import on_wire, preamble_of
 

@@ -6,8 +6,8 @@ from hypothesis import strategies as st
 
 from gateway.model.frames import OneLeg, Op, ServoOp
 from gateway.model.framing import Framing
-from gateway.robot.spi.simulated_servos import ServoState
-from gateway.robot.spi.simulator import SimulatedController
+from gateway.simulation.controller import SimulatedController
+from gateway.simulation.servos import ServoState
 from tests.fuzz.targets import PAUSES_NS, fuzz_simulator
 from tests.support.transfers import on_wire
 from tests.unit.model.test_frames import bytes_near_a_frame, frames

@@ -37,10 +37,10 @@ from gateway.model import elkapod
 from gateway.model.elkapod import BEGIN, END, FRAME_BYTES, SHUTDOWN, START, Measured
 from gateway.model.servo import A_PER_NM, IDLE_A, MOVING_A
 from gateway.robot.spi import DuplexDevice
-from gateway.robot.spi.simulated_battery import BASE_A, SimulatedBattery
-from gateway.robot.spi.simulated_servos import ServoState, SimulatedServos
-from gateway.robot.spi.simulator import KEPT_TRANSFERS
 from gateway.robot.spi.uart import Uart
+from gateway.simulation.battery import BASE_A, SimulatedBattery
+from gateway.simulation.controller import KEPT_TRANSFERS
+from gateway.simulation.servos import ServoState, SimulatedServos
 from schemas.robot import LEGS, SERVO_IDS
 
 HEARTBEAT_NS: Final = 50_000_000

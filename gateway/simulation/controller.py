@@ -41,7 +41,7 @@ from gateway.host.shared_page import ServoPage
 from gateway.model.frames import ONE_LEG_LEN, ONE_LEG_TYPE, ONE_SERVO_LEN, ONE_SERVO_TYPE, Op
 from gateway.model.framing import Framing
 from gateway.robot.spi import ByteDevice
-from gateway.robot.spi.simulated_servos import ServoState, SimulatedServos
+from gateway.simulation.servos import ServoState, SimulatedServos
 from schemas.robot import SERVO_IDS
 
 TICK_NS: Final = 1_000_000
