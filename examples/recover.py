@@ -7,7 +7,7 @@ import argparse
 import math
 import time
 
-from gateway.client import DEFAULT_ENDPOINT, Client, DisconnectedError, GatewayError, StoppedError, Stream
+from gateway.client import DEFAULT_ENDPOINT, Client, GatewayError, Stream
 
 LEGS = range(1, 7)
 HZ = 50
@@ -19,7 +19,7 @@ def gait(stream: Stream, seconds: float) -> None:
         swing_deg = 10 * math.sin(2 * math.pi * tick / HZ)
         try:
             stream.set(dict.fromkeys(LEGS, (90, 90 + swing_deg, 90)))
-        except (StoppedError, DisconnectedError) as error:
+        except GatewayError as error:
             print("ended:", error, flush=True)
             stream.recover(timeout_s=60)
             print("goes on", flush=True)

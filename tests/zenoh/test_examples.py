@@ -118,14 +118,14 @@ def test_a_gait_that_recovers(patient: Gateway) -> None:
     with patient.client() as client:
         told, written = events(client), frames(client)
         gait = Child([sys.executable, str(EXAMPLES / "recover.py"), *arguments], os.environ)
-        written.wait(moves)
+        written.wait(moves, count=60)  # all legs have started
         stopped = client.estop()
         gait.wait_for_output("ended: the emergency stop was engaged by test, ")
         rejected = client.state().commands.rejected
         again = frames(client)
         assert client.reset(stopped.estop).accepted
         gait.wait_for_output("goes on")
-        again.wait(moves)
+        again.wait(moves, count=60)
         assert client.state().commands.rejected - rejected <= 1, "it asks for the state, and starts nothing meanwhile"
         client.stop()
         assert gait.wait() == 1

@@ -404,6 +404,24 @@ def test_recover_raises_what_is_still_so_after_its_time(
     assert stream.is_over
 
 
+def test_a_start_that_an_emergency_stop_rejects_is_recovered_from_and_one_out_of_limits_is_not(robot: Any) -> None:
+    with Stream(robot, HZ) as stream:
+        estopped(robot)
+        with pytest.raises(RejectedError, match="estopped"):
+            stream.set({1: POSE})
+        robot.changed = {}
+        robot.rejects = Ack(accepted=False, reason=Reason.JOINT_LIMIT, detail="servo 11 may go from 0 to 80")
+        stream.recover(timeout_s=10)
+        with pytest.raises(RejectedError, match="joint_limit"):
+            stream.set({1: POSE})
+        with pytest.raises(RejectedError, match="joint_limit"):
+            stream.recover(timeout_s=10)
+        robot.rejects = None
+        stream.start_again()
+        stream.set({1: POSE})
+        assert robot.running == {1}
+
+
 def by_bert(robot: Robot) -> None:
     """His Stop, 0.2 s ago."""
     legs = range(1, 7)
