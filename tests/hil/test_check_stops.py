@@ -6,7 +6,7 @@ import pytest
 
 from gateway.model.frames import OneServo, Op, ServoOp
 from gateway.model.framing import Framing
-from gateway.onboard.check.stops.steps import STEPS
+from gateway.onboard.check.stops import STEPS
 from tests.hil.bed import SpiTestbed
 from tests.hil.wire import Replay, Wire, settings_for, start
 from tests.support.gateway_process import COMMAND, write_settings

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from gateway.model.elkapod import SHUTDOWN, START
-from gateway.onboard.check.stops.steps import STEPS
+from gateway.onboard.check.stops import STEPS
 from schemas.robot import SERVO_IDS
 from tests.hil.elkapod_bed import AT_REST, ElkapodBed
 from tests.hil.wire import LATE_S

@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 from gateway import certs
-from gateway.onboard.check import network
-from gateway.onboard.check.table import CheckedRobot, judged, results
+from gateway.onboard.check import security
+from gateway.onboard.check.table import CheckedRobot, results
 from gateway.robot.settings import Settings
 from tests.support.certs_folder import DAY, NOW
 from tests.support.command import Ended, run_here
@@ -102,10 +102,10 @@ TAKEN, FREE, RUNS = "is taken by another program", "is free", "by the gateway th
 )
 def test_a_port(endpoint: str, sentence: str, taken: int) -> None:
     where = endpoint.replace("TAKEN", str(taken)).replace("FREE", str(free_port()))
-    (line,) = judged(network.PORTS, network.port(where))
+    (line,) = security.PORTS.judged(security.port(CheckedRobot(), where))
     assert line.sentence.startswith(f"{where} {sentence}")
     if sentence is TAKEN:
-        (line,) = judged(network.PORTS, network.port(where, gateway_runs=True))
+        (line,) = security.PORTS.judged(security.port(CheckedRobot(gateway_runs=True), where))
         assert line.sentence == f"{where} is in use {RUNS}"
 
 
@@ -115,7 +115,7 @@ def test_the_port_of_the_metrics(tmp_path: Path, taken: int) -> None:
             "zenoh": {"listen": [], "config": dialling(tmp_path, "tcp/127.0.0.1:1")},
             "telemetry": {"metrics": f"127.0.0.1:{number}"},
         }
-        _, line = results([network.PORTS], CheckedRobot(Settings.model_validate(sections)))
+        _, line = results([security.PORTS], CheckedRobot(Settings.model_validate(sections)))
         assert line.fix == fix
 
 
@@ -135,7 +135,7 @@ def test_the_whole_of_a_robot_with_certificates(tmp_path: Path) -> None:
 # ---- the machine
 
 REALTIME = (
-    "import os; from gateway.onboard.check.machine import MACHINE;"
+    "import os; from gateway.onboard.check.installation import MACHINE;"
     "from gateway.onboard.check.table import CheckedRobot, results;"
     "r, = results(MACHINE[-1:], CheckedRobot()); print(r.verdict, r.sentence, r.fix);"
     "print(os.sched_getscheduler(0))"
@@ -157,8 +157,8 @@ def test_without_real_time_rights_it_says_which_limit() -> None:
 
 
 def test_a_port_that_this_user_may_not_have() -> None:
-    code = "import gateway.onboard.check.network as n; from gateway.onboard.check.table import judged;"
-    code += "r, = judged(n.PORTS, n.port('tcp/127.0.0.1:1')); print(r.verdict, r.sentence)"
+    code = "import gateway.onboard.check.security as n; from gateway.onboard.check.table import CheckedRobot;"
+    code += "r, = n.PORTS.judged(n.port(CheckedRobot(), 'tcp/127.0.0.1:1')); print(r.verdict, r.sentence)"
     everyones = int(Path("/proc/sys/net/ipv4/ip_unprivileged_port_start").read_text()) <= 1
     (said,) = _run(_without("net_bind_service"), code)
     sentence = (

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from gateway import certs
-from gateway.onboard.check import network
+from gateway.host.sockets import listening
 from tests.hil.bed import SYSTEM_PYTHON
 from tests.support.child import Child
 from tests.support.gateway_process import READY, free_port, write_settings
@@ -153,5 +153,5 @@ def test_the_port_of_the_service_is_the_services(machine: Machine) -> None:
 def test_a_port_of_another_program_is_not(machine: Machine) -> None:
     machine.allow()
     with socket.create_server(("", machine.port)):
-        assert network.owners(machine.port, socket.SOCK_STREAM) == {0}
+        assert {uid for _, uid in listening(machine.port, socket.SOCK_STREAM)} == {0}
         assert "is taken by another program" in line(machine.check(), "port")
