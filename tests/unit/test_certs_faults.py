@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from gateway import certs
+from gateway import certs, durable
 from gateway.certs.files import FileContent, publish
 from gateway.errors import ConfigError
 from gateway.zenoh_config import load_client_config, load_config
@@ -62,7 +62,7 @@ def test_an_interruption_leaves_no_trace(tmp_path: Path, monkeypatch: pytest.Mon
     def interrupt(*_arguments: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(os, "link", interrupt)
+    monkeypatch.setattr(durable, "sync", interrupt)
     with pytest.raises(KeyboardInterrupt):
         certs.folder.init(tmp_path / "D", HOSTS)
     assert names(tmp_path) == set()

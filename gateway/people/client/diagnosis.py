@@ -22,7 +22,6 @@ from typing import Any, Final
 import zenoh
 
 from gateway import certs
-from gateway.certs import expiry
 from gateway.errors import ConfigError
 from gateway.own_command import DEFAULT_ENDPOINT
 from gateway.people.client.requests import Identity
@@ -151,7 +150,7 @@ def own_expiry(config: zenoh.Config) -> str | None:
     with suppress(ConfigError):
         first = first_expiry(config)
         if first is not None:
-            return expiry.soon(first.file.name, first.end, dt.datetime.now(dt.UTC))
+            return certs.expires_soon(first.file.name, first.end, dt.datetime.now(dt.UTC))
     return None
 
 
