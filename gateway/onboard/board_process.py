@@ -1,6 +1,5 @@
 """Starts the process that simulates the power board, from within the gateway's."""
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -36,7 +35,3 @@ class BoardProcess(SimulationProcess):
         self.channel = str(folder / "can")
         """The serial device for python-can's `slcan`."""
         super().__init__("gateway.robot.power.simulator", given, pages, folder, self.channel)
-
-    def disturb(self, **fault: object) -> None:
-        """A fault, as `gateway.robot.power.simulator` names them. Never waits."""
-        self.tell(json.dumps(fault))

@@ -1,5 +1,6 @@
 """The simulated power board in its own process, by a real client: python-can over slcan on a pseudo terminal."""
 
+import json
 import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
@@ -103,12 +104,12 @@ def test_a_client_switches_servos_and_the_page_shows_them(client: Client) -> Non
 
 def test_the_adapter_goes_and_returns_under_the_same_path(client: Client) -> None:
     client.feed(0b10)
-    client.board.disturb(unplug=True)
+    client.board.tell(json.dumps({"unplug": True}))
     with pytest.raises(can.CanError):
         client.read_on()
     assert not Path(client.board.channel).exists()
     assert client.board.page.fed == frozenset((11,)), "the board holds what it was sent"
-    client.board.disturb(plug=True)
+    client.board.tell(json.dumps({"plug": True}))
     deadline_s = time.monotonic() + MOST_S
     while not Path(client.board.channel).exists():
         assert time.monotonic() < deadline_s

@@ -159,14 +159,6 @@ def _check_owner(found: os.stat_result, path: Path) -> None:
         raise NoRingError(f"{path}: another user has made this file, or may write to it; it is not read")
 
 
-def parse(data: bytes) -> tuple[Records, int, int]:
-    """The records in a file's bytes, oldest first; how many slots are damaged and how many missing.
-
-    The bytes' length bounds its time and memory, whatever they say. Raises DamagedRingError.
-    """
-    return _merged(_Slots(data), ())
-
-
 def _merged(ring: "_Slots", copies: Iterable["_Slots"]) -> tuple[Records, int, int]:
     """A ring's records, behind those of its copies that are older than all of these."""
     found = _Decoded()

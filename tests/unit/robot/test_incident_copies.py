@@ -20,6 +20,7 @@ from gateway.robot.blackbox.ring import RecordRing
 from gateway.robot.settings import Settings
 from schemas import keys
 from tests.support.full_disk import disk_that_takes
+from tests.support.ring import parse
 from tests.support.robot import Robot, leg, servo
 from tests.unit.people.test_recorder import contents, recorded
 
@@ -73,7 +74,7 @@ async def test_a_flood_that_overwrites_the_whole_ring_leaves_what_precedes_the_i
         await asyncio.sleep(1)
     robot.conductor.recorder.close()
     assert len(copied(folder, 1)) == 1, "a flood makes no copies"
-    ring_alone = ring_reader.parse((folder / RING_FILE).read_bytes())[0]
+    ring_alone = parse((folder / RING_FILE).read_bytes())[0]
     assert not [each for each in ring_alone if getattr(each.content, "source", None) == "anna"]
     assert len([each for each in contents(folder, form.CommandRecord) if each.source == "anna"]) == 11
     first = black_box._find(folder)[0].name
@@ -151,7 +152,7 @@ def test_a_copy_has_the_newest_records_and_the_ring_goes_on_behind_them(tmp_path
     filled(ring, newest)
     copies.copy(ring, newest)
     (copy,) = copies_of(ring)
-    records, damaged, _ = ring_reader.parse(copy.read_bytes())
+    records, damaged, _ = parse(copy.read_bytes())
     kept = list(range(max(1, newest - SLOTS // COPIED_SHARE + 1), newest + 1))
     assert [record.sequence for record in records] == kept
     assert damaged == 0
