@@ -12,7 +12,7 @@ import pytest
 from can.interfaces.slcan import slcanBus
 
 from gateway.model.power_board import CanFrame, set_supply
-from gateway.onboard.board_process import BoardProcess
+from gateway.onboard.simulation_process import BoardProcess
 from schemas.robot import SERVO_IDS
 
 MOST_S: Final = 10.0

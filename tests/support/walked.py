@@ -11,7 +11,7 @@ import pytest
 
 from gateway.geometry.kinematics import Vector
 from gateway.people.walking import STILL, Engine, Pose, Posture, Robot, Velocity
-from gateway.people.walking.stability import MARGIN_M, centre_of_mass, margin_m
+from gateway.people.walking.planning import MARGIN_M, centre_of_mass, margin_m
 from gateway.people.walking.tempo import SLEW_M_S2, SLEW_RAD_S2
 from gateway.people.walking.ways import ON_GROUND_M, Shift
 from schemas.robot import LEGS

@@ -6,7 +6,7 @@ from concurrent.futures import ProcessPoolExecutor
 from typing import Final
 
 from gateway.geometry import MAX_SPEED_DEG_S
-from gateway.model.servo import NO_LOAD_DEG_S
+from gateway.model.power_board import NO_LOAD_DEG_S
 from gateway.people.walking import Velocity
 from tests.walking.fast import LIMITS, reached
 from tests.walking.judge import judge, table

@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 
 from gateway.geometry import Geometry, load
-from gateway.geometry.masses import MASSES
+from gateway.geometry.model import MASSES
 from gateway.model.frames import Op, decode
 from gateway.people.physics.assumed import FRICTION, TORQUE_NM
 from gateway.people.physics.assumed import Assumed as Assumptions

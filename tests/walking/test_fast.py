@@ -3,7 +3,7 @@
 import pytest
 
 from gateway.geometry import MAX_SPEED_DEG_S
-from gateway.model.servo import NO_LOAD_DEG_S
+from gateway.model.power_board import NO_LOAD_DEG_S
 from tests.walking.fast import LIMITS, reached
 
 

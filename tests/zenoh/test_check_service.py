@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from gateway import certs
-from gateway.host.sockets import listening
+from gateway.host.kernel_tables import listening
 from tests.hil.bed import SYSTEM_PYTHON
 from tests.support.child import Child
 from tests.support.gateway_process import READY, free_port, write_settings

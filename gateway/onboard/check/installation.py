@@ -24,7 +24,7 @@ from typing import Final
 
 from gateway import certs
 from gateway.errors import ConfigError
-from gateway.host.mounts import FORGETS, mount_of
+from gateway.host.kernel_tables import FORGETS, mount_of
 from gateway.host.realtime import LOOP_PRIORITY
 from gateway.onboard import whole
 from gateway.onboard.check.table import INSTALL, RESTART, SERVICE, CheckedRobot, Probe, Seen, failure, text, warning

@@ -22,7 +22,7 @@ from gateway.certs.zenoh_files import command_for_new_rules
 from gateway.endpoints import host_and_port
 from gateway.errors import ConfigError
 from gateway.host.directories import state_to_read
-from gateway.host.sockets import listening
+from gateway.host.kernel_tables import listening
 from gateway.onboard.check.table import LET_READ, RESTART, SERVICE, CheckedRobot, Probe, Seen, failure, warning
 from gateway.own_command import this_command
 from gateway.robot.zenoh_io import exposure

@@ -20,7 +20,7 @@ from gateway.errors import GatewayError
 from gateway.host.file_lock import written_by_anyone
 from gateway.model.black_box import format as form
 from gateway.model.black_box import header
-from gateway.model.black_box.files import MAX_SLOTS, copies_of
+from gateway.model.black_box.header import MAX_SLOTS, copies_of
 from gateway.people.recorder.ring_decoding import decode
 from schemas.calibration import Calibration
 

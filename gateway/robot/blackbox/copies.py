@@ -13,7 +13,7 @@ from gateway import durable
 from gateway.host.worker import Worker
 from gateway.model.black_box import format as form
 from gateway.model.black_box import header
-from gateway.model.black_box.files import COPIED_SHARE, MOST_COPIES, copies_of, copy_path
+from gateway.model.black_box.header import COPIED_SHARE, MOST_COPIES, copies_of, copy_path
 from gateway.model.black_box.incidents import FOLLOW_NS
 
 CHUNK: Final = 4096

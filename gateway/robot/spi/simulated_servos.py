@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from gateway.host.shared_page import ServoPage
-from gateway.model.servo import NO_LOAD_DEG_S
+from gateway.model.power_board import NO_LOAD_DEG_S
 from schemas.robot import SERVO_IDS
 
 

@@ -8,8 +8,7 @@ import pytest
 from gateway.host.shared_page import ServoPage
 from gateway.model import elkapod
 from gateway.model.elkapod import START, Measured
-from gateway.robot.spi.elkapod_simulator import SimulatedElkapod
-from gateway.robot.spi.simulated_battery import SimulatedBattery
+from gateway.robot.spi.elkapod_simulator import SimulatedBattery, SimulatedElkapod
 from schemas.robot import SERVO_IDS
 
 MS = 1_000_000  # ns

@@ -12,7 +12,7 @@ import pytest
 
 from gateway import durable
 from gateway.model.black_box import format as form
-from gateway.model.black_box.files import COPIED_SHARE, MOST_COPIES, RING_FILE, copies_of, copy_path
+from gateway.model.black_box.header import COPIED_SHARE, MOST_COPIES, RING_FILE, copies_of, copy_path
 from gateway.onboard import black_box
 from gateway.people.recorder import ring_reader
 from gateway.robot.blackbox import copies
