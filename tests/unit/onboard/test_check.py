@@ -23,6 +23,7 @@ from tests.support.certs_folder import DAY, NOW, make_folder
 from tests.support.gateway_process import dialling
 from tests.support.machine_tree import PI_4, MachineTree
 from tests.support.remedies import parse_commands
+from tests.unit.onboard.test_check_installation import PLANTED, Installed
 
 __all__ = ["make_folder"]  # a fixture
 MODULES = (installation, security, wire)
@@ -75,10 +76,6 @@ WIRE |= {"absent": "plug it in", "error": "", "opens": "opens", "console": "", "
 WIRE |= {"kind": "ttyS", "locked": ""}
 BOARD = {**WIRE, "simulated": False, "off": False, "bitrate": 10**6, "silent": False}
 BOARD |= {"answers": "answers", "where": "slcan x"}
-UNIT_FILE = {"masked": False, "other": False, "differs": True, "source": "S", "place": "/usr/U", "found": "/etc/U"}
-SOME = {"some": "a.py", "all": "/opt/R/a.py", "release": "/opt/R", "again": "sudo bash i.sh"}
-DROP_IN = {"path": "/etc/x.conf", "environment": "", "emptied": False, "simulates": False, "depends": ""}
-DROP_IN |= {"keys": "CPUWeight"}
 STATE_FOLDER = {"is_folder": True, "own": True, "kind": "ext4", "some": ""}
 DISK = {"read_only": False, "mount": "/mnt", "free_mb": 999, "inodes": 999}
 PORT = {"where": "tcp/h:1", "setting": "zenoh.listen", "why": "?", "taken": False, "late": False}
@@ -167,39 +164,13 @@ FACTS = (
            ({"fault": "x", "foreign": False}, "failure revoked: x; the service does not start → copy … FILE /l &&"),
            ({"fault": "", "foreign": True}, "warning revoked: /l is of another authority, so nobody is")),
     *facts(wire.CALIBRATION, {"hidden": True, "path": "/p"}, ({}, "warning … /p is not for you to read")),
-    *facts(named("package"), SOME,
-           ({"kind": "changed"}, "failure package: not as installed: a.py. … → sudo bash i.sh"),
-           ({"kind": "added"}, "warning … and not installed with it: a.py … sudo rm /opt/R/a.py"),
-           ({"kind": "closed"}, "failure … not for all to read … sudo chown root:root /opt/R/a.py")),
-    *facts(named("release"), {"package": "2", "current": "2", "runs": "2", "former": ["/opt/R"]},
-           ({"current": "1"}, "warning release: 2 is installed, and 1 runs … sudo dpkg-reconfigure hexapod-gateway"),
-           ({"runs": "1"}, "warning release: the service that runs is 1, and 2 is installed"),
-           ({}, "warning release: /opt/R is of the former installer … sudo /usr/bin/hexapod-gateway setup")),
     *facts(named("user", 1), {"missing": "group spi"}, ({}, "user: there is no group spi … sudo systemd-sysusers")),
-    *facts(named("unit file"), UNIT_FILE,
-           ({"masked": True}, "is masked, or its unit is empty … sudo install -m 644 S /usr/U && sudo"),
-           ({"other": True}, "failure … /etc/U is in force in place of … sudo mv /etc/U /etc/U.off && sudo"),
-           ({}, "failure … /usr/U is not as this release has it … sudo install -m 644 S /usr/U && sudo")),
-    *facts(named("systemd unit", 1), {}, ({"unread": True}, "failure … was edited, and systemd still")),
-    *facts(named("drop-in"), DROP_IN,
-           ({"simulates": True, "emptied": True}, "warning drop-in: /etc/x.conf makes the controller a simulated one"),
-           ({"emptied": True}, "failure drop-in: /etc/x.conf empties ExecStopPost="),
-           ({"environment": "HEXAPOD_A=1"}, "has settings, which hold in place of gateway.toml: HEXAPOD_A=1"),
-           ({}, "ok drop-in: /etc/x.conf sets CPUWeight"),
-           ({"depends": "Nice"}, "changes what Stops depend on: Nice → if nobody knows why … sudo mv /etc/x.conf ")),
     *facts(named("state"), STATE_FOLDER,
-           ({"is_folder": False}, "failure state: /var/lib/hexapod-gateway is no folder"),
-           ({"own": False}, "failure state: /var/lib/hexapod-gateway is not the service's to write"),
-           ({"some": "a.py"}, "failure … not the service's to read and write: a.py"),
            ({"kind": "overlay"}, "warning … is on overlay, which a boot empties")),
     *facts(named("disk"), DISK,
            ({"read_only": True}, "/mnt is a file system that is read-only … sudo mount -o remount,rw /mnt"),
            ({"free_mb": 3}, "failure disk: /mnt has 3 MB free … sudo journalctl --vacuum-size=50M"),
            ({"inodes": 9}, "failure disk: /mnt has room for 9 files … sudo du -x --inodes /mnt")),
-    *facts(named("private key"), SOME,
-           ({"exposed": True}, "others than root and the service may read a.py"),
-           ({"exposed": False}, "a.py is the authority's key … sudo shred -u /opt/R/a.py")),
-    *facts(named("variable"), {"name": "A"}, ({}, "A is in the service's environment … sudo systemctl daemon-reexec")),
     *facts(named("Wi-Fi"), {"wifi": "wlan0"}, ({"saves": True}, "warning Wi-Fi: wlan0 saves power … sudo tee")),
 )
 # fmt: on
@@ -446,6 +417,11 @@ def test_each_row_of_the_table_is_reached_and_its_commands_are_the_programs(tmp_
         root.mkdir()
         look = planted.plant(root)
         reached |= {fault for probe in planted.probes for seen in probe.readings(look) for fault in first(probe, seen)}
+    for place, (plant, _) in enumerate(PLANTED):
+        planted_robot = Installed(tmp_path / f"installed {place}")
+        plant(planted_robot)
+        for probe in (*installation.PROBES, installation.UNIT):
+            reached |= {fault for seen in probe.readings(planted_robot) for fault in first(probe, seen)}
     rows = [(probe.name, fault) for probe in PROBES for fault in probe.faults]
     assert [(name, fault.sentence) for name, fault in rows if fault not in reached] == []
     for _, fault in rows:
